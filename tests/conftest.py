@@ -1,0 +1,24 @@
+"""Fixtures that every test folder shares."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(20111)
+
+
+@pytest.fixture(scope="session")
+def real_data() -> Path:
+    """The folder of real photographs, or a skip that says how to run the test."""
+    folder = os.environ.get("VNTOOLKIT_REAL_DATA")
+    if not folder:
+        pytest.skip("VNTOOLKIT_REAL_DATA is not set: tests on real photographs need that folder")
+    path = Path(folder)
+    if not path.is_dir():
+        pytest.fail(f"VNTOOLKIT_REAL_DATA={folder} is not a folder")
+    return path

@@ -1,0 +1,82 @@
+"""The floors of the house hold: imports go strictly down, stages do not know each other."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parent.parent / "vntoolkit"
+
+# A lower number may be imported by a higher one; equal numbers only within the same room.
+FLOORS = {
+    "arrays": 0, "errors": 0.1, "checks": 0.2, "native": 0.3,
+    "geometry": 1, "photometry": 1.5,
+    "io": 2, "calibration": 2, "simulation": 2, "normals": 2, "shadows": 2, "integration": 2,
+    "meshing": 2, "tracking": 2, "skinning": 2, "evaluation": 2,
+    "pipeline": 3, "report": 3.5,
+    "cli": 4, "__main__": 5,
+}  # fmt: skip
+
+# Third-party doors: a library not named here is free for all; a prefix names a file or a folder.
+DOORS = {
+    "pycolmap": ("calibration/head",),
+    "pymeshlab": ("geometry/", "evaluation/", "meshing/", "native.py"),
+    "open3d": ("geometry/", "simulation/", "meshing/", "tracking/", "report/", "io/meshes", "native.py"),
+    "cv2": ("io/", "calibration/", "tracking/flow", "shadows/", "simulation/"),
+    "av": ("io/",),
+    "OpenEXR": ("io/",),
+    "pxr": ("io/",),
+    "pydantic": ("io/",),
+    "maxflow": ("shadows/",),
+    "viser": ("report/",),
+    "jinja2": ("report/",),
+    "matplotlib": ("report/",),
+    "reportlab": ("io/",),
+    "dask": ("pipeline",),
+    "distributed": ("pipeline",),
+    "cyclopts": ("cli/", "__main__.py"),
+    "rich": ("cli/", "__main__.py"),
+}
+
+FILES = sorted(PACKAGE.rglob("*.py"))
+
+
+def room_of(path: Path) -> str:
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def imports_of(tree: ast.AST) -> list[str]:
+    names = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "imports are absolute"
+            names.append(node.module or "")
+            if node.module == "vntoolkit":
+                names += [f"vntoolkit.{alias.name}" for alias in node.names]
+    return names
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_imports_go_down_and_use_their_doors(path: Path) -> None:
+    here = room_of(path)
+    relative = path.relative_to(PACKAGE).as_posix()
+    for name in imports_of(ast.parse(path.read_text())):
+        top, *rest = name.split(".")
+        if top == "vntoolkit" and rest and here != "__init__":
+            there = rest[0]
+            assert there in FLOORS, f"{relative} imports {name}, which has no floor"
+            assert there == here or FLOORS[there] < FLOORS[here], f"{relative} must not import {name}"
+        elif top in DOORS:
+            assert relative.startswith(DOORS[top]), f"{relative} must not import {top}"
+
+
+def test_every_room_has_a_floor() -> None:
+    assert {room_of(path) for path in FILES} - {"__init__"} <= set(FLOORS)
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_no_file_outgrows_its_idea(path: Path) -> None:
+    lines = len(path.read_text().splitlines())
+    assert lines <= 300, f"{path.relative_to(PACKAGE)} has {lines} lines: it holds more than one idea"

@@ -1,0 +1,52 @@
+"""Surface normals, depth and moving meshes from video under three coloured lights.
+
+The floors, from the ground up; imports go strictly down:
+
+    0  arrays, errors, checks, native      foundations
+    1  geometry, photometry                the objects that flow between the stages
+    2  io, calibration, simulation, normals, shadows, integration,
+       meshing, tracking, skinning, evaluation      stages, blind to each other
+    3  pipeline, report                    stages joined; what people look at
+    4  cli                                 the command line
+
+The chain of objects is the architecture:
+
+    LinearFrame -> NormalMap -> DepthMap -> Mesh -> MeshSequence
+
+Public names are imported on first use, so that `import vntoolkit` stays cheap.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+__version__ = "0.1.0"
+
+# In pipeline order: public name -> module that holds it.
+_PUBLIC = {
+    "Camera": "vntoolkit.geometry.camera",
+    "CameraModel": "vntoolkit.geometry.camera",
+    "RigidTransform": "vntoolkit.geometry.rigid",
+    "LinearFrame": "vntoolkit.photometry.frame",
+    "Transfer": "vntoolkit.photometry.transfer",
+    "LightResponse": "vntoolkit.photometry.response",
+    "Rig": "vntoolkit.photometry.rig",
+    "NormalMap": "vntoolkit.geometry.maps",
+    "DepthMap": "vntoolkit.geometry.maps",
+    "PointCloud": "vntoolkit.geometry.point_cloud",
+    "Mesh": "vntoolkit.geometry.mesh",
+    "MeshSequence": "vntoolkit.geometry.mesh_sequence",
+}
+
+__all__ = [*_PUBLIC, "__version__"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PUBLIC:
+        raise AttributeError(f"module 'vntoolkit' has no attribute '{name}'")
+    return getattr(importlib.import_module(_PUBLIC[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,57 @@
+"""The entry point: threads tamed, errors turned into one line, exit status set."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+# Pools that spin while they wait steal the cores from the pool that works: the same frame then takes
+# 17 to 22 ms instead of 7. Must be set before numpy is imported.
+for _name, _value in {
+    "OPENBLAS_NUM_THREADS": "1",
+    "OMP_WAIT_POLICY": "PASSIVE",
+    "GOMP_SPINCOUNT": "0",
+    "KMP_BLOCKTIME": "0",
+}.items():
+    os.environ.setdefault(_name, _value)
+
+INTERRUPTED = 130  # the shell's convention for SIGINT
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; return the exit status (0 done, 1 error, 130 interrupted)."""
+    from cyclopts import CycloptsError
+
+    from vntoolkit.cli import build_app
+    from vntoolkit.errors import VntError
+
+    _set_up_logging()
+    try:
+        result = build_app()(arguments if arguments is not None else sys.argv[1:])
+        return result if isinstance(result, int) else 0
+    except CycloptsError as error:
+        return _fail(" ".join(str(error).split()))
+    except VntError as error:
+        return _fail(str(error))
+    except KeyboardInterrupt as interrupt:
+        hint = str(interrupt) or "run the same command again to continue"
+        print(f"\nvntoolkit: interrupted: {hint}", file=sys.stderr)  # noqa: T201
+        return INTERRUPTED
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
+def _fail(message: str) -> int:
+    print(f"vntoolkit: {message}", file=sys.stderr)  # noqa: T201
+    return 1
+
+
+def _set_up_logging() -> None:
+    import logging
+
+    logging.basicConfig(level=logging.WARNING, format="vntoolkit: %(message)s")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,39 @@
+"""Named array types: the shape and the meaning of an array, readable in a signature.
+
+A type checker sees plain numpy arrays; a reader sees `LinearImage` and knows the rest.
+Frames, axes and units are those of CONVENTIONS.md.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray: TypeAlias = npt.NDArray[np.floating[Any]]
+IntArray: TypeAlias = npt.NDArray[np.integer[Any]]
+
+LinearImage: TypeAlias = Annotated[npt.NDArray[np.float32], "h w 3: RGB, linear, 1.0 = full scale"]
+Mask: TypeAlias = Annotated[npt.NDArray[np.bool_], "h w: True where valid"]
+Weight: TypeAlias = Annotated[npt.NDArray[np.float32], "h w: confidence from 0 to 1"]
+Flow: TypeAlias = Annotated[npt.NDArray[np.float32], "h w 2: (du, dv) in pixels"]
+Normals: TypeAlias = Annotated[FloatArray, "... 3: unit vectors in the camera frame"]
+Depth: TypeAlias = Annotated[FloatArray, "h w: z along the optical axis"]
+VisibilityLabels: TypeAlias = Annotated[npt.NDArray[np.uint8], "h w: bit k set where light k arrives"]
+
+Points: TypeAlias = Annotated[FloatArray, "n 3"]
+Points2: TypeAlias = Annotated[FloatArray, "n 2: (u, v) in pixels"]
+Vectors: TypeAlias = Annotated[FloatArray, "... 3"]
+Faces: TypeAlias = Annotated[npt.NDArray[np.int32], "m 3: vertex indices, counter-clockwise from outside"]
+Colours: TypeAlias = Annotated[npt.NDArray[np.float32], "n 3: RGB from 0 to 1"]
+Matrix3: TypeAlias = Annotated[FloatArray, "3 3: float64"]
+Matrix4: TypeAlias = Annotated[FloatArray, "4 4: float64"]
+Vector3: TypeAlias = Annotated[FloatArray, "3: float64"]
+
+
+def read_only(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return a view of `array` that refuses writing; the memory is shared, not copied."""
+    view = array.view()
+    view.flags.writeable = False
+    return view

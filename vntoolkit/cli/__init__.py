@@ -1,0 +1,37 @@
+"""Floor 4, the command line: one file a verb, imported only when its verb is called.
+
+A verb parses its options (the frozen dataclasses of the stages), calls `pipeline`, `report` or a stage,
+and says what it wrote. No algorithm lives here.
+"""
+
+from __future__ import annotations
+
+from cyclopts import App
+
+from vntoolkit import __version__
+
+# verb -> (where it lives, the line that `vntoolkit --help` shows)
+VERBS: dict[str, tuple[str, str]] = {}
+
+GROUPS: dict[str, tuple[str, dict[str, tuple[str, str]]]] = {}
+
+
+def build_app() -> App:
+    """Register every verb by name; nothing but cyclopts is imported."""
+    app = App(
+        name="vntoolkit",
+        help="Normals, depth and moving meshes from video under three coloured lights.",
+        version=__version__,
+        help_format="plaintext",
+        result_action="return_value",
+        exit_on_error=False,
+        print_error=False,
+    )
+    for verb, (target, line) in VERBS.items():
+        app.command(target, name=verb, help=line)
+    for group, (line, verbs) in GROUPS.items():
+        sub = App(name=group, help=line, help_format="plaintext", version_flags=())
+        for verb, (target, verb_line) in verbs.items():
+            sub.command(target, name=verb, help=verb_line)
+        app.command(sub)
+    return app

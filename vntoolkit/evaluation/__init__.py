@@ -1,0 +1,1 @@
+"""Floor 2, how far a result is from a reference."""

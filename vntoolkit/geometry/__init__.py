@@ -1,0 +1,1 @@
+"""Floor 1, the objects that flow: transforms, cameras, maps, point clouds, meshes, moving meshes."""

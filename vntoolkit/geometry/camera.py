@@ -1,0 +1,143 @@
+"""Cameras: pinhole with distortion, or orthographic; projection and its inverse.
+
+Model names are COLMAP's (PINHOLE, OPENCV); ORTHOGRAPHIC is ours. Pixel centres are integers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+
+from vntoolkit.arrays import Depth, FloatArray, Matrix3, read_only
+from vntoolkit.checks import require_finite, require_shape
+from vntoolkit.errors import BadInput
+
+_UNDISTORT_ITERATIONS = 20
+
+
+class CameraModel(Enum):
+    """How points in the camera frame become pixels."""
+
+    PINHOLE = "PINHOLE"
+    OPENCV = "OPENCV"
+    ORTHOGRAPHIC = "ORTHOGRAPHIC"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Camera:
+    """One calibrated camera.
+
+    width, height: image size in pixels. matrix: K, (3, 3), pixels; for an orthographic camera K[0, 0]
+    is the scale in pixels per length unit. distortion: (k1, k2, p1, p2), Brown's model, OPENCV only.
+    """
+
+    model: CameraModel
+    width: int
+    height: int
+    matrix: Matrix3
+    distortion: FloatArray = field(default_factory=lambda: np.zeros(4))
+
+    def __post_init__(self) -> None:
+        matrix = np.array(self.matrix, dtype=np.float64)
+        distortion = np.array(self.distortion, dtype=np.float64)
+        require_shape(matrix, (3, 3), "camera matrix K")
+        require_finite(matrix, "camera matrix K")
+        require_shape(distortion, (4,), "camera distortion (k1, k2, p1, p2)")
+        require_finite(distortion, "camera distortion")
+        if self.width < 1 or self.height < 1:
+            raise BadInput(f"camera: expected a positive image size, got {self.width}×{self.height}")
+        if not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
+            raise BadInput("camera matrix K: expected positive focal lengths K[0][0], K[1][1]")
+        if np.any(distortion != 0) and self.model is not CameraModel.OPENCV:
+            raise BadInput(f"camera: a {self.model.value} camera has no distortion; use model OPENCV")
+        object.__setattr__(self, "matrix", read_only(matrix))
+        object.__setattr__(self, "distortion", read_only(distortion))
+
+    @classmethod
+    def pinhole(cls, *, width: int, height: int, focal_px: float) -> Camera:
+        """Build a pinhole camera with square pixels and the principal point in the image centre."""
+        matrix = np.array([[focal_px, 0, (width - 1) / 2], [0, focal_px, (height - 1) / 2], [0, 0, 1.0]])
+        return cls(model=CameraModel.PINHOLE, width=width, height=height, matrix=matrix)
+
+    @classmethod
+    def orthographic(cls, *, width: int, height: int, pixels_per_unit: float = 1.0) -> Camera:
+        """Build an orthographic camera; with the default scale, lengths are pixels."""
+        s = float(pixels_per_unit)
+        matrix = np.array([[s, 0, (width - 1) / 2], [0, s, (height - 1) / 2], [0, 0, 1.0]])
+        return cls(model=CameraModel.ORTHOGRAPHIC, width=width, height=height, matrix=matrix)
+
+    @property
+    def is_perspective(self) -> bool:
+        """True for PINHOLE and OPENCV."""
+        return self.model is not CameraModel.ORTHOGRAPHIC
+
+    def project(self, points_in_camera: FloatArray) -> FloatArray:
+        """Project points (..., 3) to pixels (..., 2)."""
+        points = np.asarray(points_in_camera, dtype=np.float64)
+        xy = points[..., :2] / points[..., 2:3] if self.is_perspective else points[..., :2]
+        if self.model is CameraModel.OPENCV:
+            xy = _distort(xy, self.distortion)
+        return xy @ self.matrix[:2, :2].T + self.matrix[:2, 2]
+
+    def unproject(self, pixels: FloatArray, depth: FloatArray) -> FloatArray:
+        """Return the points (..., 3) in the camera frame at pixels (..., 2) and depth (...)."""
+        pixels = np.asarray(pixels, dtype=np.float64)
+        xy = (pixels - self.matrix[:2, 2]) @ np.linalg.inv(self.matrix[:2, :2]).T
+        if self.model is CameraModel.OPENCV:
+            xy = _undistort(xy, self.distortion)
+        depth = np.asarray(depth)[..., None]
+        return np.concatenate([xy * depth if self.is_perspective else xy, depth], axis=-1)
+
+    def pixel_grid(self) -> FloatArray:
+        """Return the (h, w, 2) positions (u, v) of all pixel centres."""
+        u, v = np.meshgrid(np.arange(self.width), np.arange(self.height))
+        return np.stack([u, v], axis=-1).astype(np.float64)
+
+    def points_from_depth(self, depth: Depth) -> FloatArray:
+        """Return the (h, w, 3) points in the camera frame of a depth image (h, w)."""
+        require_shape(depth, (self.height, self.width), "depth")
+        return self.unproject(self.pixel_grid(), depth)
+
+    def scaled(self, factor: float) -> Camera:
+        """Return the camera of an image resized by `factor` (pixel centres stay integers)."""
+        matrix: FloatArray = np.array(self.matrix)
+        matrix[:2] *= factor
+        matrix[:2, 2] += 0.5 * (factor - 1.0)
+        return Camera(
+            model=self.model,
+            width=round(self.width * factor),
+            height=round(self.height * factor),
+            matrix=matrix,
+            distortion=self.distortion,
+        )
+
+    def without_distortion(self) -> Camera:
+        """Return the pinhole camera of the undistorted image (itself where there is none)."""
+        if self.model is not CameraModel.OPENCV:
+            return self
+        return Camera(model=CameraModel.PINHOLE, width=self.width, height=self.height, matrix=self.matrix)
+
+
+def _distort(xy: FloatArray, distortion: FloatArray) -> FloatArray:
+    """Brown's radial and tangential model on normalised coordinates (..., 2)."""
+    k1, k2, p1, p2 = distortion
+    x, y = xy[..., 0], xy[..., 1]
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + k2 * r2)
+    return np.stack(
+        [
+            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+        ],
+        axis=-1,
+    )
+
+
+def _undistort(xy_distorted: FloatArray, distortion: FloatArray) -> FloatArray:
+    """Invert `_distort` by fixed-point iteration, which contracts for photographic lenses."""
+    xy = xy_distorted
+    for _ in range(_UNDISTORT_ITERATIONS):
+        xy = xy + (xy_distorted - _distort(xy, distortion))
+    return xy

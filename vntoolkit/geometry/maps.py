@@ -1,0 +1,81 @@
+"""The two maps that flow between the stages: one normal, one depth per pixel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from vntoolkit.arrays import Depth, Mask, Normals, Weight, read_only
+from vntoolkit.checks import require_shape
+from vntoolkit.errors import BadInput
+
+
+class LengthUnit(Enum):
+    """What a length of 1 means."""
+
+    PIXEL = "px"
+    METRE = "m"
+    FREE = "free"  # perspective depth from normals alone: the scale is not observable
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NormalMap:
+    """Surface normals seen by a camera.
+
+    normals_in_camera: (h, w, 3) float32, unit length, n_z < 0 towards the viewer, 0 where invalid.
+    mask: (h, w) bool. weight: (h, w) float32 confidence from 0 to 1, or None for 1 everywhere in the mask.
+    """
+
+    normals_in_camera: Normals
+    mask: Mask
+    weight: Weight | None = None
+
+    def __post_init__(self) -> None:
+        normals = np.asarray(self.normals_in_camera, dtype=np.float32)
+        require_shape(normals, (None, None, 3), "normals")
+        _require_mask(self.mask, normals.shape[:2])
+        object.__setattr__(self, "normals_in_camera", read_only(normals))
+        object.__setattr__(self, "mask", read_only(np.asarray(self.mask)))
+        if self.weight is not None:
+            weight = np.asarray(self.weight, dtype=np.float32)
+            require_shape(weight, normals.shape[:2], "weight")
+            object.__setattr__(self, "weight", read_only(weight))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(h, w)."""
+        return self.normals_in_camera.shape[0], self.normals_in_camera.shape[1]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DepthMap:
+    """Depth along the optical axis, growing away from the camera.
+
+    depth: (h, w) float32 or float64, 0 where invalid. mask: (h, w) bool. unit: what a length of 1 means.
+    """
+
+    depth: Depth
+    mask: Mask
+    unit: LengthUnit = LengthUnit.PIXEL
+
+    def __post_init__(self) -> None:
+        depth = np.asarray(self.depth)
+        if not np.issubdtype(depth.dtype, np.floating):
+            raise BadInput(f"depth: expected floating point, got {depth.dtype}")
+        require_shape(depth, (None, None), "depth")
+        _require_mask(self.mask, depth.shape)
+        object.__setattr__(self, "depth", read_only(depth))
+        object.__setattr__(self, "mask", read_only(np.asarray(self.mask)))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(h, w)."""
+        return self.depth.shape[0], self.depth.shape[1]
+
+
+def _require_mask(mask: Mask, shape: tuple[int, ...]) -> None:
+    if mask.dtype != np.bool_:
+        raise BadInput(f"mask: expected booleans, got {mask.dtype}")
+    require_shape(mask, tuple(shape), "mask")

@@ -1,0 +1,122 @@
+"""Triangle meshes, and their way to and from Open3D and pymeshlab."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vntoolkit.arrays import Colours, Faces, FloatArray, Points, read_only
+from vntoolkit.checks import require_finite, require_shape
+from vntoolkit.errors import BadMesh
+from vntoolkit.geometry.point_cloud import rgba_from_rgb
+from vntoolkit.native import import_open3d, import_pymeshlab
+
+if TYPE_CHECKING:
+    import open3d as o3d
+    import pymeshlab
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Mesh:
+    """A triangle mesh.
+
+    vertices: (n, 3) in the camera frame unless named otherwise. faces: (m, 3) int32, counter-clockwise
+    from outside. normals: (n, 3) unit vertex normals or None. colours: (n, 3) float32 RGB 0 to 1 or None.
+    uv: (n, 2) texture coordinates, (0, 0) at the bottom left of the texture (OBJ's), or None.
+    """
+
+    vertices: Points
+    faces: Faces
+    normals: Points | None = None
+    colours: Colours | None = None
+    uv: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        vertices = np.asarray(self.vertices)
+        faces = np.asarray(self.faces, dtype=np.int32)
+        require_shape(vertices, (None, 3), "vertices", BadMesh)
+        require_finite(vertices, "vertices", BadMesh)
+        require_shape(faces, (None, 3), "faces", BadMesh)
+        if faces.size and (faces.min() < 0 or faces.max() >= len(vertices)):
+            raise BadMesh(f"faces: an index lies outside the {len(vertices)} vertices")
+        object.__setattr__(self, "vertices", read_only(vertices))
+        object.__setattr__(self, "faces", read_only(faces))
+        for name, width in (("normals", 3), ("colours", 3), ("uv", 2)):
+            values = getattr(self, name)
+            if values is not None:
+                require_shape(values, (len(vertices), width), name, BadMesh)
+                object.__setattr__(self, name, read_only(np.asarray(values)))
+
+    def with_vertices(self, vertices: Points) -> Mesh:
+        """Return the same topology at other positions, normals recomputed if there were any."""
+        normals = None if self.normals is None else vertex_normals(vertices, self.faces)
+        return replace(self, vertices=vertices, normals=normals)
+
+    @property
+    def diagonal(self) -> float:
+        """Length of the bounding box's diagonal."""
+        return float(np.linalg.norm(np.ptp(self.vertices, axis=0))) if len(self.vertices) else 0.0
+
+    def to_open3d(self) -> o3d.geometry.TriangleMesh:
+        """Return a copy as an Open3D triangle mesh (without texture coordinates)."""
+        o3d = import_open3d()
+        mesh = o3d.geometry.TriangleMesh(
+            o3d.utility.Vector3dVector(np.asarray(self.vertices, dtype=np.float64)),
+            o3d.utility.Vector3iVector(self.faces),
+        )
+        if self.normals is not None:
+            mesh.vertex_normals = o3d.utility.Vector3dVector(np.asarray(self.normals, dtype=np.float64))
+        if self.colours is not None:
+            mesh.vertex_colors = o3d.utility.Vector3dVector(np.asarray(self.colours, dtype=np.float64))
+        return mesh
+
+    @classmethod
+    def from_open3d(cls, mesh: o3d.geometry.TriangleMesh) -> Mesh:
+        """Copy an Open3D triangle mesh."""
+        return cls(
+            vertices=np.array(mesh.vertices),
+            faces=np.array(mesh.triangles, dtype=np.int32).reshape(-1, 3),
+            normals=np.array(mesh.vertex_normals) if mesh.has_vertex_normals() else None,
+            colours=np.array(mesh.vertex_colors, dtype=np.float32) if mesh.has_vertex_colors() else None,
+        )
+
+    def to_pymeshlab(self) -> pymeshlab.Mesh:
+        """Return a copy as a pymeshlab mesh (without texture coordinates)."""
+        extra: dict[str, Any] = {}
+        if self.normals is not None:
+            extra["v_normals_matrix"] = np.asarray(self.normals, dtype=np.float64)
+        if self.colours is not None:
+            extra["v_color_matrix"] = rgba_from_rgb(self.colours)
+        vertices = np.asarray(self.vertices, dtype=np.float64)
+        return import_pymeshlab().Mesh(vertex_matrix=vertices, face_matrix=self.faces, **extra)
+
+    @classmethod
+    def from_pymeshlab(cls, mesh: pymeshlab.Mesh) -> Mesh:
+        """Copy a pymeshlab mesh."""
+        return cls(
+            vertices=np.array(mesh.vertex_matrix()),
+            faces=np.array(mesh.face_matrix(), dtype=np.int32).reshape(-1, 3),
+            normals=np.array(mesh.vertex_normal_matrix()),
+            colours=np.array(mesh.vertex_color_matrix()[:, :3], dtype=np.float32)
+            if mesh.has_vertex_color()
+            else None,
+        )
+
+
+def face_normals(vertices: Points, faces: Faces) -> Points:
+    """Return (m, 3) face normals whose length is twice the triangle's area."""
+    a, b, c = (np.asarray(vertices)[faces[:, i]] for i in range(3))
+    return np.cross(b - a, c - a)
+
+
+def vertex_normals(vertices: Points, faces: Faces) -> Points:
+    """Return (n, 3) unit vertex normals, area-weighted; 0 at vertices without a triangle."""
+    per_face = face_normals(vertices, faces)
+    normals = np.zeros((len(vertices), 3))
+    for axis in range(3):
+        for corner in range(3):
+            normals[:, axis] += np.bincount(faces[:, corner], per_face[:, axis], minlength=len(vertices))
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0)

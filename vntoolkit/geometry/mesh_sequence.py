@@ -1,0 +1,47 @@
+"""One surface through time: a fixed topology and a position per vertex and frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from vntoolkit.arrays import FloatArray, read_only
+from vntoolkit.checks import require_shape
+from vntoolkit.errors import BadMesh
+from vntoolkit.geometry.mesh import Mesh
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MeshSequence:
+    """A moving mesh.
+
+    template: topology, colours and texture coordinates. vertices: (frames, n, 3), possibly a memory map,
+    so that a long sequence is read in slices. confidence: (frames, n) from 0 to 1 or None.
+    frame_rate_hz: frames per second.
+    """
+
+    template: Mesh
+    vertices: FloatArray
+    frame_rate_hz: float = 60.0
+    confidence: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        require_shape(self.vertices, (None, len(self.template.vertices), 3), "moving vertices", BadMesh)
+        if not self.frame_rate_hz > 0:
+            raise BadMesh(f"frame rate: expected a positive number, got {self.frame_rate_hz}")
+        object.__setattr__(self, "vertices", read_only(self.vertices))
+        if self.confidence is not None:
+            require_shape(self.confidence, self.vertices.shape[:2], "confidence", BadMesh)
+            object.__setattr__(self, "confidence", read_only(self.confidence))
+
+    def __len__(self) -> int:
+        return int(self.vertices.shape[0])
+
+    def __getitem__(self, frame: int) -> Mesh:
+        """Return the mesh of one frame, read into memory."""
+        return self.template.with_vertices(np.array(self.vertices[frame]))
+
+    def __iter__(self) -> Iterator[Mesh]:
+        return (self[frame] for frame in range(len(self)))

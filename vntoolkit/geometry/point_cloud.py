@@ -1,0 +1,87 @@
+"""Point clouds, and their way to and from Open3D and pymeshlab."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vntoolkit.arrays import Colours, Points, read_only
+from vntoolkit.checks import require_finite, require_shape
+from vntoolkit.errors import BadMesh
+from vntoolkit.native import import_open3d, import_pymeshlab
+
+if TYPE_CHECKING:
+    import open3d as o3d
+    import pymeshlab
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PointCloud:
+    """Points with optional normals and colours.
+
+    points: (n, 3) in the camera frame unless named otherwise. normals: (n, 3) unit vectors or None.
+    colours: (n, 3) float32 RGB from 0 to 1 or None.
+    """
+
+    points: Points
+    normals: Points | None = None
+    colours: Colours | None = None
+
+    def __post_init__(self) -> None:
+        points = np.asarray(self.points)
+        require_shape(points, (None, 3), "points", BadMesh)
+        require_finite(points, "points", BadMesh)
+        object.__setattr__(self, "points", read_only(points))
+        for name in ("normals", "colours"):
+            values = getattr(self, name)
+            if values is not None:
+                require_shape(values, (len(points), 3), name, BadMesh)
+                object.__setattr__(self, name, read_only(np.asarray(values)))
+
+    def to_open3d(self) -> o3d.geometry.PointCloud:
+        """Return a copy as an Open3D point cloud."""
+        o3d = import_open3d()
+        cloud = o3d.geometry.PointCloud()
+        cloud.points = o3d.utility.Vector3dVector(np.asarray(self.points, dtype=np.float64))
+        if self.normals is not None:
+            cloud.normals = o3d.utility.Vector3dVector(np.asarray(self.normals, dtype=np.float64))
+        if self.colours is not None:
+            cloud.colors = o3d.utility.Vector3dVector(np.asarray(self.colours, dtype=np.float64))
+        return cloud
+
+    @classmethod
+    def from_open3d(cls, cloud: o3d.geometry.PointCloud) -> PointCloud:
+        """Copy an Open3D point cloud."""
+        return cls(
+            points=np.array(cloud.points),
+            normals=np.array(cloud.normals) if cloud.has_normals() else None,
+            colours=np.array(cloud.colors, dtype=np.float32) if cloud.has_colors() else None,
+        )
+
+    def to_pymeshlab(self) -> pymeshlab.Mesh:
+        """Return a copy as a pymeshlab mesh without faces."""
+        extra: dict[str, Any] = {}
+        if self.normals is not None:
+            extra["v_normals_matrix"] = np.asarray(self.normals, dtype=np.float64)
+        if self.colours is not None:
+            extra["v_color_matrix"] = rgba_from_rgb(self.colours)
+        points = np.asarray(self.points, dtype=np.float64)
+        return import_pymeshlab().Mesh(vertex_matrix=points, **extra)
+
+    @classmethod
+    def from_pymeshlab(cls, mesh: pymeshlab.Mesh) -> PointCloud:
+        """Copy the vertices of a pymeshlab mesh."""
+        return cls(
+            points=np.array(mesh.vertex_matrix()),
+            normals=np.array(mesh.vertex_normal_matrix()),
+            colours=np.array(mesh.vertex_color_matrix()[:, :3], dtype=np.float32)
+            if mesh.has_vertex_color()
+            else None,
+        )
+
+
+def rgba_from_rgb(colours: Colours) -> Points:
+    """Append an opaque alpha channel: (n, 3) to (n, 4) float64, as pymeshlab wants it."""
+    return np.column_stack([np.asarray(colours, dtype=np.float64), np.ones(len(colours))])

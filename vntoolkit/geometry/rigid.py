@@ -1,0 +1,89 @@
+"""Rigid transforms, named `target_from_source`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from vntoolkit.arrays import FloatArray, Matrix3, Matrix4, Vector3, read_only
+from vntoolkit.checks import require_finite, require_shape
+from vntoolkit.errors import BadInput
+
+_ORTHONORMALITY_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RigidTransform:
+    """x_in_target = rotation @ x_in_source + translation.
+
+    rotation: (3, 3), orthonormal with determinant +1. translation: (3,), length unit of the points.
+    """
+
+    rotation: Matrix3 = field(default_factory=lambda: np.eye(3))
+    translation: Vector3 = field(default_factory=lambda: np.zeros(3))
+
+    def __post_init__(self) -> None:
+        rotation = np.array(self.rotation, dtype=np.float64)
+        translation = np.array(self.translation, dtype=np.float64)
+        require_shape(rotation, (3, 3), "rotation")
+        require_shape(translation, (3,), "translation")
+        require_finite(translation, "translation")
+        error = np.abs(rotation @ rotation.T - np.eye(3)).max()
+        if not (error < _ORTHONORMALITY_TOLERANCE and np.linalg.det(rotation) > 0):
+            raise BadInput("rotation: expected an orthonormal matrix with determinant +1")
+        object.__setattr__(self, "rotation", read_only(rotation))
+        object.__setattr__(self, "translation", read_only(translation))
+
+    @classmethod
+    def from_rotation_vector(
+        cls, rotation_vector: npt.ArrayLike, translation: npt.ArrayLike = (0.0, 0.0, 0.0)
+    ) -> RigidTransform:
+        """Build from an axis times angle (radians) and a translation, both (3,)."""
+        rotation = Rotation.from_rotvec(np.asarray(rotation_vector, dtype=np.float64)).as_matrix()
+        return cls(rotation=rotation, translation=np.asarray(translation, dtype=np.float64))
+
+    @classmethod
+    def from_matrix(cls, matrix: FloatArray) -> RigidTransform:
+        """Build from a (4, 4) homogeneous or (3, 4) matrix."""
+        matrix = np.asarray(matrix, dtype=np.float64)
+        return cls(rotation=matrix[:3, :3], translation=matrix[:3, 3])
+
+    @property
+    def matrix(self) -> Matrix4:
+        """The (4, 4) homogeneous matrix."""
+        matrix = np.eye(4)
+        matrix[:3, :3] = self.rotation
+        matrix[:3, 3] = self.translation
+        return matrix
+
+    @property
+    def rotation_vector(self) -> Vector3:
+        """Axis times angle in radians, (3,)."""
+        return Rotation.from_matrix(self.rotation).as_rotvec()
+
+    def apply(self, points: FloatArray) -> FloatArray:
+        """Move points (..., 3)."""
+        return np.asarray(points) @ self.rotation.T + self.translation
+
+    def rotate(self, vectors: FloatArray) -> FloatArray:
+        """Turn directions (..., 3): rotation without translation."""
+        return np.asarray(vectors) @ self.rotation.T
+
+    def inverse(self) -> RigidTransform:
+        """Return source_from_target."""
+        return RigidTransform(rotation=self.rotation.T, translation=-self.rotation.T @ self.translation)
+
+    def __matmul__(self, other: RigidTransform) -> RigidTransform:
+        """Compose: (c_from_b @ b_from_a) is c_from_a."""
+        return RigidTransform(
+            rotation=self.rotation @ other.rotation,
+            translation=self.rotation @ other.translation + self.translation,
+        )
+
+
+def angle_between_rotations_deg(first: Matrix3, second: Matrix3) -> float:
+    """Angle in degrees of the rotation that takes one (3, 3) rotation to the other."""
+    return float(np.rad2deg(Rotation.from_matrix(first.T @ second).magnitude()))

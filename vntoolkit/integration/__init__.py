@@ -1,0 +1,1 @@
+"""Floor 2, normals to depth."""

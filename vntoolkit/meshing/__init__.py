@@ -1,0 +1,1 @@
+"""Floor 2, depth to meshes and point clouds."""

@@ -1,0 +1,57 @@
+"""The doors to open3d and pymeshlab: check their system libraries first, import late.
+
+Without libGL open3d ends in a traceback, and without libOpenGL pymeshlab imports but cannot save a
+.ply file. Both are turned into one line that says what to install.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import importlib
+import sys
+from typing import Any
+
+from vntoolkit.errors import MissingDependency
+
+# shared object -> Debian and Ubuntu package
+OPEN3D_LIBRARIES = {"libGL.so.1": "libgl1", "libEGL.so.1": "libegl1", "libusb-1.0.so.0": "libusb-1.0-0"}
+PYMESHLAB_LIBRARIES = {"libGL.so.1": "libgl1", "libOpenGL.so.0": "libopengl0"}
+
+
+def missing_packages(libraries: dict[str, str]) -> list[str]:
+    """Return the Debian/Ubuntu packages of those shared libraries that cannot be loaded."""
+    if not sys.platform.startswith("linux"):
+        return []
+    missing = []
+    for library, package in libraries.items():
+        try:
+            ctypes.CDLL(library)
+        except OSError:
+            missing.append(package)
+    return missing
+
+
+def import_open3d() -> Any:
+    """Import open3d, or raise `MissingDependency` with the line that installs what it lacks."""
+    return _import("open3d", OPEN3D_LIBRARIES)
+
+
+def import_pymeshlab() -> Any:
+    """Import pymeshlab, or raise `MissingDependency` with the line that installs what it lacks."""
+    return _import("pymeshlab", PYMESHLAB_LIBRARIES)
+
+
+def _import(module: str, libraries: dict[str, str]) -> Any:
+    if module not in sys.modules:
+        missing = missing_packages(libraries)
+        if missing:
+            raise MissingDependency(
+                f"{module} needs system libraries that are not installed: "
+                f"sudo apt-get install {' '.join(missing)}"
+            )
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise MissingDependency(
+            f"cannot import {module} ({error}): pip install --upgrade {module}"
+        ) from error

@@ -1,0 +1,75 @@
+"""The light response: how a surface's normal becomes a colour, r = M n + a."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from vntoolkit.arrays import Matrix3, Vector3, read_only
+from vntoolkit.checks import require_finite, require_shape
+from vntoolkit.errors import BadRig
+
+_LARGEST_CONDITION_NUMBER = 1e4  # beyond it one grey level of noise turns a normal by tens of degrees
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LightResponse:
+    """M and ambient light (equation 1, and the 3×4 model of Section IV as matrix plus ambient).
+
+    matrix: (3, 3), rows are the channels R, G, B, columns the normal's x, y, z in the camera frame; the
+    calibration material's albedo is a factor of it. ambient: (3,) colour that does not depend on the normal.
+    light_colours: (3, 3), row k = colour c_k of light k, or None where not known; then
+    matrix = Σ_k c_k l_kᵀ and `light_directions` gives the rows l_k.
+    """
+
+    matrix: Matrix3
+    ambient: Vector3 = field(default_factory=lambda: np.zeros(3))
+    light_colours: Matrix3 | None = None
+
+    def __post_init__(self) -> None:
+        for name, shape in (("matrix", (3, 3)), ("ambient", (3,)), ("light_colours", (3, 3))):
+            value = getattr(self, name)
+            if value is not None:
+                value = np.array(value, dtype=np.float64)
+                require_shape(value, shape, f"light response: {name}", BadRig)
+                require_finite(value, f"light response: {name}", BadRig)
+                object.__setattr__(self, name, read_only(value))
+        condition = self.condition_number
+        if not condition < _LARGEST_CONDITION_NUMBER:
+            raise BadRig(
+                f"light response: M is singular (condition number {condition:.3g}): the three lights must "
+                "differ in colour and must not lie in one plane with the surface; calibrate again"
+            )
+
+    @property
+    def condition_number(self) -> float:
+        """Ratio of M's largest to its smallest singular value."""
+        singular = np.linalg.svd(self.matrix, compute_uv=False)
+        return float(singular[0] / singular[2]) if singular[2] > 0 else float("inf")
+
+    @property
+    def inverse(self) -> Matrix3:
+        """M⁻¹, (3, 3)."""
+        return np.linalg.inv(self.matrix)
+
+    @property
+    def contributions_from_rgb(self) -> Matrix3:
+        """(3, 3) matrix that splits a colour into the shares of the three lights.
+
+        Identity where the light colours are not known: then a channel stands for a light.
+        """
+        if self.light_colours is None:
+            return np.eye(3)
+        return np.linalg.inv(self.light_colours.T)
+
+    @property
+    def lights(self) -> Matrix3:
+        """(3, 3), row k = direction of light k times its strength, so contribution k is row k · n."""
+        return self.contributions_from_rgb @ self.matrix
+
+    @property
+    def light_directions(self) -> Matrix3:
+        """(3, 3), row k = unit vector from the surface towards light k."""
+        lights = self.lights
+        return lights / np.linalg.norm(lights, axis=1, keepdims=True)

@@ -1,0 +1,54 @@
+"""A rig: the camera, how lights and surface become colour, and how far to trust it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from vntoolkit.errors import BadRig
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.transfer import Transfer
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitQuality:
+    """How a light response was fitted and how well.
+
+    method: the verb that fitted it (`sphere`, `board`, `head`, `lights`, `simulation`). residual_deg: median
+    angle in degrees between the normals used and those that the fitted M gives back. condition_number: of M.
+    samples: number of (colour, normal) pairs used. cone_deg: angle in degrees of the narrowest cone about
+    their mean direction that holds 95 % of the normals seen.
+    """
+
+    method: str
+    residual_deg: float
+    condition_number: float
+    samples: int
+    cone_deg: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class SourceFile:
+    """A file that a rig was fitted from: its name and the SHA-256 of its bytes, in hexadecimal."""
+
+    file: str
+    sha256: str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rig:
+    """Everything that turns footage into normals and depth."""
+
+    camera: Camera
+    response: LightResponse
+    transfer: Transfer = field(default_factory=Transfer)
+    quality: FitQuality | None = None
+    sources: tuple[SourceFile, ...] = ()
+
+    def require_size(self, width: int, height: int, name: str) -> None:
+        """Raise `BadRig` unless frames of this size belong to the rig's camera."""
+        if (width, height) != (self.camera.width, self.camera.height):
+            raise BadRig(
+                f"{name} is {width}×{height} but the rig's camera is {self.camera.width}×"
+                f"{self.camera.height}: calibrate with footage of the same size"
+            )

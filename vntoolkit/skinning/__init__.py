@@ -1,0 +1,1 @@
+"""Floor 2, the moving mesh on an animated skeleton."""
