@@ -55,7 +55,7 @@ def imports_of(tree: ast.AST) -> list[str]:
             names.append(node.module or "")
             if node.module == "vntoolkit":
                 names += [f"vntoolkit.{alias.name}" for alias in node.names]
-    return names
+    return [name for name in names if name != "vntoolkit.__version__"]
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))

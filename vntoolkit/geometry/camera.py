@@ -102,7 +102,7 @@ class Camera:
 
     def scaled(self, factor: float) -> Camera:
         """Return the camera of an image resized by `factor` (pixel centres stay integers)."""
-        matrix: FloatArray = np.array(self.matrix)
+        matrix: FloatArray = np.array(self.matrix, dtype=np.float64)
         matrix[:2] *= factor
         matrix[:2, 2] += 0.5 * (factor - 1.0)
         return Camera(
