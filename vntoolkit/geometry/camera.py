@@ -76,7 +76,7 @@ class Camera:
     def project(self, points_in_camera: FloatArray) -> FloatArray:
         """Project points (..., 3) to pixels (..., 2)."""
         points = np.asarray(points_in_camera, dtype=np.float64)
-        xy = points[..., :2] / points[..., 2:3] if self.is_perspective else points[..., :2]
+        xy: FloatArray = points[..., :2] / points[..., 2:3] if self.is_perspective else points[..., :2]
         if self.model is CameraModel.OPENCV:
             xy = _distort(xy, self.distortion)
         return xy @ self.matrix[:2, :2].T + self.matrix[:2, 2]
