@@ -63,13 +63,13 @@ class Mesh:
         """Return a copy as an Open3D triangle mesh (without texture coordinates)."""
         o3d = import_open3d()
         mesh = o3d.geometry.TriangleMesh(
-            o3d.utility.Vector3dVector(np.asarray(self.vertices, dtype=np.float64)),
-            o3d.utility.Vector3iVector(self.faces),
+            o3d.utility.Vector3dVector(np.array(self.vertices, dtype=np.float64)),
+            o3d.utility.Vector3iVector(np.array(self.faces)),
         )
         if self.normals is not None:
-            mesh.vertex_normals = o3d.utility.Vector3dVector(np.asarray(self.normals, dtype=np.float64))
+            mesh.vertex_normals = o3d.utility.Vector3dVector(np.array(self.normals, dtype=np.float64))
         if self.colours is not None:
-            mesh.vertex_colors = o3d.utility.Vector3dVector(np.asarray(self.colours, dtype=np.float64))
+            mesh.vertex_colors = o3d.utility.Vector3dVector(np.array(self.colours, dtype=np.float64))
         return mesh
 
     @classmethod
@@ -83,22 +83,25 @@ class Mesh:
         )
 
     def to_pymeshlab(self) -> pymeshlab.Mesh:
-        """Return a copy as a pymeshlab mesh (without texture coordinates)."""
+        """Return a copy as a pymeshlab mesh (without texture coordinates).
+
+        pymeshlab replaces the normals of a mesh with faces by its own, so none are passed.
+        """
         extra: dict[str, Any] = {}
-        if self.normals is not None:
-            extra["v_normals_matrix"] = np.asarray(self.normals, dtype=np.float64)
         if self.colours is not None:
             extra["v_color_matrix"] = rgba_from_rgb(self.colours)
-        vertices = np.asarray(self.vertices, dtype=np.float64)
-        return import_pymeshlab().Mesh(vertex_matrix=vertices, face_matrix=self.faces, **extra)
+        vertices = np.array(self.vertices, dtype=np.float64)
+        return import_pymeshlab().Mesh(vertex_matrix=vertices, face_matrix=np.array(self.faces), **extra)
 
     @classmethod
     def from_pymeshlab(cls, mesh: pymeshlab.Mesh) -> Mesh:
-        """Copy a pymeshlab mesh."""
+        """Copy a pymeshlab mesh; its normals become unit vectors, weighted by area."""
+        vertices = np.array(mesh.vertex_matrix())
+        faces = np.array(mesh.face_matrix(), dtype=np.int32).reshape(-1, 3)
         return cls(
-            vertices=np.array(mesh.vertex_matrix()),
-            faces=np.array(mesh.face_matrix(), dtype=np.int32).reshape(-1, 3),
-            normals=np.array(mesh.vertex_normal_matrix()),
+            vertices=vertices,
+            faces=faces,
+            normals=vertex_normals(vertices, faces),
             colours=np.array(mesh.vertex_color_matrix()[:, :3], dtype=np.float32)
             if mesh.has_vertex_color()
             else None,

@@ -44,11 +44,11 @@ class PointCloud:
         """Return a copy as an Open3D point cloud."""
         o3d = import_open3d()
         cloud = o3d.geometry.PointCloud()
-        cloud.points = o3d.utility.Vector3dVector(np.asarray(self.points, dtype=np.float64))
+        cloud.points = o3d.utility.Vector3dVector(np.array(self.points, dtype=np.float64))
         if self.normals is not None:
-            cloud.normals = o3d.utility.Vector3dVector(np.asarray(self.normals, dtype=np.float64))
+            cloud.normals = o3d.utility.Vector3dVector(np.array(self.normals, dtype=np.float64))
         if self.colours is not None:
-            cloud.colors = o3d.utility.Vector3dVector(np.asarray(self.colours, dtype=np.float64))
+            cloud.colors = o3d.utility.Vector3dVector(np.array(self.colours, dtype=np.float64))
         return cloud
 
     @classmethod

@@ -1,0 +1,35 @@
+# Two commands from a bare Debian 12 or Ubuntu 24.04: `make demo` and `make test`.
+
+PYTHON := .venv/bin/python
+READY := .venv/.ready
+
+.PHONY: demo test test-slow fuzz lint lock clean
+
+demo: $(READY)
+	$(PYTHON) -m vntoolkit demo --out out/demo --overwrite
+
+test: $(READY)
+	$(PYTHON) -m pytest -m "not slow"
+
+test-slow: $(READY)
+	$(PYTHON) -m pytest -m slow
+
+lint: $(READY)
+	.venv/bin/ruff format --check .
+	.venv/bin/ruff check .
+	.venv/bin/mypy
+
+# System libraries, environment and packages; again only when the lock or the project file changes.
+$(READY): requirements.lock pyproject.toml scripts/set_up.sh
+	sh scripts/set_up.sh
+	touch $(READY)
+
+# Newest versions that pyproject.toml admits, pinned with hashes for every platform.
+lock: $(READY)
+	$(PYTHON) -m pip install --quiet uv
+	.venv/bin/uv pip compile pyproject.toml --all-extras --universal --python-version 3.11 \
+	    --generate-hashes --no-emit-index-url --upgrade --quiet --custom-compile-command "make lock" \
+	    --output-file requirements.lock
+
+clean:
+	rm -rf .venv out

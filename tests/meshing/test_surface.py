@@ -1,0 +1,96 @@
+import numpy as np
+import pytest
+
+from vntoolkit.errors import BadInput, BadMesh
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.maps import DepthMap, NormalMap
+from vntoolkit.geometry.mesh import face_normals
+from vntoolkit.meshing.surface import MeshOptions, mesh_from_depth, point_cloud_from_depth
+
+ORTHOGRAPHIC = Camera.orthographic(width=40, height=30)
+PINHOLE = Camera.pinhole(width=40, height=30, focal_px=60)
+
+
+def dome(height: int = 30, width: int = 40, radius: float = 14.0) -> DepthMap:
+    v, u = np.mgrid[:height, :width]
+    squared = radius**2 - (u - (width - 1) / 2) ** 2 - (v - (height - 1) / 2) ** 2
+    mask = squared > 4
+    return DepthMap(depth=np.where(mask, -np.sqrt(np.maximum(squared, 0)), 0.0), mask=mask)
+
+
+@pytest.mark.parametrize("camera", [ORTHOGRAPHIC, PINHOLE], ids=lambda c: c.model.value)
+def test_triangles_face_the_camera(camera: Camera) -> None:
+    depth = DepthMap(depth=np.full((30, 40), 3.0), mask=np.ones((30, 40), bool))
+    mesh = mesh_from_depth(depth, camera)
+    assert len(mesh.vertices) == 30 * 40
+    assert len(mesh.faces) == 2 * 29 * 39
+    assert np.all(face_normals(mesh.vertices, mesh.faces)[:, 2] < 0)
+    np.testing.assert_allclose(mesh.normals, np.tile([0, 0, -1.0], (1200, 1)), atol=1e-12)
+
+
+def test_a_dome_bulges_towards_the_viewer_and_its_normals_point_out() -> None:
+    mesh = mesh_from_depth(dome(), ORTHOGRAPHIC, options=MeshOptions(largest_step=1e6))
+    centre = mesh.vertices[np.argmin(mesh.vertices[:, 2])]
+    np.testing.assert_allclose(centre[:2], [0, 0], atol=0.51)
+    outwards = mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True)
+    assert np.median(np.sum(mesh.normals * outwards, axis=1)) > 0.99
+
+
+def test_projected_vertices_are_the_pixels() -> None:
+    depth = dome()
+    shifted = DepthMap(depth=np.where(depth.mask, depth.depth + 60, 0), mask=depth.mask)
+    mesh = mesh_from_depth(shifted, PINHOLE, options=MeshOptions(largest_step=1e6))
+    pixels = PINHOLE.project(mesh.vertices)
+    np.testing.assert_allclose(pixels, np.round(pixels), atol=1e-9)
+    np.testing.assert_allclose(mesh.uv[:, 0] * 40 - 0.5, pixels[:, 0], atol=1e-9)
+    np.testing.assert_allclose((1 - mesh.uv[:, 1]) * 30 - 0.5, pixels[:, 1], atol=1e-9)
+
+
+def test_a_jump_is_not_bridged() -> None:
+    depth = np.zeros((30, 40))
+    depth[:, 20:] = 100
+    mesh = mesh_from_depth(DepthMap(depth=depth, mask=np.ones((30, 40), bool)), ORTHOGRAPHIC)
+    assert np.ptp(mesh.vertices[:, 2][mesh.faces], axis=1).max() == 0
+    assert len(mesh.faces) == 2 * 29 * (19 + 19)
+
+
+def test_a_quad_of_three_gives_one_triangle_whichever_corner_is_missing() -> None:
+    camera = Camera.orthographic(width=2, height=2)
+    for missing in np.ndindex(2, 2):
+        mask = np.ones((2, 2), bool)
+        mask[missing] = False
+        mesh = mesh_from_depth(DepthMap(depth=np.zeros((2, 2)), mask=mask), camera)
+        assert mesh.faces.shape == (1, 3)
+        assert face_normals(mesh.vertices, mesh.faces)[0, 2] < 0
+
+
+def test_colours_normals_and_stride(rng: np.random.Generator) -> None:
+    depth = dome()
+    rgb = rng.uniform(-0.1, 1.2, (30, 40, 3)).astype(np.float32)
+    normals = np.zeros((30, 40, 3), np.float32)
+    normals[..., 2] = -1
+    normal_map = NormalMap(normals_in_camera=normals, mask=depth.mask)
+    options = MeshOptions(stride=2, largest_step=1e6)
+    mesh = mesh_from_depth(depth, ORTHOGRAPHIC, rgb=rgb, normal_map=normal_map, options=options)
+    pixels = np.round(ORTHOGRAPHIC.project(mesh.vertices)).astype(int)
+    assert np.all(pixels % 2 == 0)
+    np.testing.assert_allclose(mesh.colours, np.clip(rgb[pixels[:, 1], pixels[:, 0]], 0, 1))
+    np.testing.assert_array_equal(mesh.normals[:, 2], -1)
+
+
+def test_a_point_cloud_has_one_point_a_pixel() -> None:
+    depth = dome()
+    cloud = point_cloud_from_depth(depth, ORTHOGRAPHIC)
+    assert len(cloud.points) == depth.mask.sum()
+
+
+def test_refusals() -> None:
+    empty = DepthMap(depth=np.zeros((30, 40)), mask=np.zeros((30, 40), bool))
+    with pytest.raises(BadInput, match="mask is empty"):
+        mesh_from_depth(empty, ORTHOGRAPHIC)
+    lonely = np.zeros((30, 40), bool)
+    lonely[3, 3] = True
+    with pytest.raises(BadMesh, match="no two neighbouring"):
+        mesh_from_depth(DepthMap(depth=np.zeros((30, 40)), mask=lonely), ORTHOGRAPHIC)
+    with pytest.raises(BadInput, match="but the camera is"):
+        mesh_from_depth(dome(20, 20), ORTHOGRAPHIC)
