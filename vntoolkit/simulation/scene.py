@@ -1,0 +1,170 @@
+"""What a scene is: the interface between those who build scenes and the renderer.
+
+A scene is a function `SceneOptions -> Scene`, registered in `SCENES` below as "module:function". All
+lengths are metres, all positions are in the camera frame (x right, y down, z forward, camera at the
+origin); the subject stands at `studio_centre()` = (0, 0, 5).
+
+    def build_sphere(options: SceneOptions) -> Scene:
+        return Scene(
+            name="sphere",
+            camera=studio_camera(options.width, options.height, field_width_m=1.0),
+            lights=studio_lights(),
+            surface=Surface(faces=faces, vertex_weights=weights),     # weights of the RGB pigments
+            vertices=lambda frame: template + shift(frame),            # (n, 3) float64
+            frame_count=60,
+        )
+
+Rules for `vertices`: topology never changes; any frame from 0 to frame_count - 1 may be asked for, but the
+renderer's pipeline asks for them once, in rising order, in one process, and keeps them on disk. A solver
+that steps through time may therefore simulate on demand and hold only its last state (restarting where an
+earlier frame is asked for). Randomness comes from `np.random.default_rng(options.seed)` only.
+
+Faces are counter-clockwise seen from outside: the outward geometric normal of a visible face has n_z < 0.
+Shading normals are interpolated from area-weighted vertex normals: split vertices along a hard crease.
+Both sides of a face stop light; only the outside is coloured (the inside is shaded with the flipped normal).
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from vntoolkit.arrays import Faces, FloatArray, Points, read_only
+from vntoolkit.checks import require_finite, require_shape
+from vntoolkit.errors import BadInput
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.rigid import RigidTransform
+from vntoolkit.simulation.lights import Lighting, Lights
+from vntoolkit.simulation.spectra import WAVELENGTHS_NM, camera_sensitivities, rgb_pigments
+from vntoolkit.simulation.studio import studio_centre
+
+# name -> "module:function" of type SceneFactory; imported only when the scene is asked for
+SCENES: dict[str, str] = {
+    "cylinder": "vntoolkit.simulation.rigid.cylinder:build_cylinder",
+    "board": "vntoolkit.simulation.rigid.board:build_board",
+    "sphere": "vntoolkit.simulation.rigid.sphere:build_sphere",
+    "jacket": "vntoolkit.simulation.rigid.jacket:build_jacket",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneOptions:
+    """What every scene can be asked for.
+
+    width, height: image size in pixels. seed: of the scene's own randomness (motion, texture).
+    lighting: the coloured lamps together, or one place alone with a white lamp.
+    """
+
+    width: int = 640
+    height: int = 480
+    seed: int = 0
+    lighting: Lighting = Lighting.COLOURED
+
+    def __post_init__(self) -> None:
+        if self.width < 16 or self.height < 16:
+            raise BadInput(f"simulate: expected an image of at least 16×16, got {self.width}×{self.height}")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Detail:
+    """Relief too fine for the mesh: a height map that tilts the shading (and the true) normal.
+
+    height_m: (th, tw) metres along the outward normal, tiling seamlessly. repeats: how often the tile
+    repeats over uv = 1, along u and v. strength: (n,) per vertex factor from 0 to 1, or None for 1.
+    The relief moves neither depth nor silhouette nor cast shadow; keep it below half a millimetre high.
+    """
+
+    height_m: FloatArray
+    repeats: tuple[float, float] = (1.0, 1.0)
+    strength: FloatArray | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Surface:
+    """Topology and material of a scene's one mesh.
+
+    faces: (m, 3) int32. pigments: (b, λ) reflectance spectra on `WAVELENGTHS_NM`, from 0 to 1. The
+    reflectance of a point is Σ_b weight_b · pigments[b], and its weights are the product of
+    `vertex_weights` (n, b), interpolated over the triangle, and `texture` (th, tw, b), bilinear, tiling;
+    either may be None for 1. uv: (m, 3, 2) per face corner, needed with texture or detail; (0, 0) is
+    the first corner of texture[0, 0], u runs along its columns and v along its rows, 1 = the whole image.
+    reference_weights: (b,) the material that M is stated for, usually the mean of the surface's weights.
+    gloss: strength of the specular lobe (energy share, 0 = matte), a number or (n,) per vertex;
+    gloss_exponent: its sharpness (Blinn-Phong).
+    """
+
+    faces: Faces
+    reference_weights: FloatArray
+    pigments: FloatArray = field(default_factory=rgb_pigments)
+    vertex_weights: FloatArray | None = None
+    texture: FloatArray | None = None
+    uv: FloatArray | None = None
+    detail: Detail | None = None
+    gloss: float | FloatArray = 0.0
+    gloss_exponent: float = 20.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "faces", read_only(np.asarray(self.faces, dtype=np.int32)))
+        require_shape(self.faces, (None, 3), "surface: faces")
+        count = len(self.pigments)
+        require_shape(self.pigments, (None, len(WAVELENGTHS_NM)), "surface: pigments")
+        require_shape(np.asarray(self.reference_weights), (count,), "surface: reference_weights")
+        if self.vertex_weights is not None:
+            require_shape(self.vertex_weights, (None, count), "surface: vertex_weights")
+        if self.texture is not None:
+            require_shape(self.texture, (None, None, count), "surface: texture")
+        if self.uv is not None:
+            require_shape(self.uv, (len(self.faces), 3, 2), "surface: uv")
+        elif self.texture is not None or self.detail is not None:
+            raise BadInput("surface: a texture or detail needs uv, (m, 3, 2) per face corner")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scene:
+    """A filmed moving mesh (see the module's docstring for the rules).
+
+    vertices: frame number -> (n, 3). centre: (3,) where M is stated; there every lamp has its nominal power.
+    sensitivities: (3, λ) ν_i(λ). background_rgb: linear colour where no surface is, 1 = full scale.
+    exposure_level: the brightest channel of the reference material at its best orientation, matte part.
+    camera_from_object: frame number -> pose of the rigid object, or None where the surface deforms or has
+    several parts that move apart.
+    """
+
+    name: str
+    camera: Camera
+    lights: Lights
+    surface: Surface
+    vertices: Callable[[int], Points]
+    frame_count: int
+    frame_rate_hz: float = 60.0
+    centre: Points = field(default_factory=studio_centre)
+    sensitivities: FloatArray = field(default_factory=camera_sensitivities)
+    background_rgb: float = 0.003
+    exposure_level: float = 0.8
+    camera_from_object: Callable[[int], RigidTransform] | None = None
+
+    def __post_init__(self) -> None:
+        if self.frame_count < 1 or not self.frame_rate_hz > 0:
+            raise BadInput(f"scene {self.name}: expected at least one frame and a positive frame rate")
+        require_shape(self.sensitivities, (3, len(WAVELENGTHS_NM)), "scene: sensitivities")
+        require_finite(self.sensitivities, "scene: sensitivities")
+
+    @property
+    def is_rigid(self) -> bool:
+        """True where one pose per frame says it all."""
+        return self.camera_from_object is not None
+
+
+SceneFactory = Callable[[SceneOptions], Scene]
+
+
+def build_scene(name: str, options: SceneOptions) -> Scene:
+    """Build the scene of that name. Raises `BadInput` for an unknown one."""
+    if name not in SCENES:
+        raise BadInput(f"unknown scene '{name}': expected one of {', '.join(sorted(SCENES))}")
+    module, function = SCENES[name].split(":")
+    scene: Scene = getattr(importlib.import_module(module), function)(options)
+    return replace(scene, lights=scene.lights.under(options.lighting))
