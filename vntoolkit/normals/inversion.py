@@ -1,0 +1,226 @@
+"""Normals from colour by inverting the light response: one normal per pixel and frame.
+
+M⁻¹(r − a) is the normal times the surface's albedo relative to the calibration material. The direction is
+the normal; the length, set against the albedo that is expected, tells how far the pixel can be trusted:
+shadow, gloss and another paint all change it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.arrays import Mask
+from vntoolkit.checks import require_shape
+from vntoolkit.errors import BadInput
+from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.normals.inversion_kernels import (
+    gradients_from_integers_kernel,
+    normals_from_integers_kernel,
+    normals_from_rgb_kernel,
+)
+from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.transfer import Transfer, decoding_table
+
+Single = npt.NDArray[np.float32]
+
+
+class ClippedPixels(Enum):
+    """What becomes of a pixel with a saturated channel, whose colour is only a bound."""
+
+    DOWNWEIGHT = "downweight"  # a normal stays, at a tenth of its weight, so that the domain has no hole
+    EXCLUDE = "exclude"
+
+
+@dataclass(frozen=True, kw_only=True)
+class InversionOptions:
+    """How colours become normals.
+
+    relative_albedo: expected length of M⁻¹(r − a), the surface's albedo over the calibration material's (1 if
+    it is the same material; `relative_albedo_from_frame` measures it). albedo_tolerance: relative departure
+    from it that halves a pixel's weight. darkest: share of the expected length below which a pixel is black
+    and has no normal. clipped: what becomes of saturated pixels. steepest_deg: largest angle in degrees from
+    the viewing axis that a gradient may express; steeper normals are held there.
+    """
+
+    relative_albedo: float = 1.0
+    albedo_tolerance: float = 0.25
+    darkest: float = 0.05
+    clipped: ClippedPixels = ClippedPixels.DOWNWEIGHT
+    steepest_deg: float = 85.0
+
+    def __post_init__(self) -> None:
+        if not self.relative_albedo > 0:
+            raise BadInput(f"relative albedo: expected a positive number, got {self.relative_albedo:g}")
+        if not self.albedo_tolerance > 0:
+            raise BadInput(f"albedo tolerance: expected a positive number, got {self.albedo_tolerance:g}")
+        if not 0 < self.darkest < 1:
+            raise BadInput(f"darkest: expected a share between 0 and 1, got {self.darkest:g}")
+        if not 0 < self.steepest_deg < 90:
+            raise BadInput(f"steepest angle: expected 0 to 90 degrees, got {self.steepest_deg:g}")
+
+    @property
+    def clipped_factor(self) -> float:
+        """The factor on a clipped pixel's weight; 0 excludes it."""
+        return 0.1 if self.clipped is ClippedPixels.DOWNWEIGHT else 0.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EncodedGradients:
+    """Depth gradients of one frame, ready for an integrator that works on the full rectangle.
+
+    p, q: (h, w) float32, ∂z/∂u and ∂z/∂v in pixels per pixel under an orthographic camera, 0 where invalid.
+    normal_map: the normals they come from.
+    """
+
+    p: Single
+    q: Single
+    normal_map: NormalMap
+
+
+def normals_from_frame(
+    frame: LinearFrame,
+    response: LightResponse,
+    mask: Mask | None = None,
+    options: InversionOptions | None = None,
+) -> NormalMap:
+    """Equation 1: n = M⁻¹(r − a) / |M⁻¹(r − a)| at every pixel (brostow2011).
+
+    frame: linear colour (h, w, 3). mask: (h, w), pixels of interest; default all. Invalid in the result:
+    outside the mask, black, turned away from the camera, not finite, or clipped where so chosen. The
+    weight is 1 where the albedo is as expected and 1/2 where it is off by `albedo_tolerance`.
+    """
+    options = options or InversionOptions()
+    inside = _require_mask(mask, frame.shape)
+    normals, weight, valid = _outputs(frame.shape)
+    rgb = np.ascontiguousarray(frame.rgb)
+    normals_from_rgb_kernel(
+        rgb, frame.clipped, inside, *_coefficients(response, options), normals, weight, valid
+    )
+    return NormalMap(normals_in_camera=normals, mask=valid, weight=weight)
+
+
+def normals_from_encoded(
+    encoded: npt.NDArray[Any],
+    response: LightResponse,
+    transfer: Transfer,
+    mask: Mask | None = None,
+    options: InversionOptions | None = None,
+    bits: int | None = None,
+) -> NormalMap:
+    """Decode and invert in one pass: `normals_from_frame` of stored uint8 or uint16 samples (h, w, 3), RGB.
+
+    transfer: the capture's curve and levels. bits: significant bits of a sample, default all. A sample at or
+    above the white level is clipped.
+    """
+    options = options or InversionOptions()
+    shape = _require_encoded(encoded)
+    inside = _require_mask(mask, shape)
+    normals, weight, valid = _outputs(shape)
+    normals_from_integers_kernel(
+        np.ascontiguousarray(encoded),
+        *_decoding(encoded, transfer, bits),
+        inside,
+        *_coefficients(response, options),
+        normals,
+        weight,
+        valid,
+    )
+    return NormalMap(normals_in_camera=normals, mask=valid, weight=weight)
+
+
+def gradients_from_encoded(
+    encoded: npt.NDArray[Any],
+    response: LightResponse,
+    transfer: Transfer,
+    mask: Mask | None = None,
+    options: InversionOptions | None = None,
+    bits: int | None = None,
+) -> EncodedGradients:
+    """Decode, invert and take gradients in one pass: p = −n_x/n_z, q = −n_y/n_z.
+
+    Arguments and normals are those of `normals_from_encoded`.
+    """
+    options = options or InversionOptions()
+    shape = _require_encoded(encoded)
+    inside = _require_mask(mask, shape)
+    normals, weight, valid = _outputs(shape)
+    p, q = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    gradients_from_integers_kernel(
+        np.ascontiguousarray(encoded),
+        *_decoding(encoded, transfer, bits),
+        inside,
+        *_coefficients(response, options),
+        np.float32(np.cos(np.deg2rad(options.steepest_deg))),
+        normals,
+        weight,
+        valid,
+        p,
+        q,
+    )
+    return EncodedGradients(
+        p=p, q=q, normal_map=NormalMap(normals_in_camera=normals, mask=valid, weight=weight)
+    )
+
+
+def relative_albedo_from_frame(
+    frame: LinearFrame, response: LightResponse, mask: Mask | None = None
+) -> float:
+    """Median length of M⁻¹(r − a) over the lit pixels: the surface's albedo over the calibration material's.
+
+    Lit means: brighter than a tenth of the frame's 99th percentile, and not clipped. Raises `BadInput` where
+    no pixel is.
+    """
+    inside = _require_mask(mask, frame.shape) & ~frame.clipped
+    lengths = np.linalg.norm((frame.rgb[inside] - response.ambient) @ response.inverse.T, axis=1)
+    lengths = lengths[np.isfinite(lengths)]
+    if lengths.size:
+        lengths = lengths[lengths > 0.1 * np.percentile(lengths, 99)]
+    if not lengths.size:
+        raise BadInput(f"frame {frame.number}: no lit pixel (all black or clipped) to measure the albedo on")
+    return float(np.median(lengths))
+
+
+def _coefficients(
+    response: LightResponse, options: InversionOptions
+) -> tuple[Single, Single, np.float32, np.float32, np.float32]:
+    """M⁻¹ and M⁻¹ a, both over the expected albedo; darkest, 1/(2 tolerance), factor of clipped pixels."""
+    inverse = response.inverse / options.relative_albedo
+    return (
+        inverse.astype(np.float32),
+        (inverse @ response.ambient).astype(np.float32),
+        np.float32(options.darkest),
+        np.float32(0.5 / options.albedo_tolerance),
+        np.float32(options.clipped_factor),
+    )
+
+
+def _decoding(encoded: npt.NDArray[Any], transfer: Transfer, bits: int | None) -> tuple[Single, np.float32]:
+    """The decoding table, and the linear value from which a sample counts as clipped."""
+    storage_bits = encoded.dtype.itemsize * 8
+    table = decoding_table(transfer, bits or storage_bits, storage_bits)
+    white = (transfer.white_level - transfer.black_level) / (1.0 - transfer.black_level)
+    return table, np.float32(white * (1.0 - 1e-6))
+
+
+def _require_encoded(encoded: npt.NDArray[Any]) -> tuple[int, int]:
+    if encoded.dtype not in (np.uint8, np.uint16):
+        raise BadInput(f"image: expected 8- or 16-bit samples, got {encoded.dtype}")
+    require_shape(encoded, (None, None, 3), "image")
+    return encoded.shape[0], encoded.shape[1]
+
+
+def _require_mask(mask: Mask | None, shape: tuple[int, int]) -> Mask:
+    if mask is None:
+        return np.ones(shape, dtype=np.bool_)
+    require_shape(mask, shape, "mask")
+    return np.ascontiguousarray(mask)
+
+
+def _outputs(shape: tuple[int, int]) -> tuple[Single, Single, Mask]:
+    return np.empty((*shape, 3), np.float32), np.empty(shape, np.float32), np.empty(shape, np.bool_)
