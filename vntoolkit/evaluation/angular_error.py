@@ -1,0 +1,75 @@
+"""Angles between two normal maps: the field's measure of photometric accuracy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vntoolkit.arrays import FloatArray, Mask
+from vntoolkit.checks import require_same_size, require_some
+from vntoolkit.geometry.maps import NormalMap
+
+
+@dataclass(frozen=True, kw_only=True)
+class AngularError:
+    """Summary of the angles, in degrees, over the pixels that both maps hold valid.
+
+    below_5, below_10, below_20: share of pixels, 0 to 1, under that many degrees.
+    """
+
+    pixels: int
+    mean_deg: float
+    median_deg: float
+    std_deg: float
+    p95_deg: float
+    below_5: float
+    below_10: float
+    below_20: float
+
+
+def angles_between_deg(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Angle in degrees between unit vectors (..., 3), exact for small angles too.
+
+    The arc cosine loses half its digits near zero; the arc tangent of the half angle does not.
+    """
+    first = np.asarray(first, dtype=np.float64)
+    second = np.asarray(second, dtype=np.float64)
+    apart = np.linalg.norm(first - second, axis=-1)
+    together = np.linalg.norm(first + second, axis=-1)
+    return np.rad2deg(2.0 * np.arctan2(apart, together))
+
+
+def angular_error_map(measured: NormalMap, reference: NormalMap) -> tuple[FloatArray, Mask]:
+    """Return the angle in degrees per pixel (h, w), 0 where not compared, and where it was compared.
+
+    Raises `BadInput` for maps of different size or without a common valid pixel.
+    """
+    require_same_size(measured.mask, "measured normal map", reference.mask, "reference normal map")
+    both = measured.mask & reference.mask
+    require_some(both, "common mask of the two normal maps")
+    angles = np.zeros(both.shape)
+    angles[both] = angles_between_deg(measured.normals_in_camera[both], reference.normals_in_camera[both])
+    return angles, both
+
+
+def summarise_angles(angles_deg: FloatArray) -> AngularError:
+    """Summarise angles (n,) in degrees; raises `BadInput` for none."""
+    angles_deg = np.asarray(angles_deg).ravel()
+    require_some(np.ones(angles_deg.shape, dtype=np.bool_), "angles")
+    return AngularError(
+        pixels=angles_deg.size,
+        mean_deg=float(angles_deg.mean()),
+        median_deg=float(np.median(angles_deg)),
+        std_deg=float(angles_deg.std()),
+        p95_deg=float(np.percentile(angles_deg, 95)),
+        below_5=float(np.mean(angles_deg < 5)),
+        below_10=float(np.mean(angles_deg < 10)),
+        below_20=float(np.mean(angles_deg < 20)),
+    )
+
+
+def compare_normals(measured: NormalMap, reference: NormalMap) -> AngularError:
+    """Summarise the angle between two normal maps over their common valid pixels."""
+    angles, both = angular_error_map(measured, reference)
+    return summarise_angles(angles[both])
