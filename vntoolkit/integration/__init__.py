@@ -1,1 +1,11 @@
-"""Floor 2, normals to depth."""
+"""Floor 2, integration: normal maps become depth maps.
+
+`integrate.DepthIntegrator` is the door. Behind it every integrator is the same idea: normals give slopes
+(`slopes`), slopes give the depth difference that each edge between neighbouring pixels should have
+(`edges`), and a solver finds the depth whose differences fit best. The solvers differ in which edges
+count and how much:
+
+- `spectral`: all of them, equally, on a full rectangle (cosine transform, and Fourier for comparison);
+- `masked`: those inside a mask, weighted by confidence (conjugate gradients);
+- `discontinuity`: those that do not cross a depth discontinuity (iteratively reweighted).
+"""

@@ -1,0 +1,123 @@
+"""The door of this package: normal maps in, depth maps out, one camera, frame after frame."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.arrays import Mask
+from vntoolkit.checks import require_some
+from vntoolkit.errors import BadInput
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
+from vntoolkit.integration.components import Components
+from vntoolkit.integration.divergence import divergence_from_slopes
+from vntoolkit.integration.edges import edges_from_slopes
+from vntoolkit.integration.masked import MaskedSolver
+from vntoolkit.integration.options import IntegrationOptions, Integrator, Precision
+from vntoolkit.integration.slopes import Float32Image, rays_from_camera, slopes_from_normals
+from vntoolkit.integration.spectral import CosineSolver, FourierSolver, RectangleSolver
+
+_RECTANGLE = (Integrator.COSINE, Integrator.FOURIER)
+
+
+class DepthIntegrator:
+    """Integrates the normal maps of one camera; keeps the operator and the last depth between frames.
+
+    Depth from normals lacks one constant per connected component of the domain (pixels that share a side):
+    orthographic depth is shifted to mean 0 over each component, perspective depth is scaled to mean 1
+    over each (`LengthUnit.FREE`): components are **not** placed relative to each other. The domain is the
+    mask without the pixels whose confidence is below `options.least_weight`.
+
+    Confidence beyond that threshold weighs the equations of POISSON and DISCONTINUITY. COSINE and FOURIER
+    cannot weigh, nor leave pixels out: they refuse a domain that is not the full rectangle.
+    """
+
+    def __init__(self, camera: Camera, options: IntegrationOptions | None = None) -> None:
+        self._camera = camera
+        self._options = options or IntegrationOptions()
+        self._rays = rays_from_camera(camera)
+        self._rectangle: dict[Integrator, RectangleSolver] = {}
+        self._domain: Mask | None = None
+        self._masked: MaskedSolver | None = None
+        self._components: Components | None = None
+        self._last: npt.NDArray[np.float64] | None = None
+
+    def integrate(self, normal_map: NormalMap) -> DepthMap:
+        """Return the depth of `normal_map` (h, w), in the camera frame.
+
+        Lengths are in pixels for an orthographic camera of scale 1, in its length unit for another scale,
+        and free (mean 1) for a perspective camera. Raises `BadInput` where the size is not the camera's,
+        nothing is valid, or the integrator cannot take the domain; `SolverFailed` where iterations run out.
+        """
+        wanted = (self._camera.height, self._camera.width)
+        if normal_map.shape != wanted:
+            have = f"{normal_map.shape[1]}×{normal_map.shape[0]}"
+            raise BadInput(f"normals are {have} but the camera is {wanted[1]}×{wanted[0]}")
+        domain = self._domain_of(normal_map)
+        p, q = slopes_from_normals(normal_map.normals_in_camera, self._rays, self._options.steepest_slope_deg)
+        if self._choice(domain) in _RECTANGLE:
+            return self._finish(self._solve_rectangle(p, q, self._choice(domain)), domain)
+        return self._finish(self._solve_masked(p, q, domain, normal_map.weight), domain)
+
+    def integrate_slopes(self, p: Float32Image, q: Float32Image) -> DepthMap:
+        """Return the depth of slopes per pixel along u (p) and v (q), each (h, w) float32, all valid.
+
+        For a kernel that makes slopes directly from colour; slopes as `slopes_from_normals` gives them.
+        """
+        domain = np.ones(p.shape, dtype=bool)
+        return self._finish(self._solve_rectangle(p, q, self._choice(domain)), domain)
+
+    def _domain_of(self, normal_map: NormalMap) -> Mask:
+        domain = normal_map.mask
+        if normal_map.weight is not None:
+            domain = domain & (normal_map.weight >= self._options.least_weight)
+        require_some(domain, "normals to integrate")
+        return domain
+
+    def _choice(self, domain: Mask) -> Integrator:
+        full = bool(domain.all())
+        if self._options.integrator is None:
+            return Integrator.COSINE if full else Integrator.POISSON
+        if self._options.integrator in _RECTANGLE and not full:
+            raise BadInput(
+                f"the {self._options.integrator.value} integrator needs every pixel of the rectangle, "
+                f"{np.count_nonzero(~domain)} are masked or doubtful: use poisson or discontinuity"
+            )
+        return self._options.integrator
+
+    def _solve_rectangle(self, p: Float32Image, q: Float32Image, choice: Integrator) -> npt.NDArray[Any]:
+        if choice not in self._rectangle:
+            solver = CosineSolver if choice is Integrator.COSINE else FourierSolver
+            dtype = np.float32 if self._options.precision is Precision.SINGLE else np.float64
+            self._rectangle[choice] = solver(p.shape[0], p.shape[1], dtype)
+        return self._rectangle[choice].solve(divergence_from_slopes(p, q))
+
+    def _solve_masked(
+        self, p: Float32Image, q: Float32Image, domain: Mask, weight: Float32Image | None
+    ) -> npt.NDArray[np.float64]:
+        edges = edges_from_slopes(p, q, domain, weight)
+        if self._masked is None or self._domain is None or not np.array_equal(domain, self._domain):
+            self._domain = domain
+            self._components = Components(domain)
+            self._masked = MaskedSolver(
+                domain, tolerance=self._options.tolerance, most_iterations=self._options.most_iterations
+            )
+        assert self._components is not None
+        self._last = self._components.remove_means(self._masked.solve(edges, self._last))
+        return self._last
+
+    def _finish(self, solution: npt.NDArray[Any], domain: Mask) -> DepthMap:
+        """Fix the free constants: solution is depth or log depth of mean 0 over each component."""
+        if not self._camera.is_perspective:
+            unit = LengthUnit.PIXEL if self._camera.matrix[0, 0] == 1.0 else LengthUnit.METRE
+            return DepthMap(depth=solution, mask=domain, unit=unit)
+        depth = np.exp(solution)
+        if domain.all():
+            depth /= depth.mean()
+        else:
+            assert self._components is not None
+            depth = self._components.scale_means(depth)
+        return DepthMap(depth=depth, mask=domain, unit=LengthUnit.FREE)

@@ -1,0 +1,57 @@
+"""What a user may choose about integration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from vntoolkit.checks import require_in_range
+
+
+class Integrator(Enum):
+    """How slopes become depth.
+
+    FOURIER: Frankot and Chellappa's projection on a mirrored image; full rectangle.
+    COSINE: least squares by the discrete cosine transform; full rectangle; the fastest.
+    POISSON: least squares inside any mask, weighted by confidence.
+    DISCONTINUITY: inside any mask, weighted; depth may jump where the normals suggest it.
+    """
+
+    FOURIER = "fourier"
+    COSINE = "cosine"
+    POISSON = "poisson"
+    DISCONTINUITY = "discontinuity"
+
+
+class Precision(Enum):
+    """Floating point format of the spectral integrators: SINGLE is exact to about 1e-6 of the range."""
+
+    SINGLE = "single"
+    DOUBLE = "double"
+
+
+@dataclass(frozen=True, kw_only=True)
+class IntegrationOptions:
+    """Options of `DepthIntegrator`.
+
+    integrator: which one; None takes COSINE where every pixel is in the domain and POISSON elsewhere.
+    steepest_slope_deg: angle between surface and image plane beyond which slopes are held at that angle
+        (degrees); keeps grazing and backward normals from exploding.
+    least_weight: pixels of lower confidence leave the domain (0 to 1).
+    precision: of COSINE and FOURIER.
+    tolerance: relative residual at which POISSON and DISCONTINUITY stop their linear solver.
+    most_iterations: bound on those iterations; reaching it raises `SolverFailed`.
+    """
+
+    integrator: Integrator | None = None
+    steepest_slope_deg: float = 89.0
+    least_weight: float = 0.02
+    precision: Precision = Precision.SINGLE
+    tolerance: float = 1e-6
+    most_iterations: int = 1000
+
+    def __post_init__(self) -> None:
+        require_in_range(self.steepest_slope_deg, 1.0, 89.9, "steepest slope in degrees")
+        require_in_range(self.least_weight, 0.0, 1.0, "least weight")
+        require_in_range(self.tolerance, 1e-12, 1e-2, "tolerance of the linear solver")
+        require_in_range(self.most_iterations, 1, 100_000, "most iterations")
