@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from vntoolkit.arrays import Faces, FloatArray, IntArray, LinearImage, Mask, Points
+from vntoolkit.arrays import Faces, IntArray, LinearImage, Mask, Points
 from vntoolkit.checks import require_same_size, require_some
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.geometry.camera import Camera

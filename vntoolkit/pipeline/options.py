@@ -1,0 +1,49 @@
+"""What a user may choose about a reconstruction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+from vntoolkit.errors import BadInput
+from vntoolkit.integration.options import IntegrationOptions
+from vntoolkit.meshing.surface import MeshOptions
+from vntoolkit.normals.inversion import InversionOptions
+
+
+class Product(Enum):
+    """How far a reconstruction goes; each includes the ones before it."""
+
+    NORMALS = "normals"
+    DEPTH = "depth"
+    MESH = "mesh"
+
+
+class OnError(Enum):
+    """What a frame that fails does to the run."""
+
+    STOP = "stop"
+    SKIP = "skip"  # the frame is left out, and named in the manifest and at the end
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReconstructOptions:
+    """Options of `reconstruct`, beyond those of the stages.
+
+    to: how far to go. distance_m: distance in metres from a perspective camera to the subject, along the
+    optical axis; fixes the scale that normals alone leave free. match_albedo: measure how much brighter the
+    subject is than the calibration material, on the first frame, instead of taking them for the same.
+    on_error: what a failing frame does.
+    """
+
+    to: Product = Product.MESH
+    distance_m: float | None = None
+    match_albedo: bool = True
+    on_error: OnError = OnError.STOP
+    inversion: InversionOptions = field(default_factory=InversionOptions)
+    integration: IntegrationOptions = field(default_factory=IntegrationOptions)
+    meshing: MeshOptions = field(default_factory=MeshOptions)
+
+    def __post_init__(self) -> None:
+        if self.distance_m is not None and not self.distance_m > 0:
+            raise BadInput(f"distance: expected a positive number of metres, got {self.distance_m:g}")
