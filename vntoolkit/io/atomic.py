@@ -1,0 +1,73 @@
+"""Writing so that a file is either whole or not there: a temporary beside it, then a rename."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from vntoolkit.errors import CannotWrite
+
+
+@contextlib.contextmanager
+def atomic_path(path: Path | str) -> Iterator[Path]:
+    """Yield a temporary path in the folder of `path`; move it to `path` on success, remove it on error.
+
+    Missing folders are made. The temporary keeps the suffix of `path`, which many writers choose the format
+    by. Raises `CannotWrite` for every error of the file system. There is no fsync: a crash of the program
+    cannot leave half a file, a power cut may.
+    """
+    path = Path(path)
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.is_dir():
+            raise CannotWrite(f"{path}: is a folder, expected the name of a file to write")
+        yield temporary
+        temporary.replace(path)
+    except OSError as error:
+        raise cannot_write(path, error) from error
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def write_bytes(path: Path | str, content: bytes | memoryview) -> None:
+    """Write a whole file atomically."""
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def write_text(path: Path | str, content: str) -> None:
+    """Write a whole UTF-8 file atomically."""
+    write_bytes(path, content.encode("utf-8"))
+
+
+def require_writable_folder(folder: Path | str) -> Path:
+    """Make `folder` and prove that a file can be written into it, before hours of work depend on it."""
+    folder = Path(folder)
+    probe = folder / f".probe.{os.getpid()}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe.write_bytes(b"0")
+        probe.unlink()
+    except OSError as error:
+        raise cannot_write(folder, error) from error
+    return folder
+
+
+def cannot_write(path: Path | str, error: OSError) -> CannotWrite:
+    """Return the one line for a failed write."""
+    reason = error.strerror or str(error)
+    match error.errno:
+        case errno.ENOSPC | errno.EDQUOT:
+            advice = "free some space or choose another --out"
+        case errno.EACCES | errno.EPERM | errno.EROFS:
+            advice = "choose a folder that you may write to"
+        case errno.ENOTDIR | errno.EEXIST:
+            advice = "a file stands where a folder is needed; choose another name"
+        case _:
+            advice = "choose another place to write to"
+    return CannotWrite(f"cannot write {path}: {reason.lower()}; {advice}")

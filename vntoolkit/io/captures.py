@@ -1,0 +1,186 @@
+"""A capture: a video, an image, a folder of images or a pattern; linear colour frames come out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.arrays import LinearImage
+from vntoolkit.checks import require_shape
+from vntoolkit.errors import BadCapture
+from vntoolkit.io.decoding import EncodedFrame, linear_frame_from_encoded
+from vntoolkit.io.files import read_bytes
+from vntoolkit.io.frame_range import FrameRange
+from vntoolkit.io.images import DEFAULT_MAX_MEGAPIXELS, read_image, read_image_header
+from vntoolkit.io.sources import CaptureKind, find_capture_files
+from vntoolkit.io.video import VideoReader
+from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.transfer import Transfer
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CaptureOptions:
+    """How the footage is read.
+
+    transfer: curve and levels of the stored values. background: an image of the scene under ambient light
+    only (path, or linear (h, w, 3) array), subtracted from every frame; None for none. max_megapixels: refuse
+    larger frames before memory is asked for. bits: significant bits of an integer sample where the file does
+    not tell (12 for 12-bit values stored in 16-bit PNG); None for all. frame_rate_hz: rate of an image
+    sequence, frames per second (a video brings its own). threads: decoding threads.
+    """
+
+    transfer: Transfer = field(default_factory=Transfer)
+    background: Path | str | LinearImage | None = None
+    max_megapixels: float = DEFAULT_MAX_MEGAPIXELS
+    bits: int | None = None
+    frame_rate_hz: float = 30.0
+    threads: int = 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class CaptureInfo:
+    """What a capture holds.
+
+    width, height: pixels. frame_count: frames that can be read. frame_rate_hz: per second. pixel_format:
+    FFmpeg's name, or such as `PNG 16-bit`. bits: significant bits of an integer sample (32: float). codec:
+    of the video, or the image format. chroma: `4:4:4`, `4:2:2`, `4:2:0`, `grey`. files: what it consists of.
+    promised_frame_count: what the header promises; more than frame_count means that the video is cut off.
+    """
+
+    kind: CaptureKind
+    width: int
+    height: int
+    frame_count: int
+    frame_rate_hz: float
+    pixel_format: str
+    bits: int
+    codec: str
+    chroma: str
+    files: tuple[Path, ...]
+    promised_frame_count: int
+
+
+class Capture:
+    """An opened capture. Frames are decoded one at a time, from any frame on."""
+
+    def __init__(
+        self, info: CaptureInfo, options: CaptureOptions, reader: VideoReader | None, name: str
+    ) -> None:
+        self.info = info
+        self.options = options
+        self.name = name
+        self._reader = reader
+        self._background = self._read_background()
+
+    def __len__(self) -> int:
+        return self.info.frame_count
+
+    @property
+    def background(self) -> LinearImage | None:
+        """The linear background that `frames` subtracts, (h, w, 3), or None."""
+        return self._background
+
+    def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Iterator[LinearFrame]:
+        """Yield the linear frames start, start + step, … below stop; raise `BadCapture` on a bad one."""
+        for frame in self.encoded_frames(start, stop, step):
+            yield linear_frame_from_encoded(frame, self.options.transfer, self._background)
+
+    def frame(self, number: int) -> LinearFrame:
+        """Return one linear frame."""
+        return next(self.frames(number, number + 1))
+
+    def encoded_frames(
+        self, start: int = 0, stop: int | None = None, step: int = 1
+    ) -> Iterator[EncodedFrame]:
+        """Yield the frames as stored, background included, for a kernel that decodes them itself."""
+        FrameRange(start=start, stop=stop, step=step).numbers(self.info.frame_count)
+        if self._reader is None:
+            yield from self._images(start, stop, step)
+            return
+        for number, values in self._reader.frames(start, stop, step):
+            yield EncodedFrame(
+                values=values, bits=self.info.bits, number=number, name=f"{self.name}, frame {number}"
+            )
+
+    def _images(self, start: int, stop: int | None, step: int) -> Iterator[EncodedFrame]:
+        for number in range(len(self.info.files))[start:stop:step]:
+            path = self.info.files[number]
+            values = read_image(path, max_megapixels=self.options.max_megapixels)
+            height, width = values.shape[:2]
+            if (width, height) != (self.info.width, self.info.height):
+                raise BadCapture(
+                    f"{path}: frame {number} is {width}×{height}, the first one {self.info.width}×"
+                    f"{self.info.height}: a capture has one size"
+                )
+            yield EncodedFrame(values=values, bits=_bits(values, self.options), number=number, name=str(path))
+
+    def _read_background(self) -> LinearImage | None:
+        background = self.options.background
+        if background is None:
+            return None
+        name = "background"
+        if isinstance(background, (str, Path)):
+            name = str(background)
+            values = read_image(background, max_megapixels=self.options.max_megapixels)
+            encoded = EncodedFrame(values=values, bits=_bits(values, self.options), number=0, name=name)
+            background = linear_frame_from_encoded(encoded, self.options.transfer).rgb
+        require_shape(background, (self.info.height, self.info.width, 3), name, BadCapture)
+        return np.asarray(background, dtype=np.float32)
+
+
+def open_capture(source: Path | str, options: CaptureOptions | None = None) -> Capture:
+    """Open a video, an image, a folder of images, or a printf (`f_%04d.png`) or glob (`f_*.png`) pattern.
+
+    Images are ordered by the numbers in their names. Raises `BadCapture` with one line.
+    """
+    options = options or CaptureOptions()
+    kind, files = find_capture_files(source)
+    if kind is CaptureKind.VIDEO:
+        reader = VideoReader(files[0], max_megapixels=options.max_megapixels, threads=options.threads)
+        return Capture(_info_of_video(reader), options, reader, str(source))
+    return Capture(_info_of_images(kind, files, options), options, None, str(source))
+
+
+def _info_of_video(reader: VideoReader) -> CaptureInfo:
+    return CaptureInfo(
+        kind=CaptureKind.VIDEO,
+        width=reader.width,
+        height=reader.height,
+        frame_count=len(reader.index.times),
+        frame_rate_hz=reader.frame_rate_hz,
+        pixel_format=reader.pixel_format.name,
+        bits=reader.bits,
+        codec=reader.codec,
+        chroma=reader.pixel_format.chroma,
+        files=(reader.path,),
+        promised_frame_count=reader.index.promised,
+    )
+
+
+def _info_of_images(kind: CaptureKind, files: tuple[Path, ...], options: CaptureOptions) -> CaptureInfo:
+    first = read_image(files[0], max_megapixels=options.max_megapixels)
+    header = read_image_header(read_bytes(files[0], BadCapture), str(files[0]))
+    return CaptureInfo(
+        kind=kind,
+        width=first.shape[1],
+        height=first.shape[0],
+        frame_count=len(files),
+        frame_rate_hz=options.frame_rate_hz,
+        pixel_format=f"{header.format} {header.bits}-bit{' float' if header.floating else ''}",
+        bits=_bits(first, options),
+        codec=header.format,
+        chroma="grey" if header.channels < 3 else "4:4:4",
+        files=files,
+        promised_frame_count=len(files),
+    )
+
+
+def _bits(values: npt.NDArray[Any], options: CaptureOptions) -> int:
+    if values.dtype == np.float32:
+        return 32
+    return options.bits or values.dtype.itemsize * 8

@@ -1,0 +1,61 @@
+"""What every reader asks first: is there a file, and is something in it?"""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+from vntoolkit.errors import BadInput
+from vntoolkit.photometry.rig import SourceFile
+
+_CHUNK_BYTES = 1 << 20
+
+
+def require_file(path: Path | str, error: type[BadInput] = BadInput) -> Path:
+    """Return `path`, or raise `error` with one line: missing, a folder, empty or not readable."""
+    path = Path(path)
+    try:
+        if path.is_dir():
+            raise error(f"{path}: is a folder, expected a file")
+        if not path.exists():
+            raise error(f"{path}: no such file")
+        if path.is_file() and path.stat().st_size == 0:
+            raise error(f"{path}: the file is empty")
+    except OSError as problem:
+        raise error(f"{path}: cannot be read ({problem.strerror})") from problem
+    return path
+
+
+def read_bytes(path: Path | str, error: type[BadInput] = BadInput) -> bytes:
+    """Read a whole file, or raise `error` with one line."""
+    path = require_file(path, error)
+    try:
+        return path.read_bytes()
+    except OSError as problem:
+        raise error(f"{path}: cannot be read ({problem.strerror})") from problem
+
+
+def read_text(path: Path | str, error: type[BadInput] = BadInput) -> str:
+    """Read a whole UTF-8 file, or raise `error` with one line."""
+    try:
+        return read_bytes(path, error).decode("utf-8-sig")
+    except UnicodeDecodeError as problem:
+        raise error(f"{path}: expected text in UTF-8, byte {problem.start} is not") from problem
+
+
+def sha256_of_file(path: Path | str, error: type[BadInput] = BadInput) -> str:
+    """Return the SHA-256 of a file's bytes in hexadecimal."""
+    path = require_file(path, error)
+    digest = hashlib.sha256()
+    try:
+        with path.open("rb") as stream:
+            while chunk := stream.read(_CHUNK_BYTES):
+                digest.update(chunk)
+    except OSError as problem:
+        raise error(f"{path}: cannot be read ({problem.strerror})") from problem
+    return digest.hexdigest()
+
+
+def source_file(path: Path | str) -> SourceFile:
+    """Return the record of a source: its name and its hash."""
+    return SourceFile(file=Path(path).name, sha256=sha256_of_file(path))

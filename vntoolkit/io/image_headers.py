@@ -1,0 +1,102 @@
+"""Size and sample depth of an image from its first bytes, before any pixel is decoded."""
+
+from __future__ import annotations
+
+import io
+import struct
+from dataclasses import dataclass
+from typing import Any
+
+from vntoolkit.errors import BadCapture, BadInput
+from vntoolkit.io import exr
+
+_PNG = b"\x89PNG\r\n\x1a\n"
+_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImageHeader:
+    """Format name, size in pixels, channels (alpha included) and bits per sample (float: 16 or 32)."""
+
+    format: str
+    width: int
+    height: int
+    channels: int
+    bits: int
+    floating: bool = False
+
+
+def read_image_header(data: bytes, name: str, error: type[BadInput] = BadCapture) -> ImageHeader:
+    """Parse the header of a PNG, JPEG, TIFF, BMP or EXR file given as bytes; raise `error` with one line."""
+    try:
+        if data.startswith(_PNG):
+            return _png(data, name, error)
+        if data.startswith(b"\xff\xd8"):
+            return _jpeg(data)
+        if data.startswith(_TIFF):
+            return _tiff(data)
+        if data.startswith(b"BM"):
+            width, height, _, bits = struct.unpack_from("<iiHH", data, 18)
+            return ImageHeader(
+                format="BMP", width=width, height=abs(height), channels=max(1, bits // 8), bits=8
+            )
+    except (struct.error, IndexError, ValueError, KeyError) as problem:
+        raise error(f"{name}: the image header is damaged or cut off") from problem
+    if data.startswith(exr.MAGIC):
+        header = exr.read_exr_header(data, name, error)
+        return ImageHeader(
+            format="EXR",
+            width=header.width,
+            height=header.height,
+            channels=len(header.channels),
+            bits=32,
+            floating=True,
+        )
+    raise error(f"{name}: is not a PNG, TIFF, JPEG, BMP or EXR image")
+
+
+def _png(data: bytes, name: str, error: type[BadInput]) -> ImageHeader:
+    width, height, bits, colour = struct.unpack_from(">IIBB", data, 16)
+    at = 8
+    while at + 12 <= len(data):  # libpng would print its own line about a missing end
+        length, kind = struct.unpack_from(">I4s", data, at)
+        at += 12 + length
+        if kind == b"IEND" and at <= len(data):
+            break
+    else:
+        raise error(f"{name}: the PNG file is cut off; copy or write it again")
+    return ImageHeader(
+        format="PNG", width=width, height=height, channels=_PNG_CHANNELS[colour], bits=max(bits, 8)
+    )
+
+
+def _jpeg(data: bytes) -> ImageHeader:
+    at = 2
+    while True:
+        if data[at] != 0xFF:
+            raise ValueError("no JPEG marker")
+        marker, length = data[at + 1], struct.unpack_from(">H", data, at + 2)[0]
+        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
+            bits, height, width, channels = struct.unpack_from(">BHHB", data, at + 4)
+            return ImageHeader(format="JPEG", width=width, height=height, channels=channels, bits=bits)
+        at += 1 if marker == 0xFF else 2 + length
+
+
+def _tiff(data: bytes) -> ImageHeader:
+    import tifffile
+
+    try:
+        with tifffile.TiffFile(io.BytesIO(data)) as tiff:
+            page: Any = tiff.pages[0]
+            bits = page.bitspersample
+            return ImageHeader(
+                format="TIFF",
+                width=int(page.imagewidth),
+                height=int(page.imagelength),
+                channels=int(page.samplesperpixel),
+                bits=int(bits[0] if isinstance(bits, tuple) else bits),
+                floating=page.sampleformat == 3,
+            )
+    except (tifffile.TiffFileError, AttributeError, TypeError) as problem:
+        raise ValueError(str(problem)) from problem

@@ -1,0 +1,158 @@
+"""Single images: PNG, TIFF, JPEG, BMP by OpenCV, EXR by OpenEXR; RGB, sizes checked before decoding."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.arrays import Mask
+from vntoolkit.errors import BadCapture, BadInput
+from vntoolkit.io import exr
+from vntoolkit.io.atomic import write_bytes
+from vntoolkit.io.exr import read_exr, require_pixels, write_exr
+from vntoolkit.io.files import read_bytes
+from vntoolkit.io.image_headers import ImageHeader, read_image_header
+
+__all__ = [
+    "ImageHeader",
+    "read_exr",
+    "read_grey",
+    "read_image",
+    "read_image_header",
+    "write_exr",
+    "write_png",
+]
+
+SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".exr")
+DEFAULT_MAX_MEGAPIXELS = 200.0
+
+
+def read_image(
+    path: Path | str,
+    *,
+    max_megapixels: float = DEFAULT_MAX_MEGAPIXELS,
+    error: type[BadInput] = BadCapture,
+) -> npt.NDArray[Any]:
+    """Read an image as (h, w, 3) RGB, encoded values as stored: uint8, uint16 or float32 (EXR, float TIFF).
+
+    Grey is repeated in the three channels. An alpha channel is dropped where it is opaque everywhere and
+    refused where it is not, since the colour beneath it is undefined. Raises `error` with one line for a file
+    that is missing, empty, damaged, too large, or holds NaN.
+    """
+    pixels = _decode(path, max_megapixels, error)
+    if pixels.ndim == 2:
+        return np.repeat(pixels[..., None], 3, axis=2)
+    if pixels.shape[2] in (2, 4):
+        _require_opaque(pixels[..., -1], path, error)
+        pixels = pixels[..., :-1]
+    if pixels.shape[2] == 1:
+        return np.repeat(pixels, 3, axis=2)
+    return np.ascontiguousarray(pixels)
+
+
+def read_image_with_alpha(
+    path: Path | str,
+    *,
+    max_megapixels: float = DEFAULT_MAX_MEGAPIXELS,
+    error: type[BadInput] = BadInput,
+) -> tuple[npt.NDArray[Any], Mask | None]:
+    """Read (h, w, 3) RGB and, where there is an alpha channel, the (h, w) mask of alpha >= half."""
+    pixels = _decode(path, max_megapixels, error)
+    if pixels.ndim == 3 and pixels.shape[2] == 4:
+        full = 1.0 if pixels.dtype == np.float32 else np.iinfo(pixels.dtype).max
+        return np.ascontiguousarray(pixels[..., :3]), pixels[..., 3] >= full / 2
+    return read_image(path, max_megapixels=max_megapixels, error=error), None
+
+
+def read_grey(
+    path: Path | str, *, max_megapixels: float = DEFAULT_MAX_MEGAPIXELS, error: type[BadInput] = BadInput
+) -> npt.NDArray[Any]:
+    """Read an image as (h, w): grey as stored, colour by its largest channel (so any paint counts)."""
+    pixels = _decode(path, max_megapixels, error)
+    return pixels if pixels.ndim == 2 else pixels[..., :3].max(axis=2)
+
+
+def write_png(path: Path | str, pixels: npt.NDArray[Any], *, compression_level: int = 1) -> None:
+    """Write (h, w), (h, w, 3) RGB or (h, w, 4) RGBA, uint8 or uint16, atomically.
+
+    compression_level: 0 (fast, large) to 9.
+    """
+    if pixels.dtype not in (np.uint8, np.uint16):
+        raise BadInput(f"{path}: a PNG holds 8- or 16-bit integers, got {pixels.dtype}")
+    if pixels.ndim == 3 and pixels.shape[2] not in (3, 4):
+        raise BadInput(f"{path}: expected 3 or 4 channels, got {pixels.shape[2]}")
+    if pixels.ndim == 3:
+        order = cv2.COLOR_RGB2BGR if pixels.shape[2] == 3 else cv2.COLOR_RGBA2BGRA
+        pixels = cv2.cvtColor(np.ascontiguousarray(pixels), order)
+    ok, content = cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, compression_level])
+    if not ok:
+        raise BadInput(f"{path}: OpenCV cannot encode an image of shape {pixels.shape}")
+    write_bytes(path, content.tobytes())
+
+
+def _decode(path: Path | str, max_megapixels: float, error: type[BadInput]) -> npt.NDArray[Any]:
+    """Return (h, w) or (h, w, channels), channels in RGB order, alpha last."""
+    data = read_bytes(path, error)
+    header = read_image_header(data, str(path), error)
+    require_pixels(header.width, header.height, max_megapixels, str(path), error)
+    if data[:4] == exr.MAGIC:
+        return _pixels_from_exr(path, max_megapixels, error)
+    cv2.utils.logging.setLogLevel(
+        cv2.utils.logging.LOG_LEVEL_SILENT
+    )  # a damaged file is reported by the one line below, not by OpenCV on stderr
+    try:
+        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        pixels = None
+    if pixels is None:
+        raise error(f"{path}: the {header.format} file is damaged or cut off")
+    if pixels.dtype == np.float64:
+        pixels = pixels.astype(np.float32)
+    if pixels.dtype not in (np.uint8, np.uint16, np.float32):
+        raise error(f"{path}: expected 8-bit, 16-bit or float samples, got {pixels.dtype}")
+    if pixels.dtype == np.float32:
+        _require_numbers(pixels, path, error)
+    if pixels.ndim == 3 and pixels.shape[2] >= 3:
+        order = cv2.COLOR_BGR2RGB if pixels.shape[2] == 3 else cv2.COLOR_BGRA2RGBA
+        pixels = cv2.cvtColor(pixels, order)
+    return pixels
+
+
+def _pixels_from_exr(
+    path: Path | str, max_megapixels: float, error: type[BadInput]
+) -> npt.NDArray[np.float32]:
+    channels, _ = read_exr(path, max_megapixels=max_megapixels, error=error)
+    names = [name for name in "RGBA" if name in channels] or [name for name in "YZ" if name in channels]
+    if names[:3] != ["R", "G", "B"] and len(names) != 1:
+        raise error(f"{path}: expected the channels R, G, B (or Y), found {', '.join(channels)}")
+    pixels = np.stack([channels[name] for name in names], axis=-1).astype(np.float32)
+    _require_numbers(pixels, path, error)
+    return pixels[..., 0] if len(names) == 1 else pixels
+
+
+def _require_numbers(pixels: npt.NDArray[Any], path: Path | str, error: type[BadInput]) -> None:
+    if math.isfinite(float(pixels.sum(dtype=np.float64))):
+        return
+    bad = ~np.isfinite(pixels)
+    if bad.any():
+        v, u = np.argwhere(bad)[0][:2]
+        raise error(
+            f"{path}: {int(bad.sum())} values are NaN or infinite, the first at pixel ({u}, {v}); "
+            "replace them, or mask those pixels and store 0"
+        )
+
+
+def _require_opaque(alpha: npt.NDArray[Any], path: Path | str, error: type[BadInput]) -> None:
+    full = 1.0 if alpha.dtype == np.float32 else np.iinfo(alpha.dtype).max
+    see_through = int(np.count_nonzero(alpha < full))
+    if see_through:
+        bits = "floating-point" if alpha.dtype == np.float32 else f"{alpha.dtype.itemsize * 8}-bit"
+        raise error(
+            f"{path}: the {bits} alpha channel is not opaque at {see_through} pixels, and colour under it is "
+            "undefined; save without alpha and give the outline as --mask"
+        )

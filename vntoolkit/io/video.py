@@ -1,0 +1,232 @@
+"""Video by PyAV: 8 to 16 bit in, RGB with its bit depth kept; lossless FFV1 out."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.errors import BadCapture, CannotWrite
+from vntoolkit.io.atomic import atomic_path
+from vntoolkit.io.exr import require_pixels
+from vntoolkit.io.files import require_file
+from vntoolkit.io.pixel_formats import PixelFormat, rgb_from_video_frame
+
+if TYPE_CHECKING:
+    import av
+
+_logger = logging.getLogger(__name__)
+_HD_HEIGHT = 720
+
+
+@dataclass(frozen=True, kw_only=True)
+class VideoIndex:
+    """When each frame is shown, in time base ticks, ascending; and how many the file promises."""
+
+    times: tuple[int, ...]
+    promised: int
+
+
+class VideoReader:
+    """Frames of one video file as RGB arrays, from any frame on.
+
+    8-bit sources give uint8; deeper ones uint16, whose full scale is `2**bits - 1`. Frames are counted by
+    their packets, so the number of a frame does not depend on a frame rate in the header.
+    """
+
+    def __init__(self, path: Path | str, *, max_megapixels: float = 200.0, threads: int = 2) -> None:
+        self.path = require_file(path, BadCapture)
+        self.threads = threads
+        with self._open() as container:
+            stream = _video_stream(container, self.path)
+            context = stream.codec_context
+            require_pixels(context.width, context.height, max_megapixels, str(self.path), BadCapture)
+            if not context.pix_fmt:
+                raise BadCapture(f"{self.path}: no frame can be decoded; the file is damaged or cut off")
+            self.width, self.height = int(context.width), int(context.height)
+            self.codec = str(context.codec.name)
+            self.pixel_format = PixelFormat.from_av(context.format)
+            rate = stream.average_rate or stream.guessed_rate or Fraction(30)
+            self.frame_rate_hz = float(rate)
+
+    @property
+    def bits(self) -> int:
+        """Significant bits of the samples that `frames` yields."""
+        return self.pixel_format.decoded_bits
+
+    @cached_property
+    def index(self) -> VideoIndex:
+        """Read all packets once, without decoding."""
+        with self._open() as container:
+            stream = _video_stream(container, self.path)
+            times, broken = [], 0
+            try:
+                for packet in container.demux(stream):
+                    if packet.pts is not None and not packet.is_corrupt and not packet.is_discard:
+                        times.append(packet.pts)
+                    broken += packet.is_corrupt
+            except _av_error() as error:
+                _logger.debug("%s: demuxing ended early: %s", self.path, error)
+                broken += 1
+            times.sort()
+            missing = _missing_frames(container, stream, times)
+        if not times:
+            raise BadCapture(f"{self.path}: the video holds no frame")
+        return VideoIndex(times=tuple(times), promised=len(times) + max(missing, broken))
+
+    def frames(
+        self, start: int = 0, stop: int | None = None, step: int = 1
+    ) -> Iterator[tuple[int, npt.NDArray[Any]]]:
+        """Yield (number, RGB array) for the frames start, start + step, … below stop.
+
+        Decoding starts at the key frame before `start`. Raises `BadCapture` where the file ends early or a
+        frame is damaged.
+        """
+        times = self.index.times
+        last = len(times) if stop is None else min(stop, len(times))
+        if (stop is None or stop > len(times)) and self.index.promised > len(times):
+            raise self._breaks_off(len(times))
+        wanted = range(start, last, step)
+        if not wanted:
+            return
+        next_index = 0
+        for time, frame in self._decoded(times[start] if start else None):
+            if time is not None and time < times[wanted[next_index]]:
+                continue
+            yield wanted[next_index], self._rgb(frame, wanted[next_index])
+            next_index += 1
+            if next_index == len(wanted):
+                return
+        raise self._breaks_off(wanted[next_index])
+
+    def _decoded(self, from_time: int | None) -> Iterator[tuple[int | None, Any]]:
+        with self._open() as container:
+            stream = _video_stream(container, self.path)
+            stream.thread_type = "AUTO"
+            stream.codec_context.thread_count = self.threads
+            stream.codec_context.options = {"err_detect": "crccheck+explode"}  # no concealed damage
+            try:
+                if from_time is not None:
+                    container.seek(from_time, stream=stream, backward=True)
+                for frame in container.decode(stream):
+                    yield frame.pts, frame
+            except _av_error() as error:
+                raise BadCapture(f"{self.path}: a frame cannot be decoded ({_reason(error)})") from error
+
+    def _rgb(self, frame: Any, number: int) -> npt.NDArray[Any]:
+        if frame.is_corrupt:
+            raise self._breaks_off(number)
+        if (frame.width, frame.height) != (self.width, self.height):
+            raise BadCapture(
+                f"{self.path}: frame {number} is {frame.width}×{frame.height}, the first one "
+                f"{self.width}×{self.height}: a capture has one size"
+            )
+        return rgb_from_video_frame(frame, self.pixel_format, hd=self.height >= _HD_HEIGHT)
+
+    def _breaks_off(self, number: int) -> BadCapture:
+        promised = max(self.index.promised, number + 1)
+        return BadCapture(
+            f"{self.path}: the video is cut off: {number} of {promised} frames can be read (0 to "
+            f"{number - 1}); copy the file again, or use what is there with --frames 0:{number}"
+        )
+
+    def _open(self) -> Any:
+        import av
+
+        av.logging.set_level(av.logging.PANIC)  # errors arrive as exceptions, in one line
+        try:
+            return av.open(str(self.path))
+        except _av_error() as error:
+            raise BadCapture(
+                f"{self.path}: cannot be opened as a video ({_reason(error)}); it is damaged, cut off or in "
+                "an unknown format"
+            ) from error
+
+
+def write_video(
+    path: Path | str, frames: Iterable[npt.NDArray[Any]], frame_rate_hz: float, *, threads: int = 2
+) -> int:
+    """Write (h, w, 3) RGB frames, all uint8 or all uint16, losslessly as FFV1 in Matroska; atomically.
+
+    Returns the number of frames. Frames are taken one at a time, so memory stays constant.
+    """
+    import av
+
+    path = Path(path)
+    if path.suffix.lower() != ".mkv":
+        raise CannotWrite(f"{path}: video is written as FFV1 in Matroska; give a name that ends in .mkv")
+    count = 0
+    try:
+        with atomic_path(path) as temporary, av.open(str(temporary), "w", format="matroska") as container:
+            stream = None
+            for count, frame in enumerate(frames, start=1):
+                stream = stream or _ffv1_stream(container, frame, frame_rate_hz, threads)
+                picture = av.VideoFrame.from_ndarray(
+                    np.ascontiguousarray(frame), format="rgb24" if frame.dtype == np.uint8 else "rgb48le"
+                )
+                picture.pts = count - 1
+                picture.time_base = 1 / _rational(frame_rate_hz)
+                container.mux(stream.encode(picture))
+            if stream is None:
+                raise BadCapture(f"{path}: no frame to write")
+            container.mux(stream.encode(None))
+    except av.error.FFmpegError as error:
+        raise CannotWrite(f"cannot write {path}: {_reason(error)}") from error
+    return count
+
+
+def _ffv1_stream(container: Any, frame: npt.NDArray[Any], frame_rate_hz: float, threads: int) -> Any:
+    if frame.ndim != 3 or frame.shape[2] != 3 or frame.dtype not in (np.uint8, np.uint16):
+        raise BadCapture(f"video: expected (h, w, 3) uint8 or uint16 frames, got {frame.shape} {frame.dtype}")
+    # 16 slices let two threads work on a frame; Rice coding decodes twice as fast as range coding.
+    options = {"level": "3", "slices": "16", "slicecrc": "1"}
+    if frame.dtype == np.uint8:
+        options["coder"] = "rice"
+    stream = container.add_stream("ffv1", rate=_rational(frame_rate_hz), options=options)
+    stream.height, stream.width = frame.shape[:2]
+    stream.pix_fmt = "bgr0" if frame.dtype == np.uint8 else "gbrp16le"
+    stream.codec_context.thread_count = threads
+    return stream
+
+
+def _rational(frame_rate_hz: float) -> Fraction:
+    return Fraction(frame_rate_hz).limit_denominator(1001)
+
+
+def _video_stream(container: av.container.InputContainer, path: Path) -> Any:
+    if not container.streams.video:
+        raise BadCapture(f"{path}: holds no video stream")
+    return container.streams.video[0]
+
+
+def _missing_frames(container: Any, stream: Any, times: list[int]) -> int:
+    """Return how many frames the header promises beyond those in `times`; 0 where it says nothing.
+
+    Matroska gives no count but a duration; the container's is the longest of its streams', so it counts only
+    for a file with one stream. Time is compared, not rate × duration: the rate may vary.
+    """
+    if stream.frames:
+        return max(0, int(stream.frames) - len(times))
+    rate = stream.average_rate or stream.guessed_rate
+    if not (container.duration and rate and times and len(container.streams) == 1):
+        return 0
+    start_s = max(0, container.start_time or 0) / 1e6
+    last_end_s = float(times[-1] * stream.time_base) + 1 / float(rate)
+    return max(0, round((start_s + container.duration / 1e6 - last_end_s) * float(rate)))
+
+
+def _av_error() -> tuple[type[Exception], ...]:
+    import av
+
+    return (av.error.FFmpegError, OSError, EOFError)
+
+
+def _reason(error: Exception) -> str:
+    return " ".join(str(getattr(error, "strerror", None) or error).split()).lower()
