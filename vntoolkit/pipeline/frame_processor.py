@@ -1,0 +1,135 @@
+"""One frame from its stored samples to normals, depth and a mesh: the paper's Section III-B."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.arrays import Colours, LinearImage, Mask, VisibilityLabels
+from vntoolkit.checks import require_shape
+from vntoolkit.errors import BadCapture
+from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
+from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.integration.integrate import DepthIntegrator
+from vntoolkit.io.decoding import EncodedFrame, linear_frame_from_encoded
+from vntoolkit.io.undistortion import Undistorter
+from vntoolkit.meshing.surface import mesh_from_depth
+from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame
+from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.rig import Rig
+from vntoolkit.pipeline.options import Product, ReconstructOptions
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FrameResult:
+    """What one frame became; None for what was not asked for. clipped_share: of all pixels, 0 to 1."""
+
+    number: int
+    normal_map: NormalMap
+    depth_map: DepthMap | None
+    labels: VisibilityLabels | None
+    mesh: Mesh | None
+    clipped_share: float
+
+
+class FrameProcessor:
+    """Turns the frames of one capture into results; keeps operators and warm starts between frames.
+
+    rig: its transfer is taken as the capture's. mask: (h, w) pixels of interest in the footage as filmed, or
+    None for all. background: linear (h, w, 3), subtracted, or None. Results belong to `camera`, the rig's
+    without distortion.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        options: ReconstructOptions,
+        mask: Mask | None = None,
+        background: LinearImage | None = None,
+    ) -> None:
+        self._rig = rig
+        self._options = options
+        self._background = background
+        self._undistorter = Undistorter(rig.camera)
+        self.camera = rig.camera.without_distortion()
+        shape = (rig.camera.height, rig.camera.width)
+        if mask is not None:
+            require_shape(mask, shape, "mask")
+        whole = np.ones(shape, dtype=np.bool_) if mask is None else mask
+        self._mask = self._undistorter.mask(whole)
+        self._integrator = DepthIntegrator(self.camera, options.integration)
+
+    def forget(self) -> None:
+        """Drop everything that one frame hands to the next, so that a run may start at any block."""
+        self._integrator = DepthIntegrator(self.camera, self._options.integration)
+
+    def process(self, frame: EncodedFrame) -> FrameResult:
+        """Invert, integrate and mesh one frame, as far as the options say.
+
+        Raises `BadCapture` where the frame has no usable pixel.
+        """
+        normal_map, clipped_share = self._normals(frame)
+        if not normal_map.mask.any():
+            raise BadCapture(
+                f"{frame.name}: no usable pixel: all are black, clipped or outside the mask; "
+                "look at exposure, mask and rig"
+            )
+        depth_map = None if self._options.to is Product.NORMALS else self._depth(normal_map)
+        mesh = None
+        if self._options.to is Product.MESH and depth_map is not None:
+            mesh = mesh_from_depth(
+                depth_map,
+                self.camera,
+                rgb=self._displayed(frame),
+                normal_map=normal_map,
+                options=self._options.meshing,
+            )
+        return FrameResult(
+            number=frame.number,
+            normal_map=normal_map,
+            depth_map=depth_map,
+            labels=None,
+            mesh=mesh,
+            clipped_share=clipped_share,
+        )
+
+    def _normals(self, frame: EncodedFrame) -> tuple[NormalMap, float]:
+        if self._is_plain(frame):
+            values, transfer = frame.values, self._rig.transfer
+            normal_map = normals_from_encoded(
+                values, self._rig.response, transfer, self._mask, self._options.inversion, frame.bits
+            )
+            white = transfer.white_level * (2**frame.bits - 1)
+            return normal_map, float(np.mean(values.max(axis=2) >= white))
+        linear = self.linear(frame)
+        normal_map = normals_from_frame(linear, self._rig.response, self._mask, self._options.inversion)
+        return normal_map, float(linear.clipped.mean())
+
+    def linear(self, frame: EncodedFrame) -> LinearFrame:
+        """Decode a frame to linear light, background removed, lens distortion taken out."""
+        decoded = linear_frame_from_encoded(frame, self._rig.transfer, self._background)
+        return self._undistorter.frame(decoded)
+
+    def _is_plain(self, frame: EncodedFrame) -> bool:
+        """True where the kernel that decodes and inverts in one pass may be used."""
+        integers = frame.values.dtype in (np.uint8, np.uint16)
+        return integers and self._background is None and not self._undistorter.changes_frames
+
+    def _depth(self, normal_map: NormalMap) -> DepthMap:
+        depth_map = self._integrator.integrate(normal_map)
+        if depth_map.unit is LengthUnit.FREE and self._options.distance_m is not None:
+            scaled = depth_map.depth * self._options.distance_m
+            return replace(depth_map, depth=scaled, unit=LengthUnit.METRE)
+        return depth_map
+
+    def _displayed(self, frame: EncodedFrame) -> Colours:
+        """The frame as a person sees it, 0 to 1: what becomes the mesh's colour."""
+        shown = np.asarray(frame.values, dtype=np.float32)
+        if frame.values.dtype in (np.uint8, np.uint16):
+            shown = shown / np.float32(2**frame.bits - 1)
+        if not self._undistorter.changes_frames:
+            return shown
+        nothing: npt.NDArray[np.bool_] = np.zeros(shown.shape[:2], dtype=np.bool_)
+        return self._undistorter.frame(LinearFrame(rgb=shown, clipped=nothing)).rgb
