@@ -92,10 +92,9 @@ def fit_response(
     require_shape(normals, (None, 3), "normals")
     require_shape(colours, (len(normals), 3), "colours")
     require_finite(normals, "normals")
-    usable: Mask = np.isfinite(colours).all(axis=1)
-    if clipped is not None:
-        require_shape(clipped, (len(normals),), "clipped")
-        usable = usable & ~clipped
+    clipped = np.zeros(len(normals), np.bool_) if clipped is None else clipped
+    require_shape(clipped, (len(normals),), "clipped")
+    usable = np.asarray(np.isfinite(colours).all(axis=1) & ~clipped)
     _require_light(colours, usable)
     design = Design.from_pairs(normals, colours, with_ambient=options.model is ResponseModel.AMBIENT)
     if options.method is FitMethod.MSAC:

@@ -19,6 +19,9 @@ from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.normals.inversion_kernels import (
+    Coefficients,
+    Decoding,
+    Outputs,
     gradients_from_integers_kernel,
     normals_from_integers_kernel,
     normals_from_rgb_kernel,
@@ -95,14 +98,11 @@ def normals_from_frame(
     outside the mask, black, turned away from the camera, not finite, or clipped where so chosen. The
     weight is 1 where the albedo is as expected and 1/2 where it is off by `albedo_tolerance`.
     """
-    options = options or InversionOptions()
     inside = _require_mask(mask, frame.shape)
-    normals, weight, valid = _outputs(frame.shape)
+    out = _outputs(frame.shape)
     rgb = np.ascontiguousarray(frame.rgb)
-    normals_from_rgb_kernel(
-        rgb, frame.clipped, inside, *_coefficients(response, options), normals, weight, valid
-    )
-    return NormalMap(normals_in_camera=normals, mask=valid, weight=weight)
+    normals_from_rgb_kernel(rgb, frame.clipped, inside, _coefficients(response, options), out)
+    return _map_from_outputs(out)
 
 
 def normals_from_encoded(
@@ -118,20 +118,16 @@ def normals_from_encoded(
     transfer: the capture's curve and levels. bits: significant bits of a sample, default all. A sample at or
     above the white level is clipped.
     """
-    options = options or InversionOptions()
     shape = _require_encoded(encoded)
-    inside = _require_mask(mask, shape)
-    normals, weight, valid = _outputs(shape)
+    out = _outputs(shape)
     normals_from_integers_kernel(
         np.ascontiguousarray(encoded),
-        *_decoding(encoded, transfer, bits),
-        inside,
-        *_coefficients(response, options),
-        normals,
-        weight,
-        valid,
+        _decoding(encoded, transfer, bits),
+        _require_mask(mask, shape),
+        _coefficients(response, options),
+        out,
     )
-    return NormalMap(normals_in_camera=normals, mask=valid, weight=weight)
+    return _map_from_outputs(out)
 
 
 def gradients_from_encoded(
@@ -146,26 +142,19 @@ def gradients_from_encoded(
 
     Arguments and normals are those of `normals_from_encoded`.
     """
-    options = options or InversionOptions()
     shape = _require_encoded(encoded)
-    inside = _require_mask(mask, shape)
-    normals, weight, valid = _outputs(shape)
+    out = _outputs(shape)
     p, q = np.empty(shape, np.float32), np.empty(shape, np.float32)
     gradients_from_integers_kernel(
         np.ascontiguousarray(encoded),
-        *_decoding(encoded, transfer, bits),
-        inside,
-        *_coefficients(response, options),
-        np.float32(np.cos(np.deg2rad(options.steepest_deg))),
-        normals,
-        weight,
-        valid,
+        _decoding(encoded, transfer, bits),
+        _require_mask(mask, shape),
+        _coefficients(response, options),
+        out,
         p,
         q,
     )
-    return EncodedGradients(
-        p=p, q=q, normal_map=NormalMap(normals_in_camera=normals, mask=valid, weight=weight)
-    )
+    return EncodedGradients(p=p, q=q, normal_map=_map_from_outputs(out))
 
 
 def relative_albedo_from_frame(
@@ -186,26 +175,24 @@ def relative_albedo_from_frame(
     return float(np.median(lengths))
 
 
-def _coefficients(
-    response: LightResponse, options: InversionOptions
-) -> tuple[Single, Single, np.float32, np.float32, np.float32]:
-    """M⁻¹ and M⁻¹ a, both over the expected albedo; darkest, 1/(2 tolerance), factor of clipped pixels."""
+def _coefficients(response: LightResponse, options: InversionOptions | None) -> Coefficients:
+    options = options or InversionOptions()
     inverse = response.inverse / options.relative_albedo
-    return (
-        inverse.astype(np.float32),
-        (inverse @ response.ambient).astype(np.float32),
-        np.float32(options.darkest),
-        np.float32(0.5 / options.albedo_tolerance),
-        np.float32(options.clipped_factor),
+    return Coefficients(
+        inverse=inverse.astype(np.float32),
+        offset=(inverse @ response.ambient).astype(np.float32),
+        darkest=np.float32(options.darkest),
+        sharpness=np.float32(0.5 / options.albedo_tolerance),
+        clipped_factor=np.float32(options.clipped_factor),
+        flattest_z=np.float32(np.cos(np.deg2rad(options.steepest_deg))),
     )
 
 
-def _decoding(encoded: npt.NDArray[Any], transfer: Transfer, bits: int | None) -> tuple[Single, np.float32]:
-    """The decoding table, and the linear value from which a sample counts as clipped."""
+def _decoding(encoded: npt.NDArray[Any], transfer: Transfer, bits: int | None) -> Decoding:
     storage_bits = encoded.dtype.itemsize * 8
     table = decoding_table(transfer, bits or storage_bits, storage_bits)
     white = (transfer.white_level - transfer.black_level) / (1.0 - transfer.black_level)
-    return table, np.float32(white * (1.0 - 1e-6))
+    return Decoding(table=table, white=np.float32(white * (1.0 - 1e-6)))
 
 
 def _require_encoded(encoded: npt.NDArray[Any]) -> tuple[int, int]:
@@ -222,5 +209,13 @@ def _require_mask(mask: Mask | None, shape: tuple[int, int]) -> Mask:
     return np.ascontiguousarray(mask)
 
 
-def _outputs(shape: tuple[int, int]) -> tuple[Single, Single, Mask]:
-    return np.empty((*shape, 3), np.float32), np.empty(shape, np.float32), np.empty(shape, np.bool_)
+def _outputs(shape: tuple[int, int]) -> Outputs:
+    return Outputs(
+        normals=np.empty((*shape, 3), np.float32),
+        weight=np.empty(shape, np.float32),
+        valid=np.empty(shape, np.bool_),
+    )
+
+
+def _map_from_outputs(out: Outputs) -> NormalMap:
+    return NormalMap(normals_in_camera=out.normals, mask=out.valid, weight=out.weight)

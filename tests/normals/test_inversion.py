@@ -1,0 +1,164 @@
+"""Equation 1 and its inverse undo each other; what has no normal gets none."""
+
+import numpy as np
+import pytest
+
+from vntoolkit.errors import BadInput
+from vntoolkit.normals.inversion import (
+    ClippedPixels,
+    InversionOptions,
+    gradients_from_encoded,
+    normals_from_encoded,
+    normals_from_frame,
+    relative_albedo_from_frame,
+)
+from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.lambertian import rgb_from_normals
+from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.transfer import (
+    Transfer,
+    TransferCurve,
+    encoded_from_linear,
+    linear_from_integers,
+)
+
+DIRECTIONS = np.array([[0.6, 0.0, -0.8], [-0.36, 0.48, -0.8], [-0.36, -0.48, -0.8]])
+COLOURS = np.array([[0.5, 0.05, 0.02], [0.06, 0.6, 0.1], [0.0, 0.1, 0.4]])
+RESPONSE = LightResponse(
+    matrix=COLOURS.T @ DIRECTIONS, ambient=np.array([0.02, 0.01, 0.03]), light_colours=COLOURS
+)
+
+
+def normals_near_the_axis(rng: np.random.Generator, shape: tuple[int, int], spread: float = 0.3):
+    normals = np.concatenate([rng.normal(0, spread, (*shape, 2)), -np.ones((*shape, 1))], axis=-1)
+    return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
+
+
+def frame_of(rgb, clipped=None) -> LinearFrame:
+    clipped = np.zeros(rgb.shape[:2], bool) if clipped is None else clipped
+    return LinearFrame(rgb=rgb.astype(np.float32), clipped=clipped)
+
+
+def angles_deg(a, b):
+    return np.rad2deg(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), np.sum(a * b, axis=-1)))
+
+
+def test_inversion_undoes_the_forward_model(rng) -> None:
+    truth = normals_near_the_axis(rng, (37, 53))
+    albedo = rng.uniform(0.5, 1.5, (37, 53, 1))
+    rgb = (rgb_from_normals(truth, RESPONSE) - RESPONSE.ambient) * albedo + RESPONSE.ambient
+    result = normals_from_frame(frame_of(rgb), RESPONSE)
+    assert result.mask.all()
+    assert angles_deg(result.normals_in_camera, truth).max() < 1e-3  # float32 colours through M⁻¹
+
+
+def test_weight_is_one_at_the_expected_albedo_and_half_at_the_tolerance(rng) -> None:
+    truth = normals_near_the_axis(rng, (1, 3))
+    lengths = np.array([1.0, 1.25, 0.5])[None, :, None]
+    rgb = (rgb_from_normals(truth, RESPONSE) - RESPONSE.ambient) * lengths + RESPONSE.ambient
+    weight = normals_from_frame(frame_of(rgb), RESPONSE).weight
+    assert weight[0, 0] == pytest.approx(1.0, abs=1e-5)
+    # (1.25 − 1/1.25)/2 = 0.225 of a tolerance of 0.25: the departure is symmetric in brighter and darker
+    assert weight[0, 1] == pytest.approx(1 / (1 + (0.225 / 0.25) ** 2), rel=1e-4)
+    assert weight[0, 2] == pytest.approx(1 / (1 + (0.75 / 0.25) ** 2), rel=1e-4)
+    paler = InversionOptions(relative_albedo=0.5)
+    assert normals_from_frame(frame_of(rgb), RESPONSE, options=paler).weight[0, 2] == pytest.approx(1.0)
+
+
+def test_pixels_without_a_normal_are_invalid_and_zero_never_nan(rng) -> None:
+    truth = normals_near_the_axis(rng, (2, 5))
+    rgb = rgb_from_normals(truth, RESPONSE)
+    rgb[0, 0] = RESPONSE.ambient  # no light at all: length 0
+    rgb[0, 1] = np.nan
+    rgb[0, 2] = np.inf
+    rgb[0, 3] = rgb_from_normals(np.array([0.1, 0.2, 0.97]), RESPONSE)  # faces away
+    mask = np.ones((2, 5), bool)
+    mask[0, 4] = False
+    result = normals_from_frame(frame_of(rgb), RESPONSE, mask)
+    assert not result.mask[0].any()
+    assert result.mask[1].all()
+    assert np.all(result.normals_in_camera[0] == 0)
+    assert np.all(result.weight[0] == 0)
+
+
+def test_clipped_pixels_keep_a_tenth_of_their_weight_or_go(rng) -> None:
+    rgb = rgb_from_normals(normals_near_the_axis(rng, (2, 2)), RESPONSE)
+    clipped = np.array([[True, False], [False, False]])
+    kept = normals_from_frame(frame_of(rgb, clipped), RESPONSE)
+    assert kept.mask.all()
+    assert kept.weight[0, 0] == pytest.approx(0.1, rel=1e-4)
+    options = InversionOptions(clipped=ClippedPixels.EXCLUDE)
+    dropped = normals_from_frame(frame_of(rgb, clipped), RESPONSE, options=options)
+    assert np.array_equal(dropped.mask, ~clipped)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("curve", [TransferCurve.LINEAR, TransferCurve.SRGB])
+def test_the_fused_pass_is_decoding_then_inversion(rng, dtype, curve) -> None:
+    transfer = Transfer(curve=curve, black_level=0.01, white_level=0.95)
+    truth = normals_near_the_axis(rng, (24, 31))
+    scale = np.iinfo(dtype).max
+    light = np.minimum(rgb_from_normals(truth, RESPONSE) * 1.8, 0.9)  # clear of the white level, but for
+    encoded = np.round(encoded_from_linear(light, transfer) * scale).astype(dtype)
+    encoded[0, 0] = scale
+    encoded[3, 4, 1] = scale
+    clipped = np.zeros((24, 31), bool)
+    clipped[0, 0] = clipped[3, 4] = True
+    rgb = linear_from_integers(encoded, transfer)
+    separate = normals_from_frame(frame_of(rgb, clipped), RESPONSE)
+    fused = normals_from_encoded(encoded, RESPONSE, transfer)
+    assert np.array_equal(fused.mask, separate.mask)
+    np.testing.assert_allclose(fused.normals_in_camera, separate.normals_in_camera, atol=1e-6)
+    np.testing.assert_allclose(fused.weight, separate.weight, atol=1e-6)
+
+
+def test_gradients_are_those_of_the_normals_and_end_at_the_steepest(rng) -> None:
+    truth = normals_near_the_axis(rng, (16, 16), spread=0.4)
+    truth[0, 0] = np.array([np.sin(np.deg2rad(89)), 0, -np.cos(np.deg2rad(89))])
+    encoded = np.clip(np.round(rgb_from_normals(truth, RESPONSE) * 65535), 0, 65535).astype(np.uint16)
+    result = gradients_from_encoded(
+        encoded, RESPONSE, Transfer(), options=InversionOptions(steepest_deg=80.0)
+    )
+    n = result.normal_map.normals_in_camera.astype(np.float64)
+    steep = -n[..., 2] < np.cos(np.deg2rad(80))
+    valid = result.normal_map.mask
+    mild = valid & ~steep
+    np.testing.assert_allclose(result.p[mild], -n[mild, 0] / n[mild, 2], rtol=1e-5)
+    np.testing.assert_allclose(result.q[mild], -n[mild, 1] / n[mild, 2], rtol=1e-5)
+    assert np.hypot(result.p, result.q).max() <= 1 / np.cos(np.deg2rad(80)) + 1e-4
+    assert np.all(result.p[~valid] == 0)
+
+
+def test_camera_noise_tilts_normals_by_what_the_inverse_predicts(rng) -> None:
+    truth = normals_near_the_axis(rng, (200, 200))
+    sigma = 0.002
+    rgb = rgb_from_normals(truth, RESPONSE) + rng.normal(0, sigma, truth.shape)
+    error = angles_deg(normals_from_frame(frame_of(rgb), RESPONSE).normals_in_camera, truth)
+    # first order: the tangential part of M⁻¹ noise; its mean square is σ² (|M⁻¹|² − |nᵀM⁻¹|²)
+    inverse = RESPONSE.inverse
+    along = truth @ inverse
+    predicted = sigma * np.sqrt(np.mean(np.sum(inverse**2) - np.sum(along**2, axis=-1)))
+    assert np.deg2rad(np.sqrt(np.mean(error**2))) == pytest.approx(predicted, rel=0.03)
+
+
+def test_relative_albedo_is_measured_on_lit_pixels(rng) -> None:
+    rgb = 0.7 * rgb_from_normals(normals_near_the_axis(rng, (40, 40)), LightResponse(matrix=RESPONSE.matrix))
+    rgb[:10] = 0.0
+    frame = frame_of(rgb)
+    assert relative_albedo_from_frame(frame, LightResponse(matrix=RESPONSE.matrix)) == pytest.approx(
+        0.7, rel=1e-4
+    )
+    with pytest.raises(BadInput, match="no lit pixel"):
+        relative_albedo_from_frame(frame_of(np.zeros((4, 4, 3))), RESPONSE)
+
+
+def test_refusals(rng) -> None:
+    frame = frame_of(np.ones((4, 5, 3)))
+    with pytest.raises(BadInput, match="mask: expected shape 4 × 5, got 5 × 4"):
+        normals_from_frame(frame, RESPONSE, np.ones((5, 4), bool))
+    with pytest.raises(BadInput, match="8- or 16-bit"):
+        normals_from_encoded(np.ones((4, 5, 3)), RESPONSE, Transfer())
+    with pytest.raises(BadInput, match="image: expected shape"):
+        normals_from_encoded(np.ones((4, 5, 4), np.uint8), RESPONSE, Transfer())
+    with pytest.raises(BadInput, match="albedo tolerance"):
+        InversionOptions(albedo_tolerance=0.0)
