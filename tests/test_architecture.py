@@ -26,6 +26,7 @@ DOORS = {
     "av": ("io/",),
     "OpenEXR": ("io/",),
     "pxr": ("io/",),
+    "pybvh": ("io/motion_bvh",),
     "pydantic": ("io/",),
     "maxflow": ("shadows/",),
     "viser": ("report/",),

@@ -1,0 +1,132 @@
+"""One clock for two recordings: the capture at its rate, the motion at its own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+
+from vntoolkit.arrays import FloatArray, IntArray, Points
+from vntoolkit.errors import BadInput
+from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.geometry.motion import Motion
+
+_SLERP_LINEAR_BELOW = 1e-6  # radians: there slerp and linear interpolation agree to the last digit
+
+
+class Loop(Enum):
+    """What happens when the cloth ends before the motion.
+
+    NONE ends there; REPEAT starts again; PING_PONG plays back and forth, so that nothing jumps.
+    """
+
+    NONE = "none"
+    REPEAT = "repeat"
+    PING_PONG = "ping-pong"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClockOptions:
+    """When the result runs.
+
+    start, stop: seconds of the motion to use (None: to its end). speed: seconds of motion per second of
+    result. loop: what a cloth shorter than the motion does. frame_rate_hz: of the result (None: the
+    cloth's).
+    """
+
+    start: float = 0.0
+    stop: float | None = None
+    speed: float = 1.0
+    loop: Loop = Loop.NONE
+    frame_rate_hz: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in (("speed", self.speed), ("frame rate", self.frame_rate_hz)):
+            if value is not None and not 0 < value < np.inf:
+                raise BadInput(f"{name}: expected a positive number, got {value:g}")
+        if not 0 <= self.start < np.inf:
+            raise BadInput(f"start: expected seconds from 0 on, got {self.start:g}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clock:
+    """The instants of the result. motion_s, cloth_s: (frames,) seconds into either recording."""
+
+    motion_s: FloatArray
+    cloth_s: FloatArray
+    frame_rate_hz: float
+
+    def __len__(self) -> int:
+        return len(self.motion_s)
+
+
+def clock_from_recordings(cloth: MeshSequence, motion: Motion, options: ClockOptions) -> Clock:
+    """Lay the result's frames over both recordings; raises `BadInput` where they do not overlap."""
+    stop = motion.duration_s if options.stop is None else min(options.stop, motion.duration_s)
+    if stop < options.start:
+        raise BadInput(
+            f"the motion lasts {motion.duration_s:.3g} s: nothing lies between start {options.start:g} s "
+            f"and stop {stop:.3g} s"
+        )
+    rate = options.frame_rate_hz or cloth.frame_rate_hz
+    cloth_length = (len(cloth) - 1) / cloth.frame_rate_hz
+    duration = (stop - options.start) / options.speed
+    if options.loop is Loop.NONE:
+        duration = min(duration, cloth_length)
+    t = np.arange(int(np.floor(duration * rate + 1e-9)) + 1) / rate
+    return Clock(
+        motion_s=np.minimum(options.start + t * options.speed, motion.duration_s),
+        cloth_s=_looped(t, cloth_length, cloth.frame_rate_hz, options.loop),
+        frame_rate_hz=rate,
+    )
+
+
+def _looped(t: FloatArray, length: float, rate: float, loop: Loop) -> FloatArray:
+    if loop is Loop.NONE or length == 0:
+        return np.minimum(t, length)
+    if loop is Loop.REPEAT:  # the last frame lasts one frame, then the first follows
+        return np.minimum(np.mod(t, length + 1 / rate), length)
+    return length - np.abs(np.mod(t, 2 * length) - length)
+
+
+def resampled_motion(motion: Motion, times_s: FloatArray, frame_rate_hz: float) -> Motion:
+    """Return the motion at the instants `times_s` (frames,): slerp between frames, positions linear."""
+    first, second, share = _neighbours(times_s * motion.frame_rate_hz, len(motion))
+    positions = motion.root_positions
+    return replace(
+        motion,
+        rotations=_slerp(motion.rotations[first], motion.rotations[second], share[:, None, None]),
+        root_positions=(1 - share[:, None]) * positions[first] + share[:, None] * positions[second],
+        frame_rate_hz=frame_rate_hz,
+    )
+
+
+def resampled_vertices(cloth: MeshSequence, times_s: FloatArray) -> Iterator[Points]:
+    """Yield the cloth's vertices (n, 3) at each instant, linear between frames, one frame in memory."""
+    for a, b, s in zip(*_neighbours(times_s * cloth.frame_rate_hz, len(cloth)), strict=True):
+        here = np.array(cloth.vertices[a], dtype=np.float64)
+        yield here if s == 0 else (1 - s) * here + s * np.asarray(cloth.vertices[b], dtype=np.float64)
+
+
+def _neighbours(position: FloatArray, count: int) -> tuple[IntArray, IntArray, FloatArray]:
+    """Return the frames before and after each position, and the share of the second, 0 on a frame."""
+    nearest = np.round(position)
+    position = np.where(np.abs(position - nearest) < 1e-6, nearest, position)  # rounding of t · rate
+    first = np.clip(np.floor(position).astype(np.int64), 0, count - 1)
+    share = np.clip(position - first, 0, 1)
+    return first, np.minimum(first + 1, count - 1), share
+
+
+def _slerp(a: FloatArray, b: FloatArray, share: FloatArray) -> FloatArray:
+    """Interpolate unit quaternions (…, 4) along the shorter arc."""
+    cosine = np.sum(a * b, axis=-1, keepdims=True)
+    b = np.where(cosine < 0, -b, b)
+    angle = np.arccos(np.clip(np.abs(cosine), 0, 1))
+    small = angle < _SLERP_LINEAR_BELOW
+    sine = np.where(small, 1.0, np.sin(angle))
+    of_a = np.where(small, 1 - share, np.sin((1 - share) * angle) / sine)
+    of_b = np.where(small, share, np.sin(share * angle) / sine)
+    mixed = of_a * a + of_b * b
+    return mixed / np.linalg.norm(mixed, axis=-1, keepdims=True)
