@@ -200,8 +200,8 @@ def _is_cut_off(data: bytes, table: int, chunks: int) -> bool:
     if table + 8 * chunks > len(data):
         return True
     offsets = np.frombuffer(data, "<u8", chunks, table)
-    last = int(offsets.max(initial=0))
-    if int(offsets.min(initial=0)) == 0 or last + 8 > len(data):
+    last = int(offsets.max())
+    if int(offsets.min()) == 0 or last + 8 > len(data):
         return True
     return last + 8 + struct.unpack_from("<i", data, last + 4)[0] > len(data)
 

@@ -111,7 +111,6 @@ class VideoReader:
             stream = _video_stream(container, self.path)
             stream.thread_type = "AUTO"
             stream.codec_context.thread_count = self.threads
-            stream.codec_context.options = {"err_detect": "crccheck+explode"}  # no concealed damage
             try:
                 if from_time is not None:
                     container.seek(from_time, stream=stream, backward=True)

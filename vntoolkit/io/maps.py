@@ -1,0 +1,169 @@
+"""Normal maps, depth maps and optical flow on disk. Masks and labels: `label_images`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.arrays import FloatArray, Flow, Mask
+from vntoolkit.checks import require_shape
+from vntoolkit.errors import BadInput
+from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
+from vntoolkit.io.conventions import NormalConvention
+from vntoolkit.io.exr import ExrCompression, read_exr, write_exr
+from vntoolkit.io.images import DEFAULT_MAX_MEGAPIXELS, read_image_with_alpha, write_png
+from vntoolkit.io.label_images import read_labels, read_mask, write_labels, write_mask
+
+__all__ = [
+    "read_depth_map",
+    "read_flow",
+    "read_labels",
+    "read_mask",
+    "read_normal_map",
+    "write_depth_map",
+    "write_flow",
+    "write_labels",
+    "write_mask",
+    "write_normal_map",
+]
+
+_UNIT_ATTRIBUTE = "vntoolkit.lengthUnit"
+_CONVENTION_ATTRIBUTE = "vntoolkit.normalConvention"
+_SHORTEST_NORMAL = 0.5  # a stored vector below it is background, not a normal: (0, 0, 0) or mid grey
+
+
+def write_normal_map(
+    path: Path | str,
+    normal_map: NormalMap,
+    *,
+    convention: NormalConvention = NormalConvention.OPENGL,
+    compression: ExrCompression = ExrCompression.NONE,
+    bits: int = 16,
+) -> None:
+    """Write a normal map: `.exr` (half RGBA, A = confidence, 0 where invalid) or `.png` (n = v/max·2 − 1).
+
+    bits: 8 or 16, of a PNG (RGBA, A opaque where valid). compression: of an EXR.
+    """
+    stored = normal_map.normals_in_camera * np.array(convention.signs, np.float32)
+    match Path(path).suffix.lower():
+        case ".exr":
+            weight = normal_map.mask if normal_map.weight is None else normal_map.weight * normal_map.mask
+            channels = {name: stored[..., i].astype(np.float16) for i, name in enumerate("RGB")}
+            channels["A"] = weight.astype(np.float16)
+            attributes = {_CONVENTION_ATTRIBUTE: convention.value}
+            write_exr(path, channels, attributes=attributes, compression=compression)
+        case ".png":
+            write_png(path, _png_from_normals(stored, normal_map.mask, bits))
+        case suffix:
+            raise BadInput(f"{path}: a normal map is written as .exr or .png, not '{suffix}'")
+
+
+def read_normal_map(
+    path: Path | str,
+    *,
+    convention: NormalConvention | None = None,
+    mask: Mask | None = None,
+    max_megapixels: float = DEFAULT_MAX_MEGAPIXELS,
+) -> NormalMap:
+    """Read a normal map, EXR, or 8- or 16-bit PNG or TIFF, and normalise it.
+
+    convention: None for what the EXR's header says, else opengl. mask: (h, w); None for the alpha channel,
+    or where there is none, for the pixels whose vector is longer than 0.5.
+    """
+    if Path(path).suffix.lower() == ".exr":
+        stored, weight, stated = _normals_from_exr(path, max_megapixels)
+    else:
+        pixels, alpha = read_image_with_alpha(path, max_megapixels=max_megapixels)
+        full = 1.0 if pixels.dtype == np.float32 else np.iinfo(pixels.dtype).max
+        stored = pixels if pixels.dtype == np.float32 else pixels * np.float32(2.0 / full) - 1.0
+        weight = None if alpha is None else alpha.astype(np.float32)
+        stated = NormalConvention.OPENGL
+    normals = stored * np.array((convention or stated).signs, np.float32)
+    length = np.linalg.norm(normals, axis=2)
+    valid = length > _SHORTEST_NORMAL
+    if weight is not None:
+        valid &= weight > 0
+    if mask is not None:
+        require_shape(mask, valid.shape, f"mask of {path}")
+        valid &= mask
+    if not valid.any():
+        raise BadInput(f"{path}: no pixel holds a normal")
+    normals = np.where(valid[..., None], normals / np.where(valid, length, 1.0)[..., None], np.float32(0))
+    graded = weight is not None and bool((weight[valid] < 1).any())
+    return NormalMap(normals_in_camera=normals, mask=valid, weight=weight if graded else None)
+
+
+def write_depth_map(
+    path: Path | str, depth_map: DepthMap, *, compression: ExrCompression = ExrCompression.NONE
+) -> None:
+    """Write depth as EXR: channel Z, float32, NaN where invalid; the length unit is in the header."""
+    if Path(path).suffix.lower() != ".exr":
+        raise BadInput(f"{path}: a depth map is written as .exr")
+    z = np.where(depth_map.mask, depth_map.depth, np.nan).astype(np.float32)
+    write_exr(path, {"Z": z}, attributes={_UNIT_ATTRIBUTE: depth_map.unit.value}, compression=compression)
+
+
+def read_depth_map(path: Path | str, *, max_megapixels: float = DEFAULT_MAX_MEGAPIXELS) -> DepthMap:
+    """Read the channel Z of an EXR; NaN and infinity are invalid. Without a stated unit: pixels."""
+    channels, texts = read_exr(path, max_megapixels=max_megapixels, error=BadInput)
+    z = channels.get("Z")
+    if z is None:
+        raise BadInput(f"{path}: expected a channel Z, found {', '.join(channels)}")
+    mask = np.isfinite(z)
+    if not mask.any():
+        raise BadInput(f"{path}: no pixel holds a depth")
+    try:
+        unit = LengthUnit(texts.get(_UNIT_ATTRIBUTE, LengthUnit.PIXEL.value))
+    except ValueError as problem:
+        raise BadInput(f"{path}: unknown length unit '{texts[_UNIT_ATTRIBUTE]}'") from problem
+    return DepthMap(depth=np.where(mask, z, 0).astype(np.float32), mask=mask, unit=unit)
+
+
+def write_flow(path: Path | str, flow_px: Flow, *, compression: ExrCompression = ExrCompression.NONE) -> None:
+    """Write optical flow (h, w, 2) in pixels as EXR: channels du, dv, float32; NaN stays NaN."""
+    require_shape(flow_px, (None, None, 2), "flow")
+    flow_px = np.asarray(flow_px, dtype=np.float32)
+    write_exr(path, {"du": flow_px[..., 0], "dv": flow_px[..., 1]}, compression=compression)
+
+
+def read_flow(path: Path | str, *, max_megapixels: float = DEFAULT_MAX_MEGAPIXELS) -> Flow:
+    """Read optical flow (h, w, 2) in pixels from the channels du, dv of an EXR."""
+    channels, _ = read_exr(path, max_megapixels=max_megapixels, error=BadInput)
+    if not {"du", "dv"} <= set(channels):
+        raise BadInput(f"{path}: expected the channels du and dv, found {', '.join(channels)}")
+    return np.stack([channels["du"], channels["dv"]], axis=-1).astype(np.float32)
+
+
+def _png_from_normals(stored: FloatArray, mask: Mask, bits: int) -> npt.NDArray[Any]:
+    if bits not in (8, 16):
+        raise BadInput(f"normal map: a PNG has 8 or 16 bits, not {bits}")
+    full = 2**bits - 1
+    rgba = np.zeros((*mask.shape, 4), dtype=np.uint8 if bits == 8 else np.uint16)
+    rgba[..., :3] = np.rint(np.clip((stored + 1.0) * (full / 2), 0, full))
+    rgba[~mask, :3] = full // 2 + 1
+    rgba[..., 3] = np.where(mask, full, 0)
+    return rgba
+
+
+def _normals_from_exr(
+    path: Path | str, max_megapixels: float
+) -> tuple[FloatArray, npt.NDArray[np.float32] | None, NormalConvention]:
+    channels, texts = read_exr(path, max_megapixels=max_megapixels, error=BadInput)
+    names = next((n for n in ("RGB", "XYZ", "xyz") if set(n) <= set(channels)), None)
+    if names is None:
+        raise BadInput(f"{path}: expected the channels R, G, B or X, Y, Z, found {', '.join(channels)}")
+    stored = np.stack([channels[name] for name in names], axis=-1).astype(np.float32)
+    weight = channels["A"].astype(np.float32) if "A" in channels else None
+    valid: Mask = np.asarray(np.isfinite(stored).all(axis=2))
+    if weight is None:
+        weight = valid.astype(np.float32)
+    elif not valid[weight > 0].all():
+        raise BadInput(f"{path}: {int((~valid & (weight > 0)).sum())} normals are NaN or infinite")
+    convention = texts.get(_CONVENTION_ATTRIBUTE, NormalConvention.OPENGL.value)
+    try:
+        return np.where(valid[..., None], stored, 0), weight, NormalConvention(convention)
+    except ValueError as problem:
+        raise BadInput(f"{path}: unknown normal convention '{convention}'") from problem

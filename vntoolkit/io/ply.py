@@ -1,0 +1,200 @@
+"""Stanford PLY: vertices with normals, colour and texture coordinates, and faces; ASCII and binary."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.arrays import Faces, FloatArray
+from vntoolkit.errors import BadMesh
+from vntoolkit.io.atomic import write_bytes
+from vntoolkit.io.files import read_bytes
+from vntoolkit.io.ply_header import PlyElement, parse_ply_header
+from vntoolkit.io.polygons import triangles_from_polygons
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlyContent:
+    """What a PLY file holds, in the frame of the file.
+
+    vertices: (n, 3). faces: (m, 3) int32 or None for a point cloud. normals: (n, 3). colours: (n, 3) uint8.
+    uv: (n, 2).
+    """
+
+    vertices: FloatArray
+    faces: Faces | None = None
+    normals: FloatArray | None = None
+    colours: npt.NDArray[np.uint8] | None = None
+    uv: FloatArray | None = None
+
+
+def write_ply(path: Path | str, content: PlyContent) -> None:
+    """Write little-endian binary: float32 `x y z nx ny nz s t`, uchar `red green blue`, triangles."""
+    columns: list[tuple[tuple[str, ...], str, npt.NDArray[Any]]] = [(("x", "y", "z"), "f4", content.vertices)]
+    if content.normals is not None:
+        columns.append((("nx", "ny", "nz"), "f4", content.normals))
+    if content.uv is not None:
+        columns.append((("s", "t"), "f4", content.uv))
+    if content.colours is not None:
+        columns.append((("red", "green", "blue"), "u1", content.colours))
+    row = np.dtype([(name, "<" + kind) for names, kind, _ in columns for name in names])
+    vertices = np.empty(len(content.vertices), dtype=row)
+    header = ["ply", "format binary_little_endian 1.0", "comment x right, y up, z towards the viewer"]
+    header.append(f"element vertex {len(vertices)}")
+    for names, kind, values in columns:
+        for i, name in enumerate(names):
+            vertices[name] = values[:, i]
+            header.append(f"property {'float' if kind == 'f4' else 'uchar'} {name}")
+    body = vertices.tobytes()
+    if content.faces is not None:
+        faces = np.empty(len(content.faces), dtype=[("count", "u1"), ("indices", "<i4", 3)])
+        faces["count"] = 3
+        faces["indices"] = content.faces
+        header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+        body += faces.tobytes()
+    header.append("end_header\n")
+    write_bytes(path, "\n".join(header).encode("ascii") + body)
+
+
+def read_ply(path: Path | str) -> PlyContent:
+    """Read a PLY file; raise `BadMesh` with one line for a malformed one."""
+    data = read_bytes(path, BadMesh)
+    order, elements, at = parse_ply_header(data, str(path))
+    tables: dict[str, Any] = {}
+    try:
+        lines = iter(data[at:].splitlines()) if order == "ascii" else iter(())
+        for element in elements:
+            if order == "ascii":
+                tables[element.name] = _ascii_table(element, lines)
+            else:
+                tables[element.name], at = _binary_table(element, data, at, order)
+    except (ValueError, IndexError, StopIteration) as problem:
+        raise BadMesh(
+            f"{path}: the element '{element.name}' is malformed or cut off ({problem})"
+        ) from problem
+    vertex = tables.get("vertex")
+    if vertex is None or not {"x", "y", "z"} <= set(vertex):
+        raise BadMesh(f"{path}: expected an element 'vertex' with x, y and z")
+    return _content(str(path), vertex, tables.get("face"))
+
+
+def _content(name: str, vertex: dict[str, Any], face: dict[str, Any] | None) -> PlyContent:
+    def gather(*names: str) -> npt.NDArray[Any] | None:
+        return np.stack([vertex[n] for n in names], axis=1) if set(names) <= set(vertex) else None
+
+    vertices = gather("x", "y", "z")
+    assert vertices is not None
+    if not np.isfinite(vertices).all():
+        raise BadMesh(f"{name}: a vertex is NaN or infinite")
+    colours = gather("red", "green", "blue")
+    if colours is not None and colours.dtype != np.uint8:
+        scale = 255.0 if np.issubdtype(colours.dtype, np.floating) else 1.0
+        colours = np.rint(np.clip(colours * scale, 0, 255)).astype(np.uint8)
+    uv = next(
+        (c for c in (gather("s", "t"), gather("u", "v"), gather("texture_u", "texture_v")) if c is not None),
+        None,
+    )
+    faces = None
+    if face is not None:
+        polygons = face.get("vertex_indices", face.get("vertex_index"))
+        if polygons is None:
+            raise BadMesh(f"{name}: the faces have no list 'vertex_indices'")
+        faces = triangles_from_polygons(polygons, len(vertices), name)
+    return PlyContent(
+        vertices=vertices, faces=faces, normals=gather("nx", "ny", "nz"), colours=colours, uv=uv
+    )
+
+
+def _binary_table(element: PlyElement, data: bytes, at: int, order: str) -> tuple[dict[str, Any], int]:
+    """Read one element; a list property of constant length takes the fast way."""
+    if not element.has_list:
+        row = np.dtype([(p.name, order + p.kind) for p in element.properties])
+        require_bytes(data, at, element.count * row.itemsize)
+        table = np.frombuffer(data, row, element.count, at)
+        return {n: table[n].astype(row[n].newbyteorder("=")) for n in row.names or ()}, at + table.nbytes
+    counts = _first_counts(element, data, at, order)
+    row = np.dtype(
+        [
+            field
+            for p in element.properties
+            for field in (
+                [("\0" + p.name, order + p.count_kind), (p.name, order + p.kind, (counts[p.name],))]
+                if p.count_kind
+                else [(p.name, order + p.kind)]
+            )
+        ]
+    )
+    if element.count * row.itemsize <= len(data) - at:
+        table = np.frombuffer(data, row, element.count, at)
+        if all((table["\0" + name] == count).all() for name, count in counts.items()):
+            return {p.name: table[p.name].astype(p.kind) for p in element.properties}, at + table.nbytes
+    return _mixed_table(element, data, at, order)
+
+
+def _first_counts(element: PlyElement, data: bytes, at: int, order: str) -> dict[str, int]:
+    counts: dict[str, int] = {}
+    for p in element.properties if element.count else ():
+        if p.count_kind:
+            kind = np.dtype(order + p.count_kind)
+            require_bytes(data, at, kind.itemsize)
+            counts[p.name] = int(np.frombuffer(data, kind, 1, at)[0])
+            at += kind.itemsize
+        size = counts.get(p.name, 1) * np.dtype(p.kind).itemsize
+        if size < 0:
+            raise ValueError("a list of negative length")
+        require_bytes(data, at, size)
+        at += size
+    return counts or {p.name: 0 for p in element.properties if p.count_kind}
+
+
+def _mixed_table(element: PlyElement, data: bytes, at: int, order: str) -> tuple[dict[str, Any], int]:
+    """Read rows one by one: lists of differing lengths."""
+    table: dict[str, list[Any]] = {p.name: [] for p in element.properties}
+    for _ in range(element.count):
+        for p in element.properties:
+            count = 1
+            if p.count_kind:
+                kind = np.dtype(order + p.count_kind)
+                require_bytes(data, at, kind.itemsize)
+                count = int(np.frombuffer(data, kind, 1, at)[0])
+                at += kind.itemsize
+            kind = np.dtype(order + p.kind)
+            if count < 0:
+                raise ValueError("a list of negative length")
+            require_bytes(data, at, count * kind.itemsize)
+            table[p.name].append(np.frombuffer(data, kind, count, at))
+            at += count * kind.itemsize
+    return {p.name: _joined(table[p.name], p.count_kind) for p in element.properties}, at
+
+
+def _ascii_table(element: PlyElement, lines: Any) -> dict[str, Any]:
+    text = b"\n".join(next(lines) for _ in range(element.count))
+    if not element.has_list:
+        values = (
+            np.loadtxt(io.BytesIO(text), ndmin=2) if element.count else np.empty((0, len(element.properties)))
+        )
+        return {p.name: values[:, i].astype(p.kind) for i, p in enumerate(element.properties)}
+    table: dict[str, list[Any]] = {p.name: [] for p in element.properties}
+    for line in text.splitlines():
+        words = iter(line.split())
+        for p in element.properties:
+            count = int(next(words)) if p.count_kind else 1
+            table[p.name].append(np.array([next(words) for _ in range(count)]).astype("f8").astype(p.kind))
+    return {p.name: _joined(table[p.name], p.count_kind) for p in element.properties}
+
+
+def _joined(values: list[Any], count_kind: str) -> Any:
+    if not count_kind:
+        return np.concatenate(values) if values else np.empty(0)
+    return values
+
+
+def require_bytes(data: bytes, at: int, size: int) -> None:
+    """Raise before anything is allocated for a count that the file cannot hold."""
+    if at + size > len(data):
+        raise ValueError(f"needs {size} bytes, {len(data) - at} are left")

@@ -1,0 +1,160 @@
+"""rig.json to `Rig` and back."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ValidationError
+
+from vntoolkit.errors import BadInput, BadRig
+from vntoolkit.geometry.camera import Camera, CameraModel
+from vntoolkit.io.atomic import write_text
+from vntoolkit.io.files import read_text
+from vntoolkit.io.rig_schema import (
+    RIG_VERSION,
+    CameraEntry,
+    ColourEntry,
+    QualityEntry,
+    ResponseEntry,
+    RigFile,
+    SourceEntry,
+)
+from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.rig import FitQuality, Rig, SourceFile
+from vntoolkit.photometry.transfer import Transfer
+
+
+def read_rig(path: Path | str) -> Rig:
+    """Read rig.json; raise `BadRig` with one line that names the key that is unknown, missing or wrong."""
+    return rig_from_text(read_text(path, BadRig), str(path))
+
+
+def write_rig(path: Path | str, rig: Rig) -> None:
+    """Write rig.json, atomically, with the short arrays on one line each."""
+    write_text(path, text_from_rig(rig))
+
+
+def rig_schema() -> dict[str, Any]:
+    """Return the JSON schema of rig.json: every key with its meaning and unit."""
+    return RigFile.model_json_schema()
+
+
+def rig_from_text(text: str, name: str = "rig") -> Rig:
+    """Parse the text of a rig.json; `name` stands in the messages."""
+    try:
+        content = json.loads(text)
+    except json.JSONDecodeError as problem:
+        raise BadRig(
+            f"{name}: is not JSON: {problem.msg} at line {problem.lineno}, column {problem.colno}"
+        ) from problem
+    if isinstance(content, dict) and content.get("version", RIG_VERSION) != RIG_VERSION:
+        raise BadRig(f"{name}: is of version {content['version']}, this program reads {RIG_VERSION}")
+    try:
+        entry = RigFile.model_validate(content)
+        return _rig_from_entry(entry)
+    except ValidationError as problem:
+        raise BadRig(f"{name}: {one_line_from_validation(problem, RigFile)}") from problem
+    except BadInput as problem:
+        raise BadRig(f"{name}: {problem}") from problem
+
+
+def text_from_rig(rig: Rig) -> str:
+    """Return the text of rig.json."""
+    return text_from_model(_entry_from_rig(rig))
+
+
+def text_from_model(model: BaseModel) -> str:
+    """Return indented JSON in which an array of numbers stays on one line."""
+    return _indented(model.model_dump(mode="json", exclude_none=True)) + "\n"
+
+
+def one_line_from_validation(problem: ValidationError, model: type[BaseModel]) -> str:
+    """Turn pydantic's report into one line about its first error, with the key's path."""
+    error = problem.errors(include_url=False)[0]
+    key = ".".join(map(str, error["loc"])) or "the whole file"
+    match error["type"]:
+        case "extra_forbidden":
+            return f"unknown key '{key}'; known there: {', '.join(_known_keys(model, error['loc'][:-1]))}"
+        case "missing":
+            return f"the key '{key}' is missing"
+        case _:
+            got = repr(error["input"])
+            return f"{key}: {error['msg'].lower()}, got {got if len(got) < 60 else got[:57] + '...'}"
+
+
+def _known_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
+    for step in location:
+        if isinstance(step, int):
+            continue
+        inner = model.model_fields[step].annotation
+        candidates = (inner, *getattr(inner, "__args__", ()))
+        model = next(c for c in candidates if isinstance(c, type) and issubclass(c, BaseModel))
+    return list(model.model_fields)
+
+
+def _rig_from_entry(entry: RigFile) -> Rig:
+    camera, response, colour = entry.camera, entry.response, entry.colour
+    curve = Transfer.from_text(colour.transfer)
+    quality = None if entry.quality is None else FitQuality(**entry.quality.model_dump())
+    return Rig(
+        camera=Camera(
+            model=CameraModel(camera.model),
+            width=camera.width,
+            height=camera.height,
+            matrix=np.array(camera.K),
+            distortion=np.array(camera.distortion),
+        ),
+        response=LightResponse(
+            matrix=np.array(response.matrix),
+            ambient=np.array(response.ambient),
+            light_colours=None if response.light_colours is None else np.array(response.light_colours),
+        ),
+        transfer=Transfer(
+            curve=curve.curve,
+            gamma=curve.gamma,
+            black_level=colour.black_level,
+            white_level=colour.white_level,
+        ),
+        quality=quality,
+        sources=tuple(SourceFile(file=source.file, sha256=source.sha256) for source in entry.sources),
+    )
+
+
+def _entry_from_rig(rig: Rig) -> RigFile:
+    colours = rig.response.light_colours
+    quality = None if rig.quality is None else QualityEntry(**vars(rig.quality))
+    return RigFile(
+        camera=CameraEntry(
+            model=rig.camera.model.value,
+            width=rig.camera.width,
+            height=rig.camera.height,
+            K=rig.camera.matrix.tolist(),
+            distortion=tuple(rig.camera.distortion.tolist()),
+        ),
+        response=ResponseEntry(
+            matrix=rig.response.matrix.tolist(),
+            ambient=tuple(rig.response.ambient.tolist()),
+            light_colours=None if colours is None else colours.tolist(),
+        ),
+        colour=ColourEntry(
+            transfer=rig.transfer.to_text(),
+            black_level=rig.transfer.black_level,
+            white_level=rig.transfer.white_level,
+        ),
+        quality=quality,
+        sources=[SourceEntry(file=source.file, sha256=source.sha256) for source in rig.sources],
+    )
+
+
+def _indented(value: Any, indent: str = "") -> str:
+    deeper = indent + "  "
+    if isinstance(value, dict) and value:
+        rows = [f"{deeper}{json.dumps(k)}: {_indented(v, deeper)}" for k, v in value.items()]
+        return "{\n" + ",\n".join(rows) + f"\n{indent}}}"
+    if isinstance(value, list) and any(isinstance(item, (list, dict)) for item in value):
+        rows = [deeper + _indented(item, deeper) for item in value]
+        return "[\n" + ",\n".join(rows) + f"\n{indent}]"
+    return json.dumps(value, ensure_ascii=False)
