@@ -166,6 +166,7 @@ def relative_albedo_from_frame(
     no pixel is.
     """
     inside = _require_mask(mask, frame.shape) & ~frame.clipped
+    inside &= (frame.rgb > response.ambient).any(axis=2)
     lengths = np.linalg.norm((frame.rgb[inside] - response.ambient) @ response.inverse.T, axis=1)
     lengths = lengths[np.isfinite(lengths)]
     if lengths.size:
