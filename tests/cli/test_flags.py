@@ -1,0 +1,66 @@
+from dataclasses import dataclass
+from enum import Enum
+
+import pytest
+from cyclopts import App
+
+from vntoolkit.cli.flags import flags_from, meanings_of_fields
+from vntoolkit.pipeline.options import ReconstructOptions
+
+
+class Kind(Enum):
+    ROUND = "round"
+    SQUARE = "square"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shape:
+    """A shape.
+
+    size_mm: its width, in millimetres. kind: which; `kind: round` is the default. first, second:
+    what both of them share.
+    """
+
+    size_mm: float = 2.0
+    kind: Kind = Kind.ROUND
+    first: int = 1
+    second: int = 2
+
+
+def test_the_docstring_becomes_the_help_and_the_class_the_value(capsys: pytest.CaptureFixture[str]) -> None:
+    app = App(result_action="return_value")
+
+    def draw(*, shape: flags_from(Shape, without=("second",), first="number") = None) -> Shape | None:  # type: ignore[valid-type]
+        return shape
+
+    app.default(draw)
+    made = app(["--size-mm", "3", "--kind", "square", "--number", "7"])
+    assert isinstance(made, Shape)
+    assert (made.size_mm, made.kind, made.first, made.second) == (3.0, Kind.SQUARE, 7, 2)
+    assert app([]) is None  # the verb then takes the defaults of the class
+    app(["--help"])
+    shown = capsys.readouterr().out
+    assert "width, in millimetres" in shown
+    assert "--second" not in shown
+
+
+def test_meanings_are_split_at_field_names() -> None:
+    meanings = meanings_of_fields(Shape)
+    assert meanings["size_mm"] == "its width, in millimetres"
+    assert meanings["kind"] == "which; `kind: round` is the default"
+    assert meanings["first"] == meanings["second"] == "what both of them share"
+
+
+def test_an_undocumented_field_is_refused() -> None:
+    @dataclass
+    class Silent:
+        """Says nothing."""
+
+        volume: int = 0
+
+    with pytest.raises(KeyError, match="does not say what volume means"):
+        meanings_of_fields(Silent)
+
+
+def test_the_options_of_the_pipeline_are_documented() -> None:
+    assert {"to", "distance_m", "match_albedo", "on_error"} <= set(meanings_of_fields(ReconstructOptions))

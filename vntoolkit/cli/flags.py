@@ -1,0 +1,69 @@
+"""Command line flags from the frozen option dataclasses of the stages: one source for name, default and help.
+
+An option class documents each field in its docstring as `name: meaning.`; that sentence becomes the help.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import re
+from typing import Annotated, Any, get_type_hints
+
+from cyclopts import Parameter
+
+
+def flags_from(options: type[Any], *, without: tuple[str, ...] = (), **renamed: str) -> Any:
+    """Return an annotation for a verb's parameter, default None, that spreads `options` into flags.
+
+    without: fields that get no flag and keep their default. renamed: field to flag name, where the field's
+    own name would be unclear among the flags of a verb.
+    """
+    hints = get_type_hints(options)
+    meanings = meanings_of_fields(options)
+    fields: list[tuple[str, Any, Any]] = []
+    for field in dataclasses.fields(options):
+        if dataclasses.is_dataclass(hints[field.name]):
+            continue
+        hidden = field.name in without
+        flag = Parameter(
+            name=f"--{renamed.get(field.name, field.name).replace('_', '-')}",
+            help=None if hidden else meanings[field.name],
+            parse=not hidden,
+            negative=(),
+        )
+        default = (
+            dataclasses.field(default_factory=field.default_factory)
+            if field.default_factory is not dataclasses.MISSING
+            else dataclasses.field(default=field.default)
+        )
+        fields.append((field.name, Annotated[hints[field.name], flag], default))
+    spread = dataclasses.make_dataclass(
+        options.__name__, fields, bases=(options,), frozen=True, kw_only=True, eq=False
+    )
+    spread.__module__ = (
+        options.__module__
+    )  # cyclopts takes a class of the standard library for a single value
+    return Annotated[spread | None, Parameter(name="*")]
+
+
+def meanings_of_fields(options: type[Any]) -> dict[str, str]:
+    """Return what the docstring of an option class says of each field; raise `KeyError` for one it omits."""
+    text = " ".join(inspect.cleandoc(options.__doc__ or "").split())
+    names = [field.name for field in dataclasses.fields(options)]
+    # `name:` or `first, second:` starts a field's sentence
+    start = re.compile(rf"(?<![\w`])((?:{'|'.join(names)})(?:, (?:{'|'.join(names)}))*): ")
+    marks = list(start.finditer(text))
+    meanings: dict[str, str] = {}
+    for mark, following in zip(marks, [*marks, None][1:], strict=True):
+        sentence = text[mark.end() : following.start() if following else len(text)].strip()
+        for name in mark[1].split(", "):
+            meanings.setdefault(name, sentence.rstrip("."))
+    missing = [
+        name
+        for name, hint in get_type_hints(options).items()
+        if name in names and name not in meanings and not dataclasses.is_dataclass(hint)
+    ]
+    if missing:
+        raise KeyError(f"{options.__name__}: the docstring does not say what {', '.join(missing)} means")
+    return meanings

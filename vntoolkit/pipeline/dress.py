@@ -1,0 +1,217 @@
+"""A captured garment on a moving figure: fit, weigh, skin, and write, one frame in memory at a time."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+
+import numpy as np
+
+from vntoolkit.arrays import FloatArray, Points
+from vntoolkit.errors import BadInput
+from vntoolkit.geometry.garment_fit import GarmentFit, Similarity
+from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.geometry.motion import Motion
+from vntoolkit.io.glb import write_glb
+from vntoolkit.io.meshes import write_mesh
+from vntoolkit.io.motion_asf import AmcOptions, read_asf_amc
+from vntoolkit.io.motion_bvh import read_bvh
+from vntoolkit.io.sequences import read_mesh_sequence
+from vntoolkit.io.usd import write_usd_sequence
+from vntoolkit.skinning.blending import Blend, skinned_vertices
+from vntoolkit.skinning.clock import (
+    Clock,
+    ClockOptions,
+    clock_from_recordings,
+    resampled_motion,
+    resampled_vertices,
+)
+from vntoolkit.skinning.fitting import FitOptions, binding_pose, fit_garment
+from vntoolkit.skinning.kinematics import pose_of_frame
+from vntoolkit.skinning.weights import SkinWeights, WeightOptions, weights_from_distances
+
+logger = logging.getLogger(__name__)
+
+FIGURE_HEIGHT_M = 1.65  # toes to crown of an average adult, as skeletons measure it
+_Z_UP_TO_Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # in camera axes: −z becomes −y
+_SEQUENCE_SUFFIXES = (".ply", ".obj")
+
+
+class UpAxis(Enum):
+    """Which axis of the motion file points up; AUTO takes the longer of y and z of the rest pose."""
+
+    AUTO = "auto"
+    Y = "y"
+    Z = "z"
+
+
+@dataclass(frozen=True, kw_only=True)
+class DressOptions:
+    """Options of `dress`, beyond those of its stages.
+
+    blend: how a vertex mixes the motions of its bones. figure_height: metres from the toes to the crown, for
+    motion files that carry no unit. up_axis: which axis of the motion file points up.
+    """
+
+    blend: Blend = Blend.LINEAR
+    figure_height: float = FIGURE_HEIGHT_M
+    up_axis: UpAxis = UpAxis.AUTO
+    fitting: FitOptions = field(default_factory=FitOptions)
+    weights: WeightOptions = field(default_factory=WeightOptions)
+    clock: ClockOptions = field(default_factory=ClockOptions)
+
+    def __post_init__(self) -> None:
+        if not 0 < self.figure_height < np.inf:
+            raise BadInput(f"figure height: expected positive metres, got {self.figure_height:g}")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DressedFigure:
+    """The garment on the figure; metres, camera axes, in the world of the motion.
+
+    cloth: as captured. rest_from_cloth: brings it into the pose of attachment. rest_from_model: that pose, R
+    of equation 8, (j, 4, 4). motion: the skeleton's, already on the clock..
+    """
+
+    cloth: MeshSequence
+    motion: Motion
+    clock: Clock
+    rest_from_cloth: Similarity
+    rest_from_model: FloatArray
+    weights: SkinWeights
+    blend: Blend
+
+    def __len__(self) -> int:
+        return len(self.clock)
+
+    @property
+    def template(self) -> Mesh:
+        """Topology, colours and texture coordinates, with the vertices of the pose of attachment."""
+        return self.cloth.template.with_vertices(self.rest_from_cloth.apply(self.cloth.template.vertices))
+
+    def frames(self) -> Iterator[Points]:
+        """Yield the vertices (n, 3) of each frame of the clock."""
+        for index, captured in enumerate(resampled_vertices(self.cloth, self.clock.cloth_s)):
+            yield self._skinned(captured, index)
+
+    def frame(self, index: int) -> Points:
+        """Return the vertices (n, 3) of one frame of the clock."""
+        return self._skinned(
+            next(resampled_vertices(self.cloth, self.clock.cloth_s[index : index + 1])), index
+        )
+
+    def _skinned(self, captured: Points, index: int) -> Points:
+        return skinned_vertices(
+            self.rest_from_cloth.apply(captured),
+            self.weights,
+            pose_of_frame(self.motion, index),
+            self.rest_from_model,
+            self.blend,
+        )
+
+
+def dress(
+    cloth: MeshSequence, motion: Motion, options: DressOptions | None = None, fit: GarmentFit | None = None
+) -> DressedFigure:
+    """Attach a moving garment to a moving skeleton (Section VII-C of brostow2011); nothing is skinned yet.
+
+    Weights are found once, on the garment's first captured frame in the pose of attachment.
+    """
+    options, fit = options or DressOptions(), fit or GarmentFit()
+    motion = _upright(motion, options.up_axis).in_metres(options.figure_height)
+    if not len(cloth):
+        raise BadInput("the garment has no frame")
+    garment = cloth[0]
+    pose = binding_pose(motion, fit)
+    rest_from_cloth = fit_garment(garment, motion.skeleton, pose, fit, options.fitting)
+    weights = weights_from_distances(
+        rest_from_cloth.apply(garment.vertices), motion.skeleton, pose, options.weights
+    )
+    clock = clock_from_recordings(cloth, motion, options.clock)
+    logger.info("%d frames at %g Hz", len(clock), clock.frame_rate_hz)
+    return DressedFigure(
+        cloth=cloth,
+        motion=resampled_motion(motion, clock.motion_s, clock.frame_rate_hz),
+        clock=clock,
+        rest_from_cloth=rest_from_cloth,
+        rest_from_model=pose,
+        weights=weights,
+        blend=options.blend,
+    )
+
+
+def _upright(motion: Motion, up_axis: UpAxis) -> Motion:
+    points = np.concatenate([motion.skeleton.rest_positions, motion.skeleton.rest_tips])
+    extent = np.ptp(points, axis=0)
+    is_z = up_axis is UpAxis.Z or (up_axis is UpAxis.AUTO and extent[2] > extent[1])
+    return motion.turned(_Z_UP_TO_Y_UP) if is_z else motion
+
+
+def read_motion(path: Path | str, skeleton: Path | str | None = None) -> Motion:
+    """Read `.bvh`, or `.amc` with its `.asf` (by default the one of the same name, or the only one there)."""
+    path = Path(path)
+    match path.suffix.lower():
+        case ".bvh":
+            return read_bvh(path)
+        case ".amc":
+            return read_asf_amc(Path(skeleton) if skeleton else _skeleton_beside(path), path, AmcOptions())
+        case suffix:
+            raise BadInput(f"{path}: expected a motion in .bvh or .amc, got {suffix or 'no suffix'}")
+
+
+def _skeleton_beside(path: Path) -> Path:
+    """Find the skeleton of an AMC file: same name, else the longest name that begins the motion's."""
+    candidates = [
+        file
+        for file in sorted(path.parent.glob("*.[aA][sS][fF]"))
+        if path.stem.lower().startswith(file.stem.lower())
+    ]
+    if not candidates:
+        raise BadInput(f"{path}: no skeleton (.asf) of that name beside it; name one with --skeleton")
+    return max(candidates, key=lambda file: len(file.stem))
+
+
+def read_tracked_cloth(folder: Path | str) -> MeshSequence:
+    """Open the registered mesh that `track` left in a folder (or the folder `track` itself)."""
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise BadInput(f"{folder}: expected a folder written by `vntoolkit track`")
+    inside = folder / "track"
+    if not inside.is_dir() and not (folder / "sequence.json").exists():
+        raise BadInput(f"{folder}: holds no registered mesh: run `vntoolkit track {folder}` first")
+    return read_mesh_sequence(inside if inside.is_dir() else folder)
+
+
+def write_dressed_figure(dressed: DressedFigure, out: Path | str) -> int:
+    """Write `.usdc`/`.usd` (with skeleton), `.glb`, or one `.ply`/`.obj` a frame (`cloth_%04d.ply`)."""
+    out = Path(out)
+    rate = dressed.clock.frame_rate_hz
+    match out.suffix.lower():
+        case ".usdc" | ".usd":
+            return write_usd_sequence(
+                out, dressed.template, dressed.frames(), frame_rate_hz=rate, motion=dressed.motion
+            )
+        case ".glb":
+            return write_glb(out, dressed.template, dressed.frames(), frame_rate_hz=rate)
+        case suffix if suffix in _SEQUENCE_SUFFIXES:
+            return _write_files(dressed, out)
+        case _:
+            raise BadInput(f"{out}: expected .usdc, .usd, .glb, or a pattern such as cloth_%04d.ply (or .obj)")
+
+
+def _write_files(dressed: DressedFigure, pattern: Path) -> int:
+    try:
+        names = [pattern.name % 0, pattern.name % 1]
+    except (TypeError, ValueError):
+        names = []
+    if len(set(names)) != 2:
+        raise BadInput(f"{pattern.name}: expected one place for the frame number, as in cloth_%04d.ply")
+    template = dressed.template
+    count = 0
+    for count, vertices in enumerate(dressed.frames(), start=1):
+        write_mesh(pattern.with_name(pattern.name % (count - 1)), template.with_vertices(vertices))
+    return count

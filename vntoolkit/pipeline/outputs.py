@@ -1,0 +1,55 @@
+"""Where a reconstruction's files lie, and the writing of one frame's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from vntoolkit.io.maps import write_depth_map, write_labels, write_normal_map
+from vntoolkit.io.meshes import write_mesh
+from vntoolkit.pipeline.frame_processor import FrameResult
+from vntoolkit.pipeline.options import Product
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReconstructionFolder:
+    """The folder DIR that `reconstruct` writes and every later verb reads."""
+
+    root: Path
+
+    def normals(self, number: int) -> Path:
+        """Return the file of a frame's normals."""
+        return self.root / "normals" / f"{number:06d}.exr"
+
+    def depth(self, number: int) -> Path:
+        """Return the file of a frame's depth."""
+        return self.root / "depth" / f"{number:06d}.exr"
+
+    def shadows(self, number: int) -> Path:
+        """Return the file of a frame's visibility labels."""
+        return self.root / "shadows" / f"{number:06d}.png"
+
+    def mesh(self, number: int) -> Path:
+        """Return the file of a frame's mesh."""
+        return self.root / "mesh" / f"{number:06d}.ply"
+
+    def files(self, number: int, product: Product, has_labels: bool) -> list[Path]:
+        """Return the files that a finished frame has."""
+        files = [self.normals(number)]
+        if product is not Product.NORMALS:
+            files.append(self.depth(number))
+        if product is Product.MESH:
+            files.append(self.mesh(number))
+        if has_labels:
+            files.append(self.shadows(number))
+        return files
+
+    def write(self, result: FrameResult) -> None:
+        """Write a frame's results, each file atomically."""
+        write_normal_map(self.normals(result.number), result.normal_map)
+        if result.depth_map is not None:
+            write_depth_map(self.depth(result.number), result.depth_map)
+        if result.labels is not None:
+            write_labels(self.shadows(result.number), result.labels)
+        if result.mesh is not None:
+            write_mesh(self.mesh(result.number), result.mesh)
