@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from vntoolkit.io.deep_yuv import rgb_from_deep_yuv
+
 _UNSPECIFIED = 2  # AVCOL_SPC_UNSPECIFIED
 _SWS_ITU709, _SWS_ITU601 = 1, 5
 # Codecs whose decoded frame equals what was encoded, whatever their settings.
@@ -46,10 +48,11 @@ class PixelFormat:
         """
         if self.bits <= 8:
             return 8
-        return self.bits if self._is_planar_rgb else 16
+        return self.bits if self.is_planar_rgb else 16
 
     @property
-    def _is_planar_rgb(self) -> bool:
+    def is_planar_rgb(self) -> bool:
+        """True for the formats whose planes are numpy arrays already, at their own depth."""
         return self.name.startswith("gbrp") and self.name.endswith("le")
 
 
@@ -62,17 +65,18 @@ def rgb_from_video_frame(frame: Any, pixel_format: PixelFormat, *, hd: bool) -> 
     """
     from av.video.reformatter import Interpolation
 
-    if pixel_format.name in ("rgb24", "gbrp", "rgb48le") or pixel_format._is_planar_rgb:
+    if pixel_format.name in ("rgb24", "gbrp", "rgb48le") or pixel_format.is_planar_rgb:
         return frame.to_ndarray()
+    is_yuv = not pixel_format.is_rgb and not pixel_format.is_grey
+    accurate = Interpolation.BICUBIC | Interpolation.ACCURATE_RND
+    accurate |= Interpolation.FULL_CHR_H_INT | Interpolation.FULL_CHR_H_INP
+    if is_yuv and pixel_format.bits > 8:
+        full = frame.reformat(format=f"yuv444p{pixel_format.bits}le", interpolation=accurate, threads=1)
+        return rgb_from_deep_yuv(full, frame, pixel_format.bits, hd=hd)
     target = "rgb24" if pixel_format.decoded_bits == 8 else "rgb48le"
     arguments: dict[str, Any] = {"threads": 1}
-    if not pixel_format.is_rgb and not pixel_format.is_grey:
+    if is_yuv:
+        arguments["interpolation"] = accurate
         if frame.colorspace == _UNSPECIFIED:
             arguments["src_colorspace"] = _SWS_ITU709 if hd else _SWS_ITU601
-        arguments["interpolation"] = (
-            Interpolation.BICUBIC
-            | Interpolation.ACCURATE_RND
-            | Interpolation.FULL_CHR_H_INT
-            | Interpolation.FULL_CHR_H_INP
-        )
     return np.ascontiguousarray(frame.reformat(format=target, **arguments).to_ndarray())

@@ -54,7 +54,7 @@ def rig_from_text(text: str, name: str = "rig") -> Rig:
         raise BadRig(f"{name}: is of version {content['version']}, this program reads {RIG_VERSION}")
     try:
         entry = RigFile.model_validate(content)
-        return _rig_from_entry(entry)
+        return rig_from_entry(entry)
     except ValidationError as problem:
         raise BadRig(f"{name}: {one_line_from_validation(problem, RigFile)}") from problem
     except BadInput as problem:
@@ -63,7 +63,7 @@ def rig_from_text(text: str, name: str = "rig") -> Rig:
 
 def text_from_rig(rig: Rig) -> str:
     """Return the text of rig.json."""
-    return text_from_model(_entry_from_rig(rig))
+    return text_from_model(entry_from_rig(rig))
 
 
 def text_from_model(model: BaseModel) -> str:
@@ -80,9 +80,14 @@ def one_line_from_validation(problem: ValidationError, model: type[BaseModel]) -
             return f"unknown key '{key}'; known there: {', '.join(_known_keys(model, error['loc'][:-1]))}"
         case "missing":
             return f"the key '{key}' is missing"
+        case "model_type":
+            return (
+                f"{key}: expected a JSON object with the keys {', '.join(_known_keys(model, error['loc']))}"
+            )
         case _:
-            got = repr(error["input"])
-            return f"{key}: {error['msg'].lower()}, got {got if len(got) < 60 else got[:57] + '...'}"
+            got, message = repr(error["input"]), error["msg"]
+            got = got if len(got) < 60 else got[:57] + "..."
+            return f"{key}: {message[0].lower()}{message[1:]}, got {got}"
 
 
 def _known_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
@@ -95,7 +100,8 @@ def _known_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list
     return list(model.model_fields)
 
 
-def _rig_from_entry(entry: RigFile) -> Rig:
+def rig_from_entry(entry: RigFile) -> Rig:
+    """Return the rig of a validated rig.json; raise `BadInput` for impossible numbers."""
     camera, response, colour = entry.camera, entry.response, entry.colour
     curve = Transfer.from_text(colour.transfer)
     quality = None if entry.quality is None else FitQuality(**entry.quality.model_dump())
@@ -123,7 +129,8 @@ def _rig_from_entry(entry: RigFile) -> Rig:
     )
 
 
-def _entry_from_rig(rig: Rig) -> RigFile:
+def entry_from_rig(rig: Rig) -> RigFile:
+    """Return the rig as rig.json and the manifest store it."""
     colours = rig.response.light_colours
     quality = None if rig.quality is None else QualityEntry(**vars(rig.quality))
     return RigFile(

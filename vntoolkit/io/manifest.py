@@ -1,0 +1,203 @@
+"""reconstruction.json: what a result folder was made from, with what, and how far it got.
+
+The manifest is written when a run starts and when it ends; finished frames are appended to frames.log
+beside it, one short line each, so that 10,000 frames cost no more each than the first.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+import vntoolkit
+from vntoolkit.errors import BadInput
+from vntoolkit.io.atomic import cannot_write, write_text
+from vntoolkit.io.files import read_text, require_file, sha256_of_file
+from vntoolkit.io.label_images import LABEL_LEGEND
+from vntoolkit.io.rig_schema import RigFile, SourceEntry
+from vntoolkit.io.rigs import one_line_from_validation, text_from_model
+
+MANIFEST_NAME = "reconstruction.json"
+FRAMES_NAME = "frames.log"
+MANIFEST_VERSION = 1
+_LIBRARIES = ("numpy", "scipy", "numba", "opencv-contrib-python-headless", "av", "OpenEXR", "open3d")
+
+
+class InputEntry(BaseModel):
+    """The capture that was read."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    source: str = Field(description="What was given on the command line.")
+    files: list[SourceEntry] = Field(description="Every file read, in order, with the SHA-256 of its bytes.")
+    width: int = Field(description="Frame width in pixels.")
+    height: int = Field(description="Frame height in pixels.")
+    frame_count: int = Field(description="Frames in the capture.")
+    frame_rate_hz: float = Field(description="Frames per second.")
+
+
+class Manifest(BaseModel):
+    """What a result folder holds."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    version: int = Field(default=MANIFEST_VERSION, description="Version of this schema.")
+    input: InputEntry
+    extra_files: dict[str, SourceEntry] = Field(
+        default_factory=dict, description="Mask, background and the like, by option."
+    )
+    rig: RigFile = Field(description="The rig that was used, whole.")
+    options: dict[str, Any] = Field(
+        default_factory=dict, description="Every option that shapes the result, by its name."
+    )
+    frames: str = Field(default="0::1", description="Frames asked for, start:stop:step.")
+    outputs: list[str] = Field(default_factory=list, description="Folders written: normals, depth, …")
+    versions: dict[str, str] = Field(default_factory=dict, description="Program and libraries.")
+    label_legend: dict[str, str] = Field(
+        default_factory=lambda: dict(LABEL_LEGEND), description="Meaning of the values in shadows/*.png."
+    )
+    started: str = Field(default="", description="When the run began, UTC, ISO 8601.")
+    finished: str = Field(default="", description="When the last frame was done; empty while it runs.")
+    timings: dict[str, float] = Field(
+        default_factory=dict, description="Seconds per frame, median, by stage; wall_s is the whole run."
+    )
+
+
+class FrameLog:
+    """Numbers of the frames that are wholly on disk, and what each cost.
+
+    One line `number seconds` per frame, appended and flushed. A line that a crash cut short is not counted,
+    and is closed off by the next append, so that its frame is simply done again.
+    """
+
+    def __init__(self, folder: Path | str) -> None:
+        self.path = Path(folder) / FRAMES_NAME
+        self._stream: Any = None
+
+    def done(self) -> dict[int, float]:
+        """Return {frame number: seconds} of all finished frames."""
+        if not self.path.exists():
+            return {}
+        frames = {}
+        *lines, _torn = self.path.read_text("utf-8", "replace").split("\n")
+        for line in lines:
+            words = line.split()
+            if len(words) == 2 and words[0].isdigit():
+                frames[int(words[0])] = float(words[1])
+        return frames
+
+    def append(self, number: int, seconds: float = 0.0) -> None:
+        """Record a frame whose files are all in place."""
+        try:
+            if self._stream is None:
+                torn = self.path.exists() and self.path.read_bytes()[-1:] not in (b"", b"\n")
+                self._stream = self.path.open("a", encoding="utf-8")
+                if torn:
+                    self._stream.write("\n")
+            self._stream.write(f"{number} {seconds:.4f}\n")
+            self._stream.flush()
+        except OSError as error:
+            raise cannot_write(self.path, error) from error
+
+    def clear(self) -> None:
+        """Forget all frames."""
+        self.close()
+        self.path.unlink(missing_ok=True)
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._stream is not None:
+            self._stream.close()
+            self._stream = None
+
+
+def write_manifest(folder: Path | str, manifest: Manifest) -> None:
+    """Write reconstruction.json into `folder`, atomically."""
+    write_text(Path(folder) / MANIFEST_NAME, text_from_model(manifest))
+
+
+def read_manifest(folder: Path | str) -> Manifest:
+    """Read reconstruction.json; raise `BadInput` with one line."""
+    path = Path(folder) / MANIFEST_NAME
+    if not path.exists():
+        raise BadInput(
+            f"{folder}: holds no {MANIFEST_NAME}; give a folder that `vntoolkit reconstruct` wrote"
+        )
+    text = read_text(path)
+    try:
+        content = json.loads(text)
+        if isinstance(content, dict) and content.get("version") != MANIFEST_VERSION:
+            raise BadInput(
+                f"{path}: is of version {content.get('version')}, this program reads {MANIFEST_VERSION}"
+            )
+        return Manifest.model_validate(content)
+    except json.JSONDecodeError as problem:
+        raise BadInput(f"{path}: is not JSON: {problem.msg} at line {problem.lineno}") from problem
+    except ValidationError as problem:
+        raise BadInput(f"{path}: {one_line_from_validation(problem, Manifest)}") from problem
+
+
+def changes_between(before: Manifest, now: Manifest) -> list[str]:
+    """Return what makes the results of two runs differ, one phrase each; empty where they may be mixed.
+
+    Frames asked for, folders written, versions and times may differ; inputs, rig and options may not.
+    """
+    changes = []
+    if before.input.files != now.input.files:
+        changes.append(f"the input files ({before.input.source} → {now.input.source})")
+    for name in sorted(set(before.extra_files) | set(now.extra_files)):
+        if before.extra_files.get(name) != now.extra_files.get(name):
+            changes.append(f"the file of --{name}")
+    for section in RigFile.model_fields:
+        if section not in ("quality", "sources") and getattr(before.rig, section) != getattr(
+            now.rig, section
+        ):
+            changes.append(f"the rig's {section}")
+    now_options = json.loads(json.dumps(now.options))
+    for name in sorted(set(before.options) | set(now_options)):
+        old, new = before.options.get(name), now_options.get(name)
+        if old != new:
+            changes.append(f"{name} ({old} → {new})")
+    return changes
+
+
+def require_resumable(folder: Path | str, now: Manifest) -> None:
+    """Raise `BadInput` that names what changed, where `folder` holds results of other inputs or options."""
+    if not (Path(folder) / MANIFEST_NAME).exists():
+        return
+    changes = changes_between(read_manifest(folder), now)
+    if changes:
+        raise BadInput(
+            f"{folder}: holds results made differently: {'; '.join(changes)}; add --overwrite to replace "
+            "them, or choose another --out"
+        )
+
+
+def hashed(files: tuple[Path, ...] | list[Path]) -> list[SourceEntry]:
+    """Return name and SHA-256 of each file, in order."""
+    return [SourceEntry(file=path.name, sha256=sha256_of_file(require_file(path))) for path in files]
+
+
+def library_versions() -> dict[str, str]:
+    """Return the versions of the program, Python and the libraries that shape results."""
+    versions = {"vntoolkit": vntoolkit.__version__, "python": platform.python_version()}
+    for name in _LIBRARIES:
+        try:
+            versions[name] = version(name)
+        except PackageNotFoundError:
+            versions[name] = "absent"
+    return versions
+
+
+def now_utc() -> str:
+    """Return the present moment, UTC, ISO 8601; fixed by SOURCE_DATE_EPOCH for reproducible output."""
+    fixed = os.environ.get("SOURCE_DATE_EPOCH")
+    moment = datetime.fromtimestamp(int(fixed), UTC) if fixed else datetime.now(UTC)
+    return moment.isoformat(timespec="seconds")
