@@ -75,7 +75,7 @@ def solve_photometric_stereo(
 
     images: (k, h, w) linear grey. lights: (k, 3), camera frame, direction to light k times its strength.
     mask: (h, w). A pixel needs three samples that are neither shadow nor clipped; where fewer than four are
-    left, none can be told to be an outlier. Raises `BadInput` for fewer than three lights or lights in a plane.
+    left, none can be told to be an outlier. Raises `BadInput` for fewer than three lights or coplanar ones.
     """
     options = options or PhotometricStereoOptions()
     lights = np.ascontiguousarray(lights, dtype=np.float64)
