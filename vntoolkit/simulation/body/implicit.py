@@ -1,0 +1,159 @@
+"""Smooth implicit bodies: ellipsoids and tapered capsules blended one after another.
+
+Each part is added to, or carved from, what came before with a polynomial smooth minimum (quilez2013); its
+width is the part's blend. Distances are approximate away from the surface and exact in sign.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from vntoolkit.arrays import FloatArray, IntArray, Points
+
+_ELLIPSOID, _CAPSULE = 0, 1
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Part:
+    """One piece of a body, in the body's length unit.
+
+    numbers: of an ellipsoid its centre, radii and rotation vector; of a capsule its start, end, both radii
+    and a 0. blend: how far it melts into the rest; negative carves it out.
+    """
+
+    kind: int
+    numbers: tuple[float, ...]
+    blend: float
+
+    def mirrored(self) -> Part:
+        """Return the part on the other side of the plane x = 0."""
+        n = self.numbers
+        if self.kind == _CAPSULE:
+            numbers = (-n[0], n[1], n[2], -n[3], n[4], n[5], *n[6:])
+        else:
+            numbers = (-n[0], n[1], n[2], *n[3:6], n[6], -n[7], -n[8])
+        return Part(kind=self.kind, numbers=numbers, blend=self.blend)
+
+
+def ellipsoid(
+    centre: tuple[float, float, float],
+    radii: tuple[float, float, float],
+    blend: float,
+    turn: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> Part:
+    """Return an ellipsoid turned by the rotation vector `turn`, radians."""
+    return Part(kind=_ELLIPSOID, numbers=(*centre, *radii, *turn), blend=blend)
+
+
+def capsule(
+    start: tuple[float, float, float],
+    end: tuple[float, float, float],
+    radii: tuple[float, float],
+    blend: float,
+) -> Part:
+    """Return a tapered capsule."""
+    return Part(kind=_CAPSULE, numbers=(*start, *end, *radii, 0.0), blend=blend)
+
+
+def both_sides(*parts: Part) -> list[Part]:
+    """Return the parts and their mirror images, pair by pair."""
+    return [side for part in parts for side in (part, part.mirrored())]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ImplicitBody:
+    """The table of parts in the form that the kernel reads."""
+
+    kinds: IntArray
+    numbers: FloatArray
+    rotations: FloatArray
+    blends: FloatArray
+
+    @classmethod
+    def from_parts(cls, parts: list[Part]) -> ImplicitBody:
+        """Collect the parts, in the order in which they are blended."""
+        numbers = np.array([part.numbers for part in parts], dtype=np.float64)
+        return cls(
+            kinds=np.array([part.kind for part in parts], dtype=np.int64),
+            numbers=numbers,
+            rotations=np.stack([_rotation(row[6:9]) if part.kind == _ELLIPSOID else np.eye(3)
+                                for part, row in zip(parts, numbers, strict=True)]),
+            blends=np.array([part.blend for part in parts], dtype=np.float64),
+        )  # fmt: skip
+
+    def signed_distance(self, points: Points) -> FloatArray:
+        """Return (n,) about the distance to the surface, negative inside."""
+        points = np.ascontiguousarray(points, dtype=np.float64)
+        return _distances(points, self.kinds, self.numbers, self.rotations, self.blends)
+
+    def gradient(self, points: Points, step: float) -> Points:
+        """Return (n, 3) the outward gradient by central differences."""
+        shifts = step * np.eye(3)
+        return np.stack(
+            [self.signed_distance(points + s) - self.signed_distance(points - s) for s in shifts], axis=1
+        ) / (2.0 * step)
+
+
+def _rotation(vector: FloatArray) -> FloatArray:
+    """Return body_from_part (3, 3) of a rotation vector."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_rotvec(vector).as_matrix()
+
+
+@njit(cache=True)
+def _distances(
+    points: Points, kinds: IntArray, numbers: FloatArray, rotations: FloatArray, blends: FloatArray
+) -> FloatArray:
+    distances = np.empty(len(points))
+    for i in range(len(points)):
+        total = 1e9
+        for k in range(len(kinds)):
+            if kinds[k] == 0:
+                part = _ellipsoid_distance(points[i], numbers[k], rotations[k])
+            else:
+                part = _capsule_distance(points[i], numbers[k])
+            width = abs(blends[k])
+            if blends[k] < 0.0:  # carve: a smooth maximum with the part's outside
+                total = -_smooth_minimum(-total, part, width)
+            else:
+                total = _smooth_minimum(total, part, width)
+        distances[i] = total
+    return distances
+
+
+@njit(cache=True)
+def _smooth_minimum(a: float, b: float, width: float) -> float:
+    h = max(width - abs(a - b), 0.0) / max(width, 1e-9)
+    return min(a, b) - 0.25 * h * h * width
+
+
+@njit(cache=True)
+def _ellipsoid_distance(p: FloatArray, n: FloatArray, rotation: FloatArray) -> float:
+    scaled, squared = 0.0, 0.0
+    for a in range(3):
+        q = 0.0
+        for c in range(3):
+            q += rotation[c, a] * (p[c] - n[c])
+        q /= n[3 + a]
+        scaled += q * q
+        squared += (q / n[3 + a]) ** 2
+    length = np.sqrt(scaled)
+    return length * (length - 1.0) / max(np.sqrt(squared), 1e-9) if length > 1e-9 else -min(n[3], n[4], n[5])
+
+
+@njit(cache=True)
+def _capsule_distance(p: FloatArray, n: FloatArray) -> float:
+    along, squared = 0.0, 0.0
+    for a in range(3):
+        axis = n[3 + a] - n[a]
+        along += (p[a] - n[a]) * axis
+        squared += axis * axis
+    along = min(1.0, max(0.0, along / max(squared, 1e-12)))
+    distance = 0.0
+    for a in range(3):
+        distance += (p[a] - n[a] - along * (n[3 + a] - n[a])) ** 2
+    return np.sqrt(distance) - (n[6] + along * (n[7] - n[6]))

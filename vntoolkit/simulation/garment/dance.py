@@ -1,0 +1,59 @@
+"""A sweater through a dance: dressed, settled, then simulated frame by frame on demand."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vntoolkit.arrays import Points
+from vntoolkit.simulation.body.capsules import Capsules
+from vntoolkit.simulation.body.dancer import Pose, body_from_pose, pose_at
+from vntoolkit.simulation.garment.pattern import Garment, SweaterOptions, sew_sweater
+from vntoolkit.simulation.garment.solver import ClothOptions, ClothSolver
+
+_SETTLE_FRAMES, _HANG_FRAMES, _FADE_FRAMES = 30, 30, 75
+
+
+class DancingGarment:
+    """The coarse cage of the garment at any frame; holds one state only.
+
+    A later frame is simulated from the current one; an earlier one starts again from the beginning. The
+    same seed gives the same bytes.
+    """
+
+    def __init__(
+        self, seed: int, sweater: SweaterOptions | None = None, cloth: ClothOptions | None = None
+    ) -> None:
+        self.garment: Garment = sew_sweater(sweater or SweaterOptions())
+        self._cloth = cloth or ClothOptions()
+        self._phases = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, 8)
+        self._dress()
+
+    @property
+    def solver(self) -> ClothSolver:
+        """The solver in its current state."""
+        return self._solver
+
+    def body(self, frame: int) -> Capsules:
+        """Return the dancer's body; before frame 0 it fades in from the rest pose."""
+        fade = np.clip((frame + _FADE_FRAMES) / _FADE_FRAMES, 0.0, 1.0)
+        return body_from_pose(pose_at(frame / 60.0, self._phases, float(fade * fade * (3.0 - 2.0 * fade))))
+
+    def cage(self, frame: int) -> Points:
+        """Return (n, 3) the garment's vertices, studio frame of the body, metres."""
+        if frame < self._frame:
+            self._dress()
+        while self._frame < frame:
+            self._solver.advance(self.body(self._frame), self.body(self._frame + 1))
+            self._frame += 1
+        return self._solver.positions.copy()
+
+    def _dress(self) -> None:
+        body = body_from_pose(Pose())
+        self._solver = ClothSolver(self.garment, body, self._cloth)
+        for _ in range(_SETTLE_FRAMES):
+            self._solver.settle(body)
+        for frame in range(_HANG_FRAMES):
+            self._solver.draw_ribbing((frame + 1) / _HANG_FRAMES)
+            self._solver.advance(body, body)
+        self._frame = -_FADE_FRAMES
+        self.cage(0)
