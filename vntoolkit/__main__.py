@@ -35,7 +35,7 @@ def main(arguments: list[str] | None = None) -> int:
         return _fail(str(error))
     except KeyboardInterrupt as interrupt:
         hint = str(interrupt) or "run the same command again to continue"
-        print(f"\nvntoolkit: interrupted: {hint}", file=sys.stderr)  # noqa: T201
+        print(f"\nvntoolkit: interrupted: {hint}", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -43,7 +43,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _fail(message: str) -> int:
-    print(f"vntoolkit: {message}", file=sys.stderr)  # noqa: T201
+    print(f"vntoolkit: {message}", file=sys.stderr)
     return 1
 
 

@@ -11,7 +11,12 @@ from cyclopts import App
 from vntoolkit import __version__
 
 # verb -> (where it lives, the line that `vntoolkit --help` shows)
-VERBS: dict[str, tuple[str, str]] = {}
+VERBS: dict[str, tuple[str, str]] = {
+    "reconstruct": (
+        "vntoolkit.cli.reconstruct:reconstruct",
+        "Turn footage and a rig into normals, depth and meshes.",
+    ),
+}
 
 GROUPS: dict[str, tuple[str, dict[str, tuple[str, str]]]] = {}
 

@@ -1,0 +1,125 @@
+"""`vntoolkit reconstruct`: footage and a rig in; normals, depth and meshes out."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeAlias
+
+from cyclopts import Parameter
+
+from vntoolkit.cli.flags import flags_from
+from vntoolkit.cli.progress import progress_bar
+from vntoolkit.integration.options import IntegrationOptions
+from vntoolkit.io.frame_range import FrameRange
+from vntoolkit.io.rigs import read_rig
+from vntoolkit.meshing.surface import MeshOptions
+from vntoolkit.normals.inversion import InversionOptions
+from vntoolkit.photometry.rig import Rig
+from vntoolkit.photometry.transfer import Transfer
+from vntoolkit.pipeline.block_work import FrameRecord, ReconstructionJob
+from vntoolkit.pipeline.options import ReconstructOptions
+from vntoolkit.pipeline.outputs import ReconstructionFolder
+from vntoolkit.pipeline.reconstruct import ReconstructionSummary
+from vntoolkit.pipeline.reconstruct import reconstruct as run
+
+if TYPE_CHECKING:
+    PipelineFlags: TypeAlias = ReconstructOptions | None
+    InversionFlags: TypeAlias = InversionOptions | None
+    IntegrationFlags: TypeAlias = IntegrationOptions | None
+    MeshFlags: TypeAlias = MeshOptions | None
+else:
+    PipelineFlags = flags_from(ReconstructOptions, distance_m="distance")
+    InversionFlags = flags_from(InversionOptions, without=("relative_albedo", "steepest_deg"))
+    IntegrationFlags = flags_from(IntegrationOptions)
+    MeshFlags = flags_from(MeshOptions)
+
+
+def reconstruct(
+    source: str,
+    *,
+    rig: Path,
+    out: Path,
+    mask: Path | None = None,
+    background: Path | None = None,
+    transfer: str | None = None,
+    frames: str = "::",
+    jobs: int = 1,
+    overwrite: Annotated[bool, Parameter(negative=())] = False,
+    pipeline: PipelineFlags = None,
+    inversion: InversionFlags = None,
+    integration: IntegrationFlags = None,
+    meshing: MeshFlags = None,
+) -> None:
+    """Turn footage and a rig into normals, depth and meshes, frame by frame.
+
+    A run that was interrupted goes on where it stopped when the same command is given again.
+
+    Parameters
+    ----------
+    source
+        A video, an image, a folder of images, or a pattern such as frame_%04d.png or "frame_*.png".
+    rig
+        The rig.json of `vntoolkit calibrate`.
+    out
+        The folder to write: normals, depth, mesh and reconstruction.json.
+    mask
+        An image of the footage's size, white where the subject is.
+    background
+        An image of the scene under ambient light only, subtracted from every frame.
+    transfer
+        Transfer curve of the footage, linear, srgb, bt709 or gamma:G; default: the rig's.
+    frames
+        Which frames, a:b:c: from a, below b, every c-th; or one number.
+    jobs
+        Worker processes.
+    overwrite
+        Replace the results that the folder holds.
+    """
+    read = read_rig(rig)
+    options = pipeline or ReconstructOptions()
+    job = ReconstructionJob(
+        source=source,
+        rig=_with_transfer(read, transfer),
+        options=replace(
+            options,
+            inversion=inversion or InversionOptions(),
+            integration=integration or IntegrationOptions(),
+            meshing=meshing or MeshOptions(),
+        ),
+        folder=ReconstructionFolder(root=out),
+        mask=mask,
+        background=background,
+    )
+    _report(_run_with_progress(job, FrameRange.from_text(frames), jobs, overwrite))
+
+
+def _with_transfer(rig: Rig, transfer: str | None) -> Rig:
+    if transfer is None:
+        return rig
+    curve = Transfer.from_text(transfer)
+    return replace(rig, transfer=replace(rig.transfer, curve=curve.curve, gamma=curve.gamma))
+
+
+def _run_with_progress(
+    job: ReconstructionJob, frames: FrameRange, jobs: int, overwrite: bool
+) -> ReconstructionSummary:
+    with contextlib.ExitStack() as stack:
+        advance = [lambda n: None]
+
+        def on_start(total: int, done: int) -> None:
+            advance[0] = stack.enter_context(progress_bar("reconstruct", total, done))
+
+        def on_frame(record: FrameRecord) -> None:
+            advance[0](1)
+
+        return run(job, frames=frames, jobs=jobs, overwrite=overwrite, on_start=on_start, on_frame=on_frame)
+
+
+def _report(summary: ReconstructionSummary) -> None:
+    for record in summary.skipped:
+        print(f"skipped frame {record.number}: {record.failure}")
+    resumed = f", {summary.resumed} were there already" if summary.resumed else ""
+    rate = f" ({summary.done / summary.seconds:.1f} frames/s)" if summary.done > 1 else ""
+    print(f"{summary.folder}: {summary.done} of {summary.frames} frames done{resumed}{rate}")

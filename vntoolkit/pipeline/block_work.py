@@ -1,0 +1,135 @@
+"""The work on one block of frames, in this process or another: read, process, write, report."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from vntoolkit.arrays import Mask
+from vntoolkit.errors import VntError
+from vntoolkit.io.captures import Capture, CaptureOptions, open_capture
+from vntoolkit.io.decoding import EncodedFrame
+from vntoolkit.io.maps import read_mask
+from vntoolkit.photometry.rig import Rig
+from vntoolkit.photometry.visibility import ALL_LIT
+from vntoolkit.pipeline.frame_processor import FrameProcessor, FrameResult
+from vntoolkit.pipeline.options import OnError, ReconstructOptions
+from vntoolkit.pipeline.outputs import ReconstructionFolder
+from vntoolkit.pipeline.overlap import WriteBehind, read_ahead
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ReconstructionJob:
+    """Everything that a worker needs, small enough to send to another process or machine.
+
+    source: as for `open_capture`. mask, background: files or None.
+    """
+
+    source: str
+    rig: Rig
+    options: ReconstructOptions
+    folder: ReconstructionFolder
+    mask: Path | None = None
+    background: Path | None = None
+    threads: int = 2
+
+    @property
+    def has_labels(self) -> bool:
+        """True where visibility labels are written beside the normals."""
+        return False
+
+    def open_capture(self) -> Capture:
+        """Open the capture with the rig's transfer curve."""
+        options = CaptureOptions(transfer=self.rig.transfer, background=self.background, threads=self.threads)
+        return open_capture(self.source, options)
+
+    def read_mask(self, capture: Capture) -> Mask | None:
+        """Read the mask, of the capture's size, or None."""
+        if self.mask is None:
+            return None
+        return read_mask(self.mask, size=(capture.info.width, capture.info.height))
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameRecord:
+    """What became of one frame.
+
+    seconds: spent on it, reading aside. valid_share: of all pixels, with a normal. clipped_share:
+    of all pixels. shadowed_share: of the valid ones, not reached by all three lights. failure: why it was
+    skipped, or empty.
+    """
+
+    number: int
+    seconds: float
+    valid_share: float = 0.0
+    clipped_share: float = 0.0
+    shadowed_share: float = 0.0
+    failure: str = ""
+
+
+class BlockWorker:
+    """Processes blocks of one capture; opens it once."""
+
+    def __init__(self, job: ReconstructionJob) -> None:
+        self._job = job
+        self._capture = job.open_capture()
+        mask = job.read_mask(self._capture)
+        self._processor = FrameProcessor(job.rig, job.options, mask, self._capture.background)
+
+    def run(self, block: range, already_done: frozenset[int] = frozenset()) -> Iterator[FrameRecord]:
+        """Process a block and write its frames, but for those already on disk; yield a record per new frame.
+
+        All frames are computed, since a frame may start from the one before it. A record is yielded once the
+        frame's files are in place.
+        """
+        self._processor.forget()
+        frames = self._capture.encoded_frames(block.start, block.stop, block.step)
+        written: list[FrameRecord] = []
+
+        def write(done: tuple[FrameRecord, FrameResult | None]) -> None:
+            written.append(self._write(*done))
+
+        with WriteBehind(write) as writer:
+            for frame in read_ahead(frames):
+                done = self._process(frame)
+                if frame.number not in already_done:
+                    writer.put(done)
+                while written:
+                    yield written.pop(0)
+        yield from written
+
+    def _process(self, frame: EncodedFrame) -> tuple[FrameRecord, FrameResult | None]:
+        started = time.perf_counter()
+        try:
+            result = self._processor.process(frame)
+        except VntError as error:
+            if self._job.options.on_error is OnError.STOP:
+                raise
+            seconds = time.perf_counter() - started
+            return FrameRecord(number=frame.number, seconds=seconds, failure=str(error)), None
+        return record_of(result, time.perf_counter() - started), result
+
+    def _write(self, record: FrameRecord, result: FrameResult | None) -> FrameRecord:
+        started = time.perf_counter()
+        if result is not None:
+            self._job.folder.write(result)
+        return replace(record, seconds=record.seconds + time.perf_counter() - started)
+
+
+def record_of(result: FrameResult, seconds: float) -> FrameRecord:
+    """Summarise a result."""
+    valid = result.normal_map.mask
+    shadowed = 0.0
+    if result.labels is not None and valid.any():
+        shadowed = float(np.mean(result.labels[valid] != ALL_LIT))
+    return FrameRecord(
+        number=result.number,
+        seconds=seconds,
+        valid_share=float(valid.mean()),
+        clipped_share=result.clipped_share,
+        shadowed_share=shadowed,
+    )

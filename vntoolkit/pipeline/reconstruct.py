@@ -1,0 +1,214 @@
+"""Footage and a rig in; normals, depth and meshes on disk, frame by frame, resumable."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from vntoolkit.errors import BadCapture, BadInput
+from vntoolkit.io.atomic import require_writable_folder
+from vntoolkit.io.captures import Capture
+from vntoolkit.io.files import source_file
+from vntoolkit.io.frame_range import FrameRange
+from vntoolkit.io.manifest import (
+    FRAMES_NAME,
+    MANIFEST_NAME,
+    FrameLog,
+    InputEntry,
+    Manifest,
+    hashed,
+    library_versions,
+    now_utc,
+    read_manifest,
+    require_resumable,
+    write_manifest,
+)
+from vntoolkit.io.rig_schema import SourceEntry
+from vntoolkit.io.rigs import entry_from_rig
+from vntoolkit.normals.inversion import relative_albedo_from_frame
+from vntoolkit.pipeline.block_work import FrameRecord, ReconstructionJob
+from vntoolkit.pipeline.blocks import blocks_of
+from vntoolkit.pipeline.frame_processor import FrameProcessor
+from vntoolkit.pipeline.option_values import option_values
+from vntoolkit.pipeline.run_blocks import run_blocks
+
+Started = Callable[[int, int], None]
+Finished = Callable[[FrameRecord], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReconstructionSummary:
+    """What a run did: frames asked for, found on disk already, newly done, and skipped with their reasons."""
+
+    folder: Path
+    frames: int
+    resumed: int
+    done: int
+    skipped: tuple[FrameRecord, ...]
+    seconds: float
+
+
+def reconstruct(
+    job: ReconstructionJob,
+    *,
+    frames: FrameRange | None = None,
+    jobs: int = 1,
+    overwrite: bool = False,
+    on_start: Started = lambda total, done: None,
+    on_frame: Finished = lambda record: None,
+) -> ReconstructionSummary:
+    """Reconstruct the chosen frames of a capture into `job.folder`; go on where an earlier run stopped.
+
+    on_start is called once with the number of frames and how many are on disk already, on_frame after each
+    further one. Raises the kinds of `VntError` that bad input deserves, before anything is written where
+    that can be known.
+    """
+    frames = frames or FrameRange()
+    if jobs < 1:
+        raise BadInput(f"jobs: expected 1 or more, got {jobs}")
+    started = time.perf_counter()
+    capture = job.open_capture()
+    job.rig.require_size(capture.info.width, capture.info.height, job.source)
+    numbers = frames.numbers(capture.info.frame_count)
+    root = require_writable_folder(job.folder.root)
+    if overwrite:
+        clear(root)
+    job = _with_matched_albedo(job, capture, numbers, root)
+    manifest = _manifest(job, capture, frames)
+    require_resumable(root, manifest)
+    log = FrameLog(root)
+    on_disk = _frames_on_disk(job, log)
+    write_manifest(root, manifest)
+    on_start(len(numbers), len(on_disk & set(numbers)))
+    records = _run(job, numbers, on_disk, jobs, log, on_frame)
+    seconds = time.perf_counter() - started
+    _finish(root, manifest, log, numbers, seconds)
+    skipped = tuple(record for record in records if record.failure)
+    return ReconstructionSummary(
+        folder=root,
+        frames=len(numbers),
+        resumed=len(on_disk & set(numbers)),
+        done=len(records) - len(skipped),
+        skipped=skipped,
+        seconds=seconds,
+    )
+
+
+def clear(root: Path) -> None:
+    """Remove what `reconstruct` wrote into a folder, and nothing else."""
+    if not (root / MANIFEST_NAME).exists():
+        return
+    for name in ("normals", "depth", "shadows", "mesh"):
+        shutil.rmtree(root / name, ignore_errors=True)
+    (root / FRAMES_NAME).unlink(missing_ok=True)
+    (root / MANIFEST_NAME).unlink()
+
+
+def _run(
+    job: ReconstructionJob,
+    numbers: range,
+    on_disk: set[int],
+    jobs: int,
+    log: FrameLog,
+    on_frame: Finished,
+) -> list[FrameRecord]:
+    open_blocks = [block for block in blocks_of(numbers) if not on_disk.issuperset(block)]
+    records: list[FrameRecord] = []
+    if not open_blocks:
+        return records
+    running = run_blocks(job, open_blocks, lambda block: frozenset(on_disk.intersection(block)), jobs)
+    try:
+        for record in running:
+            if not record.failure:
+                log.append(record.number, record.seconds)
+            records.append(record)
+            on_frame(record)
+    except KeyboardInterrupt:
+        left = len(numbers) - len(on_disk & set(numbers)) - len(records)
+        raise KeyboardInterrupt(
+            f"{len(records)} frames were finished and {left} are left in {job.folder.root}; "
+            "run the same command again to go on"
+        ) from None
+    finally:
+        running.close()
+        log.close()
+    return records
+
+
+def _frames_on_disk(job: ReconstructionJob, log: FrameLog) -> set[int]:
+    """Frames that the log calls finished and whose files are all there."""
+    return {
+        number
+        for number in log.done()
+        if all(path.exists() for path in job.folder.files(number, job.options.to, job.has_labels))
+    }
+
+
+def _with_matched_albedo(
+    job: ReconstructionJob, capture: Capture, numbers: range, root: Path
+) -> ReconstructionJob:
+    """Measure how bright the subject is against the calibration material, once a folder."""
+    if not job.options.match_albedo:
+        return job
+    albedo = None
+    if (root / MANIFEST_NAME).exists():
+        albedo = read_manifest(root).options.get("inversion.relative_albedo")
+    if not isinstance(albedo, float):
+        albedo = _measure_albedo(job, capture, numbers)
+    inversion = replace(job.options.inversion, relative_albedo=albedo)
+    return replace(job, options=replace(job.options, inversion=inversion))
+
+
+def _measure_albedo(job: ReconstructionJob, capture: Capture, numbers: range) -> float:
+    mask = job.read_mask(capture)
+    processor = FrameProcessor(job.rig, job.options, mask, capture.background)
+    first = next(capture.encoded_frames(numbers[0], numbers[0] + 1))
+    try:
+        albedo = relative_albedo_from_frame(processor.linear(first), job.rig.response, mask)
+    except BadInput as error:
+        raise BadCapture(f"{first.name}: {error}") from error
+    return float(np.format_float_positional(albedo, precision=4, fractional=False))
+
+
+def _manifest(job: ReconstructionJob, capture: Capture, frames: FrameRange) -> Manifest:
+    info = capture.info
+    extra = {
+        name: _source_entry(path)
+        for name, path in (("mask", job.mask), ("background", job.background))
+        if path is not None
+    }
+    outputs = {"normals": ["normals"], "depth": ["normals", "depth"], "mesh": ["normals", "depth", "mesh"]}
+    return Manifest(
+        input=InputEntry(
+            source=job.source,
+            files=hashed(info.files),
+            width=info.width,
+            height=info.height,
+            frame_count=info.frame_count,
+            frame_rate_hz=info.frame_rate_hz,
+        ),
+        extra_files=extra,
+        rig=entry_from_rig(job.rig),
+        options=option_values(job.options, without=("to", "on_error")),  # they shape no value
+        frames=frames.to_text(),
+        outputs=outputs[job.options.to.value] + (["shadows"] if job.has_labels else []),
+        versions=library_versions(),
+        started=now_utc(),
+    )
+
+
+def _source_entry(path: Path) -> SourceEntry:
+    record = source_file(path)
+    return SourceEntry(file=record.file, sha256=record.sha256)
+
+
+def _finish(root: Path, manifest: Manifest, log: FrameLog, numbers: range, seconds: float) -> None:
+    done = log.done()
+    spent = [done[number] for number in numbers if number in done]
+    timings = {"frame_s": float(np.median(spent)) if spent else 0.0, "wall_s": round(seconds, 3)}
+    write_manifest(root, manifest.model_copy(update={"finished": now_utc(), "timings": timings}))
