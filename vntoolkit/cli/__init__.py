@@ -12,10 +12,16 @@ from vntoolkit import __version__
 
 # verb -> (where it lives, the line that `vntoolkit --help` shows)
 VERBS: dict[str, tuple[str, str]] = {
+    "doctor": (
+        "vntoolkit.cli.doctor:doctor",
+        "Check the libraries, or say what in this footage will ruin normals.",
+    ),
+    "schema": ("vntoolkit.cli.schema:schema", "Print the JSON schema of rig.json or reconstruction.json."),
     "reconstruct": (
         "vntoolkit.cli.reconstruct:reconstruct",
         "Turn footage and a rig into normals, depth and meshes.",
     ),
+    "dress": ("vntoolkit.cli.dress:run", "Put a tracked garment on a figure that motion capture moves."),
 }
 
 GROUPS: dict[str, tuple[str, dict[str, tuple[str, str]]]] = {}

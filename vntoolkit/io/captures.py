@@ -50,6 +50,7 @@ class CaptureInfo:
     FFmpeg's name, or such as `PNG 16-bit`. bits: significant bits of an integer sample (32: float). codec:
     of the video, or the image format. chroma: `4:4:4`, `4:2:2`, `4:2:0`, `grey`. files: what it consists of.
     promised_frame_count: what the header promises; more than frame_count means that the video is cut off.
+    stated_transfer: the transfer curve that a video states, empty for none.
     """
 
     kind: CaptureKind
@@ -63,6 +64,7 @@ class CaptureInfo:
     chroma: str
     files: tuple[Path, ...]
     promised_frame_count: int
+    stated_transfer: str = ""
 
 
 class Capture:
@@ -159,6 +161,7 @@ def _info_of_video(reader: VideoReader) -> CaptureInfo:
         chroma=reader.pixel_format.chroma,
         files=(reader.path,),
         promised_frame_count=reader.index.promised,
+        stated_transfer=reader.stated_transfer,
     )
 
 
@@ -174,7 +177,7 @@ def _info_of_images(kind: CaptureKind, files: tuple[Path, ...], options: Capture
         pixel_format=f"{header.format} {header.bits}-bit{' float' if header.floating else ''}",
         bits=_bits(first, options),
         codec=header.format,
-        chroma="grey" if header.channels < 3 else "4:4:4",
+        chroma="grey" if header.channels < 3 else header.chroma,
         files=files,
         promised_frame_count=len(files),
     )

@@ -12,12 +12,14 @@ from vntoolkit.io import exr
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+# (sampling factors of luma, number of channels): chroma's own factors are 1 × 1 in practice.
+_JPEG_CHROMA = {(0x22, 3): "4:2:0", (0x21, 3): "4:2:2", (0x12, 3): "4:4:0", (0x41, 3): "4:1:1"}
 _PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImageHeader:
-    """Format name, size in pixels, channels (alpha included) and bits per sample (float: 16 or 32)."""
+    """Format name, size in pixels, channels (alpha included), bits per sample, chroma subsampling (JPEG)."""
 
     format: str
     width: int
@@ -25,6 +27,7 @@ class ImageHeader:
     channels: int
     bits: int
     floating: bool = False
+    chroma: str = "4:4:4"
 
 
 def read_image_header(data: bytes, name: str, error: type[BadInput] = BadCapture) -> ImageHeader:
@@ -79,7 +82,14 @@ def _jpeg(data: bytes) -> ImageHeader:
         marker, length = data[at + 1], struct.unpack_from(">H", data, at + 2)[0]
         if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
             bits, height, width, channels = struct.unpack_from(">BHHB", data, at + 4)
-            return ImageHeader(format="JPEG", width=width, height=height, channels=channels, bits=bits)
+            return ImageHeader(
+                format="JPEG",
+                width=width,
+                height=height,
+                channels=channels,
+                bits=bits,
+                chroma=_JPEG_CHROMA.get((data[at + 11], channels), "4:4:4"),
+            )
         at += 1 if marker == 0xFF else 2 + length
 
 

@@ -24,6 +24,17 @@ if TYPE_CHECKING:
 
 _logger = logging.getLogger(__name__)
 _HD_HEIGHT = 720
+# AVCOL_TRC_* that a stream may state, in our words; BT.601 and BT.2020 share BT.709's curve.
+_TRANSFER_NAMES = {
+    1: "bt709",
+    4: "gamma:2.2",
+    5: "gamma:2.8",
+    6: "bt709",
+    8: "linear",
+    13: "srgb",
+    14: "bt709",
+    15: "bt709",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,6 +63,7 @@ class VideoReader:
                 raise BadCapture(f"{self.path}: no frame can be decoded; the file is damaged or cut off")
             self.width, self.height = int(context.width), int(context.height)
             self.codec = str(context.codec.name)
+            self.stated_transfer = _TRANSFER_NAMES.get(int(context.color_trc or 0), "")
             self.pixel_format = PixelFormat.from_av(context.format)
             rate = stream.average_rate or stream.guessed_rate or Fraction(30)
             self.frame_rate_hz = float(rate)
