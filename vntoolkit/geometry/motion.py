@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vntoolkit.arrays import FloatArray, Points, read_only
+from vntoolkit.arrays import FloatArray, Matrix3, Points, read_only
 from vntoolkit.checks import require_finite, require_shape
 from vntoolkit.errors import BadMotion
 from vntoolkit.geometry.skeleton import Skeleton
@@ -54,6 +54,22 @@ class Motion:
     def duration_s(self) -> float:
         """Seconds from the first to the last frame."""
         return (len(self) - 1) / self.frame_rate_hz
+
+    def turned(self, rotation: Matrix3) -> Motion:
+        """Return the motion in axes turned by `rotation` (3, 3): rest pose, positions and joint turns."""
+        rotation = np.asarray(rotation, dtype=np.float64)
+        skeleton = replace(
+            self.skeleton,
+            offsets=self.skeleton.offsets @ rotation.T,
+            tip_offsets=self.skeleton.tip_offsets @ rotation.T,
+        )
+        axes, scalars = self.rotations[..., :3], self.rotations[..., 3:]
+        return replace(
+            self,
+            skeleton=skeleton,
+            rotations=np.concatenate([axes @ rotation.T, scalars], axis=-1),
+            root_positions=self.root_positions @ rotation.T,
+        )
 
     def in_metres(self, figure_height_m: float) -> Motion:
         """Return the motion in metres; a file without unit is scaled to the figure's height in metres."""

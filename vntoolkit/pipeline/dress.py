@@ -30,7 +30,7 @@ from vntoolkit.skinning.clock import (
     resampled_motion,
     resampled_vertices,
 )
-from vntoolkit.skinning.fitting import FitOptions, binding_pose, fit_garment
+from vntoolkit.skinning.fitting import FitOptions, fit_garment_to_figure
 from vntoolkit.skinning.kinematics import pose_of_frame
 from vntoolkit.skinning.weights import SkinWeights, WeightOptions, weights_from_distances
 
@@ -126,19 +126,17 @@ def dress(
     if not len(cloth):
         raise BadInput("the garment has no frame")
     garment = cloth[0]
-    pose = binding_pose(motion, fit)
-    rest_from_cloth = fit_garment(garment, motion.skeleton, pose, fit, options.fitting)
-    weights = weights_from_distances(
-        rest_from_cloth.apply(garment.vertices), motion.skeleton, pose, options.weights
-    )
+    fitting = fit_garment_to_figure(garment, motion, fit, options.fitting)
+    vertices = fitting.rest_from_cloth.apply(garment.vertices)
+    weights = weights_from_distances(vertices, motion.skeleton, fitting.rest_from_model, options.weights)
     clock = clock_from_recordings(cloth, motion, options.clock)
     logger.info("%d frames at %g Hz", len(clock), clock.frame_rate_hz)
     return DressedFigure(
         cloth=cloth,
         motion=resampled_motion(motion, clock.motion_s, clock.frame_rate_hz),
         clock=clock,
-        rest_from_cloth=rest_from_cloth,
-        rest_from_model=pose,
+        rest_from_cloth=fitting.rest_from_cloth,
+        rest_from_model=fitting.rest_from_model,
         weights=weights,
         blend=options.blend,
     )
@@ -200,7 +198,9 @@ def write_dressed_figure(dressed: DressedFigure, out: Path | str) -> int:
         case suffix if suffix in _SEQUENCE_SUFFIXES:
             return _write_files(dressed, out)
         case _:
-            raise BadInput(f"{out}: expected .usdc, .usd, .glb, or a pattern such as cloth_%04d.ply (or .obj)")
+            raise BadInput(
+                f"{out}: expected .usdc, .usd, .glb, or a pattern such as cloth_%04d.ply (or .obj)"
+            )
 
 
 def _write_files(dressed: DressedFigure, pattern: Path) -> int:

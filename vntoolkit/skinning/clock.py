@@ -31,9 +31,9 @@ class Loop(Enum):
 class ClockOptions:
     """When the result runs.
 
-    start, stop: seconds of the motion to use (None: to its end). speed: seconds of motion per second of
-    result. loop: what a cloth shorter than the motion does. frame_rate_hz: of the result (None: the
-    cloth's).
+    start: second of the motion at which the result begins. stop: second of the motion at which it ends
+    (default: the motion's end). speed: seconds of motion per second of result. loop: what a cloth shorter
+    than the motion does. frame_rate_hz: frames per second of the result (default: the cloth's).
     """
 
     start: float = 0.0

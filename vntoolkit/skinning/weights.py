@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 from fnmatch import fnmatch
 
 import numba
@@ -17,16 +18,30 @@ from vntoolkit.skinning.kinematics import bone_segments
 _NEAREST = 1e-6  # of the skeleton's height: nearer counts as this near, so that 1/distance stays finite
 
 
+class Falloff(Enum):
+    """How a vertex weighs its nearest bones.
+
+    INVERSE: by 1/distance, as published; the cloth tears a little where the set of nearest bones changes.
+    CONTINUOUS: by 1/distance less that of the next bone farther off, franke1980, so that a bone's weight is
+    0 where it drops out and the cloth stays whole.
+    """
+
+    INVERSE = "inverse"
+    CONTINUOUS = "continuous"
+
+
 @dataclass(frozen=True, kw_only=True)
 class WeightOptions:
     """How vertices are attached.
 
-    neighbours: number of nearest bones a vertex follows. distance_power: weights fall with distance to
-    this power; 1 is the published rule, higher ones let limbs go their own way. exclude: joints whose
-    bones attract nothing, as names or patterns (`*Hand*`).
+    neighbours: number of nearest bones a vertex follows. falloff: how a vertex weighs its nearest bones:
+    inverse as published, continuous without tears. distance_power: weights fall with distance to this
+    power; 1 is the published rule, higher ones let limbs go their own way. exclude: joints whose bones
+    attract nothing, as names or patterns (`*Hand*`).
     """
 
     neighbours: int = 4
+    falloff: Falloff = Falloff.INVERSE
     distance_power: float = 1.0
     exclude: tuple[str, ...] = ()
 
@@ -68,14 +83,18 @@ def weights_from_distances(
         raise BadInput("skin weights: no bone is left: the skeleton is a point, or `exclude` names them all")
     order = np.argsort(joints[kept], kind="stable")
     joints, starts, ends = joints[kept][order], starts[kept][order], ends[kept][order]
-    count = min(options.neighbours, len(np.unique(joints)))
+    continuous = options.falloff is Falloff.CONTINUOUS
+    count = min(options.neighbours + continuous, len(np.unique(joints)))
     floor = _NEAREST * max(skeleton.height, float(np.linalg.norm(np.ptp(starts, axis=0))))
     nearest, distances = _nearest_joints(
         np.ascontiguousarray(vertices, dtype=np.float64), joints, starts, ends, count
     )
     # The nearest bone gets 1 before normalising, so no power can overflow.
     distances = np.maximum(distances, floor)
-    raw = (distances.min(axis=1, keepdims=True) / distances) ** options.distance_power
+    raw = (distances[:, :1] / distances) ** options.distance_power
+    if continuous and count > options.neighbours:
+        nearest, raw = nearest[:, :-1], raw[:, :-1] - raw[:, -1:]
+        raw[raw.sum(axis=1) <= 0] = 1.0  # all equally far: they share
     return SkinWeights(joints=nearest, weights=raw / raw.sum(axis=1, keepdims=True))
 
 

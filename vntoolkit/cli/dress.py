@@ -1,0 +1,85 @@
+"""`vntoolkit dress`: put a captured garment on a moving figure."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeAlias
+
+from cyclopts import Parameter
+
+from vntoolkit.cli.flags import flags_from
+from vntoolkit.io.garment_fits import read_garment_fit
+from vntoolkit.pipeline.dress import (
+    DressOptions,
+    dress,
+    read_motion,
+    read_tracked_cloth,
+    write_dressed_figure,
+)
+from vntoolkit.report.turntable import write_preview
+from vntoolkit.skinning.clock import ClockOptions
+from vntoolkit.skinning.fitting import FitOptions
+from vntoolkit.skinning.weights import WeightOptions
+
+if TYPE_CHECKING:
+    DressFlags: TypeAlias = DressOptions | None
+    FitFlags: TypeAlias = FitOptions | None
+    WeightFlags: TypeAlias = WeightOptions | None
+    ClockFlags: TypeAlias = ClockOptions | None
+else:
+    DressFlags = flags_from(DressOptions)
+    FitFlags = flags_from(FitOptions)
+    WeightFlags = flags_from(WeightOptions)
+    ClockFlags = flags_from(ClockOptions, frame_rate_hz="frame_rate")
+
+
+def run(
+    folder: Path,
+    *,
+    motion: Path,
+    out: Path,
+    skeleton: Path | None = None,
+    fit: Path | None = None,
+    preview: Annotated[bool, Parameter(negative=())] = False,
+    options: DressFlags = None,
+    fitting: FitFlags = None,
+    weights: WeightFlags = None,
+    clock: ClockFlags = None,
+) -> None:
+    """Attach the registered mesh of a folder written by `track` to a skeleton that motion capture moves.
+
+    Parameters
+    ----------
+    folder:
+        Folder that `vntoolkit track` wrote.
+    motion:
+        Motion capture: .bvh, or .amc with its .asf beside it.
+    out:
+        What to write: .usdc (with skeleton), .glb (short clips), or one mesh a frame: cloth_%04d.ply, .obj.
+    skeleton:
+        The .asf of an .amc, where it has another name.
+    fit:
+        JSON file that corrects the automatic fit: scale, rotation_deg, translation_m, landmarks, pose_deg,
+        bind_frame.
+    preview:
+        Also draw a contact sheet and a turntable beside the result.
+    """
+    chosen = replace(
+        options or DressOptions(),
+        fitting=fitting or FitOptions(),
+        weights=weights or WeightOptions(),
+        clock=clock or ClockOptions(),
+    )
+    dressed = dress(
+        read_tracked_cloth(folder),
+        read_motion(motion, skeleton),
+        chosen,
+        None if fit is None else read_garment_fit(fit),
+    )
+    count = write_dressed_figure(dressed, out)
+    print(f"{out}: {count} frames of {len(dressed.template.vertices)} vertices")
+    if preview:
+        stem = out.stem.split("%")[0].rstrip("_") or "dress"
+        write_preview(out.parent, stem, dressed)
+        print(f"{out.parent / stem}_sheet.png, {stem}_turntable.mkv")

@@ -1,0 +1,180 @@
+"""Bringing garment and skeleton into one pose: by bounding box and up axis, or by landmarks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from vntoolkit.arrays import FloatArray, Points
+from vntoolkit.errors import BadInput
+from vntoolkit.geometry.garment_fit import GarmentFit, Similarity, fit_similarity
+from vntoolkit.geometry.mesh import Mesh, face_normals
+from vntoolkit.geometry.motion import Motion
+from vntoolkit.geometry.rigid import RigidTransform
+from vntoolkit.geometry.skeleton import Skeleton
+from vntoolkit.skinning.anatomy import anatomy_of, facing_of
+from vntoolkit.skinning.kinematics import forward_kinematics
+from vntoolkit.skinning.sleeves import arms_aimed_at_sleeves
+
+_OPEN_ABOVE = 0.3  # |Σ area vectors| / Σ areas: 0 for a closed garment, near 1 for a flat sheet
+
+
+class Region(Enum):
+    """What the garment covers: hips to neck, feet to hips, or feet to neck."""
+
+    UPPER_BODY = "upper-body"
+    LOWER_BODY = "lower-body"
+    WHOLE_BODY = "whole-body"
+
+
+class DepthPlacement(Enum):
+    """Where the bones lie in depth: in the CENTRE of the garment, at its REAR (it was seen from the front
+    only), or AUTO: at the rear of an open sheet, in the centre of a closed garment.
+    """
+
+    AUTO = "auto"
+    CENTRE = "centre"
+    REAR = "rear"
+
+
+class ArmPose(Enum):
+    """How the arms are held when the garment is attached: aimed at its SLEEVES, or as in the file's REST."""
+
+    SLEEVES = "sleeves"
+    REST = "rest"
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitOptions:
+    """How the garment is brought onto the figure.
+
+    region: the part of the figure that the garment covers, from whose top it hangs. fullness: height of the
+    garment over the height of that part. depth: where the bones lie in the garment's depth. arms: how the
+    arms are held when the garment is attached; a fit file that gives a pose or landmarks decides itself.
+    """
+
+    region: Region = Region.UPPER_BODY
+    fullness: float = 1.3
+    depth: DepthPlacement = DepthPlacement.AUTO
+    arms: ArmPose = ArmPose.SLEEVES
+
+    def __post_init__(self) -> None:
+        if not 0 < self.fullness < np.inf:
+            raise BadInput(f"fullness: expected a positive number, got {self.fullness:g}")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Fitting:
+    """rest_from_cloth: puts the garment onto the figure. rest_from_model: R of equation 8, (j, 4, 4)."""
+
+    rest_from_cloth: Similarity
+    rest_from_model: FloatArray
+
+
+def fit_garment_to_figure(garment: Mesh, motion: Motion, fit: GarmentFit, options: FitOptions) -> Fitting:
+    """Bring garment and skeleton into one pose, the pose of attachment, in which the root is not turned."""
+    skeleton = motion.skeleton
+    rotations = _binding_rotations(motion, fit)
+    pose = forward_kinematics(skeleton, rotations[None], skeleton.offsets[:1])[0]
+    rest_from_cloth = fit_garment(garment, skeleton, pose, fit, options)
+    is_given = bool(fit.pose) or fit.bind_frame is not None or bool(fit.landmarks)
+    if options.arms is ArmPose.SLEEVES and not is_given:
+        vertices = rest_from_cloth.apply(garment.vertices)
+        turns = arms_aimed_at_sleeves(vertices, skeleton, pose, anatomy_of(skeleton))
+        for joint, turn in turns.items():
+            above = Rotation.from_matrix(pose[skeleton.parents[joint], :3, :3])
+            own = Rotation.from_quat(rotations[joint])
+            rotations[joint] = (above.inv() * Rotation.from_matrix(turn) * above * own).as_quat()
+        pose = forward_kinematics(skeleton, rotations[None], skeleton.offsets[:1])[0]
+    return Fitting(rest_from_cloth=rest_from_cloth, rest_from_model=pose)
+
+
+def _binding_rotations(motion: Motion, fit: GarmentFit) -> FloatArray:
+    """Return (j, 4): the rest pose or a frame's, with the turns that the fit asks for."""
+    skeleton = motion.skeleton
+    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (len(skeleton.names), 1))
+    if fit.bind_frame is not None:
+        if fit.bind_frame >= len(motion):
+            raise BadInput(f"fit: bind_frame {fit.bind_frame} is not among the {len(motion)} frames")
+        rotations = np.array(motion.rotations[fit.bind_frame])
+        rotations[0] = [0.0, 0.0, 0.0, 1.0]
+    for name, turn in fit.pose.items():
+        joint = skeleton.index_of(name)
+        rotations[joint] = (Rotation.from_quat(rotations[joint]) * Rotation.from_quat(turn)).as_quat()
+    return rotations
+
+
+def fit_garment(
+    garment: Mesh, skeleton: Skeleton, pose: FloatArray, fit: GarmentFit, options: FitOptions
+) -> Similarity:
+    """Return rest_from_cloth: the similarity that puts the garment onto the figure in `pose` (j, 4, 4)."""
+    if fit.landmarks:
+        placed = _by_landmarks(garment, skeleton, pose, fit)
+    else:
+        placed = _by_bounding_box(garment, skeleton, pose, options)
+    vertices = placed.apply(garment.vertices)
+    centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    turn, move = fit.adjustment.rotation, fit.adjustment.translation
+    # centre + move + s T (S R x + t − centre), as one similarity
+    return Similarity(
+        scale=fit.scale * placed.scale,
+        rigid=RigidTransform(
+            rotation=turn @ placed.rigid.rotation,
+            translation=centre + move + fit.scale * turn @ (placed.rigid.translation - centre),
+        ),
+    )
+
+
+def _by_landmarks(garment: Mesh, skeleton: Skeleton, pose: FloatArray, fit: GarmentFit) -> Similarity:
+    vertices = np.array([mark.vertex for mark in fit.landmarks])
+    if vertices.max() >= len(garment.vertices):
+        raise BadInput(f"landmark vertex {vertices.max()}: the garment has {len(garment.vertices)} vertices")
+    joints = [skeleton.index_of(mark.joint) for mark in fit.landmarks]
+    targets = pose[joints, :3, 3] + np.array([mark.offset for mark in fit.landmarks])
+    return fit_similarity(garment.vertices[vertices], targets)
+
+
+def _by_bounding_box(garment: Mesh, skeleton: Skeleton, pose: FloatArray, options: FitOptions) -> Similarity:
+    """Scale the garment's height to the region's, hang it from its top, facing as the figure does."""
+    low, high = garment.vertices.min(axis=0), garment.vertices.max(axis=0)
+    height = float(high[1] - low[1])
+    if not height > 0:
+        raise BadInput("fit: the garment has no height (its vertices share one y)")
+    anatomy = anatomy_of(skeleton)
+    facing = facing_of(skeleton, anatomy.legs)
+    yaw = np.arctan2(-facing[0], -facing[2])  # turns −z, towards the camera, into the facing
+    rotation = Rotation.from_euler("y", yaw).as_matrix()
+    trunk = pose[list(anatomy.trunk), :3, 3]
+    bottom, top = _vertical_span(pose, trunk, anatomy.legs, options.region)
+    scale = options.fullness * (bottom - top) / height
+    anchor = np.array([(low[0] + high[0]) / 2, low[1], _anchor_depth(garment, options)])
+    target = np.array([trunk[:, 0].mean(), top, trunk[:, 2].mean()])
+    translation = target - scale * rotation @ anchor
+    return Similarity(scale=scale, rigid=RigidTransform(rotation=rotation, translation=translation))
+
+
+def _vertical_span(
+    pose: FloatArray, trunk: Points, legs: tuple[int, ...], region: Region
+) -> tuple[float, float]:
+    """Return y of the region's bottom and top (y points down)."""
+    feet = float(pose[list(legs), 1, 3].max()) if legs else float(trunk[0, 1])
+    hips, neck = float(trunk[0, 1]), float(trunk[-1, 1])
+    bottom = hips if region is Region.UPPER_BODY else feet
+    top = hips if region is Region.LOWER_BODY else neck
+    if not bottom > top:
+        raise BadInput(f"fit: the figure has no {region.value.replace('-', ' ')}; use landmarks")
+    return bottom, top
+
+
+def _anchor_depth(garment: Mesh, options: FitOptions) -> float:
+    z = garment.vertices[:, 2]
+    placement = options.depth
+    if placement is DepthPlacement.AUTO:
+        areas = face_normals(garment.vertices, garment.faces)
+        total = float(np.linalg.norm(areas, axis=1).sum())
+        is_open = np.linalg.norm(areas.sum(axis=0)) > _OPEN_ABOVE * total
+        placement = DepthPlacement.REAR if is_open else DepthPlacement.CENTRE
+    return float(z.max()) if placement is DepthPlacement.REAR else float(z.min() + z.max()) / 2
