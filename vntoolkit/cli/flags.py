@@ -23,14 +23,11 @@ def flags_from(options: type[Any], *, without: tuple[str, ...] = (), **renamed: 
     meanings = meanings_of_fields(options)
     fields: list[tuple[str, Any, Any]] = []
     for field in dataclasses.fields(options):
-        if dataclasses.is_dataclass(hints[field.name]):
-            continue
-        hidden = field.name in without
+        hidden = field.name in without or dataclasses.is_dataclass(hints[field.name])
         flag = Parameter(
             name=f"--{renamed.get(field.name, field.name).replace('_', '-')}",
-            help=None if hidden else meanings[field.name],
+            help=None if hidden else _capitalised(meanings[field.name]),
             parse=not hidden,
-            negative=(),
         )
         default = (
             dataclasses.field(default_factory=field.default_factory)
@@ -67,3 +64,7 @@ def meanings_of_fields(options: type[Any]) -> dict[str, str]:
     if missing:
         raise KeyError(f"{options.__name__}: the docstring does not say what {', '.join(missing)} means")
     return meanings
+
+
+def _capitalised(sentence: str) -> str:
+    return sentence[:1].upper() + sentence[1:] + "."

@@ -8,7 +8,7 @@ from typing import Any
 
 
 def option_values(options: Any, prefix: str = "", without: tuple[str, ...] = ()) -> dict[str, Any]:
-    """Return {dotted field name: JSON value} of a frozen option dataclass and those inside it, but for some."""
+    """Return {dotted field name: JSON value} of a frozen option dataclass and those within, but for some."""
     values: dict[str, Any] = {}
     for field in dataclasses.fields(options):
         if field.name in without:
