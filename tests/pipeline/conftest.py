@@ -1,0 +1,52 @@
+"""A small capture of a moving dome under three coloured lights, with its rig and truth."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.io.images import write_png
+from vntoolkit.photometry.lambertian import rgb_from_normals
+from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.rig import Rig
+
+SIZE = (48, 64)
+RESPONSE = LightResponse(
+    matrix=np.array([[0.35, -0.02, -0.5], [-0.17, 0.3, -0.48], [-0.15, -0.28, -0.52]]),
+)
+
+
+@dataclass(frozen=True)
+class DomeCapture:
+    source: str
+    rig: Rig
+    normals: list[np.ndarray]
+    masks: list[np.ndarray]
+
+
+def dome_normals(centre_u: float) -> tuple[np.ndarray, np.ndarray]:
+    v, u = np.mgrid[: SIZE[0], : SIZE[1]].astype(float)
+    x, y = (u - centre_u) / 40, (v - 23.5) / 40
+    mask = x**2 + y**2 < 0.2
+    z = -np.sqrt(np.maximum(1 - x**2 - y**2, 0.1))
+    normals = np.stack([x, y, z], -1)
+    return np.where(mask[..., None], normals / np.linalg.norm(normals, axis=-1, keepdims=True), 0), mask
+
+
+def write_dome_capture(folder: Path, count: int = 20) -> DomeCapture:
+    normals, masks = [], []
+    for number in range(count):
+        n, mask = dome_normals(31.5 + 0.3 * number)
+        rgb = np.where(mask[..., None], rgb_from_normals(n, RESPONSE), 0)
+        write_png(folder / f"f{number}.png", np.round(rgb.clip(0, 1) * 65535).astype(np.uint16))
+        normals.append(n)
+        masks.append(mask)
+    rig = Rig(camera=Camera.orthographic(width=SIZE[1], height=SIZE[0]), response=RESPONSE)
+    return DomeCapture(str(folder), rig, normals, masks)
+
+
+@pytest.fixture(scope="session")
+def dome_capture(tmp_path_factory: pytest.TempPathFactory) -> DomeCapture:
+    return write_dome_capture(tmp_path_factory.mktemp("dome"))

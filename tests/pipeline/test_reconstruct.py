@@ -1,0 +1,171 @@
+"""Footage to files: right values, the same bytes whatever the workers, and no loss when interrupted."""
+
+import hashlib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.pipeline.conftest import DomeCapture, write_dome_capture
+from vntoolkit.errors import BadCapture, BadInput, BadRig
+from vntoolkit.evaluation.angular_error import angles_between_deg
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.io.frame_range import FrameRange
+from vntoolkit.io.images import write_png
+from vntoolkit.io.manifest import read_manifest
+from vntoolkit.io.maps import read_depth_map, read_normal_map, write_mask
+from vntoolkit.io.meshes import read_mesh
+from vntoolkit.pipeline.block_work import FrameRecord, ReconstructionJob
+from vntoolkit.pipeline.options import OnError, Product, ReconstructOptions
+from vntoolkit.pipeline.outputs import ReconstructionFolder
+from vntoolkit.pipeline.reconstruct import reconstruct
+
+
+def job_of(capture: DomeCapture, out: Path, **options: object) -> ReconstructionJob:
+    return ReconstructionJob(
+        source=capture.source,
+        rig=capture.rig,
+        options=ReconstructOptions(**options),
+        folder=ReconstructionFolder(root=out),
+    )
+
+
+def digest(folder: Path) -> dict[str, str]:
+    """SHA-256 of every result file; the manifest and the log carry times."""
+    files = sorted(path for path in folder.rglob("*") if path.suffix in (".exr", ".ply", ".png"))
+    return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+
+
+@pytest.fixture(scope="module")
+def whole_run(dome_capture: DomeCapture, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("whole")
+    reconstruct(job_of(dome_capture, out))
+    return out
+
+
+def test_normals_depth_and_mesh_are_those_of_the_dome(dome_capture: DomeCapture, whole_run: Path) -> None:
+    number = 7
+    normal_map = read_normal_map(whole_run / f"normals/{number:06d}.exr")
+    mask = dome_capture.masks[number]
+    assert np.array_equal(normal_map.mask, mask)
+    angles = angles_between_deg(normal_map.normals_in_camera[mask], dome_capture.normals[number][mask])
+    assert angles.max() < 0.1  # half floats are exact to 0.03 degrees, 16-bit samples to less
+    depth_map = read_depth_map(whole_run / f"depth/{number:06d}.exr")
+    truth = 40 * dome_capture.normals[number][..., 2][mask]  # a sphere's z is its radius times n_z
+    error = depth_map.depth[mask] - truth
+    assert np.abs(error - error.mean()).max() < 0.01 * np.ptp(truth)
+    mesh = read_mesh(whole_run / f"mesh/{number:06d}.ply")
+    assert len(mesh.vertices) == mask.sum()
+    assert np.median(mesh.normals[:, 2]) < -0.8
+
+
+def test_the_manifest_tells_what_was_done(dome_capture: DomeCapture, whole_run: Path) -> None:
+    manifest = read_manifest(whole_run)
+    assert manifest.outputs == ["normals", "depth", "mesh"]
+    assert manifest.input.frame_count == len(dome_capture.normals) == len(manifest.input.files)
+    assert manifest.options["inversion.relative_albedo"] == pytest.approx(1, abs=0.01)
+    assert manifest.finished
+
+
+@pytest.mark.parametrize("jobs", [2, pytest.param(4, marks=pytest.mark.slow)])
+def test_bytes_do_not_depend_on_the_workers(
+    dome_capture: DomeCapture, whole_run: Path, tmp_path: Path, jobs: int
+) -> None:
+    reconstruct(job_of(dome_capture, tmp_path), jobs=jobs)
+    assert digest(tmp_path) == digest(whole_run)
+
+
+@pytest.mark.parametrize("stop_after", [0, 5, 17])
+def test_an_interrupted_run_goes_on_and_ends_the_same(
+    dome_capture: DomeCapture, whole_run: Path, tmp_path: Path, stop_after: int
+) -> None:
+    seen: list[int] = []
+
+    def interrupt(record: FrameRecord) -> None:
+        seen.append(record.number)
+        if len(seen) > stop_after:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt, match="run the same command again"):
+        reconstruct(job_of(dome_capture, tmp_path), on_frame=interrupt)
+    summary = reconstruct(job_of(dome_capture, tmp_path))
+    assert summary.resumed >= stop_after
+    assert summary.resumed + summary.done == 20
+    assert digest(tmp_path) == digest(whole_run)
+
+
+def test_a_deleted_result_is_made_again(dome_capture: DomeCapture, whole_run: Path, tmp_path: Path) -> None:
+    reconstruct(job_of(dome_capture, tmp_path))
+    (tmp_path / "depth/000003.exr").unlink()
+    assert reconstruct(job_of(dome_capture, tmp_path)).done == 1
+    assert digest(tmp_path) == digest(whole_run)
+
+
+def test_a_run_can_go_further_than_the_one_before(dome_capture: DomeCapture, tmp_path: Path) -> None:
+    frames = FrameRange.from_text("2:12:3")
+    reconstruct(job_of(dome_capture, tmp_path, to=Product.NORMALS), frames=frames)
+    assert not (tmp_path / "depth").exists()
+    reconstruct(job_of(dome_capture, tmp_path, to=Product.DEPTH), frames=frames)
+    assert [path.stem for path in sorted((tmp_path / "depth").iterdir())] == [
+        "000002", "000005", "000008", "000011",
+    ]  # fmt: skip
+
+
+def test_other_options_are_not_mixed_in(dome_capture: DomeCapture, tmp_path: Path) -> None:
+    frames = FrameRange.from_text("0:2")
+    reconstruct(job_of(dome_capture, tmp_path), frames=frames)
+    changed = job_of(dome_capture, tmp_path)
+    changed = replace(
+        changed,
+        options=replace(changed.options, meshing=replace(changed.options.meshing, stride=2)),
+    )
+    with pytest.raises(BadInput, match=r"meshing\.stride \(1 → 2\).*--overwrite"):
+        reconstruct(changed, frames=frames)
+    small = len(read_mesh(tmp_path / "mesh/000000.ply").vertices)
+    reconstruct(changed, frames=frames, overwrite=True)
+    assert len(read_mesh(tmp_path / "mesh/000000.ply").vertices) < 0.3 * small
+
+
+def test_a_mask_is_obeyed(dome_capture: DomeCapture, tmp_path: Path) -> None:
+    mask = np.zeros((48, 64), bool)
+    mask[20:30, 25:40] = True
+    write_mask(tmp_path / "mask.png", mask)
+    job = replace(job_of(dome_capture, tmp_path / "out"), mask=tmp_path / "mask.png")
+    reconstruct(job, frames=FrameRange.from_text("0"))
+    assert np.array_equal(read_normal_map(tmp_path / "out/normals/000000.exr").mask, mask)
+
+
+@pytest.fixture
+def capture_with_black_frame(tmp_path: Path) -> DomeCapture:
+    folder = tmp_path / "footage"
+    folder.mkdir()
+    capture = write_dome_capture(folder, count=4)
+    write_png(folder / "f2.png", np.zeros((48, 64, 3), np.uint16))
+    return capture
+
+
+def test_a_failing_frame_stops_the_run_with_its_name(
+    capture_with_black_frame: DomeCapture, tmp_path: Path
+) -> None:
+    with pytest.raises(BadCapture, match=r"f2\.png: no usable pixel"):
+        reconstruct(job_of(capture_with_black_frame, tmp_path / "out"))
+
+
+def test_or_it_is_skipped_and_named(capture_with_black_frame: DomeCapture, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    summary = reconstruct(job_of(capture_with_black_frame, out, on_error=OnError.SKIP))
+    assert [record.number for record in summary.skipped] == [2]
+    assert summary.done == 3
+    assert not (out / "normals/000002.exr").exists()
+
+
+def test_refusals(dome_capture: DomeCapture, tmp_path: Path) -> None:
+    job = job_of(dome_capture, tmp_path)
+    with pytest.raises(BadInput, match="jobs: expected 1 or more"):
+        reconstruct(job, jobs=0)
+    with pytest.raises(BadInput, match="the capture has only 20 frames"):
+        reconstruct(job, frames=FrameRange.from_text("50:60"))
+    other = replace(dome_capture.rig, camera=Camera.orthographic(width=32, height=48))
+    with pytest.raises(BadRig, match="is 64×48 but the rig's camera is 32×48"):
+        reconstruct(replace(job, rig=other))
