@@ -36,7 +36,7 @@ class BoardOptions:
     out. intrinsics: how the camera is fitted where none is given. fit: how M is fitted.
     """
 
-    largest_error_px: float = 2.0
+    largest_error_px: float = 1.0
     intrinsics: IntrinsicsOptions = field(default_factory=IntrinsicsOptions)
     fit: FitOptions = field(default_factory=FitOptions)
 

@@ -11,12 +11,17 @@ import numpy as np
 
 from vntoolkit.arrays import FloatArray
 from vntoolkit.calibration.board_detection import BoardSighting
+from vntoolkit.calibration.quality import cone_of_normals_deg
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.board_layout import BoardLayout
 from vntoolkit.geometry.camera import Camera, CameraModel
 
 _FEWEST_VIEWS = 5
 _FEWEST_CORNERS = 16
+_LARGEST_FOCAL_DEVIATION = 0.05  # relative standard deviation
+_NARROWEST_CONE_DEG = (
+    8.0  # half-angle of the views: with less tilt, focal length and distance are one unknown
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +36,7 @@ class IntrinsicsOptions:
     radial_terms: int = 1
     tangential: int = 0
     most_views: int = 40
-    largest_error_px: float = 2.0
+    largest_error_px: float = 1.0
 
     def __post_init__(self) -> None:
         if self.radial_terms not in (0, 1, 2) or self.tangential not in (0, 2):
@@ -62,7 +67,7 @@ def fit_camera(
     points = [_in_plane(layout.corners_mm[s.corner_ids]) for s in views]
     images = [s.corners_px.astype(np.float32) for s in views]
     calibrate: Any = cv2.calibrateCameraExtended  # its stubs forbid the None that its manual asks for
-    error, matrix, distortion, _, _, deviations, _, _ = calibrate(
+    error, matrix, distortion, rotations, _, deviations, _, _ = calibrate(
         points,
         images,
         size,
@@ -71,11 +76,14 @@ def fit_camera(
         flags=_flags(options),
     )
     focal_deviation = float(deviations[:2].max()) / float(matrix[0, 0])
-    if not (np.isfinite(error) and error <= options.largest_error_px and focal_deviation < 0.05):
+    tilts = np.array([cv2.Rodrigues(r)[0][:, 2] for r in rotations])
+    cone = cone_of_normals_deg(tilts)
+    fits = np.isfinite(error) and error <= options.largest_error_px
+    if not (fits and focal_deviation < _LARGEST_FOCAL_DEVIATION and cone > _NARROWEST_CONE_DEG):
         raise BadCalibration(
             f"calibrate board: the camera fit misses the corners by {error:.2f} px with a focal length "
-            f"uncertain by {100 * focal_deviation:.0f} %; tilt the board by 30 degrees and more in all "
-            "directions, or give the camera with --camera"
+            f"uncertain by {100 * focal_deviation:.0f} %, from views within {cone:.0f} degrees; tilt the board by 30 "
+            "degrees and more in all directions, or give the camera with --camera"
         )
     k1, k2, p1, p2 = np.ravel(distortion)[:4]
     model = CameraModel.OPENCV if options.radial_terms or options.tangential else CameraModel.PINHOLE

@@ -1,0 +1,115 @@
+"""Files of known lights: DiLiGenT's folder and plain text; directions x right, y up, z towards the viewer.
+
+DiLiGenT: Shi et al., A benchmark dataset and evaluation for non-Lambertian and uncalibrated photometric
+stereo, 2019 (shi2019).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from vntoolkit.arrays import Points
+from vntoolkit.errors import BadInput
+from vntoolkit.io.files import read_text
+
+_CAMERA_FROM_GRAPHICS = np.array([1.0, -1.0, -1.0])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class KnownLights:
+    """directions: (k, 3), camera frame, as long as in the file. intensities: (k, 3) RGB or None.
+
+    images: the photograph of each light, (k) paths or empty. files: what was read, for the rig's sources.
+    """
+
+    directions: Points
+    intensities: Points | None
+    images: tuple[Path, ...]
+    files: tuple[Path, ...]
+
+
+def read_lights(path: Path | str) -> KnownLights:
+    """Read a DiLiGenT folder, or a text file.
+
+    Folder: light_directions.txt, and where there light_intensities.txt and filenames.txt. Text file: a row for
+    each light, `x y z` or `x y z red green blue`; a first line with their number and lines that start with #
+    are passed over.
+    """
+    path = Path(path)
+    if path.is_dir():
+        return _read_folder(path)
+    rows = _read_rows(path)
+    if rows.shape[1] not in (3, 6):
+        raise BadInput(
+            f"{path}: expected 3 or 6 numbers a light (x y z, red green blue), got {rows.shape[1]}"
+        )
+    return KnownLights(
+        directions=rows[:, :3] * _CAMERA_FROM_GRAPHICS,
+        intensities=rows[:, 3:] if rows.shape[1] == 6 else None,
+        images=(),
+        files=(path,),
+    )
+
+
+def _read_folder(folder: Path) -> KnownLights:
+    directions = _read_rows(folder / "light_directions.txt")
+    if directions.shape[1] != 3:
+        raise BadInput(
+            f"{folder}/light_directions.txt: expected 3 numbers a light, got {directions.shape[1]}"
+        )
+    files = [folder / "light_directions.txt"]
+    intensities = None
+    if (folder / "light_intensities.txt").exists():
+        files.append(folder / "light_intensities.txt")
+        intensities = _read_rows(files[-1])
+        if intensities.shape[1] == 1:
+            intensities = np.repeat(intensities, 3, axis=1)
+        if intensities.shape != directions.shape:
+            raise BadInput(
+                f"{files[-1]}: holds {len(intensities)} rows of {intensities.shape[1]}, expected "
+                f"{len(directions)} rows of 3 as there are directions"
+            )
+    images: tuple[Path, ...] = ()
+    if (folder / "filenames.txt").exists():
+        names = read_text(folder / "filenames.txt").split()
+        if len(names) != len(directions):
+            raise BadInput(
+                f"{folder}/filenames.txt: names {len(names)} images for {len(directions)} light directions"
+            )
+        images = tuple(folder / name for name in names)
+    return KnownLights(
+        directions=directions * _CAMERA_FROM_GRAPHICS,
+        intensities=intensities,
+        images=images,
+        files=tuple(files),
+    )
+
+
+def _read_rows(path: Path) -> Points:
+    rows: list[list[float]] = []
+    count = None
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
+        words = line.split("#")[0].replace(",", " ").split()
+        if not words:
+            continue
+        try:
+            values = [float(word) for word in words]
+        except ValueError as error:
+            raise BadInput(f"{path}: line {number} is not a row of numbers") from error
+        if not rows and count is None and len(values) == 1 and values[0] == int(values[0]):
+            count = int(values[0])
+            continue
+        if rows and len(values) != len(rows[0]):
+            raise BadInput(f"{path}: line {number} holds {len(values)} numbers, those before {len(rows[0])}")
+        rows.append(values)
+    if not rows:
+        raise BadInput(f"{path}: holds no light")
+    if count is not None and count != len(rows):
+        raise BadInput(f"{path}: promises {count} lights, holds {len(rows)}")
+    table = np.array(rows)
+    if not np.isfinite(table).all():
+        raise BadInput(f"{path}: holds NaN or infinity")
+    return table
