@@ -147,15 +147,17 @@ class Scene:
     camera_from_object: Callable[[int], RigidTransform] | None = None
 
     def __post_init__(self) -> None:
+        if not self.camera.is_perspective:
+            raise BadInput(f"scene {self.name}: expected a perspective camera, at the origin")
         if self.frame_count < 1 or not self.frame_rate_hz > 0:
             raise BadInput(f"scene {self.name}: expected at least one frame and a positive frame rate")
         require_shape(self.sensitivities, (3, len(WAVELENGTHS_NM)), "scene: sensitivities")
         require_finite(self.sensitivities, "scene: sensitivities")
 
     @property
-    def is_rigid(self) -> bool:
-        """True where one pose per frame says it all."""
-        return self.camera_from_object is not None
+    def vertex_count(self) -> int:
+        """How many vertices the mesh has."""
+        return int(self.surface.faces.max()) + 1
 
 
 SceneFactory = Callable[[SceneOptions], Scene]

@@ -1,7 +1,7 @@
 """Loops over surface samples: position, shading normal, shadow ray's origin, material, colour.
 
-Compiled, because at five samples a pixel an image has millions of them; parallel, since two cores do
-halve the time (each sample writes its own row only).
+Compiled, because at five samples a pixel an image has millions of them; on one thread, since a second one
+gains nothing beside Embree's and frames are shared out to processes.
 """
 
 from __future__ import annotations
@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
+from numba import njit
 
 _SHADOW_OFFSET_M = 2e-4  # lifts a shadow ray off its own triangle; float32 at 5 m is exact to 5e-7
 
 Array = npt.NDArray[Any]
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def sample_geometry(
     vertices: Array, normals: Array, faces: Array, hit_faces: Array, barycentric: Array
 ) -> tuple[Array, Array, Array]:
@@ -30,11 +30,12 @@ def sample_geometry(
     points = np.empty((count, 3))
     shading = np.empty((count, 3))
     origins = np.empty((count, 3))
-    for i in prange(count):
+    p, n, lift = np.empty(3), np.empty(3), np.empty(3)
+    for i in range(count):
         b1, b2 = np.float64(barycentric[i, 0]), np.float64(barycentric[i, 1])
         weights = (1.0 - b1 - b2, b1, b2)
         face = hit_faces[i]
-        p, n, lift = np.zeros(3), np.zeros(3), np.zeros(3)
+        p[:], n[:], lift[:] = 0.0, 0.0, 0.0
         for c in range(3):
             for axis in range(3):
                 p[axis] += weights[c] * vertices[faces[face, c], axis]
@@ -97,12 +98,12 @@ def _texel(texture: Array, u: float, v: float, out: Array) -> None:
         out[b] = upper * (1.0 - fy) + lower * fy
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def sample_texture(texture: Array, uv: Array, hit_faces: Array, barycentric: Array) -> Array:
     """Return (p, b) the texture at the samples."""
     count, bands = hit_faces.size, texture.shape[2]
     values = np.empty((count, bands))
-    for i in prange(count):
+    for i in range(count):
         b1, b2 = np.float64(barycentric[i, 0]), np.float64(barycentric[i, 1])
         corners = uv[hit_faces[i]]
         u = (1.0 - b1 - b2) * corners[0, 0] + b1 * corners[1, 0] + b2 * corners[2, 0]
@@ -111,7 +112,22 @@ def sample_texture(texture: Array, uv: Array, hit_faces: Array, barycentric: Arr
     return values
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
+def interpolate(per_vertex: Array, faces: Array, hit_faces: Array, barycentric: Array) -> Array:
+    """Return (p, c) the values (n, c) of the vertices at the samples."""
+    count, width = hit_faces.size, per_vertex.shape[1]
+    values = np.empty((count, width))
+    for i in range(count):
+        b1, b2 = np.float64(barycentric[i, 0]), np.float64(barycentric[i, 1])
+        v0, v1, v2 = faces[hit_faces[i], 0], faces[hit_faces[i], 1], faces[hit_faces[i], 2]
+        for c in range(width):
+            values[i, c] = (
+                (1.0 - b1 - b2) * per_vertex[v0, c] + b1 * per_vertex[v1, c] + b2 * per_vertex[v2, c]
+            )
+    return values
+
+
+@njit(cache=True)
 def tilt_normals(
     shading: Array, points: Array, slopes: Array, vertices: Array, faces: Array, uv: Array, hit_faces: Array
 ) -> None:
@@ -119,7 +135,7 @@ def tilt_normals(
 
     slopes: (p, 2) dh/du and dh/dv in metres per unit of uv.
     """
-    for i in prange(hit_faces.size):
+    for i in range(hit_faces.size):
         face = hit_faces[i]
         a = vertices[faces[face, 0]]
         e1, e2 = vertices[faces[face, 1]] - a, vertices[faces[face, 2]] - a
@@ -140,7 +156,7 @@ def tilt_normals(
         shading[i] = n
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def shade(
     points: Array, shading: Array, weights: Array, gloss: Array, exponent: float, lit: Array,
     positions: Array, directions: Array, distances: Array, near: bool,
@@ -152,7 +168,7 @@ def shade(
     """
     lights, pigments = pigment_colours.shape[0], pigment_colours.shape[1]
     colours = np.zeros((len(points), 3))
-    for i in prange(len(points)):
+    for i in range(len(points)):
         n, p, colour = shading[i], points[i], colours[i]
         distance = np.sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2])
         for b in range(pigments):

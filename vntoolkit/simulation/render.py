@@ -1,0 +1,206 @@
+"""Rendering a frame: rays through every pixel, equations 1 to 3 where they meet the mesh, then the sensor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.arrays import FloatArray, Flow, Mask, Points
+from vntoolkit.checks import require_shape
+from vntoolkit.errors import BadInput, BadMesh
+from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
+from vntoolkit.geometry.mesh import vertex_normals
+from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.visibility import labels_from_lit
+from vntoolkit.simulation.frame import FrameTruth, SimulatedFrame
+from vntoolkit.simulation.nuisances import Nuisances
+from vntoolkit.simulation.ray_casting import Hits, RayCaster
+from vntoolkit.simulation.scene import Scene
+from vntoolkit.simulation.sensor import expose
+from vntoolkit.simulation.shading import Shader
+
+# Sample positions in a pixel, (u, v) from its centre, the centre first: one; a turned square of four round
+# it, which treats lines of any direction alike; a 3×3 grid.
+_PATTERNS: dict[int, tuple[tuple[float, float], ...]] = {
+    1: ((0.0, 0.0),),
+    5: ((0.0, 0.0), (-0.15, -0.4), (0.4, -0.15), (0.15, 0.4), (-0.4, 0.15)),
+    9: ((0.0, 0.0), *((x / 3, y / 3) for y in (-1, 0, 1) for x in (-1, 0, 1) if (x, y) != (0, 0))),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderOptions:
+    """How a frame is rendered.
+
+    samples: rays per pixel: 1, 5 or 9. threads: for ray casting, 0 = all cores.
+    """
+
+    samples: int = 5
+    threads: int = 0
+
+    def __post_init__(self) -> None:
+        if self.samples not in _PATTERNS:
+            raise BadInput(f"samples: expected 1, 5 or 9 per pixel, got {self.samples}")
+
+
+@dataclass(eq=False)
+class _Sums:
+    """What the samples of the pixels add up to, one row per pixel."""
+
+    colours: FloatArray
+    normals: FloatArray
+    lit: npt.NDArray[np.uint8]
+    met: npt.NDArray[np.uint8]
+
+    @classmethod
+    def of(cls, pixels: int) -> _Sums:
+        return cls(
+            np.zeros((pixels, 3), np.float32),
+            np.zeros((pixels, 3), np.float64),
+            np.zeros((pixels, 3), np.uint8),
+            np.zeros(pixels, np.uint8),
+        )
+
+
+class Renderer:
+    """Renders frames of one scene; what does not change between frames is computed once."""
+
+    def __init__(
+        self, scene: Scene, nuisances: Nuisances | None = None, options: RenderOptions | None = None
+    ) -> None:
+        self.scene = scene
+        self.nuisances = nuisances or Nuisances()
+        self.options = options or RenderOptions()
+        self._shader = Shader(scene, self.nuisances)
+
+    def render(
+        self, vertices: Points, next_vertices: Points | None, generator: np.random.Generator, number: int = 0
+    ) -> SimulatedFrame:
+        """Render the scene's mesh at `vertices` (n, 3); `next_vertices` give the flow, None for none.
+
+        Raises `BadMesh` where the vertices are not those of the scene's faces.
+        """
+        for moved in (vertices, next_vertices):
+            if moved is not None:
+                require_same_topology(moved, self.scene)
+        vertices = np.ascontiguousarray(vertices, dtype=np.float64)
+        sums, centre_hits = self._sample(vertices)
+        camera, scene = self.scene.camera, self.scene
+        samples = self.options.samples
+        radiance = sums.colours + np.float32(scene.background_rgb) * (samples - sums.met[:, None]).astype(
+            np.float32
+        )
+        radiance = (radiance / np.float32(samples)).astype(np.float32)
+        radiance = radiance.reshape(camera.height, camera.width, 3)
+        exposed = expose(radiance, self.nuisances, generator)
+        return SimulatedFrame(
+            number=number,
+            radiance=radiance,
+            stored=exposed.stored,
+            linear=LinearFrame(rgb=exposed.linear, clipped=exposed.clipped, number=number),
+            truth=self._truth(vertices, next_vertices, sums, centre_hits),
+        )
+
+    def _sample(self, vertices: Points) -> tuple[_Sums, Hits]:
+        """Cast and shade every sample of every pixel; also return what the pixels' centres met."""
+        faces = self.scene.surface.faces
+        caster = RayCaster(vertices, faces, self.options.threads)
+        normals = vertex_normals(vertices, faces)
+        sums = _Sums.of(self.scene.camera.width * self.scene.camera.height)
+        centre_hits: Hits | None = None
+        for rays in self._rays:
+            hits = caster.first_hits(rays)
+            if centre_hits is None:
+                centre_hits = hits
+            shaded = self._shader.shade(vertices, normals, hits, caster)
+            sums.colours[hits.rays] += shaded.colours
+            sums.normals[hits.rays] += shaded.normals
+            sums.lit[hits.rays] += shaded.lit
+            sums.met[hits.rays] += 1
+        assert centre_hits is not None
+        return sums, centre_hits
+
+    @cached_property
+    def _rays(self) -> list[npt.NDArray[np.float32]]:
+        """Per sample position, the rays of all pixels, (h·w, 6) = (origin, direction)."""
+        camera = self.scene.camera
+        all_rays = []
+        for offset in _PATTERNS[self.options.samples]:
+            pixels = (camera.pixel_grid() + np.array(offset)).reshape(-1, 2)
+            rays = np.zeros((len(pixels), 6), np.float32)
+            rays[:, 3:] = camera.unproject(pixels, np.ones(len(pixels)))
+            all_rays.append(rays)
+        return all_rays
+
+    def _truth(self, vertices: Points, next_vertices: Points | None, sums: _Sums, hits: Hits) -> FrameTruth:
+        camera = self.scene.camera
+        shape = (camera.height, camera.width)
+        mask = np.zeros(camera.height * camera.width, dtype=np.bool_)
+        mask[hits.rays] = True
+        lengths = np.linalg.norm(sums.normals[hits.rays], axis=1, keepdims=True)
+        normals = np.zeros((mask.size, 3), np.float32)
+        normals[hits.rays] = sums.normals[hits.rays] / lengths
+        depth = np.zeros(mask.size, np.float32)
+        points = self._points_at(vertices, hits)
+        depth[hits.rays] = points[:, 2]
+        lit = (2 * sums.lit >= np.maximum(sums.met, 1)[:, None]) & mask[:, None]
+        mask_image: Mask = mask.reshape(shape)
+        return FrameTruth(
+            normals=NormalMap(normals_in_camera=normals.reshape(*shape, 3), mask=mask_image),
+            depth=DepthMap(depth=depth.reshape(shape), mask=mask_image, unit=LengthUnit.METRE),
+            labels=labels_from_lit(lit.reshape(*shape, 3)),
+            flow_px=None if next_vertices is None else self._flow(next_vertices, hits),
+            vertices=vertices,
+        )
+
+    def _flow(self, next_vertices: Points, hits: Hits) -> Flow:
+        """Where the point that each pixel's centre sees is seen in the next frame, minus the centre."""
+        camera = self.scene.camera
+        flow = np.zeros((camera.height * camera.width, 2), np.float32)
+        there = camera.project(self._points_at(next_vertices, hits))
+        here = np.stack([hits.rays % camera.width, hits.rays // camera.width], axis=1)
+        flow[hits.rays] = there - here
+        return flow.reshape(camera.height, camera.width, 2)
+
+    def _points_at(self, vertices: Points, hits: Hits) -> Points:
+        b = hits.barycentric.astype(np.float64)
+        corners = self.scene.surface.faces[hits.faces]
+        weights = (1.0 - b[:, 0] - b[:, 1], b[:, 0], b[:, 1])
+        parts = (w[:, None] * np.asarray(vertices)[corners[:, i]] for i, w in enumerate(weights))
+        return sum(parts, np.zeros((len(b), 3)))
+
+
+def require_same_topology(vertices: Points, scene: Scene) -> None:
+    """Raise `BadMesh` unless `vertices` (n, 3) are as many as the scene's mesh has."""
+    count = scene.vertex_count
+    if vertices.ndim != 2 or vertices.shape != (count, 3):
+        have = " × ".join(map(str, vertices.shape))
+        raise BadMesh(f"scene {scene.name}: expected {count} × 3 vertices, got {have}: another topology")
+    require_shape(vertices, (count, 3), "vertices", BadMesh)
+
+
+def render_frame(
+    scene: Scene,
+    index: int,
+    *,
+    nuisances: Nuisances | None = None,
+    options: RenderOptions | None = None,
+    seed: int = 0,
+) -> SimulatedFrame:
+    """Render frame `index` of a scene, with the flow to the one after it where there is one.
+
+    The noise depends on `seed` and `index` only. For many frames build one `Renderer`.
+    """
+    if not 0 <= index < scene.frame_count:
+        raise BadInput(f"scene {scene.name}: expected a frame from 0 to {scene.frame_count - 1}, got {index}")
+    following = scene.vertices(index + 1) if index + 1 < scene.frame_count else None
+    renderer = Renderer(scene, nuisances, options)
+    return renderer.render(scene.vertices(index), following, frame_generator(seed, index), index)
+
+
+def frame_generator(seed: int, index: int) -> np.random.Generator:
+    """Return the generator of one frame's noise, whichever process renders it."""
+    return np.random.default_rng([seed, index])
