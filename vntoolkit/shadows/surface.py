@@ -1,0 +1,203 @@
+"""The surface under the shadows: depth, and with it every normal, from whichever lights arrive.
+
+Hernández, Vogiatzis and Cipolla (hernandez2008) let depth supply the one degree of freedom that a shadow
+takes away: the two remaining lights leave a line of slopes, integrability picks the point. Here the same
+holds for any number of lights. Every pixel asks the depth gradient to explain the light that arrives,
+f_k(s) = L_k · n(s) = r_k / albedo for each light k of its label, with an albedo that is the pixel's own where
+all three lights arrive and known to `albedo_spread` from the surroundings where not. Without light a weak
+prior asks for a smooth slope. Gauss–Newton steps solve one weighted Poisson equation each.
+
+Under a perspective camera the unknown is f · log z, whose gradient takes the place of the slope.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels, Weight
+from vntoolkit.errors import BadInput
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.maps import DepthMap, LengthUnit
+from vntoolkit.photometry.visibility import ALL_LIT
+from vntoolkit.shadows.filling import fill_smoothly
+from vntoolkit.shadows.grid_solver import grid_hierarchy, solve_grid
+from vntoolkit.shadows.surface_kernels import (
+    Grid,
+    Model,
+    RayGrid,
+    edges_kernel,
+    local_quadratics_kernel,
+    quadrant_weights_kernel,
+    right_side_kernel,
+    slopes_kernel,
+)
+
+_FLATTEST_Z = 0.12  # |n_z| below which a first slope is held, so that no pixel starts edge-on
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurfaceOptions:
+    """The energy and how long it is minimised.
+
+    noise: standard deviation of a light's share, the share of a surface that faces the light being 1; it
+    stands for camera noise and for what the model leaves out (interreflection, gloss). albedo_spread: relative
+    standard deviation of the albedo continued into a shadow. own_albedo_spread: the same where all three
+    lights arrive; large, as there the colour's length is the albedo. step_softness: χ² at which a depth
+    gradient counts half, because it crosses a step in depth; 0 makes the surface continuous everywhere.
+    smoothness: weight of a shadowed pixel's slope being its surroundings' mean; smooth_px: radius (standard
+    deviation, pixels) of that mean. damping: holds the slope back where nothing else is known. iterations:
+    Gauss–Newton steps. cycles: multigrid cycles per step. tolerance: relative residual that ends a step
+    early. steepest: largest slope, the tangent of the angle from the viewing ray.
+    """
+
+    noise: float = 0.03
+    albedo_spread: float = 0.15
+    own_albedo_spread: float = 3.0
+    step_softness: float = 5.0
+    smoothness: float = 4.0
+    smooth_px: float = 3.0
+    damping: float = 1.0
+    iterations: int = 6
+    cycles: int = 5
+    tolerance: float = 1e-4
+    steepest: float = 8.0
+
+    def __post_init__(self) -> None:
+        if not (self.noise > 0 and self.damping > 0 and self.steepest > 0 and self.albedo_spread >= 0):
+            raise BadInput("surface options: noise, damping and steepest must be positive")
+        if self.iterations < 1 or self.cycles < 1:
+            raise BadInput("surface options: iterations and cycles must be at least 1")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Surface:
+    """A solved surface.
+
+    normals: (h, w, 3) unit, camera frame. depth: (h, w) float32, pixels (orthographic) or f · log z.
+    agreement: (h, w), 0 to 1, how far depth and colour agree on a fully lit pixel's slope.
+    """
+
+    normals: FloatArray
+    depth: Grid
+    agreement: Grid
+
+
+def solve_surface(
+    shares: FloatArray,
+    labels: VisibilityLabels,
+    lights: FloatArray,
+    mask: Mask,
+    *,
+    first_normals: FloatArray,
+    weight: Weight | None = None,
+    camera: Camera | None = None,
+    options: SurfaceOptions | None = None,
+    start: Surface | None = None,
+) -> Surface:
+    """Find the surface that explains `shares` with the lights that `labels` say arrive.
+
+    shares: (h, w, 3), contribution of each light over the albedo. lights: (3, 3), row k = direction times
+    strength. first_normals: (h, w, 3) from plain inversion, believed where all lights arrive at the start.
+    weight: (h, w), 0 to 1, trust in a pixel's colour. camera: None for orthographic. start: a solution to go
+    on from. Distortion is ignored.
+    """
+    options = options or SurfaceOptions()
+    rays = _ray_grid(camera)
+    trust = np.where(mask, 1.0 if weight is None else np.maximum(weight, 1e-3), 0.0).astype(np.float32)
+    data = np.nan_to_num(np.asarray(shares)).astype(np.float32)
+    seen = np.where(mask, labels, 0).astype(np.uint8)
+    known = mask & (labels == ALL_LIT)
+    slopes, depth = _first_guess(first_normals, known, rays, options, start)
+    own = slopes.copy()
+    weights = np.empty((*mask.shape, 4), np.float32)
+    agreement = np.zeros(mask.shape, np.float32)
+    quadratics = np.empty((*mask.shape, 6), np.float32)
+    model = Model(
+        options.noise, options.albedo_spread, options.own_albedo_spread, options.smoothness, options.damping
+    )
+    softness = 0.0 if start is None else options.step_softness
+    for _ in range(options.iterations):
+        prior = _surrounding_slope(slopes, mask, known, options)
+        local_quadratics_kernel(data, seen, trust, slopes, prior, lights, rays, model, quadratics)
+        quadrant_weights_kernel(quadratics, seen, mask, slopes, depth, softness, weights)
+        depth = _solve_depth(quadratics, slopes, weights, depth, options)
+        slopes_kernel(depth, weights, options.steepest, slopes, agreement)
+        softness = options.step_softness
+    lonely = known & (agreement <= 0.0)
+    slopes[lonely] = own[lonely]
+    normals = _blend(normals_from_slopes(slopes, rays), first_normals, known, agreement)
+    return Surface(normals=np.where(mask[..., None], normals, 0.0), depth=depth, agreement=agreement)
+
+
+def normals_from_slopes(slopes: FloatArray, rays: RayGrid) -> FloatArray:
+    """Return n ∝ (p, q, −1 − x p − y q), (h, w, 3), of slopes (h, w, 2)."""
+    x, y = _rays(rays, slopes.shape[:2])
+    p, q = slopes[..., 0], slopes[..., 1]
+    normals: FloatArray = np.stack([p, q, -1.0 - x * p - y * q], axis=-1)
+    return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
+
+
+def depth_map_from_surface(surface: Surface, mask: Mask, camera: Camera | None = None) -> DepthMap:
+    """Return the surface's depth: pixels (mean 0) or, for a perspective camera, of free scale (mean 1)."""
+    depth = np.where(mask, surface.depth, 0.0)
+    if camera is None or not camera.is_perspective:
+        depth = np.where(mask, depth - depth[mask].mean(), 0.0) if mask.any() else depth
+        return DepthMap(depth=depth, mask=mask, unit=LengthUnit.PIXEL)
+    depth = np.where(mask, np.exp((depth - depth[mask].mean()) / camera.matrix[0, 0]), 0.0)
+    return DepthMap(depth=depth / depth[mask].mean(), mask=mask, unit=LengthUnit.FREE)
+
+
+def _ray_grid(camera: Camera | None) -> RayGrid:
+    if camera is None or not camera.is_perspective:
+        return RayGrid(0.0, 0.0, 0.0, 0.0)
+    k = camera.matrix
+    return RayGrid(float(k[0, 2]), float(k[1, 2]), 1.0 / float(k[0, 0]), 1.0 / float(k[1, 1]))
+
+
+def _rays(rays: RayGrid, shape: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
+    x = (np.arange(shape[1]) - rays.centre_u) * rays.per_pixel_u
+    y = (np.arange(shape[0]) - rays.centre_v) * rays.per_pixel_v
+    return np.broadcast_to(x[None, :], shape[:2]), np.broadcast_to(y[:, None], shape[:2])
+
+
+def _first_guess(
+    normals: FloatArray, known: Mask, rays: RayGrid, options: SurfaceOptions, start: Surface | None
+) -> tuple[Grid, Grid]:
+    """Slopes of the lit pixels, continued smoothly into the rest, and a depth to start from."""
+    source = normals if start is None else start.normals
+    x, y = _rays(rays, normals.shape[:2])
+    along = np.minimum(source[..., 2] + x * source[..., 0] + y * source[..., 1], -_FLATTEST_Z)
+    slopes = (-source[..., :2] / along[..., None]).astype(np.float32)
+    if start is None:
+        slopes = fill_smoothly(slopes, known.astype(np.float32)).astype(np.float32)
+    long = np.linalg.norm(slopes, axis=-1, keepdims=True)
+    slopes *= np.minimum(1.0, options.steepest / np.maximum(long, 1e-12))
+    depth = np.zeros(normals.shape[:2], np.float32) if start is None else start.depth
+    return np.ascontiguousarray(slopes), depth
+
+
+def _surrounding_slope(slopes: Grid, mask: Mask, known: Mask, options: SurfaceOptions) -> Grid:
+    """Gaussian mean of the slopes around each pixel; shadowed pixels count a third."""
+    share = np.where(known, 1.0, np.where(mask, 1 / 3, 0.0)).astype(np.float32)
+    total = cv2.GaussianBlur(slopes * share[..., None], (0, 0), options.smooth_px)
+    count = cv2.GaussianBlur(share, (0, 0), options.smooth_px)
+    return np.ascontiguousarray(total / np.maximum(count, 1e-6)[..., None])
+
+
+def _solve_depth(quadratics: Grid, slopes: Grid, weights: Grid, start: Grid, options: SurfaceOptions) -> Grid:
+    edges = np.empty((4, *start.shape), np.float32)
+    edges_kernel(quadratics, weights, edges)
+    right = np.empty(start.shape, np.float32)
+    right_side_kernel(quadratics, slopes, weights, right)
+    return solve_grid(grid_hierarchy(edges), right, start, options.tolerance, options.cycles)
+
+
+def _blend(solved: FloatArray, first: FloatArray, known: Mask, agreement: Grid) -> FloatArray:
+    """Where colour alone gives a normal, keep it as far as the depth disagrees (a step, a crease)."""
+    share = np.where(known, agreement, 1.0)[..., None]
+    mixed = share * solved + (1.0 - share) * first
+    length = np.linalg.norm(mixed, axis=-1, keepdims=True)
+    return np.where(length > 1e-6, mixed / np.maximum(length, 1e-6), solved)
