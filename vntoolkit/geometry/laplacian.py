@@ -1,0 +1,71 @@
+"""Laplacians of a triangle mesh, and the edges they live on."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse as sp
+
+from vntoolkit.arrays import Faces, FloatArray, Points
+from vntoolkit.errors import BadMesh
+
+_SMALLEST_SINE = 1e-9  # of a triangle's angle: below it the triangle has no area and its cotangent no value
+
+
+def edges_from_faces(faces: Faces) -> npt.NDArray[np.int32]:
+    """Return the (e, 2) undirected edges of the triangles, each once, lower index first, sorted."""
+    corners = np.asarray(faces, dtype=np.int64)
+    pairs = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
+    pairs.sort(axis=1)
+    width = int(pairs.max(initial=0)) + 1
+    codes = np.unique(pairs[:, 0] * width + pairs[:, 1])
+    return np.stack([codes // width, codes % width], axis=1).astype(np.int32)
+
+
+def graph_laplacian(
+    edges: npt.NDArray[np.integer], vertex_count: int, weights: FloatArray | None = None
+) -> sp.csr_array:
+    """Return the (n, n) symmetric Laplacian of weighted edges: (L x)_i = Σ_j w_ij (x_i − x_j).
+
+    edges: (e, 2), each once. weights: (e,) or None for 1. Rows sum to 0. float64.
+    """
+    weight = np.ones(len(edges)) if weights is None else np.asarray(weights, dtype=np.float64)
+    first, second = np.asarray(edges, dtype=np.int64).reshape(-1, 2).T
+    degree = np.bincount(first, weight, vertex_count) + np.bincount(second, weight, vertex_count)
+    diagonal = np.arange(vertex_count)
+    rows = np.concatenate([first, second, diagonal])
+    columns = np.concatenate([second, first, diagonal])
+    values = np.concatenate([-weight, -weight, degree])
+    return sp.csr_array((values, (rows, columns)), shape=(vertex_count, vertex_count))
+
+
+def uniform_laplacian(faces: Faces, vertex_count: int) -> sp.csr_array:
+    """Return the (n, n) umbrella Laplacian of the triangles' edges, all of weight 1, symmetric.
+
+    Zero in the interior of a plane that is sampled on a regular grid.
+    """
+    return graph_laplacian(edges_from_faces(faces), vertex_count)
+
+
+def cotangent_laplacian(vertices: Points, faces: Faces) -> sp.csr_array:
+    """Return the (n, n) cotangent Laplacian, w_ij = (cot a_ij + cot b_ij) / 2, symmetric.
+
+    The stiffness matrix of linear elements, not divided by areas: it has no unit and keeps its value when
+    the mesh is scaled. Zero in the interior of a plane, however it is triangulated. Raises BadMesh where a
+    triangle has no area.
+    """
+    points = np.asarray(vertices, dtype=np.float64)
+    pairs, weights = [], []
+    for apex, left, right in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        to_left = points[faces[:, left]] - points[faces[:, apex]]
+        to_right = points[faces[:, right]] - points[faces[:, apex]]
+        cosine = np.sum(to_left * to_right, axis=1)
+        sine = np.linalg.norm(np.cross(to_left, to_right), axis=1)
+        flat = sine <= _SMALLEST_SINE * np.linalg.norm(to_left, axis=1) * np.linalg.norm(to_right, axis=1)
+        if flat.any():
+            raise BadMesh(
+                f"cotangent Laplacian: {int(flat.sum())} triangles have no area; use the uniform Laplacian"
+            )
+        pairs.append(np.sort(np.asarray(faces, dtype=np.int64)[:, [left, right]], axis=1))
+        weights.append(0.5 * cosine / sine)
+    return graph_laplacian(np.concatenate(pairs), len(points), np.concatenate(weights))

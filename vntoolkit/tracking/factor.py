@@ -1,0 +1,100 @@
+"""A sparse symmetric factorisation L D Lᵀ, made once and solved for every frame.
+
+SuperLU factors in complex single precision without pivoting; its solve is replaced by a sweep over the
+columns of L alone, which reads half the memory and takes all right-hand sides together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse as sp
+from numba import njit
+from scipy.sparse.linalg import splu
+
+from vntoolkit.arrays import IntArray
+from vntoolkit.errors import SolverFailed
+
+_NEGLIGIBLE = 1e-7  # what single precision does not see beside 1
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SymmetricFactor:
+    """A = P (L D Lᵀ) Pᵀ of a complex symmetric (not Hermitian) matrix.
+
+    order: (n,) vertex at each elimination step. starts, rows, values: L below its unit diagonal, by
+    columns. inverse_diagonal: (n,) 1 / D.
+    """
+
+    order: npt.NDArray[np.int64]
+    starts: npt.NDArray[np.int64]
+    rows: npt.NDArray[np.int32]
+    values: npt.NDArray[np.complex64]
+    inverse_diagonal: npt.NDArray[np.complex64]
+
+    @property
+    def bytes(self) -> int:
+        """Memory of the factor."""
+        return int(self.starts.nbytes + self.rows.nbytes + self.values.nbytes + self.inverse_diagonal.nbytes)
+
+    def imaginary_solve(self, right: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
+        """Return Im(A⁻¹ right) for real right-hand sides (n, k), float32."""
+        n, k = right.shape
+        work = np.zeros((n, k + k % 2), dtype=np.float32)
+        work[:, :k] = right[self.order]
+        result = np.empty((n, k), dtype=np.float32)
+        for first in range(0, k, 2):
+            pair = work[:, first : first + 2].astype(np.complex64)
+            _sweep(self.starts, self.rows, self.values, self.inverse_diagonal, pair)
+            result[self.order, first : first + 2] = pair.imag[:, : k - first]
+        return result
+
+
+def factor_symmetric(matrix: sp.csr_array, order: IntArray) -> SymmetricFactor:
+    """Factor a complex symmetric matrix (n, n) in the given elimination order, without pivoting.
+
+    Safe for L − iβI with L symmetric positive semi-definite: all leading minors are regular. Raises
+    SolverFailed if SuperLU had to leave the diagonal.
+    """
+    permuted = sp.csc_array(matrix[order][:, order], dtype=np.complex64)
+    lu = splu(permuted, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    if not np.array_equal(lu.perm_c, lu.perm_r):
+        raise SolverFailed(
+            "factorisation: a pivot vanished; the mesh's Laplacian is not positive semi-definite"
+        )
+    steps = np.empty(len(order), dtype=np.int64)
+    steps[lu.perm_c] = np.asarray(order, dtype=np.int64)
+    diagonal = lu.U.diagonal()
+    lower = sp.tril(lu.L, k=-1, format="csc")
+    lower.data[np.abs(lower.data) < _NEGLIGIBLE] = 0  # beside the unit diagonal: a fifth of all entries
+    lower.eliminate_zeros()
+    lower.sort_indices()
+    return SymmetricFactor(
+        order=steps,
+        starts=lower.indptr.astype(np.int64),
+        rows=lower.indices.astype(np.int32),
+        values=lower.data.astype(np.complex64),
+        inverse_diagonal=(1.0 / diagonal).astype(np.complex64),
+    )
+
+
+@njit(cache=True, fastmath=True)
+def _sweep(starts, rows, values, inverse_diagonal, x):  # type: ignore[no-untyped-def]
+    """Solve L D Lᵀ x = x in place, (n, 2) complex64; both columns stay in registers."""
+    n = x.shape[0]
+    for column in range(n):
+        a, b = x[column, 0], x[column, 1]
+        for p in range(starts[column], starts[column + 1]):
+            row, value = rows[p], values[p]
+            x[row, 0] -= value * a
+            x[row, 1] -= value * b
+    for column in range(n - 1, -1, -1):
+        a = x[column, 0] * inverse_diagonal[column]
+        b = x[column, 1] * inverse_diagonal[column]
+        for p in range(starts[column], starts[column + 1]):
+            row, value = rows[p], values[p]
+            a -= value * x[row, 0]
+            b -= value * x[row, 1]
+        x[column, 0], x[column, 1] = a, b

@@ -1,0 +1,152 @@
+"""A lattice of cells on the template: sums over cells, smoothing between them, and back to the vertices.
+
+A node is one connected piece of the surface within one square cell, so that neither a seam nor a gap in the
+mask lets one side look at the other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse as sp
+from numba import njit
+from scipy.sparse.csgraph import connected_components
+
+from vntoolkit.arrays import FloatArray
+from vntoolkit.tracking.template import TrackingTemplate
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TemplateLattice:
+    """Cells of the template and how they hang together.
+
+    node_of_vertex: (n,). taps, shares: (n, 4) nodes whose values make a vertex's, and their weights, which
+    sum to 1. starts, neighbours: adjacency of the nodes, by rows. count: number of nodes.
+    """
+
+    node_of_vertex: npt.NDArray[np.int32]
+    taps: npt.NDArray[np.int32]
+    shares: npt.NDArray[np.float32]
+    starts: npt.NDArray[np.int64]
+    neighbours: npt.NDArray[np.int32]
+    count: int
+
+    def sums(self, values: FloatArray) -> npt.NDArray[np.float64]:
+        """Return (nodes, k) sums of the vertices' values (n, k)."""
+        return _sums(self.node_of_vertex, np.ascontiguousarray(values), self.count)
+
+    def smoothed(self, values: FloatArray, passes: int) -> npt.NDArray[np.float64]:
+        """Return (nodes, k) values plus half of each neighbour's, `passes` times: a growing window."""
+        result = np.ascontiguousarray(values, dtype=np.float64)
+        for _ in range(passes):
+            result = _spread(self.starts, self.neighbours, result)
+        return result
+
+    def at_vertices(self, values: FloatArray) -> npt.NDArray[np.float64]:
+        """Return (n, k) values interpolated from the nodes' (nodes, k), bilinear within each piece."""
+        return _interpolate(self.taps, self.shares, np.ascontiguousarray(values, dtype=np.float64))
+
+
+def lattice_on_template(template: TrackingTemplate, cell_px: int) -> TemplateLattice:
+    """Lay cells of cell_px × cell_px pixels over the template."""
+    cells = template.pixels // cell_px
+    columns = int(cells[:, 0].max()) + 1
+    cell = cells[:, 1].astype(np.int64) * columns + cells[:, 0]
+    first, second = template.edges[:, 0], template.edges[:, 1]
+    count = len(cell)
+    within = cell[first] == cell[second]
+    pieces = sp.coo_array(
+        (np.ones(int(within.sum()), dtype=np.int8), (first[within], second[within])), shape=(count, count)
+    )
+    nodes, node = connected_components(pieces, directed=False)
+    a, b = node[first[~within]], node[second[~within]]
+    ones = np.ones(2 * len(a), dtype=np.int8)
+    links = sp.csr_array((ones, (np.concatenate([a, b]), np.concatenate([b, a]))), shape=(nodes, nodes))
+    links.sum_duplicates()
+    cell_of_node = np.zeros(nodes, dtype=np.int64)
+    cell_of_node[node] = cell
+    taps, shares = _taps(
+        template.pixels, cell_px, columns, node.astype(np.int32), cell_of_node, links.indptr, links.indices
+    )
+    return TemplateLattice(
+        node_of_vertex=node.astype(np.int32),
+        taps=taps,
+        shares=shares,
+        starts=links.indptr.astype(np.int64),
+        neighbours=links.indices.astype(np.int32),
+        count=int(nodes),
+    )
+
+
+@njit(cache=True)
+def _taps(pixels, cell_px, columns, node, cell_of_node, starts, neighbours):  # type: ignore[no-untyped-def]
+    """Of the four cells around each vertex, the pieces that its own piece reaches in two steps."""
+    n = len(node)
+    taps, shares = np.zeros((n, 4), dtype=np.int32), np.zeros((n, 4), dtype=np.float32)
+    for i in range(n):
+        x = (pixels[i, 0] + 0.5) / cell_px - 0.5
+        y = (pixels[i, 1] + 0.5) / cell_px - 0.5
+        u, v = int(np.floor(x)), int(np.floor(y))
+        total = 0.0
+        for corner in range(4):
+            du, dv = corner % 2, corner // 2
+            found = -1
+            if 0 <= u + du < columns:
+                wanted = (v + dv) * columns + u + du
+                found = _reached(node[i], wanted, cell_of_node, starts, neighbours)
+            taps[i, corner] = max(found, 0)
+            if found >= 0:
+                a, b = x - u, y - v
+                shares[i, corner] = (a if du else 1 - a) * (b if dv else 1 - b)
+                total += shares[i, corner]
+        for corner in range(4):
+            shares[i, corner] /= total
+    return taps, shares
+
+
+@njit(cache=True)
+def _reached(own, wanted, cell_of_node, starts, neighbours):  # type: ignore[no-untyped-def]
+    if cell_of_node[own] == wanted:
+        return own
+    for p in range(starts[own], starts[own + 1]):
+        if cell_of_node[neighbours[p]] == wanted:
+            return neighbours[p]
+    for p in range(starts[own], starts[own + 1]):
+        near = neighbours[p]
+        for q in range(starts[near], starts[near + 1]):
+            if cell_of_node[neighbours[q]] == wanted:
+                return neighbours[q]
+    return -1
+
+
+@njit(cache=True)
+def _sums(node, values, count):  # type: ignore[no-untyped-def]
+    k = values.shape[1]
+    out = np.zeros((count, k))
+    for i in range(len(node)):
+        for c in range(k):
+            out[node[i], c] += values[i, c]
+    return out
+
+
+@njit(cache=True)
+def _spread(starts, neighbours, values):  # type: ignore[no-untyped-def]
+    out = values.copy()
+    for i in range(values.shape[0]):
+        for p in range(starts[i], starts[i + 1]):
+            for c in range(values.shape[1]):
+                out[i, c] += 0.5 * values[neighbours[p], c]
+    return out
+
+
+@njit(cache=True)
+def _interpolate(taps, shares, values):  # type: ignore[no-untyped-def]
+    n, k = taps.shape[0], values.shape[1]
+    out = np.zeros((n, k))
+    for i in range(n):
+        for corner in range(4):
+            for c in range(k):
+                out[i, c] += shares[i, corner] * values[taps[i, corner], c]
+    return out

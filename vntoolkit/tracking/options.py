@@ -1,0 +1,121 @@
+"""What the user chooses about tracking."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from vntoolkit.checks import require_in_range
+from vntoolkit.errors import BadInput
+
+
+class Regulariser(Enum):
+    """What keeps neighbouring vertices together."""
+
+    NONE = "none"  # flow alone: equations 5 and 6
+    TRANSLATION = "translation"
+    LAPLACIAN = "laplacian"  # equation 7
+    ARAP = "arap"  # as rigid as possible, by Open3D
+
+
+class LaplacianKind(Enum):
+    """Edge weights of L in equation 7."""
+
+    UNIFORM = "uniform"
+    COTANGENT = "cotangent"
+
+
+class RestShape(Enum):
+    """Where the Laplacian coordinates Q of equation 7 come from."""
+
+    TEMPLATE = "template"  # they do not turn with the surface
+    PREVIOUS = "previous"  # they do, by what was tracked so far: only the step is smoothed
+
+
+class DriftCorrection(Enum):
+    """What takes back the error that adds up from frame to frame."""
+
+    NONE = "none"
+    TEMPLATE = "template"  # register the template itself to the current frame
+
+
+class Confidence(Enum):
+    """What weights the vertices in the data term."""
+
+    NONE = "none"
+    TEMPLATE = "template"  # how well the frame matches the template where the vertex now lies
+
+
+class FlowMethod(Enum):
+    """Optical flow between consecutive normal maps."""
+
+    NONE = "none"  # nothing moves: no registration
+    DIS = "dis"
+    LATTICE = "lattice"  # DIS, then Lucas and Kanade on a lattice
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlowOptions:
+    """Optical flow between consecutive normal maps.
+
+    method: see FlowMethod. lattice_px: spacing of the points that Lucas–Kanade follows, pixels.
+    window_px: side of its window, pixels, odd. levels: pyramid levels above full resolution.
+    """
+
+    method: FlowMethod = FlowMethod.LATTICE
+    lattice_px: int = 8
+    window_px: int = 21
+    levels: int = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriftOptions:
+    """Registration of the template to the current frame.
+
+    correction: see DriftCorrection. every: frames from one correction to the next. cell_px: side of a
+    lattice cell on the template, pixels. levels: pyramid levels above full resolution that a correction
+    starts from. iterations: Gauss–Newton steps at full resolution. stiffness: how strongly neighbouring
+    cells share their correction, as a share of the mean information of a cell. noise_slope: standard
+    deviation of a slope that passes for noise, when judging the match.
+    """
+
+    correction: DriftCorrection = DriftCorrection.TEMPLATE
+    every: int = 1
+    cell_px: int = 8
+    levels: int = 1
+    iterations: int = 2
+    stiffness: float = 0.02
+    noise_slope: float = 0.05
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackingOptions:
+    """How the template follows the video.
+
+    regulariser, laplacian, rest, confidence: see the enums. smoothing_length: in edges; Laplacian
+    coordinates keep waves longer than about five times this (β = 1.5 / length², `beta_from_smoothing_length`).
+    data_share: α of the translation regulariser, the share of the data term, 0 to 1. handle_spacing_px:
+    distance of the vertices that ARAP is told where to go, pixels. flow, drift: their options.
+    """
+
+    regulariser: Regulariser = Regulariser.LAPLACIAN
+    laplacian: LaplacianKind = LaplacianKind.UNIFORM
+    rest: RestShape = RestShape.PREVIOUS
+    confidence: Confidence = Confidence.TEMPLATE
+    smoothing_length: float = 4.0
+    data_share: float = 0.9
+    handle_spacing_px: int = 8
+    flow: FlowOptions = FlowOptions()
+    drift: DriftOptions = DriftOptions()
+
+    def __post_init__(self) -> None:
+        require_in_range(self.data_share, 1e-3, 1.0, "data share α")
+        require_in_range(self.smoothing_length, 0.0, 1e3, "smoothing length in edges")
+        require_in_range(self.drift.every, 1, 1e6, "frames from one drift correction to the next")
+        require_in_range(self.drift.cell_px, 4, 64, "lattice cell in pixels")
+        require_in_range(self.flow.window_px, 5, 101, "flow window in pixels")
+        without_drift = self.drift.correction is DriftCorrection.NONE
+        if self.confidence is Confidence.TEMPLATE and without_drift:
+            raise BadInput("confidence `template` needs drift correction `template`, which it is measured by")
+        if self.confidence is Confidence.TEMPLATE and self.regulariser is not Regulariser.LAPLACIAN:
+            raise BadInput(f"confidence weights need regulariser `laplacian`, not `{self.regulariser.value}`")

@@ -1,0 +1,180 @@
+"""The tracker: one template through the frames, one step a frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse as sp
+
+from vntoolkit.arrays import Points, Points2, read_only
+from vntoolkit.checks import require_same_size
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.laplacian import cotangent_laplacian, graph_laplacian
+from vntoolkit.geometry.maps import DepthMap, NormalMap
+from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.tracking.advection import advected_positions, targets_on_surface
+from vntoolkit.tracking.arap import ArapRegulariser
+from vntoolkit.tracking.drift import TemplateRegistration
+from vntoolkit.tracking.flow import flow_between
+from vntoolkit.tracking.flow_slopes import slope_pyramid
+from vntoolkit.tracking.laplacian_coordinates import LaplacianRegulariser, beta_from_smoothing_length
+from vntoolkit.tracking.lattice import lattice_on_template
+from vntoolkit.tracking.options import (
+    Confidence,
+    DriftCorrection,
+    FlowMethod,
+    LaplacianKind,
+    Regulariser,
+    RestShape,
+    TrackingOptions,
+)
+from vntoolkit.tracking.template import TrackingTemplate, template_from_maps
+from vntoolkit.tracking.translation import TranslationRegulariser
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrackedFrame:
+    """The template in one frame.
+
+    vertices_in_camera: (n, 3). positions_px: (n, 2) their pixels. confidence: (n,) from 0 (not seen here,
+    held by its neighbours) to 1.
+    """
+
+    vertices_in_camera: Points
+    positions_px: Points2
+    confidence: npt.NDArray[np.floating]
+
+
+class SurfaceTracker:
+    """Follows one template, frame by frame, forwards or backwards: `step` takes the next frame."""
+
+    def __init__(
+        self,
+        template: NormalMap,
+        depth: DepthMap,
+        camera: Camera,
+        options: TrackingOptions | None = None,
+        seams: Sequence[Points2] = (),
+    ) -> None:
+        """Cut the template along the seams and factor what every frame solves.
+
+        template, depth: maps of the template frame. seams: polylines (k, 2) in its pixels. Raises BadInput
+        where no pixel is valid or a seam leaves the mask.
+        """
+        self.options = options or TrackingOptions()
+        self.camera = camera
+        self.template = template_from_maps(template, depth, camera, seams)
+        count = len(self.template.pixels)
+        self.state = TrackedFrame(
+            vertices_in_camera=self.template.vertices_in_camera,
+            positions_px=self.template.positions_px,
+            confidence=np.ones(count),
+        )
+        self._steps = 0
+        self._previous = template
+        self._registration = self._new_registration(template)
+        self._regularise_pixels = self._registration is not None
+        self._solver = self._new_solver()
+
+    @property
+    def mesh(self) -> Mesh:
+        """The template as a mesh."""
+        return Mesh(vertices=self.template.vertices_in_camera, faces=self.template.faces)
+
+    def step(self, normal_map: NormalMap, depth_map: DepthMap) -> TrackedFrame:
+        """Follow the surface into the next frame."""
+        require_same_size(normal_map.mask, "normals", self._previous.mask, "the frame before")
+        require_same_size(depth_map.mask, "depth", normal_map.mask, "normals")
+        self._steps += 1
+        flow = flow_between(self._previous, normal_map, self.options.flow)
+        moved = advected_positions(self.state.positions_px, flow)
+        confidence = self.state.confidence
+        if self._registration is not None and self._steps % self.options.drift.every == 0:
+            corrected = self._registration.register(
+                moved, slope_pyramid(normal_map, self.options.drift.levels)
+            )
+            moved, confidence = corrected.positions_px, corrected.confidence
+        self.state = self._regularised(moved, confidence, depth_map)
+        self._previous = normal_map
+        return self.state
+
+    def resume(self, state: TrackedFrame, previous: NormalMap, steps: int) -> None:
+        """Continue from a saved state: that frame's result, its normals, and the steps taken so far."""
+        self.state, self._previous, self._steps = state, previous, steps
+
+    def _regularised(
+        self, moved: Points2, confidence: npt.NDArray[np.floating], depth_map: DepthMap
+    ) -> TrackedFrame:
+        before = self.state
+        if self._regularise_pixels:
+            moved = self._regularised_pixels(moved, confidence)
+        depth = before.vertices_in_camera[:, 2]
+        targets, found = targets_on_surface(moved, depth_map, self.camera, depth)
+        vertices = targets if self._regularise_pixels else self._regularised_vertices(targets)
+        return TrackedFrame(
+            vertices_in_camera=read_only(vertices),
+            positions_px=read_only(moved if vertices is targets else self.camera.project(vertices)),
+            confidence=read_only(np.clip(confidence * found, 0.0, 1.0)),
+        )
+
+    def _regularised_pixels(
+        self, moved: Points2, confidence: npt.NDArray[np.floating]
+    ) -> npt.NDArray[np.float64]:
+        """The default: smooth the step in the image; depth is then read, not smoothed."""
+        solver, before = self._solver, self.state.positions_px
+        rest = self.template.positions_px if self.options.rest is RestShape.TEMPLATE else before
+        if isinstance(solver, TranslationRegulariser):
+            return np.asarray(before + solver.solve(moved - before))
+        if not isinstance(solver, LaplacianRegulariser):
+            return moved
+        if self.options.confidence is Confidence.TEMPLATE:
+            return np.asarray(rest + solver.solve_weighted(moved - rest, confidence))
+        return np.asarray(rest + solver.solve(moved - rest))
+
+    def _regularised_vertices(self, targets: Points) -> Points:
+        """As published: smooth the vertices in space, depth included."""
+        solver, before = self._solver, self.state.vertices_in_camera
+        if isinstance(solver, TranslationRegulariser):
+            return np.asarray(before + solver.solve(targets - before))
+        if isinstance(solver, LaplacianRegulariser):
+            template = self.template.vertices_in_camera
+            rest = template if self.options.rest is RestShape.TEMPLATE else before
+            return np.asarray(rest + solver.solve(targets - rest))
+        if isinstance(solver, ArapRegulariser):
+            return solver.solve(before, targets)
+        return targets
+
+    def _new_registration(self, normal_map: NormalMap) -> TemplateRegistration | None:
+        drift = self.options.drift
+        if drift.correction is DriftCorrection.NONE or self.options.flow.method is FlowMethod.NONE:
+            return None
+        lattice = lattice_on_template(self.template, drift.cell_px)
+        pyramid = slope_pyramid(normal_map, drift.levels)
+        return TemplateRegistration(self.template, lattice, pyramid, drift)
+
+    def _new_solver(self) -> TranslationRegulariser | LaplacianRegulariser | ArapRegulariser | None:
+        options, template = self.options, self.template
+        count = len(template.pixels)
+        if options.regulariser is Regulariser.TRANSLATION:
+            return TranslationRegulariser(template.edges, count, options.data_share)
+        if options.regulariser is Regulariser.ARAP:
+            return ArapRegulariser(template, options.handle_spacing_px)
+        if options.regulariser is Regulariser.NONE:
+            return None
+        beta = beta_from_smoothing_length(options.smoothing_length)
+        laplacian, edges = _laplacian(template, options.laplacian)
+        return LaplacianRegulariser(laplacian, edges, template.positions_px, beta)
+
+
+def _laplacian(
+    template: TrackingTemplate, kind: LaplacianKind
+) -> tuple[sp.csr_array, npt.NDArray[np.integer]]:
+    """L, and the edges it couples: a grid's for uniform weights, the triangles' for cotangents."""
+    if kind is LaplacianKind.UNIFORM:
+        return graph_laplacian(template.edges, len(template.pixels)), template.edges
+    laplacian = cotangent_laplacian(template.vertices_in_camera, template.faces)
+    upper = sp.coo_array(sp.triu(laplacian, k=1))
+    return laplacian, np.stack([upper.row, upper.col], axis=1)
