@@ -1,0 +1,193 @@
+"""Rigs and manifests: everything comes back, and what is wrong is named by its key."""
+
+import json
+
+import numpy as np
+import pytest
+
+from vntoolkit.errors import BadInput, BadRig
+from vntoolkit.geometry.camera import Camera, CameraModel
+from vntoolkit.io.files import sha256_of_file, source_file
+from vntoolkit.io.manifest import (
+    FrameLog,
+    InputEntry,
+    Manifest,
+    changes_between,
+    hashed,
+    library_versions,
+    read_manifest,
+    require_resumable,
+    write_manifest,
+)
+from vntoolkit.io.rigs import entry_from_rig, read_rig, rig_from_text, rig_schema, text_from_rig, write_rig
+from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.rig import FitQuality, Rig, SourceFile
+from vntoolkit.photometry.transfer import Transfer, TransferCurve
+
+
+@pytest.fixture
+def rig(rng) -> Rig:
+    colours = np.eye(3) + 0.1 * rng.random((3, 3))
+    matrix = np.array([[0.5, 0.1, -0.4], [-0.3, 0.4, -0.5], [-0.1, -0.5, -0.4]])
+    return Rig(
+        camera=Camera(
+            model=CameraModel.OPENCV,
+            width=640,
+            height=480,
+            matrix=np.array([[700.1, 0, 320], [0, 701.2, 240], [0, 0, 1]]),
+            distortion=np.array([0.1, -0.2, 0.001, 0.002]),
+        ),
+        response=LightResponse(matrix=matrix, ambient=np.array([0.01, 0.02, 0.03]), light_colours=colours),
+        transfer=Transfer(curve=TransferCurve.GAMMA, gamma=2.2, black_level=0.01, white_level=0.98),
+        quality=FitQuality(
+            method="board", residual_deg=1.25, condition_number=3.5, samples=9000, cone_deg=64.0
+        ),
+        sources=(SourceFile(file="board.mkv", sha256="ab" * 32),),
+    )
+
+
+def test_a_rig_comes_back_to_the_last_digit(tmp_path, rig):
+    write_rig(tmp_path / "rig.json", rig)
+    back = read_rig(tmp_path / "rig.json")
+    assert text_from_rig(back) == text_from_rig(rig)
+    np.testing.assert_array_equal(back.camera.matrix, rig.camera.matrix)
+    np.testing.assert_array_equal(back.camera.distortion, rig.camera.distortion)
+    np.testing.assert_array_equal(back.response.matrix, rig.response.matrix)
+    np.testing.assert_array_equal(back.response.light_colours, rig.response.light_colours)
+    assert (back.transfer, back.quality, back.sources) == (rig.transfer, rig.quality, rig.sources)
+
+
+def _changed(rig, *path, value):
+    content = json.loads(text_from_rig(rig))
+    *steps, last = path
+    inner = content
+    for step in steps:
+        inner = inner[step]
+    if value is KeyError:
+        del inner[last]
+    else:
+        inner[last] = value
+    return json.dumps(content)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "line"),
+    [
+        (
+            ("camera", "focal"),
+            3,
+            "unknown key 'camera.focal'; known there: model, width, height, K, distortion",
+        ),
+        (("colours",), 3, "unknown key 'colours'; known there: version, camera"),
+        (("sources", 0, "md5"), "", r"unknown key 'sources\.0\.md5'; known there: file, sha256"),
+        (("quality", "note"), "", r"unknown key 'quality\.note'; known there: method"),
+        (("response", "matrix"), KeyError, r"the key 'response\.matrix' is missing"),
+        (("camera", "width"), -1, r"camera\.width: input should be greater than 0, got -1"),
+        (("camera", "model"), "FISHEYE", r"camera\.model: input should be 'PINHOLE'"),
+        (("camera", "model"), "PINHOLE", "PINHOLE camera has no distortion"),
+        (("response", "matrix"), [[1, 2, 3], [2, 4, 6], [0, 0, 1]], "M is singular"),
+        (("response", "ambient"), [0, 0, float("nan")], r"response\.ambient\.2: input should be a finite"),
+        (("response", "frame"), "graphics", r"response\.frame: input should be 'camera'"),
+        (("colour", "transfer"), "log", "expected linear, srgb, bt709 or gamma:G"),
+        (("colour", "order"), "bgr", r"colour\.order: input should be 'rgb'"),
+        (("sources", 0, "sha256"), "12", r"sources\.0\.sha256"),
+        (("version",), 2, "is of version 2, this program reads 1"),
+    ],
+)
+def test_a_bad_rig_is_one_line_that_names_the_key(rig, path, value, line):
+    with pytest.raises(BadRig, match=line) as caught:
+        rig_from_text(_changed(rig, *path, value=value), "rig.json")
+    assert str(caught.value).startswith("rig.json: ")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [("", "is empty"), ("{", "is not JSON"), ("[]", "expected a JSON object"), ("{}", "'camera' is missing")],
+)
+def test_what_is_no_rig_is_one_line(tmp_path, text, line):
+    (tmp_path / "rig.json").write_text(text)
+    with pytest.raises(BadRig, match=line):
+        read_rig(tmp_path / "rig.json")
+
+
+def test_every_number_of_the_schema_has_its_meaning():
+    schema = rig_schema()
+    for entry in schema["$defs"].values():
+        assert all(len(field["description"]) > 10 for field in entry["properties"].values())
+        assert entry["additionalProperties"] is False
+
+
+def test_hashes_are_of_the_bytes(tmp_path):
+    (tmp_path / "a").write_bytes(b"abc")  # FIPS 180-4, the first example
+    expected = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    assert sha256_of_file(tmp_path / "a") == expected
+    assert source_file(tmp_path / "a") == SourceFile(file="a", sha256=expected)
+
+
+@pytest.fixture
+def manifest(tmp_path, rig) -> Manifest:
+    (tmp_path / "in.mkv").write_bytes(b"footage")
+    return Manifest(
+        input=InputEntry(
+            source="in.mkv",
+            files=hashed([tmp_path / "in.mkv"]),
+            width=640,
+            height=480,
+            frame_count=9,
+            frame_rate_hz=60,
+        ),
+        rig=entry_from_rig(rig),
+        options={"integrator": "cosine", "smoothness": 0.5, "region": (1, 2)},
+        versions=library_versions(),
+    )
+
+
+def test_a_manifest_comes_back_and_names_what_changed(tmp_path, manifest, rig):
+    out = tmp_path / "out"
+    require_resumable(out, manifest)  # nothing there: nothing to object to
+    write_manifest(out, manifest)
+    back = read_manifest(out)
+    assert changes_between(back, manifest) == []
+    assert back.label_legend["5"] == "lit by light 0 and light 2"
+    options = {**manifest.options, "smoothness": 0.7}
+    (tmp_path / "in.mkv").write_bytes(b"other footage")
+    changed_input = manifest.input.model_copy(update={"files": hashed([tmp_path / "in.mkv"])})
+    colour = manifest.rig.colour.model_copy(update={"transfer": "srgb"})
+    other = manifest.model_copy(
+        update={
+            "options": options,
+            "input": changed_input,
+            "rig": manifest.rig.model_copy(update={"colour": colour}),
+            "frames": "0:5:1",
+        }
+    )
+    with pytest.raises(
+        BadInput, match=r"input files.*the rig's colour; smoothness \(0\.5 → 0\.7\); add --overwr"
+    ):
+        require_resumable(out, other)
+    require_resumable(out, manifest.model_copy(update={"frames": "0:5:1", "started": "now"}))
+
+
+def test_a_folder_without_a_manifest_is_refused(tmp_path):
+    with pytest.raises(BadInput, match=r"holds no reconstruction\.json"):
+        read_manifest(tmp_path)
+    (tmp_path / "reconstruction.json").write_text('{"version": 1, "input": 3}')
+    with pytest.raises(BadInput, match="input: expected a JSON object with the keys source"):
+        read_manifest(tmp_path)
+
+
+def test_finished_frames_are_remembered_across_a_crash(tmp_path):
+    log = FrameLog(tmp_path)
+    assert log.done() == {}
+    for number in (0, 1, 5):
+        log.append(number, 0.25)
+    log.close()
+    with (tmp_path / "frames.log").open("a") as torn:
+        torn.write("6")  # the crash
+    log = FrameLog(tmp_path)
+    assert log.done() == {0: 0.25, 1: 0.25, 5: 0.25}
+    log.append(7)
+    assert set(log.done()) == {0, 1, 5, 7}
+    log.clear()
+    assert FrameLog(tmp_path).done() == {}
