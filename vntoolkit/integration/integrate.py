@@ -14,8 +14,7 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.integration.components import Components
 from vntoolkit.integration.divergence import divergence_from_slopes
-from vntoolkit.integration.edges import edges_from_slopes
-from vntoolkit.integration.masked import MaskedSolver
+from vntoolkit.integration.domain import DomainSolver
 from vntoolkit.integration.options import IntegrationOptions, Integrator, Precision
 from vntoolkit.integration.slopes import Float32Image, rays_from_camera, slopes_from_normals
 from vntoolkit.integration.spectral import CosineSolver, FourierSolver, RectangleSolver
@@ -40,10 +39,7 @@ class DepthIntegrator:
         self._options = options or IntegrationOptions()
         self._rays = rays_from_camera(camera)
         self._rectangle: dict[Integrator, RectangleSolver] = {}
-        self._domain: Mask | None = None
-        self._masked: MaskedSolver | None = None
-        self._components: Components | None = None
-        self._last: npt.NDArray[np.float64] | None = None
+        self._domain: DomainSolver | None = None
 
     def integrate(self, normal_map: NormalMap) -> DepthMap:
         """Return the depth of `normal_map` (h, w), in the camera frame.
@@ -57,10 +53,17 @@ class DepthIntegrator:
             have = f"{normal_map.shape[1]}×{normal_map.shape[0]}"
             raise BadInput(f"normals are {have} but the camera is {wanted[1]}×{wanted[0]}")
         domain = self._domain_of(normal_map)
-        p, q = slopes_from_normals(normal_map.normals_in_camera, self._rays, self._options.steepest_slope_deg)
-        if self._choice(domain) in _RECTANGLE:
-            return self._finish(self._solve_rectangle(p, q, self._choice(domain)), domain)
-        return self._finish(self._solve_masked(p, q, domain, normal_map.weight), domain)
+        choice = self._choice(domain)
+        if choice in _RECTANGLE:
+            p, q = slopes_from_normals(
+                normal_map.normals_in_camera, self._rays, self._options.steepest_slope_deg
+            )
+            return self._finish(self._solve_rectangle(p, q, choice), domain)
+        if self._domain is None or not np.array_equal(domain, self._domain.domain):
+            self._domain = DomainSolver(domain, self._rays, self._options)
+        solve = self._domain.poisson if choice is Integrator.POISSON else self._domain.discontinuity
+        solution = solve(normal_map.normals_in_camera, normal_map.weight)
+        return self._finish(solution, domain, self._domain.components)
 
     def integrate_slopes(self, p: Float32Image, q: Float32Image) -> DepthMap:
         """Return the depth of slopes per pixel along u (p) and v (q), each (h, w) float32, all valid.
@@ -95,29 +98,16 @@ class DepthIntegrator:
             self._rectangle[choice] = solver(p.shape[0], p.shape[1], dtype)
         return self._rectangle[choice].solve(divergence_from_slopes(p, q))
 
-    def _solve_masked(
-        self, p: Float32Image, q: Float32Image, domain: Mask, weight: Float32Image | None
-    ) -> npt.NDArray[np.float64]:
-        edges = edges_from_slopes(p, q, domain, weight)
-        if self._masked is None or self._domain is None or not np.array_equal(domain, self._domain):
-            self._domain = domain
-            self._components = Components(domain)
-            self._masked = MaskedSolver(
-                domain, tolerance=self._options.tolerance, most_iterations=self._options.most_iterations
-            )
-        assert self._components is not None
-        self._last = self._components.remove_means(self._masked.solve(edges, self._last))
-        return self._last
-
-    def _finish(self, solution: npt.NDArray[Any], domain: Mask) -> DepthMap:
+    def _finish(
+        self, solution: npt.NDArray[Any], domain: Mask, components: Components | None = None
+    ) -> DepthMap:
         """Fix the free constants: solution is depth or log depth of mean 0 over each component."""
         if not self._camera.is_perspective:
             unit = LengthUnit.PIXEL if self._camera.matrix[0, 0] == 1.0 else LengthUnit.METRE
             return DepthMap(depth=solution, mask=domain, unit=unit)
         depth = np.exp(solution)
-        if domain.all():
-            depth /= depth.mean()
+        if components is None:
+            depth /= depth.mean(dtype=np.float64)
         else:
-            assert self._components is not None
-            depth = self._components.scale_means(depth)
+            depth = components.scale_means(depth)
         return DepthMap(depth=depth, mask=domain, unit=LengthUnit.FREE)

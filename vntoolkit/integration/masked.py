@@ -85,7 +85,8 @@ class MaskedSolver:
             self.iterations += 1
         raise SolverFailed(
             f"masked Poisson did not converge in {self._most_iterations} iterations (relative "
-            f"residual {np.sqrt(energy / scale):.1e}, wanted {self._tolerance:.1e}): raise most_iterations or tolerance"
+            f"residual {np.sqrt(energy / scale):.1e}, wanted {self._tolerance:.1e}): "
+            "raise most_iterations or tolerance"
         )
 
     def _precondition(self, residual: Float64Image) -> npt.NDArray[np.float32]:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 
 from vntoolkit.checks import require_in_range
+from vntoolkit.integration.discontinuity import DiscontinuityOptions
 
 
 class Integrator(Enum):
@@ -39,8 +40,9 @@ class IntegrationOptions:
         (degrees); keeps grazing and backward normals from exploding.
     least_weight: pixels of lower confidence leave the domain (0 to 1).
     precision: of COSINE and FOURIER.
-    tolerance: relative residual at which POISSON and DISCONTINUITY stop their linear solver.
+    tolerance: relative residual at which POISSON stops.
     most_iterations: bound on those iterations; reaching it raises `SolverFailed`.
+    discontinuity: further options of DISCONTINUITY.
     """
 
     integrator: Integrator | None = None
@@ -49,6 +51,7 @@ class IntegrationOptions:
     precision: Precision = Precision.SINGLE
     tolerance: float = 1e-6
     most_iterations: int = 1000
+    discontinuity: DiscontinuityOptions = field(default_factory=DiscontinuityOptions)
 
     def __post_init__(self) -> None:
         require_in_range(self.steepest_slope_deg, 1.0, 89.9, "steepest slope in degrees")
