@@ -38,13 +38,16 @@ class RayCaster:
             np.ascontiguousarray(vertices, dtype=np.float32), np.ascontiguousarray(faces, dtype=np.uint32)
         )
 
-    def first_hits(self, rays: npt.NDArray[np.float32]) -> Hits:
-        """Return what rays (p, 6) = (origin, direction) meet first."""
-        answer = self._scene.cast_rays(self._open3d.core.Tensor.from_numpy(rays), nthreads=self._threads)
+    def first_hits(self, rays: npt.NDArray[np.float32], which: npt.NDArray[np.int64]) -> Hits:
+        """Return what those rays, of (p, 6) = (origin, direction), meet first. which: ray indices."""
+        tensor = self._open3d.core.Tensor.from_numpy(rays[which])
+        answer = self._scene.cast_rays(tensor, nthreads=self._threads)
         faces = answer["primitive_ids"].numpy()
         met = np.flatnonzero(faces != self._scene.INVALID_ID)
         return Hits(
-            rays=met, faces=faces[met].astype(np.int64), barycentric=answer["primitive_uvs"].numpy()[met]
+            rays=which[met],
+            faces=faces[met].astype(np.int64),
+            barycentric=answer["primitive_uvs"].numpy()[met],
         )
 
     def blocked(self, origins: Points, targets: Points) -> npt.NDArray[np.bool_]:

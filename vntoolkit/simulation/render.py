@@ -111,8 +111,9 @@ class Renderer:
         normals = vertex_normals(vertices, faces)
         sums = _Sums.of(self.scene.camera.width * self.scene.camera.height)
         centre_hits: Hits | None = None
+        window = self._window(vertices)
         for rays in self._rays:
-            hits = caster.first_hits(rays)
+            hits = caster.first_hits(rays, window)
             if centre_hits is None:
                 centre_hits = hits
             shaded = self._shader.shade(vertices, normals, hits, caster)
@@ -122,6 +123,17 @@ class Renderer:
             sums.met[hits.rays] += 1
         assert centre_hits is not None
         return sums, centre_hits
+
+    def _window(self, vertices: Points) -> npt.NDArray[np.int64]:
+        """Return the indices of the pixels whose rays can meet the mesh: those in its bounding rectangle."""
+        camera = self.scene.camera
+        pixels = np.arange(camera.width * camera.height).reshape(camera.height, camera.width)
+        if vertices[:, 2].min() <= 0:
+            return pixels.ravel()
+        seen = camera.project(vertices)
+        low = np.clip(np.floor(seen.min(axis=0)).astype(int) - 1, 0, [camera.width, camera.height])
+        high = np.clip(np.ceil(seen.max(axis=0)).astype(int) + 2, 0, [camera.width, camera.height])
+        return pixels[low[1] : high[1], low[0] : high[0]].ravel()
 
     @cached_property
     def _rays(self) -> list[npt.NDArray[np.float32]]:

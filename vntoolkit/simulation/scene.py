@@ -27,7 +27,7 @@ Both sides of a face stop light; only the outside is coloured (the inside is sha
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -130,7 +130,8 @@ class Scene:
     sensitivities: (3, λ) ν_i(λ). background_rgb: linear colour where no surface is, 1 = full scale.
     exposure_level: the brightest channel of the reference material at its best orientation, matte part.
     camera_from_object: frame number -> pose of the rigid object, or None where the surface deforms or has
-    several parts that move apart.
+    several parts that move apart. facts: what else is exactly known, by name with its unit, such as
+    {"radius_m": 0.1}; written beside the truth.
     """
 
     name: str
@@ -145,6 +146,7 @@ class Scene:
     background_rgb: float = 0.003
     exposure_level: float = 0.8
     camera_from_object: Callable[[int], RigidTransform] | None = None
+    facts: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.camera.is_perspective:

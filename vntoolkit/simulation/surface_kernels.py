@@ -76,12 +76,14 @@ def _face_camera(n: Array, p: Array, side: float) -> None:
         if length == 0.0:
             n[0], n[1], n[2] = -p[0] / distance, -p[1] / distance, -p[2] / distance
             return
-        n *= side / length
+        for axis in range(3):
+            n[axis] *= side / length
         side = 1.0
-        away = (n[0] * p[0] + n[1] * p[1] + n[2] * p[2]) / distance
+        away = _dot(n, p) / distance
         if away <= 0.0:
             return
-        n -= (away + 1e-6) * p / distance
+        for axis in range(3):
+            n[axis] -= (away + 1e-6) * p[axis] / distance
 
 
 @njit(cache=True)
@@ -135,25 +137,46 @@ def tilt_normals(
 
     slopes: (p, 2) dh/du and dh/dv in metres per unit of uv.
     """
+    e1, e2, n, p = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    along_u, along_v = np.empty(3), np.empty(3)
+    across_u, across_v, outward = np.empty(3), np.empty(3), np.empty(3)
     for i in range(hit_faces.size):
         face = hit_faces[i]
-        a = vertices[faces[face, 0]]
-        e1, e2 = vertices[faces[face, 1]] - a, vertices[faces[face, 2]] - a
         du1, dv1 = uv[face, 1, 0] - uv[face, 0, 0], uv[face, 1, 1] - uv[face, 0, 1]
         du2, dv2 = uv[face, 2, 0] - uv[face, 0, 0], uv[face, 2, 1] - uv[face, 0, 1]
         det = du1 * dv2 - du2 * dv1
-        n = shading[i].copy()
-        along_u, along_v = (dv2 * e1 - dv1 * e2), (du1 * e2 - du2 * e1)
-        across_u, across_v = np.cross(along_v, n), np.cross(n, along_u)
-        volume = along_u[0] * across_u[0] + along_u[1] * across_u[1] + along_u[2] * across_u[2]
+        for axis in range(3):
+            start = vertices[faces[face, 0], axis]
+            e1[axis] = vertices[faces[face, 1], axis] - start
+            e2[axis] = vertices[faces[face, 2], axis] - start
+            along_u[axis] = dv2 * e1[axis] - dv1 * e2[axis]
+            along_v[axis] = du1 * e2[axis] - du2 * e1[axis]
+            n[axis], p[axis] = shading[i, axis], points[i, axis]
+        _cross(along_v, n, across_u)
+        _cross(n, along_u, across_v)
+        volume = _dot(along_u, across_u)
         if det == 0.0 or volume == 0.0:
             continue
         # The height grows along the outward normal; seen from inside, n is flipped and so is the slope.
-        outward = np.cross(e1, e2)
-        side = 1.0 if outward[0] * n[0] + outward[1] * n[1] + outward[2] * n[2] >= 0.0 else -1.0
-        n -= side * det / volume * (slopes[i, 0] * across_u + slopes[i, 1] * across_v)
-        _face_camera(n, points[i], 1.0)
-        shading[i] = n
+        _cross(e1, e2, outward)
+        scale = det / volume if _dot(outward, n) >= 0.0 else -det / volume
+        for axis in range(3):
+            n[axis] -= scale * (slopes[i, 0] * across_u[axis] + slopes[i, 1] * across_v[axis])
+        _face_camera(n, p, 1.0)
+        for axis in range(3):
+            shading[i, axis] = n[axis]
+
+
+@njit(cache=True)
+def _dot(a: Array, b: Array) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@njit(cache=True)
+def _cross(a: Array, b: Array, out: Array) -> None:
+    out[0] = a[1] * b[2] - a[2] * b[1]
+    out[1] = a[2] * b[0] - a[0] * b[2]
+    out[2] = a[0] * b[1] - a[1] * b[0]
 
 
 @njit(cache=True)

@@ -1,0 +1,130 @@
+"""The calibration board with cloth behind its hole, tilted through many orientations (Section III-A)."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from vntoolkit.arrays import FloatArray, Points
+from vntoolkit.geometry.board_layout import MARKER_DICTIONARY, BoardLayout
+from vntoolkit.geometry.rigid import RigidTransform
+from vntoolkit.simulation.grids import grid_faces
+from vntoolkit.simulation.relief import plain_weave
+from vntoolkit.simulation.rigid.motion import Sway
+from vntoolkit.simulation.scene import Detail, Scene, SceneOptions, Surface
+from vntoolkit.simulation.studio import studio_camera, studio_lights
+
+FRAME_COUNT = 240
+_MARGIN_MM = 12.0
+_TEXELS_PER_MM = 6
+_CLOTH_ROWS = 64  # white texels under the print, where the sample's texture coordinates lie
+_PAPER = np.array([0.80, 0.79, 0.77])
+_CLOTH = np.array([0.62, 0.60, 0.57])
+_INK_SHARE = 0.05  # of the paper's reflectance
+_CLOTH_DEPTH_MM = 1.0  # the board's thickness: the sample is stuck on from behind
+_THREAD_MM = 0.8
+_WEAVE_HEIGHT_M = 8e-5
+
+
+def build_board(options: SceneOptions) -> Scene:
+    """The default board filmed full frame; `camera_from_object` is the pose of the board frame, in metres."""
+    layout = BoardLayout()
+    generator = np.random.default_rng(options.seed)
+    width_m, height_m = layout.width_mm / 1000, layout.height_mm / 1000
+    sway = Sway(
+        turns_deg=(36.0, 38.0, 30.0),
+        shifts_m=(0.015, 0.012, 0.10),
+        periods_s=(1.3, 2.1, 3.7, 1.9, 2.3, 2.9),
+        phases=generator.uniform(0, 2 * np.pi, 6),
+        rest=RigidTransform(translation=np.array([-width_m / 2, -height_m / 2, 0.0])),
+    )
+    rest, surface = board_mesh(layout)
+    return Scene(
+        name="board",
+        camera=studio_camera(options.width, options.height, field_width_m=0.34),
+        lights=studio_lights(),
+        surface=surface,
+        vertices=lambda frame: sway.camera_from_object(frame).apply(rest),
+        frame_count=FRAME_COUNT,
+        exposure_level=0.7,  # the paper is brighter than the sample and must not clip
+        camera_from_object=sway.camera_from_object,
+        facts={"square_mm": layout.square_mm, "columns": layout.columns, "rows": layout.rows},
+    )
+
+
+def board_mesh(layout: BoardLayout) -> tuple[Points, Surface]:
+    """Return vertices (n, 3) in the board frame, metres, and the printed surface with the sample."""
+    board, board_uv = _flat_grid(_lines(layout.columns, layout), _lines(layout.rows, layout))
+    grid = np.arange(len(board)).reshape(layout.rows + 3, layout.columns + 3)
+    columns, rows = np.meshgrid(np.arange(-1, layout.columns + 1), np.arange(-1, layout.rows + 1))
+    kept = ~layout.in_hole(np.stack([columns, rows], axis=-1)).ravel()
+    board_faces = grid_faces(grid).reshape(-1, 2, 3)[kept].reshape(-1, 3)
+    # The sample reaches half a square behind the board all round.
+    low = layout.hole_mm[0] - layout.square_mm / 2
+    side = layout.hole_mm[2] + layout.square_mm / 2 - low
+    cloth, cloth_uv = _flat_grid(low[0] + np.array([0.0, side[0]]), low[1] + np.array([0.0, side[1]]))
+    cloth[:, 2] = _CLOTH_DEPTH_MM
+    cloth_faces = grid_faces(np.arange(4).reshape(2, 2)) + len(board)
+    texture = _print_and_white(layout)
+    print_share = 1.0 - _CLOTH_ROWS / len(texture)
+    # v of the sample stays off the border of its white strip, where interpolation would reach the print.
+    strip = np.array([1.0, 0.8 * (1.0 - print_share)])
+    uv = np.concatenate(
+        [
+            board_uv * [1.0, print_share],
+            cloth_uv * strip + [0.0, print_share + 0.1 * (1.0 - print_share)],
+        ]
+    )
+    faces = np.concatenate([board_faces, cloth_faces]).astype(np.int32)
+    is_cloth = np.arange(len(uv)) >= len(board)
+    weave = plain_weave(8, 16)
+    surface = Surface(
+        faces=faces,
+        reference_weights=_CLOTH,
+        vertex_weights=np.where(is_cloth[:, None], _CLOTH, _PAPER),
+        texture=texture,
+        uv=uv[faces],
+        detail=Detail(
+            height_m=_WEAVE_HEIGHT_M * weave,
+            repeats=(side[0] / (8 * _THREAD_MM), side[1] / (8 * _THREAD_MM) / strip[1]),
+            strength=is_cloth.astype(np.float64),
+        ),
+    )
+    return np.concatenate([board, cloth]) / 1000.0, surface
+
+
+def draw_board(layout: BoardLayout, texels_per_mm: int, margin_mm: float) -> FloatArray:
+    """Return the print, (h, w), 1 = paper, 0 = ink: black where row + column is even, markers elsewhere."""
+    square = round(layout.square_mm * texels_per_mm)
+    marker = round(layout.marker_mm * texels_per_mm)
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, MARKER_DICTIONARY))
+    print_ = np.ones((layout.rows * square, layout.columns * square))
+    row, column = np.indices((layout.rows, layout.columns))
+    print_ *= np.kron((row + column) % 2, np.ones((square, square)))
+    for number in layout.sound_marker_ids:
+        column_of, row_of = layout.marker_squares[number]
+        x, y = (at * square + (square - marker) // 2 for at in (column_of, row_of))
+        print_[y : y + marker, x : x + marker] = (
+            cv2.aruco.generateImageMarker(dictionary, int(number), marker, borderBits=1) / 255.0
+        )
+    return np.pad(print_, round(margin_mm * texels_per_mm), constant_values=1.0)
+
+
+def _print_and_white(layout: BoardLayout) -> FloatArray:
+    """Return (h, w, 3) reflectance relative to the paper's: the print, and a white strip under it."""
+    printed = _INK_SHARE + (1.0 - _INK_SHARE) * draw_board(layout, _TEXELS_PER_MM, _MARGIN_MM)
+    sheet = np.concatenate([printed, np.ones((_CLOTH_ROWS, printed.shape[1]))])
+    return np.repeat(sheet[..., None], 3, axis=2)
+
+
+def _lines(squares: int, layout: BoardLayout) -> FloatArray:
+    """Positions in mm of the grid lines across: margin, square borders, margin."""
+    inner = np.arange(squares + 1) * layout.square_mm
+    return np.concatenate([[-_MARGIN_MM], inner, [inner[-1] + _MARGIN_MM]])
+
+
+def _flat_grid(x: FloatArray, y: FloatArray) -> tuple[Points, FloatArray]:
+    """Return vertices (n, 3), row by row, at z = 0, and their places in the rectangle, (n, 2) 0 to 1."""
+    at = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    share = (at - at[0]) / (at[-1] - at[0])
+    return np.column_stack([at, np.zeros(len(at))]), share
