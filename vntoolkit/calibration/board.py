@@ -65,11 +65,12 @@ def fit_response_to_board(
     size: tuple[int, int],
     camera: Camera | None = None,
     options: BoardOptions | None = None,
+    rng: np.random.Generator | None = None,
 ) -> BoardCalibration:
     """Fit the camera (unless given) and M to what a `BoardDetector` saw.
 
-    size: (width, height) of the frames in pixels. Raises `BadCalibration` where the board was seen too
-    rarely, the sample was dark or clipped, or M is not determined.
+    size: (width, height) of the frames in pixels. rng: for MSAC. Raises `BadCalibration` where the board
+    was seen too rarely, the sample was dark or clipped, or M is not determined.
     """
     options = options or BoardOptions()
     if not sightings:
@@ -94,7 +95,7 @@ def fit_response_to_board(
         )
     rgb = np.array([s.rgb for s, _ in kept])
     normals = np.array([p.camera_from_board.rotate(np.array(NORMAL_IN_BOARD)) for _, p in kept])
-    fit = fit_response(normals, rgb, options.fit, verb="board")
+    fit = fit_response(normals, rgb, options.fit, verb="board", rng=rng)
     _log_misfit(rgb, normals, fit)
     return BoardCalibration(fit=fit, camera=camera, poses=tuple(p for _, p in kept))
 

@@ -82,8 +82,8 @@ def fit_camera(
     if not (fits and focal_deviation < _LARGEST_FOCAL_DEVIATION and cone > _NARROWEST_CONE_DEG):
         raise BadCalibration(
             f"calibrate board: the camera fit misses the corners by {error:.2f} px with a focal length "
-            f"uncertain by {100 * focal_deviation:.0f} %, from views within {cone:.0f} degrees; tilt the board by 30 "
-            "degrees and more in all directions, or give the camera with --camera"
+            f"uncertain by {100 * focal_deviation:.0f} %, from views within {cone:.0f} degrees; tilt the "
+            "board by 30 degrees and more in all directions, or give the camera with --camera"
         )
     k1, k2, p1, p2 = np.ravel(distortion)[:4]
     model = CameraModel.OPENCV if options.radial_terms or options.tangential else CameraModel.PINHOLE

@@ -24,7 +24,7 @@ def fit_light_colours(frames: Sequence[LinearFrame], mask: Mask | None = None) -
     """Unit colour of each light, one row per frame, from three photographs of one material.
 
     Under one light every pixel is a multiple of that light's colour as the material returns it: its direction
-    in colour space is the first singular vector of the lit pixels, repeated without those off the line.
+    in colour space is the first singular vector of the lit pixels that lie along their median direction.
     Raises `BadCalibration` for another number of frames, a dark one, or lights of nearly one colour.
     """
     if len(frames) != 3:
@@ -33,8 +33,8 @@ def fit_light_colours(frames: Sequence[LinearFrame], mask: Mask | None = None) -
     condition = float(np.linalg.cond(colours))
     if not condition < _MOST_ALIKE:
         raise BadCalibration(
-            f"light colours: two of the lights have nearly the same colour (condition number {condition:.0f}); "
-            "is each photograph lit by another light?"
+            f"light colours: two of the lights have nearly the same colour (condition number "
+            f"{condition:.0f}); is each photograph lit by another light?"
         )
     return colours
 
@@ -57,7 +57,8 @@ def _line_colour(frame: LinearFrame, mask: Mask | None, name: str) -> Vector3:
     if not top > 1e-3:
         raise BadCalibration(f"light colours: the photograph of the {name} light is black or clipped")
     pixels = pixels[lengths > _LIT_SHARE * top]
-    colour = _first_direction(pixels)
+    colour = np.median(pixels / np.linalg.norm(pixels, axis=1, keepdims=True), axis=0)  # gloss is a minority
+    colour /= np.linalg.norm(colour)
     for _ in range(_PASSES):
         off = np.linalg.norm(pixels - np.outer(pixels @ colour, colour), axis=1)
         off /= np.linalg.norm(pixels, axis=1)

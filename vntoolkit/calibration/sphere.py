@@ -48,9 +48,15 @@ class SphereCalibration:
 
 
 def fit_response_to_sphere(
-    frame: LinearFrame, camera: Camera, mask: Mask | None = None, options: SphereOptions | None = None
+    frame: LinearFrame,
+    camera: Camera,
+    mask: Mask | None = None,
+    options: SphereOptions | None = None,
+    rng: np.random.Generator | None = None,
 ) -> SphereCalibration:
     """Fit M to one image of a ball; outline from `mask` where given, else found in the image.
+
+    rng: draws samples where `options.fit` says MSAC.
 
     Raises `BadCalibration` where no ball is found or its pixels do not determine M.
     """
@@ -67,7 +73,7 @@ def fit_response_to_sphere(
     normal_map = sphere_normals(outline, camera, options.rim_share)
     chosen = normal_map.mask if mask is None else normal_map.mask & mask
     normals, rgb = normal_map.normals_in_camera[chosen], frame.rgb[chosen]
-    fit = fit_response(normals, rgb, options.fit, clipped=frame.clipped[chosen], verb="sphere")
+    fit = fit_response(normals, rgb, options.fit, clipped=frame.clipped[chosen], verb="sphere", rng=rng)
     residual_deg = np.full(frame.shape, np.nan, np.float32)
     recovered = (rgb - fit.response.ambient) @ fit.response.inverse.T
     cosine = np.sum(recovered * normals, axis=1) / np.maximum(np.linalg.norm(recovered, axis=1), 1e-12)

@@ -27,6 +27,8 @@ _TOLERANCE_SHARE = 0.01  # of the radius: how far an outline point may lie from 
 _SMALLEST_RADIUS_PX = 8.0
 _SMALLEST_ARC = 0.4  # of the full circle that must be seen
 _SECTORS = 90
+_RADII = 360
+_REACH_PX = 4.0  # beyond the blur and the threshold's error, within the rim
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,7 +63,7 @@ def find_ball_outline(frame: LinearFrame) -> Circle:
             "calibrate sphere: no ball found; film one matte ball, whole and brighter than what is behind "
             "it, or give its outline with --mask"
         )
-    return best
+    return _refine_on_edges(grey, best)
 
 
 def outline_from_mask(mask: Mask) -> Circle:
@@ -73,6 +75,36 @@ def outline_from_mask(mask: Mask) -> Circle:
             "calibrate sphere: the mask's outline is not a circle; white where the ball is, black elsewhere"
         )
     return best
+
+
+def _refine_on_edges(grey: npt.NDArray[np.float32], rough: Circle) -> Circle:
+    """Move the outline to where the brightness along each radius is halfway between ball and background.
+
+    A low threshold on a blurred image finds the outline a pixel too far out. Radii without an edge (a dark
+    side, a neighbour) are left out, and those whose edge is off the circle after the fit.
+    """
+    turn = 2 * np.pi * np.arange(_RADII) / _RADII
+    directions = np.column_stack([np.cos(turn), np.sin(turn)])
+    offsets = np.arange(-_REACH_PX, _REACH_PX + 0.05, 0.1)
+    at = rough.centre_px + (rough.radius_px + offsets)[None, :, None] * directions[:, None]
+    at = at.astype(np.float32)
+    profiles = cv2.remap(grey, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    inner, outer = profiles[:, 0], profiles[:, -1]
+    edge = np.argmax(profiles < 0.5 * (inner + outer)[:, None], axis=1)
+    height, width = grey.shape
+    inside = ((at[:, -1] >= 0) & (at[:, -1] <= [width - 1, height - 1])).all(axis=1)
+    clear = inside & (edge > 0) & (inner - outer > 0.25 * np.percentile(inner - outer, 90))
+    points = at[np.arange(_RADII), edge].astype(np.float64)[clear]
+    if len(points) < _SMALLEST_ARC * _RADII:
+        return rough
+    for _ in range(5):
+        centre, radius = _least_squares_circle(points)
+        off = np.abs(np.linalg.norm(points - centre, axis=1) - radius)
+        kept = off <= max(0.3, 3 * float(np.median(off)))
+        if kept.all():
+            break
+        points = points[kept]
+    return Circle(centre_px=centre, radius_px=radius, points_px=points, arc=_arc(points - centre))
 
 
 def _circles_in(region: Mask) -> list[Circle]:

@@ -12,6 +12,7 @@ from vntoolkit import __version__
 
 # verb -> (where it lives, the line that `vntoolkit --help` shows)
 VERBS: dict[str, tuple[str, str]] = {
+    "board": ("vntoolkit.cli.board:board", "Draw the calibration board, printed to scale."),
     "doctor": (
         "vntoolkit.cli.doctor:doctor",
         "Check the libraries, or say what in this footage will ruin normals.",
@@ -24,7 +25,19 @@ VERBS: dict[str, tuple[str, str]] = {
     "dress": ("vntoolkit.cli.dress:run", "Put a tracked garment on a figure that motion capture moves."),
 }
 
-GROUPS: dict[str, tuple[str, dict[str, tuple[str, str]]]] = {}
+GROUPS: dict[str, tuple[str, dict[str, tuple[str, str]]]] = {
+    "calibrate": (
+        "Fit a rig (camera and light response) to footage of a calibration object.",
+        {
+            "sphere": ("vntoolkit.cli.calibrate:sphere", "Calibrate on a matte ball of the material."),
+            "board": (
+                "vntoolkit.cli.calibrate:board",
+                "Calibrate on the printed board with the material in its hole.",
+            ),
+            "lights": ("vntoolkit.cli.calibrate:lights", "Make a rig from lights that are known."),
+        },
+    ),
+}
 
 
 def build_app() -> App:

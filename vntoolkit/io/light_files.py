@@ -34,8 +34,8 @@ class KnownLights:
 def read_lights(path: Path | str) -> KnownLights:
     """Read a DiLiGenT folder, or a text file.
 
-    Folder: light_directions.txt, and where there light_intensities.txt and filenames.txt. Text file: a row for
-    each light, `x y z` or `x y z red green blue`; a first line with their number and lines that start with #
+    Folder: light_directions.txt, and where there light_intensities.txt and filenames.txt. Text file: a row
+    for each light, `x y z` or `x y z red green blue`; a first line with their number and comments (#)
     are passed over.
     """
     path = Path(path)

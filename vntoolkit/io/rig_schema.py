@@ -77,7 +77,7 @@ class QualityEntry(_Entry):
     samples: int = Field(ge=0, description="Number of (colour, normal) pairs used.")
     cone_deg: FiniteFloat = Field(
         ge=0,
-        description="Angle, degrees, of the narrowest cone about their mean with 95 % of the normals.",
+        description="Half-angle, degrees, of the narrowest cone about their mean with 95 % of the normals.",
     )
 
 

@@ -17,8 +17,8 @@ class FitQuality:
     method: the verb that fitted it (`sphere`, `board`, `head`, `lights`, `simulation`). residual_deg: median
     angle in degrees between the normals used and those that the fitted M gives back. condition_number: of M.
     samples: number of (colour, normal) pairs used. cone_deg: half-angle in degrees (axis to side) of the
-    narrowest cone about their mean direction that holds 95 % of the normals seen. With samples = 0 nothing was
-    fitted (the lights were known) and residual and cone mean nothing.
+    narrowest cone about their mean direction that holds 95 % of the normals seen. With samples = 0 nothing
+    was fitted (the lights were known) and residual and cone mean nothing.
     """
 
     method: str

@@ -1,0 +1,128 @@
+"""Fitting M to pairs: exact without noise, unmoved by shadow and outliers, refused where undetermined."""
+
+import logging
+
+import numpy as np
+import pytest
+
+from vntoolkit.calibration.fit import FitMethod, FitOptions, ResponseModel, fit_response
+from vntoolkit.errors import BadCalibration, BadInput
+from vntoolkit.photometry.lambertian import rgb_from_normals, shaded_rgb_from_normals
+from vntoolkit.photometry.response import LightResponse
+
+DIRECTIONS = np.array([[0.6, 0.0, -0.8], [-0.36, 0.48, -0.8], [-0.36, -0.48, -0.8]])
+COLOURS = np.array([[0.5, 0.05, 0.02], [0.06, 0.6, 0.1], [0.0, 0.1, 0.4]])
+AMBIENT = np.array([0.05, 0.03, 0.04])
+RESPONSE = LightResponse(matrix=COLOURS.T @ DIRECTIONS, light_colours=COLOURS)
+WITH_AMBIENT = LightResponse(matrix=RESPONSE.matrix, ambient=AMBIENT, light_colours=COLOURS)
+
+
+def hemisphere(rng: np.random.Generator, count: int, cone_deg: float = 80.0) -> np.ndarray:
+    z = -rng.uniform(np.cos(np.deg2rad(cone_deg)), 1, count)
+    azimuth = rng.uniform(0, 2 * np.pi, count)
+    radius = np.sqrt(1 - z**2)
+    return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=1)
+
+
+@pytest.mark.parametrize("method", list(FitMethod))
+@pytest.mark.parametrize("model", list(ResponseModel))
+def test_matte_hemisphere_gives_the_response_back(rng, method, model) -> None:
+    truth = RESPONSE if model is ResponseModel.LINEAR else WITH_AMBIENT
+    normals = hemisphere(rng, 3000)
+    rgb = shaded_rgb_from_normals(normals, truth)
+    options = FitOptions(model=model, method=method, inlier_share=0.01)
+    fit = fit_response(normals, rgb, options, rng=rng, verb="sphere")
+    atol = 1e-9 if method is FitMethod.TRIMMED else 0.005  # MSAC keeps the first hundredth of a shadow
+    np.testing.assert_allclose(fit.response.matrix, truth.matrix, atol=atol)
+    np.testing.assert_allclose(fit.response.ambient, truth.ambient, atol=atol)
+    assert fit.quality.residual_deg < (1e-5 if method is FitMethod.TRIMMED else 0.3)
+    assert fit.quality.condition_number == pytest.approx(truth.condition_number, rel=0.02)
+    assert fit.quality.samples == fit.inliers.sum()
+    shadowed = (normals @ DIRECTIONS.T < -0.05).any(axis=1)
+    assert not fit.inliers[shadowed].any()
+
+
+def test_gloss_and_clipping_do_not_move_the_fit(rng) -> None:
+    normals = hemisphere(rng, 5000, 60)
+    rgb = shaded_rgb_from_normals(normals, RESPONSE) + rng.normal(0, 0.002, (5000, 3))
+    gloss = rng.random(5000) < 0.08
+    rgb[gloss] += rng.uniform(0.1, 0.5, (gloss.sum(), 1))
+    clipped = (rgb > 0.8).any(axis=1)
+    fit = fit_response(normals, np.minimum(rgb, 0.8), clipped=clipped)
+    np.testing.assert_allclose(fit.response.matrix, RESPONSE.matrix, atol=0.002)
+    assert not fit.inliers[gloss | clipped].any()
+
+
+def test_msac_survives_forty_percent_of_wrong_pairs(rng) -> None:
+    normals = hemisphere(rng, 2000, 50)
+    rgb = shaded_rgb_from_normals(normals, WITH_AMBIENT) + rng.normal(0, 0.003, (2000, 3))
+    wrong = rng.random(2000) < 0.4
+    rgb[wrong] = rng.uniform(0, 0.8, (wrong.sum(), 3))
+    options = FitOptions(model=ResponseModel.AMBIENT, method=FitMethod.MSAC, inlier_share=0.03)
+    fit = fit_response(normals, rgb, options, rng=rng)
+    np.testing.assert_allclose(fit.response.matrix, WITH_AMBIENT.matrix, atol=0.01)
+    assert fit.inliers[wrong].mean() < 0.01
+    assert fit.inliers[~wrong].mean() > 0.9
+
+
+def test_residual_is_the_injected_noise_from_both_sides(rng) -> None:
+    normals = hemisphere(rng, 20000, 45)
+    sigma = 0.004
+    fit = fit_response(
+        normals,
+        rgb_from_normals(normals, RESPONSE) + rng.normal(0, sigma, normals.shape),
+        FitOptions(outlier_sigmas=9),
+    )
+    scatter = sigma * rng.normal(size=normals.shape) @ RESPONSE.inverse.T
+    across = scatter - np.sum(scatter * normals, axis=1, keepdims=True) * normals
+    expected = np.rad2deg(np.median(np.linalg.norm(across, axis=1)))
+    assert fit.quality.residual_deg == pytest.approx(expected, rel=0.03)
+
+
+def test_cone_is_the_half_angle_that_holds_most_normals(rng, caplog) -> None:
+    normals = hemisphere(rng, 4000, 12)
+    with caplog.at_level(logging.WARNING):
+        fit = fit_response(normals, rgb_from_normals(normals, RESPONSE))
+    assert 11 < fit.quality.cone_deg < 12
+    assert "within 12 degrees" in caplog.text
+
+
+def test_same_seed_same_fit(rng) -> None:
+    normals = hemisphere(rng, 500)
+    rgb = shaded_rgb_from_normals(normals, RESPONSE) + rng.normal(0, 0.01, (500, 3))
+    fits = [
+        fit_response(normals, rgb, FitOptions(method=FitMethod.MSAC), rng=np.random.default_rng(5))
+        for _ in "ab"
+    ]
+    assert np.array_equal(fits[0].response.matrix, fits[1].response.matrix)
+
+
+def test_refusals(rng) -> None:
+    normals = hemisphere(rng, 200, 40)
+    rgb = rgb_from_normals(normals, RESPONSE)
+    with pytest.raises(BadCalibration, match="no light in the red, green, blue"):
+        fit_response(normals, np.zeros((200, 3)))
+    with pytest.raises(BadCalibration, match="every pixel is clipped"):
+        fit_response(normals, rgb, clipped=np.ones(200, bool))
+    with pytest.raises(BadCalibration, match="no pixel"):
+        fit_response(normals[:0], rgb[:0])
+    with pytest.raises(BadCalibration, match="only 2 lit"):
+        fit_response(normals[:2], rgb[:2])
+    with pytest.raises(BadCalibration, match="do not determine"):
+        fit_response(np.tile(normals[:1], (50, 1)), np.tile(rgb[:1], (50, 1)))
+    one_colour = LightResponse(matrix=RESPONSE.matrix).matrix[[0, 0, 0]]
+    with pytest.raises(BadCalibration, match="singular"):
+        fit_response(normals, normals @ one_colour.T)
+    with pytest.raises(BadCalibration, match="none of 2000 samples"):
+        fit_response(
+            np.tile(normals[:1], (50, 1)),
+            np.tile(rgb[:1], (50, 1)),
+            FitOptions(method=FitMethod.MSAC),
+            rng=rng,
+        )
+    with pytest.raises(BadInput, match="random generator"):
+        fit_response(normals, rgb, FitOptions(method=FitMethod.MSAC))
+    with pytest.raises(BadInput, match="colours: expected shape 200 × 3"):
+        fit_response(normals, rgb[:100])
+    with pytest.raises(BadInput, match="shadow share"):
+        FitOptions(shadow_share=1.5)

@@ -1,0 +1,33 @@
+"""`vntoolkit board`: the calibration board as a PDF."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+from vntoolkit.cli.flags import flags_from
+from vntoolkit.geometry.board_layout import BoardLayout
+from vntoolkit.io.board_pdf import PageSize, write_board_pdf
+
+if TYPE_CHECKING:
+    LayoutFlags: TypeAlias = BoardLayout | None
+else:
+    LayoutFlags = flags_from(BoardLayout)
+
+
+def board(*, out: Path, page: PageSize = PageSize.A4, layout: LayoutFlags = None) -> None:
+    """Draw the calibration board to scale, with a scale bar and what to do with it.
+
+    Parameters
+    ----------
+    out
+        The PDF to write.
+    page
+        Paper.
+    """
+    drawn = layout or BoardLayout()
+    write_board_pdf(out, drawn, page)
+    print(
+        f"{out}: {drawn.columns} × {drawn.rows} squares of {drawn.square_mm:g} mm on {page.name}; "
+        "print at 100 % and measure the scale bar"
+    )

@@ -1,0 +1,191 @@
+"""Calibration from footage to rig: reading, the calibration object, sources."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from vntoolkit.arrays import Mask
+from vntoolkit.calibration.board import BoardCalibration, BoardOptions, fit_response_to_board
+from vntoolkit.calibration.board_detection import BoardDetector, BoardSighting
+from vntoolkit.calibration.light_colours import fit_light_colours, with_light_colours
+from vntoolkit.calibration.lights import LightColours, response_from_lights
+from vntoolkit.calibration.sphere import SphereCalibration, SphereOptions, fit_response_to_sphere
+from vntoolkit.errors import BadCalibration, BadInput
+from vntoolkit.geometry.board_layout import BoardLayout
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.io.captures import Capture, CaptureInfo, CaptureOptions, open_capture
+from vntoolkit.io.files import source_file
+from vntoolkit.io.frame_range import FrameRange
+from vntoolkit.io.label_images import read_mask
+from vntoolkit.io.light_files import read_lights
+from vntoolkit.io.rigs import read_rig
+from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.rig import FitQuality, Rig, SourceFile
+from vntoolkit.photometry.transfer import Transfer
+
+_SEED = 0  # calibrating the same footage twice gives the same rig
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrationJob:
+    """What a calibration reads.
+
+    source: footage of the calibration object. mask: image, white where the object is. background: image under
+    ambient light only. transfer: curve of the footage. camera: a rig.json whose camera is taken. focal_px:
+    focal length in pixels of a pinhole camera instead; with neither the camera is orthographic (ball) or
+    fitted (board). single_light: photographs of one material under the red, the green and the blue light
+    alone, or empty. frames: which frames count.
+    """
+
+    source: str
+    mask: Path | None = None
+    background: Path | None = None
+    transfer: Transfer = field(default_factory=Transfer)
+    camera: Path | None = None
+    focal_px: float | None = None
+    single_light: tuple[Path, ...] = ()
+    frames: FrameRange = field(default_factory=FrameRange)
+
+    def open(self, source: str | Path | None = None) -> Capture:
+        """Open the footage, or another source, with the job's transfer curve and background."""
+        options = CaptureOptions(transfer=self.transfer, background=self.background)
+        return open_capture(source or self.source, options)
+
+    def camera_for(self, info: CaptureInfo) -> Camera | None:
+        """The camera that the user gave, checked against the footage, or None."""
+        if self.camera is not None:
+            rig = read_rig(self.camera)
+            rig.require_size(info.width, info.height, self.source)
+            return rig.camera
+        if self.focal_px is None:
+            return None
+        return Camera.pinhole(width=info.width, height=info.height, focal_px=self.focal_px)
+
+
+def calibrate_sphere(job: CalibrationJob, options: SphereOptions) -> tuple[Rig, SphereCalibration]:
+    """Fit a rig to footage of a ball at rest; the frames are averaged."""
+    capture = job.open()
+    info = capture.info
+    camera = job.camera_for(info) or Camera.orthographic(width=info.width, height=info.height)
+    numbers = job.frames.numbers(info.frame_count)
+    frame = mean_frame(capture.frames(numbers.start, numbers.stop, numbers.step))
+    mask = read_mask_of_size(job.mask, frame.shape)
+    result = fit_response_to_sphere(frame, camera, mask, options, np.random.default_rng(_SEED))
+    response = _with_single_lights(job, result.fit.response, mask)
+    return _rig(job, capture, camera, response, result.fit.quality), result
+
+
+def calibrate_board(
+    job: CalibrationJob,
+    layout: BoardLayout,
+    options: BoardOptions,
+    on_frame: Progress = lambda done, total: None,
+) -> tuple[Rig, BoardCalibration]:
+    """Fit a rig to footage of a board that is tilted this way and that; constant memory."""
+    capture = job.open()
+    info = capture.info
+    numbers = job.frames.numbers(info.frame_count)
+    detector = BoardDetector(layout)
+    sightings: list[BoardSighting] = []
+    for done, frame in enumerate(capture.frames(numbers.start, numbers.stop, numbers.step), start=1):
+        sighting = detector.sight(frame)
+        if sighting is not None:
+            sightings.append(sighting)
+        on_frame(done, len(numbers))
+    result = fit_response_to_board(
+        sightings,
+        layout,
+        (info.width, info.height),
+        job.camera_for(info),
+        options,
+        np.random.default_rng(_SEED),
+    )
+    response = _with_single_lights(job, result.fit.response, None)
+    return _rig(job, capture, result.camera, response, result.fit.quality), result
+
+
+def calibrate_lights(
+    lights_path: Path,
+    like: str | None,
+    chosen: Sequence[int],
+    colours: LightColours,
+    job: CalibrationJob,
+) -> Rig:
+    """Make a rig from known lights.
+
+    like: footage or image that gives the size, else the folder's own image. chosen: which three
+    lights of the list are the red, green and blue one.
+    """
+    lights = read_lights(lights_path)
+    if len(chosen) != 3 or len(set(chosen)) != 3:
+        raise BadInput(
+            f"calibrate lights: expected three different lights, got {', '.join(map(str, chosen))}"
+        )
+    if not all(0 <= k < len(lights.directions) for k in chosen):
+        raise BadInput(
+            f"calibrate lights: {lights_path} holds {len(lights.directions)} lights, numbered from 0; "
+            f"asked for {', '.join(map(str, chosen))}"
+        )
+    intensities = None if lights.intensities is None else lights.intensities[list(chosen)]
+    response, quality = response_from_lights(lights.directions[list(chosen)], intensities, colours)
+    if like is None and not lights.images:
+        raise BadInput("calibrate lights: the image size is not known; give footage of the rig with --like")
+    capture = job.open(like or lights.images[chosen[0]])
+    info = capture.info
+    camera = job.camera_for(info) or Camera.orthographic(width=info.width, height=info.height)
+    return Rig(
+        camera=camera,
+        response=response,
+        transfer=job.transfer,
+        quality=quality,
+        sources=tuple(source_file(path) for path in lights.files),
+    )
+
+
+def mean_frame(frames: Iterable[LinearFrame]) -> LinearFrame:
+    """Average frames of a scene at rest; a pixel clipped in any of them is clipped."""
+    total, clipped, count = None, None, 0
+    for frame in frames:
+        count += 1
+        if total is None or clipped is None:
+            total, clipped = frame.rgb.astype(np.float64), frame.clipped.copy()
+        else:
+            total += frame.rgb
+            clipped |= frame.clipped
+    if total is None or clipped is None:
+        raise BadCalibration("calibrate: the footage holds no frame")
+    return LinearFrame(rgb=(total / count).astype(np.float32), clipped=clipped)
+
+
+def read_mask_of_size(path: Path | None, shape: tuple[int, int]) -> Mask | None:
+    """Read a mask, or None without one; refuse another size than the footage's (h, w)."""
+    if path is None:
+        return None
+    mask = read_mask(path)
+    if mask.shape != shape:
+        raise BadInput(
+            f"{path}: the mask is {mask.shape[1]}×{mask.shape[0]} but the footage is {shape[1]}×{shape[0]}"
+        )
+    return mask
+
+
+def _with_single_lights(job: CalibrationJob, response: LightResponse, mask: Mask | None) -> LightResponse:
+    if not job.single_light:
+        return response
+    plain = replace(job, mask=None)
+    frames = [next(plain.open(path).frames()) for path in job.single_light]
+    return with_light_colours(response, fit_light_colours(frames, mask))
+
+
+def _rig(
+    job: CalibrationJob, capture: Capture, camera: Camera, response: LightResponse, quality: FitQuality
+) -> Rig:
+    extra = [path for path in (job.mask, job.background, *job.single_light) if path is not None]
+    sources: tuple[SourceFile, ...] = tuple(source_file(path) for path in (*capture.info.files, *extra))
+    return Rig(camera=camera, response=response, transfer=job.transfer, quality=quality, sources=sources)
