@@ -157,7 +157,7 @@ def _bone(block: dict[str, list[str]], degrees: bool) -> AsfBone:
     direction = _vector(block["direction"], f"bone {name}, direction")
     return AsfBone(
         name=name,
-        direction=direction / max(float(np.linalg.norm(direction)), 1e-12),  # rounded to six digits on disk
+        direction=direction,
         length=length,
         axis_deg=_vector(block["axis"], f"bone {name}, axis") * factor,
         order=_order(block["axis"][3], f"bone {name}, axis"),

@@ -48,7 +48,8 @@ def read_bvh(path: Path) -> Motion:
             warnings.simplefilter("ignore")  # about empty motions, which are refused below
             bvh = pybvh.read_bvh_file(path, world_up="+y")
     except (ValueError, IndexError, OSError) as error:
-        raise BadMotion(f"{path.name}: {' '.join(str(error).split())}") from error
+        reason = " ".join(str(error).split()).replace(f" in file {path}", "").replace(f" in {path}", "")
+        raise BadMotion(f"{path.name}: {reason}") from error
     require_finite(bvh.root_pos, f"{path.name}: root positions", BadMotion)
     require_finite(bvh.joint_angles, f"{path.name}: joint angles", BadMotion)
     skeleton = _skeleton_of(bvh, names)

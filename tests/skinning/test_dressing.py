@@ -1,0 +1,268 @@
+"""From a tracked garment and a motion to files: it hangs on the figure and moves with it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vntoolkit.__main__ import main
+from vntoolkit.errors import BadInput, BadMotion
+from vntoolkit.geometry.garment_fit import GarmentFit, Landmark, fit_similarity
+from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.geometry.motion import Motion
+from vntoolkit.geometry.rigid import RigidTransform
+from vntoolkit.geometry.skeleton import Skeleton
+from vntoolkit.io.meshes import read_mesh
+from vntoolkit.io.sequences import write_mesh_sequence
+from vntoolkit.io.usd import read_usd_sequence
+from vntoolkit.pipeline.dress import DressedFigure, DressOptions, UpAxis, dress, read_motion
+from vntoolkit.report.raycast_view import View, picture_of
+from vntoolkit.report.turntable import PreviewOptions, contact_sheet, turntable
+from vntoolkit.skinning.anatomy import anatomy_of, facing_of
+from vntoolkit.skinning.blending import Blend
+from vntoolkit.skinning.clock import ClockOptions
+from vntoolkit.skinning.fitting import DepthPlacement, FitOptions, Region
+from vntoolkit.skinning.gait import walking_motion
+from vntoolkit.skinning.kinematics import bone_segments, pose_of_frame
+
+WALK = Path(__file__).parents[2] / "data" / "walk.bvh"
+
+
+def gaps_to_torso(dressed: DressedFigure, frame: int) -> np.ndarray:
+    """Distance of every vertex to the nearest bone in a frame."""
+    _, starts, ends = bone_segments(dressed.motion.skeleton, pose_of_frame(dressed.motion, frame))
+    axis = ends - starts
+    best = np.full(len(dressed.cloth.template.vertices), np.inf)
+    for start, bone in zip(starts, axis, strict=True):
+        away = dressed.frame(frame) - start
+        along = np.clip(away @ bone / (bone @ bone), 0, 1)
+        best = np.minimum(best, np.linalg.norm(away - along[:, None] * bone, axis=1))
+    return best
+
+
+@pytest.mark.parametrize("blend", list(Blend))
+def test_garment_stays_on_the_figure(moving_jumper: MeshSequence, blend: Blend) -> None:
+    dressed = dress(moving_jumper, walking_motion(), DressOptions(blend=blend))
+    assert len(dressed) == 30
+    for frame in (0, 12, 29):
+        assert gaps_to_torso(dressed, frame).max() < 0.30  # metres: a wide jumper's radius
+        hips = dressed.motion.root_positions[frame]
+        assert np.linalg.norm(dressed.frame(frame).mean(axis=0) - hips) < 0.45
+    frames = list(dressed.frames())
+    np.testing.assert_array_equal(frames[12], dressed.frame(12))
+
+
+def test_garment_keeps_its_own_motion(moving_jumper: MeshSequence) -> None:
+    """The ripple of the capture survives: a still skeleton shows the captured shape, scaled."""
+    walk = walking_motion()
+    still = Motion(
+        skeleton=walk.skeleton,
+        rotations=np.tile([0.0, 0, 0, 1], (60, 19, 1)),
+        root_positions=np.tile(walk.skeleton.offsets[:1], (60, 1)),
+        frame_rate_hz=60,
+    )
+    dressed = dress(moving_jumper, still, DressOptions(), GarmentFit(bind_frame=0))
+    for frame in (0, 13):
+        expected = dressed.rest_from_cloth.apply(moving_jumper.vertices[frame])
+        np.testing.assert_allclose(dressed.frame(frame), expected, atol=1e-9)
+
+
+def test_real_motions_are_understood(real_data: Path, moving_jumper: MeshSequence) -> None:
+    for name in ("131_01.bvh", "lambada.amc", "charleston1.amc"):
+        motion = read_motion(real_data / "mocap" / name)
+        anatomy = anatomy_of(motion.skeleton)
+        assert len(anatomy.legs) == 10
+        assert len(anatomy.arms) == 2
+        assert motion.skeleton.names[anatomy.trunk[0]].lower() in ("hips", "root")
+        assert facing_of(motion.skeleton, anatomy.legs)[2] < -0.99  # towards the camera
+        dressed = dress(moving_jumper, motion, DressOptions(clock=ClockOptions(start=1.0)))
+        for frame in (0, 29):
+            assert gaps_to_torso(dressed, frame).max() < 0.35
+
+
+def test_arms_are_turned_into_the_sleeves(real_data: Path, moving_jumper: MeshSequence) -> None:
+    motion = read_motion(real_data / "mocap" / "lambada.amc")  # rests with arms out
+    dressed = dress(moving_jumper, motion)
+    skeleton = dressed.motion.skeleton
+    vertices = dressed.rest_from_cloth.apply(moving_jumper.vertices[0])
+    shoulder = dressed.rest_from_model[skeleton.index_of("lhumerus"), :3, 3]
+    hand = dressed.rest_from_model[skeleton.index_of("lhand"), :3, 3]
+    cuff = vertices[np.argsort(vertices[:, 0])[-30:]].mean(axis=0)
+    cosine = (hand - shoulder) @ (cuff - shoulder)
+    cosine /= np.linalg.norm(hand - shoulder) * np.linalg.norm(cuff - shoulder)
+    assert np.degrees(np.arccos(cosine)) < 3
+
+
+def test_a_sheet_seen_from_the_front_lies_before_the_bones(jumper: Mesh) -> None:
+    front = jumper.faces[np.all(jumper.vertices[jumper.faces][..., 2] <= 5.0, axis=1)]
+    sheet = MeshSequence(
+        template=Mesh(vertices=jumper.vertices, faces=front), vertices=np.array(jumper.vertices)[None]
+    )
+    closed = MeshSequence(template=jumper, vertices=np.array(jumper.vertices)[None])
+    depths = {}
+    for name, cloth in (("sheet", sheet), ("closed", closed)):
+        dressed = dress(cloth, walking_motion())
+        trunk = list(anatomy_of(dressed.motion.skeleton).trunk)
+        depths[name] = (
+            dressed.rest_from_cloth.apply(jumper.vertices)[:, 2] - dressed.rest_from_model[trunk, 2, 3].mean()
+        )
+    assert depths["sheet"].max() == pytest.approx(0, abs=1e-9)
+    assert depths["closed"].max() == pytest.approx(-depths["closed"].min(), abs=1e-9)
+
+
+def test_fit_is_adjustable(moving_jumper: MeshSequence) -> None:
+    plain = dress(moving_jumper, walking_motion())
+    moved = RigidTransform.from_rotation_vector([0, 0.3, 0], [0.02, -0.05, 0.01])
+    fitted = dress(moving_jumper, walking_motion(), None, GarmentFit(scale=1.2, adjustment=moved))
+    before, after = (d.rest_from_cloth.apply(moving_jumper.vertices[0]) for d in (plain, fitted))
+    centre = (before.min(axis=0) + before.max(axis=0)) / 2
+    expected = centre + moved.translation + 1.2 * moved.rotate(before - centre)
+    np.testing.assert_allclose(after, expected, atol=1e-9)
+
+
+def test_landmarks_decide(jumper: Mesh) -> None:
+    cloth = MeshSequence(template=jumper, vertices=np.array(jumper.vertices)[None])
+    names = ("Neck", "LeftUpLeg", "RightUpLeg", "LeftHand")
+    skeleton = walking_motion().in_metres(1.7).skeleton  # 1.73 m: the shipped figure carries its unit
+    truth = RigidTransform.from_rotation_vector([0.1, 0.2, -0.1], [0.3, 0.1, 4.0])
+    vertices = np.array(jumper.vertices)
+    targets = np.array([skeleton.rest_positions[skeleton.index_of(name)] for name in names])
+    vertices[:4] = truth.apply(targets) / 2  # a garment at half scale, elsewhere
+    cloth = MeshSequence(template=jumper.with_vertices(vertices), vertices=vertices[None])
+    fit = GarmentFit(landmarks=tuple(Landmark(vertex=i, joint=name) for i, name in enumerate(names)))
+    dressed = dress(cloth, walking_motion(), DressOptions(figure_height=1.7), fit)
+    np.testing.assert_allclose(dressed.rest_from_cloth.apply(vertices[:4]), targets, atol=1e-9)
+    with pytest.raises(BadMotion, match="no joint 'Nose'; it has Hips"):
+        dress(cloth, walking_motion(), None, GarmentFit(landmarks=(Landmark(vertex=0, joint="Nose"),) * 3))
+    with pytest.raises(BadInput, match="landmark vertex 999999"):
+        dress(
+            cloth, walking_motion(), None, GarmentFit(landmarks=(Landmark(vertex=999999, joint="Hips"),) * 3)
+        )
+
+
+def test_similarity_recovers_itself_and_refuses_a_line(rng: np.random.Generator) -> None:
+    points = rng.normal(size=(5, 3))
+    truth = RigidTransform.from_rotation_vector([1, -2, 0.5], [1, 2, 3])
+    found = fit_similarity(points, truth.apply(2.5 * points))
+    assert found.scale == pytest.approx(2.5)
+    np.testing.assert_allclose(found.rigid.matrix, truth.matrix, atol=1e-12)
+    line = np.outer(np.arange(4.0), [1, 2, 3])
+    with pytest.raises(BadInput, match="on a line"):
+        fit_similarity(line, line)
+
+
+def test_a_motion_with_z_up_is_righted(moving_jumper: MeshSequence) -> None:
+    walk = walking_motion()
+    lying = walk.turned(np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]))
+    upright = dress(moving_jumper, walk)
+    righted = dress(moving_jumper, lying)
+    np.testing.assert_allclose(righted.frame(7), upright.frame(7), atol=1e-9)
+    told = dress(moving_jumper, lying, DressOptions(up_axis=UpAxis.Z))
+    np.testing.assert_allclose(told.frame(7), upright.frame(7), atol=1e-9)
+
+
+def test_a_figure_without_legs_cannot_wear_trousers(moving_jumper: MeshSequence) -> None:
+    walk = walking_motion()
+    torso = Skeleton(
+        names=walk.skeleton.names[:5], parents=walk.skeleton.parents[:5], offsets=walk.skeleton.offsets[:5]
+    )
+    motion = replace(walk, skeleton=torso, rotations=walk.rotations[:, :5])
+    options = DressOptions(fitting=FitOptions(region=Region.LOWER_BODY), up_axis=UpAxis.Y)
+    with pytest.raises(BadInput, match="no lower body; use landmarks"):
+        dress(moving_jumper, motion, options)
+
+
+def test_command_line_writes_every_format(tmp_path: Path, moving_jumper: MeshSequence, capsys) -> None:
+    write_mesh_sequence(tmp_path / "capture" / "track", moving_jumper)
+    fit = tmp_path / "fit.json"
+    fit.write_text('{"version": 1, "scale": 1.05}')
+    common = ["dress", str(tmp_path / "capture"), "--motion", str(WALK)]
+    out = tmp_path / "out"
+    assert main([*common, "--out", str(out / "a.usdc"), "--fit", str(fit), "--falloff", "continuous"]) == 0
+    assert "30 frames of 2304 vertices" in capsys.readouterr().out
+    assert main([*common, "--out", str(out / "a.glb"), "--stop", "0.1", "--blend", "dual-quaternion"]) == 0
+    assert main([*common, "--out", str(out / "a_%03d.ply"), "--stop", "0.05", "--loop", "ping-pong"]) == 0
+    assert main([*common, "--out", str(out / "a_%03d.obj"), "--start", "1", "--stop", "1.02"]) == 0
+    assert len(list(out.glob("a_*.ply"))) == 4
+    assert len(list(out.glob("a_*.obj"))) == 2
+    sequence = read_usd_sequence(out / "a.usdc")
+    assert len(sequence) == 30
+    first = read_mesh(out / "a_000.ply")
+    plain = dress(moving_jumper, read_motion(WALK))
+    np.testing.assert_allclose(first.vertices, plain.frame(0), atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--motion", "walk.txt", "--out", "a.usdc"], "expected a motion in .bvh or .amc"),
+        (["--motion", "none.bvh", "--out", "a.usdc"], "no such file"),
+        (["--motion", "alone.amc", "--out", "a.usdc"], "no skeleton (.asf) of that name"),
+        (["--motion", str(WALK), "--out", "a.fbx"], "expected .usdc, .usd, .glb"),
+        (["--motion", str(WALK), "--out", "a.ply"], "one place for the frame number"),
+        (["--motion", str(WALK), "--out", "a.usdc", "--start", "100"], "nothing lies between"),
+        (["--motion", str(WALK), "--out", "a.usdc", "--fullness", "-1"], "fullness: expected a positive"),
+    ],
+)
+def test_command_line_refuses_in_one_line(
+    arguments, message, tmp_path: Path, moving_jumper: MeshSequence, capsys, monkeypatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_mesh_sequence(tmp_path / "track", moving_jumper)
+    (tmp_path / "alone.amc").write_text("1\n")
+    assert main(["dress", ".", *arguments]) == 1
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+
+
+def test_a_folder_without_track_says_what_to_run(tmp_path: Path, capsys) -> None:
+    assert main(["dress", str(tmp_path), "--motion", str(WALK), "--out", str(tmp_path / "a.usdc")]) == 1
+    assert "run `vntoolkit track" in capsys.readouterr().err
+
+
+def test_picture_shows_left_right_up_and_near() -> None:
+    corner = np.array([[0, 0, 0], [0.2, 0, 0], [0, 0.2, 0]])
+
+    def patch(shift, colour) -> Mesh:
+        return Mesh(
+            vertices=corner + shift, faces=np.array([[0, 1, 2]]), colours=np.tile(np.float32(colour), (3, 1))
+        )
+
+    right_and_down = patch([0.2, 0.2, 0], [1, 0, 0])
+    behind = patch([0.2, 0.2, 0.3], [0, 1, 0])
+    view = View(centre=np.zeros(3), height=1.0, width_px=100, height_px=100)
+    picture = picture_of([right_and_down, behind], view).astype(int)
+    red = np.argwhere((picture[..., 0] > 100) & (picture[..., 1] < 50))
+    assert red.mean(axis=0).min() > 70  # right and low in the picture
+    assert not np.any((picture[..., 1] > 100) & (picture[..., 0] < 50))  # the nearer one hides the other
+    from_behind = picture_of([right_and_down], View(centre=np.zeros(3), height=1.0, azimuth_deg=180)).astype(
+        int
+    )
+    seen = np.argwhere((from_behind[..., 0] > 100) & (from_behind[..., 1] < 50))
+    assert seen[:, 1].mean() < 320 / 2
+    from_left = picture_of(
+        [right_and_down, patch([-0.4, 0.2, 0], [0, 1, 0])],
+        View(centre=np.zeros(3), height=1.0, azimuth_deg=90, elevation_deg=1),
+    )
+    assert from_left.shape == (480, 320, 3)
+
+
+def test_preview_moves_and_turns(moving_jumper: MeshSequence) -> None:
+    dressed = dress(moving_jumper, walking_motion())
+    options = PreviewOptions(
+        frames=3, azimuths_deg=(0.0, 90.0), picture_width=60, picture_height=80, turn_frames=4
+    )
+    sheet = contact_sheet(dressed, options)
+    assert sheet.shape == (160, 180, 3)
+    tiles = [sheet[:80, 60 * i : 60 * i + 60].astype(int) for i in range(3)]
+    assert np.abs(tiles[0] - tiles[2]).mean() > 1
+    pictures = list(turntable(dressed, options))
+    assert len(pictures) == 4
+    cloth = (pictures[0][..., 0].astype(int) - pictures[0][..., 2]) > 15
+    assert 0.05 < cloth.mean() < 0.5
+    assert DepthPlacement.AUTO is FitOptions().depth

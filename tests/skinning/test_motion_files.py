@@ -1,0 +1,282 @@
+"""Malformed motion capture gets one clear line, in bounded memory."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import tracemalloc
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vntoolkit.errors import BadInput, BadMotion
+from vntoolkit.geometry.skeleton import Skeleton
+from vntoolkit.io import motion_bvh
+from vntoolkit.io.garment_fits import read_garment_fit
+from vntoolkit.io.motion_asf import AmcOptions, read_asf_amc
+from vntoolkit.io.motion_bvh import read_bvh
+
+DATA = Path(__file__).parents[2] / "data"
+
+BVH = """HIERARCHY
+ROOT Hips
+{
+  OFFSET 0 1 0
+  CHANNELS 6 Xposition Yposition Zposition Zrotation Yrotation Xrotation
+  JOINT Chest
+  {
+    OFFSET 0 1 0
+    CHANNELS 3 Zrotation Yrotation Xrotation
+    End Site
+    {
+      OFFSET 0 1 0
+    }
+  }
+}
+MOTION
+Frames: 2
+Frame Time: 0.01
+1 2 3 0 0 0 90 0 0
+1 2 3 0 0 0 0 0 90
+"""
+
+ASF = """:version 1.10
+:name test
+:units
+  mass 1.0
+  length 0.45
+  angle deg
+:root
+  order TX TY TZ RX RY RZ
+  axis XYZ
+  position 0 0 0
+  orientation 0 0 0
+:bonedata
+  begin
+    id 1
+    name spine
+    direction 0 1 0
+    length 2
+    axis 0 0 30 XYZ
+    dof rx rz
+    limits (-1 1)
+           (-1 1)
+  end
+  begin
+    id 2
+    name head
+    direction 0 1 0
+    length 1
+    axis 0 0 0 XYZ
+  end
+:hierarchy
+  begin
+    root spine
+    spine head
+  end
+"""
+
+AMC = """#comment
+:FULLY-SPECIFIED
+:DEGREES
+1
+root 1 2 3 0 0 0
+spine 10 20
+2
+root 1 2 3 0 0 0
+spine 10 20
+"""
+
+
+def write(path: Path, text: str | bytes) -> Path:
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+def test_small_bvh_reads_as_written(tmp_path: Path) -> None:
+    motion = read_bvh(write(tmp_path / "m.bvh", BVH))
+    assert motion.skeleton.names == ("Hips", "Chest")
+    assert motion.frame_rate_hz == pytest.approx(100)
+    assert motion.metres_per_unit is None
+    np.testing.assert_allclose(motion.root_positions[0], [1, -2, -3])  # y up on disk, y down in memory
+    np.testing.assert_allclose(motion.skeleton.offsets, [[0, -1, 0], [0, -1, 0]])
+    half = np.sqrt(0.5)
+    np.testing.assert_allclose(motion.rotations[:, 1], [[0, 0, -half, half], [half, 0, 0, half]], atol=1e-12)
+
+
+BAD_BVH = {
+    "empty": ("", "the file is empty"),
+    "binary": (b"\x00\xff\xfe" * 50, "no MOTION section"),
+    "truncated in the hierarchy": (BVH[:150], "no MOTION section"),
+    "truncated before the frames": (BVH[: BVH.index("1 2 3")], "declares 2 frames"),
+    "truncated in the last line": (BVH.rstrip()[:-6], "number of columns changed"),
+    "a frame missing": (BVH.replace("1 2 3 0 0 0 0 0 90\n", ""), "declares 2 frames but"),
+    "too few values": (BVH.replace(" 90 0 0\n", "\n").replace(" 0 0 90\n", "\n"), "6 values per"),
+    "wrong channel count": (BVH.replace("CHANNELS 3", "CHANNELS 4"), "declares 4 channels but lists 3"),
+    "unknown channel": (BVH.replace("6 Xposition", "6 Wposition"), "axis"),
+    "NaN": (BVH.replace("1 2 3 0 0 0 90", "1 nan 3 0 0 0 90"), "root positions: 1 of 6 values are NaN"),
+    "infinity": (BVH.replace("0 0 0 90 0 0", "0 0 0 1e999 0 0"), "joint angles: 1 of 12 values are NaN"),
+    "NaN offset": (BVH.replace("OFFSET 0 1 0", "OFFSET 0 nan 0"), "offsets: .* NaN"),
+    "a word": (BVH.replace("90 0 0", "90 zero 0"), "could not convert"),
+    "cyclic": (BVH.replace("JOINT Chest", "JOINT Hips"), "'Hips' occurs twice"),
+    "no name": (BVH.replace("JOINT Chest", "JOINT"), "has no name"),
+    "unclosed brace": (BVH.replace("}\nMOTION", "MOTION"), "1 unmatched braces"),
+    "no root": (BVH.replace("ROOT", "BONE"), "outside any ROOT"),
+    "no frames": (BVH.replace("Frames: 2", "Frames: 0"), "Frame count"),
+    "negative time": (BVH.replace("Time: 0.01", "Time: -0.01"), "frame_time must be"),
+    "endless header line": ("HIERARCHY " + "x" * 10**6 + BVH[9:], "."),
+}
+
+
+@pytest.mark.parametrize("name", BAD_BVH)
+def test_malformed_bvh_is_one_line(name: str, tmp_path: Path) -> None:
+    content, message = BAD_BVH[name]
+    if name == "endless header line":
+        assert len(read_bvh(write(tmp_path / "m.bvh", content))) == 2  # harmless: read in pieces
+        return
+    with pytest.raises(BadMotion, match=message) as caught:
+        read_bvh(write(tmp_path / "m.bvh", content))
+    assert "\n" not in str(caught.value)
+    assert re.match(r".*m\.bvh|frame rate|skeleton", str(caught.value))
+
+
+def test_a_flood_of_joints_is_refused_in_bounded_memory(tmp_path: Path) -> None:
+    path = tmp_path / "flood.bvh"
+    with path.open("w") as file:
+        file.write("HIERARCHY\nROOT a\n{\nOFFSET 0 0 0\nCHANNELS 0\n")
+        for number in range(400_000):
+            file.write(f"JOINT j{number}\n{{\nOFFSET 0 1 0\nCHANNELS 3 Zrotation Yrotation Xrotation\n")
+    assert path.stat().st_size > 25e6
+    tracemalloc.start()
+    with pytest.raises(BadMotion, match="more than 4096 joints"):
+        read_bvh(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 4e6
+
+
+def test_a_gigabyte_is_refused_by_its_size(tmp_path: Path) -> None:
+    path = tmp_path / "huge.bvh"
+    with path.open("wb") as file:
+        file.truncate(2**30)  # sparse: takes no disk
+    with pytest.raises(BadMotion, match="1024 MiB; motion files over 256 MiB"):
+        read_bvh(path)
+    asf = write(tmp_path / "s.asf", ASF)
+    with pytest.raises(BadMotion, match="1024 MiB"):
+        read_asf_amc(asf, path.rename(tmp_path / "huge.amc"))
+    with (tmp_path / "huge.asf").open("wb") as file:
+        file.truncate(2**30)
+    with pytest.raises(BadMotion, match="no ASF skeleton"):
+        read_asf_amc(tmp_path / "huge.asf", write(tmp_path / "m.amc", AMC))
+
+
+def test_a_missing_file_and_a_folder(tmp_path: Path) -> None:
+    with pytest.raises(BadMotion, match="no such file"):
+        read_bvh(tmp_path / "none.bvh")
+    with pytest.raises(BadMotion, match="is a folder"):
+        read_bvh(tmp_path)
+
+
+def test_bvh_is_written_depth_first_or_not_at_all(tmp_path: Path) -> None:
+    motion = read_bvh(write(tmp_path / "m.bvh", BVH))
+    breadth = Skeleton(names=("a", "b", "c", "d"), parents=np.array([-1, 0, 0, 1]), offsets=np.ones((4, 3)))
+    still = np.tile([0.0, 0, 0, 1], (2, 4, 1))
+    with pytest.raises(BadMotion, match="without interruption"):
+        motion_bvh.write_bvh(tmp_path / "b.bvh", replace(motion, skeleton=breadth, rotations=still))
+    assert not list(tmp_path.glob("*b.bvh"))
+
+
+def test_small_acclaim_reads_as_written(tmp_path: Path) -> None:
+    asf, amc = write(tmp_path / "s.asf", ASF), write(tmp_path / "m.amc", AMC)
+    motion = read_asf_amc(asf, amc, AmcOptions(frame_rate_hz=60))
+    assert motion.skeleton.names == ("root", "spine", "head")
+    assert motion.frame_rate_hz == 60
+    np.testing.assert_allclose(motion.skeleton.offsets[2], [0, -2, 0])
+    np.testing.assert_allclose(motion.root_positions[0], [1, -2, -3])
+    radians = ASF.replace("angle deg", "angle rad").replace("0 0 30 XYZ", f"0 0 {np.pi / 6} XYZ")
+    in_radians = AMC.replace(":DEGREES", ":RADIANS").replace("10 20", f"{np.pi / 18} {np.pi / 9}")
+    again = read_asf_amc(write(tmp_path / "r.asf", radians), write(tmp_path / "r.amc", in_radians))
+    np.testing.assert_allclose(again.rotations, motion.rotations, atol=1e-12)
+
+
+BAD_ASF = {
+    "empty": ("", "empty"),
+    "truncated bones": (ASF[: ASF.index("id 2")], "no section :hierarchy"),
+    "truncated hierarchy": (ASF.rstrip()[:-5], "hierarchy has no end"),
+    "cycle": (ASF.replace("root spine\n    spine head", "spine head\n head spine"), "does not reach"),
+    "two parents": (ASF.replace("root spine", "root spine head"), "cyclic hierarchy: 'head' has two"),
+    "its own parent": (ASF.replace("spine head", "spine head root"), "cyclic hierarchy: 'root'"),
+    "unknown bone": (ASF.replace("spine head", "spine tail"), "'tail', which has no bone data"),
+    "double bone": (ASF.replace("name head", "name spine"), "bone spine occurs twice"),
+    "NaN": (ASF.replace("direction 0 1 0", "direction 0 nan 0"), "three finite numbers"),
+    "wrong axis": (ASF.replace("0 0 30 XYZ", "0 0 30 XXZ"), "order of axes"),
+    "unknown dof": (ASF.replace("dof rx rz", "dof rx l"), "expected channels among"),
+    "no length": (ASF.replace("    length 1\n", ""), "malformed ASF"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD_ASF)
+def test_malformed_asf_is_one_line(name: str, tmp_path: Path) -> None:
+    content, message = BAD_ASF[name]
+    with pytest.raises(BadMotion, match=message) as caught:
+        read_asf_amc(write(tmp_path / "s.asf", content), write(tmp_path / "m.amc", AMC))
+    assert "\n" not in str(caught.value)
+    assert "s.asf" in str(caught.value)
+
+
+BAD_AMC = {
+    "empty": ("", "empty"),
+    "no frame": ("#\n:DEGREES\n", "no frame found"),
+    "truncated": (AMC.rstrip().removesuffix("spine 10 20"), "frame 2 lacks 2 of 8 values .first: spine"),
+    "too many values": (AMC.replace("spine 10 20", "spine 10 20 30"), "line 6: spine has 2 channels, got 3"),
+    "too few values": (AMC.replace("spine 10 20", "spine 10"), "spine has 2 channels, got 1"),
+    "NaN": (AMC.replace("10 20", "nan 20"), "line 6: spine holds NaN"),
+    "a word": (AMC.replace("10 20", "ten 20"), "expected numbers for spine"),
+    "a still bone": (AMC.replace("spine 10 20", "spine 10 20\nhead 1"), "no moving bone 'head'"),
+    "frames out of order": (AMC.replace("\n2\n", "\n7\n"), "expected frame 2, got 7"),
+    "values before a frame": (AMC.replace("1\nroot", "root", 1), "expected a frame number"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_AMC)
+def test_malformed_amc_is_one_line(name: str, tmp_path: Path) -> None:
+    content, message = BAD_AMC[name]
+    with pytest.raises(BadMotion, match=message) as caught:
+        read_asf_amc(write(tmp_path / "s.asf", ASF), write(tmp_path / "m.amc", content))
+    assert "\n" not in str(caught.value)
+    assert "m.amc" in str(caught.value)
+
+
+def test_shipped_motion_has_the_checksum_its_page_states() -> None:
+    digest = hashlib.sha256((DATA / "walk.bvh").read_bytes()).hexdigest()
+    assert digest in (DATA / "README.md").read_text()
+
+
+def test_fit_file_turns_into_camera_axes(tmp_path: Path) -> None:
+    text = """{"version": 1, "scale": 1.1, "translation_m": [0.1, 0.2, 0.3], "rotation_deg": [0, 0, 90],
+    "pose_deg": {"LeftArm": [0, 0, 90]}, "landmarks": [{"vertex": 1, "joint": "Hips"},
+    {"vertex": 2, "joint": "Neck", "offset_m": [0, 0.1, 0]}, {"vertex": 3, "joint": "Head"}]}"""
+    fit = read_garment_fit(write(tmp_path / "fit.json", text))
+    np.testing.assert_allclose(fit.adjustment.translation, [0.1, -0.2, -0.3])
+    # a quarter turn from x to y, up: in memory, from x to −y
+    np.testing.assert_allclose(fit.adjustment.rotate([1.0, 0, 0]), [0, -1, 0], atol=1e-12)
+    np.testing.assert_allclose(fit.pose["LeftArm"], [0, 0, -np.sqrt(0.5), np.sqrt(0.5)], atol=1e-12)
+    np.testing.assert_allclose(fit.landmarks[1].offset, [0, -0.1, 0])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('{"version": 1, "scales": 2}', "scales: Extra inputs"),
+        ('{"version": 2}', "version: Input should be 1"),
+        ('{"version": 1, "scale": -1}', "scale: .*greater than 0"),
+        ('{"version": 1, "landmarks": [{"vertex": 1, "joint": "a"}]}', "at least three landmarks, got 1"),
+        ("{", "the file: Invalid JSON"),
+    ],
+)
+def test_bad_fit_files_are_one_line(text: str, message: str, tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match=message) as caught:
+        read_garment_fit(write(tmp_path / "fit.json", text))
+    assert "\n" not in str(caught.value)
