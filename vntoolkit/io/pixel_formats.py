@@ -65,7 +65,7 @@ def rgb_from_video_frame(frame: Any, pixel_format: PixelFormat, *, hd: bool) -> 
     """
     from av.video.reformatter import Interpolation
 
-    if pixel_format.name in ("rgb24", "gbrp", "rgb48le") or pixel_format.is_planar_rgb:
+    if pixel_format.name in ("rgb24", "rgb48le") or (pixel_format.is_planar_rgb and pixel_format.bits > 8):
         return frame.to_ndarray()
     is_yuv = not pixel_format.is_rgb and not pixel_format.is_grey
     accurate = Interpolation.BICUBIC | Interpolation.ACCURATE_RND
