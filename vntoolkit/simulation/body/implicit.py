@@ -14,6 +14,7 @@ from numba import njit
 from vntoolkit.arrays import FloatArray, IntArray, Points
 
 _ELLIPSOID, _CAPSULE = 0, 1
+_SKIP_SHARE = 0.6  # an ellipsoid's approximate distance may fall below the true one by this much
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -71,6 +72,7 @@ class ImplicitBody:
     numbers: FloatArray
     rotations: FloatArray
     blends: FloatArray
+    bounds: FloatArray
 
     @classmethod
     def from_parts(cls, parts: list[Part]) -> ImplicitBody:
@@ -82,19 +84,27 @@ class ImplicitBody:
             rotations=np.stack([_rotation(row[6:9]) if part.kind == _ELLIPSOID else np.eye(3)
                                 for part, row in zip(parts, numbers, strict=True)]),
             blends=np.array([part.blend for part in parts], dtype=np.float64),
+            bounds=np.array([_bound(part) for part in parts], dtype=np.float64),
         )  # fmt: skip
 
     def signed_distance(self, points: Points) -> FloatArray:
         """Return (n,) about the distance to the surface, negative inside."""
         points = np.ascontiguousarray(points, dtype=np.float64)
-        return _distances(points, self.kinds, self.numbers, self.rotations, self.blends)
+        return _distances(points, self.kinds, self.numbers, self.rotations, self.blends, self.bounds)
 
     def gradient(self, points: Points, step: float) -> Points:
-        """Return (n, 3) the outward gradient by central differences."""
-        shifts = step * np.eye(3)
-        return np.stack(
-            [self.signed_distance(points + s) - self.signed_distance(points - s) for s in shifts], axis=1
-        ) / (2.0 * step)
+        """Return (n, 3) the outward gradient by differences over the corners of a tetrahedron."""
+        corners = np.array([[1.0, -1.0, -1.0], [-1.0, -1.0, 1.0], [-1.0, 1.0, -1.0], [1.0, 1.0, 1.0]])
+        values = np.stack([self.signed_distance(points + step * corner) for corner in corners], axis=1)
+        return values @ corners / (4.0 * step)
+
+
+def _bound(part: Part) -> FloatArray:
+    """Return (4,) centre and radius of a sphere round the part."""
+    n = np.array(part.numbers)
+    if part.kind == _ELLIPSOID:
+        return np.append(n[:3], n[3:6].max())
+    return np.append((n[:3] + n[3:6]) / 2, np.linalg.norm(n[3:6] - n[:3]) / 2 + n[6:8].max())
 
 
 def _rotation(vector: FloatArray) -> FloatArray:
@@ -106,12 +116,23 @@ def _rotation(vector: FloatArray) -> FloatArray:
 
 @njit(cache=True)
 def _distances(
-    points: Points, kinds: IntArray, numbers: FloatArray, rotations: FloatArray, blends: FloatArray
+    points: Points,
+    kinds: IntArray,
+    numbers: FloatArray,
+    rotations: FloatArray,
+    blends: FloatArray,
+    bounds: FloatArray,
 ) -> FloatArray:
     distances = np.empty(len(points))
     for i in range(len(points)):
         total = 1e9
         for k in range(len(kinds)):
+            away = 0.0
+            for a in range(3):
+                away += (points[i, a] - bounds[k, a]) ** 2
+            reach = total if blends[k] >= 0.0 else -total
+            if _SKIP_SHARE * (np.sqrt(away) - bounds[k, 3]) > reach + abs(blends[k]):
+                continue  # too far to touch the blend
             if kinds[k] == 0:
                 part = _ellipsoid_distance(points[i], numbers[k], rotations[k])
             else:

@@ -7,6 +7,7 @@ import numpy as np
 from vntoolkit.arrays import Faces, FloatArray, IntArray, Points
 from vntoolkit.simulation.body.implicit import ImplicitBody
 
+_ROUNDS = 3  # of smoothing and pulling back
 _COARSE = 4  # cells of the search grid per side, in cells of the mesh
 
 
@@ -19,12 +20,30 @@ def mesh_from_implicit(
     vertices, index = _cell_vertices(values)
     faces = _faces(values, index)
     vertices = low + cell * vertices
-    for _ in range(3):
-        value = body.signed_distance(vertices)
-        slope = body.gradient(vertices, 0.25 * cell)
-        step = value / np.maximum(np.sum(slope**2, axis=1), 0.1)
-        vertices = vertices - np.clip(step, -cell, cell)[:, None] * slope
-    return vertices, faces
+    for _ in range(_ROUNDS):
+        vertices = _pull_onto_surface(body, _relaxed(vertices, faces), cell)
+    return _pull_onto_surface(body, vertices, cell), faces
+
+
+def _relaxed(vertices: Points, faces: Faces) -> Points:
+    """Return every vertex moved half-way to the mean of its neighbours; a rim stays where it is."""
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    key = np.sort(edges, axis=1).astype(np.int64) @ [len(vertices), 1]
+    _, place, times = np.unique(key, return_inverse=True, return_counts=True)
+    count = np.bincount(edges[:, 0], minlength=len(vertices))
+    mean = np.stack(
+        [np.bincount(edges[:, 0], vertices[edges[:, 1], a], minlength=len(vertices)) for a in range(3)], axis=1
+    ) / np.maximum(count, 1)[:, None]
+    on_rim = np.zeros(len(vertices), dtype=bool)
+    on_rim[edges[times[place] == 1]] = True
+    return np.where(on_rim[:, None], vertices, 0.5 * (vertices + mean))
+
+
+def _pull_onto_surface(body: ImplicitBody, vertices: Points, cell: float) -> Points:
+    """Return the vertices after one Newton step along the gradient."""
+    slope = body.gradient(vertices, 0.25 * cell)
+    step = body.signed_distance(vertices) / np.maximum(np.sum(slope**2, axis=1), 0.1)
+    return vertices - np.clip(step, -cell, cell)[:, None] * slope
 
 
 def _values_near_surface(
@@ -35,7 +54,7 @@ def _values_near_surface(
     centres = _grid(blocks) * (_COARSE * cell) + low + 0.5 * _COARSE * cell
     distance = body.signed_distance(centres) / cell
     values = np.empty(tuple(counts))
-    near = np.flatnonzero(np.abs(distance) < 2.0 * _COARSE)
+    near = np.flatnonzero(np.abs(distance) < 1.3 * _COARSE)
     coarse = np.repeat(np.repeat(np.repeat(distance.reshape(blocks), 4, 0), 4, 1), 4, 2)
     values[:-1, :-1, :-1] = coarse
     values[-1], values[:, -1], values[:, :, -1] = values[-2], values[:, -2], values[:, :, -2]

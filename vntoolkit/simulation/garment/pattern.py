@@ -80,6 +80,16 @@ def _in_ribbing(flat: Points2, options: SweaterOptions) -> IntArray:
     return in_cuff | (flat[:, 1] < -options.length + options.rib_height)
 
 
+def knit_coordinates(flat: Points2, options: SweaterOptions) -> Points2:
+    """Return (n, 2) metres across and along the ribs: upright on the body, lengthwise on the sleeves."""
+    drop = np.deg2rad(options.sleeve_drop_deg)
+    folded = np.stack([np.abs(flat[:, 0]), flat[:, 1]], axis=1) - _SHOULDER
+    along = folded @ [np.cos(drop), -np.sin(drop)]
+    across = folded @ [-np.sin(drop), -np.cos(drop)]
+    on_sleeve = along - 0.25 * across > 0.05
+    return np.where(on_sleeve[:, None], np.stack([across, along], axis=1), flat)
+
+
 def _panel(options: SweaterOptions, neck_depth: float) -> tuple[Points2, Faces, IntArray]:
     """Return points, counter-clockwise triangles and which points lie on a seam."""
     step = options.edge_length

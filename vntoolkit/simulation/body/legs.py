@@ -1,0 +1,89 @@
+"""Two legs in one skin: an implicit body at rest, bent at hips and knees without pinching.
+
+Studio frame of the legs: centimetres, x right in the image, y up, z towards the viewer, origin between
+the hip joints.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from vntoolkit.arrays import FloatArray, Points
+from vntoolkit.simulation.body.implicit import ImplicitBody, both_sides, capsule, ellipsoid
+from vntoolkit.simulation.body.surface_nets import mesh_from_implicit
+
+_HIP, _KNEE = np.array([8.6, 0.0, 0.0]), np.array([9.2, -43.0, 1.2])
+_WAIST_CUT, _ANKLE_CUT = 17.0, -80.0
+_CELL_CM = 0.40
+
+
+@dataclass(frozen=True, kw_only=True)
+class LegPose:
+    """Angles in degrees, each for the leg (left in the image, right in the image), and the hips' shift.
+
+    raise_deg: thigh forwards. inward_deg: thigh across the other leg. knee_deg: shin backwards.
+    sway_cm: of the hips (x, y). turn_deg: of the whole about the vertical.
+    """
+
+    raise_deg: tuple[float, float] = (0.0, 0.0)
+    inward_deg: tuple[float, float] = (0.0, 0.0)
+    knee_deg: tuple[float, float] = (0.0, 0.0)
+    sway_cm: tuple[float, float] = (0.0, 0.0)
+    turn_deg: float = 0.0
+
+
+class Legs:
+    """The skin of two legs and how its vertices follow a pose; open at waist and ankles."""
+
+    def __init__(self) -> None:
+        low, high = np.array([-21.0, _ANKLE_CUT, -19.0]), np.array([21.0, _WAIST_CUT, 17.0])
+        rest, self.faces = mesh_from_implicit(_sculpt(), low, high, _CELL_CM)
+        self.rest: Points = rest
+        self._on_side = [_smooth(0.5 + sign * rest[:, 0] / 3.0) for sign in (-1.0, 1.0)]
+        self._thigh = _smooth((6.0 + 0.55 * (np.abs(rest[:, 0]) - 8.0) - rest[:, 1]) / 17.0)
+        self._shin = _smooth((_KNEE[1] + 7.0 - rest[:, 1]) / 14.0)
+
+    def vertices(self, pose: LegPose) -> Points:
+        """Return (n, 3) the vertices in that pose, centimetres."""
+        points = self.rest.copy()
+        for leg, sign in enumerate((-1.0, 1.0)):
+            mirror = np.array([sign, 1.0, 1.0])
+            rows = np.flatnonzero(self._on_side[leg] > 0.0)
+            share = self._on_side[leg][rows]
+            knee = np.radians(pose.knee_deg[leg]) * np.array([1.0, 0.0, 0.0])
+            bent = _turned(points[rows], _KNEE * mirror, knee, self._shin[rows] * share)
+            lift = Rotation.from_euler("x", -pose.raise_deg[leg], degrees=True)
+            inward = Rotation.from_euler("z", -sign * pose.inward_deg[leg], degrees=True)
+            thigh = (lift * inward).as_rotvec()
+            points[rows] = _turned(bent, _HIP * mirror, thigh, self._thigh[rows] * share)
+        points = Rotation.from_euler("y", pose.turn_deg, degrees=True).apply(points)
+        return points + [pose.sway_cm[0], pose.sway_cm[1], 0.0]
+
+
+def _turned(points: Points, centre: FloatArray, rotation: FloatArray, share: FloatArray) -> Points:
+    """Rotate each point about `centre` by its share of a rotation vector."""
+    return Rotation.from_rotvec(share[:, None] * rotation).apply(points - centre) + centre
+
+
+def _smooth(x: FloatArray) -> FloatArray:
+    x = np.clip(x, 0.0, 1.0)
+    return np.asarray(x * x * (3.0 - 2.0 * x))
+
+
+def _sculpt() -> ImplicitBody:
+    parts = [
+        ellipsoid((0.0, 12.0, -0.5), (14.0, 17.0, 9.5), 0.0),
+        ellipsoid((0.0, 26.0, 0.0), (12.5, 16.0, 8.5), 6.0),
+        *both_sides(
+            capsule((7.9, 0.0, -0.2), (9.2, -42.0, 1.0), (8.4, 5.2), 6.0),
+            ellipsoid((7.2, 1.0, -6.0), (7.2, 8.5, 6.5), 5.0),
+            ellipsoid((8.6, -18.0, 2.2), (6.4, 19.0, 5.8), 5.0),
+            ellipsoid((9.2, -43.0, 1.9), (4.1, 6.0, 4.2), 5.0),
+            capsule((9.2, -42.0, 0.8), (9.2, -84.0, -1.6), (4.7, 3.4), 4.0),
+            ellipsoid((9.6, -56.0, -2.4), (4.7, 12.5, 4.9), 4.0),
+        ),
+    ]
+    return ImplicitBody.from_parts(parts)
