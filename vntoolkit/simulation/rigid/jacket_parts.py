@@ -1,0 +1,166 @@
+"""The parts of the jacket: torso, sleeves and collar, each a tube with relief. y points down, metres."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vntoolkit.arrays import Faces, FloatArray, Points
+from vntoolkit.simulation.rigid.folds import Fold, groove, patch, scattered_folds, step, sum_of_folds
+from vntoolkit.simulation.rigid.tubes import Tube, tube_along
+
+_SPACING_M = 0.0017
+_STITCH_M = 0.0016
+_RIGHT, _TOWARDS_VIEWER = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, -1.0])
+_BUTTON_SHADE = 0.35  # buttons are darker than the cloth
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Part:
+    """One part, relief included; arrays as in `Tube`.
+
+    shade: (n,) reflectance relative to the cloth. weave: (n,) strength of the weave's relief.
+    """
+
+    vertices: Points
+    faces: Faces
+    uv: FloatArray
+    girth: float
+    length: float
+    shade: FloatArray
+    weave: FloatArray
+
+
+def torso(generator: np.random.Generator) -> Part:
+    """Return the body from neck to hem, front line in the middle of the button strip."""
+    rows = np.array(
+        [  # y, half width, half depth
+            [-0.290, 0.070, 0.068], [-0.280, 0.078, 0.072], [-0.266, 0.130, 0.088], [-0.246, 0.182, 0.104],
+            [-0.215, 0.214, 0.118], [-0.150, 0.226, 0.132], [-0.050, 0.224, 0.142], [0.080, 0.210, 0.132],
+            [0.170, 0.214, 0.134], [0.245, 0.226, 0.146], [0.268, 0.206, 0.130], [0.330, 0.200, 0.126],
+        ]
+    )  # fmt: skip
+    centres = np.column_stack([np.zeros(len(rows)), rows[:, 0], np.zeros(len(rows))])
+    tube = tube_along(centres, _RIGHT, _TOWARDS_VIEWER, rows[:, 1:], _SPACING_M)
+    s, y = tube.s, tube.vertices[:, 1]
+    folds = [
+        *_mirrored_folds(generator, s_at=0.27, t_at=-0.11, count=9),
+        *scattered_folds(
+            38, s_range=(-0.6, 0.6), t_range=(0.10, 0.24), angles_deg=(-60, 60), length=0.16, width=0.011,
+            height=0.0085, generator=generator,
+        ),
+        *scattered_folds(
+            26, s_range=(-0.55, 0.55), t_range=(-0.10, 0.12), angles_deg=(40, 140), length=0.22, width=0.014,
+            height=0.0075, generator=generator,
+        ),
+    ]  # fmt: skip
+    ribbed = step(y - 0.268, 0.002)
+    free = (1.0 - ribbed) * step(y + 0.27, 0.02) * (0.45 + 0.55 * step(np.abs(s) - 0.03, 0.01))
+    height = sum_of_folds(s, y, folds) * free
+    height += ribbed * 0.0011 * np.cos(2 * np.pi * s / (tube.girth / 150))
+    height += 0.0020 * step(0.019 - np.abs(s), 0.0008) * (1 - ribbed)
+    seams = groove(np.abs(s) - 0.0155, _STITCH_M) * (1 - ribbed) + groove(y + 0.165, _STITCH_M)
+    pockets, pocket_seams = _pockets(s, y)
+    buttons = _buttons(s, y)
+    height += pockets - 0.0011 * np.maximum(seams, pocket_seams) + 0.003 * buttons
+    shade = 1.0 + 0.06 * np.maximum(seams, pocket_seams) - (1.0 - _BUTTON_SHADE) * buttons
+    return _part(tube, height, shade, weave=(1.0 - buttons) * (1.0 - 0.7 * ribbed))
+
+
+def sleeve(side: int, generator: np.random.Generator) -> Part:
+    """Return the right (−1, at the viewer's left) or left (1) sleeve, hanging, bent at the elbow."""
+    rows = np.array(
+        [  # x, y, z, half width, half depth
+            [0.120, -0.160, 0.000, 0.050, 0.066], [0.180, -0.155, 0.000, 0.066, 0.078],
+            [0.236, -0.100, 0.000, 0.070, 0.080], [0.285, 0.020, 0.010, 0.064, 0.070],
+            [0.305, 0.120, -0.010, 0.060, 0.064], [0.312, 0.200, -0.035, 0.058, 0.060],
+            [0.316, 0.226, -0.045, 0.046, 0.048], [0.322, 0.275, -0.060, 0.044, 0.046],
+        ]
+    )  # fmt: skip
+    centres = rows[:, :3] * np.array([side, 1.0, 1.0])
+    tube = tube_along(centres, _RIGHT, _TOWARDS_VIEWER, rows[:, 3:], _SPACING_M)
+    s, t = tube.s, tube.t
+    elbow = 0.30
+    folds = [
+        *scattered_folds(
+            20, s_range=(-0.2, 0.2), t_range=(elbow - 0.07, elbow + 0.08), angles_deg=(-35, 35), length=0.12,
+            width=0.0085, height=0.0085, generator=generator,
+        ),
+        *scattered_folds(
+            12, s_range=(-0.2, 0.2), t_range=(0.06, 0.22), angles_deg=(20, 75), length=0.18, width=0.012,
+            height=0.007, generator=generator,
+        ),
+        *scattered_folds(
+            14, s_range=(-0.2, 0.2), t_range=(tube.length - 0.16, tube.length - 0.06), angles_deg=(-25, 25),
+            length=0.11, width=0.008, height=0.007, generator=generator,
+        ),
+    ]  # fmt: skip
+    cuff = step(t - (tube.length - 0.052), 0.002)
+    height = sum_of_folds(s, t, folds) * (1.0 - cuff)
+    height += cuff * 0.0010 * np.cos(2 * np.pi * s / (tube.girth / 48))
+    return _part(tube, height, np.ones_like(s), weave=1.0 - 0.7 * cuff)
+
+
+def collar(generator: np.random.Generator) -> Part:
+    """Return the turned-down collar: a tube whose upper half lies inside, longer in front, split there."""
+    rows = np.array(
+        [  # y, half width, half depth
+            [-0.270, 0.072, 0.070], [-0.318, 0.070, 0.068], [-0.326, 0.074, 0.072], [-0.322, 0.080, 0.078],
+            [-0.300, 0.093, 0.090], [-0.268, 0.112, 0.104],
+        ]
+    )  # fmt: skip
+    centres = np.column_stack([np.zeros(len(rows)), rows[:, 0], np.zeros(len(rows))])
+    tube = tube_along(centres, _RIGHT, _TOWARDS_VIEWER, rows[:, 1:], _SPACING_M)
+    angle = tube.s / tube.girth * 2 * np.pi
+    leaf = np.clip((tube.t - 0.06) / (tube.length - 0.06), 0.0, 1.0)
+    tip = np.exp(-np.square((np.abs(angle) - 0.42) / 0.30))
+    vertices = tube.vertices + (leaf * tip)[:, None] * np.array([0.0, 0.034, -0.016])
+    # The split in front: both leaves end at an edge that leans outwards towards the tips.
+    edge = 0.10 + 0.22 * leaf
+    bare = np.abs(angle) < edge
+    faces = tube.faces[~bare[tube.faces].any(axis=1)]
+    uv = tube.uv[~bare[tube.faces].any(axis=1)]
+    stitches = leaf * groove(tube.length - tube.t - 0.006, _STITCH_M)
+    waves = 0.0012 * np.sin(3.0 * angle + generator.uniform(0, 2 * np.pi)) * leaf
+    shaped = Tube(
+        vertices=vertices, faces=faces, uv=uv, s=tube.s, t=tube.t, girth=tube.girth, length=tube.length
+    )
+    return _part(shaped, waves - 0.0008 * stitches, 1.0 + 0.06 * stitches, weave=np.ones_like(leaf))
+
+
+def _part(tube: Tube, height: FloatArray, shade: FloatArray, weave: FloatArray) -> Part:
+    return Part(
+        vertices=tube.raised(height), faces=tube.faces, uv=tube.uv, girth=tube.girth, length=tube.length,
+        shade=shade, weave=weave,
+    )  # fmt: skip
+
+
+def _mirrored_folds(generator: np.random.Generator, *, s_at: float, t_at: float, count: int) -> list[Fold]:
+    """Drag lines that spring from both armpits and run towards the middle and down."""
+    folds: list[Fold] = []
+    for side, angles in ((-1, (5, 80)), (1, (100, 175))):
+        folds += scattered_folds(
+            count, s_range=(side * s_at - 0.03, side * s_at + 0.03), t_range=(t_at - 0.03, t_at + 0.05),
+            angles_deg=angles, length=0.2, width=0.010, height=0.009, generator=generator,
+        )  # fmt: skip
+    return folds
+
+
+def _pockets(s: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the height of two chest pockets with flaps, and their seams."""
+    height, seams = np.zeros_like(s), np.zeros_like(s)
+    for centre in (-0.135, 0.135):
+        bag = patch(s, y, (centre, -0.070), (0.115, 0.120))
+        flap = patch(s, y, (centre, -0.112), (0.122, 0.048))
+        height += 0.0018 * step(bag, 0.0008) + 0.0024 * step(flap, 0.0008)
+        inner = np.maximum(groove(bag - 0.004, _STITCH_M) * (flap < -0.002), groove(flap - 0.004, _STITCH_M))
+        seams = np.maximum(seams, inner)
+    return height, seams
+
+
+def _buttons(s: FloatArray, y: FloatArray) -> FloatArray:
+    """Return 1 on the buttons of the front strip and of the flaps, 0 elsewhere."""
+    places = [(0.0, at) for at in np.linspace(-0.225, 0.235, 6)] + [(-0.135, -0.098), (0.135, -0.098)]
+    distance = np.min([np.hypot(s - a, y - b) for a, b in places], axis=0)
+    return step(0.0075 - distance, 0.0006)
