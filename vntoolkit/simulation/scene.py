@@ -47,6 +47,11 @@ SCENES: dict[str, str] = {
     "board": "vntoolkit.simulation.rigid.board:build_board",
     "sphere": "vntoolkit.simulation.rigid.sphere:build_sphere",
     "jacket": "vntoolkit.simulation.rigid.jacket:build_jacket",
+    "sweater": "vntoolkit.simulation.garment.sweater:build_sweater",
+    "spandex": "vntoolkit.simulation.body.spandex:build_spandex",
+    "head_turn": "vntoolkit.simulation.head.scenes:build_head_turn",
+    "face": "vntoolkit.simulation.head.scenes:build_face",
+    "face_makeup": "vntoolkit.simulation.head.scenes:build_face_makeup",
 }
 
 

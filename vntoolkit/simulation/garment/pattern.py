@@ -86,7 +86,7 @@ def knit_coordinates(flat: Points2, options: SweaterOptions) -> Points2:
     folded = np.stack([np.abs(flat[:, 0]), flat[:, 1]], axis=1) - _SHOULDER
     along = folded @ [np.cos(drop), -np.sin(drop)]
     across = folded @ [-np.sin(drop), -np.cos(drop)]
-    on_sleeve = along - 0.25 * across > 0.05
+    on_sleeve = folded[:, 0] > 0.02 - 0.25 * folded[:, 1]  # beyond the armhole
     return np.where(on_sleeve[:, None], np.stack([across, along], axis=1), flat)
 
 

@@ -19,7 +19,7 @@ _LOW_CM, _HIGH_CM = -20.0, 12.6
 _SKIN_ROWS = 0.97  # the rows above are plain: eyes, teeth, tongue
 # how much a freckle takes from red, green, blue: melanin absorbs most at short wavelengths
 _MELANIN = np.array([0.30, 0.62, 1.15])
-_SKIN, _LIPS = np.array([0.64, 0.43, 0.33]), np.array([0.52, 0.26, 0.23])
+_SKIN, _LIPS = np.array([0.64, 0.43, 0.33]), np.array([0.47, 0.20, 0.185])
 _HAIR, _MAKEUP = np.array([0.115, 0.075, 0.050]), np.array([0.66, 0.62, 0.57])
 _IRIS, _SCLERA = np.array([0.16, 0.24, 0.27]), np.array([0.72, 0.70, 0.68])
 _FLESH, _TOOTH, _RIM = np.array([0.30, 0.075, 0.07]), np.array([0.74, 0.70, 0.60]), np.array([0.24, 0.13, 0.10])
@@ -120,7 +120,7 @@ def _texel_grid() -> tuple[FloatArray, FloatArray]:
 
 def _hair_on_texels(azimuth: FloatArray, height: FloatArray) -> FloatArray:
     angle = np.radians(azimuth)
-    points = np.stack([6.0 * np.sin(angle), height, 6.0 * np.cos(angle)], axis=-1).reshape(-1, 3)
+    points = np.stack([7.3 * np.sin(angle), height, 7.3 * np.cos(angle)], axis=-1).reshape(-1, 3)
     return hair_share(points).reshape(height.shape)
 
 
@@ -162,10 +162,10 @@ def _brows(rng: np.random.Generator, azimuth: FloatArray, height: FloatArray) ->
     away = np.abs(azimuth)
     along = (away - 6.5) / 33.0
     middle = 1.85 + 0.95 * np.sin(np.clip(along, 0.0, 1.0) * np.pi * 0.72) - 0.35 * np.clip(along, 0, 1)
-    thickness = 0.36 * np.clip(1.0 - 0.75 * np.clip(along, 0.0, 1.0), 0.1, 1.0)
+    thickness = 0.46 * np.clip(1.0 - 0.6 * np.clip(along, 0.0, 1.0), 0.1, 1.0)
     body = np.exp(-(((height - middle) / thickness) ** 4)) * _smooth(along / 0.12) * _smooth((1.0 - along) / 0.2)
     hairs = gaussian_filter(rng.standard_normal((ROWS, COLUMNS)), (2.2, 1.2), mode=("nearest", "wrap"))
-    return np.asarray(body * np.clip(0.80 + 0.30 * hairs / hairs.std(), 0.0, 1.0))
+    return np.asarray(body * np.clip(0.86 + 0.18 * hairs / hairs.std(), 0.0, 1.0))
 
 
 def _smooth(x: FloatArray) -> FloatArray:

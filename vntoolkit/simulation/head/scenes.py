@@ -26,7 +26,7 @@ _FIELD_WIDTH_M = 0.40
 _FACE_FIELD_WIDTH_M = 0.345
 _MIDDLE_CM = np.array([0.0, -0.6, 0.0])
 _FACE_MIDDLE_CM = np.array([0.0, -1.4, 0.0])
-_SKIN_GLOSS, _EYE_GLOSS = 0.015, 0.10
+_SKIN_GLOSS, _EYE_GLOSS = 0.010, 0.015
 
 
 def build_head_turn(options: SceneOptions) -> Scene:
