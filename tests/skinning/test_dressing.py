@@ -23,6 +23,7 @@ from vntoolkit.pipeline.dress import DressedFigure, DressOptions, UpAxis, dress,
 from vntoolkit.report.raycast_view import View, picture_of
 from vntoolkit.report.turntable import PreviewOptions, contact_sheet, turntable
 from vntoolkit.skinning.anatomy import anatomy_of, facing_of
+from vntoolkit.skinning.anchoring import Anchor
 from vntoolkit.skinning.blending import Blend
 from vntoolkit.skinning.clock import ClockOptions
 from vntoolkit.skinning.fitting import DepthPlacement, FitOptions, Region
@@ -65,10 +66,26 @@ def test_garment_keeps_its_own_motion(moving_jumper: MeshSequence) -> None:
         root_positions=np.tile(walk.skeleton.offsets[:1], (60, 1)),
         frame_rate_hz=60,
     )
-    dressed = dress(moving_jumper, still, DressOptions(), GarmentFit(bind_frame=0))
+    dressed = dress(moving_jumper, still, DressOptions(anchor=Anchor.NONE), GarmentFit(bind_frame=0))
     for frame in (0, 13):
         expected = dressed.rest_from_cloth.apply(moving_jumper.vertices[frame])
         np.testing.assert_allclose(dressed.frame(frame), expected, atol=1e-9)
+
+
+def test_steps_of_the_performer_are_taken_out(moving_jumper: MeshSequence) -> None:
+    stepped = np.array(moving_jumper.vertices, dtype=np.float64)
+    centre = stepped.mean(axis=(0, 1))
+    for frame in range(30):
+        step = RigidTransform.from_rotation_vector(
+            [0, 0.02 * frame, 0.01 * frame], [0.01 * frame, 0, 0.02 * frame]
+        )
+        stepped[frame] = centre + step.apply(stepped[frame] - centre)
+    wandering = MeshSequence(template=moving_jumper.template, vertices=stepped)
+    plain, held = dress(moving_jumper, walking_motion()), dress(wandering, walking_motion())
+    free = dress(wandering, walking_motion(), DressOptions(anchor=Anchor.NONE))
+    for frame in (10, 29):
+        np.testing.assert_allclose(held.frame(frame), plain.frame(frame), atol=1e-6)
+        assert np.abs(free.frame(frame) - plain.frame(frame)).max() > 0.05
 
 
 def test_real_motions_are_understood(real_data: Path, moving_jumper: MeshSequence) -> None:

@@ -22,6 +22,8 @@ from vntoolkit.io.motion_asf import AmcOptions, read_asf_amc
 from vntoolkit.io.motion_bvh import read_bvh
 from vntoolkit.io.sequences import read_mesh_sequence
 from vntoolkit.io.usd import write_usd_sequence
+from vntoolkit.skinning.anatomy import anatomy_of
+from vntoolkit.skinning.anchoring import Anchor, TrunkAnchor
 from vntoolkit.skinning.blending import Blend, skinned_vertices
 from vntoolkit.skinning.clock import (
     Clock,
@@ -53,11 +55,14 @@ class UpAxis(Enum):
 class DressOptions:
     """Options of `dress`, beyond those of its stages.
 
-    blend: how a vertex mixes the motions of its bones. figure_height: metres from the toes to the crown, for
-    motion files that carry no unit. up_axis: which axis of the motion file points up.
+    blend: how a vertex mixes the motions of its bones. anchor: what holds the captured garment in place
+    although the performer stepped and turned: its trunk, or none, which keeps those steps. figure_height: metres from
+    the toes to the crown, for motion files that carry no unit. up_axis: which axis of the motion file points
+    up.
     """
 
     blend: Blend = Blend.LINEAR
+    anchor: Anchor = Anchor.TRUNK
     figure_height: float = FIGURE_HEIGHT_M
     up_axis: UpAxis = UpAxis.AUTO
     fitting: FitOptions = field(default_factory=FitOptions)
@@ -74,7 +79,8 @@ class DressedFigure:
     """The garment on the figure; metres, camera axes, in the world of the motion.
 
     cloth: as captured. rest_from_cloth: brings it into the pose of attachment. rest_from_model: that pose, R
-    of equation 8, (j, 4, 4). motion: the skeleton's, already on the clock..
+    of equation 8, (j, 4, 4). motion: the skeleton's, already on the clock. anchor: takes out the performer's
+    steps, or None..
     """
 
     cloth: MeshSequence
@@ -84,6 +90,7 @@ class DressedFigure:
     rest_from_model: FloatArray
     weights: SkinWeights
     blend: Blend
+    anchor: TrunkAnchor | None
 
     def __len__(self) -> int:
         return len(self.clock)
@@ -105,8 +112,11 @@ class DressedFigure:
         )
 
     def _skinned(self, captured: Points, index: int) -> Points:
+        vertices = self.rest_from_cloth.apply(captured)
+        if self.anchor is not None:
+            vertices = self.anchor.rest_from_now(vertices).apply(vertices)
         return skinned_vertices(
-            self.rest_from_cloth.apply(captured),
+            vertices,
             self.weights,
             pose_of_frame(self.motion, index),
             self.rest_from_model,
@@ -139,7 +149,16 @@ def dress(
         rest_from_model=fitting.rest_from_model,
         weights=weights,
         blend=options.blend,
+        anchor=_anchor(vertices, weights, motion, options.anchor),
     )
+
+
+def _anchor(vertices: Points, weights: SkinWeights, motion: Motion, anchor: Anchor) -> TrunkAnchor | None:
+    if anchor is Anchor.NONE:
+        return None
+    trunk = anatomy_of(motion.skeleton).trunk
+    on_trunk = np.isin(weights.joints, trunk)
+    return TrunkAnchor(vertices, weights, trunk) if on_trunk.any() else None  # trousers may have none
 
 
 def _upright(motion: Motion, up_axis: UpAxis) -> Motion:

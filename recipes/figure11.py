@@ -1,0 +1,81 @@
+"""Figure 11: a captured sweater on a figure that motion capture moves.
+
+    python recipes/figure11.py --out out/figure11                          # 1 minute
+    python recipes/figure11.py --out out/figure11 --motion 131_01.bvh lambada.amc
+    python recipes/figure11.py --out out/figure11 --track DIR              # what `vntoolkit track` left in DIR
+
+Without --track the moving mesh is that of the simulated `sweater`, one second of it, played back and forth.
+For every motion it writes an animated USD, a contact sheet and a turntable, once with the published blend
+and once with the two options that mend its seams.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.io.sequences import MeshSequenceWriter, read_mesh_sequence
+from vntoolkit.pipeline.dress import (
+    DressOptions,
+    dress,
+    read_motion,
+    read_tracked_cloth,
+    write_dressed_figure,
+)
+from vntoolkit.report.turntable import write_preview
+from vntoolkit.simulation.scene import SceneOptions, build_scene
+from vntoolkit.skinning.blending import Blend
+from vntoolkit.skinning.clock import ClockOptions, Loop
+from vntoolkit.skinning.weights import Falloff, WeightOptions
+
+WALK = Path(__file__).parents[1] / "data" / "walk.bvh"
+CAPTURED_FRAMES = 60
+WOOL = (0.62, 0.48, 0.36)
+CLOCK = ClockOptions(loop=Loop.PING_PONG, stop=5.0)
+STYLES = {
+    "published": DressOptions(clock=CLOCK),
+    "smooth": DressOptions(
+        clock=CLOCK,
+        blend=Blend.DUAL_QUATERNION,
+        weights=WeightOptions(falloff=Falloff.CONTINUOUS, distance_power=2.0),
+    ),
+}
+
+
+def simulated_sweater(folder: Path) -> MeshSequence:
+    """Simulate the first second of the dancing sweater into a folder, and open it."""
+    scene = build_scene("sweater", SceneOptions())
+    first = scene.vertices(0)
+    colours = np.tile(np.array(WOOL, np.float32), (len(first), 1))
+    template = Mesh(vertices=first, faces=scene.surface.faces, colours=colours)
+    with MeshSequenceWriter(folder, template, frame_rate_hz=scene.frame_rate_hz) as writer:
+        for frame in range(CAPTURED_FRAMES):
+            writer.append(scene.vertices(frame))
+    return read_mesh_sequence(folder)
+
+
+def main(out: Path, motions: tuple[Path, ...] = (WALK,), track: Path | None = None) -> None:
+    """Dress the figure of every motion and write the results into the folder `out`."""
+    cloth = simulated_sweater(out / "sweater") if track is None else read_tracked_cloth(track)
+    for motion in motions:
+        for style, options in STYLES.items():
+            dressed = dress(cloth, read_motion(motion), options)
+            name = f"{motion.stem}_{style}"
+            count = write_dressed_figure(dressed, out / f"{name}.usdc")
+            write_preview(out, name, dressed)
+            print(f"{out / name}.usdc: {count} frames; see {name}_sheet.png, {name}_turntable.mkv")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--out", type=Path, required=True, help="folder to write")
+    parser.add_argument(
+        "--motion", type=Path, nargs="+", default=[WALK], help=".bvh, or .amc beside its .asf"
+    )
+    parser.add_argument("--track", type=Path, help="folder that `vntoolkit track` wrote")
+    arguments = parser.parse_args()
+    main(arguments.out, tuple(arguments.motion), arguments.track)
