@@ -68,13 +68,16 @@ def fit_by_trimming(
     Returns the unknowns (3 or 4, 3) and the pairs used (n,). Robust scale: 1.4826 × median residual.
     """
     top = np.percentile(design.colours[usable], 99, axis=0)
-    chosen = usable & (design.colours > _FIRST_SHADOW_SHARE * top).all(axis=1)
+    first_share = _FIRST_SHADOW_SHARE if shadow_share > 0 else -np.inf
+    chosen = usable & (design.colours > first_share * top).all(axis=1)
     floor = _ROUNDING * float(np.abs(design.colours[usable]).max())
     unknowns = design.solve(chosen)
     for _ in range(rounds):
         contributions = design.rows[:, :3] @ unknowns[:3]
         brightest = contributions[chosen].max(axis=0)
-        lit = usable & (contributions > shadow_share * brightest).all(axis=1)
+        lit = usable
+        if shadow_share > 0:
+            lit = usable & (contributions > shadow_share * brightest).all(axis=1)
         residuals = design.residuals(unknowns)
         if not lit.any():
             raise BadCalibration("calibration: no pixel is lit by all three lights; move the lights closer")

@@ -12,7 +12,15 @@ from vntoolkit import __version__
 
 # verb -> (where it lives, the line that `vntoolkit --help` shows)
 VERBS: dict[str, tuple[str, str]] = {
+    "rectify": (
+        "vntoolkit.cli.calibrate_presses:rectify",
+        "Resample footage of a plane seen at an angle onto square pixels.",
+    ),
     "board": ("vntoolkit.cli.board:board", "Draw the calibration board, printed to scale."),
+    "simulate": (
+        "vntoolkit.cli.simulate:simulate",
+        "Film a synthetic scene, with everything true beside the video.",
+    ),
     "doctor": (
         "vntoolkit.cli.doctor:doctor",
         "Check the libraries, or say what in this footage will ruin normals.",
@@ -35,6 +43,10 @@ GROUPS: dict[str, tuple[str, dict[str, tuple[str, str]]]] = {
                 "Calibrate on the printed board with the material in its hole.",
             ),
             "lights": ("vntoolkit.cli.calibrate:lights", "Make a rig from lights that are known."),
+            "presses": (
+                "vntoolkit.cli.calibrate_presses:presses",
+                "Calibrate a tactile sensor on a ball pressed into its gel.",
+            ),
         },
     ),
 }

@@ -85,7 +85,7 @@ def sphere(
     rig, result = calibrate.calibrate_sphere(job, sphere_options)
     write_rig(out, rig)
     (u, v), radius = result.outline.centre_px, result.outline.radius_px
-    _report(out, rig, f"ball at ({u:.1f}, {v:.1f}), radius {radius:.1f} px")
+    report_rig(out, rig, f"ball at ({u:.1f}, {v:.1f}), radius {radius:.1f} px")
 
 
 def board(
@@ -141,7 +141,7 @@ def board(
     write_rig(out, rig)
     error = np.median([pose.error_px for pose in result.poses])
     focal = result.camera.matrix[0, 0]
-    _report(out, rig, f"{len(result.poses)} poses to {error:.2f} px, focal length {focal:.0f} px")
+    report_rig(out, rig, f"{len(result.poses)} poses to {error:.2f} px, focal length {focal:.0f} px")
 
 
 def lights(
@@ -181,7 +181,7 @@ def lights(
     job = _job(str(source), None, None, transfer, camera, focal_px, None, "::")
     rig = calibrate.calibrate_lights(source, like, lights, light_colours, job)
     write_rig(out, rig)
-    _report(out, rig, f"lights {lights[0]}, {lights[1]}, {lights[2]} of {source}")
+    report_rig(out, rig, f"lights {lights[0]}, {lights[1]}, {lights[2]} of {source}")
 
 
 def _job(
@@ -206,7 +206,7 @@ def _job(
     )
 
 
-def _report(out: Path, rig: Rig, seen: str) -> None:
+def report_rig(out: Path, rig: Rig, seen: str) -> None:
     """Say what was fitted and how well."""
     print(f"{out}: {seen}")
     quality = rig.quality

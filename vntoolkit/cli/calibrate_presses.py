@@ -1,0 +1,142 @@
+"""`vntoolkit calibrate presses` and `vntoolkit rectify`: tactile sensors."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeAlias
+
+from cyclopts import Parameter
+
+from vntoolkit.calibration.presses import PressOptions
+from vntoolkit.cli.calibrate import report_rig
+from vntoolkit.cli.flags import flags_from
+from vntoolkit.cli.progress import progress_bar
+from vntoolkit.errors import BadInput
+from vntoolkit.geometry.rectification import Rectification
+from vntoolkit.io.atomic import require_writable_folder
+from vntoolkit.io.captures import CaptureOptions, open_capture
+from vntoolkit.io.rigs import write_rig
+from vntoolkit.photometry.transfer import Transfer
+from vntoolkit.pipeline import calibrate_presses as pipeline
+
+if TYPE_CHECKING:
+    PressFlags: TypeAlias = PressOptions
+else:
+    PressFlags = flags_from(PressOptions)
+
+_List = Parameter(consume_multiple=True, negative=())
+Corners: TypeAlias = Annotated[tuple[float, float, float, float, float, float, float, float] | None, _List]
+SizeMm: TypeAlias = Annotated[tuple[float, float] | None, _List]
+SizePx: TypeAlias = Annotated[tuple[int, int] | None, _List]
+
+
+def presses(
+    source: Annotated[str, Parameter(name="INPUT")],
+    /,
+    *,
+    out: Path,
+    background: Path,
+    labels: Path,
+    options: PressFlags,
+    corners: Corners = None,
+    size_mm: SizeMm = None,
+    label_size: SizePx = None,
+    transfer: str = "linear",
+) -> None:
+    """Calibrate a tactile sensor on a ball of known size, pressed into its gel again and again.
+
+    Reconstruct with the same background: --background subtracts it.
+
+    Parameters
+    ----------
+    source
+        A folder or pattern of images, one press each.
+    out
+        The rig.json to write.
+    background
+        Image of the untouched gel.
+    labels
+        Folder of text files, NAME.txt for NAME.jpg: u v contact_radius in pixels of the rectified image.
+    corners
+        u v of the gel's top left, top right, bottom left and bottom right corner in the image, to rectify it.
+    size_mm
+        Width and height of the rectangle between these corners in millimetres.
+    label_size
+        Width and height of the image that the labels refer to; default: the rectified one.
+    transfer
+        Transfer curve of the footage: linear, srgb, bt709 or gamma:G.
+    """
+    job = pipeline.PressJob(
+        source=source,
+        background=background,
+        labels=labels,
+        transfer=Transfer.from_text(transfer),
+        rectification=_rectification(corners, size_mm, options.pixel_mm),
+        label_size=label_size,
+    )
+    with contextlib.ExitStack() as stack:
+        rig, _ = pipeline.calibrate_presses(job, options, _progress(stack, "read presses"))
+    write_rig(out, rig)
+    report_rig(out, rig, f"presses of {source}")
+
+
+def rectify(
+    source: Annotated[str, Parameter(name="INPUT")],
+    /,
+    *,
+    out: Path,
+    corners: Corners,
+    size_mm: SizeMm,
+    pixel_mm: float,
+    transfer: str = "linear",
+) -> None:
+    """Resample footage of a plane seen at an angle onto square pixels of known size.
+
+    Parameters
+    ----------
+    source
+        A video, an image, a folder of images, or a pattern.
+    out
+        The folder to write, 16-bit PNG in the same transfer curve.
+    corners
+        u v of the rectangle's top left, top right, bottom left and bottom right corner in the image.
+    size_mm
+        Width and height of the rectangle in millimetres.
+    pixel_mm
+        Side of a pixel of the result in millimetres.
+    transfer
+        Transfer curve of the footage: linear, srgb, bt709 or gamma:G.
+    """
+    rectification = _rectification(corners, size_mm, pixel_mm)
+    if rectification is None:
+        raise BadInput("rectify: expected --corners and --size-mm")
+    capture = open_capture(source, CaptureOptions(transfer=Transfer.from_text(transfer)))
+    folder = require_writable_folder(out)
+    with contextlib.ExitStack() as stack:
+        count = pipeline.rectify_capture(capture, rectification, folder, _progress(stack, "rectify"))
+    width, height = rectification.size
+    print(f"{out}: {count} images of {width}×{height}, {pixel_mm:g} mm a pixel")
+
+
+def _rectification(
+    corners: tuple[float, ...] | None, size_mm: tuple[float, float] | None, pixel_mm: float
+) -> Rectification | None:
+    if corners is None and size_mm is None:
+        return None
+    if corners is None or size_mm is None:
+        raise BadInput("rectification: --corners and --size-mm belong together")
+    return Rectification(
+        corners_px=tuple(corners), width_mm=size_mm[0], height_mm=size_mm[1], pixel_mm=pixel_mm
+    )
+
+
+def _progress(stack: contextlib.ExitStack, title: str) -> pipeline.Progress:
+    advance = [lambda n: None]
+
+    def on_frame(done: int, total: int) -> None:
+        if done == 1:
+            advance[0] = stack.enter_context(progress_bar(title, total))
+        advance[0](1)
+
+    return on_frame

@@ -1,0 +1,134 @@
+"""Calibration of a tactile sensor from labelled ball presses, and rectified copies of its footage."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from vntoolkit.arrays import Mask
+from vntoolkit.calibration.fit import ResponseFit
+from vntoolkit.calibration.presses import (
+    Press,
+    PressOptions,
+    PressSamples,
+    fit_response_to_presses,
+    samples_from_press,
+)
+from vntoolkit.errors import BadCalibration
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.rectification import Rectification
+from vntoolkit.io.captures import Capture, CaptureOptions, open_capture
+from vntoolkit.io.files import source_file
+from vntoolkit.io.images import write_png
+from vntoolkit.io.press_labels import label_path, read_press_label
+from vntoolkit.io.rectification import rectify_frame
+from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.rig import Rig
+from vntoolkit.photometry.transfer import Transfer, encoded_from_linear
+
+_SEED = 0
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PressJob:
+    """What a calibration on presses reads.
+
+    source: images, one press each. background: image of the untouched gel. labels: folder of `NAME.txt`, one
+    per image. transfer: curve of the footage. rectification: takes the camera's view to the gel; None where
+    the images are rectified. label_size: (width, height) of the frame that labels refer to; None for that of
+    the images, rectified.
+    """
+
+    source: str
+    background: Path
+    labels: Path
+    transfer: Transfer = field(default_factory=Transfer)
+    rectification: Rectification | None = None
+    label_size: tuple[int, int] | None = None
+
+    def prepare(self, frame: LinearFrame) -> LinearFrame:
+        """Rectify a frame where asked for."""
+        return frame if self.rectification is None else rectify_frame(frame, self.rectification)
+
+
+def calibrate_presses(
+    job: PressJob, options: PressOptions, on_frame: Progress = lambda done, total: None
+) -> tuple[Rig, ResponseFit]:
+    """Fit a rig to presses; frames without a label are passed over."""
+    rng = np.random.default_rng(_SEED)
+    capture = open_capture(job.source, CaptureOptions(transfer=job.transfer))
+    background = job.prepare(open_capture(job.background, CaptureOptions(transfer=job.transfer)).frame(0))
+    samples = list(_samples(job, options, capture, background, rng, on_frame))
+    if not samples:
+        raise BadCalibration(
+            f"calibrate presses: no image of {job.source} has a label in {job.labels} (NAME.txt for NAME.jpg)"
+        )
+    level = background.rgb[~background.clipped].astype(np.float64).mean(axis=0)
+    fit = fit_response_to_presses(samples, level, options, rng)
+    height, width = background.shape
+    camera = (
+        job.rectification.camera
+        if job.rectification is not None
+        else Camera.orthographic(width=width, height=height, pixels_per_unit=1000.0 / options.pixel_mm)
+    )
+    rig = Rig(
+        camera=camera,
+        response=fit.response,
+        transfer=job.transfer,
+        quality=fit.quality,
+        sources=tuple(source_file(path) for path in (*capture.info.files, job.background)),
+    )
+    return rig, fit
+
+
+def rectify_capture(
+    capture: Capture,
+    rectification: Rectification,
+    folder: Path,
+    on_frame: Progress = lambda done, total: None,
+) -> int:
+    """Write every frame of a capture, rectified, as a 16-bit PNG with the capture's transfer curve."""
+    for number, frame in enumerate(capture.frames()):
+        rectified = rectify_frame(frame, rectification)
+        encoded = encoded_from_linear(rectified.rgb.astype(np.float64), capture.options.transfer)
+        write_png(folder / f"{number:06d}.png", np.round(encoded * 65535).astype(np.uint16))
+        on_frame(number + 1, len(capture))
+    return len(capture)
+
+
+def _samples(
+    job: PressJob,
+    options: PressOptions,
+    capture: Capture,
+    background: LinearFrame,
+    rng: np.random.Generator,
+    on_frame: Progress,
+) -> Iterator[PressSamples]:
+    usable = ~background.clipped
+    for frame in capture.frames():
+        path = label_path(job.labels, capture.info.files[min(frame.number, len(capture.info.files) - 1)])
+        if path.exists():
+            prepared = _without(job.prepare(frame), usable)
+            press = _press(path, job, prepared)
+            yield samples_from_press(prepared, press, background.rgb, options, rng)
+        on_frame(frame.number + 1, len(capture))
+
+
+def _press(path: Path, job: PressJob, frame: LinearFrame) -> Press:
+    """Read a label and scale it to the frame; the radius counts along the width."""
+    u, v, radius = read_press_label(path)
+    height, width = frame.shape
+    label_width, label_height = job.label_size or (width, height)
+    return Press(
+        u_px=u * width / label_width, v_px=v * height / label_height, radius_px=radius * width / label_width
+    )
+
+
+def _without(frame: LinearFrame, usable: Mask) -> LinearFrame:
+    if frame.shape != usable.shape:
+        raise BadCalibration("calibrate presses: the background has another size than the presses")
+    return LinearFrame(rgb=frame.rgb, clipped=frame.clipped | ~usable, number=frame.number)
