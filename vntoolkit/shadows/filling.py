@@ -16,21 +16,19 @@ def fill_smoothly(values: FloatArray, trust: FloatArray, finest_level: int = 0) 
     values: (h, w) or (h, w, c). trust: (h, w), 0 where a value is unknown. finest_level: detail below
     2**finest_level pixels is smoothed away even where trusted. Without any trusted pixel the result is 0.
     """
-    weight = np.ascontiguousarray(trust, dtype=np.float32)
-    values32 = np.asarray(values, dtype=np.float32)
-    total = values32 * (weight if values32.ndim == 2 else weight[..., None])
+    weight: FloatArray = np.ascontiguousarray(trust, dtype=np.float32)
+    values32: FloatArray = np.asarray(values, dtype=np.float32)
+    total: FloatArray = values32 * _channels(weight, values32)
     pyramid = [(total, weight)]
     while max(weight.shape) > 1:
         size = ((weight.shape[1] + 1) // 2, (weight.shape[0] + 1) // 2)
-        total = cv2.resize(total, size, interpolation=cv2.INTER_AREA).reshape(
-            *size[::-1], *values32.shape[2:]
-        )
-        weight = cv2.resize(weight, size, interpolation=cv2.INTER_AREA).reshape(size[::-1])
+        total = _resized(total, size, cv2.INTER_AREA)
+        weight = _resized(weight, size, cv2.INTER_AREA)
         pyramid.append((total, weight))
-    filled = pyramid[-1][0] / np.maximum(_channels(pyramid[-1][1], values32), 1e-20)
+    filled: FloatArray = pyramid[-1][0] / np.maximum(_channels(pyramid[-1][1], values32), 1e-20)
     for level in range(len(pyramid) - 2, -1, -1):
         total, weight = pyramid[level]
-        coarse = cv2.resize(filled, weight.shape[::-1], interpolation=cv2.INTER_LINEAR).reshape(total.shape)
+        coarse = _resized(filled, weight.shape[::-1], cv2.INTER_LINEAR)
         if level < finest_level:
             filled = coarse
             continue
@@ -41,3 +39,9 @@ def fill_smoothly(values: FloatArray, trust: FloatArray, finest_level: int = 0) 
 
 def _channels(weight: FloatArray, like: FloatArray) -> FloatArray:
     return weight if like.ndim == 2 else weight[..., None]
+
+
+def _resized(image: FloatArray, size: tuple[int, ...], interpolation: int) -> FloatArray:
+    """cv2.resize, which drops axes of length 1, with the axes put back."""
+    resized = cv2.resize(image, size, interpolation=interpolation)
+    return np.asarray(resized, dtype=np.float32).reshape(*size[::-1], *image.shape[2:])

@@ -19,6 +19,7 @@ from numba import njit, prange
 
 Grid = npt.NDArray[np.float32]
 
+PARALLEL_PIXELS = 300_000  # below it the threads' meeting costs more than the second core brings
 _SMALLEST_SIDE = 4
 _GROUND = 1e-6  # pins the free constant of every connected piece; far below any data weight
 _EAST, _SOUTH, _SOUTH_EAST, _SOUTH_WEST = range(4)
@@ -94,9 +95,18 @@ def _cycle(levels: list[GridLevel], depth: int, right: Grid) -> Grid:
     return x
 
 
-@njit(cache=True, parallel=True, fastmath=True)
 def _apply(edges: Grid, x: Grid) -> Grid:
     """L x."""
+    return _apply_parallel(edges, x) if x.size >= PARALLEL_PIXELS else _apply_serial(edges, x)
+
+
+def _sweep(edges: Grid, diagonal: Grid, right: Grid, x: Grid, forward: bool) -> None:
+    """One Gauss–Seidel sweep: even rows, then odd ones; backward, the reverse of that."""
+    kernel = _sweep_parallel if x.size >= PARALLEL_PIXELS else _sweep_serial
+    kernel(edges, diagonal, right, x, forward)
+
+
+def _apply_loop(edges: Grid, x: Grid) -> Grid:
     h, w = x.shape
     out = np.empty_like(x)
     for v in prange(h):
@@ -170,14 +180,18 @@ def _sweep_row(edges: Grid, diagonal: Grid, right: Grid, x: Grid, v: int, forwar
         x[v, u] = total / diagonal[v, u]
 
 
-@njit(cache=True, parallel=True, fastmath=True)
-def _sweep(edges: Grid, diagonal: Grid, right: Grid, x: Grid, forward: bool) -> None:
-    """One Gauss–Seidel sweep: even rows, then odd rows (reversed on the way back, so the pair is symmetric)."""
+def _sweep_loop(edges: Grid, diagonal: Grid, right: Grid, x: Grid, forward: bool) -> None:
     h = x.shape[0]
     for half in range(2):
         parity = half if forward else 1 - half
         for i in prange((h - parity + 1) // 2):
             _sweep_row(edges, diagonal, right, x, 2 * i + parity, forward)
+
+
+_apply_serial = njit(cache=True, fastmath=True)(_apply_loop)
+_apply_parallel = njit(cache=True, parallel=True, fastmath=True)(_apply_loop)
+_sweep_serial = njit(cache=True, fastmath=True)(_sweep_loop)
+_sweep_parallel = njit(cache=True, parallel=True, fastmath=True)(_sweep_loop)
 
 
 @njit(cache=True, fastmath=True)

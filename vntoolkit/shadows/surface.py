@@ -43,9 +43,9 @@ class SurfaceOptions:
     """The energy and how long it is minimised.
 
     noise: standard deviation of a light's share, the share of a surface that faces the light being 1; it
-    stands for camera noise and for what the model leaves out (interreflection, gloss). albedo_spread: relative
-    standard deviation of the albedo continued into a shadow. own_albedo_spread: the same where all three
-    lights arrive; large, as there the colour's length is the albedo. step_softness: χ² at which a depth
+    stands for camera noise and for what the model leaves out (interreflection, gloss). albedo_spread:
+    relative standard deviation of the albedo continued into a shadow. own_albedo_spread: the same where all
+    three lights arrive; large, as there the colour's length is the albedo. step_softness: χ² at which a depth
     gradient counts half, because it crosses a step in depth; 0 makes the surface continuous everywhere.
     smoothness: weight of a shadowed pixel's slope being its surroundings' mean; smooth_px: radius (standard
     deviation, pixels) of that mean. damping: holds the slope back where nothing else is known. iterations:
@@ -60,7 +60,7 @@ class SurfaceOptions:
     smoothness: float = 4.0
     smooth_px: float = 3.0
     damping: float = 1.0
-    iterations: int = 6
+    iterations: int = 4
     cycles: int = 5
     tolerance: float = 1e-4
     steepest: float = 8.0
@@ -112,6 +112,7 @@ def solve_surface(
     known = mask & (labels == ALL_LIT)
     slopes, depth = _first_guess(first_normals, known, rays, options, start)
     own = slopes.copy()
+    rows = np.ascontiguousarray(lights, dtype=np.float64)
     weights = np.empty((*mask.shape, 4), np.float32)
     agreement = np.zeros(mask.shape, np.float32)
     quadratics = np.empty((*mask.shape, 6), np.float32)
@@ -121,7 +122,7 @@ def solve_surface(
     softness = 0.0 if start is None else options.step_softness
     for _ in range(options.iterations):
         prior = _surrounding_slope(slopes, mask, known, options)
-        local_quadratics_kernel(data, seen, trust, slopes, prior, lights, rays, model, quadratics)
+        local_quadratics_kernel(data, seen, trust, slopes, prior, rows, rays, model, quadratics)
         quadrant_weights_kernel(quadratics, seen, mask, slopes, depth, softness, weights)
         depth = _solve_depth(quadratics, slopes, weights, depth, options)
         slopes_kernel(depth, weights, options.steepest, slopes, agreement)
@@ -158,8 +159,8 @@ def _ray_grid(camera: Camera | None) -> RayGrid:
 
 
 def _rays(rays: RayGrid, shape: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
-    x = (np.arange(shape[1]) - rays.centre_u) * rays.per_pixel_u
-    y = (np.arange(shape[0]) - rays.centre_v) * rays.per_pixel_v
+    x = ((np.arange(shape[1]) - rays.centre_u) * rays.per_pixel_u).astype(np.float32)
+    y = ((np.arange(shape[0]) - rays.centre_v) * rays.per_pixel_v).astype(np.float32)
     return np.broadcast_to(x[None, :], shape[:2]), np.broadcast_to(y[:, None], shape[:2])
 
 

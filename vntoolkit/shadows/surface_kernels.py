@@ -9,11 +9,15 @@ Each pixel has four gradients g, one per quadrant: east or west difference with 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit, prange
+
+from vntoolkit.shadows.grid_solver import PARALLEL_PIXELS
 
 Grid = npt.NDArray[np.float32]
 Labels = npt.NDArray[np.uint8]
@@ -21,7 +25,7 @@ Mask = npt.NDArray[np.bool_]
 
 
 class RayGrid(NamedTuple):
-    """(x, y) of the ray through pixel (u, v): ((u − centre_u) · per_pixel_u, (v − centre_v) · per_pixel_v)."""
+    """The ray through pixel (u, v): x = (u − centre_u) · per_pixel_u, y = (v − centre_v) · per_pixel_v."""
 
     centre_u: float
     centre_v: float
@@ -39,12 +43,25 @@ class Model(NamedTuple):
     damping: float
 
 
+def _in_both_ways(loop: Callable[..., None]) -> Callable[..., None]:
+    """Compile a loop over rows serially and in parallel; the first argument's size (h, w, …) chooses."""
+    serial = njit(cache=True, fastmath=True)(loop)
+    parallel = njit(cache=True, parallel=True, fastmath=True)(loop)
+
+    @wraps(loop)
+    def run(*arguments: Any) -> None:
+        rows, columns = arguments[0].shape[:2]
+        (parallel if rows * columns >= PARALLEL_PIXELS else serial)(*arguments)
+
+    return run
+
+
 @njit(cache=True, inline="always")
 def _ray(rays: RayGrid, v: int, u: int) -> tuple[float, float]:
     return (u - rays.centre_u) * rays.per_pixel_u, (v - rays.centre_v) * rays.per_pixel_v
 
 
-@njit(cache=True, parallel=True, fastmath=True)
+@_in_both_ways
 def local_quadratics_kernel(
     shares: Grid, labels: Labels, weight: Grid, slopes: Grid, prior: Grid,
     lights: npt.NDArray[np.float64], rays: RayGrid, model: Model, out: Grid,
@@ -122,7 +139,7 @@ def _quadrant(i: int) -> tuple[int, int]:
     return (1 if i & 1 == 0 else -1), (1 if i & 2 == 0 else -1)
 
 
-@njit(cache=True, parallel=True, fastmath=True)
+@_in_both_ways
 def quadrant_weights_kernel(
     quadratics: Grid, labels: Labels, mask: Mask, slopes: Grid, depth: Grid, softness: float, out: Grid
 ) -> None:
@@ -152,12 +169,12 @@ def quadrant_weights_kernel(
                 out[v, u, i] = softness / (softness + max(chi, 0.0))
 
 
-@njit(cache=True, parallel=True, fastmath=True)
+@_in_both_ways
 def edges_kernel(quadratics: Grid, weights: Grid, edges: Grid) -> None:
     """Sum all quadrants' quadratics into the edges (4, h, w) of a graph Laplacian.
 
-    With σ = ±1 the sign of the quadrant, 2 σ A01 d_u d_v = σ A01 (d_u² + d_v² − (d_u − d_v)²): every term is a
-    squared difference between two pixels.
+    With σ = ±1 the sign of the quadrant, 2 σ A01 d_u d_v = σ A01 (d_u² + d_v² − (d_u − d_v)²): every term is
+    a squared difference between two pixels.
     """
     _, h, w = edges.shape
     for v in prange(h):
@@ -195,7 +212,7 @@ def _target(quadratics: Grid, slopes: Grid, v: int, u: int) -> tuple[float, floa
     return a[0] * p + a[1] * q + a[3], a[1] * p + a[2] * q + a[4]
 
 
-@njit(cache=True, parallel=True, fastmath=True)
+@_in_both_ways
 def right_side_kernel(quadratics: Grid, slopes: Grid, weights: Grid, out: Grid) -> None:
     """Fill out (h, w), the right-hand side that belongs to `edges_kernel`."""
     h, w = out.shape
@@ -213,7 +230,7 @@ def right_side_kernel(quadratics: Grid, slopes: Grid, weights: Grid, out: Grid) 
             out[v, u] = 0.25 * total
 
 
-@njit(cache=True, parallel=True, fastmath=True)
+@_in_both_ways
 def slopes_kernel(depth: Grid, weights: Grid, steepest: float, slopes: Grid, agreement: Grid) -> None:
     """Replace slopes (h, w, 2) by the weighted mean over the quadrants; agreement (h, w) = mean weight."""
     h, w = depth.shape

@@ -1,0 +1,70 @@
+"""Which lights reach each pixel: the published detector, the robust one, or none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+
+from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels
+from vntoolkit.checks import require_shape
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.visibility import ALL_LIT, labels_from_lit
+from vntoolkit.shadows.published import PublishedOptions, lit_by_edges
+from vntoolkit.shadows.robust import RobustOptions, lit_by_surface
+from vntoolkit.shadows.shares import shares_from_frame
+
+
+class ShadowMethod(Enum):
+    """How self-shadows are found."""
+
+    NONE = "none"  # every pixel counts as lit by all three lights
+    PUBLISHED = "published"  # edges and flood fill, brostow2011
+    ROBUST = "robust"  # comparison with a surface, graph cut, memory from frame to frame
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShadowOptions:
+    """method: which detector. published, robust: the parameters of each."""
+
+    method: ShadowMethod = ShadowMethod.ROBUST
+    published: PublishedOptions = field(default_factory=PublishedOptions)
+    robust: RobustOptions = field(default_factory=RobustOptions)
+
+
+class ShadowDetector:
+    """Finds shadows frame after frame; the robust method remembers the frame before.
+
+    response: with light colours known, a light is told from a channel; else a channel stands for a light.
+    camera: for perspective; None for orthographic.
+    """
+
+    def __init__(
+        self, response: LightResponse, options: ShadowOptions | None = None, camera: Camera | None = None
+    ) -> None:
+        self._response = response
+        self._options = options or ShadowOptions()
+        self._camera = camera
+        self._memory: FloatArray | None = None
+
+    def forget(self) -> None:
+        """Drop what the previous frame left, so that a sequence may start anywhere."""
+        self._memory = None
+
+    def labels(self, frame: LinearFrame, mask: Mask | None = None) -> VisibilityLabels:
+        """Return (h, w) labels, bit k set where light k arrives; 7 outside `mask`, where nobody may look."""
+        inside = np.ones(frame.shape, dtype=np.bool_) if mask is None else np.asarray(mask)
+        require_shape(inside, frame.shape, "mask")
+        if self._options.method is ShadowMethod.NONE or not inside.any():
+            return np.full(frame.shape, ALL_LIT, dtype=np.uint8)
+        shares = shares_from_frame(frame, self._response)
+        if self._options.method is ShadowMethod.PUBLISHED:
+            lit = lit_by_edges(shares.contributions, inside, self._options.published)
+        else:
+            lit, self._memory = lit_by_surface(
+                shares, inside, self._options.robust, self._camera, self._memory
+            )
+        return np.where(inside, labels_from_lit(lit), ALL_LIT).astype(np.uint8)

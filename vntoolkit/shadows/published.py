@@ -1,0 +1,166 @@
+"""Shadow detection as published (brostow2011, Section VI-A): edges, then a conservative flood fill.
+
+Per light: a Laplacian edge detector; the gradient's direction at an edge pixel by looking along the eight
+cardinal directions at a distance of ±2 pixels; pixels with a gradient below τ rejected; neighbours of
+agreeing direction joined into connected components, small ones rejected; the dark side of the rest seeds a
+flood fill that spreads to neighbours of equal or lower intensity.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from vntoolkit.arrays import FloatArray, Mask
+from vntoolkit.checks import require_in_range
+from vntoolkit.errors import BadInput
+
+_DIRECTIONS = np.array(
+    [[1, 0], [1, 1], [0, 1], [-1, 1], [-1, 0], [-1, -1], [0, -1], [1, -1]], dtype=np.int64
+)  # (du, dv), counted by eighths of a turn
+
+
+@dataclass(frozen=True, kw_only=True)
+class PublishedOptions:
+    """The published detector's parameters.
+
+    gradient_threshold: τ, smallest change over the two reaches, as a share of the channel's maximum.
+    reach_px: how far to look to either side of an edge. smallest_component: edge components with fewer
+    pixels are rejected. direction_tolerance: neighbouring edge pixels agree if their directions differ by at
+    most this many eighths of a turn. blur_px: standard deviation of the Gaussian before the Laplacian.
+    flood_tolerance: rise of intensity, as a share of the maximum, that the flood still climbs (0 as published).
+    """
+
+    gradient_threshold: float = 0.05
+    reach_px: int = 2
+    smallest_component: int = 20
+    direction_tolerance: int = 1
+    blur_px: float = 1.0
+    flood_tolerance: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_in_range(self.gradient_threshold, 0.0, 1.0, "shadow gradient threshold")
+        require_in_range(self.flood_tolerance, 0.0, 1.0, "shadow flood tolerance")
+        require_in_range(self.direction_tolerance, 0, 4, "shadow direction tolerance")
+        if self.reach_px < 1 or self.smallest_component < 1 or not self.blur_px > 0:
+            raise BadInput("published detector: reach, component size and blur must be positive")
+
+
+def lit_by_edges(
+    contributions: FloatArray, mask: Mask, options: PublishedOptions | None = None
+) -> npt.NDArray[np.bool_]:
+    """Return (h, w, 3): which lights arrive, from the (h, w, 3) contributions of the lights."""
+    options = options or PublishedOptions()
+    lit = np.ones((*mask.shape, 3), dtype=np.bool_)
+    for k in range(3):
+        lit[..., k] = ~_shadow_of_light(contributions[..., k], mask, options)
+    return lit
+
+
+def _shadow_of_light(contribution: FloatArray, mask: Mask, options: PublishedOptions) -> Mask:
+    image = np.where(mask, np.nan_to_num(contribution), 0.0).astype(np.float32)
+    brightest = float(image.max(initial=0.0))
+    if not brightest > 0.0:
+        return np.zeros(mask.shape, dtype=np.bool_)
+    image = np.asarray(cv2.GaussianBlur(image / brightest, (0, 0), options.blur_px), dtype=np.float32)
+    direction = _edge_directions(image, mask, options)
+    kept = _large_components(direction, options.direction_tolerance, options.smallest_component)
+    return _flood(image, mask, kept, options.reach_px, options.flood_tolerance)
+
+
+def _edge_directions(image: FloatArray, mask: Mask, options: PublishedOptions) -> npt.NDArray[np.int64]:
+    """(h, w): direction of the brighter side in eighths of a turn at edge pixels, −1 elsewhere."""
+    laplacian = cv2.Laplacian(image, cv2.CV_32F, ksize=3)
+    sign = laplacian > 0
+    edge = np.zeros(mask.shape, dtype=np.bool_)
+    edge[:, :-1] |= sign[:, :-1] != sign[:, 1:]
+    edge[:-1] |= sign[:-1] != sign[1:]
+    reach = options.reach_px
+    padded = np.pad(image, reach, mode="edge")
+    inside = np.pad(mask, reach, constant_values=False)
+    h, w = mask.shape
+    changes = np.full((8, h, w), -1.0, dtype=np.float32)
+    for i, (du, dv) in enumerate(_DIRECTIONS * reach):
+        ahead = (slice(reach + dv, reach + dv + h), slice(reach + du, reach + du + w))
+        behind = (slice(reach - dv, reach - dv + h), slice(reach - du, reach - du + w))
+        both = inside[ahead] & inside[behind]
+        changes[i] = np.where(both, padded[ahead] - padded[behind], -1.0)
+    steepest = changes.argmax(axis=0)
+    edge &= mask & (changes.max(axis=0) >= options.gradient_threshold)
+    return np.where(edge, steepest, -1)
+
+
+@njit(cache=True)
+def _large_components(
+    direction: npt.NDArray[np.int64], tolerance: int, smallest: int
+) -> npt.NDArray[np.int64]:
+    """Keep edge pixels in eight-connected components of agreeing direction that are large enough."""
+    h, w = direction.shape
+    kept = np.full((h, w), -1, np.int64)
+    seen = np.zeros((h, w), np.bool_)
+    stack = np.empty((h * w, 2), np.int64)
+    for v0 in range(h):
+        for u0 in range(w):
+            if direction[v0, u0] < 0 or seen[v0, u0]:
+                continue
+            stack[0, 0], stack[0, 1] = v0, u0
+            seen[v0, u0] = True
+            done, count = 0, 1
+            while done < count:
+                v, u = stack[done, 0], stack[done, 1]
+                done += 1
+                for i in range(v - 1, v + 2):
+                    for j in range(u - 1, u + 2):
+                        if i < 0 or j < 0 or i >= h or j >= w or seen[i, j] or direction[i, j] < 0:
+                            continue
+                        turn = (direction[i, j] - direction[v, u]) % 8
+                        if min(turn, 8 - turn) <= tolerance:
+                            seen[i, j] = True
+                            stack[count, 0], stack[count, 1] = i, j
+                            count += 1
+            if count >= smallest:
+                for i in range(count):
+                    v, u = stack[i, 0], stack[i, 1]
+                    kept[v, u] = direction[v, u]
+    return kept
+
+
+@njit(cache=True)
+def _flood(
+    image: npt.NDArray[np.float32],
+    mask: npt.NDArray[np.bool_],
+    direction: npt.NDArray[np.int64],
+    reach: int,
+    climb: float,
+) -> npt.NDArray[np.bool_]:
+    """Spread from the dark side of the edges to four-neighbours of equal or lower intensity."""
+    h, w = image.shape
+    flooded = np.zeros((h, w), np.bool_)
+    stack = np.empty((h * w, 2), np.int64)
+    count = 0
+    for v in range(h):
+        for u in range(w):
+            if direction[v, u] < 0:
+                continue
+            step = _DIRECTIONS[direction[v, u]]
+            i, j = v - reach * step[1], u - reach * step[0]
+            if 0 <= i < h and 0 <= j < w and mask[i, j] and not flooded[i, j]:
+                flooded[i, j] = True
+                stack[count, 0], stack[count, 1] = i, j
+                count += 1
+    while count > 0:
+        count -= 1
+        v, u = stack[count, 0], stack[count, 1]
+        for n in range(0, 8, 2):
+            i, j = v + _DIRECTIONS[n, 1], u + _DIRECTIONS[n, 0]
+            if i < 0 or j < 0 or i >= h or j >= w or flooded[i, j] or not mask[i, j]:
+                continue
+            if image[i, j] <= image[v, u] + climb:
+                flooded[i, j] = True
+                stack[count, 0], stack[count, 1] = i, j
+                count += 1
+    return flooded

@@ -1,0 +1,157 @@
+"""Shadow detection against a surface: a light is missing where the surface should return more of it.
+
+Start: lights whose share is too small for the surrounding albedo are doubted. Then alternate: solve the
+surface from the lights that are not doubted (`surface`), predict each light's share on it, compare with the
+share measured, and cut (`graph_cut`). A pixel that is dark in all three lights alike is dark paint; paint
+that changes faster than `AlbedoOptions` allows is told from shadow by that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.arrays import FloatArray, Mask
+from vntoolkit.checks import require_in_range
+from vntoolkit.errors import BadInput
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.photometry.visibility import labels_from_lit
+from vntoolkit.shadows.albedo import AlbedoOptions, albedo_from_lit
+from vntoolkit.shadows.graph_cut import bonds_of_light, lit_by_cut
+from vntoolkit.shadows.shares import LightShares
+from vntoolkit.shadows.surface import SurfaceOptions, solve_surface
+
+_STRONGEST_EVIDENCE = 4.0
+_SMALLEST_ALBEDO = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobustOptions:
+    """The robust detector's parameters; a share is 1 where a surface of the local albedo faces the light.
+
+    first_share: lights with a smaller share are doubted at the start. ratio: a light is missing where less
+    than this part of its predicted share is measured. darkest_share: measured shares below it count as none
+    even where little is predicted. paint_share: a pixel dark in all three lights alike is dark paint if its
+    shares are above this part of the predicted ones. tolerance_dark, tolerance_bright: change of a share that
+    counts as one unit of evidence, where none is predicted, and what the predicted share adds to it.
+    smoothness: price of a change of label between neighbours, in units of evidence. contrast: see
+    `bonds_of_light`. rounds: alternations. working_pixels: larger frames are shrunk towards this size for the
+    alternation; the last cut has the frame's own size. persistence: weight of the previous frame's
+    evidence, 0 to 1.
+    """
+
+    first_share: float = 0.2
+    ratio: float = 0.5
+    darkest_share: float = 0.06
+    paint_share: float = 0.12
+    tolerance_dark: float = 0.05
+    tolerance_bright: float = 0.1
+    smoothness: float = 0.7
+    contrast: float = 0.3
+    rounds: int = 3
+    working_pixels: int = 250_000
+    persistence: float = 0.25
+    albedo: AlbedoOptions = field(default_factory=AlbedoOptions)
+    surface: SurfaceOptions = field(default_factory=lambda: SurfaceOptions(iterations=3))
+
+    def __post_init__(self) -> None:
+        for name in ("first_share", "ratio", "darkest_share", "paint_share", "persistence"):
+            require_in_range(getattr(self, name), 0.0, 1.0, f"robust shadow detector: {name}")
+        if self.rounds < 1 or not (self.tolerance_dark > 0 and self.contrast > 0 and self.smoothness >= 0):
+            raise BadInput("robust shadow detector: rounds, tolerances and contrast must be positive")
+
+
+def lit_by_surface(
+    measured: LightShares,
+    mask: Mask,
+    options: RobustOptions | None = None,
+    camera: Camera | None = None,
+    memory: FloatArray | None = None,
+) -> tuple[npt.NDArray[np.bool_], FloatArray]:
+    """Return (h, w, 3) which lights arrive, and the (h, w, 3) evidence that the next frame may remember."""
+    options = options or RobustOptions()
+    factor = _shrinking(mask, options)
+    small, small_mask = (measured, mask) if factor == 1 else measured.shrunk(mask, factor)
+    small_camera = None if camera is None else camera.scaled(1.0 / factor)
+    predicted, albedo = _predicted_by_rounds(small, small_mask, options, small_camera)
+    predicted, albedo = _enlarged(predicted, mask.shape), _enlarged(albedo, mask.shape)
+    shares = _without_paint(measured.shares(albedo), predicted, options)
+    evidence = _evidence(shares, predicted, options)
+    if memory is not None and memory.shape == evidence.shape:
+        evidence = (1 - options.persistence) * evidence + options.persistence * memory
+    return _cut(evidence, shares, mask, options), evidence
+
+
+def _predicted_by_rounds(
+    measured: LightShares, mask: Mask, options: RobustOptions, camera: Camera | None
+) -> tuple[FloatArray, FloatArray]:
+    """Alternate between surface and labels; return each light's predicted share (h, w, 3) and the albedo."""
+    lit = _first_doubts(measured, mask, options)
+    predicted: FloatArray = np.ones((*mask.shape, 3), dtype=np.float32)
+    albedo: FloatArray = np.ones(mask.shape, dtype=np.float32)
+    for i in range(options.rounds):
+        full = lit.all(axis=-1) & mask
+        albedo = albedo_from_lit(measured.length, full, options.albedo)
+        surface = solve_surface(
+            measured.relative_to(np.where(full, measured.length, albedo)), labels_from_lit(lit),
+            measured.lights, mask, first_normals=measured.normals, weight=measured.trust, camera=camera,
+            options=options.surface,
+        )  # fmt: skip
+        predicted = surface.normals @ measured.directions.T.astype(np.float32)
+        if i + 1 < options.rounds:
+            shares = _without_paint(measured.shares(albedo), predicted, options)
+            lit = _cut(_evidence(shares, predicted, options), shares, mask, options)
+    return predicted, albedo
+
+
+def _cut(
+    evidence: FloatArray, shares: FloatArray, mask: Mask, options: RobustOptions
+) -> npt.NDArray[np.bool_]:
+    lit = np.empty(shares.shape, dtype=np.bool_)
+    for k in range(3):
+        bonds = bonds_of_light(shares, k, mask, options.smoothness, options.contrast)
+        lit[..., k] = lit_by_cut(evidence[..., k], bonds, mask)
+    return lit
+
+
+def _shrinking(mask: Mask, options: RobustOptions) -> int:
+    return max(1, round(float(np.sqrt(mask.size / options.working_pixels))))
+
+
+def _enlarged(image: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    if image.shape[:2] == shape:
+        return image
+    return np.asarray(cv2.resize(image, shape[::-1], interpolation=cv2.INTER_LINEAR), dtype=np.float32)
+
+
+def _first_doubts(measured: LightShares, mask: Mask, options: RobustOptions) -> npt.NDArray[np.bool_]:
+    inside = measured.length[mask]
+    typical = float(np.median(inside)) if inside.size else 1.0
+    albedo: FloatArray = np.full(mask.shape, max(typical, _SMALLEST_ALBEDO), dtype=np.float32)
+    lit = np.ones((*mask.shape, 3), dtype=np.bool_)
+    for _ in range(3):  # albedo and doubts settle each other
+        shares = measured.shares(albedo)
+        lit = shares > options.first_share
+        brightest = shares.max(axis=-1, keepdims=True)
+        paint = ~lit.any(axis=-1, keepdims=True) & (brightest > options.paint_share)
+        lit |= paint & (shares > options.first_share * brightest)
+        albedo = albedo_from_lit(measured.length, lit.all(axis=-1) & mask, options.albedo)
+    return lit
+
+
+def _without_paint(shares: FloatArray, predicted: FloatArray, options: RobustOptions) -> FloatArray:
+    """Undo dark paint: where all three lights are missing alike, it is the albedo that is off."""
+    part = shares / np.maximum(predicted, options.tolerance_dark)
+    typical = np.median(part, axis=-1)
+    paint = (part < options.ratio).all(axis=-1) & (typical > options.paint_share)
+    return shares / np.where(paint, np.maximum(typical, _SMALLEST_ALBEDO), 1.0)[..., None]
+
+
+def _evidence(shares: FloatArray, predicted: FloatArray, options: RobustOptions) -> FloatArray:
+    """(h, w, 3), positive where more than the allowed part of the predicted share is measured."""
+    threshold = np.maximum(options.ratio * predicted, options.darkest_share)
+    unit = options.tolerance_dark + options.tolerance_bright * np.maximum(predicted, 0.0)
+    return np.clip((shares - threshold) / unit, -_STRONGEST_EVIDENCE, _STRONGEST_EVIDENCE)
