@@ -30,6 +30,7 @@ VERBS: dict[str, tuple[str, str]] = {
         "vntoolkit.cli.reconstruct:reconstruct",
         "Turn footage and a rig into normals, depth and meshes.",
     ),
+    "track": ("vntoolkit.cli.track:track", "Follow one surface through a reconstruction's frames."),
     "dress": ("vntoolkit.cli.dress:run", "Put a tracked garment on a figure that motion capture moves."),
 }
 

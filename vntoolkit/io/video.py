@@ -175,7 +175,12 @@ def write_video(
         raise CannotWrite(f"{path}: video is written as FFV1 in Matroska; give a name that ends in .mkv")
     count = 0
     try:
-        with atomic_path(path) as temporary, av.open(str(temporary), "w", format="matroska") as container:
+        # Without "bitexact" Matroska gets a random identifier, and equal frames unequal files.
+        exact = {"fflags": "+bitexact"}
+        with (
+            atomic_path(path) as temporary,
+            av.open(str(temporary), "w", format="matroska", options=exact) as container,
+        ):
             stream = None
             for count, frame in enumerate(frames, start=1):
                 stream = stream or _ffv1_stream(container, frame, frame_rate_hz, threads)

@@ -16,17 +16,17 @@ STORED_BITS = (8, 10, 12, 16)
 class Nuisances:
     """Everything between the surface and the file that equation 1 leaves out.
 
-    near_lights: lamps are points, their light comes from different sides and falls off with the square of
-    the distance; off = parallel light of equal strength everywhere. shadows: cast shadows. ambient: light
-    from everywhere. crosstalk: a lamp is seen by all three channels; off = by its own only. texture: the
-    reflectance varies; off = the reference material everywhere. gloss: specular reflection.
-
-    blur_px: standard deviation of the lens's Gaussian blur in pixels, 0 = off. noise: shot and read noise;
-    full_well_electrons: electrons at full scale; read_noise_electrons: standard deviation. bayer: one
-    colour per pixel (RGGB), the others interpolated. clipping: light above full scale is lost.
-    quantisation: the file holds integers of `bits` bits (8, 10, 12 or 16); off = 16 bits in the file and
-    floating point in `SimulatedFrame.linear`. transfer: the file's curve (linear, srgb, bt709, gamma:G).
-    black_level: linear value of no light in the file, as a share of full scale.
+    near_lights: light spreads from points and weakens with the square of the distance; off, it is parallel
+    and of one strength everywhere. shadows: parts of the subject throw shadows on others. ambient: a little
+    light comes from everywhere. crosstalk: every lamp is seen by all three channels; off, by its own only.
+    texture: the reflectance varies over the surface; off, it is the reference material's everywhere.
+    gloss: the surface mirrors the lamps a little, where the scene says so. blur_px: standard deviation of
+    the lens's blur in pixels, 0 for none. noise: shot and read noise. full_well_electrons: electrons that
+    a sensor pixel holds at full scale. read_noise_electrons: standard deviation of the read noise.
+    bayer: a pixel measures one colour and the others are interpolated. clipping: light above full scale is
+    lost; matters without quantisation only, since integers clip. quantisation: samples are rounded to
+    integers; off, the file has 16 bits. bits: 8, 10, 12 or 16 per sample. transfer: curve of the stored
+    values, linear, srgb, bt709 or gamma:G. black_level: linear value that means no light, 0 to 0.5.
     """
 
     near_lights: bool = True
