@@ -1,10 +1,9 @@
 """Figure 11: a captured sweater on a figure that motion capture moves.
 
-    python recipes/figure11.py --out out/figure11                          # 1 minute
-    python recipes/figure11.py --out out/figure11 --motion 131_01.bvh lambada.amc
-    python recipes/figure11.py --out out/figure11 --track DIR              # what `vntoolkit track` left in DIR
+    python recipes/figure11.py --out out/figure11 [--motion 131_01.bvh lambada.amc] [--track DIR]   # 2 minutes
 
-Without --track the moving mesh is that of the simulated `sweater`, one second of it, played back and forth.
+Without --track DIR (written by `vntoolkit track`) the moving mesh is that of the simulated `sweater`, one
+second of it, played back and forth.
 For every motion it writes an animated USD, a contact sheet and a turntable, once with the published blend
 and once with the two options that mend its seams.
 """
@@ -24,7 +23,7 @@ from vntoolkit.pipeline.dress import (
     read_tracked_cloth,
     write_dressed_figure,
 )
-from vntoolkit.report.turntable import write_preview
+from vntoolkit.report.turntable import PreviewOptions, write_preview
 from vntoolkit.simulation.scene import SceneOptions, build_scene
 from vntoolkit.skinning.blending import Blend
 from vntoolkit.skinning.clock import ClockOptions, Loop
@@ -33,7 +32,7 @@ from vntoolkit.skinning.weights import Falloff, WeightOptions
 WALK = Path(__file__).parents[1] / "data" / "walk.bvh"
 CAPTURED_FRAMES = 60
 WOOL = (0.62, 0.48, 0.36)
-CLOCK = ClockOptions(loop=Loop.PING_PONG, stop=5.0)
+CLOCK = ClockOptions(loop=Loop.PING_PONG, stop=3.0)
 STYLES = {
     "published": DressOptions(clock=CLOCK),
     "smooth": DressOptions(
@@ -64,7 +63,7 @@ def main(out: Path, motions: tuple[Path, ...] = (WALK,), track: Path | None = No
             dressed = dress(cloth, read_motion(motion), options)
             name = f"{motion.stem}_{style}"
             count = write_dressed_figure(dressed, out / f"{name}.usdc")
-            write_preview(out, name, dressed)
+            write_preview(out, name, dressed, PreviewOptions(turn_frames=60))
             print(f"{out / name}.usdc: {count} frames; see {name}_sheet.png, {name}_turntable.mkv")
 
 

@@ -56,9 +56,9 @@ class DressOptions:
     """Options of `dress`, beyond those of its stages.
 
     blend: how a vertex mixes the motions of its bones. anchor: what holds the captured garment in place
-    although the performer stepped and turned: its trunk, or none, which keeps those steps. figure_height: metres from
-    the toes to the crown, for motion files that carry no unit. up_axis: which axis of the motion file points
-    up.
+    although the performer stepped and turned: its trunk, or none, which keeps those steps. figure_height:
+    metres from the toes to the crown, for motion files that carry no unit. up_axis: which axis of the
+    motion file points up.
     """
 
     blend: Blend = Blend.LINEAR
