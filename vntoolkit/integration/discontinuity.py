@@ -40,20 +40,26 @@ class DiscontinuityOptions:
     """Options of the discontinuity-preserving integrator.
 
     rounds: times the weights are computed anew. widest, narrowest: scale of the first and of the last round,
-    in standard deviations of the normals' noise. against: factor on the scale for residuals that
+    in standard deviations of the normals' noise, on clean normals. narrowest_noisy: the same of the last
+    round on noisy ones, whose residuals are noise where depth is continuous. noisy: slope noise in pixels
+    from which a map is noisy; 0.02 is a degree. against: factor on the scale for residuals that
     contradict an occlusion (depth falls less than the slope). steep: slope in pixels per pixel from which
     the side of an occlusion is known. circulation: share of the squared circulation around an edge's better
-    square that counts as its variance. round_tolerance: relative residual of the linear solves; a part that
-    hangs on few edges finds its place only if it is small.
+    square that counts as its variance. first_tolerance, round_tolerance: relative
+    residual of the first linear solve, and by which every later one reduces what the one before left: a part
+    that hangs on few edges finds its place because the tolerance is not relative to the whole surface.
     """
 
     rounds: int = 15
     widest: float = 12.0
-    narrowest: float = 1.0
+    narrowest: float = 0.5
+    narrowest_noisy: float = 4.0
+    noisy: float = 0.02
     against: float = 40.0
     steep: float = 0.3
     circulation: float = 0.05
-    round_tolerance: float = 1e-4
+    first_tolerance: float = 1e-3
+    round_tolerance: float = 0.03
 
     def __post_init__(self) -> None:
         require_in_range(self.rounds, 1, 1000, "rounds of reweighting")
@@ -78,14 +84,22 @@ def solve_discontinuous(
     trust = confidence / evidence.variance
     depth = np.zeros(len(graph.pixels)) if start is None else start
     weight = trust
+    noisiness = min(1.0, (evidence.noise / options.noisy) ** 2)
+    narrowest = options.narrowest + noisiness * (options.narrowest_noisy - options.narrowest)
+    widest = max(options.widest, narrowest)
     for this_round in range(options.rounds + 1):
         hierarchy = hierarchy_from_graph(graph.row_start, graph.neighbour, weight[graph.edge])
-        load = divergence_on_graph(graph, weight, difference)
-        depth, _ = solve_laplacian(
-            hierarchy, load, depth, tolerance=options.round_tolerance, most_iterations=most_iterations
+        missing = difference - (depth[graph.head] - depth[graph.tail])
+        correction, _ = solve_laplacian(
+            hierarchy,
+            divergence_on_graph(graph, weight, missing),
+            np.zeros(len(depth)),
+            tolerance=options.first_tolerance if this_round == 0 else options.round_tolerance,
+            most_iterations=most_iterations,
         )
+        depth = depth + correction
         progress = min(1.0, this_round / max(1.0, 0.7 * options.rounds))
-        scale = evidence.noise * options.widest * (options.narrowest / options.widest) ** progress
+        scale = evidence.noise * widest * (narrowest / widest) ** progress
         weight = _reweighted(
             depth, graph.tail, graph.head, difference, evidence.variance, trust, scale,
             options.against, options.steep,

@@ -174,13 +174,16 @@ def flexible_conjugate_gradients(levels, load, start, tolerance, most):  # type:
     if scale <= 0.0:
         return solution, 0, 0.0
     _multiply(levels, 0, count, solution, product)
+    started = False
     for i in range(count):
         residual[i] = load[i] - product[i]
         product[i] = 0.0
+        started |= solution[i] != 0.0
     curvature, relative = 1.0, np.inf
     for iteration in range(most + 1):
-        b[:count] = residual
-        _cycle(levels, b, x, kept, kept_product, work, state, rho, step)
+        if iteration > 0 or started:  # else x is still that of the load
+            b[:count] = residual
+            _cycle(levels, b, x, kept, kept_product, work, state, rho, step)
         relative = np.sqrt(max(_dot(residual, x, count), 0.0) / scale)
         if relative <= tolerance:
             return solution, iteration, relative

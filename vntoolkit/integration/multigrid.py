@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse.csgraph import connected_components
 
 from vntoolkit.errors import SolverFailed
 from vntoolkit.integration.kcycle import flexible_conjugate_gradients
@@ -23,10 +24,10 @@ from vntoolkit.integration.kcycle import flexible_conjugate_gradients
 Float64 = npt.NDArray[np.float64]
 Int32 = npt.NDArray[np.int32]
 
-_COARSEST = 160  # nodes that a dense inverse takes without being noticed
+_COARSEST = 60  # nodes that a dense inverse takes without being noticed
 _MOST_LEVELS = 12
+_LARGEST_GROUP = 4
 _STRONG = 0.1  # an edge weaker than this share of a node's strongest does not merge it
-_SHIFT = 1e-10  # of the diagonal: makes the coarsest singular Laplacian invertible
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,16 +82,21 @@ def _join(graphs: list[tuple[Int32, Int32, Float64]], parents: list[Int32]) -> H
 def _dense_inverse(
     begin: int, end: int, row_start: Int32, neighbour: Int32, weight: Float64, diagonal: Float64
 ) -> Float64:
-    """Inverse of the coarsest Laplacian, slightly shifted; empty where that level is large."""
+    """Inverse of the coarsest Laplacian with one node of each component held at 0; empty if it is large."""
     count = end - begin
     if count > 4 * _COARSEST:
         return np.zeros((0, 0))
     slots = slice(row_start[begin], row_start[end])
     rows = np.repeat(np.arange(count), np.diff(row_start[begin : end + 1]))
-    dense = np.zeros((count, count))
-    np.subtract.at(dense, (rows, neighbour[slots] - begin), weight[slots])
-    dense[np.diag_indices(count)] += diagonal[begin:end] * (1.0 + _SHIFT)
-    inverse: Float64 = np.linalg.inv(dense)
+    dense = np.diag(diagonal[begin:end])
+    dense[rows, neighbour[slots] - begin] -= weight[slots]
+    _, component = connected_components(dense != 0.0, directed=False)
+    _, held = np.unique(component, return_index=True)
+    dense[held, :] = 0.0
+    dense[:, held] = 0.0
+    dense[held, held] = 1.0
+    inverse = np.asarray(np.linalg.inv(dense), dtype=np.float64)
+    inverse[held, held] = 0.0
     return inverse
 
 
@@ -133,27 +139,45 @@ def _row_sums(row_start, weight):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _merge_pairs(row_start, neighbour, weight):  # type: ignore[no-untyped-def]
-    """Merge every node with its strongest free neighbour; return the map and the coarse graph."""
+    """Merge nodes along their strongest edges; return the map (n,) and the coarse graph.
+
+    A node takes its strongest free neighbour; one whose strong neighbours are all taken joins the group of
+    the strongest, up to a group of `_LARGEST_GROUP`, lest such leftovers stop the coarsening.
+    """
     count = len(row_start) - 1
     parent = np.full(count, -1, np.int32)
-    mate = np.full(count, -1, np.int32)
+    following = np.full(count, -1, np.int32)  # chains the members of a group
     leader = np.empty(count, np.int32)
+    size = np.zeros(count, np.int32)
     coarse = 0
     for i in range(count):
         if parent[i] >= 0:
             continue
-        strongest, best, chosen = 0.0, 0.0, -1
+        strongest, free, chosen, best, group = 0.0, 0.0, -1, 0.0, -1
         for slot in range(row_start[i], row_start[i + 1]):
-            j = neighbour[slot]
-            strongest = max(strongest, weight[slot])
-            if parent[j] < 0 and weight[slot] > best:
-                best, chosen = weight[slot], j
-        parent[i] = coarse
-        leader[coarse] = i
-        if chosen >= 0 and best >= _STRONG * strongest:
-            parent[chosen] = coarse
-            mate[i] = chosen
+            j, w = neighbour[slot], weight[slot]
+            strongest = max(strongest, w)
+            if parent[j] < 0:
+                if w > free:
+                    free, chosen = w, j
+            elif w > best and size[parent[j]] < _LARGEST_GROUP:
+                best, group = w, parent[j]
+        if free < _STRONG * strongest and best >= _STRONG * strongest and group >= 0:
+            parent[i] = group
+            following[i] = leader[group]
+            leader[group] = i
+            size[group] += 1
+            continue
+        parent[i], leader[coarse], size[coarse] = coarse, i, 1
+        if chosen >= 0 and free >= _STRONG * strongest:
+            parent[chosen], following[i], size[coarse] = coarse, chosen, 2
         coarse += 1
+    return (parent, *_collapse(row_start, neighbour, weight, parent, following, leader, coarse))
+
+
+@numba.njit(cache=True)
+def _collapse(row_start, neighbour, weight, parent, following, leader, coarse):  # type: ignore[no-untyped-def]
+    """Sum the edges between groups into the graph of the groups."""
     starts = np.zeros(coarse + 1, np.int32)
     neighbours = np.empty(len(neighbour), np.int32)
     weights = np.empty(len(neighbour))
@@ -174,6 +198,6 @@ def _merge_pairs(row_start, neighbour, weight):  # type: ignore[no-untyped-def]
                     neighbours[used] = other
                     weights[used] = weight[slot]
                     used += 1
-            i = mate[i] if i == leader[c] else -1
+            i = following[i]
         starts[c + 1] = used
-    return parent, starts, neighbours[:used].copy(), weights[:used].copy()
+    return starts, neighbours[:used].copy(), weights[:used].copy()

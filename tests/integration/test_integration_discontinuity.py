@@ -1,0 +1,101 @@
+"""Depth may jump: analytic tears, and real objects against what others published."""
+
+import numpy as np
+import pytest
+from analytic_surfaces import largest_error, peaks, sphere_before_camera, tear
+
+from vntoolkit.geometry.camera import Camera, CameraModel
+from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.integration.chords import chords_from_normals
+from vntoolkit.integration.graph import graph_from_domain
+from vntoolkit.integration.integrate import DepthIntegrator
+from vntoolkit.integration.options import IntegrationOptions, Integrator
+from vntoolkit.integration.slopes import rays_from_camera
+
+ROBUST = IntegrationOptions(integrator=Integrator.DISCONTINUITY)
+# mean absolute error in mm of the better of Cao et al.'s code and the best least-squares program
+BETTER_PEER_MM = {"pot2": 0.158, "cow": 0.058, "bear": 0.133, "goblet": 3.88, "reading": 0.257}
+
+
+def root_mean_square_percent(found, truth):
+    difference = found - truth
+    return 100 * (difference - difference.mean()).std() / np.ptp(truth)
+
+
+@pytest.mark.parametrize("steepness", [0.25, 1.0, 2.0])
+def test_a_flat_that_turns_into_a_ramp(steepness):
+    truth, normals = tear(256, steepness)
+    normal_map = NormalMap(normals_in_camera=normals, mask=np.ones(truth.shape, dtype=bool))
+    camera = Camera.orthographic(width=256, height=256)
+    assert root_mean_square_percent(DepthIntegrator(camera, ROBUST).integrate(normal_map).depth, truth) < 0.42
+    assert root_mean_square_percent(DepthIntegrator(camera).integrate(normal_map).depth, truth) > 10
+
+
+@pytest.mark.parametrize("noise_deg", [1.0, 5.0])
+def test_noise_of_the_normals_is_measured_not_taken_for_jumps(noise_deg, rng):
+    """On a smooth surface without jumps the robust solution stays near least squares, which is best there."""
+    truth, normals = peaks(128)
+    noisy = normals + rng.normal(scale=np.deg2rad(noise_deg), size=normals.shape)
+    noisy /= np.linalg.norm(noisy, axis=-1, keepdims=True)
+    normal_map = NormalMap(normals_in_camera=noisy, mask=np.ones(truth.shape, dtype=bool))
+    camera = Camera.orthographic(width=128, height=128)
+    robust = DepthIntegrator(camera, ROBUST).integrate(normal_map).depth
+    plain = DepthIntegrator(camera).integrate(normal_map).depth
+    assert root_mean_square_percent(robust, truth) < 2 * root_mean_square_percent(plain, truth)
+
+
+@pytest.mark.parametrize("perspective", [False, True])
+def test_chords_are_exact_on_a_sphere(perspective):
+    camera = (
+        Camera.pinhole(width=120, height=100, focal_px=200.0)
+        if perspective
+        else Camera.orthographic(width=120, height=100, pixels_per_unit=60.0)
+    )
+    depth, normals, mask = sphere_before_camera(camera, (0.05, -0.02, 3.0), 0.6, 85.0)
+    graph, rays = graph_from_domain(mask), rays_from_camera(camera)
+    chords = chords_from_normals(
+        normals[mask], rays.image_plane_points(100, 120)[mask], graph,
+        perspective=perspective, pixels_per_unit=rays.pixels_per_unit, steepest_slope_deg=89.9,
+    )  # fmt: skip
+    level = (np.log(depth) if perspective else depth)[mask] * rays.pixels_per_unit
+    assert np.abs(chords.difference - (level[graph.head] - level[graph.tail])).max() < 1e-3
+
+
+def test_one_sphere_before_another_keeps_both_round():
+    """The one in front hides part of the one behind: each must come back without the other's mark."""
+    camera = Camera.orthographic(width=160, height=120)
+    back, back_normals, back_mask = sphere_before_camera(camera, (-18.0, 0.0, 100.0), 45.0, 70.0)
+    front, front_normals, front_mask = sphere_before_camera(camera, (30.0, 0.0, 60.0), 35.0, 70.0)
+    normals = np.where(front_mask[..., None], front_normals, back_normals)
+    normal_map = NormalMap(normals_in_camera=normals, mask=front_mask | back_mask)
+    found = DepthIntegrator(camera, ROBUST).integrate(normal_map).depth
+    plain = DepthIntegrator(camera).integrate(normal_map).depth
+    for depth, mask in ((front, front_mask), (back, back_mask & ~front_mask)):
+        assert largest_error(found, depth, mask) < 1e-3
+    assert largest_error(plain, back, back_mask & ~front_mask) > 0.1
+
+
+def read_object(folder):
+    import cv2
+
+    stored = cv2.imread(str(folder / "normal_map.png"), cv2.IMREAD_UNCHANGED)[..., ::-1]
+    mask = cv2.imread(str(folder / "mask.png"), cv2.IMREAD_GRAYSCALE) > 0
+    normals = (stored / 65535.0 * 2.0 - 1.0) * [1.0, -1.0, -1.0]
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    normals[~mask] = 0.0
+    matrix = np.loadtxt(folder / "K.txt")
+    camera = Camera(model=CameraModel.PINHOLE, width=mask.shape[1], height=mask.shape[0], matrix=matrix)
+    truth = np.load(folder / "depth_gt.npz")["depth_gt"].astype(np.float64)
+    return camera, NormalMap(normals_in_camera=normals, mask=mask), truth
+
+
+def test_real_objects_come_nearer_than_the_better_peer(real_data):
+    better = []
+    for name, peer_mm in BETTER_PEER_MM.items():
+        camera, normal_map, truth = read_object(real_data / "normal_integration" / name)
+        seen = normal_map.mask & np.isfinite(truth)
+        found = DepthIntegrator(camera, ROBUST).integrate(normal_map).depth[seen]
+        error_mm = np.abs(found * np.median(truth[seen] / found) - truth[seen]).mean()
+        if error_mm <= peer_mm:
+            better.append(name)
+    assert {"pot2", "bear", "reading"} <= set(better)

@@ -1,0 +1,132 @@
+"""Inside a mask: nothing outside counts, nothing at the border is flattened, components are independent."""
+
+import numpy as np
+import pytest
+from analytic_surfaces import disc_with_hole, largest_error, normals_from_gradient, peaks
+
+from vntoolkit.errors import SolverFailed
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.integration.edges import edges_from_slopes
+from vntoolkit.integration.graph import divergence_on_graph, graph_from_domain
+from vntoolkit.integration.integrate import DepthIntegrator
+from vntoolkit.integration.masked import MaskedSolver
+from vntoolkit.integration.multigrid import hierarchy_from_graph, solve_laplacian
+from vntoolkit.integration.options import IntegrationOptions, Integrator
+
+POISSON = IntegrationOptions(integrator=Integrator.POISSON)
+
+
+def integrator_of(mask, options=POISSON):
+    return DepthIntegrator(Camera.orthographic(width=mask.shape[1], height=mask.shape[0]), options)
+
+
+@pytest.mark.parametrize("size", [128, 512])
+def test_a_disc_with_a_hole_to_a_hundred_thousandth(size):
+    depth, normals = peaks(size)
+    mask = disc_with_hole(size)
+    found = integrator_of(mask).integrate(NormalMap(normals_in_camera=normals, mask=mask))
+    assert largest_error(found.depth, depth, mask) < 1e-5
+    assert (found.depth[~mask] == 0).all()
+
+
+def test_weights_of_one_change_nothing():
+    """The weighted solver (multigrid) and the unweighted one (cosine preconditioner) agree."""
+    depth, normals = peaks(128)
+    mask = disc_with_hole(128)
+    ones = np.ones(mask.shape, dtype=np.float32)
+    found = integrator_of(mask).integrate(NormalMap(normals_in_camera=normals, mask=mask, weight=ones))
+    assert largest_error(found.depth, depth, mask) < 1e-5
+
+
+def test_what_lies_outside_the_mask_does_not_matter(rng):
+    _, normals = peaks(80)
+    mask = disc_with_hole(80)
+    changed = np.where(mask[..., None], normals, normals_from_gradient(*rng.normal(size=(2, 80, 80))))
+    first, second = (
+        integrator_of(mask).integrate(NormalMap(normals_in_camera=n, mask=mask)).depth
+        for n in (normals, changed)
+    )
+    assert np.array_equal(first, second)
+
+
+@pytest.mark.parametrize("integrator", [Integrator.POISSON, Integrator.DISCONTINUITY])
+def test_every_component_has_its_own_offset(integrator):
+    mask = np.zeros((40, 60), dtype=bool)
+    mask[5:35, 5:25] = True
+    mask[2:30, 30:55] = True
+    mask[36, 40] = True  # a lone pixel
+    plane = np.tile(np.float32([0.6, 0.0, -0.8]), (40, 60, 1))
+    options = IntegrationOptions(integrator=integrator)
+    depth = integrator_of(mask, options).integrate(NormalMap(normals_in_camera=plane, mask=mask)).depth
+    for part in (np.s_[5:35, 5:25], np.s_[2:30, 30:55]):
+        assert abs(depth[part].mean()) < 1e-9
+        assert np.allclose(np.diff(depth[part], axis=1), 0.75, atol=1e-4)
+    assert depth[36, 40] == 0.0
+
+
+def test_a_dozen_iterations_suffice_at_any_size_and_fewer_from_the_frame_before():
+    for size in (128, 512):
+        _, normals = peaks(size)
+        mask = disc_with_hole(size)
+        p, q = -normals[..., 0] / normals[..., 2], -normals[..., 1] / normals[..., 2]
+        edges = edges_from_slopes(p, q, mask)
+        solver = MaskedSolver(mask, tolerance=1e-6, most_iterations=100)
+        depth = solver.solve(edges)
+        cold = solver.iterations
+        solver.solve(edges_from_slopes(p * 1.01, q * 1.01, mask), depth)
+        assert 3 < cold <= 12
+        assert solver.iterations < cold
+
+
+def test_a_mask_that_changes_between_frames_is_noticed():
+    depth, normals = peaks(96)
+    first, second = disc_with_hole(96), disc_with_hole(96)
+    second[:50] = False
+    integrator = integrator_of(first)
+    integrator.integrate(NormalMap(normals_in_camera=normals, mask=first))
+    found = integrator.integrate(NormalMap(normals_in_camera=normals, mask=second))
+    assert np.array_equal(found.mask, second)
+    assert largest_error(found.depth, depth, second) < 1e-4
+
+
+def test_a_doubtful_pixel_counts_less_and_a_hopeless_one_not_at_all():
+    depth, normals = peaks(64)
+    normals = normals.copy()
+    normals[30:33, 30:33] = [0.9, 0.0, -np.sqrt(1 - 0.81)]
+    mask = np.ones((64, 64), dtype=bool)
+    trusted = np.abs(np.mgrid[:64, :64] - 31).max(axis=0) > 6
+    errors = []
+    for weight_there in (1.0, 0.05, 0.0):
+        weight = np.ones((64, 64), dtype=np.float32)
+        weight[30:33, 30:33] = weight_there
+        normal_map = NormalMap(normals_in_camera=normals, mask=mask, weight=weight)
+        found = integrator_of(mask).integrate(normal_map)
+        errors.append(largest_error(found.depth, depth, trusted))
+        assert found.mask.sum() == (64 * 64 if weight_there > 0 else 64 * 64 - 9)
+    assert errors[1] < errors[0] / 3
+    assert errors[2] < 1e-4
+
+
+def test_running_out_of_iterations_is_said():
+    _, normals = peaks(128)
+    mask = disc_with_hole(128)
+    options = IntegrationOptions(integrator=Integrator.POISSON, most_iterations=2)
+    with pytest.raises(SolverFailed, match="did not converge in 2 iterations"):
+        integrator_of(mask, options).integrate(NormalMap(normals_in_camera=normals, mask=mask))
+
+
+def test_multigrid_solves_weights_of_ten_orders(rng):
+    domain = rng.random((40, 50)) < 0.8
+    graph = graph_from_domain(domain)
+    weight = 10.0 ** rng.uniform(-10, 0, len(graph.tail))
+    truth = rng.normal(size=len(graph.pixels))
+    load = divergence_on_graph(graph, weight, truth[graph.head] - truth[graph.tail])
+    hierarchy = hierarchy_from_graph(graph.row_start, graph.neighbour, weight[graph.edge])
+    found, iterations = solve_laplacian(
+        hierarchy, load, np.zeros(len(truth)), tolerance=1e-9, most_iterations=200
+    )
+    misfit = (found[graph.head] - found[graph.tail]) - (truth[graph.head] - truth[graph.tail])
+    reach = truth[graph.head] - truth[graph.tail]
+    assert (weight * misfit**2).sum() < 1e-16 * (weight * reach**2).sum()
+    assert iterations < 60
