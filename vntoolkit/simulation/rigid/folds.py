@@ -37,7 +37,7 @@ def fold_height(s: FloatArray, t: FloatArray, fold: Fold) -> FloatArray:
     x = across / (fold.width * (0.6 + 0.8 * inside))
     flank = np.where(x * fold.lean > 0, 1.0 + 1.2 * abs(fold.lean), 1.0 - 0.35 * abs(fold.lean))
     fade = np.where((along > 0) & (along < 1), np.sin(np.pi * np.sqrt(inside)) ** 1.5, 0.0)
-    return fold.height * fade / np.cosh(1.6 * x * flank) ** 2
+    return fold.height * fade * (1.0 - np.tanh(1.6 * x * flank) ** 2)
 
 
 def scattered_folds(
