@@ -6,6 +6,7 @@ Studio frame of the body: metres, x right in the image, y up, z towards the view
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -46,12 +47,14 @@ class Pose:
 def body_from_pose(pose: Pose) -> Capsules:
     """Return the body in that pose; the capsules keep their order and radii."""
     sections = [_section(pose, index) for index in range(len(_TORSO))]
-    starts, ends, radii = [], [], []
+    starts: list[FloatArray] = []
+    ends: list[FloatArray] = []
+    radii: list[tuple[float, float]] = []
     for centre, half, radius in sections:
         starts.append(centre - half)
         ends.append(centre + half)
         radii.append((radius, radius))
-    for (low, low_half, low_r), (high, high_half, high_r) in zip(sections, sections[1:], strict=False):
+    for (low, low_half, low_r), (high, high_half, high_r) in pairwise(sections):
         for side in (-1.0, 0.0, 1.0):
             starts.append(low + side * low_half)
             ends.append(high + side * high_half)
@@ -107,7 +110,8 @@ def _section(pose: Pose, index: int) -> tuple[FloatArray, FloatArray, float]:
     turn = pose.hip_turn + share * (pose.chest_turn - pose.hip_turn)
     lean = pose.bend * share
     above = height - _HIPS[0]
-    centre = np.array(pose.shift) + [above * np.sin(lean), _HIPS[0] + above * np.cos(lean), 0.0]
+    upwards = np.array([above * np.sin(lean), _HIPS[0] + above * np.cos(lean), 0.0])
+    centre = np.array(pose.shift) + upwards
     level = np.array([np.cos(lean), -np.sin(lean), 0.0])
     half = span * (np.cos(turn) * level - np.sin(turn) * np.array([0.0, 0.0, 1.0]))
     return centre, half, radius

@@ -18,6 +18,7 @@ from vntoolkit.simulation.body.surface_nets import mesh_from_implicit
 _HIP, _KNEE = np.array([8.6, 0.0, 0.0]), np.array([9.2, -43.0, 1.2])
 _WAIST_CUT, _ANKLE_CUT = 17.0, -80.0
 _CELL_CM = 0.40
+_GAP_DEPTHS = (-9.0, -6.0, -3.0, 0.0, 3.0, 6.0, 9.0)  # what is carved out between the thighs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +43,7 @@ class Legs:
         low, high = np.array([-21.0, _ANKLE_CUT, -19.0]), np.array([21.0, _WAIST_CUT, 17.0])
         rest, self.faces = mesh_from_implicit(_sculpt(), low, high, _CELL_CM)
         self.rest: Points = rest
-        self._on_side = [_smooth(0.5 + sign * rest[:, 0] / 3.0) for sign in (-1.0, 1.0)]
+        self._on_side = [_smooth(0.5 + sign * rest[:, 0] / 4.0) for sign in (-1.0, 1.0)]
         self._thigh = _smooth((6.0 + 0.55 * (np.abs(rest[:, 0]) - 8.0) - rest[:, 1]) / 17.0)
         self._shin = _smooth((_KNEE[1] + 7.0 - rest[:, 1]) / 14.0)
 
@@ -60,7 +61,7 @@ class Legs:
             thigh = (lift * inward).as_rotvec()
             points[rows] = _turned(bent, _HIP * mirror, thigh, self._thigh[rows] * share)
         points = Rotation.from_euler("y", pose.turn_deg, degrees=True).apply(points)
-        return points + [pose.sway_cm[0], pose.sway_cm[1], 0.0]
+        return points + np.array([*pose.sway_cm, 0.0])
 
 
 def _turned(points: Points, centre: FloatArray, rotation: FloatArray, share: FloatArray) -> Points:
@@ -78,12 +79,13 @@ def _sculpt() -> ImplicitBody:
         ellipsoid((0.0, 12.0, -0.5), (14.0, 17.0, 9.5), 0.0),
         ellipsoid((0.0, 26.0, 0.0), (12.5, 16.0, 8.5), 6.0),
         *both_sides(
-            capsule((7.9, 0.0, -0.2), (9.2, -42.0, 1.0), (8.4, 5.2), 6.0),
+            capsule((8.8, 0.0, -0.2), (9.2, -42.0, 1.0), (8.2, 5.2), 5.0),
             ellipsoid((7.2, 1.0, -6.0), (7.2, 8.5, 6.5), 5.0),
             ellipsoid((8.6, -18.0, 2.2), (6.4, 19.0, 5.8), 5.0),
-            ellipsoid((9.2, -43.0, 1.9), (4.1, 6.0, 4.2), 5.0),
-            capsule((9.2, -42.0, 0.8), (9.2, -84.0, -1.6), (4.7, 3.4), 4.0),
+            ellipsoid((9.2, -43.0, 1.9), (2.6, 6.0, 2.6), 5.0),
+            capsule((9.2, -42.0, 0.8), (9.2, -84.0, -1.6), (4.2, 3.4), 3.0),
             ellipsoid((9.6, -56.0, -2.4), (4.7, 12.5, 4.9), 4.0),
         ),
+        *(capsule((0.0, -8.5, z), (0.0, -95.0, z), (1.5, 1.5), -3.0) for z in _GAP_DEPTHS),
     ]
     return ImplicitBody.from_parts(parts)

@@ -31,9 +31,13 @@ def _relaxed(vertices: Points, faces: Faces) -> Points:
     key = np.sort(edges, axis=1).astype(np.int64) @ [len(vertices), 1]
     _, place, times = np.unique(key, return_inverse=True, return_counts=True)
     count = np.bincount(edges[:, 0], minlength=len(vertices))
-    mean = np.stack(
-        [np.bincount(edges[:, 0], vertices[edges[:, 1], a], minlength=len(vertices)) for a in range(3)], axis=1
-    ) / np.maximum(count, 1)[:, None]
+    mean = (
+        np.stack(
+            [np.bincount(edges[:, 0], vertices[edges[:, 1], a], minlength=len(vertices)) for a in range(3)],
+            axis=1,
+        )
+        / np.maximum(count, 1)[:, None]
+    )
     on_rim = np.zeros(len(vertices), dtype=bool)
     on_rim[edges[times[place] == 1]] = True
     return np.where(on_rim[:, None], vertices, 0.5 * (vertices + mean))
@@ -46,9 +50,7 @@ def _pull_onto_surface(body: ImplicitBody, vertices: Points, cell: float) -> Poi
     return vertices - np.clip(step, -cell, cell)[:, None] * slope
 
 
-def _values_near_surface(
-    body: ImplicitBody, low: FloatArray, counts: IntArray, cell: float
-) -> FloatArray:
+def _values_near_surface(body: ImplicitBody, low: FloatArray, counts: IntArray, cell: float) -> FloatArray:
     """Return the grid of signed distances, in cells; exact only in blocks that the surface can cross."""
     blocks = (counts - 1) // _COARSE
     centres = _grid(blocks) * (_COARSE * cell) + low + 0.5 * _COARSE * cell
@@ -71,13 +73,12 @@ def _grid(counts: IntArray) -> Points:
 
 
 def _cell_vertices(values: FloatArray) -> tuple[Points, IntArray]:
-    """Return one point per cell that changes sign, the mean of its edges' crossings, and their grid of numbers."""
+    """Return a point per cell that changes sign, the mean of its edges' crossings; and their numbers."""
     inside = values < 0
     cells = [slice(None, -1), slice(1, None)]
-    count = sum(
-        inside[cells[i], cells[j], cells[k]].astype(np.int8)
-        for i in (0, 1) for j in (0, 1) for k in (0, 1)
-    )  # fmt: skip
+    count = np.zeros(np.array(values.shape) - 1, dtype=np.int8)
+    for i, j, k in np.ndindex(2, 2, 2):
+        count += inside[cells[i], cells[j], cells[k]]
     mixed = (count > 0) & (count < 8)
     place = np.argwhere(mixed)
     total, hits = np.zeros((len(place), 3)), np.zeros(len(place))

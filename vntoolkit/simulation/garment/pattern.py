@@ -9,9 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial import Delaunay, cKDTree
 
 from vntoolkit.arrays import Faces, FloatArray, IntArray, Points2
+
+BoolArray = npt.NDArray[np.bool_]
 
 FRONT, BACK = 0, 1
 _NECK, _SHOULDER = np.array([0.085, 0.0]), np.array([0.215, -0.035])
@@ -66,12 +69,12 @@ def sew_sweater(options: SweaterOptions) -> Garment:
     return Garment(
         flat=flat,
         gather=np.where(_in_ribbing(flat, options), options.rib_gather, 1.0),
-        panel=np.repeat([FRONT, BACK], [len(front), np.count_nonzero(~sewn)]),
+        panel=np.where(np.arange(len(flat)) < len(front), FRONT, BACK),
         faces=np.concatenate([front_faces, index[back_faces][:, ::-1]]).astype(np.int32),
     )
 
 
-def _in_ribbing(flat: Points2, options: SweaterOptions) -> IntArray:
+def _in_ribbing(flat: Points2, options: SweaterOptions) -> BoolArray:
     """Return which points lie in the bands at hem and cuffs."""
     drop = np.deg2rad(options.sleeve_drop_deg)
     outwards = np.abs(flat) @ [np.cos(drop), 0.0] - flat @ [0.0, np.sin(drop)]
@@ -90,7 +93,7 @@ def knit_coordinates(flat: Points2, options: SweaterOptions) -> Points2:
     return np.where(on_sleeve[:, None], np.stack([across, along], axis=1), flat)
 
 
-def _panel(options: SweaterOptions, neck_depth: float) -> tuple[Points2, Faces, IntArray]:
+def _panel(options: SweaterOptions, neck_depth: float) -> tuple[Points2, Faces, BoolArray]:
     """Return points, counter-clockwise triangles and which points lie on a seam."""
     step = options.edge_length
     outline, on_seam = _outline(options, neck_depth)
@@ -112,7 +115,7 @@ def _panel(options: SweaterOptions, neck_depth: float) -> tuple[Points2, Faces, 
     return points, faces, np.concatenate([on_seam, np.zeros(np.count_nonzero(keep), dtype=bool)])
 
 
-def _outline(options: SweaterOptions, neck_depth: float) -> tuple[Points2, IntArray]:
+def _outline(options: SweaterOptions, neck_depth: float) -> tuple[Points2, BoolArray]:
     """Return the closed outline, resampled at the edge length, and which points are sewn."""
     o = options
     drop = np.deg2rad(o.sleeve_drop_deg)
@@ -145,12 +148,12 @@ def _curve(start: FloatArray, corner: FloatArray, end: FloatArray) -> Points2:
     return np.concatenate([start[None], bend])
 
 
-def _resample(pieces: list[tuple[Points2, bool]], step: float) -> tuple[Points2, IntArray]:
+def _resample(pieces: list[tuple[Points2, bool]], step: float) -> tuple[Points2, BoolArray]:
     """Sample each piece at nearly `step`; where two meet the sewn one owns the point."""
     points, sewn = [pieces[0][0][:1]], [np.zeros(1, dtype=bool)]
     for line, is_sewn in pieces:
         arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-        count = max(2, int(round(arc[-1] / step)))
+        count = max(2, round(float(arc[-1]) / step))
         at = np.linspace(0.0, arc[-1], count + 1)[1:]
         points.append(np.stack([np.interp(at, arc, line[:, 0]), np.interp(at, arc, line[:, 1])], axis=1))
         if is_sewn:
@@ -159,7 +162,7 @@ def _resample(pieces: list[tuple[Points2, bool]], step: float) -> tuple[Points2,
     return np.concatenate(points), np.concatenate(sewn)
 
 
-def _inside(outline: Points2, points: Points2) -> IntArray:
+def _inside(outline: Points2, points: Points2) -> BoolArray:
     """Return which points lie inside the closed outline (crossing number)."""
     a, b = outline, np.roll(outline, -1, axis=0)
     x, y = points[:, :1], points[:, 1:]

@@ -29,9 +29,13 @@ def loop_subdivision(faces: Faces, count: int) -> tuple[sparse.csr_matrix, spars
     finer = np.concatenate(
         [np.stack(t, axis=1) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
     ).astype(np.int32)
-    smooth = sparse.vstack([_old_points(edges, on_rim, count), _edge_points(edges, number, opposite, on_rim, count)])
+    smooth = sparse.vstack(
+        [_old_points(edges, on_rim, count), _edge_points(edges, number, opposite, on_rim, count)]
+    )
     rows = np.repeat(np.arange(len(edges)), 2)
-    halves = sparse.csr_matrix((np.full(2 * len(edges), 0.5), (rows, edges.ravel())), shape=(len(edges), count))
+    halves = sparse.csr_matrix(
+        (np.full(2 * len(edges), 0.5), (rows, edges.ravel())), shape=(len(edges), count)
+    )
     return smooth.tocsr(), sparse.vstack([sparse.eye(count), halves]).tocsr(), finer
 
 

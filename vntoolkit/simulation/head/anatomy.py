@@ -12,10 +12,11 @@ from vntoolkit.geometry.mesh import vertex_normals
 from vntoolkit.simulation.body.surface_nets import mesh_from_implicit
 from vntoolkit.simulation.head import sculpture
 from vntoolkit.simulation.head.hair import hair_share, hair_thickness
-from vntoolkit.simulation.head.interior import eyeball, extrude_slit, teeth, tongue
+from vntoolkit.simulation.head.interior import extrude_slit, eyeball, teeth, tongue
 from vntoolkit.simulation.head.slit import Slit, cut_slit
 
 SKIN, CAVITY, LID_RIM, EYES, UPPER_TEETH, LOWER_TEETH, TONGUE = range(7)
+_Piece = tuple[Points, Faces, IntArray, int]  # vertices, faces, owners, part
 _CELL_CM = 0.16
 _LEAST_LEVEL = 0.3  # of a cell: no vertex lies nearer to a slit, so no sliver arises
 
@@ -39,7 +40,7 @@ class Head:
     eyes: tuple[Slit, Slit]
 
     def seams(self) -> dict[str, IntArray]:
-        """Return the edges of lips and lids as vertex numbers, closed loops starting at the corner of least x."""
+        """Return the edges of lips and lids: closed loops of vertex numbers from the corner of least x."""
         slits = {"mouth": self.mouth, "eye_left_in_image": self.eyes[0], "eye_right_in_image": self.eyes[1]}
         return {name: np.concatenate([s.upper, s.lower[-2:0:-1]]) for name, s in slits.items()}
 
@@ -95,7 +96,7 @@ def _cut_all(vertices: Points, faces: Faces) -> tuple[Points, Faces, list[Slit]]
 
 def _with_interior(shape: Points, faces: Faces, side: IntArray, hair: FloatArray, slits: list[Slit]) -> Head:
     """Append cavity, lid rims and the parts that move on their own."""
-    pieces = [(shape, faces, np.arange(len(shape)), SKIN)]
+    pieces: list[_Piece] = [(shape, faces, np.arange(len(shape)), SKIN)]
     count = len(shape)
     for number, slit in enumerate(slits):
         eye = None if number == 0 else np.array(sculpture.EYE_CENTRE) * [(-1.0, 1.0)[number - 1], 1.0, 1.0]
@@ -120,9 +121,7 @@ def _with_interior(shape: Points, faces: Faces, side: IntArray, hair: FloatArray
     )
 
 
-def _side_of_all(
-    side: IntArray, owner: IntArray, pieces: list[tuple[Points, Faces, IntArray, int]]
-) -> IntArray:
+def _side_of_all(side: IntArray, owner: IntArray, pieces: list[_Piece]) -> IntArray:
     """Return the side of every vertex: what hangs on a rim has the rim's, what moves on its own none."""
     skin = owner < len(side)
     sides = np.where(skin, side[np.where(skin, owner, 0)], 0)

@@ -14,8 +14,8 @@ class Expression:
     """Strengths from 0 to 1, except where said.
 
     jaw: opening. smile, grimace, pucker: of the mouth. lips_apart: upper and lower lip part with the jaw at
-    rest. brows: raised (+1) or knit (-1). lids: 1 open, 0 shut, a little above 1 staring. gaze_deg: (right in the
-    image, up).
+    rest. brows: raised (+1) or knit (-1). lids: 1 open, 0 shut, a little above 1 staring.
+    gaze_deg: (right in the image, up).
     """
 
     jaw: float = 0.0
@@ -30,7 +30,7 @@ class Expression:
 
 @dataclass(frozen=True, kw_only=True)
 class HeadPose:
-    """How the head is held: angles in degrees about the neck's pivot (turn > 0 to the image's right, nod down)."""
+    """How the head is held, degrees about the neck's pivot: turned to the image's right, nodding, tilted."""
 
     turn_deg: float = 0.0
     nod_deg: float = 0.0
@@ -44,7 +44,7 @@ _GRIMACES = ((4.0, 5.4, 1.0), (15.0, 15.9, 0.7))
 _SPEECH = (6.2, 11.8)
 _BLINKS = (0.7, 3.4, 5.8, 8.3, 10.9, 14.6, 16.2)
 _BROWS = ((2.0, 2.9, 0.6), (4.0, 5.4, -0.9), (7.0, 7.6, 0.7), (9.4, 10.0, 0.6), (13.0, 13.8, 0.9))
-_SYLLABLE_HZ = 3.1
+_SYLLABLE_HZ = 2.6
 
 
 def performance_at(time_s: float, phases: FloatArray) -> Expression:
@@ -52,7 +52,7 @@ def performance_at(time_s: float, phases: FloatArray) -> Expression:
     time = time_s % _PERIOD_S
     speaking = _window(time, *_SPEECH, ramp=0.35)
     beat = 2.0 * np.pi * _SYLLABLE_HZ * time
-    syllable = 0.5 + 0.5 * np.sin(beat + 0.9 * np.sin(0.31 * beat + phases[0]))
+    syllable = 0.5 + 0.5 * np.sin(beat + 0.6 * np.sin(0.31 * beat + phases[0]))
     stress = 0.65 + 0.35 * np.sin(0.23 * beat + phases[1])
     rounding = np.clip(np.sin(0.47 * beat + phases[2]), 0.0, 1.0)
     blink = max(_bell((time - at) / 0.085) for at in _BLINKS)

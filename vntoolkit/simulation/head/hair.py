@@ -24,7 +24,9 @@ def hair_share(points: Points) -> FloatArray:
     line = np.interp(azimuth, _HAIRLINE_DEG, _HAIRLINE_CM)
     ripple = 0.10 * np.sin(1.7 * azimuth) + 0.14 * np.sin(0.43 * azimuth + 2.0) + 0.08 * np.sin(1.1 * azimuth)
     share = np.clip((points[:, 1] - line - ripple) / _EDGE_CM, 0.0, 1.0)
-    in_ear = (np.abs(points[:, 0]) > 6.75) & (points[:, 1] < 2.9) & (points[:, 2] > -2.6) & (points[:, 2] < 1.4)
+    in_ear = (
+        (np.abs(points[:, 0]) > 6.75) & (points[:, 1] < 2.9) & (points[:, 2] > -2.6) & (points[:, 2] < 1.4)
+    )
     return np.where(in_ear, 0.0, share * share * (3.0 - 2.0 * share))
 
 
@@ -33,6 +35,8 @@ def hair_thickness(points: Points) -> FloatArray:
     azimuth = np.radians(azimuth_deg(points))
     line = np.interp(np.abs(np.degrees(azimuth)), _HAIRLINE_DEG, _HAIRLINE_CM)
     rise = np.clip((points[:, 1] - line) / 3.0, 0.0, 1.0)
-    locks = np.sin(9.0 * azimuth + 0.35 * points[:, 1]) + 0.6 * np.sin(17.0 * azimuth - 0.6 * points[:, 1] + 1.0)
+    locks = np.sin(9.0 * azimuth + 0.35 * points[:, 1]) + 0.6 * np.sin(
+        17.0 * azimuth - 0.6 * points[:, 1] + 1.0
+    )
     crown = np.clip((10.0 - points[:, 1]) / 4.0, 0.0, 1.0)  # near the pole the azimuth means nothing
     return _THICKNESS_CM * rise * (1.0 + 0.10 * crown * locks)

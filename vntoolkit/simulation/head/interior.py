@@ -95,7 +95,9 @@ def tongue() -> tuple[Points, Faces]:
 
 def _sheet_faces(rows: int, columns: int, around: bool) -> Faces:
     """Return the triangles of a grid of vertices; rows × columns, closed along its columns or not."""
-    row, column = np.meshgrid(np.arange(rows - 1), np.arange(columns if around else columns - 1), indexing="ij")
+    row, column = np.meshgrid(
+        np.arange(rows - 1), np.arange(columns if around else columns - 1), indexing="ij"
+    )
     a = (row * columns + column).ravel()
     b = (row * columns + (column + 1) % columns).ravel()
     lower, upper = np.stack([a, a + columns, b + columns], 1), np.stack([a, b + columns, b], 1)

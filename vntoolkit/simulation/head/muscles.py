@@ -66,7 +66,7 @@ _LEAST_SHIFT_CM = 1e-3
 
 def muscle_fields(head: Head, points: Points) -> dict[Muscle, tuple[IntArray, FloatArray]]:
     """Return per muscle the rows it moves and their shift (k, 3) in centimetres at full strength."""
-    fields = {}
+    fields: dict[Muscle, tuple[IntArray, FloatArray]] = {}
     soft = np.isin(head.part, (anatomy.SKIN, anatomy.CAVITY, anatomy.LID_RIM))
     almond = np.sqrt(np.clip(1.0 - (points[:, 0] / MOUTH_HALF_WIDTH) ** 2, 0.0, 1.0))
     for muscle, pulls in _PULLS.items():

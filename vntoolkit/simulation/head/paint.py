@@ -22,7 +22,11 @@ _MELANIN = np.array([0.30, 0.62, 1.15])
 _SKIN, _LIPS = np.array([0.64, 0.43, 0.33]), np.array([0.47, 0.20, 0.185])
 _HAIR, _MAKEUP = np.array([0.115, 0.075, 0.050]), np.array([0.66, 0.62, 0.57])
 _IRIS, _SCLERA = np.array([0.16, 0.24, 0.27]), np.array([0.72, 0.70, 0.68])
-_FLESH, _TOOTH, _RIM = np.array([0.30, 0.075, 0.07]), np.array([0.74, 0.70, 0.60]), np.array([0.24, 0.13, 0.10])
+_FLESH, _TOOTH, _RIM = (
+    np.array([0.30, 0.075, 0.07]),
+    np.array([0.74, 0.70, 0.60]),
+    np.array([0.24, 0.13, 0.10]),
+)
 
 
 class Makeup(Enum):
@@ -56,7 +60,7 @@ def vertex_colours(head: Head, makeup: Makeup) -> Colours:
         colours[head.part == part] = colour
     eyes = head.part == anatomy.EYES
     colours[eyes] = _eye_colours(np.hypot(np.abs(x[eyes]) - EYE_CENTRE[0], y[eyes]), z[eyes] > EYE_CENTRE[2])
-    return colours
+    return colours.astype(np.float32)
 
 
 def _eye_colours(off_axis: FloatArray, in_front: FloatArray) -> Colours:
@@ -64,7 +68,7 @@ def _eye_colours(off_axis: FloatArray, in_front: FloatArray) -> Colours:
     rim = np.exp(-0.5 * ((off_axis - IRIS_RADIUS + 0.05) / 0.06) ** 2) * in_front
     pupil = _smooth((PUPIL_RADIUS + 0.03 - off_axis) / 0.06) * in_front
     colours = _SCLERA + iris[:, None] * (_IRIS - _SCLERA)
-    return colours * (1.0 - 0.6 * rim[:, None]) * (1.0 - 0.95 * pupil[:, None])
+    return np.asarray(colours * (1.0 - 0.6 * rim[:, None]) * (1.0 - 0.95 * pupil[:, None]), dtype=np.float32)
 
 
 def corner_uv(head: Head) -> FloatArray:
@@ -86,8 +90,8 @@ def skin_texture(rng: np.random.Generator, makeup: Makeup) -> FloatArray:
     optical = np.zeros((ROWS, COLUMNS))
     brows = np.zeros((ROWS, COLUMNS))
     if makeup is Makeup.NONE:
-        optical = _freckles(rng) + 0.05 * _noise(rng, 6.0) + 0.03 * _noise(rng, 25.0)
-        brows = _brows(rng, azimuth, height)
+        optical += _freckles(rng) + 0.05 * _noise(rng, 6.0) + 0.03 * _noise(rng, 25.0)
+        brows += _brows(rng, azimuth, height)
     skin = np.exp(-np.clip(optical, -0.3, 3.0)[..., None] * _MELANIN)
     skin *= 1.0 - 0.86 * brows[..., None] * np.array([0.9, 0.97, 1.0])
     strands = np.clip(1.0 + 0.35 * _strands(rng), 0.3, 1.6)[..., None]
@@ -163,7 +167,9 @@ def _brows(rng: np.random.Generator, azimuth: FloatArray, height: FloatArray) ->
     along = (away - 6.5) / 33.0
     middle = 1.85 + 0.95 * np.sin(np.clip(along, 0.0, 1.0) * np.pi * 0.72) - 0.35 * np.clip(along, 0, 1)
     thickness = 0.46 * np.clip(1.0 - 0.6 * np.clip(along, 0.0, 1.0), 0.1, 1.0)
-    body = np.exp(-(((height - middle) / thickness) ** 4)) * _smooth(along / 0.12) * _smooth((1.0 - along) / 0.2)
+    body = (
+        np.exp(-(((height - middle) / thickness) ** 4)) * _smooth(along / 0.12) * _smooth((1.0 - along) / 0.2)
+    )
     hairs = gaussian_filter(rng.standard_normal((ROWS, COLUMNS)), (2.2, 1.2), mode=("nearest", "wrap"))
     return np.asarray(body * np.clip(0.86 + 0.18 * hairs / hairs.std(), 0.0, 1.0))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from vntoolkit.arrays import FloatArray, Points
+from vntoolkit.arrays import FloatArray, IntArray, Points
 from vntoolkit.simulation.head import anatomy
 from vntoolkit.simulation.head.anatomy import Head, lid_line, lip_line
 from vntoolkit.simulation.head.expression import Expression, HeadPose
@@ -46,7 +46,8 @@ class HeadRig:
         e = expression
         strengths = {
             Muscle.SMILE: e.smile, Muscle.GRIMACE: e.grimace, Muscle.PUCKER: e.pucker,
-            Muscle.LIPS_APART: e.lips_apart, Muscle.BROWS_UP: max(e.brows, 0.0), Muscle.BROWS_KNIT: max(-e.brows, 0.0),
+            Muscle.LIPS_APART: e.lips_apart,
+            Muscle.BROWS_UP: max(e.brows, 0.0), Muscle.BROWS_KNIT: max(-e.brows, 0.0),
         }  # fmt: skip
         for muscle, strength in strengths.items():
             if strength != 0.0:
@@ -91,7 +92,7 @@ def _smooth(x: FloatArray) -> FloatArray:
 
 
 def _jaw_share(head: Head, points: Points) -> FloatArray:
-    """Return (n,) how far each vertex follows the jaw: 1 chin and lower lip, 0 skull, between in the cheeks."""
+    """Return (n,) how far each vertex follows the jaw: 1 chin and lower lip, 0 skull, less in the cheeks."""
     x, y, z = points.T
     level = y - lip_line(x)
     almond = np.sqrt(np.clip(1.0 - (x / MOUTH_HALF_WIDTH) ** 2, 0.0, 1.0))
@@ -106,7 +107,7 @@ def _jaw_share(head: Head, points: Points) -> FloatArray:
     return np.where((head.part == anatomy.UPPER_TEETH) | (head.part == anatomy.EYES), 0.0, share)
 
 
-def _lid_angles(head: Head, points: Points, sign: float) -> tuple[FloatArray, FloatArray]:
+def _lid_angles(head: Head, points: Points, sign: float) -> tuple[IntArray, FloatArray]:
     """Return the vertices of one eye's lids and the angle that opens them, radians, negative upwards."""
     centre = np.array(EYE_CENTRE) * [sign, 1.0, 1.0]
     offset = points - centre
@@ -119,7 +120,9 @@ def _lid_angles(head: Head, points: Points, sign: float) -> tuple[FloatArray, Fl
     seam = np.degrees(np.arcsin(np.clip((lid_line(points[rows, 0]) - centre[1]) / radius, -0.95, 0.95)))
     slit = head.eyes[0 if sign < 0 else 1]
     owner = head.owner[rows]
-    above = np.where(np.isin(owner, slit.upper), True, np.where(np.isin(owner, slit.lower), False, elevation > seam))
+    above = np.where(
+        np.isin(owner, slit.upper), True, np.where(np.isin(owner, slit.lower), False, elevation > seam)
+    )
     almond = np.clip(1.0 - (o[:, 0] / _LID_HALF_WIDTH) ** 2, 0.0, 1.0) ** 0.65
     fade = 1.0 - _smooth((distance[rows] - 1.45 * EYE_RADIUS / 1.22) / 1.3)
     upper = 1.0 - _smooth((elevation - seam) / 75.0)

@@ -6,6 +6,8 @@ origin between the ears at the height of the pupils.
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 from vntoolkit.simulation.body.implicit import ImplicitBody, Part, both_sides, capsule, ellipsoid
 
 EYE_CENTRE = (3.15, 0.0, 6.75)
@@ -103,7 +105,7 @@ def _lips() -> list[Part]:
 def _ears() -> list[Part]:
     rim = [(7.0, -2.1, 0.1), (7.3, -1.0, -0.9), (7.75, 0.5, -1.7), (7.8, 1.8, -1.5), (7.5, 2.3, -0.5),
            (7.1, 1.9, 0.4), (6.9, 1.1, 0.6)]  # fmt: skip
-    helix = [capsule(a, b, (0.24, 0.24), 0.4) for a, b in zip(rim[:-1], rim[1:], strict=True)]
+    helix = [capsule(a, b, (0.24, 0.24), 0.4) for a, b in pairwise(rim)]
     return [
         *both_sides(ellipsoid((7.1, 0.3, -0.5), (0.40, 2.3, 1.35), 0.6, (0.0, -0.5, 0.0))),
         *both_sides(*helix),

@@ -5,8 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from vntoolkit.arrays import Faces, FloatArray, IntArray, Points
+
+BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -21,7 +24,7 @@ class Slit:
 
 
 def cut_slit(
-    vertices: Points, faces: Faces, level: FloatArray, inside: IntArray
+    vertices: Points, faces: Faces, level: FloatArray, inside: BoolArray
 ) -> tuple[Points, Faces, Slit]:
     """Cut the mesh where `level` (n,) changes sign, on faces whose three corners are all `inside` (n,).
 
@@ -34,7 +37,9 @@ def cut_slit(
     alone = _turned_to_lone_corner(faces[cut], positive)
     a, b, c = alone.T
     keys, number = np.unique(
-        np.sort(np.concatenate([np.stack([a, b], 1), np.stack([a, c], 1)]), axis=1), axis=0, return_inverse=True
+        np.sort(np.concatenate([np.stack([a, b], 1), np.stack([a, c], 1)]), axis=1),
+        axis=0,
+        return_inverse=True,
     )
     share = level[keys[:, 0]] / (level[keys[:, 0]] - level[keys[:, 1]])
     points = vertices[keys[:, 0]] + share[:, None] * (vertices[keys[:, 1]] - vertices[keys[:, 0]])
@@ -46,8 +51,12 @@ def cut_slit(
     upper = len(vertices) + np.arange(len(points))
     lower = np.concatenate([upper[:1], len(vertices) + len(points) + np.arange(len(points) - 2), upper[-1:]])
     p, q = number[: len(cut)], number[len(cut) :]
-    lone = np.where(positive[a][:, None], np.stack([upper[p], upper[q]], 1), np.stack([lower[p], lower[q]], 1))
-    pair = np.where(positive[a][:, None], np.stack([lower[p], lower[q]], 1), np.stack([upper[p], upper[q]], 1))
+    lone = np.where(
+        positive[a][:, None], np.stack([upper[p], upper[q]], 1), np.stack([lower[p], lower[q]], 1)
+    )
+    pair = np.where(
+        positive[a][:, None], np.stack([lower[p], lower[q]], 1), np.stack([upper[p], upper[q]], 1)
+    )
     new = [
         np.stack([a, lone[:, 0], lone[:, 1]], 1),
         np.stack([pair[:, 0], b, c], 1),
@@ -62,7 +71,7 @@ def cut_slit(
     return all_vertices, all_faces, Slit(upper=upper, lower=lower)
 
 
-def _turned_to_lone_corner(faces: Faces, positive: IntArray) -> IntArray:
+def _turned_to_lone_corner(faces: Faces, positive: BoolArray) -> IntArray:
     """Turn each face so that its first corner is alone on its side of the level."""
     signs = positive[faces]
     lone = np.where(signs.sum(axis=1) == 1, signs.argmax(axis=1), (~signs).argmax(axis=1))
@@ -70,7 +79,9 @@ def _turned_to_lone_corner(faces: Faces, positive: IntArray) -> IntArray:
     return np.take_along_axis(faces.astype(np.int64), columns, axis=1)
 
 
-def _halve_at_ends(faces: Faces, kept: IntArray, edges: IntArray, tips: IntArray) -> tuple[IntArray, Faces]:
+def _halve_at_ends(
+    faces: Faces, kept: BoolArray, edges: IntArray, tips: IntArray
+) -> tuple[IntArray, IntArray]:
     """Split the uncut face beyond each end of the slit, so that no vertex lies on another face's edge."""
     halved, halves = [], []
     for (low, high), tip in zip(edges, tips, strict=True):
