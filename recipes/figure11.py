@@ -1,11 +1,10 @@
 """Figure 11: a captured sweater on a figure that motion capture moves.
 
-    python recipes/figure11.py --out out/figure11 [--motion 131_01.bvh lambada.amc] [--track DIR]   # 2 minutes
+    python recipes/figure11.py --out out/figure11 [--motion 131_01.bvh lambada.amc] [--track DIR]  # 2 min
 
 Without --track DIR (written by `vntoolkit track`) the moving mesh is that of the simulated `sweater`, one
 second of it, played back and forth.
-For every motion it writes an animated USD, a contact sheet and a turntable, once with the published blend
-and once with the two options that mend its seams.
+For every motion it writes a USD, a contact sheet and a turntable: as published, and without its seams.
 """
 
 import argparse
