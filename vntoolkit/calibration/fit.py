@@ -40,9 +40,9 @@ class FitOptions:
 
     model: with or without ambient light. method: how outliers are kept out. shadow_share: a pair counts as
     shadowed where a light's estimated contribution is at most this share of its largest; 0 keeps shadow.
-    outlier_sigmas: (trimmed) pairs whose colour residual exceeds this many robust standard deviations are gloss
-    or cast shadow. rounds: (trimmed) largest number of repetitions. draws: (MSAC) minimal samples tried.
-    inlier_share: (MSAC) largest residual of an inlier as a share of the median colour's length.
+    outlier_sigmas: (trimmed) pairs whose colour residual exceeds this many robust standard deviations are
+    gloss or cast shadow. rounds: (trimmed) largest number of repetitions. draws: (MSAC) minimal samples
+    tried. inlier_share: (MSAC) largest residual of an inlier as a share of the median colour's length.
     """
 
     model: ResponseModel = ResponseModel.LINEAR

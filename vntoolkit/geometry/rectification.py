@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vntoolkit.arrays import Matrix3
+from vntoolkit.arrays import Matrix3, Points2
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 
@@ -31,7 +31,7 @@ class Rectification:
             raise BadInput("rectification: expected positive sizes in millimetres")
         if not 8 <= min(self.size) <= max(self.size) <= 20000:
             raise BadInput(f"rectification: the pixel size makes an image of {self.size[0]}×{self.size[1]}")
-        if not (np.isfinite(self.homography).all() and abs(np.linalg.det(self.homography)) > 1e-12):
+        if not _smallest_triangle(np.reshape(self.corners_px, (4, 2))) > 1.0:
             raise BadInput("rectification: three of the corners lie on a line")
 
     @property
@@ -49,10 +49,19 @@ class Rectification:
             rows.append([u, v, 1, 0, 0, 0, -x * u, -x * v, -x])
             rows.append([0, 0, 0, u, v, 1, -y * u, -y * v, -y])
         matrix = np.linalg.svd(np.array(rows))[2][-1].reshape(3, 3)
-        return matrix / matrix[2, 2] if matrix[2, 2] else matrix
+        return matrix / matrix[2, 2]
 
     @property
     def camera(self) -> Camera:
         """The orthographic camera of the rectified image, lengths in metres."""
         width, height = self.size
         return Camera.orthographic(width=width, height=height, pixels_per_unit=1000.0 / self.pixel_mm)
+
+
+def _smallest_triangle(corners: Points2) -> float:
+    """Smallest area, in square pixels, of the triangles that three of the four corners make."""
+    areas = []
+    for left_out in range(4):
+        a, b, c = np.delete(corners, left_out, axis=0)
+        areas.append(0.5 * abs(float(np.linalg.det(np.stack([b - a, c - a])))))
+    return min(areas)

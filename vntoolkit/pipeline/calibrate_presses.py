@@ -67,8 +67,8 @@ def calibrate_presses(
         raise BadCalibration(
             f"calibrate presses: no image of {job.source} has a label in {job.labels} (NAME.txt for NAME.jpg)"
         )
-    level = background.rgb[~background.clipped].astype(np.float64).mean(axis=0)
-    fit = fit_response_to_presses(samples, level, options, rng)
+    level = np.median(background.rgb[~background.clipped].astype(np.float64), axis=0)
+    fit = fit_response_to_presses(samples, level, options)
     height, width = background.shape
     camera = (
         job.rectification.camera

@@ -1,0 +1,31 @@
+"""Four corners make a plane's map: they land where they should, lines stay lines."""
+
+import numpy as np
+import pytest
+
+from vntoolkit.errors import BadInput
+from vntoolkit.geometry.rectification import Rectification
+
+CORNERS = (33.0, 58.0, 208.0, 61.0, 56.0, 250.0, 185.0, 244.0)
+
+
+def apply(matrix, points):
+    moved = np.column_stack([points, np.ones(len(points))]) @ matrix.T
+    return moved[:, :2] / moved[:, 2:]
+
+
+def test_corners_land_on_the_rectangle() -> None:
+    rectification = Rectification(corners_px=CORNERS, width_mm=24.0, height_mm=34.88, pixel_mm=0.1)
+    moved = apply(rectification.homography, np.reshape(CORNERS, (4, 2)))
+    np.testing.assert_allclose(moved, [[0, 0], [240, 0], [0, 348.8], [240, 348.8]], atol=1e-8)
+    assert rectification.size == (240, 349)
+    assert rectification.camera.matrix[0, 0] == pytest.approx(10_000)  # pixels per metre
+
+
+def test_refusals() -> None:
+    with pytest.raises(BadInput, match="eight numbers"):
+        Rectification(corners_px=CORNERS[:6], width_mm=24, height_mm=35, pixel_mm=0.1)
+    with pytest.raises(BadInput, match="on a line"):
+        Rectification(corners_px=(0, 0, 1, 1, 2, 2, 3, 3), width_mm=24, height_mm=35, pixel_mm=0.1)
+    with pytest.raises(BadInput, match="makes an image"):
+        Rectification(corners_px=CORNERS, width_mm=24, height_mm=35, pixel_mm=20)
