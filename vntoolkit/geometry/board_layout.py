@@ -34,7 +34,7 @@ class BoardLayout:
     columns: int = 11
     rows: int = 11
     square_mm: float = 16.0
-    marker_share: float = 0.75
+    marker_share: float = 0.7
     hole_squares: int = 5
 
     def __post_init__(self) -> None:
