@@ -26,11 +26,15 @@ class DancingGarment:
         self.garment: Garment = sew_sweater(sweater or SweaterOptions())
         self._cloth = cloth or ClothOptions()
         self._phases = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, 8)
-        self._dress()
+        self._solver: ClothSolver | None = None  # dressed when the first frame is asked for
+        self._frame = -_FADE_FRAMES
 
     @property
     def solver(self) -> ClothSolver:
         """The solver in its current state."""
+        if self._solver is None:
+            self._solver = self._dressed()
+            self._frame = -_FADE_FRAMES
         return self._solver
 
     def body(self, frame: int) -> Capsules:
@@ -40,20 +44,20 @@ class DancingGarment:
 
     def cage(self, frame: int) -> Points:
         """Return (n, 3) the garment's vertices, studio frame of the body, metres."""
-        if frame < self._frame:
-            self._dress()
+        if self._solver is not None and frame < self._frame:
+            self._solver = None
+        solver = self.solver
         while self._frame < frame:
-            self._solver.advance(self.body(self._frame), self.body(self._frame + 1))
+            solver.advance(self.body(self._frame), self.body(self._frame + 1))
             self._frame += 1
-        return self._solver.positions.copy()
+        return solver.positions.copy()
 
-    def _dress(self) -> None:
+    def _dressed(self) -> ClothSolver:
         body = body_from_pose(Pose())
-        self._solver = ClothSolver(self.garment, body, self._cloth)
+        solver = ClothSolver(self.garment, body, self._cloth)
         for _ in range(_SETTLE_FRAMES):
-            self._solver.settle(body)
+            solver.settle(body)
         for frame in range(_HANG_FRAMES):
-            self._solver.draw_ribbing((frame + 1) / _HANG_FRAMES)
-            self._solver.advance(body, body)
-        self._frame = -_FADE_FRAMES
-        self.cage(0)
+            solver.draw_ribbing((frame + 1) / _HANG_FRAMES)
+            solver.advance(body, body)
+        return solver

@@ -23,9 +23,9 @@ from vntoolkit.simulation.studio import studio_camera, studio_centre, studio_lig
 _TURN_FRAMES, _WIDEST_TURN_DEG = 90, 68.0
 _FACE_FRAMES = 1000
 _FIELD_WIDTH_M = 0.40
-_FACE_FIELD_WIDTH_M = 0.345
+_FACE_FIELD_WIDTH_M = 0.355
 _MIDDLE_CM = np.array([0.0, -0.6, 0.0])
-_FACE_MIDDLE_CM = np.array([0.0, -1.4, 0.0])
+_FACE_MIDDLE_CM = np.array([0.0, -0.3, 0.0])
 _SKIN_GLOSS, _EYE_GLOSS = 0.010, 0.015
 
 

@@ -50,25 +50,34 @@ def cut_slit(
     keys, points = keys[order], points[order]
     upper = len(vertices) + np.arange(len(points))
     lower = np.concatenate([upper[:1], len(vertices) + len(points) + np.arange(len(points) - 2), upper[-1:]])
-    p, q = number[: len(cut)], number[len(cut) :]
-    lone = np.where(
-        positive[a][:, None], np.stack([upper[p], upper[q]], 1), np.stack([lower[p], lower[q]], 1)
-    )
-    pair = np.where(
-        positive[a][:, None], np.stack([lower[p], lower[q]], 1), np.stack([upper[p], upper[q]], 1)
-    )
-    new = [
-        np.stack([a, lone[:, 0], lone[:, 1]], 1),
-        np.stack([pair[:, 0], b, c], 1),
-        np.stack([pair[:, 0], c, pair[:, 1]], 1),
-    ]
+    new = _split_faces(alone, number.reshape(2, -1), positive, upper, lower)
     kept = np.ones(len(faces), dtype=bool)
     kept[cut] = False
     halved, halves = _halve_at_ends(faces, kept, keys[[0, -1]], upper[[0, -1]])
     kept[halved] = False
     all_vertices = np.concatenate([vertices, points, points[1:-1]])
-    all_faces = np.concatenate([faces[kept], *new, halves]).astype(np.int32)
+    all_faces = np.concatenate([faces[kept], new, halves]).astype(np.int32)
     return all_vertices, all_faces, Slit(upper=upper, lower=lower)
+
+
+def _split_faces(
+    alone: IntArray, number: IntArray, positive: BoolArray, upper: IntArray, lower: IntArray
+) -> IntArray:
+    """Return three faces for each cut one: the lone corner's, and two of the other side.
+
+    alone: (k, 3) faces turned to their lone corner. number: (2, k) new points on the edges that leave it.
+    """
+    a, b, c = alone.T
+    above = positive[a][:, None]
+    on_upper, on_lower = upper[number].T, lower[number].T
+    lone, pair = np.where(above, on_upper, on_lower), np.where(above, on_lower, on_upper)
+    return np.concatenate(
+        [
+            np.stack([a, lone[:, 0], lone[:, 1]], axis=1),
+            np.stack([pair[:, 0], b, c], axis=1),
+            np.stack([pair[:, 0], c, pair[:, 1]], axis=1),
+        ]
+    )
 
 
 def _turned_to_lone_corner(faces: Faces, positive: BoolArray) -> IntArray:
