@@ -15,7 +15,7 @@ from vntoolkit.simulation.scene import Detail, Scene, SceneOptions, Surface
 from vntoolkit.simulation.studio import studio_camera, studio_centre, studio_lights
 
 _FRAMES = 1000
-_FIELD_WIDTH_M = 1.30
+_FIELD_WIDTH_M = 1.42
 _MIDDLE_M = np.array([0.0, -0.36, 0.0])  # of the sweater, below the throat: what the camera looks at
 _LEVELS = 2
 _WOOL = np.array([0.66, 0.63, 0.58])
