@@ -44,6 +44,11 @@ def test_integral_over_wavelength_equals_a_fine_quadrature():
     assert light_share(lamp, pigment, sensors) == pytest.approx(expected, rel=0.01)
 
 
+def test_white_lamp_is_white_to_the_camera_and_nowhere_dark():
+    assert light_share(white_lamp(), ONE, camera_sensitivities()) == pytest.approx(np.ones(3))
+    assert white_lamp().min() > 0
+
+
 def test_pigments_add_up_to_white_and_never_below_zero():
     assert rgb_pigments().sum(axis=0) == pytest.approx(1.0)
     assert rgb_pigments().min() > -1e-3

@@ -31,6 +31,7 @@ from vntoolkit.pipeline.simulation_job import SimulationFolder, SimulationJob, r
 from vntoolkit.pipeline.simulation_truth import write_fixed_truth, write_frame, write_moving_mesh
 from vntoolkit.simulation.contact_sheet import contact_row, contact_sheet
 from vntoolkit.simulation.render import Renderer, frame_generator
+from vntoolkit.simulation.sensor import limit_threads
 
 _SHEET_FRAMES, _SHEET_WIDTH = 8, 320
 _worker: FrameWorker | None = None  # one per worker process
@@ -140,11 +141,9 @@ def _collect(pool: ProcessPoolExecutor, places: list[int], ahead: int) -> Iterat
 
 def _start_worker(job: SimulationJob) -> None:
     """Build the scene in a new process; Ctrl-C is the parent's to handle."""
-    import cv2
-
     global _worker  # noqa: PLW0603 - a worker process has exactly one
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    cv2.setNumThreads(job.rendering.threads)
+    limit_threads(job.rendering.threads)
     _worker = FrameWorker(job)
 
 

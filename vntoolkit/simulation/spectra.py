@@ -40,9 +40,13 @@ def coloured_lamps() -> FloatArray:
 
 
 def white_lamp() -> FloatArray:
-    """Return (λ,) a bare white lamp, daylight-balanced, 1 in the green channel on a white surface."""
-    lamp = 1.0 / (_tungsten() + 0.15 * _tungsten().max()) ** 0.6 * _tungsten()
-    return lamp / (lamp @ camera_sensitivities()[1] * _STEP_NM)
+    """Return (λ,) a lamp that the camera sees as white: a white surface that faces it is 1 in all channels.
+
+    Daylight-like: tungsten's light with its blue, green and red bands weighed against the camera.
+    """
+    bands = rgb_pigments() * _tungsten()
+    seen = colour_from_spectrum(bands, camera_sensitivities())
+    return np.linalg.solve(seen.T, np.ones(3)) @ bands
 
 
 def room_glow(level: float) -> FloatArray:
