@@ -5,14 +5,19 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import vertex_normals
+from vntoolkit.simulation.body.spandex import build_spandex
 from vntoolkit.simulation.head import anatomy, paint
 from vntoolkit.simulation.head.anatomy import Head, build_head
 from vntoolkit.simulation.head.expression import Expression, HeadPose, performance_at, turning_pose
 from vntoolkit.simulation.head.paint import Makeup
 from vntoolkit.simulation.head.rig import HeadRig
+from vntoolkit.simulation.head.scenes import build_face_makeup
 from vntoolkit.simulation.head.sculpture import MOUTH_HEIGHT, NECK_CUT, sculpt_head
+from vntoolkit.simulation.head.seams import seam_loops_px
 from vntoolkit.simulation.head.slit import cut_slit
+from vntoolkit.simulation.scene import SceneOptions
 
 STILL = HeadPose()
 
@@ -200,3 +205,20 @@ def test_a_slit_in_a_grid_parts_into_two_sides() -> None:
     assert len(np.unique(directed, axis=0)) == len(directed)
     uses = np.unique(np.sort(directed, axis=1), axis=0, return_counts=True)[1]
     assert np.count_nonzero(uses == 1) == 28 + 2 * (len(slit.upper) - 1)  # the grid's border and the slit
+
+
+def test_seams_lie_in_the_picture_and_open_with_the_mouth() -> None:
+    scene = build_face_makeup(SceneOptions())
+    loops = seam_loops_px(scene, 0)
+    assert loops["eye_left_in_image"][:, 0].max() < loops["eye_right_in_image"][:, 0].min()
+    assert loops["mouth"][:, 1].min() > loops["eye_left_in_image"][:, 1].max()  # v grows downwards
+    for loop in loops.values():
+        assert loop.min() > 0
+        assert np.all(loop.max(axis=0) < [640, 480])
+    heights = [np.ptp(seam_loops_px(scene, frame)["mouth"][:, 1]) for frame in range(380, 500, 10)]
+    assert max(heights) > 2.0 * min(heights)
+
+
+def test_seams_of_another_scene_are_refused() -> None:
+    with pytest.raises(BadInput, match="expected a scene of the head"):
+        seam_loops_px(build_spandex(SceneOptions()), 0)
