@@ -32,7 +32,7 @@ class PublishedOptions:
     reach_px: how far to look to either side of an edge. smallest_component: edge components with fewer
     pixels are rejected. direction_tolerance: neighbouring edge pixels agree if their directions differ by at
     most this many eighths of a turn. blur_px: standard deviation of the Gaussian before the Laplacian.
-    flood_tolerance: rise of intensity, as a share of the maximum, that the flood still climbs (0 as published).
+    flood_tolerance: rise of intensity, share of the maximum, that the flood still climbs (0 as published).
     """
 
     gradient_threshold: float = 0.05
