@@ -33,7 +33,7 @@ def build_board(options: SceneOptions) -> Scene:
     width_m, height_m = layout.width_mm / 1000, layout.height_mm / 1000
     sway = Sway(
         turns_deg=(36.0, 38.0, 22.0),
-        shifts_m=(0.012, 0.006, 0.10),
+        shifts_m=(0.012, 0.006, 0.04),
         periods_s=(1.3, 2.1, 3.7, 1.9, 2.3, 2.9),
         phases=generator.uniform(0, 2 * np.pi, 6),
         rest=RigidTransform(translation=np.array([-width_m / 2, -height_m / 2, 0.0])),
