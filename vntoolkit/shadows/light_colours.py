@@ -23,10 +23,10 @@ class LightColourOptions:
     """How shadow edges are read.
 
     reach_px: distance from the edge at which its two sides are measured. left: at an edge of light k's shadow
-    at most this part of its contribution is left on the dark side. spill: the two others change by at most this
-    part of what it loses. darkest: pixels darker than this share of the frame's 99th percentile do not
-    count. rounds: the colours
-    found select the edges anew; both bounds are doubled in the first round, when colours are channels. fewest: edge pixels needed per light.
+    at most this part of its contribution is left on the dark side. spill: the two others change by at most
+    this part of what it loses. darkest: pixels darker than this share of the frame's 99th percentile do not
+    count. rounds: the colours found select the edges anew; both bounds are doubled in the first round, when
+    colours are channels. fewest: edge pixels needed per light.
     """
 
     reach_px: int = 3

@@ -77,12 +77,14 @@ class Surface:
     """A solved surface.
 
     normals: (h, w, 3) unit, camera frame. depth: (h, w) float32, pixels (orthographic) or f · log z.
-    agreement: (h, w), 0 to 1, how far depth and colour agree on a fully lit pixel's slope.
+    agreement: (h, w), 0 to 1, how far depth and colour agree on a fully lit pixel's slope. misfit:
+    (h, w), χ² of the light that arrives against the light that the surface would return.
     """
 
     normals: FloatArray
     depth: Grid
     agreement: Grid
+    misfit: Grid
 
 
 def solve_surface(
@@ -92,6 +94,7 @@ def solve_surface(
     mask: Mask,
     *,
     first_normals: FloatArray,
+    guessed: Mask | None = None,
     weight: Weight | None = None,
     camera: Camera | None = None,
     options: SurfaceOptions | None = None,
@@ -100,9 +103,9 @@ def solve_surface(
     """Find the surface that explains `shares` with the lights that `labels` say arrive.
 
     shares: (h, w, 3), contribution of each light over the albedo. lights: (3, 3), row k = direction times
-    strength. first_normals: (h, w, 3) from plain inversion, believed where all lights arrive at the start.
-    weight: (h, w), 0 to 1, trust in a pixel's colour. camera: None for orthographic. start: a solution to go
-    on from. Distortion is ignored.
+    strength. first_normals: (h, w, 3), from plain inversion where all lights arrive. guessed: pixels
+    beyond those whose first normals are worth starting from. weight: (h, w), 0 to 1, trust in a pixel's
+    colour. camera: None for orthographic. start: a solution to go on from. Distortion is ignored.
     """
     options = options or SurfaceOptions()
     rays = _ray_grid(camera)
@@ -110,7 +113,8 @@ def solve_surface(
     data = np.nan_to_num(np.asarray(shares)).astype(np.float32)
     seen = np.where(mask, labels, 0).astype(np.uint8)
     known = mask & (labels == ALL_LIT)
-    slopes, depth = _first_guess(first_normals, known, rays, options, start)
+    guess = known if guessed is None else known | (mask & guessed)
+    slopes, depth = _first_guess(first_normals, guess, rays, options, start)
     own = slopes.copy()
     rows = np.ascontiguousarray(lights, dtype=np.float64)
     weights = np.empty((*mask.shape, 4), np.float32)
@@ -127,10 +131,17 @@ def solve_surface(
         depth = _solve_depth(quadratics, slopes, weights, depth, options)
         slopes_kernel(depth, weights, options.steepest, slopes, agreement)
         softness = options.step_softness
+    prior = _surrounding_slope(slopes, mask, known, options)
+    local_quadratics_kernel(data, seen, trust, slopes, prior, rows, rays, model, quadratics)
     lonely = known & (agreement <= 0.0)
     slopes[lonely] = own[lonely]
     normals = _blend(normals_from_slopes(slopes, rays), first_normals, known, agreement)
-    return Surface(normals=np.where(mask[..., None], normals, 0.0), depth=depth, agreement=agreement)
+    return Surface(
+        normals=np.where(mask[..., None], normals, 0.0),
+        depth=depth,
+        agreement=agreement,
+        misfit=quadratics[..., 5].copy(),
+    )
 
 
 def normals_from_slopes(slopes: FloatArray, rays: RayGrid) -> FloatArray:
