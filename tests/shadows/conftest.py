@@ -32,14 +32,14 @@ DIRECTIONS = DIRECTIONS / np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
 CROSSTALK = np.array([[0.9, 0.12, 0.04], [0.1, 0.8, 0.15], [0.08, 0.2, 0.75]])
 
 
-def bumps(size: tuple[int, int] = (120, 160)) -> FloatArray:
+def bumps(size: tuple[int, int] = (120, 160), lift: float = 1.0) -> FloatArray:
     """Depth of a gently curved plane with three steep round hills; hills are nearer."""
     v, u = np.mgrid[: size[0], : size[1]].astype(float)
     scale = size[1] / 160.0
     depth = 0.0006 / scale * ((u - size[1] / 2) ** 2 + (v - size[0] / 2) ** 2)
-    for cu, cv, radius, height in ((45, 42, 11, 42), (112, 45, 13, 50), (75, 92, 10, 36)):
+    for cu, cv, radius, height in ((45, 42, 14, 36), (112, 45, 16, 42), (75, 92, 13, 32)):
         squared = ((u - cu * scale) ** 2 + (v - cv * scale) ** 2) / (radius * scale) ** 2
-        depth -= height * scale * np.exp(-squared)
+        depth -= lift * height * scale * np.exp(-squared)
     return depth
 
 
@@ -90,3 +90,9 @@ def stage_with_crosstalk() -> Stage:
 @pytest.fixture(scope="session")
 def build_stage() -> Callable[..., Stage]:
     return build
+
+
+@pytest.fixture(scope="session")
+def steep_stage() -> Stage:
+    """Hills so steep that their shadows end on flat ground, in crosstalk."""
+    return build(bumps(lift=1.5), crosstalk=True)

@@ -123,7 +123,7 @@ def solve_surface(
     model = Model(
         options.noise, options.albedo_spread, options.own_albedo_spread, options.smoothness, options.damping
     )
-    softness = 0.0 if start is None else options.step_softness
+    softness = 0.0  # the first depth must hold together before it may show steps
     for _ in range(options.iterations):
         prior = _surrounding_slope(slopes, mask, known, options)
         local_quadratics_kernel(data, seen, trust, slopes, prior, rows, rays, model, quadratics)

@@ -1,0 +1,137 @@
+"""Detectors against known shadows."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from vntoolkit.errors import BadInput
+from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.visibility import lit_from_labels
+from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod, ShadowOptions
+from vntoolkit.shadows.graph_cut import bonds_of_light, lit_by_cut
+from vntoolkit.shadows.published import PublishedOptions, lit_by_edges
+from vntoolkit.shadows.robust import RobustOptions
+
+
+def overlap(found: np.ndarray, true: np.ndarray) -> np.ndarray:
+    """Intersection over union of the shadow of each light."""
+    dark_found, dark_true = ~lit_from_labels(found), ~lit_from_labels(true)
+    return (dark_found & dark_true).sum((0, 1)) / (dark_found | dark_true).sum((0, 1))
+
+
+def square(dark: float) -> np.ndarray:
+    image = np.ones((60, 80, 3))
+    image[20:40, 30:55, 1] = dark
+    return image
+
+
+def test_a_square_of_shadow_is_found_exactly_by_edges_and_flood() -> None:
+    lit = lit_by_edges(square(0.1), np.ones((60, 80), bool), PublishedOptions(blur_px=0.5))
+    assert lit[..., 0].all()
+    assert lit[..., 2].all()
+    inside = np.zeros((60, 80), bool)
+    inside[22:38, 32:53] = True
+    near = np.zeros((60, 80), bool)
+    near[18:42, 28:57] = True
+    assert not lit[inside, 1].any()
+    assert lit[~near, 1].all()
+
+
+def test_published_rejects_what_is_too_faint_or_too_small() -> None:
+    mask = np.ones((60, 80), bool)
+    assert lit_by_edges(square(0.97), mask).all()
+    assert not lit_by_edges(square(0.97), mask, PublishedOptions(gradient_threshold=0.01)).all()
+    speck = np.ones((60, 80, 3))
+    speck[30:32, 40:42] = 0.1
+    assert lit_by_edges(speck, mask).all()
+    assert not lit_by_edges(speck, mask, PublishedOptions(smallest_component=1)).all()
+
+
+def test_robust_labels_overlap_the_truth_and_beat_the_published_ones(stage) -> None:
+    robust = ShadowDetector(stage.response).labels(stage.frame, stage.mask)
+    published = ShadowDetector(stage.response, ShadowOptions(method=ShadowMethod.PUBLISHED)).labels(
+        stage.frame
+    )
+    assert overlap(robust, stage.labels).min() >= 0.8
+    assert (overlap(robust, stage.labels) > overlap(published, stage.labels)).all()
+
+
+def test_light_colours_take_crosstalk_apart(stage_with_crosstalk) -> None:
+    stage = stage_with_crosstalk
+    assert overlap(ShadowDetector(stage.response).labels(stage.frame), stage.labels).min() >= 0.8
+
+
+def test_dark_paint_is_not_shadow(build_stage) -> None:
+    v, u = np.mgrid[:80, :90]
+    paint = np.where((u > 40) & (v > 20) & (v < 50), 0.12, 0.8)
+    flat = build_stage(0.002 * ((u - 45.0) ** 2 + (v - 40.0) ** 2), albedo=paint, noise=0.001)
+    assert (ShadowDetector(flat.response).labels(flat.frame) == 7).mean() > 0.99
+
+
+@pytest.mark.parametrize("method", list(ShadowMethod))
+@pytest.mark.parametrize("level", [0.0, 0.5, float("nan")])
+def test_uniform_frames_pass_through(stage, method: ShadowMethod, level: float) -> None:
+    frame = LinearFrame(rgb=np.full((33, 47, 3), level, np.float32), clipped=np.zeros((33, 47), bool))
+    labels = ShadowDetector(stage.response, ShadowOptions(method=method)).labels(frame)
+    assert labels.shape == (33, 47)
+    assert labels.max() <= 7
+
+
+def test_memory_steadies_a_sequence_and_can_be_dropped(stage, rng: np.random.Generator) -> None:
+    def noisy() -> LinearFrame:
+        rgb = stage.frame.rgb + rng.normal(0, 0.03, stage.frame.rgb.shape).astype(np.float32)
+        return LinearFrame(rgb=rgb, clipped=stage.frame.clipped)
+
+    frames = [noisy() for _ in range(4)]
+
+    def flicker(persistence: float) -> float:
+        detector = ShadowDetector(
+            stage.response, ShadowOptions(robust=RobustOptions(persistence=persistence))
+        )
+        labels = [detector.labels(frame) for frame in frames]
+        return float(np.mean([(a != b).mean() for a, b in pairwise(labels)]))
+
+    assert flicker(0.6) < flicker(0.0)
+    detector = ShadowDetector(stage.response)
+    first = detector.labels(frames[0])
+    detector.labels(frames[1])
+    detector.forget()
+    assert np.array_equal(detector.labels(frames[0]), first)
+
+
+def test_cut_is_the_cheapest_labelling() -> None:
+    """Against all 2⁹ labellings of a 3×3 image."""
+    generator = np.random.default_rng(3)
+    evidence = generator.normal(size=(3, 3))
+    east, south = generator.random((3, 3)), generator.random((3, 3))
+    east[:, -1] = south[-1] = 0.0
+
+    def price(lit: np.ndarray) -> float:
+        wrong = np.where(lit != (evidence > 0), np.abs(evidence), 0.0).sum()
+        across = (east[:, :-1] * (lit[:, 1:] != lit[:, :-1])).sum()
+        return wrong + across + (south[:-1] * (lit[1:] != lit[:-1])).sum()
+
+    every = [price(np.array([(i >> k) & 1 == 1 for k in range(9)]).reshape(3, 3)) for i in range(512)]
+    found = lit_by_cut(evidence, (east, south), np.ones((3, 3), bool))
+    assert price(found) == pytest.approx(min(every))
+
+
+def test_bonds_give_way_to_one_light_alone() -> None:
+    shares = np.full((1, 3, 3), 0.8)
+    shares[:, 1:] *= 0.5  # all three: paint
+    shares[:, 2:, 0] = 0.02  # light 0 alone: shadow
+    bonds, _ = bonds_of_light(shares, 0, np.ones((1, 3), bool), 1.0, 0.3)
+    assert bonds[0, 0] > 0.95
+    assert bonds[0, 1] < 0.1
+
+
+def test_refusals(stage) -> None:
+    with pytest.raises(BadInput, match="mask: expected shape 120 × 160"):
+        ShadowDetector(stage.response).labels(stage.frame, np.ones((4, 4), bool))
+    with pytest.raises(BadInput, match="gradient threshold"):
+        PublishedOptions(gradient_threshold=2.0)
+    with pytest.raises(BadInput, match="rounds"):
+        RobustOptions(rounds=0)

@@ -1,0 +1,204 @@
+"""The surface under shadows, against known height fields."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from vntoolkit.errors import BadCalibration, BadInput
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.visibility import count_lit
+from vntoolkit.shadows.albedo import albedo_from_lit
+from vntoolkit.shadows.confidence import confidence_weight, gloss_trust
+from vntoolkit.shadows.detector import ShadowDetector
+from vntoolkit.shadows.filling import fill_smoothly
+from vntoolkit.shadows.grid_solver import grid_hierarchy, solve_grid
+from vntoolkit.shadows.light_colours import response_with_light_colours
+from vntoolkit.shadows.recovery import RecoveryMethod, RecoveryOptions, recover_normals, recover_surface
+from vntoolkit.shadows.surface import SurfaceOptions, solve_surface
+from vntoolkit.shadows.two_lights import continue_with_two_lights, roots_from_two_lights
+
+INVERSION = RecoveryOptions(method=RecoveryMethod.INVERSION)
+TWO_LIGHTS = RecoveryOptions(method=RecoveryMethod.TWO_LIGHTS)
+
+
+def degrees(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    return np.degrees(np.arccos(np.clip((first * second).sum(-1), -1.0, 1.0)))
+
+
+def errors(stage, labels: np.ndarray, options: RecoveryOptions | None = None) -> np.ndarray:
+    normal_map = recover_normals(stage.frame, labels, stage.response, options=options)
+    return degrees(normal_map.normals_in_camera, stage.normals)
+
+
+def test_one_of_the_roots_is_the_normal(rng: np.random.Generator) -> None:
+    normals = rng.normal(size=(200, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    first, second = np.array([0.3, 0.1, -0.9]), np.array([-0.5, 0.4, -0.6])
+    plus, minus, discriminant = roots_from_two_lights(normals @ first, normals @ second, first, second)
+    assert (discriminant >= -1e-12).all()
+    nearest = np.minimum(np.linalg.norm(plus - normals, axis=1), np.linalg.norm(minus - normals, axis=1))
+    assert nearest.max() < 1e-6
+    too_bright = roots_from_two_lights(np.array([2.0]), np.array([2.0]), first, second)
+    assert too_bright[2][0] < 0
+    assert np.allclose(too_bright[0], too_bright[1])
+    assert np.linalg.norm(too_bright[0]) == pytest.approx(1.0)
+
+
+def test_roots_continue_a_sphere_exactly() -> None:
+    """Half a sphere loses one light; without noise the true root follows from its neighbours."""
+    v, u = np.mgrid[-30:31, -30:31] / 60.0
+    normals = np.stack([u, v, -np.sqrt(1 - u**2 - v**2)], axis=-1)
+    lights = np.array([[-0.3, 0.3, -0.9], [0.5, 0.2, -0.85], [-0.3, -0.3, -0.9]])  # plane at u < -0.2
+    labels = np.where(u > 0.05, 5, 7).astype(np.uint8)
+    given = np.where((labels == 7)[..., None], normals, 0.0)
+    mask = np.ones(u.shape, bool)
+    found, decided = continue_with_two_lights(given, normals @ lights.T, labels, lights, mask)
+    assert decided.all()
+    assert degrees(found, normals).max() < 0.01
+
+
+@pytest.mark.parametrize("name", ["stage", "stage_with_crosstalk"])
+def test_shadowed_normals_at_most_half_as_wrong_and_lit_ones_no_worse(name: str, request) -> None:
+    stage = request.getfixturevalue(name)
+    lights = count_lit(stage.labels)
+    assert (lights == 2).mean() > 0.15
+    plain = errors(stage, stage.labels, INVERSION)
+    for labels in (stage.labels, ShadowDetector(stage.response).labels(stage.frame)):
+        found = errors(stage, labels)
+        assert 2 * found[lights == 2].mean() < plain[lights == 2].mean()
+        assert found[lights == 3].mean() < plain[lights == 3].mean() + 0.2
+    roots = errors(stage, stage.labels, TWO_LIGHTS)
+    assert 2 * roots[lights == 2].mean() < plain[lights == 2].mean()
+
+
+@pytest.mark.parametrize("label", range(8))
+def test_any_single_label_passes_without_nan(stage, label: int) -> None:
+    labels = np.full(stage.mask.shape, label, np.uint8)
+    for method in RecoveryMethod:
+        normal_map = recover_normals(
+            stage.frame, labels, stage.response, options=RecoveryOptions(method=method)
+        )
+        normals = normal_map.normals_in_camera
+        assert np.abs(np.linalg.norm(normals, axis=-1) - 1.0).max() < 1e-5
+        assert (normals[..., 2] < 0).all()
+        assert normal_map.weight is not None
+        assert ((normal_map.weight >= 0) & (normal_map.weight <= 1)).all()
+
+
+@pytest.mark.parametrize("level", [0.0, 1.0, float("nan")])
+def test_black_white_and_broken_frames_pass_without_nan(stage, level: float) -> None:
+    frame = LinearFrame(rgb=np.full((20, 31, 3), level, np.float32), clipped=np.full((20, 31), level == 1.0))
+    for label in (0, 5, 7):
+        result = recover_surface(frame, np.full((20, 31), label, np.uint8), stage.response)
+        assert np.isfinite(result.normal_map.normals_in_camera).all()
+        assert result.depth_map is not None
+        assert np.isfinite(result.depth_map.depth).all()
+
+
+def test_an_empty_mask_gives_an_empty_map(stage) -> None:
+    nothing = np.zeros(stage.mask.shape, bool)
+    result = recover_surface(stage.frame, stage.labels, stage.response, nothing)
+    assert not result.normal_map.mask.any()
+    assert not result.normal_map.normals_in_camera.any()
+
+
+def test_perspective_sphere_keeps_its_normals_and_distances() -> None:
+    """A sphere of radius 1 at distance 4 under three lights: normals and relative depth from all labels 7."""
+    camera = Camera.pinhole(width=120, height=120, focal_px=180.0)
+    rays = camera.unproject(camera.pixel_grid(), np.ones((120, 120)))
+    a, b = (rays**2).sum(-1), rays @ np.array([0.0, 0.0, 4.0])
+    inside = b**2 - a * 15.0
+    mask = inside > 0.5
+    depth = np.where(mask, (b - np.sqrt(np.maximum(inside, 0))) / a, 0.0)
+    normals = np.where(mask[..., None], rays * depth[..., None] - [0, 0, 4.0], [0, 0, -1.0])
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    lights = np.array([[0.2, 0.1, -0.97], [-0.3, 0.2, -0.93], [0.1, -0.3, -0.95]])
+    solved = solve_surface(
+        normals @ lights.T, np.full((120, 120), 7, np.uint8), lights, mask,
+        first_normals=normals, camera=camera, options=SurfaceOptions(cycles=40, tolerance=1e-7),
+    )  # fmt: skip
+    assert degrees(solved.normals, normals)[mask].max() < 1.0
+    ratio = np.exp(solved.depth[mask] / 180.0) / depth[mask]
+    assert ratio.std() / ratio.mean() < 0.002
+
+
+def test_grid_solver_solves_what_a_dense_solver_solves(rng: np.random.Generator) -> None:
+    edges = rng.random((4, 9, 7)).astype(np.float32)
+    edges[0, :, -1] = edges[2, :, -1] = edges[3, :, -1] = 0
+    edges[1, -1] = edges[2, -1] = edges[3, -1] = 0
+    dense = np.zeros((63, 63))
+    for kind, (dv1, du1, dv2, du2) in enumerate(((0, 0, 0, 1), (0, 0, 1, 0), (0, 0, 1, 1), (0, 1, 1, 0))):
+        for v, u in np.argwhere(edges[kind] > 0):
+            i, j = (v + dv1) * 7 + u + du1, (v + dv2) * 7 + u + du2
+            dense[[i, j], [i, j]] += edges[kind, v, u]
+            dense[i, j] -= edges[kind, v, u]
+            dense[j, i] -= edges[kind, v, u]
+    right = rng.normal(size=(9, 7)).astype(np.float32)
+    right -= right.mean()
+    found = solve_grid(grid_hierarchy(edges), right, np.zeros_like(right), 1e-7, 100)
+    expected = (np.linalg.pinv(dense) @ right.ravel()).reshape(9, 7)
+    assert np.abs((found - found.mean()) - expected).max() < 1e-4
+
+
+def test_fill_keeps_what_is_known_and_stays_between() -> None:
+    values = np.tile(np.linspace(0.0, 1.0, 64, dtype=np.float32), (48, 1))
+    trust = np.ones((48, 64))
+    trust[10:30, 20:40] = 0.0
+    filled = fill_smoothly(np.where(trust > 0, values, 9.0), trust)
+    assert np.abs(filled - values)[trust > 0].max() < 1e-3
+    assert np.abs(filled - values)[trust == 0].max() < 0.15
+    assert not fill_smoothly(values, np.zeros((48, 64))).any()
+
+
+def test_albedo_ignores_outliers_and_shadow() -> None:
+    length = np.full((64, 64), 0.7)
+    length[20:40, 20:40] = 0.2  # in shadow the length means nothing
+    length[5, 5] = 3.0  # a highlight
+    lit = np.ones((64, 64), bool)
+    lit[20:40, 20:40] = False
+    albedo = albedo_from_lit(length, lit)
+    assert np.abs(albedo[20:40, 20:40] - 0.7).max() < 0.02
+    assert albedo[5, 5] < 1.0
+    assert (albedo_from_lit(length, np.zeros((64, 64), bool)) == 1.0).all()
+
+
+def test_weights_fall_with_shadow_saturation_gloss_and_paint() -> None:
+    labels = np.array([[7, 6, 2, 0, 7, 7]], np.uint8)
+    length = np.array([[1.0, 1.0, 1.0, 1.0, 1.0, 2.5]])
+    clipped = np.array([[False, False, False, False, True, False]])
+    weight = confidence_weight(labels, clipped, length, np.ones((1, 6)), None)[0]
+    assert weight[0] == 1.0
+    assert (np.diff(weight[:4]) < 0).all()
+    assert weight[4] == pytest.approx(0.1)
+    assert weight[5] < 0.2
+    assert gloss_trust(length, np.ones((1, 6)), labels == 7)[0, 5] < 0.1
+
+
+def test_light_colours_from_shadow_edges(steep_stage) -> None:
+    stage = steep_stage
+    known = stage.response.light_colours
+    unknown = LightResponse(matrix=stage.response.matrix)
+    found = response_with_light_colours([stage.frame], unknown).light_colours
+    axes = degrees(np.eye(3), known / np.linalg.norm(known, axis=1, keepdims=True))
+    left = degrees(
+        found / np.linalg.norm(found, axis=1, keepdims=True),
+        known / np.linalg.norm(known, axis=1, keepdims=True),
+    )
+    assert axes.min() > 6.0
+    assert left.max() < 1.5
+    assert np.abs(found - known).max() < 0.03
+
+
+def test_refusals(stage) -> None:
+    with pytest.raises(BadInput, match="bytes from 0 to 7"):
+        recover_normals(stage.frame, np.full(stage.mask.shape, 9, np.uint8), stage.response)
+    with pytest.raises(BadInput, match="visibility labels: expected shape"):
+        recover_normals(stage.frame, np.zeros((3, 3), np.uint8), stage.response)
+    with pytest.raises(BadInput, match="at least 1"):
+        SurfaceOptions(iterations=0)
+    flat = LinearFrame(rgb=np.full((40, 40, 3), 0.5, np.float32), clipped=np.zeros((40, 40), bool))
+    with pytest.raises(BadCalibration, match="0 shadow edge pixels of light 0"):
+        response_with_light_colours([flat], stage.response)
