@@ -89,14 +89,16 @@ class FrameWorker:
     def __init__(self, job: SimulationJob) -> None:
         self._job = job
         self._renderer = Renderer(job.built, job.nuisances, job.rendering)
-        self._vertices = np.load(job.folder.truth / "vertices.npy", mmap_mode="r", allow_pickle=False)
+        self._vertices_file = job.folder.truth / "vertices.npy"
 
     def render(self, place: int) -> int:
         """Render and write one frame; return its place."""
         number = self._job.numbers[place]
-        following = self._vertices[place + 1] if place + 1 < len(self._job.numbers) else None
+        # Mapped anew for every frame: a map kept open holds on to every page it ever showed.
+        vertices = np.load(self._vertices_file, mmap_mode="r", allow_pickle=False)
+        following = vertices[place + 1] if place + 1 < len(self._job.numbers) else None
         generator = frame_generator(self._job.options.seed, number)
-        frame = self._renderer.render(np.array(self._vertices[place]), following, generator, number)
+        frame = self._renderer.render(vertices[place], following, generator, number)
         write_frame(self._job.folder, place, frame)
         return place
 
