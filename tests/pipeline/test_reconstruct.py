@@ -20,13 +20,14 @@ from vntoolkit.pipeline.block_work import FrameRecord, ReconstructionJob
 from vntoolkit.pipeline.options import OnError, Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import reconstruct
+from vntoolkit.shadows.detector import ShadowMethod
 
 
 def job_of(capture: DomeCapture, out: Path, **options: object) -> ReconstructionJob:
     return ReconstructionJob(
         source=capture.source,
         rig=capture.rig,
-        options=ReconstructOptions(**options),
+        options=ReconstructOptions(**{"shadows": ShadowMethod.NONE, **options}),
         folder=ReconstructionFolder(root=out),
     )
 

@@ -52,9 +52,7 @@ def test_published_rejects_what_is_too_faint_or_too_small() -> None:
 
 def test_robust_labels_overlap_the_truth_and_beat_the_published_ones(stage) -> None:
     robust = ShadowDetector(stage.response).labels(stage.frame, stage.mask)
-    published = ShadowDetector(stage.response, ShadowOptions(method=ShadowMethod.PUBLISHED)).labels(
-        stage.frame
-    )
+    published = ShadowDetector(stage.response, ShadowMethod.PUBLISHED).labels(stage.frame)
     assert overlap(robust, stage.labels).min() >= 0.8
     assert (overlap(robust, stage.labels) > overlap(published, stage.labels)).all()
 
@@ -75,7 +73,7 @@ def test_dark_paint_is_not_shadow(build_stage) -> None:
 @pytest.mark.parametrize("level", [0.0, 0.5, float("nan")])
 def test_uniform_frames_pass_through(stage, method: ShadowMethod, level: float) -> None:
     frame = LinearFrame(rgb=np.full((33, 47, 3), level, np.float32), clipped=np.zeros((33, 47), bool))
-    labels = ShadowDetector(stage.response, ShadowOptions(method=method)).labels(frame)
+    labels = ShadowDetector(stage.response, method).labels(frame)
     assert labels.shape == (33, 47)
     assert labels.max() <= 7
 
@@ -89,7 +87,7 @@ def test_memory_steadies_a_sequence_and_can_be_dropped(stage, rng: np.random.Gen
 
     def flicker(persistence: float) -> float:
         detector = ShadowDetector(
-            stage.response, ShadowOptions(robust=RobustOptions(persistence=persistence))
+            stage.response, options=ShadowOptions(robust=RobustOptions(persistence=persistence))
         )
         labels = [detector.labels(frame) for frame in frames]
         return float(np.mean([(a != b).mean() for a, b in pairwise(labels)]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
@@ -120,7 +121,8 @@ def test_perspective_sphere_keeps_its_normals_and_distances() -> None:
         normals @ lights.T, np.full((120, 120), 7, np.uint8), lights, mask,
         first_normals=normals, camera=camera, options=SurfaceOptions(cycles=40, tolerance=1e-7),
     )  # fmt: skip
-    assert degrees(solved.normals, normals)[mask].max() < 1.0
+    inner = cv2.erode(mask.astype(np.uint8), np.ones((5, 5))) > 0  # one-sided differences at the border
+    assert degrees(solved.normals, normals)[inner].max() < 0.6
     ratio = np.exp(solved.depth[mask] / 180.0) / depth[mask]
     assert ratio.std() / ratio.mean() < 0.002
 

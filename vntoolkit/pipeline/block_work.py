@@ -20,6 +20,7 @@ from vntoolkit.pipeline.frame_processor import FrameProcessor, FrameResult
 from vntoolkit.pipeline.options import OnError, ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.overlap import WriteBehind, read_ahead
+from vntoolkit.shadows.detector import ShadowMethod
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,7 +41,7 @@ class ReconstructionJob:
     @property
     def has_labels(self) -> bool:
         """True where visibility labels are written beside the normals."""
-        return False
+        return self.options.shadows is not ShadowMethod.NONE
 
     def open_capture(self) -> Capture:
         """Open the capture with the rig's transfer curve."""

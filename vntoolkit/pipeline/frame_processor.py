@@ -20,6 +20,8 @@ from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.options import Product, ReconstructOptions
+from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
+from vntoolkit.shadows.recovery import recover_normals
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,17 +62,19 @@ class FrameProcessor:
         whole = np.ones(shape, dtype=np.bool_) if mask is None else mask
         self._mask = self._undistorter.mask(whole)
         self._integrator = DepthIntegrator(self.camera, options.integration)
+        self._detector = ShadowDetector(rig.response, options.shadows, options.detection, self.camera)
 
     def forget(self) -> None:
         """Drop everything that one frame hands to the next, so that a run may start at any block."""
         self._integrator = DepthIntegrator(self.camera, self._options.integration)
+        self._detector.forget()
 
     def process(self, frame: EncodedFrame) -> FrameResult:
         """Invert, integrate and mesh one frame, as far as the options say.
 
         Raises `BadCapture` where the frame has no usable pixel.
         """
-        normal_map, clipped_share = self._normals(frame)
+        normal_map, labels, clipped_share = self._normals(frame)
         if not normal_map.mask.any():
             raise BadCapture(
                 f"{frame.name}: no usable pixel: all are black, clipped or outside the mask; "
@@ -90,22 +94,37 @@ class FrameProcessor:
             number=frame.number,
             normal_map=normal_map,
             depth_map=depth_map,
-            labels=None,
+            labels=labels,
             mesh=mesh,
             clipped_share=clipped_share,
         )
 
-    def _normals(self, frame: EncodedFrame) -> tuple[NormalMap, float]:
+    def _normals(self, frame: EncodedFrame) -> tuple[NormalMap, VisibilityLabels | None, float]:
+        if self._options.shadows is not ShadowMethod.NONE:
+            return self._normals_under_shadow(self.linear(frame))
         if self._is_plain(frame):
             values, transfer = frame.values, self._rig.transfer
             normal_map = normals_from_encoded(
                 values, self._rig.response, transfer, self._mask, self._options.inversion, frame.bits
             )
             white = transfer.white_level * (2**frame.bits - 1)
-            return normal_map, float(np.mean(values.max(axis=2) >= white))
+            return normal_map, None, float(np.mean(values.max(axis=2) >= white))
         linear = self.linear(frame)
         normal_map = normals_from_frame(linear, self._rig.response, self._mask, self._options.inversion)
-        return normal_map, float(linear.clipped.mean())
+        return normal_map, None, float(linear.clipped.mean())
+
+    def _normals_under_shadow(self, frame: LinearFrame) -> tuple[NormalMap, VisibilityLabels, float]:
+        """Find the shadows, then normals from whichever lights arrive; black pixels are the backdrop."""
+        response, inversion = self._rig.response, self._options.inversion
+        length = np.linalg.norm((frame.rgb - response.ambient) @ response.inverse.T, axis=2)
+        mask = self._mask & (length > inversion.darkest * inversion.relative_albedo)
+        if inversion.clipped_factor == 0.0:
+            mask &= ~frame.clipped
+        labels = self._detector.labels(frame, mask)
+        normal_map = recover_normals(
+            frame, labels, response, mask, options=self._options.recovery, camera=self.camera
+        )
+        return normal_map, labels, float(frame.clipped.mean())
 
     def linear(self, frame: EncodedFrame) -> LinearFrame:
         """Decode a frame to linear light, background removed, lens distortion taken out."""

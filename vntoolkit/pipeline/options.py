@@ -9,6 +9,8 @@ from vntoolkit.errors import BadInput
 from vntoolkit.integration.options import IntegrationOptions
 from vntoolkit.meshing.surface import MeshOptions
 from vntoolkit.normals.inversion import InversionOptions
+from vntoolkit.shadows.detector import ShadowMethod, ShadowOptions
+from vntoolkit.shadows.recovery import RecoveryOptions
 
 
 class Product(Enum):
@@ -33,16 +35,20 @@ class ReconstructOptions:
     to: how far to go. distance_m: distance in metres from a perspective camera to the subject, along the
     optical axis; fixes the scale that normals alone leave free. match_albedo: measure how much brighter the
     subject is than the calibration material, on the first frame, instead of taking them for the same.
+    shadows: how self-shadows are found; the surface under them is then recovered, and labels are written.
     on_error: what a failing frame does.
     """
 
     to: Product = Product.MESH
     distance_m: float | None = None
     match_albedo: bool = True
+    shadows: ShadowMethod = ShadowMethod.ROBUST
     on_error: OnError = OnError.STOP
     inversion: InversionOptions = field(default_factory=InversionOptions)
     integration: IntegrationOptions = field(default_factory=IntegrationOptions)
     meshing: MeshOptions = field(default_factory=MeshOptions)
+    detection: ShadowOptions = field(default_factory=ShadowOptions)
+    recovery: RecoveryOptions = field(default_factory=RecoveryOptions)
 
     def __post_init__(self) -> None:
         if self.distance_m is not None and not self.distance_m > 0:

@@ -43,7 +43,8 @@ def confidence_weight(
     agreement: FloatArray | None,
     options: ConfidenceOptions | None = None,
 ) -> Weight:
-    """(h, w), 0 to 1. length: |M⁻¹(r − a)|; albedo: the surroundings'; agreement: of colour and depth."""
+    """(h, w), 0 to 1. length: |M⁻¹(r − a)|; albedo: the surroundings'; agreement: of colour
+    and depth, 0 where unknown."""
     options = options or ConfidenceOptions()
     lights = count_lit(labels)
     weight = np.asarray(options.by_lights, dtype=np.float32)[lights]
@@ -51,7 +52,7 @@ def confidence_weight(
     departure = _log_excess(length, albedo) / options.albedo_tolerance
     weight = weight * np.where(full, 1.0 / (1.0 + departure**2), 1.0)
     if agreement is not None:
-        weight = weight * np.where(full, np.maximum(agreement, 0.1), 1.0)
+        weight = weight * np.where(full & (agreement > 0.0), np.maximum(agreement, 0.1), 1.0)
     return (weight * np.where(clipped, options.clipped, 1.0)).astype(np.float32)
 
 

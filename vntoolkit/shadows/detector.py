@@ -28,9 +28,11 @@ class ShadowMethod(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class ShadowOptions:
-    """method: which detector. published, robust: the parameters of each."""
+    """The parameters of every method.
 
-    method: ShadowMethod = ShadowMethod.ROBUST
+    published, robust: those of the two detectors.
+    """
+
     published: PublishedOptions = field(default_factory=PublishedOptions)
     robust: RobustOptions = field(default_factory=RobustOptions)
 
@@ -43,8 +45,13 @@ class ShadowDetector:
     """
 
     def __init__(
-        self, response: LightResponse, options: ShadowOptions | None = None, camera: Camera | None = None
+        self,
+        response: LightResponse,
+        method: ShadowMethod = ShadowMethod.ROBUST,
+        options: ShadowOptions | None = None,
+        camera: Camera | None = None,
     ) -> None:
+        self._method = method
         self._response = response
         self._options = options or ShadowOptions()
         self._camera = camera
@@ -58,10 +65,10 @@ class ShadowDetector:
         """Return (h, w) labels, bit k set where light k arrives; 7 outside `mask`, where nobody may look."""
         inside = np.ones(frame.shape, dtype=np.bool_) if mask is None else np.asarray(mask)
         require_shape(inside, frame.shape, "mask")
-        if self._options.method is ShadowMethod.NONE or not inside.any():
+        if self._method is ShadowMethod.NONE or not inside.any():
             return np.full(frame.shape, ALL_LIT, dtype=np.uint8)
         shares = shares_from_frame(frame, self._response)
-        if self._options.method is ShadowMethod.PUBLISHED:
+        if self._method is ShadowMethod.PUBLISHED:
             lit = lit_by_edges(shares.contributions, inside, self._options.published)
         else:
             lit, self._memory = lit_by_surface(

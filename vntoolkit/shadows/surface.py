@@ -77,8 +77,8 @@ class Surface:
     """A solved surface.
 
     normals: (h, w, 3) unit, camera frame. depth: (h, w) float32, pixels (orthographic) or f · log z.
-    agreement: (h, w), 0 to 1, how far depth and colour agree on a fully lit pixel's slope. misfit:
-    (h, w), χ² of the light that arrives against the light that the surface would return.
+    agreement: (h, w), 0 to 1, how far depth and colour agree on a fully lit pixel's slope, 0 at the border.
+    misfit: (h, w), χ² of the light that arrives against the light that the surface would return.
     """
 
     normals: FloatArray

@@ -232,7 +232,10 @@ def right_side_kernel(quadratics: Grid, slopes: Grid, weights: Grid, out: Grid) 
 
 @_in_both_ways
 def slopes_kernel(depth: Grid, weights: Grid, steepest: float, slopes: Grid, agreement: Grid) -> None:
-    """Replace slopes (h, w, 2) by the weighted mean over the quadrants; agreement (h, w) = mean weight."""
+    """Replace slopes (h, w, 2) by the weighted mean over the quadrants; agreement (h, w) = mean weight.
+
+    At the border, where quadrants are missing and differences are one-sided, the agreement is 0.
+    """
     h, w = depth.shape
     for v in prange(h):
         for u in range(w):
@@ -245,7 +248,7 @@ def slopes_kernel(depth: Grid, weights: Grid, steepest: float, slopes: Grid, agr
                     q += share * sv * (depth[v + sv, u] - depth[v, u])
                     total += share
                     count += 1
-            agreement[v, u] = total / max(count, 1)
+            agreement[v, u] = total / 4 if count == 4 else 0.0
             if total > 1e-6:
                 p, q = p / total, q / total
                 long = np.sqrt(p * p + q * q)
