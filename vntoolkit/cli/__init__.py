@@ -50,6 +50,10 @@ GROUPS: dict[str, tuple[str, dict[str, tuple[str, str]]]] = {
             ),
         },
     ),
+    "evaluate": (
+        "Compare results with the truth.",
+        {"tracks": ("vntoolkit.cli.evaluate_tracks:tracks", "Tracked vertices against the simulator's.")},
+    ),
 }
 
 

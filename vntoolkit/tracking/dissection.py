@@ -48,10 +48,10 @@ def _halves(path: IntArray, members: IntArray, positions: Points2) -> npt.NDArra
     part = path[order]
     starts = np.flatnonzero(np.concatenate([[True], part[1:] != part[:-1]]))
     sizes = np.diff(np.append(starts, len(order)))
-    extent = [np.maximum.reduceat(positions[order, k], starts) - np.minimum.reduceat(positions[order, k], starts)
-              for k in range(2)]  # fmt: skip
-    along_v = np.repeat(extent[1] > extent[0], sizes)
-    coordinate = np.where(along_v, positions[order, 1], positions[order, 0])
+    at = positions[order]
+    extent = np.maximum.reduceat(at, starts) - np.minimum.reduceat(at, starts)
+    along_v = np.repeat(extent[:, 1] > extent[:, 0], sizes)
+    coordinate = np.where(along_v, at[:, 1], at[:, 0])
     sorted_within = np.lexsort((coordinate, np.repeat(np.arange(len(starts)), sizes)))
     median = coordinate[sorted_within][starts + sizes // 2]
     half = np.zeros(len(path), dtype=np.int64)

@@ -21,7 +21,7 @@ from vntoolkit.tracking.options import DriftOptions
 from vntoolkit.tracking.template import TrackingTemplate
 
 _HIGH_PASS_PASSES = 2  # of lattice smoothing: keeps waves shorter than about four cells
-_WINDOW_PASSES = 1
+_WINDOW_PASSES = 2  # narrower windows, or a softer lattice, and errors of a cell's size feed themselves
 _JACOBIAN_PASSES = 1
 _LARGEST_STEP_PX = 3.0
 _ROBUST_SIGMAS = 3.0
@@ -65,7 +65,7 @@ class TemplateRegistration:
 
     def register(self, positions_px: Points2, pyramid: Pyramid) -> Registration:
         """Correct positions (n, 2) by the slopes of the frame they lie in, coarse to fine."""
-        positions = np.array(positions_px, dtype=np.float64)
+        positions: Points2 = np.array(positions_px, dtype=np.float64)
         confidence = np.ones(len(positions))
         for number in range(self._options.levels, -1, -1):
             iterations = self._options.iterations if number == 0 else 1

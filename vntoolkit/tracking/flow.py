@@ -1,8 +1,10 @@
-"""Optical flow between consecutive normal maps: DIS, then Lucas and Kanade on a lattice.
+"""Optical flow between consecutive normal maps: Lucas and Kanade on a lattice, from two starts.
 
-DIS (`kroeger2016`) finds the large motions; pyramidal Lucas–Kanade (`bouguet2001`) on all three components of
-the normal then gives the sub-pixel part at lattice points, and Gaussian interpolation the rest. Its error on
-one pair is no less than DIS's, but it is unbiased, so that it adds up to a quarter over hundreds of frames.
+Pyramidal Lucas–Kanade (`bouguet2001`) on all three components of the normal follows the points of a
+lattice, and Gaussian interpolation gives the rest. Its error on one pair is no less than that of DIS
+(`kroeger2016`), but it is unbiased, so that it adds up to a quarter over hundreds of frames. It starts from
+the motion of the frame before, and from DIS only where that fits far better: DIS finds large motions, but on cloth
+whose knit repeats it locks on to the wrong stitch.
 """
 
 from __future__ import annotations
@@ -19,13 +21,19 @@ from vntoolkit.tracking.options import FlowMethod, FlowOptions
 
 _OUTLIER_PX = 1.5  # a lattice vector this far from the median of its 5×5 neighbours is not believed
 _FAR_CELLS = 8.0  # reach of the extrapolation beyond the mask, lattice spacings
+_DIS_MUST_BEAT = 0.6  # share of the other start's residual below which DIS's is believed
+_DOUBTFUL = 2.0  # times the median residual, above which a point tries DIS's start too
+_FEW = 0.01  # share of doubtful points below which DIS is not worth its time
 _SMALLEST_DIS_SIDE = 32  # OpenCV's DIS fails below
 
 
-def flow_between(first: NormalMap, second: NormalMap, options: FlowOptions | None = None) -> Flow:
+def flow_between(
+    first: NormalMap, second: NormalMap, options: FlowOptions | None = None, expected: Flow | None = None
+) -> Flow:
     """Return the flow (h, w, 2) in pixels that carries `first` to `second`.
 
-    Outside the mask of `first` it is extrapolated from the nearest surface.
+    expected: a guess, such as the flow of the frame before; None for no motion. Outside the mask of `first`
+    the flow is extrapolated from the nearest surface.
     """
     options = options or FlowOptions()
     require_same_size(first.mask, "first normal map", second.mask, "second normal map")
@@ -33,10 +41,10 @@ def flow_between(first: NormalMap, second: NormalMap, options: FlowOptions | Non
     if options.method is FlowMethod.NONE or not (first.mask.any() and second.mask.any()):
         return np.zeros((height, width, 2), dtype=np.float32)
     before, after = bytes_from_normals(first), bytes_from_normals(second)
-    dense = _dis(before, after)
     if options.method is FlowMethod.DIS:
-        return dense
-    return _lattice_flow(before, after, dense, first.mask, options)
+        return _dis(before, after)
+    start = np.zeros((height, width, 2), dtype=np.float32) if expected is None else expected
+    return _lattice_flow(before, after, start, first.mask, options)
 
 
 def _dis(before: npt.NDArray[np.uint8], after: npt.NDArray[np.uint8]) -> Flow:
@@ -67,18 +75,63 @@ def _lattice_flow(
     weights = np.zeros(points.shape[:2], dtype=np.float32)
     if not follow.any():
         return start
-    guess = points[follow] + start[points[follow][:, 1].astype(int), points[follow][:, 0].astype(int)]
-    ended, status = _lucas_kanade(before, after, points[follow], guess, options)
+    ended, found = _followed(before, after, points[follow], start, options)
     vectors[follow] = ended - points[follow]
-    weights[follow] = inside[follow] * status
+    weights[follow] = inside[follow] * found
     weights *= _near_median(vectors, weights)
-    smooth = _interpolated(vectors, weights)
-    to_lattice = np.array([[1 / step, 0, -u[0] / step], [0, 1 / step, -v[0] / step]])
+    return _dense(_interpolated(vectors, weights), step, width, height)
+
+
+def flow_from_tracks(
+    before_px: Points2, now_px: Points2, shape: tuple[int, int], options: FlowOptions
+) -> Flow:
+    """Return the (h, w, 2) flow that goes on as the tracks (n, 2) went: the guess for the next frame."""
+    height, width = shape
+    step = options.lattice_px
+    rows, columns = len(range(step // 2, height, step)), len(range(step // 2, width, step))
+    cell = np.floor(now_px / step).astype(np.int64)
+    inside = np.all((cell >= 0) & (cell < [columns, rows]), axis=1)
+    index = cell[inside, 1] * columns + cell[inside, 0]
+    moved = (now_px - before_px)[inside]
+    count = np.bincount(index, minlength=rows * columns).astype(np.float32)
+    sums = [np.bincount(index, moved[:, k], minlength=rows * columns) for k in range(2)]
+    means = np.stack(sums, axis=-1) / np.maximum(count, 1)[:, None]
+    vectors = means.reshape(rows, columns, 2).astype(np.float32)
+    return _dense(_interpolated(vectors, count.reshape(rows, columns)), step, width, height)
+
+
+def _dense(lattice: Flow, step: int, width: int, height: int) -> Flow:
+    """Upsample a lattice whose first point is pixel step // 2."""
+    start = step // 2
+    to_pixels = np.array([[step, 0, start], [0, step, start]], dtype=np.float64)
     dense = cv2.warpAffine(
-        smooth, np.linalg.inv(np.vstack([to_lattice, [0, 0, 1]]))[:2], (width, height),
-        flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE,
-    )  # fmt: skip
+        lattice, to_pixels, (width, height), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
     return np.asarray(dense, dtype=np.float32)
+
+
+def _followed(
+    before: npt.NDArray[np.uint8],
+    after: npt.NDArray[np.uint8],
+    points: Points2,
+    start: Flow,
+    options: FlowOptions,
+) -> tuple[Points2, npt.NDArray[np.float32]]:
+    """Where the points (n, 2) end up, and 1 where they were found; each from the start that fits better."""
+    u, v = points.astype(int).T
+    ended, found, residual = _lucas_kanade(before, after, points, points + start[v, u], options)
+    doubtful = (found == 0) | (residual > _DOUBTFUL * np.median(residual))
+    if np.mean(doubtful) < _FEW:
+        return ended, found
+    u, v = u[doubtful], v[doubtful]
+    guess = points[doubtful] + _dis(before, after)[v, u]
+    other, other_found, other_residual = _lucas_kanade(before, after, points[doubtful], guess, options)
+    better = (other_found > 0) & (
+        (found[doubtful] == 0) | (other_residual < _DIS_MUST_BEAT * residual[doubtful])
+    )
+    chosen = np.flatnonzero(doubtful)[better]
+    ended[chosen], found[chosen] = other[better], 1.0
+    return ended, found
 
 
 def _lucas_kanade(
@@ -87,14 +140,18 @@ def _lucas_kanade(
     points: Points2,
     guess: Points2,
     options: FlowOptions,
-) -> tuple[Points2, npt.NDArray[np.float32]]:
-    ended, status, _ = cv2.calcOpticalFlowPyrLK(
+) -> tuple[Points2, npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    ended, status, residual = cv2.calcOpticalFlowPyrLK(
         before, after, points.reshape(-1, 1, 2), guess.reshape(-1, 1, 2).astype(np.float32),
         winSize=(options.window_px, options.window_px), maxLevel=options.levels,
         criteria=(cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 10, 0.01),
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW, minEigThreshold=1e-5,
     )  # fmt: skip
-    return ended.reshape(-1, 2), status.reshape(-1).astype(np.float32)
+    return (
+        np.asarray(ended).reshape(-1, 2),
+        np.asarray(status).reshape(-1).astype(np.float32),
+        residual.reshape(-1),
+    )
 
 
 def _share_inside(mask: Mask, window_px: int) -> npt.NDArray[np.float32]:

@@ -9,12 +9,23 @@ from numba import njit
 
 from vntoolkit.geometry.maps import NormalMap
 
+_RELIEF_SIGMA_PX = 4.0
+_RELIEF_GAIN = 400.0  # steps of a byte per unit of normal
 _STEEPEST = 0.15  # −n_z below which a slope is clamped: 81° from the viewing direction
 
 
 def bytes_from_normals(normal_map: NormalMap) -> npt.NDArray[np.uint8]:
-    """Return (h, w, 3) bytes of a normal map, as OpenCV's DIS and LK need: 127.5 (n + 1), 128 outside."""
-    return _encode(normal_map.normals_in_camera, normal_map.mask)
+    """Return (h, w, 3) bytes of the fine relief of a normal map, as OpenCV's DIS and LK need; 128 outside.
+
+    The mean over the surroundings is taken off, and what is left is stretched: a surface that turns changes
+    all of its normals, which LK would take for motion, and a byte of the normal itself has too few steps for
+    a knit. On the simulated sweater this halves the error of 30 chained frames.
+    """
+    weight = normal_map.mask.astype(np.float32)
+    normals = normal_map.normals_in_camera * weight[..., None]
+    mean = cv2.GaussianBlur(normals, (0, 0), _RELIEF_SIGMA_PX)
+    share = cv2.GaussianBlur(weight, (0, 0), _RELIEF_SIGMA_PX)
+    return _encode(normals, mean, share, normal_map.mask)
 
 
 def slope_pyramid(normal_map: NormalMap, levels: int) -> list[npt.NDArray[np.float32]]:
@@ -33,14 +44,15 @@ def slope_pyramid(normal_map: NormalMap, levels: int) -> list[npt.NDArray[np.flo
 
 
 @njit(cache=True)
-def _encode(normals, mask):  # type: ignore[no-untyped-def]
+def _encode(normals, mean, share, mask):  # type: ignore[no-untyped-def]
     h, w = mask.shape
     out = np.full((h, w, 3), 128, dtype=np.uint8)
     for v in range(h):
         for u in range(w):
             if mask[v, u]:
                 for c in range(3):
-                    out[v, u, c] = np.uint8(127.5 * (normals[v, u, c] + 1.0) + 0.5)
+                    relief = normals[v, u, c] - mean[v, u, c] / share[v, u]
+                    out[v, u, c] = np.uint8(min(max(128.5 + _RELIEF_GAIN * relief, 0.0), 255.0))
     return out
 
 

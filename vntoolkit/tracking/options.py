@@ -65,7 +65,7 @@ class FlowOptions:
     method: FlowMethod = FlowMethod.LATTICE
     lattice_px: int = 8
     window_px: int = 21
-    levels: int = 1
+    levels: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +84,7 @@ class DriftOptions:
     cell_px: int = 8
     levels: int = 1
     iterations: int = 2
-    stiffness: float = 0.02
+    stiffness: float = 2.0
     noise_slope: float = 0.05
 
 
@@ -92,8 +92,8 @@ class DriftOptions:
 class TrackingOptions:
     """How the template follows the video.
 
-    regulariser, laplacian, rest, confidence: see the enums. smoothing_length: in edges; Laplacian
-    coordinates keep waves longer than about five times this (β = 1.5 / length², `beta_from_smoothing_length`).
+    regulariser, laplacian, rest, confidence: see the enums. smoothing_length: in edges; Laplacian coordinates
+    keep waves longer than about five times this (β = 1.5 / length², `beta_from_smoothing_length`).
     data_share: α of the translation regulariser, the share of the data term, 0 to 1. handle_spacing_px:
     distance of the vertices that ARAP is told where to go, pixels. flow, drift: their options.
     """

@@ -6,6 +6,7 @@ those edges are left out: the mesh keeps one vertex per pixel, and no regularise
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -41,7 +42,7 @@ def cut_edges(edges: IntArray, positions_px: Points2, seams: Sequence[Points2]) 
     cut = np.zeros(len(edges), dtype=bool)
     for seam in seams:
         points = np.asarray(seam, dtype=np.float64)
-        for start, end in zip(points[:-1], points[1:], strict=True):
+        for start, end in itertools.pairwise(points):
             low, high = np.minimum(start, end) - 2.0, np.maximum(start, end) + 2.0
             near_vertex = np.all((positions_px >= low) & (positions_px <= high), axis=1)
             near = np.flatnonzero(near_vertex[edges[:, 0]] & near_vertex[edges[:, 1]])

@@ -18,7 +18,7 @@ from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.tracking.advection import advected_positions, targets_on_surface
 from vntoolkit.tracking.arap import ArapRegulariser
 from vntoolkit.tracking.drift import TemplateRegistration
-from vntoolkit.tracking.flow import flow_between
+from vntoolkit.tracking.flow import flow_between, flow_from_tracks
 from vntoolkit.tracking.flow_slopes import slope_pyramid
 from vntoolkit.tracking.laplacian_coordinates import LaplacianRegulariser, beta_from_smoothing_length
 from vntoolkit.tracking.lattice import lattice_on_template
@@ -48,6 +48,22 @@ class TrackedFrame:
     confidence: npt.NDArray[np.floating]
 
 
+def tracked_frame(
+    vertices_in_camera: Points, confidence: npt.NDArray[np.floating], camera: Camera
+) -> TrackedFrame:
+    """Return a frame in the single precision that files hold.
+
+    The state that tracking goes on from is then the one on disk, and a run that was interrupted ends in the
+    same bytes as one that was not.
+    """
+    vertices = np.asarray(vertices_in_camera, dtype=np.float32)
+    return TrackedFrame(
+        vertices_in_camera=read_only(vertices),
+        positions_px=read_only(camera.project(vertices)),
+        confidence=read_only(np.asarray(confidence, dtype=np.float32)),
+    )
+
+
 class SurfaceTracker:
     """Follows one template, frame by frame, forwards or backwards: `step` takes the next frame."""
 
@@ -67,14 +83,12 @@ class SurfaceTracker:
         self.options = options or TrackingOptions()
         self.camera = camera
         self.template = template_from_maps(template, depth, camera, seams)
-        count = len(self.template.pixels)
-        self.state = TrackedFrame(
-            vertices_in_camera=self.template.vertices_in_camera,
-            positions_px=self.template.positions_px,
-            confidence=np.ones(count),
+        self.state = tracked_frame(
+            self.template.vertices_in_camera, np.ones(len(self.template.pixels)), camera
         )
         self._steps = 0
         self._previous = template
+        self._positions_before = self.state.positions_px
         self._registration = self._new_registration(template)
         self._regularise_pixels = self._registration is not None
         self._solver = self._new_solver()
@@ -89,8 +103,10 @@ class SurfaceTracker:
         require_same_size(normal_map.mask, "normals", self._previous.mask, "the frame before")
         require_same_size(depth_map.mask, "depth", normal_map.mask, "normals")
         self._steps += 1
-        flow = flow_between(self._previous, normal_map, self.options.flow)
-        moved = advected_positions(self.state.positions_px, flow)
+        flow_options, positions = self.options.flow, self.state.positions_px
+        expected = flow_from_tracks(self._positions_before, positions, normal_map.shape, flow_options)
+        flow = flow_between(self._previous, normal_map, flow_options, expected)
+        moved: Points2 = advected_positions(positions, flow)
         confidence = self.state.confidence
         if self._registration is not None and self._steps % self.options.drift.every == 0:
             corrected = self._registration.register(
@@ -98,12 +114,13 @@ class SurfaceTracker:
             )
             moved, confidence = corrected.positions_px, corrected.confidence
         self.state = self._regularised(moved, confidence, depth_map)
-        self._previous = normal_map
+        self._previous, self._positions_before = normal_map, positions
         return self.state
 
-    def resume(self, state: TrackedFrame, previous: NormalMap, steps: int) -> None:
-        """Continue from a saved state: that frame's result, its normals, and the steps taken so far."""
+    def resume(self, before: TrackedFrame, state: TrackedFrame, previous: NormalMap, steps: int) -> None:
+        """Continue from the results of the last two frames, the last one's normals and the steps taken."""
         self.state, self._previous, self._steps = state, previous, steps
+        self._positions_before = before.positions_px
 
     def _regularised(
         self, moved: Points2, confidence: npt.NDArray[np.floating], depth_map: DepthMap
@@ -114,15 +131,9 @@ class SurfaceTracker:
         depth = before.vertices_in_camera[:, 2]
         targets, found = targets_on_surface(moved, depth_map, self.camera, depth)
         vertices = targets if self._regularise_pixels else self._regularised_vertices(targets)
-        return TrackedFrame(
-            vertices_in_camera=read_only(vertices),
-            positions_px=read_only(moved if vertices is targets else self.camera.project(vertices)),
-            confidence=read_only(np.clip(confidence * found, 0.0, 1.0)),
-        )
+        return tracked_frame(vertices, np.clip(confidence * found, 0.0, 1.0), self.camera)
 
-    def _regularised_pixels(
-        self, moved: Points2, confidence: npt.NDArray[np.floating]
-    ) -> npt.NDArray[np.float64]:
+    def _regularised_pixels(self, moved: Points2, confidence: npt.NDArray[np.floating]) -> Points2:
         """The default: smooth the step in the image; depth is then read, not smoothed."""
         solver, before = self._solver, self.state.positions_px
         rest = self.template.positions_px if self.options.rest is RestShape.TEMPLATE else before

@@ -1,0 +1,74 @@
+"""Seconds per frame of tracking, by stage, on a wrinkled sheet: python benchmarks/tracking.py [--large].
+
+184,000 vertices within 1280×720, or with --large 307,000 (640×480, every pixel). Prints the minimum and the
+median over the frames, since other work on the machine only ever adds. Also prints the peak memory, early and
+late. About two minutes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.maps import DepthMap, NormalMap
+from vntoolkit.tracking.options import Confidence, TrackingOptions
+from vntoolkit.tracking.published import Tracker, options_of
+from vntoolkit.tracking.tracker import SurfaceTracker
+
+
+def sheet(width: int, height: int, mask: np.ndarray, frame: int) -> tuple[NormalMap, DepthMap]:
+    """Wrinkles that slide by 0.8 px a frame."""
+    u, v = np.meshgrid(np.arange(width) - 0.8 * frame, np.arange(height) - 0.3 * frame)
+    p = 0.2 * np.sin(u / 2.1) * np.cos(v / 2.7) + 0.1 * np.sin((u + 2 * v) / 9)
+    q = 0.2 * np.cos(u / 3.1 + 1) * np.sin(v / 1.9) + 0.1 * np.cos((2 * u - v) / 7)
+    normals = np.stack([p, q, -np.ones_like(p)], axis=-1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    depth = DepthMap(depth=500 + np.cos(u / 9), mask=mask)
+    return NormalMap(normals_in_camera=normals.astype(np.float32), mask=mask), depth
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--large", action="store_true")
+    parser.add_argument("--frames", type=int, default=12)
+    arguments = parser.parse_args()
+    width, height = (640, 480) if arguments.large else (1280, 720)
+    mask = np.ones((height, width), dtype=bool)
+    if not arguments.large:
+        mask[:] = False
+        mask[180:540, 384:896] = True  # 184,320 vertices
+    camera = Camera.orthographic(width=width, height=height)
+    default = TrackingOptions()
+    cases = {
+        "default, confidence weights": default,
+        "default, unweighted": replace(default, confidence=Confidence.NONE),
+        "published, translation": options_of(Tracker.TRANSLATION),
+        "published, Laplacian": options_of(Tracker.LAPLACIAN_PREVIOUS),
+        "flow alone": options_of(Tracker.FLOW),
+    }
+    for name, options in cases.items():
+        first = sheet(width, height, mask, 0)
+        start = time.perf_counter()
+        tracker = SurfaceTracker(*first, camera, options)
+        set_up = time.perf_counter() - start
+        times = []
+        for k in range(1, arguments.frames + 1):
+            maps = sheet(width, height, mask, k)
+            start = time.perf_counter()
+            tracker.step(*maps)
+            times.append(time.perf_counter() - start)
+        times = times[2:]  # the first two compile and warm up
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        print(
+            f"{name:30s} {len(tracker.template.pixels)} vertices: set-up {set_up:5.2f} s, frame min "
+            f"{1e3 * min(times):4.0f} ms, median {1e3 * float(np.median(times)):4.0f} ms, peak {peak:.0f} MB"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,161 @@
+"""Solvers against dense algebra; seams, lattice and Laplacians by their defining properties."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from tests.tracking.wrinkled_video import WrinkledVideo
+from vntoolkit.errors import BadInput, BadMesh
+from vntoolkit.geometry.laplacian import (
+    cotangent_laplacian,
+    edges_from_faces,
+    graph_laplacian,
+    uniform_laplacian,
+)
+from vntoolkit.tracking.dissection import nested_dissection_order
+from vntoolkit.tracking.laplacian_coordinates import LaplacianRegulariser, beta_from_smoothing_length
+from vntoolkit.tracking.lattice import lattice_on_template
+from vntoolkit.tracking.template import template_from_maps
+from vntoolkit.tracking.translation import TranslationRegulariser
+
+
+@pytest.fixture(scope="module")
+def template():
+    video = WrinkledVideo(width=34, height=26)
+    mask = np.ones((26, 34), dtype=bool)
+    mask[10:14, 15:20] = False
+    return template_from_maps(*video.maps(0, mask), video.camera)
+
+
+def test_laplacians_vanish_inside_a_plane(template) -> None:
+    plane = np.column_stack([template.positions_px, template.positions_px @ [0.3, -0.2] + 5])
+    count = np.bincount(template.faces.ravel(), minlength=len(plane))
+    inside = count == 6
+    assert inside.sum() > 300
+    for laplacian in (
+        uniform_laplacian(template.faces, len(plane)),
+        cotangent_laplacian(plane, template.faces),
+    ):
+        assert np.abs((laplacian @ plane)[inside]).max() < 1e-12 * 1e3
+        assert abs(laplacian - laplacian.T).max() < 1e-12
+
+
+def test_cotangent_laplacian_refuses_a_triangle_without_area() -> None:
+    with pytest.raises(BadMesh, match="1 triangles have no area"):
+        cotangent_laplacian(np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0.0]]), np.array([[0, 1, 2]]))
+
+
+def test_dissection_is_an_order_that_saves_fill() -> None:
+    h, w = 60, 80
+    index = np.arange(h * w).reshape(h, w)
+    edges = np.concatenate(
+        [np.stack([index[:, :-1], index[:, 1:]], -1).reshape(-1, 2),
+         np.stack([index[:-1], index[1:]], -1).reshape(-1, 2)]
+    )  # fmt: skip
+    positions = np.stack(np.meshgrid(np.arange(w), np.arange(h)), -1).reshape(-1, 2)
+    order = nested_dissection_order(edges, positions)
+    assert np.array_equal(np.sort(order), np.arange(h * w))
+    laplacian = sp.csc_array(graph_laplacian(edges, h * w) + sp.eye_array(h * w))
+
+    def fill(permutation) -> int:
+        matrix = sp.csc_array(laplacian[permutation][:, permutation])
+        return sp.linalg.splu(matrix, permc_spec="NATURAL", options={"SymmetricMode": True}).L.nnz
+
+    assert fill(order) < 0.5 * fill(np.arange(h * w))
+
+
+def test_a_factored_solve_equals_a_dense_one(template, rng: np.random.Generator) -> None:
+    count = len(template.pixels)
+    laplacian = graph_laplacian(template.edges, count)
+    beta = beta_from_smoothing_length(4.0)
+    solver = LaplacianRegulariser(laplacian, template.edges, template.positions_px, beta)
+    rest, data = rng.normal(size=(count, 3)) * 50, rng.normal(size=(count, 3)) * 50
+    stacked = np.vstack([laplacian.toarray(), beta * np.eye(count)])
+    dense = np.linalg.lstsq(stacked, np.vstack([laplacian @ rest, beta * data]), rcond=None)[0]
+    np.testing.assert_allclose(rest + solver.solve(data - rest), dense, atol=4e-4)
+
+
+def test_a_weighted_solve_equals_a_dense_one(template, rng: np.random.Generator) -> None:
+    count = len(template.pixels)
+    laplacian = graph_laplacian(template.edges, count)
+    beta = beta_from_smoothing_length(4.0)
+    solver = LaplacianRegulariser(laplacian, template.edges, template.positions_px, beta)
+    weights = np.clip(rng.normal(1.0, 0.3, count), 0.0, 1.0)
+    weights[template.pixels[:, 0] < 6] = 0.0
+    offsets = np.column_stack([template.positions_px @ [0.02, 0.01], np.sin(template.positions_px[:, 0] / 9)])
+    normal = (laplacian @ laplacian).toarray() + np.diag((beta * weights) ** 2)
+    dense = np.linalg.solve(normal, (beta * weights)[:, None] ** 2 * offsets)
+    assert np.abs(solver.solve_weighted(offsets, weights) - dense).max() < 0.02 * np.abs(dense).max()
+
+
+def test_half_of_a_wave_passes_at_the_stated_wavelength() -> None:
+    count, length = 400, 6.0
+    edges = np.stack([np.arange(count - 1), np.arange(1, count)], 1)
+    positions = np.stack([np.arange(count), np.zeros(count)], 1)
+    solver = LaplacianRegulariser(
+        graph_laplacian(edges, count), edges, positions, beta_from_smoothing_length(length)
+    )
+    wave = np.cos(2 * np.pi * np.arange(count) / (5.13 * length))[:, None]
+    passed = solver.solve(wave)[100:300, 0] @ wave[100:300, 0] / (wave[100:300, 0] @ wave[100:300, 0])
+    assert 0.48 < passed < 0.52
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
+def test_chebyshev_equals_a_dense_solve(template, rng: np.random.Generator, share: float) -> None:
+    count = len(template.pixels)
+    data = rng.normal(size=(count, 3))
+    solver = TranslationRegulariser(template.edges, count, share)
+    matrix = share * np.eye(count) + (1 - share) * graph_laplacian(template.edges, count).toarray()
+    np.testing.assert_allclose(solver.solve(data), np.linalg.solve(matrix, share * data), atol=1e-4)
+    assert TranslationRegulariser(template.edges, count, 1.0).solve(data) == pytest.approx(data)
+
+
+def test_faces_look_at_the_viewer(template) -> None:
+    corners = template.vertices_in_camera[template.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert (normals[:, 2] < 0).all()
+
+
+def test_a_seam_parts_the_mesh_where_it_is_drawn() -> None:
+    video = WrinkledVideo(width=40, height=30)
+    whole = template_from_maps(*video.maps(0), video.camera)
+    cut = template_from_maps(*video.maps(0), video.camera, [np.array([[10.0, 14.5], [30.0, 14.5]])])
+    assert len(whole.edges) - len(cut.edges) == 20
+    assert len(whole.faces) - len(cut.faces) == 41 or len(whole.faces) - len(cut.faces) == 40
+    through = template_from_maps(*video.maps(0), video.camera, [np.array([[0.0, 14.5], [39.0, 14.5]])])
+    assert sp.csgraph.connected_components(graph_laplacian(whole.edges, 1200))[0] == 1
+    assert sp.csgraph.connected_components(graph_laplacian(through.edges, 1200))[0] in (1, 2)
+    assert len(edges_from_faces(cut.faces)) < len(edges_from_faces(whole.faces))
+
+
+def test_both_sides_of_a_seam_move_freely() -> None:
+    video = WrinkledVideo(width=64, height=48)
+    seam = [np.array([[0.0, 23.5], [63.0, 23.5]]), np.array([[63.0, 23.5], [63.0, 23.4]])]
+    template = template_from_maps(*video.maps(0), video.camera, seam)
+    count = len(template.pixels)
+    below = template.pixels[:, 1] >= 24
+    offsets = np.where(below, 3.0, -3.0)[:, None]
+    crossing = below[template.edges[:, 0]] != below[template.edges[:, 1]]
+    assert crossing.sum() <= 1
+    solver = LaplacianRegulariser(
+        graph_laplacian(template.edges[~crossing], count), template.edges, template.positions_px,
+        beta_from_smoothing_length(8.0),
+    )  # fmt: skip
+    np.testing.assert_allclose(solver.solve(offsets), offsets, atol=1e-3)
+    lattice = lattice_on_template(template, 8)
+    sums = lattice.smoothed(lattice.sums(np.column_stack([offsets, np.ones(count)])), 1)
+    means = sums[:, :1] / sums[:, 1:]
+    far = np.abs(template.pixels[:, 0] - 31) < 20
+    np.testing.assert_allclose(lattice.at_vertices(means)[far], offsets[far], atol=1e-9)
+
+
+def test_a_seam_off_the_mask_is_refused() -> None:
+    video = WrinkledVideo(width=40, height=30)
+    mask = np.ones((30, 40), dtype=bool)
+    mask[:, 30:] = False
+    with pytest.raises(BadInput, match=r"seam 0: point \(35, 10\) is off the template's mask"):
+        template_from_maps(*video.maps(0, mask), video.camera, [np.array([[10.0, 10], [35, 10]])])
+    with pytest.raises(BadInput, match="seam 0: expected two points"):
+        template_from_maps(*video.maps(0), video.camera, [np.array([[10.0, 10]])])

@@ -1,0 +1,141 @@
+"""The tracker: identities, rigid motion, the wrinkled video with exact tracks, occluders, bad input."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.tracking.wrinkled_video import WrinkledVideo
+from vntoolkit.errors import BadInput
+from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.tracking.options import Confidence, DriftCorrection, DriftOptions, Regulariser, TrackingOptions
+from vntoolkit.tracking.published import Tracker, options_of
+from vntoolkit.tracking.tracker import SurfaceTracker
+
+
+def follow(video: WrinkledVideo, options: TrackingOptions, frames: int, mask_of=lambda k: None):
+    tracker = SurfaceTracker(*video.maps(0, mask_of(0)), video.camera, options)
+    for k in range(1, frames + 1):
+        tracked = tracker.step(*video.maps(k, mask_of(k)))
+    return tracker, tracked
+
+
+def test_a_still_scene_leaves_the_template() -> None:
+    video = WrinkledVideo(sway_px=0.0, bend=0.0)
+    tracker, tracked = follow(video, TrackingOptions(), 4)
+    assert np.abs(tracked.positions_px - tracker.template.positions_px).max() < 1e-3
+    assert np.abs(tracked.vertices_in_camera - tracker.template.vertices_in_camera).max() < 1e-3
+    assert np.median(tracked.confidence) > 0.99
+
+
+@pytest.mark.parametrize("tracker", [Tracker.DEFAULT, Tracker.FLOW, Tracker.TRANSLATION])
+def test_a_rigid_motion_is_recovered(tracker: Tracker) -> None:
+    video = WrinkledVideo(sway_px=0.0, bend=0.0, drift_px=(0.7, -0.4))
+    follower, tracked = follow(video, options_of(tracker), 5)
+    error = video.error(tracked, follower.template, 5)
+    assert np.median(error) < 0.05
+
+
+def test_registration_to_the_template_stops_the_drift_of_flow() -> None:
+    video = WrinkledVideo(noise=0.05)
+    errors = {}
+    for name in (Tracker.FLOW, Tracker.TRANSLATION, Tracker.LAPLACIAN_PREVIOUS, Tracker.DEFAULT):
+        tracker, tracked = follow(video, options_of(name), 100)
+        errors[name] = float(np.median(video.error(tracked, tracker.template, 100)))
+    best_published = min(error for name, error in errors.items() if name is not Tracker.DEFAULT)
+    assert errors[Tracker.DEFAULT] < 0.5 * best_published
+    assert errors[Tracker.DEFAULT] < 0.15
+
+
+def test_no_registration_stays_where_it_was() -> None:
+    video = WrinkledVideo(drift_px=(0.5, 0.0))
+    tracker, tracked = follow(video, options_of(Tracker.NO_REGISTRATION), 6)
+    assert np.abs(tracked.positions_px - tracker.template.positions_px).max() < 1e-4
+    depth = video.maps(6)[1].depth
+    u, v = tracker.template.pixels.T
+    np.testing.assert_allclose(tracked.vertices_in_camera[:, 2], depth[v, u], atol=1e-3)
+
+
+def occluded(normal_map: NormalMap, k: int) -> NormalMap:
+    """A smooth ball of relief of its own crosses the picture, 4 px a frame."""
+    h, w = normal_map.shape
+    v, u = np.mgrid[:h, :w]
+    x, y = u - (4.0 * k - 20), v - h / 2
+    inside = x**2 + y**2 < 22**2
+    ripple = 0.5 * np.sin(x / 2.5) * np.cos(y / 3.0)
+    ball = np.stack([x / 40 + ripple, y / 40 - ripple, -np.ones_like(x)], axis=-1)
+    ball /= np.linalg.norm(ball, axis=-1, keepdims=True)
+    normals = np.where(inside[..., None], ball, normal_map.normals_in_camera)
+    return NormalMap(normals_in_camera=normals.astype(np.float32), mask=normal_map.mask)
+
+
+def test_confidence_holds_the_surface_behind_an_occluder_and_finds_it_again() -> None:
+    video = WrinkledVideo(sway_px=2.0)
+    ended = {}
+    for name, options in (
+        ("weighted", TrackingOptions()),
+        ("unweighted", TrackingOptions(confidence=Confidence.NONE)),
+        ("flow", options_of(Tracker.FLOW)),
+    ):
+        tracker = SurfaceTracker(*video.maps(0), video.camera, options)
+        lowest = 1.0
+        for k in range(1, 61):
+            normals, depth = video.maps(k)
+            tracked = tracker.step(occluded(normals, k), depth)
+            if k == 30:
+                lowest = float(tracked.confidence.min())
+        ended[name] = float(np.percentile(video.error(tracked, tracker.template, 60), 95))
+        if name == "weighted":
+            assert lowest < 0.2
+    assert ended["weighted"] < 0.5
+    assert ended["flow"] > 4.0
+
+
+def test_vertices_that_leave_the_mask_are_held_and_found_again() -> None:
+    video = WrinkledVideo(sway_px=2.0)
+
+    def mask_of(k: int):
+        mask = np.ones((video.height, video.width), dtype=bool)
+        if 5 <= k < 15:
+            mask[:, :50] = False
+        return mask
+
+    tracker, _ = follow(video, TrackingOptions(), 10, mask_of)
+    gone = tracker.template.pixels[:, 0] < 40
+    assert tracker.state.confidence[gone].max() < 0.1
+    for k in range(11, 31):
+        tracked = tracker.step(*video.maps(k, mask_of(k)))
+    assert np.median(tracked.confidence[gone]) > 0.8
+    assert np.percentile(video.error(tracked, tracker.template, 30), 95) < 0.5
+
+
+def test_a_full_data_share_meets_the_target_exactly() -> None:
+    video = WrinkledVideo()
+    alone = follow(video, options_of(Tracker.FLOW), 3)[1]
+    for options in (
+        replace(options_of(Tracker.TRANSLATION), data_share=1.0),
+        replace(options_of(Tracker.LAPLACIAN_TEMPLATE), smoothing_length=0.0),
+    ):
+        same = follow(video, options, 3)[1]
+        np.testing.assert_allclose(same.vertices_in_camera, alone.vertices_in_camera, atol=1e-3)
+
+
+def test_arap_follows_its_handles() -> None:
+    video = WrinkledVideo(width=64, height=48, sway_px=1.0)
+    tracker, tracked = follow(video, options_of(Tracker.ARAP), 2)
+    assert np.median(video.error(tracked, tracker.template, 2)) < 0.3
+
+
+def test_a_template_without_a_pixel_is_refused() -> None:
+    video = WrinkledVideo()
+    with pytest.raises(BadInput, match="template: no valid pixel"):
+        SurfaceTracker(*video.maps(0, np.zeros((144, 192), dtype=bool)), video.camera)
+
+
+def test_weights_without_what_measures_them_are_refused() -> None:
+    with pytest.raises(BadInput, match="confidence `template` needs drift correction"):
+        TrackingOptions(drift=DriftOptions(correction=DriftCorrection.NONE))
+    with pytest.raises(BadInput, match="confidence weights need regulariser `laplacian`"):
+        TrackingOptions(regulariser=Regulariser.TRANSLATION)

@@ -1,0 +1,129 @@
+"""`vntoolkit track`: one surface through time."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeAlias
+
+from cyclopts import Parameter
+
+from vntoolkit.cli.flags import flags_from
+from vntoolkit.cli.progress import progress_bar
+from vntoolkit.io.seams import read_seams
+from vntoolkit.pipeline.checkerboard import write_checkerboard
+from vntoolkit.pipeline.track import TrackJob, TrackSummary
+from vntoolkit.pipeline.track import track as run
+from vntoolkit.tracking.checkerboard import CheckerboardOptions
+from vntoolkit.tracking.options import (
+    Confidence,
+    DriftCorrection,
+    DriftOptions,
+    FlowOptions,
+    Regulariser,
+    TrackingOptions,
+)
+from vntoolkit.tracking.published import Tracker, options_of
+
+if TYPE_CHECKING:
+    DriftFlags: TypeAlias = DriftOptions | None
+    FlowFlags: TypeAlias = FlowOptions | None
+    BoardFlags: TypeAlias = CheckerboardOptions | None
+else:
+    DriftFlags = flags_from(DriftOptions, correction="drift", every="drift_every", levels="drift_levels")
+    FlowFlags = flags_from(FlowOptions, method="flow", window_px="flow_window", levels="flow_levels")
+    BoardFlags = flags_from(CheckerboardOptions)
+
+
+def track(
+    folder: Path,
+    *,
+    method: Tracker = Tracker.DEFAULT,
+    regulariser: Regulariser | None = None,
+    smoothing_length: float | None = None,
+    data_share: float | None = None,
+    confidence: Confidence | None = None,
+    seams: Path | None = None,
+    template: int | None = None,
+    out: Path | None = None,
+    overwrite: Annotated[bool, Parameter(negative=())] = False,
+    drift: DriftFlags = None,
+    flow: FlowFlags = None,
+    board: BoardFlags = None,
+) -> None:
+    """Register the frames of a reconstruction to one mesh of fixed topology, and draw a checkerboard on it.
+
+    A run that was interrupted goes on where it stopped when the same command is given again.
+
+    Parameters
+    ----------
+    folder
+        The folder that `vntoolkit reconstruct` wrote, with normals and depth.
+    method
+        A whole method by name; the options below change parts of it.
+    regulariser
+        What keeps neighbouring vertices together.
+    smoothing_length
+        In edges; Laplacian coordinates keep waves longer than about five times this.
+    data_share
+        Share α of the data term under the translation regulariser, 0 to 1.
+    confidence
+        What weights the vertices in the data term.
+    seams
+        JSON file of polylines on the template image where the surface is cut, as at mouth and eyes.
+    template
+        Number of the template frame; default the first. It is tracked forwards and backwards.
+    out
+        The folder to write; default FOLDER/track.
+    overwrite
+        Replace the tracks that the folder holds.
+    """
+    options = _options(method, regulariser, smoothing_length, data_share, confidence, drift, flow)
+    job = TrackJob(
+        folder=folder,
+        options=options,
+        template=template,
+        seams=() if seams is None else read_seams(seams),
+        out=out,
+    )
+    summary = _run_with_progress(job, overwrite)
+    files = write_checkerboard(folder, job.target, board)
+    held = f", {len(summary.missing)} missing and held" if summary.missing else ""
+    resumed = f", {summary.resumed} of them from before" if summary.resumed else ""
+    print(f"{summary.folder}: {summary.vertices} vertices, {summary.frames} frames{resumed}{held}")
+    print(f"{files.video}, {files.sheet.name}")
+
+
+def _options(
+    method: Tracker,
+    regulariser: Regulariser | None,
+    smoothing_length: float | None,
+    data_share: float | None,
+    confidence: Confidence | None,
+    drift: DriftOptions | None,
+    flow: FlowOptions | None,
+) -> TrackingOptions:
+    base = options_of(method)
+    chosen = regulariser or base.regulariser
+    drift = base.drift if method is not Tracker.DEFAULT or drift is None else drift
+    weighted = chosen is Regulariser.LAPLACIAN and drift.correction is DriftCorrection.TEMPLATE
+    return replace(
+        base,
+        regulariser=chosen,
+        smoothing_length=base.smoothing_length if smoothing_length is None else smoothing_length,
+        data_share=base.data_share if data_share is None else data_share,
+        confidence=confidence or (base.confidence if weighted else Confidence.NONE),
+        drift=drift,
+        flow=base.flow if method is Tracker.NO_REGISTRATION or flow is None else flow,
+    )
+
+
+def _run_with_progress(job: TrackJob, overwrite: bool) -> TrackSummary:
+    with contextlib.ExitStack() as stack:
+        advance = [lambda n: None]
+
+        def on_start(total: int, done: int) -> None:
+            advance[0] = stack.enter_context(progress_bar("track", total, done))
+
+        return run(job, overwrite=overwrite, on_start=on_start, on_frame=lambda: advance[0](1))

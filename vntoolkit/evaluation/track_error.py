@@ -1,0 +1,158 @@
+"""How far tracked vertices lie from where they truly are, in pixels, frame by frame.
+
+A tracked vertex starts at a pixel of the template frame, on a triangle of the true mesh. Where that point of
+the triangle is in any later frame, it is known; the distance in the image is the end-point error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from vntoolkit.arrays import Faces, FloatArray, Points, Points2, read_only
+from vntoolkit.checks import require_shape
+from vntoolkit.errors import BadInput
+from vntoolkit.geometry.camera import Camera
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SurfaceAnchors:
+    """Points fixed to a true mesh. corners: (n, 3) vertex indices; shares: (n, 3) barycentric weights.
+
+    found: (n,) False where no triangle lay under the pixel; its corners and shares mean nothing.
+    """
+
+    corners: npt.NDArray[np.int32]
+    shares: FloatArray
+    found: npt.NDArray[np.bool_]
+
+    def points(self, vertices: Points) -> FloatArray:
+        """Return the (n, 3) points on the mesh at `vertices`."""
+        corners = np.asarray(vertices, dtype=np.float64)[self.corners]
+        return np.asarray(np.einsum("nc,nck->nk", self.shares, corners))
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackError:
+    """End-point error of one frame.
+
+    median_px, p95_px: over the vertices whose true point is seen in that frame (else NaN). lost: share of
+    those that are off by more than `TrackErrorOptions.lost_px`. vertices: how many were judged.
+    """
+
+    frame: int
+    median_px: float
+    p95_px: float
+    lost: float
+    vertices: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackErrorOptions:
+    """How tracks are judged.
+
+    lost_px: a vertex further off than this, in pixels, is lost. hidden_share: a true point further behind the
+    frontmost surface than this share of its depth is hidden, and not judged.
+    """
+
+    lost_px: float = 4.0
+    hidden_share: float = 0.002
+
+
+def anchors_on_mesh(positions_px: Points2, vertices: Points, faces: Faces, camera: Camera) -> SurfaceAnchors:
+    """Fix pixel positions (n, 2) to the frontmost triangle of a mesh that covers each, in its frame."""
+    require_shape(vertices, (None, 3), "true vertices")
+    if not camera.is_perspective:
+        raise BadInput("track error: expected the perspective camera that the truth was filmed with")
+    pixels = camera.project(vertices)
+    corners = np.zeros((len(positions_px), 3), dtype=np.int32)
+    shares = np.zeros((len(positions_px), 3))
+    nearest = np.full(len(positions_px), np.inf)
+    columns = np.argsort(positions_px[:, 0], kind="stable")
+    _cover(
+        np.ascontiguousarray(positions_px, dtype=np.float64), columns, positions_px[columns, 0].astype(float),
+        pixels, 1.0 / np.asarray(vertices, dtype=np.float64)[:, 2], np.asarray(faces, dtype=np.int32),
+        corners, shares, nearest,
+    )  # fmt: skip
+    return SurfaceAnchors(
+        corners=read_only(corners), shares=read_only(shares), found=read_only(np.isfinite(nearest))
+    )
+
+
+def visible(
+    points: FloatArray, vertices: Points, faces: Faces, camera: Camera, options: TrackErrorOptions
+) -> npt.NDArray[np.bool_]:
+    """Return (n,) True where a point (n, 3) on the mesh is in the image and no triangle is before it."""
+    pixels = camera.project(points)
+    front = anchors_on_mesh(pixels, vertices, faces, camera)
+    depth = front.points(vertices)[:, 2]
+    inside = np.all((pixels > 0) & (pixels < [camera.width - 1, camera.height - 1]), axis=1)
+    return np.asarray(inside & front.found & (points[:, 2] <= depth * (1 + options.hidden_share)))
+
+
+def track_errors(
+    tracked: Iterable[tuple[int, Points]],
+    truth: Iterable[tuple[int, Points]],
+    anchors: SurfaceAnchors,
+    faces: Faces,
+    camera: Camera,
+    options: TrackErrorOptions | None = None,
+) -> Iterator[TrackError]:
+    """Yield the error of each frame; tracked and truth: (frame number, vertices) in step, one at a time."""
+    options = options or TrackErrorOptions()
+    for (number, vertices), (true_number, true_vertices) in zip(tracked, truth, strict=True):
+        if number != true_number:
+            raise BadInput(f"track error: tracked frame {number} met true frame {true_number}")
+        points = anchors.points(true_vertices)
+        judged = anchors.found & visible(points, true_vertices, faces, camera, options)
+        distance = np.linalg.norm(camera.project(vertices)[judged] - camera.project(points[judged]), axis=1)
+        yield error_of_frame(number, distance, options)
+
+
+def error_of_frame(number: int, distance_px: FloatArray, options: TrackErrorOptions) -> TrackError:
+    """Summarise end-point errors (n,) in pixels."""
+    if not len(distance_px):
+        return TrackError(frame=number, median_px=np.nan, p95_px=np.nan, lost=np.nan, vertices=0)
+    median, p95 = np.percentile(distance_px, [50, 95])
+    lost = float(np.mean(distance_px > options.lost_px))
+    return TrackError(
+        frame=number, median_px=float(median), p95_px=float(p95), lost=lost, vertices=len(distance_px)
+    )
+
+
+@njit(cache=True)
+def _cover(positions, columns, sorted_u, pixels, inverse_depth, faces, corners, shares, nearest):  # type: ignore[no-untyped-def]
+    """For each position the frontmost triangle over it, with perspective-correct weights."""
+    for f in range(faces.shape[0]):
+        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+        area = (pixels[j, 0] - pixels[i, 0]) * (pixels[k, 1] - pixels[i, 1]) - (
+            pixels[k, 0] - pixels[i, 0]
+        ) * (pixels[j, 1] - pixels[i, 1])
+        if not abs(area) > 1e-12:
+            continue
+        low = min(pixels[i, 0], pixels[j, 0], pixels[k, 0])
+        high = max(pixels[i, 0], pixels[j, 0], pixels[k, 0])
+        bottom = min(pixels[i, 1], pixels[j, 1], pixels[k, 1])
+        top = max(pixels[i, 1], pixels[j, 1], pixels[k, 1])
+        first = np.searchsorted(sorted_u, low)
+        last = np.searchsorted(sorted_u, high, side="right")
+        for p in range(first, last):
+            n = columns[p]
+            u, v = positions[n, 0], positions[n, 1]
+            if v < bottom or v > top:
+                continue
+            b = ((u - pixels[i, 0]) * (pixels[k, 1] - pixels[i, 1]) - (pixels[k, 0] - pixels[i, 0]) * (v - pixels[i, 1])) / area  # fmt: skip  # noqa: E501
+            c = ((pixels[j, 0] - pixels[i, 0]) * (v - pixels[i, 1]) - (u - pixels[i, 0]) * (pixels[j, 1] - pixels[i, 1])) / area  # fmt: skip  # noqa: E501
+            a = 1.0 - b - c
+            if a < -1e-9 or b < -1e-9 or c < -1e-9:
+                continue
+            a, b, c = a * inverse_depth[i], b * inverse_depth[j], c * inverse_depth[k]
+            total = a + b + c
+            if total > 0 and 1.0 / total < nearest[n]:
+                nearest[n] = 1.0 / total
+                corners[n, 0], corners[n, 1], corners[n, 2] = i, j, k
+                shares[n, 0], shares[n, 1], shares[n, 2] = a / total, b / total, c / total

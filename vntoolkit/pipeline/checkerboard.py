@@ -1,0 +1,79 @@
+"""The checkerboard video of a tracked folder, and a sheet of frames from it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.io.images import write_png
+from vntoolkit.io.sequences import read_mesh_sequence
+from vntoolkit.io.video import write_video
+from vntoolkit.pipeline.tracked_folder import TrackSource, open_track_source, read_track_record
+from vntoolkit.tracking.checkerboard import CheckerboardOptions, checkerboard_frame
+
+_SHEET_COLUMNS, _SHEET_ROWS = 4, 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckerboardFiles:
+    """What was written."""
+
+    video: Path
+    sheet: Path
+
+
+def write_checkerboard(
+    folder: Path, track_folder: Path | None = None, options: CheckerboardOptions | None = None
+) -> CheckerboardFiles:
+    """Write checkerboard.mkv (lossless) and checkerboard.png (eight frames) into the track folder."""
+    target = track_folder or folder / "track"
+    frames = _frames(open_track_source(folder), target, options or CheckerboardOptions())
+    sheet = _Sheet(len(read_track_record(target)["frames"]))
+    rate = read_mesh_sequence(target).frame_rate_hz
+    write_video(target / "checkerboard.mkv", sheet.passing(frames), rate)
+    write_png(target / "checkerboard.png", sheet.image())
+    return CheckerboardFiles(video=target / "checkerboard.mkv", sheet=target / "checkerboard.png")
+
+
+def _frames(
+    source: TrackSource, target: Path, options: CheckerboardOptions
+) -> Iterator[npt.NDArray[np.uint8]]:
+    record, sequence = read_track_record(target), read_mesh_sequence(target)
+    camera: Camera = source.camera
+    at = record["frames"].index(record["template"])
+    pixels = np.rint(camera.project(np.array(sequence.vertices[at])))
+    drawn = np.zeros((camera.height, camera.width, 3), dtype=np.uint8)
+    for row, number in enumerate(record["frames"][: len(sequence)]):
+        if source.has(number):
+            drawn = checkerboard_frame(
+                np.array(sequence.vertices[row]), sequence.template.faces, pixels, camera,
+                source.normals(number), options,
+            )  # fmt: skip
+        yield drawn
+
+
+class _Sheet:
+    """Keeps a few frames, evenly spread, of those that pass."""
+
+    def __init__(self, frame_count: int) -> None:
+        cells = min(_SHEET_COLUMNS * _SHEET_ROWS, frame_count)
+        self._wanted = set(np.linspace(0, frame_count - 1, cells).round().astype(int).tolist())
+        self._kept: list[npt.NDArray[np.uint8]] = []
+
+    def passing(self, frames: Iterator[npt.NDArray[np.uint8]]) -> Iterator[npt.NDArray[np.uint8]]:
+        for row, frame in enumerate(frames):
+            if row in self._wanted:
+                self._kept.append(frame)
+            yield frame
+
+    def image(self) -> npt.NDArray[np.uint8]:
+        blank = np.zeros_like(self._kept[0])
+        columns = min(_SHEET_COLUMNS, len(self._kept))
+        cells = self._kept + [blank] * (-len(self._kept) % columns)
+        rows = [np.concatenate(cells[i : i + columns], axis=1) for i in range(0, len(cells), columns)]
+        return np.concatenate(rows)

@@ -1,0 +1,194 @@
+"""One surface through time: the frames of a reconstruction in, one registered moving mesh out."""
+
+from __future__ import annotations
+
+import logging
+import shutil
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vntoolkit.arrays import Points2
+from vntoolkit.errors import BadInput
+from vntoolkit.io.atomic import require_writable_folder
+from vntoolkit.io.sequences import MeshSequenceWriter, read_mesh_sequence
+from vntoolkit.pipeline.option_values import option_values
+from vntoolkit.pipeline.tracked_folder import (
+    TrackSource,
+    clear_track,
+    open_track_source,
+    require_same_record,
+    write_track_record,
+)
+from vntoolkit.tracking.options import TrackingOptions
+from vntoolkit.tracking.tracker import SurfaceTracker, tracked_frame
+
+_LOGGER = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrackJob:
+    """What to track and how.
+
+    folder: written by `reconstruct`. template: number of the template frame, None for the first one there.
+    seams: polylines on the template image. out: None for folder/track.
+    """
+
+    folder: Path
+    options: TrackingOptions
+    template: int | None = None
+    seams: Sequence[Points2] = ()
+    out: Path | None = None
+
+    @property
+    def target(self) -> Path:
+        """The folder to write."""
+        return self.out or self.folder / "track"
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackSummary:
+    """frames: in the result; resumed: of those, on disk already; missing: numbers of those held still."""
+
+    folder: Path
+    vertices: int
+    frames: int
+    resumed: int
+    missing: tuple[int, ...]
+    seconds: float
+
+
+def track(
+    job: TrackJob,
+    *,
+    overwrite: bool = False,
+    on_start: Callable[[int, int], None] = lambda total, done: None,
+    on_frame: Callable[[], None] = lambda: None,
+) -> TrackSummary:
+    """Track the template through all frames into `job.target`; go on where an earlier run stopped.
+
+    The template is tracked backwards to the first frame, then forwards to the last. A frame without files
+    holds the vertices where they were, with confidence 0; tracking goes on with the next frame that is
+    there. A single frame gives a sequence of one. Raises BadInput for a template frame that is not there.
+    """
+    started = time.perf_counter()
+    source = open_track_source(job.folder)
+    template = next(n for n in source.numbers if source.has(n)) if job.template is None else job.template
+    if template not in source.numbers or not source.has(template):
+        raise BadInput(
+            f"--template {template}: that frame is not in {job.folder}; "
+            f"it holds {source.numbers[0]} to {source.numbers[-1]}"
+        )
+    if overwrite:
+        clear_track(job.target)
+    record = _record(job, source, template)
+    require_same_record(job.target, record)
+    target = require_writable_folder(job.target)
+    tracker = SurfaceTracker(*source.maps(template), source.camera, job.options, job.seams)
+    write_track_record(target, record)
+    resumed = _run(tracker, source, template, target, on_start, on_frame)
+    missing = tuple(n for n in source.numbers if not source.has(n))
+    if missing:
+        _LOGGER.warning(
+            "%d frames are missing and were held still, the first is %d", len(missing), missing[0]
+        )
+    return TrackSummary(
+        folder=target,
+        vertices=len(tracker.template.pixels),
+        frames=len(source.numbers),
+        resumed=resumed,
+        missing=missing,
+        seconds=time.perf_counter() - started,
+    )
+
+
+def _run(
+    tracker: SurfaceTracker,
+    source: TrackSource,
+    template: int,
+    target: Path,
+    on_start: Callable[[int, int], None],
+    on_frame: Callable[[], None],
+) -> int:
+    at = source.numbers.index(template)
+    back, ahead = source.numbers[:at][::-1], source.numbers[at + 1 :]
+    rate, mesh, first = source.frame_rate_hz, tracker.mesh, tracker.state
+    with MeshSequenceWriter(target, mesh, frame_rate_hz=rate, resume=True) as writer:
+        resumed = writer.frame_count
+        if resumed <= at:  # the part before the template is not yet in place
+            writer.truncate(0)
+            with MeshSequenceWriter(target / "backwards", mesh, frame_rate_hz=rate, resume=True) as backwards:
+                resumed = backwards.frame_count
+                on_start(len(source.numbers), resumed)
+                _follow(tracker, source, (template, *back), backwards, on_frame, lead=0)
+            _copy_reversed(target / "backwards", writer)
+            writer.append(first.vertices_in_camera, first.confidence)
+            on_frame()
+        else:
+            on_start(len(source.numbers), resumed)
+        tracker.resume(first, first, source.normals(template), 0)
+        _follow(tracker, source, (template, *ahead), writer, on_frame, lead=at + 1)
+    shutil.rmtree(target / "backwards", ignore_errors=True)
+    return resumed
+
+
+def _follow(
+    tracker: SurfaceTracker,
+    source: TrackSource,
+    numbers: tuple[int, ...],
+    writer: MeshSequenceWriter,
+    on_frame: Callable[[], None],
+    lead: int,
+) -> None:
+    """Track numbers[1:] from numbers[0]; the writer holds `lead` frames that are not of this run."""
+    done = writer.frame_count - lead
+    if done > 0:
+        _go_on(tracker, source, numbers[: done + 1], writer.folder, writer.frame_count - 1 - done)
+    for number in numbers[done + 1 :]:
+        if source.has(number):
+            tracked = tracker.step(*source.maps(number))
+            writer.append(tracked.vertices_in_camera, tracked.confidence)
+        else:
+            held = tracker.state.vertices_in_camera
+            writer.append(held, np.zeros(len(held), dtype=np.float32))
+        on_frame()
+
+
+def _go_on(
+    tracker: SurfaceTracker, source: TrackSource, done: tuple[int, ...], folder: Path, row: int
+) -> None:
+    """Put the tracker into the state of the last frame on disk that was there to be tracked.
+
+    row: of done[0], the template, in the folder's arrays; −1 where it is not among them.
+    """
+    present = [i for i, number in enumerate(done) if i == 0 or source.has(number)]
+    if len(present) < 2:
+        return
+    sequence = read_mesh_sequence(folder)
+    assert sequence.confidence is not None
+    states = [tracker.state]  # of the template
+    for i in present[1:][-2:]:
+        vertices, confidence = sequence.vertices[row + i], sequence.confidence[row + i]
+        states.append(tracked_frame(np.array(vertices), np.array(confidence), source.camera))
+    tracker.resume(states[-2], states[-1], source.normals(done[present[-1]]), len(present) - 1)
+
+
+def _copy_reversed(folder: Path, writer: MeshSequenceWriter) -> None:
+    vertices = np.load(folder / "vertices.npy", mmap_mode="r")
+    for row in range(len(vertices) - 1, -1, -1):
+        confidence = np.load(folder / "confidence.npy", mmap_mode="r")[row]
+        writer.append(np.array(vertices[row]), np.array(confidence))
+
+
+def _record(job: TrackJob, source: TrackSource, template: int) -> dict[str, Any]:
+    return {
+        "template": template,
+        "options": option_values(job.options),
+        "seams": [np.asarray(seam).tolist() for seam in job.seams],
+        "frame_rate_hz": source.frame_rate_hz,
+        "frames": list(source.numbers),
+    }

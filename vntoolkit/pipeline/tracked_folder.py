@@ -1,0 +1,104 @@
+"""What `track` reads and writes: the reconstruction's frames, and DIR/track beside them."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from vntoolkit.errors import BadInput
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.maps import DepthMap, NormalMap
+from vntoolkit.io.atomic import write_text
+from vntoolkit.io.files import read_text
+from vntoolkit.io.frame_range import FrameRange
+from vntoolkit.io.manifest import read_manifest
+from vntoolkit.io.maps import read_depth_map, read_normal_map
+from vntoolkit.io.rigs import rig_from_entry
+from vntoolkit.pipeline.outputs import ReconstructionFolder
+
+_RECORD = "track.json"
+_VERSION = 1
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrackSource:
+    """A reconstruction to track.
+
+    numbers: frames asked for, in order; those without files are missing. camera: of the undistorted maps.
+    """
+
+    folder: ReconstructionFolder
+    camera: Camera
+    numbers: tuple[int, ...]
+    frame_rate_hz: float
+
+    def has(self, number: int) -> bool:
+        """Whether the frame's normals and depth are both there."""
+        return self.folder.normals(number).exists() and self.folder.depth(number).exists()
+
+    def maps(self, number: int) -> tuple[NormalMap, DepthMap]:
+        """Read one frame."""
+        return self.normals(number), read_depth_map(self.folder.depth(number))
+
+    def normals(self, number: int) -> NormalMap:
+        """Read one frame's normals."""
+        return read_normal_map(self.folder.normals(number))
+
+
+def open_track_source(root: Path) -> TrackSource:
+    """Open a folder that `reconstruct` wrote, up to its last frame on disk. Raises `BadInput`."""
+    manifest = read_manifest(root)
+    folder = ReconstructionFolder(root=root)
+    numbers = tuple(FrameRange.from_text(manifest.frames).numbers(manifest.input.frame_count))
+    present = [n for n in numbers if folder.normals(n).exists() and folder.depth(n).exists()]
+    if not present:
+        raise BadInput(f"{root}: no frame has both normals and depth; run `vntoolkit reconstruct --to depth`")
+    return TrackSource(
+        folder=folder,
+        camera=rig_from_entry(manifest.rig).camera.without_distortion(),
+        numbers=numbers[: numbers.index(present[-1]) + 1],
+        frame_rate_hz=manifest.input.frame_rate_hz,
+    )
+
+
+def write_track_record(folder: Path, record: dict[str, Any]) -> None:
+    """Write DIR/track/track.json: what a resumed run must agree with, and what `evaluate` reads."""
+    write_text(folder / _RECORD, json.dumps({"version": _VERSION, **record}, indent=2) + "\n")
+
+
+def read_track_record(folder: Path) -> dict[str, Any]:
+    """Read DIR/track/track.json. Raises `BadInput`."""
+    path = folder / _RECORD
+    if not path.exists():
+        raise BadInput(f"{folder}: holds no {_RECORD}; give a folder that `vntoolkit track` has worked on")
+    try:
+        record = json.loads(read_text(path))
+    except json.JSONDecodeError as problem:
+        raise BadInput(f"{path}: is not JSON: {problem.msg} at line {problem.lineno}") from problem
+    if not isinstance(record, dict) or not isinstance(record.get("frames"), list):
+        raise BadInput(f"{path}: expected an object with the key frames")
+    return record
+
+
+def require_same_record(folder: Path, record: dict[str, Any]) -> None:
+    """Raise `BadInput` that names what changed, where the folder holds tracks made otherwise."""
+    if not (folder / _RECORD).exists():
+        return
+    before, now = read_track_record(folder), json.loads(json.dumps(record))
+    grown = now["frames"][: len(before["frames"])] == before["frames"]
+    changed = [key for key in now if key != "frames" and before.get(key) != now[key]]
+    if changed or not grown:
+        names = ", ".join(changed or ["frames"])
+        raise BadInput(f"{folder}: holds tracks made with other {names}; add --overwrite to replace them")
+
+
+def clear_track(folder: Path) -> None:
+    """Remove what `track` wrote, and nothing else."""
+    for name in ("vertices.npy", "confidence.npy", "template.ply", "sequence.json", _RECORD):
+        (folder / name).unlink(missing_ok=True)
+    for name in ("checkerboard.mkv", "checkerboard.png"):
+        (folder / name).unlink(missing_ok=True)
+    shutil.rmtree(folder / "backwards", ignore_errors=True)
