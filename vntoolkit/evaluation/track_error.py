@@ -70,7 +70,7 @@ def anchors_on_mesh(positions_px: Points2, vertices: Points, faces: Faces, camer
         raise BadInput("track error: expected the perspective camera that the truth was filmed with")
     pixels = camera.project(vertices)
     corners = np.zeros((len(positions_px), 3), dtype=np.int32)
-    shares = np.zeros((len(positions_px), 3))
+    shares = np.tile([1.0, 0.0, 0.0], (len(positions_px), 1))
     nearest = np.full(len(positions_px), np.inf)
     columns = np.argsort(positions_px[:, 0], kind="stable")
     _cover(

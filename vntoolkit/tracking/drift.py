@@ -20,7 +20,9 @@ from vntoolkit.tracking.lattice_solve import solve_on_lattice
 from vntoolkit.tracking.options import DriftOptions
 from vntoolkit.tracking.template import TrackingTemplate
 
-_HIGH_PASS_PASSES = 2  # of lattice smoothing: keeps waves shorter than about four cells
+# Of lattice smoothing. None: the mean of a cell is taken off, and only waves shorter than about two cells
+# count. Longer ones are folds, which travel over the cloth and would drag the template along.
+_HIGH_PASS_PASSES = 0
 _WINDOW_PASSES = 2  # narrower windows, or a softer lattice, and errors of a cell's size feed themselves
 _JACOBIAN_PASSES = 1
 _LARGEST_STEP_PX = 3.0

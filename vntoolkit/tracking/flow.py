@@ -1,8 +1,8 @@
 """Optical flow between consecutive normal maps: Lucas and Kanade on a lattice, from two starts.
 
 Pyramidal Lucas–Kanade (`bouguet2001`) on all three components of the normal follows the points of a
-lattice, and Gaussian interpolation gives the rest. Its error on one pair is no less than that of DIS
-(`kroeger2016`), but it is unbiased, so that it adds up to a quarter over hundreds of frames. It starts from
+lattice, and Gaussian interpolation gives the rest. Its error on one pair is no less than that of
+DIS (`kroeger2016`), but it is unbiased, so that it adds up to a quarter over hundreds of frames. It starts from
 the motion of the frame before, and from DIS only where that fits far better: DIS finds large motions, but on cloth
 whose knit repeats it locks on to the wrong stitch.
 """

@@ -82,10 +82,10 @@ class DriftOptions:
     correction: DriftCorrection = DriftCorrection.TEMPLATE
     every: int = 1
     cell_px: int = 8
-    levels: int = 1
-    iterations: int = 2
-    stiffness: float = 2.0
-    noise_slope: float = 0.05
+    levels: int = 0
+    iterations: int = 3
+    stiffness: float = 0.5
+    noise_slope: float = 0.15
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +102,7 @@ class TrackingOptions:
     laplacian: LaplacianKind = LaplacianKind.UNIFORM
     rest: RestShape = RestShape.PREVIOUS
     confidence: Confidence = Confidence.TEMPLATE
-    smoothing_length: float = 4.0
+    smoothing_length: float = 8.0
     data_share: float = 0.9
     handle_spacing_px: int = 8
     flow: FlowOptions = FlowOptions()
