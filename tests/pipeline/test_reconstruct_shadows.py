@@ -1,4 +1,4 @@
-"""Footage with shadows through the whole run: labels on disk, far less error, bytes that no worker changes."""
+"""Footage with shadows through the whole run: labels on disk, less error, bytes that no worker changes."""
 
 from pathlib import Path
 

@@ -7,6 +7,7 @@ import zlib
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from vntoolkit.arrays import Mask, VisibilityLabels
 from vntoolkit.checks import require_shape, require_some
@@ -29,6 +30,11 @@ LABEL_LEGEND: dict[str, str] = {
     )
     for label in range(8)
 }  # fmt: skip
+
+
+def label_colours(labels: VisibilityLabels | np.uint8) -> npt.NDArray[np.uint8]:
+    """Return the legend's colour (..., 3) of each label, as `write_labels` shows it."""
+    return _PALETTE[labels]
 
 
 def write_mask(path: Path | str, mask: Mask) -> None:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum
-from functools import partial
 
-import cv2
 import numpy as np
 
 from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels
@@ -21,10 +19,9 @@ from vntoolkit.shadows.albedo import AlbedoOptions, albedo_from_lit
 from vntoolkit.shadows.confidence import ConfidenceOptions, confidence_weight, gloss_trust
 from vntoolkit.shadows.filling import fill_smoothly
 from vntoolkit.shadows.shares import LightShares, shares_from_frame
-from vntoolkit.shadows.surface import Surface, SurfaceOptions, depth_map_from_surface, solve_surface
+from vntoolkit.shadows.starts import surface_from_either_start
+from vntoolkit.shadows.surface import SurfaceOptions, depth_map_from_surface
 from vntoolkit.shadows.two_lights import continue_with_two_lights
-
-_LARGEST_MISFIT = 25.0  # χ² of one pixel beyond which it says no more about its region
 
 
 class RecoveryMethod(Enum):
@@ -92,54 +89,14 @@ def recover_surface(
     elif options.method is RecoveryMethod.TWO_LIGHTS:
         normals = _pixel_by_pixel(measured, labels, albedo, inside)
     else:
-        surface = _surface_from_either_start(measured, labels, albedo, inside, camera, options)
+        surface = surface_from_either_start(
+            measured, labels, albedo, inside, camera=camera, options=options.surface,
+            trust=gloss_trust(measured.length, albedo, full, options.confidence),
+        )  # fmt: skip
         normals, agreement = surface.normals, surface.agreement
         depth_map = depth_map_from_surface(surface, inside, camera)
     weight = confidence_weight(labels, frame.clipped, measured.length, albedo, agreement, options.confidence)
     return RecoveredSurface(normal_map=_towards_viewer(normals, weight, inside), depth_map=depth_map)
-
-
-def _surface_from_either_start(
-    measured: LightShares,
-    labels: VisibilityLabels,
-    albedo: FloatArray,
-    mask: Mask,
-    camera: Camera | None,
-    options: RecoveryOptions,
-) -> Surface:
-    """Solve from a smooth continuation and from the two-light roots; each shadow keeps what fits better.
-
-    The energy has two valleys where two lights arrive, as the quadratic has two roots.
-    """
-    full = mask & (labels == ALL_LIT)
-    solve = partial(
-        solve_surface, measured.relative_to(np.where(full, measured.length, albedo)), labels,
-        measured.lights, mask, camera=camera,
-        weight=measured.trust * gloss_trust(measured.length, albedo, full, options.confidence),
-    )  # fmt: skip
-    smooth = solve(first_normals=measured.normals, options=options.surface)
-    if full.sum() == mask.sum():
-        return smooth
-    relative = measured.relative_to(albedo)
-    roots, decided = continue_with_two_lights(measured.normals, relative, labels, measured.lights, mask)
-    rooted = solve(first_normals=roots, guessed=decided, options=options.surface)
-    better = _better_regions(rooted.misfit, smooth.misfit, mask & ~full)
-    if not better.any():
-        return smooth
-    merged = np.where(better[..., None], rooted.normals, smooth.normals)
-    base = rooted if np.count_nonzero(better) * 2 > np.count_nonzero(mask & ~full) else smooth
-    return solve(first_normals=measured.normals, start=replace(base, normals=merged), options=options.surface)
-
-
-def _better_regions(first: FloatArray, second: FloatArray, shadow: Mask) -> Mask:
-    """Connected regions of `shadow` in which `first` sums to less than `second`."""
-    _, region = cv2.connectedComponents(shadow.astype(np.uint8), connectivity=4)
-    cap = _LARGEST_MISFIT
-    gain = np.bincount(
-        region[shadow], weights=(np.minimum(second, cap) - np.minimum(first, cap))[shadow],
-        minlength=int(region.max()) + 1,
-    )  # fmt: skip
-    return shadow & (gain > 0)[region]
 
 
 def _pixel_by_pixel(

@@ -49,8 +49,9 @@ class SurfaceOptions:
     gradient counts half, because it crosses a step in depth; 0 makes the surface continuous everywhere.
     smoothness: weight of a shadowed pixel's slope being its surroundings' mean; smooth_px: radius (standard
     deviation, pixels) of that mean. damping: holds the slope back where nothing else is known. iterations:
-    Gauss–Newton steps. cycles: multigrid cycles per step. tolerance: relative residual that ends a step
-    early. steepest: largest slope, the tangent of the angle from the viewing ray.
+    Gauss–Newton steps. start_pixels: frames larger than this compare starts on an image shrunk towards it;
+    large_iterations: steps that follow at full size. cycles: multigrid cycles per step. tolerance: relative
+    residual that ends a step early. steepest: largest slope, the tangent of the angle from the viewing ray.
     """
 
     noise: float = 0.03
@@ -61,6 +62,8 @@ class SurfaceOptions:
     smooth_px: float = 3.0
     damping: float = 1.0
     iterations: int = 4
+    start_pixels: int = 250_000
+    large_iterations: int = 3
     cycles: int = 5
     tolerance: float = 1e-4
     steepest: float = 8.0

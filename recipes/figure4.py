@@ -1,0 +1,54 @@
+"""Figure 4: self-shadows found in every channel, by the published detector and by the robust one.
+
+    python recipes/figure4.py --out out/figure4 [--scene spandex]        # 15 s
+
+Writes the picture and, per light, the intersection over union of the shadows with the true ones.
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+
+from vntoolkit.io.atomic import write_text
+from vntoolkit.photometry.visibility import lit_from_labels
+from vntoolkit.report.shadow_figure import write_detection_figure
+from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
+from vntoolkit.simulation.image_formation import true_response
+from vntoolkit.simulation.nuisances import Nuisances
+from vntoolkit.simulation.render import render_frame
+from vntoolkit.simulation.scene import SceneOptions, build_scene
+
+
+def overlap(found: np.ndarray, true: np.ndarray, mask: np.ndarray) -> list[float]:
+    """Return the intersection over union of the shadows of light 0, 1, 2."""
+    dark, dark_true = ~lit_from_labels(found)[mask], ~lit_from_labels(true)[mask]
+    return [round(float(x), 3) for x in (dark & dark_true).sum(0) / (dark | dark_true).sum(0)]
+
+
+def main(out: Path, scene_name: str = "face") -> None:
+    """Write `figure4.png` and `figure4.json` into the folder `out`."""
+    scene = build_scene(scene_name, SceneOptions())
+    rendered = render_frame(scene, 0)
+    response = true_response(scene, Nuisances())
+    truth, mask = rendered.truth.labels, rendered.truth.normals.mask
+    labels = {
+        method.value: ShadowDetector(response, method, camera=scene.camera).labels(rendered.linear, mask)
+        for method in (ShadowMethod.PUBLISHED, ShadowMethod.ROBUST)
+    }
+    out.mkdir(parents=True, exist_ok=True)
+    write_detection_figure(out / "figure4.png", rendered.linear, response, {**labels, "truth": truth}, mask)
+    overlaps = {name: overlap(found, truth, mask) for name, found in labels.items()}
+    write_text(out / "figure4.json", json.dumps(overlaps, indent=1) + "\n")
+    print(overlaps)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--out", type=Path, default=Path("out/figure4"), help="folder to write")
+    parser.add_argument("--scene", default="face", help="face or spandex")
+    arguments = parser.parse_args()
+    main(arguments.out, arguments.scene)
