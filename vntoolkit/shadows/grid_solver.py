@@ -4,6 +4,9 @@ The matrix is L = Σ_edges w_ij (e_i − e_j)(e_i − e_j)ᵀ + ground · I over
 Edge weights may be zero (pixels outside the mask, cut edges) or negative as long as L stays positive
 semidefinite, which the assembly in `surface_kernels` guarantees.
 
+One thread works: two would meet thousands of times a frame, and on a busy machine every meeting can cost a
+time slice (measured: 35 s for what one thread does in 2).
+
 A coarser level sums the edges between blocks of 2×2 pixels and halves them: in two dimensions that is the
 matrix the coarse grid itself would have, while the plain Galerkin sum is twice too stiff for piecewise
 constant prolongation (over-correction of aggregation multigrid, braess1995).
@@ -15,11 +18,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
+from numba import njit
 
 Grid = npt.NDArray[np.float32]
 
-PARALLEL_PIXELS = 300_000  # below it the threads' meeting costs more than the second core brings
 _SMALLEST_SIDE = 4
 _GROUND = 1e-6  # pins the free constant of every connected piece; far below any data weight
 _EAST, _SOUTH, _SOUTH_EAST, _SOUTH_WEST = range(4)
@@ -95,21 +97,12 @@ def _cycle(levels: list[GridLevel], depth: int, right: Grid) -> Grid:
     return x
 
 
+@njit(cache=True, fastmath=True)
 def _apply(edges: Grid, x: Grid) -> Grid:
     """L x."""
-    return _apply_parallel(edges, x) if x.size >= PARALLEL_PIXELS else _apply_serial(edges, x)
-
-
-def _sweep(edges: Grid, diagonal: Grid, right: Grid, x: Grid, forward: bool) -> None:
-    """One Gauss–Seidel sweep: even rows, then odd ones; backward, the reverse of that."""
-    kernel = _sweep_parallel if x.size >= PARALLEL_PIXELS else _sweep_serial
-    kernel(edges, diagonal, right, x, forward)
-
-
-def _apply_loop(edges: Grid, x: Grid) -> Grid:
     h, w = x.shape
     out = np.empty_like(x)
-    for v in prange(h):
+    for v in range(h):
         for u in range(w):
             total = np.float32(_GROUND) * x[v, u]
             here = x[v, u]
@@ -180,18 +173,12 @@ def _sweep_row(edges: Grid, diagonal: Grid, right: Grid, x: Grid, v: int, forwar
         x[v, u] = total / diagonal[v, u]
 
 
-def _sweep_loop(edges: Grid, diagonal: Grid, right: Grid, x: Grid, forward: bool) -> None:
+@njit(cache=True, fastmath=True)
+def _sweep(edges: Grid, diagonal: Grid, right: Grid, x: Grid, forward: bool) -> None:
+    """One Gauss–Seidel sweep, row by row; backward, the reverse of that."""
     h = x.shape[0]
-    for half in range(2):
-        parity = half if forward else 1 - half
-        for i in prange((h - parity + 1) // 2):
-            _sweep_row(edges, diagonal, right, x, 2 * i + parity, forward)
-
-
-_apply_serial = njit(cache=True, fastmath=True)(_apply_loop)
-_apply_parallel = njit(cache=True, parallel=True, fastmath=True)(_apply_loop)
-_sweep_serial = njit(cache=True, fastmath=True)(_sweep_loop)
-_sweep_parallel = njit(cache=True, parallel=True, fastmath=True)(_sweep_loop)
+    for i in range(h):
+        _sweep_row(edges, diagonal, right, x, i if forward else h - 1 - i, forward)
 
 
 @njit(cache=True, fastmath=True)

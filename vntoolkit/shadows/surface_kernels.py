@@ -9,15 +9,11 @@ Each pixel has four gradients g, one per quadrant: east or west difference with 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import wraps
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
-
-from vntoolkit.shadows.grid_solver import PARALLEL_PIXELS
+from numba import njit
 
 Grid = npt.NDArray[np.float32]
 Labels = npt.NDArray[np.uint8]
@@ -43,25 +39,12 @@ class Model(NamedTuple):
     damping: float
 
 
-def _in_both_ways(loop: Callable[..., None]) -> Callable[..., None]:
-    """Compile a loop over rows serially and in parallel; the first argument's size (h, w, …) chooses."""
-    serial = njit(cache=True, fastmath=True)(loop)
-    parallel = njit(cache=True, parallel=True, fastmath=True)(loop)
-
-    @wraps(loop)
-    def run(*arguments: Any) -> None:
-        rows, columns = arguments[0].shape[:2]
-        (parallel if rows * columns >= PARALLEL_PIXELS else serial)(*arguments)
-
-    return run
-
-
 @njit(cache=True, inline="always")
 def _ray(rays: RayGrid, v: int, u: int) -> tuple[float, float]:
     return (u - rays.centre_u) * rays.per_pixel_u, (v - rays.centre_v) * rays.per_pixel_v
 
 
-@_in_both_ways
+@njit(cache=True, fastmath=True)
 def local_quadratics_kernel(
     shares: Grid, labels: Labels, weight: Grid, slopes: Grid, prior: Grid,
     lights: npt.NDArray[np.float64], rays: RayGrid, model: Model, out: Grid,
@@ -73,7 +56,7 @@ def local_quadratics_kernel(
     """
     h, w = labels.shape
     inverse_variance = 1.0 / (model.noise * model.noise)
-    for v in prange(h):
+    for v in range(h):
         jacobian = np.empty((3, 2))
         light = np.empty(3)
         for u in range(w):
@@ -139,7 +122,7 @@ def _quadrant(i: int) -> tuple[int, int]:
     return (1 if i & 1 == 0 else -1), (1 if i & 2 == 0 else -1)
 
 
-@_in_both_ways
+@njit(cache=True, fastmath=True)
 def quadrant_weights_kernel(
     quadratics: Grid, labels: Labels, mask: Mask, slopes: Grid, depth: Grid, softness: float, out: Grid
 ) -> None:
@@ -149,7 +132,7 @@ def quadrant_weights_kernel(
     a step: weight softness / (softness + χ²). Other pixels take what they are given. softness 0: all 1.
     """
     h, w = labels.shape
-    for v in prange(h):
+    for v in range(h):
         for u in range(w):
             for i in range(4):
                 out[v, u, i] = 0.0
@@ -169,7 +152,7 @@ def quadrant_weights_kernel(
                 out[v, u, i] = softness / (softness + max(chi, 0.0))
 
 
-@_in_both_ways
+@njit(cache=True, fastmath=True)
 def edges_kernel(quadratics: Grid, weights: Grid, edges: Grid) -> None:
     """Sum all quadrants' quadratics into the edges (4, h, w) of a graph Laplacian.
 
@@ -177,7 +160,7 @@ def edges_kernel(quadratics: Grid, weights: Grid, edges: Grid) -> None:
     a squared difference between two pixels.
     """
     _, h, w = edges.shape
-    for v in prange(h):
+    for v in range(h):
         for u in range(w):
             here = quadratics[v, u]
             for kind in range(4):
@@ -212,11 +195,11 @@ def _target(quadratics: Grid, slopes: Grid, v: int, u: int) -> tuple[float, floa
     return a[0] * p + a[1] * q + a[3], a[1] * p + a[2] * q + a[4]
 
 
-@_in_both_ways
+@njit(cache=True, fastmath=True)
 def right_side_kernel(quadratics: Grid, slopes: Grid, weights: Grid, out: Grid) -> None:
     """Fill out (h, w), the right-hand side that belongs to `edges_kernel`."""
     h, w = out.shape
-    for v in prange(h):
+    for v in range(h):
         for u in range(w):
             total = 0.0
             t0, t1 = _target(quadratics, slopes, v, u)
@@ -230,14 +213,14 @@ def right_side_kernel(quadratics: Grid, slopes: Grid, weights: Grid, out: Grid) 
             out[v, u] = 0.25 * total
 
 
-@_in_both_ways
+@njit(cache=True, fastmath=True)
 def slopes_kernel(depth: Grid, weights: Grid, steepest: float, slopes: Grid, agreement: Grid) -> None:
     """Replace slopes (h, w, 2) by the weighted mean over the quadrants; agreement (h, w) = mean weight.
 
     At the border, where quadrants are missing and differences are one-sided, the agreement is 0.
     """
     h, w = depth.shape
-    for v in prange(h):
+    for v in range(h):
         for u in range(w):
             total, count, p, q = 0.0, 0, 0.0, 0.0
             for i in range(4):
