@@ -59,7 +59,8 @@ def main(out: Path, frames: int = 1000, scene: str = "sweater") -> None:
         errors = evaluate_tracks(target, out / "capture", every=10)
         write_track_errors(target / "errors.tsv", errors)
         last = errors[-1]
-        print(f"{method.value:20s} frame {last.frame}: median {last.median_px:.2f} px, 95 % {last.p95_px:.2f} px")
+        numbers = f"median {last.median_px:.2f} px, 95 % {last.p95_px:.2f} px"
+        print(f"{method.value:20s} frame {last.frame}: {numbers}")
     write_png(out / f"{scene}.png", np.concatenate(sheets))
 
 

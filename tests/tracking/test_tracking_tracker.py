@@ -38,6 +38,7 @@ def test_a_rigid_motion_is_recovered(tracker: Tracker) -> None:
     assert np.median(error) < 0.05
 
 
+@pytest.mark.slow
 def test_registration_to_the_template_stops_the_drift_of_flow() -> None:
     video = WrinkledVideo(noise=0.05)
     errors = {}

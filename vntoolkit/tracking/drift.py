@@ -27,6 +27,7 @@ _WINDOW_PASSES = 2  # narrower windows, or a softer lattice, and errors of a cel
 _JACOBIAN_PASSES = 1
 _LARGEST_STEP_PX = 3.0
 _ROBUST_SIGMAS = 3.0
+_USUAL = 1.5  # times the frame's median squared residual passes for noise
 
 Pyramid = list[npt.NDArray[np.float32]]
 
@@ -100,7 +101,10 @@ class TemplateRegistration:
         """Confidence of a node: 1 where the residual is that of noise, 0 where another surface is seen."""
         weight = np.maximum(terms[:, 7], 1e-12)
         residual, energy = terms[:, 5] / weight, terms[:, 6] / weight
-        tolerance = 2 * self._options.noise_slope**2 + 0.3 * energy
+        seen = terms[:, 7] > 0
+        usual = float(np.median(residual[seen])) if seen.any() else 0.0  # an occluder hides less than half
+        noise = max(self._options.noise_slope**2, _USUAL * usual)
+        tolerance = 2 * noise + 0.3 * energy
         visible = np.minimum(1.0, 2 * terms[:, 7] / np.maximum(terms[:, 8], 1e-12))
         return np.asarray(visible / (1.0 + (residual / tolerance) ** 2))
 

@@ -1,10 +1,9 @@
 """Optical flow between consecutive normal maps: Lucas and Kanade on a lattice, from two starts.
 
 Pyramidal Lucas–Kanade (`bouguet2001`) on all three components of the normal follows the points of a
-lattice, and Gaussian interpolation gives the rest. Its error on one pair is no less than that of
-DIS (`kroeger2016`), but it is unbiased, so that it adds up to a quarter over hundreds of frames. It starts from
-the motion of the frame before, and from DIS only where that fits far better: DIS finds large motions, but on cloth
-whose knit repeats it locks on to the wrong stitch.
+lattice, and Gaussian interpolation gives the rest. It starts from the motion of the frame before, and from
+DIS (`kroeger2016`) only where that fits far better: DIS finds large motions, but on cloth whose knit repeats
+it locks on to the wrong stitch, and its bias adds up.
 """
 
 from __future__ import annotations
@@ -147,11 +146,9 @@ def _lucas_kanade(
         criteria=(cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 10, 0.01),
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW, minEigThreshold=1e-5,
     )  # fmt: skip
-    return (
-        np.asarray(ended).reshape(-1, 2),
-        np.asarray(status).reshape(-1).astype(np.float32),
-        residual.reshape(-1),
-    )
+    columns: npt.NDArray[np.float32] = np.column_stack([ended.reshape(-1, 2), status, residual])
+    columns = columns.astype(np.float32)
+    return columns[:, :2], columns[:, 2], columns[:, 3]
 
 
 def _share_inside(mask: Mask, window_px: int) -> npt.NDArray[np.float32]:

@@ -76,7 +76,8 @@ class DriftOptions:
     lattice cell on the template, pixels. levels: pyramid levels above full resolution that a correction
     starts from. iterations: Gauss–Newton steps at full resolution. stiffness: how strongly neighbouring
     cells share their correction, as a share of the mean information of a cell. noise_slope: standard
-    deviation of a slope that passes for noise, when judging the match.
+    deviation of a slope that passes for noise at least, when judging the match; where most of a frame matches
+    worse, as under aliasing, that passes.
     """
 
     correction: DriftCorrection = DriftCorrection.TEMPLATE
@@ -85,7 +86,7 @@ class DriftOptions:
     levels: int = 0
     iterations: int = 3
     stiffness: float = 0.5
-    noise_slope: float = 0.15
+    noise_slope: float = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +103,7 @@ class TrackingOptions:
     laplacian: LaplacianKind = LaplacianKind.UNIFORM
     rest: RestShape = RestShape.PREVIOUS
     confidence: Confidence = Confidence.TEMPLATE
-    smoothing_length: float = 8.0
+    smoothing_length: float = 16.0
     data_share: float = 0.9
     handle_spacing_px: int = 8
     flow: FlowOptions = FlowOptions()

@@ -1,0 +1,127 @@
+"""`track` on a folder: resuming to the same bytes, any template frame, gaps, one line for bad input."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.tracking.wrinkled_video import WrinkledVideo
+from vntoolkit.errors import BadInput
+from vntoolkit.io.manifest import InputEntry, Manifest, write_manifest
+from vntoolkit.io.maps import write_depth_map, write_normal_map
+from vntoolkit.io.rigs import entry_from_rig
+from vntoolkit.io.seams import read_seams
+from vntoolkit.io.sequences import read_mesh_sequence
+from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.rig import Rig
+from vntoolkit.pipeline.checkerboard import write_checkerboard
+from vntoolkit.pipeline.track import TrackJob, track
+from vntoolkit.tracking.options import TrackingOptions
+
+FRAMES = 8
+
+
+@pytest.fixture(scope="module")
+def video() -> WrinkledVideo:
+    return WrinkledVideo(width=96, height=72, sway_px=2.0)
+
+
+@pytest.fixture
+def folder(video: WrinkledVideo, tmp_path: Path) -> Path:
+    for k in range(FRAMES):
+        normals, depth = video.maps(k)
+        write_normal_map(tmp_path / f"normals/{k:06d}.exr", normals)
+        write_depth_map(tmp_path / f"depth/{k:06d}.exr", depth)
+    source = InputEntry(source="x", files=[], width=96, height=72, frame_count=FRAMES, frame_rate_hz=60.0)
+    response = LightResponse(matrix=np.diag([0.5, 0.5, -0.5]), ambient=np.zeros(3))
+    rig = entry_from_rig(Rig(camera=video.camera, response=response))
+    write_manifest(tmp_path, Manifest(input=source, rig=rig))
+    return tmp_path
+
+
+def job(folder: Path, **more: object) -> TrackJob:
+    return TrackJob(folder=folder, options=TrackingOptions(), **more)
+
+
+@pytest.mark.parametrize("template", [0, 3, 7])
+def test_any_frame_can_be_the_template(folder: Path, video: WrinkledVideo, template: int) -> None:
+    summary = track(job(folder, template=template))
+    sequence = read_mesh_sequence(folder / "track")
+    assert (summary.frames, len(sequence)) == (FRAMES, FRAMES)
+    start = video.camera.project(np.array(sequence.vertices[template]))
+    material = video.material(start, template)
+    inside = np.all((material > 16) & (material < [80, 56]), axis=1)
+    for k in range(FRAMES):
+        ended = video.camera.project(np.array(sequence.vertices[k]))
+        assert np.median(np.linalg.norm(ended - video.warp(material, k), axis=1)[inside]) < 0.1
+
+
+@pytest.mark.parametrize("stop_after", [2, 5])
+def test_an_interrupted_run_ends_in_the_same_bytes(folder: Path, stop_after: int) -> None:
+    def interrupt() -> None:
+        left.pop()
+        if not left:
+            raise KeyboardInterrupt
+
+    track(job(folder, template=3, out=folder / "whole"))
+    left = [None] * stop_after
+    with pytest.raises(KeyboardInterrupt):
+        track(job(folder, template=3, out=folder / "parts"), on_frame=interrupt)
+    summary = track(job(folder, template=3, out=folder / "parts"))
+    assert summary.resumed > 0
+    for name in ("vertices.npy", "confidence.npy"):
+        assert (folder / "parts" / name).read_bytes() == (folder / "whole" / name).read_bytes()
+    assert not (folder / "parts" / "backwards").exists()
+
+
+def test_a_missing_frame_is_held_and_tracking_goes_on(folder: Path, video: WrinkledVideo) -> None:
+    (folder / "normals/000004.exr").unlink()
+    summary = track(job(folder))
+    sequence = read_mesh_sequence(folder / "track")
+    assert summary.missing == (4,)
+    np.testing.assert_array_equal(sequence.vertices[4], sequence.vertices[3])
+    assert not np.any(sequence.confidence[4])
+    assert np.median(sequence.confidence[7]) > 0.9
+
+
+def test_a_single_frame_gives_a_sequence_of_one(folder: Path) -> None:
+    for k in range(1, FRAMES):
+        (folder / f"depth/{k:06d}.exr").unlink()
+    assert track(job(folder)).frames == 1
+    assert len(read_mesh_sequence(folder / "track")) == 1
+
+
+def test_other_options_are_not_mixed_in(folder: Path) -> None:
+    track(job(folder))
+    other = TrackJob(folder=folder, options=TrackingOptions(smoothing_length=3.0))
+    with pytest.raises(BadInput, match="tracks made with other options; add --overwrite"):
+        track(other)
+    assert track(other, overwrite=True).resumed == 0
+
+
+def test_bad_input_is_one_line(folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match=r"--template 99: that frame is not in .* it holds 0 to 7"):
+        track(job(folder, template=99))
+    shutil.rmtree(folder / "depth")
+    with pytest.raises(BadInput, match="no frame has both normals and depth"):
+        track(job(folder))
+    seams = tmp_path / "seams.json"
+    seams.write_text(json.dumps({"seams": [[[1, 2]]]}))
+    with pytest.raises(BadInput, match="seam 0: expected two points"):
+        read_seams(seams)
+    seams.write_text("{")
+    with pytest.raises(BadInput, match="is not JSON"):
+        read_seams(seams)
+    seams.write_text(json.dumps({"seams": [[[1, 2], [3, 4.5]]]}))
+    np.testing.assert_array_equal(read_seams(seams)[0], [[1, 2], [3, 4.5]])
+
+
+def test_the_checkerboard_is_drawn_on_every_frame(folder: Path) -> None:
+    track(job(folder))
+    files = write_checkerboard(folder)
+    assert files.video.stat().st_size > 1000
+    assert files.sheet.exists()
