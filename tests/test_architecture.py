@@ -22,7 +22,7 @@ DOORS = {
     "pycolmap": ("calibration/head",),
     "pymeshlab": ("geometry/", "evaluation/", "meshing/", "native.py"),
     "open3d": ("geometry/", "simulation/", "meshing/", "tracking/", "report/", "io/meshes", "native.py"),
-    "cv2": ("io/", "calibration/", "tracking/flow", "shadows/", "simulation/"),
+    "cv2": ("io/", "calibration/", "tracking/flow", "shadows/", "simulation/", "native.py"),
     "av": ("io/",),
     "OpenEXR": ("io/",),
     "pxr": ("io/",),

@@ -1,4 +1,4 @@
-"""The doors to open3d and pymeshlab: check their system libraries first, import late.
+"""The doors to open3d, pymeshlab and OpenCV's threads: check system libraries first, import late.
 
 Without libGL open3d ends in a traceback, and without libOpenGL pymeshlab imports but cannot save a
 .ply file. Both are turned into one line that says what to install.
@@ -39,6 +39,15 @@ def import_open3d() -> Any:
 def import_pymeshlab() -> Any:
     """Import pymeshlab, or raise `MissingDependency` with the line that installs what it lacks."""
     return _import("pymeshlab", PYMESHLAB_LIBRARIES)
+
+
+def limit_threads(count: int) -> None:
+    """Keep OpenCV and numba in this process to so many threads, so that worker processes do not fight."""
+    import cv2
+    import numba
+
+    cv2.setNumThreads(count)
+    numba.set_num_threads(min(count, numba.get_num_threads()))
 
 
 def _import(module: str, libraries: dict[str, str]) -> Any:

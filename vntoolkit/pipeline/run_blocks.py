@@ -10,6 +10,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 
 from vntoolkit.errors import VntError
+from vntoolkit.native import limit_threads
 from vntoolkit.pipeline.block_work import BlockWorker, FrameRecord, ReconstructionJob
 
 DoneFrames = Callable[[range], frozenset[int]]
@@ -61,14 +62,9 @@ def _collect(
 
 def _start_worker(job: ReconstructionJob, workers: int) -> None:
     """Open the capture in a new process; Ctrl-C is the parent's to handle."""
-    import cv2
-    import numba
-
     global _worker  # noqa: PLW0603 - a worker process has exactly one
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threads = max(1, (os.cpu_count() or 1) // workers)
-    numba.set_num_threads(min(threads, numba.get_num_threads()))
-    cv2.setNumThreads(threads)
+    limit_threads(max(1, (os.cpu_count() or 1) // workers))
     _worker = BlockWorker(job)
 
 

@@ -26,12 +26,12 @@ from vntoolkit.io.images import read_image, write_png
 from vntoolkit.io.label_images import read_labels
 from vntoolkit.io.maps import read_normal_map
 from vntoolkit.io.video import write_video
+from vntoolkit.native import limit_threads
 from vntoolkit.photometry.transfer import TransferCurve
 from vntoolkit.pipeline.simulation_job import SimulationFolder, SimulationJob, require_free
 from vntoolkit.pipeline.simulation_truth import write_fixed_truth, write_frame, write_moving_mesh
 from vntoolkit.simulation.contact_sheet import contact_row, contact_sheet
 from vntoolkit.simulation.render import Renderer, frame_generator
-from vntoolkit.simulation.sensor import limit_threads
 
 _SHEET_FRAMES, _SHEET_WIDTH = 8, 320
 _worker: FrameWorker | None = None  # one per worker process

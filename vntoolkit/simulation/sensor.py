@@ -40,11 +40,6 @@ class Exposed:
     clipped: Mask
 
 
-def limit_threads(count: int) -> None:
-    """Keep OpenCV in this process to so many threads."""
-    cv2.setNumThreads(count)
-
-
 def expose(radiance: LinearImage, nuisances: Nuisances, generator: np.random.Generator) -> Exposed:
     """Photograph linear light (h, w, 3), 1 = full scale."""
     if nuisances.blur_px > 0:
