@@ -8,8 +8,8 @@ import pytest
 from vntoolkit.errors import BadInput, BadRig
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.io.files import sha256_of_file, source_file
+from vntoolkit.io.frame_log import FrameEntry, FrameLog
 from vntoolkit.io.manifest import (
-    FrameLog,
     InputEntry,
     Manifest,
     changes_between,
@@ -181,13 +181,17 @@ def test_finished_frames_are_remembered_across_a_crash(tmp_path):
     log = FrameLog(tmp_path)
     assert log.done() == {}
     for number in (0, 1, 5):
-        log.append(number, 0.25)
+        log.append(FrameEntry(number=number, seconds=0.25, valid_share=0.5, clipped_share=0.01))
     log.close()
     with (tmp_path / "frames.log").open("a") as torn:
         torn.write("6")  # the crash
     log = FrameLog(tmp_path)
     assert log.done() == {0: 0.25, 1: 0.25, 5: 0.25}
-    log.append(7)
+    log.append(FrameEntry(number=7))
     assert set(log.done()) == {0, 1, 5, 7}
+    assert log.entries()[5].clipped_share == 0.01
+    log.append(FrameEntry(number=1, failure="f1.png is black:\nno light"))
+    assert set(log.done()) == {0, 5, 7}
+    assert log.entries()[1].failure == "f1.png is black: no light"
     log.clear()
     assert FrameLog(tmp_path).done() == {}

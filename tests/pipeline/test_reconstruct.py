@@ -11,12 +11,13 @@ from tests.pipeline.conftest import DomeCapture, write_dome_capture
 from vntoolkit.errors import BadCapture, BadInput, BadRig
 from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.geometry.camera import Camera
+from vntoolkit.io.frame_log import FrameEntry, FrameLog
 from vntoolkit.io.frame_range import FrameRange
 from vntoolkit.io.images import write_png
 from vntoolkit.io.manifest import read_manifest
 from vntoolkit.io.maps import read_depth_map, read_normal_map, write_mask
 from vntoolkit.io.meshes import read_mesh
-from vntoolkit.pipeline.block_work import FrameRecord, ReconstructionJob
+from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.options import OnError, Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import reconstruct
@@ -83,7 +84,7 @@ def test_an_interrupted_run_goes_on_and_ends_the_same(
 ) -> None:
     seen: list[int] = []
 
-    def interrupt(record: FrameRecord) -> None:
+    def interrupt(record: FrameEntry) -> None:
         seen.append(record.number)
         if len(seen) > stop_after:
             raise KeyboardInterrupt
@@ -159,6 +160,9 @@ def test_or_it_is_skipped_and_named(capture_with_black_frame: DomeCapture, tmp_p
     assert [record.number for record in summary.skipped] == [2]
     assert summary.done == 3
     assert not (out / "normals/000002.exr").exists()
+    entries = FrameLog(out).entries()
+    assert "no usable pixel" in entries[2].failure
+    assert entries[3].valid_share == pytest.approx(capture_with_black_frame.masks[3].mean(), abs=1e-5)
 
 
 def test_refusals(dome_capture: DomeCapture, tmp_path: Path) -> None:

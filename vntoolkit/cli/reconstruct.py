@@ -12,13 +12,14 @@ from cyclopts import Parameter
 from vntoolkit.cli.flags import flags_from
 from vntoolkit.cli.progress import progress_bar
 from vntoolkit.integration.options import IntegrationOptions
+from vntoolkit.io.frame_log import FrameEntry
 from vntoolkit.io.frame_range import FrameRange
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.meshing.surface import MeshOptions
 from vntoolkit.normals.inversion import InversionOptions
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer
-from vntoolkit.pipeline.block_work import FrameRecord, ReconstructionJob
+from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.options import ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import ReconstructionSummary
@@ -111,7 +112,7 @@ def _run_with_progress(
         def on_start(total: int, done: int) -> None:
             advance[0] = stack.enter_context(progress_bar("reconstruct", total, done))
 
-        def on_frame(record: FrameRecord) -> None:
+        def on_frame(record: FrameEntry) -> None:
             advance[0](1)
 
         return run(job, frames=frames, jobs=jobs, overwrite=overwrite, on_start=on_start, on_frame=on_frame)

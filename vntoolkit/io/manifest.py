@@ -1,7 +1,7 @@
 """reconstruction.json: what a result folder was made from, with what, and how far it got.
 
 The manifest is written when a run starts and when it ends; finished frames are appended to frames.log
-beside it, one short line each, so that 10,000 frames cost no more each than the first.
+beside it (`frame_log`), one short line each, so that 10,000 frames cost no more each than the first.
 """
 
 from __future__ import annotations
@@ -18,14 +18,13 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 import vntoolkit
 from vntoolkit.errors import BadInput
-from vntoolkit.io.atomic import cannot_write, write_text
+from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import read_text, require_file, sha256_of_file
 from vntoolkit.io.label_images import LABEL_LEGEND
 from vntoolkit.io.rig_schema import RigFile, SourceEntry
 from vntoolkit.io.rigs import one_line_from_validation, text_from_model
 
 MANIFEST_NAME = "reconstruction.json"
-FRAMES_NAME = "frames.log"
 MANIFEST_VERSION = 1
 _LIBRARIES = ("numpy", "scipy", "numba", "opencv-contrib-python-headless", "av", "OpenEXR", "open3d")
 
@@ -68,54 +67,6 @@ class Manifest(BaseModel):
     timings: dict[str, float] = Field(
         default_factory=dict, description="Seconds per frame, median, by stage; wall_s is the whole run."
     )
-
-
-class FrameLog:
-    """Numbers of the frames that are wholly on disk, and what each cost.
-
-    One line `number seconds` per frame, appended and flushed. A line that a crash cut short is not counted,
-    and is closed off by the next append, so that its frame is simply done again.
-    """
-
-    def __init__(self, folder: Path | str) -> None:
-        self.path = Path(folder) / FRAMES_NAME
-        self._stream: Any = None
-
-    def done(self) -> dict[int, float]:
-        """Return {frame number: seconds} of all finished frames."""
-        if not self.path.exists():
-            return {}
-        frames = {}
-        *lines, _torn = self.path.read_text("utf-8", "replace").split("\n")
-        for line in lines:
-            words = line.split()
-            if len(words) == 2 and words[0].isdigit():
-                frames[int(words[0])] = float(words[1])
-        return frames
-
-    def append(self, number: int, seconds: float = 0.0) -> None:
-        """Record a frame whose files are all in place."""
-        try:
-            if self._stream is None:
-                torn = self.path.exists() and self.path.read_bytes()[-1:] not in (b"", b"\n")
-                self._stream = self.path.open("a", encoding="utf-8")
-                if torn:
-                    self._stream.write("\n")
-            self._stream.write(f"{number} {seconds:.4f}\n")
-            self._stream.flush()
-        except OSError as error:
-            raise cannot_write(self.path, error) from error
-
-    def clear(self) -> None:
-        """Forget all frames."""
-        self.close()
-        self.path.unlink(missing_ok=True)
-
-    def close(self) -> None:
-        """Close the file."""
-        if self._stream is not None:
-            self._stream.close()
-            self._stream = None
 
 
 def write_manifest(folder: Path | str, manifest: Manifest) -> None:

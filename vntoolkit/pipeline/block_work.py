@@ -13,6 +13,7 @@ from vntoolkit.arrays import Mask
 from vntoolkit.errors import VntError
 from vntoolkit.io.captures import Capture, CaptureOptions, open_capture
 from vntoolkit.io.decoding import EncodedFrame
+from vntoolkit.io.frame_log import FrameEntry
 from vntoolkit.io.maps import read_mask
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.visibility import ALL_LIT
@@ -55,23 +56,6 @@ class ReconstructionJob:
         return read_mask(self.mask, size=(capture.info.width, capture.info.height))
 
 
-@dataclass(frozen=True, kw_only=True)
-class FrameRecord:
-    """What became of one frame.
-
-    seconds: spent on it, reading aside. valid_share: of all pixels, with a normal. clipped_share:
-    of all pixels. shadowed_share: of the valid ones, not reached by all three lights. failure: why it was
-    skipped, or empty.
-    """
-
-    number: int
-    seconds: float
-    valid_share: float = 0.0
-    clipped_share: float = 0.0
-    shadowed_share: float = 0.0
-    failure: str = ""
-
-
 class BlockWorker:
     """Processes blocks of one capture; opens it once."""
 
@@ -81,7 +65,7 @@ class BlockWorker:
         mask = job.read_mask(self._capture)
         self._processor = FrameProcessor(job.rig, job.options, mask, self._capture.background)
 
-    def run(self, block: range, already_done: frozenset[int] = frozenset()) -> Iterator[FrameRecord]:
+    def run(self, block: range, already_done: frozenset[int] = frozenset()) -> Iterator[FrameEntry]:
         """Process a block and write its frames, but for those already on disk; yield a record per new frame.
 
         All frames are computed, since a frame may start from the one before it. A record is yielded once the
@@ -89,9 +73,9 @@ class BlockWorker:
         """
         self._processor.forget()
         frames = self._capture.encoded_frames(block.start, block.stop, block.step)
-        written: list[FrameRecord] = []
+        written: list[FrameEntry] = []
 
-        def write(done: tuple[FrameRecord, FrameResult | None]) -> None:
+        def write(done: tuple[FrameEntry, FrameResult | None]) -> None:
             written.append(self._write(*done))
 
         with WriteBehind(write) as writer:
@@ -103,7 +87,7 @@ class BlockWorker:
                     yield written.pop(0)
         yield from written
 
-    def _process(self, frame: EncodedFrame) -> tuple[FrameRecord, FrameResult | None]:
+    def _process(self, frame: EncodedFrame) -> tuple[FrameEntry, FrameResult | None]:
         started = time.perf_counter()
         try:
             result = self._processor.process(frame)
@@ -111,23 +95,23 @@ class BlockWorker:
             if self._job.options.on_error is OnError.STOP:
                 raise
             seconds = time.perf_counter() - started
-            return FrameRecord(number=frame.number, seconds=seconds, failure=str(error)), None
+            return FrameEntry(number=frame.number, seconds=seconds, failure=str(error)), None
         return record_of(result, time.perf_counter() - started), result
 
-    def _write(self, record: FrameRecord, result: FrameResult | None) -> FrameRecord:
+    def _write(self, record: FrameEntry, result: FrameResult | None) -> FrameEntry:
         started = time.perf_counter()
         if result is not None:
             self._job.folder.write(result)
         return replace(record, seconds=record.seconds + time.perf_counter() - started)
 
 
-def record_of(result: FrameResult, seconds: float) -> FrameRecord:
+def record_of(result: FrameResult, seconds: float) -> FrameEntry:
     """Summarise a result."""
     valid = result.normal_map.mask
     shadowed = 0.0
     if result.labels is not None and valid.any():
         shadowed = float(np.mean(result.labels[valid] != ALL_LIT))
-    return FrameRecord(
+    return FrameEntry(
         number=result.number,
         seconds=seconds,
         valid_share=float(valid.mean()),

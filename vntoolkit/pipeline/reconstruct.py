@@ -14,11 +14,10 @@ from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.atomic import require_writable_folder
 from vntoolkit.io.captures import Capture
 from vntoolkit.io.files import source_file
+from vntoolkit.io.frame_log import FRAMES_NAME, FrameEntry, FrameLog
 from vntoolkit.io.frame_range import FrameRange
 from vntoolkit.io.manifest import (
-    FRAMES_NAME,
     MANIFEST_NAME,
-    FrameLog,
     InputEntry,
     Manifest,
     hashed,
@@ -31,14 +30,14 @@ from vntoolkit.io.manifest import (
 from vntoolkit.io.rig_schema import SourceEntry
 from vntoolkit.io.rigs import entry_from_rig
 from vntoolkit.normals.inversion import relative_albedo_from_frame
-from vntoolkit.pipeline.block_work import FrameRecord, ReconstructionJob
+from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.blocks import blocks_of
 from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.pipeline.option_values import option_values
 from vntoolkit.pipeline.run_blocks import run_blocks
 
 Started = Callable[[int, int], None]
-Finished = Callable[[FrameRecord], None]
+Finished = Callable[[FrameEntry], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +48,7 @@ class ReconstructionSummary:
     frames: int
     resumed: int
     done: int
-    skipped: tuple[FrameRecord, ...]
+    skipped: tuple[FrameEntry, ...]
     seconds: float
 
 
@@ -116,16 +115,15 @@ def _run(
     jobs: int,
     log: FrameLog,
     on_frame: Finished,
-) -> list[FrameRecord]:
+) -> list[FrameEntry]:
     open_blocks = [block for block in blocks_of(numbers) if not on_disk.issuperset(block)]
-    records: list[FrameRecord] = []
+    records: list[FrameEntry] = []
     if not open_blocks:
         return records
     running = run_blocks(job, open_blocks, lambda block: frozenset(on_disk.intersection(block)), jobs)
     try:
         for record in running:
-            if not record.failure:
-                log.append(record.number, record.seconds)
+            log.append(record)
             records.append(record)
             on_frame(record)
     except KeyboardInterrupt:

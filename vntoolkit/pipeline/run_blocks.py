@@ -10,8 +10,9 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 
 from vntoolkit.errors import VntError
+from vntoolkit.io.frame_log import FrameEntry
 from vntoolkit.native import limit_threads
-from vntoolkit.pipeline.block_work import BlockWorker, FrameRecord, ReconstructionJob
+from vntoolkit.pipeline.block_work import BlockWorker, ReconstructionJob
 
 DoneFrames = Callable[[range], frozenset[int]]
 _worker: BlockWorker | None = None  # one per worker process
@@ -19,7 +20,7 @@ _worker: BlockWorker | None = None  # one per worker process
 
 def run_blocks(
     job: ReconstructionJob, blocks: list[range], done_frames: DoneFrames, jobs: int = 1
-) -> Generator[FrameRecord]:
+) -> Generator[FrameEntry]:
     """Yield a record per finished frame; frames of one block in order, blocks as they finish.
 
     done_frames: tells which frames of a block are on disk already. jobs: worker processes; with 1 the work
@@ -46,10 +47,10 @@ def run_blocks(
 
 def _collect(
     pool: ProcessPoolExecutor, blocks: list[range], done_frames: DoneFrames, workers: int
-) -> Generator[FrameRecord]:
+) -> Generator[FrameEntry]:
     """Keep two blocks per worker submitted, and hand on what they return."""
     waiting = iter(blocks)
-    running: set[Future[list[FrameRecord]]] = set()
+    running: set[Future[list[FrameEntry]]] = set()
     while True:
         while len(running) < 2 * workers and (block := next(waiting, None)) is not None:
             running.add(pool.submit(_run_block, block, done_frames(block)))
@@ -68,6 +69,6 @@ def _start_worker(job: ReconstructionJob, workers: int) -> None:
     _worker = BlockWorker(job)
 
 
-def _run_block(block: range, already_done: frozenset[int]) -> list[FrameRecord]:
+def _run_block(block: range, already_done: frozenset[int]) -> list[FrameEntry]:
     assert _worker is not None
     return list(_worker.run(block, already_done))

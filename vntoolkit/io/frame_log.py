@@ -1,0 +1,104 @@
+"""frames.log: which frames of a result folder are wholly on disk, and what each was like."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from vntoolkit.io.atomic import cannot_write
+
+FRAMES_NAME = "frames.log"
+_SKIPPED = "skipped"
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameEntry:
+    """One finished or skipped frame.
+
+    seconds: spent on it. valid_share: of all pixels, with a normal. clipped_share: of all pixels.
+    shadowed_share: of the valid ones, not reached by all three lights. failure: one line that says why the
+    frame was skipped, else empty.
+    """
+
+    number: int
+    seconds: float = 0.0
+    valid_share: float = 0.0
+    clipped_share: float = 0.0
+    shadowed_share: float = 0.0
+    failure: str = ""
+
+    def to_line(self) -> str:
+        """Return the line of frames.log, without its end."""
+        if self.failure:
+            return f"{self.number} {_SKIPPED} {' '.join(self.failure.split())}"
+        shares = (self.valid_share, self.clipped_share, self.shadowed_share)
+        return f"{self.number} {self.seconds:.4f} " + " ".join(f"{share:.5f}" for share in shares)
+
+    @classmethod
+    def from_line(cls, line: str) -> FrameEntry | None:
+        """Parse a line, or return None for one that a crash cut short."""
+        number, _, rest = line.partition(" ")
+        if not number.isdigit():
+            return None
+        if rest.startswith(_SKIPPED + " "):
+            return cls(number=int(number), failure=rest[len(_SKIPPED) + 1 :])
+        try:
+            seconds, valid, clipped, shadowed = map(float, rest.split())
+        except ValueError:
+            return None
+        return cls(
+            number=int(number),
+            seconds=seconds,
+            valid_share=valid,
+            clipped_share=clipped,
+            shadowed_share=shadowed,
+        )
+
+
+class FrameLog:
+    """Appends a line a frame, `number seconds valid clipped shadowed` or `number skipped why`, and flushes.
+
+    A line that a crash cut short is not counted, and is closed off by the next append, so that its frame is
+    simply done again.
+    """
+
+    def __init__(self, folder: Path | str) -> None:
+        self.path = Path(folder) / FRAMES_NAME
+        self._stream: Any = None
+
+    def entries(self) -> dict[int, FrameEntry]:
+        """Return the last entry of every frame, skipped ones too, in order of their numbers."""
+        if not self.path.exists():
+            return {}
+        *lines, _torn = self.path.read_text("utf-8", "replace").split("\n")
+        found = {entry.number: entry for line in lines if (entry := FrameEntry.from_line(line))}
+        return dict(sorted(found.items()))
+
+    def done(self) -> dict[int, float]:
+        """Return {frame number: seconds} of all finished frames."""
+        return {number: entry.seconds for number, entry in self.entries().items() if not entry.failure}
+
+    def append(self, entry: FrameEntry) -> None:
+        """Record a frame whose files are all in place, or which was skipped."""
+        try:
+            if self._stream is None:
+                torn = self.path.exists() and self.path.read_bytes()[-1:] not in (b"", b"\n")
+                self._stream = self.path.open("a", encoding="utf-8")
+                if torn:
+                    self._stream.write("\n")
+            self._stream.write(entry.to_line() + "\n")
+            self._stream.flush()
+        except OSError as error:
+            raise cannot_write(self.path, error) from error
+
+    def clear(self) -> None:
+        """Forget all frames."""
+        self.close()
+        self.path.unlink(missing_ok=True)
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._stream is not None:
+            self._stream.close()
+            self._stream = None
