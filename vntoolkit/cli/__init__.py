@@ -31,6 +31,10 @@ VERBS: dict[str, tuple[str, str]] = {
         "Turn footage and a rig into normals, depth and meshes.",
     ),
     "track": ("vntoolkit.cli.track:track", "Follow one surface through a reconstruction's frames."),
+    "report": (
+        "vntoolkit.cli.report:report",
+        "Write one page that tells whether a reconstruction can be trusted.",
+    ),
     "dress": ("vntoolkit.cli.dress:run", "Put a tracked garment on a figure that motion capture moves."),
 }
 

@@ -20,10 +20,12 @@ from vntoolkit.io.image_headers import ImageHeader, read_image_header
 
 __all__ = [
     "ImageHeader",
+    "encoded_image",
     "read_exr",
     "read_grey",
     "read_image",
     "read_image_header",
+    "resized_image",
     "write_exr",
     "write_png",
 ]
@@ -93,6 +95,39 @@ def write_png(path: Path | str, pixels: npt.NDArray[Any], *, compression_level: 
     if not ok:
         raise BadInput(f"{path}: OpenCV cannot encode an image of shape {pixels.shape}")
     write_bytes(path, content.tobytes())
+
+
+def encoded_image(pixels: npt.NDArray[np.uint8], suffix: str = ".png", *, quality: int = 88) -> bytes:
+    """Return the bytes of an image file, `.png`, `.jpg` or `.webp`, of (h, w, 3) or (h, w) uint8 RGB pixels.
+
+    quality: 0 to 100, of a JPEG or WebP.
+    """
+    flags = {
+        ".png": [cv2.IMWRITE_PNG_COMPRESSION, 9],
+        ".jpg": [cv2.IMWRITE_JPEG_QUALITY, quality],
+        ".webp": [cv2.IMWRITE_WEBP_QUALITY, quality],
+    }
+    if suffix not in flags or pixels.dtype != np.uint8:
+        raise BadInput(
+            f"image: expected 8 bits and one of {', '.join(flags)}, got {pixels.dtype}, '{suffix}'"
+        )
+    ordered = cv2.cvtColor(np.ascontiguousarray(pixels), cv2.COLOR_RGB2BGR) if pixels.ndim == 3 else pixels
+    ok, content = cv2.imencode(suffix, ordered, flags[suffix])
+    if not ok:
+        raise BadInput(f"image: OpenCV cannot encode pixels of shape {pixels.shape} as {suffix}")
+    return bytes(content.tobytes())
+
+
+def resized_image(
+    pixels: npt.NDArray[np.uint8], largest_px: int, *, smooth: bool = True
+) -> npt.NDArray[np.uint8]:
+    """Return the picture shrunk so that no side exceeds `largest_px`; labels want smooth=False."""
+    factor = largest_px / max(pixels.shape[:2])
+    if factor >= 1:
+        return pixels
+    size = (max(1, round(pixels.shape[1] * factor)), max(1, round(pixels.shape[0] * factor)))
+    method = cv2.INTER_AREA if smooth else cv2.INTER_NEAREST
+    return np.asarray(cv2.resize(np.ascontiguousarray(pixels), size, interpolation=method), dtype=np.uint8)
 
 
 def _decode(path: Path | str, max_megapixels: float, error: type[BadInput]) -> npt.NDArray[Any]:

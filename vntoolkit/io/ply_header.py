@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from vntoolkit.errors import BadMesh
+from vntoolkit.io.files import require_file
 
 _KINDS = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2",
@@ -76,3 +78,11 @@ def parse_ply_header(data: bytes, name: str) -> tuple[str, list[PlyElement], int
             f"{name}: the header promises {least} rows, but only {len(data) - newline} bytes follow"
         )
     return order, elements, newline + 1
+
+
+def read_ply_counts(path: Path | str) -> dict[str, int]:
+    """Return {element: rows} that the header of a PLY promises; its rows are not read."""
+    with require_file(path, BadMesh).open("rb") as stream:
+        lines = stream.read(_LONGEST_HEADER).split(b"end_header")[0].splitlines()
+    words = [line.split() for line in lines]
+    return {w[1].decode("ascii", "replace"): int(w[2]) for w in words if len(w) == 3 and w[0] == b"element"}

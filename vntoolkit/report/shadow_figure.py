@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels
 from vntoolkit.geometry.camera import Camera
@@ -17,9 +16,9 @@ from vntoolkit.io.label_images import LABEL_LEGEND, label_colours
 from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
+from vntoolkit.report.pictures import Picture, picture_of_normals
 from vntoolkit.report.raycast_view import View, picture_of
 
-Picture = npt.NDArray[np.uint8]
 _DISPLAY_GAMMA = 1 / 2.2
 _FULL_ERROR_DEG = 40.0
 
@@ -62,7 +61,7 @@ def write_recovery_figure(
     tiles: dict[str, Picture] = {}
     for name, recovery in recoveries.items():
         mask = recovery.normals.mask
-        tiles[f"{name}: normals"] = _cropped(_coloured_normals(recovery.normals), mask)
+        tiles[f"{name}: normals"] = _cropped(picture_of_normals(recovery.normals, ground=0), mask)
         height, width = tiles[f"{name}: normals"].shape[:2]
         tiles[f"{name}: from the side"] = _seen_from_the_side(recovery.depth, camera, width, height)
         if truth is not None:
@@ -86,12 +85,6 @@ def _web_colour(label: int) -> str:
 
 def _displayed(linear: FloatArray) -> Picture:
     return (255 * np.clip(linear, 0, 1) ** _DISPLAY_GAMMA).astype(np.uint8)
-
-
-def _coloured_normals(normal_map: NormalMap) -> Picture:
-    towards_viewer = normal_map.normals_in_camera * np.array([1, -1, -1], np.float32)
-    coloured = np.where(normal_map.mask[..., None], 127.5 * (towards_viewer + 1), 0)
-    return coloured.astype(np.uint8)
 
 
 def _cropped(picture: Picture, mask: Mask) -> Picture:

@@ -1,0 +1,133 @@
+"""The report: self-contained, escaped, complete, the same for the same input; and it looks like something."""
+
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.browser import visit
+from tests.report.conftest import SKIPPED, DomeResult
+from vntoolkit.errors import BadInput
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.maps import DepthMap
+from vntoolkit.report.page import PageSection, PageTable, figure_from_file, figure_from_plot
+from vntoolkit.report.pictures import normals_from_depth, picture_of_depth
+from vntoolkit.report.report import ReportOptions, write_report
+from vntoolkit.report.svg import new_figure
+
+SCRIPT = "<script>alert(1)</script>"
+
+
+@pytest.fixture(scope="module")
+def page(dome_result: DomeResult, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("page") / "report.html"
+    extra = PageSection(
+        title="Compared with the truth",
+        paragraphs=(SCRIPT,),
+        tables=(PageTable(headings=("what", "ours"), rows=(("mean error", "1.2°"),), numeric=True),),
+    )
+    assert write_report(dome_result.folder, out, ReportOptions(samples=2), extra=[extra]) == out
+    return out
+
+
+def test_every_part_is_there(page: Path) -> None:
+    text = page.read_text()
+    for part in ("Sample frames", "Compared with the truth", "0.40°", "61°", "no usable pixel",
+                 "Registered surface", "mean error"):  # fmt: skip
+        assert part in text
+    assert f"the first is {SKIPPED}" in text
+    assert text.count("data:image/jpeg;base64,") == 3  # two frames and the checkerboard
+
+
+def test_names_are_escaped(page: Path) -> None:
+    text = page.read_text()
+    assert SCRIPT not in text
+    assert "&lt;script&gt;" in text
+    assert "<b>dome" not in text
+    assert "&lt;b&gt;dome &amp; &#34;co&#34;" in text
+
+
+def test_nothing_is_fetched(page: Path) -> None:
+    text = page.read_text()
+    assert re.findall(r'(?:src|href)="(?!data:|#)[^"]*"', text) == []
+    assert set(re.findall(r"\w+://[^\"'\s)<]+", text)) <= {
+        "http://www.w3.org/2000/svg",
+        "http://www.w3.org/1999/xlink",
+    }  # names of XML spaces, not addresses
+
+
+def test_a_browser_shows_it_without_complaint(page: Path) -> None:
+    with visit(page, width=1100) as seen:
+        sizes = seen.page.evaluate("[...document.images].map(i => i.naturalWidth)")
+        wide = seen.page.evaluate("document.documentElement.scrollWidth")
+        curves = seen.picture("figure:has(svg) >> nth=1")
+        assert len(sizes) == 3
+        assert min(sizes) > 100
+        assert wide <= 1100  # nothing sticks out to the side
+        assert seen.requests == [page.as_uri()]
+        assert seen.complaints == []
+    assert len(np.unique(curves.reshape(-1, 3), axis=0)) > 20  # lines, labels, colours
+
+
+def test_the_same_result_gives_the_same_bytes(
+    dome_result: DomeResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    first = write_report(dome_result.folder, tmp_path / "a.html").read_bytes()
+    assert write_report(dome_result.folder, tmp_path / "b.html").read_bytes() == first
+
+
+def test_ids_of_two_figures_do_not_meet() -> None:
+    texts = []
+    for heights in ([1, 2], [2, 1]):
+        figure = new_figure()
+        figure.subplots().bar([0, 1], heights)
+        texts.append(figure_from_plot(figure, "bars").svg)
+    first, second = (set(re.findall(r'\bid="([^"]+)"', text)) for text in texts)
+    assert first
+    assert not first & second
+    for text, ids in zip(texts, (first, second), strict=True):
+        assert set(re.findall(r"url\(#([^)]+)\)", text)) <= ids
+
+
+def test_it_does_without_footage_and_tracks(dome_result: DomeResult, tmp_path: Path) -> None:
+    folder = shutil.copytree(dome_result.folder, tmp_path / "moved")
+    shutil.rmtree(folder / "track")
+    shutil.rmtree(folder / "mesh")
+    options = ReportOptions(footage=str(tmp_path / "nowhere.mkv"))
+    text = write_report(folder, options=options).read_text()
+    assert "the footage could not be looked over" in text
+    assert "nowhere.mkv: no such" in text
+    assert "Registered surface" not in text
+    assert "captured" not in text
+
+
+def test_refusals(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match=r"holds no reconstruction\.json"):
+        write_report(tmp_path)
+    with pytest.raises(BadInput, match="at least one sample"):
+        ReportOptions(samples=0)
+    (tmp_path / "a.bmp").write_bytes(b"BM")
+    with pytest.raises(BadInput, match=r"a figure is one of \.png"):
+        figure_from_file(tmp_path / "a.bmp", "no")
+
+
+def test_normals_from_depth_are_those_of_the_sphere() -> None:
+    camera = Camera.pinhole(width=81, height=81, focal_px=300)
+    rays = camera.unproject(camera.pixel_grid(), np.ones((81, 81)))
+    centre, radius = np.array([0, 0, 10.0]), 2.0
+    along = (rays @ centre) / (rays**2).sum(-1)
+    gap = (radius**2 - ((rays * along[..., None] - centre) ** 2).sum(-1)) / (rays**2).sum(-1)
+    mask = gap > 0.01
+    depth = np.where(mask, along - np.sqrt(np.maximum(gap, 0)), 0)
+    depth_map = DepthMap(depth=depth, mask=mask)
+    normals = normals_from_depth(depth_map, camera)
+    truth = (rays * depth[..., None] - centre) / radius
+    inner = (normals[..., 2] != 0) & (truth[..., 2] < -0.5)
+    cosine = (normals * truth).sum(-1)[inner]
+    assert inner.sum() > 1000
+    assert np.rad2deg(np.arccos(cosine.clip(-1, 1))).max() < 1.0
+    grey = picture_of_depth(depth_map, camera)[..., 0].astype(float)
+    assert grey[20, 20] > grey[60, 60] + 60  # lit from the upper left, so it bulges towards us

@@ -1,0 +1,27 @@
+"""`vntoolkit report`: one page that tells whether a reconstruction can be trusted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+from vntoolkit.cli.flags import flags_from
+from vntoolkit.report.report import ReportOptions, write_report
+
+if TYPE_CHECKING:
+    ReportFlags: TypeAlias = ReportOptions | None
+else:
+    ReportFlags = flags_from(ReportOptions)
+
+
+def report(folder: Path, *, out: Path | None = None, options: ReportFlags = None) -> None:
+    """Write one self-contained HTML page about a reconstruction: pictures, calibration, shares, warnings.
+
+    Parameters
+    ----------
+    folder
+        The folder that `vntoolkit reconstruct` wrote.
+    out
+        The page to write; default FOLDER/report.html.
+    """
+    print(write_report(folder, out, options))

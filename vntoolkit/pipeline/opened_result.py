@@ -1,0 +1,165 @@
+"""A result folder opened for looking at and handing on: which frames it holds, and each frame's parts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.arrays import VisibilityLabels
+from vntoolkit.errors import BadInput, VntError
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
+from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.io.captures import Capture, CaptureOptions, open_capture
+from vntoolkit.io.decoding import linear_frame_from_encoded
+from vntoolkit.io.frame_log import FrameEntry, FrameLog
+from vntoolkit.io.frame_range import FrameRange
+from vntoolkit.io.manifest import Manifest, read_manifest
+from vntoolkit.io.maps import read_depth_map, read_labels, read_normal_map
+from vntoolkit.io.meshes import read_mesh
+from vntoolkit.io.rigs import rig_from_entry
+from vntoolkit.io.sequences import read_mesh_sequence
+from vntoolkit.io.undistortion import Undistorter
+from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.rig import Rig
+from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
+from vntoolkit.pipeline.outputs import ReconstructionFolder
+from vntoolkit.pipeline.tracked_folder import read_track_record
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrackedSurface:
+    """The registered moving mesh of a result. numbers: of its frames. template: number of the template's."""
+
+    sequence: MeshSequence
+    numbers: tuple[int, ...]
+    template: int
+
+    def mesh(self, number: int) -> Mesh:
+        """Return the surface in one frame."""
+        return self.sequence[self.numbers.index(number)]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OpenedResult:
+    """A folder that `reconstruct` wrote, and `track` perhaps.
+
+    numbers: frames with normals on disk, in order. footage: where the capture is now; empty for where it was
+    when it was reconstructed. background: as for `open_capture`. Parts that a frame lacks are None.
+    """
+
+    folder: ReconstructionFolder
+    manifest: Manifest
+    rig: Rig
+    numbers: tuple[int, ...]
+    footage: str
+    background: Path | None = None
+
+    @property
+    def camera(self) -> Camera:
+        """The camera that the maps and meshes belong to, without distortion."""
+        return self.rig.camera.without_distortion()
+
+    @cached_property
+    def entries(self) -> dict[int, FrameEntry]:
+        """What was logged of each frame, skipped ones too."""
+        return FrameLog(self.folder.root).entries()
+
+    def normals(self, number: int) -> NormalMap | None:
+        """Read a frame's normals."""
+        path = self.folder.normals(number)
+        return read_normal_map(path) if path.exists() else None
+
+    def depth(self, number: int) -> DepthMap | None:
+        """Read a frame's depth."""
+        path = self.folder.depth(number)
+        return read_depth_map(path) if path.exists() else None
+
+    def labels(self, number: int) -> VisibilityLabels | None:
+        """Read a frame's visibility labels."""
+        path = self.folder.shadows(number)
+        return read_labels(path) if path.exists() else None
+
+    def mesh(self, number: int) -> Mesh | None:
+        """Read a frame's own mesh, before registration."""
+        path = self.folder.mesh(number)
+        return read_mesh(path) if path.exists() else None
+
+    @cached_property
+    def length_unit(self) -> LengthUnit | None:
+        """What a length of 1 in depth and meshes means; None where there is no depth."""
+        depths = (self.depth(number) for number in self.numbers if self.folder.depth(number).exists())
+        first = next(depths, None)
+        return None if first is None else first.unit
+
+    @cached_property
+    def track(self) -> TrackedSurface | None:
+        """The registered moving mesh, or None where `track` has not been run or wrote no frame."""
+        root = self.folder.root / "track"
+        if not (root / "track.json").exists():
+            return None
+        record, sequence = read_track_record(root), read_mesh_sequence(root)
+        if not len(sequence):
+            return None
+        numbers = tuple(record["frames"][: len(sequence)])
+        return TrackedSurface(sequence=sequence, numbers=numbers, template=record["template"])
+
+    def linear(self, number: int) -> LinearFrame:
+        """Return the captured frame in linear light, background removed and undistorted."""
+        capture = self.capture
+        encoded = next(capture.encoded_frames(number, number + 1))
+        frame = linear_frame_from_encoded(encoded, self.rig.transfer, capture.background)
+        return Undistorter(self.rig.camera).frame(frame)
+
+    def picture(self, number: int) -> npt.NDArray[np.uint8] | None:
+        """Return the captured frame as a person would see it, (h, w, 3) sRGB; None without the footage."""
+        try:
+            linear = np.clip(self.linear(number).rgb, 0, 1)
+        except VntError:
+            return None
+        encoded = encoded_from_linear(linear, Transfer(curve=TransferCurve.SRGB))
+        return np.asarray(255 * encoded + 0.5).astype(np.uint8)
+
+    @cached_property
+    def capture(self) -> Capture:
+        """The footage; raise `BadInput` where it is not to be found, or is of another size or length."""
+        source = self.footage or self.manifest.input.source
+        capture = open_capture(source, CaptureOptions(transfer=self.rig.transfer, background=self.background))
+        stated, info = self.manifest.input, capture.info
+        if (info.width, info.height, info.frame_count) != (stated.width, stated.height, stated.frame_count):
+            raise BadInput(
+                f"{source}: {info.frame_count} frames of {info.width}×{info.height}, but the result was made "
+                f"from {stated.frame_count} of {stated.width}×{stated.height}; name the footage it came from"
+            )
+        return capture
+
+
+def open_result(
+    root: Path, *, frames: FrameRange | None = None, footage: str = "", background: Path | None = None
+) -> OpenedResult:
+    """Open a folder that `reconstruct` wrote; frames: only those of them. Raises `BadInput`."""
+    manifest = read_manifest(root)
+    folder = ReconstructionFolder(root=root)
+    asked = FrameRange.from_text(manifest.frames).numbers(manifest.input.frame_count)
+    wanted = (frames or FrameRange()).numbers(manifest.input.frame_count)
+    # a folder may hold frames of an earlier, longer run: those count too
+    present = sorted({int(path.stem) for path in (root / "normals").glob("*.exr") if path.stem.isdigit()})
+    numbers = tuple(number for number in present if number in wanted)
+    if not numbers:
+        raise BadInput(
+            f"{root}: holds none of the frames {(frames or FrameRange()).to_text()}; it holds "
+            f"{len(present)} of the {len(asked)} asked for"
+        )
+    return OpenedResult(
+        folder=folder,
+        manifest=manifest,
+        rig=rig_from_entry(manifest.rig),
+        numbers=numbers,
+        footage=footage,
+        background=background,
+    )

@@ -1,0 +1,134 @@
+"""A self-contained HTML page of sections: figures and pictures lie inside it, nothing is fetched."""
+
+from __future__ import annotations
+
+import base64
+import datetime
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+import vntoolkit
+from vntoolkit.errors import BadInput
+from vntoolkit.io.atomic import write_text
+from vntoolkit.io.files import read_bytes
+from vntoolkit.io.images import encoded_image
+from vntoolkit.io.manifest import now_utc
+from vntoolkit.report.svg import svg_from_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_KINDS = {
+    ".png": "image/png",
+    ".jpg": "image/jpeg",
+    ".jpeg": "image/jpeg",
+    ".webp": "image/webp",
+    ".svg": "image/svg+xml",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class PageFigure:
+    """A picture with its caption. svg: the text of an inline SVG; or image: a data URI. wide: a whole row."""
+
+    caption: str
+    svg: str = ""
+    image: str = ""
+    wide: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class PageTable:
+    """Rows of text under headings. numeric: cells from the second column on are set to the right.
+
+    folded: shown only when this line is clicked; empty for shown at once.
+    """
+
+    headings: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    numeric: bool = False
+    folded: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PageNumber:
+    """One number that matters: shown large, with what it is and how to read it. grade: good, fair or poor."""
+
+    value: str
+    label: str
+    remark: str = ""
+    grade: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PageNotice:
+    """A line that must be seen. severity: note, warning or fatal, as doctor's."""
+
+    severity: str
+    text: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class PageSection:
+    """A part of the page, shown in this order: paragraphs, numbers, notices, figures, tables."""
+
+    title: str
+    paragraphs: tuple[str, ...] = ()
+    numbers: tuple[PageNumber, ...] = ()
+    notices: tuple[PageNotice, ...] = ()
+    figures: tuple[PageFigure, ...] = ()
+    tables: tuple[PageTable, ...] = ()
+
+
+def figure_from_plot(figure: Figure, caption: str, *, wide: bool = False) -> PageFigure:
+    """Put a matplotlib figure on a page, as inline SVG."""
+    return PageFigure(caption=caption, svg=svg_from_figure(figure), wide=wide)
+
+
+def figure_from_pixels(
+    pixels: npt.NDArray[np.uint8], caption: str, *, suffix: str = ".jpg", wide: bool = False
+) -> PageFigure:
+    """Put (h, w, 3) uint8 RGB pixels on a page."""
+    return PageFigure(caption=caption, image=data_uri(encoded_image(pixels, suffix), suffix), wide=wide)
+
+
+def figure_from_file(path: Path, caption: str, *, wide: bool = False) -> PageFigure:
+    """Put a PNG, JPEG, WebP or SVG file on a page."""
+    suffix = path.suffix.lower()
+    if suffix not in _KINDS:
+        raise BadInput(f"{path}: a figure is one of {', '.join(_KINDS)}")
+    return PageFigure(caption=caption, image=data_uri(read_bytes(path), suffix), wide=wide)
+
+
+def data_uri(content: bytes, suffix: str) -> str:
+    """Return the bytes of an image file as a URI that holds them."""
+    return f"data:{_KINDS[suffix]};base64,{base64.b64encode(content).decode('ascii')}"
+
+
+def write_page(
+    path: Path, title: str, sections: list[PageSection], *, subtitle: str = "", numbers: Any = ()
+) -> None:
+    """Write the page, atomically. numbers: `PageNumber`s under the title. All text is escaped."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("vntoolkit.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    written = datetime.datetime.fromisoformat(now_utc()).strftime("%Y-%m-%d %H:%M UTC")
+    text = environment.get_template("page.html.j2").render(
+        title=title,
+        subtitle=subtitle,
+        numbers=tuple(numbers),
+        sections=sections,
+        written=written,
+        version=vntoolkit.__version__,
+    )
+    write_text(path, text)
