@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from vntoolkit.errors import BadInput
-from vntoolkit.evaluation.track_error import TrackErrorOptions, anchors_on_mesh, track_errors, visible
+from vntoolkit.evaluation.track_error import (
+    TrackedPixels,
+    TrackErrorOptions,
+    anchors_on_mesh,
+    track_errors,
+    visible,
+)
 from vntoolkit.geometry.camera import Camera
 
 CAMERA = Camera.pinhole(width=64, height=48, focal_px=60.0)
@@ -23,18 +29,38 @@ def test_anchors_give_back_their_pixels_and_move_with_the_mesh() -> None:
     np.testing.assert_allclose(anchors.points(CORNERS + shift), anchors.points(CORNERS) + shift, atol=1e-12)
 
 
+def tracked(frame: int, points: np.ndarray, confidence: np.ndarray | None = None) -> TrackedPixels:
+    return TrackedPixels(frame=frame, positions_px=CAMERA.project(points), confidence=confidence)
+
+
 def test_the_error_is_the_one_put_in() -> None:
     anchors = anchors_on_mesh(PIXELS, CORNERS, FACES, CAMERA)
     moved = CORNERS + np.array([0.05, 0.0, 0.0])
     true = anchors.points(moved)
     off = CAMERA.unproject(CAMERA.project(true) + np.array([0.6, 0.8]), true[:, 2])
-    errors = list(track_errors([(0, true), (1, off)], [(0, moved), (1, moved)], anchors, FACES, CAMERA))
+    truth = [(0, moved), (1, moved)]
+    errors = list(track_errors([tracked(0, true), tracked(1, off)], truth, anchors, FACES, CAMERA))
     assert errors[0].median_px == pytest.approx(0.0, abs=1e-9)
     assert errors[1].median_px == pytest.approx(1.0)
-    assert (errors[1].p95_px, errors[1].lost) == (pytest.approx(1.0), 0.0)
+    assert errors[1].p95_px == pytest.approx(1.0)
+    assert errors[1].lost == 0.0
     far = CAMERA.unproject(CAMERA.project(true) + np.array([5.0, 0.0]), true[:, 2])
-    lost = next(iter(track_errors([(0, far)], [(0, moved)], anchors, FACES, CAMERA)))
+    lost = next(iter(track_errors([tracked(0, far)], truth[:1], anchors, FACES, CAMERA)))
     assert lost.lost == 1.0
+
+
+def test_unsure_vertices_are_judged_all_the_same_and_told_apart() -> None:
+    anchors = anchors_on_mesh(PIXELS, CORNERS, FACES, CAMERA)
+    true = anchors.points(CORNERS)
+    left = PIXELS[:, 0] < 25
+    pixels = CAMERA.project(true) + np.where(left[:, None], [8.0, 0.0], [0.0, 1.0])
+    unsure = TrackedPixels(frame=0, positions_px=pixels, confidence=np.where(left, 0.2, 0.9))
+    error = next(iter(track_errors([unsure], [(0, CORNERS)], anchors, FACES, CAMERA)))
+    assert error.vertices == len(PIXELS)
+    assert error.lost == pytest.approx(left.mean())
+    assert error.sure == pytest.approx(1 - left.mean())
+    assert error.p95_px == pytest.approx(8.0)
+    assert error.sure_p95_px == pytest.approx(1.0)
 
 
 def test_hidden_points_are_not_judged() -> None:
@@ -51,4 +77,4 @@ def test_other_frames_are_refused() -> None:
     anchors = anchors_on_mesh(PIXELS, CORNERS, FACES, CAMERA)
     points = anchors.points(CORNERS)
     with pytest.raises(BadInput, match="tracked frame 1 met true frame 2"):
-        list(track_errors([(1, points)], [(2, CORNERS)], anchors, FACES, CAMERA))
+        list(track_errors([tracked(1, points)], [(2, CORNERS)], anchors, FACES, CAMERA))

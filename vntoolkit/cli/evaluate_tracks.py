@@ -1,4 +1,4 @@
-"""`vntoolkit evaluate tracks`: a registered mesh against the simulator's vertices."""
+"""`vntoolkit evaluate tracks`: registered meshes against the simulator's vertices."""
 
 from __future__ import annotations
 
@@ -7,45 +7,78 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from vntoolkit.cli.flags import flags_from
 from vntoolkit.errors import BadInput
-from vntoolkit.evaluation.track_error import TrackErrorOptions
+from vntoolkit.evaluation.track_error import TrackError, TrackErrorOptions
 from vntoolkit.pipeline.evaluate_tracks import evaluate_tracks, write_track_errors
+from vntoolkit.report.track_plot import write_error_plot
 
 if TYPE_CHECKING:
     ErrorFlags: TypeAlias = TrackErrorOptions | None
 else:
     ErrorFlags = flags_from(TrackErrorOptions)
 
-_LINES = 12  # of the table on the screen; the file has all frames
+_LINES = 12  # of a table on the screen; the file has all frames
 
 
 def tracks(
     folder: Path,
-    *,
+    *others: Path,
     truth: Path,
     every: int = 10,
     out: Path | None = None,
+    plot: Path | None = None,
     options: ErrorFlags = None,
 ) -> None:
     """Print the end-point error in pixels by frame: median, 95 %, and the share of lost vertices.
+
+    Every vertex is judged whose true point can be seen in that frame; `sure` is the share of those that the
+    tracker itself believes in, and the last column their 95 %.
 
     Parameters
     ----------
     folder
         The folder that `vntoolkit track` wrote (or the one that holds its folder track).
+    others
+        More of them, to compare.
     truth
         The folder that `vntoolkit simulate` wrote.
     every
         Judge every n-th frame, and the last.
     out
-        Also write all judged frames as a tab-separated table.
+        Also write all judged frames as a tab-separated table; of several folders, one table each, NAME.tsv in
+        this folder.
+    plot
+        Also draw the error against the frame, .png or .svg.
     """
     if every < 1:
         raise BadInput(f"every: expected 1 or more, got {every}")
-    target = folder / "track" if (folder / "track").is_dir() else folder
-    errors = evaluate_tracks(target, truth, every, options)
-    if out is not None:
-        write_track_errors(out, errors)
+    if plot is not None and plot.suffix not in (".png", ".svg"):
+        raise BadInput(f"plot: expected a name that ends in .png or .svg, got {plot.name}")
+    results = {}
+    for each in (folder, *others):
+        target = each / "track" if (each / "track").is_dir() else each
+        results[_name(each)] = evaluate_tracks(target, truth, every, options)
+    if len(results) <= len(others):
+        raise BadInput("evaluate tracks: two of the folders have the same name; give each its own")
+    for name, errors in results.items():
+        if out is not None:
+            write_track_errors(out / f"{name}.tsv" if others else out, errors)
+        _print_table(name, errors)
+    if plot is not None:
+        write_error_plot(plot, results)
+        print(plot)
+
+
+def _name(folder: Path) -> str:
+    resolved = folder.resolve()
+    return resolved.parent.name if resolved.name == "track" else resolved.name
+
+
+def _print_table(name: str, errors: list[TrackError]) -> None:
     step = max(1, -(-(len(errors) - 1) // _LINES))
-    print("frame  median px   95 % px   lost")
+    print(name)
+    print("frame  median px   95 % px   lost    sure   95 % px of the sure")
     for error in [*errors[:-1:step], errors[-1]]:
-        print(f"{error.frame:5d}  {error.median_px:9.2f} {error.p95_px:9.2f} {100 * error.lost:5.1f}%")
+        print(
+            f"{error.frame:5d}  {error.median_px:9.2f} {error.p95_px:9.2f} {100 * error.lost:5.1f}% "
+            f"{100 * error.sure:6.1f}% {error.sure_p95_px:12.2f}"
+        )

@@ -1,7 +1,8 @@
-"""How far tracked vertices lie from where they truly are, in pixels, frame by frame.
+"""How far tracked vertices lie from where they truly are, in pixels of the footage, frame by frame.
 
 A tracked vertex starts at a pixel of the template frame, on a triangle of the true mesh. Where that point of
-the triangle is in any later frame, it is known; the distance in the image is the end-point error.
+the triangle is in any later frame, it is known; the distance in the image is the end-point error. Every
+vertex whose true point can be seen in that frame is judged, whether the tracker believes to see it or not.
 """
 
 from __future__ import annotations
@@ -36,12 +37,25 @@ class SurfaceAnchors:
         return np.asarray(np.einsum("nc,nck->nk", self.shares, corners))
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrackedPixels:
+    """Where a tracker puts its vertices in one frame.
+
+    positions_px: (n, 2) in pixels of the footage. confidence: (n,) from 0 to 1, or None where it has none.
+    """
+
+    frame: int
+    positions_px: Points2
+    confidence: FloatArray | None = None
+
+
 @dataclass(frozen=True, kw_only=True)
 class TrackError:
     """End-point error of one frame.
 
     median_px, p95_px: over the vertices whose true point is seen in that frame (else NaN). lost: share of
-    those that are off by more than `TrackErrorOptions.lost_px`. vertices: how many were judged.
+    those that are off by more than `TrackErrorOptions.lost_px`. vertices: how many were judged. sure: share
+    of those that the tracker is sure of; sure_p95_px: over these alone.
     """
 
     frame: int
@@ -49,6 +63,8 @@ class TrackError:
     p95_px: float
     lost: float
     vertices: int
+    sure: float = 1.0
+    sure_p95_px: float = np.nan
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,11 +72,13 @@ class TrackErrorOptions:
     """How tracks are judged.
 
     lost_px: a vertex further off than this, in pixels, is lost. hidden_share: a true point further behind the
-    frontmost surface than this share of its depth is hidden, and not judged.
+    frontmost surface than this share of its depth is hidden, and not judged. sure_confidence: from this
+    confidence on the tracker is sure of a vertex.
     """
 
     lost_px: float = 4.0
     hidden_share: float = 0.002
+    sure_confidence: float = 0.5
 
 
 def anchors_on_mesh(positions_px: Points2, vertices: Points, faces: Faces, camera: Camera) -> SurfaceAnchors:
@@ -95,32 +113,43 @@ def visible(
 
 
 def track_errors(
-    tracked: Iterable[tuple[int, Points]],
+    tracked: Iterable[TrackedPixels],
     truth: Iterable[tuple[int, Points]],
     anchors: SurfaceAnchors,
     faces: Faces,
     camera: Camera,
     options: TrackErrorOptions | None = None,
 ) -> Iterator[TrackError]:
-    """Yield the error of each frame; tracked and truth: (frame number, vertices) in step, one at a time."""
+    """Yield the error of each frame; truth: (frame number, vertices) in step with tracked.
+
+    camera: the one that truly filmed; the tracker may have believed in another.
+    """
     options = options or TrackErrorOptions()
-    for (number, vertices), (true_number, true_vertices) in zip(tracked, truth, strict=True):
-        if number != true_number:
-            raise BadInput(f"track error: tracked frame {number} met true frame {true_number}")
+    for pixels, (number, true_vertices) in zip(tracked, truth, strict=True):
+        if pixels.frame != number:
+            raise BadInput(f"track error: tracked frame {pixels.frame} met true frame {number}")
         points = anchors.points(true_vertices)
         judged = anchors.found & visible(points, true_vertices, faces, camera, options)
-        distance = np.linalg.norm(camera.project(vertices)[judged] - camera.project(points[judged]), axis=1)
-        yield error_of_frame(number, distance, options)
+        distance = np.linalg.norm(pixels.positions_px[judged] - camera.project(points[judged]), axis=1)
+        confidence = np.ones(len(points)) if pixels.confidence is None else np.asarray(pixels.confidence)
+        yield error_of_frame(number, distance, confidence[judged] >= options.sure_confidence, options)
 
 
-def error_of_frame(number: int, distance_px: FloatArray, options: TrackErrorOptions) -> TrackError:
-    """Summarise end-point errors (n,) in pixels."""
+def error_of_frame(
+    number: int, distance_px: FloatArray, sure: npt.NDArray[np.bool_], options: TrackErrorOptions
+) -> TrackError:
+    """Summarise end-point errors (n,) in pixels; sure: (n,) where the tracker believes in its result."""
     if not len(distance_px):
-        return TrackError(frame=number, median_px=np.nan, p95_px=np.nan, lost=np.nan, vertices=0)
+        return TrackError(frame=number, median_px=np.nan, p95_px=np.nan, lost=np.nan, vertices=0, sure=np.nan)
     median, p95 = np.percentile(distance_px, [50, 95])
-    lost = float(np.mean(distance_px > options.lost_px))
     return TrackError(
-        frame=number, median_px=float(median), p95_px=float(p95), lost=lost, vertices=len(distance_px)
+        frame=number,
+        median_px=float(median),
+        p95_px=float(p95),
+        lost=float(np.mean(distance_px > options.lost_px)),
+        vertices=len(distance_px),
+        sure=float(np.mean(sure)),
+        sure_p95_px=float(np.percentile(distance_px[sure], 95)) if sure.any() else np.nan,
     )
 
 

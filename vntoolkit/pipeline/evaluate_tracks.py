@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
 
 from vntoolkit.arrays import Faces, Points
 from vntoolkit.errors import BadInput
-from vntoolkit.evaluation.track_error import TrackError, TrackErrorOptions, anchors_on_mesh, track_errors
+from vntoolkit.evaluation.track_error import (
+    TrackedPixels,
+    TrackError,
+    TrackErrorOptions,
+    anchors_on_mesh,
+    track_errors,
+)
 from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.mesh_sequence import MeshSequence
 from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import require_file
 from vntoolkit.io.meshes import read_mesh
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.io.sequences import read_mesh_sequence
-from vntoolkit.pipeline.tracked_folder import read_track_record
+from vntoolkit.pipeline.tracked_folder import read_track_record, recorded_camera
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,26 +58,31 @@ def evaluate_tracks(
         )
     if record["template"] not in numbers:
         raise BadInput(f"{track_folder}: the template frame {record['template']} is not tracked yet")
-    camera = truth.camera.without_distortion()
-    template = np.array(sequence.vertices[numbers.index(record["template"])])
+    believed = recorded_camera(record)
+    template = believed.project(sequence.vertices[numbers.index(record["template"])])
     anchors = anchors_on_mesh(
-        camera.project(template), np.array(truth.vertices[record["template"]]), truth.faces, camera
+        template, np.array(truth.vertices[record["template"]]), truth.faces, truth.camera
     )
     rows = sorted({*range(0, len(numbers), every), len(numbers) - 1})
-
-    def of(values: Points, at: list[int]) -> Iterator[tuple[int, Points]]:
-        return ((numbers[row], np.array(values[i])) for row, i in zip(rows, at, strict=True))
-
     return list(
         track_errors(
-            of(sequence.vertices, rows), of(truth.vertices, [numbers[row] for row in rows]), anchors,
-            truth.faces, camera, options,
+            (_pixels(sequence, row, numbers[row], believed) for row in rows),
+            ((numbers[row], np.array(truth.vertices[numbers[row]])) for row in rows),
+            anchors, truth.faces, truth.camera, options,
         )
     )  # fmt: skip
 
 
+def _pixels(sequence: MeshSequence, row: int, number: int, camera: Camera) -> TrackedPixels:
+    confidence = None if sequence.confidence is None else np.array(sequence.confidence[row])
+    positions = camera.project(sequence.vertices[row])
+    return TrackedPixels(frame=number, positions_px=positions, confidence=confidence)
+
+
 def write_track_errors(path: Path, errors: list[TrackError]) -> None:
-    """Write a table of tab-separated values, one frame a line."""
-    lines = ["frame\tmedian_px\tp95_px\tlost\tvertices"]
-    lines += [f"{e.frame}\t{e.median_px:.4f}\t{e.p95_px:.4f}\t{e.lost:.4f}\t{e.vertices}" for e in errors]
+    """Write a table of tab-separated values, one frame a line; its columns are `TrackError`'s."""
+    lines = ["\t".join(field.name for field in fields(TrackError))]
+    for error in errors:
+        cells = (f"{v:.4f}" if isinstance(v, float) else str(v) for v in vars(error).values())
+        lines.append("\t".join(cells))
     write_text(path, "\n".join(lines) + "\n")

@@ -19,6 +19,7 @@ from vntoolkit.io.sequences import MeshSequenceWriter, read_mesh_sequence
 from vntoolkit.pipeline.option_values import option_values
 from vntoolkit.pipeline.tracked_folder import (
     TrackSource,
+    camera_record,
     clear_track,
     open_track_source,
     require_same_record,
@@ -190,5 +191,6 @@ def _record(job: TrackJob, source: TrackSource, template: int) -> dict[str, Any]
         "options": option_values(job.options),
         "seams": [np.asarray(seam).tolist() for seam in job.seams],
         "frame_rate_hz": source.frame_rate_hz,
+        "camera": camera_record(source.filmed_by),
         "frames": list(source.numbers),
     }

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from vntoolkit.errors import BadInput
-from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import read_text
@@ -28,10 +30,12 @@ class TrackSource:
     """A reconstruction to track.
 
     numbers: frames asked for, in order; those without files are missing. camera: of the undistorted maps.
+    filmed_by: the camera of the footage, with its distortion.
     """
 
     folder: ReconstructionFolder
     camera: Camera
+    filmed_by: Camera
     numbers: tuple[int, ...]
     frame_rate_hz: float
 
@@ -56,9 +60,11 @@ def open_track_source(root: Path) -> TrackSource:
     present = [n for n in numbers if folder.normals(n).exists() and folder.depth(n).exists()]
     if not present:
         raise BadInput(f"{root}: no frame has both normals and depth; run `vntoolkit reconstruct --to depth`")
+    camera = rig_from_entry(manifest.rig).camera
     return TrackSource(
         folder=folder,
-        camera=rig_from_entry(manifest.rig).camera.without_distortion(),
+        camera=camera.without_distortion(),
+        filmed_by=camera,
         numbers=numbers[: numbers.index(present[-1]) + 1],
         frame_rate_hz=manifest.input.frame_rate_hz,
     )
@@ -67,6 +73,34 @@ def open_track_source(root: Path) -> TrackSource:
 def write_track_record(folder: Path, record: dict[str, Any]) -> None:
     """Write DIR/track/track.json: what a resumed run must agree with, and what `evaluate` reads."""
     write_text(folder / _RECORD, json.dumps({"version": _VERSION, **record}, indent=2) + "\n")
+
+
+def camera_record(camera: Camera) -> dict[str, Any]:
+    """Return the camera as track.json holds it, with the keys of rig.json."""
+    return {
+        "model": camera.model.value,
+        "width": camera.width,
+        "height": camera.height,
+        "K": camera.matrix.tolist(),
+        "distortion": camera.distortion.tolist(),
+    }
+
+
+def recorded_camera(record: dict[str, Any]) -> Camera:
+    """Return the camera that track.json names: it takes tracked vertices to pixels of the footage."""
+    try:
+        entry = record["camera"]
+        return Camera(
+            model=CameraModel(entry["model"]),
+            width=entry["width"],
+            height=entry["height"],
+            matrix=np.array(entry["K"], dtype=np.float64),
+            distortion=np.array(entry["distortion"], dtype=np.float64),
+        )
+    except (KeyError, TypeError, ValueError) as problem:
+        raise BadInput(
+            f"{_RECORD}: names no whole camera ({problem}); run `vntoolkit track` again, with --overwrite"
+        ) from problem
 
 
 def read_track_record(folder: Path) -> dict[str, Any]:
