@@ -1,0 +1,229 @@
+"""One cylinder through a whole sequence, from normals and silhouettes alone (brostow2011, Figure 7).
+
+Normals find the axis from nothing. Then silhouettes and normals are weighed against each other: outlines are
+sharp but tell the axis' tilt in depth by the convergence of the two sides only; normals tell it directly, but
+have errors in common, which no number of pixels averages out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from vntoolkit.arrays import FloatArray, Matrix3, Points, Points2
+from vntoolkit.errors import BadInput, SolverFailed
+from vntoolkit.evaluation.cylinder import (
+    Cylinder,
+    across_axis,
+    camera_rays,
+    distance_from_touching_px,
+    intersect,
+    least_aligned,
+)
+from vntoolkit.evaluation.cylinder_start import start_from_normals
+from vntoolkit.evaluation.silhouette import contour_of
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.maps import NormalMap
+
+_MOST_SAMPLES = 20000
+_FEWEST_PIXELS = 200
+_FEWEST_CONTOUR_POINTS = 40
+_ENDS_PERCENT = 10.0  # of the sides' length, at each end, where the ends' arcs round the corner
+_ROUNDS = 8
+_GATE = 3  # spreads of one component; beyond it a normal does not count
+_STRIPS = 72  # round the whole cylinder, half of which is seen
+_NARROWEST_SPREAD = 0.01  # radians: normals are never so good that a finer gate would help
+
+
+@dataclass(frozen=True, kw_only=True)
+class CylinderOptions:
+    """How a cylinder is fitted.
+
+    support_deg: a normal this close to perpendicular to an axis supports it, degrees. parallel_deg: contour
+    points whose tangent is within this angle of the axis' image belong to the sides, not to the ends,
+    degrees. silhouette_px: spread of contour points, pixels. correlated_points: how many neighbouring contour
+    points err together. common_deg: error that a frame's good normals have in common, degrees.
+    """
+
+    support_deg: float = 8.0
+    parallel_deg: float = 12.0
+    silhouette_px: float = 0.3
+    correlated_points: float = 4.0
+    common_deg: float = 4.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Observation:
+    """One frame, thinned: rays (origin and direction) and normals of surface pixels, and the contour."""
+
+    origins: Points
+    rays: Points
+    normals: Points
+    contour: Points2
+    outward: FloatArray
+    name: str
+
+
+def fit_cylinder(
+    frames: Iterable[tuple[NormalMap, FloatArray]],
+    camera: Camera,
+    rng: np.random.Generator,
+    options: CylinderOptions | None = None,
+) -> tuple[Cylinder, ...]:
+    """Fit a common radius and a pose per frame to (normal map, silhouette) pairs.
+
+    A silhouette (h, w) is the share of each pixel that is covered, 0 to 1, or a mask; with coverage the
+    outline is known to a fraction of a pixel.
+
+    Raises `BadInput` for a frame with too few normals or contour points, `SolverFailed` where a frame's
+    normals agree on no axis.
+    """
+    options = options or CylinderOptions()
+    observations = [
+        _observe(normal_map, silhouette, camera, rng, f"frame {number}")
+        for number, (normal_map, silhouette) in enumerate(frames)
+    ]
+    if not observations:
+        raise BadInput("cylinder: the sequence has no frame")
+    fits = [_fit_frame(seen, camera, options, rng) for seen in observations]
+    if not camera.is_perspective:
+        radius = float(np.median([fit.radius for fit in fits]))
+        fits = [
+            _refine(seen, replace(fit, radius=radius), camera, options, radius)
+            for seen, fit in zip(observations, fits, strict=True)
+        ]
+    return tuple(replace(fit, axis=fit.axis * _sign(fit.axis)) for fit in fits)
+
+
+def _fit_frame(
+    seen: _Observation, camera: Camera, options: CylinderOptions, rng: np.random.Generator
+) -> Cylinder:
+    start = start_from_normals(
+        seen.normals, seen.origins, seen.rays, options.support_deg, camera.is_perspective, rng, seen.name
+    )
+    return _refine(seen, start, camera, options, 1.0 if camera.is_perspective else None)
+
+
+def _observe(
+    normal_map: NormalMap, silhouette: FloatArray, camera: Camera, rng: np.random.Generator, name: str
+) -> _Observation:
+    rows, columns = np.nonzero(normal_map.mask & (silhouette > 0.5))
+    if len(rows) < _FEWEST_PIXELS:
+        raise BadInput(
+            f"cylinder: {name} has {len(rows)} valid normals, at least {_FEWEST_PIXELS} are needed"
+        )
+    chosen = rng.permutation(len(rows))[:_MOST_SAMPLES]
+    pixels = np.stack([columns[chosen], rows[chosen]], axis=-1).astype(np.float64)
+    contour, outward = contour_of(silhouette)
+    if len(contour) < _FEWEST_CONTOUR_POINTS:
+        raise BadInput(f"cylinder: {name} has no usable silhouette ({len(contour)} contour points)")
+    origins, rays = camera_rays(camera, pixels)
+    return _Observation(
+        origins=origins,
+        rays=rays,
+        normals=normal_map.normals_in_camera[rows[chosen], columns[chosen]].astype(np.float64),
+        contour=contour,
+        outward=outward,
+        name=name,
+    )
+
+
+def _refine(
+    seen: _Observation, start: Cylinder, camera: Camera, options: CylinderOptions, radius: float | None
+) -> Cylinder:
+    """Silhouette and normals together; the radius is free where None is given.
+
+    Which contour points are sides, and which normals are good, follows from the cylinder: so in rounds.
+    """
+    for round_ in range(_ROUNDS):
+        tolerance_deg = options.parallel_deg * (2.5 if round_ == 0 else 1.0)
+        origins, rays = camera_rays(camera, _side_points(seen, start, camera, tolerance_deg))
+        start = _solve(start, origins, rays, _scatter(seen, start), camera, options, radius)
+    return start
+
+
+def _scatter(seen: _Observation, cylinder: Cylinder) -> Matrix3:
+    """Mean of n nᵀ over strips along the cylinder, n a strip's mean normal, (3, 3); wrong normals left out.
+
+    A wrong normal may happen to be perpendicular to the axis, but it seldom fits its place as well: Tukey's
+    weights of the angle between measured and expected normal, whose median is 1.18 spreads of a component.
+    And wrong normals err together, where a light is blocked or mirrored: Cauchy's weights of whole strips.
+    """
+    met = intersect(cylinder, seen.origins, seen.rays)
+    if not met.hit.any():
+        raise SolverFailed(f"cylinder: in {seen.name} the cylinder of the normals lies beside the silhouette")
+    normals, expected = seen.normals[met.hit], met.normals[met.hit]
+    apart = np.linalg.norm(normals - expected, axis=1)
+    spread = max(_NARROWEST_SPREAD, float(np.median(apart)) / 1.18)
+    weights = np.maximum(1.0 - (apart / (_GATE * spread)) ** 2, 0.0) ** 2
+    plane = np.stack(across_axis(cylinder.axis, least_aligned(cylinder.axis)))
+    round_ = np.arctan2(*(expected @ plane.T).T)
+    strips = ((round_ + np.pi) / (2 * np.pi) * _STRIPS).astype(int) % _STRIPS
+    total = np.bincount(strips, weights, _STRIPS)
+    means = np.stack([np.bincount(strips, weights * normals[:, i], _STRIPS) for i in range(3)], axis=1)
+    kept = total > 0.1 * total.mean()
+    means, total = means[kept] / total[kept, None], total[kept]
+    tilt = means @ cylinder.axis
+    tilt_spread = 1.48 * np.median(np.abs(tilt)) + 1e-6
+    total /= 1.0 + (tilt / (2.0 * tilt_spread)) ** 2
+    return (means * total[:, None]).T @ means / total.sum()
+
+
+def _solve(
+    start: Cylinder,
+    origins: Points,
+    rays: Points,
+    scatter: Matrix3,
+    camera: Camera,
+    options: CylinderOptions,
+    radius: float | None,
+) -> Cylinder:
+    """Least squares over axis, centre and, where it is free, radius."""
+    first, second = across_axis(start.axis, least_aligned(start.axis))
+    squared, vectors = np.linalg.eigh(scatter)
+    root = np.sqrt(np.maximum(squared, 0))[:, None] * vectors.T / np.deg2rad(options.common_deg)
+
+    def cylinder(unknown: FloatArray) -> Cylinder:
+        axis = start.axis + unknown[0] * first + unknown[1] * second
+        axis /= np.linalg.norm(axis)
+        centre = unknown[2:4] @ np.stack(across_axis(axis, first))
+        return Cylinder(axis=axis, centre=centre, radius=float(unknown[4]) if radius is None else radius)
+
+    def residuals(unknown: FloatArray) -> FloatArray:
+        now = cylinder(unknown)
+        missed = distance_from_touching_px(now, origins, rays, camera) / options.silhouette_px
+        return np.concatenate([_cauchy(missed) / np.sqrt(options.correlated_points), root @ now.axis])
+
+    begin = [0.0, 0.0, start.centre @ first, start.centre @ second]
+    solved = least_squares(residuals, begin + ([start.radius] if radius is None else []), x_scale="jac")
+    return cylinder(solved.x)
+
+
+def _cauchy(residuals: FloatArray) -> FloatArray:
+    """Residuals whose squares are Cauchy's robust loss of the given ones."""
+    return np.sign(residuals) * np.sqrt(np.log1p(residuals**2))
+
+
+def _side_points(seen: _Observation, start: Cylinder, camera: Camera, tolerance_deg: float) -> Points2:
+    """Contour points whose tangent runs along the image of the axis."""
+    centre = start.centre if camera.is_perspective else start.centre * [1, 1, 0]
+    ends = camera.project(np.stack([centre - 0.1 * start.axis, centre + 0.1 * start.axis]))
+    along = ends[1] - ends[0]
+    length = np.linalg.norm(along)
+    if length < 1e-9:
+        raise SolverFailed(f"cylinder: in {seen.name} the axis points at the camera, its sides are not seen")
+    facing_sideways = np.abs(seen.outward @ (along / length)) < np.sin(np.deg2rad(tolerance_deg))
+    if np.count_nonzero(facing_sideways) < _FEWEST_CONTOUR_POINTS:
+        raise SolverFailed(f"cylinder: the silhouette of {seen.name} shows no two straight sides")
+    sides = seen.contour[facing_sideways]
+    position = sides @ along
+    low, high = np.percentile(position, [_ENDS_PERCENT, 100 - _ENDS_PERCENT])
+    return sides[(position > low) & (position < high)]
+
+
+def _sign(axis: FloatArray) -> float:
+    """Of the two directions of an axis, the one whose largest component is positive."""
+    return float(np.sign(axis[int(np.argmax(np.abs(axis)))]))

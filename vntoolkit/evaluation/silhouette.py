@@ -1,0 +1,66 @@
+"""The outline of a bright subject before a dark background, to a fraction of a pixel."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import ndimage
+
+from vntoolkit.arrays import FloatArray, LinearImage, Points2
+from vntoolkit.errors import BadInput
+
+_BACKGROUND_SHARE = 0.02  # border of the image, as a share of its width, that is taken as background
+_SIGMAS = 6.0
+_SMOOTHING_PX = 1.5
+
+
+def silhouette_from_image(rgb: LinearImage) -> FloatArray:
+    """Return how much of each pixel (h, w) the subject covers, 0 to 1: the largest bright region, no holes.
+
+    rgb: (h, w, 3) linear. The image's border gives level and noise of the background. Along the outline a
+    pixel's brightness over that of its brightest neighbours is the share that is covered. Raises `BadInput`
+    where nothing stands out from the background.
+    """
+    brightness = ndimage.gaussian_filter(rgb.sum(axis=2, dtype=np.float64), 0.7)
+    rim = max(2, round(_BACKGROUND_SHARE * rgb.shape[1]))
+    border = np.ones(brightness.shape, dtype=np.bool_)
+    border[rim:-rim, rim:-rim] = False
+    level = np.median(brightness[border])
+    noise = 1.4826 * np.median(np.abs(brightness[border] - level))
+    floor = 0.004 * (np.percentile(brightness, 99) - level)  # a noiseless background has no spread
+    lifted = brightness - level
+    regions, count = ndimage.label(lifted > max(_SIGMAS * noise, floor))
+    if not count:
+        raise BadInput("silhouette: nothing is brighter than the background")
+    sizes = np.bincount(regions.ravel())[1:]
+    region = ndimage.binary_fill_holes(regions == 1 + int(np.argmax(sizes)))
+    inner = ndimage.binary_erosion(region, iterations=2, border_value=1)
+    share = np.clip(lifted / np.maximum(ndimage.maximum_filter(lifted, size=5), 1e-12), 0.0, 1.0)
+    return np.where(inner, 1.0, np.where(ndimage.binary_dilation(region, iterations=2), share, 0.0))
+
+
+def contour_of(coverage: FloatArray) -> tuple[Points2, FloatArray]:
+    """Return the contour points (n, 2) in pixels and the outward unit normals (n, 2) there.
+
+    coverage: (h, w) from 0 to 1, or a mask. A point lies where the line between neighbouring pixels crosses
+    one half, after smoothing: that leaves a straight edge where it is and takes the staircase out of it. The
+    image's border gives no points, since the silhouette is cut off there.
+    """
+    smooth = ndimage.gaussian_filter(coverage.astype(np.float64), _SMOOTHING_PX, mode="nearest")
+    above = smooth - 0.5
+    points = []
+    for axis in (0, 1):
+        here = above[:-1] if axis == 0 else above[:, :-1]
+        there = above[1:] if axis == 0 else above[:, 1:]
+        rows, columns = np.nonzero((here > 0) != (there > 0))
+        share = here[rows, columns] / (here[rows, columns] - there[rows, columns])
+        step = np.array([0.0, 1.0]) if axis == 0 else np.array([1.0, 0.0])
+        points.append(np.stack([columns, rows], axis=-1) + share[:, None] * step)
+    contour = np.concatenate(points)
+    slope_v, slope_u = np.gradient(smooth)
+    at = contour[:, ::-1].T
+    outward = -np.stack(
+        [ndimage.map_coordinates(slope, at, order=1, mode="nearest") for slope in (slope_u, slope_v)], axis=-1
+    )
+    length = np.linalg.norm(outward, axis=1)
+    kept = length > 1e-3
+    return contour[kept], outward[kept] / length[kept, None]
