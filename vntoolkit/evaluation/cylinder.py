@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vntoolkit.arrays import FloatArray, Vector3
+from vntoolkit.arrays import FloatArray, Mask, Vector3
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
 
@@ -31,7 +31,7 @@ class Intersection:
 
     normals: FloatArray
     along: FloatArray
-    hit: FloatArray
+    hit: Mask
 
 
 def camera_rays(camera: Camera, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
