@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
@@ -18,11 +16,11 @@ from vntoolkit.io.atomic import atomic_path
 from vntoolkit.io.exr import require_pixels
 from vntoolkit.io.files import require_file
 from vntoolkit.io.pixel_formats import PixelFormat, rgb_from_video_frame
+from vntoolkit.io.video_index import VideoIndex, av_errors, index_of_stream, reason_of
 
 if TYPE_CHECKING:
     import av
 
-_logger = logging.getLogger(__name__)
 _HD_HEIGHT = 720
 # AVCOL_TRC_* that a stream may state, in our words; BT.601 and BT.2020 share BT.709's curve.
 _TRANSFER_NAMES = {
@@ -35,14 +33,6 @@ _TRANSFER_NAMES = {
     14: "bt709",
     15: "bt709",
 }
-
-
-@dataclass(frozen=True, kw_only=True)
-class VideoIndex:
-    """When each frame is shown, in time base ticks, ascending; and how many the file promises."""
-
-    times: tuple[int, ...]
-    promised: int
 
 
 class VideoReader:
@@ -78,20 +68,7 @@ class VideoReader:
         """Read all packets once, without decoding."""
         with self._open() as container:
             stream = _video_stream(container, self.path)
-            times, broken = [], 0
-            try:
-                for packet in container.demux(stream):
-                    if packet.pts is not None and not packet.is_corrupt and not packet.is_discard:
-                        times.append(packet.pts)
-                    broken += packet.is_corrupt
-            except _av_error() as error:
-                _logger.debug("%s: demuxing ended early: %s", self.path, error)
-                broken += 1
-            times.sort()
-            missing = _missing_frames(container, stream, times)
-        if not times:
-            raise BadCapture(f"{self.path}: the video holds no frame")
-        return VideoIndex(times=tuple(times), promised=len(times) + max(missing, broken))
+            return index_of_stream(container, stream, str(self.path), has_checksums=self.codec == "ffv1")
 
     def frames(
         self, start: int = 0, stop: int | None = None, step: int = 1
@@ -105,35 +82,44 @@ class VideoReader:
         last = len(times) if stop is None else min(stop, len(times))
         if (stop is None or stop > len(times)) and self.index.promised > len(times):
             raise self._breaks_off(len(times))
-        wanted = range(start, last, step)
-        if not wanted:
+        if start >= last:
             return
-        next_index = 0
-        for time, frame in self._decoded(times[start] if start else None):
-            if time is not None and time < times[wanted[next_index]]:
-                continue
-            yield wanted[next_index], self._rgb(frame, wanted[next_index])
-            next_index += 1
-            if next_index == len(wanted):
-                return
-        raise self._breaks_off(wanted[next_index])
+        decoded = self._decoded(times[start] if start else None)
+        for number in range(start, last, step):
+            if number in self.index.damaged:
+                raise self._damaged(number, "its checksum is wrong, or that of a frame it builds on")
+            yield number, self._rgb(self._frame_shown_at(times[number], number, decoded), number)
+
+    def _frame_shown_at(self, time: int, number: int, decoded: Iterator[tuple[int | None, Any]]) -> Any:
+        """Take frames until the one of that time; a frame that the decoder left out shifts no other."""
+        for shown, frame in decoded:
+            if shown is None or shown == time:
+                return frame
+            if shown > time:
+                raise self._damaged(number, "it cannot be decoded")
+        raise self._breaks_off(number)
 
     def _decoded(self, from_time: int | None) -> Iterator[tuple[int | None, Any]]:
+        damaged_times = {self.index.times[number] for number in self.index.damaged}
         with self._open() as container:
             stream = _video_stream(container, self.path)
-            stream.thread_type = "AUTO"
+            is_unchecked = self.codec == "ffv1" and not self.index.is_checked
+            stream.thread_type = "SLICE" if is_unchecked else "AUTO"
             stream.codec_context.thread_count = self.threads
             try:
                 if from_time is not None:
                     container.seek(from_time, stream=stream, backward=True)
-                for frame in container.decode(stream):
-                    yield frame.pts, frame
-            except _av_error() as error:
-                raise BadCapture(f"{self.path}: a frame cannot be decoded ({_reason(error)})") from error
+                for packet in container.demux(stream):
+                    # FFmpeg's threads have been seen to wait for ever on a damaged frame: give them none.
+                    if packet.pts not in damaged_times:
+                        for frame in packet.decode():
+                            yield frame.pts, frame
+            except av_errors() as error:
+                raise BadCapture(f"{self.path}: a frame cannot be decoded ({reason_of(error)})") from error
 
     def _rgb(self, frame: Any, number: int) -> npt.NDArray[Any]:
         if frame.is_corrupt:
-            raise self._breaks_off(number)
+            raise self._damaged(number, "the decoder calls it corrupt")
         if (frame.width, frame.height) != (self.width, self.height):
             raise BadCapture(
                 f"{self.path}: frame {number} is {frame.width}×{frame.height}, the first one "
@@ -148,16 +134,22 @@ class VideoReader:
             f"{number - 1}); copy the file again, or use what is there with --frames 0:{number}"
         )
 
+    def _damaged(self, number: int, reason: str) -> BadCapture:
+        return BadCapture(
+            f"{self.path}: frame {number} of {len(self.index.times)} is damaged: {reason}; copy the file "
+            f"again, or leave the frame out, as with --frames {f'0:{number}' if number else '1:'}"
+        )
+
     def _open(self) -> Any:
         import av
 
         av.logging.set_level(av.logging.PANIC)  # errors arrive as exceptions, in one line
         try:
             return av.open(str(self.path))
-        except _av_error() as error:
+        except av_errors() as error:
             raise BadCapture(
-                f"{self.path}: cannot be opened as a video ({_reason(error)}); it is damaged, cut off or in "
-                "an unknown format"
+                f"{self.path}: cannot be opened as a video ({reason_of(error)}); it is damaged, cut off or "
+                "in an unknown format"
             ) from error
 
 
@@ -194,7 +186,7 @@ def write_video(
                 raise BadCapture(f"{path}: no frame to write")
             container.mux(stream.encode(None))
     except av.error.FFmpegError as error:
-        raise CannotWrite(f"cannot write {path}: {_reason(error)}") from error
+        raise CannotWrite(f"cannot write {path}: {reason_of(error)}") from error
     return count
 
 
@@ -220,29 +212,3 @@ def _video_stream(container: av.container.InputContainer, path: Path) -> Any:
     if not container.streams.video:
         raise BadCapture(f"{path}: holds no video stream")
     return container.streams.video[0]
-
-
-def _missing_frames(container: Any, stream: Any, times: list[int]) -> int:
-    """Return how many frames the header promises beyond those in `times`; 0 where it says nothing.
-
-    Matroska gives no count but a duration; the container's is the longest of its streams', so it counts only
-    for a file with one stream. Time is compared, not rate × duration: the rate may vary.
-    """
-    if stream.frames:
-        return max(0, int(stream.frames) - len(times))
-    rate = stream.average_rate or stream.guessed_rate
-    if not (container.duration and rate and times and len(container.streams) == 1):
-        return 0
-    start_s = max(0, container.start_time or 0) / 1e6
-    last_end_s = float(times[-1] * stream.time_base) + 1 / float(rate)
-    return max(0, round((start_s + container.duration / 1e6 - last_end_s) * float(rate)))
-
-
-def _av_error() -> tuple[type[Exception], ...]:
-    import av
-
-    return (av.error.FFmpegError, OSError, EOFError)
-
-
-def _reason(error: Exception) -> str:
-    return " ".join(str(getattr(error, "strerror", None) or error).split()).lower()
