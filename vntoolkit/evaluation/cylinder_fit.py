@@ -57,10 +57,9 @@ class CylinderOptions:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Observation:
-    """One frame, thinned: rays (origin and direction) and normals of surface pixels, and the contour."""
+    """One frame, thinned: pixels (n, 2) and normals (n, 3) of the surface, and the contour."""
 
-    origins: Points
-    rays: Points
+    pixels: Points2
     normals: Points
     contour: Points2
     outward: FloatArray
@@ -82,27 +81,31 @@ def fit_cylinder(
     normals agree on no axis.
     """
     options = options or CylinderOptions()
-    observations = [
+    observations = (
         _observe(normal_map, silhouette, camera, rng, f"frame {number}")
         for number, (normal_map, silhouette) in enumerate(frames)
-    ]
-    if not observations:
-        raise BadInput("cylinder: the sequence has no frame")
-    fits = [_fit_frame(seen, camera, options, rng) for seen in observations]
-    if not camera.is_perspective:
-        radius = float(np.median([fit.radius for fit in fits]))
+    )
+    if camera.is_perspective:  # a radius of 1 for all: every frame stands alone
+        fits = [_fit_frame(seen, camera, options, rng) for seen in observations]
+    else:
+        kept = list(observations)
+        free = [_fit_frame(seen, camera, options, rng) for seen in kept]
+        radius = float(np.median([fit.radius for fit in free])) if free else 1.0
         fits = [
             _refine(seen, replace(fit, radius=radius), camera, options, radius)
-            for seen, fit in zip(observations, fits, strict=True)
+            for seen, fit in zip(kept, free, strict=True)
         ]
+    if not fits:
+        raise BadInput("cylinder: the sequence has no frame")
     return tuple(replace(fit, axis=fit.axis * _sign(fit.axis)) for fit in fits)
 
 
 def _fit_frame(
     seen: _Observation, camera: Camera, options: CylinderOptions, rng: np.random.Generator
 ) -> Cylinder:
+    normals = seen.normals.astype(np.float64)
     start = start_from_normals(
-        seen.normals, seen.origins, seen.rays, options.support_deg, camera.is_perspective, rng, seen.name
+        normals, *camera_rays(camera, seen.pixels), options.support_deg, camera.is_perspective, rng, seen.name
     )
     return _refine(seen, start, camera, options, 1.0 if camera.is_perspective else None)
 
@@ -116,15 +119,13 @@ def _observe(
             f"cylinder: {name} has {len(rows)} valid normals, at least {_FEWEST_PIXELS} are needed"
         )
     chosen = rng.permutation(len(rows))[:_MOST_SAMPLES]
-    pixels = np.stack([columns[chosen], rows[chosen]], axis=-1).astype(np.float64)
+    pixels = np.stack([columns[chosen], rows[chosen]], axis=-1).astype(np.float32)
     contour, outward = contour_of(silhouette)
     if len(contour) < _FEWEST_CONTOUR_POINTS:
         raise BadInput(f"cylinder: {name} has no usable silhouette ({len(contour)} contour points)")
-    origins, rays = camera_rays(camera, pixels)
     return _Observation(
-        origins=origins,
-        rays=rays,
-        normals=normal_map.normals_in_camera[rows[chosen], columns[chosen]].astype(np.float64),
+        pixels=pixels,
+        normals=normal_map.normals_in_camera[rows[chosen], columns[chosen]],
         contour=contour,
         outward=outward,
         name=name,
@@ -141,21 +142,21 @@ def _refine(
     for round_ in range(_ROUNDS):
         tolerance_deg = options.parallel_deg * (2.5 if round_ == 0 else 1.0)
         origins, rays = camera_rays(camera, _side_points(seen, start, camera, tolerance_deg))
-        start = _solve(start, origins, rays, _scatter(seen, start), camera, options, radius)
+        start = _solve(start, origins, rays, _scatter(seen, start, camera), camera, options, radius)
     return start
 
 
-def _scatter(seen: _Observation, cylinder: Cylinder) -> Matrix3:
+def _scatter(seen: _Observation, cylinder: Cylinder, camera: Camera) -> Matrix3:
     """Mean of n nᵀ over strips along the cylinder, n a strip's mean normal, (3, 3); wrong normals left out.
 
     A wrong normal may happen to be perpendicular to the axis, but it seldom fits its place as well: Tukey's
     weights of the angle between measured and expected normal, whose median is 1.18 spreads of a component.
     And wrong normals err together, where a light is blocked or mirrored: Cauchy's weights of whole strips.
     """
-    met = intersect(cylinder, seen.origins, seen.rays)
+    met = intersect(cylinder, *camera_rays(camera, seen.pixels))
     if not met.hit.any():
         raise SolverFailed(f"cylinder: in {seen.name} the cylinder of the normals lies beside the silhouette")
-    normals, expected = seen.normals[met.hit], met.normals[met.hit]
+    normals, expected = seen.normals[met.hit].astype(np.float64), met.normals[met.hit]
     apart = np.linalg.norm(normals - expected, axis=1)
     spread = max(_NARROWEST_SPREAD, float(np.median(apart)) / 1.18)
     weights = np.maximum(1.0 - (apart / (_GATE * spread)) ** 2, 0.0) ** 2
