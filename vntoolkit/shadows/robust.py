@@ -20,6 +20,7 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.photometry.visibility import labels_from_lit
 from vntoolkit.shadows.albedo import AlbedoOptions, albedo_from_lit
+from vntoolkit.shadows.dark_level import DarkLevelOptions, largest_dark_share
 from vntoolkit.shadows.graph_cut import bonds_of_light, lit_by_cut
 from vntoolkit.shadows.shares import LightShares
 from vntoolkit.shadows.surface import SurfaceOptions, solve_surface
@@ -32,10 +33,9 @@ _SMALLEST_ALBEDO = 1e-3
 class RobustOptions:
     """The robust detector's parameters; a share is 1 where a surface of the local albedo faces the light.
 
-    first_share: lights with a smaller share are doubted at the start. ratio: a light is missing where less
-    than this part of its predicted share is measured. darkest_share: measured shares below it count as none
-    even where little is predicted. paint_share: a pixel dark in all three lights alike is dark paint if its
-    shares are above this part of the predicted ones. tolerance_dark, tolerance_bright: change of a share that
+    first_share: lights with a smaller share are doubted at the start. dark_level: below which share a light
+    is missing. paint_part: a pixel with less than this part of all three predicted shares is dark paint if
+    paint_share of them, at least, is measured. tolerance_dark, tolerance_bright: change of a share that
     counts as one unit of evidence, where none is predicted, and what the predicted share adds to it.
     smoothness: price of a change of label between neighbours, in units of evidence. contrast: see
     `bonds_of_light`. rounds: alternations. working_pixels: larger frames are shrunk towards this size for the
@@ -44,13 +44,13 @@ class RobustOptions:
     """
 
     first_share: float = 0.2
-    ratio: float = 0.5
-    darkest_share: float = 0.06
+    dark_level: DarkLevelOptions = field(default_factory=DarkLevelOptions)
+    paint_part: float = 0.5
     paint_share: float = 0.12
-    tolerance_dark: float = 0.05
-    tolerance_bright: float = 0.1
-    smoothness: float = 0.7
-    contrast: float = 0.3
+    tolerance_dark: float = 0.04
+    tolerance_bright: float = 0.05
+    smoothness: float = 0.5
+    contrast: float = 0.5
     rounds: int = 3
     working_pixels: int = 250_000
     persistence: float = 0.25
@@ -58,7 +58,7 @@ class RobustOptions:
     surface: SurfaceOptions = field(default_factory=lambda: SurfaceOptions(iterations=3))
 
     def __post_init__(self) -> None:
-        for name in ("first_share", "ratio", "darkest_share", "paint_share", "persistence"):
+        for name in ("first_share", "paint_part", "paint_share", "persistence"):
             require_in_range(getattr(self, name), 0.0, 1.0, f"robust shadow detector: {name}")
         if self.rounds < 1 or not (self.tolerance_dark > 0 and self.contrast > 0 and self.smoothness >= 0):
             raise BadInput("robust shadow detector: rounds, tolerances and contrast must be positive")
@@ -79,7 +79,7 @@ def lit_by_surface(
     predicted, albedo = _predicted_by_rounds(small, small_mask, options, small_camera)
     predicted, albedo = _enlarged(predicted, mask.shape), _enlarged(albedo, mask.shape)
     shares = _without_paint(measured.shares(albedo), predicted, options)
-    evidence = _evidence(shares, predicted, options)
+    evidence = _evidence(shares, predicted, albedo, mask, options)
     if memory is not None and memory.shape == evidence.shape:
         evidence = (1 - options.persistence) * evidence + options.persistence * memory
     return _cut(evidence, shares, mask, options), evidence
@@ -103,7 +103,7 @@ def _predicted_by_rounds(
         predicted = surface.normals @ measured.directions.T.astype(np.float32)
         if i + 1 < options.rounds:
             shares = _without_paint(measured.shares(albedo), predicted, options)
-            lit = _cut(_evidence(shares, predicted, options), shares, mask, options)
+            lit = _cut(_evidence(shares, predicted, albedo, mask, options), shares, mask, options)
     return predicted, albedo
 
 
@@ -146,12 +146,14 @@ def _without_paint(shares: FloatArray, predicted: FloatArray, options: RobustOpt
     """Undo dark paint: where all three lights are missing alike, it is the albedo that is off."""
     part = shares / np.maximum(predicted, options.tolerance_dark)
     typical = np.median(part, axis=-1)
-    paint = (part < options.ratio).all(axis=-1) & (typical > options.paint_share)
+    paint = (part < options.paint_part).all(axis=-1) & (typical > options.paint_share)
     return shares / np.where(paint, np.maximum(typical, _SMALLEST_ALBEDO), 1.0)[..., None]
 
 
-def _evidence(shares: FloatArray, predicted: FloatArray, options: RobustOptions) -> FloatArray:
-    """(h, w, 3), positive where more than the allowed part of the predicted share is measured."""
-    threshold = np.maximum(options.ratio * predicted, options.darkest_share)
-    unit = options.tolerance_dark + options.tolerance_bright * np.maximum(predicted, 0.0)
-    return np.clip((shares - threshold) / unit, -_STRONGEST_EVIDENCE, _STRONGEST_EVIDENCE)
+def _evidence(
+    shares: FloatArray, predicted: FloatArray, albedo: FloatArray, mask: Mask, options: RobustOptions
+) -> FloatArray:
+    """(h, w, 3), positive where more is measured than a shadow returns."""
+    level, grain = largest_dark_share(shares, predicted, albedo, mask, options.dark_level)
+    unit = np.hypot(options.tolerance_dark + options.tolerance_bright * np.maximum(predicted, 0.0), grain)
+    return np.clip((shares - level) / unit, -_STRONGEST_EVIDENCE, _STRONGEST_EVIDENCE)

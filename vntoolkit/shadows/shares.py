@@ -7,25 +7,28 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from vntoolkit.arrays import FloatArray, Mask, Matrix3, Weight
+from vntoolkit.arrays import FloatArray, Mask, Matrix3, Vector3, Weight
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 
 _CLIPPED_TRUST = 0.05  # a saturated channel is a bound, not a value
 _SMALLEST_ALBEDO = 1e-3
+_SMALLEST_REST = 0.05  # 1 − |M⁻¹a|²: an ambient light as strong as the lamps leaves no root
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LightShares:
     """One frame, split by light.
 
-    contributions: (h, w, 3), light k's part of the colour (a channel where the light colours are unknown).
-    lights: (3, 3), row k = direction times strength; directions: the same, unit length. length, normals:
-    (h, w) and (h, w, 3), |M⁻¹(r − a)| and its direction, albedo and normal where all lights arrive. trust:
-    (h, w), 1, less where clipped.
+    contributions: (h, w, 3), light k's part of the colour (a channel where the light colours are unknown),
+    with the ambient light in it. ambient: (3,), its part of that on a surface of albedo 1; it comes back from
+    the surface like any light, so on dark hair little of it does. lights: (3, 3), row k = direction times
+    strength; directions: the same, unit length. length, normals: (h, w) and (h, w, 3), albedo and normal
+    where all lights arrive. trust: (h, w), 1, less where clipped.
     """
 
     contributions: FloatArray
+    ambient: Vector3
     lights: Matrix3
     directions: Matrix3
     length: FloatArray
@@ -34,7 +37,8 @@ class LightShares:
 
     def relative_to(self, albedo: FloatArray) -> FloatArray:
         """Contributions over the albedo (h, w): L_k · n where light k arrives."""
-        return self.contributions / np.maximum(albedo, _SMALLEST_ALBEDO)[..., None]
+        relative = self.contributions / np.maximum(albedo, _SMALLEST_ALBEDO)[..., None]
+        return relative - self.ambient.astype(np.float32)
 
     def shares(self, albedo: FloatArray) -> FloatArray:
         """Contributions over albedo and strength: the cosine to each light where it arrives."""
@@ -54,6 +58,7 @@ class LightShares:
         length, normals = _length_and_direction(scaled)
         small = LightShares(
             contributions=mean(self.contributions),
+            ambient=self.ambient,
             lights=self.lights,
             directions=self.directions,
             length=length,
@@ -65,18 +70,33 @@ class LightShares:
 
 def shares_from_frame(frame: LinearFrame, response: LightResponse) -> LightShares:
     """Split a frame by light; values that are not finite count as black."""
-    rgb = np.nan_to_num(frame.rgb - response.ambient.astype(np.float32), posinf=1.0, neginf=0.0)
+    rgb = np.nan_to_num(frame.rgb, posinf=1.0, neginf=0.0)
     contributions = rgb @ response.contributions_from_rgb.T.astype(np.float32)
-    scaled = rgb @ response.inverse.T.astype(np.float32)
-    length, normals = _length_and_direction(scaled)
+    length, normals = _albedo_and_normal(rgb, response)
     return LightShares(
         contributions=contributions,
+        ambient=response.contributions_from_rgb @ response.ambient,
         lights=response.lights,
         directions=response.light_directions,
         length=length,
         normals=normals,
         trust=np.where(frame.clipped, _CLIPPED_TRUST, 1.0).astype(np.float32),
     )
+
+
+def _albedo_and_normal(rgb: FloatArray, response: LightResponse) -> tuple[FloatArray, FloatArray]:
+    """Solve r = ρ (M n + a), |n| = 1, for the albedo ρ (h, w) and the normal n (h, w, 3).
+
+    With v = M⁻¹r and w = M⁻¹a, |v − ρ w| = ρ is a quadratic in ρ with one positive root as long as the
+    ambient light is weaker than the lamps.
+    """
+    scaled = rgb @ response.inverse.T.astype(np.float32)
+    haze = (response.inverse @ response.ambient).astype(np.float32)
+    rest = max(1.0 - float(haze @ haze), _SMALLEST_REST)
+    along = scaled @ haze
+    albedo = (np.sqrt(along**2 + rest * np.sum(scaled**2, axis=-1)) - along) / rest
+    _, normals = _length_and_direction(scaled - albedo[..., None] * haze)
+    return albedo, normals
 
 
 def _length_and_direction(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -1,0 +1,66 @@
+"""How much of a light a pixel may seem to return although the light does not reach it.
+
+Other surfaces send some light into every shadow: next to nothing on a lone figure in a dark studio, a tenth
+of the lamp in the folds of a white statue. The frame itself says how much, where a light is predicted and
+all but missing. Camera noise adds to it, the more the darker the paint.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vntoolkit.arrays import FloatArray, Mask
+from vntoolkit.checks import require_in_range
+from vntoolkit.errors import BadInput
+
+_SMALLEST_ALBEDO = 0.02
+
+
+@dataclass(frozen=True, kw_only=True)
+class DarkLevelOptions:
+    """Shares are 1 where a surface of the local albedo faces the light.
+
+    ratio: a light is missing where less than this part of its predicted share is measured, within two
+    bounds. margin: even where less is predicted, it is missing below the frame's typical share in shadow plus
+    this. most_times, most_margin: however much is predicted, it is not missing above the typical share times
+    most_times plus most_margin. noise: standard deviation of a contribution, full scale = 1; both bounds
+    rise by it over the albedo. predicted_share, fewest: at least `fewest` pixels predicted to have more than
+    predicted_share must be missing, or the typical share in shadow counts as 0.
+    """
+
+    ratio: float = 0.5
+    margin: float = 0.02
+    most_times: float = 3.0
+    most_margin: float = 0.06
+    noise: float = 0.009
+    predicted_share: float = 0.4
+    fewest: int = 50
+
+    def __post_init__(self) -> None:
+        require_in_range(self.ratio, 0.0, 1.0, "dark level: ratio")
+        if min(self.margin, self.most_times, self.most_margin, self.noise) < 0:
+            raise BadInput("dark level: margins, factor and noise must not be negative")
+
+
+def largest_dark_share(
+    shares: FloatArray,
+    predicted: FloatArray,
+    albedo: FloatArray,
+    mask: Mask,
+    options: DarkLevelOptions | None = None,
+) -> tuple[FloatArray, FloatArray]:
+    """Return per light the share (h, w, 3) below which it is missing, and the noise of a share (h, w, 1).
+
+    shares, predicted: (h, w, 3), measured and to be expected where the light arrives. albedo: (h, w).
+    """
+    options = options or DarkLevelOptions()
+    grain = options.noise / np.maximum(albedo, _SMALLEST_ALBEDO)[..., None]
+    missing = mask[..., None] & (predicted > options.predicted_share) & (shares < options.ratio * predicted)
+    typical = 0.0
+    if np.count_nonzero(missing) >= options.fewest:
+        typical = max(0.0, float(np.median((shares - grain)[missing])))
+    least = typical + options.margin + grain
+    most = options.most_times * typical + options.most_margin + grain
+    return np.clip(options.ratio * predicted, least, np.maximum(least, most)), grain
