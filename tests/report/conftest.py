@@ -1,48 +1,5 @@
-"""A small result folder: a dome that moves, one frame of which is black and skipped; tracked."""
+"""The small result folder that the pages are about."""
 
-from dataclasses import dataclass, replace
-from pathlib import Path
+from tests.dome_result import dome_result
 
-import numpy as np
-import pytest
-
-from tests.pipeline.conftest import write_dome_capture
-from vntoolkit.io.images import write_png
-from vntoolkit.photometry.rig import FitQuality
-from vntoolkit.pipeline.block_work import ReconstructionJob
-from vntoolkit.pipeline.checkerboard import write_checkerboard
-from vntoolkit.pipeline.options import OnError, ReconstructOptions
-from vntoolkit.pipeline.outputs import ReconstructionFolder
-from vntoolkit.pipeline.reconstruct import reconstruct
-from vntoolkit.pipeline.track import TrackJob, track
-from vntoolkit.shadows.detector import ShadowMethod
-from vntoolkit.tracking.options import TrackingOptions
-
-HOSTILE = '<b>dome & "co"'
-SKIPPED = 3
-
-
-@dataclass(frozen=True)
-class DomeResult:
-    folder: Path
-    footage: Path
-
-
-@pytest.fixture(scope="session")
-def dome_result(tmp_path_factory: pytest.TempPathFactory) -> DomeResult:
-    root = tmp_path_factory.mktemp("result")
-    footage = root / HOSTILE
-    footage.mkdir()
-    capture = write_dome_capture(footage, count=6)
-    write_png(footage / f"f{SKIPPED}.png", np.zeros((48, 64, 3), np.uint16))
-    quality = FitQuality(method="sphere", residual_deg=0.4, condition_number=3.1, samples=900, cone_deg=61.0)
-    job = ReconstructionJob(
-        source=str(footage),
-        rig=replace(capture.rig, quality=quality),
-        options=ReconstructOptions(shadows=ShadowMethod.ROBUST, on_error=OnError.SKIP),
-        folder=ReconstructionFolder(root=root / "out"),
-    )
-    reconstruct(job)
-    track(TrackJob(folder=root / "out", options=TrackingOptions()))
-    write_checkerboard(root / "out")
-    return DomeResult(folder=root / "out", footage=footage)
+__all__ = ["dome_result"]

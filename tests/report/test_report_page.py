@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.browser import visit
-from tests.report.conftest import SKIPPED, DomeResult
+from tests.dome_result import SKIPPED, DomeResult
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap

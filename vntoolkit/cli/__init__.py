@@ -31,6 +31,7 @@ VERBS: dict[str, tuple[str, str]] = {
         "Turn footage and a rig into normals, depth and meshes.",
     ),
     "track": ("vntoolkit.cli.track:track", "Follow one surface through a reconstruction's frames."),
+    "export": ("vntoolkit.cli.export:export", "Hand results on as PLY, OBJ, USD, GLB, NPZ or DiLiGenT's."),
     "report": (
         "vntoolkit.cli.report:report",
         "Write one page that tells whether a reconstruction can be trusted.",

@@ -28,7 +28,30 @@ class NormalConvention(Enum):
         ]
 
 
-def graphics_from_camera(vectors: FloatArray) -> FloatArray:
-    """Turn points or directions (..., 3) by half a turn about x; its own inverse, windings stay."""
+class UpAxis(Enum):
+    """Which axis of a mesh file points up.
+
+    Y: x right, y up, z towards the viewer (ours, MeshLab's, glTF's; the default). Z: x right, y away from the
+    viewer, z up (Blender's own, CAD's, robotics').
+    """
+
+    Y = "y"
+    Z = "z"
+
+    @property
+    def meaning(self) -> str:
+        """The three axes in words."""
+        if self is UpAxis.Y:
+            return "x right, y up, z towards the viewer"
+        return "x right, y away from the viewer, z up"
+
+
+def graphics_from_camera(vectors: FloatArray, up: UpAxis = UpAxis.Y) -> FloatArray:
+    """Turn points or directions (..., 3) about x, by half a turn (y up) or a quarter (z up); windings stay.
+
+    With y up it is its own inverse.
+    """
     vectors = np.asarray(vectors)
+    if up is UpAxis.Z:
+        return np.stack([vectors[..., 0], vectors[..., 2], -vectors[..., 1]], axis=-1)
     return vectors * np.array([1, -1, -1], dtype=vectors.dtype)

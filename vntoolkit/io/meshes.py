@@ -13,25 +13,31 @@ from vntoolkit.arrays import FloatArray
 from vntoolkit.errors import BadMesh, CannotWrite
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.point_cloud import PointCloud
-from vntoolkit.io.conventions import graphics_from_camera
+from vntoolkit.io.conventions import UpAxis, graphics_from_camera
 from vntoolkit.io.obj import read_obj, write_obj
 from vntoolkit.io.ply import PlyContent, read_ply, write_ply
 
 
-def write_mesh(path: Path | str, mesh: Mesh, *, texture: npt.NDArray[np.uint8] | None = None) -> None:
+def write_mesh(
+    path: Path | str,
+    mesh: Mesh,
+    *,
+    texture: npt.NDArray[np.uint8] | None = None,
+    up: UpAxis = UpAxis.Y,
+) -> None:
     """Write a mesh in the camera frame as `.ply` (binary, float32) or `.obj` (with `.mtl`, texture `.png`).
 
     texture: (h, w, 3) uint8 RGB for an OBJ whose mesh has texture coordinates. Colours are stored as
-    value·255, without a curve.
+    value·255, without a curve. up: the axis that points up in the file; `read_mesh` expects y.
     """
-    flipped = _flip(mesh)
+    flipped = _flip(mesh, up)
     match Path(path).suffix.lower():
         case ".ply":
             if texture is not None:
                 raise CannotWrite(f"{path}: a PLY carries no texture; write .obj, or give vertex colours")
-            write_ply(path, _content(flipped))
+            write_ply(path, _content(flipped), up.meaning)
         case ".obj":
-            write_obj(path, flipped, texture)
+            write_obj(path, flipped, texture, up.meaning)
         case suffix:
             raise CannotWrite(f"{path}: a mesh is written as .ply or .obj, not '{suffix}'")
 
@@ -79,9 +85,9 @@ def read_point_cloud(path: Path | str) -> PointCloud:
     )
 
 
-def _flip(mesh: Mesh) -> Mesh:
-    normals = None if mesh.normals is None else graphics_from_camera(mesh.normals)
-    return replace(mesh, vertices=graphics_from_camera(mesh.vertices), normals=normals)
+def _flip(mesh: Mesh, up: UpAxis = UpAxis.Y) -> Mesh:
+    normals = None if mesh.normals is None else graphics_from_camera(mesh.normals, up)
+    return replace(mesh, vertices=graphics_from_camera(mesh.vertices, up), normals=normals)
 
 
 def _content(mesh: Mesh) -> PlyContent:

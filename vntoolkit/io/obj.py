@@ -16,10 +16,15 @@ from vntoolkit.io.images import read_image, write_png
 from vntoolkit.io.polygons import triangles_from_polygons
 
 
-def write_obj(path: Path | str, mesh: Mesh, texture: npt.NDArray[np.uint8] | None = None) -> None:
+def write_obj(
+    path: Path | str,
+    mesh: Mesh,
+    texture: npt.NDArray[np.uint8] | None = None,
+    comment: str = "x right, y up, z towards the viewer",
+) -> None:
     """Write `v` (colours behind, as MeshLab does), `vt`, `vn`, `f`; NAME.mtl and NAME.png for a texture."""
     path = Path(path)
-    lines = ["# x right, y up, z towards the viewer"]
+    lines = [f"# {comment}"]
     if texture is not None:
         if mesh.uv is None:
             raise BadMesh(f"{path}: a texture needs texture coordinates (uv) in the mesh")

@@ -33,7 +33,9 @@ class PlyContent:
     uv: FloatArray | None = None
 
 
-def write_ply(path: Path | str, content: PlyContent) -> None:
+def write_ply(
+    path: Path | str, content: PlyContent, comment: str = "x right, y up, z towards the viewer"
+) -> None:
     """Write little-endian binary: float32 `x y z nx ny nz s t`, uchar `red green blue`, triangles."""
     columns: list[tuple[tuple[str, ...], str, npt.NDArray[Any]]] = [(("x", "y", "z"), "f4", content.vertices)]
     if content.normals is not None:
@@ -44,7 +46,7 @@ def write_ply(path: Path | str, content: PlyContent) -> None:
         columns.append((("red", "green", "blue"), "u1", content.colours))
     row = np.dtype([(name, "<" + kind) for names, kind, _ in columns for name in names])
     vertices = np.empty(len(content.vertices), dtype=row)
-    header = ["ply", "format binary_little_endian 1.0", "comment x right, y up, z towards the viewer"]
+    header = ["ply", "format binary_little_endian 1.0", f"comment {comment}"]
     header.append(f"element vertex {len(vertices)}")
     for names, kind, values in columns:
         for i, name in enumerate(names):

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from vntoolkit.errors import BadInput, CannotWrite
 from vntoolkit.io.atomic import atomic_path
-from vntoolkit.io.conventions import graphics_from_camera
+from vntoolkit.io.conventions import UpAxis, graphics_from_camera
 
 SUFFIXES = (".usdc", ".usd")
 ROOT = "/World"
@@ -47,8 +47,10 @@ class UsdStage:
 
 
 @contextlib.contextmanager
-def new_stage(path: Path | str, *, frame_rate_hz: float, metres_per_unit: float) -> Iterator[UsdStage]:
-    """Yield a stage with y up, its length unit, its frame rate (time code = frame) and a root prim."""
+def new_stage(
+    path: Path | str, *, frame_rate_hz: float, metres_per_unit: float, up: UpAxis = UpAxis.Y
+) -> Iterator[UsdStage]:
+    """Yield a stage with its up axis, length unit, frame rate (time code = frame) and a root prim."""
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
         raise BadInput(f"{path}: expected a name that ends in .usdc or .usd (binary USD)")
@@ -60,7 +62,7 @@ def new_stage(path: Path | str, *, frame_rate_hz: float, metres_per_unit: float)
         try:
             layer = Sdf.Layer.CreateNew(str(temporary), {"format": "usdc"})
             stage = Usd.Stage.Open(layer)
-            UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+            UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y if up is UpAxis.Y else UsdGeom.Tokens.z)
             UsdGeom.SetStageMetersPerUnit(stage, metres_per_unit)
             stage.SetTimeCodesPerSecond(frame_rate_hz)
             stage.SetFramesPerSecond(frame_rate_hz)
@@ -72,8 +74,8 @@ def new_stage(path: Path | str, *, frame_rate_hz: float, metres_per_unit: float)
             raise CannotWrite(f"cannot write {path}: {' '.join(str(error).split())[:300]}") from error
 
 
-def vec3f_from_camera(vectors: npt.NDArray[Any]) -> Any:
-    """Return a USD array of (n, 3) vectors turned from the camera frame to y up."""
+def vec3f_from_camera(vectors: npt.NDArray[Any], up: UpAxis = UpAxis.Y) -> Any:
+    """Return a USD array of (n, 3) vectors turned from the camera frame to y or z up."""
     from pxr import Vt
 
-    return Vt.Vec3fArray.FromNumpy(graphics_from_camera(np.asarray(vectors, dtype=np.float32)))
+    return Vt.Vec3fArray.FromNumpy(graphics_from_camera(np.asarray(vectors, dtype=np.float32), up))

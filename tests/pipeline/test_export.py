@@ -1,0 +1,230 @@
+"""Exports: other programs find the right axes, lengths, topology and rate; nothing half-written is left."""
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Usd, UsdGeom, UsdValidation
+
+from tests.dome_result import DomeResult, dome_result
+from vntoolkit.errors import BadInput
+from vntoolkit.evaluation.angular_error import angles_between_deg
+from vntoolkit.geometry.mesh import face_normals
+from vntoolkit.io.conventions import NormalConvention, UpAxis, graphics_from_camera
+from vntoolkit.io.frame_range import FrameRange
+from vntoolkit.io.images import read_image, read_image_with_alpha
+from vntoolkit.io.light_files import read_lights
+from vntoolkit.io.maps import read_mask, read_normal_map
+from vntoolkit.io.meshes import read_mesh
+from vntoolkit.io.npz import StreamedArray, write_npz
+from vntoolkit.io.sequences import read_mesh_sequence
+from vntoolkit.normals.photometric_stereo import normals_from_lights
+from vntoolkit.pipeline.export import ExportJob, export
+from vntoolkit.pipeline.export_options import ExportedSurface, ExportFormat, ExportOptions, FileUnit
+
+__all__ = ["dome_result"]
+FRAMES = FrameRange.from_text("0:3")
+
+
+def exported(result: DomeResult, out: Path | None, to: ExportFormat, **options: object) -> Path:
+    job = ExportJob(folder=result.folder, options=ExportOptions(to=to, **options), out=out, frames=FRAMES)
+    return export(job).out
+
+
+def complaints(path: Path) -> list[str]:
+    context = UsdValidation.ValidationContext(UsdValidation.ValidationRegistry().GetOrLoadAllValidators())
+    return [error.GetMessage() for error in context.Validate(Usd.Stage.Open(str(path)))]
+
+
+def points_of(path: Path, time: float) -> np.ndarray:
+    stage = Usd.Stage.Open(str(path))  # a prim dies with its stage
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/World/Surface"))
+    return np.array(mesh.GetPointsAttr().Get(time))
+
+
+@pytest.mark.parametrize("up", UpAxis)
+@pytest.mark.parametrize("surface", [ExportedSurface.TRACKED, ExportedSurface.FRAMES])
+def test_usd_is_valid_and_holds_the_surface(
+    dome_result: DomeResult, tmp_path: Path, surface: ExportedSurface, up: UpAxis
+) -> None:
+    path = exported(
+        dome_result, tmp_path / "a.usdc", ExportFormat.USD, surface=surface, up=up, scale=0.002,
+        units=FileUnit.CM,
+    )  # fmt: skip
+    assert complaints(path) == []
+    stage = Usd.Stage.Open(str(path))
+    assert UsdGeom.GetStageMetersPerUnit(stage) == 0.01
+    assert UsdGeom.GetStageUpAxis(stage) == up.value.upper()
+    assert stage.GetTimeCodesPerSecond() == 30
+    assert stage.GetEndTimeCode() == 2
+    if surface is ExportedSurface.TRACKED:
+        sequence = read_mesh_sequence(dome_result.folder / "track")
+        vertices, faces = sequence.vertices[1], sequence.template.faces
+    else:
+        mesh = read_mesh(dome_result.folder / "mesh/000001.ply")
+        vertices, faces = mesh.vertices, mesh.faces
+    found = points_of(path, 1)
+    np.testing.assert_allclose(found, graphics_from_camera(vertices, up) * 0.2, atol=1e-5)
+    towards = {"y": [0, 0, 1], "z": [0, -1, 0]}[up.value]
+    assert (face_normals(found, faces) @ towards > 0).mean() > 0.98  # outside is outside
+
+
+def test_registered_usd_has_one_topology_and_the_other_many(dome_result: DomeResult, tmp_path: Path) -> None:
+    counts = {}
+    for surface in (ExportedSurface.TRACKED, ExportedSurface.FRAMES):
+        path = exported(dome_result, tmp_path / f"{surface.value}.usdc", ExportFormat.USD, surface=surface)
+        stage = Usd.Stage.Open(str(path))
+        mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/World/Surface"))
+        counts[surface] = mesh.GetFaceVertexIndicesAttr().GetNumTimeSamples()
+        assert mesh.GetPointsAttr().GetNumTimeSamples() == 3
+    assert counts == {ExportedSurface.TRACKED: 0, ExportedSurface.FRAMES: 3}
+
+
+def test_glb_is_metres_and_whole(dome_result: DomeResult, tmp_path: Path) -> None:
+    path = exported(dome_result, tmp_path / "a.glb", ExportFormat.GLB, scale=0.01)
+    content = path.read_bytes()
+    assert content[:4] == b"glTF"
+    assert int.from_bytes(content[8:12], "little") == len(content)
+    document = json.loads(content[20 : 20 + int.from_bytes(content[12:16], "little")])
+    sequence = read_mesh_sequence(dome_result.folder / "track")
+    extent = np.ptp(sequence.vertices[0], axis=0) * 0.01
+    position = document["accessors"][document["meshes"][0]["primitives"][0]["attributes"]["POSITION"]]
+    np.testing.assert_allclose(np.subtract(position["max"], position["min"]), extent, rtol=1e-5)
+    assert len(document["meshes"][0]["primitives"][0]["targets"]) == 2
+    folder = exported(dome_result, tmp_path / "own", ExportFormat.GLB, surface=ExportedSurface.FRAMES)
+    assert [p.name for p in sorted(folder.glob("*.glb"))] == [f"{n:06d}.glb" for n in range(3)]
+
+
+@pytest.mark.parametrize("kind", [ExportFormat.PLY, ExportFormat.OBJ])
+def test_meshes_come_back(dome_result: DomeResult, tmp_path: Path, kind: ExportFormat) -> None:
+    out = exported(dome_result, tmp_path, kind, surface=ExportedSurface.FRAMES)
+    mesh, truth = (
+        read_mesh(path) for path in (out / f"000002.{kind.value}", dome_result.folder / "mesh/000002.ply")
+    )
+    np.testing.assert_allclose(mesh.vertices, truth.vertices, rtol=1e-5, atol=1e-5)
+    assert np.array_equal(mesh.faces, truth.faces)
+    tall = exported(dome_result, tmp_path / "z", kind, surface=ExportedSurface.FRAMES, up=UpAxis.Z)
+    standing = read_mesh(tall / f"000002.{kind.value}")  # as if y were up: so undo the half turn
+    as_stored = graphics_from_camera(standing.vertices)
+    np.testing.assert_allclose(as_stored[:, 2], -truth.vertices[:, 1], rtol=1e-5, atol=1e-5)
+    assert "z up" in (tall / f"000002.{kind.value}").read_bytes()[:200].decode("ascii", "replace")
+
+
+@pytest.mark.parametrize("convention", NormalConvention)
+def test_normal_maps_keep_to_the_convention(
+    dome_result: DomeResult, tmp_path: Path, convention: NormalConvention
+) -> None:
+    truth = read_normal_map(dome_result.folder / "normals/000001.exr")
+    out = exported(dome_result, tmp_path / "png", ExportFormat.PNG, normal_convention=convention)
+    back = read_normal_map(out / "000001.png", convention=convention)
+    assert np.array_equal(back.mask, truth.mask)
+    angles = angles_between_deg(back.normals_in_camera[back.mask], truth.normals_in_camera[back.mask])
+    assert angles.max() < 0.01
+    green = read_image_with_alpha(out / "000001.png")[0][..., 1]  # the top of a dome points up
+    v, u = np.nonzero(truth.mask)
+    top = (v.min() + 2, int(np.median(u)))
+    assert (green[top] > 40000) == (convention is NormalConvention.OPENGL)
+
+
+def test_arrays_are_those_of_the_result(dome_result: DomeResult, tmp_path: Path) -> None:
+    out = exported(dome_result, tmp_path, ExportFormat.NPZ, scale=2.0)
+    with np.load(out / "000002.npz") as arrays:
+        names = {"normals", "mask", "depth", "depth_mask", "labels", "vertices", "faces", "camera_matrix"}
+        assert names <= set(arrays)
+        mesh = read_mesh(dome_result.folder / "mesh/000002.ply")
+        np.testing.assert_allclose(arrays["vertices"], graphics_from_camera(mesh.vertices) * 2, rtol=1e-6)
+        assert arrays["normals"][arrays["mask"]][:, 2].min() > 0  # towards the viewer
+    with np.load(out / "track.npz") as arrays:
+        sequence = read_mesh_sequence(dome_result.folder / "track")
+        np.testing.assert_allclose(
+            arrays["vertices"], graphics_from_camera(sequence.vertices[:3]) * 2, rtol=1e-6
+        )
+        np.testing.assert_array_equal(arrays["confidence"], sequence.confidence[:3])
+
+
+def test_a_diligent_folder_gives_the_normals_by_classical_stereo(
+    dome_result: DomeResult, tmp_path: Path
+) -> None:
+    folder = exported(dome_result, tmp_path, ExportFormat.DILIGENT) / "000001"
+    lights = read_lights(folder)
+    images = np.stack([read_image(path)[..., 0] / 65535.0 for path in lights.images])
+    images = images / lights.intensities[:, 0][:, None, None]
+    mask = read_mask(folder / "mask.png")
+    normal_map = normals_from_lights(images, lights.directions, mask)
+    truth = read_normal_map(dome_result.folder / "normals/000001.exr")
+    both = normal_map.mask & truth.mask
+    angles = angles_between_deg(normal_map.normals_in_camera[both], truth.normals_in_camera[both])
+    assert both.sum() > 0.95 * mask.sum()
+    assert np.median(angles) < 0.1  # the rig's own material, no shadow on most of the dome
+    assert (folder / "Normal_est.mat").exists()
+
+
+def test_an_interrupted_export_goes_on(dome_result: DomeResult, tmp_path: Path) -> None:
+    job = ExportJob(folder=dome_result.folder, options=ExportOptions(to=ExportFormat.PLY), out=tmp_path)
+    seen: list[int] = []
+
+    def interrupt() -> None:
+        seen.append(1)
+        if len(seen) == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        export(job, on_frame=interrupt)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["000000.ply", "000001.ply", "export.json"]
+    assert export(job).kept == 2
+    other = ExportJob(
+        folder=dome_result.folder, options=ExportOptions(to=ExportFormat.PLY, up=UpAxis.Z), out=tmp_path
+    )
+    with pytest.raises(BadInput, match="other options or of another result; add --overwrite"):
+        export(other)
+    assert export(other, overwrite=True).kept == 0
+
+
+def test_what_has_changed_is_written_again(dome_result: DomeResult, tmp_path: Path) -> None:
+    folder = shutil.copytree(dome_result.folder, tmp_path / "result")
+    job = ExportJob(folder=folder, options=ExportOptions(to=ExportFormat.PNG))
+    count = export(job).frames
+    later = (folder / "export/png/000002.png").stat().st_mtime + 5
+    os.utime(folder / "normals/000002.exr", (later, later))
+    assert export(job).kept == count - 1
+
+
+def test_an_animation_that_fails_leaves_nothing(dome_result: DomeResult, tmp_path: Path) -> None:
+    folder = shutil.copytree(dome_result.folder, tmp_path / "result")
+    (folder / "mesh/000002.ply").write_bytes(b"ply\n")
+    out = tmp_path / "out"
+    options = ExportOptions(to=ExportFormat.USD, surface=ExportedSurface.FRAMES)
+    with pytest.raises(BadInput, match=r"000002\.ply"):
+        export(ExportJob(folder=folder, options=options, out=out / "a.usdc"))
+    assert list(out.iterdir()) == []
+
+
+def test_refusals(dome_result: DomeResult, tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match=r"in pixels; give --scale METRES"):
+        exported(dome_result, tmp_path, ExportFormat.PLY, units=FileUnit.CM)
+    with pytest.raises(BadInput, match="metres and y up by its standard"):
+        ExportOptions(to=ExportFormat.GLB, up=UpAxis.Z)
+    with pytest.raises(BadInput, match=r"ends in \.usdc"):
+        exported(dome_result, tmp_path / "a.fbx", ExportFormat.USD)
+    folder = shutil.copytree(dome_result.folder, tmp_path / "result")
+    shutil.rmtree(folder / "track")
+    job = ExportJob(
+        folder=folder, options=ExportOptions(to=ExportFormat.PLY, surface=ExportedSurface.TRACKED)
+    )
+    with pytest.raises(BadInput, match="holds no tracked surface"):
+        export(job)
+    job = ExportJob(
+        folder=folder, options=ExportOptions(to=ExportFormat.DILIGENT), footage=str(tmp_path / "no.mkv")
+    )
+    with pytest.raises(BadInput, match=r"no\.mkv: no such"):
+        export(job)
+
+
+def test_streamed_rows_must_be_as_many_as_promised(tmp_path: Path) -> None:
+    rows = (np.zeros(2) for _ in range(3))
+    with pytest.raises(ValueError, match="3 rows came, 4 were promised"):
+        write_npz(tmp_path / "a.npz", {"a": StreamedArray(shape=(4, 2), dtype=np.float32, rows=rows)})
+    assert list(tmp_path.iterdir()) == []

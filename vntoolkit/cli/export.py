@@ -1,0 +1,74 @@
+"""`vntoolkit export`: results in the files of other programs."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeAlias
+
+from cyclopts import Parameter
+
+from vntoolkit.cli.flags import flags_from
+from vntoolkit.cli.progress import progress_bar
+from vntoolkit.io.frame_range import FrameRange
+from vntoolkit.pipeline.export import ExportJob, ExportSummary
+from vntoolkit.pipeline.export import export as run
+from vntoolkit.pipeline.export_options import ExportOptions
+
+if TYPE_CHECKING:
+    ExportFlags: TypeAlias = ExportOptions
+else:
+    ExportFlags = flags_from(ExportOptions)
+
+
+def export(
+    folder: Path,
+    *,
+    options: ExportFlags,
+    out: Path | None = None,
+    frames: str = "::",
+    footage: str = "",
+    background: Path | None = None,
+    overwrite: Annotated[bool, Parameter(negative=())] = False,
+) -> None:
+    """Hand a reconstruction on to other programs.
+
+    The same command again goes on where an earlier run stopped, and writes what has changed since.
+
+    Parameters
+    ----------
+    folder
+        The folder that `vntoolkit reconstruct` wrote.
+    out
+        The file (usd, glb) or folder to write; default FOLDER/export/….
+    frames
+        Which frames, a:b:c: from a, below b, every c-th; or one number.
+    footage
+        For diligent: where the footage is now, if not where it was when it was reconstructed.
+    background
+        For diligent: the background that the reconstruction subtracted.
+    overwrite
+        Replace an export of other options in the folder.
+    """
+    job = ExportJob(
+        folder=folder,
+        options=options,
+        out=out,
+        frames=FrameRange.from_text(frames),
+        footage=footage,
+        background=background,
+    )
+    summary = _run_with_progress(job, overwrite)
+    kept = f", {summary.kept} of them from before" if summary.kept else ""
+    print(f"{summary.out}: {summary.frames} frames{kept}")
+
+
+def _run_with_progress(job: ExportJob, overwrite: bool) -> ExportSummary:
+    with contextlib.ExitStack() as stack:
+        advance: list[Callable[[int], None]] = []
+
+        def on_start(total: int, done: int) -> None:
+            advance.append(stack.enter_context(progress_bar("export", total, done)))
+
+        return run(job, overwrite=overwrite, on_start=on_start, on_frame=lambda: advance[0](1))
