@@ -14,6 +14,7 @@ import numpy as np
 from vntoolkit.arrays import FloatArray, Mask
 from vntoolkit.checks import require_same_size
 from vntoolkit.io.decoding import EncodedFrame, linear_frame_from_encoded
+from vntoolkit.photometry.lambertian import scaled_normals_from_rgb
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer
 
@@ -75,7 +76,7 @@ def misfit(
     if int(used.sum()) < _FEWEST_PIXELS:
         return float("nan")
     rgb = linear.rgb[..., ::-1] if swap else linear.rgb
-    scaled_normals = (rgb.astype(np.float64) - rig.response.ambient) @ rig.response.inverse.T
+    scaled_normals = scaled_normals_from_rgb(rgb.astype(np.float64), rig.response)
     variation = albedo_variation(rgb[used], scaled_normals[used])
     return (variation + _ALBEDO_FLOOR) * curl_share(scaled_normals, used)
 

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
-RIG_VERSION = 1
+RIG_VERSION = 2  # 2 added response.variation; a rig without it is still written as 1
 
 _Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 _Matrix = tuple[_Row, _Row, _Row]
@@ -34,6 +34,28 @@ class CameraEntry(_Entry):
     )
 
 
+class VariationTermEntry(_Entry):
+    """One monomial x^i y^j of the pixel position and what it adds to the response."""
+
+    powers: tuple[Annotated[int, Field(ge=0, le=3)], Annotated[int, Field(ge=0, le=3)]] = Field(
+        description="i and j, together 1 to 3."
+    )
+    matrix: _Matrix = Field(description="What it adds to M, full scale.")
+    ambient: _Row = Field(default=(0.0, 0.0, 0.0), description="What it adds to the ambient, full scale.")
+
+
+class VariationEntry(_Entry):
+    """How near lights change the response over the image; matrix and ambient hold at the centre.
+
+    x = (u - centre_px[0]) / scale_px, y = (v - centre_px[1]) / scale_px, at pixel (u, v) of the image without
+    lens distortion.
+    """
+
+    centre_px: tuple[FiniteFloat, FiniteFloat] = Field(description="Pixel (u, v) where x = y = 0.")
+    scale_px: FiniteFloat = Field(gt=0, description="Pixels that x = 1 means.")
+    terms: list[VariationTermEntry] = Field(min_length=1, description="The monomials.")
+
+
 class ResponseEntry(_Entry):
     """The light response: linear colour = matrix · normal + ambient, 1 = full scale."""
 
@@ -47,6 +69,9 @@ class ResponseEntry(_Entry):
     light_colours: _Matrix | None = Field(
         default=None,
         description="Row k is the colour R, G, B of light k, full scale; left out where it is not known.",
+    )
+    variation: VariationEntry | None = Field(
+        default=None, description="Left out where one response serves the whole image (version 2)."
     )
     frame: Literal["camera"] = Field(
         default="camera", description="Frame of the normals: camera, x right, y down, z forward."
@@ -91,7 +116,7 @@ class SourceEntry(_Entry):
 class RigFile(_Entry):
     """A vntoolkit rig: the camera, how lights and surface become colour, and how far to trust it."""
 
-    version: Literal[1] = Field(default=1, description="Version of this schema.")
+    version: Literal[1, 2] = Field(default=1, description="Version of this schema.")
     camera: CameraEntry
     response: ResponseEntry
     colour: ColourEntry = Field(default_factory=ColourEntry)

@@ -21,10 +21,13 @@ from vntoolkit.io.rig_schema import (
     ResponseEntry,
     RigFile,
     SourceEntry,
+    VariationEntry,
+    VariationTermEntry,
 )
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import FitQuality, Rig, SourceFile
 from vntoolkit.photometry.transfer import Transfer
+from vntoolkit.photometry.variation import ResponseVariation
 
 
 def read_rig(path: Path | str) -> Rig:
@@ -50,8 +53,8 @@ def rig_from_text(text: str, name: str = "rig") -> Rig:
         raise BadRig(
             f"{name}: is not JSON: {problem.msg} at line {problem.lineno}, column {problem.colno}"
         ) from problem
-    if isinstance(content, dict) and content.get("version", RIG_VERSION) != RIG_VERSION:
-        raise BadRig(f"{name}: is of version {content['version']}, this program reads {RIG_VERSION}")
+    if isinstance(content, dict) and content.get("version", 1) not in range(1, RIG_VERSION + 1):
+        raise BadRig(f"{name}: is of version {content['version']}, this program reads 1 to {RIG_VERSION}")
     try:
         entry = RigFile.model_validate(content)
         return rig_from_entry(entry)
@@ -117,6 +120,7 @@ def rig_from_entry(entry: RigFile) -> Rig:
             matrix=np.array(response.matrix),
             ambient=np.array(response.ambient),
             light_colours=None if response.light_colours is None else np.array(response.light_colours),
+            variation=None if response.variation is None else _variation_from_entry(response.variation),
         ),
         transfer=Transfer(
             curve=curve.curve,
@@ -133,7 +137,9 @@ def entry_from_rig(rig: Rig) -> RigFile:
     """Return the rig as rig.json and the manifest store it."""
     colours = rig.response.light_colours
     quality = None if rig.quality is None else QualityEntry(**vars(rig.quality))
+    variation = rig.response.variation
     return RigFile(
+        version=1 if variation is None else 2,
         camera=CameraEntry(
             model=rig.camera.model.value,
             width=rig.camera.width,
@@ -145,6 +151,7 @@ def entry_from_rig(rig: Rig) -> RigFile:
             matrix=rig.response.matrix.tolist(),
             ambient=tuple(rig.response.ambient.tolist()),
             light_colours=None if colours is None else colours.tolist(),
+            variation=None if variation is None else _entry_from_variation(variation),
         ),
         colour=ColourEntry(
             transfer=rig.transfer.to_text(),
@@ -153,6 +160,29 @@ def entry_from_rig(rig: Rig) -> RigFile:
         ),
         quality=quality,
         sources=[SourceEntry(file=source.file, sha256=source.sha256) for source in rig.sources],
+    )
+
+
+def _variation_from_entry(entry: VariationEntry) -> ResponseVariation:
+    return ResponseVariation(
+        powers=np.array([term.powers for term in entry.terms]),
+        matrices=np.array([term.matrix for term in entry.terms]),
+        ambients=np.array([term.ambient for term in entry.terms]),
+        centre_px=np.array(entry.centre_px),
+        scale_px=entry.scale_px,
+    )
+
+
+def _entry_from_variation(variation: ResponseVariation) -> VariationEntry:
+    terms = zip(variation.powers, variation.matrices, variation.ambients, strict=True)
+    u, v = variation.centre_px.tolist()
+    return VariationEntry(
+        centre_px=(u, v),
+        scale_px=variation.scale_px,
+        terms=[
+            VariationTermEntry(powers=tuple(p.tolist()), matrix=m.tolist(), ambient=tuple(a.tolist()))
+            for p, m, a in terms
+        ],
     )
 
 

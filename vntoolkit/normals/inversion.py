@@ -26,7 +26,14 @@ from vntoolkit.normals.inversion_kernels import (
     normals_from_integers_kernel,
     normals_from_rgb_kernel,
 )
+from vntoolkit.normals.varying_kernels import (
+    Field,
+    field_from_response,
+    normals_from_integers_in_field,
+    normals_from_rgb_in_field,
+)
 from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.lambertian import scaled_normals_from_rgb
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.transfer import Transfer, decoding_table
 
@@ -101,7 +108,11 @@ def normals_from_frame(
     inside = _require_mask(mask, frame.shape)
     out = _outputs(frame.shape)
     rgb = np.ascontiguousarray(frame.rgb)
-    normals_from_rgb_kernel(rgb, frame.clipped, inside, _coefficients(response, options), out)
+    c = _coefficients(response, options)
+    if response.variation is None:
+        normals_from_rgb_kernel(rgb, frame.clipped, inside, c, out)
+    else:
+        normals_from_rgb_in_field(rgb, frame.clipped, inside, _field(response, options), c, out)
     return _map_from_outputs(out)
 
 
@@ -120,13 +131,12 @@ def normals_from_encoded(
     """
     shape = _require_encoded(encoded)
     out = _outputs(shape)
-    normals_from_integers_kernel(
-        np.ascontiguousarray(encoded),
-        _decoding(encoded, transfer, bits),
-        _require_mask(mask, shape),
-        _coefficients(response, options),
-        out,
-    )
+    image, decoding = np.ascontiguousarray(encoded), _decoding(encoded, transfer, bits)
+    inside, c = _require_mask(mask, shape), _coefficients(response, options)
+    if response.variation is None:
+        normals_from_integers_kernel(image, decoding, inside, c, out)
+    else:
+        normals_from_integers_in_field(image, decoding, inside, _field(response, options), c, out)
     return _map_from_outputs(out)
 
 
@@ -143,6 +153,12 @@ def gradients_from_encoded(
     Arguments and normals are those of `normals_from_encoded`.
     """
     shape = _require_encoded(encoded)
+    if response.variation is not None:
+        normal_map = normals_from_encoded(encoded, response, transfer, mask, options, bits)
+        n = normal_map.normals_in_camera
+        flattest = _coefficients(response, options).flattest_z
+        slopes = (n[..., :2] / np.maximum(-n[..., 2:], flattest)).astype(np.float32)
+        return EncodedGradients(p=slopes[..., 0], q=slopes[..., 1], normal_map=normal_map)
     out = _outputs(shape)
     p, q = np.empty(shape, np.float32), np.empty(shape, np.float32)
     gradients_from_integers_kernel(
@@ -167,7 +183,9 @@ def relative_albedo_from_frame(
     """
     inside = _require_mask(mask, frame.shape) & ~frame.clipped
     inside &= (frame.rgb > response.ambient).any(axis=2)
-    lengths = np.linalg.norm((frame.rgb[inside] - response.ambient) @ response.inverse.T, axis=1)
+    v, u = np.nonzero(inside)
+    scaled = scaled_normals_from_rgb(frame.rgb[inside], response, np.stack([u, v], axis=-1))
+    lengths = np.linalg.norm(scaled, axis=1)
     lengths = lengths[np.isfinite(lengths)]
     if lengths.size:
         lengths = lengths[lengths > 0.1 * np.percentile(lengths, 99)]
@@ -187,6 +205,10 @@ def _coefficients(response: LightResponse, options: InversionOptions | None) -> 
         clipped_factor=np.float32(options.clipped_factor),
         flattest_z=np.float32(np.cos(np.deg2rad(options.steepest_deg))),
     )
+
+
+def _field(response: LightResponse, options: InversionOptions | None) -> Field:
+    return field_from_response(response, (options or InversionOptions()).relative_albedo)
 
 
 def _decoding(encoded: npt.NDArray[Any], transfer: Transfer, bits: int | None) -> Decoding:

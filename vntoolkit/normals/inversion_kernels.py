@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit, prange
 
-_FLAGS = {"contract", "arcp", "nsz"}  # reordering that keeps NaN and infinity meaningful
+FLAGS = {"contract", "arcp", "nsz"}  # reordering that keeps NaN and infinity meaningful
 _LONGEST = np.float32(1e18)  # squares beyond it overflow float32: treated as not finite
 _ZERO = np.float32(0)
 _ONE = np.float32(1)
@@ -51,15 +51,15 @@ class Outputs(NamedTuple):
     valid: Array
 
 
-@njit(cache=True, inline="always", fastmath=_FLAGS, error_model="numpy")
+@njit(cache=True, inline="always", fastmath=FLAGS, error_model="numpy")
 def _mix(r: Any, g: Any, b: Any, c: Coefficients, x: Array, y: Array, z: Array, u: int) -> None:
     x[u] = c.inverse[0, 0] * r + c.inverse[0, 1] * g + c.inverse[0, 2] * b - c.offset[0]
     y[u] = c.inverse[1, 0] * r + c.inverse[1, 1] * g + c.inverse[1, 2] * b - c.offset[1]
     z[u] = c.inverse[2, 0] * r + c.inverse[2, 1] * g + c.inverse[2, 2] * b - c.offset[2]
 
 
-@njit(cache=True, inline="always", fastmath=_FLAGS, error_model="numpy")
-def _normalise(
+@njit(cache=True, inline="always", fastmath=FLAGS, error_model="numpy")
+def normalise_row(
     x: Array, y: Array, z: Array, clipped: Array, inside: Array, c: Coefficients, weight: Array, valid: Array
 ) -> None:
     """Scale one row to unit length, with its weight; 0 where there is no normal."""
@@ -76,7 +76,7 @@ def _normalise(
         valid[u] = good
 
 
-@njit(cache=True, parallel=True, fastmath=_FLAGS, error_model="numpy")
+@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
 def normals_from_rgb_kernel(rgb: Array, clipped: Array, inside: Array, c: Coefficients, out: Outputs) -> None:
     """Fill `out` from linear float32 colours (h, w, 3)."""
     height, width = inside.shape
@@ -85,14 +85,14 @@ def normals_from_rgb_kernel(rgb: Array, clipped: Array, inside: Array, c: Coeffi
         x, y, z = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
         for u in range(width):
             _mix(rgb[v, u, 0], rgb[v, u, 1], rgb[v, u, 2], c, x, y, z, u)
-        _normalise(x, y, z, clipped[v], inside[v], c, weight[v], valid[v])
+        normalise_row(x, y, z, clipped[v], inside[v], c, weight[v], valid[v])
         for u in range(width):
             normals[v, u, 0] = x[u]
             normals[v, u, 1] = y[u]
             normals[v, u, 2] = z[u]
 
 
-@njit(cache=True, parallel=True, fastmath=_FLAGS, error_model="numpy")
+@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
 def normals_from_integers_kernel(
     encoded: Array, decoding: Decoding, inside: Array, c: Coefficients, out: Outputs
 ) -> None:
@@ -107,14 +107,14 @@ def normals_from_integers_kernel(
             r, g, b = table[encoded[v, u, 0]], table[encoded[v, u, 1]], table[encoded[v, u, 2]]
             clipped[u] = max(r, g, b) >= decoding.white
             _mix(r, g, b, c, x, y, z, u)
-        _normalise(x, y, z, clipped, inside[v], c, weight[v], valid[v])
+        normalise_row(x, y, z, clipped, inside[v], c, weight[v], valid[v])
         for u in range(width):
             normals[v, u, 0] = x[u]
             normals[v, u, 1] = y[u]
             normals[v, u, 2] = z[u]
 
 
-@njit(cache=True, parallel=True, fastmath=_FLAGS, error_model="numpy")
+@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
 def gradients_from_integers_kernel(
     encoded: Array, decoding: Decoding, inside: Array, c: Coefficients, out: Outputs, p: Array, q: Array
 ) -> None:
@@ -129,7 +129,7 @@ def gradients_from_integers_kernel(
             r, g, b = table[encoded[v, u, 0]], table[encoded[v, u, 1]], table[encoded[v, u, 2]]
             clipped[u] = max(r, g, b) >= decoding.white
             _mix(r, g, b, c, x, y, z, u)
-        _normalise(x, y, z, clipped, inside[v], c, weight[v], valid[v])
+        normalise_row(x, y, z, clipped, inside[v], c, weight[v], valid[v])
         for u in range(width):
             slope = _ONE / max(-z[u], c.flattest_z)
             p[v, u] = x[u] * slope

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from vntoolkit.arrays import Matrix3, Vector3, read_only
+from vntoolkit.arrays import FloatArray, Matrix3, Vector3, read_only
 from vntoolkit.checks import require_finite, require_shape
 from vntoolkit.errors import BadRig
+from vntoolkit.photometry.variation import ResponseVariation
 
 _LARGEST_CONDITION_NUMBER = 1e4  # beyond it one grey level of noise turns a normal by tens of degrees
 
@@ -20,12 +21,14 @@ class LightResponse:
     matrix: (3, 3), rows are the channels R, G, B, columns the normal's x, y, z in the camera frame; the
     calibration material's albedo is a factor of it. ambient: (3,) colour that does not depend on the normal.
     light_colours: (3, 3), row k = colour c_k of light k, or None where not known; then
-    matrix = Σ_k c_k l_kᵀ and `light_directions` gives the rows l_k.
+    matrix = Σ_k c_k l_kᵀ and `light_directions` gives the rows l_k. variation: how M and ambient change over
+    the image, or None where they do not; with it, `matrix` and everything derived from it hold at its centre.
     """
 
     matrix: Matrix3
     ambient: Vector3 = field(default_factory=lambda: np.zeros(3))
     light_colours: Matrix3 | None = None
+    variation: ResponseVariation | None = None
 
     def __post_init__(self) -> None:
         for name, shape in (("matrix", (3, 3)), ("ambient", (3,)), ("light_colours", (3, 3))):
@@ -41,6 +44,20 @@ class LightResponse:
                 f"light response: M is singular (condition number {condition:.3g}): the three lights must "
                 "differ in colour and must not lie in one plane with the surface; calibrate again"
             )
+
+    def at(self, positions_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """M (..., 3, 3) and ambient (..., 3) at pixels (..., 2)."""
+        shape = np.shape(positions_px)[:-1]
+        if self.variation is None:
+            return np.broadcast_to(self.matrix, (*shape, 3, 3)), np.broadcast_to(self.ambient, (*shape, 3))
+        monomials = self.variation.monomials(positions_px)
+        matrices = self.matrix + np.tensordot(monomials, self.variation.matrices, axes=1)
+        return matrices, self.ambient + monomials @ self.variation.ambients
+
+    @property
+    def central(self) -> LightResponse:
+        """The response at the centre of the variation, the same for all pixels."""
+        return self if self.variation is None else replace(self, variation=None)
 
     @property
     def condition_number(self) -> float:

@@ -18,6 +18,7 @@ from vntoolkit.io.undistortion import Undistorter
 from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame
 from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.levelling import Leveller
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.options import Product, ReconstructOptions
 from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
@@ -62,7 +63,11 @@ class FrameProcessor:
         whole = np.ones(shape, dtype=np.bool_) if mask is None else mask
         self._mask = self._undistorter.mask(whole)
         self._integrator = DepthIntegrator(self.camera, options.integration)
-        self._detector = ShadowDetector(rig.response, options.shadows, options.detection, self.camera)
+        self._central = rig.response.central
+        self._leveller = None
+        if rig.response.variation is not None and options.shadows is not ShadowMethod.NONE:
+            self._leveller = Leveller(rig.response, shape)
+        self._detector = ShadowDetector(self._central, options.shadows, options.detection, self.camera)
 
     def forget(self) -> None:
         """Drop everything that one frame hands to the next, so that a run may start at any block."""
@@ -115,7 +120,9 @@ class FrameProcessor:
 
     def _normals_under_shadow(self, frame: LinearFrame) -> tuple[NormalMap, VisibilityLabels, float]:
         """Find the shadows, then normals from whichever lights arrive; black pixels are the backdrop."""
-        response, inversion = self._rig.response, self._options.inversion
+        response, inversion = self._central, self._options.inversion
+        if self._leveller is not None:
+            frame = self._leveller.frame(frame)
         length = np.linalg.norm((frame.rgb - response.ambient) @ response.inverse.T, axis=2)
         mask = self._mask & (length > inversion.darkest * inversion.relative_albedo)
         if inversion.clipped_factor == 0.0:

@@ -1,0 +1,142 @@
+"""A response that varies over the image: polynomials, their file, levelling, inversion at each pixel."""
+
+import numpy as np
+import pytest
+
+from vntoolkit.errors import BadRig
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.io.rigs import rig_from_text, text_from_rig
+from vntoolkit.normals.inversion import (
+    InversionOptions,
+    gradients_from_encoded,
+    normals_from_encoded,
+    normals_from_frame,
+    relative_albedo_from_frame,
+)
+from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.lambertian import rgb_from_normals, scaled_normals_from_rgb
+from vntoolkit.photometry.levelling import Leveller
+from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.rig import Rig
+from vntoolkit.photometry.transfer import Transfer
+from vntoolkit.photometry.variation import ResponseVariation, powers_to_degree
+
+MATRIX = np.array([[0.4, 0.1, -0.42], [-0.2, 0.35, -0.45], [-0.15, -0.35, -0.5]])
+HEIGHT, WIDTH = 60, 90
+
+
+def varying(degree: int = 3, size: float = 0.04) -> LightResponse:
+    rng = np.random.default_rng(3)
+    powers = powers_to_degree(degree)
+    variation = ResponseVariation(
+        powers=powers,
+        matrices=rng.normal(0, size, (len(powers), 3, 3)),
+        ambients=rng.normal(0, size / 4, (len(powers), 3)),
+        centre_px=np.array([(WIDTH - 1) / 2, (HEIGHT - 1) / 2]),
+        scale_px=WIDTH / 2,
+    )
+    return LightResponse(matrix=MATRIX, ambient=np.array([0.05, 0.04, 0.03]), variation=variation)
+
+
+def normals_of(rng: np.random.Generator) -> np.ndarray:
+    normals = np.concatenate([rng.normal(0, 0.2, (HEIGHT, WIDTH, 2)), -np.ones((HEIGHT, WIDTH, 1))], axis=-1)
+    return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
+
+
+def test_a_term_adds_its_monomial_at_every_pixel() -> None:
+    response = LightResponse(
+        matrix=MATRIX,
+        variation=ResponseVariation(
+            powers=np.array([[1, 2]]),
+            matrices=np.ones((1, 3, 3)),
+            ambients=2 * np.ones((1, 3)),
+            centre_px=np.array([10.0, 20.0]),
+            scale_px=5.0,
+        ),
+    )
+    matrices, ambients = response.at(np.array([[10.0, 20.0], [15.0, 30.0]]))
+    np.testing.assert_allclose(matrices[0], MATRIX)
+    np.testing.assert_allclose(matrices[1], MATRIX + 1.0 * 2.0**2)
+    np.testing.assert_allclose(ambients, [[0, 0, 0], [8, 8, 8]])
+    assert response.central.variation is None
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3])
+def test_inversion_undoes_the_forward_model_at_every_pixel(degree: int, rng) -> None:
+    response, truth = varying(degree), normals_of(rng)
+    rgb = rgb_from_normals(truth, response)
+    np.testing.assert_allclose(scaled_normals_from_rgb(rgb, response), truth, atol=1e-10)
+    frame = LinearFrame(rgb=rgb.astype(np.float32), clipped=np.zeros(rgb.shape[:2], bool))
+    result = normals_from_frame(frame, response)
+    assert result.mask.all()
+    np.testing.assert_allclose(result.normals_in_camera, truth, atol=2e-5)  # float32 colours through M⁻¹
+    np.testing.assert_allclose(result.weight, 1, atol=1e-4)
+    central = normals_from_frame(frame, response.central)
+    assert np.abs(central.normals_in_camera - truth).max() > 0.05  # what the variation is for
+
+
+def test_stored_integers_and_gradients_agree_with_the_frame(rng) -> None:
+    response, truth = varying(2, 0.02), normals_of(rng)
+    light = np.clip(rgb_from_normals(truth, response) * 1.3, 0, 1)
+    encoded = np.round(light * 65535).astype(np.uint16)
+    frame = LinearFrame(rgb=(encoded / 65535).astype(np.float32), clipped=(encoded == 65535).any(axis=2))
+    options = InversionOptions(relative_albedo=1.3)
+    by_frame = normals_from_frame(frame, response, options=options)
+    by_integers = normals_from_encoded(encoded, response, Transfer(), options=options)
+    np.testing.assert_array_equal(by_frame.mask, by_integers.mask)
+    np.testing.assert_allclose(by_frame.normals_in_camera, by_integers.normals_in_camera, atol=1e-6)
+    np.testing.assert_allclose(by_frame.weight, by_integers.weight, atol=1e-5)
+    gradients = gradients_from_encoded(encoded, response, Transfer(), options=options)
+    n = by_integers.normals_in_camera
+    used = by_integers.mask & (n[..., 2] < -0.2)
+    np.testing.assert_allclose(gradients.p[used], (-n[..., 0] / n[..., 2])[used], rtol=1e-4)
+
+
+def test_a_variation_of_nothing_changes_nothing(rng) -> None:
+    response = varying(3, 0.0)
+    frame = LinearFrame(
+        rgb=rgb_from_normals(normals_of(rng), response.central).astype(np.float32),
+        clipped=np.zeros((HEIGHT, WIDTH), bool),
+    )
+    a, b = normals_from_frame(frame, response), normals_from_frame(frame, response.central)
+    np.testing.assert_allclose(a.normals_in_camera, b.normals_in_camera, atol=1e-6)
+    assert relative_albedo_from_frame(frame, response) == pytest.approx(
+        relative_albedo_from_frame(frame, response.central), rel=1e-6
+    )
+
+
+def test_levelling_makes_one_response_serve(rng) -> None:
+    response, truth = varying(2), normals_of(rng)
+    rgb = rgb_from_normals(truth, response).astype(np.float32)
+    level = Leveller(response, rgb.shape[:2]).frame(
+        LinearFrame(rgb=rgb, clipped=np.zeros(rgb.shape[:2], bool))
+    )
+    np.testing.assert_allclose(level.rgb, rgb_from_normals(truth, response.central), atol=1e-5)
+
+
+def test_the_rig_file_keeps_the_variation_and_old_files_read() -> None:
+    camera = Camera.orthographic(width=WIDTH, height=HEIGHT)
+    rig = Rig(camera=camera, response=varying(2))
+    text = text_from_rig(rig)
+    assert '"version": 2' in text
+    again = rig_from_text(text).response.variation
+    assert again is not None
+    assert rig.response.variation is not None
+    np.testing.assert_array_equal(again.powers, rig.response.variation.powers)
+    np.testing.assert_array_equal(again.matrices, rig.response.variation.matrices)
+    np.testing.assert_array_equal(again.ambients, rig.response.variation.ambients)
+    plain = text_from_rig(Rig(camera=camera, response=rig.response.central))
+    assert '"version": 1' in plain
+    assert rig_from_text(plain).response.variation is None
+    with pytest.raises(BadRig, match="is of version 3"):
+        rig_from_text(plain.replace('"version": 1', '"version": 3'))
+
+
+def test_refusals() -> None:
+    good = {"matrices": np.zeros((1, 3, 3)), "ambients": np.zeros((1, 3)), "centre_px": np.zeros(2)}
+    with pytest.raises(BadRig, match="total degree 1 to 3"):
+        ResponseVariation(powers=np.array([[2, 2]]), scale_px=1.0, **good)
+    with pytest.raises(BadRig, match="positive scale"):
+        ResponseVariation(powers=np.array([[1, 0]]), scale_px=0.0, **good)
+    with pytest.raises(BadRig, match="matrices: expected shape 2"):
+        ResponseVariation(powers=np.array([[1, 0], [0, 1]]), scale_px=1.0, **good)
