@@ -15,7 +15,7 @@ from vntoolkit.simulation.head.paint import Makeup
 from vntoolkit.simulation.head.rig import HeadRig
 from vntoolkit.simulation.head.scenes import build_face_makeup
 from vntoolkit.simulation.head.sculpture import MOUTH_HEIGHT, NECK_CUT, sculpt_head
-from vntoolkit.simulation.head.seams import seam_loops_px
+from vntoolkit.simulation.head.seams import seam_lines_px, seam_loops_px
 from vntoolkit.simulation.head.slit import cut_slit
 from vntoolkit.simulation.scene import SceneOptions
 
@@ -217,6 +217,15 @@ def test_seams_lie_in_the_picture_and_open_with_the_mouth() -> None:
         assert np.all(loop.max(axis=0) < [640, 480])
     heights = [np.ptp(seam_loops_px(scene, frame)["mouth"][:, 1]) for frame in range(380, 500, 10)]
     assert max(heights) > 2.0 * min(heights)
+
+
+def test_seam_lines_are_the_two_edges_of_each_loop() -> None:
+    scene = build_face_makeup(SceneOptions())
+    loops, lines = seam_loops_px(scene, 0), seam_lines_px(scene, 0)
+    assert len(lines) == 6
+    for loop, upper, lower in zip(loops.values(), lines[::2], lines[1::2], strict=True):
+        np.testing.assert_array_equal(np.concatenate([upper, lower[-2:0:-1]]), loop)
+    assert seam_lines_px(build_spandex(SceneOptions()), 0) == ()
 
 
 def test_seams_of_another_scene_are_refused() -> None:

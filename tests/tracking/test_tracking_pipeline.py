@@ -14,7 +14,7 @@ from vntoolkit.errors import BadInput
 from vntoolkit.io.manifest import InputEntry, Manifest, write_manifest
 from vntoolkit.io.maps import write_depth_map, write_normal_map
 from vntoolkit.io.rigs import entry_from_rig
-from vntoolkit.io.seams import read_seams
+from vntoolkit.io.seams import read_seams, write_seams
 from vntoolkit.io.sequences import read_mesh_sequence
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
@@ -118,6 +118,8 @@ def test_bad_input_is_one_line(folder: Path, tmp_path: Path) -> None:
         read_seams(seams)
     seams.write_text(json.dumps({"seams": [[[1, 2], [3, 4.5]]]}))
     np.testing.assert_array_equal(read_seams(seams)[0], [[1, 2], [3, 4.5]])
+    write_seams(seams, [np.array([[1.0, 2.0], [3.25, 4.5]])])
+    np.testing.assert_array_equal(read_seams(seams)[0], [[1, 2], [3.25, 4.5]])
 
 
 def test_the_checkerboard_is_drawn_on_every_frame(folder: Path) -> None:

@@ -162,3 +162,16 @@ def test_a_seam_off_the_mask_is_refused() -> None:
         template_from_maps(*video.maps(0, mask), video.camera, [np.array([[10.0, 10], [35, 10]])])
     with pytest.raises(BadInput, match="seam 0: expected two points"):
         template_from_maps(*video.maps(0), video.camera, [np.array([[10.0, 10]])])
+
+
+def test_shut_lips_are_cut_and_a_seam_may_cross_the_dark_between_them() -> None:
+    video = WrinkledVideo(width=40, height=30)
+    mask = np.ones((30, 40), dtype=bool)
+    mask[14:17, 18:22] = False
+    line = np.array([[10.0, 15.5], [30.0, 15.5]])
+    template = template_from_maps(*video.maps(0, mask), video.camera, [line, line])
+    across = template.pixels[template.edges][..., 1]
+    column = template.pixels[template.edges[:, 0], 0]
+    over = (column > 10) & (column < 30) & (across.min(axis=1) == 15) & (across.max(axis=1) == 16)
+    assert not over.any()
+    assert ((column < 9) & (across.min(axis=1) == 15) & (across.max(axis=1) == 16)).sum() == 9

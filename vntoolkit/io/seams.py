@@ -8,12 +8,14 @@ Each seam is a list of points (u, v) in pixels of the template frame, integers a
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from vntoolkit.arrays import Points2
 from vntoolkit.errors import BadInput
+from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import read_text, require_file
 
 
@@ -35,3 +37,9 @@ def read_seams(path: Path | str) -> tuple[Points2, ...]:
             raise BadInput(f"{path}: seam {number}: expected two points [u, v] or more, in pixels")
         seams.append(seam)
     return tuple(seams)
+
+
+def write_seams(path: Path | str, seams: Sequence[Points2]) -> None:
+    """Write seams, each (k, 2) in pixels of the template, to a hundredth of one. Raises `CannotWrite`."""
+    points = [np.round(np.asarray(seam, dtype=np.float64), 2).tolist() for seam in seams]
+    write_text(Path(path), json.dumps({"seams": points}) + "\n")

@@ -15,10 +15,12 @@ from vntoolkit.io.images import write_png
 from vntoolkit.io.label_images import write_labels, write_mask
 from vntoolkit.io.maps import write_depth_map, write_flow, write_normal_map
 from vntoolkit.io.rigs import write_rig
+from vntoolkit.io.seams import write_seams
 from vntoolkit.io.sequences import MeshSequenceWriter
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.simulation_job import SimulationFolder, SimulationJob
 from vntoolkit.simulation.frame import SimulatedFrame
+from vntoolkit.simulation.head.seams import seam_lines_px
 from vntoolkit.simulation.image_formation import exposure_of_scene, light_colours_of, true_response
 from vntoolkit.simulation.spectra import WAVELENGTHS_NM
 
@@ -27,7 +29,10 @@ _COMPRESSION = ExrCompression.ZIPS  # maps are mostly empty around the subject: 
 
 
 def write_fixed_truth(job: SimulationJob) -> None:
-    """Write rig.json (where three lights give an M), lights.json, scene.json and poses.json."""
+    """Write rig.json (where three lights give an M), lights.json, scene.json, poses.json and seams.json.
+
+    seams.json holds the edges of lips and lids in the first frame, as `track --seams` reads them.
+    """
     scene, truth = job.built, job.folder.truth
     try:
         response = true_response(scene, job.nuisances)
@@ -43,6 +48,9 @@ def write_fixed_truth(job: SimulationJob) -> None:
         "facts": dict(scene.facts),
     }
     write_text(truth / "scene.json", json.dumps(facts, indent=1) + "\n")
+    seams = seam_lines_px(scene, job.numbers[0])
+    if seams:
+        write_seams(truth / "seams.json", seams)
     if scene.camera_from_object is not None:
         poses = [scene.camera_from_object(number).matrix.tolist() for number in job.numbers]
         write_text(truth / "poses.json", json.dumps({"camera_from_object": poses}, indent=1) + "\n")

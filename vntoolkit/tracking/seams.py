@@ -11,21 +11,26 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
+from scipy import ndimage
 
 from vntoolkit.arrays import Faces, IntArray, Mask, Points2
 from vntoolkit.errors import BadInput
 
 
 def require_seams_on_mask(seams: Sequence[Points2], mask: Mask) -> None:
-    """Raise BadInput unless every seam has two points or more, all of them on valid template pixels."""
+    """Raise BadInput unless every seam has two points or more, all of them within the template's outline.
+
+    A seam may pass over holes of the mask, as the dark between lips is one.
+    """
     height, width = mask.shape
+    outline = ndimage.binary_fill_holes(mask)
     for number, seam in enumerate(seams):
         points = np.asarray(seam, dtype=np.float64)
         if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2:
             raise BadInput(f"seam {number}: expected two points (u, v) or more")
         u, v = np.rint(points).astype(np.int64).T
         inside = (u >= 0) & (v >= 0) & (u < width) & (v < height)
-        inside[inside] = mask[v[inside], u[inside]]
+        inside[inside] = outline[v[inside], u[inside]]
         if not inside.all():
             bad = points[~inside][0]
             raise BadInput(
@@ -37,10 +42,12 @@ def require_seams_on_mask(seams: Sequence[Points2], mask: Mask) -> None:
 def cut_edges(edges: IntArray, positions_px: Points2, seams: Sequence[Points2]) -> npt.NDArray[np.bool_]:
     """Return (e,) True where a seam crosses the edge between two vertices at positions_px (n, 2).
 
-    A vertex that lies exactly on a seam belongs to one side, the same for all of its edges.
+    A vertex that lies exactly on a seam belongs to one side, the same for all of its edges. An edge that one
+    seam crosses twice has both ends on the same side of it, and is not cut.
     """
     cut = np.zeros(len(edges), dtype=bool)
     for seam in seams:
+        crossed = np.zeros(len(edges), dtype=bool)
         points = np.asarray(seam, dtype=np.float64)
         for start, end in itertools.pairwise(points):
             low, high = np.minimum(start, end) - 2.0, np.maximum(start, end) + 2.0
@@ -48,7 +55,8 @@ def cut_edges(edges: IntArray, positions_px: Points2, seams: Sequence[Points2]) 
             near = np.flatnonzero(near_vertex[edges[:, 0]] & near_vertex[edges[:, 1]])
             first, second = positions_px[edges[near, 0]], positions_px[edges[near, 1]]
             straddles = _side(start, end, first) != _side(start, end, second)
-            cut[near] ^= straddles & (_side(first, second, start) != _side(first, second, end))
+            crossed[near] ^= straddles & (_side(first, second, start) != _side(first, second, end))
+        cut |= crossed
     return cut
 
 
