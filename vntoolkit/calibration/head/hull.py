@@ -1,0 +1,202 @@
+"""The visual hull (laurentini1994): what all silhouettes allow, as signed distances and as a mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy import ndimage
+
+from vntoolkit.arrays import Faces, FloatArray, Mask, Points, Vector3, read_only
+from vntoolkit.checks import require_same_size
+from vntoolkit.errors import BadCalibration, BadInput
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.mesh import Mesh, vertex_normals
+from vntoolkit.geometry.rigid import RigidTransform
+from vntoolkit.native import import_open3d
+
+_COARSE_STEP = 4  # cells of the fine grid per cell of the first one
+_SHARE_OF_VIEWS = 3  # a point that fewer than one view in so many shows was never filmed: it is outside
+_SLICE = 200_000  # points projected at a time
+_ROW = 256  # OpenCV resamples images, no lists: points are laid out in rows
+
+
+@dataclass(frozen=True, kw_only=True)
+class HullOptions:
+    """How finely the hull is carved.
+
+    hull_cells: cells along the longest side of the box. outvoted: silhouettes that may be wrong at a point
+    without carving it away.
+    """
+
+    hull_cells: int = 128
+    outvoted: int = 0
+
+    def __post_init__(self) -> None:
+        if not 16 <= self.hull_cells <= 512 or self.outvoted < 0:
+            raise BadInput("hull: expected 16 to 512 cells and no negative number of outvoted silhouettes")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class View:
+    """One silhouette with its camera.
+
+    mask: (h, w) bool. camera_from_head: pose.
+    """
+
+    camera: Camera
+    camera_from_head: RigidTransform
+    mask: Mask
+
+    def __post_init__(self) -> None:
+        size = np.empty((self.camera.height, self.camera.width))
+        require_same_size(self.mask, "silhouette", size, "the camera's image")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Box:
+    """A box in the head frame, axes parallel to it. low, high: (3,)."""
+
+    low: Vector3
+    high: Vector3
+
+    @property
+    def diagonal(self) -> float:
+        """Length from corner to corner."""
+        return float(np.linalg.norm(np.asarray(self.high) - self.low))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DistanceGrid:
+    """Signed distance, positive inside, at the points low + cell · (i, j, k); values: (nx, ny, nz)."""
+
+    low: Vector3
+    cell: float
+    values: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", read_only(np.asarray(self.values)))
+
+
+def fit_hull(views: Sequence[View], box: Box, options: HullOptions) -> DistanceGrid:
+    """Carve the box by all silhouettes: the least signed distance to the outline over the views.
+
+    Distances in pixels become lengths at the point's own depth. Outside a view nothing is known and nothing
+    is carved; the box closes the hull where no view does. Raises `BadCalibration` where nothing remains.
+    """
+    cell = float(np.max(np.asarray(box.high) - box.low)) / options.hull_cells
+    low = np.asarray(box.low) - cell
+    counts = np.ceil((np.asarray(box.high) - low) / cell).astype(int) + 2
+    outlines = [_signed_distance_px(view.mask) for view in views]
+    coarse_axes = [np.arange(0, count + _COARSE_STEP, _COARSE_STEP) for count in counts]
+    coarse = _carved(views, outlines, box, low, cell, coarse_axes, options.outvoted)
+    repeated = coarse
+    for axis in range(3):
+        repeated = _between(repeated, axis, counts[axis])
+    values = repeated.astype(np.float32)
+    # a distance changes by no more than the way moved: further off, the coarse value has the right sign
+    near = np.abs(repeated) < 1.1 * _COARSE_STEP * cell
+    points = np.stack(np.nonzero(near), axis=1) * cell + low
+    values[near] = _carved_points(views, outlines, box, points, options.outvoted)
+    return DistanceGrid(low=low, cell=cell, values=_largest_part(values, cell))
+
+
+def mesh_of_grid(grid: DistanceGrid) -> Mesh:
+    """Return the zero surface by marching cubes (lorensen1987): triangles face outwards, unit normals."""
+    o3d = import_open3d()
+    padded = np.pad(-grid.values, 1, constant_values=grid.cell)
+    field = o3d.core.Tensor(np.ascontiguousarray(padded.transpose(2, 1, 0), dtype=np.float32))
+    surface = o3d.t.geometry.TriangleMesh.create_isosurfaces(field, [0.0]).to_legacy()
+    surface.remove_duplicated_vertices()
+    surface.remove_degenerate_triangles()
+    surface.remove_unreferenced_vertices()
+    vertices = (np.asarray(surface.vertices) - 1.0) * grid.cell + grid.low
+    faces = np.asarray(surface.triangles, dtype=np.int32)
+    if _volume(vertices, faces) < 0:
+        faces = faces[:, ::-1]
+    return Mesh(vertices=vertices, faces=faces, normals=vertex_normals(vertices, faces))
+
+
+def _largest_part(values: FloatArray, cell: float) -> FloatArray:
+    """Turn all but the largest connected inside into outside; raise `BadCalibration` where there is none."""
+    labels, count = ndimage.label(values > 0)
+    if not count:
+        raise BadCalibration(
+            "hull: no point lies inside all silhouettes; check that the head alone is bright and that poses "
+            "and focal length are right"
+        )
+    largest = 1 + int(np.argmax(np.bincount(labels.ravel())[1:]))
+    return np.where((labels > 0) & (labels != largest), np.float32(-cell), values)
+
+
+def _carved(
+    views: Sequence[View],
+    outlines: Sequence[FloatArray],
+    box: Box,
+    low: FloatArray,
+    cell: float,
+    axes: Sequence[FloatArray],
+    outvoted: int,
+) -> FloatArray:
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    points = grid.reshape(-1, 3) * cell + low
+    return _carved_points(views, outlines, box, points, outvoted).reshape(grid.shape[:3])
+
+
+def _carved_points(
+    views: Sequence[View], outlines: Sequence[FloatArray], box: Box, points: Points, outvoted: int
+) -> FloatArray:
+    result = np.empty(len(points))
+    least_views = max(outvoted + 1, len(views) // _SHARE_OF_VIEWS)
+    for start in range(0, len(points), _SLICE):
+        own = points[start : start + _SLICE]
+        least = np.full((outvoted + 1, len(own)), np.inf)
+        shown = np.zeros(len(own), dtype=np.int64)
+        for view, outline in zip(views, outlines, strict=True):
+            value = _distance_in_view(view, outline, own)
+            shown += np.isfinite(value)
+            for rank in range(outvoted + 1):  # keep the smallest few in order
+                value, least[rank] = np.maximum(value, least[rank]), np.minimum(value, least[rank])
+        inside_box = np.minimum(own - box.low, np.asarray(box.high) - own).min(axis=1)
+        inside = np.where(shown >= least_views, least[-1], -box.diagonal)
+        result[start : start + _SLICE] = np.minimum(inside, inside_box)
+    return result
+
+
+def _distance_in_view(view: View, outline: FloatArray, points: Points) -> FloatArray:
+    """Signed distance (n,) in length units; infinite where the view does not show the point."""
+    moved = view.camera_from_head.apply(points)
+    pixels = np.full((-(-len(points) // _ROW), _ROW, 2), -9.0, dtype=np.float32)
+    pixels.reshape(-1, 2)[: len(points)] = view.camera.project(moved)
+    u, v = np.ascontiguousarray(pixels[..., 0]), np.ascontiguousarray(pixels[..., 1])
+    sampled = cv2.remap(
+        outline, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=np.inf
+    ).ravel()[: len(points)]
+    known = np.isfinite(sampled) & (moved[:, 2] > 0)
+    return np.where(known, sampled * moved[:, 2] / view.camera.matrix[0, 0], np.inf)
+
+
+def _signed_distance_px(mask: Mask) -> FloatArray:
+    """Distance to the outline in pixels, positive inside; the image's edge is no outline."""
+    inner = cv2.copyMakeBorder(mask.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_REPLICATE)
+    inside = cv2.distanceTransform(inner, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
+    outside = cv2.distanceTransform(1 - inner, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
+    # the outline runs half-way between the last pixel inside and the first outside
+    return np.asarray(np.where(mask, inside - 0.5, 0.5 - outside), dtype=np.float32)
+
+
+def _between(values: FloatArray, axis: int, count: int) -> FloatArray:
+    """Interpolate linearly from every fourth grid point to all along one axis."""
+    at = np.arange(count) / _COARSE_STEP
+    lower = np.minimum(at.astype(int), values.shape[axis] - 2)
+    shape = [1, 1, 1]
+    shape[axis] = count
+    share = (at - lower).reshape(shape)
+    return np.take(values, lower, axis) * (1 - share) + np.take(values, lower + 1, axis) * share
+
+
+def _volume(vertices: Points, faces: Faces) -> float:
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)

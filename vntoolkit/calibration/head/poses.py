@@ -1,0 +1,176 @@
+"""The head's pose in every frame from tracks of its skin: a static camera and a turning head."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation, Slerp
+
+from vntoolkit.arrays import Points, read_only
+from vntoolkit.calibration.head.affine import fit_affine_model, metric_poses
+from vntoolkit.calibration.head.colmap import AdjustmentOptions, SparseModel, adjust_sparse_model
+from vntoolkit.calibration.head.tracks import Tracks
+from vntoolkit.errors import BadCalibration, BadInput
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.rigid import RigidTransform
+
+_LEAST_POINTS = 60
+_LEAST_PLACED = 0.7  # of the frames
+_LARGEST_ERROR_PX = 0.9  # mean, after everything beyond 1 px was dropped: then what is left is chance
+_LEAST_KEPT = 0.3  # of the tracks drawn: fewer means that no rigid motion explains them
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseOptions:
+    """How poses are solved.
+
+    pose_tracks: tracks drawn at random for the solution; more cost time and gain little. least_turn_deg:
+    smallest turn from one end to the other that carries a calibration.
+    """
+
+    pose_tracks: int = 2000
+    least_turn_deg: float = 40.0
+    adjustment: AdjustmentOptions = field(default_factory=AdjustmentOptions)
+
+    def __post_init__(self) -> None:
+        if self.pose_tracks < _LEAST_POINTS or not 0 < self.least_turn_deg < 180:
+            raise BadInput(
+                f"poses: expected at least {_LEAST_POINTS} tracks and a least turn from 0 to 180 degrees"
+            )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HeadMotion:
+    """How the head moves; lengths in units of its distance from the camera in the reference frame.
+
+    camera: the camera, focal length refined where it was not known. camera_from_head: per frame; the head
+    frame has the camera's axes in the reference frame and its origin amid the points. interpolated: (f,)
+    frames that the tracks did not place. reference: number of the frame amid the turn. points_in_head: (n, 3)
+    sparse points of the skin. point: (n,) their tracks. turn_deg: largest turn between two frames. error_px:
+    mean reprojection error over so many observations.
+    """
+
+    camera: Camera
+    camera_from_head: tuple[RigidTransform, ...]
+    interpolated: npt.NDArray[np.bool_]
+    reference: int
+    points_in_head: Points
+    point: npt.NDArray[np.int64]
+    turn_deg: float
+    error_px: float
+    observations: int
+
+    def __post_init__(self) -> None:
+        for name in ("interpolated", "points_in_head", "point"):
+            object.__setattr__(self, name, read_only(np.asarray(getattr(self, name))))
+
+
+def solve_head_motion(
+    tracks: Tracks,
+    camera: Camera,
+    options: PoseOptions,
+    rng: np.random.Generator,
+    *,
+    refine_focal: bool = False,
+) -> HeadMotion:
+    """Solve all poses: factorisation for a first guess, robust bundle adjustment for the rest.
+
+    refine_focal: the camera's focal length is a guess. Raises `BadCalibration` where head or footage do not
+    carry poses.
+    """
+    if not camera.is_perspective:
+        raise BadInput("poses: the turn is solved with a perspective camera; give --camera or --focal-px")
+    drawn = np.zeros(tracks.point_count, np.bool_)
+    drawn[rng.choice(tracks.point_count, min(options.pose_tracks, tracks.point_count), replace=False)] = True
+    kept = tracks.of_points(drawn)
+    affine = fit_affine_model(kept)
+    guesses = [metric_poses(affine, camera, mirrored=mirrored) for mirrored in (False, True)]
+    poses, points = max(guesses, key=lambda guess: _seen_in_front(kept, affine.known, *guess))
+    model = adjust_sparse_model(
+        kept, camera, poses, points, affine.known, options.adjustment, refine_focal=refine_focal
+    )
+    _require_rigid(model, kept)
+    motion = _head_motion(model, np.flatnonzero(drawn)[model.point])
+    if motion.turn_deg < options.least_turn_deg:
+        raise BadCalibration(
+            f"poses: the head turns by only {motion.turn_deg:.0f} degrees in all, "
+            f"{options.least_turn_deg:.0f} are needed; film it turning all the way to both "
+            "sides (60 degrees each)"
+        )
+    return motion
+
+
+def _seen_in_front(
+    tracks: Tracks, known: npt.NDArray[np.bool_], poses: Sequence[RigidTransform | None], points: Points
+) -> float:
+    """Return how much nearer the points that a frame shows are than all points; the mirror image has < 0."""
+    nearer = 0.0
+    for k, pose in enumerate(poses):
+        seen = tracks.point[tracks.frame == k]
+        seen = seen[known[seen]]
+        if pose is not None and len(seen):
+            z = pose.apply(points)[:, 2]
+            nearer += float(np.median(z[known]) - np.median(z[seen]))
+    return nearer
+
+
+def _require_rigid(model: SparseModel, tracks: Tracks) -> None:
+    placed = np.array([pose is not None for pose in model.camera_from_head])
+    if len(model.point) < max(_LEAST_POINTS, _LEAST_KEPT * tracks.point_count):
+        raise BadCalibration(
+            f"poses: only {len(model.point)} of {tracks.point_count} tracks move as one rigid head; keep the "
+            "expression fixed, cover neck and shoulders in black, and film more sharply"
+        )
+    if placed.mean() < _LEAST_PLACED:
+        gap = int(np.flatnonzero(~placed)[0])
+        raise BadCalibration(
+            f"poses: {np.count_nonzero(~placed)} of {len(placed)} frames cannot be placed, from "
+            f"frame {gap} of those used on; film the turn in one shot, evenly, without a covered face"
+        )
+    if model.error_px > _LARGEST_ERROR_PX:
+        raise BadCalibration(
+            f"poses: the tracks disagree with a rigid head by {model.error_px:.2f} px on average; keep the "
+            "expression fixed, and check the focal length"
+        )
+
+
+def _head_motion(model: SparseModel, point: npt.NDArray[np.int64]) -> HeadMotion:
+    """Interpolate what is missing and move the head frame to the reference frame's axes."""
+    placed = [k for k, pose in enumerate(model.camera_from_head) if pose is not None]
+    known = [pose for pose in model.camera_from_head if pose is not None]
+    turns = Rotation.from_matrix([pose.rotation for pose in known])
+    apart = np.rad2deg([(turns.inv() * turn).magnitude() for turn in turns])
+    reference = int(np.argmin(apart.max(axis=1)))
+    centre = np.median(model.points_in_head, axis=0)
+    at = known[reference]
+    unit = float(at.apply(centre)[2])
+    head_from_model = RigidTransform(rotation=at.rotation, translation=-at.rotation @ centre)
+    full = _interpolated(placed, known, len(model.camera_from_head))
+    moved = [pose @ head_from_model.inverse() for pose in full]
+    return HeadMotion(
+        camera=model.camera,
+        camera_from_head=tuple(
+            RigidTransform(rotation=pose.rotation, translation=pose.translation / unit) for pose in moved
+        ),
+        interpolated=~np.isin(np.arange(len(full)), placed),
+        reference=placed[reference],
+        points_in_head=head_from_model.apply(model.points_in_head) / unit,
+        point=point,
+        turn_deg=float(apart.max()),
+        error_px=model.error_px,
+        observations=model.observations,
+    )
+
+
+def _interpolated(placed: Sequence[int], poses: Sequence[RigidTransform], count: int) -> list[RigidTransform]:
+    """Return a pose for every frame: turned evenly between the nearest placed ones, held at the ends."""
+    at = np.clip(np.arange(count), placed[0], placed[-1])
+    if len(placed) == 1:
+        return [poses[0]] * count
+    rotations = Slerp(placed, Rotation.from_matrix([pose.rotation for pose in poses]))(at).as_matrix()
+    moves = np.stack([pose.translation for pose in poses])
+    translations = np.stack([np.interp(at, placed, axis) for axis in moves.T], axis=1)
+    return [RigidTransform(rotation=r, translation=t) for r, t in zip(rotations, translations, strict=True)]

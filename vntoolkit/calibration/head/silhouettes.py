@@ -1,0 +1,117 @@
+"""The head's silhouette before a dark background, and what makes silhouettes useless."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from vntoolkit.arrays import LinearImage, Mask
+from vntoolkit.errors import BadCalibration, BadInput
+
+_SIGMAS = 6.0  # of the background's noise
+_LEAST_RISE = 0.01  # of the subject's brightness: stray light on the backdrop stays below
+_SMALLEST_SHARE = 0.01  # of the image: anything smaller is no head
+_LARGEST_SHARE = 0.75  # of the image: beyond, the background itself counts as subject
+_RIVAL_SHARE = 0.35  # area of the second region over the first's from which on there are two people
+_CUT_SHARE = 0.12  # of the silhouette's width or height that may lie on the image's edge
+_MOST = 0.2  # share of the frames that may show a fault
+
+
+@dataclass(frozen=True, kw_only=True)
+class SilhouetteOptions:
+    """How the head is told from the background.
+
+    threshold: mean of the channels, 0 to 1 of full scale, above which a pixel is subject; default: found from
+    the image's border.
+    """
+
+    threshold: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.threshold is not None and not 0 < self.threshold < 1:
+            raise BadInput(f"silhouette threshold: expected 0 to 1, got {self.threshold:g}")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Silhouette:
+    """One frame's silhouette.
+
+    mask: (h, w) bool, largest bright region without holes. rival_share: area of the second largest region
+    over the largest's. cut_share: how much of its width or height lies on the image's top, left or right
+    edge; shoulders may be cut.
+    """
+
+    mask: Mask
+    rival_share: float
+    cut_share: float
+
+
+def find_silhouette(rgb: LinearImage, options: SilhouetteOptions) -> Silhouette:
+    """Return the largest region of linear rgb (h, w, 3) that stands out; an empty one where nothing does."""
+    grey = cv2.GaussianBlur(np.asarray(rgb, dtype=np.float32).mean(axis=2), (0, 0), 0.7)
+    threshold = options.threshold if options.threshold is not None else _threshold_of(grey)
+    bright = (grey > threshold).astype(np.uint8)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(bright, connectivity=4)
+    if count < 2:
+        return Silhouette(mask=np.zeros(grey.shape, np.bool_), rival_share=0.0, cut_share=0.0)
+    areas = stats[1:, cv2.CC_STAT_AREA].astype(float)
+    order = np.argsort(areas)[::-1]
+    mask = _without_holes(labels == 1 + order[0])
+    rival = float(areas[order[1]] / areas[order[0]]) if len(order) > 1 else 0.0
+    return Silhouette(mask=mask, rival_share=rival, cut_share=_cut_share(mask))
+
+
+def require_head(silhouettes: Sequence[Silhouette]) -> None:
+    """Raise `BadCalibration` where the footage shows nobody, two people, no dark backdrop or a cut head."""
+    shares = np.array([s.mask.mean() for s in silhouettes])
+    if np.mean(shares < _SMALLEST_SHARE) > _MOST:
+        raise BadCalibration(
+            f"silhouettes: nothing head-sized stands out from the background in "
+            f"{np.mean(shares < _SMALLEST_SHARE):.0%} of the frames; film one head, lit, before a dark "
+            "backdrop, filling a third of the picture"
+        )
+    if np.mean(shares > _LARGEST_SHARE) > _MOST:
+        raise BadCalibration(
+            "silhouettes: no contrast between head and background (nearly all of the picture counts as "
+            "head); film before a dark, unlit backdrop, or give --threshold"
+        )
+    rivals = np.array([s.rival_share for s in silhouettes])
+    if np.mean(rivals > _RIVAL_SHARE) > _MOST:
+        raise BadCalibration(
+            f"silhouettes: two subjects in {np.mean(rivals > _RIVAL_SHARE):.0%} of the frames; film "
+            "one person alone, with nothing else lit, or mask the other out"
+        )
+    cuts = np.array([s.cut_share for s in silhouettes])
+    if np.mean(cuts > _CUT_SHARE) > _MOST:
+        raise BadCalibration(
+            f"silhouettes: the head is cut off by the picture's edge in {np.mean(cuts > _CUT_SHARE):.0%} "
+            "of the frames, or the backdrop is lit; film the whole head before a dark backdrop, with a margin"
+        )
+
+
+def _threshold_of(grey: Mask) -> float:
+    """Return the level of the border (without the bottom, where neck or shoulders are) and a margin."""
+    rim = max(2, round(0.02 * grey.shape[1]))
+    border = np.concatenate([grey[:rim].ravel(), grey[:, :rim].ravel(), grey[:, -rim:].ravel()])
+    level = float(np.median(border))
+    noise = 1.4826 * float(np.median(np.abs(border - level)))
+    return level + max(_SIGMAS * noise, _LEAST_RISE * (float(np.percentile(grey, 99)) - level), 1e-6)
+
+
+def _without_holes(mask: Mask) -> Mask:
+    """Fill what the mask encloses; what opens to the image's edge stays open."""
+    padded = np.pad(mask.astype(np.uint8), 1)
+    cv2.floodFill(padded, None, (0, 0), 2)
+    return np.asarray(padded[1:-1, 1:-1] != 2)
+
+
+def _cut_share(mask: Mask) -> float:
+    rows = np.flatnonzero(mask.any(axis=1))
+    columns = np.flatnonzero(mask.any(axis=0))
+    height, width = np.ptp(rows) + 1, np.ptp(columns) + 1
+    upper = slice(rows[0], rows[0] + max(1, (6 * height) // 10))
+    sides = max(mask[upper, 0].sum(), mask[upper, -1].sum()) / height
+    return float(max(mask[0].sum() / width, sides))

@@ -1,0 +1,197 @@
+"""Points of the skin followed through the frames: corners, pyramidal Lucas–Kanade, there and back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.arrays import FloatArray, IntArray, Mask, Points2, read_only
+from vntoolkit.errors import BadCalibration, BadInput
+
+_WIDEST_VALUE = 4.0  # local contrast that becomes black or white in the 8-bit image that is followed
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackOptions:
+    """How skin is followed.
+
+    corners: most corners followed at a time. corner_quality: weakest corner as a share of the strongest.
+    corner_spacing_px: between corners. window_px: side of the window that is compared. there_and_back_px:
+    largest distance between a point and where it lands when followed to the next frame and back.
+    margin_px: how far inside the silhouette. least_frames: shorter tracks are dropped.
+    """
+
+    corners: int = 2000
+    corner_quality: float = 0.003
+    corner_spacing_px: float = 7.0
+    window_px: int = 13
+    there_and_back_px: float = 0.5
+    margin_px: int = 9
+    least_frames: int = 4
+
+    def __post_init__(self) -> None:
+        if self.corners < 50 or self.window_px < 5 or self.least_frames < 2 or self.margin_px < 0:
+            raise BadInput(
+                "tracks: expected at least 50 corners, a window of 5 px, 2 frames and no negative margin"
+            )
+        if not (self.corner_quality > 0 and self.corner_spacing_px >= 1 and self.there_and_back_px > 0):
+            raise BadInput("tracks: expected positive corner quality, spacing and there-and-back distance")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Tracks:
+    """Observations of points, sorted by point, then frame.
+
+    point: (m,) which point, counted from 0. frame: (m,) which frame, counted from 0 over the frames used.
+    positions_px: (m, 2). frame_count: frames that were offered.
+    """
+
+    point: IntArray
+    frame: IntArray
+    positions_px: Points2
+    frame_count: int
+
+    def __post_init__(self) -> None:
+        for name in ("point", "frame", "positions_px"):
+            object.__setattr__(self, name, read_only(np.asarray(getattr(self, name))))
+
+    @property
+    def point_count(self) -> int:
+        """How many points."""
+        return int(self.point[-1]) + 1 if len(self.point) else 0
+
+    def of_points(self, chosen: npt.NDArray[np.bool_]) -> Tracks:
+        """Keep the points chosen (point_count,), renumbered."""
+        kept = chosen[self.point]
+        number = np.cumsum(chosen) - 1
+        return Tracks(
+            point=number[self.point[kept]],
+            frame=self.frame[kept],
+            positions_px=self.positions_px[kept],
+            frame_count=self.frame_count,
+        )
+
+    def counts_per_frame(self) -> IntArray:
+        """How many points each frame shows, (frame_count,)."""
+        return np.bincount(self.frame, minlength=self.frame_count)
+
+
+@dataclass(kw_only=True, eq=False)
+class TrackBuilder:
+    """Follows points frame by frame; holds one frame's image and every observation."""
+
+    options: TrackOptions
+    _previous: npt.NDArray[np.uint8] | None = None
+    _positions: Points2 = field(default_factory=lambda: np.zeros((0, 2), np.float32))
+    _points: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
+    _next_point: int = 0
+    _frame: int = 0
+    _seen: list[tuple[IntArray, int, Points2]] = field(default_factory=list)
+
+    def add(self, contrast: FloatArray, mask: Mask) -> int:
+        """Follow all points into the next frame, seed new corners; returns how many are followed.
+
+        contrast: (h, w) local contrast. mask: (h, w) the silhouette.
+        """
+        image = np.clip(127.5 + 127.5 / _WIDEST_VALUE * contrast, 0, 255).astype(np.uint8)
+        allowed = self._allowed(mask)
+        if self._previous is not None and len(self._positions):
+            self._follow(self._previous, image, allowed)
+        followed = len(self._positions)
+        self._seed(image, allowed)
+        self._seen.append((self._points, self._frame, self._positions))
+        self._previous = image
+        self._frame += 1
+        return followed
+
+    def finish(self) -> Tracks:
+        """Return the tracks that are long enough."""
+        point = np.concatenate([points for points, _, _ in self._seen] or [np.zeros(0, np.int64)])
+        frame = np.concatenate(
+            [np.full(len(points), k) for points, k, _ in self._seen] or [np.zeros(0, np.int64)]
+        )
+        positions = np.concatenate([px for _, _, px in self._seen] or [np.zeros((0, 2))]).astype(np.float64)
+        order = np.lexsort((frame, point))
+        tracks = Tracks(
+            point=point[order],
+            frame=frame[order],
+            positions_px=positions[order],
+            frame_count=self._frame,
+        )
+        lengths = np.bincount(tracks.point, minlength=self._next_point)
+        return tracks.of_points(lengths >= self.options.least_frames)
+
+    def _allowed(self, mask: Mask) -> npt.NDArray[np.uint8]:
+        """Erode the silhouette, where texture is seen at a slant and its border moves; edges count too."""
+        side = 2 * self.options.margin_px + 1
+        inner = cv2.copyMakeBorder(mask.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
+        kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+        return np.asarray(cv2.erode(inner, kernel)[1:-1, 1:-1], dtype=np.uint8)
+
+    def _follow(
+        self, previous: npt.NDArray[np.uint8], image: npt.NDArray[np.uint8], allowed: npt.NDArray[np.uint8]
+    ) -> None:
+        start = self._positions.astype(np.float32).reshape(-1, 1, 2)
+        there, found = _flow(previous, image, start, self.options.window_px)
+        back, returned = _flow(image, previous, there, self.options.window_px)
+        there = there.reshape(-1, 2)
+        gap = np.linalg.norm(back.reshape(-1, 2) - self._positions, axis=1)
+        column, row = np.round(there).astype(int).T
+        height, width = allowed.shape
+        inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        inside[inside] = allowed[row[inside], column[inside]] > 0
+        kept = inside & (found.ravel() > 0) & (returned.ravel() > 0) & (gap < self.options.there_and_back_px)
+        self._positions, self._points = there[kept], self._points[kept]
+
+    def _seed(self, image: npt.NDArray[np.uint8], allowed: npt.NDArray[np.uint8]) -> None:
+        room = self.options.corners - len(self._positions)
+        if room <= 0:
+            return
+        free = allowed.copy()
+        for u, v in np.round(self._positions).astype(int).tolist():
+            cv2.circle(free, (u, v), round(self.options.corner_spacing_px), 0, -1)
+        corners = cv2.goodFeaturesToTrack(
+            image, room, self.options.corner_quality, self.options.corner_spacing_px, mask=free
+        )
+        if corners is None:
+            return
+        corners = corners.reshape(-1, 2)
+        self._positions = np.concatenate([self._positions, corners])
+        self._points = np.concatenate([self._points, self._next_point + np.arange(len(corners))])
+        self._next_point += len(corners)
+
+
+def _flow(source: Any, target: Any, start: Any, window_px: int) -> tuple[Any, Any]:
+    guess: Any = None  # OpenCV's stubs do not allow that there is none
+    there, found, _ = cv2.calcOpticalFlowPyrLK(
+        source, target, start, guess, winSize=(window_px, window_px), maxLevel=3
+    )
+    return there, found
+
+
+def require_tracks(tracks: Tracks) -> None:
+    """Raise `BadCalibration` where the tracks break off half-way or the skin carries too few."""
+    shared = pairs_shared(tracks, 1)
+    weakest = int(np.argmin(shared)) if len(shared) else 0
+    if not len(shared) or np.median(shared) < 60:
+        raise BadCalibration(
+            f"tracks: only {int(np.median(shared)) if len(shared) else 0} points of the skin can be followed "
+            "from frame to frame, 60 are needed; film sharper, closer, slower, in more light, without makeup"
+        )
+    if shared[weakest] < 20:
+        raise BadCalibration(
+            f"tracks: lost between frames {weakest} and {weakest + 1} of those used (only "
+            f"{int(shared[weakest])} points followed); film the turn in one shot, without cuts or covered "
+            "face, at most 4 degrees from frame to frame"
+        )
+
+
+def pairs_shared(tracks: Tracks, apart: int) -> IntArray:
+    """How many points frames k and k + apart share, (frame_count − apart,)."""
+    key = tracks.point.astype(np.int64) * (tracks.frame_count + 1) + tracks.frame
+    both = np.isin(key + apart, key) & (tracks.frame + apart < tracks.frame_count)
+    return np.bincount(tracks.frame[both], minlength=tracks.frame_count)[: tracks.frame_count - apart]
