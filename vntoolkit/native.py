@@ -6,9 +6,11 @@ Without libGL open3d ends in a traceback, and without libOpenGL pymeshlab import
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import importlib
 import sys
+from collections.abc import Iterator
 from typing import Any
 
 from vntoolkit.errors import MissingDependency
@@ -48,6 +50,19 @@ def limit_threads(count: int) -> None:
 
     cv2.setNumThreads(count)
     numba.set_num_threads(min(count, numba.get_num_threads()))
+
+
+@contextlib.contextmanager
+def one_opencv_thread() -> Iterator[None]:
+    """Let OpenCV work in this thread alone while the block runs."""
+    import cv2
+
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before)
 
 
 def _import(module: str, libraries: dict[str, str]) -> Any:

@@ -15,6 +15,7 @@ from vntoolkit.calibration.quality import cone_of_normals_deg
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.board_layout import BoardLayout
 from vntoolkit.geometry.camera import Camera, CameraModel
+from vntoolkit.native import one_opencv_thread
 
 _FEWEST_VIEWS = 5
 _FEWEST_CORNERS = 16
@@ -67,14 +68,15 @@ def fit_camera(
     points = [_in_plane(layout.corners_mm[s.corner_ids]) for s in views]
     images = [s.corners_px.astype(np.float32) for s in views]
     calibrate: Any = cv2.calibrateCameraExtended  # its stubs forbid the None that its manual asks for
-    error, matrix, distortion, rotations, _, deviations, _, _ = calibrate(
-        points,
-        images,
-        size,
-        None,
-        None,
-        flags=_flags(options),
-    )
+    with one_opencv_thread():  # several sum in any order: the last digits would change from run to run
+        error, matrix, distortion, rotations, _, deviations, _, _ = calibrate(
+            points,
+            images,
+            size,
+            None,
+            None,
+            flags=_flags(options),
+        )
     focal_deviation = float(deviations[:2].max()) / float(matrix[0, 0])
     tilts = np.array([cv2.Rodrigues(r)[0][:, 2] for r in rotations])
     cone = cone_of_normals_deg(tilts)

@@ -12,6 +12,7 @@ from vntoolkit import __version__
 
 # verb -> (where it lives, the line that `vntoolkit --help` shows)
 VERBS: dict[str, tuple[str, str]] = {
+    "demo": ("vntoolkit.cli.demo:demo", "Do the whole job on synthetic footage, and show it on a page."),
     "rectify": (
         "vntoolkit.cli.calibrate_presses:rectify",
         "Resample footage of a plane seen at an angle onto square pixels.",
@@ -57,7 +58,13 @@ GROUPS: dict[str, tuple[str, dict[str, tuple[str, str]]]] = {
     ),
     "evaluate": (
         "Compare results with the truth.",
-        {"tracks": ("vntoolkit.cli.evaluate_tracks:tracks", "Tracked vertices against the simulator's.")},
+        {
+            "cylinder": (
+                "vntoolkit.cli.evaluate_cylinder:cylinder",
+                "A moving cylinder's normals against one fitted cylinder.",
+            ),
+            "tracks": ("vntoolkit.cli.evaluate_tracks:tracks", "Tracked vertices against the simulator's."),
+        },
     ),
 }
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     NuisanceFlags: TypeAlias = Nuisances | None
     RenderFlags: TypeAlias = RenderOptions | None
 else:
-    SceneFlags = flags_from(SceneOptions, without=("width", "height"))
+    SceneFlags = flags_from(SceneOptions, without=("width", "height"), field_width_m="field-width")
     NuisanceFlags = flags_from(Nuisances)
     RenderFlags = flags_from(RenderOptions, without=("threads",))
 

@@ -95,7 +95,7 @@ class SimulationJob:
             "scene": self.scene,
             "frames": self.frames.to_text(),
             "motion": None if self.motion is None else self.motion.name,
-            "scene_options": option_values(self.options),
+            "scene_options": {k: v for k, v in option_values(self.options).items() if v is not None},
             "nuisances": option_values(self.nuisances),
             "samples": self.rendering.samples,
         }

@@ -7,7 +7,7 @@ origin); the subject stands at `studio_centre()` = (0, 0, 5).
     def build_sphere(options: SceneOptions) -> Scene:
         return Scene(
             name="sphere",
-            camera=studio_camera(options.width, options.height, field_width_m=1.0),
+            camera=studio_camera(options.width, options.height, field_width_m=options.field_width_m or 1.0),
             lights=studio_lights(),
             surface=Surface(faces=faces, vertex_weights=weights),     # weights of the RGB pigments
             vertices=lambda frame: template + shift(frame),            # (n, 3) float64
@@ -45,6 +45,7 @@ from vntoolkit.simulation.studio import studio_centre
 SCENES: dict[str, str] = {
     "cylinder": "vntoolkit.simulation.rigid.cylinder:build_cylinder",
     "board": "vntoolkit.simulation.rigid.board:build_board",
+    "board_sweep": "vntoolkit.simulation.rigid.board_sweep:build_board_sweep",
     "sphere": "vntoolkit.simulation.rigid.sphere:build_sphere",
     "jacket": "vntoolkit.simulation.rigid.jacket:build_jacket",
     "sweater": "vntoolkit.simulation.garment.sweater:build_sweater",
@@ -60,17 +61,22 @@ class SceneOptions:
     """What every scene can be asked for.
 
     width, height: image size in pixels. seed: of the scene's own randomness (motion, texture).
-    lighting: the coloured lamps together, or one place alone with a white lamp.
+    lighting: the coloured lamps together, or one place alone with a white lamp. field_width_m: what the
+    camera sees across at the subject, metres; the scene's own by default. The board is printed in
+    proportion, so that one zoom films both it and another scene.
     """
 
     width: int = 640
     height: int = 480
     seed: int = 0
     lighting: Lighting = Lighting.COLOURED
+    field_width_m: float | None = None
 
     def __post_init__(self) -> None:
         if self.width < 16 or self.height < 16:
             raise BadInput(f"simulate: expected an image of at least 16×16, got {self.width}×{self.height}")
+        if self.field_width_m is not None and not 0.05 <= self.field_width_m <= 5.0:
+            raise BadInput(f"simulate: expected a field of 0.05 to 5 m across, got {self.field_width_m:g} m")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

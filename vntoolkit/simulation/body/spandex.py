@@ -39,7 +39,7 @@ def build_spandex(options: SceneOptions) -> Scene:
 
     return Scene(
         name="spandex",
-        camera=studio_camera(options.width, options.height, _FIELD_WIDTH_M),
+        camera=studio_camera(options.width, options.height, options.field_width_m or _FIELD_WIDTH_M),
         lights=studio_lights(),
         surface=surface,
         vertices=vertices,

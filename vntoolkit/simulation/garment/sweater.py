@@ -46,7 +46,7 @@ def build_sweater(options: SceneOptions) -> Scene:
     )
     return Scene(
         name="sweater",
-        camera=studio_camera(options.width, options.height, _FIELD_WIDTH_M),
+        camera=studio_camera(options.width, options.height, options.field_width_m or _FIELD_WIDTH_M),
         lights=studio_lights(),
         surface=surface,
         vertices=_refined(garment, refine, faces, relief),

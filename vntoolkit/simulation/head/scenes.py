@@ -85,7 +85,7 @@ def _scene(
     )
     return Scene(
         name=name,
-        camera=studio_camera(options.width, options.height, field_width_m),
+        camera=studio_camera(options.width, options.height, options.field_width_m or field_width_m),
         lights=studio_lights(),
         surface=surface,
         vertices=lambda frame: 0.01 * (vertices_cm(frame) - middle_cm) * [1.0, -1.0, -1.0] + studio_centre(),

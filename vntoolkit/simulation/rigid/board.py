@@ -15,6 +15,7 @@ from vntoolkit.simulation.scene import Detail, Scene, SceneOptions, Surface
 from vntoolkit.simulation.studio import studio_camera, studio_lights
 
 FRAME_COUNT = 240
+_FIELD_WIDTH_M = 0.38
 _MARGIN_MM = 12.0
 _TEXELS_PER_MM = 6
 _CLOTH_ROWS = 64  # white texels under the print, where the sample's texture coordinates lie
@@ -28,20 +29,22 @@ _WEAVE_HEIGHT_M = 8e-5
 
 def build_board(options: SceneOptions) -> Scene:
     """The default board filmed full frame; `camera_from_object` is the pose of the board frame, in metres."""
-    layout = BoardLayout()
+    field_width_m = options.field_width_m or _FIELD_WIDTH_M
+    scale = field_width_m / _FIELD_WIDTH_M
+    layout = BoardLayout(square_mm=BoardLayout().square_mm * scale)
     generator = np.random.default_rng(options.seed)
     width_m, height_m = layout.width_mm / 1000, layout.height_mm / 1000
     sway = Sway(
         turns_deg=(36.0, 38.0, 22.0),
-        shifts_m=(0.012, 0.006, 0.04),
+        shifts_m=(0.012, 0.006, 0.04),  # held in one place, whatever its size
         periods_s=(1.3, 2.1, 3.7, 1.9, 2.3, 2.9),
         phases=generator.uniform(0, 2 * np.pi, 6),
         rest=RigidTransform(translation=np.array([-width_m / 2, -height_m / 2, 0.0])),
     )
-    rest, surface = board_mesh(layout)
+    rest, surface = board_mesh(layout, scale)
     return Scene(
         name="board",
-        camera=studio_camera(options.width, options.height, field_width_m=0.38),
+        camera=studio_camera(options.width, options.height, field_width_m=field_width_m),
         lights=studio_lights(),
         surface=surface,
         vertices=lambda frame: sway.camera_from_object(frame).apply(rest),
@@ -52,9 +55,13 @@ def build_board(options: SceneOptions) -> Scene:
     )
 
 
-def board_mesh(layout: BoardLayout) -> tuple[Points, Surface]:
-    """Return vertices (n, 3) in the board frame, metres, and the printed surface with the sample."""
-    board, board_uv = _flat_grid(_lines(layout.columns, layout), _lines(layout.rows, layout))
+def board_mesh(layout: BoardLayout, scale: float = 1.0) -> tuple[Points, Surface]:
+    """Return vertices (n, 3) in the board frame, metres, and the printed surface with the sample.
+
+    scale: how much larger than the A4 board it is: its margin, its thickness and the print's texels grow with
+    it, the sample's weave does not.
+    """
+    board, board_uv = _flat_grid(_lines(layout.columns, layout, scale), _lines(layout.rows, layout, scale))
     grid = np.arange(len(board)).reshape(layout.rows + 3, layout.columns + 3)
     columns, rows = np.meshgrid(np.arange(-1, layout.columns + 1), np.arange(-1, layout.rows + 1))
     kept = ~layout.in_hole(np.stack([columns, rows], axis=-1)).ravel()
@@ -63,9 +70,9 @@ def board_mesh(layout: BoardLayout) -> tuple[Points, Surface]:
     low = layout.hole_mm[0] - layout.square_mm / 2
     side = layout.hole_mm[2] + layout.square_mm / 2 - low
     cloth, cloth_uv = _flat_grid(low[0] + np.array([0.0, side[0]]), low[1] + np.array([0.0, side[1]]))
-    cloth[:, 2] = _CLOTH_DEPTH_MM
+    cloth[:, 2] = _CLOTH_DEPTH_MM * scale
     cloth_faces = grid_faces(np.arange(4).reshape(2, 2)) + len(board)
-    texture = _print_and_white(layout)
+    texture = _print_and_white(layout, scale)
     print_share = 1.0 - _CLOTH_ROWS / len(texture)
     # v of the sample stays off the border of its white strip, where interpolation would reach the print.
     strip = np.array([1.0, 0.8 * (1.0 - print_share)])
@@ -93,7 +100,7 @@ def board_mesh(layout: BoardLayout) -> tuple[Points, Surface]:
     return np.concatenate([board, cloth]) / 1000.0, surface
 
 
-def draw_board(layout: BoardLayout, texels_per_mm: int, margin_mm: float) -> FloatArray:
+def draw_board(layout: BoardLayout, texels_per_mm: float, margin_mm: float) -> FloatArray:
     """Return the print, (h, w), 1 = paper, 0 = ink: black where row + column is even, markers elsewhere."""
     square = round(layout.square_mm * texels_per_mm)
     marker = round(layout.marker_mm * texels_per_mm)
@@ -110,17 +117,18 @@ def draw_board(layout: BoardLayout, texels_per_mm: int, margin_mm: float) -> Flo
     return np.pad(print_, round(margin_mm * texels_per_mm), constant_values=1.0)
 
 
-def _print_and_white(layout: BoardLayout) -> FloatArray:
+def _print_and_white(layout: BoardLayout, scale: float) -> FloatArray:
     """Return (h, w, 3) reflectance relative to the paper's: the print, and a white strip under it."""
-    printed = _INK_SHARE + (1.0 - _INK_SHARE) * draw_board(layout, _TEXELS_PER_MM, _MARGIN_MM)
+    printed = _INK_SHARE + (1.0 - _INK_SHARE) * draw_board(layout, _TEXELS_PER_MM / scale, _MARGIN_MM * scale)
     sheet = np.concatenate([printed, np.ones((_CLOTH_ROWS, printed.shape[1]))])
     return np.repeat(sheet[..., None], 3, axis=2)
 
 
-def _lines(squares: int, layout: BoardLayout) -> FloatArray:
+def _lines(squares: int, layout: BoardLayout, scale: float) -> FloatArray:
     """Positions in mm of the grid lines across: margin, square borders, margin."""
     inner = np.arange(squares + 1) * layout.square_mm
-    return np.concatenate([[-_MARGIN_MM], inner, [inner[-1] + _MARGIN_MM]])
+    margin = _MARGIN_MM * scale
+    return np.concatenate([[-margin], inner, [inner[-1] + margin]])
 
 
 def _flat_grid(x: FloatArray, y: FloatArray) -> tuple[Points, FloatArray]:

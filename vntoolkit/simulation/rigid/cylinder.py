@@ -33,7 +33,7 @@ def build_cylinder(options: SceneOptions) -> Scene:
     )
     return Scene(
         name="cylinder",
-        camera=studio_camera(options.width, options.height, field_width_m=0.9),
+        camera=studio_camera(options.width, options.height, field_width_m=options.field_width_m or 0.9),
         lights=studio_lights(),
         surface=Surface(
             faces=faces,

@@ -29,7 +29,7 @@ def build_jacket(options: SceneOptions) -> Scene:
     standing = pose.apply(vertices)
     return Scene(
         name="jacket",
-        camera=studio_camera(options.width, options.height, field_width_m=1.05),
+        camera=studio_camera(options.width, options.height, field_width_m=options.field_width_m or 1.05),
         lights=studio_lights(),
         surface=surface,
         vertices=lambda _frame: standing,

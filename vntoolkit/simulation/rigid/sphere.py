@@ -26,7 +26,7 @@ def build_sphere(options: SceneOptions) -> Scene:
 
     return Scene(
         name="sphere",
-        camera=studio_camera(options.width, options.height, field_width_m=1.0),
+        camera=studio_camera(options.width, options.height, field_width_m=options.field_width_m or 1.0),
         lights=studio_lights(),
         surface=Surface(faces=faces, reference_weights=np.array(_PAINT), vertex_weights=_even(ball)),
         vertices=lambda frame: pose(frame).apply(ball),

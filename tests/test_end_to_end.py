@@ -1,0 +1,39 @@
+"""The main job as a user runs it: every verb of the demonstration, then the page."""
+
+from pathlib import Path
+
+import pytest
+
+from vntoolkit.__main__ import main
+from vntoolkit.pipeline.opened_result import open_result
+from vntoolkit.pipeline.truth_comparison import compare_with_truth, light_errors_deg
+
+
+@pytest.mark.slow
+def test_the_demonstration_reconstructs_what_it_simulated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "demo"
+    assert main(["demo", "--out", str(out), "--frames", "2"]) == 0
+    printed = capsys.readouterr().out
+    assert str(out / "report.html") in printed
+
+    result = open_result(out / "reconstruction")
+    assert light_errors_deg(result.rig.response, out / "sweater").max() < 2.0  # degrees, M's rows
+    for frame in compare_with_truth(result, out / "sweater"):
+        assert frame.normals.median_deg < 10.0  # near lights over 1.4 m and a knit of two pixels
+        assert frame.depth is not None
+        assert frame.depth.mean_percent < 2.0
+    page = (out / "report.html").read_text()
+    assert "Against the truth" in page
+    assert "http://" not in page.replace("http://www.w3.org/", "")  # a namespace is not a request
+
+    before = (out / "reconstruction" / "depth" / "000001.exr").read_bytes()
+    assert main(["demo", "--out", str(out), "--frames", "2"]) == 0  # goes on where nothing is left to do
+    assert (out / "reconstruction" / "depth" / "000001.exr").read_bytes() == before
+
+
+def test_a_demonstration_of_no_frames_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["demo", "--out", str(tmp_path / "demo"), "--frames", "0"]) == 1
+    assert "expected 1 to 1000 frames" in capsys.readouterr().err
+    assert not (tmp_path / "demo").exists()

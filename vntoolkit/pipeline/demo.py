@@ -1,0 +1,158 @@
+"""The whole job on synthetic footage: film a board, calibrate on it, film a garment, reconstruct it.
+
+What a user does with lamps and a camera of their own, in the same order and by the same functions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from vntoolkit.calibration.board import BoardOptions
+from vntoolkit.errors import BadInput
+from vntoolkit.geometry.board_layout import BoardLayout
+from vntoolkit.io.frame_range import FrameRange
+from vntoolkit.io.rigs import read_rig, write_rig
+from vntoolkit.photometry.rig import Rig
+from vntoolkit.pipeline.block_work import ReconstructionJob
+from vntoolkit.pipeline.calibrate import CalibrationJob, calibrate_board
+from vntoolkit.pipeline.options import ReconstructOptions
+from vntoolkit.pipeline.outputs import ReconstructionFolder
+from vntoolkit.pipeline.reconstruct import ReconstructionSummary, reconstruct
+from vntoolkit.pipeline.simulate import simulate
+from vntoolkit.pipeline.simulation_job import SimulationFolder, SimulationJob
+from vntoolkit.simulation.scene import SceneOptions
+from vntoolkit.simulation.studio import CAMERA_DISTANCE_M
+
+_BOARD_STEP = 10  # of the board's 240 frames: neighbours show the same tilt
+_FIELD_WIDTH_M = 1.42  # one zoom for the board and the garment, as on a real set
+
+Stage = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DemoOptions:
+    """How large the demonstration is.
+
+    frames: frames of the garment that are filmed and reconstructed. width, height: of the images, pixels.
+    """
+
+    frames: int = 12
+    width: int = 640
+    height: int = 480
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.frames <= 1000:
+            raise BadInput(f"demo: expected 1 to 1000 frames, got {self.frames}")
+        if self.width < 320 or self.height < 240:
+            raise BadInput(f"demo: expected images of at least 320×240, got {self.width}×{self.height}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DemoFolder:
+    """Where the demonstration's parts lie."""
+
+    root: Path
+
+    @property
+    def board(self) -> Path:
+        """The simulated footage of the calibration board."""
+        return self.root / "board"
+
+    @property
+    def rig(self) -> Path:
+        """The rig that was fitted to it."""
+        return self.root / "rig.json"
+
+    @property
+    def garment(self) -> Path:
+        """The simulated capture, with its truth."""
+        return self.root / "sweater"
+
+    @property
+    def reconstruction(self) -> Path:
+        """What was made of it."""
+        return self.root / "reconstruction"
+
+
+def run_demo(
+    folder: DemoFolder,
+    options: DemoOptions | None = None,
+    *,
+    jobs: int = 1,
+    overwrite: bool = False,
+    on_progress: Stage = lambda stage, done, total: None,
+) -> ReconstructionSummary:
+    """Simulate, calibrate, simulate, reconstruct; go on where an earlier run stopped.
+
+    on_progress is told the stage's name, how many of its frames are done, and of how many.
+    """
+    options = options or DemoOptions()
+    _film("board", folder.board, f"::{_BOARD_STEP}", options, jobs, overwrite, on_progress)
+    _calibrate(folder, on_progress)
+    _film("sweater", folder.garment, f":{options.frames}", options, jobs, overwrite, on_progress)
+    return _reconstruct(folder, jobs, overwrite, on_progress)
+
+
+def _film(
+    scene: str,
+    folder: Path,
+    frames: str,
+    options: DemoOptions,
+    jobs: int,
+    overwrite: bool,
+    on_progress: Stage,
+) -> None:
+    job = SimulationJob(
+        scene=scene,
+        folder=SimulationFolder(root=folder),
+        options=SceneOptions(width=options.width, height=options.height, field_width_m=_FIELD_WIDTH_M),
+        frames=FrameRange.from_text(frames),
+    )
+    count = _Counter(f"film the {scene}", on_progress)
+    simulate(job, jobs=jobs, overwrite=overwrite, on_start=count.start, on_frame=count.advance)
+
+
+def _calibrate(folder: DemoFolder, on_progress: Stage) -> Rig:
+    square_mm = SimulationJob(
+        scene="board",
+        folder=SimulationFolder(root=folder.board),
+        options=SceneOptions(field_width_m=_FIELD_WIDTH_M),
+    ).built.facts["square_mm"]  # a user measures the print
+    job = CalibrationJob(source=str(SimulationFolder(root=folder.board).video))
+    rig, _ = calibrate_board(
+        job,
+        BoardLayout(square_mm=square_mm),
+        BoardOptions(),
+        lambda done, total: on_progress("calibrate", done, total),
+    )
+    write_rig(folder.rig, rig)
+    return rig
+
+
+def _reconstruct(folder: DemoFolder, jobs: int, overwrite: bool, on_progress: Stage) -> ReconstructionSummary:
+    job = ReconstructionJob(
+        source=str(SimulationFolder(root=folder.garment).video),
+        rig=read_rig(folder.rig),
+        options=ReconstructOptions(distance_m=CAMERA_DISTANCE_M),
+        folder=ReconstructionFolder(root=folder.reconstruction),
+    )
+    count = _Counter("reconstruct", on_progress)
+    return reconstruct(job, jobs=jobs, overwrite=overwrite, on_start=count.start, on_frame=count.advance)
+
+
+class _Counter:
+    """Turns what the stages tell into (name, done, total)."""
+
+    def __init__(self, stage: str, on_progress: Stage) -> None:
+        self._stage, self._report = stage, on_progress
+        self._done = self._total = 0
+
+    def start(self, total: int, done: int) -> None:
+        self._total, self._done = total, done
+        self._report(self._stage, done, total)
+
+    def advance(self, _finished: object) -> None:
+        self._done += 1
+        self._report(self._stage, self._done, self._total)

@@ -1,0 +1,74 @@
+"""A reconstruction of simulated footage beside what was true: normals, depth, light response."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from vntoolkit.arrays import FloatArray
+from vntoolkit.errors import BadInput
+from vntoolkit.evaluation.angular_error import AngularError, angles_between_deg, compare_normals
+from vntoolkit.evaluation.depth_error import DepthError, compare_depths
+from vntoolkit.geometry.maps import DepthMap, NormalMap
+from vntoolkit.io.maps import read_depth_map, read_normal_map
+from vntoolkit.io.rigs import read_rig
+from vntoolkit.photometry.response import LightResponse
+from vntoolkit.pipeline.opened_result import OpenedResult
+from vntoolkit.pipeline.simulation_job import SimulationFolder
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameComparison:
+    """One frame against the truth. depth: None where the result holds none."""
+
+    number: int
+    normals: AngularError
+    depth: DepthError | None
+
+
+def compare_with_truth(result: OpenedResult, simulated: Path) -> Iterator[FrameComparison]:
+    """Yield every frame of a result against the truth in the folder that `simulate` wrote, one at a time.
+
+    Raises `BadInput` where that folder holds no truth for a frame.
+    """
+    for number in result.numbers:
+        measured = result.normals(number)
+        assert measured is not None, "a result lists the frames that have normals"
+        depth = result.depth(number)
+        yield FrameComparison(
+            number=number,
+            normals=compare_normals(measured, true_normals(simulated, number)),
+            depth=None
+            if depth is None
+            else compare_depths(depth, true_depth(simulated, number), result.camera),
+        )
+
+
+def true_normals(simulated: Path, number: int) -> NormalMap:
+    """Read the true normals of a simulated frame."""
+    return read_normal_map(_truth_file(simulated, "normals", number))
+
+
+def true_depth(simulated: Path, number: int) -> DepthMap:
+    """Read the true depth of a simulated frame, metres."""
+    return read_depth_map(_truth_file(simulated, "depth", number))
+
+
+def light_errors_deg(response: LightResponse, simulated: Path) -> FloatArray:
+    """Return (3,) the angles in degrees between the rows of M, channel by channel, and the true ones."""
+    truth = read_rig(SimulationFolder(root=simulated).truth / "rig.json").response
+    return angles_between_deg(_unit_rows(response.matrix), _unit_rows(truth.matrix))
+
+
+def _unit_rows(matrix: FloatArray) -> FloatArray:
+    return np.asarray(matrix / np.linalg.norm(matrix, axis=1, keepdims=True))
+
+
+def _truth_file(simulated: Path, kind: str, number: int) -> Path:
+    path = SimulationFolder(root=simulated).map_file(kind, number, ".exr")
+    if not path.exists():
+        raise BadInput(f"{path}: the simulated capture holds no truth for frame {number}")
+    return path

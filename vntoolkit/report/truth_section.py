@@ -1,0 +1,186 @@
+"""The report's part on simulated footage: how far the result is from what was true."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from vntoolkit.arrays import FloatArray, Mask
+from vntoolkit.evaluation.angular_error import angular_error_map
+from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.pipeline.opened_result import OpenedResult
+from vntoolkit.pipeline.truth_comparison import (
+    FrameComparison,
+    compare_with_truth,
+    light_errors_deg,
+    true_depth,
+    true_normals,
+)
+from vntoolkit.report.page import (
+    PageFigure,
+    PageNumber,
+    PageSection,
+    PageTable,
+    figure_from_pixels,
+    figure_from_plot,
+)
+from vntoolkit.report.pictures import Picture, cropped, picture_of_depth, picture_of_normals, strip_of
+from vntoolkit.report.raycast_view import View, picture_of
+from vntoolkit.report.svg import BLUE, FAINT, new_figure, report_style
+
+_STRIP_PX = 340
+_MOST_DEG = 30.0  # the error map's brightest colour
+_VIEWS_DEG = (-50.0, -20.0, 20.0, 50.0)
+_VIEW_PX = 320
+
+
+def truth_section(result: OpenedResult, simulated: Path) -> PageSection:
+    """Return numbers and pictures of a result against the folder that `simulate` wrote."""
+    frames = list(compare_with_truth(result, simulated))
+    middle = result.numbers[len(result.numbers) // 2]
+    lights = light_errors_deg(result.rig.response, simulated)
+    return PageSection(
+        title="Against the truth",
+        paragraphs=(
+            "The footage was simulated, so the true normals and depth of every frame are known; the "
+            "calibration saw only the footage of the board. A depth map of a perspective camera leaves one "
+            "factor free; it is set by the median before depths are compared.",
+        ),
+        numbers=(*_numbers(frames), _light_number(lights)),
+        figures=(
+            _strip(result, simulated, middle),
+            *_relief_figure(result, simulated, middle),
+            *_mesh_figure(result, middle),
+            _cumulative_figure(result, simulated, middle),
+        ),
+        tables=(_table(frames),),
+    )
+
+
+def _numbers(frames: Sequence[FrameComparison]) -> tuple[PageNumber, ...]:
+    median = float(np.median([frame.normals.median_deg for frame in frames]))
+    mean = float(np.mean([frame.normals.mean_deg for frame in frames]))
+    numbers = [
+        PageNumber(value=f"{median:.2f}°", label="median normal error"),
+        PageNumber(value=f"{mean:.2f}°", label="mean normal error"),
+    ]
+    depths = [frame.depth for frame in frames if frame.depth is not None]
+    if depths:
+        error_mm = 1000 * float(np.mean([depth.mean for depth in depths]))
+        percent = float(np.mean([depth.mean_percent for depth in depths]))
+        remark = f"{percent:.2f} % of the diagonal"
+        numbers.append(PageNumber(value=f"{error_mm:.1f} mm", label="mean depth error", remark=remark))
+    return tuple(numbers)
+
+
+def _light_number(errors_deg: FloatArray) -> PageNumber:
+    return PageNumber(value=f"{errors_deg.max():.2f}°", label="worst row of M", remark="against the true M")
+
+
+def _strip(result: OpenedResult, simulated: Path, number: int) -> PageFigure:
+    measured, truth = result.normals(number), true_normals(simulated, number)
+    assert measured is not None  # the frame is in result.numbers
+    errors, both = angular_error_map(measured, truth)
+    pictures = [picture_of_normals(measured), picture_of_normals(truth), picture_of_errors(errors, both)]
+    caption = (
+        f"Frame {number}: normals found, true normals, and the angle between them from 0° (black) to "
+        f"{_MOST_DEG:.0f}° and more (yellow)."
+    )
+    strip = strip_of(cropped(pictures, measured.mask | truth.mask), _STRIP_PX)
+    return figure_from_pixels(strip, caption, wide=True)
+
+
+def picture_of_errors(errors_deg: FloatArray, compared: Mask, most_deg: float = _MOST_DEG) -> Picture:
+    """Return angles (h, w) in degrees as colours (h, w, 3), white where nothing was compared."""
+    from matplotlib import colormaps
+
+    coloured = colormaps["inferno"](np.clip(errors_deg / most_deg, 0, 1))[..., :3]
+    return (255 * np.where(compared[..., None], coloured, 1.0)).astype(np.uint8)
+
+
+def _relief_figure(result: OpenedResult, simulated: Path, number: int) -> tuple[PageFigure, ...]:
+    depth = result.depth(number)
+    if depth is None:
+        return ()
+    truth = true_depth(simulated, number)
+    pictures = [picture_of_depth(depth, result.camera), picture_of_depth(truth, result.camera)]
+    strip = strip_of(cropped(pictures, depth.mask | truth.mask), _STRIP_PX)
+    return (figure_from_pixels(strip, f"Frame {number}: relief found, and true relief.", wide=True),)
+
+
+def _mesh_figure(result: OpenedResult, number: int) -> tuple[PageFigure, ...]:
+    mesh = result.mesh(number)
+    if mesh is None:
+        return ()
+    strip = np.concatenate([_seen_from(mesh, azimuth) for azimuth in _VIEWS_DEG], axis=1)
+    angles = ", ".join(f"{angle:+.0f}°" for angle in _VIEWS_DEG)
+    return (figure_from_pixels(strip, f"Frame {number}: the mesh, turned by {angles}.", wide=True),)
+
+
+def _cumulative_figure(result: OpenedResult, simulated: Path, number: int) -> PageFigure:
+    measured = result.normals(number)
+    assert measured is not None  # the frame is in result.numbers
+    errors, both = angular_error_map(measured, true_normals(simulated, number))
+    angles = np.sort(errors[both])
+    shares = np.linspace(0, 100, len(angles))
+    thinned = np.unique(np.linspace(0, len(angles) - 1, 400).astype(int))
+    with report_style():
+        figure = new_figure(5.2, 2.6)
+        axes = figure.subplots()
+        axes.plot(angles[thinned], shares[thinned], color=BLUE)
+        for limit in (5, 10, 20):
+            axes.axvline(limit, color=FAINT, lw=0.8, ls=":")
+        axes.set_xlim(0, _MOST_DEG)
+        axes.set_ylim(0, 101)
+        axes.set_xlabel("angle to the true normal, degrees")
+        axes.set_ylabel("pixels below it, %")
+    return figure_from_plot(figure, f"Frame {number}: share of pixels below each error.")
+
+
+def _table(frames: Sequence[FrameComparison]) -> PageTable:
+    rows = []
+    for frame in frames:
+        angles, depth = frame.normals, frame.depth
+        shares = (angles.below_5, angles.below_10, angles.below_20)
+        rows.append(
+            (
+                str(frame.number),
+                f"{angles.median_deg:.2f}",
+                f"{angles.mean_deg:.2f}",
+                *(f"{100 * share:.1f}" for share in shares),
+                "" if depth is None else f"{1000 * depth.mean:.2f}",
+                "" if depth is None else f"{depth.mean_percent:.2f}",
+            )
+        )
+    return PageTable(
+        headings=(
+            "frame",
+            "median °",
+            "mean °",
+            "% below 5°",
+            "below 10°",
+            "below 20°",
+            "depth mm",
+            "% of diagonal",
+        ),
+        rows=tuple(rows),
+        numeric=True,
+        folded="every frame",
+    )
+
+
+def _seen_from(mesh: Mesh, azimuth_deg: float) -> Picture:
+    """Plain plaster: the captured colours would hide the shape."""
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    view = View(
+        centre=(low + high) / 2,
+        height=1.1 * float((high - low)[:2].max()),
+        azimuth_deg=azimuth_deg,
+        elevation_deg=8.0,
+        width_px=_VIEW_PX,
+        height_px=_VIEW_PX,
+    )
+    return picture_of([replace(mesh, colours=None)], view)
