@@ -32,6 +32,7 @@ VERBS: dict[str, tuple[str, str]] = {
         "Turn footage and a rig into normals, depth and meshes.",
     ),
     "track": ("vntoolkit.cli.track:track", "Follow one surface through a reconstruction's frames."),
+    "view": ("vntoolkit.cli.view:view", "Look at results in a browser, or write a page that shows them offline."),
     "export": ("vntoolkit.cli.export:export", "Hand results on as PLY, OBJ, USD, GLB, NPZ or DiLiGenT's."),
     "report": (
         "vntoolkit.cli.report:report",

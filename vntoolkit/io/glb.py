@@ -28,6 +28,12 @@ _FLOAT, _UINT = 5126, 5125
 _ARRAY_BUFFER, _INDEX_BUFFER = 34962, 34963
 _HEADER = struct.Struct("<4sII")
 _CHUNK = struct.Struct("<I4s")
+# glTF's default is bare metal, which shows black; captured cloth is one layer, seen from both sides
+_MATTE = {
+    "name": "Matte",
+    "doubleSided": True,
+    "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0},
+}
 
 
 class _Binary:
@@ -69,10 +75,25 @@ def write_glb(path: Path | str, template: Mesh, frames: Iterable[Points], *, fra
     """Write a moving surface of fixed topology, lengths in metres; return the number of frames.
 
     frames: vertices (n, 3) in the camera frame. Colours go as COLOR_0, texture coordinates as TEXCOORD_0.
-    Raises `CannotWrite` where the clip exceeds 512 MiB.
+    The material is matte and two-sided. Raises `CannotWrite` where the clip exceeds 512 MiB.
     """
+    count, parts = _content(template, frames, frame_rate_hz, str(path))
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
+        file.writelines(parts)
+    return count
+
+
+def glb_bytes(template: Mesh, frames: Iterable[Points], *, frame_rate_hz: float) -> bytes:
+    """Return what `write_glb` writes."""
+    return b"".join(_content(template, frames, frame_rate_hz, "GLB")[1])
+
+
+def _content(
+    template: Mesh, frames: Iterable[Points], frame_rate_hz: float, name: str
+) -> tuple[int, list[bytes]]:
+    """Return the number of frames, and the file's bytes in pieces."""
     binary = _Binary()
-    primitive: dict[str, Any] = {"attributes": {}, "mode": 4}
+    primitive: dict[str, Any] = {"attributes": {}, "mode": 4, "material": 0}
     first: npt.NDArray[np.float32] | None = None
     targets: list[dict[str, int]] = []
     for index, vertices in enumerate(frames):
@@ -85,7 +106,7 @@ def write_glb(path: Path | str, template: Mesh, frames: Iterable[Points], *, fra
         else:
             targets.append({"POSITION": binary.add(positions - first, "VEC3", target=_ARRAY_BUFFER)})
     if first is None or not len(first) or not len(template.faces):
-        raise BadMesh(f"{path}: a GLB needs at least one frame and one triangle")
+        raise BadMesh(f"{name}: a GLB needs at least one frame and one triangle")
     mesh: dict[str, Any] = {"primitives": [primitive]}
     document: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": f"vntoolkit {__version__}"},
@@ -93,13 +114,13 @@ def write_glb(path: Path | str, template: Mesh, frames: Iterable[Points], *, fra
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0, "name": "Surface"}],
         "meshes": [mesh],
+        "materials": [_MATTE],
     }
     if targets:
         primitive["targets"] = targets
         mesh["weights"] = [0.0] * len(targets)
         document["animations"] = [_animation(binary, len(targets), frame_rate_hz)]
-    _write(path, document, binary)
-    return len(targets) + 1
+    return len(targets) + 1, _pieces(document, binary)
 
 
 def _add_surface(
@@ -132,15 +153,16 @@ def _animation(binary: _Binary, targets: int, frame_rate_hz: float) -> dict[str,
     return {"name": "Motion", "channels": [channel], "samplers": [sampler]}
 
 
-def _write(path: Path | str, document: dict[str, Any], binary: _Binary) -> None:
+def _pieces(document: dict[str, Any], binary: _Binary) -> list[bytes]:
     document["accessors"] = binary.accessors
     document["bufferViews"] = binary.views
     document["buffers"] = [{"byteLength": binary.size}]
     text = json.dumps(document, separators=(",", ":")).encode("utf-8")
     text += b" " * (-len(text) % 4)
     total = _HEADER.size + 2 * _CHUNK.size + len(text) + binary.size
-    with atomic_path(path) as temporary, temporary.open("wb") as file:
-        file.write(_HEADER.pack(b"glTF", 2, total))
-        file.write(_CHUNK.pack(len(text), b"JSON") + text)
-        file.write(_CHUNK.pack(binary.size, b"BIN\0"))
-        file.writelines(binary.parts)
+    return [
+        _HEADER.pack(b"glTF", 2, total),
+        _CHUNK.pack(len(text), b"JSON") + text,
+        _CHUNK.pack(binary.size, b"BIN\0"),
+        *binary.parts,
+    ]

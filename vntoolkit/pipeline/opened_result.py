@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -34,7 +34,10 @@ from vntoolkit.pipeline.tracked_folder import read_track_record
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrackedSurface:
-    """The registered moving mesh of a result. numbers: of its frames. template: number of the template's."""
+    """The registered moving mesh of a result, its texture coordinates those of the template's picture.
+
+    numbers: of its frames. template: number of the template's.
+    """
 
     sequence: MeshSequence
     numbers: tuple[int, ...]
@@ -104,10 +107,15 @@ class OpenedResult:
         if not (root / "track.json").exists():
             return None
         record, sequence = read_track_record(root), read_mesh_sequence(root)
-        if not len(sequence):
+        numbers, template = tuple(record["frames"][: len(sequence)]), record["template"]
+        if template not in numbers:
             return None
-        numbers = tuple(record["frames"][: len(sequence)])
-        return TrackedSurface(sequence=sequence, numbers=numbers, template=record["template"])
+        # the template's own picture is its texture
+        pixels = self.camera.project(np.array(sequence.vertices[numbers.index(template)]))
+        u, v = pixels[:, 0], pixels[:, 1]
+        uv = np.stack([(u + 0.5) / self.camera.width, 1 - (v + 0.5) / self.camera.height], axis=-1)
+        textured = replace(sequence, template=replace(sequence.template, uv=uv))
+        return TrackedSurface(sequence=textured, numbers=numbers, template=template)
 
     def linear(self, number: int) -> LinearFrame:
         """Return the captured frame in linear light, background removed and undistorted."""
@@ -125,10 +133,20 @@ class OpenedResult:
         encoded = encoded_from_linear(linear, Transfer(curve=TransferCurve.SRGB))
         return np.asarray(255 * encoded + 0.5).astype(np.uint8)
 
+    @property
+    def source(self) -> str:
+        """Where the footage is: as stated, or where a relative name leads from the result or above it."""
+        stated = self.manifest.input.source
+        if self.footage or Path(stated).exists() or Path(stated).is_absolute():
+            return self.footage or stated
+        root = self.folder.root.resolve()
+        found = (parent / stated for parent in (root, *root.parents) if (parent / stated).exists())
+        return str(next(found, stated))
+
     @cached_property
     def capture(self) -> Capture:
         """The footage; raise `BadInput` where it is not to be found, or is of another size or length."""
-        source = self.footage or self.manifest.input.source
+        source = self.source
         capture = open_capture(source, CaptureOptions(transfer=self.rig.transfer, background=self.background))
         stated, info = self.manifest.input, capture.info
         if (info.width, info.height, info.frame_count) != (stated.width, stated.height, stated.frame_count):

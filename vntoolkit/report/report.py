@@ -90,8 +90,7 @@ def warnings_section(result: OpenedResult) -> PageSection:
 def _findings(result: OpenedResult) -> list[PageNotice]:
     try:
         result.capture  # noqa: B018 - is it there, and is it the one?
-        source = result.footage or result.manifest.input.source
-        report = inspect_capture(source, CaptureOptions(transfer=result.rig.transfer), rig=result.rig)
+        report = inspect_capture(result.source, CaptureOptions(transfer=result.rig.transfer), rig=result.rig)
     except VntError as error:
         text = f"the footage could not be looked over: {error}"
         return [PageNotice(severity="note", text=text)]

@@ -1,0 +1,127 @@
+"""The offline page: it opens in a browser without a request or a complaint, and what it shows is there."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.browser import visit
+from tests.dome_result import DomeResult
+from vntoolkit.errors import BadInput
+from vntoolkit.geometry.mesh import Mesh, face_normals
+from vntoolkit.io.sequences import read_mesh_sequence
+from vntoolkit.pipeline.opened_result import open_result
+from vntoolkit.report.scene_page import SceneOptions, write_scene
+from vntoolkit.report.thinning import thinned_template
+
+GROUND = np.array([32, 38, 47])
+
+
+def covered(picture: np.ndarray) -> np.ndarray:
+    """Where the surface is: neither ground nor the light's disc, which lies in the lower left corner."""
+    differs = np.abs(picture.astype(int) - GROUND).max(axis=2) > 24
+    differs[-150:, :150] = False
+    return differs
+
+
+@pytest.fixture(scope="module")
+def page(dome_result: DomeResult, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("scene") / "scene.html"
+    write_scene(out, open_result(dome_result.folder), SceneOptions(vertices=300))
+    return out
+
+
+@pytest.mark.slow
+def test_a_browser_shows_the_surface(page: Path) -> None:
+    with visit(page, width=900, height=700) as seen:
+        tab = seen.page
+
+        def picture(wait_for: str = "") -> np.ndarray:
+            if wait_for:
+                tab.wait_for_selector(wait_for)
+            tab.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+            return seen.picture("#view")
+
+        lit = picture("body[data-shown='0']")
+        disc = covered(lit)
+        v, u = np.nonzero(disc)
+        # the dome is a disc of the view's height, in its middle
+        assert abs(u.mean() - lit.shape[1] / 2) < 0.05 * lit.shape[1]
+        assert disc.mean() > 0.15
+        assert 0.9 < np.ptp(u) / np.ptp(v) < 1.2
+        grey = lit.mean(axis=2)
+        middle, reach = np.array([v.mean(), u.mean()]).astype(int), int(0.3 * np.ptp(v))
+        upper_left, lower_right = grey[tuple(middle - reach)], grey[tuple(middle + reach)]
+        assert upper_left > lower_right + 20  # lit from there, and bulging towards us
+
+        box = tab.locator("#light").bounding_box()
+        tab.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
+        tab.mouse.down()
+        tab.mouse.move(box["x"] + 0.85 * box["width"], box["y"] + 0.85 * box["height"], steps=3)
+        tab.mouse.up()
+        moved = picture().mean(axis=2)
+        assert moved[tuple(middle + reach)] > moved[tuple(middle - reach)] + 20
+
+        tab.select_option("#look", "2")
+        normals = picture()[tuple(middle)].astype(int)
+        assert normals[2] > normals[0] + 60  # blue: towards the viewer
+        tab.select_option("#surface", "registered")
+        tab.select_option("#look", "3")
+        checks = picture()
+        hue = checks[..., 0].astype(int) - checks[..., 2]
+        assert (hue[disc] > 40).mean() > 0.2
+        assert (hue[disc] < 40).mean() > 0.2
+        tab.check("#wire")
+        assert np.abs(picture().astype(int) - checks).max(axis=2)[disc].mean() > 5
+
+        tab.locator("#time").focus()
+        tab.keyboard.press("End")
+        picture("body[data-shown='4']")
+        assert tab.inner_text("#number") == "frame 5"
+        tab.click("#play")
+        tab.wait_for_selector("body[data-shown='2']")
+        widths = tab.evaluate("[...document.querySelectorAll('aside img')].map(i => i.naturalWidth)")
+        assert widths == [64] * 4
+        assert seen.requests == [page.as_uri()]
+        assert seen.complaints == []
+
+
+def test_nothing_in_it_points_elsewhere(page: Path) -> None:
+    text = page.read_text()
+    assert re.findall(r"https?://", text) == []
+    assert text.count("</script>") == 2
+    assert "<b>dome" not in text
+
+
+def test_five_frames_lie_in_it_the_skipped_one_not(page: Path) -> None:
+    text = page.read_text()
+    data = json.loads(re.search(r'id="scene">(.*?)</script>', text, re.DOTALL)[1])
+    assert [frame["number"] for frame in data["frames"]] == [0, 1, 2, 4, 5]
+    assert data["registered"]["template"] == 0
+    assert len(data["registered"]["frames"]) == 5
+
+
+def test_thinning_keeps_true_vertices_and_their_sides(dome_result: DomeResult) -> None:
+    template = read_mesh_sequence(dome_result.folder / "track").template
+    thin = thinned_template(template, 200)
+    assert 100 < len(thin.kept) < 250
+    np.testing.assert_array_equal(thin.mesh.vertices, template.vertices[thin.kept])
+    area = np.linalg.norm(face_normals(thin.mesh.vertices, thin.mesh.faces), axis=1).sum()
+    whole = np.linalg.norm(face_normals(template.vertices, template.faces), axis=1).sum()
+    assert 0.93 < area / whole < 1.02
+    towards = face_normals(thin.mesh.vertices, thin.mesh.faces)[:, 2]
+    assert (towards < 0).mean() > 0.98
+    small = Mesh(vertices=template.vertices[:3], faces=np.array([[0, 1, 2]]))
+    assert thinned_template(small, 200).mesh is small
+
+
+def test_normals_alone_are_refused(dome_result: DomeResult, tmp_path: Path) -> None:
+    folder = shutil.copytree(dome_result.folder, tmp_path / "result")
+    for name in ("depth", "mesh", "track"):
+        shutil.rmtree(folder / name)
+    with pytest.raises(BadInput, match="has no depth; reconstruct with --to depth"):
+        write_scene(tmp_path / "scene.html", open_result(folder))
+    assert not (tmp_path / "scene.html").exists()

@@ -1,0 +1,56 @@
+"""`vntoolkit view`: look at a reconstruction in a browser."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+from vntoolkit.cli.flags import flags_from
+from vntoolkit.cli.progress import progress_bar
+from vntoolkit.io.frame_range import FrameRange
+from vntoolkit.pipeline.opened_result import open_result
+from vntoolkit.report.scene_page import SceneOptions, write_scene
+from vntoolkit.report.viewer import ResultViewer, ViewerOptions
+
+if TYPE_CHECKING:
+    ViewerFlags: TypeAlias = ViewerOptions | None
+    SceneFlags: TypeAlias = SceneOptions | None
+else:
+    ViewerFlags = flags_from(ViewerOptions)
+    SceneFlags = flags_from(SceneOptions)
+
+
+def view(
+    folder: Path,
+    *,
+    frames: str = "::",
+    footage: str = "",
+    html: Path | None = None,
+    viewer: ViewerFlags = None,
+    scene: SceneFlags = None,
+) -> None:
+    """Serve a page on which one scrubs through a reconstruction and drags a light; or write one to keep.
+
+    Parameters
+    ----------
+    folder
+        The folder that `vntoolkit reconstruct` wrote, tracked or not.
+    frames
+        Which frames, a:b:c: from a, below b, every c-th; or one number.
+    footage
+        Where the footage is now, if not where it was when it was reconstructed.
+    html
+        Write one self-contained page that opens offline, instead of serving.
+    """
+    result = open_result(folder, frames=FrameRange.from_text(frames), footage=footage)
+    if html is not None:
+        with progress_bar("scene", len(result.numbers)) as advance:
+            write_scene(html, result, scene, on_frame=lambda: advance(1))
+        print(f"{html}: {len(result.numbers)} frames, {html.stat().st_size / 1e6:.1f} MB")
+        return
+    shown = ResultViewer(result, viewer)
+    print(f"{shown.address} (Ctrl-C ends)", flush=True)
+    with contextlib.suppress(KeyboardInterrupt):
+        shown.wait()
+    shown.close()

@@ -1,0 +1,186 @@
+"""A reconstruction as one offline page: turn it, light it, play it; nothing is fetched, nothing installed.
+
+viser's own static page replays a recorded scene but leaves its controls out, so no light could be dragged;
+hence a page of our own, of plain WebGL.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.arrays import FloatArray, Points
+from vntoolkit.errors import BadInput
+from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.io.atomic import write_text
+from vntoolkit.io.conventions import graphics_from_camera
+from vntoolkit.io.images import encoded_image, resized_image
+from vntoolkit.meshing.surface import MeshOptions, mesh_from_depth
+from vntoolkit.pipeline.opened_result import OpenedResult
+from vntoolkit.report.page import data_uri
+from vntoolkit.report.pictures import (
+    Picture,
+    picture_of_depth,
+    picture_of_labels,
+    picture_of_normals,
+)
+from vntoolkit.report.thinning import thinned_template
+
+_WEBP_QUALITY = 88
+_STEPS = 65535
+_ZLIB_LEVEL = 6
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneOptions:
+    """How much of a reconstruction goes into an offline page.
+
+    vertices: of each frame's mesh, at most; finer ones are thinned. picture_px: longest side of the pictures,
+    pixels.
+    """
+
+    vertices: int = 12_000
+    picture_px: int = 640
+
+    def __post_init__(self) -> None:
+        if self.vertices < 4 or self.picture_px < 1:
+            raise BadInput("scene: expected at least 4 vertices and one pixel")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Frame:
+    number: int
+    pictures: dict[str, str]
+    own: Mesh | None
+    registered: Points | None
+
+
+def write_scene(
+    path: Path,
+    result: OpenedResult,
+    options: SceneOptions | None = None,
+    on_frame: Callable[[], None] = lambda: None,
+) -> None:
+    """Write the page of the opened frames, atomically. Raises `BadInput` where they have no depth."""
+    options = options or SceneOptions()
+    track = result.track
+    thin = None if track is None else thinned_template(track.sequence.template, options.vertices)
+    frames = []
+    for number in result.numbers:
+        moved = None
+        if track is not None and thin is not None and number in track.numbers:
+            moved = np.array(track.sequence.vertices[track.numbers.index(number)])[thin.kept]
+        own = _own_mesh(result, number, options)
+        if own is None and moved is None:
+            raise BadInput(f"{result.folder.root}: frame {number} has no depth; reconstruct with --to depth")
+        frames.append(
+            _Frame(number=number, pictures=_pictures(result, number, options), own=own, registered=moved)
+        )
+        on_frame()
+    scene = _scene(result, frames, None if thin is None else thin.mesh)
+    _write(path, f"{Path(result.manifest.input.source).name}, {len(frames)} frames", scene)
+
+
+def _own_mesh(result: OpenedResult, number: int, options: SceneOptions) -> Mesh | None:
+    depth_map = result.depth(number)
+    if depth_map is None:
+        return None
+    stride = max(1, int(np.ceil(np.sqrt(depth_map.mask.sum() / options.vertices))))
+    step = result.manifest.options.get("meshing.largest_step", MeshOptions().largest_step)
+    return mesh_from_depth(
+        depth_map, result.camera, options=MeshOptions(stride=stride, largest_step=float(step))
+    )
+
+
+def _pictures(result: OpenedResult, number: int, options: SceneOptions) -> dict[str, str]:
+    normal_map, depth_map = result.normals(number), result.depth(number)
+    labels, captured = result.labels(number), result.picture(number)
+    pictures: dict[str, str] = {}
+    if captured is not None:
+        pictures["captured"] = _uri(captured, options)
+    if normal_map is not None:
+        pictures["normals"] = _uri(picture_of_normals(normal_map, ground=127), options)
+    if depth_map is not None:
+        pictures["depth"] = _uri(picture_of_depth(depth_map, result.camera, ground=20), options)
+    if labels is not None:
+        mask = None if normal_map is None else normal_map.mask
+        shown = resized_image(picture_of_labels(labels, mask, ground=20), options.picture_px, smooth=False)
+        pictures["shadows"] = data_uri(encoded_image(shown, ".png"), ".png")
+    return pictures
+
+
+def _uri(picture: Picture, options: SceneOptions) -> str:
+    small = resized_image(picture, options.picture_px)
+    return data_uri(encoded_image(small, ".webp", quality=_WEBP_QUALITY), ".webp")
+
+
+def _scene(result: OpenedResult, frames: list[_Frame], template: Mesh | None) -> dict[str, Any]:
+    """Return the page's data; positions as 16-bit steps of the box around all frames, its largest side 1."""
+    clouds = [f.own.vertices for f in frames if f.own is not None]
+    clouds += [f.registered for f in frames if f.registered is not None]
+    turned = [graphics_from_camera(np.asarray(cloud, dtype=np.float64)) for cloud in clouds]
+    low = np.min([cloud.min(axis=0) for cloud in turned], axis=0)
+    extent = np.max([cloud.max(axis=0) for cloud in turned], axis=0) - low
+    extent = np.maximum(extent, 1e-9)
+
+    def packed(vertices: Points) -> str:
+        shares = (graphics_from_camera(np.asarray(vertices, dtype=np.float64)) - low) / extent
+        return _packed(np.rint(shares.clip(0, 1) * _STEPS).astype("<u2"))
+
+    scene: dict[str, Any] = {
+        "rate": result.manifest.input.frame_rate_hz,
+        "size": (extent / extent.max()).tolist(),
+        "hasNormals": "normals" in frames[0].pictures,
+        "frames": [
+            {
+                "number": f.number,
+                "pictures": f.pictures,
+                "own": None if f.own is None else {"positions": packed(f.own.vertices), **_topology(f.own)},
+            }
+            for f in frames
+        ],
+        "registered": None,
+    }
+    if template is not None and all(f.registered is not None for f in frames):
+        assert result.track is not None
+        numbers = [f.number for f in frames]
+        nearest = int(np.argmin(np.abs(np.array(numbers) - result.track.template)))
+        scene["registered"] = {
+            "template": nearest,
+            "frames": [packed(f.registered) for f in frames if f.registered is not None],
+            **_topology(template),
+        }
+    return scene
+
+
+def _topology(mesh: Mesh) -> dict[str, str]:
+    uv: FloatArray = np.zeros((len(mesh.vertices), 2)) if mesh.uv is None else np.asarray(mesh.uv)
+    return {
+        "faces": _packed(np.diff(mesh.faces, axis=0, prepend=0).astype("<i4")),  # packs well
+        "uv": _packed(np.rint(uv.clip(0, 1) * _STEPS).astype("<u2")),
+    }
+
+
+def _packed(values: npt.NDArray[Any]) -> str:
+    packed = zlib.compress(np.ascontiguousarray(values).tobytes(), _ZLIB_LEVEL)
+    return base64.b64encode(packed).decode("ascii")
+
+
+def _write(path: Path, title: str, scene: dict[str, Any]) -> None:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("vntoolkit.report"), autoescape=True, undefined=StrictUndefined
+    )
+    script = (files("vntoolkit.report") / "templates" / "scene.js").read_text("utf-8")
+    data = json.dumps(scene, separators=(",", ":")).replace("<", "\\u003c")  # no end of the script in it
+    write_text(path, environment.get_template("scene.html.j2").render(title=title, scene=data, script=script))

@@ -1,0 +1,251 @@
+"""The viewer: a local page, served by viser, on which one scrubs through a reconstruction at full size."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import threading
+import time
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.arrays import Points
+from vntoolkit.errors import BadInput, CannotWrite
+from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.io.conventions import graphics_from_camera
+from vntoolkit.io.glb import glb_bytes
+from vntoolkit.meshing.surface import mesh_from_depth
+from vntoolkit.pipeline.opened_result import OpenedResult
+from vntoolkit.report.pictures import (
+    Picture,
+    picture_of_depth,
+    picture_of_labels,
+    picture_of_normals,
+)
+
+_PLASTER = (205, 200, 192)
+_CHECKS = (32, 24)  # cells across and down the template's picture
+_CHECK_COLOURS = np.array([[0.85, 0.82, 0.78], [0.62, 0.13, 0.08]], np.float32)
+_LAMP = (-0.55, 0.38, 0.5)  # where the light starts, the subject's size being 1
+_FASTEST_HZ = 15.0
+
+
+class Look(Enum):
+    """How the mesh is painted; every look is lit by the light that one drags."""
+
+    PLASTER = "relit plaster"
+    CAPTURED = "captured colours"
+    NORMALS = "normals"
+    CHECKERBOARD = "checkerboard"
+
+
+class Surface(Enum):
+    """Before and after registration."""
+
+    OWN = "of each frame"
+    REGISTERED = "registered"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewerOptions:
+    """Where the viewer is served.
+
+    host: address to listen on; 127.0.0.1 is seen by this machine only, 0.0.0.0 by the whole network. port:
+    of the page; the next free one is taken where it is in use.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 8080
+
+    def __post_init__(self) -> None:
+        if not 0 < self.port < 65536:
+            raise BadInput(f"port: expected 1 to 65535, got {self.port}")
+
+
+class ResultViewer:
+    """Serves an opened result until `close`. Frames are read from disk as they are shown."""
+
+    def __init__(self, result: OpenedResult, options: ViewerOptions | None = None) -> None:
+        import viser
+
+        options = options or ViewerOptions()
+        self._result = result
+        self._lock = threading.Lock()
+        self._playing = threading.Event()
+        self._closed = threading.Event()
+        try:
+            with contextlib.redirect_stdout(io.StringIO()):  # it prints a box, whatever it is told
+                self._server = viser.ViserServer(host=options.host, port=options.port, verbose=False)
+        except OSError as error:
+            raise CannotWrite(f"cannot serve on {options.host}:{options.port}: {error}") from error
+        self._set_up_scene()
+        self._set_up_controls()
+        self.show(result.numbers[0])
+        threading.Thread(target=self._play, daemon=True).start()
+
+    @property
+    def address(self) -> str:
+        """The address to open in a browser."""
+        return f"http://{self._server.get_host()}:{self._server.get_port()}"
+
+    def show(self, number: int) -> None:
+        """Show a frame."""
+        with self._lock:
+            self._pictures_of(number)
+            self._mesh_of(number)
+            self._caption.content = (
+                f"frame **{number}**, {self._slider.value + 1} of {len(self._result.numbers)}"
+            )
+
+    def close(self) -> None:
+        """Stop serving."""
+        self._closed.set()
+        self._server.stop()
+
+    def wait(self) -> None:
+        """Serve until interrupted."""
+        while not self._closed.wait(1.0):
+            pass
+
+    def _set_up_scene(self) -> None:
+        """Bring the first frame to size 1 about the origin, y up; put the lamp before it."""
+        meshes = [self._mesh(self._result.numbers[0], surface) for surface in self._surfaces()]
+        points = graphics_from_camera(np.concatenate([np.asarray(mesh.vertices) for mesh in meshes]))
+        low, high = points.min(axis=0), points.max(axis=0)
+        self._centre, self._size = (low + high) / 2, float((high - low).max())
+        server: Any = self._server
+        server.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=True)
+        server.gui.set_panel_label("vntoolkit")
+        server.scene.set_up_direction("+y")
+        server.initial_camera.position = (0.0, 0.0, 1.25)
+        server.initial_camera.look_at = (0.0, 0.0, 0.0)
+        server.scene.configure_default_lights(enabled=False)
+        server.scene.configure_environment_map("warehouse", environment_intensity=0.25)
+        server.scene.add_transform_controls(
+            "/light", scale=0.25, position=_LAMP, disable_rotations=True, disable_sliders=True
+        )
+        server.scene.add_light_point("/light/lamp", intensity=5.0, decay=2.0)
+        server.scene.add_icosphere("/light/bulb", radius=0.025, color=(255, 179, 0))
+
+    def _set_up_controls(self) -> None:
+        gui: Any = self._server.gui
+        numbers = self._result.numbers
+        self._caption = gui.add_markdown("")
+        self._slider = gui.add_slider("time", 0, max(len(numbers) - 1, 1), 1, 0, disabled=len(numbers) == 1)
+        self._button = gui.add_button("play", disabled=len(numbers) == 1)
+        self._surface = gui.add_dropdown("surface", [surface.value for surface in self._surfaces()])
+        first = self._pictures(numbers[0])
+        looks = [look.value for look in Look if look is not Look.CAPTURED or "captured" in first]
+        self._look = gui.add_dropdown("look", looks)
+        self._wire = gui.add_checkbox("wireframe", initial_value=False)
+        self._images = {name: gui.add_image(picture, label=name) for name, picture in first.items()}
+
+        def refresh(_event: Any = None) -> None:
+            self.show(numbers[min(self._slider.value, len(numbers) - 1)])
+
+        for control in (self._slider, self._surface, self._look, self._wire):
+            control.on_update(refresh)
+
+        @self._button.on_click
+        def _toggle(_event: Any) -> None:
+            (self._playing.clear if self._playing.is_set() else self._playing.set)()
+            self._button.label = "pause" if self._playing.is_set() else "play"
+
+    def _play(self) -> None:
+        """Advance the slider while playing; setting it shows the frame."""
+        count = len(self._result.numbers)
+        pause = 1.0 / min(self._result.manifest.input.frame_rate_hz, _FASTEST_HZ)
+        while not self._closed.is_set():
+            self._playing.wait(1.0)
+            if self._playing.is_set():
+                started = time.monotonic()
+                self._slider.value = (self._slider.value + 1) % count
+                self._closed.wait(max(0.02, pause - (time.monotonic() - started)))
+
+    def _surfaces(self) -> list[Surface]:
+        has_track = self._result.track is not None
+        own = self._result.length_unit is not None
+        return [s for s, there in ((Surface.OWN, own), (Surface.REGISTERED, has_track)) if there]
+
+    def _pictures(self, number: int) -> dict[str, Picture]:
+        result = self._result
+        normal_map, depth_map, labels = result.normals(number), result.depth(number), result.labels(number)
+        captured = result.picture(number)
+        pictures: dict[str, Picture] = {} if captured is None else {"captured": captured}
+        if normal_map is not None:
+            pictures["normals"] = picture_of_normals(normal_map, ground=40)
+        if depth_map is not None:
+            pictures["depth"] = picture_of_depth(depth_map, result.camera, ground=20)
+        if labels is not None:
+            mask = None if normal_map is None else normal_map.mask
+            pictures["shadows"] = picture_of_labels(labels, mask, ground=20)
+        return pictures
+
+    def _pictures_of(self, number: int) -> None:
+        for name, picture in self._pictures(number).items():
+            if name in self._images:
+                self._images[name].image = picture
+
+    def _mesh_of(self, number: int) -> None:
+        mesh = self._mesh(number, Surface(self._surface.value))
+        look = Look(self._look.value)
+        vertices = self._placed(mesh.vertices)
+        scene: Any = self._server.scene
+        with self._server.atomic():
+            if self._wire.value or look is Look.PLASTER:
+                scene.remove_by_name("/painted")
+                scene.add_mesh_simple(
+                    "/surface", vertices, mesh.faces, color=_PLASTER, wireframe=self._wire.value,
+                    side="double", cast_shadow=False, receive_shadow=False,
+                )  # fmt: skip
+                return
+            scene.remove_by_name("/surface")
+            colours = self._colours(mesh, number, look)
+            painted = Mesh(vertices=vertices, faces=mesh.faces, colours=colours)
+            # write the vertices as they are placed: glb_bytes turns from the camera frame
+            turned = graphics_from_camera(vertices)
+            data = glb_bytes(painted, iter([turned]), frame_rate_hz=30.0)
+            scene.add_glb("/painted", data, cast_shadow=False, receive_shadow=False)
+
+    def _mesh(self, number: int, surface: Surface) -> Mesh:
+        track = self._result.track
+        if surface is Surface.REGISTERED and track is not None and number in track.numbers:
+            return track.mesh(number)
+        mesh = self._result.mesh(number)
+        if mesh is not None:
+            return mesh
+        depth_map = self._result.depth(number)
+        if depth_map is None:
+            root = self._result.folder.root
+            raise BadInput(f"{root}: frame {number} has no depth; run `vntoolkit reconstruct --to depth`")
+        return mesh_from_depth(depth_map, self._result.camera)
+
+    def _placed(self, vertices: Points) -> npt.NDArray[np.float32]:
+        turned = graphics_from_camera(np.asarray(vertices, dtype=np.float64))
+        return ((turned - self._centre) / self._size).astype(np.float32)
+
+    def _colours(self, mesh: Mesh, number: int, look: Look) -> npt.NDArray[np.float32]:
+        """Return linear vertex colours; texture coordinates say which pixel of the picture a vertex shows."""
+        camera, track = self._result.camera, self._result.track
+        registered = Surface(self._surface.value) is Surface.REGISTERED
+        uv = mesh.uv
+        if uv is None:  # meshes read back carry none: project
+            pixels = camera.project(mesh.vertices)
+            uv = np.stack([(pixels[:, 0] + 0.5) / camera.width, 1 - (pixels[:, 1] + 0.5) / camera.height], -1)
+        if look is Look.CHECKERBOARD:
+            cells = np.floor(np.asarray(uv) * _CHECKS).astype(int).sum(axis=1)
+            return np.asarray(_CHECK_COLOURS[cells % 2])
+        source = track.template if registered and track is not None else number
+        normal_map = self._result.normals(source)
+        captured = self._result.picture(source) if look is Look.CAPTURED else None
+        picture = captured
+        if picture is None:
+            assert normal_map is not None
+            picture = picture_of_normals(normal_map)
+        u = np.clip(np.rint(uv[:, 0] * camera.width - 0.5).astype(int), 0, camera.width - 1)
+        v = np.clip(np.rint((1 - uv[:, 1]) * camera.height - 0.5).astype(int), 0, camera.height - 1)
+        return np.asarray((picture[v, u] / np.float32(255)) ** np.float32(2.2), dtype=np.float32)
