@@ -75,7 +75,10 @@ def test_only_this_machine_sees_it(viewer: ResultViewer) -> None:
     others = {info[4][0] for info in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)}
     for address in others - {"127.0.0.1"}:
         if not address.startswith("127."):
-            with pytest.raises(OSError, match="refused|timed|reach"), socket.create_connection((address, port), timeout=2):
+            with (
+                pytest.raises(OSError, match=r"refused|timed|reach"),
+                socket.create_connection((address, port), timeout=2),
+            ):
                 pass
 
 

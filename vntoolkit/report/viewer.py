@@ -241,8 +241,7 @@ class ResultViewer:
             return np.asarray(_CHECK_COLOURS[cells % 2])
         source = track.template if registered and track is not None else number
         normal_map = self._result.normals(source)
-        captured = self._result.picture(source) if look is Look.CAPTURED else None
-        picture = captured
+        picture = self._result.picture(source) if look is Look.CAPTURED else None
         if picture is None:
             assert normal_map is not None
             picture = picture_of_normals(normal_map)
