@@ -14,6 +14,11 @@ test: $(READY)
 test-slow: $(READY)
 	$(PYTHON) -m pytest -m slow
 
+# Ten thousand damaged files of every kind that is read, then every interrupted run; prints its seed.
+fuzz: $(READY)
+	$(PYTHON) tests/faults/fuzz.py --count 10000
+	VNTOOLKIT_KILLS=50 $(PYTHON) -m pytest tests/faults -m slow
+
 lint: $(READY)
 	.venv/bin/ruff format --check .
 	.venv/bin/ruff check .

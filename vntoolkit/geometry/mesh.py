@@ -47,6 +47,7 @@ class Mesh:
             values = getattr(self, name)
             if values is not None:
                 require_shape(values, (len(vertices), width), name, BadMesh)
+                require_finite(np.asarray(values), name, BadMesh)
                 object.__setattr__(self, name, read_only(np.asarray(values)))
 
     def with_vertices(self, vertices: Points) -> Mesh:
@@ -116,10 +117,11 @@ def face_normals(vertices: Points, faces: Faces) -> Points:
 
 def vertex_normals(vertices: Points, faces: Faces) -> Points:
     """Return (n, 3) unit vertex normals, area-weighted; 0 at vertices without a triangle."""
-    per_face = face_normals(vertices, faces)
     normals = np.zeros((len(vertices), 3))
-    for axis in range(3):
-        for corner in range(3):
-            normals[:, axis] += np.bincount(faces[:, corner], per_face[:, axis], minlength=len(vertices))
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0)
+    with np.errstate(over="ignore", invalid="ignore"):  # of coordinates near float's limit: `Mesh` refuses
+        per_face = face_normals(vertices, faces)
+        for axis in range(3):
+            for corner in range(3):
+                normals[:, axis] += np.bincount(faces[:, corner], per_face[:, axis], minlength=len(vertices))
+        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+        return np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0)

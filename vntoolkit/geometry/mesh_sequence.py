@@ -29,7 +29,7 @@ class MeshSequence:
 
     def __post_init__(self) -> None:
         require_shape(self.vertices, (None, len(self.template.vertices), 3), "moving vertices", BadMesh)
-        if not self.frame_rate_hz > 0:
+        if not 0 < self.frame_rate_hz < np.inf:
             raise BadMesh(f"frame rate: expected a positive number, got {self.frame_rate_hz}")
         object.__setattr__(self, "vertices", read_only(self.vertices))
         if self.confidence is not None:

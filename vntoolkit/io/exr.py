@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import struct
 from collections.abc import Mapping
@@ -18,6 +19,7 @@ from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.atomic import write_bytes
 from vntoolkit.io.files import read_bytes
+from vntoolkit.io.native_output import silenced_native_output
 
 MAGIC = b"\x76\x2f\x31\x01"
 _TILED_OR_DEEP_OR_MULTIPART = 0x200 | 0x800 | 0x1000
@@ -93,11 +95,18 @@ def read_exr(
     require_pixels(header.width, header.height, max_megapixels, str(path), error)
     if header.truncated:
         raise error(f"{path}: the file is cut off; copy or write it again")
+    said = io.StringIO()
     try:
-        with OpenEXR.File(io.BytesIO(data), separate_channels=True) as image:
+        with (
+            silenced_native_output(),
+            contextlib.redirect_stdout(said),  # where the module prints that it leaves pixels out
+            OpenEXR.File(io.BytesIO(data), separate_channels=True) as image,
+        ):
             channels = {name: np.array(channel.pixels) for name, channel in image.channels().items()}
     except (RuntimeError, ValueError, TypeError) as problem:
         raise error(f"{path}: the EXR file is damaged ({_one_line(problem)})") from problem
+    if "Exception" in said.getvalue():
+        raise error(f"{path}: the EXR file is damaged ({' '.join(said.getvalue().split())})")
     for name, values in channels.items():
         require_shape(values, (header.height, header.width), f"{path}: channel {name}", error)
     return channels, header.texts

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from vntoolkit.errors import BadInput
 from vntoolkit.io.atomic import cannot_write
 
 FRAMES_NAME = "frames.log"
 _SKIPPED = "skipped"
+_NUMBER = re.compile(r"[0-9]{1,9}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +42,7 @@ class FrameEntry:
     def from_line(cls, line: str) -> FrameEntry | None:
         """Parse a line, or return None for one that a crash cut short."""
         number, _, rest = line.partition(" ")
-        if not number.isdigit():
+        if not _NUMBER.fullmatch(number):
             return None
         if rest.startswith(_SKIPPED + " "):
             return cls(number=int(number), failure=rest[len(_SKIPPED) + 1 :])
@@ -71,7 +74,10 @@ class FrameLog:
         """Return the last entry of every frame, skipped ones too, in order of their numbers."""
         if not self.path.exists():
             return {}
-        *lines, _torn = self.path.read_text("utf-8", "replace").split("\n")
+        try:
+            *lines, _torn = self.path.read_text("utf-8", "replace").split("\n")
+        except OSError as problem:
+            raise BadInput(f"{self.path}: cannot be read ({problem.strerror})") from problem
         found = {entry.number: entry for line in lines if (entry := FrameEntry.from_line(line))}
         return dict(sorted(found.items()))
 

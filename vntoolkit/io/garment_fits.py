@@ -16,6 +16,7 @@ from vntoolkit.io.conventions import graphics_from_camera
 from vntoolkit.io.files import read_text
 
 _Triple = tuple[float, float, float]
+_LONGEST_KEY = 120  # of a key in a message
 _ZERO: _Triple = (0.0, 0.0, 0.0)
 
 
@@ -45,7 +46,7 @@ def read_garment_fit(path: Path | str) -> GarmentFit:
         fit = _Fit.model_validate_json(read_text(path))
     except ValidationError as error:
         first = error.errors()[0]
-        where = ".".join(map(str, first["loc"])) or "the file"
+        where = ".".join(map(str, first["loc"]))[:_LONGEST_KEY] or "the file"
         raise BadInput(f"{Path(path).name}: {where}: {first['msg']}") from error
     turn = graphics_from_camera(np.eye(3))
     return GarmentFit(

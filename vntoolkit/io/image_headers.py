@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+import logging
 import struct
+import zlib
 from dataclasses import dataclass
 from typing import Any
 
@@ -61,17 +63,26 @@ def read_image_header(data: bytes, name: str, error: type[BadInput] = BadCapture
 
 def _png(data: bytes, name: str, error: type[BadInput]) -> ImageHeader:
     width, height, bits, colour = struct.unpack_from(">IIBB", data, 16)
-    at = 8
-    while at + 12 <= len(data):  # libpng would print its own line about a missing end
-        length, kind = struct.unpack_from(">I4s", data, at)
-        at += 12 + length
-        if kind == b"IEND" and at <= len(data):
-            break
-    else:
-        raise error(f"{name}: the PNG file is cut off; copy or write it again")
+    _require_sound_chunks(data, name, error)
     return ImageHeader(
         format="PNG", width=width, height=height, channels=_PNG_CHANNELS[colour], bits=max(bits, 8)
     )
+
+
+def _require_sound_chunks(data: bytes, name: str, error: type[BadInput]) -> None:
+    """Check every chunk's length and CRC: libpng prints of its own what it finds, and lets some pass."""
+    at, view = 8, memoryview(data)
+    while at + 12 <= len(data):
+        length, kind = struct.unpack_from(">I4s", data, at)
+        end = at + 12 + length
+        if end > len(data):
+            break
+        if zlib.crc32(view[at + 4 : end - 4]) != struct.unpack_from(">I", data, end - 4)[0]:
+            raise error(f"{name}: the PNG file is damaged: the checksum at byte {at} is wrong; copy it again")
+        if kind == b"IEND":
+            return
+        at = end
+    raise error(f"{name}: the PNG file is cut off; copy or write it again")
 
 
 def _jpeg(data: bytes) -> ImageHeader:
@@ -96,6 +107,7 @@ def _jpeg(data: bytes) -> ImageHeader:
 def _tiff(data: bytes) -> ImageHeader:
     import tifffile
 
+    logging.getLogger("tifffile").setLevel(logging.CRITICAL + 1)  # of a damaged file the caller tells
     try:
         with tifffile.TiffFile(io.BytesIO(data)) as tiff:
             page: Any = tiff.pages[0]

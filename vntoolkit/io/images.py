@@ -17,6 +17,7 @@ from vntoolkit.io.atomic import write_bytes
 from vntoolkit.io.exr import read_exr, require_pixels, write_exr
 from vntoolkit.io.files import read_bytes
 from vntoolkit.io.image_headers import ImageHeader, read_image_header
+from vntoolkit.io.native_output import silenced_native_output
 
 __all__ = [
     "ImageHeader",
@@ -141,7 +142,8 @@ def _decode(path: Path | str, max_megapixels: float, error: type[BadInput]) -> n
         cv2.utils.logging.LOG_LEVEL_SILENT
     )  # a damaged file is reported by the one line below, not by OpenCV on stderr
     try:
-        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+        with silenced_native_output():
+            pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:
         pixels = None
     if pixels is None:
@@ -171,8 +173,9 @@ def _pixels_from_exr(
 
 
 def _require_numbers(pixels: npt.NDArray[Any], path: Path | str, error: type[BadInput]) -> None:
-    if math.isfinite(float(pixels.sum(dtype=np.float64))):
-        return
+    with np.errstate(invalid="ignore"):  # of infinity minus infinity
+        if math.isfinite(float(pixels.sum(dtype=np.float64))):
+            return
     bad = ~np.isfinite(pixels)
     if bad.any():
         v, u = np.argwhere(bad)[0][:2]

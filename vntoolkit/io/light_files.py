@@ -99,7 +99,7 @@ def _read_rows(path: Path) -> Points:
             values = [float(word) for word in words]
         except ValueError as error:
             raise BadInput(f"{path}: line {number} is not a row of numbers") from error
-        if not rows and count is None and len(values) == 1 and values[0] == int(values[0]):
+        if not rows and count is None and len(values) == 1 and values[0].is_integer():
             count = int(values[0])
             continue
         if rows and len(values) != len(rows[0]):

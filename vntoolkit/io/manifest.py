@@ -20,6 +20,7 @@ import vntoolkit
 from vntoolkit.errors import BadInput
 from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import read_text, require_file, sha256_of_file
+from vntoolkit.io.json_text import parse_json
 from vntoolkit.io.label_images import LABEL_LEGEND
 from vntoolkit.io.rig_schema import RigFile, SourceEntry
 from vntoolkit.io.rigs import one_line_from_validation, text_from_model
@@ -36,10 +37,10 @@ class InputEntry(BaseModel):
 
     source: str = Field(description="What was given on the command line.")
     files: list[SourceEntry] = Field(description="Every file read, in order, with the SHA-256 of its bytes.")
-    width: int = Field(description="Frame width in pixels.")
-    height: int = Field(description="Frame height in pixels.")
-    frame_count: int = Field(description="Frames in the capture.")
-    frame_rate_hz: float = Field(description="Frames per second.")
+    width: int = Field(gt=0, description="Frame width in pixels.")
+    height: int = Field(gt=0, description="Frame height in pixels.")
+    frame_count: int = Field(ge=0, description="Frames in the capture.")
+    frame_rate_hz: float = Field(gt=0, allow_inf_nan=False, description="Frames per second.")
 
 
 class Manifest(BaseModel):
@@ -81,16 +82,13 @@ def read_manifest(folder: Path | str) -> Manifest:
         raise BadInput(
             f"{folder}: holds no {MANIFEST_NAME}; give a folder that `vntoolkit reconstruct` wrote"
         )
-    text = read_text(path)
+    content = parse_json(read_text(path), str(path))
     try:
-        content = json.loads(text)
         if isinstance(content, dict) and content.get("version") != MANIFEST_VERSION:
             raise BadInput(
                 f"{path}: is of version {content.get('version')}, this program reads {MANIFEST_VERSION}"
             )
         return Manifest.model_validate(content)
-    except json.JSONDecodeError as problem:
-        raise BadInput(f"{path}: is not JSON: {problem.msg} at line {problem.lineno}") from problem
     except ValidationError as problem:
         raise BadInput(f"{path}: {one_line_from_validation(problem, Manifest)}") from problem
 

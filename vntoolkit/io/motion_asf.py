@@ -130,7 +130,7 @@ def _fill(
     try:
         values = np.array([float(word) for word in words[1:]])
     except ValueError as error:
-        raise BadMotion(f"{where}: expected numbers for {name} ({error})") from error
+        raise BadMotion(f"{where}: expected numbers for {name} ({str(error)[:200]})") from error
     if not np.isfinite(values).all():
         raise BadMotion(f"{where}: {name} holds NaN or infinity")
     row[start : start + count] = values

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 MAX_MOTION_BYTES = 256 * 2**20  # ten minutes at 120 Hz of 31 joints are 50 MB
 MAX_JOINTS = 4096
 _MAX_HEADER_LINE = 4096
+_LONGEST_REASON = 200
 _WRITTEN_ORDER = "ZXY"
 
 
@@ -49,6 +50,7 @@ def read_bvh(path: Path) -> Motion:
             bvh = pybvh.read_bvh_file(path, world_up="+y")
     except (ValueError, IndexError, OSError) as error:
         reason = " ".join(str(error).split()).replace(f" in file {path}", "").replace(f" in {path}", "")
+        reason = reason if len(reason) < _LONGEST_REASON else reason[:_LONGEST_REASON] + " …"
         raise BadMotion(f"{path.name}: {reason}") from error
     require_finite(bvh.root_pos, f"{path.name}: root positions", BadMotion)
     require_finite(bvh.joint_angles, f"{path.name}: joint angles", BadMotion)
@@ -87,6 +89,8 @@ def _require_sound_hierarchy(path: Path) -> list[str]:
         for line in iter(lambda: file.readline(_MAX_HEADER_LINE), ""):
             words = line.split()
             if words and words[0] in ("ROOT", "JOINT"):
+                if len(line) == _MAX_HEADER_LINE:
+                    raise BadMotion(f"{path.name}: the name of a joint has {_MAX_HEADER_LINE} characters")
                 name = words[1] if len(words) > 1 else ""
                 if not name or name in seen:
                     raise BadMotion(f"{path.name}: joint {name!r} occurs twice or has no name (a cycle?)")

@@ -175,19 +175,29 @@ def _mixed_table(element: PlyElement, data: bytes, at: int, order: str) -> tuple
 
 
 def _ascii_table(element: PlyElement, lines: Any) -> dict[str, Any]:
-    text = b"\n".join(next(lines) for _ in range(element.count))
+    text = b"\n".join([next(lines) for _ in range(element.count)])
     if not element.has_list:
         values = (
             np.loadtxt(io.BytesIO(text), ndmin=2) if element.count else np.empty((0, len(element.properties)))
         )
-        return {p.name: values[:, i].astype(p.kind) for i, p in enumerate(element.properties)}
+        return {p.name: _of_kind(values[:, i], p.kind) for i, p in enumerate(element.properties)}
     table: dict[str, list[Any]] = {p.name: [] for p in element.properties}
     for line in text.splitlines():
         words = iter(line.split())
         for p in element.properties:
             count = int(next(words)) if p.count_kind else 1
-            table[p.name].append(np.array([next(words) for _ in range(count)]).astype("f8").astype(p.kind))
+            table[p.name].append(_of_kind([float(next(words)) for _ in range(count)], p.kind))
     return {p.name: _joined(table[p.name], p.count_kind) for p in element.properties}
+
+
+def _of_kind(values: Any, kind: str) -> npt.NDArray[Any]:
+    """Numbers of a text as a PLY kind; NaN and what exceeds an integer raise instead of wrapping round."""
+    numbers = np.asarray(values, dtype=np.float64)
+    is_integer = np.dtype(kind).kind in "iu"
+    if is_integer and not ((numbers >= np.iinfo(kind).min) & (numbers <= np.iinfo(kind).max)).all():
+        raise ValueError(f"a number does not fit into {kind}")
+    with np.errstate(over="ignore"):  # a double beyond float's range becomes infinite, which is refused later
+        return numbers.astype(kind)
 
 
 def _joined(values: list[Any], count_kind: str) -> Any:

@@ -17,7 +17,7 @@ def read_press_label(path: Path | str) -> tuple[float, float, float]:
         values = [float(word) for word in words]
     except ValueError as error:
         raise BadInput(
-            f"{path}: expected three numbers (u, v, contact radius), got '{words[0]} …'"
+            f"{path}: expected three numbers (u, v, contact radius), got '{words[0][:40]} …'"
         ) from error
     if len(values) != 3 or not np.isfinite(values).all() or values[2] <= 0:
         raise BadInput(f"{path}: expected three numbers (u, v, contact radius > 0), got {len(values)}")

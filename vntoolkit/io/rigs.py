@@ -13,6 +13,7 @@ from vntoolkit.errors import BadInput, BadRig
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import read_text
+from vntoolkit.io.json_text import parse_json
 from vntoolkit.io.rig_schema import (
     RIG_VERSION,
     CameraEntry,
@@ -47,12 +48,7 @@ def rig_schema() -> dict[str, Any]:
 
 def rig_from_text(text: str, name: str = "rig") -> Rig:
     """Parse the text of a rig.json; `name` stands in the messages."""
-    try:
-        content = json.loads(text)
-    except json.JSONDecodeError as problem:
-        raise BadRig(
-            f"{name}: is not JSON: {problem.msg} at line {problem.lineno}, column {problem.colno}"
-        ) from problem
+    content = parse_json(text, name, BadRig)
     if isinstance(content, dict) and content.get("version", 1) not in range(1, RIG_VERSION + 1):
         raise BadRig(f"{name}: is of version {content['version']}, this program reads 1 to {RIG_VERSION}")
     try:
@@ -77,7 +73,7 @@ def text_from_model(model: BaseModel) -> str:
 def one_line_from_validation(problem: ValidationError, model: type[BaseModel]) -> str:
     """Turn pydantic's report into one line about its first error, with the key's path."""
     error = problem.errors(include_url=False)[0]
-    key = ".".join(map(str, error["loc"])) or "the whole file"
+    key = _clipped(".".join(map(str, error["loc"])), 120) or "the whole file"
     match error["type"]:
         case "extra_forbidden":
             return f"unknown key '{key}'; known there: {', '.join(_known_keys(model, error['loc'][:-1]))}"
@@ -88,9 +84,12 @@ def one_line_from_validation(problem: ValidationError, model: type[BaseModel]) -
                 f"{key}: expected a JSON object with the keys {', '.join(_known_keys(model, error['loc']))}"
             )
         case _:
-            got, message = repr(error["input"]), error["msg"]
-            got = got if len(got) < 60 else got[:57] + "..."
+            got, message = _clipped(repr(error["input"]), 60), error["msg"]
             return f"{key}: {message[0].lower()}{message[1:]}, got {got}"
+
+
+def _clipped(text: str, length: int) -> str:
+    return text if len(text) < length else text[: length - 3] + "..."
 
 
 def _known_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:

@@ -17,14 +17,12 @@ from vntoolkit.arrays import Points2
 from vntoolkit.errors import BadInput
 from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import read_text, require_file
+from vntoolkit.io.json_text import parse_json
 
 
 def read_seams(path: Path | str) -> tuple[Points2, ...]:
     """Read the seams, each (k, 2) float64 with k >= 2. Raises `BadInput` with one line."""
-    try:
-        content = json.loads(read_text(require_file(path)))
-    except json.JSONDecodeError as problem:
-        raise BadInput(f"{path}: is not JSON: {problem.msg} at line {problem.lineno}") from problem
+    content = parse_json(read_text(require_file(path)), str(path))
     if not isinstance(content, dict) or set(content) != {"seams"} or not isinstance(content["seams"], list):
         raise BadInput(f'{path}: expected {{"seams": [[[u, v], [u, v], ...], ...]}} and no other key')
     seams = []

@@ -8,6 +8,7 @@ confidence.npy (float32, (frames, n)) where there is any, and sequence.json.
 from __future__ import annotations
 
 import json
+import tokenize
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,9 +24,11 @@ from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.mesh_sequence import MeshSequence
 from vntoolkit.io.atomic import cannot_write, require_writable_folder, write_text
 from vntoolkit.io.files import read_text, require_file
+from vntoolkit.io.json_text import parse_json
 from vntoolkit.io.meshes import read_mesh, write_mesh
 
 _VERSION = 1
+_LONGEST_REASON = 200
 
 
 class MeshSequenceWriter:
@@ -111,8 +114,8 @@ def read_mesh_sequence(folder: Path | str) -> MeshSequence:
     """Open a moving mesh; vertices and confidence stay on disk as memory maps. Raises `BadMesh`."""
     folder = Path(folder)
     template = read_mesh(require_file(folder / "template.ply", BadMesh))
+    meaning = parse_json(read_text(folder / "sequence.json", BadMesh), str(folder / "sequence.json"), BadMesh)
     try:
-        meaning = json.loads(read_text(folder / "sequence.json", BadMesh))
         rate = float(meaning["frame_rate_hz"])
     except (ValueError, KeyError, TypeError) as problem:
         raise BadMesh(f"{folder / 'sequence.json'}: expected JSON with frame_rate_hz") from problem
@@ -188,8 +191,9 @@ def _mapped(path: Path) -> Any:
     require_file(path, BadMesh)
     try:
         return np.load(path, mmap_mode="r", allow_pickle=False)
-    except (ValueError, OSError, EOFError) as problem:
-        raise BadMesh(f"{path}: is not a whole .npy array ({problem})") from problem
+    except (ValueError, OSError, EOFError, SyntaxError, OverflowError, tokenize.TokenError) as problem:
+        reason = " ".join(str(problem).split())[:_LONGEST_REASON]
+        raise BadMesh(f"{path}: is not a whole .npy array ({reason})") from problem
 
 
 def _require_same_template(folder: Path, vertex_count: int) -> None:

@@ -48,6 +48,8 @@ class VideoReader:
         with self._open() as container:
             stream = _video_stream(container, self.path)
             context = stream.codec_context
+            if context is None:
+                raise BadCapture(f"{self.path}: is in a codec that FFmpeg does not know, or is damaged")
             require_pixels(context.width, context.height, max_megapixels, str(self.path), BadCapture)
             if not context.pix_fmt:
                 raise BadCapture(f"{self.path}: no frame can be decoded; the file is damaged or cut off")
@@ -103,14 +105,13 @@ class VideoReader:
         damaged_times = {self.index.times[number] for number in self.index.damaged}
         with self._open() as container:
             stream = _video_stream(container, self.path)
-            is_unchecked = self.codec == "ffv1" and not self.index.is_checked
-            stream.thread_type = "SLICE" if is_unchecked else "AUTO"
+            stream.thread_type = "AUTO"
             stream.codec_context.thread_count = self.threads
             try:
                 if from_time is not None:
                     container.seek(from_time, stream=stream, backward=True)
                 for packet in container.demux(stream):
-                    # FFmpeg's threads have been seen to wait for ever on a damaged frame: give them none.
+                    # A decoder that works ahead would fail on a damaged frame before its turn has come.
                     if packet.pts not in damaged_times:
                         for frame in packet.decode():
                             yield frame.pts, frame
@@ -143,9 +144,12 @@ class VideoReader:
     def _open(self) -> Any:
         import av
 
-        av.logging.set_level(av.logging.PANIC)  # errors arrive as exceptions, in one line
+        # Errors arrive as exceptions, in one line. PyAV's own log callback waits, in FFmpeg's threads, for
+        # Python's lock, and does so for ever where Python holds it and waits for these threads to end.
+        av.logging.restore_default_callback()
+        av.logging.set_libav_level(av.logging.PANIC)
         try:
-            return av.open(str(self.path))
+            return av.open(str(self.path), metadata_errors="replace")
         except av_errors() as error:
             raise BadCapture(
                 f"{self.path}: cannot be opened as a video ({reason_of(error)}); it is damaged, cut off or "

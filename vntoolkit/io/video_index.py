@@ -16,13 +16,11 @@ _logger = logging.getLogger(__name__)
 class VideoIndex:
     """When each frame is shown, in time base ticks, ascending; and how many the file promises.
 
-    is_checked: the frames carry checksums. damaged: numbers of the frames whose checksum is wrong, and of
-    those that build on one.
+    damaged: numbers of the frames whose checksum is wrong, and of those that build on one.
     """
 
     times: tuple[int, ...]
     promised: int
-    is_checked: bool = False
     damaged: frozenset[int] = frozenset()
 
 
@@ -56,7 +54,6 @@ def index_of_stream(container: Any, stream: Any, name: str, *, has_checksums: bo
     return VideoIndex(
         times=tuple(times),
         promised=len(times) + max(missing, packets.broken),
-        is_checked=is_checked,
         damaged=_damaged_frames(packets) if is_checked else frozenset(),
     )
 

@@ -16,6 +16,7 @@ from vntoolkit.io.atomic import require_writable_folder, write_text
 from vntoolkit.io.files import read_text
 from vntoolkit.io.frame_range import FrameRange
 from vntoolkit.io.glb import write_glb
+from vntoolkit.io.json_text import parse_json
 from vntoolkit.io.usd import write_usd_meshes, write_usd_sequence
 from vntoolkit.pipeline.export_frames import FrameExport, frame_export
 from vntoolkit.pipeline.export_options import (
@@ -177,7 +178,7 @@ def _require_same(out: Path, job: ExportJob, result: OpenedResult) -> None:
         "result_sha256": hashlib.sha256(made_from.encode()).hexdigest(),
     }
     path = out / _RECORD
-    if path.exists() and json.loads(read_text(path)) != record:
+    if path.exists() and parse_json(read_text(path), str(path)) != record:
         raise BadInput(
             f"{out}: holds an export with other options or of another result; add --overwrite to replace it, "
             "or choose another --out"

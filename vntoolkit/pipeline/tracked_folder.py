@@ -16,6 +16,7 @@ from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import read_text
 from vntoolkit.io.frame_range import FrameRange
+from vntoolkit.io.json_text import parse_json
 from vntoolkit.io.manifest import read_manifest
 from vntoolkit.io.maps import read_depth_map, read_normal_map
 from vntoolkit.io.rigs import rig_from_entry
@@ -108,10 +109,7 @@ def read_track_record(folder: Path) -> dict[str, Any]:
     path = folder / _RECORD
     if not path.exists():
         raise BadInput(f"{folder}: holds no {_RECORD}; give a folder that `vntoolkit track` has worked on")
-    try:
-        record = json.loads(read_text(path))
-    except json.JSONDecodeError as problem:
-        raise BadInput(f"{path}: is not JSON: {problem.msg} at line {problem.lineno}") from problem
+    record = parse_json(read_text(path), str(path))
     if not isinstance(record, dict) or not isinstance(record.get("frames"), list):
         raise BadInput(f"{path}: expected an object with the key frames")
     return record
