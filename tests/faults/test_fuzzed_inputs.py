@@ -1,4 +1,4 @@
-"""Damaged files of every kind: a VntError of one line or a sound object, never a traceback, a hang or a crash."""
+"""Damaged files of every kind: one line or a sound object, never a traceback, a hang or a crash."""
 
 import os
 
