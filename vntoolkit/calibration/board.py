@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -16,12 +16,13 @@ import numpy as np
 from vntoolkit.arrays import Points
 from vntoolkit.calibration.board_camera import IntrinsicsOptions, fit_camera
 from vntoolkit.calibration.board_detection import BoardSighting
-from vntoolkit.calibration.fit import FitOptions, ResponseFit, fit_response
+from vntoolkit.calibration.fit import FitOptions, ResponseFit, ResponseModel, fit_response
+from vntoolkit.calibration.varying import VariationOptions, fit_varying_response
 from vntoolkit.errors import BadCalibration
 from vntoolkit.geometry.board_layout import NORMAL_IN_BOARD, BoardLayout
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.rigid import RigidTransform
-from vntoolkit.photometry.lambertian import rgb_from_normals
+from vntoolkit.photometry.lambertian import rgb_from_normals, scaled_normals_from_rgb
 
 logger = logging.getLogger(__name__)
 
@@ -33,10 +34,13 @@ class BoardOptions:
     """How a board calibrates.
 
     largest_error_px: a frame whose corners miss their projection by more than this root mean square is left
-    out. intrinsics: how the camera is fitted where none is given. fit: how M is fitted.
+    out. degree: of the polynomials by which M varies over the image, as near lights make it, 0 (one M for the
+    whole image) to 3; more than 0 needs a board that was carried through the whole field. intrinsics: how the
+    camera is fitted where none is given. fit: how M is fitted.
     """
 
     largest_error_px: float = 1.0
+    degree: int = 0
     intrinsics: IntrinsicsOptions = field(default_factory=IntrinsicsOptions)
     fit: FitOptions = field(default_factory=FitOptions)
 
@@ -96,8 +100,46 @@ def fit_response_to_board(
     rgb = np.array([s.rgb for s, _ in kept])
     normals = np.array([p.camera_from_board.rotate(np.array(NORMAL_IN_BOARD)) for _, p in kept])
     fit = fit_response(normals, rgb, options.fit, verb="board", rng=rng)
-    _log_misfit(rgb, normals, fit)
+    if options.degree:
+        fit = _varying(fit, rgb, normals, [p for _, p in kept], layout, size, camera, options)
+    else:
+        _log_misfit(rgb, normals, fit)
     return BoardCalibration(fit=fit, camera=camera, poses=tuple(p for _, p in kept))
+
+
+def _varying(
+    fit: ResponseFit,
+    rgb: Points,
+    normals: Points,
+    poses: Sequence[BoardPose],
+    layout: BoardLayout,
+    size: tuple[int, int],
+    camera: Camera,
+    options: BoardOptions,
+) -> ResponseFit:
+    """Let M vary with the pixel at which the sample's middle was seen, in the image without distortion.
+
+    All poses that the three lights reach count, since one M for all places made outliers of good ones.
+    """
+    middle_mm = np.append(layout.hole_mm.mean(axis=0), 0.0)
+    middles = np.array([pose.camera_from_board.apply(middle_mm) for pose in poses])
+    shares = normals @ fit.response.matrix.T
+    lit = (shares > options.fit.shadow_share * shares.max(axis=0)).all(axis=1)
+    response = fit_varying_response(
+        normals[lit],
+        rgb[lit],
+        camera.without_distortion().project(middles[lit]),
+        size,
+        fit.response,
+        VariationOptions(degree=options.degree),
+        fit_ambient=options.fit.model is ResponseModel.AMBIENT,
+    )
+    recovered = scaled_normals_from_rgb(rgb[lit], response, camera.without_distortion().project(middles[lit]))
+    recovered /= np.linalg.norm(recovered, axis=1, keepdims=True)
+    cosine = np.clip(np.sum(recovered * normals[lit], axis=1), -1.0, 1.0)
+    residual_deg = float(np.median(np.rad2deg(np.arccos(cosine))))
+    quality = replace(fit.quality, residual_deg=residual_deg, samples=int(lit.sum()))
+    return ResponseFit(response=response, quality=quality, inliers=lit)
 
 
 def board_pose(sighting: BoardSighting, layout: BoardLayout, camera: Camera) -> BoardPose | None:

@@ -60,10 +60,25 @@ GROUPS: dict[str, tuple[str, dict[str, tuple[str, str]]]] = {
     "evaluate": (
         "Compare results with the truth.",
         {
+            "normals": (
+                "vntoolkit.cli.evaluate_normals:normals",
+                "Angles between two normal maps, or folders of them.",
+            ),
+            "mesh": (
+                "vntoolkit.cli.evaluate_mesh:mesh",
+                "Distances between two meshes both ways, and their quality.",
+            ),
             "cylinder": (
                 "vntoolkit.cli.evaluate_cylinder:cylinder",
                 "A moving cylinder's normals against one fitted cylinder.",
             ),
+            "tracks": ("vntoolkit.cli.evaluate_tracks:tracks", "Tracked vertices against the simulator's."),
+            "integration": (
+                "vntoolkit.cli.evaluate_integration:integration",
+                "The integrators on surfaces whose depth is known.",
+            ),
+        },
+    ),
             "tracks": ("vntoolkit.cli.evaluate_tracks:tracks", "Tracked vertices against the simulator's."),
         },
     ),

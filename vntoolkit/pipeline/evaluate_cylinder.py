@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import logging
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -98,15 +98,23 @@ def evaluate_cylinder(
 ) -> CylinderEvaluation:
     """Fit one cylinder to all frames of a reconstruction and measure their normals against it.
 
+    Measured are the pixels that hold a normal, within the silhouette, on the cylinder's side.
+
     simulated: folder that `simulate` wrote, for the truth. on_frame: told every frame twice, when it is
     fitted and when it is measured. Raises `BadInput`, `SolverFailed` with the frame's place.
     """
     truth = None if simulated is None else CylinderTruth(folder=SimulationFolder(root=simulated))
-    fits = fit_cylinder(_observations(result, on_frame), result.camera, np.random.default_rng(_SEED), options)
+    fits = fit_cylinder(
+        (seen for _, seen in _observations(result, on_frame)),
+        result.camera,
+        np.random.default_rng(_SEED),
+        options,
+    )
     frames, total = [], np.zeros(3)
-    for number, cylinder in zip(result.numbers, fits, strict=True):
-        normal_map = _normals(result, number)
-        measured = side_angles(cylinder, normal_map, result.camera, f"frame {number}")
+    for cylinder, (number, seen) in zip(fits, _observations(result, on_frame), strict=True):
+        normal_map, silhouette = seen
+        subject = replace(normal_map, mask=normal_map.mask & (silhouette > 0.5))
+        measured = side_angles(cylinder, subject, result.camera, f"frame {number}")
         angles = measured.angles_deg[measured.side]
         total += [len(angles), angles.sum(), (angles**2).sum()]
         frames.append(
@@ -118,7 +126,6 @@ def evaluate_cylinder(
                 truth=None if truth is None else _deviation(cylinder, normal_map, truth, result, number),
             )
         )
-        on_frame(number)
     mean = total[1] / total[0]
     return CylinderEvaluation(
         radius=fits[0].radius,
@@ -131,8 +138,8 @@ def evaluate_cylinder(
 
 def _observations(
     result: OpenedResult, on_frame: Callable[[int], None]
-) -> Iterator[tuple[NormalMap, FloatArray]]:
-    """Normals and silhouette of every frame; without the footage the silhouette is that of the normals."""
+) -> Iterator[tuple[int, tuple[NormalMap, FloatArray]]]:
+    """Number, normals and silhouette of every frame; without footage the normals' mask is the silhouette."""
     from_image = True
     for number in result.numbers:
         normal_map = _normals(result, number)
@@ -141,11 +148,11 @@ def _observations(
             try:
                 linear = result.linear(number)
             except BadInput as problem:
-                logger.warning("the silhouettes are those of the normal maps: %s", problem)
+                logger.info("the silhouettes are those of the normal maps: %s", problem)
                 from_image = False
             else:
                 silhouette = silhouette_from_image(linear.rgb)
-        yield normal_map, silhouette
+        yield number, (normal_map, silhouette)
         on_frame(number)
 
 
