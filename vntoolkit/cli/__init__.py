@@ -32,7 +32,10 @@ VERBS: dict[str, tuple[str, str]] = {
         "Turn footage and a rig into normals, depth and meshes.",
     ),
     "track": ("vntoolkit.cli.track:track", "Follow one surface through a reconstruction's frames."),
-    "view": ("vntoolkit.cli.view:view", "Look at results in a browser, or write a page that shows them offline."),
+    "view": (
+        "vntoolkit.cli.view:view",
+        "Look at results in a browser, or write a page that shows them offline.",
+    ),
     "export": ("vntoolkit.cli.export:export", "Hand results on as PLY, OBJ, USD, GLB, NPZ or DiLiGenT's."),
     "report": (
         "vntoolkit.cli.report:report",
@@ -77,9 +80,6 @@ GROUPS: dict[str, tuple[str, dict[str, tuple[str, str]]]] = {
                 "vntoolkit.cli.evaluate_integration:integration",
                 "The integrators on surfaces whose depth is known.",
             ),
-        },
-    ),
-            "tracks": ("vntoolkit.cli.evaluate_tracks:tracks", "Tracked vertices against the simulator's."),
         },
     ),
 }
