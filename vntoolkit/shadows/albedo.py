@@ -22,7 +22,7 @@ class AlbedoOptions:
     margin_px: lit pixels this close to a shadow's edge do not count, as penumbra darkens them.
     """
 
-    finest_level: int = 2
+    finest_level: int = 3
     outlier: float = 0.3
     rounds: int = 2
     margin_px: int = 1

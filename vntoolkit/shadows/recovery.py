@@ -18,6 +18,7 @@ from vntoolkit.photometry.visibility import ALL_LIT
 from vntoolkit.shadows.albedo import AlbedoOptions, albedo_from_lit
 from vntoolkit.shadows.confidence import ConfidenceOptions, confidence_weight, gloss_trust
 from vntoolkit.shadows.filling import fill_smoothly
+from vntoolkit.shadows.penumbra import PenumbraOptions, labels_without_penumbra
 from vntoolkit.shadows.shares import LightShares, shares_from_frame
 from vntoolkit.shadows.starts import surface_from_either_start
 from vntoolkit.shadows.surface import SurfaceOptions, depth_map_from_surface
@@ -34,11 +35,12 @@ class RecoveryMethod(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class RecoveryOptions:
-    """method: which. surface, albedo, confidence: the parameters of the parts."""
+    """method: which. surface, albedo, penumbra, confidence: the parameters of the parts."""
 
     method: RecoveryMethod = RecoveryMethod.SURFACE
     surface: SurfaceOptions = field(default_factory=SurfaceOptions)
     albedo: AlbedoOptions = field(default_factory=AlbedoOptions)
+    penumbra: PenumbraOptions = field(default_factory=PenumbraOptions)
     confidence: ConfidenceOptions = field(default_factory=ConfidenceOptions)
 
 
@@ -89,6 +91,8 @@ def recover_surface(
     elif options.method is RecoveryMethod.TWO_LIGHTS:
         normals = _pixel_by_pixel(measured, labels, albedo, inside)
     else:
+        labels = labels_without_penumbra(labels, measured.relative_to(albedo), inside, options.penumbra)
+        full = inside & (labels == ALL_LIT)
         surface = surface_from_either_start(
             measured, labels, albedo, inside, camera=camera, options=options.surface,
             trust=gloss_trust(measured.length, albedo, full, options.confidence),

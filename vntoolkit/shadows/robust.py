@@ -55,7 +55,7 @@ class RobustOptions:
     working_pixels: int = 250_000
     persistence: float = 0.25
     albedo: AlbedoOptions = field(default_factory=AlbedoOptions)
-    surface: SurfaceOptions = field(default_factory=lambda: SurfaceOptions(iterations=3))
+    surface: SurfaceOptions = field(default_factory=lambda: SurfaceOptions(iterations=3, noise=0.08))
 
     def __post_init__(self) -> None:
         for name in ("first_share", "paint_part", "paint_share", "persistence"):

@@ -48,18 +48,23 @@ class SurfaceOptions:
     three lights arrive; large, as there the colour's length is the albedo. step_softness: χ² at which a depth
     gradient counts half, because it crosses a step in depth; 0 makes the surface continuous everywhere.
     smoothness: weight of a shadowed pixel's slope being its surroundings' mean; smooth_px: radius (standard
-    deviation, pixels) of that mean. damping: holds the slope back where nothing else is known. iterations:
-    Gauss–Newton steps. start_pixels: frames larger than this compare starts on an image shrunk towards it;
-    large_iterations: steps that follow at full size. cycles: multigrid cycles per step. tolerance: relative
-    residual that ends a step early. steepest: largest slope, the tangent of the angle from the viewing ray.
+    deviation, pixels) of that mean. doubt_trust: weight of a light that is labelled missing where the surface
+    would return about what is seen, as it does where it turns from the light; doubt_reach: difference
+    of shares at which that weight ends. damping: holds the slope back where nothing else is known.
+    iterations: Gauss–Newton steps. start_pixels: frames larger than this compare starts on an image shrunk
+    towards it; large_iterations: steps that follow at full size. cycles: multigrid cycles per step.
+    tolerance: relative residual that ends a step early. steepest: largest slope, the tangent of the angle
+    from the viewing ray.
     """
 
     noise: float = 0.03
     albedo_spread: float = 0.15
     own_albedo_spread: float = 3.0
     step_softness: float = 5.0
-    smoothness: float = 4.0
-    smooth_px: float = 3.0
+    smoothness: float = 1.5
+    smooth_px: float = 2.0
+    doubt_trust: float = 0.3
+    doubt_reach: float = 0.2
     damping: float = 1.0
     iterations: int = 4
     start_pixels: int = 250_000
@@ -71,6 +76,8 @@ class SurfaceOptions:
     def __post_init__(self) -> None:
         if not (self.noise > 0 and self.damping > 0 and self.steepest > 0 and self.albedo_spread >= 0):
             raise BadInput("surface options: noise, damping and steepest must be positive")
+        if not (0 <= self.doubt_trust <= 1 and self.doubt_reach > 0):
+            raise BadInput("surface options: doubt_trust must be from 0 to 1, doubt_reach positive")
         if self.iterations < 1 or self.cycles < 1:
             raise BadInput("surface options: iterations and cycles must be at least 1")
 
@@ -124,8 +131,9 @@ def solve_surface(
     agreement = np.zeros(mask.shape, np.float32)
     quadratics = np.empty((*mask.shape, 6), np.float32)
     model = Model(
-        options.noise, options.albedo_spread, options.own_albedo_spread, options.smoothness, options.damping
-    )
+        options.noise, options.albedo_spread, options.own_albedo_spread, options.smoothness, options.damping,
+        options.doubt_trust, options.doubt_reach,
+    )  # fmt: skip
     softness = 0.0  # the first depth must hold together before it may show steps
     for _ in range(options.iterations):
         prior = _surrounding_slope(slopes, mask, known, options)

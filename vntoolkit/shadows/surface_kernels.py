@@ -37,11 +37,26 @@ class Model(NamedTuple):
     albedo_own: float
     prior: float
     damping: float
+    doubt_trust: float
+    doubt_reach: float
 
 
 @njit(cache=True, inline="always")
 def _ray(rays: RayGrid, v: int, u: int) -> tuple[float, float]:
     return (u - rays.centre_u) * rays.per_pixel_u, (v - rays.centre_v) * rays.per_pixel_v
+
+
+@njit(cache=True, inline="always")
+def _trust_of_missing(light: float, share: float, model: Model) -> float:
+    """Weight of a light that is labelled missing: where the surface turns from it, what is seen is right.
+
+    0 where the surface faces away (nothing is expected) or, beyond `doubt_reach`, faces a light that
+    something else blocks (biweight).
+    """
+    away = (share - light) / model.doubt_reach
+    if light <= 0.0 or away * away >= 1.0:
+        return 0.0
+    return model.doubt_trust * (1.0 - away * away) ** 2
 
 
 @njit(cache=True, fastmath=True)
@@ -58,7 +73,7 @@ def local_quadratics_kernel(
     inverse_variance = 1.0 / (model.noise * model.noise)
     for v in range(h):
         jacobian = np.empty((3, 2))
-        light = np.empty(3)
+        light, count = np.empty(3), np.empty(3)
         for u in range(w):
             for i in range(6):
                 out[v, u, i] = 0.0
@@ -74,13 +89,14 @@ def local_quadratics_kernel(
             along_p, along_q = n0 - x * n2, n1 - y * n2
             ff = 0.0
             for k in range(3):
-                if (label >> k) & 1 == 0:
-                    continue
                 l0, l1, l2 = lights[k, 0], lights[k, 1], lights[k, 2]
                 light[k] = l0 * n0 + l1 * n1 + l2 * n2
+                count[k] = 1.0
+                if (label >> k) & 1 == 0:
+                    count[k] = _trust_of_missing(light[k], shares[v, u, k], model)
                 jacobian[k, 0] = (l0 - x * l2 - light[k] * along_p) * scale
                 jacobian[k, 1] = (l1 - y * l2 - light[k] * along_q) * scale
-                ff += light[k] * light[k]
+                ff += count[k] * light[k] * light[k]
             spread = model.albedo_own if label == 7 else model.albedo_known
             shrink = spread * spread * inverse_variance / (1.0 + spread * spread * inverse_variance * ff)
             fr = 0.0
@@ -93,19 +109,19 @@ def local_quadratics_kernel(
             b1 = 0.0
             c = 0.0
             for k in range(3):
-                if (label >> k) & 1 == 0:
+                if count[k] == 0.0:
                     continue
                 rest = shares[v, u, k] - light[k]
                 j0, j1 = jacobian[k, 0], jacobian[k, 1]
-                a00 += j0 * j0
-                a01 += j0 * j1
-                a11 += j1 * j1
-                b0 += j0 * rest
-                b1 += j1 * rest
-                c += rest * rest
-                fr += light[k] * rest
-                f0 += light[k] * j0
-                f1 += light[k] * j1
+                a00 += count[k] * j0 * j0
+                a01 += count[k] * j0 * j1
+                a11 += count[k] * j1 * j1
+                b0 += count[k] * j0 * rest
+                b1 += count[k] * j1 * rest
+                c += count[k] * rest * rest
+                fr += count[k] * light[k] * rest
+                f0 += count[k] * light[k] * j0
+                f1 += count[k] * light[k] * j1
             scaled = inverse_variance * trust
             toward = model.prior if label != 7 else 0.0
             extra = toward + model.damping

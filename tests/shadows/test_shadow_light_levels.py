@@ -1,0 +1,78 @@
+"""How dark a shadow is, where it is half, and what ambient light does to dark paint."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from vntoolkit.errors import BadInput
+from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.response import LightResponse
+from vntoolkit.shadows.dark_level import DarkLevelOptions, largest_dark_share
+from vntoolkit.shadows.penumbra import PenumbraOptions, labels_without_penumbra
+from vntoolkit.shadows.shares import shares_from_frame
+
+EVERYWHERE = np.ones((20, 30), bool)
+
+
+def test_ambient_light_scales_with_the_albedo(rng: np.random.Generator) -> None:
+    normals = rng.normal(size=(20, 30, 3)) * 0.3 - (0.0, 0.0, 1.0)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    matrix = np.array([[-0.3, -0.2, -0.5], [0.4, -0.1, -0.5], [0.0, 0.4, -0.6]])
+    response = LightResponse(matrix=matrix, ambient=np.array([0.03, 0.02, 0.04]))
+    albedo = rng.uniform(0.05, 1.5, (20, 30))
+    rgb = albedo[..., None] * (normals @ matrix.T + response.ambient)
+    measured = shares_from_frame(LinearFrame(rgb=rgb.astype(np.float32), clipped=~EVERYWHERE), response)
+    assert np.abs(measured.length / albedo - 1.0).max() < 1e-4
+    assert np.abs(measured.normals - normals).max() < 1e-4
+    assert np.abs(measured.relative_to(albedo) - normals @ matrix.T).max() < 1e-4
+
+
+def test_the_frame_tells_how_much_light_its_shadows_hold() -> None:
+    """One light of three is missing on a third of the pixels, where other surfaces return `glow` of it."""
+    predicted = np.full((20, 30, 3), 0.8)
+    predicted[15:] = 0.02
+    white = np.ones((20, 30))
+    levels = {}
+    for glow in (0.0, 0.1):
+        shares = predicted.copy()
+        shares[:15, :10, 1] = glow
+        level, _ = largest_dark_share(shares, predicted, white, EVERYWHERE, DarkLevelOptions(noise=0.0))
+        assert ((shares < level)[:15] == (np.arange(30)[:, None] < 10) & (np.arange(3) == 1)).all()
+        levels[glow] = level
+    assert levels[0.0][15:].max() == pytest.approx(0.02)
+    assert levels[0.1][15:].max() == pytest.approx(0.12)
+    assert levels[0.0][:15].max() == pytest.approx(0.06)
+    assert levels[0.1][:15].max() == pytest.approx(0.36)
+
+
+def test_noise_counts_for_more_on_dark_paint() -> None:
+    predicted = np.full((20, 30, 3), 0.8)
+    dark, grain = largest_dark_share(predicted, predicted, np.full((20, 30), 0.1), EVERYWHERE)
+    white, _ = largest_dark_share(predicted, predicted, np.ones((20, 30)), EVERYWHERE)
+    assert grain.max() == pytest.approx(10 * DarkLevelOptions().noise)
+    assert (dark > white).all()
+
+
+def test_half_shadow_lies_beside_cast_shadow_only() -> None:
+    labels = np.full((20, 30), 7, np.uint8)
+    labels[:, 15:] = 5  # light 1 is missing on the right
+    cast, terminator = np.full((2, 20, 30, 3), 0.8)
+    cast[:, 14, 1], cast[:, 15:, 1] = 0.2, 0.0
+    terminator[..., 1] = np.clip((15 - np.arange(30)) * 0.02, 0.0, 0.8)
+    found = labels_without_penumbra(labels, cast, EVERYWHERE)
+    assert (found[:, 14] == 5).all()
+    assert (np.delete(found, 14, axis=1) == np.delete(labels, 14, axis=1)).all()
+    assert (labels_without_penumbra(labels, terminator, EVERYWHERE) == labels).all()
+    sharp = np.where(np.arange(30)[:, None] == 14, 0.8, cast)
+    assert (labels_without_penumbra(labels, sharp, EVERYWHERE) == labels).all()
+    assert (labels_without_penumbra(labels, cast, ~EVERYWHERE) == 7).all()
+
+
+def test_refusals() -> None:
+    with pytest.raises(BadInput, match="dark level: ratio"):
+        DarkLevelOptions(ratio=1.5)
+    with pytest.raises(BadInput, match="margins"):
+        DarkLevelOptions(margin=-0.1)
+    with pytest.raises(BadInput, match="penumbra: part"):
+        PenumbraOptions(part=2.0)

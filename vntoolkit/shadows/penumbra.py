@@ -1,0 +1,55 @@
+"""Half-shadow: lit pixels at the edge of a cast shadow that a light reaches only in part.
+
+Lamps have a size, lenses blur and Bayer patterns mix: beside the edge some of the light is missing, and what
+arrives is not the cosine. There the normal is better found without that light.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels
+from vntoolkit.checks import require_in_range
+from vntoolkit.photometry.visibility import ALL_LIT, labels_from_lit, lit_from_labels
+
+
+@dataclass(frozen=True, kw_only=True)
+class PenumbraOptions:
+    """What counts as half-shadow.
+
+    part: a lit pixel beside a light's shadow lies in half-shadow where it returns less than this part of
+    that light's largest share nearby. reach_px: how far nearby is, pixels. faintest: largest share from which
+    an edge can be a cast shadow's; where a surface turns away from the light, less arrives on both sides.
+    """
+
+    part: float = 0.4
+    reach_px: int = 2
+    faintest: float = 0.25
+
+    def __post_init__(self) -> None:
+        require_in_range(self.part, 0.0, 1.0, "penumbra: part")
+        require_in_range(self.reach_px, 1, 50, "penumbra: reach in pixels")
+
+
+def labels_without_penumbra(
+    labels: VisibilityLabels, relative: FloatArray, mask: Mask, options: PenumbraOptions | None = None
+) -> VisibilityLabels:
+    """Count each light as missing where it arrives in part.
+
+    labels: (h, w), bit k set where light k arrives. relative: (h, w, 3), contributions over the albedo.
+    Returns labels (h, w), 7 outside `mask`.
+    """
+    options = options or PenumbraOptions()
+    lit = lit_from_labels(labels) | ~mask[..., None]
+    window = np.ones((2 * options.reach_px + 1,) * 2, np.uint8)
+    whole = lit.copy()
+    for k in range(3):
+        beside = cv2.dilate((~lit[..., k]).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+        share = np.where(lit[..., k] & mask, relative[..., k], 0.0).astype(np.float32)
+        brightest = cv2.dilate(share, window)
+        partly = beside & (brightest > options.faintest) & (share < options.part * brightest)
+        whole[..., k] &= ~(partly & mask)
+    return np.where(mask, labels_from_lit(whole), ALL_LIT).astype(np.uint8)
