@@ -1,0 +1,69 @@
+"""The page of all recipes: every number and figure is on it, and a bad file is named."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.browser import visit
+from vntoolkit.errors import BadInput
+from vntoolkit.io.images import write_png
+from vntoolkit.report.recipes_page import RecipeRun, figures_of, read_numbers, write_recipes_page
+
+
+@pytest.fixture
+def folder(tmp_path: Path, rng: np.random.Generator) -> Path:
+    out = tmp_path / "figure4"
+    out.mkdir()
+    rows = [
+        {"what": "mean <angle>", "paper": 3.25, "ours": 1.23456789, "unit": "degrees"},
+        {"what": "frames", "paper": None, "ours": 1500, "unit": ""},
+    ]
+    (out / "numbers.json").write_text(json.dumps(rows))
+    write_png(out / "view10.png", rng.integers(0, 255, (40, 60, 3), dtype=np.uint8))
+    write_png(out / "view2.png", rng.integers(0, 255, (1000, 1200, 3), dtype=np.uint8))  # too large as PNG
+    (out / "plot.svg").write_text('<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 9 9"/>')
+    (out / "video.mkv").write_bytes(b"not a figure")
+    return out
+
+
+def test_numbers_and_figures_are_on_the_page(folder: Path, tmp_path: Path) -> None:
+    runs = [
+        RecipeRun(name="figure4", summary="Shadows.", folder=folder, seconds=90),
+        RecipeRun(name="table1", summary="A table.", folder=tmp_path / "none", failure="no footage <here>"),
+    ]
+    page = write_recipes_page(tmp_path / "all.html", runs)
+    text = page.read_text()
+    for part in (
+        "mean &lt;angle&gt;",
+        "3.25",
+        "1.235",
+        "1,500",
+        "–",
+        "no footage &lt;here&gt;",
+        "1.5 minutes",
+    ):
+        assert part in text
+    assert [path.name for path in figures_of(folder)] == ["plot.svg", "view2.png", "view10.png"]
+    assert text.count("data:image/jpeg") == 1
+    with visit(page) as seen:
+        assert seen.page.evaluate("[...document.images].length") == 3
+        cells = seen.page.evaluate("[...document.querySelectorAll('td')].map(c => c.innerText)")
+        assert cells[:5] == ["figure4", "mean <angle>", "3.25", "1.235", "degrees"]
+        assert seen.requests == [page.as_uri()]
+        assert seen.complaints == []
+
+
+def test_bad_numbers_are_named(folder: Path) -> None:
+    (folder / "numbers.json").write_text('[{"what": 1}]')
+    with pytest.raises(BadInput, match="expected the keys ours, paper, unit, what, got what"):
+        read_numbers(folder)
+    (folder / "numbers.json").write_text('{"what": 1}')
+    with pytest.raises(BadInput, match="expected a list of objects"):
+        read_numbers(folder)
+    (folder / "numbers.json").write_text("[")
+    with pytest.raises(BadInput, match="is not JSON"):
+        read_numbers(folder)
+    (folder / "numbers.json").unlink()
+    assert read_numbers(folder) == []
