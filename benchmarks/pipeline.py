@@ -1,0 +1,141 @@
+"""Frames a second from 8-bit footage to normals and depth, with and without disk, and peak memory.
+
+python -m benchmarks.pipeline [--size 1280x720] [--frames 150] [--memory] [--out FILE.json]      # 1 min
+
+A rippled sheet fills the picture, so every pixel is worked on. Times are medians; --memory reconstructs 200
+and 2000 frames, each in a process of its own (10 min).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.io.captures import open_capture
+from vntoolkit.io.video import write_video
+from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.rig import Rig
+from vntoolkit.pipeline.block_work import ReconstructionJob
+from vntoolkit.pipeline.frame_processor import FrameProcessor
+from vntoolkit.pipeline.options import Product, ReconstructOptions
+from vntoolkit.pipeline.outputs import ReconstructionFolder
+from vntoolkit.pipeline.reconstruct import reconstruct
+from vntoolkit.shadows.detector import ShadowMethod
+
+_LIGHTS = np.array([[-0.35, 0.1, -0.93], [0.25, 0.3, -0.92], [0.05, -0.4, -0.91]])
+_DISTINCT = 12  # different frames; the video repeats them
+_PEAK = "import resource, sys; from benchmarks.pipeline import reconstruct_video as go; \
+go(sys.argv[1], sys.argv[2]); print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+
+
+def rig_of(width: int, height: int) -> Rig:
+    return Rig(
+        camera=Camera.orthographic(width=width, height=height), response=LightResponse(matrix=0.8 * _LIGHTS)
+    )
+
+
+def footage(width: int, height: int, count: int) -> Iterator[npt.NDArray[np.uint8]]:
+    """Ripples that travel over a sheet, lit by three lights, with a grey level of noise."""
+    rng = np.random.default_rng(0)
+    v, u = np.mgrid[:height, :width] / height
+    frames = []
+    for k in range(_DISTINCT):
+        phase = 2 * np.pi * k / _DISTINCT
+        p = 0.6 * np.cos(9 * u + 4 * v + phase)
+        q = 0.5 * np.cos(7 * v - 3 * u - phase)
+        normals = np.stack([p, q, -np.ones_like(p)], axis=-1)
+        normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+        rgb = 255 * 0.8 * np.clip(normals @ _LIGHTS.T, 0, 1) + rng.normal(0, 1, (height, width, 3))
+        frames.append(np.clip(rgb, 0, 255).astype(np.uint8))
+    return (frames[k % _DISTINCT] for k in range(count))
+
+
+def options_of(shadows: ShadowMethod = ShadowMethod.NONE) -> ReconstructOptions:
+    return ReconstructOptions(to=Product.DEPTH, shadows=shadows, match_albedo=False)
+
+
+def milliseconds_in_memory(video: Path, rig: Rig, shadows: ShadowMethod, frames: int) -> float:
+    """Encoded frame to normals and depth, nothing read or written while the clock runs."""
+    processor = FrameProcessor(rig, options_of(shadows), None, None)
+    encoded = list(open_capture(str(video)).encoded_frames(0, min(frames, _DISTINCT)))
+    spent = []
+    for k in range(frames + 2):
+        started = time.perf_counter()
+        processor.process(encoded[k % len(encoded)])
+        spent.append(time.perf_counter() - started)
+    return 1000 * statistics.median(spent[2:])  # the first two compile and fill caches
+
+
+def reconstruct_video(video: str, out: str, jobs: int = 1) -> float:
+    """Video file to normals and depth on disk; return frames a second."""
+    info = open_capture(video).info
+    job = ReconstructionJob(
+        source=video,
+        rig=rig_of(info.width, info.height),
+        options=options_of(),
+        folder=ReconstructionFolder(root=Path(out)),
+    )
+    started = time.perf_counter()
+    summary = reconstruct(job, jobs=jobs, overwrite=True)
+    return summary.done / (time.perf_counter() - started)
+
+
+def peak_megabytes(folder: Path, width: int, height: int, frames: int) -> float:
+    video = folder / f"{frames}.mkv"
+    write_video(video, footage(width, height, frames), 60.0)
+    command = [sys.executable, "-c", _PEAK, str(video), str(folder / str(frames))]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    return int(done.stdout.split()[-1]) / 1024
+
+
+def measure(width: int, height: int, frames: int, memory: bool) -> dict[str, float]:
+    rig = rig_of(width, height)
+    found: dict[str, float] = {}
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        video = folder / "footage.mkv"
+        write_video(video, footage(width, height, frames), 60.0)
+        started = time.perf_counter()
+        decoded = sum(1 for _ in open_capture(str(video)).encoded_frames(0, frames))
+        found["decode_ms"] = 1000 * (time.perf_counter() - started) / decoded
+        found["in_memory_ms"] = milliseconds_in_memory(video, rig, ShadowMethod.NONE, frames)
+        found["in_memory_with_shadows_ms"] = milliseconds_in_memory(video, rig, ShadowMethod.ROBUST, 8)
+        for jobs in (1, 2):
+            rates = [reconstruct_video(str(video), str(folder / "out"), jobs) for _ in range(3)]
+            found[f"disk_to_disk_{jobs}_jobs_hz"] = statistics.median(rates)
+        if memory:
+            for count in (200, 2000):
+                found[f"peak_mb_{count}_frames"] = peak_megabytes(folder, width // 2, height // 2, count)
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--size", default="1280x720")
+    parser.add_argument("--frames", type=int, default=150)
+    parser.add_argument("--memory", action="store_true")
+    parser.add_argument("--out", type=Path)
+    arguments = parser.parse_args()
+    width, height = map(int, arguments.size.split("x"))
+    found = measure(width, height, arguments.frames, arguments.memory)
+    for name, value in found.items():
+        print(f"{name:32s} {value:10.1f}")
+    if arguments.out:
+        arguments.out.write_text(json.dumps(found, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
