@@ -21,6 +21,7 @@ PLASTER = 0.45
 
 
 def main() -> None:
+    """Write the strip."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--demo", type=Path, default=Path("out/demo"))
     parser.add_argument("--out", type=Path, default=Path("docs/pipeline.jpg"))
