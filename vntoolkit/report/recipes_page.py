@@ -96,8 +96,8 @@ def write_recipes_page(out: Path, runs: Sequence[RecipeRun]) -> Path:
     table = PageSection(
         title="The paper beside ours",
         paragraphs=(
-            "Published values are those of brostow2011, measured on its own footage; ours are measured on the "
-            "footage that each recipe names. A dash: the paper gives no number.",
+            "Published values are those of brostow2011, measured on its own footage; ours are measured on "
+            "the footage that each recipe names. A dash: the paper gives no number.",
         ),
         notices=tuple(PageNotice(severity="warning", text=f"{run.name}: {run.failure}") for run in failed),
         tables=(PageTable(headings=("recipe", "what", "paper", "ours", "unit"), rows=rows),) if rows else (),
