@@ -7,10 +7,14 @@ import numpy as np
 import pytest
 
 from vntoolkit.__main__ import main
+from vntoolkit.calibration.presses import LabelOffset, Press, PressOptions, normals_of_press
 from vntoolkit.evaluation.angular_error import angles_between_deg
+from vntoolkit.geometry.rectification import Rectification
+from vntoolkit.io.captures import open_capture
 from vntoolkit.io.images import read_image, write_png
 from vntoolkit.io.label_images import read_mask, write_mask
 from vntoolkit.io.light_files import read_lights
+from vntoolkit.io.press_labels import read_press_label
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame
 from vntoolkit.normals.photometric_stereo import normals_from_lights
@@ -18,6 +22,7 @@ from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.lambertian import shaded_rgb_from_normals
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.transfer import Transfer, encoded_from_linear
+from vntoolkit.pipeline.calibrate_presses import PressJob, calibrate_presses
 
 DIRECTIONS = np.array([[0.6, 0.0, -0.8], [-0.36, 0.48, -0.8], [-0.36, -0.48, -0.8]])
 COLOURS = np.array([[0.5, 0.05, 0.02], [0.06, 0.6, 0.1], [0.0, 0.1, 0.4]])
@@ -139,7 +144,8 @@ def test_real_ball_presses_make_a_flat_gel_with_one_travelling_dent(real_data, t
     presses = ["calibrate", "presses", str(gel / "ball_presses" / "cal-1*.jpg"), "--ball-radius-mm", "2.42"]
     files = ["--background", str(gel / "ball_presses" / "bg-0.jpg"), "--label-size", "240", "320"]
     labels = ["--labels", str(gel / "ball_presses" / "ball_position"), "--out", str(tmp_path / "rig.json")]
-    assert main([*presses, *files, *labels, *corners, "--pixel-mm", "0.1"]) == 0
+    one_response = ["--degree", "0", "--label-offset", "none", "--pixel-mm", "0.1"]
+    assert main([*presses, *files, *labels, *corners, *one_response]) == 0
     rig = read_rig(tmp_path / "rig.json")
     assert json.loads((tmp_path / "rig.json").read_text())["quality"]["method"] == "presses"
     assert rig.quality.residual_deg < 15  # near lights: one M for the whole gel cannot do much better
@@ -166,3 +172,36 @@ def test_real_ball_presses_make_a_flat_gel_with_one_travelling_dent(real_data, t
         centres.append(centre)
     assert np.linalg.norm(centres[0] - centres[1]) > 50
     assert np.linalg.norm(centres[1] - centres[2]) > 50
+
+
+@pytest.mark.slow
+def test_near_lights_of_the_gel_are_fitted_to_7_degrees_on_presses_not_seen(real_data, tmp_path) -> None:
+    gel = real_data / "gelsight" / "ball_presses"
+    (tmp_path / "train").mkdir()
+    for number in range(150):
+        (tmp_path / "train" / f"cal-{number}.jpg").symlink_to(gel / f"cal-{number}.jpg")
+    corners = (33.0, 58.0, 208.0, 61.0, 56.0, 250.0, 185.0, 244.0)
+    gel_plane = Rectification(corners_px=corners, width_mm=24, height_mm=34.88, pixel_mm=0.1)
+    job = PressJob(
+        source=str(tmp_path / "train"),
+        background=gel / "bg-0.jpg",
+        labels=gel / "ball_position",
+        rectification=gel_plane,
+        label_size=(240, 320),
+    )
+    as_labelled = PressOptions(
+        ball_radius_mm=2.42, pixel_mm=0.1, flat_share=0.33, label_offset=LabelOffset.NONE
+    )
+    rig, _ = calibrate_presses(job, as_labelled)
+    background = job.prepare(open_capture(job.background).frame(0)).rgb
+    errors = []
+    for number in range(150, 200):
+        frame = job.prepare(open_capture(gel / f"cal-{number}.jpg").frame(0))
+        u, v, radius = read_press_label(gel / "ball_position" / f"cal-{number}.txt")
+        press = Press(u_px=u, v_px=v * frame.shape[0] / 320, radius_px=radius)
+        truth, touched = normals_of_press(press, as_labelled, frame.shape)
+        light = LinearFrame(rgb=frame.rgb - background, clipped=frame.clipped)
+        found = normals_from_frame(light, rig.response)
+        cosine = np.sum(found.normals_in_camera * truth, axis=2)[touched]  # 90 degrees where there is none
+        errors.append(np.rad2deg(np.arccos(np.clip(cosine, -1, 1))))
+    assert np.median(np.concatenate(errors)) < 7.5  # one M: 11.2

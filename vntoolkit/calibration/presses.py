@@ -3,29 +3,43 @@
 The camera looks at the gel from behind, so the dent bulges towards it and inside the contact circle it is
 the ball's own surface (Johnson and Adelson, Retrographic sensing for the measurement of surface texture
 and shape, 2009, johnson2009). Each frame has the untouched gel's photograph subtracted, which takes most
-of the light's unevenness away and leaves r = M (n − n0), n0 = the flat gel's normal. M n0 is known, the
-colour of the untouched gel, so only the columns of n_x and n_y are fitted, and the untouched gel comes
-out flat. (Fitting all nine follows the ball more closely, but tilts the flat gel by ten degrees or turns
-lights behind the gel: near lights and errors of the labels bend the third column.) One M serves the whole
-gel; a map of M would take the same samples with their positions.
+of the light's unevenness away and leaves r = M (n − n0), n0 = the flat gel's normal.
+
+The lights stand beside the gel, so M varies over it, as polynomials of the pixel position with an ambient
+term of its own (`fit_varying_response`); pixels far from the dent, where the gel is flat, are samples too.
+Labels may lie beside the dent by the same few pixels in every frame (a crop, another rectification). One
+offset for all of them shows: with it, ball and flat gel obey one response, without it they contradict each
+other. `LabelOffset.COMMON` fits it.
+
+With degree 0 one M serves the whole gel; there M n0 is known, the colour of the untouched gel, so only the
+columns of n_x and n_y are fitted and the untouched gel comes out flat exactly. (Fitting all nine there
+follows the ball more closely, but tilts the flat gel by ten degrees.)
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from enum import Enum
 
 import numpy as np
+import numpy.typing as npt
 
-from vntoolkit.arrays import LinearImage, Mask, Points, Points2, Vector3
-from vntoolkit.calibration.fit import ResponseFit, response_from_unknowns
-from vntoolkit.calibration.quality import fit_quality, warn_of_weak_fit
-from vntoolkit.calibration.robust import Design, fit_by_trimming
+from vntoolkit.arrays import FloatArray, LinearImage, Mask, Points, Points2
+from vntoolkit.calibration.varying import VariationOptions
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.photometry.frame import LinearFrame
 
-_ROUNDS = 30
+_UNTOUCHED_RADII = 3.3  # of the labelled contact: beyond it the gel lies flat
+_DRAWN_RADII = 1.25  # of the labelled contact: room for labels that lie beside the dent
+
+
+class LabelOffset(Enum):
+    """Whether labels are believed as to where the centres are."""
+
+    COMMON = "common"  # one offset for all labels is fitted, so that ball and flat gel agree
+    NONE = "none"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,15 +47,21 @@ class PressOptions:
     """How presses calibrate.
 
     ball_radius_mm: of the ball. pixel_mm: side of a pixel on the gel. contact_share: share of the labelled
-    contact radius inside which the gel follows the ball. samples: pixels drawn from a press. outlier_sigmas:
-    pixels whose colour residual exceeds this many robust standard deviations (dots, creases) are left out.
+    contact radius inside which the gel follows the ball. samples: pixels drawn from a press's contact.
+    flat_share: pixels drawn where the gel lies flat, over those of the contact; more make the untouched gel
+    flatter and the ball less round. label_offset: whether one offset common to all labels is
+    fitted. outlier_sigmas: (degree 0) pixels whose colour residual exceeds this many
+    robust standard deviations (dots, creases) are left out. variation: how M varies over the gel.
     """
 
     ball_radius_mm: float
     pixel_mm: float
     contact_share: float = 0.8
     samples: int = 400
+    flat_share: float = 0.67
+    label_offset: LabelOffset = LabelOffset.COMMON
     outlier_sigmas: float = 4.0
+    variation: VariationOptions = field(default_factory=VariationOptions)
 
     def __post_init__(self) -> None:
         if not (self.ball_radius_mm > 0 and self.pixel_mm > 0):
@@ -50,6 +70,8 @@ class PressOptions:
             raise BadInput(f"presses: expected a contact share from 0 to 1, got {self.contact_share:g}")
         if self.samples < 4 or not self.outlier_sigmas > 0:
             raise BadInput("presses: expected at least 4 samples a press and positive outlier sigmas")
+        if not 0 <= self.flat_share <= 10:
+            raise BadInput(f"presses: expected a flat share from 0 to 10, got {self.flat_share:g}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,11 +85,33 @@ class Press:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PressSamples:
-    """normals (n, 3), rgb (n, 3) with the background subtracted, positions_px (n, 2)."""
+    """Pixels of one frame, at and around the contact and, far away, on the flat gel.
+
+    rgb: (n, 3) with the background subtracted. positions_px: (n, 2). press: as labelled.
+    """
+
+    rgb: Points
+    positions_px: Points2
+    press: Press
+
+    def offsets_px(self, label_offset_px: Points2) -> Points2:
+        """From the centre of the ball, (n, 2), where the label is off by `label_offset_px`."""
+        return self.positions_px - (self.press.u_px, self.press.v_px) - label_offset_px
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PressPairs:
+    """Pairs of normal and colour of many presses: normals, rgb (n, 3), positions_px (n, 2), touched (n,)."""
 
     normals: Points
     rgb: Points
     positions_px: Points2
+    touched: npt.NDArray[np.bool_]
+
+    def thinned(self, count: int) -> PressPairs:
+        """Every k-th pair, so that about `count` are left."""
+        step = max(1, -(-len(self.rgb) // count))
+        return PressPairs(**{name: values[::step] for name, values in vars(self).items()})
 
 
 def normals_of_press(press: Press, options: PressOptions, shape: tuple[int, int]) -> tuple[Points, Mask]:
@@ -94,38 +138,43 @@ def samples_from_press(
     options: PressOptions,
     rng: np.random.Generator,
 ) -> PressSamples:
-    """Draw pixels of the contact. background: (h, w, 3), the untouched gel."""
+    """Draw pixels of the contact and of the flat gel around it. background: (h, w, 3), the untouched gel."""
     require_shape(background, (*frame.shape, 3), "background")
-    normals, touched = normals_of_press(press, options, frame.shape)
-    chosen = np.flatnonzero(touched & ~frame.clipped)
-    if len(chosen) > options.samples:
-        chosen = rng.choice(chosen, options.samples, replace=False)
+    normals_of_press(press, options, frame.shape)  # refuses a contact that the ball cannot have
+    v, u = np.indices(frame.shape)
+    distance = np.hypot(u - press.u_px, v - press.v_px)
+    contact = _draw((distance < _DRAWN_RADII * press.radius_px) & ~frame.clipped, 2 * options.samples, rng)
+    flat = (distance > _UNTOUCHED_RADII * press.radius_px) & ~frame.clipped
+    chosen = np.concatenate([contact, _draw(flat, round(options.flat_share * options.samples), rng)])
     v, u = np.divmod(chosen, frame.shape[1])
     return PressSamples(
-        normals=normals[v, u],
         rgb=(frame.rgb[v, u] - background[v, u]).astype(np.float64),
         positions_px=np.column_stack([u, v]).astype(np.float64),
+        press=press,
     )
 
 
-def fit_response_to_presses(
-    samples: Iterable[PressSamples], level: Vector3, options: PressOptions
-) -> ResponseFit:
-    """Fit one M for the whole gel, for frames with the background subtracted.
+def _draw(mask: Mask, count: int, rng: np.random.Generator) -> npt.NDArray[np.int64]:
+    chosen = np.flatnonzero(mask)
+    return rng.choice(chosen, count, replace=False) if len(chosen) > count else chosen
 
-    level: (3,) mean colour of the untouched gel.
-    """
-    parts = [part for part in samples if len(part.rgb)]
-    if not parts:
+
+def pairs_from_samples(
+    samples: Iterable[PressSamples], label_offset_px: FloatArray, options: PressOptions
+) -> PressPairs:
+    """Give every sample its normal; those in the crease around the contact are left out."""
+    parts: list[tuple[FloatArray, ...]] = []
+    for part in samples:
+        offsets = part.offsets_px(label_offset_px)
+        distance = np.linalg.norm(offsets, axis=1)
+        touched = distance < options.contact_share * part.press.radius_px
+        xy = np.where(touched[:, None], offsets * options.pixel_mm / options.ball_radius_mm, 0.0)
+        normals = np.column_stack([xy, -np.sqrt(np.maximum(1.0 - (xy**2).sum(axis=1), 0.0))])
+        used = touched | (distance > (_UNTOUCHED_RADII - 0.5) * part.press.radius_px)
+        parts.append((normals[used], part.rgb[used], part.positions_px[used], touched[used]))
+    if not any(touched.any() for *_, touched in parts):
         raise BadCalibration(
             "calibrate presses: no press with a label, or every contact lies outside the gel"
         )
-    normals = np.concatenate([part.normals for part in parts])
-    rgb = np.concatenate([part.rgb for part in parts])
-    design = Design(rows=normals[:, :2], colours=rgb + (1.0 + normals[:, 2:]) * level)
-    everything = np.ones(len(rgb), np.bool_)
-    unknowns, inliers = fit_by_trimming(design, everything, 0.0, options.outlier_sigmas, _ROUNDS)
-    response = response_from_unknowns(np.vstack([unknowns, -level, -level]))
-    quality = fit_quality(normals[inliers], rgb[inliers], response, "presses")
-    warn_of_weak_fit(quality)
-    return ResponseFit(response=response, quality=quality, inliers=inliers)
+    normals, rgb, positions_px, touched = (np.concatenate(group) for group in zip(*parts, strict=True))
+    return PressPairs(normals=normals, rgb=rgb, positions_px=positions_px, touched=touched > 0)

@@ -6,7 +6,8 @@ import logging
 
 import numpy as np
 
-from vntoolkit.arrays import Points
+from vntoolkit.arrays import Points, Points2
+from vntoolkit.photometry.lambertian import scaled_normals_from_rgb
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import FitQuality
 
@@ -17,9 +18,11 @@ _LARGE_CONDITION_NUMBER = 30.0
 _SHARE_IN_CONE = 95.0
 
 
-def fit_quality(normals: Points, rgb: Points, response: LightResponse, method: str) -> FitQuality:
-    """Measure a fit on the pairs it used, normals and colours (n, 3)."""
-    recovered = (rgb - response.ambient) @ response.inverse.T
+def fit_quality(
+    normals: Points, rgb: Points, response: LightResponse, method: str, positions_px: Points2 | None = None
+) -> FitQuality:
+    """Measure a fit on the pairs it used, normals and colours (n, 3), at pixels (n, 2) where it varies."""
+    recovered = scaled_normals_from_rgb(rgb, response, positions_px)
     return FitQuality(
         method=method,
         residual_deg=float(np.median(angles_deg(recovered, normals))),

@@ -216,6 +216,9 @@ def report_rig(out: Path, rig: Rig, seen: str) -> None:
         )
         print(f"  cone of normals   {quality.cone_deg:.0f} degrees about their mean")
     print(f"  condition number  {rig.response.condition_number:.1f} (1 is best, below 10 is good)")
+    if rig.response.variation is not None:
+        print("  varies over the image; the condition number is that of its centre")
+        return
     title = "lights" if rig.response.light_colours is not None else "lights (channel by channel)"
     tilts = np.rad2deg(np.arccos(np.clip(-rig.response.light_directions[:, 2], -1, 1)))
     print(f"  {title}: {', '.join(f'{tilt:.0f}' for tilt in tilts)} degrees from the optical axis")

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from cyclopts import Parameter
 
 from vntoolkit.calibration.presses import PressOptions
+from vntoolkit.calibration.varying import VariationOptions
 from vntoolkit.cli.calibrate import report_rig
 from vntoolkit.cli.flags import flags_from
 from vntoolkit.cli.progress import progress_bar
@@ -22,8 +24,10 @@ from vntoolkit.pipeline import calibrate_presses as pipeline
 
 if TYPE_CHECKING:
     PressFlags: TypeAlias = PressOptions
+    VariationFlags: TypeAlias = VariationOptions | None
 else:
     PressFlags = flags_from(PressOptions)
+    VariationFlags = flags_from(VariationOptions)
 
 _List = Parameter(consume_multiple=True, negative=())
 Corners: TypeAlias = Annotated[tuple[float, float, float, float, float, float, float, float] | None, _List]
@@ -43,6 +47,7 @@ def presses(
     size_mm: SizeMm = None,
     label_size: SizePx = None,
     transfer: str = "linear",
+    variation: VariationFlags = None,
 ) -> None:
     """Calibrate a tactile sensor on a ball of known size, pressed into its gel again and again.
 
@@ -67,6 +72,7 @@ def presses(
     transfer
         Transfer curve of the footage: linear, srgb, bt709 or gamma:G.
     """
+    press_options = replace(options, variation=variation or VariationOptions())
     job = pipeline.PressJob(
         source=source,
         background=background,
@@ -76,7 +82,7 @@ def presses(
         label_size=label_size,
     )
     with contextlib.ExitStack() as stack:
-        rig, _ = pipeline.calibrate_presses(job, options, _progress(stack, "read presses"))
+        rig, _ = pipeline.calibrate_presses(job, press_options, _progress(stack, "read presses"))
     write_rig(out, rig)
     report_rig(out, rig, f"presses of {source}")
 

@@ -10,11 +10,11 @@ import numpy as np
 
 from vntoolkit.arrays import Mask
 from vntoolkit.calibration.fit import ResponseFit
+from vntoolkit.calibration.press_fit import fit_response_to_presses
 from vntoolkit.calibration.presses import (
     Press,
     PressOptions,
     PressSamples,
-    fit_response_to_presses,
     samples_from_press,
 )
 from vntoolkit.errors import BadCalibration
@@ -68,8 +68,8 @@ def calibrate_presses(
             f"calibrate presses: no image of {job.source} has a label in {job.labels} (NAME.txt for NAME.jpg)"
         )
     level = np.median(background.rgb[~background.clipped].astype(np.float64), axis=0)
-    fit = fit_response_to_presses(samples, level, options)
     height, width = background.shape
+    fit = fit_response_to_presses(samples, level, (width, height), options)
     camera = (
         job.rectification.camera
         if job.rectification is not None
