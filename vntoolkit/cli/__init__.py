@@ -60,6 +60,13 @@ GROUPS: dict[str, tuple[str, dict[str, tuple[str, str]]]] = {
             ),
         },
     ),
+    "recipe": (
+        "Reproduce the paper's figures and tables.",
+        {
+            "list": ("vntoolkit.cli.recipe:list_", "Name the recipes."),
+            "run": ("vntoolkit.cli.recipe:run", "Run one, or all, and show every number beside the paper's."),
+        },
+    ),
     "evaluate": (
         "Compare results with the truth.",
         {

@@ -46,10 +46,12 @@ def integration(*, data: Path | None = None, size: int = 256, out: Path = Path("
     table = [
         [r.surface, r.integrator, *(f"{r.numbers[n]:.2e}" for n in ("mean", "rms", "largest"))] for r in rows
     ]
-    print_table("depth error, % of the surface's range", columns, table)
+    print_table("depth error, % of the surface's range", columns, table, names=2)
     if real:
         table = [[e.name, e.integrator, f"{e.mean_mm:.3f}", f"{e.median_mm:.3f}"] for e in real]
-        print_table("depth error on real objects, mm", ["object", "integrator", "mean", "median"], table)
+        print_table(
+            "depth error on real objects, mm", ["object", "integrator", "mean", "median"], table, names=2
+        )
     write_cumulative_errors(out / "integration_curve.png", curves, "torn surface", "error, % of the range")
     if last is not None:
         title = f"{last.surface}, {last.integrator}"

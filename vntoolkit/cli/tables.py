@@ -14,11 +14,11 @@ from rich.table import Table
 from vntoolkit.io.atomic import write_text
 
 
-def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-    """Print a table whose first column names the rows and whose others are numbers."""
+def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], names: int = 1) -> None:
+    """Print a table whose first `names` columns are texts and whose others are numbers."""
     table = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
     for i, column in enumerate(columns):
-        table.add_column(column, justify="left" if i == 0 else "right", no_wrap=True)
+        table.add_column(column, justify="left" if i < names else "right", no_wrap=True)
     for row in rows:
         table.add_row(*row)
     console = Console(highlight=False)

@@ -79,7 +79,7 @@ class ObjectError:
 
 
 def surface_cases(size: int) -> list[SurfaceCase]:
-    """Smooth hills in a full frame and on a disc with a hole, and a torn surface, by what can integrate them."""
+    """Smooth hills, whole and on a disc with a hole, and a torn surface, each by what can integrate it."""
     if size < 16:
         raise BadInput(f"evaluate integration: expected surfaces of at least 16 pixels, got {size}")
     hills, torn = peaks(size), tear(size, TEAR_STEEPNESS)

@@ -1,6 +1,6 @@
 """Figure 5: the surface with shadows taken for shading (A) and with shadows found and recovered (B).
 
-    python recipes/figure5.py --out out/figure5 [--scene spandex]        # 20 s
+    python recipes/figure05.py --out out/figure05 [--scene spandex]        # 20 s
 
 Writes the picture and the mean errors of normals and depth, over the figure and over one-shadow pixels.
 """
@@ -30,7 +30,7 @@ def depth_error_mm(found: np.ndarray, true_m: np.ndarray) -> float:
 
 
 def main(out: Path, scene_name: str = "face") -> None:
-    """Write `figure5.png` and `figure5.json` into the folder `out`."""
+    """Write `figure05.png` and `figure05.json` into the folder `out`."""
     scene = build_scene(scene_name, SceneOptions())
     rendered = render_frame(scene, 0)
     response, truth = true_response(scene, Nuisances()), rendered.truth
@@ -49,8 +49,8 @@ def main(out: Path, scene_name: str = "face") -> None:
             "depth_mm": depth_error_mm(depth.depth[mask], truth.depth.depth[mask]),
         }
     out.mkdir(parents=True, exist_ok=True)
-    write_recovery_figure(out / "figure5.png", recoveries, scene.camera, truth.normals)
-    write_text(out / "figure5.json", json.dumps(numbers, indent=1) + "\n")
+    write_recovery_figure(out / "figure05.png", recoveries, scene.camera, truth.normals)
+    write_text(out / "figure05.json", json.dumps(numbers, indent=1) + "\n")
     print(numbers)
 
 
@@ -58,7 +58,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--out", type=Path, default=Path("out/figure5"), help="folder to write")
+    parser.add_argument("--out", type=Path, default=Path("out/figure05"), help="folder to write")
     parser.add_argument("--scene", default="face", help="face or spandex")
     arguments = parser.parse_args()
     main(arguments.out, arguments.scene)

@@ -1,6 +1,6 @@
 """Figure 4: self-shadows found in every channel, by the published detector and by the robust one.
 
-    python recipes/figure4.py --out out/figure4 [--scene spandex]        # 15 s
+    python recipes/figure04.py --out out/figure04 [--scene spandex]        # 15 s
 
 Writes the picture and, per light, the intersection over union of the shadows with the true ones.
 """
@@ -28,7 +28,7 @@ def overlap(found: np.ndarray, true: np.ndarray, mask: np.ndarray) -> list[float
 
 
 def main(out: Path, scene_name: str = "face") -> None:
-    """Write `figure4.png` and `figure4.json` into the folder `out`."""
+    """Write `figure04.png` and `figure04.json` into the folder `out`."""
     scene = build_scene(scene_name, SceneOptions())
     rendered = render_frame(scene, 0)
     response = true_response(scene, Nuisances())
@@ -38,9 +38,9 @@ def main(out: Path, scene_name: str = "face") -> None:
         for method in (ShadowMethod.PUBLISHED, ShadowMethod.ROBUST)
     }
     out.mkdir(parents=True, exist_ok=True)
-    write_detection_figure(out / "figure4.png", rendered.linear, response, {**labels, "truth": truth}, mask)
+    write_detection_figure(out / "figure04.png", rendered.linear, response, {**labels, "truth": truth}, mask)
     overlaps = {name: overlap(found, truth, mask) for name, found in labels.items()}
-    write_text(out / "figure4.json", json.dumps(overlaps, indent=1) + "\n")
+    write_text(out / "figure04.json", json.dumps(overlaps, indent=1) + "\n")
     print(overlaps)
 
 
@@ -48,7 +48,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--out", type=Path, default=Path("out/figure4"), help="folder to write")
+    parser.add_argument("--out", type=Path, default=Path("out/figure04"), help="folder to write")
     parser.add_argument("--scene", default="face", help="face or spandex")
     arguments = parser.parse_args()
     main(arguments.out, arguments.scene)

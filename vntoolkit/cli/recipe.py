@@ -1,0 +1,110 @@
+"""`vntoolkit recipe list|run`: the experiments of the paper, one script each."""
+
+from __future__ import annotations
+
+import ast
+import runpy
+import sys
+import time
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+import vntoolkit
+from vntoolkit.cli.tables import print_table
+from vntoolkit.errors import BadInput, VntError
+from vntoolkit.report.recipes_page import RecipeRun, write_recipes_page
+
+_EXPERIMENTS = ("Figure", "Table")  # first word of the summary; the other recipes make data and pictures
+
+
+def list_() -> None:
+    """Print the recipes by name, with what each does."""
+    rows = [[name, summary_of(path)] for name, path in recipes().items()]
+    print_table("vntoolkit recipe run NAME", ["recipe", "what"], rows, names=2)
+
+
+def run(
+    name: str,
+    /,
+    *arguments: Annotated[str, Parameter(allow_leading_hyphen=True)],
+    out: Path | None = None,
+) -> None:
+    """Run one recipe, or all figures and tables of the paper and a page of their numbers and pictures.
+
+    Parameters
+    ----------
+    name
+        A name that `vntoolkit recipe list` shows, or all.
+    arguments
+        Handed on to the recipe, such as --quick, or --data DIR; `-- --help` shows what it takes.
+    out
+        Folder to write; default: out/NAME, for all: out.
+    """
+    if name == "all":
+        _run_all(out or Path("out"), list(arguments))
+        return
+    found = recipes()
+    if name not in found:
+        raise BadInput(f"recipe '{name}': expected all, or one of {', '.join(found)}")
+    _run(found[name], ["--out", str(out or Path("out") / name), *arguments])
+
+
+def recipes() -> dict[str, Path]:
+    """Return the scripts by name: those of the installed package, or of the repository it lies in."""
+    package = Path(vntoolkit.__file__).parent
+    for folder in (package / "recipes", package.parent / "recipes"):
+        found = {path.stem: path for path in sorted(folder.glob("*.py"))}
+        if found:
+            return found
+    raise BadInput(f"recipes: none in {package / 'recipes'}; install the package again")
+
+
+def summary_of(path: Path) -> str:
+    """Return the first line of a script's docstring."""
+    documentation = ast.get_docstring(ast.parse(path.read_text("utf-8"))) or ""
+    return documentation.partition("\n")[0]
+
+
+def _run(path: Path, arguments: list[str]) -> None:
+    before = sys.argv
+    sys.argv = [str(path), *arguments]
+    try:
+        runpy.run_path(str(path), run_name="__main__")
+    finally:
+        sys.argv = before
+
+
+def _run_all(out: Path, arguments: list[str]) -> None:
+    """Run every experiment; one that fails is named on the page and does not stop the others."""
+    runs = []
+    for name, path in recipes().items():
+        summary = summary_of(path)
+        if not summary.startswith(_EXPERIMENTS):
+            continue
+        started, failure = time.perf_counter(), ""
+        try:
+            _run(path, ["--out", str(out / name), *_understood(path, arguments)])
+        except VntError as error:
+            failure = str(error)
+        except SystemExit as stopped:  # argparse: an argument is missing
+            failure = f"did not run: see `vntoolkit recipe run {name} -- --help`" if stopped.code else ""
+        seconds = time.perf_counter() - started
+        runs.append(
+            RecipeRun(name=name, summary=summary, folder=out / name, seconds=seconds, failure=failure)
+        )
+    page = write_recipes_page(out / "recipes.html", runs)
+    failed = [run.name for run in runs if run.failure]
+    print(f"{page}: {len(runs) - len(failed)} recipes" + (f"; failed: {', '.join(failed)}" if failed else ""))
+
+
+def _understood(path: Path, arguments: list[str]) -> list[str]:
+    """Those of `--flag [value]` arguments whose flag the script knows."""
+    text, kept, known = path.read_text("utf-8"), [], True
+    for argument in arguments:
+        if argument.startswith("--"):
+            known = f'"{argument}"' in text
+        if known:
+            kept.append(argument)
+    return kept
