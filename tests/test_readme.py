@@ -1,0 +1,96 @@
+"""Every command in the README runs as printed, in its order, on a small simulated capture.
+
+The folder that they run in holds, of these, what the README names: board.mkv (the calibration board),
+ball.mkv (a matte ball), capture.mkv (a dancing sweater), all 640×480, and the project's own data/.
+"""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.readme_commands import NOT_RUN, ROOT, Step, run_step, steps_of
+from vntoolkit.cli import GROUPS, VERBS
+
+README = ROOT / "README.md"
+# name of the footage -> scene and frames; one zoom for all, as on a real set
+FOOTAGE = {
+    "board.mkv": ("board", "::10"),
+    "ball.mkv": ("sphere", "0:1"),
+    "capture.mkv": ("sweater", "0:4"),
+}
+
+
+def film(name: str, folder: Path) -> None:
+    scene, frames = FOOTAGE[name]
+    run_step(
+        Step("sh", f"vntoolkit simulate {scene} --out .{scene} --frames {frames} --field-width-m 1.42", 0),
+        folder,
+    )
+    (folder / f".{scene}" / "capture.mkv").rename(folder / name)
+
+
+@pytest.mark.slow
+def test_every_command_of_the_readme_runs(tmp_path: Path) -> None:
+    steps = [step for step in steps_of(README.read_text()) if step.is_run]
+    if not steps:
+        pytest.skip("the README holds no command yet")
+    (tmp_path / "data").symlink_to(ROOT / "data")
+    for name in FOOTAGE:
+        if any(re.search(rf"(?<![\w/.]){re.escape(name)}", step.text) for step in steps):
+            film(name, tmp_path)
+    for step in steps:
+        run_step(step, tmp_path)
+
+
+def test_every_verb_that_the_readme_names_is_there() -> None:
+    named = re.findall(r"(?<![\w/])vntoolkit ([a-z]+)(?: ([a-z]+))?", README.read_text())
+    for verb, second in named:
+        assert verb in VERBS or verb in GROUPS, f"README.md names `vntoolkit {verb}`"
+        if verb in GROUPS and second:
+            assert second in GROUPS[verb][1], f"README.md names `vntoolkit {verb} {second}`"
+
+
+SAMPLE = """# Title
+
+```sh
+make demo   # not run
+# a comment
+echo one \\
+     two
+vntoolkit view out
+```
+
+```python
+print(6 * 7)
+```
+
+```text
+rm -rf nothing
+```
+"""
+
+
+def test_blocks_are_read_as_a_person_would() -> None:
+    steps = steps_of(SAMPLE)
+    assert [(step.text, step.line) for step in steps if step.language == "sh"] == [
+        ("make demo   # not run", 4),
+        ("echo one two", 6),
+        ("vntoolkit view out", 8),
+    ]
+    assert [step.is_run for step in steps] == [False, True, True, True]
+    assert [step.serves for step in steps if step.language == "sh"] == [False, False, True]
+    assert not Step("sh", "vntoolkit view out --html scene.html", 1).serves
+    assert "make" in NOT_RUN
+
+
+def test_a_failing_command_is_named_with_its_line(tmp_path: Path) -> None:
+    assert run_step(Step("sh", "echo one; pwd", 1), tmp_path).split() == ["one", str(tmp_path)]
+    assert run_step(Step("python", "print(6 * 7)", 1), tmp_path) == "42\n"
+    with pytest.raises(AssertionError, match=r"line 17: exit status 3\n  exit 3"):
+        run_step(Step("sh", "exit 3", 17), tmp_path)
+    which = run_step(Step("sh", "command -v python", 1), tmp_path).strip()
+    version = subprocess.run([which, "-V"], capture_output=True, text=True, check=True).stdout
+    assert version.split()[1] == sys.version.split()[0]
