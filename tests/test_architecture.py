@@ -21,7 +21,7 @@ FLOORS = {
 DOORS = {
     "pycolmap": ("calibration/head",),
     "pymeshlab": ("geometry/", "evaluation/", "meshing/", "native.py"),
-    "open3d": ("geometry/", "simulation/", "meshing/", "tracking/", "report/", "io/meshes", "native.py"),
+    "open3d": ("geometry/", "calibration/head", "simulation/", "meshing/", "tracking/", "report/", "io/meshes", "native.py"),
     "cv2": ("io/", "calibration/", "tracking/flow", "shadows/", "simulation/", "native.py"),
     "av": ("io/",),
     "OpenEXR": ("io/",),

@@ -53,6 +53,10 @@ GROUPS: dict[str, tuple[str, dict[str, tuple[str, str]]]] = {
                 "vntoolkit.cli.calibrate:board",
                 "Calibrate on the printed board with the material in its hole.",
             ),
+            "head": (
+                "vntoolkit.cli.calibrate_head:head",
+                "Calibrate on a bare head that turns left and right.",
+            ),
             "lights": ("vntoolkit.cli.calibrate:lights", "Make a rig from lights that are known."),
             "presses": (
                 "vntoolkit.cli.calibrate_presses:presses",

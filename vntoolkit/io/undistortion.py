@@ -32,6 +32,11 @@ class Undistorter:
             self.inside = np.ones((camera.height, camera.width), dtype=np.bool_)
 
     @property
+    def camera(self) -> Camera:
+        """The pinhole camera of the undistorted frames."""
+        return self._camera.without_distortion()
+
+    @property
     def changes_frames(self) -> bool:
         """False where the camera has no distortion and frames pass through."""
         return self._maps is not None

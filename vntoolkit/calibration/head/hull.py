@@ -79,6 +79,11 @@ class DistanceGrid:
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", read_only(np.asarray(self.values)))
 
+    def at(self, points: Points) -> FloatArray:
+        """Interpolate the distance at points (n, 3); beyond the grid its border counts."""
+        places = ((np.asarray(points) - self.low) / self.cell).T
+        return ndimage.map_coordinates(self.values, places, order=1, mode="nearest")
+
 
 def fit_hull(views: Sequence[View], box: Box, options: HullOptions) -> DistanceGrid:
     """Carve the box by all silhouettes: the least signed distance to the outline over the views.
@@ -200,3 +205,16 @@ def _between(values: FloatArray, axis: int, count: int) -> FloatArray:
 def _volume(vertices: Points, faces: Faces) -> float:
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+
+
+def box_about_points(points: Points) -> Box:
+    """Return the box in which a head lies whose face shows these points (n, 3), head frame, y down.
+
+    Silhouettes bound it to all sides but behind and below: behind, where the hair shows no points, the skull
+    is about as deep again; below, the neck does not turn with the head and is cut at the lowest points.
+    """
+    low, high = np.quantile(points, 0.005, axis=0), np.quantile(points, 0.995, axis=0)
+    size = high - low
+    return Box(
+        low=low - size * [0.4, 0.5, 0.4], high=high + np.array([0.4 * size[0], 0.0, max(size[2], size[0])])
+    )

@@ -49,8 +49,8 @@ class HeadMotion:
     camera: the camera, focal length refined where it was not known. camera_from_head: per frame; the head
     frame has the camera's axes in the reference frame and its origin amid the points. interpolated: (f,)
     frames that the tracks did not place. reference: number of the frame amid the turn. points_in_head: (n, 3)
-    sparse points of the skin. point: (n,) their tracks. turn_deg: largest turn between two frames. error_px:
-    mean reprojection error over so many observations.
+    sparse points of the skin. point: (n,) their tracks. offered: the tracks that the solution drew. turn_deg:
+    largest turn between two frames. error_px: mean reprojection error over so many observations.
     """
 
     camera: Camera
@@ -59,12 +59,13 @@ class HeadMotion:
     reference: int
     points_in_head: Points
     point: npt.NDArray[np.int64]
+    offered: npt.NDArray[np.int64]
     turn_deg: float
     error_px: float
     observations: int
 
     def __post_init__(self) -> None:
-        for name in ("interpolated", "points_in_head", "point"):
+        for name in ("interpolated", "points_in_head", "point", "offered"):
             object.__setattr__(self, name, read_only(np.asarray(getattr(self, name))))
 
 
@@ -93,7 +94,7 @@ def solve_head_motion(
         kept, camera, poses, points, affine.known, options.adjustment, refine_focal=refine_focal
     )
     _require_rigid(model, kept)
-    motion = _head_motion(model, np.flatnonzero(drawn)[model.point])
+    motion = _head_motion(model, np.flatnonzero(drawn))
     if motion.turn_deg < options.least_turn_deg:
         raise BadCalibration(
             f"poses: the head turns by only {motion.turn_deg:.0f} degrees in all, "
@@ -137,7 +138,7 @@ def _require_rigid(model: SparseModel, tracks: Tracks) -> None:
         )
 
 
-def _head_motion(model: SparseModel, point: npt.NDArray[np.int64]) -> HeadMotion:
+def _head_motion(model: SparseModel, offered: npt.NDArray[np.int64]) -> HeadMotion:
     """Interpolate what is missing and move the head frame to the reference frame's axes."""
     placed = [k for k, pose in enumerate(model.camera_from_head) if pose is not None]
     known = [pose for pose in model.camera_from_head if pose is not None]
@@ -158,7 +159,8 @@ def _head_motion(model: SparseModel, point: npt.NDArray[np.int64]) -> HeadMotion
         interpolated=~np.isin(np.arange(len(full)), placed),
         reference=placed[reference],
         points_in_head=head_from_model.apply(model.points_in_head) / unit,
-        point=point,
+        point=offered[model.point],
+        offered=offered,
         turn_deg=float(apart.max()),
         error_px=model.error_px,
         observations=model.observations,

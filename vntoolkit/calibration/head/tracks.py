@@ -12,6 +12,7 @@ import numpy.typing as npt
 from vntoolkit.arrays import FloatArray, IntArray, Mask, Points2, read_only
 from vntoolkit.errors import BadCalibration, BadInput
 
+_LEAST_MOTION = 0.08  # of the head's diagonal in the picture, over a whole track
 _WIDEST_VALUE = 4.0  # local contrast that becomes black or white in the 8-bit image that is followed
 
 
@@ -108,6 +109,11 @@ class TrackBuilder:
         self._frame += 1
         return followed
 
+    @property
+    def image(self) -> npt.NDArray[np.uint8]:
+        """The last frame's local contrast (h, w) in 8 bits, 0 before the first frame."""
+        return np.zeros((1, 1), np.uint8) if self._previous is None else self._previous
+
     def finish(self) -> Tracks:
         """Return the tracks that are long enough."""
         point = np.concatenate([points for points, _, _ in self._seen] or [np.zeros(0, np.int64)])
@@ -187,6 +193,22 @@ def require_tracks(tracks: Tracks) -> None:
             f"tracks: lost between frames {weakest} and {weakest + 1} of those used (only "
             f"{int(shared[weakest])} points followed); film the turn in one shot, without cuts or covered "
             "face, at most 4 degrees from frame to frame"
+        )
+    _require_motion(tracks)
+
+
+def _require_motion(tracks: Tracks) -> None:
+    """Refuse footage in which nothing turns: a still head, an empty room."""
+    low = np.full((tracks.point_count, 2), np.inf)
+    high = -low
+    np.minimum.at(low, tracks.point, tracks.positions_px)
+    np.maximum.at(high, tracks.point, tracks.positions_px)
+    moved = float(np.percentile(np.linalg.norm(high - low, axis=1), 90))
+    extent = float(np.linalg.norm(np.ptp(tracks.positions_px, axis=0)))
+    if moved < _LEAST_MOTION * extent:
+        raise BadCalibration(
+            f"tracks: the head hardly turns (its skin moves by {moved:.0f} px); film it turning all the way "
+            "to the left and to the right, 60 degrees each, before a still camera"
         )
 
 

@@ -1,0 +1,100 @@
+"""One closed mesh from the stereo points of many views and the hull behind them (kazhdan2013)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from vntoolkit.calibration.head.hull import DistanceGrid
+from vntoolkit.calibration.head.stereo import OrientedPoints
+from vntoolkit.errors import BadCalibration, BadInput
+from vntoolkit.geometry.mesh import Mesh, vertex_normals
+from vntoolkit.native import import_open3d
+
+
+@dataclass(frozen=True, kw_only=True)
+class FusionOptions:
+    """How depths become a mesh.
+
+    fusion_depth: levels of the octree; 7 resolves about a 100th of the head. agreement: distance, as a share
+    of the hull's diagonal, within which points of another view must confirm a point. confirmations: how many
+    other views must. hull_gap: distance, as a share of the diagonal, from stereo points beyond which the
+    hull's own surface fills in.
+    """
+
+    fusion_depth: int = 7
+    agreement: float = 0.004
+    confirmations: int = 1
+    hull_gap: float = 0.02
+
+    def __post_init__(self) -> None:
+        if not 4 <= self.fusion_depth <= 12 or self.confirmations < 0:
+            raise BadInput("fusion: expected a depth of 4 to 12 and no negative number of confirmations")
+        if min(self.agreement, self.hull_gap) <= 0:
+            raise BadInput("fusion: expected a positive agreement and hull gap")
+
+
+def fuse_points(
+    maps: Sequence[OrientedPoints], hull: Mesh, grid: DistanceGrid, options: FusionOptions
+) -> Mesh:
+    """Fuse: points that other views confirm, the hull where there are none, screened Poisson over both.
+
+    Points outside the hull are dropped: no silhouette allows them. Returns a closed mesh in the head frame.
+    Raises `BadCalibration` where hardly a point is confirmed.
+    """
+    points = _confirmed(maps, hull.diagonal, options)
+    inside = grid.at(points.points) > -grid.cell
+    where, outward = points.points[inside], points.normals[inside]
+    if len(where) < 500:
+        raise BadCalibration(
+            f"stereo: only {len(where)} depths agree between views; film more sharply, closer, slower"
+        )
+    distance, _ = cKDTree(where).query(hull.vertices, workers=1)
+    rest = distance > options.hull_gap * hull.diagonal
+    normals = vertex_normals(hull.vertices, hull.faces)
+    return _poisson(
+        np.concatenate([where, hull.vertices[rest]]),
+        np.concatenate([outward, normals[rest]]),
+        options.fusion_depth,
+    )
+
+
+def _confirmed(maps: Sequence[OrientedPoints], diagonal: float, options: FusionOptions) -> OrientedPoints:
+    """Keep the points that lie, along their normals, close to points of enough other maps."""
+    trees = [cKDTree(each.points) if len(each.points) else None for each in maps]
+    kept = []
+    for k, each in enumerate(maps):
+        votes = np.zeros(len(each.points), dtype=np.int64)
+        for j, tree in enumerate(trees):
+            if j == k or tree is None or not len(each.points):
+                continue
+            distance, nearest = tree.query(
+                each.points, distance_upper_bound=2.0 * options.agreement * diagonal, workers=1
+            )
+            found = np.isfinite(distance)
+            gap = np.full(len(votes), np.inf)
+            step = maps[j].points[nearest[found]] - each.points[found]
+            gap[found] = np.abs((step * each.normals[found]).sum(axis=1))
+            votes += gap < options.agreement * diagonal
+        good = votes >= options.confirmations
+        kept.append((each.points[good], each.normals[good], each.correlation[good]))
+    points, normals, correlation = (np.concatenate(parts) for parts in zip(*kept, strict=True))
+    return OrientedPoints(points=points, normals=normals, correlation=correlation)
+
+
+def _poisson(points: np.ndarray, normals: np.ndarray, depth: int) -> Mesh:
+    o3d = import_open3d()
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
+    cloud.normals = o3d.utility.Vector3dVector(normals)
+    surface, _ = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
+        cloud, depth=depth, linear_fit=False, n_threads=1
+    )
+    clusters, sizes, _ = surface.cluster_connected_triangles()
+    largest = int(np.argmax(np.asarray(sizes)))
+    surface.remove_triangles_by_mask(np.asarray(clusters) != largest)
+    surface.remove_unreferenced_vertices()
+    vertices, faces = np.asarray(surface.vertices), np.asarray(surface.triangles, dtype=np.int32)
+    return Mesh(vertices=vertices.copy(), faces=faces.copy(), normals=vertex_normals(vertices, faces))

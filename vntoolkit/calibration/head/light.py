@@ -1,0 +1,198 @@
+"""The light response from skin whose normals are known only about: brostow2011, IV.
+
+A hypothesis is made from three samples (four with ambient light), the one with the largest support wins, and
+least squares refines it on its inliers. What the lights found leave in shadow is then dropped, and every
+point of the skin gets an albedo of its own, since lips, brows and freckles are no noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.arrays import FloatArray, IntArray, Points, read_only
+from vntoolkit.calibration.fit import ResponseModel, response_from_unknowns
+from vntoolkit.calibration.head.samples import HeadRays, HeadSamples
+from vntoolkit.calibration.quality import fit_quality, warn_of_weak_fit
+from vntoolkit.errors import BadCalibration, BadInput
+from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.rig import FitQuality
+
+_SMALLEST_DETERMINANT = 0.08  # of the sampled normals
+_LARGEST_CONDITION = 25.0  # of a hypothesis
+_DARK = 0.05  # of the brightest colours: added to the colour, so that dark samples do not decide
+_SCORED = 4000
+_SHADOW_ROUNDS = 3
+_ALBEDO_ROUNDS = 12
+_LEAST_COSINE = 0.08  # to a light: flatter, the shape's error decides whether it arrives
+_LEAST_SEEN = 3  # frames in which a point must be lit for an albedo of its own
+_LEAST_SUPPORT = 0.1  # of the samples
+
+
+@dataclass(frozen=True, kw_only=True)
+class LightOptions:
+    """How M is fitted to skin.
+
+    light_model: 3×3, or 3×4 with ambient light, for skin of one albedo only: on bare skin, variation of
+    albedo passes for ambient light. light_draws: hypotheses. light_inlier: largest colour error of an
+    inlier over its colour's length.
+    """
+
+    light_model: ResponseModel = ResponseModel.LINEAR
+    light_draws: int = 1500
+    light_inlier: float = 0.12
+
+    def __post_init__(self) -> None:
+        if self.light_draws < 1 or not 0 < self.light_inlier < 1:
+            raise BadInput("light: expected at least one draw and an inlier share from 0 to 1")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HeadLight:
+    """A response fitted to a head. inliers, shadowed: (n,) bool, albedo: (n, 3), over the samples."""
+
+    response: LightResponse
+    quality: FitQuality
+    inliers: npt.NDArray[np.bool_]
+    shadowed: npt.NDArray[np.bool_]
+    albedo: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ("inliers", "shadowed", "albedo"):
+            object.__setattr__(self, name, read_only(np.asarray(getattr(self, name))))
+
+
+def fit_light(
+    samples: HeadSamples, rays: HeadRays, options: LightOptions, rng: np.random.Generator
+) -> HeadLight:
+    """Fit M (and ambient a) to samples of skin.
+
+    Raises `BadCalibration` where hardly any samples agree on one response.
+    """
+    ambient = options.light_model is ResponseModel.AMBIENT
+    normals, rgb = samples.normals_in_camera, samples.rgb
+    rows = np.column_stack([normals, np.ones(len(normals))]) if ambient else np.asarray(normals)
+    floor = _DARK * float(np.percentile(np.linalg.norm(rgb, axis=1), 95))
+    unknowns = _largest_support(rows, rgb, floor, options, rng)
+    shadowed = np.zeros(len(rows), np.bool_)
+    for _ in range(_SHADOW_ROUNDS):
+        inliers = _support(rows, rgb, unknowns, floor, options.light_inlier) & ~shadowed
+        unknowns = _least_squares(rows, rgb, inliers, floor)
+        shadowed = _shadowed(samples, rays, response_from_unknowns(unknowns))
+    inliers = _support(rows, rgb, unknowns, floor, options.light_inlier) & ~shadowed
+    albedo = np.ones_like(rgb)
+    if not ambient:
+        unknowns, albedo, inliers = _with_albedo(samples, unknowns, shadowed, floor, options.light_inlier)
+    response = response_from_unknowns(unknowns)
+    quality = fit_quality(normals[inliers], (rgb / albedo)[inliers], response, "head")
+    warn_of_weak_fit(quality)
+    return HeadLight(response=response, quality=quality, inliers=inliers, shadowed=shadowed, albedo=albedo)
+
+
+def _largest_support(
+    rows: Points, rgb: Points, floor: float, options: LightOptions, rng: np.random.Generator
+) -> FloatArray:
+    """Return the hypothesis (3 or 4, 3) with the lowest truncated cost (MSAC: torr2000)."""
+    size = rows.shape[1]
+    drawn = rng.integers(0, len(rows), (options.light_draws, size))
+    sound = np.abs(np.linalg.det(rows[drawn])) > _SMALLEST_DETERMINANT
+    models = np.linalg.solve(rows[drawn[sound]], rgb[drawn[sound]])
+    singular = np.linalg.svd(models[:, :3], compute_uv=False)
+    models = models[singular[:, 0] < _LARGEST_CONDITION * singular[:, 2]]
+    if not len(models):
+        raise BadCalibration(
+            "light: no three samples of skin determine the lights; check that the three lights differ in "
+            "colour and direction, and turn the head further"
+        )
+    scored = rng.permutation(len(rows))[:_SCORED]
+    costs = [
+        np.minimum(_errors(rows[scored], rgb[scored], model, floor), options.light_inlier).sum()
+        for model in models
+    ]
+    best = models[int(np.argmin(costs))]
+    share = float(_support(rows, rgb, best, floor, options.light_inlier).mean())
+    if share < _LEAST_SUPPORT:
+        raise BadCalibration(
+            f"light: only {share:.0%} of the skin's samples agree on one light response; check that all "
+            "three lights reach the face, that the transfer curve is right and the room dark"
+        )
+    return best
+
+
+def _errors(rows: Points, rgb: Points, unknowns: FloatArray, floor: float) -> FloatArray:
+    """Length of the colour error over the colour's, (n,)."""
+    return np.linalg.norm(rows @ unknowns - rgb, axis=1) / (np.linalg.norm(rgb, axis=1) + floor)
+
+
+def _support(
+    rows: Points, rgb: Points, unknowns: FloatArray, floor: float, largest: float
+) -> npt.NDArray[np.bool_]:
+    return _errors(rows, rgb, unknowns, floor) < largest
+
+
+def _least_squares(rows: Points, rgb: Points, chosen: npt.NDArray[np.bool_], floor: float) -> FloatArray:
+    if np.count_nonzero(chosen) < 50:
+        raise BadCalibration(
+            f"light: only {np.count_nonzero(chosen)} samples of skin are lit by all three lights and agree; "
+            "move the lights closer to the camera, and turn the head further"
+        )
+    weight = 1.0 / (np.linalg.norm(rgb[chosen], axis=1, keepdims=True) + floor)
+    return np.linalg.lstsq(rows[chosen] * weight, rgb[chosen] * weight, rcond=None)[0]
+
+
+def _shadowed(samples: HeadSamples, rays: HeadRays, response: LightResponse) -> npt.NDArray[np.bool_]:
+    """Return the samples (n,) that a light does not reach, by the head's own shape."""
+    dark = np.zeros(len(samples.point), np.bool_)
+    for direction in response.light_directions:
+        dark |= samples.normals_in_camera @ direction < _LEAST_COSINE
+        in_head = np.stack([pose.inverse().rotate(direction) for pose in samples.camera_from_head])
+        dark |= ~rays.free(samples.point, in_head[samples.frame])
+    return dark
+
+
+def _with_albedo(
+    samples: HeadSamples,
+    unknowns: FloatArray,
+    shadowed: npt.NDArray[np.bool_],
+    floor: float,
+    largest: float,
+) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
+    """Alternate between every point's albedo per channel and M; the albedo's median stays 1.
+
+    Returns the unknowns (3, 3), the albedo of every sample (n, 3) and the samples used (n,).
+    """
+    normals, rgb = samples.normals_in_camera, samples.rgb
+    _, point = np.unique(samples.point, return_inverse=True)
+    majority = _support(normals, rgb, unknowns, floor, largest) & ~shadowed
+    used = ~shadowed
+    albedo = np.ones_like(rgb)
+    for _ in range(_ALBEDO_ROUNDS):
+        shading = normals @ unknowns
+        seen = np.bincount(point[used], minlength=point.max() + 1)
+        own = np.stack(
+            [_ratio_by(point[used], shading[used, c], rgb[used, c], len(seen)) for c in range(3)], 1
+        )
+        own = np.where((seen[:, None] >= _LEAST_SEEN) & (own > 0.02), own, np.nan)
+        own /= np.nanmedian(own[point[majority]], axis=0)
+        albedo = own[point]
+        errors = np.linalg.norm(shading * albedo - rgb, axis=1) / (np.linalg.norm(rgb, axis=1) + floor)
+        used = ~shadowed & np.isfinite(errors) & (errors < largest)
+        if np.count_nonzero(used) < 50:
+            break
+        unknowns = np.stack(
+            [
+                _least_squares(normals * albedo[:, c : c + 1], rgb[:, c : c + 1], used, floor)[:, 0]
+                for c in range(3)
+            ],
+            axis=1,
+        )
+    return unknowns, np.where(np.isfinite(albedo), albedo, 1.0), used
+
+
+def _ratio_by(point: IntArray, shading: FloatArray, value: FloatArray, count: int) -> FloatArray:
+    """Return per point the factor of the shading that fits the values best, (count,)."""
+    over = np.bincount(point, shading * value, minlength=count)
+    under = np.bincount(point, shading * shading, minlength=count)
+    return over / np.maximum(under, 1e-12)

@@ -1,0 +1,256 @@
+"""Depth by correlation between neighbouring poses, searched in shells about the hull (hernandez2004).
+
+The images are of local contrast, so that the shading, which moves over the turning skin, does not correlate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.arrays import FloatArray, IntArray, Mask, Points
+from vntoolkit.calibration.head.hull import View
+from vntoolkit.errors import BadInput
+from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.geometry.rigid import RigidTransform
+from vntoolkit.native import import_open3d
+
+_BORDER_PX = 12  # beyond the silhouette's box, for windows
+_STEP_PX = 0.6  # that a point moves in the furthest neighbour from shell to shell
+_LEAST_SLANT = 0.25  # cosine between ray and hull below which a window mixes too many depths
+_TINY = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class StereoOptions:
+    """How depth is searched.
+
+    references: views that get a depth map, evenly over the turn. neighbour_angles_deg: turn between a
+    reference and the views it is compared with, to both sides. stereo_window_px: side of the compared window.
+    before, behind: how far before and behind the hull is searched, as shares of its diagonal.
+    least_correlation: below, a pixel gets no depth. smoothing_px: standard deviation of the smoothing of the
+    depth in a map.
+    """
+
+    references: int = 11
+    neighbour_angles_deg: tuple[float, ...] = (10.0, 16.0)
+    stereo_window_px: int = 13
+    before: float = 0.010
+    behind: float = 0.070
+    least_correlation: float = 0.6
+    smoothing_px: float = 2.0
+
+    def __post_init__(self) -> None:
+        if self.references < 1 or self.stereo_window_px < 5 or self.stereo_window_px % 2 == 0:
+            raise BadInput("stereo: expected at least one reference and an odd window of 5 px or more")
+        if not self.neighbour_angles_deg or min(self.neighbour_angles_deg) <= 0:
+            raise BadInput("stereo: expected neighbours at positive angles")
+        if min(self.before, self.behind, self.smoothing_px) <= 0 or not 0 < self.least_correlation < 1:
+            raise BadInput("stereo: expected positive depths and smoothing, correlation from 0 to 1")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OrientedPoints:
+    """Points (n, 3) with outward unit normals (n, 3) in the head frame, and their correlation (n,)."""
+
+    points: Points
+    normals: Points
+    correlation: FloatArray
+
+
+def stereo_points(
+    views: Sequence[View],
+    contrasts: Sequence[npt.NDArray[np.uint8]],
+    hull: Mesh,
+    reference: int,
+    options: StereoOptions,
+) -> OrientedPoints:
+    """Search the depth of one view along its rays about the hull; returns the points that correlate.
+
+    contrasts: (h, w) local contrast of every view, 8 bits. reference: number of the view.
+    """
+    view = views[reference]
+    neighbours = neighbours_of(views, reference, options.neighbour_angles_deg)
+    rows, columns = _window_of(view.mask)
+    depth, facing = hull_depth(view, hull, rows, columns)
+    shells = _shells(view, hull, options, float(np.median(depth[depth > 0])))
+    scores = _scores(views, contrasts, reference, neighbours, (rows, columns), depth, shells, options)
+    offset, correlation = _best_shell(scores, shells)
+    valid = (
+        (depth > 0)
+        & (facing > _LEAST_SLANT)
+        & (correlation > options.least_correlation)
+        & np.isfinite(offset)
+        & view.mask[rows, columns]
+    )
+    depth = depth + np.where(valid, offset, 0.0)
+    return _oriented_points(view, depth, valid, correlation, (rows, columns), options.smoothing_px)
+
+
+def spread_over_turn(views: Sequence[View], count: int) -> IntArray:
+    """Choose views (count,) spread evenly over the turn, by their angle from the first one's end."""
+    angles = turn_angles_deg([view.camera_from_head for view in views])
+    wanted = np.linspace(angles.min(), angles.max(), count) if count > 1 else [np.median(angles)]
+    return np.unique([int(np.argmin(np.abs(angles - angle))) for angle in wanted])
+
+
+def turn_angles_deg(poses: Sequence[RigidTransform]) -> FloatArray:
+    """Return the signed angle (f,) of every pose about the one axis that most of the turning is about."""
+    turns = np.array([(pose @ poses[0].inverse()).rotation_vector for pose in poses])
+    _, _, right = np.linalg.svd(turns, full_matrices=False)
+    return np.rad2deg(turns @ right[0])
+
+
+def neighbours_of(views: Sequence[View], reference: int, angles_deg: Sequence[float]) -> list[int]:
+    """Return the views nearest to the given turns to both sides of the reference, at least half as far."""
+    angles = turn_angles_deg([view.camera_from_head for view in views])
+    apart = angles - angles[reference]
+    chosen: list[int] = []
+    for angle in angles_deg:
+        for signed in (-angle, angle):
+            k = int(np.argmin(np.abs(apart - signed)))
+            if 0.5 * angle < apart[k] * np.sign(signed) < 2.0 * angle and k not in chosen:
+                chosen.append(k)
+    return chosen
+
+
+def hull_depth(view: View, hull: Mesh, rows: slice, columns: slice) -> tuple[FloatArray, FloatArray]:
+    """Return depth (h, w) of the hull in the window, 0 where it is not hit, and the cosine to the ray."""
+    o3d = import_open3d()
+    scene = o3d.t.geometry.RaycastingScene()
+    vertices = view.camera_from_head.apply(hull.vertices)
+    scene.add_triangles(
+        o3d.core.Tensor(np.ascontiguousarray(vertices, dtype=np.float32)),
+        o3d.core.Tensor(np.ascontiguousarray(hull.faces, dtype=np.uint32)),
+    )
+    pixels = view.camera.pixel_grid()[rows, columns]
+    directions = view.camera.unproject(pixels, np.ones(pixels.shape[:2])).astype(np.float32)
+    rays = np.concatenate([np.zeros_like(directions), directions], axis=-1)
+    hits = scene.cast_rays(o3d.core.Tensor(rays))
+    depth = hits["t_hit"].numpy()
+    hit = np.isfinite(depth)
+    normals = hits["primitive_normals"].numpy()
+    cosine = -(normals * directions).sum(-1) / np.linalg.norm(directions, axis=-1)
+    return np.where(hit, depth, 0.0).astype(np.float32), np.where(hit, cosine, 0.0)
+
+
+def _window_of(mask: Mask) -> tuple[slice, slice]:
+    slices = []
+    for axis in (1, 0):
+        used = np.flatnonzero(mask.any(axis=axis))
+        last = min(mask.shape[1 - axis], int(used[-1]) + 1 + _BORDER_PX)
+        slices.append(slice(max(0, int(used[0]) - _BORDER_PX), last))
+    return slices[0], slices[1]
+
+
+def _shells(view: View, hull: Mesh, options: StereoOptions, depth: float) -> FloatArray:
+    """Return the depths relative to the hull (s,), so close that a point moves `_STEP_PX` between two."""
+    furthest = np.sin(np.deg2rad(max(options.neighbour_angles_deg)))
+    step = _STEP_PX * depth / (view.camera.matrix[0, 0] * furthest)
+    before, behind = options.before * hull.diagonal, options.behind * hull.diagonal
+    return np.arange(-np.ceil(before / step), np.ceil(behind / step) + 1).astype(np.float32) * np.float32(
+        step
+    )
+
+
+def _scores(
+    views: Sequence[View],
+    contrasts: Sequence[npt.NDArray[np.uint8]],
+    reference: int,
+    neighbours: Sequence[int],
+    window: tuple[slice, slice],
+    depth: FloatArray,
+    shells: FloatArray,
+    options: StereoOptions,
+) -> FloatArray:
+    """Return (s, h, w) the mean of the better half of the neighbours' correlations, −1 without any."""
+    view = views[reference]
+    own = contrasts[reference][window].astype(np.float32)
+    size = (options.stereo_window_px, options.stereo_window_px)
+    statistics = _Statistics(own, size)
+    pixels = view.camera.pixel_grid()[window]
+    rays = view.camera.unproject(pixels, np.ones(pixels.shape[:2]))
+    best = np.full((len(shells), *own.shape), -1.0, dtype=np.float32)
+    runner_up = best.copy() if len(neighbours) > 2 else None
+    for k in neighbours:
+        other = views[k]
+        relative = other.camera_from_head @ view.camera_from_head.inverse()
+        matrix = other.camera.matrix
+        slope = (relative.rotate(rays) @ matrix.T).astype(np.float32)
+        shift = (matrix @ relative.translation).astype(np.float32)
+        for s, offset in enumerate(shells):
+            z = depth + offset
+            w = np.float32(1.0) / (slope[..., 2] * z + shift[2])
+            u, v = (slope[..., 0] * z + shift[0]) * w, (slope[..., 1] * z + shift[1]) * w
+            warped = cv2.remap(contrasts[k], u, v, cv2.INTER_LINEAR, borderValue=0)
+            score = statistics.correlation(warped.astype(np.float32))
+            if runner_up is not None:
+                np.maximum(runner_up[s], np.minimum(best[s], score), out=runner_up[s])
+            np.maximum(best[s], score, out=best[s])
+    return best if runner_up is None else 0.5 * (best + runner_up)
+
+
+class _Statistics:
+    """Normalised correlation of one image's windows with another's."""
+
+    def __init__(self, image: FloatArray, size: tuple[int, int]) -> None:
+        self._size = size
+        self._image = image
+        self._mean = cv2.blur(image, size)
+        self._spread = np.sqrt(np.maximum(cv2.blur(image * image, size) - self._mean**2, 1.0))
+
+    def correlation(self, other: FloatArray) -> FloatArray:
+        mean = cv2.blur(other, self._size)
+        variance = cv2.blur(other * other, self._size) - mean * mean
+        shared = cv2.blur(self._image * other, self._size) - self._mean * mean
+        return np.asarray(shared / (self._spread * np.sqrt(np.maximum(variance, 1.0))))
+
+
+def _best_shell(scores: FloatArray, shells: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the offset (h, w) of the best shell, refined by a parabola, NaN at the ends; and its score."""
+    best = scores.argmax(axis=0)
+    inner = (best > 0) & (best < len(shells) - 1)
+    at = np.clip(best, 1, len(shells) - 2)[None]
+    left, middle, right = (np.take_along_axis(scores, at + d, axis=0)[0] for d in (-1, 0, 1))
+    bend = left - 2.0 * middle + right
+    shift = np.where(bend < -_TINY, 0.5 * (left - right) / np.minimum(bend, -_TINY), 0.0)
+    offset = shells[0] + (at[0] + np.clip(shift, -0.5, 0.5)) * (shells[1] - shells[0])
+    return np.where(inner, offset, np.nan), scores.max(axis=0)
+
+
+def _oriented_points(
+    view: View,
+    depth: FloatArray,
+    valid: Mask,
+    correlation: FloatArray,
+    window: tuple[slice, slice],
+    smoothing_px: float,
+) -> OrientedPoints:
+    """Take out lone depths, smooth, and take normals from the slopes of the points."""
+    middle = cv2.medianBlur(np.where(valid, depth, 0.0).astype(np.float32), 5)
+    spread = np.median(np.abs(depth - middle)[valid]) if valid.any() else 0.0
+    valid = valid & (np.abs(depth - middle) <= 4.0 * spread + _TINY)
+    weight = valid.astype(np.float64) * np.maximum(correlation, 0.0) ** 2
+    total = cv2.GaussianBlur(weight, (0, 0), smoothing_px)
+    level = float(np.median(depth[valid])) if valid.any() else 0.0  # keeps digits in the sums
+    smooth = cv2.GaussianBlur(weight * (depth - level), (0, 0), smoothing_px)
+    smooth = level + smooth / np.maximum(total, _TINY)
+    points = view.camera.unproject(view.camera.pixel_grid()[window], smooth)
+    down, right = np.gradient(points, axis=(0, 1))
+    normals = np.cross(right, down)
+    normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-30)
+    normals *= -np.sign((normals * points).sum(-1, keepdims=True))
+    kernel = np.ones((3, 3), np.uint8)
+    valid &= cv2.erode(valid.astype(np.uint8), kernel) > 0
+    valid &= -(normals * points).sum(-1) > _LEAST_SLANT * np.linalg.norm(points, axis=-1)
+    valid[1::2], valid[:, 1::2] = False, False  # windows overlap: every second pixel says as much
+    head = view.camera_from_head.inverse()
+    return OrientedPoints(
+        points=head.apply(points[valid]),
+        normals=head.rotate(normals[valid]),
+        correlation=correlation[valid],
+    )

@@ -1,0 +1,157 @@
+"""`vntoolkit calibrate head`: footage of a turning head in, rig.json out."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeAlias
+
+from cyclopts import Parameter
+
+from vntoolkit.calibration.head.contrast import ContrastOptions
+from vntoolkit.calibration.head.fusion import FusionOptions
+from vntoolkit.calibration.head.hull import HullOptions
+from vntoolkit.calibration.head.light import LightOptions
+from vntoolkit.calibration.head.poses import PoseOptions
+from vntoolkit.calibration.head.samples import SampleOptions
+from vntoolkit.calibration.head.silhouettes import SilhouetteOptions
+from vntoolkit.calibration.head.stereo import StereoOptions
+from vntoolkit.calibration.head.tracks import TrackOptions
+from vntoolkit.cli.calibrate import report_rig
+from vntoolkit.cli.flags import flags_from
+from vntoolkit.cli.progress import Advance, progress_bar
+from vntoolkit.io.frame_range import FrameRange
+from vntoolkit.io.meshes import write_mesh
+from vntoolkit.io.rigs import write_rig
+from vntoolkit.photometry.transfer import Transfer
+from vntoolkit.pipeline.calibrate import CalibrationJob
+from vntoolkit.pipeline.calibrate_head import HeadOptions, HeadShape, calibrate_head
+
+if TYPE_CHECKING:
+    ContrastFlags: TypeAlias = ContrastOptions | None
+    SilhouetteFlags: TypeAlias = SilhouetteOptions | None
+    TrackFlags: TypeAlias = TrackOptions | None
+    PoseFlags: TypeAlias = PoseOptions | None
+    HullFlags: TypeAlias = HullOptions | None
+    StereoFlags: TypeAlias = StereoOptions | None
+    FusionFlags: TypeAlias = FusionOptions | None
+    SampleFlags: TypeAlias = SampleOptions | None
+    LightFlags: TypeAlias = LightOptions | None
+else:
+    ContrastFlags = flags_from(ContrastOptions)
+    SilhouetteFlags = flags_from(SilhouetteOptions)
+    TrackFlags = flags_from(TrackOptions)
+    PoseFlags = flags_from(PoseOptions)
+    HullFlags = flags_from(HullOptions)
+    StereoFlags = flags_from(StereoOptions, without=("neighbour_angles_deg",))
+    FusionFlags = flags_from(FusionOptions)
+    SampleFlags = flags_from(SampleOptions)
+    LightFlags = flags_from(LightOptions)
+
+
+def head(
+    source: Annotated[str, Parameter(name="INPUT")],
+    /,
+    *,
+    out: Path,
+    background: Path | None = None,
+    transfer: str = "linear",
+    camera: Path | None = None,
+    focal_px: float | None = None,
+    frames: str = "::",
+    mesh: Path | None = None,
+    figure: Path | None = None,
+    head_shape: HeadShape = HeadShape.FUSED,
+    contrast: ContrastFlags = None,
+    silhouettes: SilhouetteFlags = None,
+    tracks: TrackFlags = None,
+    poses: PoseFlags = None,
+    hull: HullFlags = None,
+    stereo: StereoFlags = None,
+    fusion: FusionFlags = None,
+    samples: SampleFlags = None,
+    light: LightFlags = None,
+) -> None:
+    """Calibrate on a bare head that turns all the way left and right, with a fixed expression, in the dark.
+
+    Parameters
+    ----------
+    source
+        A video, a folder of images, or a pattern.
+    out
+        The rig.json to write.
+    background
+        Image of the scene under ambient light only, subtracted.
+    transfer
+        Transfer curve of the footage: linear, srgb, bt709 or gamma:G.
+    camera
+        A rig.json whose camera is taken; best.
+    focal_px
+        Focal length in pixels, for a pinhole camera instead; with neither it is fitted to the turn, roughly.
+    frames
+        Which frames, a:b:c: from a, below b, every c-th; 60 to 120 are plenty.
+    mesh
+        Also write the head's mesh, .ply or .obj; its unit is the distance from the camera.
+    figure
+        Also write a picture of tracks, shape, samples and lights, .png.
+    head_shape
+        Shape that gives the normals: silhouettes alone, or fused with stereo.
+    """
+    job = CalibrationJob(
+        source=source,
+        background=background,
+        transfer=Transfer.from_text(transfer),
+        camera=camera,
+        focal_px=focal_px,
+        frames=FrameRange.from_text(frames),
+    )
+    options = HeadOptions(
+        head_shape=head_shape,
+        contrast=contrast or ContrastOptions(),
+        silhouettes=silhouettes or SilhouetteOptions(),
+        tracks=tracks or TrackOptions(),
+        poses=poses or PoseOptions(),
+        hull=hull or HullOptions(),
+        stereo=stereo or StereoOptions(),
+        fusion=fusion or FusionOptions(),
+        samples=samples or SampleOptions(),
+        light=light or LightOptions(),
+    )
+    with contextlib.ExitStack() as stack:
+        rig, result = calibrate_head(job, options, _Bars(stack))
+    write_rig(out, rig)
+    if mesh is not None:
+        write_mesh(mesh, result.mesh)
+    if figure is not None:
+        from vntoolkit.report.head_figure import write_head_figure
+
+        write_head_figure(figure, job, result)
+    motion = result.motion
+    report_rig(
+        out,
+        rig,
+        f"{len(motion.camera_from_head)} poses over {motion.turn_deg:.0f} degrees, "
+        f"{len(motion.point)} tracks to {motion.error_px:.2f} px",
+    )
+    if camera is None and focal_px is None:
+        print(f"  focal length      {motion.camera.matrix[0, 0]:.0f} px, fitted to the turn: a rough guess")
+    print(f"  samples agreeing  {result.light.inliers.mean():.0%}")
+    print("  time              " + ", ".join(f"{k} {s:.0f} s" for k, s in result.stage_seconds.items()))
+
+
+class _Bars:
+    """One progress bar after the other, a stage each."""
+
+    def __init__(self, stack: contextlib.ExitStack) -> None:
+        self._stack = stack
+        self._stage = ""
+        self._done = 0
+        self._advance: Advance = lambda n: None
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        if stage != self._stage:
+            self._stack.close()
+            self._advance = self._stack.enter_context(progress_bar(stage, total))
+            self._stage, self._done = stage, 0
+        self._advance(done - self._done)
+        self._done = done

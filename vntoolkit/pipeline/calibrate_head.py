@@ -1,0 +1,250 @@
+"""Calibration on a bare head that turns: tracks, poses, hull, stereo, light, joined into a rig."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.calibration.head.contrast import ContrastOptions, local_contrast
+from vntoolkit.calibration.head.fusion import FusionOptions, fuse_points
+from vntoolkit.calibration.head.hull import (
+    DistanceGrid,
+    HullOptions,
+    View,
+    box_about_points,
+    fit_hull,
+    mesh_of_grid,
+)
+from vntoolkit.calibration.head.light import HeadLight, LightOptions, fit_light
+from vntoolkit.calibration.head.poses import HeadMotion, PoseOptions, solve_head_motion
+from vntoolkit.calibration.head.samples import HeadRays, HeadSamples, LightFrame, SampleOptions, sample_head
+from vntoolkit.calibration.head.silhouettes import (
+    Silhouette,
+    SilhouetteOptions,
+    find_silhouette,
+    require_head,
+)
+from vntoolkit.calibration.head.stereo import (
+    StereoOptions,
+    spread_over_turn,
+    stereo_points,
+)
+from vntoolkit.calibration.head.tracks import TrackBuilder, TrackOptions, Tracks, require_tracks
+from vntoolkit.errors import BadCalibration, BadInput
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.io.files import source_file
+from vntoolkit.io.undistortion import Undistorter
+from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.rig import Rig
+from vntoolkit.pipeline.calibrate import CalibrationJob
+
+_SEED = 0
+_GUESSED_FOCAL = 3.0  # of the picture's longer side, where nobody knows: a portrait lens
+_LEAST_FRAMES, _MOST_FRAMES = 12, 400
+_HULL_VIEWS = 32
+Progress = Callable[[str, int, int], None]
+
+
+class HeadShape(Enum):
+    """Which shape gives the normals."""
+
+    HULL = "hull"  # silhouettes alone: quick, and enough for M on a well-lit head
+    FUSED = "fused"  # silhouettes and stereo
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeadOptions:
+    """Options of all stages. head_shape: shape that gives the normals."""
+
+    head_shape: HeadShape = HeadShape.FUSED
+    contrast: ContrastOptions = field(default_factory=ContrastOptions)
+    silhouettes: SilhouetteOptions = field(default_factory=SilhouetteOptions)
+    tracks: TrackOptions = field(default_factory=TrackOptions)
+    poses: PoseOptions = field(default_factory=PoseOptions)
+    hull: HullOptions = field(default_factory=HullOptions)
+    stereo: StereoOptions = field(default_factory=StereoOptions)
+    fusion: FusionOptions = field(default_factory=FusionOptions)
+    samples: SampleOptions = field(default_factory=SampleOptions)
+    light: LightOptions = field(default_factory=LightOptions)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HeadFootage:
+    """What is kept of the footage: per frame used its number, silhouette and 8-bit local contrast."""
+
+    numbers: tuple[int, ...]
+    silhouettes: tuple[Silhouette, ...]
+    contrasts: tuple[npt.NDArray[np.uint8], ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HeadCalibration:
+    """Everything that a calibration found. mesh: in the head frame. light_numbers: frames of the samples.
+
+    stage_seconds: wall time per stage.
+    """
+
+    footage: HeadFootage
+    tracks: Tracks
+    motion: HeadMotion
+    hull: Mesh
+    mesh: Mesh
+    light_numbers: tuple[int, ...]
+    samples: HeadSamples
+    light: HeadLight
+    stage_seconds: Mapping[str, float]
+
+
+def calibrate_head(
+    job: CalibrationJob,
+    options: HeadOptions | None = None,
+    on_progress: Progress = lambda stage, done, total: None,
+) -> tuple[Rig, HeadCalibration]:
+    """Fit a rig to footage of a head that turns left and right with a fixed expression (brostow2011, IV).
+
+    on_progress is told the stage, what is done of it and how much there is. Raises `BadCalibration` that
+    names the stage and what to film instead.
+    """
+    options = options or HeadOptions()
+    rng = np.random.default_rng(_SEED)
+    clock = _Clock()
+    capture = job.open()
+    given = job.camera_for(capture.info)
+    size = (capture.info.width, capture.info.height)
+    undistorter = Undistorter(
+        given or Camera.pinhole(width=size[0], height=size[1], focal_px=_GUESSED_FOCAL * max(size))
+    )
+    with clock.stage("tracks"):
+        footage, tracks = _follow(job, undistorter, options, on_progress)
+    with clock.stage("poses"):
+        on_progress("poses", 0, 1)
+        motion = solve_head_motion(tracks, undistorter.camera, options.poses, rng, refine_focal=given is None)
+        on_progress("poses", 1, 1)
+    views = [
+        View(camera=motion.camera, camera_from_head=pose, mask=silhouette.mask)
+        for pose, silhouette in zip(motion.camera_from_head, footage.silhouettes, strict=True)
+    ]
+    with clock.stage("hull"):
+        on_progress("hull", 0, 1)
+        box = box_about_points(motion.points_in_head)
+        grid = fit_hull([views[k] for k in spread_over_turn(views, _HULL_VIEWS)], box, options.hull)
+        hull = mesh_of_grid(grid)
+        on_progress("hull", 1, 1)
+    mesh = hull
+    if options.head_shape is HeadShape.FUSED:
+        with clock.stage("stereo"):
+            mesh = _fused(views, footage, hull, grid, options, on_progress)
+    with clock.stage("light"):
+        chosen = spread_over_turn(views, options.samples.light_frames)
+        frames = [
+            LightFrame(
+                frame=undistorter.frame(capture.frame(footage.numbers[k])),
+                camera_from_head=motion.camera_from_head[k],
+                mask=footage.silhouettes[k].mask,
+            )
+            for k in _each(chosen.tolist(), "light", on_progress)
+        ]
+        samples = sample_head(mesh, motion.camera, frames, options.samples, rng)
+        light = fit_light(samples, HeadRays(mesh), options.light, rng)
+    extra = [path for path in (job.background,) if path is not None]
+    rig = Rig(
+        camera=motion.camera if given is None else given,
+        response=light.response,
+        transfer=job.transfer,
+        quality=light.quality,
+        sources=tuple(source_file(path) for path in (*capture.info.files, *extra)),
+    )
+    return rig, HeadCalibration(
+        footage=footage,
+        tracks=tracks,
+        motion=motion,
+        hull=hull,
+        mesh=mesh,
+        light_numbers=tuple(footage.numbers[k] for k in chosen),
+        samples=samples,
+        light=light,
+        stage_seconds=clock.seconds,
+    )
+
+
+def follow_frames(
+    frames: Iterator[LinearFrame] | list[LinearFrame], options: HeadOptions
+) -> tuple[HeadFootage, Tracks]:
+    """Find silhouettes and tracks in frames; raise `BadCalibration` where either is no use."""
+    builder = TrackBuilder(options=options.tracks)
+    numbers, silhouettes, contrasts = [], [], []
+    for frame in frames:
+        silhouette = find_silhouette(frame.rgb, options.silhouettes)
+        contrast = local_contrast(frame.rgb, options.contrast)
+        builder.add(contrast, silhouette.mask)
+        numbers.append(frame.number)
+        silhouettes.append(silhouette)
+        contrasts.append(builder.image)
+    require_head(silhouettes)
+    tracks = builder.finish()
+    require_tracks(tracks)
+    footage = HeadFootage(numbers=tuple(numbers), silhouettes=tuple(silhouettes), contrasts=tuple(contrasts))
+    return footage, tracks
+
+
+def _follow(
+    job: CalibrationJob, undistorter: Undistorter, options: HeadOptions, on_progress: Progress
+) -> tuple[HeadFootage, Tracks]:
+    capture = job.open()
+    numbers = job.frames.numbers(capture.info.frame_count)
+    if not _LEAST_FRAMES <= len(numbers) <= _MOST_FRAMES:
+        more = len(numbers) > _MOST_FRAMES
+        hint = f"give --frames ::{-(-len(numbers) // 120)}" if more else "film at most 4 degrees a frame"
+        fault = BadInput if more else BadCalibration
+        raise fault(
+            f"tracks: expected {_LEAST_FRAMES} to {_MOST_FRAMES} frames of the turn, got {len(numbers)}; "
+            f"{hint}"
+        )
+
+    def frames() -> Iterator[LinearFrame]:
+        read = capture.frames(numbers.start, numbers.stop, numbers.step)
+        for done, frame in enumerate(read, start=1):
+            yield undistorter.frame(frame)
+            on_progress("tracks", done, len(numbers))
+
+    return follow_frames(frames(), options)
+
+
+def _fused(
+    views: list[View],
+    footage: HeadFootage,
+    hull: Mesh,
+    grid: DistanceGrid,
+    options: HeadOptions,
+    on_progress: Progress,
+) -> Mesh:
+    references = spread_over_turn(views, options.stereo.references)
+    maps = [
+        stereo_points(views, footage.contrasts, hull, k, options.stereo)
+        for k in _each(references.tolist(), "stereo", on_progress)
+    ]
+    return fuse_points(maps, hull, grid, options.fusion)
+
+
+def _each(items: list[int], stage: str, on_progress: Progress) -> Iterator[int]:
+    for done, item in enumerate(items, start=1):
+        yield item
+        on_progress(stage, done, len(items))
+
+
+class _Clock:
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        self.seconds[name] = time.perf_counter() - start

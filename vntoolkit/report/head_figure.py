@@ -1,0 +1,178 @@
+"""A picture of a calibration on a head: tracks, shape over the silhouettes, samples, normals seen, lights."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.arrays import FloatArray, LinearImage, Mask
+from vntoolkit.calibration.head.stereo import turn_angles_deg
+from vntoolkit.calibration.quality import angles_deg
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.geometry.rigid import RigidTransform
+from vntoolkit.native import import_open3d
+from vntoolkit.pipeline.calibrate import CalibrationJob
+from vntoolkit.pipeline.calibrate_head import HeadCalibration
+from vntoolkit.report.raycast_view import View, picture_of
+
+_DISPLAY_GAMMA = 1 / 2.2
+_TRAIL_FRAMES = 8
+_MOST_TRAILS = 400
+_LIGHT_COLOURS = ("#d62728", "#2ca02c", "#1f77b4")
+_VIEW_HEIGHT = 1.1  # of the mesh's own height
+
+
+def write_head_figure(path: Path | str, job: CalibrationJob, result: HeadCalibration) -> None:
+    """Write a .png: frames towards the ends and in the middle of the turn, and a row of summaries."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    count = len(result.light_numbers)
+    shown = sorted({count // 6, count // 2, count - 1 - count // 6})
+    figure = Figure(figsize=(15, 16), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(4, 3)
+    capture = job.open()
+    for column, place in enumerate(shown):
+        number = result.light_numbers[place]
+        used = result.footage.numbers.index(number)
+        image = _displayed(capture.frame(number).rgb)
+        _draw_tracks(axes[0, column], image, result, used)
+        _draw_shape(axes[1, column], image, result, used)
+        _draw_samples(axes[2, column], image, result, place)
+        axes[0, column].set_title(f"frame {number}: tracks (green kept, red rejected)")
+    _draw_turn(axes[3, 0], result)
+    _draw_sphere(axes[3, 1], result)
+    _draw_meshes(axes[3, 2], result)
+    figure.savefig(path, dpi=70)
+
+
+def _draw_tracks(axis: Any, image: npt.NDArray[np.uint8], result: HeadCalibration, used: int) -> None:
+    tracks, motion = result.tracks, result.motion
+    _show(axis, image)
+    here = tracks.point[tracks.frame == used]
+    here = here[:: max(1, len(here) // _MOST_TRAILS)]
+    kept = np.isin(here, motion.point)
+    starts = np.searchsorted(tracks.point, here)
+    ends = np.searchsorted(tracks.point, here, side="right")
+    judged = np.isin(here, motion.offered)
+    for good, start, end, counts in zip(kept, starts, ends, judged, strict=True):
+        if not counts:
+            continue
+        recent = np.abs(tracks.frame[start:end] - used) <= _TRAIL_FRAMES
+        trail = tracks.positions_px[start:end][recent]
+        axis.plot(trail[:, 0], trail[:, 1], color="#3bff5a" if good else "#ff3030", linewidth=0.8)
+
+
+def _draw_shape(axis: Any, image: npt.NDArray[np.uint8], result: HeadCalibration, used: int) -> None:
+    motion = result.motion
+    pose = motion.camera_from_head[used]
+    shading = _shading(result.mesh, motion.camera, pose)
+    blend = np.where(shading[..., None] >= 0, 255.0 * np.maximum(shading, 0)[..., None], 0.4 * image)
+    _show(axis, blend.astype(np.uint8))
+    axis.contour(result.footage.silhouettes[used].mask, levels=[0.5], colors="#ffd000", linewidths=0.8)
+    hull = _shading(result.hull, motion.camera, pose) >= 0
+    axis.contour(hull, levels=[0.5], colors="#00d0ff", linewidths=0.6)
+    overlap = _overlap(shading >= 0, result.footage.silhouettes[used].mask)
+    axis.set_title(f"shape; silhouette yellow, hull blue; overlap {overlap:.3f}")
+
+
+def _draw_samples(axis: Any, image: npt.NDArray[np.uint8], result: HeadCalibration, place: int) -> None:
+    samples, light = result.samples, result.light
+    _show(axis, image // 2)
+    own = samples.frame == place
+    for chosen, colour in (
+        (own & light.inliers, "#3bff5a"),
+        (own & ~light.inliers & ~light.shadowed, "#ff3030"),
+        (own & light.shadowed, "#4090ff"),
+    ):
+        axis.scatter(*samples.position_px[chosen].T, s=2, color=colour, linewidths=0)
+    axis.set_title("samples: green agree, red disagree, blue in shadow")
+
+
+def _draw_turn(axis: Any, result: HeadCalibration) -> None:
+    angles = turn_angles_deg(result.motion.camera_from_head)
+    numbers = np.array(result.footage.numbers)
+    axis.plot(numbers, angles, ".-", color="0.3", markersize=4, label="turn")
+    gaps = result.motion.interpolated
+    axis.plot(numbers[gaps], angles[gaps], "x", color="#ff3030", label="interpolated")
+    axis.set(xlabel="frame", ylabel="degrees", title=f"turn, {result.motion.turn_deg:.0f} degrees in all")
+    axis.legend()
+
+
+def _draw_sphere(axis: Any, result: HeadCalibration) -> None:
+    """Draw the normals seen, seen by the camera, in the colour of their residual, and the lights."""
+    samples, light = result.samples, result.light
+    normals = samples.normals_in_camera[light.inliers]
+    colours = samples.rgb[light.inliers] / light.albedo[light.inliers] - light.response.ambient
+    residual = angles_deg(colours @ light.response.inverse.T, normals)
+    points = axis.scatter(normals[:, 0], normals[:, 1], c=residual, s=3, vmin=0, vmax=15, cmap="viridis")
+    axis.figure.colorbar(points, ax=axis, label="residual, degrees")
+    names = ("light 0", "light 1", "light 2")
+    for direction, colour, name in zip(light.response.light_directions, _LIGHT_COLOURS, names, strict=True):
+        axis.plot(*direction[:2], "*", color=colour, markersize=18, markeredgecolor="white", label=name)
+    axis.add_artist(_circle())
+    axis.set(aspect="equal", xlim=(-1.05, 1.05), ylim=(1.05, -1.05))
+    axis.set_title(f"normals seen and lights; median residual {light.quality.residual_deg:.1f} degrees")
+    axis.legend(loc="lower right")
+
+
+def _draw_meshes(axis: Any, result: HeadCalibration) -> None:
+    low, high = result.mesh.vertices.min(axis=0), result.mesh.vertices.max(axis=0)
+    pictures = []
+    for mesh in (result.hull, result.mesh):
+        plain = Mesh(vertices=mesh.vertices, faces=mesh.faces)
+        row = [
+            picture_of(
+                [plain],
+                View(
+                    centre=0.5 * (low + high),
+                    height=_VIEW_HEIGHT * float(high[1] - low[1]),
+                    azimuth_deg=azimuth,
+                    width_px=240,
+                    height_px=240,
+                ),
+            )
+            for azimuth in (-50.0, 0.0, 50.0)
+        ]
+        pictures.append(np.hstack(row))
+    _show(axis, np.vstack(pictures))
+    axis.set_title("hull (above) and the shape used (below)")
+
+
+def _shading(mesh: Mesh, camera: Camera, pose: RigidTransform) -> FloatArray:
+    """Return (h, w) how much the mesh faces the camera, 0 to 1, and −1 beside it."""
+    o3d = import_open3d()
+    scene = o3d.t.geometry.RaycastingScene()
+    scene.add_triangles(
+        o3d.core.Tensor(np.ascontiguousarray(pose.apply(mesh.vertices), dtype=np.float32)),
+        o3d.core.Tensor(np.ascontiguousarray(mesh.faces, dtype=np.uint32)),
+    )
+    directions = camera.unproject(camera.pixel_grid(), np.ones((camera.height, camera.width)))
+    rays = np.concatenate([np.zeros_like(directions), directions], axis=-1).astype(np.float32)
+    hits = scene.cast_rays(o3d.core.Tensor(rays))
+    facing = np.abs(hits["primitive_normals"].numpy()[..., 2])
+    return np.where(np.isfinite(hits["t_hit"].numpy()), facing, -1.0)
+
+
+def _overlap(first: Mask, second: Mask) -> float:
+    return float((first & second).sum() / max(1, (first | second).sum()))
+
+
+def _displayed(rgb: LinearImage) -> npt.NDArray[np.uint8]:
+    return (255.0 * np.clip(rgb, 0.0, 1.0) ** _DISPLAY_GAMMA).astype(np.uint8)
+
+
+def _show(axis: Any, image: npt.NDArray[np.uint8]) -> None:
+    axis.imshow(image)
+    axis.set_axis_off()
+
+
+def _circle() -> Any:
+    from matplotlib.patches import Circle
+
+    return Circle((0, 0), 1.0, fill=False, color="0.5")
