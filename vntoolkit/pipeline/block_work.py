@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -18,9 +19,10 @@ from vntoolkit.io.maps import read_mask
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.visibility import ALL_LIT
 from vntoolkit.pipeline.frame_processor import FrameProcessor, FrameResult
-from vntoolkit.pipeline.options import OnError, ReconstructOptions
+from vntoolkit.pipeline.options import DepthOffset, OnError, Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.overlap import WriteBehind, read_ahead
+from vntoolkit.pipeline.temporal import smoothed_frames
 from vntoolkit.shadows.detector import ShadowMethod
 
 
@@ -44,6 +46,11 @@ class ReconstructionJob:
         """True where visibility labels are written beside the normals."""
         return self.options.shadows is not ShadowMethod.NONE
 
+    @property
+    def ties_depth(self) -> bool:
+        """True where depth is made and tied to a reference frame."""
+        return self.options.depth_offset is DepthOffset.REFERENCE and self.options.to is not Product.NORMALS
+
     def open_capture(self) -> Capture:
         """Open the capture with the rig's transfer curve."""
         options = CaptureOptions(transfer=self.rig.transfer, background=self.background, threads=self.threads)
@@ -64,6 +71,13 @@ class BlockWorker:
         self._capture = job.open_capture()
         mask = job.read_mask(self._capture)
         self._processor = FrameProcessor(job.rig, job.options, mask, self._capture.background)
+        reference = job.options.reference_frame
+        if job.ties_depth and reference is not None:
+            with contextlib.suppress(VntError):  # where it is met as a frame, it is reported
+                frame = next(
+                    smoothed_frames(self._capture, range(reference, reference + 1), job.options.smoothing)
+                )
+                self._processor.anchor_to(frame)
 
     def run(self, block: range, already_done: frozenset[int] = frozenset()) -> Iterator[FrameEntry]:
         """Process a block and write its frames, but for those already on disk; yield a record per new frame.
@@ -72,7 +86,7 @@ class BlockWorker:
         frame's files are in place.
         """
         self._processor.forget()
-        frames = self._capture.encoded_frames(block.start, block.stop, block.step)
+        frames = smoothed_frames(self._capture, block, self._job.options.smoothing)
         written: list[FrameEntry] = []
 
         def write(done: tuple[FrameEntry, FrameResult | None]) -> None:

@@ -12,6 +12,7 @@ from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadCapture
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.integration.anchor import DepthAnchor
 from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.io.decoding import EncodedFrame, linear_frame_from_encoded
 from vntoolkit.io.undistortion import Undistorter
@@ -63,11 +64,20 @@ class FrameProcessor:
         whole = np.ones(shape, dtype=np.bool_) if mask is None else mask
         self._mask = self._undistorter.mask(whole)
         self._integrator = DepthIntegrator(self.camera, options.integration)
+        self._anchor: DepthAnchor | None = None
         self._central = rig.response.central
         self._leveller = None
         if rig.response.variation is not None and options.shadows is not ShadowMethod.NONE:
             self._leveller = Leveller(rig.response, shape)
         self._detector = ShadowDetector(self._central, options.shadows, options.detection, self.camera)
+
+    def anchor_to(self, frame: EncodedFrame) -> None:
+        """Tie the depth of all later frames to this one's; see `DepthAnchor`. Raises as `process` does."""
+        self.forget()
+        normal_map, _, _ = self._normals(frame)
+        if normal_map.mask.any():
+            self._anchor = DepthAnchor(self._integrator.integrate(normal_map))
+        self.forget()
 
     def forget(self) -> None:
         """Drop everything that one frame hands to the next, so that a run may start at any block."""
@@ -145,6 +155,8 @@ class FrameProcessor:
 
     def _depth(self, normal_map: NormalMap) -> DepthMap:
         depth_map = self._integrator.integrate(normal_map)
+        if self._anchor is not None:
+            depth_map = self._anchor.align(depth_map)
         if depth_map.unit is LengthUnit.FREE and self._options.distance_m is not None:
             scaled = depth_map.depth * self._options.distance_m
             return replace(depth_map, depth=scaled, unit=LengthUnit.METRE)

@@ -28,6 +28,13 @@ class OnError(Enum):
     SKIP = "skip"  # the frame is left out, and named in the manifest and at the end
 
 
+class DepthOffset(Enum):
+    """How the constant that normals leave free is fixed, frame by frame."""
+
+    REFERENCE = "reference"  # so that depth rests where the subject does: tied to the first frame
+    MEAN = "mean"  # mean depth 0 (perspective: 1) over every connected part
+
+
 @dataclass(frozen=True, kw_only=True)
 class ReconstructOptions:
     """Options of `reconstruct`, beyond those of the stages.
@@ -36,13 +43,19 @@ class ReconstructOptions:
     optical axis; fixes the scale that normals alone leave free. match_albedo: measure how much brighter the
     subject is than the calibration material, on the first frame, instead of taking them for the same.
     shadows: how self-shadows are found; the surface under them is then recovered, and labels are written.
-    on_error: what a failing frame does.
+    depth_offset: how the constant that normals leave free is fixed. reference_frame: the frame that depth is
+    tied to; default: the first of the run that makes the folder. smoothing: difference of colour, as a share
+    of full scale, up to which a pixel of the frame before or after counts as the same surface at rest and is
+    averaged in; 0 for none, about 3 times the noise to use it. on_error: what a failing frame does.
     """
 
     to: Product = Product.MESH
     distance_m: float | None = None
     match_albedo: bool = True
     shadows: ShadowMethod = ShadowMethod.ROBUST
+    depth_offset: DepthOffset = DepthOffset.REFERENCE
+    reference_frame: int | None = None
+    smoothing: float = 0.0
     on_error: OnError = OnError.STOP
     inversion: InversionOptions = field(default_factory=InversionOptions)
     integration: IntegrationOptions = field(default_factory=IntegrationOptions)
@@ -53,3 +66,7 @@ class ReconstructOptions:
     def __post_init__(self) -> None:
         if self.distance_m is not None and not self.distance_m > 0:
             raise BadInput(f"distance: expected a positive number of metres, got {self.distance_m:g}")
+        if not 0 <= self.smoothing <= 1:
+            raise BadInput(f"smoothing: expected a share of full scale from 0 to 1, got {self.smoothing:g}")
+        if self.reference_frame is not None and self.reference_frame < 0:
+            raise BadInput(f"reference frame: expected a frame number, got {self.reference_frame}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import shutil
 import time
 from collections.abc import Callable
@@ -10,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vntoolkit.errors import BadCapture, BadInput
+from vntoolkit.errors import BadCapture, BadInput, VntError
 from vntoolkit.io.atomic import require_writable_folder
 from vntoolkit.io.captures import Capture
 from vntoolkit.io.files import source_file
@@ -27,6 +28,7 @@ from vntoolkit.io.manifest import (
     require_resumable,
     write_manifest,
 )
+from vntoolkit.io.plausibility import findings_from_capture
 from vntoolkit.io.rig_schema import SourceEntry
 from vntoolkit.io.rigs import entry_from_rig
 from vntoolkit.normals.inversion import relative_albedo_from_frame
@@ -35,6 +37,8 @@ from vntoolkit.pipeline.blocks import blocks_of
 from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.pipeline.option_values import option_values
 from vntoolkit.pipeline.run_blocks import run_blocks
+
+logger = logging.getLogger(__name__)
 
 Started = Callable[[int, int], None]
 Finished = Callable[[FrameEntry], None]
@@ -77,12 +81,13 @@ def reconstruct(
     root = require_writable_folder(job.folder.root)
     if overwrite:
         clear(root)
-    job = _with_matched_albedo(job, capture, numbers, root)
+    job = _with_reference_frame(_with_matched_albedo(job, capture, numbers, root), capture, numbers, root)
     manifest = _manifest(job, capture, frames)
     require_resumable(root, manifest)
     log = FrameLog(root)
     on_disk = _frames_on_disk(job, log)
     write_manifest(root, manifest)
+    _warn_of_the_implausible(job, capture, numbers)
     on_start(len(numbers), len(on_disk & set(numbers)))
     records = _run(job, numbers, on_disk, jobs, log, on_frame)
     seconds = time.perf_counter() - started
@@ -160,6 +165,32 @@ def _with_matched_albedo(
         albedo = _measure_albedo(job, capture, numbers)
     inversion = replace(job.options.inversion, relative_albedo=albedo)
     return replace(job, options=replace(job.options, inversion=inversion))
+
+
+def _with_reference_frame(
+    job: ReconstructionJob, capture: Capture, numbers: range, root: Path
+) -> ReconstructionJob:
+    """Choose the frame that depth is tied to, once a folder."""
+    reference = job.options.reference_frame
+    if reference is None:
+        stored = None
+        if (root / MANIFEST_NAME).exists():
+            stored = read_manifest(root).options.get("reference_frame")
+        reference = stored if isinstance(stored, int) else numbers[0]
+    elif reference >= capture.info.frame_count:
+        raise BadInput(f"reference frame: the capture has only {capture.info.frame_count} frames")
+    return replace(job, options=replace(job.options, reference_frame=reference))
+
+
+def _warn_of_the_implausible(job: ReconstructionJob, capture: Capture, numbers: range) -> None:
+    """Log what the footage tells of mistakes that ruin normals without failing."""
+    try:
+        findings = findings_from_capture(capture, job.rig, job.read_mask(capture), numbers)
+    except VntError as problem:  # a bad frame is reported when its turn comes
+        logger.debug("plausibility not checked: %s", problem)
+        return
+    for finding in findings:
+        logger.warning("%s", finding)
 
 
 def _measure_albedo(job: ReconstructionJob, capture: Capture, numbers: range) -> float:
