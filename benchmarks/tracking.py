@@ -45,8 +45,9 @@ def main() -> None:
     camera = Camera.orthographic(width=width, height=height)
     default = TrackingOptions()
     cases = {
-        "default, confidence weights": default,
-        "default, unweighted": replace(default, confidence=Confidence.NONE),
+        "default": default,
+        "confidence weights": replace(default, confidence=Confidence.TEMPLATE),
+        "unweighted": replace(default, confidence=Confidence.NONE),
         "published, translation": options_of(Tracker.TRANSLATION),
         "published, Laplacian": options_of(Tracker.LAPLACIAN_PREVIOUS),
         "flow alone": options_of(Tracker.FLOW),

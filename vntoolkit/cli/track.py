@@ -69,7 +69,7 @@ def track(
     data_share
         Share α of the data term under the translation regulariser, 0 to 1.
     confidence
-        What weights the vertices in the data term.
+        What is done with vertices where the frame does not match the template.
     seams
         JSON file of polylines on the template image where the surface is cut, as at mouth and eyes.
     template

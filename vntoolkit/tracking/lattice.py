@@ -23,7 +23,8 @@ class TemplateLattice:
     """Cells of the template and how they hang together.
 
     node_of_vertex: (n,). taps, shares: (n, 4) nodes whose values make a vertex's, and their weights, which
-    sum to 1. starts, neighbours: adjacency of the nodes, by rows. count: number of nodes.
+    sum to 1. starts, neighbours: adjacency of the nodes, by rows. cells: (nodes, 2) column and row of each
+    node's cell. count: number of nodes.
     """
 
     node_of_vertex: npt.NDArray[np.int32]
@@ -31,6 +32,7 @@ class TemplateLattice:
     shares: npt.NDArray[np.float32]
     starts: npt.NDArray[np.int64]
     neighbours: npt.NDArray[np.int32]
+    cells: npt.NDArray[np.int64]
     count: int
 
     def sums(self, values: FloatArray) -> npt.NDArray[np.float64]:
@@ -76,6 +78,7 @@ def lattice_on_template(template: TrackingTemplate, cell_px: int) -> TemplateLat
         shares=shares,
         starts=links.indptr.astype(np.int64),
         neighbours=links.indices.astype(np.int32),
+        cells=np.stack([cell_of_node % columns, cell_of_node // columns], axis=1),
         count=int(nodes),
     )
 

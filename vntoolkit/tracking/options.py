@@ -40,10 +40,11 @@ class DriftCorrection(Enum):
 
 
 class Confidence(Enum):
-    """What weights the vertices in the data term."""
+    """What is done with vertices where the frame does not match the template."""
 
     NONE = "none"
-    TEMPLATE = "template"  # how well the frame matches the template where the vertex now lies
+    TEMPLATE = "template"  # they weigh less in the data term
+    CARRIED = "carried"  # they are carried along by those around them, from the template (`Extrapolation`)
 
 
 class FlowMethod(Enum):
@@ -102,7 +103,7 @@ class TrackingOptions:
     regulariser: Regulariser = Regulariser.LAPLACIAN
     laplacian: LaplacianKind = LaplacianKind.UNIFORM
     rest: RestShape = RestShape.PREVIOUS
-    confidence: Confidence = Confidence.TEMPLATE
+    confidence: Confidence = Confidence.CARRIED
     smoothing_length: float = 16.0
     data_share: float = 0.9
     handle_spacing_px: int = 8
@@ -115,8 +116,10 @@ class TrackingOptions:
         require_in_range(self.drift.every, 1, 1e6, "frames from one drift correction to the next")
         require_in_range(self.drift.cell_px, 4, 64, "lattice cell in pixels")
         require_in_range(self.flow.window_px, 5, 101, "flow window in pixels")
-        without_drift = self.drift.correction is DriftCorrection.NONE
-        if self.confidence is Confidence.TEMPLATE and without_drift:
-            raise BadInput("confidence `template` needs drift correction `template`, which it is measured by")
-        if self.confidence is Confidence.TEMPLATE and self.regulariser is not Regulariser.LAPLACIAN:
-            raise BadInput(f"confidence weights need regulariser `laplacian`, not `{self.regulariser.value}`")
+        used, name = self.confidence is not Confidence.NONE, self.confidence.value
+        if used and self.drift.correction is DriftCorrection.NONE:
+            raise BadInput(f"confidence `{name}` needs drift correction `template`, which it is measured by")
+        if used and self.regulariser is not Regulariser.LAPLACIAN:
+            raise BadInput(
+                f"confidence `{name}` needs regulariser `laplacian`, not `{self.regulariser.value}`"
+            )

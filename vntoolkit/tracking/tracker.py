@@ -18,6 +18,7 @@ from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.tracking.advection import advected_positions, targets_on_surface
 from vntoolkit.tracking.arap import ArapRegulariser
 from vntoolkit.tracking.drift import TemplateRegistration
+from vntoolkit.tracking.extrapolation import Extrapolation
 from vntoolkit.tracking.flow import flow_between, flow_from_tracks
 from vntoolkit.tracking.flow_slopes import slope_pyramid
 from vntoolkit.tracking.laplacian_coordinates import LaplacianRegulariser, beta_from_smoothing_length
@@ -89,7 +90,9 @@ class SurfaceTracker:
         self._steps = 0
         self._previous = template
         self._positions_before = self.state.positions_px
-        self._registration = self._new_registration(template)
+        self._registration: TemplateRegistration | None = None
+        self._extrapolation: Extrapolation | None = None
+        self._prepare_registration(template)
         self._regularise_pixels = self._registration is not None
         self._solver = self._new_solver()
 
@@ -143,6 +146,9 @@ class SurfaceTracker:
             return moved
         if self.options.confidence is Confidence.TEMPLATE:
             return np.asarray(rest + solver.solve_weighted(moved - rest, confidence))
+        if self._extrapolation is not None:
+            template = self.template.positions_px
+            moved = template + self._extrapolation.carried(moved - template, confidence)
         return np.asarray(rest + solver.solve(moved - rest))
 
     def _regularised_vertices(self, targets: Points) -> Points:
@@ -158,13 +164,15 @@ class SurfaceTracker:
             return solver.solve(before, targets)
         return targets
 
-    def _new_registration(self, normal_map: NormalMap) -> TemplateRegistration | None:
+    def _prepare_registration(self, normal_map: NormalMap) -> None:
         drift = self.options.drift
         if drift.correction is DriftCorrection.NONE or self.options.flow.method is FlowMethod.NONE:
-            return None
+            return
         lattice = lattice_on_template(self.template, drift.cell_px)
         pyramid = slope_pyramid(normal_map, drift.levels)
-        return TemplateRegistration(self.template, lattice, pyramid, drift)
+        self._registration = TemplateRegistration(self.template, lattice, pyramid, drift)
+        if self.options.confidence is Confidence.CARRIED:
+            self._extrapolation = Extrapolation(lattice)
 
     def _new_solver(self) -> TranslationRegulariser | LaplacianRegulariser | ArapRegulariser | None:
         options, template = self.options, self.template
