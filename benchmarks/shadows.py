@@ -2,8 +2,8 @@
 
 python -m benchmarks.shadows [--data FOLDER] [--scenes face spandex]      # 1 min
 
-FOLDER: see `shadow_captures`. Angles are means in degrees: over all pixels, and over pixels that exactly one
-light does not reach. Times are minima of three runs.
+FOLDER: see `vntoolkit/pipeline/referenced_captures.py`. Angles are means in degrees: over all pixels, and
+over pixels that exactly one light does not reach. Times are minima of three runs.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from benchmarks.shadow_captures import CAPTURES, ReferencedCapture, read_capture
 from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.visibility import count_lit, lit_from_labels
+from vntoolkit.pipeline.referenced_captures import CAPTURES, ReferencedCapture, read_capture
 from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
 from vntoolkit.shadows.recovery import RecoveryMethod, RecoveryOptions, recover_normals
 from vntoolkit.simulation.image_formation import true_response
@@ -32,7 +32,14 @@ def simulated(name: str) -> tuple[ReferencedCapture, object]:
     frame, response = render_frame(scene, 0), true_response(scene, Nuisances())
     truth = frame.truth
     normals = truth.normals.normals_in_camera
-    return ReferencedCapture(frame.linear, response, normals, truth.labels, truth.normals.mask), scene.camera
+    capture = ReferencedCapture(
+        frame=frame.linear,
+        response=response,
+        normals=normals,
+        labels=truth.labels,
+        mask=truth.normals.mask,
+    )
+    return capture, scene.camera
 
 
 def errors(capture: ReferencedCapture, labels, method: RecoveryMethod, camera=None) -> str:

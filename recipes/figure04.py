@@ -13,6 +13,7 @@ import numpy as np
 
 from vntoolkit.io.atomic import write_text
 from vntoolkit.photometry.visibility import lit_from_labels
+from vntoolkit.report.numbers import number, write_numbers
 from vntoolkit.report.shadow_figure import write_detection_figure
 from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
 from vntoolkit.simulation.image_formation import true_response
@@ -41,7 +42,13 @@ def main(out: Path, scene_name: str = "face") -> None:
     write_detection_figure(out / "figure04.png", rendered.linear, response, {**labels, "truth": truth}, mask)
     overlaps = {name: overlap(found, truth, mask) for name, found in labels.items()}
     write_text(out / "figure04.json", json.dumps(overlaps, indent=1) + "\n")
-    print(overlaps)
+    numbers = [
+        number(f"{scene_name}, light {k}, {name}: overlap with the true shadow", values[k], "of 1")
+        for name, values in overlaps.items()
+        if name != "truth"
+        for k in range(3)
+    ]
+    print(write_numbers(out, numbers))
 
 
 if __name__ == "__main__":

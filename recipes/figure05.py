@@ -15,6 +15,7 @@ from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.io.atomic import write_text
 from vntoolkit.photometry.visibility import count_lit
+from vntoolkit.report.numbers import number, write_numbers
 from vntoolkit.report.shadow_figure import Recovery, write_recovery_figure
 from vntoolkit.shadows.detector import ShadowDetector
 from vntoolkit.shadows.recovery import RecoveryMethod, RecoveryOptions, recover_surface
@@ -51,7 +52,16 @@ def main(out: Path, scene_name: str = "face") -> None:
     out.mkdir(parents=True, exist_ok=True)
     write_recovery_figure(out / "figure05.png", recoveries, scene.camera, truth.normals)
     write_text(out / "figure05.json", json.dumps(numbers, indent=1) + "\n")
-    print(numbers)
+    titles = {"A": "shadows taken for shading", "B": "shadows found and recovered"}
+    units = {"normals_deg": "degrees", "one_shadow_deg": "degrees", "depth_mm": "mm"}
+    listed = [
+        number(
+            f"{scene_name}, {titles[name]}, {what.rpartition('_')[0].replace('_', ' ')}", value, units[what]
+        )
+        for name, values in numbers.items()
+        for what, value in values.items()
+    ]
+    print(write_numbers(out, listed))
 
 
 if __name__ == "__main__":

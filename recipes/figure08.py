@@ -21,6 +21,7 @@ from vntoolkit.pipeline.options import Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import reconstruct
 from vntoolkit.pipeline.track import TrackJob, track
+from vntoolkit.report.numbers import number, write_numbers
 from vntoolkit.tracking.published import Tracker, options_of
 
 METHODS = (
@@ -51,7 +52,7 @@ def reconstruction(scene: str, frames: int, out: Path) -> Path:
 def main(out: Path, frames: int = 1000, scene: str = "sweater") -> None:
     """Write sheets, videos and tables into the folder `out`."""
     folder = reconstruction(scene, frames, out)
-    sheets = []
+    sheets, numbers = [], []
     for method in METHODS:
         target = out / method.value
         track(TrackJob(folder=folder, options=options_of(method), out=target))
@@ -59,9 +60,10 @@ def main(out: Path, frames: int = 1000, scene: str = "sweater") -> None:
         errors = evaluate_tracks(target, out / "capture", every=10)
         write_track_errors(target / "errors.tsv", errors)
         last = errors[-1]
-        numbers = f"median {last.median_px:.2f} px, 95 % {last.p95_px:.2f} px"
-        print(f"{method.value:20s} frame {last.frame}: {numbers}")
+        for what, value in (("median", last.median_px), ("95 %", last.p95_px)):
+            numbers.append(number(f"{method.value}, frame {last.frame}, {what} of the drift", value, "px"))
     write_png(out / f"{scene}.png", np.concatenate(sheets))
+    print(write_numbers(out, numbers))
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ from vntoolkit.pipeline.dress import (
     read_tracked_cloth,
     write_dressed_figure,
 )
+from vntoolkit.report.numbers import number, write_numbers
 from vntoolkit.report.turntable import PreviewOptions, write_preview
 from vntoolkit.simulation.scene import SceneOptions, build_scene
 from vntoolkit.skinning.blending import Blend
@@ -56,6 +57,7 @@ def simulated_sweater(folder: Path) -> MeshSequence:
 
 def main(out: Path, motions: tuple[Path, ...] = (WALK,), track: Path | None = None) -> None:
     """Dress the figure of every motion and write the results into the folder `out`."""
+    numbers = []
     cloth = simulated_sweater(out / "sweater") if track is None else read_tracked_cloth(track)
     for motion in motions:
         for style, options in STYLES.items():
@@ -63,17 +65,15 @@ def main(out: Path, motions: tuple[Path, ...] = (WALK,), track: Path | None = No
             name = f"{motion.stem}_{style}"
             count = write_dressed_figure(dressed, out / f"{name}.usdc")
             write_preview(out, name, dressed, PreviewOptions(turn_frames=60))
-            print(f"{out / name}.usdc: {count} frames; see {name}_sheet.png, {name}_turntable.mkv")
+            numbers.append(number(f"{motion.stem}, {style}: dressed frames written", count, "frames"))
+            print(f"{out / name}.usdc; see {name}_sheet.png, {name}_turntable.mkv")
+    print(write_numbers(out, numbers))
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--out", type=Path, required=True, help="folder to write")
-    parser.add_argument(
-        "--motion", type=Path, nargs="+", default=[WALK], help=".bvh, or .amc beside its .asf"
-    )
+    parser.add_argument("--motion", type=Path, nargs="+", default=[WALK], help=".bvh, or .amc beside .asf")
     parser.add_argument("--track", type=Path, help="folder that `vntoolkit track` wrote")
     arguments = parser.parse_args()
     main(arguments.out, tuple(arguments.motion), arguments.track)

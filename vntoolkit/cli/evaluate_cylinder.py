@@ -33,7 +33,7 @@ def cylinder(
     footage: str = "",
     out: Path | None = None,
     options: CylinderFlags = None,
-) -> None:
+) -> CylinderEvaluation:
     """Fit one cylinder to a reconstruction of a moving cylinder; measure its normals against it (Figure 7).
 
     Writes cylinder.json and cylinder.png.
@@ -62,6 +62,7 @@ def cylinder(
     write_error_over_time(target / "cylinder.png", times, mean, std, title)
     _print(found)
     print(f"{target}: cylinder.json, cylinder.png")
+    return found
 
 
 def _print(found: CylinderEvaluation) -> None:

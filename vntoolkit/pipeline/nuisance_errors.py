@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from vntoolkit.evaluation.angular_error import AngularError, compare_normals
 from vntoolkit.normals.inversion import normals_from_frame
-from vntoolkit.simulation.image_formation import true_response
+from vntoolkit.simulation.near_response import true_varying_response
 from vntoolkit.simulation.nuisances import Nuisances, nuisance_names
 from vntoolkit.simulation.render import RenderOptions, render_frame
 from vntoolkit.simulation.scene import Scene
@@ -27,19 +27,24 @@ class NuisanceError:
 
 
 def nuisance_errors(
-    scene: Scene, nuisances: Nuisances, frame: int = 0, rendering: RenderOptions | None = None, seed: int = 0
+    scene: Scene,
+    nuisances: Nuisances,
+    frame: int = 0,
+    rendering: RenderOptions | None = None,
+    seed: int = 0,
+    degree: int = 0,
 ) -> Iterator[NuisanceError]:
     """Yield the normal error of equation 1's inversion: "none", every nuisance in turn, "all".
 
-    The true M of each world is used, at the scene's centre, so that what is left is the nuisance's own doing
-    and no calibration's.
+    The true M of each world is used, so that what is left is the nuisance's own doing and no calibration's.
+    degree: of the polynomials by which M follows near lights over the image; 0 for M at the scene's centre.
     """
 
     def error(world: Nuisances) -> AngularError:
         shot = render_frame(scene, frame, nuisances=world, options=rendering, seed=seed)
         truth = shot.truth.normals
         return compare_normals(
-            normals_from_frame(shot.linear, true_response(scene, world), truth.mask), truth
+            normals_from_frame(shot.linear, true_varying_response(scene, world, degree), truth.mask), truth
         )
 
     yield NuisanceError(name="none", alone=error(Nuisances.none()), without=None)

@@ -1,7 +1,7 @@
-"""Real one-shot captures with a reference: the same scene's normals from many lights.
+"""Real one-shot captures with a reference: the same objects' normals from many lights.
 
-FOLDER holds `coloured_light/` (three photographs stacked as R, G, B), `photometric_stereo/` (twelve lights of
-the same statues, a chrome and a grey ball) and `faces/` (sixty-four flashes of the same faces).
+The folder holds `coloured_light/` (three photographs stacked as red, green, blue), `photometric_stereo/`
+(twelve lights of the same statues, a chrome and a grey ball) and `faces/` (sixty-four flashes of the faces).
 """
 
 from __future__ import annotations
@@ -10,37 +10,61 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 
+from vntoolkit.arrays import FloatArray, Mask, Normals, VisibilityLabels
+from vntoolkit.errors import BadInput
+from vntoolkit.evaluation.angular_error import AngularError, angles_between_deg, summarise_angles
+from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.io.files import require_file
+from vntoolkit.io.images import read_image
+from vntoolkit.io.label_images import read_mask
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
-from vntoolkit.photometry.visibility import labels_from_lit
+from vntoolkit.photometry.visibility import count_lit, labels_from_lit
 
 CAPTURES = ("buddha", "cat", "yaleB01", "yaleB02")
 STATUE_LIGHTS = (0, 4, 10)
 STEEPEST_FLASH_DEG = 60.0
+LIT_GROUPS = {"three lights": 3, "two lights": 2, "one light": 1}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class ReferencedCapture:
-    """A frame, its light response, and the many-light normals, labels and mask."""
+    """A frame, its light response, and the many-light normals (h, w, 3), labels (h, w) and mask (h, w)."""
 
     frame: LinearFrame
     response: LightResponse
-    normals: np.ndarray
-    labels: np.ndarray
-    mask: np.ndarray
+    normals: Normals
+    labels: VisibilityLabels
+    mask: Mask
+
+    def errors_by_lights(self, found: NormalMap) -> dict[str, AngularError]:
+        """Summarise the angles to the reference: over all pixels, and by how many lights reach them.
+
+        Groups without a pixel are left out. Raises `BadInput` where the maps share no pixel.
+        """
+        both = self.mask & found.mask
+        angles = angles_between_deg(found.normals_in_camera, self.normals)
+        lights = count_lit(self.labels)
+        errors = {"all": summarise_angles(angles[both])}
+        for name, count in LIT_GROUPS.items():
+            group = both & (lights == count)
+            if group.any():
+                errors[name] = summarise_angles(angles[group])
+        return errors
 
 
 def read_capture(folder: Path, name: str) -> ReferencedCapture:
-    """Read one of `CAPTURES`."""
+    """Read one of `CAPTURES`. Raises `BadInput` where the folder does not hold it."""
+    if name not in CAPTURES:
+        raise BadInput(f"capture '{name}': expected one of {', '.join(CAPTURES)}")
     return _face(folder, name) if name.startswith("yale") else _statue(folder, name)
 
 
 def normals_from_many_lights(
-    images: np.ndarray, lights: np.ndarray, darkest: float, rounds: int = 8
-) -> tuple[np.ndarray, np.ndarray]:
+    images: FloatArray, lights: FloatArray, darkest: float, rounds: int = 8
+) -> tuple[FloatArray, FloatArray]:
     """Least squares without shadow (< 0.6 of the prediction) and gloss (> 1.3): normals and albedo."""
     use = (images > darkest) & (images < 0.995)
     scaled = np.zeros((*images.shape[1:], 3))
@@ -59,25 +83,37 @@ def normals_from_many_lights(
     return scaled / np.maximum(albedo, 1e-9)[..., None], albedo
 
 
-def _capture(rgb: np.ndarray, matrix: np.ndarray, lights: np.ndarray, reference, mask) -> ReferencedCapture:
+def _capture(
+    rgb: FloatArray,
+    matrix: FloatArray,
+    lights: FloatArray,
+    reference: tuple[FloatArray, FloatArray],
+    mask: Mask,
+) -> ReferencedCapture:
     normals, albedo = reference
     predicted = np.einsum("kc,hwc->hwk", lights, normals) * albedo[..., None]
     labels = labels_from_lit((rgb > 0.5 * predicted) & (predicted > 0))
-    frame = LinearFrame(rgb=rgb.astype(np.float32), clipped=(rgb >= 0.999).any(axis=-1))
+    frame = LinearFrame(rgb=rgb.astype(np.float32), clipped=np.asarray((rgb >= 0.999).any(axis=-1)))
     mask = mask & (albedo > 1e-6)
-    return ReferencedCapture(frame, LightResponse(matrix=matrix), normals, labels, mask)
+    return ReferencedCapture(
+        frame=frame,
+        response=LightResponse(matrix=matrix),
+        normals=normals,
+        labels=labels,
+        mask=mask,
+    )
 
 
 def _statue(folder: Path, name: str) -> ReferencedCapture:
     """Directions from the chrome ball, strengths and M from the grey one."""
     stereo, coloured = folder / "photometric_stereo", folder / "coloured_light"
-    ball, inside = _ball(_mask(coloured / "gray_sphere.mask.png"))
+    ball, inside = _ball(read_mask(coloured / "gray_sphere.mask.png"))
     matrix = np.array([_fit(ball, c, inside) for c in np.moveaxis(_rgb(coloured / "gray_sphere.png"), 2, 0)])
     grey = [_fit(ball, _grey(stereo / f"gray/gray.{k}.png"), inside) for k in range(12)]
     lights = _chrome_directions(stereo) * np.linalg.norm(grey, axis=1, keepdims=True)
     images = np.array([_grey(stereo / f"{name}/{name}.{k}.png") for k in range(12)])
     reference = normals_from_many_lights(images, lights, darkest=0.015)
-    mask = _mask(coloured / f"{name}.mask.png")
+    mask = read_mask(coloured / f"{name}.mask.png")
     return _capture(_rgb(coloured / f"{name}.png"), matrix, lights[list(STATUE_LIGHTS)], reference, mask)
 
 
@@ -107,7 +143,7 @@ def _face(folder: Path, name: str) -> ReferencedCapture:
     return _capture(rgb, directions[stacked], directions[stacked], reference, whole)
 
 
-def _ball(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _ball(mask: Mask) -> tuple[FloatArray, Mask]:
     v, u = np.nonzero(mask)
     radius = (np.ptp(u) + np.ptp(v) + 2) / 4
     y, x = np.mgrid[: mask.shape[0], : mask.shape[1]].astype(float)
@@ -116,7 +152,7 @@ def _ball(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([x, y, -np.sqrt(np.maximum(rest, 0))], axis=-1), (rest > 0) & mask
 
 
-def _fit(normals: np.ndarray, image: np.ndarray, inside: np.ndarray) -> np.ndarray:
+def _fit(normals: FloatArray, image: FloatArray, inside: Mask) -> FloatArray:
     lit = inside & (image > 0.08) & (image < 0.99)
     for _ in range(6):
         light = np.linalg.lstsq(normals[lit], image[lit], rcond=None)[0]
@@ -124,8 +160,8 @@ def _fit(normals: np.ndarray, image: np.ndarray, inside: np.ndarray) -> np.ndarr
     return light
 
 
-def _chrome_directions(stereo: Path) -> np.ndarray:
-    normals, inside = _ball(_mask(stereo / "chrome/chrome.mask.png"))
+def _chrome_directions(stereo: Path) -> FloatArray:
+    normals, inside = _ball(read_mask(stereo / "chrome/chrome.mask.png"))
     view, directions = np.array([0, 0, -1.0]), []
     for k in range(12):
         image = np.where(inside, _grey(stereo / f"chrome/chrome.{k}.png"), 0)
@@ -135,14 +171,19 @@ def _chrome_directions(stereo: Path) -> np.ndarray:
     return np.array(directions)
 
 
-def _rgb(path: Path) -> np.ndarray:
-    return cv2.imread(str(path), cv2.IMREAD_COLOR)[..., ::-1] / 255.0
+def _rgb(path: Path) -> FloatArray:
+    """An 8-bit image as (h, w, 3), 0 to 1, its values as stored (these photographs are linear)."""
+    return read_image(require_file(path)) / 255.0
 
 
-def _grey(path: Path) -> np.ndarray:
-    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    return (image if image.ndim == 2 else image.mean(axis=-1)) / 255.0
-
-
-def _mask(path: Path) -> np.ndarray:
-    return cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) > 127
+def _grey(path: Path) -> FloatArray:
+    """A grey photograph (h, w), 0 to 1; the flashes are in the old binary PGM format of 8 bits."""
+    if path.suffix != ".pgm":
+        return np.asarray(_rgb(path).mean(axis=-1))
+    content = require_file(path).read_bytes()
+    header = re.match(rb"P5\s+(?:#.*\s+)*(\d+)\s+(\d+)\s+255\s", content)
+    if header is None:
+        raise BadInput(f"{path}: expected a binary PGM of 8 bits")
+    width, height = int(header[1]), int(header[2])
+    values = np.frombuffer(content, np.uint8, offset=header.end(), count=width * height)
+    return values.reshape(height, width) / 255.0

@@ -1,0 +1,57 @@
+"""Table: what each nuisance of a real photograph costs, in degrees of the normals.
+
+    python recipes/nuisances.py --out out/nuisances [--scene cylinder] [--frame 60]        # 2 min
+
+Every nuisance alone in the world of equation 1, and all but that one; M is the true one, once at the scene's
+centre and once following the near lights over the image. Writes nuisances.json, nuisances.png, numbers.json.
+"""
+
+import argparse
+import dataclasses
+import json
+from pathlib import Path
+
+from vntoolkit.io.atomic import write_text
+from vntoolkit.pipeline.nuisance_errors import nuisance_errors
+from vntoolkit.report.error_figures import write_bars
+from vntoolkit.report.numbers import number, write_numbers
+from vntoolkit.simulation.nuisances import Nuisances
+from vntoolkit.simulation.scene import SceneOptions, build_scene
+
+DEGREES = {"one M": 0, "M follows the lights": 2}
+
+
+def main(out: Path, scene_name: str = "cylinder", frame: int = 60) -> None:
+    """Write table and figure into the folder `out`."""
+    scene = build_scene(scene_name, SceneOptions())
+    table = {
+        name: list(nuisance_errors(scene, Nuisances(), frame, degree=degree))
+        for name, degree in DEGREES.items()
+    }
+    numbers = []
+    for name, rows in table.items():
+        for row in rows:
+            what = {"all": "all nuisances", "none": "no nuisance"}.get(row.name, f"{row.name} alone")
+            numbers.append(number(f"{scene_name}, {what}, {name}", row.alone.mean_deg, "degrees"))
+            if row.without is not None:
+                what = f"all but {row.name}"
+                numbers.append(number(f"{scene_name}, {what}, {name}", row.without.mean_deg, "degrees"))
+    bars = {
+        f"{kind}, {name}": [getattr(row, kind).mean_deg for row in rows if row.without is not None]
+        for name, rows in table.items()
+        for kind in ("alone", "without")
+    }
+    names = [row.name for row in table["one M"] if row.without is not None]
+    write_bars(out / "nuisances.png", names, bars, f"{scene_name}: mean error of the normals", "degrees")
+    plain = {name: [dataclasses.asdict(row) for row in rows] for name, rows in table.items()}
+    write_text(out / "nuisances.json", json.dumps(plain, indent=1) + "\n")
+    print(write_numbers(out, numbers))
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--out", type=Path, default=Path("out/nuisances"), help="folder to write")
+    parser.add_argument("--scene", default="cylinder")
+    parser.add_argument("--frame", type=int, default=60)
+    arguments = parser.parse_args()
+    main(arguments.out, arguments.scene, arguments.frame)
