@@ -104,6 +104,14 @@ def test_five_frames_lie_in_it_the_skipped_one_not(page: Path) -> None:
     assert len(data["registered"]["frames"]) == 5
 
 
+def test_a_long_capture_is_thinned_evenly_and_keeps_its_pace(dome_result: DomeResult, tmp_path: Path) -> None:
+    out = tmp_path / "scene.html"
+    write_scene(out, open_result(dome_result.folder), SceneOptions(vertices=100, most_frames=3))
+    data = json.loads(re.search(r'id="scene">(.*?)</script>', out.read_text(), re.DOTALL)[1])
+    assert [frame["number"] for frame in data["frames"]] == [0, 2, 5]
+    assert data["rate"] == pytest.approx(30 * 3 / 5)
+
+
 def test_thinning_keeps_true_vertices_and_their_sides(dome_result: DomeResult) -> None:
     template = read_mesh_sequence(dome_result.folder / "track").template
     thin = thinned_template(template, 200)

@@ -45,9 +45,12 @@ def view(
     """
     result = open_result(folder, frames=FrameRange.from_text(frames), footage=footage)
     if html is not None:
-        with progress_bar("scene", len(result.numbers)) as advance:
+        scene = scene or SceneOptions()
+        count = min(len(result.numbers), scene.most_frames)
+        with progress_bar("scene", count) as advance:
             write_scene(html, result, scene, on_frame=lambda: advance(1))
-        print(f"{html}: {len(result.numbers)} frames, {html.stat().st_size / 1e6:.1f} MB")
+        thinned = f" of {len(result.numbers)}, evenly spread" if count < len(result.numbers) else ""
+        print(f"{html}: {count} frames{thinned}; {html.stat().st_size / 1e6:.1f} MB")
         return
     shown = ResultViewer(result, viewer)
     print(f"{shown.address} (Ctrl-C ends)", flush=True)

@@ -33,6 +33,7 @@ from vntoolkit.report.pictures import (
     picture_of_labels,
     picture_of_normals,
 )
+from vntoolkit.report.samples_section import sampled
 from vntoolkit.report.thinning import thinned_template
 
 _WEBP_QUALITY = 88
@@ -45,22 +46,27 @@ class SceneOptions:
     """How much of a reconstruction goes into an offline page.
 
     vertices: of each frame's mesh, at most; finer ones are thinned. picture_px: longest side of the pictures,
-    pixels.
+    pixels. most_frames: more are thinned to as many, evenly spread; 12,000 vertices and four pictures of 640
+    pixels take about 0.3 MB a frame.
     """
 
     vertices: int = 12_000
     picture_px: int = 640
+    most_frames: int = 150
 
     def __post_init__(self) -> None:
-        if self.vertices < 4 or self.picture_px < 1:
-            raise BadInput("scene: expected at least 4 vertices and one pixel")
+        if self.vertices < 4 or self.picture_px < 1 or self.most_frames < 1:
+            raise BadInput("scene: expected at least 4 vertices, one pixel and one frame")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Frame:
+    """own: vertices of the frame's mesh, topology: its faces and uv as packed. registered: vertices."""
+
     number: int
     pictures: dict[str, str]
-    own: Mesh | None
+    own: Points | None
+    topology: dict[str, str]
     registered: Points | None
 
 
@@ -75,7 +81,7 @@ def write_scene(
     track = result.track
     thin = None if track is None else thinned_template(track.sequence.template, options.vertices)
     frames = []
-    for number in result.numbers:
+    for number in sampled(result.numbers, options.most_frames):
         moved = None
         if track is not None and thin is not None and number in track.numbers:
             moved = np.array(track.sequence.vertices[track.numbers.index(number)])[thin.kept]
@@ -83,7 +89,13 @@ def write_scene(
         if own is None and moved is None:
             raise BadInput(f"{result.folder.root}: frame {number} has no depth; reconstruct with --to depth")
         frames.append(
-            _Frame(number=number, pictures=_pictures(result, number, options), own=own, registered=moved)
+            _Frame(
+                number=number,
+                pictures=_pictures(result, number, options),
+                own=None if own is None else own.vertices.astype(np.float32),
+                topology={} if own is None else _topology(own),
+                registered=moved,
+            )
         )
         on_frame()
     scene = _scene(result, frames, None if thin is None else thin.mesh)
@@ -125,26 +137,25 @@ def _uri(picture: Picture, options: SceneOptions) -> str:
 
 def _scene(result: OpenedResult, frames: list[_Frame], template: Mesh | None) -> dict[str, Any]:
     """Return the page's data; positions as 16-bit steps of the box around all frames, its largest side 1."""
-    clouds = [f.own.vertices for f in frames if f.own is not None]
+    clouds = [f.own for f in frames if f.own is not None]
     clouds += [f.registered for f in frames if f.registered is not None]
-    turned = [graphics_from_camera(np.asarray(cloud, dtype=np.float64)) for cloud in clouds]
-    low = np.min([cloud.min(axis=0) for cloud in turned], axis=0)
-    extent = np.max([cloud.max(axis=0) for cloud in turned], axis=0) - low
-    extent = np.maximum(extent, 1e-9)
+    ends = graphics_from_camera(np.array([[cloud.min(axis=0), cloud.max(axis=0)] for cloud in clouds]))
+    low, high = ends.min(axis=(0, 1)).astype(np.float64), ends.max(axis=(0, 1))
+    extent = np.maximum(high - low, 1e-9)
 
     def packed(vertices: Points) -> str:
         shares = (graphics_from_camera(np.asarray(vertices, dtype=np.float64)) - low) / extent
         return _packed(np.rint(shares.clip(0, 1) * _STEPS).astype("<u2"))
 
     scene: dict[str, Any] = {
-        "rate": result.manifest.input.frame_rate_hz,
+        "rate": result.manifest.input.frame_rate_hz * len(frames) / len(result.numbers),
         "size": (extent / extent.max()).tolist(),
         "hasNormals": "normals" in frames[0].pictures,
         "frames": [
             {
                 "number": f.number,
                 "pictures": f.pictures,
-                "own": None if f.own is None else {"positions": packed(f.own.vertices), **_topology(f.own)},
+                "own": None if f.own is None else {"positions": packed(f.own), **f.topology},
             }
             for f in frames
         ],
