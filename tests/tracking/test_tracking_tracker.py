@@ -9,7 +9,7 @@ import pytest
 
 from tests.tracking.wrinkled_video import WrinkledVideo
 from vntoolkit.errors import BadInput
-from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.tracking.options import Confidence, DriftCorrection, DriftOptions, Regulariser, TrackingOptions
 from vntoolkit.tracking.published import Tracker, options_of
 from vntoolkit.tracking.tracker import SurfaceTracker
@@ -94,6 +94,21 @@ def test_confidence_holds_the_surface_behind_an_occluder_and_finds_it_again(name
         return
     assert lowest < 0.2
     assert ended < 0.5
+
+
+def test_what_is_hidden_stays_off_the_surface_before_it() -> None:
+    video = WrinkledVideo(sway_px=2.0)
+    tracker = SurfaceTracker(*video.maps(0), video.camera)
+    for k in range(1, 21):
+        normals, depth = video.maps(k)
+        normals = occluded(normals, k)
+        ball = np.any(normals.normals_in_camera != video.maps(k)[0].normals_in_camera, axis=-1)
+        before = DepthMap(depth=np.where(ball, 100.0, depth.depth), mask=depth.mask)
+        tracked = tracker.step(normals, before)
+    hidden = ball[tuple(np.rint(tracked.positions_px).astype(int).T[::-1].clip(0, [[143], [191]]))]
+    assert hidden.sum() > 1000
+    true = video.height_at(tracker.template.positions_px, 20)
+    assert np.percentile(np.abs(tracked.vertices_in_camera[:, 2] - true)[hidden], 90) < 10.0  # of 100
 
 
 def test_vertices_that_leave_the_mask_are_held_and_found_again() -> None:

@@ -13,11 +13,12 @@ import numpy.typing as npt
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from vntoolkit.arrays import FloatArray, Points2
+from vntoolkit.arrays import FloatArray
 from vntoolkit.tracking.lattice import TemplateLattice
 
 _BENDING = 0.5  # energy of a unit second difference, where a fully seen cell that is a unit off costs 1
 _STRETCHING = 0.01  # of a unit first difference: far from all that is seen the slope fades out
+_LEAST_WEIGHT = 1e-9  # holds pieces of the surface of which nothing is seen
 _UNSEEN_BELOW, _SEEN_ABOVE = 0.25, 0.75  # confidence
 
 
@@ -34,21 +35,18 @@ class Extrapolation:
             _BENDING * (bending.T @ bending) + _STRETCHING * (stretching.T @ stretching)
         )
 
-    def carried(self, displacements: Points2, confidence: FloatArray) -> npt.NDArray[np.float64]:
-        """Return displacements (n, 2) in pixels, those of low confidence (n,) replaced by the plate."""
-        seen = seen_share(confidence)
-        lattice = self._lattice
-        sums = lattice.sums(np.column_stack([seen[:, None] * displacements, seen]))
-        if not np.any(sums[:, 2] > 0):
+    def carried(self, displacements: FloatArray, confidence: FloatArray) -> npt.NDArray[np.float64]:
+        """Return displacements (n, k) from the template; those of low confidence (n,) from the plate."""
+        seen = seen_share(confidence)[:, None]
+        sums = self._lattice.sums(np.hstack([seen * displacements, seen]))
+        if not np.any(sums[:, -1] > 0):
             return np.array(displacements, dtype=np.float64)
-        weight = (sums[:, 2] / self._whole) ** 2 + 1e-9
-        means = sums[:, :2] / np.maximum(sums[:, 2:], 1e-12)
+        weight = (sums[:, -1] / self._whole) ** 2 + _LEAST_WEIGHT
+        means = sums[:, :-1] / np.maximum(sums[:, -1:], 1e-12)
         system = sp.csc_array(self._energy + sp.diags_array(weight))
-        nodes = splu(system, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve(
-            weight[:, None] * means
-        )
-        away = lattice.at_vertices(nodes)
-        return np.asarray(away + seen[:, None] * (displacements - away))
+        factor = splu(system, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+        plate = self._lattice.at_vertices(factor.solve(weight[:, None] * means))
+        return np.asarray(plate + seen * (displacements - plate))
 
 
 def seen_share(confidence: FloatArray) -> npt.NDArray[np.float64]:

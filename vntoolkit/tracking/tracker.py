@@ -133,8 +133,19 @@ class SurfaceTracker:
             moved = self._regularised_pixels(moved, confidence)
         depth = before.vertices_in_camera[:, 2]
         targets, found = targets_on_surface(moved, depth_map, self.camera, depth)
+        confidence = np.clip(confidence * found, 0.0, 1.0)
+        if self._extrapolation is not None:
+            targets = self._with_carried_depth(moved, targets, confidence, self._extrapolation)
         vertices = targets if self._regularise_pixels else self._regularised_vertices(targets)
-        return tracked_frame(vertices, np.clip(confidence * found, 0.0, 1.0), self.camera)
+        return tracked_frame(vertices, confidence, self.camera)
+
+    def _with_carried_depth(
+        self, moved: Points2, targets: Points, confidence: npt.NDArray[np.floating], plate: Extrapolation
+    ) -> Points:
+        """What is not seen may lie before another surface: its depth is not that of the pixel it is in."""
+        template = self.template.vertices_in_camera[:, 2:]
+        depth = template + plate.carried(targets[:, 2:] - template, confidence)
+        return self.camera.unproject(moved, depth[:, 0])
 
     def _regularised_pixels(self, moved: Points2, confidence: npt.NDArray[np.floating]) -> Points2:
         """The default: smooth the step in the image; depth is then read, not smoothed."""
