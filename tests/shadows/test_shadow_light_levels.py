@@ -9,6 +9,7 @@ from vntoolkit.errors import BadInput
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.shadows.dark_level import DarkLevelOptions, largest_dark_share
+from vntoolkit.shadows.normal_noise import slope_noise
 from vntoolkit.shadows.penumbra import PenumbraOptions, labels_without_penumbra
 from vntoolkit.shadows.shares import shares_from_frame
 
@@ -76,3 +77,16 @@ def test_refusals() -> None:
         DarkLevelOptions(margin=-0.1)
     with pytest.raises(BadInput, match="penumbra: part"):
         PenumbraOptions(part=2.0)
+
+
+def test_noise_of_slopes_is_measured_whatever_the_shape(rng: np.random.Generator) -> None:
+    v, u = np.mgrid[:120, :150] / 30.0
+    depth = 12.0 * np.sin(u) * np.cos(1.3 * v)
+    slopes = np.stack([np.gradient(depth, axis=1), np.gradient(depth, axis=0)], axis=-1)
+    for deviation in (0.01, 0.05):
+        noisy = slopes + rng.normal(0, deviation, slopes.shape) * (1 + (slopes**2).sum(-1, keepdims=True))
+        normals = np.concatenate([noisy, -np.ones((120, 150, 1))], axis=-1)
+        normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+        found = slope_noise(normals, np.ones((120, 150), bool))
+        assert found == pytest.approx(deviation, rel=0.15)
+    assert slope_noise(normals, np.zeros((120, 150), bool)) is None

@@ -16,6 +16,7 @@ import numpy as np
 from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels, Weight
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.photometry.visibility import ALL_LIT
+from vntoolkit.shadows.normal_noise import slope_noise
 from vntoolkit.shadows.shares import LightShares
 from vntoolkit.shadows.surface import Surface, SurfaceOptions, solve_surface
 from vntoolkit.shadows.two_lights import continue_with_two_lights
@@ -38,6 +39,7 @@ def surface_from_either_start(
     albedo: (h, w), that of the surroundings. trust: (h, w), beyond that of `measured`.
     """
     measured = replace(measured, trust=(measured.trust * trust).astype(np.float32))
+    options = _with_measured_noise(options, measured, mask & (labels == ALL_LIT))
     factor = max(1, round(float(np.sqrt(mask.size / options.start_pixels))))
     if factor == 1:
         return _better_start(measured, labels, albedo, mask, camera, options)
@@ -53,6 +55,14 @@ def surface_from_either_start(
         start=_enlarged(start, mask, factor),
         options=replace(options, iterations=options.large_iterations),
     )
+
+
+def _with_measured_noise(options: SurfaceOptions, measured: LightShares, full: Mask) -> SurfaceOptions:
+    found = slope_noise(measured.normals, full)
+    if found is None:
+        return options
+    measured_noise = max(options.noise_per_slope * found, options.least_noise)
+    return replace(options, noise=min(options.noise, measured_noise))
 
 
 def _solver(

@@ -43,10 +43,12 @@ class SurfaceOptions:
     """The energy and how long it is minimised.
 
     noise: standard deviation of a light's share, the share of a surface that faces the light being 1; it
-    stands for camera noise and for what the model leaves out (interreflection, gloss). albedo_spread:
-    relative standard deviation of the albedo continued into a shadow. own_albedo_spread: the same where all
-    three lights arrive; large, as there the colour's length is the albedo. step_softness: χ² at which a depth
-    gradient counts half, because it crosses a step in depth; 0 makes the surface continuous everywhere.
+    stands for camera noise and for what the model leaves out (interreflection, gloss). noise_per_slope,
+    least_noise: on frames whose normals are cleaner `surface_from_either_start` lowers the noise to
+    noise_per_slope times that of a slope, but not below least_noise. albedo_spread: relative standard
+    deviation of the albedo continued into a shadow. own_albedo_spread: the same where all three lights
+    arrive; large, as there the colour's length is the albedo. step_softness: χ² at which a depth gradient
+    counts half, because it crosses a step in depth; 0 makes the surface continuous everywhere.
     smoothness: weight of a shadowed pixel's slope being its surroundings' mean; smooth_px: radius (standard
     deviation, pixels) of that mean. doubt_trust: weight of a light that is labelled missing where the surface
     would return about what is seen, as it does where it turns from the light; doubt_reach: difference
@@ -58,6 +60,8 @@ class SurfaceOptions:
     """
 
     noise: float = 0.03
+    noise_per_slope: float = 1.7
+    least_noise: float = 0.01
     albedo_spread: float = 0.15
     own_albedo_spread: float = 3.0
     step_softness: float = 5.0
