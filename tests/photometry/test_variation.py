@@ -1,5 +1,7 @@
 """A response that varies over the image: polynomials, their file, levelling, inversion at each pixel."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -22,6 +24,7 @@ from vntoolkit.photometry.transfer import Transfer
 from vntoolkit.photometry.variation import ResponseVariation, powers_to_degree
 
 MATRIX = np.array([[0.4, 0.1, -0.42], [-0.2, 0.35, -0.45], [-0.15, -0.35, -0.5]])
+COLOURS = np.array([[0.6, 0.1, 0.05], [0.08, 0.5, 0.1], [0.1, 0.15, 0.55]])  # of the three lights
 HEIGHT, WIDTH = 60, 90
 
 
@@ -112,6 +115,29 @@ def test_levelling_makes_one_response_serve(rng) -> None:
         LinearFrame(rgb=rgb, clipped=np.zeros(rgb.shape[:2], bool))
     )
     np.testing.assert_allclose(level.rgb, rgb_from_normals(truth, response.central), atol=1e-5)
+
+
+def test_levelling_by_strength_leaves_a_missing_light_missing(rng) -> None:
+    response, truth = replace(varying(2), light_colours=COLOURS), normals_of(rng)
+    v, u = np.indices(truth.shape[:2])
+    matrices, ambients = response.at(np.stack([u, v], axis=-1))
+    lights = response.contributions_from_rgb @ matrices
+    shares = np.einsum("vukc,vuc->vuk", lights, truth)
+    shares[..., 1] = 0.0
+    rgb = (shares @ COLOURS + ambients).astype(np.float32)
+    frame = LinearFrame(rgb=rgb, clipped=np.zeros(rgb.shape[:2], bool))
+    leveller = Leveller(response, rgb.shape[:2])
+
+    def contributions(levelled: LinearFrame) -> np.ndarray:
+        return (levelled.rgb - response.ambient) @ response.contributions_from_rgb.T
+
+    by_strength = contributions(leveller.frame_by_strength(frame))
+    central = np.linalg.norm(response.lights, axis=1)
+    expected = shares * central / np.linalg.norm(lights, axis=-1)
+    np.testing.assert_allclose(by_strength, expected, atol=1e-5)
+    assert (
+        np.abs(by_strength[..., 1]).max() < 1e-5 < np.abs(contributions(leveller.frame(frame))[..., 1]).max()
+    )
 
 
 def test_the_rig_file_keeps_the_variation_and_old_files_read() -> None:

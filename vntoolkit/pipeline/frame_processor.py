@@ -123,7 +123,9 @@ class FrameProcessor:
                 values, self._rig.response, transfer, self._mask, self._options.inversion, frame.bits
             )
             white = transfer.white_level * (2**frame.bits - 1)
-            return normal_map, None, float(np.mean(values.max(axis=2) >= white))
+            brightest = np.maximum(values[..., 0], values[..., 1])  # max(axis=2) is five times slower
+            np.maximum(brightest, values[..., 2], out=brightest)
+            return normal_map, None, float(np.count_nonzero(brightest >= white) / brightest.size)
         linear = self.linear(frame)
         normal_map = normals_from_frame(linear, self._rig.response, self._mask, self._options.inversion)
         return normal_map, None, float(linear.clipped.mean())
@@ -131,13 +133,14 @@ class FrameProcessor:
     def _normals_under_shadow(self, frame: LinearFrame) -> tuple[NormalMap, VisibilityLabels, float]:
         """Find the shadows, then normals from whichever lights arrive; black pixels are the backdrop."""
         response, inversion = self._central, self._options.inversion
+        seen = frame
         if self._leveller is not None:
-            frame = self._leveller.frame(frame)
+            seen, frame = self._leveller.frame_by_strength(frame), self._leveller.frame(frame)
         length = np.linalg.norm((frame.rgb - response.ambient) @ response.inverse.T, axis=2)
         mask = self._mask & (length > inversion.darkest * inversion.relative_albedo)
         if inversion.clipped_factor == 0.0:
             mask &= ~frame.clipped
-        labels = self._detector.labels(frame, mask)
+        labels = self._detector.labels(seen, mask)
         normal_map = recover_normals(
             frame, labels, response, mask, options=self._options.recovery, camera=self.camera
         )
