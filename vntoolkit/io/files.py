@@ -43,6 +43,27 @@ def read_text(path: Path | str, error: type[BadInput] = BadInput) -> str:
         raise error(f"{path}: expected text in UTF-8, byte {problem.start} is not") from problem
 
 
+def require_inside(folder: Path, name: str, source: Path | str, error: type[BadInput] = BadInput) -> Path:
+    """Return the path of a file that another file names, or raise where it leads out of `folder`."""
+    try:
+        path = folder / name
+        if path.resolve().is_relative_to(folder.resolve()):
+            return path
+    except (OSError, ValueError, RuntimeError) as problem:  # a NUL in the name, a symlink loop
+        raise error(f"{source}: names a file that cannot be: '{name[:80]!r}'") from problem
+    raise error(f"{source}: names '{name[:80]}', outside its folder; put that file beside it")
+
+
+def require_bytes_below(path: Path | str, max_megabytes: float, error: type[BadInput] = BadInput) -> None:
+    """Refuse a file larger than the limit before it is read into memory."""
+    size = require_file(path, error).stat().st_size
+    if size > max_megabytes * 1e6:
+        raise error(
+            f"{path}: {size / 1e6:.0f} MB are more than the limit of {max_megabytes:g}; raise max_megabytes "
+            "if that is meant"
+        )
+
+
 def sha256_of_file(path: Path | str, error: type[BadInput] = BadInput) -> str:
     """Return the SHA-256 of a file's bytes in hexadecimal."""
     path = require_file(path, error)

@@ -13,7 +13,7 @@ from vntoolkit.errors import BadCapture
 from vntoolkit.io.captures import CaptureInfo, CaptureOptions, open_capture
 from vntoolkit.io.decoding import linear_frame_from_encoded
 from vntoolkit.io.pixel_formats import LOSSLESS_CODECS
-from vntoolkit.io.rig_match import findings_from_rig
+from vntoolkit.io.plausibility import findings_from_capture
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve
@@ -95,9 +95,7 @@ def inspect_capture(
             findings.append(Finding(severity=Severity.FATAL, text=str(problem)))
     findings += _findings_from_exposure(float(np.mean(clipped)), max(bright))
     if rig is not None:
-        middle = numbers[len(numbers) // 2]
-        encoded = next(capture.encoded_frames(middle, middle + 1))
-        texts = findings_from_rig(encoded, rig, options.transfer, mask)
+        texts = findings_from_capture(capture, rig, mask)
         findings += [Finding(severity=Severity.WARNING, text=text) for text in texts]
     return CaptureReport(
         info=info,

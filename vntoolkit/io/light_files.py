@@ -13,7 +13,7 @@ import numpy as np
 
 from vntoolkit.arrays import Points
 from vntoolkit.errors import BadInput
-from vntoolkit.io.files import read_text
+from vntoolkit.io.files import read_text, require_inside
 
 _CAMERA_FROM_GRAPHICS = np.array([1.0, -1.0, -1.0])
 
@@ -79,7 +79,7 @@ def _read_folder(folder: Path) -> KnownLights:
             raise BadInput(
                 f"{folder}/filenames.txt: names {len(names)} images for {len(directions)} light directions"
             )
-        images = tuple(folder / name for name in names)
+        images = tuple(require_inside(folder, name, folder / "filenames.txt") for name in names)
     return KnownLights(
         directions=directions * _CAMERA_FROM_GRAPHICS,
         intensities=intensities,

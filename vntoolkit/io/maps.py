@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from vntoolkit.io.conventions import NormalConvention
 from vntoolkit.io.exr import ExrCompression, read_exr, write_exr
 from vntoolkit.io.images import DEFAULT_MAX_MEGAPIXELS, read_image_with_alpha, write_png
 from vntoolkit.io.label_images import read_labels, read_mask, write_labels, write_mask
+from vntoolkit.io.normal_axes import finding_from_axes
 
 __all__ = [
     "read_depth_map",
@@ -29,6 +31,8 @@ __all__ = [
     "write_mask",
     "write_normal_map",
 ]
+
+logger = logging.getLogger(__name__)
 
 _UNIT_ATTRIBUTE = "vntoolkit.lengthUnit"
 _CONVENTION_ATTRIBUTE = "vntoolkit.normalConvention"
@@ -71,7 +75,8 @@ def read_normal_map(
     """Read a normal map, EXR, or 8- or 16-bit PNG or TIFF, and normalise it.
 
     convention: None for what the EXR's header says, else opengl. mask: (h, w); None for the alpha channel,
-    or where there is none, for the pixels whose vector is longer than 0.5.
+    or where there is none, for the pixels whose vector is longer than 0.5. Where the file does not say its
+    convention and the other would fit better, a warning is logged.
     """
     if Path(path).suffix.lower() == ".exr":
         stored, weight, stated = _normals_from_exr(path, max_megapixels)
@@ -80,8 +85,9 @@ def read_normal_map(
         full = 1.0 if pixels.dtype == np.float32 else np.iinfo(pixels.dtype).max
         stored = pixels if pixels.dtype == np.float32 else pixels * np.float32(2.0 / full) - 1.0
         weight = None if alpha is None else alpha.astype(np.float32)
-        stated = NormalConvention.OPENGL
-    normals = stored * np.array((convention or stated).signs, np.float32)
+        stated = None
+    signs = (convention or stated or NormalConvention.OPENGL).signs
+    normals = stored * np.array(signs, np.float32)
     length = np.linalg.norm(normals, axis=2)
     valid = length > _SHORTEST_NORMAL
     if weight is not None:
@@ -93,7 +99,10 @@ def read_normal_map(
         raise BadInput(f"{path}: no pixel holds a normal")
     normals = np.where(valid[..., None], normals / np.where(valid, length, 1.0)[..., None], np.float32(0))
     graded = weight is not None and bool((weight[valid] < 1).any())
-    return NormalMap(normals_in_camera=normals, mask=valid, weight=weight if graded else None)
+    normal_map = NormalMap(normals_in_camera=normals, mask=valid, weight=weight if graded else None)
+    if stated is None and (finding := finding_from_axes(normal_map)):
+        logger.warning("%s: %s", path, finding)
+    return normal_map
 
 
 def write_depth_map(
@@ -166,7 +175,7 @@ def _png_from_normals(stored: FloatArray, mask: Mask, bits: int) -> npt.NDArray[
 
 def _normals_from_exr(
     path: Path | str, max_megapixels: float
-) -> tuple[FloatArray, npt.NDArray[np.float32] | None, NormalConvention]:
+) -> tuple[FloatArray, npt.NDArray[np.float32] | None, NormalConvention | None]:
     channels, texts = read_exr(path, max_megapixels=max_megapixels, error=BadInput)
     names = next((n for n in ("RGB", "XYZ", "xyz") if set(n) <= set(channels)), None)
     if names is None:
@@ -178,8 +187,9 @@ def _normals_from_exr(
         weight = valid.astype(np.float32)
     elif not valid[weight > 0].all():
         raise BadInput(f"{path}: {int((~valid & (weight > 0)).sum())} normals are NaN or infinite")
-    convention = texts.get(_CONVENTION_ATTRIBUTE, NormalConvention.OPENGL.value)
+    convention = texts.get(_CONVENTION_ATTRIBUTE)
     try:
-        return np.where(valid[..., None], stored, 0), weight, NormalConvention(convention)
+        stated = None if convention is None else NormalConvention(convention)
+        return np.where(valid[..., None], stored, 0), weight, stated
     except ValueError as problem:
         raise BadInput(f"{path}: unknown normal convention '{convention}'") from problem

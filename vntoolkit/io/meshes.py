@@ -14,8 +14,11 @@ from vntoolkit.errors import BadMesh, CannotWrite
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.point_cloud import PointCloud
 from vntoolkit.io.conventions import UpAxis, graphics_from_camera
+from vntoolkit.io.files import require_bytes_below
 from vntoolkit.io.obj import read_obj, write_obj
 from vntoolkit.io.ply import PlyContent, read_ply, write_ply
+
+DEFAULT_MAX_MEGABYTES = 4000.0
 
 
 def write_mesh(
@@ -42,8 +45,12 @@ def write_mesh(
             raise CannotWrite(f"{path}: a mesh is written as .ply or .obj, not '{suffix}'")
 
 
-def read_mesh(path: Path | str) -> Mesh:
-    """Read a triangle mesh from `.ply` or `.obj` into the camera frame; polygons are cut into triangles."""
+def read_mesh(path: Path | str, *, max_megabytes: float = DEFAULT_MAX_MEGABYTES) -> Mesh:
+    """Read a triangle mesh from `.ply` or `.obj` into the camera frame; polygons are cut into triangles.
+
+    max_megabytes: a larger file is refused before it is read.
+    """
+    require_bytes_below(path, max_megabytes, BadMesh)
     match Path(path).suffix.lower():
         case ".ply":
             content = read_ply(path)

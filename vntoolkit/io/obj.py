@@ -11,7 +11,7 @@ import numpy.typing as npt
 from vntoolkit.errors import BadMesh
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.atomic import write_text
-from vntoolkit.io.files import read_text
+from vntoolkit.io.files import read_text, require_inside
 from vntoolkit.io.images import read_image, write_png
 from vntoolkit.io.polygons import triangles_from_polygons
 
@@ -75,9 +75,12 @@ def read_obj_texture(path: Path | str) -> npt.NDArray[Any] | None:
     path = Path(path)
     for line in read_text(path, BadMesh).splitlines():
         if line.startswith("mtllib "):
-            for entry in read_text(path.parent / line[7:].strip(), BadMesh).splitlines():
+            for entry in read_text(
+                require_inside(path.parent, line[7:].strip(), path, BadMesh), BadMesh
+            ).splitlines():
                 if entry.strip().startswith("map_Kd "):
-                    return read_image(path.parent / entry.split()[-1], error=BadMesh)
+                    texture = require_inside(path.parent, entry.split()[-1], path, BadMesh)
+                    return read_image(texture, error=BadMesh)
     return None
 
 
