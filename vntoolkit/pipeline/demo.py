@@ -22,10 +22,12 @@ from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import ReconstructionSummary, reconstruct
 from vntoolkit.pipeline.simulate import simulate
 from vntoolkit.pipeline.simulation_job import SimulationFolder, SimulationJob
-from vntoolkit.simulation.scene import SceneOptions
+from vntoolkit.simulation.scene import SceneOptions, build_scene
 from vntoolkit.simulation.studio import CAMERA_DISTANCE_M
 
-_BOARD_STEP = 10  # of the board's 240 frames: neighbours show the same tilt
+_BOARD = "board_sweep"  # carried through the field, so that M is known all over it: the lights are near
+_BOARD_STEP = 2  # of its 240 frames: neighbours show the same tilt
+_DEGREE = 2  # of the polynomials by which M varies
 _FIELD_WIDTH_M = 1.42  # one zoom for the board and the garment, as on a real set
 
 Stage = Callable[[str, int, int], None]
@@ -89,16 +91,28 @@ def run_demo(
     on_progress is told the stage's name, how many of its frames are done, and of how many.
     """
     options = options or DemoOptions()
-    _film("board", folder.board, f"::{_BOARD_STEP}", options, jobs, overwrite, on_progress)
+    _film(_BOARD, "board", folder.board, f"::{_BOARD_STEP}", "sweater", options, jobs, overwrite, on_progress)
     _calibrate(folder, on_progress)
-    _film("sweater", folder.garment, f":{options.frames}", options, jobs, overwrite, on_progress)
+    _film(
+        "sweater",
+        "sweater",
+        folder.garment,
+        f":{options.frames}",
+        None,
+        options,
+        jobs,
+        overwrite,
+        on_progress,
+    )
     return _reconstruct(folder, jobs, overwrite, on_progress)
 
 
 def _film(
     scene: str,
+    name: str,
     folder: Path,
     frames: str,
+    sample: str | None,
     options: DemoOptions,
     jobs: int,
     overwrite: bool,
@@ -107,24 +121,28 @@ def _film(
     job = SimulationJob(
         scene=scene,
         folder=SimulationFolder(root=folder),
-        options=SceneOptions(width=options.width, height=options.height, field_width_m=_FIELD_WIDTH_M),
+        options=SceneOptions(
+            width=options.width, height=options.height, field_width_m=_FIELD_WIDTH_M, sample=sample
+        ),
         frames=FrameRange.from_text(frames),
     )
-    count = _Counter(f"film the {scene}", on_progress)
+    count = _Counter(f"film the {name}", on_progress)
     simulate(job, jobs=jobs, overwrite=overwrite, on_start=count.start, on_frame=count.advance)
 
 
 def _calibrate(folder: DemoFolder, on_progress: Stage) -> Rig:
-    square_mm = SimulationJob(
-        scene="board",
-        folder=SimulationFolder(root=folder.board),
-        options=SceneOptions(field_width_m=_FIELD_WIDTH_M),
-    ).built.facts["square_mm"]  # a user measures the print
+    facts = build_scene(_BOARD, SceneOptions(field_width_m=_FIELD_WIDTH_M)).facts  # a user measures the print
+    layout = BoardLayout(
+        columns=int(facts["columns"]),
+        rows=int(facts["rows"]),
+        square_mm=facts["square_mm"],
+        hole_squares=int(facts["hole_squares"]),
+    )
     job = CalibrationJob(source=str(SimulationFolder(root=folder.board).video))
     rig, _ = calibrate_board(
         job,
-        BoardLayout(square_mm=square_mm),
-        BoardOptions(),
+        layout,
+        BoardOptions(degree=_DEGREE),
         lambda done, total: on_progress("calibrate", done, total),
     )
     write_rig(folder.rig, rig)

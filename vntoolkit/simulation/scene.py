@@ -63,7 +63,8 @@ class SceneOptions:
     width, height: image size in pixels. seed: of the scene's own randomness (motion, texture).
     lighting: the coloured lamps together, or one place alone with a white lamp. field_width_m: what the
     camera sees across at the subject, metres; the scene's own by default. The board is printed in
-    proportion, so that one zoom films both it and another scene.
+    proportion, so that one zoom films both it and another scene. sample: a scene whose material lies in the
+    board's hole; by default a grey cloth or paper.
     """
 
     width: int = 640
@@ -71,12 +72,15 @@ class SceneOptions:
     seed: int = 0
     lighting: Lighting = Lighting.COLOURED
     field_width_m: float | None = None
+    sample: str | None = None
 
     def __post_init__(self) -> None:
         if self.width < 16 or self.height < 16:
             raise BadInput(f"simulate: expected an image of at least 16×16, got {self.width}×{self.height}")
         if self.field_width_m is not None and not 0.05 <= self.field_width_m <= 5.0:
             raise BadInput(f"simulate: expected a field of 0.05 to 5 m across, got {self.field_width_m:g} m")
+        if self.sample is not None and self.sample not in SCENES:
+            raise BadInput(f"simulate: no scene '{self.sample}' to take a sample from")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -171,6 +175,13 @@ class Scene:
     def vertex_count(self) -> int:
         """How many vertices the mesh has."""
         return int(self.surface.faces.max()) + 1
+
+
+def sample_weights(options: SceneOptions, otherwise: FloatArray) -> FloatArray:
+    """Return (b,) the pigments of the material in the board's hole: another scene's, or the board's own."""
+    if options.sample is None:
+        return otherwise
+    return build_scene(options.sample, replace(options, sample=None)).surface.reference_weights
 
 
 SceneFactory = Callable[[SceneOptions], Scene]

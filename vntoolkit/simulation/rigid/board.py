@@ -11,7 +11,7 @@ from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.simulation.grids import grid_faces
 from vntoolkit.simulation.relief import plain_weave
 from vntoolkit.simulation.rigid.motion import Sway
-from vntoolkit.simulation.scene import Detail, Scene, SceneOptions, Surface
+from vntoolkit.simulation.scene import Detail, Scene, SceneOptions, Surface, sample_weights
 from vntoolkit.simulation.studio import studio_camera, studio_lights
 
 FRAME_COUNT = 240
@@ -41,7 +41,7 @@ def build_board(options: SceneOptions) -> Scene:
         phases=generator.uniform(0, 2 * np.pi, 6),
         rest=RigidTransform(translation=np.array([-width_m / 2, -height_m / 2, 0.0])),
     )
-    rest, surface = board_mesh(layout, scale)
+    rest, surface = board_mesh(layout, scale, sample_weights(options, _CLOTH))
     return Scene(
         name="board",
         camera=studio_camera(options.width, options.height, field_width_m=field_width_m),
@@ -51,15 +51,22 @@ def build_board(options: SceneOptions) -> Scene:
         frame_count=FRAME_COUNT,
         exposure_level=0.7,  # the paper is brighter than the sample and must not clip
         camera_from_object=sway.camera_from_object,
-        facts={"square_mm": layout.square_mm, "columns": layout.columns, "rows": layout.rows},
+        facts={
+            "square_mm": layout.square_mm,
+            "columns": layout.columns,
+            "rows": layout.rows,
+            "hole_squares": layout.hole_squares,
+        },
     )
 
 
-def board_mesh(layout: BoardLayout, scale: float = 1.0) -> tuple[Points, Surface]:
+def board_mesh(
+    layout: BoardLayout, scale: float = 1.0, sample: FloatArray = _CLOTH
+) -> tuple[Points, Surface]:
     """Return vertices (n, 3) in the board frame, metres, and the printed surface with the sample.
 
     scale: how much larger than the A4 board it is: its margin, its thickness and the print's texels grow with
-    it, the sample's weave does not.
+    it, the sample's weave does not. sample: (b,) pigments of the material in the hole.
     """
     board, board_uv = _flat_grid(_lines(layout.columns, layout, scale), _lines(layout.rows, layout, scale))
     grid = np.arange(len(board)).reshape(layout.rows + 3, layout.columns + 3)
@@ -87,8 +94,8 @@ def board_mesh(layout: BoardLayout, scale: float = 1.0) -> tuple[Points, Surface
     weave = plain_weave(8, 16)
     surface = Surface(
         faces=faces,
-        reference_weights=_CLOTH,
-        vertex_weights=np.where(is_cloth[:, None], _CLOTH, _PAPER),
+        reference_weights=sample,
+        vertex_weights=np.where(is_cloth[:, None], sample, _PAPER),
         texture=texture,
         uv=uv[faces],
         detail=Detail(

@@ -13,6 +13,7 @@ from vntoolkit.simulation.scene import Detail, Scene, SceneOptions, Surface
 from vntoolkit.simulation.studio import studio_camera, studio_lights
 
 RADIUS_M, LENGTH_M = 0.12, 0.42
+FIELD_WIDTH_M = 0.9
 FRAME_COUNT = 180  # 3 s
 _ROWS, _COLUMNS = 150, 720
 _PAPER = np.array([0.80, 0.785, 0.75])
@@ -33,7 +34,9 @@ def build_cylinder(options: SceneOptions) -> Scene:
     )
     return Scene(
         name="cylinder",
-        camera=studio_camera(options.width, options.height, field_width_m=options.field_width_m or 0.9),
+        camera=studio_camera(
+            options.width, options.height, field_width_m=options.field_width_m or FIELD_WIDTH_M
+        ),
         lights=studio_lights(),
         surface=Surface(
             faces=faces,
