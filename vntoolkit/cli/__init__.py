@@ -41,6 +41,7 @@ VERBS: dict[str, tuple[str, str]] = {
         "vntoolkit.cli.report:report",
         "Write one page that tells whether a reconstruction can be trusted.",
     ),
+    "live": ("vntoolkit.cli.live:live", "Watch normals and the surface while filming."),
     "dress": ("vntoolkit.cli.dress:run", "Put a tracked garment on a figure that motion capture moves."),
 }
 

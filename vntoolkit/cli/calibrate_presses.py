@@ -78,7 +78,7 @@ def presses(
         background=background,
         labels=labels,
         transfer=Transfer.from_text(transfer),
-        rectification=_rectification(corners, size_mm, options.pixel_mm),
+        rectification=rectification_from_flags(corners, size_mm, options.pixel_mm),
         label_size=label_size,
     )
     with contextlib.ExitStack() as stack:
@@ -114,7 +114,7 @@ def rectify(
     transfer
         Transfer curve of the footage: linear, srgb, bt709 or gamma:G.
     """
-    rectification = _rectification(corners, size_mm, pixel_mm)
+    rectification = rectification_from_flags(corners, size_mm, pixel_mm)
     if rectification is None:
         raise BadInput("rectify: expected --corners and --size-mm")
     capture = open_capture(source, CaptureOptions(transfer=Transfer.from_text(transfer)))
@@ -125,9 +125,10 @@ def rectify(
     print(f"{out}: {count} images of {width}×{height}, {pixel_mm:g} mm a pixel")
 
 
-def _rectification(
+def rectification_from_flags(
     corners: tuple[float, ...] | None, size_mm: tuple[float, float] | None, pixel_mm: float
 ) -> Rectification | None:
+    """The rectification that --corners, --size-mm and --pixel-mm ask for, or None without them."""
     if corners is None and size_mm is None:
         return None
     if corners is None or size_mm is None:

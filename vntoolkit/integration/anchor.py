@@ -13,10 +13,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from vntoolkit.arrays import Mask
 from vntoolkit.geometry.maps import DepthMap, LengthUnit
 from vntoolkit.integration.components import Components
 
 _FEWEST_PIXELS = 64
+_VOTES = 20_000  # pixels that the median is taken over, evenly spread
 _SMALLEST_SHARE = 0.02  # of a part's pixels that the reference must cover
 
 
@@ -28,20 +30,26 @@ class DepthAnchor:
 
     def align(self, depth_map: DepthMap) -> DepthMap:
         """Return `depth_map` with the reference's offset (`FREE` depth: its scale)."""
-        both = depth_map.mask & self._reference.mask
-        if not both.any():
-            return depth_map
+        if depth_map.mask.all():
+            return self._align_parts(depth_map, [depth_map.mask])
         components = Components(depth_map.mask)
+        if components.count == 1:
+            return self._align_parts(depth_map, [depth_map.mask])
+        return self._align_parts(
+            depth_map, [components.labels == label for label in range(1, components.count + 1)]
+        )
+
+    def _align_parts(self, depth_map: DepthMap, parts: list[Mask]) -> DepthMap:
         depth = np.array(depth_map.depth)
-        for label in range(1, components.count + 1):
-            part = components.labels == label if components.count > 1 else depth_map.mask
-            common = part & both
-            count = int(np.count_nonzero(common))
-            if count < max(_FEWEST_PIXELS, _SMALLEST_SHARE * np.count_nonzero(part)):
+        for part in parts:
+            common = np.flatnonzero(part & self._reference.mask)
+            if len(common) < max(_FEWEST_PIXELS, _SMALLEST_SHARE * np.count_nonzero(part)):
                 continue
-            ours, wanted = depth[common].astype(np.float64), self._reference.depth[common]
+            common = common[:: max(1, len(common) // _VOTES)]
+            ours = depth.ravel()[common].astype(np.float64)
+            wanted = self._reference.depth.ravel()[common]
             if depth_map.unit is LengthUnit.FREE:
-                depth[part] *= np.median(wanted / ours)
+                np.multiply(depth, np.median(wanted / ours), out=depth, where=part)
             else:
-                depth[part] += np.median(wanted - ours)
+                np.add(depth, np.median(wanted - ours), out=depth, where=part)
         return replace(depth_map, depth=depth)

@@ -1,0 +1,103 @@
+"""Live mode on a 1280×720 file played at 30 frames a second: frames dropped and latency, viewer open.
+
+python -m benchmarks.live [--size 1280x720] [--seconds 15] [--browser] [--out FILE.json]      # 1 min
+
+Latency counts from the moment a frame is due to its result, and to its having been sent to the viewer.
+--browser opens the page in headless Chromium, which renders it on the same cores.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.pipeline import footage, rig_of
+from vntoolkit.io.captures import open_capture
+from vntoolkit.io.live_sources import FileSource, TimedFrame
+from vntoolkit.io.video import write_video
+from vntoolkit.pipeline.live import LatencyMeter, LiveRun
+from vntoolkit.pipeline.live_frames import LiveProcessor, LiveResult
+from vntoolkit.report.live_viewer import LiveViewer
+from vntoolkit.report.viewer import ViewerOptions
+
+_RATE_HZ = 30.0
+
+
+@contextlib.contextmanager
+def browser_on(address: str, wanted: bool) -> Iterator[None]:
+    """Hold the page open in headless Chromium."""
+    if not wanted:
+        yield
+        return
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path="/usr/bin/chromium", args=["--no-sandbox"])
+        page = chromium.new_page()
+        page.goto(address)
+        page.wait_for_timeout(3000)
+        yield
+        chromium.close()
+
+
+def measure(width: int, height: int, seconds: float, browser: bool) -> dict[str, object]:
+    processed, meters = LatencyMeter(keep=None), []
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "live.mkv"
+        write_video(path, footage(width, height, round(seconds * _RATE_HZ)), _RATE_HZ)
+        processor = LiveProcessor(rig_of(width, height))
+        first = next(open_capture(path).encoded_frames())
+        processor.process(first)  # compiles
+
+        def on_result(result: LiveResult, timed: TimedFrame) -> None:
+            viewer.show(result, timed)
+            processed.reached(timed.arrived_s)
+
+        run = LiveRun(FileSource(open_capture(path)), processor, on_result)
+        viewer = LiveViewer(processor.camera, ViewerOptions(port=8097), figures=run.figures)
+        meters.append(viewer.meter)
+        viewer.meter = LatencyMeter(keep=None)
+        load = os.getloadavg()[0]
+        with browser_on(viewer.address, browser):
+            watchers = viewer.watchers
+            figures = run.run()
+        viewer.close()
+    rate, latency = processed.figures()
+    shown_rate, shown = viewer.meter.figures()
+    return {
+        "size": [width, height],
+        "browsers": watchers,
+        "load_before": load,
+        "arrived": figures.arrived,
+        "dropped": figures.dropped,
+        "rate_hz": round(rate, 2),
+        "latency_ms_median_p95": list(np.round(1000 * np.array(latency), 1)),
+        "shown": viewer.meter.count,
+        "shown_hz": round(shown_rate, 2),
+        "shown_latency_ms_median_p95": list(np.round(1000 * np.array(shown), 1)),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--size", default="1280x720")
+    parser.add_argument("--seconds", type=float, default=15.0)
+    parser.add_argument("--browser", action="store_true")
+    parser.add_argument("--out", type=Path)
+    arguments = parser.parse_args()
+    width, height = map(int, arguments.size.split("x"))
+    text = json.dumps(measure(width, height, arguments.seconds, arguments.browser), indent=2)
+    print(text)
+    if arguments.out is not None:
+        arguments.out.write_text(text + "\n")
+
+
+if __name__ == "__main__":
+    main()

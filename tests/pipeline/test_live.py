@@ -1,0 +1,210 @@
+"""Live mode: frames in time, the oldest dropped when it is too much, results those of the stages."""
+
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.pipeline.conftest import RESPONSE, DomeCapture, dome_normals
+from vntoolkit.__main__ import main
+from vntoolkit.errors import BadCapture, BadInput
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.rectification import Rectification
+from vntoolkit.io.captures import open_capture
+from vntoolkit.io.decoding import EncodedFrame
+from vntoolkit.io.live_sources import CameraSource, FileSource, TimedFrame
+from vntoolkit.io.rigs import write_rig
+from vntoolkit.io.video import write_video
+from vntoolkit.photometry.lambertian import rgb_from_normals
+from vntoolkit.photometry.rig import Rig
+from vntoolkit.pipeline.live import LatencyMeter, LiveRun
+from vntoolkit.pipeline.live_frames import FrameView, LiveProcessor, LiveResult, exposure_warnings
+from vntoolkit.pipeline.live_recorder import LiveRecorder
+from vntoolkit.report.live_viewer import LiveViewer
+from vntoolkit.report.viewer import ViewerOptions
+
+
+def dome_picture(background: float = 0.0) -> np.ndarray:
+    normals, mask = dome_normals(31.5)
+    rgb = np.where(mask[..., None], rgb_from_normals(normals, RESPONSE), 0) + background
+    return np.round(rgb.clip(0, 1) * 255).astype(np.uint8)
+
+
+def encoded(values: np.ndarray, number: int = 0) -> EncodedFrame:
+    return EncodedFrame(values=values, bits=8, number=number, name=f"frame {number}")
+
+
+def dome_rig() -> Rig:
+    return Rig(camera=Camera.orthographic(width=64, height=48), response=RESPONSE)
+
+
+class Source:
+    """Gives frames at once, or when it is told."""
+
+    name, width, height, frame_rate_hz = "source", 64, 48, 30.0
+
+    def __init__(self, frames: list[EncodedFrame], gate: threading.Event | None = None) -> None:
+        self._frames, self._gate = frames, gate
+
+    def frames(self):
+        for frame in self._frames:
+            yield TimedFrame(frame=frame, arrived_s=time.perf_counter())
+        if self._gate is not None:
+            self._gate.set()
+
+
+def test_a_file_plays_at_its_own_speed(tmp_path: Path) -> None:
+    write_video(tmp_path / "a.mkv", [dome_picture()] * 8, 25.0)
+    timed = [t.arrived_s for t in FileSource(open_capture(tmp_path / "a.mkv")).frames()]
+    np.testing.assert_allclose(np.diff(timed), 0.04, atol=1e-6)  # when due, even where decoding is late
+
+
+def test_the_newest_frames_are_worked_on_and_the_others_counted() -> None:
+    all_there = threading.Event()
+    source = Source([encoded(dome_picture(), n) for n in range(10)], all_there)
+    seen: list[int] = []
+
+    def on_result(result: LiveResult, timed: TimedFrame) -> None:
+        all_there.wait(30)  # the first frame takes as long as the nine others need to arrive
+        seen.append(result.number)
+
+    figures = LiveRun(source, LiveProcessor(dome_rig()), on_result).run()
+    assert seen[-2:] == [8, 9]
+    assert len(seen) <= 3
+    assert figures.arrived == 10
+    assert figures.processed == len(seen)
+    assert figures.dropped == 10 - len(seen)
+    assert f"{figures.dropped} of 10 dropped" in figures.line()
+
+
+def test_a_file_that_is_not_in_real_time_loses_nothing() -> None:
+    source = Source([encoded(dome_picture(), n) for n in range(12)])
+    seen: list[int] = []
+    arrived: list[int] = []
+    run = LiveRun(
+        source,
+        LiveProcessor(dome_rig()),
+        lambda result, timed: seen.append(result.number),
+        lambda timed: arrived.append(timed.frame.number),
+        wait_for_all=True,
+    )
+    assert run.run().dropped == 0
+    assert seen == arrived == list(range(12))
+
+
+def test_black_frames_fail_alone_and_a_source_that_never_gave_any_raises() -> None:
+    black = np.zeros((48, 64, 3), np.uint8)
+    source = Source([encoded(black, 0), encoded(dome_picture(), 1)])
+    figures = LiveRun(source, LiveProcessor(dome_rig()), lambda r, t: None, wait_for_all=True).run()
+    assert (figures.failed, figures.processed) == (1, 1)
+
+    class Unplugged(Source):
+        def frames(self):
+            raise BadCapture("camera 0: gives no frames any more")
+            yield
+
+    with pytest.raises(BadCapture, match="no frames any more"):
+        LiveRun(Unplugged([]), LiveProcessor(dome_rig()), lambda r, t: None).run()
+    with pytest.raises(BadCapture, match="cannot be opened"):
+        CameraSource(97)
+
+
+def test_results_are_those_of_the_dome_and_depth_keeps_its_offset() -> None:
+    processor = LiveProcessor(dome_rig())
+    truth, mask = dome_normals(31.5)
+    first = processor.process(encoded(dome_picture()))
+    inside = first.normal_map.mask & mask
+    cosine = np.sum(first.normal_map.normals_in_camera * truth, axis=2)[inside]
+    assert np.rad2deg(np.arccos(np.clip(cosine, -1, 1))).max() < 2.0  # 8 bits
+    covered = dome_picture()
+    covered[:20] = 0  # a hand before the upper part
+    second = processor.process(encoded(covered))
+    both = first.depth_map.mask & second.depth_map.mask
+    assert abs(np.median((second.depth_map.depth - first.depth_map.depth)[both])) < 1e-3
+
+
+def test_crop_rectification_and_background_give_the_same_normals() -> None:
+    rig = dome_rig()
+    plain = LiveProcessor(rig).process(encoded(dome_picture())).normal_map
+    wide = np.zeros((80, 100, 3), np.uint8)
+    wide[10:58, 20:84] = dome_picture(0.1)
+    empty = np.zeros((80, 100, 3), np.uint8)
+    empty[10:58, 20:84] = round(0.1 * 255)
+    crop = FrameView(crop=(20, 10, 64, 48))
+    cropped = LiveProcessor(rig, crop, background=encoded(empty)).process(encoded(wide)).normal_map
+    inside = plain.mask & cropped.mask
+    assert inside.sum() > 0.9 * plain.mask.sum()
+    np.testing.assert_allclose(cropped.normals_in_camera[inside], plain.normals_in_camera[inside], atol=0.02)
+    same = Rectification(corners_px=(0, 0, 64, 0, 0, 48, 64, 48), width_mm=6.4, height_mm=4.8, pixel_mm=0.1)
+    rectified = LiveProcessor(rig, replace(crop, rectification=same), background=encoded(empty))
+    result = rectified.process(encoded(wide)).normal_map
+    np.testing.assert_allclose(result.normals_in_camera[inside], cropped.normals_in_camera[inside], atol=1e-4)
+    with pytest.raises(BadInput, match="does not lie within the 64×48 picture"):
+        FrameView(crop=(30, 0, 64, 48)).require_inside(64, 48)
+
+
+def test_exposure_is_warned_of() -> None:
+    picture = dome_picture()
+    assert exposure_warnings(encoded(picture)) == ()
+    assert "dark" in exposure_warnings(encoded(picture // 30))[0]
+    bright = picture.copy()
+    bright[:10] = 255
+    assert "clipped" in exposure_warnings(encoded(bright))[0]
+
+
+def test_recordings_are_lossless_and_one_file_each(tmp_path: Path, rng) -> None:
+    recorder = LiveRecorder(tmp_path / "new", 30.0)
+    pictures = [rng.integers(0, 256, (48, 64, 3), dtype=np.uint8) for _ in range(7)]
+    recorder.take(TimedFrame(frame=encoded(pictures[0]), arrived_s=0.0))  # not recording yet
+    assert recorder.toggle()
+    for picture in pictures[:4]:
+        recorder.take(TimedFrame(frame=encoded(picture), arrived_s=0.0))
+    assert not recorder.toggle()
+    recorder.start()
+    for picture in pictures[4:]:
+        recorder.take(TimedFrame(frame=encoded(picture), arrived_s=0.0))
+    recorder.stop()
+    assert recorder.lost == 0
+    assert len(recorder.files) == 2
+    read = [f.values for path in recorder.files for f in open_capture(path).encoded_frames()]
+    np.testing.assert_array_equal(read, pictures)
+
+
+def test_the_viewer_shows_results(dome_capture: DomeCapture) -> None:
+    processor = LiveProcessor(dome_capture.rig)
+    run = LiveRun(FileSource(open_capture(dome_capture.source), realtime=False), processor, lambda r, t: None)
+    viewer = LiveViewer(processor.camera, ViewerOptions(port=8191), figures=run.figures)
+    try:
+        result = processor.process(encoded(dome_picture()))
+        viewer.show(result, TimedFrame(frame=encoded(dome_picture()), arrived_s=time.perf_counter()))
+        for _ in range(200):
+            if viewer.meter.count:
+                break
+            time.sleep(0.05)
+        assert viewer.meter.count == 1
+        assert viewer.address.startswith("http://")
+    finally:
+        viewer.close()
+
+
+def test_rate_and_latency_are_measured() -> None:
+    meter = LatencyMeter()
+    assert meter.figures() == (0.0, (0.0, 0.0))
+    now = time.perf_counter()
+    meter.reached(now - 1.0)
+    meter.reached(now - 1.0)
+    median, high = meter.figures()[1]
+    assert 1.0 <= median <= high < 2.0
+
+
+def test_the_command_plays_a_video_and_says_what_was_dropped(tmp_path: Path, capsys) -> None:
+    write_video(tmp_path / "a.mkv", [dome_picture()] * 6, 30.0)
+    write_rig(tmp_path / "rig.json", dome_rig())
+    arguments = ["live", "--rig", str(tmp_path / "rig.json"), "--port", "8192"]
+    assert main([*arguments, "--video", str(tmp_path / "a.mkv")]) == 0
+    assert "0 of 6 dropped" in capsys.readouterr().out
+    assert main([*arguments, "--video", str(tmp_path / "a.mkv"), "--camera", "0"]) != 0
+    assert "either --camera NUMBER or --video FILE" in capsys.readouterr().err

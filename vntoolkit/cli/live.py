@@ -1,0 +1,191 @@
+"""`vntoolkit live`: normals and the surface while filming."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeAlias
+
+from cyclopts import Parameter
+
+from vntoolkit.cli.calibrate_presses import Corners, SizeMm, rectification_from_flags
+from vntoolkit.cli.flags import flags_from
+from vntoolkit.errors import BadInput
+from vntoolkit.geometry.rectification import Rectification
+from vntoolkit.io.captures import CaptureOptions, open_capture
+from vntoolkit.io.label_images import read_mask
+from vntoolkit.io.live_sources import CameraOptions, CameraSource, FileSource, LiveSource, TimedFrame
+from vntoolkit.io.rigs import read_rig
+from vntoolkit.photometry.rig import Rig
+from vntoolkit.pipeline.live import LiveRun
+from vntoolkit.pipeline.live_frames import FrameView, LiveProcessor, LiveResult
+from vntoolkit.pipeline.live_recorder import LiveRecorder
+from vntoolkit.report.live_viewer import LiveViewer
+from vntoolkit.report.viewer import ViewerOptions
+
+if TYPE_CHECKING:
+    CameraFlags: TypeAlias = CameraOptions | None
+    ViewerFlags: TypeAlias = ViewerOptions | None
+else:
+    CameraFlags = flags_from(CameraOptions)
+    ViewerFlags = flags_from(ViewerOptions)
+
+Crop: TypeAlias = Annotated[tuple[int, int, int, int] | None, Parameter(consume_multiple=True, negative=())]
+
+
+def live(
+    *,
+    rig: Path,
+    camera: int | None = None,
+    video: Path | None = None,
+    realtime: Annotated[bool, Parameter(negative=())] = False,
+    mask: Path | None = None,
+    background: Path | None = None,
+    crop: Crop = None,
+    corners: Corners = None,
+    size_mm: SizeMm = None,
+    pixel_mm: float | None = None,
+    record_to: Path = Path(),
+    seconds: float | None = None,
+    asked: CameraFlags = None,
+    viewer: ViewerFlags = None,
+) -> None:
+    """Watch normals and a turning, relit surface in a browser while filming.
+
+    Frames that come too fast are dropped and counted. `r` in the terminal, or the button on the page, starts
+    and stops a lossless recording of what the camera gives.
+
+    Parameters
+    ----------
+    rig
+        The rig.json of `vntoolkit calibrate`; it belongs to the picture after crop and rectification.
+    camera
+        Number of the camera, 0 for the first.
+    video
+        A video or a folder of images instead of a camera.
+    realtime
+        Play the video at the speed at which it was filmed, dropping frames as a camera would.
+    mask
+        An image, white where the subject is.
+    background
+        An image of the scene under ambient light only, or of the untouched gel, as the camera sees it.
+    crop
+        Left, top, width and height in pixels of the part to work on.
+    corners
+        u v of the gel's top left, top right, bottom left and bottom right corner in the crop, to rectify it.
+    size_mm
+        Width and height of the rectangle between these corners in millimetres.
+    pixel_mm
+        Side of a pixel of the rectified picture in millimetres.
+    record_to
+        The folder for recordings.
+    seconds
+        Stop after so long; default: when the video ends, or Ctrl-C.
+    """
+    read = read_rig(rig)
+    source = _source(camera, video, realtime, asked, read)
+    view = FrameView(crop=crop, rectification=_rectification(corners, size_mm, pixel_mm))
+    view.require_inside(source.width, source.height)
+    read.require_size(*view.size(source.width, source.height), source.name)
+    processor = LiveProcessor(
+        read,
+        view,
+        mask=None if mask is None else read_mask(mask),
+        background=None if background is None else next(open_capture(background).encoded_frames()),
+    )
+    _watch(source, processor, LiveRecorder(record_to, source.frame_rate_hz), seconds, viewer, realtime)
+
+
+def _watch(
+    source: LiveSource,
+    processor: LiveProcessor,
+    recorder: LiveRecorder,
+    seconds: float | None,
+    options: ViewerOptions | None,
+    realtime: bool,
+) -> None:
+    def on_result(result: LiveResult, timed: TimedFrame) -> None:
+        shown.show(result, timed)
+
+    def on_r() -> None:
+        print("recording" if recorder.toggle() else "recording stopped", flush=True)
+
+    wait_for_all = isinstance(source, FileSource) and not realtime
+    run = LiveRun(source, processor, on_result, recorder.take, wait_for_all=wait_for_all)
+    shown = LiveViewer(processor.camera, options, figures=run.figures, on_record=recorder.toggle)
+    print(f"{shown.address} (r records, Ctrl-C ends)", flush=True)
+    timer = None if seconds is None else threading.Timer(seconds, run.stop)
+    try:
+        if timer is not None:
+            timer.start()
+        with contextlib.suppress(KeyboardInterrupt), _keys(on_r):
+            run.run()
+    finally:
+        if timer is not None:
+            timer.cancel()
+        recorder.stop()
+        shown.close()
+    rate, (median, high) = shown.meter.figures()
+    print(f"{source.name}: {run.figures().line()}")
+    print(
+        f"shown {shown.meter.count}: {rate:.1f} frames/s, {1000 * median:.0f} ms (95 %: {1000 * high:.0f} ms)"
+    )
+    for path in recorder.files:
+        print(f"recorded {path}")
+    if recorder.lost or recorder.problem:
+        print(f"the recording lost {recorder.lost} frames {recorder.problem}".rstrip())
+
+
+def _source(
+    camera: int | None, video: Path | None, realtime: bool, asked: CameraOptions | None, rig: Rig
+) -> LiveSource:
+    if (camera is None) == (video is None):
+        raise BadInput("live: expected either --camera NUMBER or --video FILE")
+    if video is not None:
+        return FileSource(open_capture(video, CaptureOptions(transfer=rig.transfer)), realtime=realtime)
+    if realtime:
+        raise BadInput("live: --realtime is for --video; a camera always is")
+    assert camera is not None
+    return CameraSource(camera, asked)
+
+
+def _rectification(
+    corners: tuple[float, ...] | None, size_mm: tuple[float, float] | None, pixel_mm: float | None
+) -> Rectification | None:
+    if corners is None and size_mm is None:
+        return None
+    if pixel_mm is None:
+        raise BadInput("live: --corners and --size-mm need --pixel-mm")
+    return rectification_from_flags(corners, size_mm, pixel_mm)
+
+
+@contextlib.contextmanager
+def _keys(on_r: Callable[[], None]) -> Iterator[None]:
+    """Call `on_r` whenever r is pressed in the terminal, where there is one."""
+    if not sys.stdin.isatty():
+        yield
+        return
+    import select
+    import termios
+    import tty
+
+    before = termios.tcgetattr(sys.stdin)
+    ended = threading.Event()
+
+    def listen() -> None:
+        while not ended.is_set():
+            if select.select([sys.stdin], [], [], 0.2)[0] and sys.stdin.read(1) == "r":
+                on_r()
+
+    tty.setcbreak(sys.stdin)
+    listener = threading.Thread(target=listen, daemon=True)
+    listener.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        listener.join()
+        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)

@@ -1,0 +1,123 @@
+"""Frames as they come: from a camera, or from a file played at the speed at which it was filmed."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from vntoolkit.errors import BadCapture, BadInput
+from vntoolkit.io.captures import Capture
+from vntoolkit.io.decoding import EncodedFrame
+
+_FAILED_READS = 30  # in a row: the camera is gone
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TimedFrame:
+    """A frame and when it was there, in seconds of `time.perf_counter`."""
+
+    frame: EncodedFrame
+    arrived_s: float
+
+
+class LiveSource(Protocol):
+    """What delivers frames at its own pace."""
+
+    name: str
+    width: int
+    height: int
+    frame_rate_hz: float
+
+    def frames(self) -> Iterator[TimedFrame]:
+        """Yield frames as they come, until the source ends."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraOptions:
+    """What is asked of a camera, which may give something else.
+
+    width, height: pixels. rate: frames per second.
+    """
+
+    width: int = 1280
+    height: int = 720
+    rate: float = 30.0
+
+    def __post_init__(self) -> None:
+        if self.width < 1 or self.height < 1 or not self.rate > 0:
+            raise BadInput("camera: expected a positive width, height and rate")
+
+
+class CameraSource:
+    """A camera of this computer, by number, through OpenCV (Video4Linux on Linux)."""
+
+    def __init__(self, number: int, options: CameraOptions | None = None) -> None:
+        import cv2
+
+        options = options or CameraOptions()
+        self.name = f"camera {number}"
+        self._camera = cv2.VideoCapture(number)
+        if not self._camera.isOpened():
+            raise BadCapture(f"camera {number}: cannot be opened; is it plugged in, free, and yours to read?")
+        self._camera.set(cv2.CAP_PROP_FRAME_WIDTH, options.width)
+        self._camera.set(cv2.CAP_PROP_FRAME_HEIGHT, options.height)
+        self._camera.set(cv2.CAP_PROP_FPS, options.rate)
+        self._camera.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # a longer queue is latency
+        self.width = int(self._camera.get(cv2.CAP_PROP_FRAME_WIDTH))
+        self.height = int(self._camera.get(cv2.CAP_PROP_FRAME_HEIGHT))
+        self.frame_rate_hz = float(self._camera.get(cv2.CAP_PROP_FPS)) or options.rate
+
+    def frames(self) -> Iterator[TimedFrame]:
+        """Yield frames until the camera stops giving any."""
+        number, failed = 0, 0
+        try:
+            while failed < _FAILED_READS:
+                read, bgr = self._camera.read()
+                arrived_s = time.perf_counter()
+                if not read:
+                    failed += 1
+                    continue
+                failed = 0
+                values = np.ascontiguousarray(np.asarray(bgr)[..., ::-1])
+                frame = EncodedFrame(
+                    values=values, bits=8, number=number, name=f"{self.name}, frame {number}"
+                )
+                yield TimedFrame(frame=frame, arrived_s=arrived_s)
+                number += 1
+        finally:
+            self._camera.release()
+        raise BadCapture(f"{self.name}: gives no frames any more")
+
+
+class FileSource:
+    """A capture played as if it were filmed now: frame n is there n / rate seconds after the start.
+
+    A frame that could not be decoded in time arrives late, and counts from when it was due. realtime: False
+    gives frames as fast as they can be read.
+    """
+
+    def __init__(self, capture: Capture, *, realtime: bool = True) -> None:
+        info = capture.info
+        self.name = capture.name
+        self.width, self.height = info.width, info.height
+        self.frame_rate_hz = info.frame_rate_hz
+        self.realtime = realtime
+        self._capture = capture
+
+    def frames(self) -> Iterator[TimedFrame]:
+        """Yield all frames of the capture, in time."""
+        start = None
+        for count, frame in enumerate(self._capture.encoded_frames()):
+            now = time.perf_counter()
+            start = now if start is None else start
+            due = start + count / self.frame_rate_hz
+            if not self.realtime:
+                yield TimedFrame(frame=frame, arrived_s=now)
+                continue
+            time.sleep(max(0.0, due - now))
+            yield TimedFrame(frame=frame, arrived_s=due)

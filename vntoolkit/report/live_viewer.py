@@ -1,0 +1,186 @@
+"""The live page, served by viser: the camera's picture, normals, and the surface, turning in the light."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.errors import CannotWrite
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.maps import DepthMap, NormalMap
+from vntoolkit.io.conventions import graphics_from_camera
+from vntoolkit.io.live_sources import TimedFrame
+from vntoolkit.meshing.surface import MeshOptions, mesh_from_depth
+from vntoolkit.pipeline.live import LatencyMeter, LiveFigures
+from vntoolkit.pipeline.live_frames import LiveResult
+from vntoolkit.report.pictures import Picture, picture_of_normals
+from vntoolkit.report.viewer import ViewerOptions
+
+_PICTURE_PX = 480  # longer side of the pictures in the panel
+_SURFACE_PX = 120  # vertices along the longer side
+_PLASTER = (205, 200, 192)
+_SWING_DEG, _SWING_S = 35.0, 6.0  # how far the surface turns to either side, and how long a swing takes
+_CAPTION_HZ = 4.0
+_JPEG_QUALITY = 75
+
+
+class LiveViewer:
+    """Shows the newest result in a thread of its own; passes over results that come faster than it shows."""
+
+    def __init__(
+        self,
+        camera: Camera,
+        options: ViewerOptions | None = None,
+        *,
+        figures: Callable[[], LiveFigures],
+        on_record: Callable[[], bool] | None = None,
+    ) -> None:
+        """figures: how it goes. on_record: starts or stops recording, returns whether it is on."""
+        import viser
+
+        options = options or ViewerOptions()
+        self.meter = LatencyMeter()
+        self._camera, self._figures = camera, figures
+        self._newest: tuple[LiveResult, TimedFrame] | None = None
+        self._changed, self._closed = threading.Condition(), False
+        self._placed: tuple[npt.NDArray[np.float64], float] | None = None
+        self._captioned = 0.0
+        try:
+            with contextlib.redirect_stdout(io.StringIO()):  # it prints a box, whatever it is told
+                self._server = viser.ViserServer(host=options.host, port=options.port, verbose=False)
+        except OSError as error:
+            raise CannotWrite(f"cannot serve on {options.host}:{options.port}: {error}") from error
+        self._set_up(on_record)
+        self._thread = threading.Thread(target=self._work, name="live-viewer", daemon=True)
+        self._thread.start()
+
+    @property
+    def address(self) -> str:
+        """The address to open in a browser."""
+        return f"http://{self._server.get_host()}:{self._server.get_port()}"
+
+    @property
+    def watchers(self) -> int:
+        """Number of browsers that look on."""
+        return len(self._server.get_clients())
+
+    def show(self, result: LiveResult, timed: TimedFrame) -> None:
+        """Hand over a result; returns at once."""
+        with self._changed:
+            self._newest = result, timed
+            self._changed.notify()
+
+    def close(self) -> None:
+        """Stop serving."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+        self._thread.join()
+        self._server.stop()
+
+    def _set_up(self, on_record: Callable[[], bool] | None) -> None:
+        server: Any = self._server
+        server.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=True)
+        server.gui.set_panel_label("vntoolkit live")
+        server.scene.set_up_direction("+y")
+        server.initial_camera.position = (0.0, 0.0, 1.25)
+        server.initial_camera.look_at = (0.0, 0.0, 0.0)
+        server.scene.configure_default_lights(enabled=False)
+        server.scene.add_light_ambient("/ambient", intensity=0.4)
+        server.scene.add_light_directional("/lamp", intensity=2.0, position=(-0.6, 0.6, 1.0))
+        self._turning = server.scene.add_frame("/turning", show_axes=False)
+        self._surface: Any = None
+        self._caption = server.gui.add_markdown("waiting for the first frame")
+        if on_record is not None:
+            button = server.gui.add_button("record")
+
+            @button.on_click
+            def _toggle(_event: Any) -> None:
+                button.label = "stop recording" if on_record() else "record"
+
+        empty = np.zeros((9, 16, 3), np.uint8)
+        self._images = {
+            name: server.gui.add_image(empty, label=name, format="jpeg", jpeg_quality=_JPEG_QUALITY)
+            for name in ("camera", "normals")
+        }
+
+    def _work(self) -> None:
+        while True:
+            with self._changed:
+                while self._newest is None and not self._closed:
+                    self._changed.wait()
+                if self._closed or self._newest is None:
+                    return
+                (result, timed), self._newest = self._newest, None
+            self._draw(result, timed)
+            self.meter.reached(timed.arrived_s)
+
+    def _draw(self, result: LiveResult, timed: TimedFrame) -> None:
+        thin = _thinned(result)
+        with self._server.atomic():
+            self._images["camera"].image = _picture_of_frame(timed)
+            self._images["normals"].image = picture_of_normals(thin, ground=40)
+            if result.depth_map is not None:
+                self._draw_surface(result.depth_map)
+            angle = np.deg2rad(_SWING_DEG) * np.sin(2 * np.pi * time.perf_counter() / _SWING_S)
+            self._turning.wxyz = (np.cos(angle / 2), 0.0, np.sin(angle / 2), 0.0)
+            now = time.perf_counter()
+            if now - self._captioned > 1 / _CAPTION_HZ:
+                self._captioned = now
+                self._caption.content = self._text(result)
+        self._server.flush()
+
+    def _draw_surface(self, depth_map: DepthMap) -> None:
+        stride = max(1, round(max(depth_map.shape) / _SURFACE_PX))
+        mesh = mesh_from_depth(depth_map, self._camera, options=MeshOptions(stride=stride))
+        points = graphics_from_camera(np.asarray(mesh.vertices, dtype=np.float64))
+        if self._placed is None:
+            low, high = points.min(axis=0), points.max(axis=0)
+            self._placed = (low + high) / 2, float((high - low).max()) or 1.0
+        centre, size = self._placed
+        vertices = ((points - centre) / size).astype(np.float32)
+        faces = np.asarray(mesh.faces)
+        same = self._surface is not None and np.array_equal(self._surface.faces, faces)
+        if same:
+            self._surface.vertices = vertices
+            return
+        self._surface = self._server.scene.add_mesh_simple(
+            "/turning/surface", vertices, faces, color=_PLASTER, side="double",
+            cast_shadow=False, receive_shadow=False,
+        )  # fmt: skip
+
+    def _text(self, result: LiveResult) -> str:
+        rate, (median, high) = self.meter.figures()
+        lines = [
+            self._figures().line(),
+            f"shown: {rate:.1f} frames/s, {1000 * median:.0f} ms after arrival (95 %: {1000 * high:.0f} ms)",
+            *(f"**{warning}**" for warning in result.warnings),
+        ]
+        return "\n\n".join(lines)
+
+
+def _thinned(result: LiveResult) -> NormalMap:
+    """The normal map at the size of the panel."""
+    step = max(1, round(max(result.normal_map.shape) / _PICTURE_PX))
+    source = result.normal_map
+    return NormalMap(
+        normals_in_camera=source.normals_in_camera[::step, ::step], mask=source.mask[::step, ::step]
+    )
+
+
+def _picture_of_frame(timed: TimedFrame) -> Picture:
+    values = timed.frame.values
+    step = max(1, round(max(values.shape[:2]) / _PICTURE_PX))
+    small = values[::step, ::step]
+    if small.dtype == np.uint8:
+        return np.ascontiguousarray(small)
+    if small.dtype == np.uint16:
+        return (small >> (timed.frame.bits - 8)).astype(np.uint8)
+    return (255 * np.clip(small, 0, 1)).astype(np.uint8)
