@@ -1,0 +1,70 @@
+"""The recipes: found, short, described, run by name, and packed for those who install the package."""
+
+import ast
+import json
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from vntoolkit.cli import recipe
+from vntoolkit.errors import BadInput
+from vntoolkit.report.numbers import number, write_numbers
+from vntoolkit.report.recipes_page import read_numbers
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "recipes").glob("*.py")), ids=lambda p: p.stem)
+def test_a_recipe_is_short_and_says_what_it_does(path: Path) -> None:
+    text = path.read_text()
+    assert len(text.splitlines()) <= 80
+    assert len(recipe.summary_of(path)) > 20
+    assert f"recipes/{path.name}" in (ast.get_docstring(ast.parse(text)) or "")
+    assert "--out" in text
+
+
+def test_the_recipes_are_packed_where_the_command_looks() -> None:
+    packing = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]
+    assert packing["wheel"]["force-include"]["recipes"] == "vntoolkit/recipes"
+    assert {"figure06", "figure07", "nuisances", "real_objects"} <= set(recipe.recipes())
+
+
+@pytest.fixture
+def made_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Two recipes: one that works, one that fails with a clear line."""
+    scripts = {
+        "good": '"""Figure 1: a made-up one."""\nimport sys\nfrom pathlib import Path\n'
+        "from vntoolkit.report.numbers import number, write_numbers\n"
+        'folder = Path(sys.argv[sys.argv.index("--out") + 1])\n'
+        'quick = "--quick" in sys.argv\n'
+        'print(write_numbers(folder, [number("answer", 21.0 if quick else 42.0, "", 40)]))\n',
+        "bad": '"""Table 2: a bad one."""\nfrom vntoolkit.errors import BadInput\n'
+        'raise BadInput("no footage")\n',
+    }
+    for name, text in scripts.items():
+        (tmp_path / f"{name}.py").write_text(text)
+    monkeypatch.setattr(recipe, "recipes", lambda: {n: tmp_path / f"{n}.py" for n in scripts})
+    return tmp_path
+
+
+def test_one_runs_by_name_with_its_own_arguments(made_up: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recipe.run("good", "--quick", out=made_up / "out")
+    assert json.loads((made_up / "out" / "numbers.json").read_text())[0]["ours"] == 21.0
+    assert "answer: 21 (in paper: 40)" in capsys.readouterr().out
+    with pytest.raises(BadInput, match="expected all, or one of good, bad"):
+        recipe.run("other")
+
+
+def test_all_run_and_the_one_that_fails_is_named(made_up: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recipe.run("all", "--quick", "--data", "nowhere", out=made_up / "all")
+    page = (made_up / "all" / "recipes.html").read_text()
+    assert "answer" in page
+    assert "bad: no footage" in page
+    assert "failed: bad" in capsys.readouterr().out
+
+
+def test_numbers_are_read_back(tmp_path: Path) -> None:
+    rows = [number("mean", 1.2345678, "degrees", 8.67), number("frames", 180, "")]
+    write_numbers(tmp_path, rows)
+    assert [r.ours for r in read_numbers(tmp_path)] == [1.2346, 180]
