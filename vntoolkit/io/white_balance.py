@@ -33,9 +33,13 @@ def fit_gains(rgb: FloatArray, response: LightResponse, used: Mask) -> tuple[Flo
     small = np.asarray(averaged, dtype=np.float64)
     inside: Mask = cv2.resize(used.astype(np.float64), size, interpolation=cv2.INTER_AREA) > 0.999
 
+    v, u = np.indices(inside.shape)
+    shrunk = np.array(used.shape[::-1]) / size
+    positions_px = (np.stack([u, v], axis=-1) + 0.5) * shrunk - 0.5  # where a response that varies is asked
+
     def misfit(logs: FloatArray) -> float:
         undone = small * np.exp([-logs[0], 0.0, -logs[1]])
-        normals = scaled_normals_from_rgb(undone, response)
+        normals = scaled_normals_from_rgb(undone, response, positions_px)
         variation = albedo_variation(undone[inside], normals[inside])
         beyond = max(0.0, float(np.abs(logs).max()) - _LARGEST_LOG_GAIN)
         return (variation + _FLOOR) * curl_share(normals, inside) + beyond
