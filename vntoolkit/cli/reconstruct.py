@@ -47,6 +47,7 @@ def reconstruct(
     transfer: str | None = None,
     frames: str = "::",
     jobs: int = 1,
+    scheduler: str | None = None,
     overwrite: Annotated[bool, Parameter(negative=())] = False,
     pipeline: PipelineFlags = None,
     inversion: InversionFlags = None,
@@ -75,6 +76,8 @@ def reconstruct(
         Which frames, a:b:c: from a, below b, every c-th; or one number.
     jobs
         Worker processes.
+    scheduler
+        Address of a Dask scheduler, tcp://host:8786, whose workers see the same folders; or "local".
     overwrite
         Replace the results that the folder holds.
     """
@@ -93,7 +96,7 @@ def reconstruct(
         mask=mask,
         background=background,
     )
-    _report(_run_with_progress(job, FrameRange.from_text(frames), jobs, overwrite))
+    _report(_run_with_progress(job, FrameRange.from_text(frames), jobs, scheduler, overwrite))
 
 
 def _with_transfer(rig: Rig, transfer: str | None) -> Rig:
@@ -104,7 +107,7 @@ def _with_transfer(rig: Rig, transfer: str | None) -> Rig:
 
 
 def _run_with_progress(
-    job: ReconstructionJob, frames: FrameRange, jobs: int, overwrite: bool
+    job: ReconstructionJob, frames: FrameRange, jobs: int, scheduler: str | None, overwrite: bool
 ) -> ReconstructionSummary:
     with contextlib.ExitStack() as stack:
         advance = [lambda n: None]
@@ -115,7 +118,15 @@ def _run_with_progress(
         def on_frame(record: FrameEntry) -> None:
             advance[0](1)
 
-        return run(job, frames=frames, jobs=jobs, overwrite=overwrite, on_start=on_start, on_frame=on_frame)
+        return run(
+            job,
+            frames=frames,
+            jobs=jobs,
+            scheduler=scheduler,
+            overwrite=overwrite,
+            on_start=on_start,
+            on_frame=on_frame,
+        )
 
 
 def _report(summary: ReconstructionSummary) -> None:

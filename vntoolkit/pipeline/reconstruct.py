@@ -5,8 +5,9 @@ from __future__ import annotations
 import logging
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -34,14 +35,16 @@ from vntoolkit.io.rigs import entry_from_rig
 from vntoolkit.normals.inversion import relative_albedo_from_frame
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.blocks import blocks_of
+from vntoolkit.pipeline.cluster import run_blocks_on_cluster
 from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.pipeline.option_values import option_values
-from vntoolkit.pipeline.run_blocks import run_blocks
+from vntoolkit.pipeline.run_blocks import DoneFrames, run_blocks
 
 logger = logging.getLogger(__name__)
 
 Started = Callable[[int, int], None]
 Finished = Callable[[FrameEntry], None]
+Workers = Callable[[ReconstructionJob, list[range], DoneFrames], Generator[FrameEntry]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,12 +64,15 @@ def reconstruct(
     *,
     frames: FrameRange | None = None,
     jobs: int = 1,
+    scheduler: str | None = None,
     overwrite: bool = False,
     on_start: Started = lambda total, done: None,
     on_frame: Finished = lambda record: None,
 ) -> ReconstructionSummary:
     """Reconstruct the chosen frames of a capture into `job.folder`; go on where an earlier run stopped.
 
+    jobs: worker processes on this machine. scheduler: address of a Dask scheduler whose workers do the work
+    instead, or "local" for `jobs` workers of one that is started here; the output is the same to the byte.
     on_start is called once with the number of frames and how many are on disk already, on_frame after each
     further one. Raises the kinds of `VntError` that bad input deserves, before anything is written where
     that can be known.
@@ -89,7 +95,7 @@ def reconstruct(
     write_manifest(root, manifest)
     _warn_of_the_implausible(job, capture, numbers)
     on_start(len(numbers), len(on_disk & set(numbers)))
-    records = _run(job, numbers, on_disk, jobs, log, on_frame)
+    records = _run(job, numbers, on_disk, _workers(jobs, scheduler), log, on_frame)
     seconds = time.perf_counter() - started
     _finish(root, manifest, log, numbers, seconds)
     skipped = tuple(record for record in records if record.failure)
@@ -113,11 +119,17 @@ def clear(root: Path) -> None:
     (root / MANIFEST_NAME).unlink()
 
 
+def _workers(jobs: int, scheduler: str | None) -> Workers:
+    if scheduler is None:
+        return partial(run_blocks, jobs=jobs)
+    return partial(run_blocks_on_cluster, scheduler=scheduler, workers=jobs)
+
+
 def _run(
     job: ReconstructionJob,
     numbers: range,
     on_disk: set[int],
-    jobs: int,
+    workers: Workers,
     log: FrameLog,
     on_frame: Finished,
 ) -> list[FrameEntry]:
@@ -125,7 +137,7 @@ def _run(
     records: list[FrameEntry] = []
     if not open_blocks:
         return records
-    running = run_blocks(job, open_blocks, lambda block: frozenset(on_disk.intersection(block)), jobs)
+    running = workers(job, open_blocks, lambda block: frozenset(on_disk.intersection(block)))
     try:
         for record in running:
             log.append(record)

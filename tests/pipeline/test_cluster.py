@@ -1,0 +1,99 @@
+"""Many machines: the same bytes from Dask's workers, a worker that dies in mid-run, a run that goes on."""
+
+import hashlib
+import os
+import signal
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tests.pipeline.conftest import DomeCapture, write_dome_capture
+from vntoolkit.errors import BadCapture, BadInput, MissingDependency
+from vntoolkit.io.frame_log import FrameEntry, FrameLog
+from vntoolkit.io.frame_range import FrameRange
+from vntoolkit.io.images import write_png
+from vntoolkit.pipeline.block_work import ReconstructionJob
+from vntoolkit.pipeline.cluster import connected
+from vntoolkit.pipeline.options import Product, ReconstructOptions
+from vntoolkit.pipeline.outputs import ReconstructionFolder
+from vntoolkit.pipeline.reconstruct import reconstruct
+from vntoolkit.shadows.detector import ShadowMethod
+
+
+def job_of(capture: DomeCapture, out: Path) -> ReconstructionJob:
+    return ReconstructionJob(
+        source=capture.source,
+        rig=capture.rig,
+        options=ReconstructOptions(shadows=ShadowMethod.NONE, to=Product.DEPTH),
+        folder=ReconstructionFolder(root=out),
+    )
+
+
+def digest(folder: Path) -> dict[str, str]:
+    files = sorted(folder.rglob("*.exr"))
+    return {str(p.relative_to(folder)): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
+
+
+def test_without_dask_one_line_says_what_to_install(
+    dome_capture: DomeCapture, tmp_path: Path, monkeypatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(MissingDependency, match=r"pip install vntoolkit\[cluster\]"):
+        reconstruct(job_of(dome_capture, tmp_path), scheduler="local")
+
+
+@pytest.mark.slow
+def test_a_worker_that_dies_costs_nothing_but_time(tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    (tmp_path / "footage").mkdir()
+    capture = write_dome_capture(tmp_path / "footage", count=96)
+    alone, many = tmp_path / "alone", tmp_path / "many"
+    reconstruct(job_of(capture, alone))
+    struck: list[int] = []
+    with connected("local", 2) as client:
+        processes = client.run(os.getpid)
+        assert len(processes) == 2
+
+        def strike(entry: FrameEntry) -> None:
+            if not struck:
+                struck.append(next(iter(processes.values())))
+                os.kill(struck[0], signal.SIGKILL)
+
+        address = client.scheduler.address
+        job = job_of(capture, many)
+        summary = reconstruct(job, scheduler=address, on_frame=strike)
+        survivors = set(client.run(os.getpid).values())
+    assert struck
+    assert struck[0] not in survivors
+    assert summary.done == 96
+    assert len(digest(alone)) == 2 * 96
+    assert digest(many) == digest(alone)
+    assert sorted(FrameLog(many).done()) == list(range(96))
+
+
+@pytest.mark.slow
+def test_a_run_on_a_cluster_goes_on_where_another_stopped(dome_capture: DomeCapture, tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    alone, many = tmp_path / "alone", tmp_path / "many"
+    reconstruct(job_of(dome_capture, alone))
+    reconstruct(job_of(dome_capture, many), frames=FrameRange.from_text("0:5"))
+    summary = reconstruct(job_of(dome_capture, many), scheduler="local", jobs=2)
+    assert (summary.resumed, summary.done) == (5, 15)
+    assert digest(many) == digest(alone)
+
+
+@pytest.mark.slow
+def test_a_frame_that_fails_on_a_worker_is_named_here(tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    import numpy as np
+
+    (tmp_path / "footage").mkdir()
+    capture = write_dome_capture(tmp_path / "footage", count=4)
+    write_png(tmp_path / "footage" / "f2.png", np.zeros((48, 64, 3), np.uint16))
+    with pytest.raises(BadCapture, match=r"f2\.png: no usable pixel"):
+        reconstruct(job_of(capture, tmp_path / "out"), scheduler="local", jobs=1)
+    job = replace(job_of(capture, tmp_path / "none"), source=capture.source)
+    with pytest.raises(BadInput, match="no Dask scheduler answers there"):
+        reconstruct(job, scheduler="tcp://127.0.0.1:1")

@@ -1,0 +1,125 @@
+"""Blocks of frames on many machines, by Dask: a scheduler, workers, and a folder that all of them see.
+
+A block is one task. Its worker opens the capture once, writes every frame's files itself, atomically, and
+returns only the records; so nothing large travels. A worker that dies costs the block it was at: the
+scheduler gives that to another, which computes the same bytes. What is finished is in the folder and its log.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import threading
+from collections.abc import Callable, Generator, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from vntoolkit.errors import BadInput, MissingDependency, VntError
+from vntoolkit.io.frame_log import FrameEntry
+from vntoolkit.native import limit_threads
+from vntoolkit.pipeline.block_work import BlockWorker, ReconstructionJob
+from vntoolkit.pipeline.outputs import ReconstructionFolder
+
+LOCAL = "local"
+_BLOCKS_IN_FLIGHT = 2  # per thread of the cluster: one at work, one ready
+_SECONDS_TO_CONNECT = 15
+_here = threading.local()  # a worker of many threads has one `BlockWorker` for each
+
+
+def run_blocks_on_cluster(
+    job: ReconstructionJob,
+    blocks: list[range],
+    done_frames: Callable[[range], frozenset[int]],
+    scheduler: str,
+    workers: int,
+) -> Generator[FrameEntry]:
+    """Yield a record per finished frame, as `run_blocks` does.
+
+    scheduler: address such as tcp://host:8786, or "local" for `workers` processes of this machine. Raises
+    `MissingDependency` without Dask, `BadInput` where no scheduler answers, and what the frames raise.
+    """
+    with connected(scheduler, workers) as client:
+        yield from _collect(client, _for_anywhere(job), blocks, done_frames)
+
+
+@contextlib.contextmanager
+def connected(scheduler: str, workers: int) -> Iterator[Any]:
+    """A Dask client of a scheduler, which is started and ended here if it is to be local."""
+    try:
+        import distributed
+    except ImportError as error:
+        raise MissingDependency("--scheduler needs Dask: pip install vntoolkit[cluster]") from error
+    if scheduler == LOCAL:
+        with (
+            distributed.LocalCluster(
+                n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None,
+                silence_logs=logging.ERROR,
+            ) as cluster,
+            distributed.Client(cluster) as client,
+        ):  # fmt: skip
+            yield client
+        return
+    try:
+        client = distributed.Client(scheduler, timeout=_SECONDS_TO_CONNECT)
+    except (OSError, ValueError) as error:
+        raise BadInput(f"--scheduler {scheduler}: no Dask scheduler answers there ({error})") from error
+    with client:
+        yield client
+
+
+def _collect(
+    client: Any,
+    job: ReconstructionJob,
+    blocks: list[range],
+    done_frames: Callable[[range], frozenset[int]],
+) -> Generator[FrameEntry]:
+    """Keep a bounded number of blocks submitted, and hand on what they return."""
+    import distributed
+
+    shared = client.scatter(job, broadcast=True, hash=False)
+    waiting = iter(blocks)
+    running = distributed.as_completed()
+    try:
+        while True:
+            most = _BLOCKS_IN_FLIGHT * max(1, sum(client.nthreads().values()))
+            while running.count() < most and (block := next(waiting, None)) is not None:
+                running.add(client.submit(_run_block, shared, block, done_frames(block), pure=False))
+            if running.count() == 0:
+                return
+            future = next(running)
+            try:
+                entries = future.result()
+            except distributed.KilledWorker as error:
+                raise VntError(
+                    "one block of frames ended several workers, one after the other (out of memory?); what "
+                    "is finished is on disk: run the same command again to go on"
+                ) from error
+            yield from entries
+    finally:
+        client.cancel(list(running.futures), force=True)
+
+
+def _run_block(job: ReconstructionJob, block: range, already_done: frozenset[int]) -> list[FrameEntry]:
+    """Run on the cluster: process a block with this thread's worker."""
+    key = (job.source, str(job.folder.root), repr(job.options))
+    if getattr(_here, "key", None) != key:
+        limit_threads(1)  # the cluster's processes and threads are the parallelism
+        _here.worker, _here.key = BlockWorker(job), key
+    return list(_here.worker.run(block, already_done))
+
+
+def _for_anywhere(job: ReconstructionJob) -> ReconstructionJob:
+    """The job with absolute paths: a worker runs in another folder, but sees the same ones."""
+
+    def absolute(path: Path | None) -> Path | None:
+        return None if path is None else Path(path).absolute()
+
+    return replace(
+        job,
+        source=os.path.abspath(job.source),  # noqa: PTH100 - may be a pattern; Path would keep the dots
+        folder=ReconstructionFolder(root=job.folder.root.absolute()),
+        mask=absolute(job.mask),
+        background=absolute(job.background),
+    )
