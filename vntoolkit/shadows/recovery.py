@@ -18,6 +18,7 @@ from vntoolkit.photometry.visibility import ALL_LIT
 from vntoolkit.shadows.albedo import AlbedoOptions, albedo_from_lit
 from vntoolkit.shadows.confidence import ConfidenceOptions, confidence_weight, gloss_trust
 from vntoolkit.shadows.filling import fill_smoothly
+from vntoolkit.shadows.lengths import lengths_of
 from vntoolkit.shadows.penumbra import PenumbraOptions, labels_without_penumbra
 from vntoolkit.shadows.shares import LightShares, shares_from_frame
 from vntoolkit.shadows.starts import surface_from_either_start
@@ -116,7 +117,7 @@ def _towards_viewer(normals: FloatArray, weight: FloatArray, mask: Mask) -> Norm
     """Unit normals; one that would face away keeps its direction in the image and turns edge-on."""
     turned: FloatArray = np.array(normals, dtype=np.float32)
     turned[..., 2] = np.minimum(turned[..., 2], -1e-3)
-    length = np.linalg.norm(turned, axis=-1, keepdims=True)
+    length = lengths_of(turned)
     turned = np.where(mask[..., None], turned / length, 0.0).astype(np.float32)
     return NormalMap(
         normals_in_camera=turned, mask=mask, weight=np.where(mask, weight, 0.0).astype(np.float32)

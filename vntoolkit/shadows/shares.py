@@ -10,6 +10,7 @@ import numpy as np
 from vntoolkit.arrays import FloatArray, Mask, Matrix3, Vector3, Weight
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
+from vntoolkit.shadows.lengths import lengths_of
 
 _CLIPPED_TRUST = 0.05  # a saturated channel is a bound, not a value
 _SMALLEST_ALBEDO = 1e-3
@@ -94,14 +95,14 @@ def _albedo_and_normal(rgb: FloatArray, response: LightResponse) -> tuple[FloatA
     haze = (response.inverse @ response.ambient).astype(np.float32)
     rest = max(1.0 - float(haze @ haze), _SMALLEST_REST)
     along = scaled @ haze
-    albedo = (np.sqrt(along**2 + rest * np.sum(scaled**2, axis=-1)) - along) / rest
+    albedo = (np.sqrt(along**2 + rest * np.einsum("...i,...i->...", scaled, scaled)) - along) / rest
     _, normals = _length_and_direction(scaled - albedo[..., None] * haze)
     return albedo, normals
 
 
 def _length_and_direction(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Split (h, w, 3) into length and direction; towards the viewer where there is no length."""
-    length = np.linalg.norm(vectors, axis=-1)
+    length = lengths_of(vectors)[..., 0]
     some = (length > 1e-6)[..., None]
     direction = np.where(some, vectors / np.maximum(length, 1e-6)[..., None], (0.0, 0.0, -1.0))
     return length, direction.astype(np.float32)

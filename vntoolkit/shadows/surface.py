@@ -24,6 +24,7 @@ from vntoolkit.geometry.maps import DepthMap, LengthUnit
 from vntoolkit.photometry.visibility import ALL_LIT
 from vntoolkit.shadows.filling import fill_smoothly
 from vntoolkit.shadows.grid_solver import grid_hierarchy, solve_grid
+from vntoolkit.shadows.lengths import lengths_of
 from vntoolkit.shadows.surface_kernels import (
     Grid,
     Model,
@@ -164,7 +165,7 @@ def normals_from_slopes(slopes: FloatArray, rays: RayGrid) -> FloatArray:
     x, y = _rays(rays, slopes.shape[:2])
     p, q = slopes[..., 0], slopes[..., 1]
     normals: FloatArray = np.stack([p, q, -1.0 - x * p - y * q], axis=-1)
-    return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
+    return normals / lengths_of(normals)
 
 
 def depth_map_from_surface(surface: Surface, mask: Mask, camera: Camera | None = None) -> DepthMap:
@@ -200,7 +201,7 @@ def _first_guess(
     slopes = (-source[..., :2] / along[..., None]).astype(np.float32)
     if start is None:
         slopes = fill_smoothly(slopes, known.astype(np.float32)).astype(np.float32)
-    long = np.linalg.norm(slopes, axis=-1, keepdims=True)
+    long = lengths_of(slopes)
     slopes *= np.minimum(1.0, options.steepest / np.maximum(long, 1e-12))
     depth = np.zeros(normals.shape[:2], np.float32) if start is None else start.depth
     return np.ascontiguousarray(slopes), depth
@@ -226,5 +227,5 @@ def _blend(solved: FloatArray, first: FloatArray, known: Mask, agreement: Grid) 
     """Where colour alone gives a normal, keep it as far as the depth disagrees (a step, a crease)."""
     share = np.where(known, agreement, 1.0)[..., None]
     mixed = share * solved + (1.0 - share) * first
-    length = np.linalg.norm(mixed, axis=-1, keepdims=True)
+    length = lengths_of(mixed)
     return np.where(length > 1e-6, mixed / np.maximum(length, 1e-6), solved)

@@ -7,6 +7,7 @@ import numpy.typing as npt
 from numba import njit
 
 from vntoolkit.arrays import FloatArray, Mask, Normals, VisibilityLabels
+from vntoolkit.shadows.lengths import lengths_of
 
 _PAIRS = ((1, 2, 6), (0, 2, 5), (0, 1, 3))  # the two lights that remain, and the label that says so
 
@@ -105,4 +106,4 @@ def _beside(decided: npt.NDArray[np.bool_], v: int, u: int) -> bool:
 
 
 def _unit(vectors: FloatArray) -> FloatArray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
+    return vectors / np.maximum(lengths_of(vectors), 1e-12)
