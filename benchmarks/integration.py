@@ -18,12 +18,13 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.integration_surfaces import peaks, read_object, tear
+from vntoolkit.evaluation.analytic_surfaces import disc_with_hole, peaks, tear
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.geometry.maps import DepthMap, NormalMap
+from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.integration.options import IntegrationOptions, Integrator
 from vntoolkit.integration.slopes import rays_from_camera, slopes_from_normals
+from vntoolkit.pipeline.evaluate_integration import depth_error_percent, read_object, real_object_errors
 
 # Mean absolute error in mm: Cao et al.'s code, and the best least-squares program, on the same maps.
 PEERS_ON_OBJECTS = {
@@ -48,23 +49,6 @@ def fastest(work: Callable[[], Any], repeats: int = 5) -> float:
     return min(times)
 
 
-def error_percent(found: DepthMap, truth: np.ndarray) -> dict[str, float]:
-    """Errors over the mask in percent of the depth range, after the free offset is removed."""
-    difference = (found.depth.astype(np.float64) - truth)[found.mask]
-    reach = float(np.ptp(truth[found.mask])) / 100.0
-    centred = difference - difference.mean()
-    return {
-        "largest": float(np.abs(centred).max()) / reach,
-        "root_mean_square": float(np.sqrt((centred**2).mean())) / reach,
-        "mean": float(np.abs(difference - np.median(difference)).mean()) / reach,
-    }
-
-
-def disc_with_hole(size: int) -> np.ndarray:
-    v, u = np.mgrid[:size, :size] / size
-    return ((u - 0.5) ** 2 + (v - 0.46) ** 2 < 0.43**2) & ((u - 0.5) ** 2 + (v - 0.33) ** 2 > 0.1**2)
-
-
 def smooth_surfaces(largest: int) -> list[dict[str, Any]]:
     rows = []
     sizes = [n for n in (128, 256, 512, 1024, 2048, 4096) if n <= largest]
@@ -81,7 +65,7 @@ def smooth_surfaces(largest: int) -> list[dict[str, Any]]:
             options = IntegrationOptions(integrator=integrator)
             normal_map = NormalMap(normals_in_camera=normals, mask=mask)
             found = DepthIntegrator(camera, options).integrate(normal_map)
-            rows.append({"surface": f"peaks {size}", "integrator": name, **error_percent(found, depth)})
+            rows.append({"surface": f"peaks {size}", "integrator": name, **depth_error_percent(found, depth)})
     return rows
 
 
@@ -115,8 +99,8 @@ def torn_surface() -> dict[str, Any]:
         least_squares = DepthIntegrator(camera).integrate(full)
         found = DepthIntegrator(camera, robust).integrate(full)
         rows[f"steepness {steepness:g}"] = {
-            **error_percent(found, depth),
-            "least_squares": error_percent(least_squares, depth)["root_mean_square"],
+            **depth_error_percent(found, depth),
+            "least_squares": depth_error_percent(least_squares, depth)["rms"],
             "seconds": fastest(lambda c=camera, f=full, o=robust: DepthIntegrator(c, o).integrate(f), 3),
         }
     return rows
@@ -125,14 +109,11 @@ def torn_surface() -> dict[str, Any]:
 def real_objects(folder: Path) -> dict[str, Any]:
     rows: dict[str, Any] = {}
     for name, (bilateral, least_squares) in PEERS_ON_OBJECTS.items():
-        camera, normal_map, truth = read_object(folder / name)
-        seen = normal_map.mask & np.isfinite(truth)
         row: dict[str, Any] = {"cao_mm": bilateral, "least_squares_mm": least_squares}
-        for integrator in (Integrator.POISSON, Integrator.DISCONTINUITY):
-            options = IntegrationOptions(integrator=integrator)
-            found = DepthIntegrator(camera, options).integrate(normal_map).depth[seen]
-            scaled = found * np.median(truth[seen] / found)
-            row[f"{integrator.value}_mm"] = float(np.abs(scaled - truth[seen]).mean())
+        for error in real_object_errors(folder / name):
+            row[f"{error.integrator}_mm"] = error.mean_mm
+        camera, normal_map, _ = read_object(folder / name)
+        options = IntegrationOptions(integrator=Integrator.DISCONTINUITY)
         row["discontinuity_s"] = fastest(
             lambda c=camera, n=normal_map, o=options: DepthIntegrator(c, o).integrate(n), 3
         )
@@ -181,10 +162,7 @@ def print_result(result: dict[str, Any]) -> None:
         "| smooth surface | integrator | largest error, % of range | root mean square, % |\n|---|---|---|---|"
     )
     for row in result["smooth"]:
-        print(
-            f"| {row['surface']} | {row['integrator']} | {row['largest']:.1e} "
-            f"| {row['root_mean_square']:.1e} |"
-        )
+        print(f"| {row['surface']} | {row['integrator']} | {row['largest']:.1e} | {row['rms']:.1e} |")
     masked, frame = result["masked"], result["frame"]
     print(
         f"\nmasked Poisson 1024×1024: cold {masked['cold_s']:.3f} s, video "
@@ -201,7 +179,7 @@ def print_result(result: dict[str, Any]) -> None:
     for name, row in result["tear"].items():
         if isinstance(row, dict):
             print(
-                f"| {name} | {row['root_mean_square']:.2f} | {row['mean']:.2f} "
+                f"| {name} | {row['rms']:.2f} | {row['mean']:.2f} "
                 f"| {row['least_squares']:.1f} | {row['seconds']:.2f} |"
             )
     print(f"({PEERS_ON_TEAR})")
