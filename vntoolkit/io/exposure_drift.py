@@ -17,6 +17,7 @@ from vntoolkit.arrays import FloatArray, Mask
 from vntoolkit.photometry.frame import LinearFrame
 
 _LARGEST_SIDE_PX = 240  # frames are averaged down to it: less noise, less work
+_BLUR_PX = 5  # one level of 8 bits in the dark is more than the window below
 _DARKEST = 0.02  # of full scale, linear; below it noise decides
 _WINDOW = 0.02  # in log light: pixels this close to the common factor belong to the static part
 _SEARCH = 0.7  # in log light: half of the range of factors looked at
@@ -76,8 +77,9 @@ def _reduced(frame: LinearFrame) -> tuple[FloatArray, Mask]:
     """Return log light (h, w, 3), averaged down, and where all that went into a pixel can be trusted."""
     factor = min(1.0, _LARGEST_SIDE_PX / max(frame.shape))
     size = tuple(max(1, round(n * factor)) for n in frame.shape[::-1])
-    rgb = cv2.resize(np.array(frame.rgb), size, interpolation=cv2.INTER_AREA)
+    rgb = cv2.blur(cv2.resize(np.array(frame.rgb), size, interpolation=cv2.INTER_AREA), (_BLUR_PX, _BLUR_PX))
     clipped = cv2.resize(frame.clipped.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    clipped = cv2.blur(clipped, (_BLUR_PX, _BLUR_PX))
     usable: Mask = np.asarray((rgb.min(axis=2) > _DARKEST) & (clipped == 0))
     return np.log(np.maximum(rgb, 1e-6)).astype(np.float64), usable
 

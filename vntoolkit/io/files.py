@@ -19,7 +19,9 @@ def require_file(path: Path | str, error: type[BadInput] = BadInput) -> Path:
             raise error(f"{path}: is a folder, expected a file")
         if not path.exists():
             raise error(f"{path}: no such file")
-        if path.is_file() and path.stat().st_size == 0:
+        if not path.is_file():
+            raise error(f"{path}: is a pipe or a device, expected a file")
+        if path.stat().st_size == 0:
             raise error(f"{path}: the file is empty")
     except OSError as problem:
         raise error(f"{path}: cannot be read ({problem.strerror})") from problem

@@ -24,6 +24,7 @@ _CURVES = ("linear", "srgb", "bt709", "gamma:2.2")
 # Buddha and a plaster cat: undoing a swap leaves 0.36, 0.34, 0.38; undoing sRGB that was read as linear 0.53,
 # 0.71, 0.65; the reverse 1.00 (not seen), 0.65, 0.67. Two faces of uneven skin stay above 0.92.
 _MARGIN = 0.75
+_WORST_WITHOUT_MASK = 0.06  # of a mended misfit: a backdrop of another material leaves 0.1 and more
 _UNEVEN = 0.004  # a misfit below it is noise: a clean rendering leaves 0.0007, sRGB read as linear 0.008
 _ALBEDO_FLOOR = 0.05  # where both readings give an even albedo, curl alone decides
 _FEWEST_PIXELS = 100
@@ -78,7 +79,8 @@ def _findings_from_curves(
     text = text_of_gains(gains, mended / unmended)
     if text and mended / unmended < left[best] / as_read:
         return [text]
-    if left[best] < _MARGIN * as_read:
+    explains = mask is not None or left[best] < _WORST_WITHOUT_MASK
+    if left[best] < _MARGIN * as_read and explains:
         return [
             f"the transfer curve looks like {best}, not {transfer.to_text()}: the rig's misfit is then "
             f"{left[best]:.3f} instead of {as_read:.3f}; give --transfer {best}"
