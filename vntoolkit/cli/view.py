@@ -10,7 +10,7 @@ from vntoolkit.cli.flags import flags_from
 from vntoolkit.cli.progress import progress_bar
 from vntoolkit.io.frame_range import FrameRange
 from vntoolkit.pipeline.opened_result import open_result
-from vntoolkit.report.scene_page import SceneOptions, write_scene
+from vntoolkit.report.scene_page import SceneOptions, counted, write_scene
 from vntoolkit.report.viewer import ResultViewer, ViewerOptions
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def view(
         with progress_bar("scene", count) as advance:
             write_scene(html, result, scene, on_frame=lambda: advance(1))
         thinned = f" of {len(result.numbers)}, evenly spread" if count < len(result.numbers) else ""
-        print(f"{html}: {count} frames{thinned}; {html.stat().st_size / 1e6:.1f} MB")
+        print(f"{html}: {counted(count)}{thinned}; {html.stat().st_size / 1e6:.1f} MB")
         return
     shown = ResultViewer(result, viewer)
     print(f"{shown.address} (Ctrl-C ends)", flush=True)

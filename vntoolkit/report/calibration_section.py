@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 # Bounds between good, fair and poor, by experience with simulated captures; they only colour the numbers.
 _RESIDUAL_DEG = (2.0, 5.0)
-_CONDITION = (4.0, 12.0)
+_CONDITION = (10.0, 30.0)
 _CONE_DEG = (35.0, 20.0)
 _HISTOGRAM_CELLS = 60
 _LARGEST_SAMPLE = 200_000
@@ -56,7 +56,7 @@ def _numbers(result: OpenedResult) -> tuple[PageNumber, ...]:
             value=f"{quality.residual_deg:.2f}°",
             label="median residual",
             grade=graded(quality.residual_deg, _RESIDUAL_DEG),
-            remark=f"over {quality.samples:,} pairs of colour and normal, by `{quality.method}`",
+            remark=f"over {quality.samples:,} pairs of colour and normal, by {quality.method}",
         ),
         condition,
         PageNumber(

@@ -99,7 +99,12 @@ def write_scene(
         )
         on_frame()
     scene = _scene(result, frames, None if thin is None else thin.mesh)
-    _write(path, f"{Path(result.manifest.input.source).name}, {len(frames)} frames", scene)
+    _write(path, f"{Path(result.manifest.input.source).name}, {counted(len(frames))}", scene)
+
+
+def counted(frames: int) -> str:
+    """Return "1 frame" or "7 frames"."""
+    return f"{frames} frame" + ("" if frames == 1 else "s")
 
 
 def _own_mesh(result: OpenedResult, number: int, options: SceneOptions) -> Mesh | None:

@@ -30,7 +30,7 @@ from vntoolkit.report.pictures import (
 _PLASTER = (205, 200, 192)
 _CHECKS = (32, 24)  # cells across and down the template's picture
 _CHECK_COLOURS = np.array([[0.85, 0.82, 0.78], [0.62, 0.13, 0.08]], np.float32)
-_LAMP = (-0.55, 0.38, 0.5)  # where the light starts, the subject's size being 1
+_LAMP = (-0.42, 0.26, 0.4)  # where the light starts, the subject's size being 1
 _FASTEST_HZ = 15.0
 
 
@@ -126,10 +126,10 @@ class ResultViewer:
         server.scene.configure_default_lights(enabled=False)
         server.scene.configure_environment_map("warehouse", environment_intensity=0.25)
         server.scene.add_transform_controls(
-            "/light", scale=0.25, position=_LAMP, disable_rotations=True, disable_sliders=True
+            "/light", scale=0.14, position=_LAMP, disable_rotations=True, disable_sliders=True
         )
-        server.scene.add_light_point("/light/lamp", intensity=5.0, decay=2.0)
-        server.scene.add_icosphere("/light/bulb", radius=0.025, color=(255, 179, 0))
+        server.scene.add_light_point("/light/lamp", intensity=3.5, decay=2.0)
+        server.scene.add_icosphere("/light/bulb", radius=0.012, color=(255, 179, 0))
 
     def _set_up_controls(self) -> None:
         gui: Any = self._server.gui
