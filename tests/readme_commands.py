@@ -36,7 +36,11 @@ class Step:
 
     @property
     def is_run(self) -> bool:
-        return self.language == "python" or self.text.split()[0] not in NOT_RUN
+        """False for what sets a machine up, and for what needs a camera."""
+        if self.language == "python":
+            return True
+        words = shlex.split(self.text, comments=True)
+        return words[0] not in NOT_RUN and not (words[:2] == ["vntoolkit", "live"] and "--camera" in words)
 
     @property
     def serves(self) -> bool:

@@ -46,8 +46,10 @@ def test_every_command_of_the_readme_runs(tmp_path: Path) -> None:
 
 
 def test_every_verb_that_the_readme_names_is_there() -> None:
-    named = re.findall(r"(?<![\w/])vntoolkit ([a-z]+)(?: ([a-z]+))?", README.read_text())
-    for verb, second in named:
+    text = README.read_text()
+    printed = re.findall(r"`(vntoolkit [^`\n]+)`", text)  # in a sentence
+    printed += [step.text for step in steps_of(text) if step.language == "sh"]
+    for verb, second in re.findall(r"(?m)^vntoolkit ([a-z]+)(?: ([a-z]+))?", "\n".join(printed)):
         assert verb in VERBS or verb in GROUPS, f"README.md names `vntoolkit {verb}`"
         if verb in GROUPS and second:
             assert second in GROUPS[verb][1], f"README.md names `vntoolkit {verb} {second}`"
@@ -84,6 +86,8 @@ def test_blocks_are_read_as_a_person_would() -> None:
     assert [step.serves for step in steps if step.language == "sh"] == [False, False, True]
     assert not Step("sh", "vntoolkit view out --html scene.html", 1).serves
     assert "make" in NOT_RUN
+    assert not Step("sh", "vntoolkit live --camera 0 --rig rig.json", 1).is_run
+    assert Step("sh", "vntoolkit live --video capture.mkv --rig rig.json", 1).is_run
 
 
 def test_a_failing_command_is_named_with_its_line(tmp_path: Path) -> None:
