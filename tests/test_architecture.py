@@ -9,7 +9,7 @@ PACKAGE = Path(__file__).parent.parent / "vntoolkit"
 
 # A lower number may be imported by a higher one; equal numbers only within the same room.
 FLOORS = {
-    "arrays": 0, "errors": 0.1, "checks": 0.2, "native": 0.3,
+    "arrays": 0, "errors": 0.1, "checks": 0.2, "native": 0.3, "devices": 0.4,
     "geometry": 1, "photometry": 1.5,
     "io": 2, "calibration": 2, "simulation": 2, "normals": 2, "shadows": 2, "integration": 2,
     "meshing": 2, "tracking": 2, "skinning": 2, "evaluation": 2,
@@ -21,7 +21,16 @@ FLOORS = {
 DOORS = {
     "pycolmap": ("calibration/head",),
     "pymeshlab": ("geometry/", "evaluation/", "meshing/", "native.py"),
-    "open3d": ("geometry/", "calibration/head", "simulation/", "meshing/", "tracking/", "report/", "io/meshes", "native.py"),
+    "open3d": (
+        "geometry/",
+        "calibration/head",
+        "simulation/",
+        "meshing/",
+        "tracking/",
+        "report/",
+        "io/meshes",
+        "native.py",
+    ),
     "cv2": ("io/", "calibration/", "tracking/flow", "shadows/", "simulation/", "native.py"),
     "av": ("io/",),
     "OpenEXR": ("io/",),

@@ -108,7 +108,7 @@ def normals_from_frame(
     inside = _require_mask(mask, frame.shape)
     out = _outputs(frame.shape)
     rgb = np.ascontiguousarray(frame.rgb)
-    c = _coefficients(response, options)
+    c = coefficients_from_response(response, options)
     if response.variation is None:
         normals_from_rgb_kernel(rgb, frame.clipped, inside, c, out)
     else:
@@ -132,7 +132,7 @@ def normals_from_encoded(
     shape = _require_encoded(encoded)
     out = _outputs(shape)
     image, decoding = np.ascontiguousarray(encoded), _decoding(encoded, transfer, bits)
-    inside, c = _require_mask(mask, shape), _coefficients(response, options)
+    inside, c = _require_mask(mask, shape), coefficients_from_response(response, options)
     if response.variation is None:
         normals_from_integers_kernel(image, decoding, inside, c, out)
     else:
@@ -156,7 +156,7 @@ def gradients_from_encoded(
     if response.variation is not None:
         normal_map = normals_from_encoded(encoded, response, transfer, mask, options, bits)
         n = normal_map.normals_in_camera
-        flattest = _coefficients(response, options).flattest_z
+        flattest = coefficients_from_response(response, options).flattest_z
         slopes = (n[..., :2] / np.maximum(-n[..., 2:], flattest)).astype(np.float32)
         return EncodedGradients(p=slopes[..., 0], q=slopes[..., 1], normal_map=normal_map)
     out = _outputs(shape)
@@ -165,7 +165,7 @@ def gradients_from_encoded(
         np.ascontiguousarray(encoded),
         _decoding(encoded, transfer, bits),
         _require_mask(mask, shape),
-        _coefficients(response, options),
+        coefficients_from_response(response, options),
         out,
         p,
         q,
@@ -194,7 +194,8 @@ def relative_albedo_from_frame(
     return float(np.median(lengths))
 
 
-def _coefficients(response: LightResponse, options: InversionOptions | None) -> Coefficients:
+def coefficients_from_response(response: LightResponse, options: InversionOptions | None) -> Coefficients:
+    """What the loops need to know."""
     options = options or InversionOptions()
     inverse = response.inverse / options.relative_albedo
     return Coefficients(

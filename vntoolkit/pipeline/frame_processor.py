@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from vntoolkit.arrays import Colours, LinearImage, Mask, VisibilityLabels
 from vntoolkit.checks import require_shape
+from vntoolkit.devices import find_backend
 from vntoolkit.errors import BadCapture
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.geometry.mesh import Mesh
@@ -21,6 +22,7 @@ from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.levelling import Leveller
 from vntoolkit.photometry.rig import Rig
+from vntoolkit.pipeline.device_path import DevicePath
 from vntoolkit.pipeline.options import Product, ReconstructOptions
 from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
 from vntoolkit.shadows.recovery import recover_normals
@@ -65,6 +67,11 @@ class FrameProcessor:
         self._mask = self._undistorter.mask(whole)
         self._integrator = DepthIntegrator(self.camera, options.integration)
         self._anchor: DepthAnchor | None = None
+        self._depth_of_device: DepthMap | None = None
+        backend = find_backend(options.device)
+        self._device = None
+        if backend is not None:
+            self._device = DevicePath(backend, rig, self._mask, options.inversion, options.integration)
         self._central = rig.response.central
         self._leveller = None
         if rig.response.variation is not None and options.shadows is not ShadowMethod.NONE:
@@ -76,7 +83,7 @@ class FrameProcessor:
         self.forget()
         normal_map, _, _ = self._normals(frame)
         if normal_map.mask.any():
-            self._anchor = DepthAnchor(self._integrator.integrate(normal_map))
+            self._anchor = DepthAnchor(self._unanchored_depth(normal_map))
         self.forget()
 
     def forget(self) -> None:
@@ -117,18 +124,25 @@ class FrameProcessor:
     def _normals(self, frame: EncodedFrame) -> tuple[NormalMap, VisibilityLabels | None, float]:
         if self._options.shadows is not ShadowMethod.NONE:
             return self._normals_under_shadow(self.linear(frame))
+        if self._device is not None and self._is_plain(frame):
+            normal_map, self._depth_of_device = self._device.process(frame)
+            return normal_map, None, self._clipped_share(frame)
         if self._is_plain(frame):
             values, transfer = frame.values, self._rig.transfer
             normal_map = normals_from_encoded(
                 values, self._rig.response, transfer, self._mask, self._options.inversion, frame.bits
             )
-            white = transfer.white_level * (2**frame.bits - 1)
-            brightest = np.maximum(values[..., 0], values[..., 1])  # max(axis=2) is five times slower
-            np.maximum(brightest, values[..., 2], out=brightest)
-            return normal_map, None, float(np.count_nonzero(brightest >= white) / brightest.size)
+            return normal_map, None, self._clipped_share(frame)
         linear = self.linear(frame)
         normal_map = normals_from_frame(linear, self._rig.response, self._mask, self._options.inversion)
         return normal_map, None, float(linear.clipped.mean())
+
+    def _clipped_share(self, frame: EncodedFrame) -> float:
+        values = frame.values
+        white = self._rig.transfer.white_level * (2**frame.bits - 1)
+        brightest = np.maximum(values[..., 0], values[..., 1])  # max(axis=2) is five times slower
+        np.maximum(brightest, values[..., 2], out=brightest)
+        return float(np.count_nonzero(brightest >= white) / brightest.size)
 
     def _normals_under_shadow(self, frame: LinearFrame) -> tuple[NormalMap, VisibilityLabels, float]:
         """Find the shadows, then normals from whichever lights arrive; black pixels are the backdrop."""
@@ -156,8 +170,12 @@ class FrameProcessor:
         integers = frame.values.dtype in (np.uint8, np.uint16)
         return integers and self._background is None and not self._undistorter.changes_frames
 
+    def _unanchored_depth(self, normal_map: NormalMap) -> DepthMap:
+        ready, self._depth_of_device = self._depth_of_device, None
+        return self._integrator.integrate(normal_map) if ready is None else ready
+
     def _depth(self, normal_map: NormalMap) -> DepthMap:
-        depth_map = self._integrator.integrate(normal_map)
+        depth_map = self._unanchored_depth(normal_map)
         if self._anchor is not None:
             depth_map = self._anchor.align(depth_map)
         if depth_map.unit is LengthUnit.FREE and self._options.distance_m is not None:

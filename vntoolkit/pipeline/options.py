@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import Enum
 
+from vntoolkit.devices import Device
 from vntoolkit.errors import BadInput
 from vntoolkit.integration.options import IntegrationOptions
 from vntoolkit.meshing.surface import MeshOptions
@@ -47,6 +48,7 @@ class ReconstructOptions:
     tied to; default: the first of the run that makes the folder. smoothing: difference of colour, as a share
     of full scale, up to which a pixel of the frame before or after counts as the same surface at rest and is
     averaged in; 0 for none, about 3 times the noise to use it. on_error: what a failing frame does.
+    device: what the per-pixel and Fourier stages run on; CUDA needs CuPy or PyTorch, and falls back silently.
     """
 
     to: Product = Product.MESH
@@ -57,6 +59,7 @@ class ReconstructOptions:
     reference_frame: int | None = None
     smoothing: float = 0.0
     on_error: OnError = OnError.STOP
+    device: Device = Device.CPU
     inversion: InversionOptions = field(default_factory=InversionOptions)
     integration: IntegrationOptions = field(default_factory=IntegrationOptions)
     meshing: MeshOptions = field(default_factory=MeshOptions)
