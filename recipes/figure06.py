@@ -63,13 +63,12 @@ def main(out: Path) -> None:
     curve = {"distance": 100 * vertex_distances(laid, meshes["white"]) / distance.diagonal}
     numbers = [
         number("jacket, mean distance", distance.mean_percent, "% of the diagonal", 1.4),
-        *(number(f"{n}: mean error", compare_normals(m, truth).mean_deg, "degrees") for n, m in maps.items()),
+        *(number(f"{n}: error", compare_normals(m, truth).mean_deg, "degrees") for n, m in maps.items()),
     ]
     middle = meshes["white"].vertices.mean(axis=0)
     view = View(centre=middle, height=0.8 * distance.diagonal, azimuth_deg=-30, width_px=480, height_px=480)
-    write_png(
-        out / "figure06.png", np.concatenate([picture_of([m], view) for m in (meshes["white"], laid)], 1)
-    )
+    pictures = [picture_of([mesh], view) for mesh in (meshes["white"], laid)]
+    write_png(out / "figure06.png", np.concatenate(pictures, axis=1))
     write_cumulative_errors(out / "figure06_curve.png", curve, "jacket", "% of the diagonal")
     print(write_numbers(out, numbers))
 

@@ -1,6 +1,6 @@
 """Figure 7: the normals of a moving cylinder against one cylinder fitted to the whole sequence.
 
-    python recipes/figure07.py --out out/figure07 [--quick]        # 25 min, --quick 3 min
+    python recipes/figure07.py --out out/figure07 [--quick]        # 15 min on a free machine, --quick 3 min
 
 Films the calibration board all over the field, fits M to it as polynomials of the pixel (near lights), films
 the cylinder (3 s), reconstructs it and measures; then once more with one M for the whole field. The lens is
