@@ -21,14 +21,14 @@ class FusionOptions:
 
     fusion_depth: levels of the octree; 7 resolves about a 100th of the head. agreement: distance, as a share
     of the hull's diagonal, within which points of another view must confirm a point. confirmations: how many
-    other views must. hull_gap: distance, as a share of the diagonal, from stereo points beyond which the
-    hull's own surface fills in.
+    other views must. hull_gap: distance, as a share of the diagonal,
+    from the places of the hull whose depth stereo corrected, beyond which the hull itself is surface.
     """
 
     fusion_depth: int = 7
     agreement: float = 0.004
     confirmations: int = 1
-    hull_gap: float = 0.02
+    hull_gap: float = 0.008
 
     def __post_init__(self) -> None:
         if not 4 <= self.fusion_depth <= 12 or self.confirmations < 0:
@@ -46,18 +46,17 @@ def fuse_points(
     Raises `BadCalibration` where hardly a point is confirmed.
     """
     points = _confirmed(maps, hull.diagonal, options)
-    inside = grid.at(points.points) > -grid.cell
-    where, outward = points.points[inside], points.normals[inside]
-    if len(where) < 500:
+    points = points.chosen(grid.at(points.points) > -grid.cell)
+    if len(points.points) < 500:
         raise BadCalibration(
-            f"stereo: only {len(where)} depths agree between views; film more sharply, closer, slower"
+            f"stereo: only {len(points.points)} depths agree between views; film more sharply, closer, slower"
         )
-    distance, _ = cKDTree(where).query(hull.vertices, workers=1)
+    distance, _ = cKDTree(points.on_hull).query(hull.vertices, workers=1)
     rest = distance > options.hull_gap * hull.diagonal
     normals = vertex_normals(hull.vertices, hull.faces)
     return _poisson(
-        np.concatenate([where, hull.vertices[rest]]),
-        np.concatenate([outward, normals[rest]]),
+        np.concatenate([points.points, hull.vertices[rest]]),
+        np.concatenate([points.normals, normals[rest]]),
         options.fusion_depth,
     )
 
@@ -79,10 +78,13 @@ def _confirmed(maps: Sequence[OrientedPoints], diagonal: float, options: FusionO
             step = maps[j].points[nearest[found]] - each.points[found]
             gap[found] = np.abs((step * each.normals[found]).sum(axis=1))
             votes += gap < options.agreement * diagonal
-        good = votes >= options.confirmations
-        kept.append((each.points[good], each.normals[good], each.correlation[good]))
-    points, normals, correlation = (np.concatenate(parts) for parts in zip(*kept, strict=True))
-    return OrientedPoints(points=points, normals=normals, correlation=correlation)
+        kept.append(each.chosen(votes >= options.confirmations))
+    return OrientedPoints(
+        points=np.concatenate([each.points for each in kept]),
+        normals=np.concatenate([each.normals for each in kept]),
+        on_hull=np.concatenate([each.on_hull for each in kept]),
+        correlation=np.concatenate([each.correlation for each in kept]),
+    )
 
 
 def _poisson(points: np.ndarray, normals: np.ndarray, depth: int) -> Mesh:

@@ -55,11 +55,25 @@ class StereoOptions:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OrientedPoints:
-    """Points (n, 3) with outward unit normals (n, 3) in the head frame, and their correlation (n,)."""
+    """Points found by stereo, in the head frame.
+
+    points, normals: (n, 3), outward unit normals. on_hull: (n, 3) where the hull is hit by the rays that they
+    lie on. correlation: (n,).
+    """
 
     points: Points
     normals: Points
+    on_hull: Points
     correlation: FloatArray
+
+    def chosen(self, kept: npt.NDArray[np.bool_]) -> OrientedPoints:
+        """Keep some of the points, (n,)."""
+        return OrientedPoints(
+            points=self.points[kept],
+            normals=self.normals[kept],
+            on_hull=self.on_hull[kept],
+            correlation=self.correlation[kept],
+        )
 
 
 def stereo_points(
@@ -87,8 +101,8 @@ def stereo_points(
         & np.isfinite(offset)
         & view.mask[rows, columns]
     )
-    depth = depth + np.where(valid, offset, 0.0)
-    return _oriented_points(view, depth, valid, correlation, (rows, columns), options.smoothing_px)
+    found = depth + np.where(valid, offset, 0.0)
+    return _oriented_points(view, depth, found, valid, correlation, (rows, columns), options.smoothing_px)
 
 
 def spread_over_turn(views: Sequence[View], count: int) -> IntArray:
@@ -98,17 +112,16 @@ def spread_over_turn(views: Sequence[View], count: int) -> IntArray:
     return np.unique([int(np.argmin(np.abs(angles - angle))) for angle in wanted])
 
 
-def turn_angles_deg(poses: Sequence[RigidTransform]) -> FloatArray:
-    """Return the signed angle (f,) of every pose about the one axis that most of the turning is about."""
-    turns = np.array([(pose @ poses[0].inverse()).rotation_vector for pose in poses])
+def turn_angles_deg(poses: Sequence[RigidTransform], reference: int = 0) -> FloatArray:
+    """Return the turn (f,) of every pose from the reference, signed, about the axis most turning is about."""
+    turns = np.array([(pose @ poses[reference].inverse()).rotation_vector for pose in poses])
     _, _, right = np.linalg.svd(turns, full_matrices=False)
     return np.rad2deg(turns @ right[0])
 
 
 def neighbours_of(views: Sequence[View], reference: int, angles_deg: Sequence[float]) -> list[int]:
     """Return the views nearest to the given turns to both sides of the reference, at least half as far."""
-    angles = turn_angles_deg([view.camera_from_head for view in views])
-    apart = angles - angles[reference]
+    apart = turn_angles_deg([view.camera_from_head for view in views], reference)
     chosen: list[int] = []
     for angle in angles_deg:
         for signed in (-angle, angle):
@@ -224,6 +237,7 @@ def _best_shell(scores: FloatArray, shells: FloatArray) -> tuple[FloatArray, Flo
 
 def _oriented_points(
     view: View,
+    on_hull: FloatArray,
     depth: FloatArray,
     valid: Mask,
     correlation: FloatArray,
@@ -252,5 +266,6 @@ def _oriented_points(
     return OrientedPoints(
         points=head.apply(points[valid]),
         normals=head.rotate(normals[valid]),
+        on_hull=head.apply(view.camera.unproject(view.camera.pixel_grid()[window][valid], on_hull[valid])),
         correlation=correlation[valid],
     )

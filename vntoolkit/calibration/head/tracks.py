@@ -12,6 +12,7 @@ import numpy.typing as npt
 from vntoolkit.arrays import FloatArray, IntArray, Mask, Points2, read_only
 from vntoolkit.errors import BadCalibration, BadInput
 
+_LEAST_FOLLOWED = 0.25  # of the usual number of points: fewer means a cut, even where some match by chance
 _LEAST_MOTION = 0.08  # of the head's diagonal in the picture, over a whole track
 _WIDEST_VALUE = 4.0  # local contrast that becomes black or white in the 8-bit image that is followed
 
@@ -188,7 +189,7 @@ def require_tracks(tracks: Tracks) -> None:
             f"tracks: only {int(np.median(shared)) if len(shared) else 0} points of the skin can be followed "
             "from frame to frame, 60 are needed; film sharper, closer, slower, in more light, without makeup"
         )
-    if shared[weakest] < 20:
+    if shared[weakest] < max(20, _LEAST_FOLLOWED * np.median(shared)):
         raise BadCalibration(
             f"tracks: lost between frames {weakest} and {weakest + 1} of those used (only "
             f"{int(shared[weakest])} points followed); film the turn in one shot, without cuts or covered "
