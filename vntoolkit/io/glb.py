@@ -63,7 +63,7 @@ class _Binary:
         self.size += len(content)
         if self.size > MAX_BYTES:
             raise CannotWrite(
-                f"the clip exceeds {MAX_BYTES // 2**20} MiB as GLB: write .usdc, or fewer frames with --stop"
+                f"the clip exceeds {MAX_BYTES // 2**20} MiB as GLB: write .usdc, or fewer frames"
             )
         self.parts.append(content)
         self.views.append(view)
