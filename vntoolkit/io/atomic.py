@@ -5,10 +5,13 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
 from vntoolkit.errors import CannotWrite
+
+_TEMPORARY = re.compile(r"\..*\.([0-9]{1,9})\.part(?:\..*)?|\.probe\.([0-9]{1,9})")
 
 
 @contextlib.contextmanager
@@ -46,16 +49,39 @@ def write_text(path: Path | str, content: str) -> None:
 
 
 def require_writable_folder(folder: Path | str) -> Path:
-    """Make `folder` and prove that a file can be written into it, before hours of work depend on it."""
+    """Make `folder` and prove that a file can be written into it, before hours of work depend on it.
+
+    What a run that was killed left half-written there, or one folder below, is removed.
+    """
     folder = Path(folder)
     probe = folder / f".probe.{os.getpid()}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         probe.write_bytes(b"0")
         probe.unlink()
+        _remove_leftovers(folder)
     except OSError as error:
         raise cannot_write(folder, error) from error
     return folder
+
+
+def _remove_leftovers(folder: Path) -> None:
+    """Remove the temporaries of `atomic_path` and `require_writable_folder` whose process is no more."""
+    for pattern in (".*", "*/.*"):
+        for path in folder.glob(pattern):
+            match = _TEMPORARY.fullmatch(path.name)
+            if match and not _is_running(int(match[1] or match[2])):
+                path.unlink(missing_ok=True)
+
+
+def _is_running(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True
 
 
 def cannot_write(path: Path | str, error: OSError) -> CannotWrite:

@@ -16,6 +16,7 @@ from vntoolkit.geometry.garment_fit import GarmentFit, Similarity
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.mesh_sequence import MeshSequence
 from vntoolkit.geometry.motion import Motion
+from vntoolkit.io.atomic import require_writable_folder
 from vntoolkit.io.glb import write_glb
 from vntoolkit.io.meshes import write_mesh
 from vntoolkit.io.motion_asf import AmcOptions, read_asf_amc
@@ -206,6 +207,7 @@ def read_tracked_cloth(folder: Path | str) -> MeshSequence:
 def write_dressed_figure(dressed: DressedFigure, out: Path | str) -> int:
     """Write `.usdc`/`.usd` (with skeleton), `.glb`, or one `.ply`/`.obj` a frame (`cloth_%04d.ply`)."""
     out = Path(out)
+    require_writable_folder(out.parent)
     rate = dressed.clock.frame_rate_hz
     match out.suffix.lower():
         case ".usdc" | ".usd":
