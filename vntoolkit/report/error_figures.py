@@ -82,7 +82,7 @@ def write_bars(
     axes.invert_yaxis()
     axes.set_xlabel(unit)
     axes.set_title(title, fontsize=10)
-    axes.legend(fontsize=8)
+    figure.legend(fontsize=8, ncols=2, loc="outside lower center")  # bars reach everywhere
     axes.grid(alpha=0.3, axis="x")
     _write(figure, path)
 
