@@ -73,7 +73,7 @@ class SurfaceOptions:
     damping: float = 1.0
     iterations: int = 4
     start_pixels: int = 250_000
-    large_iterations: int = 3
+    large_iterations: int = 2
     cycles: int = 5
     tolerance: float = 1e-4
     steepest: float = 8.0
