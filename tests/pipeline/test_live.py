@@ -44,7 +44,7 @@ def dome_rig() -> Rig:
 class Source:
     """Gives frames at once, or when it is told."""
 
-    name, width, height, frame_rate_hz = "source", 64, 48, 30.0
+    name, width, height, frame_rate_hz, skipped = "source", 64, 48, 30.0, 0
 
     def __init__(self, frames: list[EncodedFrame], gate: threading.Event | None = None) -> None:
         self._frames, self._gate = frames, gate
@@ -60,6 +60,36 @@ def test_a_file_plays_at_its_own_speed(tmp_path: Path) -> None:
     write_video(tmp_path / "a.mkv", [dome_picture()] * 8, 25.0)
     timed = [t.arrived_s for t in FileSource(open_capture(tmp_path / "a.mkv")).frames()]
     np.testing.assert_allclose(np.diff(timed), 0.04, atol=1e-6)  # when due, even where decoding is late
+
+
+class SlowCapture:
+    """Eighty frames at 50 a second, of which the third takes half a second to decode."""
+
+    name = "slow"
+
+    class info:
+        width, height, frame_rate_hz = 64, 48, 50.0
+
+    def __len__(self) -> int:
+        return 80
+
+    def encoded_frames(self, start: int = 0):
+        for number in range(start, 80):
+            if number == 2:
+                time.sleep(0.5)
+            yield encoded(dome_picture(), number)
+
+
+def test_a_file_that_decodes_too_slowly_skips_frames_and_counts_them() -> None:
+    source = FileSource(SlowCapture())
+    numbers = [timed.frame.number for timed in source.frames()]
+    assert numbers[:2] == [0, 1]
+    assert numbers[2] >= 25  # half a second later
+    assert source.skipped == 80 - len(numbers)
+    run = LiveRun(FileSource(SlowCapture()), LiveProcessor(dome_rig()), lambda r, t: None)
+    figures = run.run()
+    assert figures.arrived == 80
+    assert figures.dropped == 80 - figures.processed > 0
 
 
 def test_the_newest_frames_are_worked_on_and_the_others_counted() -> None:

@@ -14,6 +14,7 @@ from vntoolkit.io.captures import Capture
 from vntoolkit.io.decoding import EncodedFrame
 
 _FAILED_READS = 30  # in a row: the camera is gone
+_LATEST_FRAMES = 3  # a file's frame that is later than so many is skipped
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -31,6 +32,7 @@ class LiveSource(Protocol):
     width: int
     height: int
     frame_rate_hz: float
+    skipped: int  # frames that the source itself could not give in time
 
     def frames(self) -> Iterator[TimedFrame]:
         """Yield frames as they come, until the source ends."""
@@ -60,6 +62,7 @@ class CameraSource:
         import cv2
 
         options = options or CameraOptions()
+        self.skipped = 0  # a driver does not tell
         self.name = f"camera {number}"
         self._camera = cv2.VideoCapture(number)
         if not self._camera.isOpened():
@@ -97,8 +100,9 @@ class CameraSource:
 class FileSource:
     """A capture played as if it were filmed now: frame n is there n / rate seconds after the start.
 
-    A frame that could not be decoded in time arrives late, and counts from when it was due. realtime: False
-    gives frames as fast as they can be read.
+    A frame that could not be decoded in time arrives late, and counts from when it was due; where decoding
+    falls further behind, frames are skipped, and counted, as a camera would. realtime: False gives frames as
+    fast as they can be read.
     """
 
     def __init__(self, capture: Capture, *, realtime: bool = True) -> None:
@@ -107,17 +111,30 @@ class FileSource:
         self.width, self.height = info.width, info.height
         self.frame_rate_hz = info.frame_rate_hz
         self.realtime = realtime
+        self.skipped = 0
         self._capture = capture
 
     def frames(self) -> Iterator[TimedFrame]:
-        """Yield all frames of the capture, in time."""
-        start = None
-        for count, frame in enumerate(self._capture.encoded_frames()):
-            now = time.perf_counter()
-            start = now if start is None else start
-            due = start + count / self.frame_rate_hz
-            if not self.realtime:
-                yield TimedFrame(frame=frame, arrived_s=now)
-                continue
-            time.sleep(max(0.0, due - now))
-            yield TimedFrame(frame=frame, arrived_s=due)
+        """Yield the frames of the capture, in time."""
+        start: float | None = None
+        number: int | None = 0
+        while number is not None:
+            late_at = None
+            for frame in self._capture.encoded_frames(number):
+                now = time.perf_counter()
+                start = now if start is None else start
+                due = start + frame.number / self.frame_rate_hz
+                if self.realtime and now - due > _LATEST_FRAMES / self.frame_rate_hz:
+                    late_at = frame.number
+                    break
+                if self.realtime:
+                    time.sleep(max(0.0, due - now))
+                yield TimedFrame(frame=frame, arrived_s=due if self.realtime else now)
+            number = None if start is None or late_at is None else self._skip_from(late_at, start)
+
+    def _skip_from(self, number: int, start_s: float) -> int | None:
+        """Return the first frame that is not due yet, or None past the end; count those left out."""
+        following = int((time.perf_counter() - start_s) * self.frame_rate_hz) + 1
+        following = min(max(following, number + 1), len(self._capture))
+        self.skipped += following - number
+        return following if following < len(self._capture) else None

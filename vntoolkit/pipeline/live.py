@@ -131,9 +131,9 @@ class LiveRun:
         """How it goes now."""
         rate, latency = self._meter.figures()
         return LiveFigures(
-            arrived=self._arrived,
+            arrived=self._arrived + self._source.skipped,
             processed=self._meter.count,
-            dropped=self._dropped,
+            dropped=self._dropped + self._source.skipped,
             failed=self._failed,
             rate_hz=rate,
             latency_s=latency,

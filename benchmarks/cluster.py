@@ -1,0 +1,67 @@
+"""Two Dask workers against one on the same machine: frames a second, 1280×720 video to normals and depth.
+
+python -m benchmarks.cluster [--size 1280x720] [--frames 192] [--out FILE.json]      # 2 min, idle machine
+
+Workers are started before the clock, and one block a worker is done first, so that compiling does not count.
+A worker has one thread; decoding takes `threads` of the job, which is 1 here.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+from benchmarks.pipeline import footage, options_of, rig_of
+from vntoolkit.io.frame_range import FrameRange
+from vntoolkit.io.video import write_video
+from vntoolkit.pipeline.block_work import ReconstructionJob
+from vntoolkit.pipeline.blocks import BLOCK_FRAMES
+from vntoolkit.pipeline.cluster import connected
+from vntoolkit.pipeline.outputs import ReconstructionFolder
+from vntoolkit.pipeline.reconstruct import reconstruct
+
+
+def frames_per_second(job: ReconstructionJob, workers: int, frames: int) -> float:
+    with connected("local", workers) as client:
+        address = client.scheduler.address
+        warm = replace(job, folder=ReconstructionFolder(root=job.folder.root / "warm"))
+        reconstruct(warm, frames=FrameRange(stop=2 * workers * BLOCK_FRAMES), scheduler=address)
+        timed = replace(job, folder=ReconstructionFolder(root=job.folder.root / f"{workers}"))
+        started = time.perf_counter()
+        reconstruct(timed, frames=FrameRange(stop=frames), scheduler=address)
+        return frames / (time.perf_counter() - started)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--size", default="1280x720")
+    parser.add_argument("--frames", type=int, default=192)
+    parser.add_argument("--out", type=Path)
+    arguments = parser.parse_args()
+    width, height = map(int, arguments.size.split("x"))
+    with tempfile.TemporaryDirectory() as name:
+        video = Path(name) / "footage.mkv"
+        write_video(video, footage(width, height, arguments.frames), 60.0)
+        job = ReconstructionJob(
+            source=str(video),
+            rig=rig_of(width, height),
+            options=options_of(),
+            folder=ReconstructionFolder(root=Path(name) / "out"),
+            threads=1,
+        )
+        load = os.getloadavg()[0]
+        one, two = (frames_per_second(job, workers, arguments.frames) for workers in (1, 2))
+    found = {"load_before": load, "one_worker_hz": one, "two_workers_hz": two, "ratio": two / one}
+    for key, value in found.items():
+        print(f"{key:16s} {value:8.2f}")
+    if arguments.out is not None:
+        arguments.out.write_text(json.dumps(found, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
