@@ -7,6 +7,7 @@ Writes the picture and the mean errors of normals and depth, over the figure and
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,12 @@ import numpy as np
 from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.io.atomic import write_text
+from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.photometry.visibility import count_lit
 from vntoolkit.report.numbers import number, write_numbers
 from vntoolkit.report.shadow_figure import Recovery, write_recovery_figure
 from vntoolkit.shadows.detector import ShadowDetector
-from vntoolkit.shadows.recovery import RecoveryMethod, RecoveryOptions, recover_surface
+from vntoolkit.shadows.recovery import recover_normals
 from vntoolkit.simulation.image_formation import true_response
 from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.render import render_frame
@@ -38,10 +40,11 @@ def main(out: Path, scene_name: str = "face") -> None:
     mask = truth.normals.mask
     labels = ShadowDetector(response, camera=scene.camera).labels(rendered.linear, mask)
     recoveries, numbers = {}, {}
-    for name, method in (("A", RecoveryMethod.INVERSION), ("B", RecoveryMethod.SURFACE)):
-        options = RecoveryOptions(method=method)
-        normals = recover_surface(rendered.linear, labels, response, mask, options, scene.camera).normal_map
+    plain = replace(normals_from_frame(rendered.linear, response, mask), weight=None)
+    found = recover_normals(rendered.linear, labels, response, mask, camera=scene.camera)
+    for name, normals in (("A", plain), ("B", found)):
         depth = DepthIntegrator(scene.camera).integrate(normals)
+        mask = truth.normals.mask & depth.mask
         recoveries[name] = Recovery(normals=normals, depth=depth)
         angles = angles_between_deg(normals.normals_in_camera, truth.normals.normals_in_camera)
         numbers[name] = {

@@ -1,0 +1,46 @@
+"""Self-shadows of the simulated head and trousers, where the truth is known."""
+
+import numpy as np
+import pytest
+
+from vntoolkit.evaluation.angular_error import angles_between_deg
+from vntoolkit.normals.inversion import normals_from_frame
+from vntoolkit.photometry.visibility import count_lit, lit_from_labels
+from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
+from vntoolkit.shadows.recovery import recover_normals
+from vntoolkit.simulation.image_formation import true_response
+from vntoolkit.simulation.nuisances import Nuisances
+from vntoolkit.simulation.render import render_frame
+from vntoolkit.simulation.scene import SceneOptions, build_scene
+
+# Overlap with the true shadow of each light. Measured: 0.75, 0.76, 0.81; 0.67, 0.86, 0.79.
+OVERLAPS = {"face": (0.72, 0.73, 0.78), "spandex": (0.63, 0.83, 0.75)}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", OVERLAPS)
+def test_shadows_are_found_and_halved(name: str) -> None:
+    scene = build_scene(name, SceneOptions())
+    rendered = render_frame(scene, 0)
+    response, truth, frame = true_response(scene, Nuisances()), rendered.truth, rendered.linear
+    mask = truth.normals.mask
+    dark = ~lit_from_labels(truth.labels)[mask]
+
+    def overlaps(method: ShadowMethod) -> tuple[np.ndarray, np.ndarray]:
+        labels = ShadowDetector(response, method, camera=scene.camera).labels(frame, mask)
+        found = ~lit_from_labels(labels)[mask]
+        return (found & dark).sum(0) / (found | dark).sum(0), labels
+
+    overlap, labels = overlaps(ShadowMethod.ROBUST)
+    assert (overlap > OVERLAPS[name]).all()
+    assert (overlap > overlaps(ShadowMethod.PUBLISHED)[0]).all()
+    plain = normals_from_frame(frame, response, mask)
+    found = recover_normals(frame, labels, response, mask, camera=scene.camera)
+    both, lights = mask & plain.mask, count_lit(truth.labels)
+    errors = [
+        angles_between_deg(normals.normals_in_camera, truth.normals.normals_in_camera)
+        for normals in (plain, found)
+    ]
+    one_shadow, lit = both & (lights == 2), both & (lights == 3)
+    assert 2 * errors[1][one_shadow].mean() < errors[0][one_shadow].mean()
+    assert errors[1][lit].mean() < errors[0][lit].mean() + 0.2
