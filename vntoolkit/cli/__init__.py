@@ -107,6 +107,7 @@ def build_app() -> App:
         result_action="return_value",
         exit_on_error=False,
         print_error=False,
+        suppress_keyboard_interrupt=False,  # else no sentence says how to go on
     )
     for verb, (target, line) in VERBS.items():
         app.command(target, name=verb, help=line)
