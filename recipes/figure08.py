@@ -2,8 +2,8 @@
 
     python recipes/figure08.py --out out/figure08 [--frames 1000]  # 1000 frames: about 2 h; --quick 4 min
 
-Calibrates on the simulated board, films and reconstructs the scene, tracks it by every method (the face cut
-at lips and lids), and writes the checkerboards side by side, the error by frame, and its plot.
+Calibrates on a simulated board, films and reconstructs the scene, tracks it by every method (the face cut at
+lips and lids), and writes the checkerboards side by side, the error by frame, and its plot.
 """
 
 import argparse
@@ -39,23 +39,23 @@ def reconstruction(scene: str, frames: int, out: Path) -> Path:
         simulate("board", out=out / "board", frames="::5", options=zoom)
         board(str(out / "board/capture.mkv"), out=rig)
     simulate(scene, out=out / "capture", frames=f"0:{frames}")
-    options = ReconstructOptions(to=Product.DEPTH, shadows=ShadowMethod.NONE)
-    reconstruct(str(out / "capture/capture.mkv"), rig=rig, out=out / "reconstruction", pipeline=options)
+    to_depth = ReconstructOptions(to=Product.DEPTH, shadows=ShadowMethod.NONE)
+    reconstruct(str(out / "capture/capture.mkv"), rig=rig, out=out / "reconstruction", pipeline=to_depth)
     return out / "reconstruction"
 
 
 def compare(folder: Path, out: Path) -> dict[str, list[TrackError]]:
     """Track by every method, write checkerboards side by side, tables and the plot; return the errors."""
-    seams = out / "capture" / "truth" / "seams.json"
-    cuts = read_seams(seams) if seams.exists() else ()
+    seams = read_seams(file) if (file := out / "capture/truth/seams.json").exists() else ()
     errors, sheets = {}, []
     for method in COMPARED:
         target = out / method
-        track(TrackJob(folder=folder, options=options_of(Tracker(method)), seams=cuts, out=target))
+        track(TrackJob(folder=folder, options=options_of(Tracker(method)), seams=seams, out=target))
         sheets.append(read_image(write_checkerboard(folder, target).sheet))
         errors[method] = evaluate_tracks(target, out / "capture", every=10)
         write_track_errors(out / f"{method}.tsv", errors[method])
-    write_png(out / f"{out.name}.png", np.concatenate(sheets)[::2, ::2])
+    later = [sheet[len(sheet) // 2 :] for sheet in sheets]  # four moments of the second half, a method a row
+    write_png(out / f"{out.name}.png", np.concatenate(later)[::2, ::2])
     write_error_plot(out / "errors.png", errors)
     return errors
 
@@ -64,8 +64,8 @@ def main(out: Path, frames: int = 1000, scene: str = "face") -> None:
     """Write pictures, tables and `numbers.json` into the folder `out`."""
     last = {name: rows[-1] for name, rows in compare(reconstruction(scene, frames, out), out).items()}
     numbers = [number(f"{n}: median at frame {e.frame}", e.median_px, "px") for n, e in last.items()]
-    numbers += [number(f"{n}: 95 % at frame {e.frame}", e.p95_px, "px") for n, e in last.items()]
-    print(write_numbers(out, numbers))
+    tails = [number(f"{n}: 95 % at frame {e.frame}", e.p95_px, "px") for n, e in last.items()]
+    print(write_numbers(out, numbers + tails))
 
 
 def run(documentation: str, name: str, scene: str) -> None:
@@ -73,9 +73,8 @@ def run(documentation: str, name: str, scene: str) -> None:
     parser = argparse.ArgumentParser(description=documentation, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("out") / name, help="folder to write")
     parser.add_argument("--frames", type=int, default=1000)
-    parser.add_argument("--quick", action="store_true", help="30 frames")
-    arguments = parser.parse_args()
-    main(arguments.out, 30 if arguments.quick else arguments.frames, scene)
+    parser.add_argument("--quick", dest="frames", action="store_const", const=30, help="30 frames")
+    main(**vars(parser.parse_args()), scene=scene)
 
 
 if __name__ == "__main__":
