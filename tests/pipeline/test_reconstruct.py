@@ -17,6 +17,7 @@ from vntoolkit.io.images import write_png
 from vntoolkit.io.manifest import read_manifest
 from vntoolkit.io.maps import read_depth_map, read_normal_map, write_mask
 from vntoolkit.io.meshes import read_mesh
+from vntoolkit.photometry.rig import FitQuality
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.options import OnError, Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
@@ -174,3 +175,13 @@ def test_refusals(dome_capture: DomeCapture, tmp_path: Path) -> None:
     other = replace(dome_capture.rig, camera=Camera.orthographic(width=32, height=48))
     with pytest.raises(BadRig, match="is 64×48 but the rig's camera is 32×48"):
         reconstruct(replace(job, rig=other))
+
+
+def test_a_gel_is_neither_matched_nor_searched_for_shadows(dome_capture: DomeCapture, tmp_path: Path) -> None:
+    quality = FitQuality(method="presses", residual_deg=7.0, condition_number=5.0, samples=100, cone_deg=40.0)
+    job = job_of(dome_capture, tmp_path / "gel", to=Product.NORMALS)
+    reconstruct(replace(job, rig=replace(job.rig, quality=quality)), frames=FrameRange.from_text("0"))
+    manifest = read_manifest(tmp_path / "gel")
+    assert manifest.options["shadows"] == "none"
+    assert manifest.options["match_albedo"] is False
+    assert not (tmp_path / "gel" / "shadows").exists()

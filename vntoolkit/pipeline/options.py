@@ -49,6 +49,8 @@ class ReconstructOptions:
     of full scale, up to which a pixel of the frame before or after counts as the same surface at rest and is
     averaged in; 0 for none, about 3 times the noise to use it. on_error: what a failing frame does.
     device: what the per-pixel and Fourier stages run on; CUDA needs CuPy or PyTorch, and falls back silently.
+
+    A rig fitted to presses on a gel turns match_albedo and shadows off: it is the gel's own.
     """
 
     to: Product = Product.MESH

@@ -39,6 +39,7 @@ from vntoolkit.pipeline.cluster import run_blocks_on_cluster
 from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.pipeline.option_values import option_values
 from vntoolkit.pipeline.run_blocks import DoneFrames, run_blocks
+from vntoolkit.shadows.detector import ShadowMethod
 
 logger = logging.getLogger(__name__)
 
@@ -81,6 +82,7 @@ def reconstruct(
     if jobs < 1:
         raise BadInput(f"jobs: expected 1 or more, got {jobs}")
     started = time.perf_counter()
+    job = _as_the_rig_asks(job)
     capture = job.open_capture()
     job.rig.require_size(capture.info.width, capture.info.height, job.source)
     numbers = frames.numbers(capture.info.frame_count)
@@ -123,6 +125,14 @@ def _workers(jobs: int, scheduler: str | None) -> Workers:
     if scheduler is None:
         return partial(run_blocks, jobs=jobs)
     return partial(run_blocks_on_cluster, scheduler=scheduler, workers=jobs)
+
+
+def _as_the_rig_asks(job: ReconstructionJob) -> ReconstructionJob:
+    """A gel was calibrated itself, so its albedo is known, and nothing throws a shadow on it."""
+    quality = job.rig.quality
+    if quality is None or quality.method != "presses":
+        return job
+    return replace(job, options=replace(job.options, match_albedo=False, shadows=ShadowMethod.NONE))
 
 
 def _run(
