@@ -103,10 +103,9 @@ def _collect(
 
 def _run_block(job: ReconstructionJob, block: range, already_done: frozenset[int]) -> list[FrameEntry]:
     """Run on the cluster: process a block with this thread's worker."""
-    key = (job.source, str(job.folder.root), repr(job.options))
-    if getattr(_here, "key", None) != key:
+    if getattr(_here, "job", None) is not job:  # one run sends one object: another rig is another object
         limit_threads(1)  # the cluster's processes and threads are the parallelism
-        _here.worker, _here.key = BlockWorker(job), key
+        _here.worker, _here.job = BlockWorker(job), job
     return list(_here.worker.run(block, already_done))
 
 
