@@ -47,6 +47,19 @@ def test_the_frame_tells_how_much_light_its_shadows_hold() -> None:
     assert levels[0.1][:15].max() == pytest.approx(0.36)
 
 
+def test_a_part_predicted_wrongly_does_not_call_itself_shadow() -> None:
+    """Two lights have true shadows without glow; a larger part returns less of the third than predicted."""
+    predicted = np.full((20, 30, 3), 0.8)
+    shares = predicted.copy()
+    shares[:4, :, 0] = shares[4:8, :, 1] = 0.01
+    shares[8:, :, 2] = 0.25  # lit, at a slant that the surface does not know yet
+    level, _ = largest_dark_share(shares, predicted, np.ones((20, 30)), EVERYWHERE, DarkLevelOptions(noise=0))
+    dark = shares < level
+    assert dark[:4, :, 0].all()
+    assert dark[4:8, :, 1].all()
+    assert not dark[8:].any()
+
+
 def test_noise_counts_for_more_on_dark_paint() -> None:
     predicted = np.full((20, 30, 3), 0.8)
     dark, grain = largest_dark_share(predicted, predicted, np.full((20, 30), 0.1), EVERYWHERE)

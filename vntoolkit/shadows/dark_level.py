@@ -58,9 +58,21 @@ def largest_dark_share(
     options = options or DarkLevelOptions()
     grain = options.noise / np.maximum(albedo, _SMALLEST_ALBEDO)[..., None]
     missing = mask[..., None] & (predicted > options.predicted_share) & (shares < options.ratio * predicted)
-    typical = 0.0
-    if np.count_nonzero(missing) >= options.fewest:
-        typical = max(0.0, float(np.median((shares - grain)[missing])))
+    typical = _typical_share(shares - grain, missing, options.fewest)
     least = typical + options.margin + grain
     most = options.most_times * typical + options.most_margin + grain
     return np.clip(options.ratio * predicted, least, np.maximum(least, most)), grain
+
+
+def _typical_share(shares: FloatArray, missing: Mask, fewest: int) -> float:
+    """The median share of a missing light: the least of the three, since stray light favours none.
+
+    A part whose surface is predicted wrongly makes one light look missing there that is not, and would raise
+    the level for itself; it seldom does so for all three.
+    """
+    medians = [
+        float(np.median(shares[..., k][missing[..., k]]))
+        for k in range(3)
+        if np.count_nonzero(missing[..., k]) >= fewest
+    ]
+    return max(0.0, min(medians, default=0.0))
