@@ -20,6 +20,7 @@ from vntoolkit.calibration.presses import (
 from vntoolkit.calibration.quality import angles_deg, fit_quality, warn_of_weak_fit
 from vntoolkit.calibration.robust import Design, fit_by_trimming
 from vntoolkit.calibration.varying import VariationOptions, fit_varying_response
+from vntoolkit.errors import BadCalibration
 from vntoolkit.photometry.lambertian import scaled_normals_from_rgb
 from vntoolkit.photometry.response import LightResponse
 
@@ -109,15 +110,36 @@ def _misfit(
 
 def _fit_varying(pairs: PressPairs, size: tuple[int, int], options: VariationOptions) -> ResponseFit:
     """Fit polynomials of the position, from the linear fit of one M with ambient light to the contacts."""
-    response = fit_varying_response(
-        pairs.normals, pairs.rgb, pairs.positions_px, size, _start(pairs), options
-    )
+    response = _fit_highest_degree(pairs, size, options)
     touched = pairs.touched
     quality = fit_quality(
         pairs.normals[touched], pairs.rgb[touched], response, "presses", pairs.positions_px[touched]
     )
     warn_of_weak_fit(quality)
     return ResponseFit(response=response, quality=quality, inliers=touched)
+
+
+def _fit_highest_degree(pairs: PressPairs, size: tuple[int, int], options: VariationOptions) -> LightResponse:
+    """Lower the degree, and say so, where the presses leave parts of the gel undetermined."""
+    for degree in range(options.degree, -1, -1):
+        lowered = replace(options, degree=degree)
+        try:
+            response = fit_varying_response(
+                pairs.normals, pairs.rgb, pairs.positions_px, size, _start(pairs), lowered
+            )
+        except BadCalibration:
+            if degree == 0:
+                raise
+            continue
+        if degree < options.degree:
+            logger.warning(
+                "the presses reach too little of the gel for degree %d, so degree %d is fitted; "
+                "press near the corners too",
+                options.degree,
+                degree,
+            )
+        return response
+    raise AssertionError("a degree is never negative")
 
 
 def _start(pairs: PressPairs) -> LightResponse:
