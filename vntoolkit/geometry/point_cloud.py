@@ -38,6 +38,7 @@ class PointCloud:
             values = getattr(self, name)
             if values is not None:
                 require_shape(values, (len(points), 3), name, BadMesh)
+                require_finite(np.asarray(values), name, BadMesh)
                 object.__setattr__(self, name, read_only(np.asarray(values)))
 
     def to_open3d(self) -> o3d.geometry.PointCloud:

@@ -9,6 +9,7 @@ from vntoolkit.errors import BadInput
 from vntoolkit.photometry.rig import SourceFile
 
 _CHUNK_BYTES = 1 << 20
+_LONGEST_NAME = 255
 
 
 def require_file(path: Path | str, error: type[BadInput] = BadInput) -> Path:
@@ -47,6 +48,8 @@ def read_text(path: Path | str, error: type[BadInput] = BadInput) -> str:
 
 def require_inside(folder: Path, name: str, source: Path | str, error: type[BadInput] = BadInput) -> Path:
     """Return the path of a file that another file names, or raise where it leads out of `folder`."""
+    if len(name) > _LONGEST_NAME:
+        raise error(f"{source}: names a file by {len(name)} characters")
     try:
         path = folder / name
         if path.resolve().is_relative_to(folder.resolve()):

@@ -7,6 +7,7 @@ The length unit: 1 in the file is 1/`length` inches, as the CMU library document
 
 from __future__ import annotations
 
+import re
 from array import array
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +26,7 @@ from vntoolkit.io.motion_bvh import require_motion_size
 CMU_FRAME_RATE_HZ = 120.0  # AMC carries no rate; the CMU library's takes are recorded at 120 Hz
 _INCH_M = 0.0254
 _MAX_LINE = 65536
+_FRAME = re.compile(r"[0-9]{1,9}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +104,7 @@ def _read_amc(path: Path, asf: AsfSkeleton) -> tuple[FloatArray, bool]:
             where = f"{path.name}, line {number}"
             if words[0].startswith(":"):
                 degrees = {":DEGREES": True, ":RADIANS": False}.get(words[0].upper(), degrees)
-            elif len(words) == 1 and words[0].isdigit():
+            elif len(words) == 1 and _FRAME.fullmatch(words[0]):
                 frames += _close_frame(rows, row, frame, where, asf)
                 if frame and int(words[0]) != frame + 1:
                     raise BadMotion(f"{where}: expected frame {frame + 1}, got {words[0][:20]}")

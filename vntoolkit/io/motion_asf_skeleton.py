@@ -13,6 +13,8 @@ from vntoolkit.errors import BadMotion
 from vntoolkit.io.files import read_text, require_file
 
 MAX_ASF_BYTES = 4 * 2**20  # the CMU skeletons have 7 kB
+_LONGEST_REASON = 200
+_LARGEST = 1e12  # of a length or an angle
 _CHANNELS = ("rx", "ry", "rz", "tx", "ty", "tz")
 
 
@@ -52,9 +54,11 @@ def read_asf(path: Path) -> AsfSkeleton:
     try:
         return _skeleton_from_sections(_sections(text))
     except BadMotion as error:
-        raise BadMotion(f"{path.name}: {error}") from error
+        raise BadMotion(f"{path.name}: {str(error)[:_LONGEST_REASON]}") from error
     except (KeyError, IndexError, ValueError) as error:
-        raise BadMotion(f"{path.name}: malformed ASF ({type(error).__name__}: {error})") from error
+        raise BadMotion(
+            f"{path.name}: malformed ASF ({type(error).__name__}: {str(error)[:_LONGEST_REASON]})"
+        ) from error
 
 
 def _skeleton_from_sections(sections: dict[str, list[list[str]]]) -> AsfSkeleton:
@@ -116,7 +120,7 @@ def _blocks(lines: list[list[str]]) -> Iterator[dict[str, list[str]]]:
 
 def _vector(words: list[str], what: str) -> Vector3:
     vector = np.array([float(word) for word in words[:3]])
-    if vector.shape != (3,) or not np.isfinite(vector).all():
+    if vector.shape != (3,) or not (np.abs(vector) < _LARGEST).all():
         raise BadMotion(f"{what}: expected three finite numbers, got {' '.join(words[:4])!r}")
     return vector
 
@@ -151,7 +155,7 @@ def _root(lines: list[list[str]], degrees: bool) -> tuple[AsfBone, Vector3]:
 def _bone(block: dict[str, list[str]], degrees: bool) -> AsfBone:
     name = block["name"][0]
     length = float(block["length"][0])
-    if not 0 <= length < np.inf:
+    if not 0 <= length < _LARGEST:
         raise BadMotion(f"bone {name}: expected a length, got {length}")
     factor = 1.0 if degrees else 180.0 / np.pi
     direction = _vector(block["direction"], f"bone {name}, direction")
