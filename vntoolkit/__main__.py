@@ -20,6 +20,15 @@ INTERRUPTED = 130  # the shell's convention for SIGINT
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; return the exit status (0 done, 1 error, 130 interrupted)."""
+    try:
+        return _run(arguments)
+    except KeyboardInterrupt as interrupt:
+        hint = str(interrupt) or "run the same command again to continue"
+        print(f"\nvntoolkit: interrupted: {hint}", file=sys.stderr)
+        return INTERRUPTED
+
+
+def _run(arguments: list[str] | None) -> int:
     from cyclopts import CycloptsError
 
     from vntoolkit.cli import build_app
@@ -33,10 +42,6 @@ def main(arguments: list[str] | None = None) -> int:
         return _fail(" ".join(str(error).split()))
     except VntError as error:
         return _fail(str(error))
-    except KeyboardInterrupt as interrupt:
-        hint = str(interrupt) or "run the same command again to continue"
-        print(f"\nvntoolkit: interrupted: {hint}", file=sys.stderr)
-        return INTERRUPTED
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0

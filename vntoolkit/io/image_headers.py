@@ -120,5 +120,5 @@ def _tiff(data: bytes) -> ImageHeader:
                 bits=int(bits[0] if isinstance(bits, tuple) else bits),
                 floating=page.sampleformat == 3,
             )
-    except (tifffile.TiffFileError, AttributeError, TypeError) as problem:
+    except (tifffile.TiffFileError, AttributeError, TypeError, OverflowError) as problem:
         raise ValueError(str(problem)) from problem

@@ -126,7 +126,10 @@ class VideoReader:
                 f"{self.path}: frame {number} is {frame.width}×{frame.height}, the first one "
                 f"{self.width}×{self.height}: a capture has one size"
             )
-        return rgb_from_video_frame(frame, self.pixel_format, hd=self.height >= _HD_HEIGHT)
+        try:
+            return rgb_from_video_frame(frame, self.pixel_format, hd=self.height >= _HD_HEIGHT)
+        except av_errors() as error:
+            raise self._damaged(number, f"its colours cannot be converted ({reason_of(error)})") from error
 
     def _breaks_off(self, number: int) -> BadCapture:
         promised = max(self.index.promised, number + 1)
