@@ -2,8 +2,7 @@
 
     python recipes/figure08.py --out out/figure08 [--frames 1000]  # 1000 frames: about 2 h; --quick 4 min
 
-Calibrates on a simulated board, films and reconstructs the scene, tracks it by every method (the face cut at
-lips and lids), and writes the checkerboards side by side, the error by frame, and its plot.
+Calibrates, films, reconstructs, tracks by every method; writes checkerboards, errors by frame and their plot.
 """
 
 import argparse

@@ -44,7 +44,8 @@ def _faults_of_call(call: ast.Call) -> list[str]:
     if isinstance(function, ast.Name) and function.id in FORBIDDEN_CALLS:
         found.append(function.id)
     if isinstance(function, ast.Attribute) and isinstance(function.value, ast.Name):
-        if (function.value.id, function.attr) in FORBIDDEN_METHODS:
+        written = [a.value for a in call.args[1:2] if isinstance(a, ast.Constant)] == ["w"]
+        if (function.value.id, function.attr) in FORBIDDEN_METHODS and not written:
             found.append(f"{function.value.id}.{function.attr}")
         is_load = (function.value.id, function.attr) in (("np", "load"), ("numpy", "load"))
         pickles = [k.value for k in call.keywords if k.arg == "allow_pickle"]
@@ -67,7 +68,7 @@ def test_nothing_runs_what_it_reads(path):
 @pytest.mark.parametrize(
     "code",
     ["import pickle", "from pickle import loads", "eval(x)", "subprocess.run(x, shell=True)", "yaml.load(x)",
-     "np.load(p, allow_pickle=True)", "subprocess.run(x, shell=flag)", "os.system(x)"],
+     "np.load(p, allow_pickle=True)", "zipfile.ZipFile(p)", "zipfile.ZipFile(p, mode)", "subprocess.run(x, shell=flag)", "os.system(x)"],
 )  # fmt: skip
 def test_the_audit_sees_what_it_looks_for(code):
     assert faults_of(ast.parse(code)) != []
