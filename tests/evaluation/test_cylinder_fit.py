@@ -39,7 +39,21 @@ def cover(camera: Camera, axis: np.ndarray, centre: np.ndarray, rng: np.random.G
     """Share of each pixel inside: random places in it, since a fixed pattern would lean on straight edges."""
     grid = camera.pixel_grid()
     places = (grid + rng.uniform(-0.5, 0.5, grid.shape) for _ in range(8))
-    return np.mean([trace(camera, axis, centre, at).mask for at in places], axis=0)
+    return np.mean(
+        [trace(camera, axis, centre, at).mask | caps(camera, axis, centre, at) for at in places], axis=0
+    )
+
+
+def caps(camera: Camera, axis: np.ndarray, centre: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """Where rays meet one of the two flat ends."""
+    near, far = (camera.unproject(pixels, np.full(pixels.shape[:2], z)) - centre for z in (4.0, 6.5))
+    step = far - near
+    met = np.zeros(pixels.shape[:2], bool)
+    for end in (-HALF_LENGTH, HALF_LENGTH):
+        share = (end - near @ axis) / (step @ axis)
+        point = near + share[..., None] * step
+        met |= np.linalg.norm(point - end * axis, axis=-1) < RADIUS
+    return met
 
 
 def poses(count: int) -> list[tuple[np.ndarray, np.ndarray]]:

@@ -39,7 +39,7 @@ def test_the_fit_and_the_normals_are_right(
     assert "the fit against the truth" in capsys.readouterr().out
     for frame in found.frames:
         assert frame.truth is not None
-        assert frame.truth.axis_deg < 0.6  # the target of 0.3 holds at 640×480: twice the pixels
+        assert frame.truth.axis_deg < 0.3
         assert abs(frame.truth.radius_percent) < 1.0
         assert abs(frame.mean_deg - frame.truth.normals_mean_deg) < 1.0
     assert 0.5 < found.mean_deg < 3.5

@@ -1,8 +1,8 @@
 """One cylinder through a whole sequence, from normals and silhouettes alone (brostow2011, Figure 7).
 
 Normals find the axis from nothing. Then silhouettes and normals are weighed against each other: outlines are
-sharp but tell the axis' tilt in depth by the convergence of the two sides only; normals tell it directly, but
-have errors in common, which no number of pixels averages out.
+sharp, their sides tell the axis in the image and their ends (`cylinder_ends`) its tilt in depth; normals tell
+both directly, but have errors in common, which no number of pixels averages out.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from vntoolkit.evaluation.cylinder import (
     intersect,
     least_aligned,
 )
+from vntoolkit.evaluation.cylinder_ends import EndPoints, distance_from_rim_px, end_points
 from vntoolkit.evaluation.cylinder_start import start_from_normals
 from vntoolkit.evaluation.silhouette import contour_of
 from vntoolkit.geometry.camera import Camera
@@ -33,6 +34,7 @@ _FEWEST_PIXELS = 200
 _FEWEST_CONTOUR_POINTS = 40
 _ENDS_PERCENT = 10.0  # of the sides' length, at each end, where the ends' arcs round the corner
 _ROUNDS = 8
+_ROUNDS_WITHOUT_ENDS = 3  # the first cylinders are too far off to tell which rim is which
 _GATE = 3  # spreads of one component; beyond it a normal does not count
 _STRIPS = 72  # round the whole cylinder, half of which is seen
 _NARROWEST_SPREAD = 0.01  # radians: normals are never so good that a finer gate would help
@@ -142,7 +144,9 @@ def _refine(
     for round_ in range(_ROUNDS):
         tolerance_deg = options.parallel_deg * (2.5 if round_ == 0 else 1.0)
         origins, rays = camera_rays(camera, _side_points(seen, start, camera, tolerance_deg))
-        start = _solve(start, origins, rays, _scatter(seen, start, camera), camera, options, radius)
+        ends = end_points(seen.contour, seen.outward, start, camera) if round_ >= _ROUNDS_WITHOUT_ENDS else ()
+        scatter = _scatter(seen, start, camera)
+        start = _solve(start, origins, rays, ends, scatter, camera, options, radius)
     return start
 
 
@@ -177,12 +181,13 @@ def _solve(
     start: Cylinder,
     origins: Points,
     rays: Points,
+    ends: tuple[EndPoints, ...],
     scatter: Matrix3,
     camera: Camera,
     options: CylinderOptions,
     radius: float | None,
 ) -> Cylinder:
-    """Least squares over axis, centre and, where it is free, radius."""
+    """Least squares over axis, centre, the ends' places on the axis and, where it is free, radius."""
     first, second = across_axis(start.axis, least_aligned(start.axis))
     squared, vectors = np.linalg.eigh(scatter)
     root = np.sqrt(np.maximum(squared, 0))[:, None] * vectors.T / np.deg2rad(options.common_deg)
@@ -191,14 +196,19 @@ def _solve(
         axis = start.axis + unknown[0] * first + unknown[1] * second
         axis /= np.linalg.norm(axis)
         centre = unknown[2:4] @ np.stack(across_axis(axis, first))
-        return Cylinder(axis=axis, centre=centre, radius=float(unknown[4]) if radius is None else radius)
+        return Cylinder(axis=axis, centre=centre, radius=float(unknown[-1]) if radius is None else radius)
 
     def residuals(unknown: FloatArray) -> FloatArray:
         now = cylinder(unknown)
-        missed = distance_from_touching_px(now, origins, rays, camera) / options.silhouette_px
-        return np.concatenate([_cauchy(missed) / np.sqrt(options.correlated_points), root @ now.axis])
+        missed = [distance_from_touching_px(now, origins, rays, camera)]
+        missed += [
+            distance_from_rim_px(now, along, end, camera)
+            for along, end in zip(unknown[4:], ends, strict=False)
+        ]
+        outline = _cauchy(np.concatenate(missed) / options.silhouette_px)
+        return np.concatenate([outline / np.sqrt(options.correlated_points), root @ now.axis])
 
-    begin = [0.0, 0.0, start.centre @ first, start.centre @ second]
+    begin = [0.0, 0.0, start.centre @ first, start.centre @ second, *(end.along for end in ends)]
     solved = least_squares(residuals, begin + ([start.radius] if radius is None else []), x_scale="jac")
     return cylinder(solved.x)
 

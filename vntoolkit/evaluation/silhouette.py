@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
-from vntoolkit.arrays import FloatArray, LinearImage, Points2
+from vntoolkit.arrays import FloatArray, LinearImage, Mask, Points2
 from vntoolkit.errors import BadInput
 
 _BACKGROUND_SHARE = 0.02  # border of the image, as a share of its width, that is taken as background
 _SIGMAS = 6.0
+_CERTAIN_PX = 6
+_INWARD_PX = (3.0, 5.0)  # from the edge, where the surface's own brightness is read
 _SMOOTHING_PX = 1.5
 
 
@@ -33,9 +35,37 @@ def silhouette_from_image(rgb: LinearImage) -> FloatArray:
         raise BadInput("silhouette: nothing is brighter than the background")
     sizes = np.bincount(regions.ravel())[1:]
     region = ndimage.binary_fill_holes(regions == 1 + int(np.argmax(sizes)))
-    inner = ndimage.binary_erosion(region, iterations=2, border_value=1)
+    # blur carries light some three pixels out: only well inside is a pixel covered for certain
+    inner = ndimage.binary_erosion(region, iterations=_CERTAIN_PX, border_value=1)
+    rim = ndimage.binary_dilation(region, iterations=2) & ~inner
     share = np.clip(lifted / np.maximum(ndimage.maximum_filter(lifted, size=5), 1e-12), 0.0, 1.0)
-    return np.where(inner, 1.0, np.where(ndimage.binary_dilation(region, iterations=2), share, 0.0))
+    for _ in range(2):  # an edge found gives the brightness there, which gives the edge
+        share = _share_of_edge(lifted, inner | (rim & (share > 0.5)), rim)
+    return np.where(inner, 1.0, np.where(rim, share, 0.0))
+
+
+def _share_of_edge(lifted: FloatArray, inside: Mask, rim: Mask) -> FloatArray:
+    """Return brightness over that of the surface at the edge (h, w), 0 to 1, on the rim; 0 elsewhere.
+
+    A round surface darkens towards its edge. Its brightness there is a straight line through those a few
+    pixels further in, where blur no longer mixes in the background.
+    """
+    depth = ndimage.distance_transform_edt(inside) - ndimage.distance_transform_edt(~inside)
+    depth = depth - np.where(inside, 0.5, -0.5)
+    slope_v, slope_u = np.gradient(ndimage.gaussian_filter(depth, 1.5))
+    rows, columns = np.nonzero(rim)
+    inward = np.stack([slope_v[rows, columns], slope_u[rows, columns]])
+    inward /= np.maximum(np.linalg.norm(inward, axis=0), 1e-6)
+    edge = np.stack([rows, columns]) - depth[rows, columns] * inward
+    near, far = (
+        ndimage.map_coordinates(lifted, edge + steps * inward, order=1, mode="nearest")
+        for steps in _INWARD_PX
+    )
+    lever = _INWARD_PX[0] / (_INWARD_PX[1] - _INWARD_PX[0])
+    level = np.clip(near - lever * (far - near), 0.3 * near, 1.3 * near)
+    share = np.zeros(lifted.shape)
+    share[rows, columns] = np.clip(lifted[rows, columns] / np.maximum(level, 1e-12), 0.0, 1.0)
+    return share
 
 
 def contour_of(coverage: FloatArray) -> tuple[Points2, FloatArray]:
