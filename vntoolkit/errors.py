@@ -6,8 +6,22 @@ A message says what was expected, what came, and what to do.
 from __future__ import annotations
 
 
+LONGEST_MESSAGE = 900
+"""Characters of a message; a longer one is cut in its middle, so that a hostile file cannot flood a terminal."""
+
+
+def printable_line(text: str) -> str:
+    """Return text as one line of bounded length: what cannot be printed becomes its escape, as in `repr`."""
+    line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    kept = LONGEST_MESSAGE // 2 - 3
+    return line if len(line) <= LONGEST_MESSAGE else f"{line[:kept]} [...] {line[-kept:]}"
+
+
 class VntError(Exception):
-    """Base of every error that a user can cause and mend."""
+    """Base of every error that a user can cause and mend; its message is one printable line."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(printable_line(message))
 
 
 class BadInput(VntError):
