@@ -5,16 +5,17 @@ A message says what was expected, what came, and what to do.
 
 from __future__ import annotations
 
-
 LONGEST_MESSAGE = 900
-"""Characters of a message; a longer one is cut in its middle, so that a hostile file cannot flood a terminal."""
+"""Characters of a message; a longer one loses its middle, so that a hostile file cannot flood a terminal."""
 
 
 def printable_line(text: str) -> str:
     """Return text as one line of bounded length: what cannot be printed becomes its escape, as in `repr`."""
     line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
-    kept = LONGEST_MESSAGE // 2 - 3
-    return line if len(line) <= LONGEST_MESSAGE else f"{line[:kept]} [...] {line[-kept:]}"
+    if len(line) <= LONGEST_MESSAGE:
+        return line
+    kept = LONGEST_MESSAGE // 2 - len(" [...]")
+    return f"{line[:kept]} [...] {line[-kept:]}"
 
 
 class VntError(Exception):
