@@ -1,3 +1,4 @@
+import pickle
 from dataclasses import dataclass
 from enum import Enum
 
@@ -5,7 +6,7 @@ import pytest
 from cyclopts import App
 
 from vntoolkit.cli.flags import flags_from, meanings_of_fields
-from vntoolkit.pipeline.options import ReconstructOptions
+from vntoolkit.pipeline.options import Product, ReconstructOptions
 
 
 class Kind(Enum):
@@ -64,3 +65,15 @@ def test_an_undocumented_field_is_refused() -> None:
 
 def test_the_options_of_the_pipeline_are_documented() -> None:
     assert {"to", "distance_m", "match_albedo", "on_error"} <= set(meanings_of_fields(ReconstructOptions))
+
+
+def test_options_from_flags_go_to_another_process_as_the_stages_own() -> None:
+    app = App(result_action="return_value")
+
+    def draw(*, shape: flags_from(ReconstructOptions) = None) -> ReconstructOptions | None:  # type: ignore[valid-type]
+        return shape
+
+    app.default(draw)
+    again = pickle.loads(pickle.dumps(app(["--to", "normals"])))
+    assert type(again) is ReconstructOptions
+    assert again == ReconstructOptions(to=Product.NORMALS)

@@ -16,6 +16,7 @@ from vntoolkit.calibration.fit import FitOptions
 from vntoolkit.calibration.lights import LightColours
 from vntoolkit.calibration.sphere import SphereOptions
 from vntoolkit.cli.flags import flags_from
+from vntoolkit.cli.limits import limits_on
 from vntoolkit.cli.progress import progress_bar
 from vntoolkit.geometry.board_layout import BoardLayout
 from vntoolkit.io.frame_range import FrameRange
@@ -42,6 +43,7 @@ SingleLight: TypeAlias = Annotated[
 ]
 
 
+@limits_on("max_megapixels")
 def sphere(
     source: Annotated[str, Parameter(name="INPUT")],
     /,
@@ -88,6 +90,7 @@ def sphere(
     report_rig(out, rig, f"ball at ({u:.1f}, {v:.1f}), radius {radius:.1f} px")
 
 
+@limits_on("max_megapixels")
 def board(
     source: Annotated[str, Parameter(name="INPUT")],
     /,
@@ -144,6 +147,7 @@ def board(
     report_rig(out, rig, f"{len(result.poses)} poses to {error:.2f} px, focal length {focal:.0f} px")
 
 
+@limits_on("max_megapixels")
 def lights(
     source: Annotated[Path, Parameter(name="INPUT")],
     /,

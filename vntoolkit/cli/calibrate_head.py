@@ -19,6 +19,7 @@ from vntoolkit.calibration.head.stereo import StereoOptions
 from vntoolkit.calibration.head.tracks import TrackOptions
 from vntoolkit.cli.calibrate import report_rig
 from vntoolkit.cli.flags import flags_from
+from vntoolkit.cli.limits import limits_on
 from vntoolkit.cli.progress import Advance, progress_bar
 from vntoolkit.io.frame_range import FrameRange
 from vntoolkit.io.meshes import write_mesh
@@ -49,6 +50,7 @@ else:
     LightFlags = flags_from(LightOptions)
 
 
+@limits_on("max_megapixels")
 def head(
     source: Annotated[str, Parameter(name="INPUT")],
     /,

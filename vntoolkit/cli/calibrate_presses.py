@@ -13,6 +13,7 @@ from vntoolkit.calibration.presses import PressOptions
 from vntoolkit.calibration.varying import VariationOptions
 from vntoolkit.cli.calibrate import report_rig
 from vntoolkit.cli.flags import flags_from
+from vntoolkit.cli.limits import limits_on
 from vntoolkit.cli.progress import progress_bar
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.rectification import Rectification
@@ -35,6 +36,7 @@ SizeMm: TypeAlias = Annotated[tuple[float, float] | None, _List]
 SizePx: TypeAlias = Annotated[tuple[int, int] | None, _List]
 
 
+@limits_on("max_megapixels")
 def presses(
     source: Annotated[str, Parameter(name="INPUT")],
     /,
@@ -87,6 +89,7 @@ def presses(
     report_rig(out, rig, f"presses of {source}")
 
 
+@limits_on("max_megapixels")
 def rectify(
     source: Annotated[str, Parameter(name="INPUT")],
     /,

@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from vntoolkit import __version__
+from vntoolkit.cli.limits import limits_on
 from vntoolkit.native import OPEN3D_LIBRARIES, PYMESHLAB_LIBRARIES, missing_packages
 
 if TYPE_CHECKING:
@@ -36,6 +37,7 @@ _LIBRARIES = {
 _COLOURS = {"note": "cyan", "warning": "yellow", "fatal": "red"}
 
 
+@limits_on("max_megapixels")
 def doctor(
     source: Annotated[str | None, Parameter(name="INPUT")] = None,
     /,

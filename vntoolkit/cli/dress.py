@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 from cyclopts import Parameter
 
 from vntoolkit.cli.flags import flags_from
+from vntoolkit.cli.limits import limits_on
 from vntoolkit.io.garment_fits import read_garment_fit
 from vntoolkit.pipeline.dress import (
     DressOptions,
@@ -34,6 +35,7 @@ else:
     ClockFlags = flags_from(ClockOptions, frame_rate_hz="frame_rate")
 
 
+@limits_on("max_vertices")
 def run(
     folder: Path,
     *,

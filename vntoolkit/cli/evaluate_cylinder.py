@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from vntoolkit.cli.flags import flags_from
+from vntoolkit.cli.limits import limits_on
 from vntoolkit.cli.progress import progress_bar
 from vntoolkit.cli.tables import print_table, write_json
 from vntoolkit.evaluation.cylinder_fit import CylinderOptions
@@ -25,6 +26,7 @@ else:
 _LINES = 10  # of the table on the screen; the file has all frames
 
 
+@limits_on("max_megapixels")
 def cylinder(
     folder: Path,
     *,

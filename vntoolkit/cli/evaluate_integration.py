@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from vntoolkit.cli.limits import limits_on
 from vntoolkit.cli.progress import progress_bar
 from vntoolkit.cli.tables import print_table, write_json
 from vntoolkit.pipeline.evaluate_integration import objects_in, real_object_errors, surface_cases
 from vntoolkit.report.error_figures import write_cumulative_errors, write_error_map
 
 
+@limits_on("max_megapixels")
 def integration(*, data: Path | None = None, size: int = 256, out: Path = Path("evaluation")) -> None:
     """Print the depth errors of every integrator on analytic surfaces, and on real objects where given.
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from vntoolkit.cli.flags import flags_from
+from vntoolkit.cli.limits import limits_on
 from vntoolkit.cli.tables import print_table, write_json
 from vntoolkit.errors import BadMesh
 from vntoolkit.evaluation.mesh_alignment import Alignment, AlignmentOptions, align_mesh
@@ -27,6 +28,7 @@ else:
 _SEED = 0  # of the vertices sampled to align by
 
 
+@limits_on("max_vertices")
 def mesh(
     mesh: Path,
     reference: Path | None = None,

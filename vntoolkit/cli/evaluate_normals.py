@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from vntoolkit.cli.limits import limits_on
 from vntoolkit.cli.progress import progress_bar
 from vntoolkit.cli.tables import print_table, write_json
 from vntoolkit.evaluation.angular_error import AngularError
@@ -15,6 +16,7 @@ _LINES = 10  # of the table on the screen; the file has all frames
 COLUMNS = ["", "pixels", "mean", "median", "std", "95 %", "< 5°", "< 10°", "< 20°"]
 
 
+@limits_on("max_megapixels")
 def normals(
     measured: Path,
     reference: Path,

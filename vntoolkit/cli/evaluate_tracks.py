@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from vntoolkit.cli.flags import flags_from
+from vntoolkit.cli.limits import limits_on
 from vntoolkit.errors import BadInput
 from vntoolkit.evaluation.track_error import TrackError, TrackErrorOptions
 from vntoolkit.pipeline.evaluate_tracks import evaluate_tracks, write_track_errors
@@ -19,6 +20,7 @@ else:
 _LINES = 12  # of a table on the screen; the file has all frames
 
 
+@limits_on("max_vertices")
 def tracks(
     folder: Path,
     *others: Path,

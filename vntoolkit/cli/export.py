@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 from cyclopts import Parameter
 
 from vntoolkit.cli.flags import flags_from
+from vntoolkit.cli.limits import limits_on
 from vntoolkit.cli.progress import progress_bar
 from vntoolkit.io.frame_range import FrameRange
 from vntoolkit.pipeline.export import ExportJob, ExportSummary
@@ -22,6 +23,7 @@ else:
     ExportFlags = flags_from(ExportOptions)
 
 
+@limits_on("max_megapixels", "max_vertices")
 def export(
     folder: Path,
     *,

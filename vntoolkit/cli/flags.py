@@ -36,7 +36,13 @@ def flags_from(options: type[Any], *, without: tuple[str, ...] = (), **renamed: 
         )
         fields.append((field.name, Annotated[hints[field.name], flag], default))
     spread = dataclasses.make_dataclass(
-        options.__name__, fields, bases=(options,), frozen=True, kw_only=True, eq=False
+        options.__name__,
+        fields,
+        bases=(options,),
+        namespace={"__reduce__": lambda given: (_made, (options, _values_of(given)))},
+        frozen=True,
+        kw_only=True,
+        eq=False,
     )
     spread.__module__ = (
         options.__module__
@@ -64,6 +70,15 @@ def meanings_of_fields(options: type[Any]) -> dict[str, str]:
     if missing:
         raise KeyError(f"{options.__name__}: the docstring does not say what {', '.join(missing)} means")
     return meanings
+
+
+def _made(options: type[Any], values: dict[str, Any]) -> Any:
+    """Make the stage's own options in another process, which knows nothing of the spread class."""
+    return options(**values)
+
+
+def _values_of(given: Any) -> dict[str, Any]:
+    return {field.name: getattr(given, field.name) for field in dataclasses.fields(given) if field.init}
 
 
 def _capitalised(sentence: str) -> str:

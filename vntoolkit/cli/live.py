@@ -13,6 +13,7 @@ from cyclopts import Parameter
 
 from vntoolkit.cli.calibrate_presses import Corners, SizeMm, rectification_from_flags
 from vntoolkit.cli.flags import flags_from
+from vntoolkit.cli.limits import limits_on
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.io.captures import CaptureOptions, open_capture
@@ -36,6 +37,7 @@ else:
 Crop: TypeAlias = Annotated[tuple[int, int, int, int] | None, Parameter(consume_multiple=True, negative=())]
 
 
+@limits_on("max_megapixels")
 def live(
     *,
     rig: Path,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 from cyclopts import Parameter
 
 from vntoolkit.cli.flags import flags_from
+from vntoolkit.cli.limits import limits_on
 from vntoolkit.cli.progress import progress_bar
 from vntoolkit.integration.options import IntegrationOptions
 from vntoolkit.io.frame_log import FrameEntry
@@ -37,6 +38,7 @@ else:
     MeshFlags = flags_from(MeshOptions)
 
 
+@limits_on("max_megapixels")
 def reconstruct(
     source: str,
     *,

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from vntoolkit.cli.flags import flags_from
+from vntoolkit.cli.limits import limits_on
 from vntoolkit.report.report import ReportOptions, write_report
 
 if TYPE_CHECKING:
@@ -14,6 +15,7 @@ else:
     ReportFlags = flags_from(ReportOptions)
 
 
+@limits_on("max_megapixels", "max_vertices")
 def report(folder: Path, *, out: Path | None = None, options: ReportFlags = None) -> None:
     """Write one self-contained HTML page about a reconstruction: pictures, calibration, shares, warnings.
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 from cyclopts import Parameter
 
 from vntoolkit.cli.flags import flags_from
+from vntoolkit.cli.limits import limits_on
 from vntoolkit.cli.progress import progress_bar
 from vntoolkit.io.seams import read_seams
 from vntoolkit.pipeline.checkerboard import write_checkerboard
@@ -36,6 +37,7 @@ else:
     BoardFlags = flags_from(CheckerboardOptions)
 
 
+@limits_on("max_megapixels", "max_vertices")
 def track(
     folder: Path,
     *,

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from vntoolkit.cli.flags import flags_from
+from vntoolkit.cli.limits import limits_on
 from vntoolkit.cli.progress import progress_bar
 from vntoolkit.io.frame_range import FrameRange
 from vntoolkit.pipeline.opened_result import open_result
@@ -21,6 +22,7 @@ else:
     SceneFlags = flags_from(SceneOptions)
 
 
+@limits_on("max_megapixels", "max_vertices")
 def view(
     folder: Path,
     *,

@@ -16,7 +16,7 @@ from vntoolkit.errors import BadCapture
 from vntoolkit.io.decoding import EncodedFrame, linear_frame_from_encoded
 from vntoolkit.io.files import read_bytes
 from vntoolkit.io.frame_range import FrameRange
-from vntoolkit.io.images import DEFAULT_MAX_MEGAPIXELS, read_image, read_image_header
+from vntoolkit.io.images import read_image, read_image_header
 from vntoolkit.io.sources import CaptureKind, find_capture_files
 from vntoolkit.io.video import VideoReader
 from vntoolkit.photometry.frame import LinearFrame
@@ -29,14 +29,15 @@ class CaptureOptions:
 
     transfer: curve and levels of the stored values. background: an image of the scene under ambient light
     only (path, or linear (h, w, 3) array), subtracted from every frame; None for none. max_megapixels: refuse
-    larger frames before memory is asked for. bits: significant bits of an integer sample where the file does
-    not tell (12 for 12-bit values stored in 16-bit PNG); None for all. frame_rate_hz: rate of an image
-    sequence, frames per second (a video brings its own). threads: decoding threads.
+    larger frames before memory is asked for; None for the limit of `reading_limits`. bits: significant bits
+    of an integer sample where the file does not tell (12 for 12-bit values stored in 16-bit PNG); None for
+    all. frame_rate_hz: rate of an image sequence, frames per second (a video brings its own). threads:
+    decoding threads.
     """
 
     transfer: Transfer = field(default_factory=Transfer)
     background: Path | str | LinearImage | None = None
-    max_megapixels: float = DEFAULT_MAX_MEGAPIXELS
+    max_megapixels: float | None = None
     bits: int | None = None
     frame_rate_hz: float = 30.0
     threads: int = 2

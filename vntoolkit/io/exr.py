@@ -19,6 +19,7 @@ from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.atomic import write_bytes
 from vntoolkit.io.files import read_bytes
+from vntoolkit.io.limits import require_pixels
 from vntoolkit.io.native_output import silenced_native_output
 
 MAGIC = b"\x76\x2f\x31\x01"
@@ -80,7 +81,7 @@ def read_exr_header(data: bytes, name: str, error: type[BadInput] = BadInput) ->
 
 
 def read_exr(
-    path: Path | str, *, max_megapixels: float = 200.0, error: type[BadInput] = BadCapture
+    path: Path | str, *, max_megapixels: float | None = None, error: type[BadInput] = BadCapture
 ) -> tuple[dict[str, npt.NDArray[Any]], Mapping[str, str]]:
     """Read all channels as (h, w) arrays of their own type, and the text attributes of the header.
 
@@ -136,15 +137,6 @@ def write_exr(
     for name, _ in kinds:
         rows[name] = channels[name]
     write_bytes(path, memoryview(content))
-
-
-def require_pixels(width: int, height: int, max_megapixels: float, name: str, error: type[BadInput]) -> None:
-    """Refuse a size that a damaged or hostile header claims, before memory is asked for."""
-    if width * height > max_megapixels * 1e6:
-        raise error(
-            f"{name}: {width}×{height} is {width * height / 1e6:.0f} megapixels, more than the limit of "
-            f"{max_megapixels:g}; raise --max-megapixels if that is meant"
-        )
 
 
 def _row_type(width: int, kinds: tuple[tuple[str, str], ...]) -> np.dtype[Any]:

@@ -59,16 +59,6 @@ def require_inside(folder: Path, name: str, source: Path | str, error: type[BadI
     raise error(f"{source}: names '{name[:80]}', outside its folder; put that file beside it")
 
 
-def require_bytes_below(path: Path | str, max_megabytes: float, error: type[BadInput] = BadInput) -> None:
-    """Refuse a file larger than the limit before it is read into memory."""
-    size = require_file(path, error).stat().st_size
-    if size > max_megabytes * 1e6:
-        raise error(
-            f"{path}: {size / 1e6:.0f} MB are more than the limit of {max_megabytes:g}; raise max_megabytes "
-            "if that is meant"
-        )
-
-
 def sha256_of_file(path: Path | str, error: type[BadInput] = BadInput) -> str:
     """Return the SHA-256 of a file's bytes in hexadecimal."""
     path = require_file(path, error)

@@ -14,9 +14,10 @@ from vntoolkit.arrays import Mask
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io import exr
 from vntoolkit.io.atomic import write_bytes
-from vntoolkit.io.exr import read_exr, require_pixels, write_exr
+from vntoolkit.io.exr import read_exr, write_exr
 from vntoolkit.io.files import read_bytes
 from vntoolkit.io.image_headers import ImageHeader, read_image_header
+from vntoolkit.io.limits import require_pixels
 from vntoolkit.io.native_output import silenced_native_output
 
 __all__ = [
@@ -32,20 +33,20 @@ __all__ = [
 ]
 
 SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".exr")
-DEFAULT_MAX_MEGAPIXELS = 200.0
 
 
 def read_image(
     path: Path | str,
     *,
-    max_megapixels: float = DEFAULT_MAX_MEGAPIXELS,
+    max_megapixels: float | None = None,
     error: type[BadInput] = BadCapture,
 ) -> npt.NDArray[Any]:
     """Read an image as (h, w, 3) RGB, encoded values as stored: uint8, uint16 or float32 (EXR, float TIFF).
 
     Grey is repeated in the three channels. An alpha channel is dropped where it is opaque everywhere and
-    refused where it is not, since the colour beneath it is undefined. Raises `error` with one line for a file
-    that is missing, empty, damaged, too large, or holds NaN.
+    refused where it is not, since the colour beneath it is undefined. max_megapixels: None for the limit of
+    `reading_limits`. Raises `error` with one line for a file that is missing, empty, damaged, too large, or
+    holds NaN.
     """
     pixels = _decode(path, max_megapixels, error)
     if pixels.ndim == 2:
@@ -61,7 +62,7 @@ def read_image(
 def read_image_with_alpha(
     path: Path | str,
     *,
-    max_megapixels: float = DEFAULT_MAX_MEGAPIXELS,
+    max_megapixels: float | None = None,
     error: type[BadInput] = BadInput,
 ) -> tuple[npt.NDArray[Any], Mask | None]:
     """Read (h, w, 3) RGB and, where there is an alpha channel, the (h, w) mask of alpha >= half."""
@@ -73,7 +74,7 @@ def read_image_with_alpha(
 
 
 def read_grey(
-    path: Path | str, *, max_megapixels: float = DEFAULT_MAX_MEGAPIXELS, error: type[BadInput] = BadInput
+    path: Path | str, *, max_megapixels: float | None = None, error: type[BadInput] = BadInput
 ) -> npt.NDArray[Any]:
     """Read an image as (h, w): grey as stored, colour by its largest channel (so any paint counts)."""
     pixels = _decode(path, max_megapixels, error)
@@ -131,7 +132,7 @@ def resized_image(
     return np.asarray(cv2.resize(np.ascontiguousarray(pixels), size, interpolation=method), dtype=np.uint8)
 
 
-def _decode(path: Path | str, max_megapixels: float, error: type[BadInput]) -> npt.NDArray[Any]:
+def _decode(path: Path | str, max_megapixels: float | None, error: type[BadInput]) -> npt.NDArray[Any]:
     """Return (h, w) or (h, w, channels), channels in RGB order, alpha last."""
     data = read_bytes(path, error)
     header = read_image_header(data, str(path), error)
@@ -161,7 +162,7 @@ def _decode(path: Path | str, max_megapixels: float, error: type[BadInput]) -> n
 
 
 def _pixels_from_exr(
-    path: Path | str, max_megapixels: float, error: type[BadInput]
+    path: Path | str, max_megapixels: float | None, error: type[BadInput]
 ) -> npt.NDArray[np.float32]:
     channels, _ = read_exr(path, max_megapixels=max_megapixels, error=error)
     names = [name for name in "RGBA" if name in channels] or [name for name in "YZ" if name in channels]

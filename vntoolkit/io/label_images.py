@@ -13,7 +13,7 @@ from vntoolkit.arrays import Mask, VisibilityLabels
 from vntoolkit.checks import require_shape, require_some
 from vntoolkit.errors import BadInput
 from vntoolkit.io.atomic import write_bytes
-from vntoolkit.io.images import DEFAULT_MAX_MEGAPIXELS, read_grey, read_image, write_png
+from vntoolkit.io.images import read_grey, read_image, write_png
 
 # Colour of label k: red, green, blue where light 0, 1, 2 arrives, white where all do, dark grey where none.
 _PALETTE = np.array(
@@ -47,7 +47,7 @@ def read_mask(
     path: Path | str,
     *,
     size: tuple[int, int] | None = None,
-    max_megapixels: float = DEFAULT_MAX_MEGAPIXELS,
+    max_megapixels: float | None = None,
 ) -> Mask:
     """Read an (h, w) mask: True where a pixel is brighter than half of full scale.
 
@@ -78,7 +78,7 @@ def write_labels(path: Path | str, labels: VisibilityLabels) -> None:
     write_bytes(path, content)
 
 
-def read_labels(path: Path | str, *, max_megapixels: float = DEFAULT_MAX_MEGAPIXELS) -> VisibilityLabels:
+def read_labels(path: Path | str, *, max_megapixels: float | None = None) -> VisibilityLabels:
     """Read (h, w) labels from an indexed PNG of `write_labels`, or from grey values 0 to 7."""
     rgb = read_image(path, max_megapixels=max_megapixels, error=BadInput)
     if rgb.dtype != np.uint8:

@@ -15,7 +15,7 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.io.conventions import NormalConvention
 from vntoolkit.io.exr import ExrCompression, read_exr, write_exr
-from vntoolkit.io.images import DEFAULT_MAX_MEGAPIXELS, read_image_with_alpha, write_png
+from vntoolkit.io.images import read_image_with_alpha, write_png
 from vntoolkit.io.label_images import read_labels, read_mask, write_labels, write_mask
 from vntoolkit.io.normal_axes import finding_from_axes
 
@@ -70,7 +70,7 @@ def read_normal_map(
     *,
     convention: NormalConvention | None = None,
     mask: Mask | None = None,
-    max_megapixels: float = DEFAULT_MAX_MEGAPIXELS,
+    max_megapixels: float | None = None,
 ) -> NormalMap:
     """Read a normal map, EXR, or 8- or 16-bit PNG or TIFF, and normalise it.
 
@@ -116,7 +116,7 @@ def write_depth_map(
     write_exr(path, {"Z": z}, attributes={_UNIT_ATTRIBUTE: depth_map.unit.value}, compression=compression)
 
 
-def read_depth_map(path: Path | str, *, max_megapixels: float = DEFAULT_MAX_MEGAPIXELS) -> DepthMap:
+def read_depth_map(path: Path | str, *, max_megapixels: float | None = None) -> DepthMap:
     """Read the channel Z of an EXR; NaN and infinity are invalid. Without a stated unit: pixels."""
     channels, texts = read_exr(path, max_megapixels=max_megapixels, error=BadInput)
     z = channels.get("Z")
@@ -139,7 +139,7 @@ def write_flow(path: Path | str, flow_px: Flow, *, compression: ExrCompression =
     write_exr(path, {"du": flow_px[..., 0], "dv": flow_px[..., 1]}, compression=compression)
 
 
-def read_flow(path: Path | str, *, max_megapixels: float = DEFAULT_MAX_MEGAPIXELS) -> Flow:
+def read_flow(path: Path | str, *, max_megapixels: float | None = None) -> Flow:
     """Read optical flow (h, w, 2) in pixels from the channels du, dv of an EXR."""
     channels, _ = read_exr(path, max_megapixels=max_megapixels, error=BadInput)
     if not {"du", "dv"} <= set(channels):
@@ -174,7 +174,7 @@ def _png_from_normals(stored: FloatArray, mask: Mask, bits: int) -> npt.NDArray[
 
 
 def _normals_from_exr(
-    path: Path | str, max_megapixels: float
+    path: Path | str, max_megapixels: float | None
 ) -> tuple[FloatArray, npt.NDArray[np.float32] | None, NormalConvention | None]:
     channels, texts = read_exr(path, max_megapixels=max_megapixels, error=BadInput)
     names = next((n for n in ("RGB", "XYZ", "xyz") if set(n) <= set(channels)), None)

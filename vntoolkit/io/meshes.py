@@ -14,11 +14,9 @@ from vntoolkit.errors import BadMesh, CannotWrite
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.point_cloud import PointCloud
 from vntoolkit.io.conventions import UpAxis, graphics_from_camera
-from vntoolkit.io.files import require_bytes_below
+from vntoolkit.io.limits import require_mesh_file
 from vntoolkit.io.obj import read_obj, write_obj
 from vntoolkit.io.ply import PlyContent, read_ply, write_ply
-
-DEFAULT_MAX_MEGABYTES = 4000.0
 
 
 def write_mesh(
@@ -45,12 +43,12 @@ def write_mesh(
             raise CannotWrite(f"{path}: a mesh is written as .ply or .obj, not '{suffix}'")
 
 
-def read_mesh(path: Path | str, *, max_megabytes: float = DEFAULT_MAX_MEGABYTES) -> Mesh:
+def read_mesh(path: Path | str) -> Mesh:
     """Read a triangle mesh from `.ply` or `.obj` into the camera frame; polygons are cut into triangles.
 
-    max_megabytes: a larger file is refused before it is read.
+    One of more vertices than `reading_limits` allows is refused before it is read. Raises `BadMesh`.
     """
-    require_bytes_below(path, max_megabytes, BadMesh)
+    require_mesh_file(path)
     match Path(path).suffix.lower():
         case ".ply":
             content = read_ply(path)
@@ -83,8 +81,8 @@ def write_point_cloud(path: Path | str, cloud: PointCloud) -> None:
 
 
 def read_point_cloud(path: Path | str) -> PointCloud:
-    """Read the vertices of a `.ply` into the camera frame."""
-    content = read_ply(path)
+    """Read the vertices of a `.ply` into the camera frame; limits and errors as `read_mesh`."""
+    content = read_ply(require_mesh_file(path))
     return PointCloud(
         points=graphics_from_camera(content.vertices),
         normals=None if content.normals is None else graphics_from_camera(content.normals),

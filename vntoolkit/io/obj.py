@@ -13,6 +13,7 @@ from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import read_text, require_inside
 from vntoolkit.io.images import read_image, write_png
+from vntoolkit.io.limits import require_vertices
 from vntoolkit.io.polygons import triangles_from_polygons
 
 
@@ -60,6 +61,7 @@ def read_obj(path: Path | str) -> Mesh:
         try:
             if key in tables:
                 tables[key].append([float(word) for word in words])
+                require_vertices(len(tables[key]), str(path))
             elif key == "f":
                 counts = (len(tables["v"]), len(tables["vt"]), len(tables["vn"]))
                 polygons.append([_corner(word, counts) for word in words])

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from vntoolkit.errors import BadMesh
 from vntoolkit.io.files import require_file
+from vntoolkit.io.limits import require_vertices
 
 _KINDS = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2",
@@ -77,6 +78,7 @@ def parse_ply_header(data: bytes, name: str) -> tuple[str, list[PlyElement], int
         raise BadMesh(
             f"{name}: the header promises {least} rows, but only {len(data) - newline} bytes follow"
         )
+    require_vertices(max((e.count for e in elements if e.name == "vertex"), default=0), name)
     return order, elements, newline + 1
 
 

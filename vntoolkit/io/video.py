@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from vntoolkit.errors import BadCapture, CannotWrite
 from vntoolkit.io.atomic import atomic_path
-from vntoolkit.io.exr import require_pixels
 from vntoolkit.io.files import require_file
+from vntoolkit.io.limits import require_pixels
 from vntoolkit.io.pixel_formats import PixelFormat, rgb_from_video_frame
 from vntoolkit.io.video_index import VideoIndex, av_errors, index_of_stream, reason_of
 
@@ -42,7 +42,7 @@ class VideoReader:
     their packets, so the number of a frame does not depend on a frame rate in the header.
     """
 
-    def __init__(self, path: Path | str, *, max_megapixels: float = 200.0, threads: int = 2) -> None:
+    def __init__(self, path: Path | str, *, max_megapixels: float | None = None, threads: int = 2) -> None:
         self.path = require_file(path, BadCapture)
         self.threads = threads
         with self._open() as container:

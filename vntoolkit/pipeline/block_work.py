@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ from vntoolkit.errors import VntError
 from vntoolkit.io.captures import Capture, CaptureOptions, open_capture
 from vntoolkit.io.decoding import EncodedFrame
 from vntoolkit.io.frame_log import FrameEntry
+from vntoolkit.io.limits import ReadingLimits, reading_limits
 from vntoolkit.io.maps import read_mask
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.visibility import ALL_LIT
@@ -30,7 +31,7 @@ from vntoolkit.shadows.detector import ShadowMethod
 class ReconstructionJob:
     """Everything that a worker needs, small enough to send to another process or machine.
 
-    source: as for `open_capture`. mask, background: files or None.
+    source: as for `open_capture`. mask, background: files or None. limits: on what is read, in any process.
     """
 
     source: str
@@ -40,6 +41,7 @@ class ReconstructionJob:
     mask: Path | None = None
     background: Path | None = None
     threads: int = 2
+    limits: ReadingLimits = field(default_factory=reading_limits)
 
     @property
     def has_labels(self) -> bool:
@@ -53,14 +55,20 @@ class ReconstructionJob:
 
     def open_capture(self) -> Capture:
         """Open the capture with the rig's transfer curve."""
-        options = CaptureOptions(transfer=self.rig.transfer, background=self.background, threads=self.threads)
+        options = CaptureOptions(
+            transfer=self.rig.transfer,
+            background=self.background,
+            max_megapixels=self.limits.max_megapixels,
+            threads=self.threads,
+        )
         return open_capture(self.source, options)
 
     def read_mask(self, capture: Capture) -> Mask | None:
         """Read the mask, of the capture's size, or None."""
         if self.mask is None:
             return None
-        return read_mask(self.mask, size=(capture.info.width, capture.info.height))
+        size = (capture.info.width, capture.info.height)
+        return read_mask(self.mask, size=size, max_megapixels=self.limits.max_megapixels)
 
 
 class BlockWorker:
