@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, Mask
+from vntoolkit.shadows.sure_labels import sure_labels
 
 _WEAKEST_BOND = 0.05  # share of the full price that a change of label across a sharp edge still costs
 _DARK_SHARE = 0.03  # added to a share before its logarithm: noise is no edge
@@ -19,22 +20,41 @@ def lit_by_cut(
     evidence: (h, w), positive speaks for light, negative for shadow. bonds: to the east and to the south
     neighbour, (h, w) each, the price of a change there. Returns (h, w), True where lit (and outside `mask`).
     """
+    pull = np.where(mask, evidence, 0.0).astype(np.float32)
+    if not (pull < 0).any():
+        return np.ones(mask.shape, dtype=np.bool_)
+    if not (pull > 0).any():
+        return ~mask
+    east, south = (np.ascontiguousarray(bond, dtype=np.float32) for bond in bonds)
+    signs, pull = sure_labels(pull, east, south)
+    lit = signs > 0
+    left = signs == 0
+    if left.any():
+        lit[left] = _lit_of_undecided(left, pull, east, south)
+    return lit | ~mask
+
+
+def _lit_of_undecided(
+    left: Mask, pull: FloatArray, east: FloatArray, south: FloatArray
+) -> npt.NDArray[np.bool_]:
+    """Cut the graph of the pixels of `left` alone; return their labels, row by row."""
     import maxflow
 
-    speaks = np.where(mask, evidence, 0.0).astype(np.float64)
-    if not (speaks < 0).any():
-        return np.ones(mask.shape, dtype=np.bool_)
-    if not (speaks > 0).any():
-        return ~mask
     graph = maxflow.GraphFloat()
-    nodes = graph.add_grid_nodes(mask.shape)
-    east, south = np.zeros((3, 3)), np.zeros((3, 3))
-    east[1, 2] = south[2, 1] = 1
-    graph.add_grid_edges(nodes, weights=bonds[0], structure=east, symmetric=True)
-    graph.add_grid_edges(nodes, weights=bonds[1], structure=south, symmetric=True)
-    graph.add_grid_tedges(nodes, np.maximum(speaks, 0.0), np.maximum(-speaks, 0.0))
+    number = np.full(left.shape, -1, dtype=np.int64)
+    number[left] = graph.add_nodes(int(np.count_nonzero(left)))
+    for bond, axis in ((east, 1), (south, 0)):
+        first, second = (slice(None), slice(-1)), (slice(None), slice(1, None))
+        if axis == 0:
+            first, second = first[::-1], second[::-1]
+        both = left[first] & left[second]
+        price = bond[first][both]
+        graph.add_edges(number[first][both], number[second][both], price, price)
+    own = pull[left]
+    graph.add_grid_tedges(number[left], np.maximum(own, 0.0), np.maximum(-own, 0.0))
     graph.maxflow()
-    return ~graph.get_grid_segments(nodes) | ~mask
+    segments: npt.NDArray[np.bool_] = ~graph.get_grid_segments(number[left])
+    return segments
 
 
 def bonds_of_light(

@@ -17,34 +17,40 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
-from numba import njit
 
-Grid = npt.NDArray[np.float32]
+from vntoolkit.shadows.grid_kernels import (
+    Grid,
+    apply_kernel,
+    coarse_edges_kernel,
+    diagonal_kernel,
+    inverse_kernel,
+    prolong_add_kernel,
+    restrict_kernel,
+    sweep_kernel,
+)
 
 _SMALLEST_SIDE = 4
-_GROUND = 1e-6  # pins the free constant of every connected piece; far below any data weight
-_EAST, _SOUTH, _SOUTH_EAST, _SOUTH_WEST = range(4)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GridLevel:
     """One grid of the hierarchy: edges (4, h, w) float32 to the east, south, south-east and (stored at the
-    upper left pixel of the 2×2 block) from the upper right to the lower left pixel; diagonal (h, w).
+    upper left pixel of the 2×2 block) from the upper right to the lower left pixel; inverse (h, w) of the
+    diagonal, 0 where a pixel has no edge.
     """
 
     edges: Grid
-    diagonal: Grid
+    inverse: Grid
 
 
 def grid_hierarchy(edges: Grid) -> list[GridLevel]:
     """Build all levels from the finest edges (4, h, w)."""
     levels = []
     while True:
-        levels.append(GridLevel(edges=edges, diagonal=_diagonal(edges)))
+        levels.append(GridLevel(edges=edges, inverse=inverse_kernel(diagonal_kernel(edges))))
         if min(edges.shape[1:]) <= _SMALLEST_SIDE:
             return levels
-        edges = _coarse_edges(edges)
+        edges = coarse_edges_kernel(edges)
 
 
 def solve_grid(
@@ -55,7 +61,7 @@ def solve_grid(
     right, start: (h, w) float32. Returns (h, w) float32, the best found within `most_iterations`.
     """
     x = start.astype(np.float32).copy()
-    residual = right - _apply(levels[0].edges, x)
+    residual = right - apply_kernel(levels[0].edges, x)
     target = tolerance * float(np.linalg.norm(right))
     direction = np.zeros_like(x)
     previous = 0.0
@@ -68,7 +74,7 @@ def solve_grid(
             break
         direction = cleaned if previous == 0.0 else cleaned + np.float32(now / previous) * direction
         previous = now
-        image = _apply(levels[0].edges, direction)
+        image = apply_kernel(levels[0].edges, direction)
         curvature = _dot(direction, image)
         if not curvature > 0.0:
             break
@@ -88,143 +94,10 @@ def _cycle(levels: list[GridLevel], depth: int, right: Grid) -> Grid:
     x = np.zeros_like(right)
     sweeps = 1 if depth + 1 < len(levels) else 20
     for _ in range(sweeps):
-        _sweep(level.edges, level.diagonal, right, x, True)
+        sweep_kernel(level.edges, level.inverse, right, x, True)
     if depth + 1 < len(levels):
-        coarse_right = _restrict(right - _apply(level.edges, x))
-        _prolong_add(_cycle(levels, depth + 1, coarse_right), level.diagonal, x)
+        coarse_right = restrict_kernel(right - apply_kernel(level.edges, x))
+        prolong_add_kernel(_cycle(levels, depth + 1, coarse_right), level.inverse, x)
     for _ in range(sweeps):
-        _sweep(level.edges, level.diagonal, right, x, False)
+        sweep_kernel(level.edges, level.inverse, right, x, False)
     return x
-
-
-@njit(cache=True, fastmath=True)
-def _apply(edges: Grid, x: Grid) -> Grid:
-    """L x."""
-    h, w = x.shape
-    out = np.empty_like(x)
-    for v in range(h):
-        for u in range(w):
-            total = np.float32(_GROUND) * x[v, u]
-            here = x[v, u]
-            if u + 1 < w:
-                total += edges[0, v, u] * (here - x[v, u + 1])
-            if u > 0:
-                total += edges[0, v, u - 1] * (here - x[v, u - 1])
-            if v + 1 < h:
-                total += edges[1, v, u] * (here - x[v + 1, u])
-                if u + 1 < w:
-                    total += edges[2, v, u] * (here - x[v + 1, u + 1])
-                if u > 0:
-                    total += edges[3, v, u - 1] * (here - x[v + 1, u - 1])
-            if v > 0:
-                total += edges[1, v - 1, u] * (here - x[v - 1, u])
-                if u > 0:
-                    total += edges[2, v - 1, u - 1] * (here - x[v - 1, u - 1])
-                if u + 1 < w:
-                    total += edges[3, v - 1, u] * (here - x[v - 1, u + 1])
-            out[v, u] = total
-    return out
-
-
-@njit(cache=True, fastmath=True)
-def _diagonal(edges: Grid) -> Grid:
-    _, h, w = edges.shape
-    out = np.full((h, w), np.float32(_GROUND))
-    for v in range(h):
-        for u in range(w):
-            if u + 1 < w:
-                out[v, u] += edges[0, v, u]
-                out[v, u + 1] += edges[0, v, u]
-            if v + 1 < h:
-                out[v, u] += edges[1, v, u]
-                out[v + 1, u] += edges[1, v, u]
-                if u + 1 < w:
-                    out[v, u] += edges[2, v, u]
-                    out[v + 1, u + 1] += edges[2, v, u]
-                    out[v, u + 1] += edges[3, v, u]
-                    out[v + 1, u] += edges[3, v, u]
-    return out
-
-
-@njit(cache=True, fastmath=True)
-def _sweep_row(edges: Grid, diagonal: Grid, right: Grid, x: Grid, v: int, forward: bool) -> None:
-    h, w = x.shape
-    for i in range(w):
-        u = i if forward else w - 1 - i
-        if diagonal[v, u] <= np.float32(2 * _GROUND):
-            continue
-        total = right[v, u]
-        if u + 1 < w:
-            total += edges[0, v, u] * x[v, u + 1]
-        if u > 0:
-            total += edges[0, v, u - 1] * x[v, u - 1]
-        if v + 1 < h:
-            total += edges[1, v, u] * x[v + 1, u]
-            if u + 1 < w:
-                total += edges[2, v, u] * x[v + 1, u + 1]
-            if u > 0:
-                total += edges[3, v, u - 1] * x[v + 1, u - 1]
-        if v > 0:
-            total += edges[1, v - 1, u] * x[v - 1, u]
-            if u > 0:
-                total += edges[2, v - 1, u - 1] * x[v - 1, u - 1]
-            if u + 1 < w:
-                total += edges[3, v - 1, u] * x[v - 1, u + 1]
-        x[v, u] = total / diagonal[v, u]
-
-
-@njit(cache=True, fastmath=True)
-def _sweep(edges: Grid, diagonal: Grid, right: Grid, x: Grid, forward: bool) -> None:
-    """One Gauss–Seidel sweep, row by row; backward, the reverse of that."""
-    h = x.shape[0]
-    for i in range(h):
-        _sweep_row(edges, diagonal, right, x, i if forward else h - 1 - i, forward)
-
-
-@njit(cache=True, fastmath=True)
-def _coarse_edges(edges: Grid) -> Grid:
-    _, h, w = edges.shape
-    ch, cw = (h + 1) // 2, (w + 1) // 2
-    out = np.zeros((4, ch, cw), np.float32)
-    for v in range(h):
-        for u in range(w):
-            for kind in range(4):
-                weight = edges[kind, v, u]
-                if weight == 0.0:
-                    continue
-                u1 = u + (1 if kind == 3 else 0)
-                v2 = v + (0 if kind == 0 else 1)
-                u2 = u + (1 if kind == 0 or kind == 2 else 0)
-                a, b = u1 // 2, v // 2
-                c, d = u2 // 2, v2 // 2
-                half = np.float32(0.5) * weight
-                if a == c and b == d:
-                    continue
-                if b == d:
-                    out[0, b, min(a, c)] += half
-                elif a == c:
-                    out[1, b, a] += half
-                elif c > a:
-                    out[2, b, a] += half
-                else:
-                    out[3, b, c] += half
-    return out
-
-
-@njit(cache=True, fastmath=True)
-def _restrict(residual: Grid) -> Grid:
-    h, w = residual.shape
-    out = np.zeros(((h + 1) // 2, (w + 1) // 2), np.float32)
-    for v in range(h):
-        for u in range(w):
-            out[v // 2, u // 2] += residual[v, u]
-    return out
-
-
-@njit(cache=True, fastmath=True)
-def _prolong_add(coarse: Grid, diagonal: Grid, x: Grid) -> None:
-    h, w = x.shape
-    for v in range(h):
-        for u in range(w):
-            if diagonal[v, u] > np.float32(2 * _GROUND):
-                x[v, u] += coarse[v // 2, u // 2]

@@ -1,0 +1,185 @@
+"""Compiled loops of `grid_solver`. Edges (4, h, w): see `GridLevel`."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+Grid = npt.NDArray[np.float32]
+Row = npt.NDArray[np.float32]
+
+_GROUND = 1e-6  # pins the free constant of every connected piece; far below any data weight
+
+
+@njit(cache=True, fastmath=True)
+def apply_kernel(edges: Grid, x: Grid) -> Grid:
+    """L x."""
+    h, w = x.shape
+    out = np.empty_like(x)
+    for v in range(h):
+        for u in range(w):
+            total = np.float32(_GROUND) * x[v, u]
+            here = x[v, u]
+            if u + 1 < w:
+                total += edges[0, v, u] * (here - x[v, u + 1])
+            if u > 0:
+                total += edges[0, v, u - 1] * (here - x[v, u - 1])
+            if v + 1 < h:
+                total += edges[1, v, u] * (here - x[v + 1, u])
+                if u + 1 < w:
+                    total += edges[2, v, u] * (here - x[v + 1, u + 1])
+                if u > 0:
+                    total += edges[3, v, u - 1] * (here - x[v + 1, u - 1])
+            if v > 0:
+                total += edges[1, v - 1, u] * (here - x[v - 1, u])
+                if u > 0:
+                    total += edges[2, v - 1, u - 1] * (here - x[v - 1, u - 1])
+                if u + 1 < w:
+                    total += edges[3, v - 1, u] * (here - x[v - 1, u + 1])
+            out[v, u] = total
+    return out
+
+
+@njit(cache=True, fastmath=True)
+def diagonal_kernel(edges: Grid) -> Grid:
+    """L's diagonal (h, w)."""
+    _, h, w = edges.shape
+    out = np.full((h, w), np.float32(_GROUND))
+    for v in range(h):
+        for u in range(w):
+            if u + 1 < w:
+                out[v, u] += edges[0, v, u]
+                out[v, u + 1] += edges[0, v, u]
+            if v + 1 < h:
+                out[v, u] += edges[1, v, u]
+                out[v + 1, u] += edges[1, v, u]
+                if u + 1 < w:
+                    out[v, u] += edges[2, v, u]
+                    out[v + 1, u + 1] += edges[2, v, u]
+                    out[v, u + 1] += edges[3, v, u]
+                    out[v + 1, u] += edges[3, v, u]
+    return out
+
+
+@njit(cache=True, fastmath=True)
+def inverse_kernel(diagonal: Grid) -> Grid:
+    """1 / diagonal; 0 where a pixel has no edge: it belongs to nothing and stays as it is, at 0."""
+    h, w = diagonal.shape
+    out = np.zeros((h, w), np.float32)
+    for v in range(h):
+        for u in range(w):
+            if diagonal[v, u] > np.float32(2 * _GROUND):
+                out[v, u] = np.float32(1.0) / diagonal[v, u]
+    return out
+
+
+@njit(cache=True, fastmath=True)
+def sweep_kernel(edges: Grid, inverse: Grid, right: Grid, x: Grid, forward: bool) -> None:
+    """One Gauss–Seidel sweep, row by row; backward, the reverse of that.
+
+    All of a row but the neighbour just solved is gathered first, in loops that the compiler vectorises; what
+    remains is one multiplication and one addition a pixel (six times faster than pixel by pixel).
+    """
+    h, w = x.shape
+    known, pull = np.empty(w, np.float32), np.empty(w, np.float32)
+    for i in range(h):
+        v = i if forward else h - 1 - i
+        _gather_rows(edges, right, x, v, known)
+        scale, bond, row = inverse[v], edges[0, v], x[v]
+        if forward:
+            for u in range(w - 1):
+                known[u] = (known[u] + bond[u] * row[u + 1]) * scale[u]
+            known[w - 1] *= scale[w - 1]
+            for u in range(1, w):
+                pull[u] = bond[u - 1] * scale[u]
+            last = known[0]
+            row[0] = last
+            for u in range(1, w):
+                last = known[u] + pull[u] * last
+                row[u] = last
+        else:
+            for u in range(1, w):
+                known[u] = (known[u] + bond[u - 1] * row[u - 1]) * scale[u]
+            known[0] *= scale[0]
+            for u in range(w - 1):
+                pull[u] = bond[u] * scale[u]
+            last = known[w - 1]
+            row[w - 1] = last
+            for u in range(w - 2, -1, -1):
+                last = known[u] + pull[u] * last
+                row[u] = last
+
+
+@njit(cache=True, fastmath=True)
+def _gather_rows(edges: Grid, right: Grid, x: Grid, v: int, out: Row) -> None:
+    """Fill out (w,) with the right-hand side of row v and what the rows above and below pull."""
+    h, w = x.shape
+    for u in range(w):
+        out[u] = right[v, u]
+    if v + 1 < h:
+        below, down, east, west = x[v + 1], edges[1, v], edges[2, v], edges[3, v]
+        for u in range(w - 1):
+            out[u] += down[u] * below[u] + east[u] * below[u + 1]
+        out[w - 1] += down[w - 1] * below[w - 1]
+        for u in range(1, w):
+            out[u] += west[u - 1] * below[u - 1]
+    if v > 0:
+        above, up, west, east = x[v - 1], edges[1, v - 1], edges[2, v - 1], edges[3, v - 1]
+        for u in range(w - 1):
+            out[u] += up[u] * above[u] + east[u] * above[u + 1]
+        out[w - 1] += up[w - 1] * above[w - 1]
+        for u in range(1, w):
+            out[u] += west[u - 1] * above[u - 1]
+
+
+@njit(cache=True, fastmath=True)
+def coarse_edges_kernel(edges: Grid) -> Grid:
+    """Half the sum of the edges between blocks of 2×2 pixels; those inside a block drop out."""
+    _, h, w = edges.shape
+    ch, cw = (h + 1) // 2, (w + 1) // 2
+    out = np.zeros((4, ch, cw), np.float32)
+    for v in range(h):
+        for u in range(w):
+            for kind in range(4):
+                weight = edges[kind, v, u]
+                if weight == 0.0:
+                    continue
+                u1 = u + (1 if kind == 3 else 0)
+                v2 = v + (0 if kind == 0 else 1)
+                u2 = u + (1 if kind == 0 or kind == 2 else 0)
+                a, b = u1 // 2, v // 2
+                c, d = u2 // 2, v2 // 2
+                half = np.float32(0.5) * weight
+                if a == c and b == d:
+                    continue
+                if b == d:
+                    out[0, b, min(a, c)] += half
+                elif a == c:
+                    out[1, b, a] += half
+                elif c > a:
+                    out[2, b, a] += half
+                else:
+                    out[3, b, c] += half
+    return out
+
+
+@njit(cache=True, fastmath=True)
+def restrict_kernel(residual: Grid) -> Grid:
+    """Sum over blocks of 2×2 pixels."""
+    h, w = residual.shape
+    out = np.zeros(((h + 1) // 2, (w + 1) // 2), np.float32)
+    for v in range(h):
+        for u in range(w):
+            out[v // 2, u // 2] += residual[v, u]
+    return out
+
+
+@njit(cache=True, fastmath=True)
+def prolong_add_kernel(coarse: Grid, inverse: Grid, x: Grid) -> None:
+    """Add to every pixel that has an edge the value of its block."""
+    h, w = x.shape
+    for v in range(h):
+        for u in range(w):
+            if inverse[v, u] > 0.0:
+                x[v, u] += coarse[v // 2, u // 2]
