@@ -9,6 +9,7 @@ import pytest
 from tests.browser import visit
 from vntoolkit.errors import BadInput
 from vntoolkit.io.images import write_png
+from vntoolkit.report.recipe_text import RecipeText, read_recipe_text
 from vntoolkit.report.recipes_page import RecipeRun, figures_of, read_numbers, write_recipes_page
 
 
@@ -30,8 +31,13 @@ def folder(tmp_path: Path, rng: np.random.Generator) -> Path:
 
 def test_numbers_and_figures_are_on_the_page(folder: Path, tmp_path: Path) -> None:
     runs = [
-        RecipeRun(name="figure4", summary="Shadows.", folder=folder, seconds=90),
-        RecipeRun(name="table1", summary="A table.", folder=tmp_path / "none", failure="no footage <here>"),
+        RecipeRun(name="figure4", text=RecipeText(summary="Shadows."), folder=folder, seconds=90),
+        RecipeRun(
+            name="table1",
+            text=RecipeText(summary="A table."),
+            folder=tmp_path / "none",
+            failure="no footage <here>",
+        ),
     ]
     page = write_recipes_page(tmp_path / "all.html", runs)
     text = page.read_text()
@@ -67,3 +73,27 @@ def test_bad_numbers_are_named(folder: Path) -> None:
         read_numbers(folder)
     (folder / "numbers.json").unlink()
     assert read_numbers(folder) == []
+
+
+def test_a_recipe_says_what_its_figures_show(tmp_path: Path) -> None:
+    (tmp_path / "figure9.py").write_text(
+        '''"""Figure 9: views.
+
+    python recipes/figure9.py --out out/figure9        # 2 min
+
+Turns the mesh
+and draws it.
+
+figure9.png: the mesh from five sides,
+    a moment a row.
+curve_2.svg: its error.
+"""
+'''
+    )
+    text = read_recipe_text(tmp_path / "figure9.py")
+    assert (text.title, text.summary) == ("Figure 9", "Figure 9: views.")
+    assert text.paragraphs == ("Turns the mesh and draws it.",)
+    assert text.captions == {
+        "figure9.png": "the mesh from five sides, a moment a row.",
+        "curve_2.svg": "its error.",
+    }

@@ -15,7 +15,7 @@ from vntoolkit.geometry.maps import DepthMap
 from vntoolkit.report.page import PageSection, PageTable, figure_from_file, figure_from_plot
 from vntoolkit.report.pictures import normals_from_depth, picture_of_depth
 from vntoolkit.report.report import ReportOptions, write_report
-from vntoolkit.report.svg import new_figure
+from vntoolkit.report.style import new_figure
 
 SCRIPT = "<script>alert(1)</script>"
 
@@ -38,7 +38,8 @@ def test_every_part_is_there(page: Path) -> None:
                  "Registered surface", "mean error"):  # fmt: skip
         assert part in text
     assert f"the first is {SKIPPED}" in text
-    assert text.count("data:image/jpeg;base64,") == 3  # two frames and the checkerboard
+    assert text.count("data:image/webp;base64,") == 1  # the sample frames, in rows
+    assert text.count("data:image/jpeg;base64,") == 1  # the checkerboard
 
 
 def test_names_are_escaped(page: Path) -> None:
@@ -63,7 +64,7 @@ def test_a_browser_shows_it_without_complaint(page: Path) -> None:
         sizes = seen.page.evaluate("[...document.images].map(i => i.naturalWidth)")
         wide = seen.page.evaluate("document.documentElement.scrollWidth")
         curves = seen.picture("figure:has(svg) >> nth=1")
-        assert len(sizes) == 3
+        assert len(sizes) == 2
         assert min(sizes) > 100
         assert wide <= 1100  # nothing sticks out to the side
         assert seen.requests == [page.as_uri()]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import ast
+import logging
 import runpy
 import sys
 import time
@@ -14,8 +14,10 @@ from cyclopts import Parameter
 import vntoolkit
 from vntoolkit.cli.tables import print_table
 from vntoolkit.errors import BadInput, VntError
+from vntoolkit.report.recipe_text import read_recipe_text
 from vntoolkit.report.recipes_page import RecipeRun, write_recipes_page
 
+_LOG = logging.getLogger(__name__)
 _EXPERIMENTS = ("Figure", "Table")  # first word of the summary; the other recipes make data and pictures
 
 
@@ -63,8 +65,7 @@ def recipes() -> dict[str, Path]:
 
 def summary_of(path: Path) -> str:
     """Return the first line of a script's docstring."""
-    documentation = ast.get_docstring(ast.parse(path.read_text("utf-8"))) or ""
-    return documentation.partition("\n")[0]
+    return read_recipe_text(path).summary
 
 
 def _run(path: Path, arguments: list[str]) -> None:
@@ -80,9 +81,10 @@ def _run_all(out: Path, arguments: list[str]) -> None:
     """Run every experiment; one that fails is named on the page and does not stop the others."""
     runs = []
     for name, path in recipes().items():
-        summary = summary_of(path)
-        if not summary.startswith(_EXPERIMENTS):
+        text = read_recipe_text(path)
+        if not text.summary.startswith(_EXPERIMENTS):
             continue
+        print(f"\n{name}: {text.summary}", flush=True)
         started, failure = time.perf_counter(), ""
         try:
             _run(path, ["--out", str(out / name), *_understood(path, arguments)])
@@ -90,10 +92,11 @@ def _run_all(out: Path, arguments: list[str]) -> None:
             failure = str(error)
         except SystemExit as stopped:  # argparse: an argument is missing
             failure = f"did not run: see `vntoolkit recipe run {name} -- --help`" if stopped.code else ""
+        except Exception as error:  # a fault of ours: hours of other recipes shall not be lost to it
+            _LOG.exception("%s", name)
+            failure = f"{type(error).__name__}: {error}"
         seconds = time.perf_counter() - started
-        runs.append(
-            RecipeRun(name=name, summary=summary, folder=out / name, seconds=seconds, failure=failure)
-        )
+        runs.append(RecipeRun(name=name, text=text, folder=out / name, seconds=seconds, failure=failure))
     page = write_recipes_page(out / "recipes.html", runs)
     failed = [run.name for run in runs if run.failure]
     print(f"{page}: {len(runs) - len(failed)} recipes" + (f"; failed: {', '.join(failed)}" if failed else ""))

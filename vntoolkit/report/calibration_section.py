@@ -9,7 +9,7 @@ import numpy as np
 from vntoolkit.arrays import FloatArray
 from vntoolkit.pipeline.opened_result import OpenedResult
 from vntoolkit.report.page import PageFigure, PageNumber, PageSection, PageTable, figure_from_plot
-from vntoolkit.report.svg import BLUE, FAINT, INK, new_figure, report_style
+from vntoolkit.report.style import BLUE, FAINT, INK, new_figure, report_style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -87,7 +87,7 @@ def _cone_figure(result: OpenedResult, sample: int) -> PageFigure:
         turn = np.linspace(0, 2 * np.pi, 181)
         for angle in (30, 60, 90):
             radius = np.sin(np.deg2rad(angle))
-            axes.plot(radius * np.cos(turn), radius * np.sin(turn), color=FAINT, lw=0.8)
+            axes.plot(radius * np.cos(turn), radius * np.sin(turn), color=FAINT, lw=0.8, ls="-")
             axes.annotate(f"{angle}°", (0, -radius), fontsize=7, color=FAINT, ha="center", va="bottom")
         if quality is not None and quality.samples:
             radius = np.sin(np.deg2rad(min(quality.cone_deg, 90.0)))

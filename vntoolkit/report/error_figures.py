@@ -1,102 +1,104 @@
-"""Figures of errors: over time (Figure 7 of brostow2011), over the image, and cumulative."""
+"""Figures of errors: over time (Figure 7 of brostow2011), over the image, cumulative, and as bars."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from vntoolkit.arrays import FloatArray, Mask
-from vntoolkit.io.atomic import atomic_path
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from vntoolkit.report.style import BLUE, ERROR_COLOURS, INK, SERIES, new_figure, report_style, write_figure
 
 _CURVE_END_PERCENTILE = 99.0
+_MEDIAN_PERCENT = 50
 
 
 def write_error_over_time(
     path: Path | str, times_s: FloatArray, mean_deg: FloatArray, std_deg: FloatArray, title: str
 ) -> None:
     """Plot mean and standard deviation (frames,) in degrees over time in seconds."""
-    figure, axes = _figure(7.0, 3.2)
-    axes.plot(times_s, mean_deg, color="tab:blue", label="mean")
-    axes.fill_between(
-        times_s, mean_deg - std_deg, mean_deg + std_deg, color="tab:blue", alpha=0.2, label="± one std"
-    )
-    axes.set_xlabel("time, s")
-    axes.set_ylabel("angle to the fitted cylinder, degrees")
-    axes.set_ylim(bottom=0)
-    axes.set_title(title, fontsize=10)
-    axes.legend(fontsize=8)
-    axes.grid(alpha=0.3)
-    _write(figure, path)
+    with report_style():
+        figure = new_figure(7.0, 3.0)
+        axes = figure.subplots()
+        few: dict[str, Any] = {"marker": "o", "markersize": 3.5} if len(times_s) < 60 else {}
+        axes.plot(times_s, mean_deg, color=BLUE, label="mean", **few)
+        low = np.maximum(mean_deg - std_deg, 0)
+        axes.fill_between(times_s, low, mean_deg + std_deg, color=BLUE, alpha=0.15, lw=0, label="± one std")
+        axes.set_xlabel("time, s")
+        axes.set_ylabel("angle to the cylinder, °")
+        axes.set_ylim(bottom=0)
+        axes.margins(x=0.01)
+        axes.set_title(title)
+        axes.legend(loc="upper right", bbox_to_anchor=(1, 1.14), ncols=2)
+    write_figure(figure, path)
 
 
 def write_error_map(path: Path | str, errors: FloatArray, mask: Mask, title: str, unit: str) -> None:
     """Draw errors (h, w) as an image, grey outside the mask, up to the 99th percentile."""
-    figure, axes = _figure(6.0, 6.0 * errors.shape[0] / errors.shape[1] + 0.6)
-    top = float(np.percentile(errors[mask], _CURVE_END_PERCENTILE)) if mask.any() else 1.0
-    axes.set_facecolor("0.85")
-    shown = axes.imshow(np.ma.masked_array(errors, ~mask), cmap="inferno", vmin=0, vmax=max(top, 1e-12))
-    figure.colorbar(shown, ax=axes, label=unit, fraction=0.04)
-    axes.set_xticks([])
-    axes.set_yticks([])
-    axes.set_title(title, fontsize=10)
-    _write(figure, path)
+    with report_style(**{"axes.grid": False}):
+        figure = new_figure(6.0, 5.4 * errors.shape[0] / errors.shape[1] + 0.5)
+        axes = figure.subplots()
+        top = float(np.percentile(errors[mask], _CURVE_END_PERCENTILE)) if mask.any() else 1.0
+        axes.set_facecolor("0.85")
+        masked = np.ma.masked_array(errors, ~mask)
+        shown = axes.imshow(masked, cmap=ERROR_COLOURS, vmin=0, vmax=max(top, 1e-12))
+        figure.colorbar(shown, ax=axes, label=unit, fraction=0.04, extend="max").outline.set_visible(False)
+        axes.set_xticks([])
+        axes.set_yticks([])
+        axes.spines[:].set_visible(False)
+        axes.set_title(title)
+    write_figure(figure, path)
 
 
 def write_cumulative_errors(
     path: Path | str, errors: Mapping[str, FloatArray], title: str, unit: str
 ) -> None:
-    """Plot, for each name, the share of values (n,) that are at most as large as x."""
-    figure, axes = _figure(6.0, 3.6)
-    end = 0.0
-    for name, values in errors.items():
-        ordered = np.sort(np.asarray(values).ravel())
-        shares = np.arange(1, len(ordered) + 1) / len(ordered)
-        step = max(1, len(ordered) // 2000)
-        axes.plot(ordered[::step], 100 * shares[::step], label=name)
-        end = max(end, float(np.percentile(ordered, _CURVE_END_PERCENTILE)))
-    axes.set_xlim(0, end or 1.0)
-    axes.set_ylim(0, 100)
-    axes.set_xlabel(unit)
-    axes.set_ylabel("share below, %")
-    axes.set_title(title, fontsize=10)
-    axes.legend(fontsize=8)
-    axes.grid(alpha=0.3)
-    _write(figure, path)
+    """Plot, for each name, the share of values (n,) that are at most as large as x; a dot at the median."""
+    with report_style():
+        figure = new_figure(6.0, 3.2)
+        axes = figure.subplots()
+        end = 0.0
+        for name, values in errors.items():
+            ordered = np.sort(np.asarray(values).ravel())
+            shares = 100 * np.arange(1, len(ordered) + 1) / len(ordered)
+            step = max(1, len(ordered) // 2000)
+            median = float(np.median(ordered))
+            (line,) = axes.plot(ordered[::step], shares[::step], label=f"{name}, median {median:.3g}")
+            axes.plot(median, _MEDIAN_PERCENT, "o", ms=4.5, color=line.get_color())
+            end = max(end, float(np.percentile(ordered, _CURVE_END_PERCENTILE)))
+        axes.set_xlim(0, end or 1.0)
+        axes.set_ylim(0, 101)
+        axes.set_xlabel(unit)
+        axes.set_ylabel("share at most as large, %")
+        axes.set_title(title)
+        axes.legend(loc="lower right")
+    write_figure(figure, path)
 
 
 def write_bars(
     path: Path | str, names: Sequence[str], groups: Mapping[str, Sequence[float]], title: str, unit: str
 ) -> None:
-    """Draw a group of horizontal bars for each name, one bar for each of `groups`."""
-    figure, axes = _figure(6.5, 0.9 + 0.32 * len(names))
-    at, height = np.arange(len(names)), 0.8 / len(groups)
-    for i, (group, values) in enumerate(groups.items()):
-        axes.barh(at + (i - (len(groups) - 1) / 2) * height, values, height, label=group)
-    axes.set_yticks(at, names, fontsize=8)
-    axes.invert_yaxis()
-    axes.set_xlabel(unit)
-    axes.set_title(title, fontsize=10)
-    figure.legend(fontsize=8, ncols=2, loc="outside lower center")  # bars reach everywhere
-    axes.grid(alpha=0.3, axis="x")
-    _write(figure, path)
+    """Draw a group of horizontal bars for each name, one bar for each of `groups`; NaN draws none.
 
-
-def _figure(width: float, height: float) -> tuple[Figure, Any]:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height), dpi=120, layout="constrained")
-    return figure, figure.add_subplot()
-
-
-def _write(figure: Figure, path: Path | str) -> None:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    FigureCanvasAgg(figure)
-    with atomic_path(path) as temporary:
-        figure.savefig(temporary, format="png", metadata={"Software": None})
+    Each bar carries its value.
+    """
+    with report_style():
+        figure = new_figure(7.0, 0.9 + 0.17 * len(names) * (len(groups) + 0.8))
+        axes = figure.subplots()
+        at, height = np.arange(len(names)), 0.82 / len(groups)
+        for i, (group, values) in enumerate(groups.items()):
+            places = at + (i - (len(groups) - 1) / 2) * height
+            bars = axes.barh(places, values, 0.9 * height, label=group, color=SERIES[i % len(SERIES)])
+            written = ["" if np.isnan(value) else f"{value:.1f}" for value in values]
+            axes.bar_label(bars, written, fontsize=7, padding=2, color=INK)
+        axes.set_yticks(at, names)
+        axes.invert_yaxis()
+        axes.tick_params(axis="y", length=0)
+        axes.spines["left"].set_visible(False)
+        axes.grid(visible=False, axis="y")
+        axes.set_xlabel(unit)
+        axes.set_title(title)
+        figure.legend(ncols=min(4, len(groups)), loc="outside lower center")  # bars reach everywhere
+    write_figure(figure, path)

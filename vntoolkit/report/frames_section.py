@@ -11,7 +11,7 @@ from vntoolkit.io.frame_log import FrameEntry
 from vntoolkit.io.ply_header import read_ply_counts
 from vntoolkit.pipeline.opened_result import OpenedResult
 from vntoolkit.report.page import PageFigure, PageNumber, PageSection, PageTable, figure_from_plot
-from vntoolkit.report.svg import BLUE, GREEN, ORANGE, PURPLE, RED, new_figure, report_style
+from vntoolkit.report.style import BLUE, GREEN, ORANGE, PURPLE, RED, new_figure, report_style
 
 _POINTS = 300  # more frames than this are drawn as a line without points
 
@@ -47,6 +47,7 @@ def _shares_figure(entries: list[FrameEntry], skipped: list[FrameEntry]) -> Page
         for entry in skipped:
             axes.axvline(entry.number, color=ORANGE, lw=1, ls=":")
         axes.set_xlabel("frame")
+        axes.locator_params(axis="x", integer=True)
         axes.set_ylabel("share of pixels, %")
         axes.set_ylim(bottom=0)
         axes.legend(loc="upper left", bbox_to_anchor=(0, 1.16), ncols=3, fontsize=8)
@@ -103,6 +104,7 @@ def _curve(values: Mapping[int, float], label: str, caption: str, colour: str) -
         axes = figure.subplots()
         axes.plot(list(values), list(values.values()), color=colour, **_marker(len(values)))
         axes.set_xlabel("frame")
+        axes.locator_params(axis="x", integer=True)
         axes.set_ylabel(label)
         axes.set_ylim(0, 1.15 * max(values.values()) or 1.0)
     return figure_from_plot(figure, caption)

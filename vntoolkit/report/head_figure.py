@@ -18,37 +18,37 @@ from vntoolkit.native import import_open3d
 from vntoolkit.pipeline.calibrate import CalibrationJob
 from vntoolkit.pipeline.calibrate_head import HeadCalibration
 from vntoolkit.report.raycast_view import View, picture_of
+from vntoolkit.report.style import BLUE, ERROR_COLOURS, RED, SKY, new_figure, report_style, write_figure
 
 _DISPLAY_GAMMA = 1 / 2.2
 _TRAIL_FRAMES = 8
 _MOST_TRAILS = 400
-_LIGHT_COLOURS = ("#d62728", "#2ca02c", "#1f77b4")
+_YELLOW = "#f0e442"  # of the same colours for all kinds of colour vision as the style's
+_DPI = 100
+_LIGHT_COLOURS = ("#d9261c", "#1fa34a", "#2b62d9")
 _VIEW_HEIGHT = 1.1  # of the mesh's own height
 
 
 def write_head_figure(path: Path | str, job: CalibrationJob, result: HeadCalibration) -> None:
     """Write a .png: frames towards the ends and in the middle of the turn, and a row of summaries."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     count = len(result.light_numbers)
     shown = sorted({count // 6, count // 2, count - 1 - count // 6})
-    figure = Figure(figsize=(15, 16), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(4, 3)
-    capture = job.open()
-    for column, place in enumerate(shown):
-        number = result.light_numbers[place]
-        used = result.footage.numbers.index(number)
-        image = _displayed(capture.frame(number).rgb)
-        _draw_tracks(axes[0, column], image, result, used)
-        _draw_shape(axes[1, column], image, result, used)
-        _draw_samples(axes[2, column], image, result, place)
-        axes[0, column].set_title(f"frame {number}: tracks (green kept, red rejected)")
-    _draw_turn(axes[3, 0], result)
-    _draw_sphere(axes[3, 1], result)
-    _draw_meshes(axes[3, 2], result)
-    figure.savefig(path, dpi=70)
+    with report_style():
+        figure = new_figure(12.0, 12.4)
+        axes = figure.subplots(4, 3, height_ratios=(3, 3, 3, 4))
+        capture = job.open()
+        for column, place in enumerate(shown):
+            number = result.light_numbers[place]
+            used = result.footage.numbers.index(number)
+            image = _displayed(capture.frame(number).rgb)
+            _draw_tracks(axes[0, column], image, result, used)
+            _draw_shape(axes[1, column], image, result, used)
+            _draw_samples(axes[2, column], image, result, place)
+            axes[0, column].set_title(f"frame {number}: tracks kept (blue) and rejected (orange)")
+        _draw_turn(axes[3, 0], result)
+        _draw_sphere(axes[3, 1], result)
+        _draw_meshes(axes[3, 2], result)
+    write_figure(figure, path, dpi=_DPI)
 
 
 def _draw_tracks(axis: Any, image: npt.NDArray[np.uint8], result: HeadCalibration, used: int) -> None:
@@ -65,7 +65,7 @@ def _draw_tracks(axis: Any, image: npt.NDArray[np.uint8], result: HeadCalibratio
             continue
         recent = np.abs(tracks.frame[start:end] - used) <= _TRAIL_FRAMES
         trail = tracks.positions_px[start:end][recent]
-        axis.plot(trail[:, 0], trail[:, 1], color="#3bff5a" if good else "#ff3030", linewidth=0.8)
+        axis.plot(trail[:, 0], trail[:, 1], color=SKY if good else RED, linewidth=0.8)
 
 
 def _draw_shape(axis: Any, image: npt.NDArray[np.uint8], result: HeadCalibration, used: int) -> None:
@@ -74,11 +74,11 @@ def _draw_shape(axis: Any, image: npt.NDArray[np.uint8], result: HeadCalibration
     shading = _shading(result.mesh, motion.camera, pose)
     blend = np.where(shading[..., None] >= 0, 255.0 * np.maximum(shading, 0)[..., None], 0.4 * image)
     _show(axis, blend.astype(np.uint8))
-    axis.contour(result.footage.silhouettes[used].mask, levels=[0.5], colors="#ffd000", linewidths=0.8)
+    axis.contour(result.footage.silhouettes[used].mask, levels=[0.5], colors=_YELLOW, linewidths=0.8)
     hull = _shading(result.hull, motion.camera, pose) >= 0
-    axis.contour(hull, levels=[0.5], colors="#00d0ff", linewidths=0.6)
+    axis.contour(hull, levels=[0.5], colors=SKY, linewidths=0.6)
     overlap = _overlap(shading >= 0, result.footage.silhouettes[used].mask)
-    axis.set_title(f"shape; silhouette yellow, hull blue; overlap {overlap:.3f}")
+    axis.set_title(f"shape, silhouette (yellow), hull (blue); overlap {overlap:.3f}")
 
 
 def _draw_samples(axis: Any, image: npt.NDArray[np.uint8], result: HeadCalibration, place: int) -> None:
@@ -86,21 +86,23 @@ def _draw_samples(axis: Any, image: npt.NDArray[np.uint8], result: HeadCalibrati
     _show(axis, image // 2)
     own = samples.frame == place
     for chosen, colour in (
-        (own & light.inliers, "#3bff5a"),
-        (own & ~light.inliers & ~light.shadowed, "#ff3030"),
-        (own & light.shadowed, "#4090ff"),
+        (own & light.inliers, SKY),
+        (own & ~light.inliers & ~light.shadowed, RED),
+        (own & light.shadowed, _YELLOW),
     ):
-        axis.scatter(*samples.position_px[chosen].T, s=2, color=colour, linewidths=0)
-    axis.set_title("samples: green agree, red disagree, blue in shadow")
+        axis.scatter(*samples.position_px[chosen].T, s=3, color=colour, linewidths=0)
+    axis.set_title("samples: agree (blue), do not (orange), in shadow (yellow)")
 
 
 def _draw_turn(axis: Any, result: HeadCalibration) -> None:
     angles = turn_angles_deg(result.motion.camera_from_head)
     numbers = np.array(result.footage.numbers)
-    axis.plot(numbers, angles, ".-", color="0.3", markersize=4, label="turn")
+    axis.plot(numbers, angles, ".-", color=BLUE, markersize=4, label="found")
     gaps = result.motion.interpolated
-    axis.plot(numbers[gaps], angles[gaps], "x", color="#ff3030", label="interpolated")
-    axis.set(xlabel="frame", ylabel="degrees", title=f"turn, {result.motion.turn_deg:.0f} degrees in all")
+    axis.plot(numbers[gaps], angles[gaps], "x", color=RED, label="interpolated")
+    axis.set(
+        xlabel="frame", ylabel="angle, °", title=f"turn of the head, {result.motion.turn_deg:.0f}° in all"
+    )
     axis.legend()
 
 
@@ -110,15 +112,19 @@ def _draw_sphere(axis: Any, result: HeadCalibration) -> None:
     normals = samples.normals_in_camera[light.inliers]
     colours = samples.rgb[light.inliers] / light.albedo[light.inliers] - light.response.ambient
     residual = angles_deg(colours @ light.response.inverse.T, normals)
-    points = axis.scatter(normals[:, 0], normals[:, 1], c=residual, s=3, vmin=0, vmax=15, cmap="viridis")
-    axis.figure.colorbar(points, ax=axis, label="residual, degrees")
+    points = axis.scatter(normals[:, 0], normals[:, 1], c=residual, s=3, vmin=0, vmax=15, cmap=ERROR_COLOURS)
+    scale = axis.figure.colorbar(
+        points, ax=axis, label="residual, °", location="bottom", shrink=0.6, extend="max"
+    )
+    scale.outline.set_visible(False)
     names = ("light 0", "light 1", "light 2")
     for direction, colour, name in zip(light.response.light_directions, _LIGHT_COLOURS, names, strict=True):
         axis.plot(*direction[:2], "*", color=colour, markersize=18, markeredgecolor="white", label=name)
     axis.add_artist(_circle())
     axis.set(aspect="equal", xlim=(-1.05, 1.05), ylim=(1.05, -1.05))
-    axis.set_title(f"normals seen and lights; median residual {light.quality.residual_deg:.1f} degrees")
-    axis.legend(loc="lower right")
+    axis.set(xlabel="x, right", ylabel="y, down")
+    axis.set_title(f"normals seen, and lights; median residual {light.quality.residual_deg:.1f}°")
+    axis.legend(loc="lower left", bbox_to_anchor=(0.8, -0.02))
 
 
 def _draw_meshes(axis: Any, result: HeadCalibration) -> None:

@@ -45,13 +45,15 @@ class PageFigure:
 class PageTable:
     """Rows of text under headings. numeric: cells from the second column on are set to the right.
 
-    folded: shown only when this line is clicked; empty for shown at once.
+    folded: shown only when this line is clicked; empty for shown at once. right: places of the columns that
+    are set to the right where not all of them are.
     """
 
     headings: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     numeric: bool = False
     folded: str = ""
+    right: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -42,6 +42,17 @@ def picture_of_labels(labels: VisibilityLabels, mask: Mask | None, ground: int =
     return coloured if mask is None else np.where(mask[..., None], coloured, np.uint8(ground))
 
 
+def short_label(label: int) -> str:
+    """Return which lights a shadow label says to arrive, in few words."""
+    lights = [str(light) for light in range(3) if label >> light & 1]
+    return ("none", f"light {''.join(lights)}", f"lights {', '.join(lights)}", "all three")[len(lights)]
+
+
+def web_colour(label: int) -> str:
+    """Return the colour of a shadow label as the web writes it."""
+    return "#" + "".join(f"{channel:02x}" for channel in label_colours(np.uint8(label)))
+
+
 def normals_from_depth(depth_map: DepthMap, camera: Camera) -> FloatArray:
     """Return (h, w, 3) unit normals of the surface through the depths, 0 where a neighbour is missing.
 

@@ -1,9 +1,9 @@
-"""Pictures of meshes without a graphics card: one ray a pixel by Open3D, one light at the camera's side."""
+"""Pictures of meshes without a graphics card: four rays a pixel by Open3D, one light at the camera's side."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -13,8 +13,9 @@ from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.native import import_open3d
 
 BACKGROUND = (0.93, 0.94, 0.96)
-PLAIN = (0.72, 0.72, 0.70)  # of a mesh without colours
-_AMBIENT = 0.35
+PLAIN = (0.66, 0.65, 0.62)  # of a mesh without colours
+_AMBIENT = 0.12
+_FINER = 2  # rays along each side of a pixel, averaged: smooth edges
 _LIGHT = np.array([-0.35, -0.55, -0.76])  # from the surface, in the axes of the view (y down)
 _DISPLAY_GAMMA = 1 / 2.2
 
@@ -53,9 +54,10 @@ def picture_of(meshes: Sequence[Mesh], view: View) -> npt.NDArray[np.uint8]:
             o3d.core.Tensor(np.ascontiguousarray(vertices, dtype=np.float32)),
             o3d.core.Tensor(np.ascontiguousarray(mesh.faces, dtype=np.uint32)),
         )
-    hits = scene.cast_rays(o3d.core.Tensor(_rays(view, turned)))
+    finer = replace(view, width_px=_FINER * view.width_px, height_px=_FINER * view.height_px)
+    hits = scene.cast_rays(o3d.core.Tensor(_rays(finer, turned)))
     geometry = hits["geometry_ids"].numpy()
-    picture = np.tile(np.array(BACKGROUND, np.float32), (view.height_px, view.width_px, 1))
+    picture = np.tile(np.array(BACKGROUND, np.float32), (finer.height_px, finer.width_px, 1))
     for index, mesh in enumerate(meshes):
         seen = geometry == index
         faces = mesh.faces[hits["primitive_ids"].numpy()[seen]]
@@ -63,7 +65,8 @@ def picture_of(meshes: Sequence[Mesh], view: View) -> npt.NDArray[np.uint8]:
         shares = np.column_stack([1 - corners.sum(axis=1), corners])
         normals = hits["primitive_normals"].numpy()[seen]
         picture[seen] = _shaded(_colours_at(mesh, faces, shares), normals)
-    return (np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8)
+    cells = picture.reshape(view.height_px, _FINER, view.width_px, _FINER, 3)
+    return (np.clip(cells.mean(axis=(1, 3)), 0, 1) * 255 + 0.5).astype(np.uint8)
 
 
 def _rays(view: View, turned: Sequence[Points]) -> npt.NDArray[np.float32]:

@@ -27,6 +27,7 @@ from vntoolkit.report.page import (
     figure_from_pixels,
     write_page,
 )
+from vntoolkit.report.recipe_text import RecipeText
 
 NUMBERS_NAME = "numbers.json"
 _KEYS = {"what", "paper", "ours", "unit"}
@@ -36,17 +37,19 @@ _WIDEST_PX = 1800
 _LARGEST_PNG = 1_500_000  # bytes; a larger one goes on the page as JPEG
 _DIGITS = 4
 _NOTHING = "–"
+_HEADINGS = ("what", "paper", "ours", "unit")
+_MOST_ROWS = 12  # more are folded away
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecipeRun:
-    """What running a recipe left. name: as on the command line. summary: one line. folder: its output.
+    """What running a recipe left. name: as on the command line. text: what it says of itself.
 
-    seconds: it took. failure: one line where it failed, else empty.
+    folder: its output. seconds: it took. failure: one line where it failed, else empty.
     """
 
     name: str
-    summary: str
+    text: RecipeText
     folder: Path
     seconds: float = 0.0
     failure: str = ""
@@ -86,38 +89,53 @@ def read_numbers(folder: Path) -> list[RecipeNumber]:
 
 def write_recipes_page(out: Path, runs: Sequence[RecipeRun]) -> Path:
     """Write the page about recipes that were run, atomically; return its path. Raises `BadInput`."""
-    numbers = {run.name: read_numbers(run.folder) for run in runs if not run.failure}
-    rows = tuple(
-        (run.name, number.what, _shown(number.paper), _shown(number.ours), number.unit)
-        for run in runs
-        for number in numbers.get(run.name, [])
+    numbers = {run.name: [] if run.failure else read_numbers(run.folder) for run in runs}
+    compared = tuple(
+        (run.name, *_row(number)) for run in runs for number in numbers[run.name] if number.paper is not None
     )
-    failed = [run for run in runs if run.failure]
     table = PageSection(
         title="The paper beside ours",
         paragraphs=(
             "Published values are those of brostow2011, measured on its own footage; ours are measured on "
-            "the footage that each recipe names. A dash: the paper gives no number.",
+            "the footage that each recipe names. What the paper gives no number for stands further down, "
+            "with its recipe.",
         ),
-        notices=tuple(PageNotice(severity="warning", text=f"{run.name}: {run.failure}") for run in failed),
-        tables=(PageTable(headings=("recipe", "what", "paper", "ours", "unit"), rows=rows),) if rows else (),
+        notices=tuple(_notice(run) for run in runs if run.failure),
+        tables=(PageTable(headings=("recipe", *_HEADINGS), rows=compared, right=(2, 3)),) if compared else (),
     )
-    sections = [table, *(_section(run) for run in runs)]
+    sections = [table, *(_section(run, numbers[run.name]) for run in runs)]
     minutes = sum(run.seconds for run in runs) / 60
-    subtitle = f"{len(runs)} recipes, {len(rows)} numbers, run in {minutes:.1f} minutes"
+    count = sum(map(len, numbers.values()))
+    subtitle = f"{len(runs)} recipes, {count} numbers, run in {minutes:.1f} minutes"
     write_page(out, "Every figure and table", sections, subtitle=subtitle)
     return out
 
 
-def _section(run: RecipeRun) -> PageSection:
-    took = f" Took {run.seconds:.0f} s." if run.seconds else ""
-    notices = (PageNotice(severity="warning", text=run.failure),) if run.failure else ()
+def _section(run: RecipeRun, numbers: Sequence[RecipeNumber]) -> PageSection:
+    took = f" Took {_duration(run.seconds)}." if run.seconds else ""
+    command = f"vntoolkit recipe run {run.name}"
+    rows = tuple(_row(number) for number in numbers)
+    folded = f"all {len(rows)} numbers" if len(rows) > _MOST_ROWS else ""
+    title = run.text.title
     return PageSection(
-        title=run.name,
-        paragraphs=(run.summary + took,),
-        notices=notices,
-        figures=tuple(_figure(path) for path in figures_of(run.folder)),
+        title=title if title.startswith("Figure") else run.name.replace("_", " ").capitalize(),
+        paragraphs=(run.text.summary, *run.text.paragraphs, f"Made by: {command}.{took}"),
+        notices=(_notice(run),) if run.failure else (),
+        figures=tuple(_figure(path, run.text) for path in figures_of(run.folder)),
+        tables=(PageTable(headings=_HEADINGS, rows=rows, folded=folded, right=(1, 2)),) if rows else (),
     )
+
+
+def _notice(run: RecipeRun) -> PageNotice:
+    return PageNotice(severity="warning", text=f"{run.name}: {run.failure}")
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.1f} min"
+
+
+def _row(number: RecipeNumber) -> tuple[str, str, str, str]:
+    return number.what, _shown(number.paper), _shown(number.ours), number.unit
 
 
 def figures_of(folder: Path) -> list[Path]:
@@ -128,8 +146,8 @@ def figures_of(folder: Path) -> list[Path]:
     )
 
 
-def _figure(path: Path) -> PageFigure:
-    caption = path.stem.replace("_", " ")
+def _figure(path: Path, text: RecipeText) -> PageFigure:
+    caption = text.captions.get(path.name, path.stem.replace("_", " "))
     if path.suffix.lower() in _DRAWN or path.stat().st_size < _LARGEST_PNG:
         return figure_from_file(path, caption, wide=True)
     pixels: Any = read_image(path)

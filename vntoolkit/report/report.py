@@ -22,8 +22,8 @@ from vntoolkit.report.samples_section import sampled, samples_section, settings_
 class ReportOptions:
     """What the report shows.
 
-    samples: frames shown as pictures, evenly spread. picture_height: of each, at most, pixels. footage: where
-    the capture is now, if not where it was when it was reconstructed.
+    samples: frames shown as pictures, evenly spread. picture_height: most pixels that each of them is high.
+    footage: where the capture is now, if not where it was when it was reconstructed.
     """
 
     samples: int = 4

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from vntoolkit.io.images import read_image, resized_image
-from vntoolkit.io.label_images import LABEL_LEGEND, label_colours
+from vntoolkit.io.label_images import LABEL_LEGEND
 from vntoolkit.pipeline.opened_result import OpenedResult, TrackedSurface
 from vntoolkit.report.page import (
-    PageFigure,
     PageNumber,
     PageSection,
     PageTable,
@@ -21,12 +20,14 @@ from vntoolkit.report.pictures import (
     picture_of_depth,
     picture_of_labels,
     picture_of_normals,
-    strip_of,
+    short_label,
+    web_colour,
 )
-from vntoolkit.report.svg import BLUE, FAINT, new_figure, report_style
+from vntoolkit.report.style import BLUE, FAINT, new_figure, report_style
+from vntoolkit.report.tiles import tiled
 
 _SHEET_PX = 1600
-_LIT_BY_ALL = "7"
+_BESIDE = 205  # grey beside the subject, since white means that all lights arrive
 
 
 def sampled(numbers: tuple[int, ...], count: int) -> tuple[int, ...]:
@@ -36,26 +37,30 @@ def sampled(numbers: tuple[int, ...], count: int) -> tuple[int, ...]:
 
 
 def samples_section(result: OpenedResult, count: int, height_px: int) -> PageSection:
-    """Return one strip a sampled frame: capture, normals, relief, shadows, as far as they are there."""
-    figures = []
-    for number in sampled(result.numbers, count):
-        names, pictures = _parts(result, number)
-        strip = strip_of(pictures, height_px)
-        figures.append(figure_from_pixels(strip, f"Frame {number}: {', '.join(names)}.", wide=True))
-    legend: tuple[PageFigure, ...] = ()
-    if any(result.folder.shadows(number).exists() for number in result.numbers):
-        legend = (_legend(),)
+    """Return a row for each sampled frame: capture, normals, relief, shadows, as far as they are there."""
+    shown = sampled(result.numbers, count)
+    rows = [_parts(result, number) for number in shown]
+    labelled = any("lights that arrive" in row for row in rows)
+    pixels = tiled(
+        rows,
+        [f"frame {number}" for number in shown],
+        legend=_legend() if labelled else None,
+        height_px=height_px,
+    )
+    words = list(dict.fromkeys(name for row in rows for name in row))
+    frames = ", ".join(map(str, shown))
+    caption = f"{', '.join(words).capitalize()} of frame {frames}."
     return PageSection(
         title="Sample frames",
         paragraphs=(
             "Normals in their usual colours (red to the right, green up, blue to the viewer). The relief is "
             "the integrated depth, lit from the upper left, its slopes taken from the depth itself.",
         ),
-        figures=(*figures, *legend),
+        figures=(figure_from_pixels(pixels, caption, suffix=".webp", wide=True),),
     )
 
 
-def _parts(result: OpenedResult, number: int) -> tuple[list[str], list[Picture]]:
+def _parts(result: OpenedResult, number: int) -> dict[str, Picture]:
     normal_map, depth_map = result.normals(number), result.depth(number)
     assert normal_map is not None  # the frame is in result.numbers
     labels, captured = result.labels(number), result.picture(number)
@@ -66,25 +71,13 @@ def _parts(result: OpenedResult, number: int) -> tuple[list[str], list[Picture]]
     if depth_map is not None:
         parts["relief"] = picture_of_depth(depth_map, result.camera)
     if labels is not None:
-        parts["shadows"] = picture_of_labels(labels, normal_map.mask)
-    return list(parts), cropped(list(parts.values()), normal_map.mask)
+        parts["lights that arrive"] = picture_of_labels(labels, normal_map.mask, ground=_BESIDE)
+    return dict(zip(parts, cropped(list(parts.values()), normal_map.mask), strict=True))
 
 
-def _legend() -> PageFigure:
-    """The colours of the shadow labels."""
-    with report_style():
-        figure = new_figure(9.6, 0.55)
-        axes = figure.subplots()
-        axes.set_axis_off()
-        axes.set_xlim(0, 4)
-        axes.set_ylim(-1.6, 0.6)
-        for place, (label, name) in enumerate(LABEL_LEGEND.items()):
-            x, y = place % 4, -(place // 4)
-            colour = tuple(label_colours(np.uint8(int(label))) / 255)
-            axes.plot(x + 0.02, y, "s", ms=8, color=colour, mec=FAINT, mew=0.8)
-            short = "lit by all three" if label == _LIT_BY_ALL else name
-            axes.text(x + 0.08, y, short, va="center", fontsize=8)
-    return figure_from_plot(figure, "Colours of the shadows: which lights arrive.", wide=True)
+def _legend() -> dict[str, str]:
+    """The colours of the shadow labels, by short names of what arrives."""
+    return {short_label(int(label)): web_colour(int(label)) for label in LABEL_LEGEND}
 
 
 def track_section(result: OpenedResult, track: TrackedSurface) -> PageSection:
@@ -99,6 +92,7 @@ def track_section(result: OpenedResult, track: TrackedSurface) -> PageSection:
             axes.plot(track.numbers, shares, color=BLUE)
             axes.axvline(track.template, color=FAINT, ls=":", lw=1)
             axes.set_xlabel("frame")
+            axes.locator_params(axis="x", integer=True)
             axes.set_ylabel("mean confidence")
             axes.set_ylim(0, 1.02)
         caption = "Confidence of the tracked vertices, mean of each frame. Dotted: the template's frame."

@@ -11,16 +11,18 @@ import numpy as np
 from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
-from vntoolkit.io.images import write_png
-from vntoolkit.io.label_images import LABEL_LEGEND, label_colours
+from vntoolkit.io.label_images import label_colours
 from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
-from vntoolkit.report.pictures import Picture, picture_of_normals
+from vntoolkit.report.pictures import Picture, picture_of_normals, short_label, web_colour
 from vntoolkit.report.raycast_view import View, picture_of
+from vntoolkit.report.tiles import ErrorScale, picture_of_errors, write_tiles
 
 _DISPLAY_GAMMA = 1 / 2.2
-_FULL_ERROR_DEG = 40.0
+_SCALE = ErrorScale(most=40.0)
+_GROUND = 205  # beside the subject: white means lit by all
+_LIGHT_TILES = 4  # film and three lights
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,7 +40,7 @@ def write_detection_figure(
     labels: Mapping[str, VisibilityLabels],
     mask: Mask,
 ) -> None:
-    """Write film, the share of each light, and the labels of every method by name, with their legend."""
+    """Write film, the share of each light, and below the labels of every method by name, with a legend."""
     contributions = np.clip(frame.rgb - response.ambient, 0, None) @ response.contributions_from_rgb.T
     top = np.maximum(np.percentile(contributions[mask], 99, axis=0), 1e-6) if mask.any() else np.ones(3)
     tiles = {"film": _displayed(frame.rgb)}
@@ -46,9 +48,11 @@ def write_detection_figure(
         share = np.clip(contributions[..., k : k + 1] / top[k], 0, 1)
         tiles[f"light {k}"] = _displayed(np.repeat(share, 3, axis=-1))
     for name, found in labels.items():
-        tiles[name] = np.where(mask[..., None], label_colours(found), 0).astype(np.uint8)
-    legend = {name: _web_colour(label) for label, name in _used(labels, mask)}
-    _write_tiles(path, {name: _cropped(tile, mask) for name, tile in tiles.items()}, columns=4, legend=legend)
+        tiles[name] = np.where(mask[..., None], label_colours(found), _GROUND).astype(np.uint8)
+    cut = {name: _cropped(tile, mask) for name, tile in tiles.items()}
+    first = dict(list(cut.items())[:_LIGHT_TILES])
+    legend = {short_label(label): web_colour(label) for label in _used(labels, mask)}
+    write_tiles(path, [first, {name: cut[name] for name in cut if name not in first}], legend=legend)
 
 
 def write_recovery_figure(
@@ -57,30 +61,31 @@ def write_recovery_figure(
     camera: Camera,
     truth: NormalMap | None = None,
 ) -> None:
-    """Write normals, a view of the surface from the side, and the error (black 0, white 40°) of each way."""
-    tiles: dict[str, Picture] = {}
+    """Write normals, a view of the surface from the side, and the error of each way of `recoveries`."""
+    rows: list[dict[str, Picture]] = []
+    names = []
     for name, recovery in recoveries.items():
         mask = recovery.normals.mask
-        tiles[f"{name}: normals"] = _cropped(picture_of_normals(recovery.normals, ground=0), mask)
-        height, width = tiles[f"{name}: normals"].shape[:2]
-        tiles[f"{name}: from the side"] = _seen_from_the_side(recovery.depth, camera, width, height)
+        normals = _cropped(picture_of_normals(recovery.normals), mask)
+        height, width = normals.shape[:2]
+        row = {
+            "normals": normals,
+            "surface from the side": _seen_from_the_side(recovery.depth, camera, width, height),
+        }
+        mean = ""
         if truth is not None:
             both = mask & truth.mask
             cosine = (recovery.normals.normals_in_camera * truth.normals_in_camera).sum(-1)
             error = np.where(both, np.rad2deg(np.arccos(np.clip(cosine, -1, 1))), 0.0)
-            grey = np.repeat(np.clip(error / _FULL_ERROR_DEG, 0, 1)[..., None], 3, axis=-1)
-            title = f"{name}: error, mean {error[both].mean():.1f}°"
-            tiles[title] = _cropped((255 * grey).astype(np.uint8), mask)
-    _write_tiles(path, tiles, columns=2 if truth is None else 3, legend={})
+            row["error of the normals"] = _cropped(picture_of_errors(error, both, _SCALE), mask)
+            mean = f": mean error {error[both].mean():.1f}°"
+        rows.append(row)
+        names.append(f"{name}{mean}")
+    write_tiles(path, rows, names, scale=None if truth is None else _SCALE)
 
 
-def _used(labels: Mapping[str, VisibilityLabels], mask: Mask) -> list[tuple[int, str]]:
-    seen = {int(label) for found in labels.values() for label in np.unique(found[mask])}
-    return [(label, LABEL_LEGEND[str(label)]) for label in sorted(seen)]
-
-
-def _web_colour(label: int) -> str:
-    return "#" + "".join(f"{channel:02x}" for channel in label_colours(np.uint8(label)))
+def _used(labels: Mapping[str, VisibilityLabels], mask: Mask) -> list[int]:
+    return sorted({int(label) for found in labels.values() for label in np.unique(found[mask])})
 
 
 def _displayed(linear: FloatArray) -> Picture:
@@ -106,29 +111,3 @@ def _seen_from_the_side(depth: DepthMap, camera: Camera, width: int, height: int
         height_px=height,
     )
     return picture_of([mesh], view)
-
-
-def _write_tiles(
-    path: Path | str, tiles: Mapping[str, Picture], columns: int, legend: Mapping[str, str]
-) -> None:
-    """Lay titled pictures out in rows, with matplotlib, and write one PNG."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-    from matplotlib.patches import Patch
-
-    rows = -(-len(tiles) // columns)
-    height, width = next(iter(tiles.values())).shape[:2]
-    figure = Figure(figsize=(3.2 * columns, (3.2 * height / width + 0.35) * rows + 0.4), dpi=120)
-    canvas = FigureCanvasAgg(figure)
-    for i, axes in enumerate(figure.subplots(rows, columns, squeeze=False).ravel()):
-        axes.set_axis_off()
-        if i < len(tiles):
-            name = list(tiles)[i]
-            axes.imshow(tiles[name])
-            axes.set_title(name, fontsize=9)
-    if legend:
-        patches = [Patch(facecolor=colour, edgecolor="0.5", label=name) for name, colour in legend.items()]
-        figure.legend(handles=patches, loc="lower center", ncols=4, fontsize=8, frameon=False)
-    figure.tight_layout(rect=(0, 0.07 if legend else 0, 1, 1))
-    canvas.draw()
-    write_png(path, np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3]))

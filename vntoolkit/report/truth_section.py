@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vntoolkit.arrays import FloatArray, Mask
+from vntoolkit.arrays import FloatArray
 from vntoolkit.evaluation.angular_error import angular_error_map
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.pipeline.opened_result import OpenedResult
@@ -27,12 +27,13 @@ from vntoolkit.report.page import (
     figure_from_pixels,
     figure_from_plot,
 )
-from vntoolkit.report.pictures import Picture, cropped, picture_of_depth, picture_of_normals, strip_of
+from vntoolkit.report.pictures import Picture, cropped, picture_of_depth, picture_of_normals
 from vntoolkit.report.raycast_view import View, picture_of
-from vntoolkit.report.svg import BLUE, FAINT, new_figure, report_style
+from vntoolkit.report.style import BLUE, FAINT, new_figure, report_style
+from vntoolkit.report.tiles import ErrorScale, picture_of_errors, tiled
 
 _STRIP_PX = 340
-_MOST_DEG = 30.0  # the error map's brightest colour
+_SCALE = ErrorScale(most=30.0)
 _VIEWS_DEG = (-50.0, -20.0, 20.0, 50.0)
 _VIEW_PX = 320
 
@@ -77,28 +78,25 @@ def _numbers(frames: Sequence[FrameComparison]) -> tuple[PageNumber, ...]:
 
 
 def _light_number(errors_deg: FloatArray) -> PageNumber:
-    return PageNumber(value=f"{errors_deg.max():.2f}°", label="worst row of M", remark="against the true M")
+    return PageNumber(
+        value=f"{errors_deg.max():.2f}°", label="worst row of M", remark="its angle to the true M's"
+    )
 
 
 def _strip(result: OpenedResult, simulated: Path, number: int) -> PageFigure:
     measured, truth = result.normals(number), true_normals(simulated, number)
     assert measured is not None  # the frame is in result.numbers
     errors, both = angular_error_map(measured, truth)
-    pictures = [picture_of_normals(measured), picture_of_normals(truth), picture_of_errors(errors, both)]
-    caption = (
-        f"Frame {number}: normals found, true normals, and the angle between them from 0° (black) to "
-        f"{_MOST_DEG:.0f}° and more (yellow)."
-    )
-    strip = strip_of(cropped(pictures, measured.mask | truth.mask), _STRIP_PX)
-    return figure_from_pixels(strip, caption, wide=True)
-
-
-def picture_of_errors(errors_deg: FloatArray, compared: Mask, most_deg: float = _MOST_DEG) -> Picture:
-    """Return angles (h, w) in degrees as colours (h, w, 3), white where nothing was compared."""
-    from matplotlib import colormaps
-
-    coloured = colormaps["inferno"](np.clip(errors_deg / most_deg, 0, 1))[..., :3]
-    return (255 * np.where(compared[..., None], coloured, 1.0)).astype(np.uint8)
+    pictures = [
+        picture_of_normals(measured),
+        picture_of_normals(truth),
+        picture_of_errors(errors, both, _SCALE),
+    ]
+    cut = cropped(pictures, measured.mask | truth.mask)
+    row = dict(zip(("normals found", "true normals", "angle between them"), cut, strict=True))
+    caption = f"Frame {number}: the normals against the true ones; brighter is worse, white was not compared."
+    pixels = tiled([row], scale=_SCALE, height_px=_STRIP_PX)
+    return figure_from_pixels(pixels, caption, suffix=".webp", wide=True)
 
 
 def _relief_figure(result: OpenedResult, simulated: Path, number: int) -> tuple[PageFigure, ...]:
@@ -107,17 +105,18 @@ def _relief_figure(result: OpenedResult, simulated: Path, number: int) -> tuple[
         return ()
     truth = true_depth(simulated, number)
     pictures = [picture_of_depth(depth, result.camera), picture_of_depth(truth, result.camera)]
-    strip = strip_of(cropped(pictures, depth.mask | truth.mask), _STRIP_PX)
-    return (figure_from_pixels(strip, f"Frame {number}: relief found, and true relief.", wide=True),)
+    row = dict(zip(("relief found", "true relief"), cropped(pictures, depth.mask | truth.mask), strict=True))
+    caption = f"Frame {number}: the surfaces through the depths, lit from the upper left."
+    return (figure_from_pixels(tiled([row], height_px=_STRIP_PX), caption, suffix=".webp", wide=True),)
 
 
 def _mesh_figure(result: OpenedResult, number: int) -> tuple[PageFigure, ...]:
     mesh = result.mesh(number)
     if mesh is None:
         return ()
-    strip = np.concatenate([_seen_from(mesh, azimuth) for azimuth in _VIEWS_DEG], axis=1)
-    angles = ", ".join(f"{angle:+.0f}°" for angle in _VIEWS_DEG)
-    return (figure_from_pixels(strip, f"Frame {number}: the mesh, turned by {angles}.", wide=True),)
+    row = {f"from {angle:+.0f}°": _seen_from(mesh, angle) for angle in _VIEWS_DEG}
+    caption = f"Frame {number}: the mesh as the camera never saw it; angles around the upright axis."
+    return (figure_from_pixels(tiled([row]), caption, suffix=".webp", wide=True),)
 
 
 def _cumulative_figure(result: OpenedResult, simulated: Path, number: int) -> PageFigure:
@@ -133,7 +132,7 @@ def _cumulative_figure(result: OpenedResult, simulated: Path, number: int) -> Pa
         axes.plot(angles[thinned], shares[thinned], color=BLUE)
         for limit in (5, 10, 20):
             axes.axvline(limit, color=FAINT, lw=0.8, ls=":")
-        axes.set_xlim(0, _MOST_DEG)
+        axes.set_xlim(0, _SCALE.most)
         axes.set_ylim(0, 101)
         axes.set_xlabel("angle to the true normal, degrees")
         axes.set_ylabel("pixels below it, %")
