@@ -32,6 +32,7 @@ def _run(arguments: list[str] | None) -> int:
     from cyclopts import CycloptsError
 
     from vntoolkit.cli import build_app
+    from vntoolkit.cli.usage import line_from_usage_error
     from vntoolkit.errors import VntError
 
     _set_up_logging()
@@ -39,7 +40,7 @@ def _run(arguments: list[str] | None) -> int:
         result = build_app()(arguments if arguments is not None else sys.argv[1:])
         return result if isinstance(result, int) else 0
     except CycloptsError as error:
-        return _fail(" ".join(str(error).split()))
+        return _fail(line_from_usage_error(error))
     except VntError as error:
         return _fail(str(error))
     except BrokenPipeError:

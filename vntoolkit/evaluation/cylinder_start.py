@@ -53,7 +53,10 @@ def axis_from_normals(normals: Points, limit: float, rng: np.random.Generator, n
     residuals = np.abs(normals @ axes.T)
     axis = axes[int(np.argmin(np.minimum(residuals, limit).sum(axis=0)))]
     if np.mean(np.abs(normals @ axis) < limit) < _LEAST_SUPPORT:
-        raise SolverFailed(f"cylinder: in {name} less than a third of the normals agree on an axis")
+        raise SolverFailed(
+            f"cylinder: in {name} less than a third of the normals agree on an axis; is a cylinder in sight, "
+            "and nothing else inside the mask?"
+        )
     for _ in range(10):
         weights = 1.0 / (1.0 + (normals @ axis / limit) ** 2) ** 2
         axis = np.linalg.eigh((normals * weights[:, None]).T @ normals)[1][:, 0]

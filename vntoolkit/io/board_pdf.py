@@ -33,6 +33,8 @@ def write_board_pdf(path: Path | str, layout: BoardLayout, page: PageSize = Page
 
     Raises `BadInput` where the board does not fit on the page, `CannotWrite` where the file cannot be made.
     """
+    if Path(path).suffix.lower() != ".pdf":
+        raise BadInput(f"{path}: the board is drawn as .pdf, not '{Path(path).suffix}'")
     width, height = page.value
     if layout.width_mm > width - 2 * _MARGIN_MM or layout.height_mm > height - 2 * _TEXT_HEIGHT_MM:
         raise BadInput(

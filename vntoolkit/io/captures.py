@@ -132,7 +132,13 @@ class Capture:
             values = read_image(background, max_megapixels=self.options.max_megapixels)
             encoded = EncodedFrame(values=values, bits=_bits(values, self.options), number=0, name=name)
             background = linear_frame_from_encoded(encoded, self.options.transfer).rgb
-        require_shape(background, (self.info.height, self.info.width, 3), name, BadCapture)
+        require_shape(background, (None, None, 3), name, BadCapture)
+        height, width = background.shape[:2]
+        if (width, height) != (self.info.width, self.info.height):
+            raise BadCapture(
+                f"{name}: the background is {width}×{height}, the footage {self.info.width}×"
+                f"{self.info.height}: film both with the same settings"
+            )
         return np.asarray(background, dtype=np.float32)
 
 

@@ -38,12 +38,12 @@ def read_bytes(path: Path | str, error: type[BadInput] = BadInput) -> bytes:
         raise error(f"{path}: cannot be read ({problem.strerror})") from problem
 
 
-def read_text(path: Path | str, error: type[BadInput] = BadInput) -> str:
-    """Read a whole UTF-8 file, or raise `error` with one line."""
+def read_text(path: Path | str, error: type[BadInput] = BadInput, expected: str = "text in UTF-8") -> str:
+    """Read a whole UTF-8 file, or raise `error` with one line that says what was expected there."""
     try:
         return read_bytes(path, error).decode("utf-8-sig")
     except UnicodeDecodeError as problem:
-        raise error(f"{path}: expected text in UTF-8, byte {problem.start} is not") from problem
+        raise error(f"{path}: expected {expected}; byte {problem.start} is no text in UTF-8") from problem
 
 
 def require_inside(folder: Path, name: str, source: Path | str, error: type[BadInput] = BadInput) -> Path:

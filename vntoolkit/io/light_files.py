@@ -15,6 +15,7 @@ from vntoolkit.arrays import Points
 from vntoolkit.errors import BadInput
 from vntoolkit.io.files import read_text, require_inside
 
+_EXPECTED = "x y z, and perhaps red green blue, per light"
 _CAMERA_FROM_GRAPHICS = np.array([1.0, -1.0, -1.0])
 
 
@@ -91,14 +92,14 @@ def _read_folder(folder: Path) -> KnownLights:
 def _read_rows(path: Path) -> Points:
     rows: list[list[float]] = []
     count = None
-    for number, line in enumerate(read_text(path).splitlines(), start=1):
+    for number, line in enumerate(read_text(path, expected=_EXPECTED).splitlines(), start=1):
         words = line.split("#")[0].replace(",", " ").split()
         if not words:
             continue
         try:
             values = [float(word) for word in words]
         except ValueError as error:
-            raise BadInput(f"{path}: line {number} is not a row of numbers") from error
+            raise BadInput(f"{path}: line {number} is not a row of numbers; expected {_EXPECTED}") from error
         if not rows and count is None and len(values) == 1 and values[0].is_integer():
             count = int(values[0])
             continue
@@ -106,7 +107,7 @@ def _read_rows(path: Path) -> Points:
             raise BadInput(f"{path}: line {number} holds {len(values)} numbers, those before {len(rows[0])}")
         rows.append(values)
     if not rows:
-        raise BadInput(f"{path}: holds no light")
+        raise BadInput(f"{path}: holds no light; expected {_EXPECTED}")
     if count is not None and count != len(rows):
         raise BadInput(f"{path}: promises {count} lights, holds {len(rows)}")
     table = np.array(rows)

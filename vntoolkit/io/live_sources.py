@@ -64,6 +64,7 @@ class CameraSource:
         options = options or CameraOptions()
         self.skipped = 0  # a driver does not tell
         self.name = f"camera {number}"
+        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # the one line below tells
         self._camera = cv2.VideoCapture(number)
         if not self._camera.isOpened():
             raise BadCapture(f"camera {number}: cannot be opened; is it plugged in, free, and yours to read?")

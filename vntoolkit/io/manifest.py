@@ -79,9 +79,8 @@ def read_manifest(folder: Path | str) -> Manifest:
     """Read reconstruction.json; raise `BadInput` with one line."""
     path = Path(folder) / MANIFEST_NAME
     if not path.exists():
-        raise BadInput(
-            f"{folder}: holds no {MANIFEST_NAME}; give a folder that `vntoolkit reconstruct` wrote"
-        )
+        found = f"holds no {MANIFEST_NAME}" if Path(folder).is_dir() else "is no folder"
+        raise BadInput(f"{folder}: {found}; give a folder that `vntoolkit reconstruct` wrote")
     content = parse_json(read_text(path), str(path))
     try:
         if isinstance(content, dict) and content.get("version") != MANIFEST_VERSION:

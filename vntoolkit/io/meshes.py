@@ -64,7 +64,7 @@ def read_mesh(path: Path | str) -> Mesh:
         case ".obj":
             mesh = read_obj(path)
         case suffix:
-            raise BadMesh(f"{path}: a mesh is read from .ply or .obj, not '{suffix}'")
+            raise BadMesh(f"{path}: a mesh is read from .ply or .obj, not '{suffix}'; export it as .ply")
     return _flip(mesh)
 
 

@@ -30,10 +30,12 @@ from vntoolkit.photometry.rig import FitQuality, Rig, SourceFile
 from vntoolkit.photometry.transfer import Transfer
 from vntoolkit.photometry.variation import ResponseVariation
 
+_EXPECTED = "a rig.json of `vntoolkit calibrate`"
+
 
 def read_rig(path: Path | str) -> Rig:
     """Read rig.json; raise `BadRig` with one line that names the key that is unknown, missing or wrong."""
-    return rig_from_text(read_text(path, BadRig), str(path))
+    return rig_from_text(read_text(path, BadRig, _EXPECTED), str(path))
 
 
 def write_rig(path: Path | str, rig: Rig) -> None:
@@ -48,7 +50,7 @@ def rig_schema() -> dict[str, Any]:
 
 def rig_from_text(text: str, name: str = "rig") -> Rig:
     """Parse the text of a rig.json; `name` stands in the messages."""
-    content = parse_json(text, name, BadRig)
+    content = parse_json(text, name, BadRig, _EXPECTED)
     if isinstance(content, dict) and content.get("version", 1) not in range(1, RIG_VERSION + 1):
         raise BadRig(f"{name}: is of version {content['version']}, this program reads 1 to {RIG_VERSION}")
     try:

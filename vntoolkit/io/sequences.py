@@ -8,12 +8,11 @@ confidence.npy (float32, (frames, n)) where there is any, and sequence.json.
 from __future__ import annotations
 
 import json
-import tokenize
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 
@@ -26,9 +25,9 @@ from vntoolkit.io.atomic import cannot_write, require_writable_folder, write_tex
 from vntoolkit.io.files import read_text, require_file
 from vntoolkit.io.json_text import parse_json
 from vntoolkit.io.meshes import read_mesh, write_mesh
+from vntoolkit.io.npy import map_npy
 
 _VERSION = 1
-_LONGEST_REASON = 200
 
 
 class MeshSequenceWriter:
@@ -122,9 +121,9 @@ def read_mesh_sequence(folder: Path | str) -> MeshSequence:
     confidence = folder / "confidence.npy"
     return MeshSequence(
         template=template,
-        vertices=_mapped(folder / "vertices.npy"),
+        vertices=map_npy(folder / "vertices.npy", BadMesh),
         frame_rate_hz=rate,
-        confidence=_mapped(confidence) if confidence.exists() else None,
+        confidence=map_npy(confidence, BadMesh) if confidence.exists() else None,
     )
 
 
@@ -137,7 +136,7 @@ class _GrowingArray:
         self.count = 0
         with self._errors():
             if keep and path.exists():
-                mapped = _mapped(path)
+                mapped = map_npy(path, BadMesh)
                 require_shape(mapped, (None, *row_shape), str(path), BadMesh)
                 self.count = len(mapped)
                 self._start = int(mapped.offset)
@@ -185,15 +184,6 @@ class _GrowingArray:
             yield
         except OSError as error:
             raise cannot_write(self.path, error) from error
-
-
-def _mapped(path: Path) -> Any:
-    require_file(path, BadMesh)
-    try:
-        return np.load(path, mmap_mode="r", allow_pickle=False)
-    except (ValueError, OSError, EOFError, SyntaxError, OverflowError, tokenize.TokenError) as problem:
-        reason = " ".join(str(problem).split())[:_LONGEST_REASON]
-        raise BadMesh(f"{path}: is not a whole .npy array ({reason})") from problem
 
 
 def _require_same_template(folder: Path, vertex_count: int) -> None:

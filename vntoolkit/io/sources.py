@@ -11,6 +11,8 @@ from vntoolkit.errors import BadCapture
 from vntoolkit.io.files import require_file
 from vntoolkit.io.images import SUFFIXES
 
+_VIDEO_SUFFIXES = (".mkv", ".mp4", ".mov", ".avi", ".webm", ".mxf", ".m4v")
+_EXPECTED = "expected a video, an image, a folder of images, or a pattern such as frame_%04d.png"
 _PRINTF = re.compile(r"%(0?)(\d*)d")
 
 
@@ -36,7 +38,7 @@ def find_capture_files(source: Path | str) -> tuple[CaptureKind, tuple[Path, ...
     if not path.exists() and glob.has_magic(text):
         found = tuple(sorted(map(Path, glob.glob(text)), key=natural_key))  # noqa: PTH207
         if not found:
-            raise BadCapture(f"{text}: no file matches this pattern")
+            raise BadCapture(f"{text}: no file matches this pattern; is the folder right?")
         return CaptureKind.SEQUENCE, found
     require_file(path, BadCapture)
     if path.suffix.lower() in SUFFIXES:
@@ -57,7 +59,9 @@ def _in_folder(folder: Path) -> tuple[Path, ...]:
         if path.suffix.lower() in SUFFIXES and not path.name.startswith(".") and path.is_file()
     ]
     if not files:
-        raise BadCapture(f"{folder}: holds no image ({', '.join(SUFFIXES)})")
+        videos = [path.name for path in sorted(folder.iterdir()) if path.suffix.lower() in _VIDEO_SUFFIXES]
+        instead = f"name the video, {folder / videos[0]}" if videos else _EXPECTED
+        raise BadCapture(f"{folder}: holds no image ({', '.join(SUFFIXES)}); {instead}")
     return tuple(sorted(files, key=natural_key))
 
 
@@ -73,5 +77,5 @@ def _by_printf(pattern: Path) -> tuple[Path, ...]:
         if hit and len(hit[1]) == max(width, len(str(int(hit[1])))):
             found.append((int(hit[1]), path))
     if not found:
-        raise BadCapture(f"{pattern}: no file matches this pattern")
+        raise BadCapture(f"{pattern}: no file matches this pattern; is the folder right?")
     return tuple(path for _, path in sorted(found))

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from vntoolkit.arrays import FloatArray, Vector3
+from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.evaluation.angular_error import compare_normals
 from vntoolkit.evaluation.cylinder import Cylinder
@@ -21,6 +20,7 @@ from vntoolkit.evaluation.cylinder_fit import CylinderOptions, fit_cylinder
 from vntoolkit.evaluation.silhouette import silhouette_from_image
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io.files import read_text, require_file
+from vntoolkit.io.json_text import parse_json
 from vntoolkit.io.maps import read_normal_map
 from vntoolkit.pipeline.opened_result import OpenedResult
 from vntoolkit.pipeline.simulation_job import SimulationFolder
@@ -70,16 +70,27 @@ class CylinderTruth:
     @cached_property
     def poses(self) -> FloatArray:
         """(frames, 4, 4) camera_from_object."""
-        text = read_text(require_file(self.folder.truth / "poses.json"))
-        return np.array(json.loads(text)["camera_from_object"])
+        path = self.folder.truth / "poses.json"
+        content = parse_json(read_text(path), str(path))
+        try:
+            poses = np.array(content["camera_from_object"], dtype=np.float64)
+        except (KeyError, TypeError, ValueError) as error:
+            raise BadInput(f"{path}: expected camera_from_object, a 4 × 4 matrix a frame") from error
+        require_shape(poses, (None, 4, 4), f"{path}: camera_from_object")
+        return poses
 
     @cached_property
     def radius_m(self) -> float:
         """Radius in metres."""
-        facts: dict[str, Any] = json.loads(read_text(require_file(self.folder.truth / "scene.json")))
-        if "radius_m" not in facts["facts"] or facts["scene"] != "cylinder":
-            raise BadInput(f"{self.folder.root}: holds the scene {facts['scene']}, not a cylinder")
-        return float(facts["facts"]["radius_m"])
+        path = self.folder.truth / "scene.json"
+        content = parse_json(read_text(path), str(path))
+        try:
+            scene, facts = content["scene"], content["facts"]
+            if scene == "cylinder":
+                return float(facts["radius_m"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise BadInput(f"{path}: expected scene, and facts with the radius_m of a cylinder") from error
+        raise BadInput(f"{self.folder.root}: holds the scene {scene}, not a cylinder")
 
     def axis(self, number: int) -> tuple[Vector3, Vector3]:
         """Return direction and a point of the axis in the camera frame, metres."""

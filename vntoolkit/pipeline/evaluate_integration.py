@@ -15,9 +15,10 @@ from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.integration.options import IntegrationOptions, Integrator
-from vntoolkit.io.files import require_file
+from vntoolkit.io.files import read_text
 from vntoolkit.io.label_images import read_mask
 from vntoolkit.io.maps import read_normal_map
+from vntoolkit.io.npy import read_npz
 
 TEAR_STEEPNESS = 1.0
 _OBJECT_FILES = ("normal_map.png", "mask.png", "K.txt", "depth_gt.npz")
@@ -137,11 +138,21 @@ def read_object(folder: Path) -> tuple[Camera, NormalMap, FloatArray]:
     mask = read_mask(folder / "mask.png")
     normal_map = read_normal_map(folder / "normal_map.png", mask=mask)
     height, width = mask.shape
-    matrix = np.loadtxt(require_file(folder / "K.txt"))
+    matrix = _read_matrix(folder / "K.txt")
     camera = Camera(model=CameraModel.PINHOLE, width=width, height=height, matrix=matrix)
-    truth = np.load(require_file(folder / "depth_gt.npz"))["depth_gt"].astype(np.float64)
+    truth = read_npz(folder / "depth_gt.npz", "depth_gt").astype(np.float64)
     require_same_size(truth, f"{folder / 'depth_gt.npz'}", mask, "the mask")
     return camera, normal_map, truth
+
+
+def _read_matrix(path: Path) -> FloatArray:
+    words = read_text(path).split()
+    try:
+        return np.array([float(word) for word in words]).reshape(3, 3)
+    except ValueError as error:
+        raise BadInput(
+            f"{path}: expected the 9 numbers of a 3 × 3 camera matrix, got {len(words)} words"
+        ) from error
 
 
 def real_object_errors(

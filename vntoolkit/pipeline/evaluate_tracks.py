@@ -19,8 +19,8 @@ from vntoolkit.evaluation.track_error import (
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh_sequence import MeshSequence
 from vntoolkit.io.atomic import write_text
-from vntoolkit.io.files import require_file
 from vntoolkit.io.meshes import read_mesh
+from vntoolkit.io.npy import map_npy
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.io.sequences import read_mesh_sequence
 from vntoolkit.pipeline.tracked_folder import read_track_record, recorded_camera
@@ -38,7 +38,7 @@ class TrackTruth:
 def read_track_truth(folder: Path) -> TrackTruth:
     """Open DIR/truth (or DIR) as `vntoolkit simulate` writes it. Raises `BadInput`."""
     truth = folder / "truth" if (folder / "truth").is_dir() else folder
-    vertices = np.load(require_file(truth / "vertices.npy"), mmap_mode="r", allow_pickle=False)
+    vertices = map_npy(truth / "vertices.npy")
     faces = read_mesh(truth / "template.ply").faces
     if vertices.ndim != 3 or vertices.shape[2] != 3 or int(faces.max(initial=0)) >= vertices.shape[1]:
         raise BadInput(f"{truth / 'vertices.npy'}: expected (frames, vertices, 3) of the mesh template.ply")

@@ -16,7 +16,7 @@ from vntoolkit.arrays import FloatArray, Mask, Normals, VisibilityLabels
 from vntoolkit.errors import BadInput
 from vntoolkit.evaluation.angular_error import AngularError, angles_between_deg, summarise_angles
 from vntoolkit.geometry.maps import NormalMap
-from vntoolkit.io.files import require_file
+from vntoolkit.io.files import read_bytes, require_file
 from vntoolkit.io.images import read_image
 from vntoolkit.io.label_images import read_mask
 from vntoolkit.photometry.frame import LinearFrame
@@ -180,10 +180,12 @@ def _grey(path: Path) -> FloatArray:
     """A grey photograph (h, w), 0 to 1; the flashes are in the old binary PGM format of 8 bits."""
     if path.suffix != ".pgm":
         return np.asarray(_rgb(path).mean(axis=-1))
-    content = require_file(path).read_bytes()
+    content = read_bytes(path)
     header = re.match(rb"P5\s+(?:#.*\s+)*(\d+)\s+(\d+)\s+255\s", content)
     if header is None:
         raise BadInput(f"{path}: expected a binary PGM of 8 bits")
     width, height = int(header[1]), int(header[2])
+    if len(content) - header.end() < width * height:
+        raise BadInput(f"{path}: {width}×{height} pixels are promised, the file is cut off; copy it again")
     values = np.frombuffer(content, np.uint8, offset=header.end(), count=width * height)
     return values.reshape(height, width) / 255.0

@@ -12,8 +12,9 @@ import numpy as np
 
 from vntoolkit.arrays import FloatArray
 from vntoolkit.errors import BadInput, BadMotion
-from vntoolkit.io.files import require_file
+from vntoolkit.io.files import read_text
 from vntoolkit.io.frame_range import FrameRange
+from vntoolkit.io.npy import map_npy
 from vntoolkit.pipeline.option_values import option_values
 from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.render import RenderOptions, require_same_topology
@@ -104,11 +105,7 @@ class SimulationJob:
 
 def read_motion_file(path: Path) -> FloatArray:
     """Map a (frames, n, 3) .npy file of vertices into memory. Raises `BadMotion`."""
-    require_file(path, BadMotion)
-    try:
-        moved: FloatArray = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (ValueError, OSError, EOFError) as problem:
-        raise BadMotion(f"{path}: is not a whole .npy array ({problem})") from problem
+    moved: FloatArray = map_npy(path, BadMotion)
     if moved.ndim != 3 or moved.shape[2] != 3 or not len(moved) or moved.dtype.kind != "f":
         raise BadMotion(
             f"{path}: expected floating point vertices (frames, n, 3), got {moved.shape} {moved.dtype}"
@@ -124,7 +121,7 @@ def require_free(folder: SimulationFolder, description: str, overwrite: bool) ->
         return False
     if overwrite:
         return False
-    if folder.description.read_text() != description:
+    if read_text(folder.description) != description:
         raise BadInput(
             f"{folder.root}: holds a capture made with other options (see {folder.description.name}); "
             "choose another folder, or add --overwrite"

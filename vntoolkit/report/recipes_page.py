@@ -6,7 +6,6 @@ numbers, texts or null, and figures as PNG, JPEG, WebP or SVG.
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ import numpy as np
 from vntoolkit.errors import BadInput
 from vntoolkit.io.files import read_text
 from vntoolkit.io.images import read_image, resized_image
+from vntoolkit.io.json_text import parse_json
 from vntoolkit.report.page import (
     PageFigure,
     PageNotice,
@@ -70,10 +70,7 @@ def read_numbers(folder: Path) -> list[RecipeNumber]:
     path = folder / NUMBERS_NAME
     if not path.exists():
         return []
-    try:
-        rows = json.loads(read_text(path))
-    except json.JSONDecodeError as problem:
-        raise BadInput(f"{path}: is not JSON: {problem.msg} at line {problem.lineno}") from problem
+    rows = parse_json(read_text(path), str(path))
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
         raise BadInput(f"{path}: expected a list of objects with the keys {', '.join(sorted(_KEYS))}")
     for row in rows:
