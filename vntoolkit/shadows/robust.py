@@ -20,8 +20,10 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.photometry.visibility import labels_from_lit
 from vntoolkit.shadows.albedo import AlbedoOptions, albedo_from_lit
+from vntoolkit.shadows.cast_edges import CastEdgeOptions, lit_beyond_half
 from vntoolkit.shadows.dark_level import DarkLevelOptions, largest_dark_share
 from vntoolkit.shadows.graph_cut import bonds_of_light, lit_by_cut
+from vntoolkit.shadows.outline import OutlineOptions, turned_from_lights
 from vntoolkit.shadows.shares import LightShares
 from vntoolkit.shadows.surface import SurfaceOptions, solve_surface
 
@@ -40,7 +42,8 @@ class RobustOptions:
     smoothness: price of a change of label between neighbours, in units of evidence. contrast: see
     `bonds_of_light`. rounds: alternations. working_pixels: larger frames are shrunk towards this size for the
     alternation; the last cut has the frame's own size. persistence: weight of the previous frame's
-    evidence, 0 to 1.
+    evidence, 0 to 1. cast_edge: where a cast shadow ends. outline: the last
+    pixels before the figure's outline.
     """
 
     first_share: float = 0.2
@@ -54,6 +57,8 @@ class RobustOptions:
     rounds: int = 3
     working_pixels: int = 250_000
     persistence: float = 0.25
+    cast_edge: CastEdgeOptions = field(default_factory=CastEdgeOptions)
+    outline: OutlineOptions = field(default_factory=OutlineOptions)
     albedo: AlbedoOptions = field(default_factory=AlbedoOptions)
     surface: SurfaceOptions = field(default_factory=lambda: SurfaceOptions(iterations=3, noise=0.08))
 
@@ -76,22 +81,24 @@ def lit_by_surface(
     factor = _shrinking(mask, options)
     small, small_mask = (measured, mask) if factor == 1 else measured.shrunk(mask, factor)
     small_camera = None if camera is None else camera.scaled(1.0 / factor)
-    predicted, albedo = _predicted_by_rounds(small, small_mask, options, small_camera)
-    predicted, albedo = _enlarged(predicted, mask.shape), _enlarged(albedo, mask.shape)
+    normals, albedo = _surface_by_rounds(small, small_mask, options, small_camera)
+    normals, albedo = _enlarged(normals, mask.shape), _enlarged(albedo, mask.shape)
+    predicted = normals @ measured.directions.T.astype(np.float32)
     shares = _without_paint(measured.shares(albedo), predicted, options)
     evidence = _evidence(shares, predicted, albedo, mask, options)
     if memory is not None and memory.shape == evidence.shape:
         evidence = (1 - options.persistence) * evidence + options.persistence * memory
-    return _cut(evidence, shares, mask, options), evidence
+    turned = turned_from_lights(normals, shares, measured.directions, mask, factor, options.outline)
+    lit = _cut(evidence, shares, mask, options) & ~turned
+    return lit_beyond_half(lit, shares, predicted, mask, options.cast_edge), evidence
 
 
-def _predicted_by_rounds(
+def _surface_by_rounds(
     measured: LightShares, mask: Mask, options: RobustOptions, camera: Camera | None
 ) -> tuple[FloatArray, FloatArray]:
-    """Alternate between surface and labels; return each light's predicted share (h, w, 3) and the albedo."""
+    """Alternate between surface and labels; return the normals (h, w, 3) and the albedo."""
     lit = _first_doubts(measured, mask, options)
-    predicted: FloatArray = np.ones((*mask.shape, 3), dtype=np.float32)
-    albedo: FloatArray = np.ones(mask.shape, dtype=np.float32)
+    normals, albedo = measured.normals, measured.length
     for i in range(options.rounds):
         full = lit.all(axis=-1) & mask
         albedo = albedo_from_lit(measured.length, full, options.albedo)
@@ -100,11 +107,12 @@ def _predicted_by_rounds(
             measured.lights, mask, first_normals=measured.normals, weight=measured.trust, camera=camera,
             options=options.surface,
         )  # fmt: skip
-        predicted = surface.normals @ measured.directions.T.astype(np.float32)
+        normals = surface.normals.astype(np.float32)
         if i + 1 < options.rounds:
+            predicted = normals @ measured.directions.T.astype(np.float32)
             shares = _without_paint(measured.shares(albedo), predicted, options)
             lit = _cut(_evidence(shares, predicted, albedo, mask, options), shares, mask, options)
-    return predicted, albedo
+    return normals, albedo
 
 
 def _cut(

@@ -1,0 +1,85 @@
+"""Where shadows end: at a figure's outline, beside cast shadows, and in the pixels that need no cut."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from vntoolkit.errors import BadInput
+from vntoolkit.shadows.cast_edges import CastEdgeOptions, lit_beyond_half
+from vntoolkit.shadows.outline import OutlineOptions, turned_from_lights
+from vntoolkit.shadows.sure_labels import sure_labels
+
+
+def sphere(radius: float, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Normals and mask of a sphere seen orthographically."""
+    v, u = np.mgrid[:size, :size] - (size - 1) / 2.0
+    x, y = u / radius, v / radius
+    rest = 1.0 - x**2 - y**2
+    normals = np.stack([x, y, -np.sqrt(np.maximum(rest, 0.0))], axis=-1)
+    return np.where(rest[..., None] > 0, normals, 0.0), rest > 0
+
+
+LIGHTS = np.array([[-0.5, 0.0, -0.866], [0.5, 0.0, -0.866], [0.0, -0.5, -0.866]])
+
+
+def test_the_outline_turns_from_the_lights_that_it_turns_from() -> None:
+    normals, mask = sphere(40.0, 96)
+    cosines = normals @ LIGHTS.T
+    blurred = cv2.GaussianBlur(np.maximum(cosines, 0.0), (0, 0), 0.8)
+    inset = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5)
+    ring = mask & (inset < 2.5)
+    spoilt = np.where((inset < 1.6)[..., None], (0.0, 0.0, -1.0), normals)  # blur leaves nothing to read
+    turned = turned_from_lights(spoilt, blurred, LIGHTS, mask)
+    assert not turned[~ring].any()
+    dark = cosines[ring] < 0.0
+    assert 100 < dark.sum() < 1000
+    assert turned[ring][dark].mean() > 0.9
+    assert not turned[ring][cosines[ring] > 0.12].any()
+
+
+def test_a_cut_through_a_plane_is_no_outline() -> None:
+    normals = np.broadcast_to(np.array([0.6, 0.0, -0.8]), (60, 60, 3))
+    mask = np.zeros((60, 60), bool)
+    mask[10:50, 10:50] = True
+    dark = np.zeros((60, 60, 3))
+    assert not turned_from_lights(normals, dark, LIGHTS, mask).any()
+    assert not turned_from_lights(normals, dark, LIGHTS, np.ones_like(mask)).any()
+    with pytest.raises(BadInput, match="far_px"):
+        OutlineOptions(near_px=5.0, far_px=4.0)
+
+
+def test_a_blurred_edge_of_a_cast_shadow_lies_at_half_light() -> None:
+    mask = np.ones((20, 40), bool)
+    step = np.where(np.arange(40) < 20, 0.0, 0.8)[None, :, None] * np.ones((20, 1, 3))
+    shares = cv2.GaussianBlur(step, (0, 0), 1.0)
+    found = shares > 0.07
+    assert not found[:, :19].any()
+    assert found[:, 19:].all()
+    facing = np.full(shares.shape, 0.8)
+    lit = lit_beyond_half(found, shares, facing, mask)
+    assert not lit[:, :20].any()
+    assert lit[:, 20:].all()
+    turned = np.where(found, 0.8, 0.0)  # the surface turns away there
+    assert np.array_equal(lit_beyond_half(found, shares, turned, mask), found)
+    assert np.array_equal(lit_beyond_half(found, shares, facing, mask, CastEdgeOptions(part=0.0)), found)
+
+
+def test_sure_labels_hold_in_every_cheapest_labelling(rng: np.random.Generator) -> None:
+    """Against all 2⁹ labellings of 3×3 images: what is sure is so in the best, and the rest can stay open."""
+    every = np.array([[(i >> k) & 1 for k in range(9)] for i in range(512)]).reshape(-1, 3, 3) * 2 - 1
+    settled = 0
+    for _ in range(40):
+        evidence = rng.normal(size=(3, 3)).astype(np.float32)
+        east, south = rng.random((2, 3, 3)).astype(np.float32)
+        east[:, -1] = south[-1] = 0.0
+        price = np.where(every * evidence < 0, np.abs(evidence), 0.0).sum((1, 2))
+        price += (east[:, :-1] * (every[:, :, 1:] != every[:, :, :-1])).sum((1, 2))
+        price += (south[:-1] * (every[:, 1:] != every[:, :-1])).sum((1, 2))
+        best = every[price.argmin()]
+        signs, pull = sure_labels(evidence, east, south)
+        assert (signs[signs != 0] == best[signs != 0]).all()
+        assert np.array_equal(pull[signs != 0], evidence[signs != 0])
+        settled += int(np.count_nonzero(signs))
+    assert 150 < settled < 360
