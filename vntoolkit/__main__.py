@@ -37,7 +37,8 @@ def _run(arguments: list[str] | None) -> int:
 
     _set_up_logging()
     try:
-        result = build_app()(arguments if arguments is not None else sys.argv[1:])
+        typed = arguments if arguments is not None else sys.argv[1:]
+        result = build_app(typed)(typed)
         return result if isinstance(result, int) else 0
     except CycloptsError as error:
         return _fail(line_from_usage_error(error))

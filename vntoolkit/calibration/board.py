@@ -34,9 +34,9 @@ class BoardOptions:
     """How a board calibrates.
 
     largest_error_px: a frame whose corners miss their projection by more than this root mean square is left
-    out. degree: of the polynomials by which M varies over the image, as near lights make it, 0 (one M for the
-    whole image) to 3; more than 0 needs a board that was carried through the whole field. intrinsics: how the
-    camera is fitted where none is given. fit: how M is fitted.
+    out. degree: degree of the polynomials by which M varies over the image, as near lights make it, 0 (one M
+    for the whole image) to 3; more than 0 needs a board that was carried through the whole field. intrinsics:
+    how the camera is fitted where none is given. fit: how M is fitted.
     """
 
     largest_error_px: float = 1.0

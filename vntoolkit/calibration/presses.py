@@ -46,12 +46,12 @@ class LabelOffset(Enum):
 class PressOptions:
     """How presses calibrate.
 
-    ball_radius_mm: of the ball. pixel_mm: side of a pixel on the gel. contact_share: share of the labelled
-    contact radius inside which the gel follows the ball. samples: pixels drawn from a press's contact.
-    flat_share: pixels drawn where the gel lies flat, over those of the contact; more make the untouched gel
-    flatter and the ball less round. label_offset: whether one offset common to all labels is
-    fitted. outlier_sigmas: (degree 0) pixels whose colour residual exceeds this many
-    robust standard deviations (dots, creases) are left out. variation: how M varies over the gel.
+    ball_radius_mm: radius of the ball. pixel_mm: side of a pixel on the gel. contact_share: share of the
+    labelled contact radius inside which the gel follows the ball. samples: pixels drawn from a press's
+    contact. flat_share: pixels drawn where the gel lies flat, over those of the contact; more make the
+    untouched gel flatter and the ball less round. label_offset: whether one offset common to all labels is
+    fitted. outlier_sigmas: (degree 0) pixels whose colour residual exceeds this many robust standard
+    deviations (dots, creases) are left out. variation: how M varies over the gel.
     """
 
     ball_radius_mm: float

@@ -33,10 +33,10 @@ _LARGEST_CONDITION = 1e3  # of M anywhere in the image
 class VariationOptions:
     """How a response may vary over the image.
 
-    degree: of the polynomials of the pixel position, 0 (one response for the whole image) to 3. softness_deg:
-    angular error in degrees from which a pair counts less and less. length_share: how much an error of the
-    length counts against one of the direction. stiffness: how strongly coefficients are held at 0 where the
-    pairs say little: the cost, per pair, of a coefficient as large as M itself.
+    degree: degree of the polynomials by which M varies over the image, 0 (one response for the whole image)
+    to 3. softness_deg: angular error in degrees from which a pair counts less and less. length_share: how
+    much an error of the length counts against one of the direction. stiffness: how strongly coefficients are
+    held at 0 where the pairs say little: the cost, per pair, of a coefficient as large as M itself.
     """
 
     degree: int = 3

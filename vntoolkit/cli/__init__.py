@@ -6,9 +6,14 @@ and says what it wrote. No algorithm lives here.
 
 from __future__ import annotations
 
-from cyclopts import App
+from collections.abc import Sequence
+from enum import Enum
+from typing import Any
+
+from cyclopts import App, Parameter
 
 from vntoolkit import __version__
+from vntoolkit.cli.flags import require_finite
 
 # verb -> (where it lives, the line that `vntoolkit --help` shows)
 VERBS: dict[str, tuple[str, str]] = {
@@ -97,23 +102,37 @@ GROUPS: dict[str, tuple[str, dict[str, tuple[str, str]]]] = {
 }
 
 
-def build_app() -> App:
-    """Register every verb by name; nothing but cyclopts is imported."""
+def build_app(arguments: Sequence[str] = ()) -> App:
+    """Register every verb by name; nothing but cyclopts is imported.
+
+    arguments: what was typed. The verb that it names explains itself by its whole docstring; the others
+    stand in a list, with their line.
+    """
     app = App(
         name="vntoolkit",
         help="Normals, depth and moving meshes from video under three coloured lights.",
         version=__version__,
-        help_format="plaintext",
+        help_format="markdown",
+        default_parameter=Parameter(show_default=_shown_default, validator=require_finite),
         result_action="return_value",
         exit_on_error=False,
         print_error=False,
         suppress_keyboard_interrupt=False,  # else no sentence says how to go on
     )
     for verb, (target, line) in VERBS.items():
-        app.command(target, name=verb, help=line)
+        app.command(target, name=verb, help=None if arguments[:1] == [verb] else line)
     for group, (line, verbs) in GROUPS.items():
-        sub = App(name=group, help=line, help_format="plaintext", version_flags=())
+        sub = App(name=group, help=line, help_format="markdown", version_flags=())
         for verb, (target, verb_line) in verbs.items():
-            sub.command(target, name=verb, help=verb_line)
+            sub.command(target, name=verb, help=None if arguments[:2] == [group, verb] else verb_line)
         app.command(sub)
     return app
+
+
+def _shown_default(value: Any) -> str | None:
+    """Return how `--help` shows a default; None where it would say nothing."""
+    if value is False or value in ("", ()):
+        return None
+    if isinstance(value, Enum):
+        return value.name.lower().replace("_", "-")
+    return str(value)

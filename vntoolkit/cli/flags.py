@@ -1,12 +1,14 @@
 """Command line flags from the frozen option dataclasses of the stages: one source for name, default and help.
 
-An option class documents each field in its docstring as `name: meaning.`; that sentence becomes the help.
+An option class documents each field in its docstring as `name: meaning.`; that becomes the help, up to the
+next field or the end of the paragraph.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import inspect
+import math
 import re
 from typing import Annotated, Any, get_type_hints
 
@@ -28,6 +30,7 @@ def flags_from(options: type[Any], *, without: tuple[str, ...] = (), **renamed: 
             name=f"--{renamed.get(field.name, field.name).replace('_', '-')}",
             help=None if hidden else _capitalised(meanings[field.name]),
             parse=not hidden,
+            validator=require_finite,
         )
         default = (
             dataclasses.field(default_factory=field.default_factory)
@@ -50,18 +53,26 @@ def flags_from(options: type[Any], *, without: tuple[str, ...] = (), **renamed: 
     return Annotated[spread | None, Parameter(name="*")]
 
 
+def require_finite(_kind: Any, value: Any) -> None:
+    """Refuse NaN and infinity in every flag: no option means them, and few stages would notice."""
+    numbers = value if isinstance(value, tuple | list) else (value,)
+    if any(isinstance(number, float) and not math.isfinite(number) for number in numbers):
+        raise ValueError("Expected a finite number.")
+
+
 def meanings_of_fields(options: type[Any]) -> dict[str, str]:
     """Return what the docstring of an option class says of each field; raise `KeyError` for one it omits."""
-    text = " ".join(inspect.cleandoc(options.__doc__ or "").split())
+    paragraphs = re.split(r"\n\s*\n", inspect.cleandoc(options.__doc__ or ""))
     names = [field.name for field in dataclasses.fields(options)]
     # `name:` or `first, second:` starts a field's sentence
     start = re.compile(rf"(?<![\w`])((?:{'|'.join(names)})(?:, (?:{'|'.join(names)}))*): ")
-    marks = list(start.finditer(text))
     meanings: dict[str, str] = {}
-    for mark, following in zip(marks, [*marks, None][1:], strict=True):
-        sentence = text[mark.end() : following.start() if following else len(text)].strip()
-        for name in mark[1].split(", "):
-            meanings.setdefault(name, sentence.rstrip("."))
+    for text in (" ".join(paragraph.split()) for paragraph in paragraphs):
+        marks = list(start.finditer(text))
+        for mark, following in zip(marks, [*marks, None][1:], strict=True):
+            sentence = text[mark.end() : following.start() if following else len(text)].strip()
+            for name in mark[1].split(", "):
+                meanings.setdefault(name, sentence.rstrip("."))
     missing = [
         name
         for name, hint in get_type_hints(options).items()

@@ -67,7 +67,8 @@ def track(
     regulariser
         What keeps neighbouring vertices together.
     smoothing_length
-        In edges; Laplacian coordinates keep waves longer than about five times this.
+        Length over which motion is smoothed, in edges of the mesh; Laplacian coordinates keep waves
+        longer than about five times this.
     data_share
         Share α of the data term under the translation regulariser, 0 to 1.
     confidence

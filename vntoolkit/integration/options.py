@@ -35,13 +35,13 @@ class Precision(Enum):
 class IntegrationOptions:
     """Options of `DepthIntegrator`.
 
-    integrator: which one; None takes COSINE where every pixel is in the domain and POISSON elsewhere.
+    integrator: how slopes become depth; by default COSINE where every pixel is used, else POISSON.
     steepest_slope_deg: angle between surface and image plane beyond which slopes are held at that angle
         (degrees); keeps grazing and backward normals from exploding.
     least_weight: pixels of lower confidence leave the domain (0 to 1).
-    precision: of COSINE and FOURIER.
+    precision: floating-point precision of COSINE and FOURIER.
     tolerance: relative residual at which POISSON stops.
-    most_iterations: bound on those iterations; reaching it raises `SolverFailed`.
+    most_iterations: most iterations of POISSON; reaching them is an error.
     discontinuity: further options of DISCONTINUITY.
     """
 

@@ -53,9 +53,9 @@ class InversionOptions:
 
     relative_albedo: expected length of M⁻¹(r − a), the surface's albedo over the calibration material's (1 if
     it is the same material; `relative_albedo_from_frame` measures it). albedo_tolerance: relative departure
-    from it that halves a pixel's weight. darkest: share of the expected length below which a pixel is black
-    and has no normal. clipped: what becomes of saturated pixels. steepest_deg: largest angle in degrees from
-    the viewing axis that a gradient may express; steeper normals are held there.
+    from the expected albedo that halves a pixel's weight. darkest: share of the expected albedo below which a
+    pixel is black and has no normal. clipped: what becomes of saturated pixels. steepest_deg: largest angle
+    in degrees from the viewing axis that a gradient may express; steeper normals are held there.
     """
 
     relative_albedo: float = 1.0

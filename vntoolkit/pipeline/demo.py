@@ -37,7 +37,8 @@ Stage = Callable[[str, int, int], None]
 class DemoOptions:
     """How large the demonstration is.
 
-    frames: frames of the garment that are filmed and reconstructed. width, height: of the images, pixels.
+    frames: frames of the garment that are filmed and reconstructed. width: width of the images, pixels.
+    height: height of the images, pixels.
     """
 
     frames: int = 12

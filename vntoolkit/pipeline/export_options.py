@@ -57,7 +57,8 @@ class ExportOptions:
     benchmark's. normal_convention: axes of normal maps (png, npz, diligent). units: length unit of the files,
     where the result has a scale; default metres, and lengths as they are where it has none. up: axis that
     points up in meshes. scale: metres for a length of 1 in the result, where it has no scale of its own
-    (lengths in pixels, or free). surface: which meshes.
+    (lengths in pixels, or free). surface: which meshes: the registered surface (tracked), those of each frame
+    (frames), or the registered one where there is one (auto).
     """
 
     to: ExportFormat

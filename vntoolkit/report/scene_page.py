@@ -45,9 +45,9 @@ _ZLIB_LEVEL = 6
 class SceneOptions:
     """How much of a reconstruction goes into an offline page.
 
-    vertices: of each frame's mesh, at most; finer ones are thinned. picture_px: longest side of the pictures,
-    pixels. most_frames: more are thinned to as many, evenly spread; 12,000 vertices and four pictures of 640
-    pixels take about 0.3 MB a frame.
+    vertices: most vertices of a frame's mesh; finer ones are thinned. picture_px: longest side of the
+    pictures, pixels. most_frames: most frames on the page, evenly spread over those there are; 12,000
+    vertices and four pictures of 640 pixels take about 0.3 MB a frame.
     """
 
     vertices: int = 12_000

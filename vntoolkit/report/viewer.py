@@ -55,7 +55,7 @@ class ViewerOptions:
     """Where the viewer is served.
 
     host: address to listen on; 127.0.0.1 is seen by this machine only, 0.0.0.0 by the whole network. port:
-    of the page; the next free one is taken where it is in use.
+    port of the page; the next free one is taken where it is in use.
     """
 
     host: str = "127.0.0.1"

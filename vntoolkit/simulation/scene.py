@@ -60,11 +60,11 @@ SCENES: dict[str, str] = {
 class SceneOptions:
     """What every scene can be asked for.
 
-    width, height: image size in pixels. seed: of the scene's own randomness (motion, texture).
-    lighting: the coloured lamps together, or one place alone with a white lamp. field_width_m: what the
-    camera sees across at the subject, metres; the scene's own by default. The board is printed in
-    proportion, so that one zoom films both it and another scene. sample: a scene whose material lies in the
-    board's hole; by default a grey cloth or paper.
+    width, height: image size in pixels. seed: seed of the scene's own randomness (motion, texture). lighting:
+    the coloured lamps together, or one place alone with a white lamp. field_width_m: what the camera sees
+    across at the subject, metres; the scene's own by default. The board is printed in proportion, so that one
+    zoom films both it and another scene. sample: a scene whose material lies in the board's hole; by default
+    a grey cloth or paper.
     """
 
     width: int = 640

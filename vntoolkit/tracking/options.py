@@ -59,8 +59,10 @@ class FlowMethod(Enum):
 class FlowOptions:
     """Optical flow between consecutive normal maps.
 
-    method: see FlowMethod. lattice_px: spacing of the points that Lucas–Kanade follows, pixels.
-    window_px: side of its window, pixels, odd. levels: pyramid levels above full resolution.
+    method: how motion between two frames is found: none, dis (dense inverse search), or lattice, which then
+    follows points by Lucas–Kanade. lattice_px: spacing of the points that Lucas–Kanade follows, pixels.
+    window_px: side of the window around such a point, pixels, odd. levels: pyramid levels above full
+    resolution.
     """
 
     method: FlowMethod = FlowMethod.LATTICE
@@ -73,12 +75,13 @@ class FlowOptions:
 class DriftOptions:
     """Registration of the template to the current frame.
 
-    correction: see DriftCorrection. every: frames from one correction to the next. cell_px: side of a
+    correction: what takes back the error that adds up from frame to frame: none, or template, which registers
+    the template itself to every frame. every: frames from one correction to the next. cell_px: side of a
     lattice cell on the template, pixels. levels: pyramid levels above full resolution that a correction
-    starts from. iterations: Gauss–Newton steps at full resolution. stiffness: how strongly neighbouring
-    cells share their correction, as a share of the mean information of a cell. noise_slope: standard
-    deviation of a slope that passes for noise at least, when judging the match; where most of a frame matches
-    worse, as under aliasing, that passes.
+    starts from. iterations: Gauss–Newton steps at full resolution. stiffness: how strongly neighbouring cells
+    share their correction, as a share of the mean information of a cell. noise_slope: standard deviation of a
+    slope that passes for noise at least, when judging the match; where most of a frame matches worse, as
+    under aliasing, that passes.
     """
 
     correction: DriftCorrection = DriftCorrection.TEMPLATE

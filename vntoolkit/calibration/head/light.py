@@ -36,8 +36,8 @@ class LightOptions:
     """How M is fitted to skin.
 
     light_model: 3×3, or 3×4 with ambient light, for skin of one albedo only: on bare skin, variation of
-    albedo passes for ambient light. light_draws: hypotheses. light_inlier: largest colour error of an
-    inlier over its colour's length.
+    albedo passes for ambient light. light_draws: random hypotheses of M that are tried. light_inlier: largest
+    colour error of an inlier over its colour's length.
     """
 
     light_model: ResponseModel = ResponseModel.LINEAR

@@ -10,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, IntArray, Mask, Points2, read_only
+from vntoolkit.calibration.head.contrast import contrast_in_8_bits
 from vntoolkit.errors import BadCalibration, BadInput
 
 _LEAST_FOLLOWED = 0.25  # of the usual number of points: fewer means a cut, even where some match by chance
 _LEAST_MOTION = 0.08  # of the head's diagonal in the picture, over a whole track
-_WIDEST_VALUE = 4.0  # local contrast that becomes black or white in the 8-bit image that is followed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,9 +22,10 @@ class TrackOptions:
     """How skin is followed.
 
     corners: most corners followed at a time. corner_quality: weakest corner as a share of the strongest.
-    corner_spacing_px: between corners. window_px: side of the window that is compared. there_and_back_px:
-    largest distance between a point and where it lands when followed to the next frame and back.
-    margin_px: how far inside the silhouette. least_frames: shorter tracks are dropped.
+    corner_spacing_px: least distance between corners, pixels. window_px: side of the window that is compared,
+    pixels. there_and_back_px: largest distance between a point and where it lands when followed to the next
+    frame and back. margin_px: least distance of a corner from the silhouette's edge, pixels. least_frames:
+    shorter tracks are dropped.
     """
 
     corners: int = 2000
@@ -99,7 +100,7 @@ class TrackBuilder:
 
         contrast: (h, w) local contrast. mask: (h, w) the silhouette.
         """
-        image = np.clip(127.5 + 127.5 / _WIDEST_VALUE * contrast, 0, 255).astype(np.uint8)
+        image = contrast_in_8_bits(contrast)
         allowed = self._allowed(mask)
         if self._previous is not None and len(self._positions):
             self._follow(self._previous, image, allowed)
