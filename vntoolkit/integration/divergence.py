@@ -31,14 +31,14 @@ def divergence_from_slopes(p: npt.NDArray[np.float32], q: npt.NDArray[np.float32
     return divergence
 
 
-@numba.njit(cache=True, fastmath=True, nogil=True)
+@numba.njit(cache=True, fastmath=True, parallel=True)
 def _divergence(p, q, out):  # type: ignore[no-untyped-def]
     height, width = p.shape
     k = np.float32(1.0 / 24.0)
     c14, c9, c19, c13, c5 = (
         np.float32(14.0), np.float32(9.0), np.float32(19.0), np.float32(13.0), np.float32(5.0),
     )  # fmt: skip
-    for v in range(height):
+    for v in numba.prange(height):
         row = p[v]
         to = out[v]
         for u in range(2, width - 2):

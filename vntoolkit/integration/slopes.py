@@ -89,12 +89,13 @@ def slopes_from_normals(
     return p, q
 
 
-@numba.njit(cache=True, fastmath=True, nogil=True)
+@numba.njit(cache=True, fastmath=True, parallel=True)
 def _slopes_affine(normals, affine, perspective, least_facing, p, q):  # type: ignore[no-untyped-def]
     height, width = p.shape
-    x_u, x_v, x_0, y_u, y_v, y_0 = affine
+    x_u, x_v, x_0 = affine[0], affine[1], affine[2]
+    y_u, y_v, y_0 = affine[3], affine[4], affine[5]
     one = np.float32(1.0)
-    for v in range(height):
+    for v in numba.prange(height):
         for u in range(width):
             nx, ny, nz = normals[v, u, 0], normals[v, u, 1], normals[v, u, 2]
             x = perspective * (x_u * np.float32(u) + x_v * np.float32(v) + x_0)
@@ -106,11 +107,11 @@ def _slopes_affine(normals, affine, perspective, least_facing, p, q):  # type: i
             q[v, u] = (nx * x_v + ny * y_v) * inverse
 
 
-@numba.njit(cache=True, fastmath=True, nogil=True)
+@numba.njit(cache=True, fastmath=True, parallel=True)
 def _slopes_table(normals, table, least_facing, p, q):  # type: ignore[no-untyped-def]
     height, width = p.shape
     one = np.float32(1.0)
-    for v in range(height):
+    for v in numba.prange(height):
         for u in range(width):
             nx, ny, nz = normals[v, u, 0], normals[v, u, 1], normals[v, u, 2]
             x, y = table[v, u, 0], table[v, u, 1]

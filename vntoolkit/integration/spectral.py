@@ -23,7 +23,7 @@ class RectangleSolver(Protocol):
     """Solves Laplacian z = divergence on one rectangle; mean z = 0."""
 
     def solve(self, divergence: Image) -> Image:
-        """Return z, (h, w), in the dtype of the solver."""
+        """Return z, (h, w), in the dtype of the solver; `divergence` may be overwritten."""
 
 
 class CosineSolver:
@@ -35,8 +35,8 @@ class CosineSolver:
         self._inverse = np.asarray(1.0 / eigenvalues, dtype=dtype)
 
     def solve(self, divergence: Image) -> Image:
-        """Return z, (h, w), of mean 0."""
-        field = divergence.astype(self._inverse.dtype)
+        """Return z, (h, w), of mean 0; a `divergence` of the solver's dtype is overwritten."""
+        field = divergence.astype(self._inverse.dtype, copy=False)
         spectrum = scipy.fft.dctn(field, type=2, norm="ortho", workers=_WORKERS, overwrite_x=True)
         spectrum *= self._inverse
         return scipy.fft.idctn(spectrum, type=2, norm="ortho", workers=_WORKERS, overwrite_x=True)

@@ -15,6 +15,7 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.io.conventions import NormalConvention
 from vntoolkit.io.exr import ExrCompression, read_exr, write_exr
+from vntoolkit.io.half_floats import half_planes_from_normals
 from vntoolkit.io.images import read_image_with_alpha, write_png
 from vntoolkit.io.label_images import read_labels, read_mask, write_labels, write_mask
 from vntoolkit.io.normal_axes import finding_from_axes
@@ -36,8 +37,6 @@ logger = logging.getLogger(__name__)
 
 _UNIT_ATTRIBUTE = "vntoolkit.lengthUnit"
 _CONVENTION_ATTRIBUTE = "vntoolkit.normalConvention"
-_HALF_ONE_BITS = np.uint16(0x3C00)  # 1.0 as a half float
-_HALF_SIGN_BIT = np.uint16(0x8000)
 _SHORTEST_NORMAL = 0.5  # a stored vector below it is background, not a normal: (0, 0, 0) or mid grey
 
 
@@ -56,8 +55,9 @@ def write_normal_map(
     match Path(path).suffix.lower():
         case ".exr":
             attributes = {_CONVENTION_ATTRIBUTE: convention.value}
-            planes = _half_planes(normal_map, convention)
-            write_exr(path, planes, attributes=attributes, compression=compression)
+            planes = half_planes_from_normals(normal_map, convention.signs)
+            channels = dict(zip("RGBA", planes, strict=True))
+            write_exr(path, channels, attributes=attributes, compression=compression)
         case ".png":
             stored = normal_map.normals_in_camera * np.array(convention.signs, np.float32)
             write_png(path, _png_from_normals(stored, normal_map.mask, bits))
@@ -145,21 +145,6 @@ def read_flow(path: Path | str, *, max_megapixels: float | None = None) -> Flow:
     if not {"du", "dv"} <= set(channels):
         raise BadInput(f"{path}: expected the channels du and dv, found {', '.join(channels)}")
     return np.stack([channels["du"], channels["dv"]], axis=-1).astype(np.float32)
-
-
-def _half_planes(normal_map: NormalMap, convention: NormalConvention) -> dict[str, npt.NDArray[np.float16]]:
-    """Convert plane by plane and flip sign bits afterwards: 4 ms at 1280×720 instead of 7."""
-    planes = np.empty((4, *normal_map.shape), dtype=np.float16)
-    for i, sign in enumerate(convention.signs):
-        planes[i] = normal_map.normals_in_camera[..., i]
-        if sign < 0:
-            bits = planes[i].view(np.uint16)
-            np.bitwise_xor(bits, _HALF_SIGN_BIT, out=bits)
-    if normal_map.weight is None:
-        np.multiply(normal_map.mask, _HALF_ONE_BITS, out=planes[3].view(np.uint16))
-    else:
-        np.multiply(normal_map.weight, normal_map.mask, out=planes[3], dtype=np.float32, casting="same_kind")
-    return dict(zip("RGBA", planes, strict=True))
 
 
 def _png_from_normals(stored: FloatArray, mask: Mask, bits: int) -> npt.NDArray[Any]:

@@ -24,16 +24,17 @@ def findings_from_capture(
     """
     numbers = numbers or range(len(capture))
     findings = findings_from_quality(rig)
-    middle = numbers[len(numbers) // 2]
-    encoded = next(capture.encoded_frames(middle, middle + 1))
-    findings += findings_from_rig(encoded, rig, capture.options.transfer, mask, capture.background)
-    if len(numbers) > 1:
-        chosen = sorted({numbers[round(i)] for i in np.linspace(0, len(numbers) - 1, _FRAMES_COMPARED)})
-        frames = [
-            linear_frame_from_encoded(next(capture.encoded_frames(n, n + 1)), capture.options.transfer)
-            for n in chosen
-        ]
-        drift = drift_of_static_part(frames)
+    transfer = capture.options.transfer
+    places = np.linspace(0, len(numbers) - 1, _FRAMES_COMPARED).round().astype(int)
+    middle = len(places) // 2
+    compared = []
+    for number in sorted({numbers[i] for i in places}):
+        for encoded in capture.encoded_frames(number, number + 1):
+            compared.append(linear_frame_from_encoded(encoded, transfer))
+            if number == numbers[places[middle]]:
+                findings += findings_from_rig(encoded, rig, transfer, mask, capture.background)
+    if len(compared) > 1:
+        drift = drift_of_static_part(compared)
         findings += [] if drift is None else [drift.to_text()]
     return findings
 

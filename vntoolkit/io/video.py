@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections import deque
 from collections.abc import Iterable, Iterator
 from fractions import Fraction
 from functools import cached_property
@@ -39,12 +41,16 @@ class VideoReader:
     """Frames of one video file as RGB arrays, from any frame on.
 
     8-bit sources give uint8; deeper ones uint16, whose full scale is `2**bits - 1`. Frames are counted by
-    their packets, so the number of a frame does not depend on a frame rate in the header.
+    their packets, so the number of a frame does not depend on a frame rate in the header. A decoder that came
+    to the end of what it was asked for waits there, so that going on costs no seek: cameras write a key frame
+    every few seconds, and all frames since then would be decoded again.
     """
 
     def __init__(self, path: Path | str, *, max_megapixels: float | None = None, threads: int = 2) -> None:
         self.path = require_file(path, BadCapture)
         self.threads = threads
+        # (number of its next frame, decoder); a deque, whose pop gives it to one thread alone
+        self._waiting: deque[tuple[int, Iterator[tuple[int | None, Any]]]] = deque(maxlen=1)
         with self._open() as container:
             stream = _video_stream(container, self.path)
             context = stream.codec_context
@@ -77,8 +83,8 @@ class VideoReader:
     ) -> Iterator[tuple[int, npt.NDArray[Any]]]:
         """Yield (number, RGB array) for the frames start, start + step, … below stop.
 
-        Decoding starts at the key frame before `start`. Raises `BadCapture` where the file ends early or a
-        frame is damaged.
+        Decoding goes on where the call before it ended, if that is no farther than the key frame before
+        `start`, or starts there. Raises `BadCapture` where the file ends early or a frame is damaged.
         """
         times = self.index.times
         last = len(times) if stop is None else min(stop, len(times))
@@ -86,11 +92,21 @@ class VideoReader:
             raise self._breaks_off(len(times))
         if start >= last:
             return
-        decoded = self._decoded(times[start] if start else None)
-        for number in range(start, last, step):
+        decoded = self._decoded_to(start)
+        numbers = range(start, last, step)
+        for number in numbers:
             if number in self.index.damaged:
                 raise self._damaged(number, "its checksum is wrong, or that of a frame it builds on")
             yield number, self._rgb(self._frame_shown_at(times[number], number, decoded), number)
+        self._waiting.append((numbers[-1] + 1, decoded))
+
+    def _decoded_to(self, start: int) -> Iterator[tuple[int | None, Any]]:
+        """Return a decoder that will come to frame `start`: the one that waits, if it need not go back."""
+        with contextlib.suppress(IndexError):
+            next_number, decoded = self._waiting.pop()
+            if self.index.key_frame_before(start) <= next_number <= start:
+                return decoded
+        return self._decoded(self.index.times[start] if start else None)
 
     def _frame_shown_at(self, time: int, number: int, decoded: Iterator[tuple[int | None, Any]]) -> Any:
         """Take frames until the one of that time; a frame that the decoder left out shifts no other."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from bisect import bisect_right
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,12 +17,19 @@ _logger = logging.getLogger(__name__)
 class VideoIndex:
     """When each frame is shown, in time base ticks, ascending; and how many the file promises.
 
-    damaged: numbers of the frames whose checksum is wrong, and of those that build on one.
+    damaged: numbers of the frames whose checksum is wrong, and of those that build on one. key_frames:
+    numbers of the frames from which decoding can start, ascending.
     """
 
     times: tuple[int, ...]
     promised: int
     damaged: frozenset[int] = frozenset()
+    key_frames: tuple[int, ...] = (0,)
+
+    def key_frame_before(self, number: int) -> int:
+        """Return the last key frame that is not after frame `number`; 0 where there is none."""
+        at = bisect_right(self.key_frames, number)
+        return self.key_frames[at - 1] if at else 0
 
 
 @dataclass(kw_only=True)
@@ -55,6 +63,7 @@ def index_of_stream(container: Any, stream: Any, name: str, *, has_checksums: bo
         times=tuple(times),
         promised=len(times) + max(missing, packets.broken),
         damaged=_damaged_frames(packets) if is_checked else frozenset(),
+        key_frames=tuple(number for number, (_, is_key, _) in enumerate(packets.frames) if is_key),
     )
 
 

@@ -15,7 +15,7 @@ from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.integration.anchor import DepthAnchor
 from vntoolkit.integration.integrate import DepthIntegrator
-from vntoolkit.io.decoding import EncodedFrame, linear_frame_from_encoded
+from vntoolkit.io.decoding import EncodedFrame, clipped_pixel_share, linear_frame_from_encoded
 from vntoolkit.io.undistortion import Undistorter
 from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame
@@ -126,23 +126,16 @@ class FrameProcessor:
             return self._normals_under_shadow(self.linear(frame))
         if self._device is not None and self._is_plain(frame):
             normal_map, self._depth_of_device = self._device.process(frame)
-            return normal_map, None, self._clipped_share(frame)
+            return normal_map, None, clipped_pixel_share(frame, self._rig.transfer)
         if self._is_plain(frame):
             values, transfer = frame.values, self._rig.transfer
             normal_map = normals_from_encoded(
                 values, self._rig.response, transfer, self._mask, self._options.inversion, frame.bits
             )
-            return normal_map, None, self._clipped_share(frame)
+            return normal_map, None, clipped_pixel_share(frame, self._rig.transfer)
         linear = self.linear(frame)
         normal_map = normals_from_frame(linear, self._rig.response, self._mask, self._options.inversion)
         return normal_map, None, float(linear.clipped.mean())
-
-    def _clipped_share(self, frame: EncodedFrame) -> float:
-        values = frame.values
-        white = self._rig.transfer.white_level * (2**frame.bits - 1)
-        brightest = np.maximum(values[..., 0], values[..., 1])  # max(axis=2) is five times slower
-        np.maximum(brightest, values[..., 2], out=brightest)
-        return float(np.count_nonzero(brightest >= white) / brightest.size)
 
     def _normals_under_shadow(self, frame: LinearFrame) -> tuple[NormalMap, VisibilityLabels, float]:
         """Find the shadows, then normals from whichever lights arrive; black pixels are the backdrop."""
