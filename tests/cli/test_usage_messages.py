@@ -118,3 +118,19 @@ def test_a_camera_that_is_not_there_is_one_line(place, capfd, monkeypatch):
     said = capfd.readouterr().err
     assert "camera 77: cannot be opened; is it plugged in, free, and yours to read?" in said
     assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize("number", ["nan", "inf", "-inf"])
+@pytest.mark.parametrize(
+    "command",
+    [
+        "reconstruct frame.png --rig rig.json --out o --distance=",
+        "calibrate sphere frame.png --out r.json --focal-px=",
+        "calibrate board frame.png --out r.json --square-mm=",
+        "track empty --smoothing-length=",
+        "view empty --max-megapixels=",
+    ],
+)
+def test_no_flag_takes_what_is_no_number(command, number, place, capsys, monkeypatch):
+    said = line_of(command + number, place, capsys, monkeypatch)
+    assert f'Invalid value "{number}" for {command.split()[-1][:-1]}. Expected a finite number.' in said

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from vntoolkit.arrays import FloatArray, Matrix3, Points, Points2
+from vntoolkit.checks import require_in_range
 from vntoolkit.errors import BadInput, SolverFailed
 from vntoolkit.evaluation.cylinder import (
     Cylinder,
@@ -55,6 +56,13 @@ class CylinderOptions:
     silhouette_px: float = 0.3
     correlated_points: float = 4.0
     common_deg: float = 4.0
+
+    def __post_init__(self) -> None:
+        """Refuse angles and spreads that no observation has."""
+        for name in ("support_deg", "parallel_deg"):
+            require_in_range(getattr(self, name), 0.0, 90.0, f"cylinder: {name}")
+        if not (self.silhouette_px > 0 and self.correlated_points >= 1 and self.common_deg > 0):
+            raise BadInput("cylinder: expected positive silhouette_px and common_deg, correlated_points >= 1")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

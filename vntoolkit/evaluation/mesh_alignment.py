@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from vntoolkit.arrays import Matrix3, Points, Vector3
-from vntoolkit.errors import BadMesh, SolverFailed
+from vntoolkit.errors import BadInput, BadMesh, SolverFailed
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 
 _FEWEST_VERTICES = 20
@@ -41,6 +41,13 @@ class AlignmentOptions:
     kept_share: float = 0.95
     rounds: int = 60
     samples: int = 20000
+
+    def __post_init__(self) -> None:
+        """Refuse what leaves nothing to align by."""
+        if not 0 < self.kept_share <= 1:
+            raise BadInput(f"alignment: expected a share of pairs from 0 to 1, got {self.kept_share:g}")
+        if self.rounds < 1 or self.samples < 3:
+            raise BadInput("alignment: expected at least one round and 3 samples")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

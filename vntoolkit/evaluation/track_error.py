@@ -15,7 +15,7 @@ import numpy.typing as npt
 from numba import njit
 
 from vntoolkit.arrays import Faces, FloatArray, Points, Points2, read_only
-from vntoolkit.checks import require_shape
+from vntoolkit.checks import require_in_range, require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 
@@ -79,6 +79,12 @@ class TrackErrorOptions:
     lost_px: float = 4.0
     hidden_share: float = 0.002
     sure_confidence: float = 0.5
+
+    def __post_init__(self) -> None:
+        """Refuse limits that mean nothing."""
+        if not (self.lost_px > 0 and self.hidden_share > 0):
+            raise BadInput("track error: expected positive lost_px and hidden_share")
+        require_in_range(self.sure_confidence, 0.0, 1.0, "track error: sure confidence")
 
 
 def anchors_on_mesh(positions_px: Points2, vertices: Points, faces: Faces, camera: Camera) -> SurfaceAnchors:

@@ -1,0 +1,142 @@
+"""Every class of options and every object refuses what makes no sense, by one line that names it."""
+
+import importlib
+
+import numpy as np
+import pytest
+
+from vntoolkit.errors import BadInput
+from vntoolkit.geometry.skeleton import Skeleton
+
+ONE_JOINT = Skeleton(names=("hips",), parents=np.array([-1]), offsets=np.zeros((1, 3)))
+STILL = {
+    "skeleton": ONE_JOINT,
+    "rotations": np.array([[[0, 0, 0, 1.0]]]),
+    "root_positions": np.zeros((1, 3)),
+    "frame_rate_hz": 30.0,
+}
+PRESS = {"ball_radius_mm": 3.0, "pixel_mm": 0.1}
+PLANE = {
+    "corners_px": (0.0, 0.0, 90.0, 0.0, 0.0, 90.0, 90.0, 90.0),
+    "width_mm": 20.0,
+    "height_mm": 20.0,
+    "pixel_mm": 0.1,
+}
+VARIATION = {
+    "powers": [[1, 0], [1, 0]],
+    "matrices": np.zeros((2, 3, 3)),
+    "ambients": np.zeros((2, 3)),
+    "centre_px": [0, 0],
+    "scale_px": 9,
+}
+REFUSALS = [
+    ("calibration.board_camera:IntrinsicsOptions", {"most_views": 1}, "at least [0-9]+ views, got 1"),
+    ("calibration.board_camera:IntrinsicsOptions", {"radial_terms": 3}, "0 to 2 radial"),
+    ("calibration.fit:FitOptions", {"shadow_share": 1.0}, "shadow share: expected 0 to 1, got 1"),
+    ("calibration.fit:FitOptions", {"outlier_sigmas": 0.0}, "outlier sigmas and inlier share"),
+    ("calibration.fit:FitOptions", {"rounds": 0}, "rounds and draws: expected at least 1"),
+    ("calibration.head.colmap:AdjustmentOptions", {"losses_px": (1.0,)}, "as many losses"),
+    ("calibration.head.colmap:AdjustmentOptions", {"least_angle_deg": 0.0}, "positive losses"),
+    ("calibration.head.contrast:ContrastOptions", {"contrast_px": 0.0}, "expected positive numbers"),
+    ("calibration.head.fusion:FusionOptions", {"fusion_depth": 3}, "expected a depth of 4 to 12"),
+    ("calibration.head.fusion:FusionOptions", {"agreement": 0.0}, "expected a positive agreement"),
+    ("calibration.head.hull:HullOptions", {"hull_cells": 8}, "hull: expected 16 to 512 cells"),
+    ("calibration.head.light:LightOptions", {"light_draws": 0}, "light: expected at least one draw"),
+    ("calibration.head.samples:SampleOptions", {"light_frames": 2}, "light: expected at least 3 frames"),
+    ("calibration.head.stereo:StereoOptions", {"stereo_window_px": 8}, "odd windows of 5 px or more"),
+    ("calibration.head.stereo:StereoOptions", {"neighbour_angles_deg": (0.0,)}, "at positive angles"),
+    ("calibration.head.stereo:StereoOptions", {"behind": 0.0}, "positive depths and smoothing"),
+    ("calibration.head.stereo:StereoOptions", {"least_correlation": 1.0}, "a correlation from 0 to 1"),
+    ("calibration.head.tracks:TrackOptions", {"corners": 10}, "tracks: expected at least 50 corners"),
+    ("calibration.head.tracks:TrackOptions", {"corner_quality": 0.0}, "tracks: expected positive corner"),
+    ("calibration.presses:PressOptions", {**PRESS, "pixel_mm": 0.0}, "positive ball radius and pixel size"),
+    ("calibration.presses:PressOptions", {**PRESS, "contact_share": 0.0}, "contact share from 0 to 1, got 0"),
+    ("calibration.presses:PressOptions", {**PRESS, "samples": 3}, "at least 4 samples a press"),
+    ("calibration.presses:PressOptions", {**PRESS, "flat_share": 11.0}, "flat share from 0 to 10, got 11"),
+    ("calibration.varying:VariationOptions", {"degree": 99}, "degree of the variation: expected 0 to"),
+    ("calibration.varying:VariationOptions", {"softness_deg": 0.0}, "softness, length share and stiffness"),
+    ("evaluation.track_error:TrackErrorOptions", {"lost_px": 0.0}, "expected positive lost_px"),
+    ("evaluation.track_error:TrackErrorOptions", {"sure_confidence": 9.0}, "sure confidence: expected"),
+    ("evaluation.mesh_alignment:AlignmentOptions", {"kept_share": 0.0}, "alignment: expected a share"),
+    ("evaluation.mesh_alignment:AlignmentOptions", {"samples": 2}, "at least one round and 3 samples"),
+    ("evaluation.cylinder_fit:CylinderOptions", {"support_deg": 99.0}, "support_deg: expected a value"),
+    ("evaluation.cylinder_fit:CylinderOptions", {"common_deg": 0.0}, "positive silhouette_px and common"),
+    ("geometry.board_layout:BoardLayout", {"columns": 10}, "odd numbers of squares from 3 on, got 10 × 11"),
+    ("geometry.board_layout:BoardLayout", {"square_mm": 0.0}, "squares of a positive size in mm, got 0"),
+    ("geometry.board_layout:BoardLayout", {"marker_share": 1.0}, "markers of 0.3 to 0.9 of a square, got 1"),
+    ("geometry.board_layout:BoardLayout", {"hole_squares": 4}, "a hole of an odd number of squares, got 4"),
+    ("geometry.board_layout:BoardLayout", {"hole_squares": 9}, "leaves no ring of two squares"),
+    ("geometry.board_layout:BoardLayout", {"columns": 99, "rows": 99}, "99 × 99 squares need more than"),
+    ("geometry.camera:Camera.orthographic", {"width": 0, "height": 9}, "a positive image size, got 0×9"),
+    ("geometry.garment_fit:GarmentFit", {"scale": 0.0}, r"fit: expected a positive scale, got 0\.0"),
+    ("geometry.maps:DepthMap", {"depth": np.zeros((2, 2), int), "mask": None}, "floating point, got int64"),
+    ("geometry.maps:DepthMap", {"depth": np.zeros((2, 2)), "mask": np.ones((2, 2))}, "booleans, got float64"),
+    ("geometry.motion:Motion", {**STILL, "rotations": np.zeros((1, 1, 4))}, "expected unit quaternions"),
+    ("geometry.motion:Motion", {**STILL, "frame_rate_hz": 0.0}, r"a positive number, got 0\.0"),
+    ("geometry.motion:Motion", {**STILL, "metres_per_unit": -1.0}, "metres per unit: expected a positive"),
+    (
+        "geometry.motion:Motion",
+        {**STILL, "rotations": np.zeros((0, 1, 4)), "root_positions": np.zeros((0, 3))},
+        "motion: expected at least one frame",
+    ),
+    ("geometry.rectification:Rectification", {**PLANE, "corners_px": (0.0,)}, "eight numbers, got 1"),
+    ("geometry.rectification:Rectification", {**PLANE, "width_mm": 0.0}, "positive sizes in millimetres"),
+    ("geometry.rectification:Rectification", {**PLANE, "pixel_mm": 1e-6}, "the pixel size makes an image of"),
+    ("geometry.rectification:Rectification", {**PLANE, "corners_px": (0.0,) * 8}, "corners lie on a line"),
+    (
+        "geometry.skeleton:Skeleton",
+        {"names": "a", "parents": [-1], "offsets": [[0, 0, 0]], "tip_joints": [1], "tip_offsets": [[0] * 3]},
+        "a tip names a joint that does not exist",
+    ),
+    ("integration.options:IntegrationOptions", {"tolerance": 0.0}, "tolerance"),
+    ("io.frame_range:FrameRange", {"start": 0, "stop": None, "step": 0}, "step"),
+    ("io.live_sources:CameraOptions", {"rate": 0.0}, "camera: expected a positive width, height and rate"),
+    ("meshing.clean:CleanOptions", {"smallest_piece": -1}, "smallest piece and largest hole of 0 or more"),
+    ("meshing.clean:CleanOptions", {"most_faces": 0}, "at least one triangle to remain, got 0"),
+    ("meshing.surface:MeshOptions", {"largest_step": 0.0}, "a positive number of pixels, got 0"),
+    ("meshing.surface:MeshOptions", {"stride": 0}, "stride: expected 1 or more, got 0"),
+    ("normals.inversion:InversionOptions", {"relative_albedo": 0.0}, "relative albedo: expected a positive"),
+    ("normals.inversion:InversionOptions", {"albedo_tolerance": 0.0}, "albedo tolerance: expected a"),
+    ("normals.inversion:InversionOptions", {"darkest": 1.0}, "darkest: expected a share between 0 and 1"),
+    ("normals.photometric_stereo:PhotometricStereoOptions", {"shadow_share": 1.0}, "shadow share: expected"),
+    ("normals.photometric_stereo:PhotometricStereoOptions", {"darkest": 0.0}, "saturation and darkest"),
+    ("photometry.transfer:Transfer", {"gamma": 0.0}, r"a gamma from 0\.1 to 10, got 0"),
+    ("photometry.transfer:Transfer", {"black_level": 1.0}, "black_level < white_level <= 1, got 1 and 1"),
+    ("photometry.variation:ResponseVariation", VARIATION, "a monomial is listed twice"),
+    ("pipeline.demo:DemoOptions", {"frames": 0}, "demo: expected 1 to 1000 frames, got 0"),
+    ("pipeline.demo:DemoOptions", {"width": 16}, "images of at least 320×240, got 16×480"),
+    ("pipeline.dress:DressOptions", {"figure_height": 0.0}, "figure height: expected positive metres, got 0"),
+    ("pipeline.options:ReconstructOptions", {"distance_m": 0.0}, "a positive number of metres, got 0"),
+    ("pipeline.options:ReconstructOptions", {"smoothing": 2.0}, "a share of full scale from 0 to 1, got 2"),
+    ("pipeline.options:ReconstructOptions", {"reference_frame": -1}, "expected a frame number, got -1"),
+    ("report.scene_page:SceneOptions", {"vertices": 3}, "scene: expected at least 4 vertices"),
+    ("report.turntable:PreviewOptions", {"frames": 0}, "preview: expected at least one frame and one pixel"),
+    ("shadows.confidence:ConfidenceOptions", {"gloss": 0.0}, "albedo tolerance and gloss must be positive"),
+    ("shadows.confidence:ConfidenceOptions", {"clipped": 2.0}, "confidence weight: expected a value from 0"),
+    ("shadows.outline:OutlineOptions", {"near_px": 99.0}, "far_px must be larger than near_px"),
+    ("shadows.published:PublishedOptions", {"reach_px": 0}, "component size and blur must be positive"),
+    ("shadows.surface:SurfaceOptions", {"noise": 0.0}, "noise, damping and steepest must be positive"),
+    ("shadows.surface:SurfaceOptions", {"doubt_trust": 2.0}, "doubt_trust must be from 0 to 1"),
+    ("shadows.surface:SurfaceOptions", {"cycles": 0}, "iterations and cycles must be at least 1"),
+    ("simulation.nuisances:Nuisances", {"bits": 9}, "bits: expected one of 8, .*, got 9"),
+    ("simulation.scene:SceneOptions", {"width": 9}, "an image of at least 16×16, got 9×480"),
+    ("simulation.scene:SceneOptions", {"field_width_m": 9.0}, r"a field of 0\.05 to 5 m across, got 9 m"),
+    ("simulation.scene:SceneOptions", {"sample": "cheese"}, "no scene 'cheese' to take a sample from"),
+    ("skinning.clock:ClockOptions", {"speed": 0.0}, "speed: expected a positive number, got 0"),
+    ("skinning.clock:ClockOptions", {"start": -1.0}, "start: expected seconds from 0 on, got -1"),
+    ("skinning.gait:GaitOptions", {"strides": 0}, "gait: expected at least one stride"),
+    ("skinning.weights:WeightOptions", {"neighbours": 0}, "neighbours: expected at least 1, got 0"),
+    ("skinning.weights:WeightOptions", {"distance_power": 0.0}, "distance power: expected a positive number"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "line"), REFUSALS, ids=[f"{n}-{i}" for i, (n, *_) in enumerate(REFUSALS)]
+)
+def test_what_makes_no_sense_is_refused_by_a_line_that_names_it(name, values, line):
+    module, path = name.split(":")
+    made = importlib.import_module(f"vntoolkit.{module}")
+    for part in path.split("."):
+        made = getattr(made, part)
+    with pytest.raises(BadInput, match=line):
+        made(**values)
