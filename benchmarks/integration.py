@@ -23,7 +23,6 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.integration.options import IntegrationOptions, Integrator
-from vntoolkit.integration.slopes import rays_from_camera, slopes_from_normals
 from vntoolkit.pipeline.evaluate_integration import depth_error_percent, read_object, real_object_errors
 
 # Mean absolute error in mm: Cao et al.'s code, and the best least-squares program, on the same maps.
@@ -127,10 +126,8 @@ def frame_speed() -> dict[str, float]:
     camera = Camera.orthographic(width=1280, height=720)
     normal_map = NormalMap(normals_in_camera=normals, mask=np.ones((720, 1280), dtype=bool))
     integrator = DepthIntegrator(camera)
-    p, q = slopes_from_normals(normals, rays_from_camera(camera), 89.0)
     return {
         "normals_to_depth_ms": 1e3 * fastest(lambda: integrator.integrate(normal_map), 30),
-        "slopes_to_depth_ms": 1e3 * fastest(lambda: integrator.integrate_slopes(p, q), 30),
     }
 
 

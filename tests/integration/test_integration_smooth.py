@@ -9,7 +9,6 @@ from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.maps import LengthUnit, NormalMap
 from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.integration.options import IntegrationOptions, Integrator, Precision
-from vntoolkit.integration.slopes import rays_from_camera, slopes_from_normals
 
 LEAST_SQUARES = [Integrator.FOURIER, Integrator.COSINE, Integrator.POISSON]
 
@@ -110,14 +109,6 @@ def test_a_distorted_camera_sees_the_same_plane():
     depth = -1.0 / (camera.unproject(camera.pixel_grid(), np.ones((70, 90))) @ normal)
     found = integrate(np.tile(normal.astype(np.float32), (70, 90, 1)), camera=camera)
     assert np.abs(found.depth * depth.mean() / depth - 1).max() < 2e-4
-
-
-def test_slopes_given_directly_are_the_normals_slopes():
-    _, normals = peaks(96)
-    camera = Camera.orthographic(width=96, height=96)
-    p, q = slopes_from_normals(normals, rays_from_camera(camera), 89.0)
-    direct = DepthIntegrator(camera).integrate_slopes(p, q)
-    assert np.array_equal(direct.depth, integrate(normals).depth)
 
 
 @pytest.mark.parametrize("integrator", list(Integrator))

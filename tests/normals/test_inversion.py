@@ -7,7 +7,6 @@ from vntoolkit.errors import BadInput
 from vntoolkit.normals.inversion import (
     ClippedPixels,
     InversionOptions,
-    gradients_from_encoded,
     normals_from_encoded,
     normals_from_frame,
     relative_albedo_from_frame,
@@ -110,23 +109,6 @@ def test_the_fused_pass_is_decoding_then_inversion(rng, dtype, curve) -> None:
     assert np.array_equal(fused.mask, separate.mask)
     np.testing.assert_allclose(fused.normals_in_camera, separate.normals_in_camera, atol=1e-6)
     np.testing.assert_allclose(fused.weight, separate.weight, atol=1e-6)
-
-
-def test_gradients_are_those_of_the_normals_and_end_at_the_steepest(rng) -> None:
-    truth = normals_near_the_axis(rng, (16, 16), spread=0.4)
-    truth[0, 0] = np.array([np.sin(np.deg2rad(89)), 0, -np.cos(np.deg2rad(89))])
-    encoded = np.clip(np.round(rgb_from_normals(truth, RESPONSE) * 65535), 0, 65535).astype(np.uint16)
-    result = gradients_from_encoded(
-        encoded, RESPONSE, Transfer(), options=InversionOptions(steepest_deg=80.0)
-    )
-    n = result.normal_map.normals_in_camera.astype(np.float64)
-    steep = -n[..., 2] < np.cos(np.deg2rad(80))
-    valid = result.normal_map.mask
-    mild = valid & ~steep
-    np.testing.assert_allclose(result.p[mild], -n[mild, 0] / n[mild, 2], rtol=1e-5)
-    np.testing.assert_allclose(result.q[mild], -n[mild, 1] / n[mild, 2], rtol=1e-5)
-    assert np.hypot(result.p, result.q).max() <= 1 / np.cos(np.deg2rad(80)) + 1e-4
-    assert np.all(result.p[~valid] == 0)
 
 
 def test_camera_noise_tilts_normals_by_what_the_inverse_predicts(rng) -> None:

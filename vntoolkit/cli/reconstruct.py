@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     MeshFlags: TypeAlias = MeshOptions | None
 else:
     PipelineFlags = flags_from(ReconstructOptions, distance_m="distance")
-    InversionFlags = flags_from(InversionOptions, without=("relative_albedo", "steepest_deg"))
+    InversionFlags = flags_from(InversionOptions, without=("relative_albedo",))
     IntegrationFlags = flags_from(IntegrationOptions)
     MeshFlags = flags_from(MeshOptions)
 

@@ -65,14 +65,6 @@ class DepthIntegrator:
         solution = solve(normal_map.normals_in_camera, normal_map.weight)
         return self._finish(solution, domain, self._domain.components)
 
-    def integrate_slopes(self, p: Float32Image, q: Float32Image) -> DepthMap:
-        """Return the depth of slopes per pixel along u (p) and v (q), each (h, w) float32, all valid.
-
-        For a kernel that makes slopes directly from colour; slopes as `slopes_from_normals` gives them.
-        """
-        domain = np.ones(p.shape, dtype=bool)
-        return self._finish(self._solve_rectangle(p, q, self._choice(domain)), domain)
-
     def _domain_of(self, normal_map: NormalMap) -> Mask:
         domain = normal_map.mask
         if normal_map.weight is not None:

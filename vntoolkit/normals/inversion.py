@@ -22,7 +22,6 @@ from vntoolkit.normals.inversion_kernels import (
     Coefficients,
     Decoding,
     Outputs,
-    gradients_from_integers_kernel,
     normals_from_integers_kernel,
     normals_from_rgb_kernel,
 )
@@ -54,15 +53,13 @@ class InversionOptions:
     relative_albedo: expected length of M⁻¹(r − a), the surface's albedo over the calibration material's (1 if
     it is the same material; `relative_albedo_from_frame` measures it). albedo_tolerance: relative departure
     from the expected albedo that halves a pixel's weight. darkest: share of the expected albedo below which a
-    pixel is black and has no normal. clipped: what becomes of saturated pixels. steepest_deg: largest angle
-    in degrees from the viewing axis that a gradient may express; steeper normals are held there.
+    pixel is black and has no normal. clipped: what becomes of saturated pixels.
     """
 
     relative_albedo: float = 1.0
     albedo_tolerance: float = 0.25
     darkest: float = 0.05
     clipped: ClippedPixels = ClippedPixels.DOWNWEIGHT
-    steepest_deg: float = 85.0
 
     def __post_init__(self) -> None:
         if not self.relative_albedo > 0:
@@ -71,26 +68,11 @@ class InversionOptions:
             raise BadInput(f"albedo tolerance: expected a positive number, got {self.albedo_tolerance:g}")
         if not 0 < self.darkest < 1:
             raise BadInput(f"darkest: expected a share between 0 and 1, got {self.darkest:g}")
-        if not 0 < self.steepest_deg < 90:
-            raise BadInput(f"steepest angle: expected 0 to 90 degrees, got {self.steepest_deg:g}")
 
     @property
     def clipped_factor(self) -> float:
         """The factor on a clipped pixel's weight; 0 excludes it."""
         return 0.1 if self.clipped is ClippedPixels.DOWNWEIGHT else 0.0
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class EncodedGradients:
-    """Depth gradients of one frame, ready for an integrator that works on the full rectangle.
-
-    p, q: (h, w) float32, ∂z/∂u and ∂z/∂v in pixels per pixel under an orthographic camera, 0 where invalid.
-    normal_map: the normals they come from.
-    """
-
-    p: Single
-    q: Single
-    normal_map: NormalMap
 
 
 def normals_from_frame(
@@ -140,39 +122,6 @@ def normals_from_encoded(
     return _map_from_outputs(out)
 
 
-def gradients_from_encoded(
-    encoded: npt.NDArray[Any],
-    response: LightResponse,
-    transfer: Transfer,
-    mask: Mask | None = None,
-    options: InversionOptions | None = None,
-    bits: int | None = None,
-) -> EncodedGradients:
-    """Decode, invert and take gradients in one pass: p = −n_x/n_z, q = −n_y/n_z.
-
-    Arguments and normals are those of `normals_from_encoded`.
-    """
-    shape = _require_encoded(encoded)
-    if response.variation is not None:
-        normal_map = normals_from_encoded(encoded, response, transfer, mask, options, bits)
-        n = normal_map.normals_in_camera
-        flattest = coefficients_from_response(response, options).flattest_z
-        slopes = (n[..., :2] / np.maximum(-n[..., 2:], flattest)).astype(np.float32)
-        return EncodedGradients(p=slopes[..., 0], q=slopes[..., 1], normal_map=normal_map)
-    out = _outputs(shape)
-    p, q = np.empty(shape, np.float32), np.empty(shape, np.float32)
-    gradients_from_integers_kernel(
-        np.ascontiguousarray(encoded),
-        _decoding(encoded, transfer, bits),
-        _require_mask(mask, shape),
-        coefficients_from_response(response, options),
-        out,
-        p,
-        q,
-    )
-    return EncodedGradients(p=p, q=q, normal_map=_map_from_outputs(out))
-
-
 def relative_albedo_from_frame(
     frame: LinearFrame, response: LightResponse, mask: Mask | None = None
 ) -> float:
@@ -204,7 +153,6 @@ def coefficients_from_response(response: LightResponse, options: InversionOption
         darkest=np.float32(options.darkest),
         sharpness=np.float32(0.5 / options.albedo_tolerance),
         clipped_factor=np.float32(options.clipped_factor),
-        flattest_z=np.float32(np.cos(np.deg2rad(options.steepest_deg))),
     )
 
 

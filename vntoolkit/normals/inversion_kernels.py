@@ -25,7 +25,7 @@ class Coefficients(NamedTuple):
 
     inverse: M⁻¹ over the expected albedo, (3, 3). offset: the same times the ambient light, (3,). darkest:
     smallest length of a pixel that has a normal. sharpness: 1 / (2 albedo tolerance). clipped_factor: on a
-    clipped pixel's weight. flattest_z: smallest |n_z| that a gradient expresses.
+    clipped pixel's weight.
     """
 
     inverse: Array
@@ -33,7 +33,6 @@ class Coefficients(NamedTuple):
     darkest: np.float32
     sharpness: np.float32
     clipped_factor: np.float32
-    flattest_z: np.float32
 
 
 class Decoding(NamedTuple):
@@ -108,32 +107,6 @@ def normals_from_integers_kernel(
             clipped[u] = max(r, g, b) >= decoding.white
             _mix(r, g, b, c, x, y, z, u)
         normalise_row(x, y, z, clipped, inside[v], c, weight[v], valid[v])
-        for u in range(width):
-            normals[v, u, 0] = x[u]
-            normals[v, u, 1] = y[u]
-            normals[v, u, 2] = z[u]
-
-
-@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
-def gradients_from_integers_kernel(
-    encoded: Array, decoding: Decoding, inside: Array, c: Coefficients, out: Outputs, p: Array, q: Array
-) -> None:
-    """As `normals_from_integers_kernel`, with the gradients p, q (h, w) of an orthographic depth."""
-    height, width = inside.shape
-    normals, weight, valid = out  # numba drops stores through a tuple's field inside prange
-    table = decoding.table
-    for v in prange(height):
-        x, y, z = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
-        clipped = np.empty(width, np.bool_)
-        for u in range(width):
-            r, g, b = table[encoded[v, u, 0]], table[encoded[v, u, 1]], table[encoded[v, u, 2]]
-            clipped[u] = max(r, g, b) >= decoding.white
-            _mix(r, g, b, c, x, y, z, u)
-        normalise_row(x, y, z, clipped, inside[v], c, weight[v], valid[v])
-        for u in range(width):
-            slope = _ONE / max(-z[u], c.flattest_z)
-            p[v, u] = x[u] * slope
-            q[v, u] = y[u] * slope
         for u in range(width):
             normals[v, u, 0] = x[u]
             normals[v, u, 1] = y[u]
