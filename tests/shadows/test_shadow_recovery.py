@@ -204,3 +204,34 @@ def test_refusals(stage) -> None:
     flat = LinearFrame(rgb=np.full((40, 40, 3), 0.5, np.float32), clipped=np.zeros((40, 40), bool))
     with pytest.raises(BadCalibration, match="0 shadow edge pixels of light 0"):
         response_with_light_colours([flat], stage.response)
+
+
+def test_the_place_of_a_figure_in_its_frame_changes_nothing(stage) -> None:
+    """The same figure alone, and in the corner of a larger dark frame."""
+    mask = np.zeros((150, 200), bool)
+    mask[4:124, 4:164] = True
+    rgb = np.zeros((150, 200, 3), np.float32)
+    rgb[4:124, 4:164] = stage.frame.rgb
+    large = LinearFrame(rgb=rgb, clipped=np.zeros(mask.shape, bool))
+    shift = np.array([[1, 0, 4], [0, 1, 4], [0, 0, 1.0]])
+    camera = Camera.pinhole(width=200, height=150, focal_px=300.0)
+    near = camera.cropped(slice(0, 128), slice(0, 168))
+    assert np.allclose(shift @ camera.cropped(slice(4, 124), slice(4, 164)).matrix, camera.matrix)
+    assert (near.width, near.height) == (168, 128)
+    detector = ShadowDetector(stage.response, camera=camera)
+    for _ in range(2):  # the second time with a memory
+        labels = detector.labels(large, mask)
+    found = recover_surface(large, labels, stage.response, mask, camera=camera)
+    part = LinearFrame(rgb=rgb[:128, :168], clipped=large.clipped[:128, :168])
+    alone = ShadowDetector(stage.response, camera=near)
+    for _ in range(2):
+        labels_alone = alone.labels(part, mask[:128, :168])
+    expected = recover_surface(part, labels_alone, stage.response, mask[:128, :168], camera=near)
+    assert (labels[~mask] == 7).all()
+    assert np.array_equal(labels[:128, :168], labels_alone)
+    normals = found.normal_map.normals_in_camera
+    assert np.allclose(normals[:128, :168], expected.normal_map.normals_in_camera, atol=1e-5)
+    assert not normals[~mask].any()
+    assert found.depth_map is not None
+    assert expected.depth_map is not None
+    assert np.allclose(found.depth_map.depth[:128, :168], expected.depth_map.depth, atol=1e-5)

@@ -5,7 +5,7 @@ Model names are COLMAP's (PINHOLE, OPENCV); ORTHOGRAPHIC is ours. Pixel centres 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
@@ -112,6 +112,13 @@ class Camera:
             matrix=matrix,
             distortion=self.distortion,
         )
+
+    def cropped(self, rows: slice, columns: slice) -> Camera:
+        """Return the camera of the pixels [rows, columns] of its image; slices with a start and a stop."""
+        matrix: FloatArray = np.array(self.matrix, dtype=np.float64)
+        matrix[:2, 2] -= (columns.start, rows.start)
+        width, height = columns.stop - columns.start, rows.stop - rows.start
+        return replace(self, width=width, height=height, matrix=matrix)
 
     def without_distortion(self) -> Camera:
         """Return the pinhole camera of the undistorted image (itself where there is none)."""

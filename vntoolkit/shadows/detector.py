@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
+import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels
 from vntoolkit.checks import require_shape
@@ -16,6 +17,7 @@ from vntoolkit.photometry.visibility import ALL_LIT, labels_from_lit
 from vntoolkit.shadows.published import PublishedOptions, lit_by_edges
 from vntoolkit.shadows.robust import RobustOptions, lit_by_surface
 from vntoolkit.shadows.shares import shares_from_frame
+from vntoolkit.shadows.window import Window, frame_in_window, in_whole_image, window_around
 
 
 class ShadowMethod(Enum):
@@ -56,6 +58,7 @@ class ShadowDetector:
         self._options = options or ShadowOptions()
         self._camera = camera
         self._memory: FloatArray | None = None
+        self._shape = (0, 0)
 
     def forget(self) -> None:
         """Drop what the previous frame left, so that a sequence may start anywhere."""
@@ -64,14 +67,22 @@ class ShadowDetector:
     def labels(self, frame: LinearFrame, mask: Mask | None = None) -> VisibilityLabels:
         """Return (h, w) labels, bit k set where light k arrives; 7 outside `mask`, where nobody may look."""
         inside = np.ones(frame.shape, dtype=np.bool_) if mask is None else np.asarray(mask)
+        if frame.shape != self._shape:
+            self._shape, self._memory = frame.shape, None
         require_shape(inside, frame.shape, "mask")
         if self._method is ShadowMethod.NONE or not inside.any():
             return np.full(frame.shape, ALL_LIT, dtype=np.uint8)
+        window = window_around(inside)
+        lit = self._lit(frame_in_window(frame, window), inside[window], window)
+        labels = np.where(inside[window], labels_from_lit(lit), ALL_LIT).astype(np.uint8)
+        return in_whole_image(labels, window, frame.shape, ALL_LIT)
+
+    def _lit(self, frame: LinearFrame, mask: Mask, window: Window) -> npt.NDArray[np.bool_]:
         shares = shares_from_frame(frame, self._response)
         if self._method is ShadowMethod.PUBLISHED:
-            lit = lit_by_edges(shares.contributions, inside, self._options.published)
-        else:
-            lit, self._memory = lit_by_surface(
-                shares, inside, self._options.robust, self._camera, self._memory
-            )
-        return np.where(inside, labels_from_lit(lit), ALL_LIT).astype(np.uint8)
+            return lit_by_edges(shares.contributions, mask, self._options.published)
+        camera = None if self._camera is None else self._camera.cropped(*window)
+        memory = None if self._memory is None else self._memory[window]
+        lit, evidence = lit_by_surface(shares, mask, self._options.robust, camera, memory)
+        self._memory = in_whole_image(evidence, window, self._shape)
+        return lit

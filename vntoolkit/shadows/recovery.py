@@ -24,6 +24,7 @@ from vntoolkit.shadows.shares import LightShares, shares_from_frame
 from vntoolkit.shadows.starts import surface_from_either_start
 from vntoolkit.shadows.surface import SurfaceOptions, depth_map_from_surface
 from vntoolkit.shadows.two_lights import continue_with_two_lights
+from vntoolkit.shadows.window import Window, frame_in_window, in_whole_image, window_around
 
 
 class RecoveryMethod(Enum):
@@ -83,6 +84,22 @@ def recover_surface(
     require_shape(labels, frame.shape, "visibility labels")
     if labels.dtype != np.uint8 or labels.max(initial=0) > ALL_LIT:
         raise BadInput("visibility labels: expected bytes from 0 to 7")
+    window = window_around(inside)
+    part = _recover(
+        frame_in_window(frame, window), labels[window], response, inside[window], options,
+        None if camera is None else camera.cropped(*window),
+    )  # fmt: skip
+    return part if part.normal_map.shape == frame.shape else _in_whole_image(part, window, frame.shape)
+
+
+def _recover(
+    frame: LinearFrame,
+    labels: VisibilityLabels,
+    response: LightResponse,
+    inside: Mask,
+    options: RecoveryOptions,
+    camera: Camera | None,
+) -> RecoveredSurface:
     measured = shares_from_frame(frame, response)
     full = inside & (labels == ALL_LIT)
     albedo = albedo_from_lit(measured.length, full, options.albedo)
@@ -102,6 +119,20 @@ def recover_surface(
         depth_map = depth_map_from_surface(surface, inside, camera)
     weight = confidence_weight(labels, frame.clipped, measured.length, albedo, agreement, options.confidence)
     return RecoveredSurface(normal_map=_towards_viewer(normals, weight, inside), depth_map=depth_map)
+
+
+def _in_whole_image(part: RecoveredSurface, window: Window, shape: tuple[int, int]) -> RecoveredSurface:
+    normal_map, depth_map = part.normal_map, part.depth_map
+    mask = in_whole_image(normal_map.mask, window, shape)
+    whole = NormalMap(
+        normals_in_camera=in_whole_image(normal_map.normals_in_camera, window, shape),
+        mask=mask,
+        weight=None if normal_map.weight is None else in_whole_image(normal_map.weight, window, shape),
+    )
+    if depth_map is None:
+        return RecoveredSurface(normal_map=whole, depth_map=None)
+    depth = DepthMap(depth=in_whole_image(depth_map.depth, window, shape), mask=mask, unit=depth_map.unit)
+    return RecoveredSurface(normal_map=whole, depth_map=depth)
 
 
 def _pixel_by_pixel(

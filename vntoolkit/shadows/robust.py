@@ -55,7 +55,7 @@ class RobustOptions:
     smoothness: float = 0.5
     contrast: float = 0.5
     rounds: int = 3
-    working_pixels: int = 250_000
+    working_pixels: int = 100_000
     persistence: float = 0.25
     cast_edge: CastEdgeOptions = field(default_factory=CastEdgeOptions)
     outline: OutlineOptions = field(default_factory=OutlineOptions)

@@ -35,25 +35,36 @@ def surface_from_either_start(
     camera: Camera | None,
     options: SurfaceOptions,
 ) -> Surface:
-    """Solve the surface of a frame; the starts of a large one are compared on a smaller image.
+    """Solve the surface of a frame, coarse to fine.
 
     albedo: (h, w), that of the surroundings. trust: (h, w), beyond that of `measured`.
     """
     measured = replace(measured, trust=(measured.trust * trust).astype(np.float32))
     options = _with_measured_noise(options, measured, mask & (labels == ALL_LIT))
-    factor = max(1, round(float(np.sqrt(mask.size / options.start_pixels))))
-    if factor == 1:
+    return _coarse_to_fine(measured, labels, albedo, mask, camera, options)
+
+
+def _coarse_to_fine(
+    measured: LightShares,
+    labels: VisibilityLabels,
+    albedo: FloatArray,
+    mask: Mask,
+    camera: Camera | None,
+    options: SurfaceOptions,
+) -> Surface:
+    """Compare the starts on a small image; go on from the better one at twice the size, and so on."""
+    if mask.size <= options.start_pixels:
         return _better_start(measured, labels, albedo, mask, camera, options)
-    small, small_mask = measured.shrunk(mask, factor)
+    small, small_mask = measured.shrunk(mask, 2)
     size = small_mask.shape[::-1]
-    start = _better_start(
+    start = _coarse_to_fine(
         small, cv2.resize(labels, size, interpolation=cv2.INTER_NEAREST).astype(np.uint8),
         np.asarray(cv2.resize(albedo, size, interpolation=cv2.INTER_AREA)), small_mask,
-        None if camera is None else camera.scaled(1.0 / factor), options,
+        None if camera is None else camera.scaled(0.5), options,
     )  # fmt: skip
     return _solver(measured, labels, albedo, mask, camera)(
         first_normals=measured.normals,
-        start=_enlarged(start, mask, factor),
+        start=_enlarged(start, mask, 2),
         options=replace(options, iterations=options.large_iterations),
     )
 

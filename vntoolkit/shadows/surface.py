@@ -54,10 +54,10 @@ class SurfaceOptions:
     deviation, pixels) of that mean. doubt_trust: weight of a light that is labelled missing where the surface
     would return about what is seen, as it does where it turns from the light; doubt_reach: difference
     of shares at which that weight ends. damping: holds the slope back where nothing else is known.
-    iterations: Gauss–Newton steps. start_pixels: frames larger than this compare starts on an image shrunk
-    towards it; large_iterations: steps that follow at full size. cycles: multigrid cycles per step.
-    tolerance: relative residual that ends a step early. steepest: largest slope, the tangent of the angle
-    from the viewing ray.
+    iterations: Gauss–Newton steps. start_pixels: frames larger than this are halved until they are not, and
+    compare starts there; large_iterations: steps that follow at every larger size. cycles: multigrid cycles
+    per step. tolerance: relative residual that ends a step early. steepest: largest slope, the tangent of the
+    angle from the viewing ray.
     """
 
     noise: float = 0.03
@@ -72,10 +72,10 @@ class SurfaceOptions:
     doubt_reach: float = 0.2
     damping: float = 1.0
     iterations: int = 4
-    start_pixels: int = 250_000
-    large_iterations: int = 2
+    start_pixels: int = 15_000
+    large_iterations: int = 3
     cycles: int = 5
-    tolerance: float = 1e-4
+    tolerance: float = 3e-3
     steepest: float = 8.0
 
     def __post_init__(self) -> None:

@@ -72,13 +72,11 @@ def local_quadratics_kernel(
     h, w = labels.shape
     inverse_variance = 1.0 / (model.noise * model.noise)
     for v in range(h):
-        jacobian = np.empty((3, 2))
-        light, count = np.empty(3), np.empty(3)
         for u in range(w):
-            for i in range(6):
-                out[v, u, i] = 0.0
             trust = weight[v, u]
             if trust <= 0.0:
+                for i in range(6):
+                    out[v, u, i] = 0.0
                 continue
             label = labels[v, u]
             x, y = _ray(rays, v, u)
@@ -87,41 +85,32 @@ def local_quadratics_kernel(
             scale = 1.0 / np.sqrt(p * p + q * q + nz * nz)
             n0, n1, n2 = p * scale, q * scale, nz * scale
             along_p, along_q = n0 - x * n2, n1 - y * n2
-            ff = 0.0
+            ff, fr, f0, f1, a00, a01, a11, b0, b1, c = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             for k in range(3):
                 l0, l1, l2 = lights[k, 0], lights[k, 1], lights[k, 2]
-                light[k] = l0 * n0 + l1 * n1 + l2 * n2
-                count[k] = 1.0
+                light = l0 * n0 + l1 * n1 + l2 * n2
+                count = 1.0
                 if (label >> k) & 1 == 0:
-                    count[k] = _trust_of_missing(light[k], shares[v, u, k], model)
-                jacobian[k, 0] = (l0 - x * l2 - light[k] * along_p) * scale
-                jacobian[k, 1] = (l1 - y * l2 - light[k] * along_q) * scale
-                ff += count[k] * light[k] * light[k]
+                    count = _trust_of_missing(light, shares[v, u, k], model)
+                    if count == 0.0:
+                        continue
+                rest = shares[v, u, k] - light
+                j0 = (l0 - x * l2 - light * along_p) * scale
+                j1 = (l1 - y * l2 - light * along_q) * scale
+                seen0, seen1, seen = count * j0, count * j1, count * light
+                a00 += seen0 * j0
+                a01 += seen0 * j1
+                a11 += seen1 * j1
+                b0 += seen0 * rest
+                b1 += seen1 * rest
+                c += count * rest * rest
+                ff += seen * light
+                fr += seen * rest
+                f0 += seen * j0
+                f1 += seen * j1
             spread = model.albedo_own if label == 7 else model.albedo_known
-            shrink = spread * spread * inverse_variance / (1.0 + spread * spread * inverse_variance * ff)
-            fr = 0.0
-            f0 = 0.0
-            f1 = 0.0
-            a00 = 0.0
-            a01 = 0.0
-            a11 = 0.0
-            b0 = 0.0
-            b1 = 0.0
-            c = 0.0
-            for k in range(3):
-                if count[k] == 0.0:
-                    continue
-                rest = shares[v, u, k] - light[k]
-                j0, j1 = jacobian[k, 0], jacobian[k, 1]
-                a00 += count[k] * j0 * j0
-                a01 += count[k] * j0 * j1
-                a11 += count[k] * j1 * j1
-                b0 += count[k] * j0 * rest
-                b1 += count[k] * j1 * rest
-                c += count[k] * rest * rest
-                fr += count[k] * light[k] * rest
-                f0 += count[k] * light[k] * j0
-                f1 += count[k] * light[k] * j1
+            unsure = spread * spread * inverse_variance
+            shrink = unsure / (1.0 + unsure * ff)
             scaled = inverse_variance * trust
             toward = model.prior if label != 7 else 0.0
             extra = toward + model.damping
