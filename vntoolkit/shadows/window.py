@@ -19,7 +19,7 @@ def window_around(mask: Mask) -> Window:
     """Return (rows, columns) that hold all of `mask` and a margin; the whole image where it is empty."""
     if not mask.any():
         return slice(0, mask.shape[0]), slice(0, mask.shape[1])
-    return _span(mask.any(axis=1)), _span(mask.any(axis=0))
+    return _span(np.asarray(mask.any(axis=1))), _span(np.asarray(mask.any(axis=0)))
 
 
 def frame_in_window(frame: LinearFrame, window: Window) -> LinearFrame:
