@@ -93,10 +93,7 @@ def write_png(path: Path | str, pixels: npt.NDArray[Any], *, compression_level: 
     if pixels.ndim == 3:
         order = cv2.COLOR_RGB2BGR if pixels.shape[2] == 3 else cv2.COLOR_RGBA2BGRA
         pixels = cv2.cvtColor(np.ascontiguousarray(pixels), order)
-    ok, content = cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, compression_level])
-    if not ok:
-        raise BadInput(f"{path}: OpenCV cannot encode an image of shape {pixels.shape}")
-    write_bytes(path, content.tobytes())
+    write_bytes(path, _encoded(pixels, ".png", [cv2.IMWRITE_PNG_COMPRESSION, compression_level], str(path)))
 
 
 def encoded_image(pixels: npt.NDArray[np.uint8], suffix: str = ".png", *, quality: int = 88) -> bytes:
@@ -114,9 +111,17 @@ def encoded_image(pixels: npt.NDArray[np.uint8], suffix: str = ".png", *, qualit
             f"image: expected 8 bits and one of {', '.join(flags)}, got {pixels.dtype}, '{suffix}'"
         )
     ordered = cv2.cvtColor(np.ascontiguousarray(pixels), cv2.COLOR_RGB2BGR) if pixels.ndim == 3 else pixels
-    ok, content = cv2.imencode(suffix, ordered, flags[suffix])
+    return _encoded(ordered, suffix, flags[suffix], "image")
+
+
+def _encoded(pixels: npt.NDArray[Any], suffix: str, flags: list[int], name: str) -> bytes:
+    """Return the bytes of an image file of pixels in OpenCV's order; raise `BadInput`."""
+    try:
+        ok, content = cv2.imencode(suffix, pixels, flags)
+    except cv2.error:  # of an empty image, or one larger than the format allows
+        ok = False
     if not ok:
-        raise BadInput(f"image: OpenCV cannot encode pixels of shape {pixels.shape} as {suffix}")
+        raise BadInput(f"{name}: OpenCV cannot encode an image of shape {pixels.shape} as {suffix}")
     return bytes(content.tobytes())
 
 

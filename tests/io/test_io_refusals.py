@@ -1,0 +1,414 @@
+"""Each reader and writer refuses what it cannot serve by one line: the file, what was expected, what came."""
+
+import struct
+import zlib
+from fractions import Fraction
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from vntoolkit.errors import BadCapture, BadInput, BadMesh, BadMotion, BadRig, CannotWrite
+from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
+from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.geometry.point_cloud import PointCloud
+from vntoolkit.io.captures import CaptureOptions, open_capture
+from vntoolkit.io.exr import read_exr, write_exr
+from vntoolkit.io.files import require_inside
+from vntoolkit.io.frame_log import FrameEntry, FrameLog
+from vntoolkit.io.images import encoded_image, read_image, write_png
+from vntoolkit.io.label_images import read_labels, write_labels
+from vntoolkit.io.light_files import read_lights
+from vntoolkit.io.manifest import read_manifest
+from vntoolkit.io.maps import (
+    read_depth_map,
+    read_flow,
+    read_normal_map,
+    write_depth_map,
+    write_normal_map,
+)
+from vntoolkit.io.meshes import read_mesh, write_mesh, write_point_cloud
+from vntoolkit.io.motion_asf import read_asf_amc
+from vntoolkit.io.motion_bvh import read_bvh
+from vntoolkit.io.npy import map_npy, read_npz
+from vntoolkit.io.press_labels import read_press_label
+from vntoolkit.io.rigs import rig_from_text
+from vntoolkit.io.sequences import MeshSequenceWriter, read_mesh_sequence, write_mesh_sequence
+from vntoolkit.io.video import write_video
+
+TRIANGLE = Mesh(vertices=np.eye(3), faces=np.array([[0, 1, 2]], dtype=np.int32))
+PLANE = np.ones((4, 5), dtype=np.float32)
+ALL = np.ones((4, 5), dtype=bool)
+FLAT = NormalMap(normals_in_camera=np.tile(np.float32([0, 0, -1]), (4, 5, 1)), mask=ALL)
+LEVEL = DepthMap(depth=PLANE, mask=ALL)
+
+
+@pytest.mark.parametrize(
+    ("write", "error", "line"),
+    [
+        (lambda p: write_png(p / "a.png", PLANE), BadInput, "a PNG holds 8- or 16-bit integers, got float32"),
+        (lambda p: write_png(p / "a.png", np.zeros((4, 5, 2), np.uint8)), BadInput, "3 or 4 channels, got 2"),
+        (lambda p: encoded_image(np.zeros((4, 5), np.uint8), ".gif"), BadInput, r"one of \.png.*'\.gif'"),
+        (lambda p: encoded_image(np.zeros((0, 5), np.uint8)), BadInput, r"of shape \(0, 5\) as \.png"),
+        (lambda p: write_png(p / "a.png", np.zeros((0, 5), np.uint8)), BadInput, "an image of shape"),
+        (lambda p: write_exr(p / "a.exr", {"Z": PLANE.astype(int)}), BadInput, "float32, got int64"),
+        (lambda p: write_labels(p / "a.png", np.full((4, 5), 8, np.uint8)), BadInput, "bytes from 0 to 7"),
+        (lambda p: write_normal_map(p / "a.jpg", FLAT), BadInput, r"as \.exr or \.png, not '\.jpg'"),
+        (lambda p: write_normal_map(p / "a.png", FLAT, bits=12), BadInput, "8 or 16 bits, not 12"),
+        (lambda p: write_depth_map(p / "a.png", LEVEL), BadInput, r"a depth map is written as \.exr"),
+        (lambda p: write_mesh(p / "a.stl", TRIANGLE), CannotWrite, r"as \.ply or \.obj, not '\.stl'"),
+        (
+            lambda p: write_mesh(p / "a.obj", TRIANGLE, texture=np.zeros((4, 4, 3), np.uint8)),
+            BadMesh,
+            "a texture needs texture coordinates",
+        ),
+        (
+            lambda p: write_mesh(p / "a.ply", TRIANGLE, texture=np.zeros((4, 4, 3), np.uint8)),
+            CannotWrite,
+            "a PLY carries no texture; write .obj",
+        ),
+        (lambda p: write_point_cloud(p / "a.obj", PointCloud(points=np.eye(3))), CannotWrite, r"as \.ply"),
+        (lambda p: write_mesh(p, TRIANGLE), CannotWrite, "a mesh is written as"),
+        (lambda p: write_png(p, np.zeros((4, 5), np.uint8)), CannotWrite, "is a folder, expected the name"),
+        (lambda p: write_video(p / "a.mp4", [], 30), CannotWrite, r"a name that ends in \.mkv"),
+        (lambda p: write_video(p / "a.mkv", [], 30), BadCapture, "no frame to write"),
+        (lambda p: write_video(p / "a.mkv", [PLANE], 30), BadCapture, r"uint16 frames, got \(4, 5\) float32"),
+    ],
+)  # fmt: skip
+def test_writers_refuse_what_the_format_cannot_hold(tmp_path, write, error, line):
+    with pytest.raises(error, match=line):
+        write(tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_exr_files_of_other_channels_units_and_conventions(tmp_path):
+    path = tmp_path / "a.exr"
+    write_exr(path, {"P": PLANE, "Q": PLANE})
+    for read, line in (
+        (read_image, r"expected the channels R, G, B \(or Y\), found P, Q"),
+        (read_normal_map, "expected the channels R, G, B or X, Y, Z, found P, Q"),
+        (read_depth_map, "expected a channel Z, found P, Q"),
+        (read_flow, "expected the channels du and dv, found P, Q"),
+    ):
+        with pytest.raises(BadInput, match=line):
+            read(path)
+    write_exr(path, {"Z": PLANE * np.nan})
+    with pytest.raises(BadInput, match="no pixel holds a depth"):
+        read_depth_map(path)
+    write_depth_map(path, DepthMap(depth=PLANE, mask=ALL, unit=LengthUnit.METRE))
+    unit = next(key for key, value in read_exr(path)[1].items() if value == LengthUnit.METRE.value)
+    write_exr(path, {"Z": PLANE}, attributes={unit: "smoot"})
+    with pytest.raises(BadInput, match="unknown length unit 'smoot'"):
+        read_depth_map(path)
+    write_normal_map(path, FLAT)
+    convention = next(key for key, value in read_exr(path)[1].items() if value in ("opengl", "directx"))
+    write_exr(path, dict.fromkeys("RGB", PLANE), attributes={convention: "sideways"})
+    with pytest.raises(BadInput, match="unknown normal convention 'sideways'"):
+        read_normal_map(path)
+
+
+def test_exr_headers_that_cannot_be(tmp_path):
+    path = tmp_path / "a.exr"
+    write_exr(path, {"Z": PLANE})
+    good = path.read_bytes()
+    at = good.index(b"dataWindow\0box2i\0") + len(b"dataWindow\0box2i\0") + 4
+    for spoilt, line in (
+        (good[:at] + struct.pack("<4i", 0, 0, -2, 3) + good[at + 16 :], "an impossible size, -1×4"),
+        (good[:60], "the EXR header is damaged or cut off"),
+        (good[:-9], "the file is cut off; copy or write it again"),
+        (b"no EXR at all", "is not an OpenEXR file"),
+    ):
+        path.write_bytes(spoilt)
+        with pytest.raises(BadCapture, match=line):
+            read_exr(path)
+
+
+def test_images_of_other_samples_and_damage(tmp_path):
+    path = tmp_path / "a.tiff"
+    assert cv2.imwrite(str(path), np.zeros((4, 5), np.int32))
+    with pytest.raises(BadCapture, match="expected 8-bit, 16-bit or float samples, got int32"):
+        read_image(path)
+    write_png(tmp_path / "a.png", np.zeros((4, 5, 3), np.uint8))
+    content = bytearray((tmp_path / "a.png").read_bytes())
+    content[45] ^= 1
+    (tmp_path / "a.png").write_bytes(content)
+    with pytest.raises(BadCapture, match="the PNG file is damaged: the checksum at byte 33 is wrong"):
+        read_image(tmp_path / "a.png")
+    (tmp_path / "a.png").write_bytes(content[:60])
+    with pytest.raises(BadCapture, match=r"the PNG file is (cut off|damaged)"):
+        read_image(tmp_path / "a.png")
+    write_png(tmp_path / "b.png", np.zeros((4, 5), np.uint16))
+    with pytest.raises(BadInput, match="visibility labels are 8-bit, got uint16"):
+        read_labels(tmp_path / "b.png")
+    write_png(tmp_path / "c.png", np.full((4, 5), 9, np.uint8))
+    with pytest.raises(BadInput, match="label"):
+        read_labels(tmp_path / "c.png")
+
+
+def test_names_that_lead_nowhere_or_out(tmp_path):
+    with pytest.raises(BadInput, match="list: names a file by 300 characters"):
+        require_inside(tmp_path, "x" * 300, "list")
+    with pytest.raises(BadInput, match="list: names a file that cannot be"):
+        require_inside(tmp_path, "a\0b", "list")
+    with pytest.raises(BadInput, match="outside its folder; put that file beside it"):
+        require_inside(tmp_path, "../a", "list")
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("[" * 100_000, "brackets are nested too deeply"),
+        ('{"version": ' + "9" * 5000 + "}", "but this is not JSON: Exceeds the limit"),
+        ('{"version": 99}', "is of version 99, this program reads 1 to"),
+        ('{"version": 1, "cheese": 1}', "rig.json: "),
+    ],
+)
+def test_json_that_is_no_rig(text, line):
+    with pytest.raises(BadRig, match=line):
+        rig_from_text(text, "rig.json")
+
+
+def test_a_manifest_of_another_version(tmp_path):
+    (tmp_path / "reconstruction.json").write_text('{"version": 99}')
+    with pytest.raises(BadInput, match="is of version 99, this program reads"):
+        read_manifest(tmp_path)
+
+
+def test_a_frame_log_that_is_no_file(tmp_path):
+    (tmp_path / "frames.log").mkdir()
+    with pytest.raises(BadInput, match=r"frames\.log: cannot be read"):
+        FrameLog(tmp_path).entries()
+    with pytest.raises(CannotWrite, match=r"cannot write .*frames\.log"):
+        FrameLog(tmp_path).append(FrameEntry(number=0, seconds=1.0))
+
+
+@pytest.mark.parametrize(
+    ("files", "line"),
+    [
+        ({"light_directions.txt": "0 1\n1 0\n"}, "expected 3 numbers a light, got 2"),
+        (
+            {"light_directions.txt": "0 0 1\n", "light_intensities.txt": "1 1\n"},
+            "holds 1 rows of 2, expected 1",
+        ),
+        (
+            {"light_directions.txt": "0 0 1\n", "filenames.txt": "a b"},
+            "names 2 images for 1 light directions",
+        ),
+        ({"light_directions.txt": "0 0 1\n0 1\n"}, "line 2 holds 2 numbers, those before 3"),
+        ({"light_directions.txt": "2\n0 0 1\n"}, "promises 2 lights, holds 1"),
+        ({"light_directions.txt": "0 0 nan\n"}, "holds NaN or infinity"),
+        ({"light_directions.txt": "# nothing\n"}, "holds no light; expected x y z"),
+    ],
+)
+def test_folders_of_lights_that_do_not_agree(tmp_path, files, line):
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    with pytest.raises(BadInput, match=line):
+        read_lights(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("a b c", r"expected three numbers \(u, v, contact radius\), got 'a"),
+        ("1 2", "> 0\\), got 2"),
+        ("1 2 0", "got 3"),
+    ],
+)
+def test_labels_of_presses_that_are_none(tmp_path, text, line):
+    (tmp_path / "a.txt").write_text(text)
+    with pytest.raises(BadInput, match=line):
+        read_press_label(tmp_path / "a.txt")
+
+
+HEAD = "ply\nformat ascii 1.0\n"
+POINT = HEAD + "element vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "line"),
+    [
+        ("a.ply", HEAD + "element cheese 1\nproperty float x\nend_header\n1\n", "an element 'vertex' with"),
+        ("a.ply", HEAD + "end_header\n", "an element 'vertex' with x, y and z"),
+        (
+            "a.ply",
+            POINT + "element face 1\nproperty list uchar int corners\nend_header\n0 0 0\n1 0\n",
+            "the faces have no list 'vertex_indices'",
+        ),
+        (
+            "a.ply",
+            POINT + "end_header\n0 0 0\n",
+            "holds points but no faces; read it as a point cloud",
+        ),
+        ("a.ply", "ply\nelement vertex 0\nend_header\n", "the PLY header names no format"),
+        ("a.ply", "ply\nformat ascii 1.0\ncheese\nend_header\n", "unknown line in the PLY header: 'cheese'"),
+        ("a.ply", "ply\nformat ascii 1.0\n", "the PLY header has no end"),
+        ("a.obj", "v 1 2\nv 1 2\nv 3 4\nf 1 2 3\n", "a vertex has 2 numbers, expected x y z"),
+        ("a.obj", "v 1 2 3\nv 1 2\nv 3 4 5\nf 1 2 3\n", "rows of differing length"),
+        ("a.obj", "v 1 2 3\nf 1 2 3\n", "line 2 is malformed: 'f 1 2 3'"),
+        ("a.obj", "v 1 2 3\n", "holds no mesh"),
+    ],
+)  # fmt: skip
+def test_meshes_that_are_none(tmp_path, name, text, line):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(BadMesh, match=line):
+        read_mesh(tmp_path / name)
+
+
+def test_moving_meshes_that_do_not_fit_together(tmp_path):
+    moving = MeshSequence(template=TRIANGLE, vertices=np.eye(3, dtype=np.float32)[None])
+    write_mesh_sequence(tmp_path, moving)
+    larger = Mesh(vertices=np.zeros((4, 3)), faces=TRIANGLE.faces)
+    with pytest.raises(BadMesh, match="expected shape any × 4 × 3, got 1 × 3 × 3"):
+        MeshSequenceWriter(tmp_path, larger, resume=True)
+    (tmp_path / "vertices.npy").unlink()
+    with pytest.raises(BadMesh, match="holds a moving mesh of 3 vertices, not 4; overwrite it"):
+        MeshSequenceWriter(tmp_path, larger, resume=True)
+    (tmp_path / "sequence.json").write_text("{}")
+    with pytest.raises(BadMesh, match="expected JSON with frame_rate_hz"):
+        read_mesh_sequence(tmp_path)
+    (tmp_path / "vertices.npy").unlink(missing_ok=True)
+    (tmp_path / "vertices.npy").mkdir()
+    with pytest.raises(CannotWrite, match=r"cannot write .*vertices\.npy"):
+        MeshSequenceWriter(tmp_path, TRIANGLE)
+
+
+def test_confidence_comes_with_every_frame_or_with_none(tmp_path):
+    with MeshSequenceWriter(tmp_path, TRIANGLE) as writer:
+        writer.append(np.eye(3))
+        with pytest.raises(BadMesh, match="with every frame or with none"):
+            writer.append(np.eye(3), np.ones(3))
+
+
+def test_arrays_that_are_none(tmp_path):
+    (tmp_path / "a.npz").write_text("no archive")
+    with pytest.raises(BadInput, match=r"is not a whole \.npz archive"):
+        read_npz(tmp_path / "a.npz", "depth")
+    np.savez(tmp_path / "b.npz", other=np.ones(3))
+    with pytest.raises(BadInput, match="holds no array 'depth'"):
+        read_npz(tmp_path / "b.npz", "depth")
+    np.savez(tmp_path / "c.npz", depth=np.array([{}], dtype=object))
+    with pytest.raises(BadInput, match="allow_pickle=False"):
+        read_npz(tmp_path / "c.npz", "depth")
+    np.save(tmp_path / "d.npy", np.ones(3))
+    (tmp_path / "d.npz").write_bytes((tmp_path / "d.npy").read_bytes())
+    with pytest.raises(BadInput, match=r"is not a whole \.npz archive"):
+        read_npz(tmp_path / "d.npz", "depth")
+    (tmp_path / "d.npy").write_bytes((tmp_path / "d.npy").read_bytes()[:-9])
+    with pytest.raises(BadInput, match=r"is not a whole \.npy array"):
+        map_npy(tmp_path / "d.npy")
+
+
+SKELETON = """:units
+  length {length}
+:root
+  order TX TY TZ
+  axis {axis}
+  position 0 0 0
+  orientation 0 0 {turn}
+:bonedata
+{bone}
+:hierarchy
+  begin
+    root spine
+  end
+"""
+BONE = "begin\nname spine\ndirection 0 1 0\nlength {length}\naxis 0 0 0 XYZ\ndof {dof}\nend"
+
+
+@pytest.mark.parametrize(
+    ("changed", "line"),
+    [
+        ({"length": "0"}, "expected a positive length unit, got 0"),
+        ({"axis": "XYW"}, "root axis: expected an order of axes such as XYZ, got 'XYW'"),
+        ({"turn": "nan"}, "root orientation: expected three finite numbers"),
+        ({"bone": "begin\nbegin"}, "a bone begins inside another one"),
+        ({"bone": "name spine"}, "expected begin, got 'name'"),
+        ({"bone": "begin\nname spine"}, "the last bone has no end: the file is truncated"),
+        ({"bone": BONE.format(length="-1", dof="rx")}, "bone spine: expected a length, got -1"),
+        ({"bone": BONE.format(length="1", dof="rx rx")}, "bone spine, dof: expected channels among"),
+        ({"bone": "\n".join([BONE.format(length="1", dof="rx")] * 2)}, "bone spine occurs twice"),
+    ],
+)
+def test_skeletons_that_are_none(tmp_path, changed, line):
+    good = {"length": "1", "axis": "XYZ", "turn": "0", "bone": BONE.format(length="1", dof="rx")}
+    (tmp_path / "a.amc").write_text(":FULLY-SPECIFIED\n:DEGREES\n1\nroot 0 0 0\nspine 1\n")
+    (tmp_path / "a.asf").write_text(SKELETON.format(**good))
+    assert len(read_asf_amc(tmp_path / "a.asf", tmp_path / "a.amc").rotations) == 1
+    (tmp_path / "a.asf").write_text(SKELETON.format(**(good | changed)))
+    with pytest.raises(BadMotion, match=line):
+        read_asf_amc(tmp_path / "a.asf", tmp_path / "a.amc")
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("HIERARCHY\nMOTION\nFrames: 1\nFrame Time: 0.1\n0\n", "no ROOT in the hierarchy"),
+        (f"HIERARCHY\nROOT {'x' * 9000}\n", "the name of a joint has 4096 characters"),
+        ("HIERARCHY\nROOT a\n{\n", "no MOTION section: the file is truncated or not BVH"),
+        ("HIERARCHY\nROOT a\n{\nJOINT a\n", r"joint 'a' occurs twice or has no name \(a cycle\?\)"),
+        ("HIERARCHY\nROOT a\n{\nMOTION\n", "1 unmatched braces in the hierarchy"),
+    ],
+)
+def test_motion_that_is_none(tmp_path, text, line):
+    (tmp_path / "a.bvh").write_text(text)
+    with pytest.raises(BadMotion, match=line):
+        read_bvh(tmp_path / "a.bvh")
+
+
+def _video(path: Path, sizes, codec="mjpeg") -> Path:
+    """Motion JPEG whose frames have these sizes: each is a picture of its own."""
+    import av
+
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(codec, rate=30)
+        stream.width, stream.height, stream.pix_fmt = *sizes[0], "yuvj420p"
+        for number, (width, height) in enumerate(sizes):
+            ok, jpeg = cv2.imencode(".jpg", np.full((height, width, 3), 90 + number, np.uint8))
+            assert ok
+            packet = av.Packet(jpeg.tobytes())
+            packet.stream, packet.pts, packet.dts, packet.is_keyframe = stream, number, number, True
+            packet.time_base = Fraction(1, 30)
+            container.mux(packet)
+    return path
+
+
+def test_a_video_whose_frames_change_their_size(tmp_path):
+    capture = open_capture(_video(tmp_path / "a.mov", [(32, 24), (32, 24), (48, 32)]), CaptureOptions())
+    with pytest.raises(BadCapture, match="frame 2 is 48×32, the first one 32×24: a capture has one size"):
+        list(capture.frames())
+
+
+def test_a_file_of_sound_alone_is_no_capture(tmp_path):
+    import av
+
+    with av.open(str(tmp_path / "a.mkv"), "w") as container:
+        stream = container.add_stream("pcm_s16le", rate=8000, layout="mono")
+        sound = av.AudioFrame.from_ndarray(np.zeros((1, 800), np.int16), format="s16", layout="mono")
+        sound.sample_rate = 8000
+        container.mux(stream.encode(sound))
+    with pytest.raises(BadCapture, match="holds no video stream"):
+        open_capture(tmp_path / "a.mkv")
+
+
+def test_a_video_without_frames(tmp_path):
+    import av
+
+    with av.open(str(tmp_path / "a.avi"), "w") as container:
+        stream = container.add_stream("rawvideo", rate=30)
+        stream.width, stream.height, stream.pix_fmt = 32, 24, "rgb24"
+        container.start_encoding()
+    with pytest.raises(BadCapture, match=r"holds no frame|no frame can be decoded|cannot be opened"):
+        open_capture(tmp_path / "a.avi")
+
+
+def test_a_chunk_of_a_png_that_lies_about_its_length(tmp_path):
+    chunk = b"IHDR" + struct.pack(">IIBBBBB", 5, 4, 8, 2, 0, 0, 0)
+    whole = struct.pack(">I", 13) + chunk + struct.pack(">I", zlib.crc32(chunk))
+    (tmp_path / "a.png").write_bytes(
+        b"\x89PNG\r\n\x1a\n" + whole + struct.pack(">I", 10**9) + b"IDAT" + bytes(64)
+    )
+    with pytest.raises(BadCapture, match="the PNG file is cut off; copy or write it again"):
+        read_image(tmp_path / "a.png")
