@@ -6,9 +6,12 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, LinearImage
 from vntoolkit.errors import BadInput
+
+_WIDEST_VALUE = 4.0  # that becomes black or white in 8 bits
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,3 +41,8 @@ def local_contrast(rgb: LinearImage, options: ContrastOptions) -> FloatArray:
     deviation = grey - mean
     spread = np.sqrt(cv2.GaussianBlur(deviation * deviation, (0, 0), options.contrast_px))
     return np.asarray(deviation / (spread + np.float32(options.contrast_floor)))
+
+
+def contrast_in_8_bits(contrast: FloatArray) -> npt.NDArray[np.uint8]:
+    """Return local contrast (h, w) as the 8-bit image in which skin is followed and compared."""
+    return np.clip(127.5 + 127.5 / _WIDEST_VALUE * contrast, 0, 255).astype(np.uint8)
