@@ -10,7 +10,7 @@ import pytest
 
 from tests.pipeline.conftest import RESPONSE, DomeCapture, dome_normals
 from vntoolkit.__main__ import main
-from vntoolkit.errors import BadCapture, BadInput
+from vntoolkit.errors import BadCapture, BadInput, VntError
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.io.captures import open_capture
@@ -130,6 +130,14 @@ def test_black_frames_fail_alone_and_a_source_that_never_gave_any_raises() -> No
     source = Source([encoded(black, 0), encoded(dome_picture(), 1)])
     figures = LiveRun(source, LiveProcessor(dome_rig()), lambda r, t: None, wait_for_all=True).run()
     assert (figures.failed, figures.processed) == (1, 1)
+    told: list[str] = []
+    dark = Source([encoded(black)])
+    run = LiveRun(
+        dark, LiveProcessor(dome_rig()), lambda r, t: None, on_failure=lambda p, t: told.append(str(p))
+    )
+    with pytest.raises(VntError, match="no "):  # not one frame had normals
+        run.run()
+    assert len(told) == 1
 
     class Unplugged(Source):
         def frames(self):

@@ -14,7 +14,7 @@ from cyclopts import Parameter
 from vntoolkit.cli.calibrate_presses import Corners, SizeMm, rectification_from_flags
 from vntoolkit.cli.flags import flags_from
 from vntoolkit.cli.limits import limits_on
-from vntoolkit.errors import BadInput
+from vntoolkit.errors import BadInput, VntError
 from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.io.captures import CaptureOptions, open_capture
 from vntoolkit.io.label_images import read_mask
@@ -112,12 +112,20 @@ def _watch(
     def on_result(result: LiveResult, timed: TimedFrame) -> None:
         shown.show(result, timed)
 
+    def on_failure(problem: VntError, timed: TimedFrame) -> None:
+        shown.show_failure(problem, timed)
+
     def on_r() -> None:
-        print("recording" if recorder.toggle() else "recording stopped", flush=True)
+        try:
+            print("recording" if recorder.toggle() else "recording stopped", flush=True)
+        except VntError as error:  # nothing can be written there: go on showing
+            print(f"not recording: {error}", flush=True)
 
     wait_for_all = isinstance(source, FileSource) and not realtime
-    run = LiveRun(source, processor, on_result, recorder.take, wait_for_all=wait_for_all)
-    shown = LiveViewer(processor.camera, options, figures=run.figures, on_record=recorder.toggle)
+    run = LiveRun(
+        source, processor, on_result, recorder.take, on_failure=on_failure, wait_for_all=wait_for_all
+    )
+    shown = LiveViewer(processor.camera, options, figures=run.figures, recorder=recorder)
     print(f"{shown.address} (r records, Ctrl-C ends)", flush=True)
     timer = None if seconds is None else threading.Timer(seconds, run.stop)
     try:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vntoolkit.errors import BadCapture, VntError
+from vntoolkit.errors import VntError
 from vntoolkit.io.live_sources import LiveSource, TimedFrame
 from vntoolkit.pipeline.live_frames import LiveProcessor, LiveResult
 
@@ -82,15 +82,17 @@ class LiveRun:
         on_result: Callable[[LiveResult, TimedFrame], None],
         on_arrival: Callable[[TimedFrame], None] = lambda frame: None,
         *,
+        on_failure: Callable[[VntError, TimedFrame], None] = lambda problem, frame: None,
         wait_for_all: bool = False,
     ) -> None:
         """on_result: called in the thread of `run`. on_arrival: in the one that takes frames, for every one.
 
+        on_failure: called in the thread of `run` for a frame without normals, such as a dark one.
         wait_for_all: never drop a frame but let the source wait, for a file that is not played in real time.
         """
         self._source, self._processor = source, processor
         self._on_result, self._on_arrival = on_result, on_arrival
-        self._wait_for_all = wait_for_all
+        self._on_failure, self._wait_for_all = on_failure, wait_for_all
         self._waiting: deque[TimedFrame] = deque()
         self._changed = threading.Condition()
         self._ended = False
@@ -100,15 +102,21 @@ class LiveRun:
         self._arrived = self._dropped = self._failed = 0
 
     def run(self) -> LiveFigures:
-        """Watch until the source ends; raise what it raised, once all that arrived is done."""
+        """Watch until the source ends; raise what it raised, once all that arrived is done.
+
+        A frame that fails is counted and the next one is watched; where none succeeds, its error is raised.
+        """
+        failure: VntError | None = None
         taker = threading.Thread(target=self._take, name="live-source", daemon=True)
         taker.start()
         try:
             while (timed := self._next()) is not None:
                 try:
                     result = self._processor.process(timed.frame)
-                except BadCapture:  # nothing lit in view: watch on
+                except VntError as problem:  # mostly that nothing lit is in view: watch on
                     self._failed += 1
+                    failure = problem
+                    self._on_failure(problem, timed)
                     continue
                 self._on_result(result, timed)
                 self._meter.reached(timed.arrived_s)
@@ -119,6 +127,8 @@ class LiveRun:
             return self.figures()  # a camera that was unplugged ends the run like a file that ends
         if self._problem is not None:
             raise self._problem
+        if failure is not None and not self._meter.count:
+            raise failure
         return self.figures()
 
     def stop(self) -> None:

@@ -12,14 +12,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from vntoolkit.errors import CannotWrite
+from vntoolkit.errors import CannotWrite, VntError
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.io.conventions import graphics_from_camera
 from vntoolkit.io.live_sources import TimedFrame
 from vntoolkit.meshing.surface import MeshOptions, mesh_from_depth
 from vntoolkit.pipeline.live import LatencyMeter, LiveFigures
-from vntoolkit.pipeline.live_frames import LiveResult
+from vntoolkit.pipeline.live_frames import LiveResult, exposure_warnings
+from vntoolkit.pipeline.live_recorder import LiveRecorder
+from vntoolkit.report.live_status import LiveStatus
 from vntoolkit.report.pictures import Picture, picture_of_normals
 from vntoolkit.report.viewer import ViewerOptions
 
@@ -28,6 +30,9 @@ _SURFACE_PX = 120  # vertices along the longer side
 _PLASTER = (205, 200, 192)
 _SWING_DEG, _SWING_S = 35.0, 6.0  # how far the surface turns to either side, and how long a swing takes
 _CAPTION_HZ = 4.0
+_WARNED_S = 1.5  # a warning stays for so long, so that it can be read
+_CLIPPED = (255, 0, 255)
+_CAMERA, _NORMALS = "camera (clipped pixels in magenta)", "normals"
 _JPEG_QUALITY = 75
 
 
@@ -40,24 +45,27 @@ class LiveViewer:
         options: ViewerOptions | None = None,
         *,
         figures: Callable[[], LiveFigures],
-        on_record: Callable[[], bool] | None = None,
+        recorder: LiveRecorder | None = None,
     ) -> None:
-        """figures: how it goes. on_record: starts or stops recording, returns whether it is on."""
+        """figures: how it goes. recorder: what the page's button and its key r start and stop."""
         import viser
 
         options = options or ViewerOptions()
         self.meter = LatencyMeter()
         self._camera, self._figures = camera, figures
-        self._newest: tuple[LiveResult, TimedFrame] | None = None
+        self._newest: tuple[LiveResult | None, TimedFrame] | None = None
         self._changed, self._closed = threading.Condition(), False
         self._placed: tuple[npt.NDArray[np.float64], float] | None = None
         self._captioned = 0.0
+        self._recorder = recorder
+        self._warned: dict[str, float] = {}
+        self._problem = ""
         try:
             with contextlib.redirect_stdout(io.StringIO()):  # it prints a box, whatever it is told
                 self._server = viser.ViserServer(host=options.host, port=options.port, verbose=False)
         except OSError as error:
             raise CannotWrite(f"cannot serve on {options.host}:{options.port}: {error}") from error
-        self._set_up(on_record)
+        self._set_up()
         self._thread = threading.Thread(target=self._work, name="live-viewer", daemon=True)
         self._thread.start()
 
@@ -75,6 +83,15 @@ class LiveViewer:
         """Hand over a result; returns at once."""
         with self._changed:
             self._newest = result, timed
+            self._warned |= dict.fromkeys(result.warnings, time.perf_counter())
+            self._changed.notify()
+
+    def show_failure(self, problem: VntError, timed: TimedFrame) -> None:
+        """Say that a frame gave no normals, and what to change; returns at once."""
+        told = exposure_warnings(timed.frame) or (f"no normals in this frame: {problem}",)
+        with self._changed:
+            self._newest = None, timed
+            self._warned |= dict.fromkeys(told, time.perf_counter())
             self._changed.notify()
 
     def close(self) -> None:
@@ -85,9 +102,11 @@ class LiveViewer:
         self._thread.join()
         self._server.stop()
 
-    def _set_up(self, on_record: Callable[[], bool] | None) -> None:
+    def _set_up(self) -> None:
         server: Any = self._server
-        server.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=True)
+        server.gui.configure_theme(
+            show_logo=False, show_share_button=False, dark_mode=True, control_width="large"
+        )
         server.gui.set_panel_label("vntoolkit live")
         server.scene.set_up_direction("+y")
         server.initial_camera.position = (0.0, 0.0, 1.25)
@@ -97,19 +116,26 @@ class LiveViewer:
         server.scene.add_light_directional("/lamp", intensity=2.0, position=(-0.6, 0.6, 1.0))
         self._turning = server.scene.add_frame("/turning", show_axes=False)
         self._surface: Any = None
-        self._caption = server.gui.add_markdown("waiting for the first frame")
-        if on_record is not None:
-            button = server.gui.add_button("record")
-
-            @button.on_click
-            def _toggle(_event: Any) -> None:
-                button.label = "stop recording" if on_record() else "record"
-
+        self._status = server.gui.add_html('<p style="padding:0 .75rem">Waiting for the first frame …</p>')
+        self._button: Any = None
+        if self._recorder is not None:
+            self._button = server.gui.add_button("record", hint="losslessly, what the camera gives; key r")
+            self._button.on_click(self._toggle)
+            server.gui.add_command("start or stop recording", hotkey="R").on_trigger(self._toggle)
         empty = np.zeros((9, 16, 3), np.uint8)
         self._images = {
             name: server.gui.add_image(empty, label=name, format="jpeg", jpeg_quality=_JPEG_QUALITY)
-            for name in ("camera", "normals")
+            for name in (_CAMERA, _NORMALS)
         }
+
+    def _toggle(self, _event: Any) -> None:
+        assert self._recorder is not None
+        try:
+            self._recorder.toggle()
+            self._problem = ""
+        except VntError as error:  # nothing can be written there: say so, go on showing
+            self._problem = str(error)
+        self._captioned = 0.0
 
     def _work(self) -> None:
         while True:
@@ -122,19 +148,19 @@ class LiveViewer:
             self._draw(result, timed)
             self.meter.reached(timed.arrived_s)
 
-    def _draw(self, result: LiveResult, timed: TimedFrame) -> None:
-        thin = _thinned(result)
+    def _draw(self, result: LiveResult | None, timed: TimedFrame) -> None:
         with self._server.atomic():
-            self._images["camera"].image = _picture_of_frame(timed)
-            self._images["normals"].image = picture_of_normals(thin, ground=40)
-            if result.depth_map is not None:
+            self._images[_CAMERA].image = _picture_of_frame(timed)
+            if result is not None:
+                self._images[_NORMALS].image = picture_of_normals(_thinned(result), ground=40)
+            if result is not None and result.depth_map is not None:
                 self._draw_surface(result.depth_map)
             angle = np.deg2rad(_SWING_DEG) * np.sin(2 * np.pi * time.perf_counter() / _SWING_S)
             self._turning.wxyz = (np.cos(angle / 2), 0.0, np.sin(angle / 2), 0.0)
             now = time.perf_counter()
             if now - self._captioned > 1 / _CAPTION_HZ:
                 self._captioned = now
-                self._caption.content = self._text(result)
+                self._say(now)
         self._server.flush()
 
     def _draw_surface(self, depth_map: DepthMap) -> None:
@@ -156,14 +182,23 @@ class LiveViewer:
             cast_shadow=False, receive_shadow=False,
         )  # fmt: skip
 
-    def _text(self, result: LiveResult) -> str:
-        rate, (median, high) = self.meter.figures()
-        lines = [
-            self._figures().line(),
-            f"shown: {rate:.1f} frames/s, {1000 * median:.0f} ms after arrival (95 %: {1000 * high:.0f} ms)",
-            *(f"**{warning}**" for warning in result.warnings),
-        ]
-        return "\n\n".join(lines)
+    def _say(self, now: float) -> None:
+        """Bring rate, latency, warnings and recording up to date; a warning stays for a while."""
+        rate, (median, _) = self.meter.figures()
+        with self._changed:
+            warnings = [text for text, seen in self._warned.items() if now - seen < _WARNED_S]
+        recorder, recording = self._recorder, ""
+        if recorder is not None:
+            if recorder.is_recording:
+                recording = recorder.files[-1].name if recorder.files else "…"
+            if recorder.lost:
+                warnings.append(f"the recording lost {recorder.lost} frames: the disk is too slow")
+            warnings += [problem for problem in (recorder.problem, self._problem) if problem]
+            self._button.label = "stop recording" if recorder.is_recording else "record"
+        status = LiveStatus(
+            figures=self._figures(), shown_hz=rate, shown_s=median, warnings=warnings, recording=recording
+        )
+        self._status.content = status.html()
 
 
 def _thinned(result: LiveResult) -> NormalMap:
@@ -176,11 +211,15 @@ def _thinned(result: LiveResult) -> NormalMap:
 
 
 def _picture_of_frame(timed: TimedFrame) -> Picture:
+    """The camera's picture at the size of the panel, what is clipped painted over."""
     values = timed.frame.values
     step = max(1, round(max(values.shape[:2]) / _PICTURE_PX))
     small = values[::step, ::step]
     if small.dtype == np.uint8:
-        return np.ascontiguousarray(small)
-    if small.dtype == np.uint16:
-        return (small >> (timed.frame.bits - 8)).astype(np.uint8)
-    return (255 * np.clip(small, 0, 1)).astype(np.uint8)
+        shown = small.copy()
+    elif small.dtype == np.uint16:
+        shown = (small >> (timed.frame.bits - 8)).astype(np.uint8)
+    else:
+        shown = (255 * np.clip(small, 0, 1)).astype(np.uint8)
+    shown[(shown == 255).any(axis=2)] = _CLIPPED
+    return shown
