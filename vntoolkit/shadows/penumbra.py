@@ -25,9 +25,9 @@ class PenumbraOptions:
     an edge can be a cast shadow's; where a surface turns away from the light, less arrives on both sides.
     """
 
-    part: float = 0.4
+    part: float = 0.75
     reach_px: int = 2
-    faintest: float = 0.25
+    faintest: float = 0.4
 
     def __post_init__(self) -> None:
         require_in_range(self.part, 0.0, 1.0, "penumbra: part")

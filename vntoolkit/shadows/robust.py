@@ -23,6 +23,7 @@ from vntoolkit.shadows.albedo import AlbedoOptions, albedo_from_lit
 from vntoolkit.shadows.cast_edges import CastEdgeOptions, lit_beyond_half
 from vntoolkit.shadows.dark_level import DarkLevelOptions, largest_dark_share
 from vntoolkit.shadows.graph_cut import bonds_of_light, lit_by_cut
+from vntoolkit.shadows.lengths import all_of_three, largest_of_three, median_of_three
 from vntoolkit.shadows.outline import OutlineOptions, turned_from_lights
 from vntoolkit.shadows.shares import LightShares
 from vntoolkit.shadows.surface import SurfaceOptions, solve_surface
@@ -100,7 +101,7 @@ def _surface_by_rounds(
     lit = _first_doubts(measured, mask, options)
     normals, albedo = measured.normals, measured.length
     for i in range(options.rounds):
-        full = lit.all(axis=-1) & mask
+        full = all_of_three(lit) & mask
         albedo = albedo_from_lit(measured.length, full, options.albedo)
         surface = solve_surface(
             measured.relative_to(np.where(full, measured.length, albedo)), labels_from_lit(lit),
@@ -143,18 +144,18 @@ def _first_doubts(measured: LightShares, mask: Mask, options: RobustOptions) -> 
     for _ in range(3):  # albedo and doubts settle each other
         shares = measured.shares(albedo)
         lit = shares > options.first_share
-        brightest = shares.max(axis=-1, keepdims=True)
-        paint = ~lit.any(axis=-1, keepdims=True) & (brightest > options.paint_share)
+        brightest = largest_of_three(shares)[..., None]
+        paint = all_of_three(~lit)[..., None] & (brightest > options.paint_share)
         lit |= paint & (shares > options.first_share * brightest)
-        albedo = albedo_from_lit(measured.length, lit.all(axis=-1) & mask, options.albedo)
+        albedo = albedo_from_lit(measured.length, all_of_three(lit) & mask, options.albedo)
     return lit
 
 
 def _without_paint(shares: FloatArray, predicted: FloatArray, options: RobustOptions) -> FloatArray:
     """Undo dark paint: where all three lights are missing alike, it is the albedo that is off."""
     part = shares / np.maximum(predicted, options.tolerance_dark)
-    typical = np.median(part, axis=-1)
-    paint = (part < options.paint_part).all(axis=-1) & (typical > options.paint_share)
+    typical = median_of_three(part)
+    paint = all_of_three(part < options.paint_part) & (typical > options.paint_share)
     return shares / np.where(paint, np.maximum(typical, _SMALLEST_ALBEDO), 1.0)[..., None]
 
 
