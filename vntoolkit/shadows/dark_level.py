@@ -16,6 +16,7 @@ from vntoolkit.checks import require_in_range
 from vntoolkit.errors import BadInput
 
 _SMALLEST_ALBEDO = 0.02
+_SMALLEST_SHARE = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,14 +24,17 @@ class DarkLevelOptions:
     """Shares are 1 where a surface of the local albedo faces the light.
 
     ratio: a light is missing where less than this part of its predicted share is measured, within two
-    bounds. margin: even where less is predicted, it is missing below the frame's typical share in shadow plus
-    this. most_times, most_margin: however much is predicted, it is not missing above the typical share times
-    most_times plus most_margin. noise: standard deviation of a contribution, full scale = 1; both bounds
-    rise by it over the albedo. predicted_share, fewest: at least `fewest` pixels predicted to have more than
-    predicted_share must be missing, or the typical share in shadow counts as 0.
+    bounds; where less than turning_share is predicted, that part falls towards 0 with the prediction, as a
+    surface that turns from the light fades without being shadowed. margin: even where less is predicted, it
+    is missing below the frame's typical share in shadow plus this. most_times, most_margin: however much is
+    predicted, it is not missing above the typical share times most_times plus most_margin. noise: standard
+    deviation of a contribution, full scale = 1; both bounds rise by it over the albedo. predicted_share,
+    fewest: at least `fewest` pixels predicted to have more than predicted_share must be missing, or the
+    typical share in shadow counts as 0.
     """
 
     ratio: float = 0.5
+    turning_share: float = 0.2
     margin: float = 0.02
     most_times: float = 3.0
     most_margin: float = 0.06
@@ -40,6 +44,7 @@ class DarkLevelOptions:
 
     def __post_init__(self) -> None:
         require_in_range(self.ratio, 0.0, 1.0, "dark level: ratio")
+        require_in_range(self.turning_share, 0.0, 1.0, "dark level: turning share")
         if min(self.margin, self.most_times, self.most_margin, self.noise) < 0:
             raise BadInput("dark level: margins, factor and noise must not be negative")
 
@@ -61,7 +66,8 @@ def largest_dark_share(
     typical = _typical_share(shares - grain, missing, options.fewest)
     least = typical + options.margin + grain
     most = options.most_times * typical + options.most_margin + grain
-    return np.clip(options.ratio * predicted, least, np.maximum(least, most)), grain
+    part = options.ratio * np.clip(predicted / max(options.turning_share, _SMALLEST_SHARE), 0.0, 1.0)
+    return np.clip(part * predicted, least, np.maximum(least, most)), grain
 
 
 def _typical_share(shares: FloatArray, missing: Mask, fewest: int) -> float:

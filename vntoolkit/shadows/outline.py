@@ -34,7 +34,7 @@ class OutlineOptions:
     near_px: float = 3.0
     far_px: float = 5.0
     least_turn: float = 0.01
-    away: float = 0.03
+    away: float = 0.05
     brightest: float = 0.1
 
     def __post_init__(self) -> None:
