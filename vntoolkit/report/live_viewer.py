@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import threading
 import time
 from collections.abc import Callable
@@ -12,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from vntoolkit.errors import CannotWrite, VntError
+from vntoolkit.errors import VntError
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.io.conventions import graphics_from_camera
@@ -23,6 +21,7 @@ from vntoolkit.pipeline.live_frames import LiveResult, exposure_warnings
 from vntoolkit.pipeline.live_recorder import LiveRecorder
 from vntoolkit.report.live_status import LiveStatus
 from vntoolkit.report.pictures import Picture, picture_of_normals
+from vntoolkit.report.serving import started_server
 from vntoolkit.report.viewer import ViewerOptions
 
 _PICTURE_PX = 480  # longer side of the pictures in the panel
@@ -48,8 +47,6 @@ class LiveViewer:
         recorder: LiveRecorder | None = None,
     ) -> None:
         """figures: how it goes. recorder: what the page's button and its key r start and stop."""
-        import viser
-
         options = options or ViewerOptions()
         self.meter = LatencyMeter()
         self._camera, self._figures = camera, figures
@@ -60,11 +57,7 @@ class LiveViewer:
         self._recorder = recorder
         self._warned: dict[str, float] = {}
         self._problem = ""
-        try:
-            with contextlib.redirect_stdout(io.StringIO()):  # it prints a box, whatever it is told
-                self._server = viser.ViserServer(host=options.host, port=options.port, verbose=False)
-        except OSError as error:
-            raise CannotWrite(f"cannot serve on {options.host}:{options.port}: {error}") from error
+        self._server = started_server(options.host, options.port)
         self._set_up()
         self._thread = threading.Thread(target=self._work, name="live-viewer", daemon=True)
         self._thread.start()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import threading
 import time
 from dataclasses import dataclass
@@ -14,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import Points
-from vntoolkit.errors import BadInput, CannotWrite
+from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.conventions import graphics_from_camera
 from vntoolkit.io.glb import glb_bytes
@@ -26,6 +24,7 @@ from vntoolkit.report.pictures import (
     picture_of_labels,
     picture_of_normals,
 )
+from vntoolkit.report.serving import started_server
 
 _PLASTER = (205, 200, 192)
 _CHECKS = (32, 24)  # cells across and down the template's picture
@@ -70,18 +69,12 @@ class ResultViewer:
     """Serves an opened result until `close`. Frames are read from disk as they are shown."""
 
     def __init__(self, result: OpenedResult, options: ViewerOptions | None = None) -> None:
-        import viser
-
         options = options or ViewerOptions()
         self._result = result
         self._lock = threading.Lock()
         self._playing = threading.Event()
         self._closed = threading.Event()
-        try:
-            with contextlib.redirect_stdout(io.StringIO()):  # it prints a box, whatever it is told
-                self._server = viser.ViserServer(host=options.host, port=options.port, verbose=False)
-        except OSError as error:
-            raise CannotWrite(f"cannot serve on {options.host}:{options.port}: {error}") from error
+        self._server = started_server(options.host, options.port)
         self._set_up_scene()
         self._set_up_controls()
         self.show(result.numbers[0])
