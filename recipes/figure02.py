@@ -4,6 +4,8 @@
 
 The board carries a sample in the makeup's colour; it gives camera and M, and every pixel of the face then
 gives its normal (brostow2011, III-A).
+
+figure02.png: a frame a row: captured, normals, the integrated depth as relief, the normals' error.
 """
 
 import argparse
@@ -18,17 +20,18 @@ from vntoolkit.geometry.board_layout import BoardLayout
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.io.frame_range import FrameRange
-from vntoolkit.io.images import write_png
 from vntoolkit.io.rigs import write_rig
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.pipeline.calibrate import CalibrationJob, calibrate_board
 from vntoolkit.pipeline.simulate import simulate
 from vntoolkit.pipeline.simulation_job import SimulationFolder, SimulationJob
+from vntoolkit.report.frame_row import row_of_frame
 from vntoolkit.report.numbers import number, write_numbers
-from vntoolkit.report.pictures import picture_of_depth, picture_of_normals
+from vntoolkit.report.tiles import ErrorScale, write_tiles
 from vntoolkit.simulation.render import render_frame
 from vntoolkit.simulation.scene import SceneOptions, build_scene
 
+SCALE = ErrorScale(most=40.0)
 FACE_FRAMES = (0, 110, 290, 520)  # at rest, smiling, grimacing, speaking
 
 
@@ -49,9 +52,8 @@ def main(out: Path, size: tuple[int, int] = (960, 720), step: int = 4) -> None:
         found = normals_from_frame(rendered.linear, rig.response, rendered.truth.normals.mask)
         errors.append(compare_normals(found, rendered.truth.normals))
         depth = integrator.integrate(NormalMap(normals_in_camera=found.normals_in_camera, mask=found.mask))
-        film = (255 * np.clip(rendered.linear.rgb, 0, 1) ** (1 / 2.2)).astype(np.uint8)
-        rows.append(np.hstack([film, picture_of_normals(found), picture_of_depth(depth, scene.camera)]))
-    write_png(out / "figure02.png", np.vstack(rows)[::2, ::2])
+        rows.append(row_of_frame(rendered.linear, found, depth, scene.camera, rendered.truth.normals, SCALE))
+    write_tiles(out / "figure02.png", rows, [f"frame {frame}" for frame in FACE_FRAMES], scale=SCALE)
     numbers = [
         number("made-up face, mean error of the normals", np.mean([e.mean_deg for e in errors]), "degrees"),
         number("made-up face, median error", np.mean([e.median_deg for e in errors]), "degrees"),

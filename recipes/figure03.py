@@ -4,6 +4,9 @@
 
 The turning head gives poses, its own shape and M (brostow2011, IV); the face's frames then give normals,
 which are compared with those of the true M.
+
+figure03.png: a frame a row: captured, normals, the integrated depth as relief, the normals' error.
+calibration.png: the head's tracks, its shape in the silhouettes, the samples of M, the turn, the lights.
 """
 
 import argparse
@@ -15,7 +18,6 @@ from vntoolkit.evaluation.angular_error import compare_normals
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.io.frame_range import FrameRange
-from vntoolkit.io.images import write_png
 from vntoolkit.io.meshes import write_mesh
 from vntoolkit.io.rigs import write_rig
 from vntoolkit.normals.inversion import normals_from_frame
@@ -23,14 +25,16 @@ from vntoolkit.pipeline.calibrate import CalibrationJob
 from vntoolkit.pipeline.calibrate_head import calibrate_head
 from vntoolkit.pipeline.simulate import simulate
 from vntoolkit.pipeline.simulation_job import SimulationFolder, SimulationJob
+from vntoolkit.report.frame_row import row_of_frame
 from vntoolkit.report.head_figure import write_head_figure
 from vntoolkit.report.numbers import number, write_numbers
-from vntoolkit.report.pictures import picture_of_depth, picture_of_normals
+from vntoolkit.report.tiles import ErrorScale, write_tiles
 from vntoolkit.simulation.image_formation import true_response
 from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.render import render_frame
 from vntoolkit.simulation.scene import SceneOptions, build_scene
 
+SCALE = ErrorScale(most=40.0)
 FACE_FRAMES = (0, 110, 290, 520)  # at rest, smiling, grimacing, speaking
 
 
@@ -55,9 +59,8 @@ def main(out: Path, size: tuple[int, int] = (960, 720), faces: tuple[int, ...] =
         errors.append(compare_normals(found, truth).mean_deg)
         bounds.append(compare_normals(normals_from_frame(rendered.linear, best, mask), truth).mean_deg)
         depth = integrator.integrate(NormalMap(normals_in_camera=found.normals_in_camera, mask=found.mask))
-        film = (255 * np.clip(rendered.linear.rgb, 0, 1) ** (1 / 2.2)).astype(np.uint8)
-        rows.append(np.hstack([film, picture_of_normals(found), picture_of_depth(depth, scene.camera)]))
-    write_png(out / "figure03.png", np.vstack(rows)[::2, ::2])
+        rows.append(row_of_frame(rendered.linear, found, depth, scene.camera, rendered.truth.normals, SCALE))
+    write_tiles(out / "figure03.png", rows, [f"frame {frame}" for frame in faces], scale=SCALE)
     numbers = [
         number("bare face, M from the head: mean error", np.mean(errors), "degrees"),
         number("bare face, true M: mean error", np.mean(bounds), "degrees"),

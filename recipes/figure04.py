@@ -2,16 +2,16 @@
 
     python recipes/figure04.py --out out/figure04 [--scene spandex]        # 15 s
 
-Writes the picture and, per light, the intersection over union of the shadows with the true ones.
+Prints, per light, the intersection over union of the shadows with the true ones.
+
+figure04.png: the frame, the share of each light in it, and below which lights arrive, by each detector.
 """
 
 import argparse
-import json
 from pathlib import Path
 
 import numpy as np
 
-from vntoolkit.io.atomic import write_text
 from vntoolkit.photometry.visibility import lit_from_labels
 from vntoolkit.report.numbers import number, write_numbers
 from vntoolkit.report.shadow_figure import write_detection_figure
@@ -29,7 +29,7 @@ def overlap(found: np.ndarray, true: np.ndarray, mask: np.ndarray) -> list[float
 
 
 def main(out: Path, scene_name: str = "face") -> None:
-    """Write `figure04.png` and `figure04.json` into the folder `out`."""
+    """Write `figure04.png` and `numbers.json` into the folder `out`."""
     scene = build_scene(scene_name, SceneOptions())
     rendered = render_frame(scene, 0)
     response = true_response(scene, Nuisances())
@@ -41,7 +41,6 @@ def main(out: Path, scene_name: str = "face") -> None:
     out.mkdir(parents=True, exist_ok=True)
     write_detection_figure(out / "figure04.png", rendered.linear, response, {**labels, "truth": truth}, mask)
     overlaps = {name: overlap(found, truth, mask) for name, found in labels.items()}
-    write_text(out / "figure04.json", json.dumps(overlaps, indent=1) + "\n")
     numbers = [
         number(f"{scene_name}, light {k}, {name}: overlap with the true shadow", values[k], "of 1")
         for name, values in overlaps.items()

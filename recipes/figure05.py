@@ -2,11 +2,12 @@
 
     python recipes/figure05.py --out out/figure05 [--scene spandex]        # 20 s
 
-Writes the picture and the mean errors of normals and depth, over the figure and over one-shadow pixels.
+Prints the mean errors of normals and depth, over the figure and over one-shadow pixels.
+
+figure05.png: normals, the surface from the side, and the normals' error, of A above and B below.
 """
 
 import argparse
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,6 @@ import numpy as np
 
 from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.integration.integrate import DepthIntegrator
-from vntoolkit.io.atomic import write_text
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.photometry.visibility import count_lit
 from vntoolkit.report.numbers import number, write_numbers
@@ -26,6 +26,8 @@ from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.render import render_frame
 from vntoolkit.simulation.scene import SceneOptions, build_scene
 
+TITLES = {"A": "shadows taken for shading", "B": "shadows found and recovered"}
+
 
 def depth_error_mm(found: np.ndarray, true_m: np.ndarray) -> float:
     """Return the mean depth error after the free scale is fixed by the median distance."""
@@ -33,38 +35,30 @@ def depth_error_mm(found: np.ndarray, true_m: np.ndarray) -> float:
 
 
 def main(out: Path, scene_name: str = "face") -> None:
-    """Write `figure05.png` and `figure05.json` into the folder `out`."""
+    """Write `figure05.png` and `numbers.json` into the folder `out`."""
     scene = build_scene(scene_name, SceneOptions())
     rendered = render_frame(scene, 0)
     response, truth = true_response(scene, Nuisances()), rendered.truth
     mask = truth.normals.mask
     labels = ShadowDetector(response, camera=scene.camera).labels(rendered.linear, mask)
-    recoveries, numbers = {}, {}
+    recoveries, numbers = {}, []
     plain = replace(normals_from_frame(rendered.linear, response, mask), weight=None)
     found = recover_normals(rendered.linear, labels, response, mask, camera=scene.camera)
     for name, normals in (("A", plain), ("B", found)):
         depth = DepthIntegrator(scene.camera).integrate(normals)
         mask = truth.normals.mask & depth.mask
-        recoveries[name] = Recovery(normals=normals, depth=depth)
+        recoveries[f"{name}, {TITLES[name]}"] = Recovery(normals=normals, depth=depth)
         angles = angles_between_deg(normals.normals_in_camera, truth.normals.normals_in_camera)
-        numbers[name] = {
-            "normals_deg": float(angles[mask].mean()),
-            "one_shadow_deg": float(angles[mask & (count_lit(truth.labels) == 2)].mean()),
-            "depth_mm": depth_error_mm(depth.depth[mask], truth.depth.depth[mask]),
-        }
+        here, one_shadow = f"{scene_name}, {TITLES[name]}", mask & (count_lit(truth.labels) == 2)
+        depth_mm = depth_error_mm(depth.depth[mask], truth.depth.depth[mask])
+        numbers += [
+            number(f"{here}: normals, mean error", float(angles[mask].mean()), "degrees"),
+            number(f"{here}: normals in one shadow, mean error", float(angles[one_shadow].mean()), "degrees"),
+            number(f"{here}: depth, mean error", depth_mm, "mm"),
+        ]
     out.mkdir(parents=True, exist_ok=True)
     write_recovery_figure(out / "figure05.png", recoveries, scene.camera, truth.normals)
-    write_text(out / "figure05.json", json.dumps(numbers, indent=1) + "\n")
-    titles = {"A": "shadows taken for shading", "B": "shadows found and recovered"}
-    units = {"normals_deg": "degrees", "one_shadow_deg": "degrees", "depth_mm": "mm"}
-    listed = [
-        number(
-            f"{scene_name}, {titles[name]}, {what.rpartition('_')[0].replace('_', ' ')}", value, units[what]
-        )
-        for name, values in numbers.items()
-        for what, value in values.items()
-    ]
-    print(write_numbers(out, listed))
+    print(write_numbers(out, numbers))
 
 
 if __name__ == "__main__":

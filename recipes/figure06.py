@@ -2,11 +2,15 @@
 
     python recipes/figure06.py --out out/figure06        # 25 s
 
-Both know the lights; a mesh is integrated from each method's normals, where both have them, and the coloured
-one laid on the white one by a rigid motion and a scale.
+A mesh is integrated from each method's normals, where both have them; a rigid motion and a scale lay the
+coloured one on the white one. Both know the lights.
+
+figure06.png: both meshes from 30 degrees to the side.
+figure06_curve.svg: their distance, in % of the diagonal of the jacket's box.
 """
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,15 +19,14 @@ from vntoolkit.evaluation.angular_error import compare_normals
 from vntoolkit.evaluation.mesh_alignment import Alignment, AlignmentOptions, align_mesh
 from vntoolkit.evaluation.mesh_distance import mesh_distance
 from vntoolkit.evaluation.vertex_distance import vertex_distances
-from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.integration.integrate import DepthIntegrator
-from vntoolkit.io.images import write_png
 from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.normals.photometric_stereo import normals_from_lights
 from vntoolkit.report.error_figures import write_cumulative_errors
 from vntoolkit.report.numbers import number, write_numbers
 from vntoolkit.report.raycast_view import View, picture_of
+from vntoolkit.report.tiles import write_tiles
 from vntoolkit.simulation.image_formation import exposure_of_scene, light_colours_of, true_response
 from vntoolkit.simulation.lights import Lighting
 from vntoolkit.simulation.nuisances import Nuisances
@@ -43,33 +46,31 @@ def white_photograph(options: SceneOptions) -> tuple[np.ndarray, np.ndarray]:
 
 
 def main(out: Path) -> None:
-    """Write figure06.png, figure06_curve.png and numbers.json into the folder `out`."""
+    """Write figure06.png, figure06_curve.svg and numbers.json into the folder `out`."""
     scene, free = build_scene("jacket", SceneOptions()), AlignmentOptions(free=Alignment.SIMILARITY)
     coloured = render_frame(scene, 0)
-    truth, camera = coloured.truth.normals, scene.camera
+    truth = coloured.truth.normals
     photographs = [white_photograph(SceneOptions(lighting=lamp)) for lamp in LAMPS]
     images, lights = (np.array(each) for each in zip(*photographs, strict=True))
     maps = {
         "white": normals_from_lights(images, lights, truth.mask),
         "coloured": normals_from_frame(coloured.linear, true_response(scene, Nuisances()), truth.mask),
     }
-    both = maps["white"].mask & maps["coloured"].mask
-    meshes = {}
+    both, meshes = maps["white"].mask & maps["coloured"].mask, {}
     for name, found in maps.items():
-        normals = NormalMap(normals_in_camera=found.normals_in_camera, mask=both)
-        meshes[name] = mesh_from_depth(DepthIntegrator(camera).integrate(normals), camera)
+        depth = DepthIntegrator(scene.camera).integrate(replace(found, mask=both, weight=None))
+        meshes[name] = mesh_from_depth(depth, scene.camera)
     laid, _ = align_mesh(meshes["coloured"], meshes["white"], np.random.default_rng(0), free)
     distance = mesh_distance(laid, meshes["white"])
-    curve = {"distance": 100 * vertex_distances(laid, meshes["white"]) / distance.diagonal}
+    percent = {"distance": 100 * vertex_distances(laid, meshes["white"]) / distance.diagonal}
     numbers = [
         number("jacket, mean distance", distance.mean_percent, "% of the diagonal", 1.4),
         *(number(f"{n}: error", compare_normals(m, truth).mean_deg, "degrees") for n, m in maps.items()),
     ]
-    middle = meshes["white"].vertices.mean(axis=0)
-    view = View(centre=middle, height=0.8 * distance.diagonal, azimuth_deg=-30, width_px=480, height_px=480)
-    pictures = [picture_of([mesh], view) for mesh in (meshes["white"], laid)]
-    write_png(out / "figure06.png", np.concatenate(pictures, axis=1))
-    write_cumulative_errors(out / "figure06_curve.png", curve, "jacket", "% of the diagonal")
+    view = View.around(meshes["white"], 525, 420, azimuth_deg=-30)
+    left, right = (picture_of([mesh], view) for mesh in (meshes["white"], laid))
+    write_tiles(out / "figure06.png", [{"three white lights": left, "one coloured frame": right}])
+    write_cumulative_errors(out / "figure06_curve.svg", percent, "jacket", "distance, % of the diagonal")
     print(write_numbers(out, numbers))
 
 

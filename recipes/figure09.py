@@ -4,6 +4,8 @@
 
 Simulates the scene, reconstructs every tenth frame with the scene's own rig, and draws each moment as
 captured, its normals, and its mesh as plaster from five directions.
+
+figure09.png: a moment a row: captured, normals, the mesh from angles around the upright axis.
 """
 
 import argparse
@@ -15,39 +17,33 @@ import numpy as np
 from vntoolkit.cli.reconstruct import reconstruct
 from vntoolkit.cli.simulate import simulate
 from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.io.images import write_png
 from vntoolkit.pipeline.opened_result import OpenedResult, open_result
 from vntoolkit.pipeline.truth_comparison import compare_with_truth
 from vntoolkit.report.numbers import number, write_numbers
-from vntoolkit.report.pictures import Picture, picture_of_normals, strip_of
+from vntoolkit.report.pictures import Picture, cropped, picture_of_normals
 from vntoolkit.report.raycast_view import View, picture_of
 from vntoolkit.report.samples_section import sampled
+from vntoolkit.report.tiles import write_tiles
 
 AZIMUTHS_DEG = (-60.0, -30.0, 0.0, 30.0, 60.0)
 STEP = 10
 
 
-def views(mesh: Mesh, width: int, height: int) -> list[Picture]:
+def views(mesh: Mesh, width: int, height: int) -> dict[str, Picture]:
     """Return the mesh from all directions, without its captured colours, so that the shape shows."""
-    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-    front = View(
-        centre=(low + high) / 2,
-        height=1.15 * float(np.max((high - low)[:2] / [width / height, 1])),
-        elevation_deg=8.0,
-        width_px=width,
-        height_px=height,
-    )
     plaster = replace(mesh, colours=None)
-    return [picture_of([plaster], replace(front, azimuth_deg=azimuth)) for azimuth in AZIMUTHS_DEG]
+    front = View.around(mesh, width, height, elevation_deg=8.0)
+    turned = ((azimuth, replace(front, azimuth_deg=azimuth)) for azimuth in AZIMUTHS_DEG)
+    return {f"{azimuth:+.0f}°": picture_of([plaster], view) for azimuth, view in turned}
 
 
-def moment(result: OpenedResult, frame: int) -> Picture:
-    """Return one row: captured, normals, views."""
+def moment(result: OpenedResult, frame: int) -> dict[str, Picture]:
+    """Return one row: captured, normals, views, cut to the same height."""
     captured, normal_map, mesh = result.picture(frame), result.normals(frame), result.mesh(frame)
     assert captured is not None and normal_map is not None and mesh is not None  # noqa: PT018
-    height, width = captured.shape[:2]
-    strip = strip_of([captured, picture_of_normals(normal_map), *views(mesh, width, height)], 240)
-    return np.pad(strip, ((0, 6), (0, 0), (0, 0)), constant_values=255)
+    flat = cropped([captured, picture_of_normals(normal_map)], normal_map.mask)
+    height, width = flat[0].shape[:2]
+    return {"captured": flat[0], "normals": flat[1], **views(mesh, width, height)}
 
 
 def main(out: Path, frames: int = 150, size: str = "640x480") -> None:
@@ -56,7 +52,9 @@ def main(out: Path, frames: int = 150, size: str = "640x480") -> None:
     simulate("sweater", out=capture, frames=f"0:{frames}:{STEP}", size=size)
     reconstruct(str(capture / "capture.mkv"), rig=capture / "truth" / "rig.json", out=made)
     result = open_result(made)
-    write_png(out / "figure09.png", np.concatenate([moment(result, n) for n in sampled(result.numbers, 5)]))
+    shown = sampled(result.numbers, 5)
+    rows, names = [moment(result, number) for number in shown], [f"frame {number}" for number in shown]
+    write_tiles(out / "figure09.png", rows, names, height_px=240)
     errors = np.median([frame.normals.median_deg for frame in compare_with_truth(result, capture)])
     median = number("sweater's normals, median of medians", float(errors), "degrees")
     print(write_numbers(out, [median]))

@@ -3,6 +3,9 @@
     python recipes/figure10.py --out out/figure10 [--frames 1000]  # 1000 frames: about 2 h; --quick 4 min
 
 As figure08.py, on the simulated sweater.
+
+checkerboards.png: moments of the second half, a column for each method.
+errors.svg: median and 95 % error of the vertices in sight, in pixels by frame.
 """
 
 import sys

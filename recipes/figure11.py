@@ -3,11 +3,14 @@
     python recipes/figure11.py --out out/figure11 [--motion 131_01.bvh lambada.amc] [--track DIR]  # 2 min
 
 Without --track DIR (written by `vntoolkit track`) the moving mesh is that of the simulated `sweater`, one
-second of it, played back and forth.
-For every motion it writes a USD, a contact sheet and a turntable: as published, and without its seams.
+second of it, played back and forth. Writes a USD, a contact sheet and a turntable for every motion.
+
+walk_published_sheet.png: the walk, weights as published; time runs to the right, a direction a row.
+walk_smooth_sheet.png: the same without seams between the bones' parts, by dual quaternions.
 """
 
 import argparse
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -59,14 +62,12 @@ def main(out: Path, motions: tuple[Path, ...] = (WALK,), track: Path | None = No
     """Dress the figure of every motion and write the results into the folder `out`."""
     numbers = []
     cloth = simulated_sweater(out / "sweater") if track is None else read_tracked_cloth(track)
-    for motion in motions:
-        for style, options in STYLES.items():
-            dressed = dress(cloth, read_motion(motion), options)
-            name = f"{motion.stem}_{style}"
-            count = write_dressed_figure(dressed, out / f"{name}.usdc")
-            write_preview(out, name, dressed, PreviewOptions(turn_frames=60))
-            numbers.append(number(f"{motion.stem}, {style}: dressed frames written", count, "frames"))
-            print(f"{out / name}.usdc; see {name}_sheet.png, {name}_turntable.mkv")
+    for motion, (style, options) in itertools.product(motions, STYLES.items()):
+        dressed, name = dress(cloth, read_motion(motion), options), f"{motion.stem}_{style}"
+        count = write_dressed_figure(dressed, out / f"{name}.usdc")
+        write_preview(out, name, dressed, PreviewOptions(turn_frames=60))
+        numbers.append(number(f"{motion.stem}, {style}: dressed frames written", count, "frames"))
+        print(f"{out / name}.usdc; see {name}_sheet.png, {name}_turntable.mkv")
     print(write_numbers(out, numbers))
 
 

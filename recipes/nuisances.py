@@ -3,7 +3,9 @@
     python recipes/nuisances.py --out out/nuisances [--scene cylinder] [--frame 60]        # 2 min
 
 Every nuisance alone in the world of equation 1, and all but that one; M is the true one, once at the scene's
-centre and once following the near lights over the image. Writes nuisances.json, nuisances.png, numbers.json.
+centre and once following the near lights over the image.
+
+nuisances.svg: mean error of the normals with each nuisance alone, and with all but that one.
 """
 
 import argparse
@@ -41,8 +43,10 @@ def main(out: Path, scene_name: str = "cylinder", frame: int = 60) -> None:
         for name, rows in table.items()
         for kind in ("alone", "without")
     }
-    names = [row.name for row in table["one M"] if row.without is not None]
-    write_bars(out / "nuisances.png", names, bars, f"{scene_name}: mean error of the normals", "degrees")
+    names = [
+        row.name.removesuffix("_px").replace("_", " ") for row in table["one M"] if row.without is not None
+    ]
+    write_bars(out / "nuisances.svg", names, bars, f"{scene_name}: mean error of the normals", "angle, °")
     plain = {name: [dataclasses.asdict(row) for row in rows] for name, rows in table.items()}
     write_text(out / "nuisances.json", json.dumps(plain, indent=1) + "\n")
     print(write_numbers(out, numbers))

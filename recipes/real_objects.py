@@ -4,12 +4,15 @@
 
 DIR holds coloured_light/, photometric_stereo/ and faces/. Shadows are found and recovered as `reconstruct`
 does. Angles to the many-light normals, over pixels that three, two or one of the lights reach.
+
+real_objects.svg: mean angle for each object, over all pixels and by how many lights reach them.
 """
 
 import argparse
 import dataclasses
 import json
 import os
+from math import nan
 from pathlib import Path
 
 from vntoolkit.io.atomic import write_text
@@ -22,7 +25,7 @@ from vntoolkit.shadows.recovery import recover_normals
 
 
 def main(out: Path, data: Path) -> None:
-    """Write real_objects.json, real_objects.png and numbers.json into the folder `out`."""
+    """Write real_objects.json, real_objects.svg and numbers.json into the folder `out`."""
     table, numbers = {}, []
     for name in CAPTURES:
         capture = read_capture(data, name)
@@ -43,11 +46,11 @@ def main(out: Path, data: Path) -> None:
             for what, value, unit in lines:
                 numbers.append(number(f"{name}, {group} ({share:.0f} % of it), {what}", value, unit))
     groups = {
-        group: [errors[group].mean_deg if group in errors else 0.0 for errors in table.values()]
+        group: [errors[group].mean_deg if group in errors else nan for errors in table.values()]
         for group in ("all", "three lights", "two lights", "one light")
     }
     write_bars(
-        out / "real_objects.png", list(table), groups, "mean angle to the many-light normals", "degrees"
+        out / "real_objects.svg", list(table), groups, "mean angle to the many-light normals", "angle, °"
     )
     plain = {name: {g: dataclasses.asdict(e) for g, e in errors.items()} for name, errors in table.items()}
     write_text(out / "real_objects.json", json.dumps(plain, indent=1) + "\n")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,10 +21,11 @@ _SHEET_COLUMNS, _SHEET_ROWS = 4, 2
 
 @dataclass(frozen=True, kw_only=True)
 class CheckerboardFiles:
-    """What was written."""
+    """What was written. moments: the pictures (h, w, 3) on the sheet, by their places in the sequence."""
 
     video: Path
     sheet: Path
+    moments: Mapping[int, npt.NDArray[np.uint8]]
 
 
 def write_checkerboard(
@@ -37,7 +38,9 @@ def write_checkerboard(
     rate = read_mesh_sequence(target).frame_rate_hz
     write_video(target / "checkerboard.mkv", sheet.passing(frames), rate)
     write_png(target / "checkerboard.png", sheet.image())
-    return CheckerboardFiles(video=target / "checkerboard.mkv", sheet=target / "checkerboard.png")
+    return CheckerboardFiles(
+        video=target / "checkerboard.mkv", sheet=target / "checkerboard.png", moments=sheet.kept
+    )
 
 
 def _frames(
@@ -63,17 +66,17 @@ class _Sheet:
     def __init__(self, frame_count: int) -> None:
         cells = min(_SHEET_COLUMNS * _SHEET_ROWS, frame_count)
         self._wanted = set(np.linspace(0, frame_count - 1, cells).round().astype(int).tolist())
-        self._kept: list[npt.NDArray[np.uint8]] = []
+        self.kept: dict[int, npt.NDArray[np.uint8]] = {}
 
     def passing(self, frames: Iterator[npt.NDArray[np.uint8]]) -> Iterator[npt.NDArray[np.uint8]]:
         for row, frame in enumerate(frames):
             if row in self._wanted:
-                self._kept.append(frame)
+                self.kept[row] = frame
             yield frame
 
     def image(self) -> npt.NDArray[np.uint8]:
-        blank = np.zeros_like(self._kept[0])
-        columns = min(_SHEET_COLUMNS, len(self._kept))
-        cells = self._kept + [blank] * (-len(self._kept) % columns)
+        kept = list(self.kept.values())
+        columns = min(_SHEET_COLUMNS, len(kept))
+        cells = kept + [np.zeros_like(kept[0])] * (-len(kept) % columns)
         rows = [np.concatenate(cells[i : i + columns], axis=1) for i in range(0, len(cells), columns)]
         return np.concatenate(rows)

@@ -27,7 +27,7 @@ from vntoolkit.report.viewer import ViewerOptions
 _PICTURE_PX = 480  # longer side of the pictures in the panel
 _SURFACE_PX = 120  # vertices along the longer side
 _PLASTER = (205, 200, 192)
-_SWING_DEG, _SWING_S = 35.0, 6.0  # how far the surface turns to either side, and how long a swing takes
+_SWING_DEG, _SWING_S = 30.0, 6.0  # how far the surface turns to either side, and how long a swing takes
 _CAPTION_HZ = 4.0
 _WARNED_S = 1.5  # a warning stays for so long, so that it can be read
 _CLIPPED = (255, 0, 255)
@@ -98,7 +98,11 @@ class LiveViewer:
     def _set_up(self) -> None:
         server: Any = self._server
         server.gui.configure_theme(
-            show_logo=False, show_share_button=False, dark_mode=True, control_width="large"
+            show_logo=False,
+            show_share_button=False,
+            dark_mode=True,
+            control_layout="fixed",
+            control_width="large",
         )
         server.gui.set_panel_label("vntoolkit live")
         server.scene.set_up_direction("+y")

@@ -15,6 +15,7 @@ from vntoolkit.native import import_open3d
 BACKGROUND = (0.93, 0.94, 0.96)
 PLAIN = (0.66, 0.65, 0.62)  # of a mesh without colours
 _AMBIENT = 0.12
+_ROOM = 1.15  # height of a picture over its subject's
 _FINER = 2  # rays along each side of a pixel, averaged: smooth edges
 _LIGHT = np.array([-0.35, -0.55, -0.76])  # from the surface, in the axes of the view (y down)
 _DISPLAY_GAMMA = 1 / 2.2
@@ -34,6 +35,14 @@ class View:
     elevation_deg: float = 0.0
     width_px: int = 320
     height_px: int = 480
+
+    @classmethod
+    def around(cls, mesh: Mesh, width_px: int, height_px: int, **angles: float) -> View:
+        """Return the view of these angles in which the mesh, unturned, fills the picture."""
+        low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+        width, height = (high - low)[:2]
+        tall = _ROOM * max(float(height), float(width) * height_px / width_px)
+        return cls(centre=(low + high) / 2, height=tall, width_px=width_px, height_px=height_px, **angles)
 
     @property
     def view_from_world(self) -> FloatArray:

@@ -1,14 +1,19 @@
-"""Error against frame, one curve a method: the picture of which tracker drifts."""
+"""Trackers side by side: error against frame, one curve each, and the checkerboards that they carry."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from vntoolkit.evaluation.track_error import TrackError
+from vntoolkit.report.pictures import Picture, cropped
 from vntoolkit.report.style import new_figure, report_style, write_figure
+from vntoolkit.report.tiles import write_tiles
 
 _LOWEST_PX = 0.05
+_MOMENTS, _MOMENT_PX = 3, 220
 
 
 def write_error_plot(path: Path, errors: Mapping[str, Sequence[TrackError]], title: str = "") -> None:
@@ -31,3 +36,14 @@ def write_error_plot(path: Path, errors: Mapping[str, Sequence[TrackError]], tit
         if title:
             figure.suptitle(title)
     write_figure(figure, path)
+
+
+def write_moments(path: Path, moments: Mapping[str, Mapping[int, Picture]]) -> None:
+    """Write a PNG of each method's last pictures (h, w, 3), by frame: methods are columns, frames rows."""
+    every = [picture for pictures in moments.values() for picture in pictures.values()]
+    drawn = np.any([picture.any(axis=2) for picture in every], axis=0)
+    frames = list(next(iter(moments.values())))[-_MOMENTS:]
+    rows = [
+        {name: cropped([pictures[frame]], drawn)[0] for name, pictures in moments.items()} for frame in frames
+    ]
+    write_tiles(path, rows, [f"frame {frame}" for frame in frames], height_px=_MOMENT_PX)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any
 
@@ -16,7 +16,7 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.conventions import graphics_from_camera
 from vntoolkit.io.glb import glb_bytes
-from vntoolkit.meshing.surface import mesh_from_depth
+from vntoolkit.meshing.surface import MeshOptions, mesh_from_depth
 from vntoolkit.pipeline.opened_result import OpenedResult
 from vntoolkit.report.pictures import (
     Picture,
@@ -25,8 +25,10 @@ from vntoolkit.report.pictures import (
     picture_of_normals,
 )
 from vntoolkit.report.serving import started_server
+from vntoolkit.report.thinning import ThinnedTemplate, thinned_template
 
-_PLASTER = (205, 200, 192)
+_PLASTER = (190, 185, 177)
+_WIRE, _WIRE_VERTICES = (130, 190, 255), 3000
 _CHECKS = (32, 24)  # cells across and down the template's picture
 _CHECK_COLOURS = np.array([[0.85, 0.82, 0.78], [0.62, 0.13, 0.08]], np.float32)
 _LAMP = (-0.42, 0.26, 0.4)  # where the light starts, the subject's size being 1
@@ -34,7 +36,7 @@ _FASTEST_HZ = 15.0
 
 
 class Look(Enum):
-    """How the mesh is painted; every look is lit by the light that one drags."""
+    """How the mesh is painted; plaster and checkerboard are lit by the light that one drags."""
 
     PLASTER = "relit plaster"
     CAPTURED = "captured colours"
@@ -74,6 +76,7 @@ class ResultViewer:
         self._lock = threading.Lock()
         self._playing = threading.Event()
         self._closed = threading.Event()
+        self._thinned: ThinnedTemplate | None = None
         self._server = started_server(options.host, options.port)
         self._set_up_scene()
         self._set_up_controls()
@@ -111,18 +114,21 @@ class ResultViewer:
         low, high = points.min(axis=0), points.max(axis=0)
         self._centre, self._size = (low + high) / 2, float((high - low).max())
         server: Any = self._server
-        server.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=True)
+        server.gui.configure_theme(
+            show_logo=False, show_share_button=False, dark_mode=True, control_layout="fixed"
+        )
         server.gui.set_panel_label("vntoolkit")
         server.scene.set_up_direction("+y")
-        server.initial_camera.position = (0.0, 0.0, 1.25)
+        server.initial_camera.position = (0.0, 0.0, 1.05)
         server.initial_camera.look_at = (0.0, 0.0, 0.0)
         server.scene.configure_default_lights(enabled=False)
-        server.scene.configure_environment_map("warehouse", environment_intensity=0.25)
+        server.scene.configure_environment_map("warehouse", environment_intensity=0.15)
         server.scene.add_transform_controls(
             "/light", scale=0.14, position=_LAMP, disable_rotations=True, disable_sliders=True
         )
-        server.scene.add_light_point("/light/lamp", intensity=3.5, decay=2.0)
-        server.scene.add_icosphere("/light/bulb", radius=0.012, color=(255, 179, 0))
+        server.scene.add_light_point("/light/lamp", intensity=1.7, decay=2.0)
+        bulb = {"points": np.zeros((1, 3), np.float32), "colors": (255, 200, 80), "point_size": 0.024}
+        server.scene.add_point_cloud("/light/bulb", point_shape="circle", **bulb)  # shines by itself
 
     def _set_up_controls(self) -> None:
         gui: Any = self._server.gui
@@ -184,15 +190,16 @@ class ResultViewer:
                 self._images[name].image = picture
 
     def _mesh_of(self, number: int) -> None:
-        mesh = self._mesh(number, Surface(self._surface.value))
-        look = Look(self._look.value)
+        surface, look = Surface(self._surface.value), Look(self._look.value)
+        mesh = self._wires(number, surface) if self._wire.value else self._mesh(number, surface)
         vertices = self._placed(mesh.vertices)
         scene: Any = self._server.scene
         with self._server.atomic():
             if self._wire.value or look is Look.PLASTER:
                 scene.remove_by_name("/painted")
                 scene.add_mesh_simple(
-                    "/surface", vertices, mesh.faces, color=_PLASTER, wireframe=self._wire.value,
+                    "/surface", vertices, mesh.faces, color=_WIRE if self._wire.value else _PLASTER,
+                    wireframe=self._wire.value,
                     side="double", cast_shadow=False, receive_shadow=False,
                 )  # fmt: skip
                 return
@@ -201,8 +208,23 @@ class ResultViewer:
             painted = Mesh(vertices=vertices, faces=mesh.faces, colours=colours)
             # write the vertices as they are placed: glb_bytes turns from the camera frame
             turned = graphics_from_camera(vertices)
-            data = glb_bytes(painted, iter([turned]), frame_rate_hz=30.0)
+            shaded = look is Look.CHECKERBOARD  # captured colours have their light, normals want none
+            data = glb_bytes(painted, iter([turned]), frame_rate_hz=30.0, shaded=shaded)
             scene.add_glb("/painted", data, cast_shadow=False, receive_shadow=False)
+
+    def _wires(self, number: int, surface: Surface) -> Mesh:
+        """Return a mesh coarse enough to see through: a wire a pixel would look solid."""
+        track, depth_map = self._result.track, self._result.depth(number)
+        if surface is Surface.REGISTERED and track is not None and number in track.numbers:
+            if self._thinned is None:
+                self._thinned = thinned_template(track.sequence.template, _WIRE_VERTICES)
+            return replace(
+                self._thinned.mesh, vertices=track.mesh(number).vertices[self._thinned.kept], normals=None
+            )
+        if depth_map is None:
+            return self._mesh(number, surface)
+        stride = max(1, int(np.ceil(np.sqrt(depth_map.mask.sum() / _WIRE_VERTICES))))
+        return mesh_from_depth(depth_map, self._result.camera, options=MeshOptions(stride=stride))
 
     def _mesh(self, number: int, surface: Surface) -> Mesh:
         track = self._result.track
