@@ -118,8 +118,7 @@ def rectify(
         Transfer curve of the footage: linear, srgb, bt709 or gamma:G.
     """
     rectification = rectification_from_flags(corners, size_mm, pixel_mm)
-    if rectification is None:
-        raise BadInput("rectify: expected --corners and --size-mm")
+    assert rectification is not None  # both flags are required
     capture = open_capture(source, CaptureOptions(transfer=Transfer.from_text(transfer)))
     folder = require_writable_folder(out)
     with contextlib.ExitStack() as stack:

@@ -1,0 +1,346 @@
+"""Jobs that cannot be done say in one line which folder, file or frame is to blame, and what to do."""
+
+import json
+import shutil
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.dome_result import DomeResult, dome_result
+from tests.pipeline.conftest import SIZE, DomeCapture
+from vntoolkit.__main__ import main
+from vntoolkit.calibration.lights import LightColours
+from vntoolkit.calibration.presses import PressOptions
+from vntoolkit.errors import BadCalibration, BadCapture, BadInput, BadMotion, CannotWrite, VntError
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.maps import LengthUnit
+from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.geometry.motion import Motion
+from vntoolkit.geometry.skeleton import Skeleton
+from vntoolkit.io.frame_range import FrameRange
+from vntoolkit.io.images import write_png
+from vntoolkit.io.rigs import write_rig
+from vntoolkit.io.sequences import write_mesh_sequence
+from vntoolkit.photometry.rig import Rig
+from vntoolkit.pipeline import run_blocks, simulate
+from vntoolkit.pipeline.block_work import ReconstructionJob
+from vntoolkit.pipeline.calibrate import CalibrationJob, calibrate_lights, mean_frame
+from vntoolkit.pipeline.calibrate_presses import PressJob, calibrate_presses
+from vntoolkit.pipeline.dress import dress
+from vntoolkit.pipeline.evaluate_cylinder import CylinderTruth
+from vntoolkit.pipeline.evaluate_integration import read_object, surface_cases
+from vntoolkit.pipeline.evaluate_normals import compare_normal_files
+from vntoolkit.pipeline.evaluate_tracks import evaluate_tracks, read_track_truth
+from vntoolkit.pipeline.export import ExportJob, export
+from vntoolkit.pipeline.export_options import ExportFormat, ExportOptions, file_lengths
+from vntoolkit.pipeline.opened_result import open_result
+from vntoolkit.pipeline.options import ReconstructOptions
+from vntoolkit.pipeline.outputs import ReconstructionFolder
+from vntoolkit.pipeline.reconstruct import reconstruct
+from vntoolkit.pipeline.referenced_captures import read_capture
+from vntoolkit.pipeline.simulation_job import SimulationFolder, SimulationJob, read_motion_file
+from vntoolkit.pipeline.tracked_folder import read_track_record, recorded_camera
+from vntoolkit.pipeline.truth_comparison import compare_with_truth
+from vntoolkit.report.live_viewer import LiveViewer
+from vntoolkit.report.viewer import ResultViewer, ViewerOptions
+from vntoolkit.simulation.scene import SceneOptions
+
+__all__ = ["dome_result"]
+TRIANGLE = Mesh(vertices=np.eye(3), faces=np.array([[0, 1, 2]], dtype=np.int32))
+
+
+@pytest.fixture
+def result(dome_result: DomeResult, tmp_path: Path) -> Path:
+    """A copy of the result that a test may spoil."""
+    return Path(shutil.copytree(dome_result.folder, tmp_path / "result"))
+
+
+def exported(folder: Path, to: ExportFormat, **options: object) -> None:
+    export(ExportJob(folder=folder, options=ExportOptions(to=to, **options), out=None))
+
+
+def test_a_result_without_the_frames_asked_for(result: Path) -> None:
+    with pytest.raises(BadInput, match="holds none of the frames 3:4:1; it holds 5 of the 6 asked for"):
+        open_result(result, frames=FrameRange.from_text("3"))
+
+
+def test_a_result_whose_footage_is_another(result: Path, dome_capture: DomeCapture) -> None:
+    opened = open_result(result, footage=dome_capture.source)
+    with pytest.raises(
+        BadInput, match=r"20 frames of 64×48, but .* from 6 of 64×48; name the footage it came"
+    ):
+        _ = opened.capture
+
+
+@pytest.mark.parametrize("to", [ExportFormat.PLY, ExportFormat.USD])
+def test_a_result_without_meshes_cannot_be_exported(result: Path, to: ExportFormat) -> None:
+    shutil.rmtree(result / "mesh")
+    shutil.rmtree(result / "track")
+    with pytest.raises(BadInput, match="holds no mesh of those frames; run `vntoolkit reconstruct"):
+        exported(result, to)
+
+
+def test_a_result_with_a_background_needs_it_for_diligent(result: Path) -> None:
+    manifest = json.loads((result / "reconstruction.json").read_text())
+    manifest["extra_files"] = {"background": {"file": "b.png", "sha256": "0" * 64}}
+    (result / "reconstruction.json").write_text(json.dumps(manifest))
+    with pytest.raises(BadInput, match="made with a background; give it as --background"):
+        exported(result, ExportFormat.DILIGENT)
+
+
+def test_exported_lengths_that_contradict_the_result() -> None:
+    with pytest.raises(BadInput, match="scale: expected a positive number of metres, got 0"):
+        ExportOptions(to=ExportFormat.PLY, scale=0.0)
+    with pytest.raises(BadInput, match="has lengths in metres already; leave out --scale"):
+        file_lengths(ExportOptions(to=ExportFormat.PLY, scale=1.0), LengthUnit.METRE)
+
+
+def test_a_viewer_at_an_address_that_is_not_ours(result: Path) -> None:
+    options = ViewerOptions(host="203.0.113.1")  # of a network that exists in documents only
+    camera = Camera.orthographic(width=64, height=48)
+    for made in (
+        lambda: ResultViewer(open_result(result), options),
+        lambda: LiveViewer(camera, options, figures=lambda: None),
+    ):
+        with pytest.raises(CannotWrite, match=r"cannot serve on 203\.0\.113\.1:\d+"):
+            made()
+
+
+def test_records_of_tracks_that_are_spoilt(result: Path) -> None:
+    record = read_track_record(result / "track")
+    assert recorded_camera(record).width == SIZE[1]
+    with pytest.raises(
+        BadInput, match=r"names no whole camera .* run `vntoolkit track` again, with --overwrite"
+    ):
+        recorded_camera({"camera": {"model": "orthographic"}})
+    (result / "track" / "track.json").write_text("[]")
+    with pytest.raises(BadInput, match="expected an object with the key frames"):
+        read_track_record(result / "track")
+    (result / "track" / "track.json").unlink()
+    with pytest.raises(BadInput, match=r"holds no track\.json; give a folder that `vntoolkit track`"):
+        read_track_record(result / "track")
+
+
+def _write_track_truth(folder: Path, frames: int) -> None:
+    truth = folder / "truth"
+    corners = np.array([[-1.0, -0.8, 2.0], [1.0, -0.8, 3.0], [-1.0, 0.8, 2.0]], dtype=np.float32)
+    moving = MeshSequence(
+        template=Mesh(vertices=corners, faces=TRIANGLE.faces), vertices=np.repeat(corners[None], frames, 0)
+    )
+    write_mesh_sequence(truth, moving)
+    camera = Camera.pinhole(width=SIZE[1], height=SIZE[0], focal_px=60.0)
+    write_rig(truth / "rig.json", Rig(camera=camera, response=_response()))
+
+
+def _response():
+    from tests.pipeline.conftest import RESPONSE
+
+    return RESPONSE
+
+
+def test_tracks_and_a_truth_that_do_not_match(result: Path, tmp_path: Path) -> None:
+    _write_track_truth(tmp_path, 2)
+    with pytest.raises(BadInput, match="its frames reach 5, the truth has 2"):
+        evaluate_tracks(result / "track", tmp_path)
+    record = json.loads((result / "track" / "track.json").read_text())
+    (result / "track" / "track.json").write_text(json.dumps(record | {"template": 77}))
+    _write_track_truth(tmp_path / "long", 9)
+    with pytest.raises(BadInput, match="the template frame 77 is not tracked yet"):
+        evaluate_tracks(result / "track", tmp_path / "long")
+    np.save(tmp_path / "truth" / "vertices.npy", np.zeros((2, 3)))
+    with pytest.raises(BadInput, match=r"expected \(frames, vertices, 3\) of the mesh template\.ply"):
+        read_track_truth(tmp_path)
+    (tmp_path / "truth" / "vertices.npy").write_bytes(b"0")
+    with pytest.raises(BadInput, match=r"is not a whole \.npy array"):
+        read_track_truth(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["A", "--every", "0"], "every: expected 1 or more, got 0"),
+        (["A", "--plot", "a.gif"], "expected a name that ends in .png or .svg, got a.gif"),
+    ],
+)
+def test_evaluate_tracks_refuses_what_it_cannot_draw(
+    arguments: list[str], line: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["evaluate", "tracks", *arguments, "--truth", str(tmp_path)]) == 1
+    assert line in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["live", "--rig", "R", "--camera", "0", "--realtime"], "--realtime is for --video"),
+        (["live", "--rig", "R", "--video", "F", "--size-mm", "3", "4"], "--size-mm need --pixel-mm"),
+        (["live", "--rig", "R", "--video", "F", "--size-mm", "3", "4", "--pixel-mm", "1"], "belong together"),
+        (["reconstruct", "F", "--rig", "R", "--out", "o", "--scheduler", "nowhere"], "nowhere: no Dask"),
+    ],
+)  # fmt: skip
+def test_flags_that_need_each_other(
+    arguments: list[str], line: str, tmp_path: Path, dome_capture: DomeCapture,
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    write_rig(tmp_path / "R", dome_capture.rig)
+    assert main([dome_capture.source if a == "F" else a for a in arguments]) == 1
+    assert line in capsys.readouterr().err
+
+
+def test_known_lights_that_make_no_rig(tmp_path: Path) -> None:
+    (tmp_path / "lights.txt").write_text("0 0 1\n0 0.5 1\n0.5 0 1\n")
+    job = CalibrationJob(source="")
+    for chosen, line in (
+        ((0, 1, 1), "expected three different lights, got 0, 1, 1"),
+        ((0, 1, 3), "holds 3 lights, numbered from 0; asked for 0, 1, 3"),
+        ((0, 1, 2), "the image size is not known; give footage of the rig with --like"),
+    ):
+        with pytest.raises(BadInput, match=line):
+            calibrate_lights(tmp_path / "lights.txt", None, chosen, LightColours.CHANNELS, job)
+    with pytest.raises(BadCalibration, match="the footage holds no frame"):
+        mean_frame(iter(()))
+
+
+def test_presses_without_labels_or_of_another_size(tmp_path: Path, dome_capture: DomeCapture) -> None:
+    (tmp_path / "labels").mkdir()
+    write_png(tmp_path / "gel.png", np.full((24, 32, 3), 9, np.uint8))
+    job = PressJob(source=dome_capture.source, background=tmp_path / "gel.png", labels=tmp_path / "labels")
+    options = PressOptions(ball_radius_mm=3.0, pixel_mm=0.1)
+    with pytest.raises(
+        BadCalibration, match=r"no image of .* has a label in .*labels \(NAME\.txt for NAME\.jpg\)"
+    ):
+        calibrate_presses(job, options)
+    (tmp_path / "labels" / "f0.txt").write_text("30 20 9")
+    with pytest.raises(BadCalibration, match="the background has another size than the presses"):
+        calibrate_presses(job, options)
+
+
+def test_a_first_frame_that_shows_nothing_is_named(tmp_path: Path, dome_capture: DomeCapture) -> None:
+    write_png(tmp_path / "dark.png", np.zeros((*SIZE, 3), np.uint8))
+    job = ReconstructionJob(
+        source=str(tmp_path / "dark.png"),
+        rig=dome_capture.rig,
+        options=ReconstructOptions(),
+        folder=ReconstructionFolder(root=tmp_path / "out"),
+    )
+    with pytest.raises(BadCapture, match=r"dark\.png"):
+        reconstruct(job)
+
+
+def _dies(*_: object) -> Iterator[int]:
+    raise BrokenProcessPool
+    yield
+
+
+@pytest.mark.parametrize("module", [run_blocks, simulate])
+def test_a_worker_that_dies_is_named(
+    module: object, tmp_path: Path, dome_capture: DomeCapture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "_collect", _dies)
+    monkeypatch.setattr(module, "ProcessPoolExecutor", ThreadPoolExecutor)  # whose threads start at need
+    job = ReconstructionJob(
+        source=dome_capture.source,
+        rig=dome_capture.rig,
+        options=ReconstructOptions(),
+        folder=ReconstructionFolder(root=tmp_path),
+    )
+    simulation = SimulationJob(
+        scene="sphere",
+        folder=SimulationFolder(root=tmp_path / "s"),
+        options=SceneOptions(width=32, height=24),
+        frames=FrameRange.from_text("0:2"),
+    )
+    runs = {
+        run_blocks: lambda: list(run_blocks.run_blocks(job, [range(1), range(2)], lambda _: frozenset(), 2)),
+        simulate: lambda: simulate.simulate(simulation, jobs=2),
+    }
+    with pytest.raises(VntError, match=r"ended abruptly .* run the same command again, with fewer --jobs"):
+        runs[module]()
+
+
+def test_simulations_of_what_cannot_be_filmed(tmp_path: Path) -> None:
+    np.save(tmp_path / "flat.npy", np.zeros((3, 4)))
+    with pytest.raises(
+        BadMotion, match=r"expected floating point vertices \(frames, n, 3\), got \(3, 4\) float64"
+    ):
+        read_motion_file(tmp_path / "flat.npy")
+    (tmp_path / "flat.npy").write_bytes(b"\x93NUMPY")
+    with pytest.raises(BadMotion, match=r"is not a whole \.npy array"):
+        read_motion_file(tmp_path / "flat.npy")
+    job = SimulationJob(scene="sphere", folder=SimulationFolder(root=tmp_path))
+    with pytest.raises(BadInput, match="jobs: expected at least 1 process, got 0"):
+        simulate.simulate(job, jobs=0)
+    (tmp_path / "capture.mkv").write_bytes(b"0")
+    with pytest.raises(BadInput, match=r"holds a capture\.mkv already; choose another folder"):
+        simulate.simulate(job)
+    (tmp_path / "simulation.json").write_bytes(b"\xff\xfe")
+    with pytest.raises(BadInput, match=r"simulation\.json: expected text in UTF-8; byte 0 is no text"):
+        simulate.simulate(job)
+
+
+def test_truth_that_is_not_there_or_of_another_scene(result: Path, tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="the simulated capture holds no truth for frame 0"):
+        list(compare_with_truth(open_result(result), tmp_path))
+    truth = CylinderTruth(folder=SimulationFolder(root=tmp_path))
+    (tmp_path / "truth").mkdir()
+    for name, text, line in (
+        ("scene.json", "{", "but this is not JSON"),
+        ("scene.json", "[]", "expected scene, and facts with the radius_m of a cylinder"),
+        ("scene.json", '{"scene": "cylinder", "facts": {}}', "expected scene, and facts with the radius_m"),
+        ("scene.json", '{"scene": "jacket", "facts": {}}', "holds the scene jacket, not a cylinder"),
+        ("poses.json", "{}", "expected camera_from_object, a 4 × 4 matrix a frame"),
+        ("poses.json", '{"camera_from_object": [1]}', "expected shape any × 4 × 4, got 1"),
+    ):
+        (tmp_path / "truth" / name).write_text(text)
+        with pytest.raises(BadInput, match=line):
+            _ = truth.radius_m if name == "scene.json" else truth.poses
+    (tmp_path / "truth" / "poses.json").write_text(json.dumps({"camera_from_object": [np.eye(4).tolist()]}))
+    with pytest.raises(BadInput, match="has 1 frames, the reconstruction frame 3"):
+        truth.axis(3)
+
+
+def test_objects_with_depth_that_are_spoilt(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="surfaces of at least 16 pixels, got 8"):
+        surface_cases(8)
+    with pytest.raises(BadInput, match="no pair of maps was given"):
+        compare_normal_files([])
+    white = np.full((4, 5), 255, np.uint8)
+    write_png(tmp_path / "mask.png", white)
+    write_png(tmp_path / "normal_map.png", np.dstack([white // 2, white // 2, white]))
+    (tmp_path / "K.txt").write_text("1 0 0 0 1 0")
+    with pytest.raises(BadInput, match="3 × 3 camera matrix, got 6 words"):
+        read_object(tmp_path)
+    (tmp_path / "K.txt").write_text("9 0 2\n0 9 2\n0 0 1")
+    (tmp_path / "depth_gt.npz").write_bytes(b"PK\3\4")
+    with pytest.raises(BadInput, match=r"depth_gt\.npz: is not a whole \.npz archive"):
+        read_object(tmp_path)
+    np.savez(tmp_path / "depth_gt.npz", depth_gt=np.ones((9, 9)))
+    with pytest.raises(BadInput, match="is 9×9 but the mask is 5×4: they must have one size"):
+        read_object(tmp_path)
+
+
+def test_captures_with_a_reference_that_are_unknown_or_cut_off(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="capture 'cheese': expected one of"):
+        read_capture(tmp_path, "cheese")
+
+
+def test_garments_and_motions_that_cannot_be_joined() -> None:
+    skeleton = Skeleton(names=("hips",), parents=np.array([-1]), offsets=np.zeros((1, 3)))
+    still = Motion(
+        skeleton=skeleton,
+        rotations=np.array([[[0, 0, 0, 1.0]]]),
+        root_positions=np.zeros((1, 3)),
+        frame_rate_hz=30.0,
+    )
+    cloth = MeshSequence(template=TRIANGLE, vertices=np.zeros((0, 3, 3), np.float32))
+    with pytest.raises(BadMotion, match="the skeleton has no height, so its scale cannot be guessed"):
+        dress(cloth, still)
+    tall = Motion(**{**still.__dict__, "metres_per_unit": 1.0})
+    with pytest.raises(BadInput, match="the garment has no frame"):
+        dress(cloth, tall)
