@@ -3,7 +3,7 @@
 PYTHON := .venv/bin/python
 READY := .venv/.ready
 
-.PHONY: demo test test-slow fuzz lint lock clean
+.PHONY: demo test test-slow fuzz error-coverage lint lock clean
 
 demo: $(READY)
 	$(PYTHON) -m vntoolkit demo --out out/demo --overwrite
@@ -18,6 +18,10 @@ test-slow: $(READY)
 fuzz: $(READY)
 	$(PYTHON) tests/faults/fuzz.py --count 10000
 	VNTOOLKIT_KILLS=50 $(PYTHON) -m pytest tests/faults -m slow
+
+# Which of the package's errors the tests raise: the share, and every `raise` that none of them reaches.
+error-coverage: $(READY)
+	$(PYTHON) scripts/error_coverage.py tests -m "not slow"
 
 lint: $(READY)
 	.venv/bin/ruff format --check .

@@ -59,8 +59,11 @@ def factor_symmetric(matrix: sp.csr_array, order: IntArray) -> SymmetricFactor:
     SolverFailed if SuperLU had to leave the diagonal.
     """
     permuted = sp.csc_array(matrix[order][:, order], dtype=np.complex64)
-    lu = splu(permuted, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    if not np.array_equal(lu.perm_c, lu.perm_r):
+    try:
+        lu = splu(permuted, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    except RuntimeError:  # exactly singular
+        lu = None
+    if lu is None or not np.array_equal(lu.perm_c, lu.perm_r):
         raise SolverFailed(
             "factorisation: a pivot vanished; the mesh's Laplacian is not positive semi-definite"
         )
