@@ -31,7 +31,7 @@ def write_error_over_time(
         axes.set_ylim(bottom=0)
         axes.margins(x=0.01)
         axes.set_title(title)
-        axes.legend(loc="upper right", bbox_to_anchor=(1, 1.14), ncols=2)
+        figure.legend(ncols=2, loc="outside lower center")
     write_figure(figure, path)
 
 

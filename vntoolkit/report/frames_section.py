@@ -27,8 +27,19 @@ def shares_section(result: OpenedResult) -> PageSection:
             "Clipped pixels carry no normal. Shadowed ones, which not all three lights reach, were recovered "
             "from the lights that do and from the surface around them; their share is of the valid pixels.",
         ),
-        figures=(_shares_figure(entries, skipped),) if entries else (),
+        numbers=_shares(entries[0]) if len(entries) == 1 else (),
+        figures=(_shares_figure(entries, skipped),) if len(entries) > 1 else (),
         tables=(PageTable(headings=("skipped frame", "why"), rows=rows),) if rows else (),
+    )
+
+
+def _shares(entry: FrameEntry) -> tuple[PageNumber, ...]:
+    """What the figure shows of many frames, of a single one."""
+    shares = (entry.valid_share, entry.shadowed_share, entry.clipped_share)
+    labels = ("with a normal, of all pixels", "shadowed, of those", "clipped, of all pixels")
+    return tuple(
+        PageNumber(value=f"{100 * share:.1f} %", label=label)
+        for share, label in zip(shares, labels, strict=True)
     )
 
 
@@ -59,11 +70,11 @@ def results_section(result: OpenedResult) -> PageSection:
     """Return the time spent on each frame and how large the meshes are."""
     figures = []
     seconds = {number: entry.seconds for number, entry in result.entries.items() if not entry.failure}
-    if seconds:
+    if len(seconds) > 1:
         figures.append(_curve(seconds, "seconds per frame", "Time spent on each frame, reading aside.", BLUE))
     counts = mesh_counts(result)
     numbers = _result_numbers(result, seconds, counts)
-    if counts:
+    if len(counts) > 1:
         thousands = {number: faces / 1000 for number, (_, faces) in counts.items()}
         figures.append(_curve(thousands, "thousand triangles", "Triangles of each frame's mesh.", GREEN))
     return PageSection(title="Time and meshes", numbers=numbers, figures=tuple(figures))
@@ -83,7 +94,7 @@ def mesh_counts(result: OpenedResult) -> dict[int, tuple[int, int]]:
 def _result_numbers(
     result: OpenedResult, seconds: Mapping[int, float], counts: Mapping[int, tuple[int, int]]
 ) -> tuple[PageNumber, ...]:
-    numbers = [PageNumber(value=f"{len(result.numbers):,}", label="frames on disk")]
+    numbers = [PageNumber(value=f"{len(result.numbers):,}", label="frames with normals")]
     if seconds:
         median = float(np.median(list(seconds.values())))
         numbers.append(PageNumber(value=f"{1000 * median:,.0f} ms", label="median time per frame"))

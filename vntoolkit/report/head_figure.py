@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, LinearImage, Mask
-from vntoolkit.calibration.head.stereo import turn_angles_deg
+from vntoolkit.calibration.head.turn import turn_angles_deg
 from vntoolkit.calibration.quality import angles_deg
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh

@@ -15,7 +15,13 @@ from vntoolkit.pipeline.opened_result import OpenedResult, open_result
 from vntoolkit.report.calibration_section import calibration_section
 from vntoolkit.report.frames_section import results_section, shares_section
 from vntoolkit.report.page import PageNotice, PageNumber, PageSection, write_page
-from vntoolkit.report.samples_section import sampled, samples_section, settings_section, track_section
+from vntoolkit.report.samples_section import (
+    sampled,
+    samples_section,
+    settings_section,
+    size_and_rate,
+    track_section,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +73,7 @@ def write_report(
         out,
         f"Reconstruction of {Path(source.source).name}",
         sections,
-        subtitle=f"{source.source} · {source.width} × {source.height} at {source.frame_rate_hz:g} per second",
+        subtitle=f"{source.source} · {size_and_rate(source)}",
         numbers=_headline(result),
     )
     return out

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.io.images import read_image, resized_image
 from vntoolkit.io.label_images import LABEL_LEGEND
+from vntoolkit.io.manifest import InputEntry
 from vntoolkit.pipeline.opened_result import OpenedResult, TrackedSurface
 from vntoolkit.report.page import (
     PageNumber,
@@ -113,6 +115,21 @@ def track_section(result: OpenedResult, track: TrackedSurface) -> PageSection:
     )
 
 
+def size_and_rate(source: InputEntry) -> str:
+    """Return frames, size and rate of footage in words; a single image has no rate."""
+    size = f"{source.width} × {source.height} pixels"
+    if source.frame_count == 1:
+        return f"one image of {size}"
+    return f"{source.frame_count} frames of {size}, {source.frame_rate_hz:g} per second"
+
+
+def _camera_in_words(camera: Camera) -> str:
+    if camera.model is CameraModel.ORTHOGRAPHIC:
+        return "orthographic"
+    lens = "pinhole" if camera.model is CameraModel.PINHOLE else "pinhole with distortion"
+    return f"{lens}, focal length {camera.matrix[0, 0]:.1f} px"
+
+
 def settings_section(result: OpenedResult) -> PageSection:
     """Return what the result was made from and with."""
     manifest = result.manifest
@@ -120,10 +137,9 @@ def settings_section(result: OpenedResult) -> PageSection:
     camera = result.rig.camera
     unit = result.length_unit
     facts = {
-        "footage": f"{manifest.input.source}: {manifest.input.frame_count} frames of "
-        f"{manifest.input.width} × {manifest.input.height}, {manifest.input.frame_rate_hz:g} per second",
+        "footage": f"{manifest.input.source}: {size_and_rate(manifest.input)}",
         "SHA-256": files[0].sha256 if len(files) == 1 else f"of {len(files)} files, in reconstruction.json",
-        "camera": f"{camera.model.value}, focal length {camera.matrix[0, 0]:.1f} px",
+        "camera": _camera_in_words(camera),
         "transfer curve": result.rig.transfer.to_text(),
         "lengths": "none"
         if unit is None

@@ -28,6 +28,7 @@ from vntoolkit.report.serving import started_server
 from vntoolkit.report.thinning import ThinnedTemplate, thinned_template
 
 _PLASTER = (190, 185, 177)
+_CAPTIONS = {"depth": "depth, as relief", "shadows": "lights that arrive: white all, dark none"}
 _WIRE, _WIRE_VERTICES = (130, 190, 255), 3000
 _CHECKS = (32, 24)  # cells across and down the template's picture
 _CHECK_COLOURS = np.array([[0.85, 0.82, 0.78], [0.62, 0.13, 0.08]], np.float32)
@@ -141,7 +142,9 @@ class ResultViewer:
         looks = [look.value for look in Look if look is not Look.CAPTURED or "captured" in first]
         self._look = gui.add_dropdown("look", looks)
         self._wire = gui.add_checkbox("wireframe", initial_value=False)
-        self._images = {name: gui.add_image(picture, label=name) for name, picture in first.items()}
+        self._images = {
+            name: gui.add_image(picture, label=_CAPTIONS.get(name, name)) for name, picture in first.items()
+        }
 
         def refresh(_event: Any = None) -> None:
             self.show(numbers[min(self._slider.value, len(numbers) - 1)])

@@ -263,6 +263,7 @@ function play() {
   playing = setInterval(() => show((shownFrame + 1) % scene.frames.length), 1000 / Math.min(scene.rate, 30));
 }
 
+const CAPTIONS = { depth: "depth, as relief", shadows: "lights that arrive: white all, dark none" };
 function main() {
   if (!gl) {
     $("view").innerHTML = '<p id="failed">This browser shows no WebGL 2; the pictures beside work all the same.</p>';
@@ -275,8 +276,8 @@ function main() {
     const figure = document.createElement("figure"), image = new Image(), caption = document.createElement("figcaption");
     image.dataset.name = name;
     image.alt = name;
-    caption.textContent = name;
-    figure.append(image, caption);
+    caption.textContent = CAPTIONS[name] || name;
+    figure.append(caption, image);
     $("pictures").append(figure);
   }
   $("time").max = scene.frames.length - 1;
