@@ -1,0 +1,101 @@
+"""Footage of a head that cannot calibrate is refused by the stage that fails, with what to film instead."""
+
+import numpy as np
+import pytest
+
+from vntoolkit.calibration.head.affine import fit_affine_model, metric_poses
+from vntoolkit.calibration.head.light import LightOptions, fit_light
+from vntoolkit.calibration.head.samples import HeadSamples
+from vntoolkit.calibration.head.silhouettes import Silhouette, SilhouetteOptions, require_head
+from vntoolkit.calibration.head.tracks import Tracks, require_tracks
+from vntoolkit.errors import BadCalibration, BadInput
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.rigid import RigidTransform
+
+CAMERA = Camera.pinhole(width=64, height=48, focal_px=100.0)
+
+
+def silhouette(share: float, rival: float = 0.0, cut: float = 0.0) -> Silhouette:
+    mask = np.zeros((10, 100), dtype=bool)
+    mask.flat[: round(1000 * share)] = True
+    return Silhouette(mask=mask, rival_share=rival, cut_share=cut)
+
+
+@pytest.mark.parametrize(
+    ("seen", "line"),
+    [
+        (silhouette(0.0), "nothing head-sized stands out .* in 100% of the frames; film one head, lit"),
+        (silhouette(1.0), "no contrast between head and background .* or give --threshold"),
+        (silhouette(0.3, rival=0.9), "two subjects in 100% of the frames; film one person alone"),
+        (silhouette(0.3, cut=0.9), "the head is cut off by the picture's edge in 100% of the frames"),
+    ],
+)
+def test_pictures_without_one_whole_head(seen, line):
+    require_head([silhouette(0.3)] * 9)
+    with pytest.raises(BadCalibration, match=f"silhouettes: {line}"):
+        require_head([seen] * 9)
+    with pytest.raises(BadInput, match="silhouette threshold: expected 0 to 1, got 2"):
+        SilhouetteOptions(threshold=2.0)
+
+
+def tracks_of(points: int, frames: int, moves: float = 5.0, missing: frozenset[int] = frozenset()) -> Tracks:
+    """Points on a grid that all move alike; the later half is not seen in the missing frames."""
+    rng = np.random.default_rng(3)
+    start = rng.uniform(0, 40, (points, 2))
+    seen = [(p, f) for f in range(frames) for p in range(points) if f not in missing or p < points // 9]
+    point, frame = np.array(seen, dtype=int).reshape(-1, 2).T
+    return Tracks(
+        point=point,
+        frame=frame,
+        positions_px=start[point] + np.outer(frame * moves, [1.0, 0.0]),
+        frame_count=frames,
+    )
+
+
+@pytest.mark.parametrize(
+    ("tracks", "line"),
+    [
+        (tracks_of(20, 12), "only 20 points of the skin can be followed from frame to frame, 60 are needed"),
+        (tracks_of(0, 12), "only 0 points of the skin can be followed"),
+        (tracks_of(100, 12, missing=frozenset({5})), "lost between frames [45] and [56] of those used"),
+        (tracks_of(100, 12, moves=0.0), "the head hardly turns .*; film it turning all the way"),
+    ],
+)
+def test_skin_that_cannot_be_followed(tracks, line):
+    with pytest.raises(BadCalibration, match=f"tracks: {line}"):
+        require_tracks(tracks)
+
+
+def test_tracks_that_tell_no_shape():
+    with pytest.raises(BadCalibration, match=r"poses: fewer than \d+ points can be followed over"):
+        fit_affine_model(tracks_of(3, 12))
+    with pytest.raises(BadCalibration, match="poses: the tracks do not tell how far the head turns"):
+        metric_poses(fit_affine_model(tracks_of(100, 12)), CAMERA, mirrored=False)
+
+
+def samples_of(normals: np.ndarray, rgb: np.ndarray) -> HeadSamples:
+    count = np.arange(len(normals))
+    return HeadSamples(
+        point=count,
+        frame=count * 0,
+        normals_in_camera=normals,
+        rgb=rgb,
+        position_px=np.zeros((len(normals), 2)),
+        camera_from_head=(RigidTransform(),),
+    )
+
+
+def test_skin_that_tells_no_light(rng):
+    normals = rng.normal(size=(400, 3))
+    normals[:, 2] = -np.abs(normals[:, 2]) - 0.5
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    for samples, line in (
+        (
+            samples_of(np.tile([0, 0, -1.0], (400, 1)), np.full((400, 3), 0.5)),
+            "no three samples of skin",
+        ),
+        (samples_of(normals, np.full((400, 3), 0.5)), "no three samples|agree on one light response"),
+        (samples_of(normals, rng.uniform(0.1, 1, (400, 3))), "agree on one light response; check that all"),
+    ):
+        with pytest.raises(BadCalibration, match=f"light: .*({line})"):
+            fit_light(samples, None, LightOptions(), rng)
