@@ -50,6 +50,7 @@ class SurfaceOptions:
     deviation of the albedo continued into a shadow. own_albedo_spread: the same where all three lights
     arrive; large, as there the colour's length is the albedo. step_softness: χ² at which a depth gradient
     counts half, because it crosses a step in depth; 0 makes the surface continuous everywhere.
+    shadow_step_softness: the same under two lights, where the slope hangs on the albedo around.
     smoothness: weight of a shadowed pixel's slope being its surroundings' mean; smooth_px: radius (standard
     deviation, pixels) of that mean. doubt_trust: weight of a light that is labelled missing where the surface
     would return about what is seen, as it does where it turns from the light; doubt_reach: difference
@@ -66,6 +67,7 @@ class SurfaceOptions:
     albedo_spread: float = 0.15
     own_albedo_spread: float = 3.0
     step_softness: float = 5.0
+    shadow_step_softness: float = 20.0
     smoothness: float = 1.5
     smooth_px: float = 2.0
     doubt_trust: float = 0.3
@@ -81,6 +83,8 @@ class SurfaceOptions:
     def __post_init__(self) -> None:
         if not (self.noise > 0 and self.damping > 0 and self.steepest > 0 and self.albedo_spread >= 0):
             raise BadInput("surface options: noise, damping and steepest must be positive")
+        if not (self.step_softness >= 0 and self.shadow_step_softness > 0):
+            raise BadInput("surface options: step_softness must not be negative, the shadow's positive")
         if not (0 <= self.doubt_trust <= 1 and self.doubt_reach > 0):
             raise BadInput("surface options: doubt_trust must be from 0 to 1, doubt_reach positive")
         if self.iterations < 1 or self.cycles < 1:
@@ -143,7 +147,9 @@ def solve_surface(
     for _ in range(options.iterations):
         prior = _surrounding_slope(slopes, mask, known, options)
         local_quadratics_kernel(data, seen, trust, slopes, prior, rows, rays, model, quadratics)
-        quadrant_weights_kernel(quadratics, seen, mask, slopes, depth, softness, weights)
+        quadrant_weights_kernel(
+            quadratics, seen, mask, slopes, depth, softness, options.shadow_step_softness, weights
+        )
         depth = _solve_depth(quadratics, slopes, weights, depth, options)
         slopes_kernel(depth, weights, options.steepest, slopes, agreement)
         softness = options.step_softness

@@ -129,16 +129,21 @@ def _quadrant(i: int) -> tuple[int, int]:
 
 @njit(cache=True, fastmath=True)
 def quadrant_weights_kernel(
-    quadratics: Grid, labels: Labels, mask: Mask, slopes: Grid, depth: Grid, softness: float, out: Grid
-) -> None:
+    quadratics: Grid, labels: Labels, mask: Mask, slopes: Grid, depth: Grid,
+    softness: float, shadow_softness: float, out: Grid,
+) -> None:  # fmt: skip
     """Fill out (h, w, 4): how far each quadrant's gradient belongs to the pixel's own surface, 0 to 1.
 
-    Where all three lights arrive the pixel knows its slope; a quadrant whose depth gradient disagrees crosses
-    a step: weight softness / (softness + χ²). Other pixels take what they are given. softness 0: all 1.
+    Where lights arrive the pixel knows its slope; a quadrant whose depth gradient disagrees crosses a step:
+    weight s / (s + χ²), where s = softness under three lights and shadow_softness under two. Other pixels
+    take what they are given. softness 0: all 1.
     """
     h, w = labels.shape
     for v in range(h):
         for u in range(w):
+            label = labels[v, u]
+            lights = (label & 1) + ((label >> 1) & 1) + ((label >> 2) & 1)
+            soft = softness if lights == 3 else shadow_softness
             for i in range(4):
                 out[v, u, i] = 0.0
                 su, sv = _quadrant(i)
@@ -147,14 +152,14 @@ def quadrant_weights_kernel(
                 if not mask[v, u + su] or not mask[v + sv, u]:
                     continue
                 out[v, u, i] = 1.0
-                if softness <= 0.0 or labels[v, u] != 7:
+                if softness <= 0.0 or lights < 2:
                     continue
                 d0 = su * (depth[v, u + su] - depth[v, u]) - slopes[v, u, 0]
                 d1 = sv * (depth[v + sv, u] - depth[v, u]) - slopes[v, u, 1]
                 a = quadratics[v, u]
                 chi = a[5] - 2.0 * (a[3] * d0 + a[4] * d1)
                 chi += a[0] * d0 * d0 + 2.0 * a[1] * d0 * d1 + a[2] * d1 * d1
-                out[v, u, i] = softness / (softness + max(chi, 0.0))
+                out[v, u, i] = soft / (soft + max(chi, 0.0))
 
 
 @njit(cache=True, fastmath=True)
