@@ -43,13 +43,13 @@ def test_the_error_is_the_one_put_in() -> None:
     assert errors[0].median_px == pytest.approx(0.0, abs=1e-9)
     assert errors[1].median_px == pytest.approx(1.0)
     assert errors[1].p95_px == pytest.approx(1.0)
-    assert errors[1].lost == 0.0
+    assert errors[1].astray == 0.0
     far = CAMERA.unproject(CAMERA.project(true) + np.array([5.0, 0.0]), true[:, 2])
-    lost = next(iter(track_errors([tracked(0, far)], truth[:1], anchors, FACES, CAMERA)))
-    assert lost.lost == 1.0
+    astray = next(iter(track_errors([tracked(0, far)], truth[:1], anchors, FACES, CAMERA)))
+    assert (astray.astray, astray.lost) == (1.0, 0.0)
 
 
-def test_unsure_vertices_are_judged_all_the_same_and_told_apart() -> None:
+def test_lost_vertices_are_judged_all_the_same_and_told_apart() -> None:
     anchors = anchors_on_mesh(PIXELS, CORNERS, FACES, CAMERA)
     true = anchors.points(CORNERS)
     left = PIXELS[:, 0] < 25
@@ -57,10 +57,21 @@ def test_unsure_vertices_are_judged_all_the_same_and_told_apart() -> None:
     unsure = TrackedPixels(frame=0, positions_px=pixels, confidence=np.where(left, 0.2, 0.9))
     error = next(iter(track_errors([unsure], [(0, CORNERS)], anchors, FACES, CAMERA)))
     assert error.vertices == len(PIXELS)
+    assert error.astray == pytest.approx(left.mean())
     assert error.lost == pytest.approx(left.mean())
-    assert error.sure == pytest.approx(1 - left.mean())
     assert error.p95_px == pytest.approx(8.0)
-    assert error.sure_p95_px == pytest.approx(1.0)
+    assert error.found_median_px == pytest.approx(1.0)
+    assert error.found_p95_px == pytest.approx(1.0)
+
+
+def test_a_tracker_that_declares_all_lost_gains_nothing() -> None:
+    anchors = anchors_on_mesh(PIXELS, CORNERS, FACES, CAMERA)
+    pixels = CAMERA.project(anchors.points(CORNERS)) + np.array([8.0, 0.0])
+    nothing = TrackedPixels(frame=0, positions_px=pixels, confidence=np.zeros(len(pixels)))
+    error = next(iter(track_errors([nothing], [(0, CORNERS)], anchors, FACES, CAMERA)))
+    assert (error.lost, error.astray, error.vertices) == (1.0, 1.0, len(PIXELS))
+    assert error.median_px == pytest.approx(8.0)
+    assert np.isnan(error.found_p95_px)
 
 
 def test_hidden_points_are_not_judged() -> None:

@@ -30,10 +30,11 @@ def tracks(
     plot: Path | None = None,
     options: ErrorFlags = None,
 ) -> None:
-    """Print the end-point error in pixels by frame: median, 95 %, and the share of lost vertices.
+    """Print the end-point error in pixels by frame: of all vertices, and of those not declared lost.
 
-    Every vertex is judged whose true point can be seen in that frame; `sure` is the share of those that the
-    tracker itself believes in, and the last column their 95 %.
+    Every vertex is judged whose true point can be seen in that frame. `astray` is the share of them that is
+    off by more than 4 pixels, `lost` the share that the tracker itself declares lost; the last two columns
+    leave these out, and mean nothing without that share.
 
     Parameters
     ----------
@@ -78,9 +79,10 @@ def _name(folder: Path) -> str:
 def _print_table(name: str, errors: list[TrackError]) -> None:
     step = max(1, -(-(len(errors) - 1) // _LINES))
     print(name)
-    print("frame  median px   95 % px   lost    sure   95 % px of the sure")
+    print("       of all vertices in sight           of those not declared lost")
+    print("frame  median px   95 % px  astray    lost  median px   95 % px")
     for error in [*errors[:-1:step], errors[-1]]:
         print(
-            f"{error.frame:5d}  {error.median_px:9.2f} {error.p95_px:9.2f} {100 * error.lost:5.1f}% "
-            f"{100 * error.sure:6.1f}% {error.sure_p95_px:12.2f}"
+            f"{error.frame:5d}  {error.median_px:9.2f} {error.p95_px:9.2f} {100 * error.astray:6.1f}% "
+            f"{100 * error.lost:6.1f}%  {error.found_median_px:9.2f} {error.found_p95_px:9.2f}"
         )

@@ -51,29 +51,31 @@ class TrackedPixels:
 
 @dataclass(frozen=True, kw_only=True)
 class TrackError:
-    """End-point error of one frame.
+    """End-point error of one frame, over the vertices whose true point is seen in it.
 
-    median_px, p95_px: over the vertices whose true point is seen in that frame (else NaN). lost: share of
-    those that are off by more than `TrackErrorOptions.lost_px`. vertices: how many were judged. sure: share
-    of those that the tracker is sure of; sure_p95_px: over these alone.
+    median_px, p95_px: of all of them, lost or not. astray: share that is off by more than
+    `TrackErrorOptions.lost_px`. vertices: how many were judged. lost: share that the tracker itself declares
+    lost. found_median_px, found_p95_px: of the others alone; they say nothing without the share lost beside
+    them, since a tracker may declare lost what it likes. NaN where there is none.
     """
 
     frame: int
     median_px: float
     p95_px: float
-    lost: float
+    astray: float
     vertices: int
-    sure: float = 1.0
-    sure_p95_px: float = np.nan
+    lost: float = 0.0
+    found_median_px: float = np.nan
+    found_p95_px: float = np.nan
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrackErrorOptions:
     """How tracks are judged.
 
-    lost_px: a vertex further off than this, in pixels, is lost. hidden_share: a true point further behind the
-    frontmost surface than this share of its depth is hidden, and not judged. sure_confidence: from this
-    confidence on the tracker is sure of a vertex.
+    lost_px: a vertex further off than this, in pixels, is astray. hidden_share: a true point further behind
+    the frontmost surface than this share of its depth is hidden, and not judged. sure_confidence: below
+    this confidence the tracker declares a vertex lost.
     """
 
     lost_px: float = 4.0
@@ -142,20 +144,23 @@ def track_errors(
 
 
 def error_of_frame(
-    number: int, distance_px: FloatArray, sure: npt.NDArray[np.bool_], options: TrackErrorOptions
+    number: int, distance_px: FloatArray, found: npt.NDArray[np.bool_], options: TrackErrorOptions
 ) -> TrackError:
-    """Summarise end-point errors (n,) in pixels; sure: (n,) where the tracker believes in its result."""
+    """Summarise end-point errors (n,) in pixels; found: (n,) False where the tracker declares them lost."""
     if not len(distance_px):
-        return TrackError(frame=number, median_px=np.nan, p95_px=np.nan, lost=np.nan, vertices=0, sure=np.nan)
+        nan = np.nan
+        return TrackError(frame=number, median_px=nan, p95_px=nan, astray=nan, vertices=0, lost=nan)
     median, p95 = np.percentile(distance_px, [50, 95])
+    found_median, found_p95 = np.percentile(distance_px[found], [50, 95]) if found.any() else (np.nan, np.nan)
     return TrackError(
         frame=number,
         median_px=float(median),
         p95_px=float(p95),
-        lost=float(np.mean(distance_px > options.lost_px)),
+        astray=float(np.mean(distance_px > options.lost_px)),
         vertices=len(distance_px),
-        sure=float(np.mean(sure)),
-        sure_p95_px=float(np.percentile(distance_px[sure], 95)) if sure.any() else np.nan,
+        lost=float(1 - np.mean(found)),
+        found_median_px=float(found_median),
+        found_p95_px=float(found_p95),
     )
 
 

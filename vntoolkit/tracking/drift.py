@@ -76,6 +76,10 @@ class TemplateRegistration:
                 positions, confidence = self._step(positions, pyramid[number], self._levels[number])
         return Registration(positions_px=positions, confidence=confidence)
 
+    def jacobians(self, positions_px: Points2) -> npt.NDArray[np.float64]:
+        """Return (nodes, 4) ∂u/∂x, ∂u/∂y, ∂v/∂x, ∂v/∂y of positions (n, 2) by the template's pixels."""
+        return self._moments.jacobians(positions_px)
+
     def _step(
         self, positions: Points2, slopes: npt.NDArray[np.float32], level: TemplateLevel
     ) -> tuple[Points2, npt.NDArray[np.float64]]:

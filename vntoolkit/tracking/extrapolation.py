@@ -1,9 +1,11 @@
 """Where unseen parts of the template are: carried along by what is seen around them.
 
-The displacement from the template of what is seen goes on into what is not as a thin plate does, which bends
-as little as it can: a turn, a stretch and a shift go on as they are. Since the displacement is from the
-template, not from the frame before, no error adds up while a part is hidden, and when it comes back it is
-looked for where it then must be about.
+Three guesses say how the displacement from the template goes on into what is not seen: it stays, right across
+a seam; it is the motion of one body (`LiftedMotion`), right for a head that turns; lengths stay (`Isometry`),
+right for cloth that folds. On every link between two cells that are both seen, all are put to the test; each
+counts, there and nearby, by how well it did. What they leave bends as little as it can, as a thin plate.
+Since the displacement is from the template, not from the frame before, no error adds up while a part is
+hidden, and when it comes back it is looked for where it then must be about.
 """
 
 from __future__ import annotations
@@ -14,39 +16,107 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from vntoolkit.arrays import FloatArray
+from vntoolkit.geometry.camera import Camera
 from vntoolkit.tracking.lattice import TemplateLattice
+from vntoolkit.tracking.lifted_motion import LiftedMotion
+from vntoolkit.tracking.template import TrackingTemplate
 
-_BENDING = 0.5  # energy of a unit second difference, where a fully seen cell that is a unit off costs 1
-_STRETCHING = 0.01  # of a unit first difference: far from all that is seen the slope fades out
+_BENDING = 0.1  # energy of a unit second difference, where a fully seen cell that is a unit off costs 1
+_STRETCHING = 1.0  # of a unit first difference that departs from the guess
+_GOOD_SQUARE = 0.1  # px²: guesses that err by more per cell bind the less
 _LEAST_WEIGHT = 1e-9  # holds pieces of the surface of which nothing is seen
 _UNSEEN_BELOW, _SEEN_ABOVE = 0.25, 0.75  # confidence
+_NEAR_PASSES = 12  # of lattice smoothing: how far around a guess's success counts
+_FAR_SHARE = 1e-3  # of the mean over the whole template, where nothing near was put to the test
+_LARGEST_SQUARE = 4.0  # px²: a guess that is further off than 2 px per cell is just wrong
+_SQUARE_NOISE = 0.02  # px² of the measured differences themselves
+
+Stretch = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]  # Jacobians (nodes, 2, 2), trust (nodes,)
 
 
 class Extrapolation:
     """Extrapolates displacements over one template's lattice."""
 
-    def __init__(self, lattice: TemplateLattice) -> None:
+    def __init__(self, lattice: TemplateLattice, template: TrackingTemplate, camera: Camera) -> None:
         """Lay out the bending energy; cells that hang together through the surface only."""
         self._lattice = lattice
         counts = np.bincount(lattice.node_of_vertex, minlength=lattice.count)
         self._whole = float(counts.max(initial=1))
-        bending, stretching = _second_differences(lattice), _first_differences(lattice)
-        self._energy = sp.csc_array(
-            _BENDING * (bending.T @ bending) + _STRETCHING * (stretching.T @ stretching)
-        )
+        self._centres = lattice.sums(template.positions_px) / counts[:, None]
+        self._links = np.concatenate([np.stack(side.nonzero(), axis=1) for side in _sides(lattice)])
+        self._differences = _rows(self._links, (-1.0, 1.0), lattice.count)
+        bending = _second_differences(lattice)
+        self._bending = sp.csc_array(_BENDING * (bending.T @ bending))
+        self._motion = LiftedMotion(lattice, template, camera)
 
-    def carried(self, displacements: FloatArray, confidence: FloatArray) -> npt.NDArray[np.float64]:
-        """Return displacements (n, k) from the template; those of low confidence (n,) from the plate."""
+    def carried(
+        self, displacements: FloatArray, confidence: FloatArray, stretch: Stretch | None = None
+    ) -> npt.NDArray[np.float64]:
+        """Return displacements (n, k) from the template; those of low confidence (n,) from the plate.
+
+        stretch: Jacobians of positions in the image that lengths on the surface ask for, and their trust.
+        """
         seen = seen_share(confidence)[:, None]
         sums = self._lattice.sums(np.hstack([seen * displacements, seen]))
         if not np.any(sums[:, -1] > 0):
             return np.array(displacements, dtype=np.float64)
-        weight = (sums[:, -1] / self._whole) ** 2 + _LEAST_WEIGHT
+        weight = (sums[:, -1] / self._whole) ** 2
         means = sums[:, :-1] / np.maximum(sums[:, -1:], 1e-12)
-        system = sp.csc_array(self._energy + sp.diags_array(weight))
+        at_nodes, at_vertices = self._motion.fitted(means, weight)
+        rest = means - at_nodes
+        steps, strength = self._expected_steps(stretch, at_nodes, rest, weight)
+        differences = self._differences
+        system = sp.csc_array(
+            self._bending
+            + differences.T @ sp.diags_array(strength) @ differences
+            + sp.diags_array(weight + _LEAST_WEIGHT)
+        )
+        right = weight[:, None] * rest + differences.T @ (strength[:, None] * steps)
         factor = splu(system, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
-        plate = self._lattice.at_vertices(factor.solve(weight[:, None] * means))
+        plate = at_vertices + self._lattice.at_vertices(factor.solve(right))
         return np.asarray(plate + seen * (displacements - plate))
+
+    def _expected_steps(
+        self, stretch: Stretch | None, motion: FloatArray, rest: FloatArray, weight: FloatArray
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Return (links, k), by how much more than the motion as one body a displacement changes along each.
+
+        The mean of the guesses, each by the inverse square of its mean squared error; and how strongly it
+        binds, (links,).
+        """
+        first, second = self._links.T
+        seen = np.minimum(weight[first], weight[second]) > 0.5
+        measured, by_motion = rest[second] - rest[first], motion[second] - motion[first]
+        whole = np.ones(len(seen))
+        guesses = [(np.zeros_like(measured), whole), (-by_motion, whole)]  # one body, no change at all
+        if stretch is not None:
+            jacobians, trust = stretch
+            along = self._centres[second] - self._centres[first]
+            mean = 0.5 * (jacobians[first] + jacobians[second])
+            by_lengths = np.einsum("eab,eb->ea", mean, along) - along
+            guesses.append((by_lengths - by_motion, np.minimum(trust[first], trust[second])))
+        total, shares, errors = np.zeros_like(measured), 1e-12 * whole, np.zeros(len(seen))
+        for steps, trusted in guesses:
+            error = self._mean_square(measured - steps, seen & (trusted > 0.5))
+            share = trusted / error**2
+            total += share[:, None] * steps
+            shares += share
+            errors += share * error
+        return total / shares[:, None], _STRETCHING * np.minimum(1.0, _GOOD_SQUARE * shares / errors)
+
+    def _mean_square(self, error: FloatArray, tested: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
+        """Return (links,) the mean squared error (links, 2) of the links tested around each, bounded."""
+        square = np.minimum(np.sum(error[tested] ** 2, axis=1), _LARGEST_SQUARE)
+        sums = np.zeros((self._lattice.count, 2))
+        for end in self._links[tested].T:
+            sums[:, 0] += np.bincount(end, square, minlength=len(sums))
+            sums[:, 1] += np.bincount(end, minlength=len(sums))
+        total, count = sums.sum(axis=0)
+        overall = total / count if count else _LARGEST_SQUARE
+        near = self._lattice.smoothed(sums, _NEAR_PASSES)
+        far = _FAR_SHARE * max(float(near[:, 1].max(initial=0.0)), 1e-9)
+        mean = (near[:, 0] + far * overall) / (near[:, 1] + far) + _SQUARE_NOISE
+        return np.asarray(0.5 * (mean[self._links[:, 0]] + mean[self._links[:, 1]]))
 
 
 def seen_share(confidence: FloatArray) -> npt.NDArray[np.float64]:
@@ -69,11 +139,6 @@ def _sides(lattice: TemplateLattice) -> tuple[sp.csr_array, sp.csr_array]:
         sp.csr_array((ones[right], (rows[right], columns[right])), shape=shape),
         sp.csr_array((ones[below], (rows[below], columns[below])), shape=shape),
     )
-
-
-def _first_differences(lattice: TemplateLattice) -> sp.csr_array:
-    pairs = [np.stack(side.nonzero(), axis=1) for side in _sides(lattice)]
-    return _rows(np.concatenate(pairs), (-1.0, 1.0), lattice.count)
 
 
 def _second_differences(lattice: TemplateLattice) -> sp.csr_array:

@@ -21,6 +21,7 @@ from vntoolkit.tracking.drift import TemplateRegistration
 from vntoolkit.tracking.extrapolation import Extrapolation
 from vntoolkit.tracking.flow import flow_between, flow_from_tracks
 from vntoolkit.tracking.flow_slopes import slope_pyramid
+from vntoolkit.tracking.isometry import Isometry
 from vntoolkit.tracking.laplacian_coordinates import LaplacianRegulariser, beta_from_smoothing_length
 from vntoolkit.tracking.lattice import lattice_on_template
 from vntoolkit.tracking.options import (
@@ -35,13 +36,15 @@ from vntoolkit.tracking.options import (
 from vntoolkit.tracking.template import TrackingTemplate, template_from_maps
 from vntoolkit.tracking.translation import TranslationRegulariser
 
+_CARRIES = 2  # the second reads the lengths where the first has put what is not seen
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrackedFrame:
     """The template in one frame.
 
     vertices_in_camera: (n, 3). positions_px: (n, 2) their pixels. confidence: (n,) from 0 (not seen here,
-    held by its neighbours) to 1.
+    carried along by what is) to 1; below 0.5 a vertex is declared lost.
     """
 
     vertices_in_camera: Points
@@ -92,6 +95,7 @@ class SurfaceTracker:
         self._positions_before = self.state.positions_px
         self._registration: TemplateRegistration | None = None
         self._extrapolation: Extrapolation | None = None
+        self._isometry: Isometry | None = None
         self._prepare_registration(template)
         self._regularise_pixels = self._registration is not None
         self._solver = self._new_solver()
@@ -111,11 +115,12 @@ class SurfaceTracker:
         flow = flow_between(self._previous, normal_map, flow_options, expected)
         moved: Points2 = advected_positions(positions, flow)
         confidence = self.state.confidence
-        if self._registration is not None and self._steps % self.options.drift.every == 0:
-            corrected = self._registration.register(
-                moved, slope_pyramid(normal_map, self.options.drift.levels)
-            )
-            moved, confidence = corrected.positions_px, corrected.confidence
+        if self._registration is not None:
+            pyramid = slope_pyramid(normal_map, self.options.drift.levels)
+            if self._steps % self.options.drift.every == 0:
+                corrected = self._registration.register(moved, pyramid)
+                moved, confidence = corrected.positions_px, corrected.confidence
+            moved = self._carried(moved, confidence, pyramid[0], self._registration)
         self.state = self._regularised(moved, confidence, depth_map)
         self._previous, self._positions_before = normal_map, positions
         return self.state
@@ -139,6 +144,22 @@ class SurfaceTracker:
         vertices = targets if self._regularise_pixels else self._regularised_vertices(targets)
         return tracked_frame(vertices, confidence, self.camera)
 
+    def _carried(
+        self,
+        moved: Points2,
+        confidence: npt.NDArray[np.floating],
+        slopes: npt.NDArray[np.float32],
+        registration: TemplateRegistration,
+    ) -> Points2:
+        """Move what is not seen to where what is seen, and the lengths on the surface, carry it."""
+        if self._extrapolation is None or self._isometry is None:
+            return moved
+        template, carried = self.template.positions_px, moved
+        for _ in range(_CARRIES):
+            stretch = self._isometry.jacobians(slopes, carried, registration.jacobians(carried))
+            carried = template + self._extrapolation.carried(moved - template, confidence, stretch)
+        return carried
+
     def _with_carried_depth(
         self, moved: Points2, targets: Points, confidence: npt.NDArray[np.floating], plate: Extrapolation
     ) -> Points:
@@ -157,9 +178,6 @@ class SurfaceTracker:
             return moved
         if self.options.confidence is Confidence.TEMPLATE:
             return np.asarray(rest + solver.solve_weighted(moved - rest, confidence))
-        if self._extrapolation is not None:
-            template = self.template.positions_px
-            moved = template + self._extrapolation.carried(moved - template, confidence)
         return np.asarray(rest + solver.solve(moved - rest))
 
     def _regularised_vertices(self, targets: Points) -> Points:
@@ -183,7 +201,8 @@ class SurfaceTracker:
         pyramid = slope_pyramid(normal_map, drift.levels)
         self._registration = TemplateRegistration(self.template, lattice, pyramid, drift)
         if self.options.confidence is Confidence.CARRIED:
-            self._extrapolation = Extrapolation(lattice)
+            self._extrapolation = Extrapolation(lattice, self.template, self.camera)
+            self._isometry = Isometry(lattice, self.template, pyramid[0])
 
     def _new_solver(self) -> TranslationRegulariser | LaplacianRegulariser | ArapRegulariser | None:
         options, template = self.options, self.template
