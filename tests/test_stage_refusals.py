@@ -27,6 +27,10 @@ from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.motion import Motion
 from vntoolkit.geometry.skeleton import Skeleton
+from vntoolkit.integration.graph import graph_from_domain
+from vntoolkit.integration.multigrid import hierarchy_from_graph, solve_laplacian
+from vntoolkit.io.conventions import UpAxis
+from vntoolkit.io.usd import read_usd_sequence, write_usd_sequence
 from vntoolkit.meshing.clean import clean_mesh
 from vntoolkit.photometry.lambertian import rgb_from_normals
 from vntoolkit.photometry.response import LightResponse
@@ -193,3 +197,25 @@ def test_libraries_that_are_not_there_are_named_with_the_line_that_installs_them
     monkeypatch.setitem(sys.modules, "open3d", None)
     with pytest.raises(MissingDependency, match=r"cannot import open3d .*: pip install --upgrade open3d"):
         native.import_open3d()
+
+
+def test_a_linear_solver_that_runs_out_of_iterations(rng):
+    graph = graph_from_domain(np.ones((64, 64), dtype=bool))
+    hierarchy = hierarchy_from_graph(graph.row_start, graph.neighbour, np.ones(len(graph.neighbour)))
+    load = rng.normal(size=64 * 64)
+    with pytest.raises(
+        SolverFailed, match=r"reached a relative residual of .* in 1 iterations: raise most_it"
+    ):
+        solve_laplacian(hierarchy, load - load.mean(), np.zeros(64 * 64), tolerance=1e-12, most_iterations=1)
+
+
+def test_usd_files_that_hold_no_surface_of_ours(tmp_path):
+    from pxr import Usd
+
+    stage = Usd.Stage.CreateNew(str(tmp_path / "a.usdc"))  # a layer dies with its stage
+    stage.GetRootLayer().Save()
+    with pytest.raises(BadMesh, match=r"expected a mesh at /World/Surface: not a file of this toolkit"):
+        read_usd_sequence(tmp_path / "a.usdc")
+    mesh = Mesh(vertices=np.eye(3), faces=TRIANGLE)
+    with pytest.raises(BadInput, match="a skeleton is written with y up only"):
+        write_usd_sequence(tmp_path / "b.usdc", mesh, [], frame_rate_hz=30, motion=figure(), up=UpAxis.Z)
