@@ -16,9 +16,10 @@ from vntoolkit.calibration.head.contrast import ContrastOptions, local_contrast
 from vntoolkit.calibration.head.hull import Box, HullOptions, View, fit_hull, mesh_of_grid
 from vntoolkit.calibration.head.light import LightOptions, fit_light
 from vntoolkit.calibration.head.samples import HeadRays, HeadSamples, spread_over_orientations
+from vntoolkit.calibration.head.sift import joined_matches
 from vntoolkit.calibration.head.silhouettes import SilhouetteOptions, find_silhouette
-from vntoolkit.calibration.head.stereo import neighbours_of, turn_angles_deg
 from vntoolkit.calibration.head.tracks import TrackBuilder, TrackOptions
+from vntoolkit.calibration.head.turn import neighbours_of, turn_angles_deg
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 
@@ -190,3 +191,13 @@ def test_rays_know_what_the_head_itself_covers():
     number = np.arange(300)
     assert rays.free(number, outward).all()
     assert not rays.free(number, -outward).any()
+
+
+def test_features_are_joined_into_tracks_that_show_no_frame_twice():
+    places = [np.array([[1.0, 1.0], [5.0, 5.0], [9.0, 9.0]]) + k for k in range(3)]  # features 0-2, 3-5, 6-8
+    matches = np.array([[0, 3], [3, 6], [1, 4], [4, 7], [7, 2]])  # the last: one frame, two places
+    tracks = joined_matches(matches, places)
+    assert tracks.point_count == 2
+    np.testing.assert_array_equal(tracks.frame, [0, 1, 2] * 2)
+    np.testing.assert_allclose(tracks.positions_px[:, 0], [1, 2, 3, 5, 6, 7])
+    assert joined_matches(np.array([[1, 4]]), places).point_count == 0  # two frames say nothing

@@ -3,10 +3,13 @@
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from vntoolkit.calibration.head.contrast import ContrastOptions, local_contrast
 from vntoolkit.calibration.head.fusion import FusionOptions, fuse_points
 from vntoolkit.calibration.head.hull import Box, HullOptions, View, fit_hull, mesh_of_grid
+from vntoolkit.calibration.head.poses import PoseOptions, PoseStart, solve_head_motion
+from vntoolkit.calibration.head.sift import SiftBuilder, SiftOptions, require_features
 from vntoolkit.calibration.head.stereo import StereoOptions, hull_depth, stereo_points
 from vntoolkit.errors import BadCalibration
 from vntoolkit.geometry.camera import Camera, CameraModel
@@ -95,3 +98,33 @@ def test_twenty_degrees_from_view_to_view_are_too_many_to_follow(real_data, patt
     source = str(real_data / "turntable" / pattern)
     with pytest.raises(BadCalibration, match=r"film"):
         calibrate_head(CalibrationJob(source=source, focal_px=2000.0))
+
+
+def poses_from_images(views, images):
+    """Poses by matched features in the local contrast inside the silhouettes, the camera alone given."""
+    builder = SiftBuilder(camera=views[0].camera, options=SiftOptions())
+    for view, image in zip(views, images, strict=True):
+        builder.add(local_contrast(image, ContrastOptions()), view.mask)
+    tracks = builder.finish()
+    require_features(tracks)
+    rng = np.random.default_rng(0)
+    return solve_head_motion(tracks, views[0].camera, PoseOptions(), rng, start=PoseStart.MAPPING)
+
+
+@pytest.mark.slow
+def test_poses_of_the_dinosaur_are_found_from_its_images_alone(real_data):
+    views, images, _ = dinosaur(real_data / "turntable" / "dinoSparseRing")
+    found = poses_from_images(views, images).camera_from_head
+    relative = Rotation.from_matrix(
+        [view.camera_from_head.rotation.T @ pose.rotation for view, pose in zip(views, found, strict=True)]
+    )
+    assert np.rad2deg((relative.mean().inv() * relative).magnitude()).max() < 2.0
+
+
+@pytest.mark.slow
+def test_a_small_smooth_david_has_too_few_features(real_data):
+    views, images, _ = david(real_data / "turntable" / "david")
+    with pytest.raises(
+        BadCalibration, match=r"features: a frame shares only \d+ with the next, 60 are needed"
+    ):
+        poses_from_images(views, images)

@@ -17,18 +17,23 @@ from tests.calibration.turning_egg import (
     turning_poses,
     write_frames,
 )
-from vntoolkit.calibration.head.hull import HullOptions
+from vntoolkit.calibration.head.fusion import FusionOptions, Surface
+from vntoolkit.calibration.head.hull import HullOptions, View, box_about_points, fit_hull
 from vntoolkit.calibration.head.poses import PoseOptions
 from vntoolkit.calibration.head.samples import SampleOptions
+from vntoolkit.calibration.head.shape import fit_shape
 from vntoolkit.calibration.head.stereo import StereoOptions
 from vntoolkit.calibration.head.tracks import TrackOptions
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.io.frame_range import FrameRange
 from vntoolkit.pipeline.calibrate import CalibrationJob
 from vntoolkit.pipeline.calibrate_head import HeadOptions, HeadShape, calibrate_head
+from vntoolkit.pipeline.head_footage import Features, FollowOptions
 
 OPTIONS = HeadOptions(  # for a picture of 320 by 240
-    tracks=TrackOptions(corners=600, corner_spacing_px=4.0, margin_px=8, window_px=9),
+    following=FollowOptions(
+        tracks=TrackOptions(corners=600, corner_spacing_px=4.0, margin_px=8, window_px=9)
+    ),
     poses=PoseOptions(pose_tracks=500),
     hull=HullOptions(hull_cells=64),
     stereo=StereoOptions(references=5, stereo_window_px=11),
@@ -85,15 +90,49 @@ def test_shape_is_the_eggs_and_stereo_betters_the_hull(footage, calibrated):
     _, result = calibrated
     fused = surface_error(result.mesh, result.motion, footage[1])
     hull = surface_error(result.hull, result.motion, footage[1])
-    assert fused < min(hull, 0.004)
+    assert fused < min(hull / 3, 0.001)
+    require_closed_and_outward(result.mesh)
+
+
+def require_closed_and_outward(mesh):
     # no edge belongs to one triangle alone: the mesh is closed
-    faces = result.mesh.faces
+    faces = mesh.faces
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     _, counts = np.unique(edges, axis=0, return_counts=True)
     assert np.all(counts % 2 == 0)
     # and its triangles face outwards
-    a, b, c = (result.mesh.vertices[faces[:, k]] for k in range(3))
+    a, b, c = (mesh.vertices[faces[:, k]] for k in range(3))
     assert np.einsum("ij,ij->", a, np.cross(b, c)) > 0
+
+
+def test_averaged_distances_better_the_hull_too(footage, calibrated):
+    _, result = calibrated
+    motion = result.motion
+    views = [
+        View(camera=motion.camera, camera_from_head=pose, mask=silhouette.mask)
+        for pose, silhouette in zip(motion.camera_from_head, result.footage.silhouettes, strict=True)
+    ]
+    grid = fit_hull(views[::2], box_about_points(motion.points_in_head), OPTIONS.hull)
+    mesh = fit_shape(
+        views, result.footage.contrasts, grid, OPTIONS.stereo, FusionOptions(surface=Surface.TSDF)
+    )
+    assert surface_error(mesh, motion, footage[1]) < min(
+        surface_error(result.hull, motion, footage[1]), 0.003
+    )
+    require_closed_and_outward(mesh)
+
+
+def test_features_place_photographs_far_apart(footage):
+    options = replace(
+        OPTIONS,
+        following=FollowOptions(features=Features.SIFT),
+        head_shape=HeadShape.HULL,
+    )
+    job = CalibrationJob(source=footage[0], focal_px=FOCAL, frames=FrameRange(step=2))
+    _, result = calibrate_head(job, options)
+    relative = constant_rotation(result.motion, footage[1][::2])
+    errors = np.rad2deg((relative.mean().inv() * relative).magnitude())
+    assert errors.mean() < 0.8
 
 
 def test_light_response(calibrated):

@@ -12,8 +12,9 @@ from vntoolkit.calibration.head.contrast import ContrastOptions
 from vntoolkit.calibration.head.fusion import FusionOptions
 from vntoolkit.calibration.head.hull import HullOptions
 from vntoolkit.calibration.head.light import LightOptions
-from vntoolkit.calibration.head.poses import PoseOptions
+from vntoolkit.calibration.head.poses import PoseOptions, PoseStart
 from vntoolkit.calibration.head.samples import SampleOptions
+from vntoolkit.calibration.head.sift import SiftOptions
 from vntoolkit.calibration.head.silhouettes import SilhouetteOptions
 from vntoolkit.calibration.head.stereo import StereoOptions
 from vntoolkit.calibration.head.tracks import TrackOptions
@@ -27,11 +28,13 @@ from vntoolkit.io.rigs import write_rig
 from vntoolkit.photometry.transfer import Transfer
 from vntoolkit.pipeline.calibrate import CalibrationJob
 from vntoolkit.pipeline.calibrate_head import HeadOptions, HeadShape, calibrate_head
+from vntoolkit.pipeline.head_footage import Features, FollowOptions
 
 if TYPE_CHECKING:
     ContrastFlags: TypeAlias = ContrastOptions | None
     SilhouetteFlags: TypeAlias = SilhouetteOptions | None
     TrackFlags: TypeAlias = TrackOptions | None
+    SiftFlags: TypeAlias = SiftOptions | None
     PoseFlags: TypeAlias = PoseOptions | None
     HullFlags: TypeAlias = HullOptions | None
     StereoFlags: TypeAlias = StereoOptions | None
@@ -42,9 +45,10 @@ else:
     ContrastFlags = flags_from(ContrastOptions)
     SilhouetteFlags = flags_from(SilhouetteOptions)
     TrackFlags = flags_from(TrackOptions)
+    SiftFlags = flags_from(SiftOptions)
     PoseFlags = flags_from(PoseOptions)
     HullFlags = flags_from(HullOptions)
-    StereoFlags = flags_from(StereoOptions, without=("neighbour_angles_deg",))
+    StereoFlags = flags_from(StereoOptions, without=("neighbour_angles_deg", "closer_angles_deg"))
     FusionFlags = flags_from(FusionOptions)
     SampleFlags = flags_from(SampleOptions)
     LightFlags = flags_from(LightOptions)
@@ -63,10 +67,13 @@ def head(
     frames: str = "::",
     mesh: Path | None = None,
     figure: Path | None = None,
+    features: Features = Features.TRACKS,
+    pose_start: PoseStart | None = None,
     head_shape: HeadShape = HeadShape.FUSED,
     contrast: ContrastFlags = None,
     silhouettes: SilhouetteFlags = None,
     tracks: TrackFlags = None,
+    sift: SiftFlags = None,
     poses: PoseFlags = None,
     hull: HullFlags = None,
     stereo: StereoFlags = None,
@@ -96,6 +103,12 @@ def head(
         Also write the head's mesh, .ply or .obj; its unit is the distance from the camera.
     figure
         Also write a picture of tracks, shape, samples and lights, .png.
+    features
+        What is recognised from frame to frame: skin followed in a video, or SIFT features of photographs that
+        lie up to 20 degrees apart.
+    pose_start
+        Where the first guess of the poses comes from; default: factorisation for tracks, mapping for features
+        and, where it fails, factorisation.
     head_shape
         Shape that gives the normals: silhouettes alone, or fused with stereo.
     """
@@ -109,9 +122,14 @@ def head(
     )
     options = HeadOptions(
         head_shape=head_shape,
-        contrast=contrast or ContrastOptions(),
-        silhouettes=silhouettes or SilhouetteOptions(),
-        tracks=tracks or TrackOptions(),
+        pose_start=pose_start,
+        following=FollowOptions(
+            features=features,
+            contrast=contrast or ContrastOptions(),
+            silhouettes=silhouettes or SilhouetteOptions(),
+            tracks=tracks or TrackOptions(),
+            sift=sift or SiftOptions(),
+        ),
         poses=poses or PoseOptions(),
         hull=hull or HullOptions(),
         stereo=stereo or StereoOptions(),

@@ -7,14 +7,12 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import Enum
+from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.calibration.head.contrast import ContrastOptions, local_contrast
-from vntoolkit.calibration.head.fusion import FusionOptions, fuse_points
+from vntoolkit.calibration.head.fusion import FusionOptions
 from vntoolkit.calibration.head.hull import (
-    DistanceGrid,
     HullOptions,
     View,
     box_about_points,
@@ -22,20 +20,12 @@ from vntoolkit.calibration.head.hull import (
     mesh_of_grid,
 )
 from vntoolkit.calibration.head.light import HeadLight, LightOptions, fit_light
-from vntoolkit.calibration.head.poses import HeadMotion, PoseOptions, solve_head_motion
+from vntoolkit.calibration.head.poses import HeadMotion, PoseOptions, PoseStart, solve_head_motion
 from vntoolkit.calibration.head.samples import HeadRays, HeadSamples, LightFrame, SampleOptions, sample_head
-from vntoolkit.calibration.head.silhouettes import (
-    Silhouette,
-    SilhouetteOptions,
-    find_silhouette,
-    require_head,
-)
-from vntoolkit.calibration.head.stereo import (
-    StereoOptions,
-    spread_over_turn,
-    stereo_points,
-)
-from vntoolkit.calibration.head.tracks import TrackBuilder, TrackOptions, Tracks, require_tracks
+from vntoolkit.calibration.head.shape import fit_shape
+from vntoolkit.calibration.head.stereo import StereoOptions
+from vntoolkit.calibration.head.tracks import Tracks
+from vntoolkit.calibration.head.turn import spread_over_turn
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh
@@ -44,11 +34,16 @@ from vntoolkit.io.undistortion import Undistorter
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.calibrate import CalibrationJob
+from vntoolkit.pipeline.head_footage import Features, FollowOptions, HeadFootage, follow_frames
 
 _SEED = 0
 _GUESSED_FOCAL = 3.0  # of the picture's longer side, where nobody knows: a portrait lens
 _LEAST_FRAMES, _MOST_FRAMES = 12, 400
 _HULL_VIEWS = 32
+_STARTS = {
+    Features.TRACKS: [PoseStart.FACTORISATION],
+    Features.SIFT: [PoseStart.MAPPING, PoseStart.FACTORISATION],
+}
 Progress = Callable[[str, int, int], None]
 
 
@@ -61,27 +56,21 @@ class HeadShape(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class HeadOptions:
-    """Options of all stages. head_shape: shape that gives the normals."""
+    """Options of all stages.
+
+    head_shape: shape that gives the normals. pose_start: where the first guess of the poses comes from;
+    default: factorisation for tracks, mapping for features and, where it fails, factorisation.
+    """
 
     head_shape: HeadShape = HeadShape.FUSED
-    contrast: ContrastOptions = field(default_factory=ContrastOptions)
-    silhouettes: SilhouetteOptions = field(default_factory=SilhouetteOptions)
-    tracks: TrackOptions = field(default_factory=TrackOptions)
+    pose_start: PoseStart | None = None
+    following: FollowOptions = field(default_factory=FollowOptions)
     poses: PoseOptions = field(default_factory=PoseOptions)
     hull: HullOptions = field(default_factory=HullOptions)
     stereo: StereoOptions = field(default_factory=StereoOptions)
     fusion: FusionOptions = field(default_factory=FusionOptions)
     samples: SampleOptions = field(default_factory=SampleOptions)
     light: LightOptions = field(default_factory=LightOptions)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class HeadFootage:
-    """What is kept of the footage: per frame used its number, silhouette and 8-bit local contrast."""
-
-    numbers: tuple[int, ...]
-    silhouettes: tuple[Silhouette, ...]
-    contrasts: tuple[npt.NDArray[np.uint8], ...]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -125,7 +114,7 @@ def calibrate_head(
         footage, tracks = _follow(job, undistorter, options, on_progress)
     with clock.stage("poses"):
         on_progress("poses", 0, 1)
-        motion = solve_head_motion(tracks, undistorter.camera, options.poses, rng, refine_focal=given is None)
+        motion = _moved(tracks, undistorter.camera, options, rng, refine_focal=given is None)
         on_progress("poses", 1, 1)
     views = [
         View(camera=motion.camera, camera_from_head=pose, mask=silhouette.mask)
@@ -140,7 +129,14 @@ def calibrate_head(
     mesh = hull
     if options.head_shape is HeadShape.FUSED:
         with clock.stage("stereo"):
-            mesh = _fused(views, footage, hull, grid, options, on_progress)
+            mesh = fit_shape(
+                views,
+                footage.contrasts,
+                grid,
+                options.stereo,
+                options.fusion,
+                partial(on_progress, "stereo"),
+            )
     with clock.stage("light"):
         chosen = spread_over_turn(views, options.samples.light_frames)
         frames = [
@@ -174,26 +170,6 @@ def calibrate_head(
     )
 
 
-def follow_frames(
-    frames: Iterator[LinearFrame] | list[LinearFrame], options: HeadOptions
-) -> tuple[HeadFootage, Tracks]:
-    """Find silhouettes and tracks in frames; raise `BadCalibration` where either is no use."""
-    builder = TrackBuilder(options=options.tracks)
-    numbers, silhouettes, contrasts = [], [], []
-    for frame in frames:
-        silhouette = find_silhouette(frame.rgb, options.silhouettes)
-        contrast = local_contrast(frame.rgb, options.contrast)
-        builder.add(contrast, silhouette.mask)
-        numbers.append(frame.number)
-        silhouettes.append(silhouette)
-        contrasts.append(builder.image)
-    require_head(silhouettes)
-    tracks = builder.finish()
-    require_tracks(tracks)
-    footage = HeadFootage(numbers=tuple(numbers), silhouettes=tuple(silhouettes), contrasts=tuple(contrasts))
-    return footage, tracks
-
-
 def _follow(
     job: CalibrationJob, undistorter: Undistorter, options: HeadOptions, on_progress: Progress
 ) -> tuple[HeadFootage, Tracks]:
@@ -214,23 +190,23 @@ def _follow(
             yield undistorter.frame(frame)
             on_progress("tracks", done, len(numbers))
 
-    return follow_frames(frames(), options)
+    return follow_frames(frames(), undistorter.camera, options.following)
 
 
-def _fused(
-    views: list[View],
-    footage: HeadFootage,
-    hull: Mesh,
-    grid: DistanceGrid,
-    options: HeadOptions,
-    on_progress: Progress,
-) -> Mesh:
-    references = spread_over_turn(views, options.stereo.references)
-    maps = [
-        stereo_points(views, footage.contrasts, hull, k, options.stereo)
-        for k in _each(references.tolist(), "stereo", on_progress)
-    ]
-    return fuse_points(maps, hull, grid, options.fusion)
+def _moved(
+    tracks: Tracks, camera: Camera, options: HeadOptions, rng: np.random.Generator, *, refine_focal: bool
+) -> HeadMotion:
+    starts = [options.pose_start] if options.pose_start else _STARTS[options.following.features]
+    first_fault: BadCalibration | None = None
+    for start in starts:
+        try:
+            return solve_head_motion(
+                tracks, camera, options.poses, rng, refine_focal=refine_focal, start=start
+            )
+        except BadCalibration as fault:
+            first_fault = first_fault or fault
+    assert first_fault is not None  # every list of starts has one
+    raise first_fault
 
 
 def _each(items: list[int], stage: str, on_progress: Progress) -> Iterator[int]:

@@ -119,14 +119,13 @@ def _products(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _seed_window(tracks: Tracks) -> tuple[int, int]:
-    """Return the widest window (first, last) of frames that enough tracks cross from end to end."""
-    starts = np.full(tracks.point_count, tracks.frame_count)
-    ends = np.zeros(tracks.point_count, dtype=np.int64)
-    np.minimum.at(starts, tracks.point, tracks.frame)
-    np.maximum.at(ends, tracks.point, tracks.frame)
+    """Return the widest window (first, last) of frames that enough tracks cross without a gap."""
+    seen = np.zeros((tracks.frame_count + 1, tracks.point_count), np.int32)
+    seen[tracks.frame + 1, tracks.point] = 1
+    up_to = seen.cumsum(axis=0)
     for width in range(min(_WIDEST_SEED, tracks.frame_count), 2, -1):
         firsts = np.arange(tracks.frame_count - width + 1)
-        crossing = np.array([np.count_nonzero((starts <= k) & (ends >= k + width - 1)) for k in firsts])
+        crossing = np.count_nonzero(up_to[width:] - up_to[: len(firsts)] == width, axis=1)
         enough = firsts[crossing >= _SEED_TRACKS]
         if len(enough):
             middle = (tracks.frame_count - width) / 2

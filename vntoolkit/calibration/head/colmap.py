@@ -1,7 +1,7 @@
-"""Poses, points and focal length adjusted to tracks by COLMAP: the one file that talks to pycolmap.
+"""Poses, points and focal length adjusted to tracks by COLMAP.
 
-COLMAP puts the centre of the top left pixel at (0.5, 0.5), this toolkit at (0, 0): both ways go through
-`colmap_from_pixels` and `camera_for_colmap`.
+COLMAP puts the centre of the top left pixel at (0.5, 0.5), this toolkit at (0, 0): all ways between them,
+those of `mapping` and `sift` too, go through this file's functions.
 """
 
 from __future__ import annotations
@@ -164,6 +164,11 @@ def _sparse_model(reconstruction: Any, tracks: Tracks, camera: Camera) -> Sparse
 def colmap_from_pixels(positions_px: Points2) -> FloatArray:
     """Move pixel positions (…, 2) from centres at integers to centres at a half."""
     return np.asarray(positions_px, dtype=np.float64) + _PIXEL_CENTRE
+
+
+def pixels_from_colmap(positions: FloatArray) -> Points2:
+    """Move pixel positions (…, 2) from centres at a half to centres at integers."""
+    return np.asarray(positions, dtype=np.float64) - _PIXEL_CENTRE
 
 
 def camera_for_colmap(camera: Camera) -> Any:

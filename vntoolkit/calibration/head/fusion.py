@@ -4,27 +4,39 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from vntoolkit.calibration.head.hull import DistanceGrid
-from vntoolkit.calibration.head.stereo import OrientedPoints
+from vntoolkit.calibration.head.oriented_points import OrientedPoints
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.native import import_open3d
+
+_LEAST_POINTS = 500
+
+
+class Surface(Enum):
+    """How depths become a surface."""
+
+    POISSON = "poisson"  # screened Poisson over points and normals
+    TSDF = "tsdf"  # truncated signed distances, averaged over the views
 
 
 @dataclass(frozen=True, kw_only=True)
 class FusionOptions:
     """How depths become a mesh.
 
-    fusion_depth: levels of the octree; 7 resolves about a 100th of the head. agreement: distance, as a share
+    surface: Poisson's, or truncated signed distances averaged in the hull's cells. fusion_depth: levels of
+    Poisson's octree; 7 resolves about a 100th of the head. agreement: distance, as a share
     of the hull's diagonal, within which points of another view must confirm a point. confirmations: how many
     other views must. hull_gap: distance, as a share of the diagonal,
     from the places of the hull whose depth stereo corrected, beyond which the hull itself is surface.
     """
 
+    surface: Surface = Surface.POISSON
     fusion_depth: int = 7
     agreement: float = 0.004
     confirmations: int = 1
@@ -45,12 +57,7 @@ def fuse_points(
     Points outside the hull are dropped: no silhouette allows them. Returns a closed mesh in the head frame.
     Raises `BadCalibration` where hardly a point is confirmed.
     """
-    points = _confirmed(maps, hull.diagonal, options)
-    points = points.chosen(grid.at(points.points) > -grid.cell)
-    if len(points.points) < 500:
-        raise BadCalibration(
-            f"stereo: only {len(points.points)} depths agree between views; film more sharply, closer, slower"
-        )
+    points = _joined(confirmed_maps(maps, hull.diagonal, grid, options))
     distance, _ = cKDTree(points.on_hull).query(hull.vertices, workers=1)
     rest = distance > options.hull_gap * hull.diagonal
     normals = vertex_normals(hull.vertices, hull.faces)
@@ -61,8 +68,13 @@ def fuse_points(
     )
 
 
-def _confirmed(maps: Sequence[OrientedPoints], diagonal: float, options: FusionOptions) -> OrientedPoints:
-    """Keep the points that lie, along their normals, close to points of enough other maps."""
+def confirmed_maps(
+    maps: Sequence[OrientedPoints], diagonal: float, grid: DistanceGrid, options: FusionOptions
+) -> list[OrientedPoints]:
+    """Keep of every map the points inside the hull that lie close, along their normals, to enough others'.
+
+    diagonal: the hull's. Raises `BadCalibration` where hardly a point remains.
+    """
     trees = [cKDTree(each.points) if len(each.points) else None for each in maps]
     kept = []
     for k, each in enumerate(maps):
@@ -78,12 +90,21 @@ def _confirmed(maps: Sequence[OrientedPoints], diagonal: float, options: FusionO
             step = maps[j].points[nearest[found]] - each.points[found]
             gap[found] = np.abs((step * each.normals[found]).sum(axis=1))
             votes += gap < options.agreement * diagonal
-        kept.append(each.chosen(votes >= options.confirmations))
+        kept.append(each.chosen((votes >= options.confirmations) & (grid.at(each.points) > -grid.cell)))
+    count = sum(len(each.points) for each in kept)
+    if count < _LEAST_POINTS:
+        raise BadCalibration(
+            f"stereo: only {count} depths agree between views; film more sharply, closer, slower"
+        )
+    return kept
+
+
+def _joined(maps: Sequence[OrientedPoints]) -> OrientedPoints:
     return OrientedPoints(
-        points=np.concatenate([each.points for each in kept]),
-        normals=np.concatenate([each.normals for each in kept]),
-        on_hull=np.concatenate([each.on_hull for each in kept]),
-        correlation=np.concatenate([each.correlation for each in kept]),
+        points=np.concatenate([each.points for each in maps]),
+        normals=np.concatenate([each.normals for each in maps]),
+        on_hull=np.concatenate([each.on_hull for each in maps]),
+        correlation=np.concatenate([each.correlation for each in maps]),
     )
 
 

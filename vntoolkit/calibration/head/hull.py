@@ -105,7 +105,7 @@ def fit_hull(views: Sequence[View], box: Box, options: HullOptions) -> DistanceG
     near = np.abs(repeated) < 1.1 * _COARSE_STEP * cell
     points = np.stack(np.nonzero(near), axis=1) * cell + low
     values[near] = _carved_points(views, outlines, box, points, options.outvoted)
-    return DistanceGrid(low=low, cell=cell, values=_largest_part(values, cell))
+    return DistanceGrid(low=low, cell=cell, values=largest_part(values, cell))
 
 
 def mesh_of_grid(grid: DistanceGrid) -> Mesh:
@@ -124,7 +124,7 @@ def mesh_of_grid(grid: DistanceGrid) -> Mesh:
     return Mesh(vertices=vertices, faces=faces, normals=vertex_normals(vertices, faces))
 
 
-def _largest_part(values: FloatArray, cell: float) -> FloatArray:
+def largest_part(values: FloatArray, cell: float) -> FloatArray:
     """Turn all but the largest connected inside into outside; raise `BadCalibration` where there is none."""
     labels, count = ndimage.label(values > 0)
     if not count:

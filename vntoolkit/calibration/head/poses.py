@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from enum import Enum
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +13,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from vntoolkit.arrays import Points, read_only
 from vntoolkit.calibration.head.affine import fit_affine_model, metric_poses
 from vntoolkit.calibration.head.colmap import AdjustmentOptions, SparseModel, adjust_sparse_model
+from vntoolkit.calibration.head.mapping import Guess, map_tracks
 from vntoolkit.calibration.head.tracks import Tracks
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
@@ -21,6 +23,13 @@ _LEAST_POINTS = 60
 _LEAST_PLACED = 0.7  # of the frames
 _LARGEST_ERROR_PX = 0.9  # mean, after everything beyond 1 px was dropped: then what is left is chance
 _LEAST_KEPT = 0.3  # of the tracks drawn: fewer means that no rigid motion explains them
+
+
+class PoseStart(Enum):
+    """Where the first guess of the poses comes from."""
+
+    FACTORISATION = "factorisation"  # of tracks over many close frames; a long lens helps
+    MAPPING = "mapping"  # frame by frame from pairs; frames may lie 20 degrees apart
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,8 +85,9 @@ def solve_head_motion(
     rng: np.random.Generator,
     *,
     refine_focal: bool = False,
+    start: PoseStart = PoseStart.FACTORISATION,
 ) -> HeadMotion:
-    """Solve all poses: factorisation for a first guess, robust bundle adjustment for the rest.
+    """Solve all poses: a first guess by `start`, robust bundle adjustment for the rest.
 
     refine_focal: the camera's focal length is a guess. Raises `BadCalibration` where head or footage do not
     carry poses.
@@ -87,11 +97,12 @@ def solve_head_motion(
     drawn = np.zeros(tracks.point_count, np.bool_)
     drawn[rng.choice(tracks.point_count, min(options.pose_tracks, tracks.point_count), replace=False)] = True
     kept = tracks.of_points(drawn)
-    affine = fit_affine_model(kept)
-    guesses = [metric_poses(affine, camera, mirrored=mirrored) for mirrored in (False, True)]
-    poses, points = max(guesses, key=lambda guess: _seen_in_front(kept, affine.known, *guess))
+    if start is PoseStart.MAPPING:
+        poses, points, known = map_tracks(kept, camera, refine_focal=refine_focal)
+    else:
+        poses, points, known = _factorised(kept, camera)
     model = adjust_sparse_model(
-        kept, camera, poses, points, affine.known, options.adjustment, refine_focal=refine_focal
+        kept, camera, poses, points, known, options.adjustment, refine_focal=refine_focal
     )
     _require_rigid(model, kept)
     motion = _head_motion(model, np.flatnonzero(drawn))
@@ -102,6 +113,13 @@ def solve_head_motion(
             "sides (60 degrees each)"
         )
     return motion
+
+
+def _factorised(tracks: Tracks, camera: Camera) -> Guess:
+    affine = fit_affine_model(tracks)
+    guesses = [metric_poses(affine, camera, mirrored=mirrored) for mirrored in (False, True)]
+    poses, points = max(guesses, key=lambda guess: _seen_in_front(tracks, affine.known, *guess))
+    return poses, points, affine.known
 
 
 def _seen_in_front(

@@ -115,3 +115,11 @@ def _cut_share(mask: Mask) -> float:
     upper = slice(rows[0], rows[0] + max(1, (6 * height) // 10))
     sides = max(mask[upper, 0].sum(), mask[upper, -1].sum()) / height
     return float(max(mask[0].sum() / width, sides))
+
+
+def box_of_mask(mask: Mask, border_px: int) -> tuple[slice, slice]:
+    """Return the rows and columns that hold the mask (h, w), not empty, and a border about it."""
+    places = np.argwhere(mask)
+    low = np.maximum(places.min(axis=0) - border_px, 0)
+    high = np.minimum(places.max(axis=0) + 1 + border_px, mask.shape)
+    return slice(int(low[0]), int(high[0])), slice(int(low[1]), int(high[1]))

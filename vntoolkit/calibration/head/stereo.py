@@ -6,17 +6,20 @@ The images are of local contrast, so that the shading, which moves over the turn
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, IntArray, Mask, Points
+from vntoolkit.arrays import FloatArray
 from vntoolkit.calibration.head.hull import View
+from vntoolkit.calibration.head.oriented_points import OrientedPoints, points_of_depth
+from vntoolkit.calibration.head.silhouettes import box_of_mask
+from vntoolkit.calibration.head.turn import neighbours_of
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.native import import_open3d
 
 _BORDER_PX = 12  # beyond the silhouette's box, for windows
@@ -33,7 +36,9 @@ class StereoOptions:
     reference and the views it is compared with, to both sides. stereo_window_px: side of the compared window.
     before, behind: how far before and behind the hull is searched, as shares of its diagonal.
     least_correlation: below, a pixel gets no depth. smoothing_px: standard deviation of the smoothing of the
-    depth in a map.
+    depth in a map. passes: 1 searches about the hull; every further one closely about the mesh of the one
+    before, whose slant it knows, so that a smaller window does. closer: how far a further pass searches to
+    both sides, as a share of the diagonal. closer_angles_deg, closer_window_px: its neighbours and window.
     """
 
     references: int = 11
@@ -43,36 +48,31 @@ class StereoOptions:
     behind: float = 0.070
     least_correlation: float = 0.6
     smoothing_px: float = 2.0
+    passes: int = 2
+    closer: float = 0.012
+    closer_angles_deg: tuple[float, ...] = (6.0, 12.0, 18.0)
+    closer_window_px: int = 9
 
     def __post_init__(self) -> None:
-        if self.references < 1 or self.stereo_window_px < 5 or self.stereo_window_px % 2 == 0:
-            raise BadInput("stereo: expected at least one reference and an odd window of 5 px or more")
-        if not self.neighbour_angles_deg or min(self.neighbour_angles_deg) <= 0:
+        windows = (self.stereo_window_px, self.closer_window_px)
+        if min(self.references, self.passes) < 1 or min(windows) < 5 or any(w % 2 == 0 for w in windows):
+            raise BadInput("stereo: expected at least one reference and pass and odd windows of 5 px or more")
+        angles = (self.neighbour_angles_deg, self.closer_angles_deg)
+        if not all(angles) or min(map(min, angles)) <= 0:
             raise BadInput("stereo: expected neighbours at positive angles")
-        if min(self.before, self.behind, self.smoothing_px) <= 0 or not 0 < self.least_correlation < 1:
-            raise BadInput("stereo: expected positive depths and smoothing, correlation from 0 to 1")
+        if min(self.before, self.behind, self.closer, self.smoothing_px) <= 0:
+            raise BadInput("stereo: expected positive depths and smoothing")
+        if not 0 < self.least_correlation < 1:
+            raise BadInput("stereo: expected a correlation from 0 to 1")
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class OrientedPoints:
-    """Points found by stereo, in the head frame.
-
-    points, normals: (n, 3), outward unit normals. on_hull: (n, 3) where the hull is hit by the rays that they
-    lie on. correlation: (n,).
-    """
-
-    points: Points
-    normals: Points
-    on_hull: Points
-    correlation: FloatArray
-
-    def chosen(self, kept: npt.NDArray[np.bool_]) -> OrientedPoints:
-        """Keep some of the points, (n,)."""
-        return OrientedPoints(
-            points=self.points[kept],
-            normals=self.normals[kept],
-            on_hull=self.on_hull[kept],
-            correlation=self.correlation[kept],
+    def closely(self) -> Self:
+        """Return the options of a further pass."""
+        return replace(
+            self,
+            before=self.closer,
+            behind=self.closer,
+            neighbour_angles_deg=self.closer_angles_deg,
+            stereo_window_px=self.closer_window_px,
         )
 
 
@@ -89,7 +89,7 @@ def stereo_points(
     """
     view = views[reference]
     neighbours = neighbours_of(views, reference, options.neighbour_angles_deg)
-    rows, columns = _window_of(view.mask)
+    rows, columns = box_of_mask(view.mask, _BORDER_PX)
     depth, facing = hull_depth(view, hull, rows, columns)
     shells = _shells(view, hull, options, float(np.median(depth[depth > 0])))
     scores = _scores(views, contrasts, reference, neighbours, (rows, columns), depth, shells, options)
@@ -102,33 +102,9 @@ def stereo_points(
         & view.mask[rows, columns]
     )
     found = depth + np.where(valid, offset, 0.0)
-    return _oriented_points(view, depth, found, valid, correlation, (rows, columns), options.smoothing_px)
-
-
-def spread_over_turn(views: Sequence[View], count: int) -> IntArray:
-    """Choose views (count,) spread evenly over the turn, by their angle from the first one's end."""
-    angles = turn_angles_deg([view.camera_from_head for view in views])
-    wanted = np.linspace(angles.min(), angles.max(), count) if count > 1 else [np.median(angles)]
-    return np.unique([int(np.argmin(np.abs(angles - angle))) for angle in wanted])
-
-
-def turn_angles_deg(poses: Sequence[RigidTransform], reference: int = 0) -> FloatArray:
-    """Return the turn (f,) of every pose from the reference, signed, about the axis most turning is about."""
-    turns = np.array([(pose @ poses[reference].inverse()).rotation_vector for pose in poses])
-    _, _, right = np.linalg.svd(turns, full_matrices=False)
-    return np.rad2deg(turns @ right[0])
-
-
-def neighbours_of(views: Sequence[View], reference: int, angles_deg: Sequence[float]) -> list[int]:
-    """Return the views nearest to the given turns to both sides of the reference, at least half as far."""
-    apart = turn_angles_deg([view.camera_from_head for view in views], reference)
-    chosen: list[int] = []
-    for angle in angles_deg:
-        for signed in (-angle, angle):
-            k = int(np.argmin(np.abs(apart - signed)))
-            if 0.5 * angle < apart[k] * np.sign(signed) < 2.0 * angle and k not in chosen:
-                chosen.append(k)
-    return chosen
+    step = float(shells[1] - shells[0])
+    window = (rows, columns)
+    return points_of_depth(view, depth, found, valid, correlation, window, step, options.smoothing_px)
 
 
 def hull_depth(view: View, hull: Mesh, rows: slice, columns: slice) -> tuple[FloatArray, FloatArray]:
@@ -149,15 +125,6 @@ def hull_depth(view: View, hull: Mesh, rows: slice, columns: slice) -> tuple[Flo
     normals = hits["primitive_normals"].numpy()
     cosine = -(normals * directions).sum(-1) / np.linalg.norm(directions, axis=-1)
     return np.where(hit, depth, 0.0).astype(np.float32), np.where(hit, cosine, 0.0)
-
-
-def _window_of(mask: Mask) -> tuple[slice, slice]:
-    slices = []
-    for axis in (1, 0):
-        used = np.flatnonzero(mask.any(axis=axis))
-        last = min(mask.shape[1 - axis], int(used[-1]) + 1 + _BORDER_PX)
-        slices.append(slice(max(0, int(used[0]) - _BORDER_PX), last))
-    return slices[0], slices[1]
 
 
 def _shells(view: View, hull: Mesh, options: StereoOptions, depth: float) -> FloatArray:
@@ -233,39 +200,3 @@ def _best_shell(scores: FloatArray, shells: FloatArray) -> tuple[FloatArray, Flo
     shift = np.where(bend < -_TINY, 0.5 * (left - right) / np.minimum(bend, -_TINY), 0.0)
     offset = shells[0] + (at[0] + np.clip(shift, -0.5, 0.5)) * (shells[1] - shells[0])
     return np.where(inner, offset, np.nan), scores.max(axis=0)
-
-
-def _oriented_points(
-    view: View,
-    on_hull: FloatArray,
-    depth: FloatArray,
-    valid: Mask,
-    correlation: FloatArray,
-    window: tuple[slice, slice],
-    smoothing_px: float,
-) -> OrientedPoints:
-    """Take out lone depths, smooth, and take normals from the slopes of the points."""
-    middle = cv2.medianBlur(np.where(valid, depth, 0.0).astype(np.float32), 5)
-    spread = np.median(np.abs(depth - middle)[valid]) if valid.any() else 0.0
-    valid = valid & (np.abs(depth - middle) <= 4.0 * spread + _TINY)
-    weight = valid.astype(np.float64) * np.maximum(correlation, 0.0) ** 2
-    total = cv2.GaussianBlur(weight, (0, 0), smoothing_px)
-    level = float(np.median(depth[valid])) if valid.any() else 0.0  # keeps digits in the sums
-    smooth = cv2.GaussianBlur(weight * (depth - level), (0, 0), smoothing_px)
-    smooth = level + smooth / np.maximum(total, _TINY)
-    points = view.camera.unproject(view.camera.pixel_grid()[window], smooth)
-    down, right = np.gradient(points, axis=(0, 1))
-    normals = np.cross(right, down)
-    normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-30)
-    normals *= -np.sign((normals * points).sum(-1, keepdims=True))
-    kernel = np.ones((3, 3), np.uint8)
-    valid &= cv2.erode(valid.astype(np.uint8), kernel) > 0
-    valid &= -(normals * points).sum(-1) > _LEAST_SLANT * np.linalg.norm(points, axis=-1)
-    valid[1::2], valid[:, 1::2] = False, False  # windows overlap: every second pixel says as much
-    head = view.camera_from_head.inverse()
-    return OrientedPoints(
-        points=head.apply(points[valid]),
-        normals=head.rotate(normals[valid]),
-        on_hull=head.apply(view.camera.unproject(view.camera.pixel_grid()[window][valid], on_hull[valid])),
-        correlation=correlation[valid],
-    )

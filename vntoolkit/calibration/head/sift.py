@@ -1,0 +1,175 @@
+"""SIFT features (lowe2004) matched between frames, by COLMAP: an alternative to following skin.
+
+Far slower than following, but at home with ten and twenty degrees between photographs of a turntable.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.arrays import FloatArray, IntArray, Mask, Points2
+from vntoolkit.calibration.head.colmap import camera_for_colmap, pixels_from_colmap
+from vntoolkit.calibration.head.contrast import contrast_in_8_bits
+from vntoolkit.calibration.head.silhouettes import box_of_mask
+from vntoolkit.calibration.head.tracks import Tracks, pairs_shared
+from vntoolkit.calibration.head.two_views import EpipolarMatches, match_two_views
+from vntoolkit.errors import BadCalibration, BadInput
+from vntoolkit.geometry.camera import Camera
+
+_ALL_PAIRS = 40  # frames: of so many, every one is compared with every other
+_APART = (1, 2, 3, 4, 6, 8, 12, 16)  # of more: those so many frames apart
+_LEAST_TYPICAL, _LEAST_SHARED = 60, 20  # features of neighbouring frames: usually, and at the least
+_LEAST_FRAMES = 3  # a track over two says nothing that could be wrong
+_BORDER_PX = 12  # about the silhouette's box, for the windows of features
+
+
+@dataclass(frozen=True, kw_only=True)
+class SiftOptions:
+    """How features are found and matched.
+
+    sift_peak: weakest contrast of a feature, 0 to 1. sift_features: most features of a frame. sift_ratio:
+    largest distance to the best match over that to the second best. sift_matches: fewest matches of a pair
+    of frames that agree on one epipolar geometry. sift_agreement: smallest share of them that must.
+    """
+
+    sift_peak: float = 0.003
+    sift_features: int = 3000
+    sift_ratio: float = 0.85
+    sift_matches: int = 20
+    sift_agreement: float = 0.4
+
+    def __post_init__(self) -> None:
+        if not (0 < self.sift_peak < 1 and 0 < self.sift_ratio < 1 and 0 < self.sift_agreement < 1):
+            raise BadInput("sift: expected peak, ratio and agreement from 0 to 1")
+        if self.sift_features < 50 or self.sift_matches < 8:
+            raise BadInput("sift: expected at least 50 features and 8 matches")
+
+
+@dataclass(kw_only=True, eq=False)
+class SiftBuilder:
+    """Finds features frame by frame, and matches them at the end; holds descriptors and positions."""
+
+    camera: Camera
+    options: SiftOptions
+    _positions: list[Points2] = field(default_factory=list)
+    _descriptors: list[FloatArray] = field(default_factory=list)
+    _extractor: Any = None
+    _image: npt.NDArray[np.uint8] = field(default_factory=lambda: np.zeros((1, 1), np.uint8))
+
+    def add(self, contrast: FloatArray, mask: Mask) -> int:
+        """Find a frame's features; returns how many.
+
+        contrast: (h, w) local contrast. mask: (h, w) the silhouette.
+        """
+        self._image = image = contrast_in_8_bits(contrast)
+        if self._extractor is None:
+            self._extractor = _extractor(self.options)
+        if not mask.any():
+            self._positions.append(np.zeros((0, 2)))
+            self._descriptors.append(np.zeros((0, 128), np.float32))
+            return 0
+        rows, columns = box_of_mask(mask, _BORDER_PX)
+        own = np.ascontiguousarray(image[rows, columns])
+        keypoints, found = self._extractor.extract_from_uint8_array(own)
+        positions = np.array([[each.x, each.y] for each in keypoints]).reshape(-1, 2)
+        positions = pixels_from_colmap(positions) + np.array([columns.start, rows.start])
+        descriptors = np.asarray(found.data, dtype=np.float32).reshape(len(positions), -1)
+        inside = cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+        column, row = np.round(positions).astype(int).T
+        kept = np.flatnonzero(inside[row.clip(0, len(mask) - 1), column.clip(0, mask.shape[1] - 1)])
+        kept = kept[: self.options.sift_features]
+        length = np.maximum(np.linalg.norm(descriptors[kept], axis=1, keepdims=True), 1e-9)
+        self._positions.append(positions[kept])
+        self._descriptors.append(descriptors[kept] / length)
+        return len(kept)
+
+    @property
+    def image(self) -> npt.NDArray[np.uint8]:
+        """The last frame's local contrast (h, w) in 8 bits, 0 before the first frame."""
+        return self._image
+
+    def finish(self) -> Tracks:
+        """Match the pairs of frames and join the matches into tracks over at least three frames."""
+        colmap = camera_for_colmap(self.camera)
+        limits = EpipolarMatches(
+            ratio=self.options.sift_ratio,
+            least=self.options.sift_matches,
+            share=self.options.sift_agreement,
+        )
+        starts = np.concatenate([[0], np.cumsum([len(each) for each in self._positions])])
+        pairs = []
+        for i, j in _pairs_of(len(self._positions)):
+            first = self._positions[i], self._descriptors[i]
+            found = match_two_views(colmap, first, (self._positions[j], self._descriptors[j]), limits)
+            pairs.append(found + starts[[i, j]])
+        matches = np.concatenate([*pairs, np.zeros((0, 2), np.int64)])
+        return joined_matches(matches, self._positions)
+
+
+def require_features(tracks: Tracks) -> None:
+    """Raise `BadCalibration` where neighbouring frames share too few features for poses."""
+    shared = pairs_shared(tracks, 1)
+    typical = int(np.median(shared)) if len(shared) else 0
+    if typical < _LEAST_TYPICAL:
+        raise BadCalibration(
+            f"features: a frame shares only {typical} with the next, {_LEAST_TYPICAL} are needed; film more "
+            "sharply and closer, skin without makeup, at most 20 degrees from frame to frame"
+        )
+    weakest = int(np.argmin(shared))
+    if shared[weakest] < _LEAST_SHARED:
+        raise BadCalibration(
+            f"features: lost between frames {weakest} and {weakest + 1} of those used (only "
+            f"{int(shared[weakest])} shared); film the turn without cuts or a covered face, at most 20 "
+            "degrees from frame to frame"
+        )
+
+
+def _pairs_of(count: int) -> list[tuple[int, int]]:
+    apart = range(1, count) if count <= _ALL_PAIRS else _APART
+    return [(i, i + d) for d in apart for i in range(count - d)]
+
+
+def joined_matches(matches: IntArray, positions: list[Points2]) -> Tracks:
+    """Join matches (m, 2) of features, counted over all frames, into tracks that show no frame twice.
+
+    The first matches count most: one that would bring two places of a frame together is chance and left out.
+    """
+    frame = np.repeat(np.arange(len(positions)), [len(each) for each in positions])
+    part = np.arange(len(frame))
+    members = [[k] for k in range(len(frame))]
+    frames = [{k} for k in frame.tolist()]
+    for a, b in part[matches].tolist():
+        kept, gone = int(part[a]), int(part[b])
+        if kept == gone or frames[kept] & frames[gone]:
+            continue
+        part[members[gone]] = kept
+        members[kept] += members[gone]
+        frames[kept] |= frames[gone]
+    feature = np.flatnonzero(np.bincount(part, minlength=len(part))[part] >= _LEAST_FRAMES)
+    _, point = np.unique(part[feature], return_inverse=True)
+    order = np.lexsort((frame[feature], point))
+    every = np.concatenate([*positions, np.zeros((0, 2))])
+    return Tracks(
+        point=point[order],
+        frame=frame[feature][order],
+        positions_px=every[feature][order],
+        frame_count=len(positions),
+    )
+
+
+def _extractor(options: SiftOptions) -> Any:
+    import pycolmap
+
+    pycolmap.logging.minloglevel = pycolmap.logging.ERROR.value
+    extraction = pycolmap.FeatureExtractionOptions()
+    extraction.num_threads = 1
+    extraction.use_gpu = False
+    extraction.sift.upright = True  # the head turns about an upright axis
+    extraction.sift.peak_threshold = options.sift_peak
+    extraction.sift.max_num_features = 2 * options.sift_features
+    return pycolmap.FeatureExtractor.create(extraction, pycolmap.Device.cpu)
