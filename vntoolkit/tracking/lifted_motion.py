@@ -18,7 +18,7 @@ from vntoolkit.tracking.lattice import TemplateLattice
 from vntoolkit.tracking.template import TrackingTemplate
 
 _ROUNDS = 8
-_RIDGE = np.array([1.0, 1.0, 1.0, 1e-3])  # in fully seen cells, by unit coordinates: of the whole
+_RIDGE = np.array([0.1, 0.1, 0.1, 1e-3])  # in fully seen cells, by unit coordinates: of the whole
 _PIECE_RIDGE = np.array([0.3, 0.3, 3.0, 0.03])  # of a piece's own motion beside the whole's
 _PIECE_LEAST = 4.0  # fully seen cells that show a motion of their own
 _SEEN = 0.3  # weight from which a cell's residual counts for the scale
