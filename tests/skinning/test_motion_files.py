@@ -269,11 +269,11 @@ def test_fit_file_turns_into_camera_axes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('{"version": 1, "scales": 2}', "scales: Extra inputs"),
-        ('{"version": 2}', "version: Input should be 1"),
+        ('{"version": 1, "scales": 2}', "unknown key 'scales'; known there: version, scale"),
+        ('{"version": 2}', "version: input should be 1, got 2"),
         ('{"version": 1, "scale": -1}', "scale: .*greater than 0"),
         ('{"version": 1, "landmarks": [{"vertex": 1, "joint": "a"}]}', "at least three landmarks, got 1"),
-        ("{", "the file: Invalid JSON"),
+        ("{", "expected a JSON file that corrects how a garment sits, but this is not JSON"),
     ],
 )
 def test_bad_fit_files_are_one_line(text: str, message: str, tmp_path: Path) -> None:

@@ -14,9 +14,11 @@ from vntoolkit.geometry.garment_fit import GarmentFit, Landmark
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.io.conventions import graphics_from_camera
 from vntoolkit.io.files import read_text
+from vntoolkit.io.json_text import parse_json
+from vntoolkit.io.rigs import one_line_from_validation
 
 _Triple = tuple[float, float, float]
-_LONGEST_KEY = 120  # of a key in a message
+_EXPECTED = "a JSON file that corrects how a garment sits"
 _ZERO: _Triple = (0.0, 0.0, 0.0)
 
 
@@ -42,12 +44,11 @@ class _Fit(_Strict):
 
 def read_garment_fit(path: Path | str) -> GarmentFit:
     """Read a fit file into camera axes; angles turn about x, then y, then z. Raises `BadInput`."""
+    content = parse_json(read_text(path, expected=_EXPECTED), str(path), expected=_EXPECTED)
     try:
-        fit = _Fit.model_validate_json(read_text(path))
+        fit = _Fit.model_validate(content)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"]))[:_LONGEST_KEY] or "the file"
-        raise BadInput(f"{Path(path).name}: {where}: {first['msg']}") from error
+        raise BadInput(f"{path}: {one_line_from_validation(error, _Fit)}") from error
     turn = graphics_from_camera(np.eye(3))
     return GarmentFit(
         scale=fit.scale,
