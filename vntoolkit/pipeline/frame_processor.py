@@ -143,8 +143,9 @@ class FrameProcessor:
         seen = frame
         if self._leveller is not None:
             seen, frame = self._leveller.frame_by_strength(frame), self._leveller.frame(frame)
-        length = np.linalg.norm((frame.rgb - response.ambient) @ response.inverse.T, axis=2)
-        mask = self._mask & (length > inversion.darkest * inversion.relative_albedo)
+        scaled = (frame.rgb - response.ambient.astype(np.float32)) @ response.inverse.T.astype(np.float32)
+        darkest = inversion.darkest * inversion.relative_albedo
+        mask = self._mask & (np.einsum("vui,vui->vu", scaled, scaled) > darkest**2)
         if inversion.clipped_factor == 0.0:
             mask &= ~frame.clipped
         labels = self._detector.labels(seen, mask)
