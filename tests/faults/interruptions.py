@@ -45,6 +45,7 @@ def run_until(verb: Verb, out: Path, stop_at: int | None, sent: signal.Signals, 
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         env=environment,
+        preexec_fn=_hear_interrupts,
     )
     by = None
     started = time.monotonic()
@@ -57,6 +58,11 @@ def run_until(verb: Verb, out: Path, stop_at: int | None, sent: signal.Signals, 
     assert process.poll() is not None, f"{verb.arguments(out)[0]} did not end within {_LONGEST_S:g} s"
     error = process.communicate()[1].decode()
     return Ended(status=process.returncode, by=by, error=error)
+
+
+def _hear_interrupts() -> None:
+    """A shell's background jobs ignore SIGINT, and so would their children: these tests prove more."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def interrupt_often(

@@ -137,7 +137,7 @@ def test_a_dressed_figure_struck_at_random_ends_with_the_same_bytes(tmp_path, rn
         assert run_until(verb, whole, None, signal.SIGKILL, 0).status == 0
         kills = max(1, KILLS // 5)
         folders, ends = interrupt_often(
-            verb, lambda k, name=name: tmp_path / f"{k}{name[-4:]}", kills, rng, 5
+            verb, lambda k, name=name: tmp_path / f"{k}{name[-4:]}", kills, rng, 5 if "%" in name else 1
         )
         _require_same(folders, whole)
         _require_advice(ends)
@@ -147,12 +147,12 @@ def test_a_dressed_figure_struck_at_random_ends_with_the_same_bytes(tmp_path, rn
 def test_an_export_struck_at_random_ends_with_the_same_bytes(waves, tmp_path, rng, kind):
     verb = _reconstruction(waves, "short", "--shadows", "none")
     assert run_until(verb, tmp_path / "r", None, signal.SIGKILL, 0).status == 0
-    name = "a.usdc" if kind == "usd" else "files"
+    name, stride = ("a.usdc", 1) if kind == "usd" else ("files", 12)  # one file, or many
     export = Verb(
         arguments=lambda out: ["export", str(tmp_path / "r"), "--to", kind, "--out", str(out / name)],
         done=lambda out: len([p for p in out.rglob("*") if p.is_file()]),
     )
     assert run_until(export, tmp_path / "whole", None, signal.SIGKILL, 0).status == 0
-    folders, ends = interrupt_often(export, lambda k: tmp_path / f"out{k}", max(1, KILLS // 5), rng, 12)
+    folders, ends = interrupt_often(export, lambda k: tmp_path / f"out{k}", max(1, KILLS // 5), rng, stride)
     _require_same(folders, tmp_path / "whole")
     _require_advice(ends)

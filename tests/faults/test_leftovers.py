@@ -4,14 +4,26 @@ import os
 import subprocess
 import sys
 
+import pytest
+
+from tests.dome_result import dome_result
 from vntoolkit.io.atomic import atomic_path, require_writable_folder
+from vntoolkit.pipeline.export import ExportJob, export
+from vntoolkit.pipeline.export_options import ExportFormat, ExportOptions
+
+__all__ = ["dome_result"]
 
 
-def test_temporaries_of_dead_processes_are_removed(tmp_path):
+@pytest.fixture
+def dead() -> int:
+    """Number of a process that has ended."""
     done = subprocess.run(
         [sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, check=True
     )
-    dead = int(done.stdout)
+    return int(done.stdout)
+
+
+def test_temporaries_of_dead_processes_are_removed(tmp_path, dead):
     (tmp_path / "normals").mkdir()
     old = [
         tmp_path / f".a.{dead}.part.exr",
@@ -34,3 +46,15 @@ def test_a_temporary_is_told_by_its_name(tmp_path):
         temporary.write_bytes(b"0")
         require_writable_folder(tmp_path)
     assert (tmp_path / "a.b.exr").exists()
+
+
+@pytest.mark.parametrize("name", ["a.usdc", "a.glb", "folder"])
+def test_what_a_killed_export_left_is_removed(tmp_path, dead, dome_result, name):
+    to = {"a.usdc": ExportFormat.USD, "a.glb": ExportFormat.GLB}.get(name, ExportFormat.PLY)
+    place = tmp_path / name if name == "folder" else tmp_path
+    place.mkdir(exist_ok=True)
+    left = place / f".a.{dead}.part.usdc"
+    left.write_bytes(b"0")
+    export(ExportJob(folder=dome_result.folder, options=ExportOptions(to=to), out=tmp_path / name))
+    assert not left.exists()
+    assert any(path.is_file() for path in place.iterdir())

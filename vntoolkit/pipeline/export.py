@@ -98,6 +98,7 @@ def _export_animation(
         raise BadInput(f"{out}: expected the name of a file that ends in {suffix}")
     lengths = file_lengths(options, result.length_unit)
     numbers = _mesh_numbers(result, track)
+    require_writable_folder(out.parent)  # and remove what a killed run left there
     on_start(len(numbers), 0)
 
     def passing(number: int, thing: Any) -> Any:
