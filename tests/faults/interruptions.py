@@ -39,13 +39,14 @@ class Ended:
 
 def run_until(verb: Verb, out: Path, stop_at: int | None, sent: signal.Signals, delay_s: float) -> Ended:
     """Run the verb; once `stop_at` units are done (None: never), wait `delay_s` and send the signal."""
+    # a shell's background jobs ignore SIGINT, and so would their children
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
     process = subprocess.Popen(
         [sys.executable, "-m", "vntoolkit", *verb.arguments(out)],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         env=environment,
-        preexec_fn=_hear_interrupts,
     )
     by = None
     started = time.monotonic()
@@ -58,11 +59,6 @@ def run_until(verb: Verb, out: Path, stop_at: int | None, sent: signal.Signals, 
     assert process.poll() is not None, f"{verb.arguments(out)[0]} did not end within {_LONGEST_S:g} s"
     error = process.communicate()[1].decode()
     return Ended(status=process.returncode, by=by, error=error)
-
-
-def _hear_interrupts() -> None:
-    """A shell's background jobs ignore SIGINT, and so would their children: these tests prove more."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def interrupt_often(
