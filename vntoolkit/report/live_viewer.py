@@ -101,7 +101,6 @@ class LiveViewer:
             show_logo=False,
             show_share_button=False,
             dark_mode=True,
-            control_layout="fixed",
             control_width="large",
         )
         server.gui.set_panel_label("vntoolkit live")

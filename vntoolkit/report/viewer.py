@@ -78,6 +78,7 @@ class ResultViewer:
         self._playing = threading.Event()
         self._closed = threading.Event()
         self._thinned: ThinnedTemplate | None = None
+        self._pictured = result.numbers[0]  # the frame whose pictures are in the panel
         self._server = started_server(options.host, options.port)
         self._set_up_scene()
         self._set_up_controls()
@@ -92,7 +93,8 @@ class ResultViewer:
     def show(self, number: int) -> None:
         """Show a frame."""
         with self._lock:
-            self._pictures_of(number)
+            if number != self._pictured:
+                self._pictures_of(number)
             self._mesh_of(number)
             self._caption.content = (
                 f"frame **{number}**, {self._slider.value + 1} of {len(self._result.numbers)}"
@@ -116,7 +118,9 @@ class ResultViewer:
         self._centre, self._size = (low + high) / 2, float((high - low).max())
         server: Any = self._server
         server.gui.configure_theme(
-            show_logo=False, show_share_button=False, dark_mode=True, control_layout="fixed"
+            show_logo=False,
+            show_share_button=False,
+            dark_mode=True,
         )
         server.gui.set_panel_label("vntoolkit")
         server.scene.set_up_direction("+y")
@@ -191,6 +195,7 @@ class ResultViewer:
         for name, picture in self._pictures(number).items():
             if name in self._images:
                 self._images[name].image = picture
+        self._pictured = number
 
     def _mesh_of(self, number: int) -> None:
         surface, look = Surface(self._surface.value), Look(self._look.value)
