@@ -29,6 +29,8 @@ from vntoolkit.io.frame_range import FrameRange
 from vntoolkit.pipeline.calibrate import CalibrationJob
 from vntoolkit.pipeline.calibrate_head import HeadOptions, HeadShape, calibrate_head
 from vntoolkit.pipeline.head_footage import Features, FollowOptions
+from vntoolkit.report.head_page import write_head_page
+from vntoolkit.report.head_verdict import notices_of_head
 
 OPTIONS = HeadOptions(  # for a picture of 320 by 240
     following=FollowOptions(
@@ -141,6 +143,22 @@ def test_light_response(calibrated):
     assert rig.quality.method == "head"
     assert rig.quality.cone_deg > 45
     assert result.light.inliers.mean() > 0.6
+
+
+def test_the_page_shows_every_stage_and_says_what_is_weak(tmp_path, footage, calibrated):
+    rig, result = calibrated
+    job = CalibrationJob(source=footage[0], focal_px=FOCAL)
+    write_head_page(tmp_path / "head.html", job, rig, result)
+    text = (tmp_path / "head.html").read_text()
+    for shown in ("Tracks and poses", "Shape", "Light", "Time and sources", "Turn, tracks and samples carry"):
+        assert shown in text
+    assert text.count("data:image/") == 5  # tracks, shape, meshes, samples, sphere
+    assert "http://" not in text.replace("http://www.w3.org", "")
+    weak = replace(result.motion, turn_deg=70.0, interpolated=np.arange(31) == 4)
+    notices = notices_of_head(replace(result, motion=weak))
+    assert [notice.severity for notice in notices] == ["warning", "warning"]
+    assert "turns by only 70°" in notices[0].text
+    assert "1 of the frames were not placed" in notices[1].text
 
 
 @pytest.mark.slow

@@ -67,6 +67,7 @@ def head(
     frames: str = "::",
     mesh: Path | None = None,
     figure: Path | None = None,
+    report: Path | None = None,
     features: Features = Features.TRACKS,
     pose_start: PoseStart | None = None,
     head_shape: HeadShape = HeadShape.FUSED,
@@ -103,6 +104,8 @@ def head(
         Also write the head's mesh, .ply or .obj; its unit is the distance from the camera.
     figure
         Also write a picture of tracks, shape, samples and lights, .png.
+    report
+        Also write a page about tracks, poses, shape, samples and lights, .html.
     features
         What is recognised from frame to frame: skin followed in a video, or SIFT features of photographs that
         lie up to 20 degrees apart.
@@ -146,6 +149,10 @@ def head(
         from vntoolkit.report.head_figure import write_head_figure
 
         write_head_figure(figure, job, result)
+    if report is not None:
+        from vntoolkit.report.head_page import write_head_page
+
+        write_head_page(report, job, rig, result)
     motion = result.motion
     report_rig(
         out,

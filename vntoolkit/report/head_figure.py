@@ -31,27 +31,32 @@ _VIEW_HEIGHT = 1.1  # of the mesh's own height
 
 def write_head_figure(path: Path | str, job: CalibrationJob, result: HeadCalibration) -> None:
     """Write a .png: frames towards the ends and in the middle of the turn, and a row of summaries."""
-    count = len(result.light_numbers)
-    shown = sorted({count // 6, count // 2, count - 1 - count // 6})
     with report_style():
         figure = new_figure(12.0, 12.4)
         axes = figure.subplots(4, 3, height_ratios=(3, 3, 3, 4))
         capture = job.open()
-        for column, place in enumerate(shown):
+        for column, place in enumerate(places_shown(result)):
             number = result.light_numbers[place]
             used = result.footage.numbers.index(number)
-            image = _displayed(capture.frame(number).rgb)
-            _draw_tracks(axes[0, column], image, result, used)
-            _draw_shape(axes[1, column], image, result, used)
-            _draw_samples(axes[2, column], image, result, place)
-            axes[0, column].set_title(f"frame {number}: tracks kept (blue) and rejected (orange)")
-        _draw_turn(axes[3, 0], result)
-        _draw_sphere(axes[3, 1], result)
-        _draw_meshes(axes[3, 2], result)
+            image = displayed(capture.frame(number).rgb)
+            draw_tracks(axes[0, column], image, result, used)
+            draw_shape(axes[1, column], image, result, used)
+            draw_samples(axes[2, column], image, result, place)
+            axes[0, column].set_title(f"frame {number}:\ntracks kept (blue), rejected (orange)")
+        draw_turn(axes[3, 0], result)
+        draw_sphere(axes[3, 1], result)
+        draw_meshes(axes[3, 2], result)
     write_figure(figure, path, dpi=_DPI)
 
 
-def _draw_tracks(axis: Any, image: npt.NDArray[np.uint8], result: HeadCalibration, used: int) -> None:
+def places_shown(result: HeadCalibration) -> list[int]:
+    """Return which light frames are shown: towards both ends of the turn and in its middle."""
+    count = len(result.light_numbers)
+    return sorted({count // 6, count // 2, count - 1 - count // 6})
+
+
+def draw_tracks(axis: Any, image: npt.NDArray[np.uint8], result: HeadCalibration, used: int) -> None:
+    """Draw where the skin came from and goes to about a frame: used (counted over those used)."""
     tracks, motion = result.tracks, result.motion
     _show(axis, image)
     here = tracks.point[tracks.frame == used]
@@ -68,7 +73,8 @@ def _draw_tracks(axis: Any, image: npt.NDArray[np.uint8], result: HeadCalibratio
         axis.plot(trail[:, 0], trail[:, 1], color=SKY if good else RED, linewidth=0.8)
 
 
-def _draw_shape(axis: Any, image: npt.NDArray[np.uint8], result: HeadCalibration, used: int) -> None:
+def draw_shape(axis: Any, image: npt.NDArray[np.uint8], result: HeadCalibration, used: int) -> None:
+    """Draw the shape over a frame, with the outlines of silhouette and hull."""
     motion = result.motion
     pose = motion.camera_from_head[used]
     shading = _shading(result.mesh, motion.camera, pose)
@@ -78,10 +84,11 @@ def _draw_shape(axis: Any, image: npt.NDArray[np.uint8], result: HeadCalibration
     hull = _shading(result.hull, motion.camera, pose) >= 0
     axis.contour(hull, levels=[0.5], colors=SKY, linewidths=0.6)
     overlap = _overlap(shading >= 0, result.footage.silhouettes[used].mask)
-    axis.set_title(f"shape, silhouette (yellow), hull (blue); overlap {overlap:.3f}")
+    axis.set_title(f"shape, silhouette (yellow), hull (blue);\noverlap {overlap:.3f}")
 
 
-def _draw_samples(axis: Any, image: npt.NDArray[np.uint8], result: HeadCalibration, place: int) -> None:
+def draw_samples(axis: Any, image: npt.NDArray[np.uint8], result: HeadCalibration, place: int) -> None:
+    """Draw the samples of a light frame, by what became of them."""
     samples, light = result.samples, result.light
     _show(axis, image // 2)
     own = samples.frame == place
@@ -91,10 +98,11 @@ def _draw_samples(axis: Any, image: npt.NDArray[np.uint8], result: HeadCalibrati
         (own & light.shadowed, _YELLOW),
     ):
         axis.scatter(*samples.position_px[chosen].T, s=3, color=colour, linewidths=0)
-    axis.set_title("samples: agree (blue), do not (orange), in shadow (yellow)")
+    axis.set_title("samples: agree (blue), do not (orange),\nin shadow (yellow)")
 
 
-def _draw_turn(axis: Any, result: HeadCalibration) -> None:
+def draw_turn(axis: Any, result: HeadCalibration) -> None:
+    """Plot the turn of the head over the frames."""
     angles = turn_angles_deg(result.motion.camera_from_head)
     numbers = np.array(result.footage.numbers)
     axis.plot(numbers, angles, ".-", color=BLUE, markersize=4, label="found")
@@ -106,7 +114,7 @@ def _draw_turn(axis: Any, result: HeadCalibration) -> None:
     axis.legend()
 
 
-def _draw_sphere(axis: Any, result: HeadCalibration) -> None:
+def draw_sphere(axis: Any, result: HeadCalibration) -> None:
     """Draw the normals seen, seen by the camera, in the colour of their residual, and the lights."""
     samples, light = result.samples, result.light
     normals = samples.normals_in_camera[light.inliers]
@@ -127,7 +135,8 @@ def _draw_sphere(axis: Any, result: HeadCalibration) -> None:
     axis.legend(loc="lower left", bbox_to_anchor=(0.8, -0.02))
 
 
-def _draw_meshes(axis: Any, result: HeadCalibration) -> None:
+def draw_meshes(axis: Any, result: HeadCalibration) -> None:
+    """Draw hull and shape from three sides."""
     low, high = result.mesh.vertices.min(axis=0), result.mesh.vertices.max(axis=0)
     pictures = []
     for mesh in (result.hull, result.mesh):
@@ -169,7 +178,8 @@ def _overlap(first: Mask, second: Mask) -> float:
     return float((first & second).sum() / max(1, (first | second).sum()))
 
 
-def _displayed(rgb: LinearImage) -> npt.NDArray[np.uint8]:
+def displayed(rgb: LinearImage) -> npt.NDArray[np.uint8]:
+    """Return linear colour (h, w, 3) as a screen shows it, 8 bits."""
     return (255.0 * np.clip(rgb, 0.0, 1.0) ** _DISPLAY_GAMMA).astype(np.uint8)
 
 

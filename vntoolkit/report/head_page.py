@@ -1,0 +1,190 @@
+"""The page of a calibration on a head: tracks, poses, shape, samples, normals seen, lights, and a verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.photometry.rig import Rig
+from vntoolkit.pipeline.calibrate import CalibrationJob
+from vntoolkit.pipeline.calibrate_head import HeadCalibration
+from vntoolkit.report.head_figure import (
+    displayed,
+    draw_meshes,
+    draw_samples,
+    draw_shape,
+    draw_sphere,
+    draw_tracks,
+    draw_turn,
+    places_shown,
+)
+from vntoolkit.report.head_verdict import notices_of_head, numbers_of_head
+from vntoolkit.report.page import (
+    PageFigure,
+    PageSection,
+    PageTable,
+    figure_from_pixels,
+    figure_from_plot,
+    write_page,
+)
+from vntoolkit.report.style import new_figure, report_style
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_DPI = 110
+Draw = Callable[[Any], None]
+
+
+class _ShownFrame(NamedTuple):
+    place: int  # among the light frames
+    number: int  # in the capture
+    used: int  # among the frames used
+    image: npt.NDArray[np.uint8]
+
+
+def write_head_page(path: Path, job: CalibrationJob, rig: Rig, result: HeadCalibration) -> None:
+    """Write one self-contained HTML page about a calibration on a head."""
+    capture = job.open()
+    frames = []
+    for place in places_shown(result):
+        number = result.light_numbers[place]
+        image = displayed(capture.frame(number).rgb)
+        frames.append(_ShownFrame(place, number, result.footage.numbers.index(number), image))
+    sections = [
+        PageSection(
+            title="What the footage carries",
+            numbers=numbers_of_head(rig, result),
+            notices=notices_of_head(result),
+        ),
+        _poses_section(frames, result),
+        _shape_section(frames, result),
+        _light_section(frames, rig, result),
+        _times_section(rig, result),
+    ]
+    write_page(
+        path,
+        "Calibration on a turning head",
+        sections,
+        subtitle=f"{Path(job.source).name}: {len(result.footage.numbers)} frames",
+    )
+
+
+def _poses_section(frames: list[_ShownFrame], result: HeadCalibration) -> PageSection:
+    def tracks(axis: Any, shown: _ShownFrame) -> None:
+        draw_tracks(axis, shown.image, result, shown.used)
+        axis.set_title(f"frame {shown.number}")
+
+    return PageSection(
+        title="Tracks and poses",
+        paragraphs=(
+            "Each track shows the eight frames before and after: blue ones were kept, orange ones follow "
+            "shading, a highlight or what does not turn with the head, and were rejected.",
+        ),
+        figures=(
+            _strip(tracks, frames, "Tracks on the frames."),
+            _plot(lambda axis: draw_turn(axis, result), (9.0, 3.0), "The head's angle in every frame."),
+        ),
+    )
+
+
+def _shape_section(frames: list[_ShownFrame], result: HeadCalibration) -> PageSection:
+    def shape(axis: Any, shown: _ShownFrame) -> None:
+        draw_shape(axis, shown.image, result, shown.used)
+
+    counts = f"{len(result.mesh.vertices):,} vertices, the hull {len(result.hull.vertices):,}."
+    return PageSection(
+        title="Shape",
+        figures=(
+            _strip(shape, frames, "Shape and hull over the silhouettes; overlap of shape and silhouette."),
+            _picture(lambda axis: draw_meshes(axis, result), (480, 720), counts, wide=True),
+        ),
+    )
+
+
+def _light_section(frames: list[_ShownFrame], rig: Rig, result: HeadCalibration) -> PageSection:
+    def samples(axis: Any, shown: _ShownFrame) -> None:
+        draw_samples(axis, shown.image, result, shown.place)
+
+    directions = rig.response.light_directions
+    rows = tuple(
+        (
+            f"light {k}",
+            ", ".join(f"{value:+.3f}" for value in direction),
+            f"{np.rad2deg(np.arccos(np.clip(-direction[2], -1.0, 1.0))):.1f}°",
+            f"{np.rad2deg(np.arctan2(-direction[1], direction[0])) % 360.0:.0f}°",
+        )
+        for k, direction in enumerate(directions)
+    )
+    matrix = tuple(
+        (name, *(f"{value:+.4f}" for value in row))
+        for name, row in zip(("red", "green", "blue"), rig.response.matrix, strict=True)
+    )
+    return PageSection(
+        title="Light",
+        paragraphs=(
+            "Every sample is a normal of the shape, in the camera frame, and a colour. The sphere shows "
+            "which normals were seen, in the colour of their residual; stars are the lights. Directions are "
+            "M's, channel by channel: where lamps overlap in colour, they lie closer together than these.",
+        ),
+        figures=(
+            _strip(samples, frames, "Samples on the head, by what became of them."),
+            _picture(lambda axis: draw_sphere(axis, result), (620, 600), "Normals seen, and the lights."),
+        ),
+        tables=(
+            PageTable(
+                headings=("", "towards x, y, z", "off the axis", "about it, 0 right, 90 up"), rows=rows
+            ),
+            PageTable(headings=("M", "n_x", "n_y", "n_z"), rows=matrix, numeric=True),
+        ),
+    )
+
+
+def _times_section(rig: Rig, result: HeadCalibration) -> PageSection:
+    times = tuple((stage, f"{seconds:.1f} s") for stage, seconds in result.stage_seconds.items())
+    sources = tuple((source.file, source.sha256[:16] + "…") for source in rig.sources)
+    return PageSection(
+        title="Time and sources",
+        tables=(
+            PageTable(headings=("stage", "time"), rows=times, numeric=True),
+            PageTable(headings=("file", "SHA-256"), rows=sources),
+        ),
+    )
+
+
+def _strip(draw: Callable[[Any, _ShownFrame], None], frames: list[_ShownFrame], caption: str) -> PageFigure:
+    """Paint the same drawing over several frames side by side."""
+    rows, columns = frames[0].image.shape[:2]
+    with report_style():
+        figure = new_figure(12.0, 12.0 / len(frames) * rows / columns + 0.5)
+        axes = figure.subplots(1, len(frames), squeeze=False)[0]
+        for axis, shown in zip(axes, frames, strict=True):
+            draw(axis, shown)
+        return figure_from_pixels(_pixels_of(figure), caption, wide=True)
+
+
+def _picture(draw: Draw, size: tuple[int, int], caption: str, *, wide: bool = False) -> PageFigure:
+    """Paint one drawing of so many rows and columns: too much for a vector graphic."""
+    width = 9.0 if wide else 6.0
+    with report_style():
+        figure = new_figure(width, width * size[0] / size[1] + 0.4)
+        draw(figure.subplots())
+        return figure_from_pixels(_pixels_of(figure), caption, wide=wide)
+
+
+def _pixels_of(figure: Figure) -> npt.NDArray[np.uint8]:
+    figure.set_dpi(_DPI)
+    canvas: Any = figure.canvas
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+
+def _plot(draw: Draw, size_in: tuple[float, float], caption: str) -> PageFigure:
+    with report_style():
+        figure = new_figure(*size_in)
+        draw(figure.subplots())
+    return figure_from_plot(figure, caption, wide=True)
