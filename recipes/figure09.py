@@ -34,7 +34,7 @@ def views(mesh: Mesh, width: int, height: int) -> dict[str, Picture]:
     plaster = replace(mesh, colours=None)
     front = View.around(mesh, width, height, elevation_deg=8.0)
     turned = ((azimuth, replace(front, azimuth_deg=azimuth)) for azimuth in AZIMUTHS_DEG)
-    return {f"{azimuth:+.0f}°": picture_of([plaster], view) for azimuth, view in turned}
+    return {f"from {azimuth:.0f}°": picture_of([plaster], view) for azimuth, view in turned}
 
 
 def moment(result: OpenedResult, frame: int) -> dict[str, Picture]:

@@ -74,6 +74,7 @@ def test_a_browser_watches_while_frames_come(tmp_path: Path) -> None:
     thread.start()
     try:
         with visit(shown.address, width=1200, height=800) as seen:
+            seen.page.set_default_timeout(90_000)  # a browser that draws without a graphics card is slow
             first = picture_when(seen, lambda p: bright(p) > 0.1)
             assert bright(first) > 0.1  # the surface
             turned = picture_when(seen, lambda p: np.abs(p - first).max(axis=2).mean() > 4)
@@ -92,7 +93,9 @@ def test_a_browser_watches_while_frames_come(tmp_path: Path) -> None:
 
             seen.page.get_by_role("button", name="record", exact=True).click()
             seen.page.get_by_text("● recording live-").wait_for()
-            seen.page.wait_for_timeout(1500)
+            until = run.figures().arrived + 12
+            while run.figures().arrived < until and thread.is_alive():
+                seen.page.wait_for_timeout(200)
             seen.page.keyboard.press("r")  # the key does what the button does
             seen.page.get_by_text("● recording").wait_for(state="detached")
             here = (shown.address, shown.address.replace("http", "ws"), "blob:" + shown.address)
