@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from vntoolkit.errors import BadInput
+from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.skeleton import Skeleton
 
 ONE_JOINT = Skeleton(names=("hips",), parents=np.array([-1]), offsets=np.zeros((1, 3)))
@@ -14,6 +15,10 @@ STILL = {
     "rotations": np.array([[[0, 0, 0, 1.0]]]),
     "root_positions": np.zeros((1, 3)),
     "frame_rate_hz": 30.0,
+}
+MOVING = {
+    "template": Mesh(vertices=np.eye(3), faces=np.array([[0, 1, 2]], dtype=np.int32)),
+    "vertices": np.zeros((1, 3, 3), np.float32),
 }
 PRESS = {"ball_radius_mm": 3.0, "pixel_mm": 0.1}
 PLANE = {
@@ -71,6 +76,7 @@ REFUSALS = [
     ("geometry.garment_fit:GarmentFit", {"scale": 0.0}, r"fit: expected a positive scale, got 0\.0"),
     ("geometry.maps:DepthMap", {"depth": np.zeros((2, 2), int), "mask": None}, "floating point, got int64"),
     ("geometry.maps:DepthMap", {"depth": np.zeros((2, 2)), "mask": np.ones((2, 2))}, "booleans, got float64"),
+    ("geometry.mesh_sequence:MeshSequence", {**MOVING, "frame_rate_hz": 0.0}, r"a positive number, got 0\.0"),
     ("geometry.motion:Motion", {**STILL, "rotations": np.zeros((1, 1, 4))}, "expected unit quaternions"),
     ("geometry.motion:Motion", {**STILL, "frame_rate_hz": 0.0}, r"a positive number, got 0\.0"),
     ("geometry.motion:Motion", {**STILL, "metres_per_unit": -1.0}, "metres per unit: expected a positive"),

@@ -16,11 +16,12 @@ from vntoolkit.geometry.mesh_sequence import MeshSequence
 from vntoolkit.geometry.point_cloud import PointCloud
 from vntoolkit.io.captures import CaptureOptions, open_capture
 from vntoolkit.io.exr import read_exr, write_exr
-from vntoolkit.io.files import require_inside
+from vntoolkit.io.files import require_file, require_inside, sha256_of_file
 from vntoolkit.io.frame_log import FrameEntry, FrameLog
 from vntoolkit.io.images import encoded_image, read_image, write_png
 from vntoolkit.io.label_images import read_labels, write_labels
 from vntoolkit.io.light_files import read_lights
+from vntoolkit.io.live_sources import CameraSource
 from vntoolkit.io.manifest import read_manifest
 from vntoolkit.io.maps import (
     read_depth_map,
@@ -412,3 +413,47 @@ def test_a_chunk_of_a_png_that_lies_about_its_length(tmp_path):
     )
     with pytest.raises(BadCapture, match="the PNG file is cut off; copy or write it again"):
         read_image(tmp_path / "a.png")
+
+
+def test_files_that_the_system_will_not_open(tmp_path, monkeypatch):
+    with pytest.raises(BadInput, match=r"cannot be read \(File name too long"):
+        require_file(tmp_path / ("x" * 300))
+    (tmp_path / "a.png").write_bytes(b"0")
+
+    def refused(*_, **__):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "open", refused)
+    with pytest.raises(BadInput, match=r"a\.png: cannot be read \(Permission denied"):
+        sha256_of_file(tmp_path / "a.png")
+
+
+class _Camera:
+    """A camera that gives one frame and then none."""
+
+    def __init__(self, number):
+        self.left = 1
+
+    def isOpened(self):
+        return True
+
+    def set(self, key, value):
+        return True
+
+    def get(self, key):
+        return 24.0
+
+    def read(self):
+        self.left -= 1
+        return self.left >= 0, np.zeros((24, 24, 3), np.uint8)
+
+    def release(self):
+        self.left = 0
+
+
+def test_a_camera_that_is_unplugged(monkeypatch):
+    monkeypatch.setattr(cv2, "VideoCapture", _Camera)
+    frames = CameraSource(3).frames()
+    assert next(frames).frame.number == 0
+    with pytest.raises(BadCapture, match="camera 3: gives no frames any more"):
+        next(frames)

@@ -111,6 +111,13 @@ def test_a_viewer_at_an_address_that_is_not_ours(result: Path) -> None:
             made()
 
 
+def test_a_result_of_normals_alone_has_nothing_to_view(result: Path) -> None:
+    for name in ("mesh", "depth", "track"):
+        shutil.rmtree(result / name)
+    with pytest.raises(BadInput, match="holds no depth to show; run `vntoolkit reconstruct --to depth`"):
+        ResultViewer(open_result(result), ViewerOptions(port=18231))
+
+
 def test_records_of_tracks_that_are_spoilt(result: Path) -> None:
     record = read_track_record(result / "track")
     assert recorded_camera(record).width == SIZE[1]

@@ -129,7 +129,9 @@ def _mesh_numbers(result: OpenedResult, track: TrackedSurface | None) -> list[in
     else:
         numbers = [number for number in result.numbers if result.folder.mesh(number).exists()]
     if not numbers:
-        raise BadInput(f"{result.folder.root}: holds no mesh of those frames; run `vntoolkit reconstruct`")
+        raise BadInput(
+            f"{result.folder.root}: holds no mesh of those frames; run `vntoolkit reconstruct --to mesh`"
+        )
     return numbers
 
 

@@ -79,6 +79,11 @@ class ResultViewer:
         self._closed = threading.Event()
         self._thinned: ThinnedTemplate | None = None
         self._pictured = result.numbers[0]  # the frame whose pictures are in the panel
+        if not self._surfaces():
+            raise BadInput(
+                f"{result.folder.root}: holds no depth to show; run `vntoolkit reconstruct --to depth`, or "
+                "look at the normals by `vntoolkit report`"
+            )
         self._server = started_server(options.host, options.port)
         self._set_up_scene()
         self._set_up_controls()
