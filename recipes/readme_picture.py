@@ -7,17 +7,16 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from vntoolkit.io.atomic import write_bytes
 from vntoolkit.io.images import encoded_image, resized_image
 from vntoolkit.pipeline.opened_result import open_result
 from vntoolkit.report.pictures import cropped, picture_of_depth, picture_of_normals
 from vntoolkit.report.raycast_view import View, picture_of
+from vntoolkit.report.tiles import tiled
 
 WIDTH_PX = 1600
 TURNED_DEG = 40.0
-PLASTER = 0.45
+HEADINGS = ("captured", "normals", "relief of the depth")
 
 
 def main() -> None:
@@ -34,21 +33,12 @@ def main() -> None:
         picture_of_normals(normal_map),
         picture_of_depth(depth_map, result.camera),
     ]
-    maps = cropped(maps, normal_map.mask, margin_px=16)
-    height, width = maps[0].shape[:2]
-    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-    plaster = replace(mesh, colours=np.full(mesh.vertices.shape, PLASTER, np.float32))
-    view = View(
-        centre=(low + high) / 2,
-        height=1.15 * float((high - low)[1]),
-        azimuth_deg=TURNED_DEG,
-        elevation_deg=8.0,
-        width_px=2 * width,
-        height_px=2 * height,
-    )
-    turned = resized_image(picture_of([plaster], view), max(height, width))
-    strip = np.concatenate([*maps, turned[:height, :width]], axis=1)
-    write_bytes(arguments.out, encoded_image(resized_image(strip, WIDTH_PX), ".jpg"))
+    row = dict(zip(HEADINGS, cropped(maps, normal_map.mask, margin_px=8), strict=True))
+    height, width = row[HEADINGS[0]].shape[:2]
+    view = View.around(mesh, width, height, azimuth_deg=TURNED_DEG, elevation_deg=8.0)
+    row["mesh, from the side"] = picture_of([replace(mesh, colours=None)], view)
+    strip = resized_image(tiled([row]), WIDTH_PX)
+    write_bytes(arguments.out, encoded_image(strip, ".jpg", quality=92))
     print(arguments.out)
 
 
