@@ -27,6 +27,7 @@ BENCHMARKS: dict[str, list[str]] = {
     "skinning": [],
     "pipeline": [],
     "live": [],
+    "calibrate_head": [],
 }
 DATA_FOLDERS = {"integration": "normal_integration", "shadows": ""}  # inside --data
 
