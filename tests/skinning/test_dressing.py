@@ -16,12 +16,13 @@ from vntoolkit.geometry.mesh_sequence import MeshSequence
 from vntoolkit.geometry.motion import Motion
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.geometry.skeleton import Skeleton
+from vntoolkit.io.images import read_image
 from vntoolkit.io.meshes import read_mesh
 from vntoolkit.io.sequences import write_mesh_sequence
 from vntoolkit.io.usd import read_usd_sequence
 from vntoolkit.pipeline.dress import DressedFigure, DressOptions, UpAxis, dress, read_motion
 from vntoolkit.report.raycast_view import View, picture_of
-from vntoolkit.report.turntable import PreviewOptions, contact_sheet, turntable
+from vntoolkit.report.turntable import PreviewOptions, contact_sheet, turntable, write_preview
 from vntoolkit.skinning.anatomy import anatomy_of, facing_of
 from vntoolkit.skinning.anchoring import Anchor
 from vntoolkit.skinning.blending import Blend
@@ -269,7 +270,7 @@ def test_picture_shows_left_right_up_and_near() -> None:
     assert from_left.shape == (480, 320, 3)
 
 
-def test_preview_moves_and_turns(moving_jumper: MeshSequence) -> None:
+def test_preview_moves_and_turns(moving_jumper: MeshSequence, tmp_path: Path) -> None:
     dressed = dress(moving_jumper, walking_motion())
     options = PreviewOptions(
         frames=3, azimuths_deg=(0.0, 90.0), picture_width=60, picture_height=80, turn_frames=4
@@ -282,4 +283,8 @@ def test_preview_moves_and_turns(moving_jumper: MeshSequence) -> None:
     assert len(pictures) == 4
     cloth = (pictures[0][..., 0].astype(int) - pictures[0][..., 2]) > 15
     assert 0.05 < cloth.mean() < 0.5
+    write_preview(tmp_path, "walk", dressed, options)
+    headed = read_image(tmp_path / "walk_sheet.png")
+    assert headed.shape[0] > 160 + 3 * 20  # the same, below times and beside directions
+    assert (tmp_path / "walk_turntable.mkv").stat().st_size > 1000
     assert DepthPlacement.AUTO is FitOptions().depth

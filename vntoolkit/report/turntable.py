@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from vntoolkit.arrays import IntArray
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.io.images import write_png
 from vntoolkit.io.video import write_video
 from vntoolkit.pipeline.dress import DressedFigure
 from vntoolkit.report.raycast_view import View, capsules, picture_of
+from vntoolkit.report.tiles import write_tiles
 from vntoolkit.skinning.kinematics import bone_segments, pose_of_frame
 
 _BONE_COLOUR = (0.18, 0.30, 0.62)
@@ -96,14 +97,32 @@ def _view(dressed: DressedFigure, frame: int, azimuth_deg: float, options: Previ
 def contact_sheet(dressed: DressedFigure, options: PreviewOptions | None = None) -> npt.NDArray[np.uint8]:
     """Return one picture (h, w, 3) uint8: time runs to the right, one direction a row."""
     options = options or PreviewOptions()
-    moments = np.linspace(0, len(dressed) - 1, options.frames).round().astype(int)
     floor = floor_height(dressed)
     columns = []
-    for frame in moments:
+    for frame in _moments(dressed, options):
         meshes = meshes_of_frame(dressed, int(frame), floor)
         views = (_view(dressed, int(frame), azimuth, options) for azimuth in options.azimuths_deg)
         columns.append(np.concatenate([picture_of(meshes, view) for view in views], axis=0))
     return np.concatenate(columns, axis=1)
+
+
+def _write_sheet(path: Path, dressed: DressedFigure, options: PreviewOptions) -> None:
+    """Write the contact sheet with its times above and its directions beside."""
+    sheet, width, height = contact_sheet(dressed, options), options.picture_width, options.picture_height
+    seconds = _moments(dressed, options) / dressed.clock.frame_rate_hz
+    rows = [
+        {
+            f"{second:.2f} s": sheet[i * height : (i + 1) * height, k * width : (k + 1) * width]
+            for k, second in enumerate(seconds)
+        }
+        for i in range(len(options.azimuths_deg))
+    ]
+    names = [f"from {azimuth:.0f}°" for azimuth in options.azimuths_deg]
+    write_tiles(path, rows, names, height_px=height)
+
+
+def _moments(dressed: DressedFigure, options: PreviewOptions) -> IntArray:
+    return np.linspace(0, len(dressed) - 1, options.frames).round().astype(np.int64)
 
 
 def turntable(
@@ -123,7 +142,7 @@ def write_preview(
 ) -> None:
     """Write `STEM_sheet.png` and `STEM_turntable.mkv` into a folder."""
     options = options or PreviewOptions()
-    write_png(folder / f"{stem}_sheet.png", contact_sheet(dressed, options))
+    _write_sheet(folder / f"{stem}_sheet.png", dressed, options)
     seconds = max(len(dressed) / dressed.clock.frame_rate_hz, 1e-3)
     rate = float(np.clip(round(options.turn_frames / seconds), 1, 60))
     write_video(folder / f"{stem}_turntable.mkv", turntable(dressed, options), rate)
