@@ -41,7 +41,7 @@ def surface_from_either_start(
     """
     measured = replace(measured, trust=(measured.trust * trust).astype(np.float32))
     options = _with_measured_noise(options, measured, mask & (labels == ALL_LIT))
-    return _coarse_to_fine(measured, labels, albedo, mask, camera, options)
+    return _coarse_to_fine(measured, labels, albedo, mask, camera, options, options.large_iterations)
 
 
 def _coarse_to_fine(
@@ -51,6 +51,7 @@ def _coarse_to_fine(
     mask: Mask,
     camera: Camera | None,
     options: SurfaceOptions,
+    last_iterations: int,
 ) -> Surface:
     """Compare the starts on a small image; go on from the better one at twice the size, and so on."""
     if mask.size <= options.start_pixels:
@@ -60,12 +61,12 @@ def _coarse_to_fine(
     start = _coarse_to_fine(
         small, cv2.resize(labels, size, interpolation=cv2.INTER_NEAREST).astype(np.uint8),
         np.asarray(cv2.resize(albedo, size, interpolation=cv2.INTER_AREA)), small_mask,
-        None if camera is None else camera.scaled(0.5), options,
+        None if camera is None else camera.scaled(0.5), options, options.middle_iterations,
     )  # fmt: skip
     return _solver(measured, labels, albedo, mask, camera)(
         first_normals=measured.normals,
         start=_enlarged(start, mask, 2),
-        options=replace(options, iterations=options.large_iterations),
+        options=replace(options, iterations=last_iterations),
     )
 
 

@@ -49,14 +49,15 @@ class SurfaceOptions:
     noise_per_slope times that of a slope, but not below least_noise. albedo_spread: relative standard
     deviation of the albedo continued into a shadow. own_albedo_spread: the same where all three lights
     arrive; large, as there the colour's length is the albedo. step_softness: χ² at which a depth gradient
-    counts half, because it crosses a step in depth; 0 makes the surface continuous everywhere.
+    counts a quarter, because it crosses a step in depth; 0 makes the surface continuous everywhere.
     shadow_step_softness: the same under two lights, where the slope hangs on the albedo around.
     smoothness: weight of a shadowed pixel's slope being its surroundings' mean; smooth_px: radius (standard
     deviation, pixels) of that mean. doubt_trust: weight of a light that is labelled missing where the surface
     would return about what is seen, as it does where it turns from the light; doubt_reach: difference
     of shares at which that weight ends. damping: holds the slope back where nothing else is known.
     iterations: Gauss–Newton steps. start_pixels: frames larger than this are halved until they are not, and
-    compare starts there; large_iterations: steps that follow at every larger size. cycles: multigrid cycles
+    compare starts there; middle_iterations, large_iterations: steps that follow at every larger size, and at
+    the frame's own. cycles: multigrid cycles
     per step. tolerance: relative residual that ends a step early. steepest: largest slope, the tangent of the
     angle from the viewing ray.
     """
@@ -66,15 +67,16 @@ class SurfaceOptions:
     least_noise: float = 0.01
     albedo_spread: float = 0.15
     own_albedo_spread: float = 3.0
-    step_softness: float = 5.0
-    shadow_step_softness: float = 20.0
+    step_softness: float = 10.0
+    shadow_step_softness: float = 40.0
     smoothness: float = 1.5
     smooth_px: float = 2.0
     doubt_trust: float = 0.3
     doubt_reach: float = 0.2
     damping: float = 1.0
-    iterations: int = 4
+    iterations: int = 8
     start_pixels: int = 15_000
+    middle_iterations: int = 6
     large_iterations: int = 3
     cycles: int = 5
     tolerance: float = 3e-3

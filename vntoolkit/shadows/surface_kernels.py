@@ -135,8 +135,8 @@ def quadrant_weights_kernel(
     """Fill out (h, w, 4): how far each quadrant's gradient belongs to the pixel's own surface, 0 to 1.
 
     Where lights arrive the pixel knows its slope; a quadrant whose depth gradient disagrees crosses a step:
-    weight s / (s + χ²), where s = softness under three lights and shadow_softness under two. Other pixels
-    take what they are given. softness 0: all 1.
+    weight (s / (s + χ²))² (Geman and McClure's: a step has no pull at all), where s = softness under three
+    lights and shadow_softness under two. Other pixels take what they are given. softness 0: all 1.
     """
     h, w = labels.shape
     for v in range(h):
@@ -159,7 +159,8 @@ def quadrant_weights_kernel(
                 a = quadratics[v, u]
                 chi = a[5] - 2.0 * (a[3] * d0 + a[4] * d1)
                 chi += a[0] * d0 * d0 + 2.0 * a[1] * d0 * d1 + a[2] * d1 * d1
-                out[v, u, i] = soft / (soft + max(chi, 0.0))
+                share = soft / (soft + max(chi, 0.0))
+                out[v, u, i] = share * share
 
 
 @njit(cache=True, fastmath=True)
