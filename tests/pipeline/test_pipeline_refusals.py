@@ -75,6 +75,11 @@ def test_a_result_whose_footage_is_another(result: Path, dome_capture: DomeCaptu
         BadInput, match=r"20 frames of 64×48, but .* from 6 of 64×48; name the footage it came"
     ):
         _ = opened.capture
+    moved = open_result(result, footage=str(result / "nowhere.mkv"))
+    with pytest.raises(
+        BadCapture, match=r"nowhere\.mkv: no such file; if the footage has moved, give --footage"
+    ):
+        _ = moved.capture
 
 
 @pytest.mark.parametrize("to", [ExportFormat.PLY, ExportFormat.USD])

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import VisibilityLabels
-from vntoolkit.errors import BadInput, VntError
+from vntoolkit.errors import BadCapture, BadInput, VntError
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.geometry.mesh import Mesh
@@ -147,7 +147,13 @@ class OpenedResult:
     def capture(self) -> Capture:
         """The footage; raise `BadInput` where it is not to be found, or is of another size or length."""
         source = self.source
-        capture = open_capture(source, CaptureOptions(transfer=self.rig.transfer, background=self.background))
+        options = CaptureOptions(transfer=self.rig.transfer, background=self.background)
+        try:
+            capture = open_capture(source, options)
+        except BadCapture as error:
+            if Path(source).exists():
+                raise
+            raise BadCapture(f"{error}; if the footage has moved, give --footage") from error
         stated, info = self.manifest.input, capture.info
         if (info.width, info.height, info.frame_count) != (stated.width, stated.height, stated.frame_count):
             raise BadInput(
