@@ -1,6 +1,6 @@
 """Figure 3: calibrate on a bare head that turns, then reconstruct the same face while it moves.
 
-    python recipes/figure03.py --out out/figure03 [--quick]        # quick: the same at 640x480
+    python recipes/figure03.py --out out/figure03 [--quick]        # quick: 640x480, 2 min of processor time
 
 The turning head gives poses, its own shape and M (brostow2011, IV); the face's frames then give normals,
 which are compared with those of the true M.
