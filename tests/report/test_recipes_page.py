@@ -61,6 +61,16 @@ def test_numbers_and_figures_are_on_the_page(folder: Path, tmp_path: Path) -> No
         assert seen.complaints == []
 
 
+def test_a_table_without_published_numbers_has_no_column_for_them(tmp_path: Path) -> None:
+    rows = [{"what": f"number {k}", "paper": None, "ours": 1.0 + k, "unit": "px"} for k in range(20)]
+    (tmp_path / "numbers.json").write_text(json.dumps(rows))
+    run = RecipeRun(name="nuisances", text=RecipeText(summary="Table: many."), folder=tmp_path)
+    text = write_recipes_page(tmp_path / "page.html", [run]).read_text()
+    assert "<th>paper</th>" not in text.replace(' class="right"', "")
+    assert "<h2>Nuisances</h2>" in text
+    assert "all 20 numbers</summary>" in text  # folded away
+
+
 def test_bad_numbers_are_named(folder: Path) -> None:
     (folder / "numbers.json").write_text('[{"what": 1}]')
     with pytest.raises(BadInput, match="expected the keys ours, paper, unit, what, got what"):

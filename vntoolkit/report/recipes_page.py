@@ -111,16 +111,24 @@ def write_recipes_page(out: Path, runs: Sequence[RecipeRun]) -> Path:
 def _section(run: RecipeRun, numbers: Sequence[RecipeNumber]) -> PageSection:
     took = f" Took {_duration(run.seconds)}." if run.seconds else ""
     command = f"vntoolkit recipe run {run.name}"
-    rows = tuple(_row(number) for number in numbers)
-    folded = f"all {len(rows)} numbers" if len(rows) > _MOST_ROWS else ""
     title = run.text.title
     return PageSection(
         title=title if title.startswith("Figure") else run.name.replace("_", " ").capitalize(),
         paragraphs=(run.text.summary, *run.text.paragraphs, f"Made by: {command}.{took}"),
         notices=(_notice(run),) if run.failure else (),
         figures=tuple(_figure(path, run.text) for path in figures_of(run.folder)),
-        tables=(PageTable(headings=_HEADINGS, rows=rows, folded=folded, right=(1, 2)),) if rows else (),
+        tables=(_table(numbers),) if numbers else (),
     )
+
+
+def _table(numbers: Sequence[RecipeNumber]) -> PageTable:
+    """All numbers of a recipe; without the paper's column where it gives none of them."""
+    folded = f"all {len(numbers)} numbers" if len(numbers) > _MOST_ROWS else ""
+    rows = tuple(_row(number) for number in numbers)
+    if any(number.paper is not None for number in numbers):
+        return PageTable(headings=_HEADINGS, rows=rows, folded=folded, right=(1, 2))
+    without = tuple((what, ours, unit) for what, _, ours, unit in rows)
+    return PageTable(headings=("what", "ours", "unit"), rows=without, folded=folded, right=(1,))
 
 
 def _notice(run: RecipeRun) -> PageNotice:
@@ -145,6 +153,7 @@ def figures_of(folder: Path) -> list[Path]:
 
 def _figure(path: Path, text: RecipeText) -> PageFigure:
     caption = text.captions.get(path.name, path.stem.replace("_", " "))
+    caption = caption[:1].upper() + caption[1:]
     if path.suffix.lower() in _DRAWN or path.stat().st_size < _LARGEST_PNG:
         return figure_from_file(path, caption, wide=True)
     pixels: Any = read_image(path)
