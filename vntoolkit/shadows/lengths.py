@@ -6,6 +6,8 @@ import numpy as np
 
 from vntoolkit.arrays import FloatArray, Mask
 
+TOWARDS_VIEWER = np.array([0.0, 0.0, -1.0], dtype=np.float32)  # single, so that images stay so
+
 
 def lengths_of(vectors: FloatArray) -> FloatArray:
     """Return the lengths (..., 1) of vectors (..., n)."""

@@ -10,7 +10,7 @@ import numpy as np
 from vntoolkit.arrays import FloatArray, Mask, Matrix3, Vector3, Weight
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
-from vntoolkit.shadows.lengths import lengths_of
+from vntoolkit.shadows.lengths import TOWARDS_VIEWER, lengths_of
 
 _CLIPPED_TRUST = 0.05  # a saturated channel is a bound, not a value
 _SMALLEST_ALBEDO = 1e-3
@@ -104,5 +104,5 @@ def _length_and_direction(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Split (h, w, 3) into length and direction; towards the viewer where there is no length."""
     length = lengths_of(vectors)[..., 0]
     some = (length > 1e-6)[..., None]
-    direction = np.where(some, vectors / np.maximum(length, 1e-6)[..., None], (0.0, 0.0, -1.0))
+    direction = np.where(some, vectors / np.maximum(length, 1e-6)[..., None], TOWARDS_VIEWER)
     return length, direction.astype(np.float32)

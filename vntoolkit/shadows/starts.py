@@ -16,7 +16,7 @@ import numpy as np
 from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels, Weight
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.photometry.visibility import ALL_LIT
-from vntoolkit.shadows.lengths import lengths_of
+from vntoolkit.shadows.lengths import TOWARDS_VIEWER, lengths_of
 from vntoolkit.shadows.normal_noise import slope_noise
 from vntoolkit.shadows.shares import LightShares
 from vntoolkit.shadows.surface import Surface, SurfaceOptions, solve_surface
@@ -133,7 +133,7 @@ def _enlarged(surface: Surface, mask: Mask, factor: int) -> Surface:
 
     normals = enlarge(surface.normals.astype(np.float32))
     length = lengths_of(normals)
-    normals = np.where(length > 1e-3, normals / np.maximum(length, 1e-3), (0.0, 0.0, -1.0))
+    normals = np.where(length > 1e-3, normals / np.maximum(length, 1e-3), TOWARDS_VIEWER)
     return Surface(
         normals=normals.astype(np.float32),
         depth=np.ascontiguousarray(enlarge(surface.depth) * np.float32(factor)),

@@ -76,7 +76,7 @@ class SurfaceOptions:
     damping: float = 1.0
     iterations: int = 8
     start_pixels: int = 15_000
-    middle_iterations: int = 6
+    middle_iterations: int = 4
     large_iterations: int = 3
     cycles: int = 5
     tolerance: float = 3e-3
@@ -99,7 +99,8 @@ class Surface:
 
     normals: (h, w, 3) unit, camera frame. depth: (h, w) float32, pixels (orthographic) or f · log z.
     agreement: (h, w), 0 to 1, how far depth and colour agree on a fully lit pixel's slope, 0 at the border.
-    misfit: (h, w), χ² of the light that arrives against the light that the surface would return.
+    misfit: (h, w), χ² of the light that arrives against the light that the surface would return; 0 where the
+    solution went on from a start.
     """
 
     normals: FloatArray
@@ -145,9 +146,10 @@ def solve_surface(
         options.noise, options.albedo_spread, options.own_albedo_spread, options.smoothness, options.damping,
         options.doubt_trust, options.doubt_reach,
     )  # fmt: skip
+    shares_of_prior = _prior_shares(mask, known, options)
     softness = 0.0  # the first depth must hold together before it may show steps
     for _ in range(options.iterations):
-        prior = _surrounding_slope(slopes, mask, known, options)
+        prior = _surrounding_slope(slopes, shares_of_prior, options)
         local_quadratics_kernel(data, seen, trust, slopes, prior, rows, rays, model, quadratics)
         quadrant_weights_kernel(
             quadratics, seen, mask, slopes, depth, softness, options.shadow_step_softness, weights
@@ -155,8 +157,10 @@ def solve_surface(
         depth = _solve_depth(quadratics, slopes, weights, depth, options)
         slopes_kernel(depth, weights, options.steepest, slopes, agreement)
         softness = options.step_softness
-    prior = _surrounding_slope(slopes, mask, known, options)
-    local_quadratics_kernel(data, seen, trust, slopes, prior, rows, rays, model, quadratics)
+    misfit = np.zeros(mask.shape, np.float32)
+    if start is None:
+        local_quadratics_kernel(data, seen, trust, slopes, prior, rows, rays, model, quadratics)
+        misfit = quadratics[..., 5].copy()
     lonely = known & (agreement <= 0.0)
     slopes[lonely] = own[lonely]
     normals = _blend(normals_from_slopes(slopes, rays), first_normals, known, agreement)
@@ -164,7 +168,7 @@ def solve_surface(
         normals=np.where(mask[..., None], normals, 0.0),
         depth=depth,
         agreement=agreement,
-        misfit=quadratics[..., 5].copy(),
+        misfit=misfit,
     )
 
 
@@ -215,12 +219,19 @@ def _first_guess(
     return np.ascontiguousarray(slopes), depth
 
 
-def _surrounding_slope(slopes: Grid, mask: Mask, known: Mask, options: SurfaceOptions) -> Grid:
-    """Gaussian mean of the slopes around each pixel; shadowed pixels count a third."""
-    share = np.where(known, 1.0, np.where(mask, 1 / 3, 0.0)).astype(np.float32)
-    total = cv2.GaussianBlur(slopes * share[..., None], (0, 0), options.smooth_px)
+def _prior_shares(mask: Mask, known: Mask, options: SurfaceOptions) -> tuple[Grid, Grid]:
+    """(h, w) how much each pixel counts in the slope around it, a third in shadow; and 1 over what counts."""
+    share = known.astype(np.float32)
+    share[mask & ~known] = 1 / 3
     count = cv2.GaussianBlur(share, (0, 0), options.smooth_px)
-    return np.ascontiguousarray(total / np.maximum(count, 1e-6)[..., None])
+    return share, np.asarray(1.0 / np.maximum(count, 1e-6), dtype=np.float32)
+
+
+def _surrounding_slope(slopes: Grid, shares: tuple[Grid, Grid], options: SurfaceOptions) -> Grid:
+    """Gaussian mean of the slopes around each pixel."""
+    share, inverse_count = shares
+    total = cv2.GaussianBlur(slopes * share[..., None], (0, 0), options.smooth_px)
+    return np.ascontiguousarray(total * inverse_count[..., None])
 
 
 def _solve_depth(quadratics: Grid, slopes: Grid, weights: Grid, start: Grid, options: SurfaceOptions) -> Grid:
@@ -236,4 +247,4 @@ def _blend(solved: FloatArray, first: FloatArray, known: Mask, agreement: Grid) 
     share = np.where(known, agreement, 1.0)[..., None]
     mixed = share * solved + (1.0 - share) * first
     length = lengths_of(mixed)
-    return np.where(length > 1e-6, mixed / np.maximum(length, 1e-6), solved)
+    return np.where(length > 1e-6, mixed / np.maximum(length, np.float32(1e-6)), solved)
