@@ -122,7 +122,8 @@ def test_the_status_says_it_all_and_escapes() -> None:
     ).html()
     for part in (
         "29.7",
-        "28.0 to this page",
+        "28.0",
+        "20 ms after arrival",
         "12 ms",
         "46 ms",
         "of 1,200, 1.0 %, 3 failed",

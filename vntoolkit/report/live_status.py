@@ -35,17 +35,14 @@ class LiveStatus:
         lost = f", {figures.failed:,} failed" if figures.failed else ""
         dropped = f"{100 * figures.dropped / max(1, figures.arrived):.1f} %"
         cards = (
-            (f"{figures.rate_hz:.1f}", "frames a second", f"{self.shown_hz:.1f} to this page"),
-            (
-                f"{median:.0f} ms",
-                "latency of a frame",
-                f"95 %: {high:.0f} ms; to page {1000 * self.shown_s:.0f}",
-            ),
+            (f"{figures.rate_hz:.1f}", "frames a second", f"{figures.processed:,} so far"),
+            (f"{median:.0f} ms", "latency of a frame", f"95 %: {high:.0f} ms"),
             (f"{figures.dropped:,}", "frames dropped", f"of {figures.arrived:,}, {dropped}{lost}"),
+            (f"{self.shown_hz:.1f}", "a second on this page", f"{1000 * self.shown_s:.0f} ms after arrival"),
         )
         boxes = [_box(_RECORDING, f"● recording {self.recording}")] if self.recording else []
         boxes += [_box(_WARNING, f"▲ {warning}") for warning in self.warnings]
-        grid = "display:grid;grid-template-columns:repeat(3,1fr);gap:.5rem;padding:.2rem .75rem .4rem"
+        grid = "display:grid;grid-template-columns:repeat(2,1fr);gap:.4rem .8rem;padding:.2rem .75rem .4rem"
         return f'<div style="{grid}">{"".join(_card(*card) for card in cards)}</div>{"".join(boxes)}'
 
 
