@@ -131,7 +131,7 @@ def build_app(arguments: Sequence[str] = ()) -> App:
 
 def _shown_default(value: Any) -> str | None:
     """Return how `--help` shows a default; None where it would say nothing."""
-    if value is False or value in ("", ()):
+    if value is None or value is False or value in ("", ()):
         return None
     if isinstance(value, Enum):
         return value.name.lower().replace("_", "-")

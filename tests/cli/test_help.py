@@ -1,0 +1,45 @@
+"""What `--help` says: the verb's whole docstring, no default that says nothing."""
+
+import pytest
+
+from vntoolkit.__main__ import main
+
+
+def help_of(verb: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> str:
+    monkeypatch.setenv("COLUMNS", "400")  # no line of it is broken
+    assert main([*verb.split(), "--help"]) == 0
+    return capsys.readouterr().out
+
+
+def test_the_list_gives_each_verb_a_line(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = help_of("", capsys, monkeypatch)
+    assert "Watch normals and the surface while filming." in text
+    assert "Frames that come too fast" not in text
+
+
+@pytest.mark.parametrize(
+    ("verb", "told"),
+    [
+        ("live", "Frames that come too fast are dropped and counted."),
+        ("export", "The same command again goes on where an earlier run stopped"),
+        ("evaluate tracks", "Every vertex is judged whose true point can be seen in that frame"),
+    ],
+)
+def test_a_verb_tells_its_whole_story(
+    verb: str, told: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = help_of(verb, capsys, monkeypatch)
+    assert told in text
+    assert "default: None" not in text
+    assert "default: False" not in text
+    assert 'default: ""' not in text
+
+
+def test_defaults_that_mean_something_are_shown(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = help_of("export", capsys, monkeypatch)
+    assert "[default: opengl]" in text
+    assert "[choices: y, z] [default: y]" in text
