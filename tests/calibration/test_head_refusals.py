@@ -15,10 +15,10 @@ from vntoolkit.geometry.rigid import RigidTransform
 CAMERA = Camera.pinhole(width=64, height=48, focal_px=100.0)
 
 
-def silhouette(share: float, rival: float = 0.0, cut: float = 0.0) -> Silhouette:
+def silhouette(share: float, rival: float = 0.0, cut: float = 0.0, **more: float) -> Silhouette:
     mask = np.zeros((10, 100), dtype=bool)
     mask.flat[: round(1000 * share)] = True
-    return Silhouette(mask=mask, rival_share=rival, cut_share=cut)
+    return Silhouette(mask=mask, rival_share=rival, cut_share=cut, **more)
 
 
 @pytest.mark.parametrize(
@@ -26,6 +26,11 @@ def silhouette(share: float, rival: float = 0.0, cut: float = 0.0) -> Silhouette
     [
         (silhouette(0.0), "nothing head-sized stands out .* in 100% of the frames; film one head, lit"),
         (silhouette(1.0), "no contrast between head and background .* or give --threshold"),
+        (
+            silhouette(0.3, backdrop=0.5, rival=0.9),
+            "no contrast: the backdrop is 50% as bright as the subject",
+        ),
+        (silhouette(0.3, edge_share=0.5, rival=0.9), "bright up to the picture's edge in 100% of the frames"),
         (silhouette(0.3, rival=0.9), "two subjects in 100% of the frames; film one person alone"),
         (silhouette(0.3, cut=0.9), "the head is cut off by the picture's edge in 100% of the frames"),
     ],

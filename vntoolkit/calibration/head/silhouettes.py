@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from vntoolkit.arrays import LinearImage, Mask
+from vntoolkit.arrays import FloatArray, LinearImage, Mask
 from vntoolkit.errors import BadCalibration, BadInput
 
 _SIGMAS = 6.0  # of the background's noise
@@ -17,6 +17,9 @@ _SMALLEST_SHARE = 0.01  # of the image: anything smaller is no head
 _LARGEST_SHARE = 0.75  # of the image: beyond, the background itself counts as subject
 _RIVAL_SHARE = 0.35  # area of the second region over the first's from which on there are two people
 _CUT_SHARE = 0.12  # of the silhouette's width or height that may lie on the image's edge
+_BRIGHTEST_BACKDROP = 0.3  # of the subject's brightness
+_LIT_EDGE = 0.2  # of the image's top and upper sides that may be bright
+_UPPER = 0.6  # of the height; below, shoulders may reach the edge
 _MOST = 0.2  # share of the frames that may show a fault
 
 
@@ -41,27 +44,40 @@ class Silhouette:
 
     mask: (h, w) bool, largest bright region without holes. rival_share: area of the second largest region
     over the largest's. cut_share: how much of its width or height lies on the image's top, left or right
-    edge; shoulders may be cut.
+    edge; shoulders may be cut. edge_share: how much of those edges is bright at all.
+    backdrop: its level over the subject's; 0 where the threshold was given.
     """
 
     mask: Mask
     rival_share: float
     cut_share: float
+    edge_share: float = 0.0
+    backdrop: float = 0.0
 
 
 def find_silhouette(rgb: LinearImage, options: SilhouetteOptions) -> Silhouette:
     """Return the largest region of linear rgb (h, w, 3) that stands out; an empty one where nothing does."""
     grey = cv2.GaussianBlur(np.asarray(rgb, dtype=np.float32).mean(axis=2), (0, 0), 0.7)
-    threshold = options.threshold if options.threshold is not None else _threshold_of(grey)
+    level, found = _level_and_threshold(grey)
+    threshold = found if options.threshold is None else options.threshold
+    backdrop = level / max(float(np.percentile(grey, 99)), 1e-6) if options.threshold is None else 0.0
     bright = (grey > threshold).astype(np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(bright, connectivity=4)
     if count < 2:
-        return Silhouette(mask=np.zeros(grey.shape, np.bool_), rival_share=0.0, cut_share=0.0)
+        empty = np.zeros(grey.shape, np.bool_)
+        return Silhouette(mask=empty, rival_share=0.0, cut_share=0.0, backdrop=backdrop)
     areas = stats[1:, cv2.CC_STAT_AREA].astype(float)
     order = np.argsort(areas)[::-1]
     mask = _without_holes(labels == 1 + order[0])
     rival = float(areas[order[1]] / areas[order[0]]) if len(order) > 1 else 0.0
-    return Silhouette(mask=mask, rival_share=rival, cut_share=_cut_share(mask))
+    edge = np.concatenate([bright[0], *(bright[: int(_UPPER * len(bright)), k] for k in (0, -1))])
+    return Silhouette(
+        mask=mask,
+        rival_share=rival,
+        cut_share=_cut_share(mask),
+        edge_share=float(edge.mean()),
+        backdrop=backdrop,
+    )
 
 
 def require_head(silhouettes: Sequence[Silhouette]) -> None:
@@ -78,6 +94,18 @@ def require_head(silhouettes: Sequence[Silhouette]) -> None:
             "silhouettes: no contrast between head and background (nearly all of the picture counts as "
             "head); film before a dark, unlit backdrop, or give --threshold"
         )
+    backdrops = np.array([s.backdrop for s in silhouettes])
+    if np.median(backdrops) > _BRIGHTEST_BACKDROP:
+        raise BadCalibration(
+            f"silhouettes: no contrast: the backdrop is {np.median(backdrops):.0%} as bright as the subject; "
+            "film before a dark, unlit backdrop, or give --threshold"
+        )
+    lit = np.mean([s.edge_share > _LIT_EDGE for s in silhouettes])
+    if lit > _MOST:
+        raise BadCalibration(
+            f"silhouettes: bright up to the picture's edge in {lit:.0%} of the frames: the head is cut off "
+            "or the backdrop lit; film the whole head before a dark backdrop, with a margin"
+        )
     rivals = np.array([s.rival_share for s in silhouettes])
     if np.mean(rivals > _RIVAL_SHARE) > _MOST:
         raise BadCalibration(
@@ -92,13 +120,13 @@ def require_head(silhouettes: Sequence[Silhouette]) -> None:
         )
 
 
-def _threshold_of(grey: Mask) -> float:
-    """Return the level of the border (without the bottom, where neck or shoulders are) and a margin."""
+def _level_and_threshold(grey: FloatArray) -> tuple[float, float]:
+    """Return the level of the border (without the bottom, where shoulders are), and that and a margin."""
     rim = max(2, round(0.02 * grey.shape[1]))
     border = np.concatenate([grey[:rim].ravel(), grey[:, :rim].ravel(), grey[:, -rim:].ravel()])
     level = float(np.median(border))
     noise = 1.4826 * float(np.median(np.abs(border - level)))
-    return level + max(_SIGMAS * noise, _LEAST_RISE * (float(np.percentile(grey, 99)) - level), 1e-6)
+    return level, level + max(_SIGMAS * noise, _LEAST_RISE * (float(np.percentile(grey, 99)) - level), 1e-6)
 
 
 def _without_holes(mask: Mask) -> Mask:
@@ -112,7 +140,7 @@ def _cut_share(mask: Mask) -> float:
     rows = np.flatnonzero(mask.any(axis=1))
     columns = np.flatnonzero(mask.any(axis=0))
     height, width = np.ptp(rows) + 1, np.ptp(columns) + 1
-    upper = slice(rows[0], rows[0] + max(1, (6 * height) // 10))
+    upper = slice(rows[0], rows[0] + max(1, int(_UPPER * height)))
     sides = max(mask[upper, 0].sum(), mask[upper, -1].sum()) / height
     return float(max(mask[0].sum() / width, sides))
 
