@@ -164,6 +164,19 @@ def test_results_are_those_of_the_dome_and_depth_keeps_its_offset() -> None:
     assert abs(np.median((second.depth_map.depth - first.depth_map.depth)[both])) < 1e-3
 
 
+def test_warming_up_leaves_nothing_behind() -> None:
+    fresh, warm = LiveProcessor(dome_rig()), LiveProcessor(dome_rig())
+    warm.warm_up(encoded(np.full((48, 64, 3), 128, np.uint8)))
+    warm.warm_up(encoded(np.zeros((48, 64, 3), np.uint8)))
+    for number in range(2):
+        first, second = (
+            fresh.process(encoded(dome_picture(), number)),
+            warm.process(encoded(dome_picture(), number)),
+        )
+        np.testing.assert_array_equal(first.normal_map.normals_in_camera, second.normal_map.normals_in_camera)
+        np.testing.assert_array_equal(first.depth_map.depth, second.depth_map.depth)
+
+
 def test_crop_rectification_and_background_give_the_same_normals() -> None:
     rig = dome_rig()
     plain = LiveProcessor(rig).process(encoded(dome_picture())).normal_map

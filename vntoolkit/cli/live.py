@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
+import numpy as np
 from cyclopts import Parameter
 
 from vntoolkit.cli.calibrate_presses import Corners, SizeMm, rectification_from_flags
@@ -17,6 +18,7 @@ from vntoolkit.cli.limits import limits_on
 from vntoolkit.errors import BadInput, VntError
 from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.io.captures import CaptureOptions, open_capture
+from vntoolkit.io.decoding import EncodedFrame
 from vntoolkit.io.label_images import read_mask
 from vntoolkit.io.live_sources import CameraOptions, CameraSource, FileSource, LiveSource, TimedFrame
 from vntoolkit.io.rigs import read_rig
@@ -26,6 +28,8 @@ from vntoolkit.pipeline.live_frames import FrameView, LiveProcessor, LiveResult
 from vntoolkit.pipeline.live_recorder import LiveRecorder
 from vntoolkit.report.live_viewer import LiveViewer
 from vntoolkit.report.viewer import ViewerOptions
+
+_GREY = 128
 
 if TYPE_CHECKING:
     CameraFlags: TypeAlias = CameraOptions | None
@@ -98,6 +102,7 @@ def live(
         mask=None if mask is None else read_mask(mask),
         background=None if background is None else next(open_capture(background).encoded_frames()),
     )
+    processor.warm_up(_first_frame(source, video))
     _watch(source, processor, LiveRecorder(record_to, source.frame_rate_hz), seconds, viewer, realtime)
 
 
@@ -160,6 +165,14 @@ def _source(
         raise BadInput("live: --realtime is for --video; a camera always is")
     assert camera is not None
     return CameraSource(camera, asked)
+
+
+def _first_frame(source: LiveSource, video: Path | None) -> EncodedFrame:
+    """A frame such as will come: the video's first, or a grey one for a camera."""
+    if video is not None:
+        return next(open_capture(video).encoded_frames())
+    grey = np.full((source.height, source.width, 3), _GREY, np.uint8)
+    return EncodedFrame(values=grey, bits=8, number=0, name="grey")
 
 
 def _rectification(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy.typing as npt
 
 from vntoolkit.arrays import LinearImage, Mask
 from vntoolkit.checks import require_shape
-from vntoolkit.errors import BadInput
+from vntoolkit.errors import BadInput, VntError
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.geometry.rectification import Rectification
@@ -114,6 +115,13 @@ class LiveProcessor:
     def camera(self) -> Camera:
         """The camera that results belong to."""
         return self._processor.camera
+
+    def warm_up(self, frame: EncodedFrame) -> None:
+        """Work on a frame and forget it: what is compiled or loaded at first use costs no live frame then."""
+        with contextlib.suppress(VntError):  # a dark one warms up too
+            self.process(frame)
+        self._processor.forget()
+        self._anchor = None
 
     def process(self, frame: EncodedFrame) -> LiveResult:
         """Return normals and depth of one frame; raise as `FrameProcessor.process` does."""
