@@ -19,7 +19,10 @@ Public names are imported on first use, so that `import vntoolkit` stays cheap.
 from __future__ import annotations
 
 import importlib
-from typing import Any
+
+TYPE_CHECKING = False  # as typing has it, whose import takes long enough for a Ctrl-C to strike before `main`
+if TYPE_CHECKING:
+    from typing import Any
 
 __version__ = "0.1.0"
 
