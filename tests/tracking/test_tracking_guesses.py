@@ -66,6 +66,25 @@ def test_no_slopes_are_not_trusted() -> None:
     assert trust.max() == 0.0
 
 
+@pytest.mark.parametrize(
+    ("stretch", "sure", "reliable"), [(1.0, 1.0, 1.0), (2.5, 0.3, 0.05), (0.4, 0.3, 0.05)]
+)
+def test_what_stretches_beyond_cloth_is_not_relied_on(stretch: float, sure: float, reliable: float) -> None:
+    template, lattice = sheet(np.full((HEIGHT, WIDTH), 100.0))
+    isometry = Isometry(lattice, template, slopes(0.0, 0.0))
+    stretched = np.tile([stretch, 0.0, 0.0, 1.0], (lattice.count, 1))
+    surely, reliably = isometry.plausibility(slopes(0.0, 0.0), template.positions_px, stretched)
+    assert surely == pytest.approx(np.full(len(surely), surely[0]))
+    assert surely[0] <= sure
+    assert reliably[0] <= reliable
+    if stretch == 1.0:
+        assert (surely[0], reliably[0]) == (1.0, 1.0)
+    # the same stretch is none where the surface turns to face the viewer
+    facing = Isometry(lattice, template, slopes(np.sqrt(max(stretch**2 - 1, 0.0)), 0.0))
+    if stretch > 1.0:
+        assert facing.plausibility(slopes(0.0, 0.0), template.positions_px, stretched)[1].min() > 0.99
+
+
 def turned_bump() -> tuple[TrackingTemplate, TemplateLattice, npt.NDArray[np.float64]]:
     """A bump, and the displacement in the image (n, 2) of its turn about the vertical by 0.2 radians."""
     u, v = np.meshgrid(np.arange(WIDTH) - 31.5, np.arange(HEIGHT) - 23.5)

@@ -23,6 +23,7 @@ from vntoolkit.tracking.options import (
     DriftOptions,
     FlowOptions,
     Regulariser,
+    Tears,
     TrackingOptions,
 )
 from vntoolkit.tracking.published import Tracker, options_of
@@ -47,6 +48,7 @@ def track(
     data_share: float | None = None,
     confidence: Confidence | None = None,
     seams: Path | None = None,
+    tears: Tears | None = None,
     template: int | None = None,
     out: Path | None = None,
     overwrite: Annotated[bool, Parameter(negative=())] = False,
@@ -75,6 +77,8 @@ def track(
         What is done with vertices where the frame does not match the template.
     seams
         JSON file of polylines on the template image where the surface is cut, as at mouth and eyes.
+    tears
+        Where else the template is cut: where its normals show one surface before another, or nowhere.
     template
         Number of the template frame; default the first. It is tracked forwards and backwards.
     out
@@ -83,6 +87,7 @@ def track(
         Replace the tracks that the folder holds.
     """
     options = _options(method, regulariser, smoothing_length, data_share, confidence, drift, flow)
+    options = options if tears is None else replace(options, tears=tears)
     job = TrackJob(
         folder=folder,
         options=options,

@@ -21,6 +21,7 @@ _TURN_PASSES = 2  # of lattice smoothing: the turn in the image is that of the s
 _WHOLE = 0.5  # mean weight of the slopes in a cell from which they are fully trusted
 _LEAST_SHARE = 0.3  # of a cell's pixels on the surface, else its mean says nothing
 _LEAST_WEIGHT = 0.02  # of a pixel's slope: 81° and beyond
+_STRAINS = (0.7, 0.4)  # logarithmic: twice as long or short is wrong, half as much again is not reliable
 _TINY = 1e-9
 
 
@@ -54,6 +55,28 @@ class Isometry:
         seen = np.minimum(weight, self._template_weight) / (_WHOLE * np.maximum(self._counts, 1))
         whole = self._counts >= _LEAST_SHARE * self._counts.max(initial=1)
         return inverse @ turn @ self._template_root, np.clip(seen, 0.0, 1.0) * whole
+
+    def plausibility(
+        self, slopes: npt.NDArray[np.float32], positions_px: Points2, jacobians: FloatArray
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Return (n,) from 1 where lengths on the surface stay to 0 where no surface could stretch so far.
+
+        The second is stricter: the first says what is surely wrong and must move, the second what may be
+        relied on. positions_px: (n, 2). jacobians: (nodes, 4) of them. What slips off a rim, or on to another
+        row of stitches, matches well and is betrayed by the stretch around it.
+        """
+        metric, weight = self._metric(slopes, positions_px)
+        strain = _square_root(metric) @ jacobians.reshape(-1, 2, 2) @ self._inverse_template_root
+        product = np.abs(np.linalg.det(strain))
+        total = np.sum(strain**2, axis=(1, 2))
+        spread = np.sqrt(np.maximum(total**2 - 4 * product**2, 0.0))
+        longest = np.sqrt(0.5 * (total + spread))
+        shortest = product / np.maximum(longest, _TINY)
+        worst = np.maximum(np.log(np.maximum(longest, 1.0)), -np.log(np.clip(shortest, _TINY, 1.0)))
+        known = np.minimum(weight, self._template_weight) >= _WHOLE * np.maximum(self._counts, 1)
+        shares = [np.where(known, 1.0 / (1.0 + (worst / limit) ** 4), 1.0) for limit in _STRAINS]
+        surely, reliably = self._lattice.at_vertices(np.column_stack(shares)).T
+        return surely, reliably
 
     def _metric(
         self, slopes: npt.NDArray[np.float32], positions_px: Points2

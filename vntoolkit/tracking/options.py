@@ -47,6 +47,13 @@ class Confidence(Enum):
     CARRIED = "carried"  # they are carried along by those around them, from the template (`Extrapolation`)
 
 
+class Tears(Enum):
+    """Where the template is cut beside the seams that are given."""
+
+    NONE = "none"
+    NORMALS = "normals"  # where its normals show one surface before another (`tear_pixels`)
+
+
 class FlowMethod(Enum):
     """Optical flow between consecutive normal maps."""
 
@@ -100,7 +107,8 @@ class TrackingOptions:
     regulariser, laplacian, rest, confidence: see the enums. smoothing_length: in edges; Laplacian coordinates
     keep waves longer than about five times this (β = 1.5 / length², `beta_from_smoothing_length`).
     data_share: α of the translation regulariser, the share of the data term, 0 to 1. handle_spacing_px:
-    distance of the vertices that ARAP is told where to go, pixels. flow, drift: their options.
+    distance of the vertices that ARAP is told where to go, pixels. tears: see Tears. flow, drift: their
+    options.
     """
 
     regulariser: Regulariser = Regulariser.LAPLACIAN
@@ -110,6 +118,7 @@ class TrackingOptions:
     smoothing_length: float = 16.0
     data_share: float = 0.9
     handle_spacing_px: int = 8
+    tears: Tears = Tears.NONE
     flow: FlowOptions = FlowOptions()
     drift: DriftOptions = DriftOptions()
 

@@ -13,6 +13,7 @@ from vntoolkit.tracking.options import (
     LaplacianKind,
     Regulariser,
     RestShape,
+    Tears,
     TrackingOptions,
 )
 
@@ -48,6 +49,7 @@ def options_of(tracker: Tracker) -> TrackingOptions:
         confidence=Confidence.NONE,
         smoothing_length=PUBLISHED_SMOOTHING_LENGTH,
         data_share=PUBLISHED_DATA_SHARE,
+        tears=Tears.NONE,
         flow=FlowOptions(method=flow),
         drift=DriftOptions(correction=DriftCorrection.NONE),
     )

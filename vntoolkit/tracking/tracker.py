@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -31,8 +31,10 @@ from vntoolkit.tracking.options import (
     LaplacianKind,
     Regulariser,
     RestShape,
+    Tears,
     TrackingOptions,
 )
+from vntoolkit.tracking.tears import tear_pixels
 from vntoolkit.tracking.template import TrackingTemplate, template_from_maps
 from vntoolkit.tracking.translation import TranslationRegulariser
 
@@ -86,7 +88,10 @@ class SurfaceTracker:
         """
         self.options = options or TrackingOptions()
         self.camera = camera
-        self.template = template_from_maps(template, depth, camera, seams)
+        whole = template
+        if self.options.tears is Tears.NORMALS:
+            whole = replace(template, mask=template.mask & ~tear_pixels(template))
+        self.template = template_from_maps(whole, depth, camera, seams)
         self.state = tracked_frame(
             self.template.vertices_in_camera, np.ones(len(self.template.pixels)), camera
         )
@@ -120,7 +125,9 @@ class SurfaceTracker:
             if self._steps % self.options.drift.every == 0:
                 corrected = self._registration.register(moved, pyramid)
                 moved, confidence = corrected.positions_px, corrected.confidence
-            moved = self._carried(moved, confidence, pyramid[0], self._registration)
+            moved, reliable = self._carried(moved, confidence, pyramid[0], self._registration)
+            if self._steps % self.options.drift.every == 0:  # else it is lowered already
+                confidence = confidence * reliable
         self.state = self._regularised(moved, confidence, depth_map)
         self._previous, self._positions_before = normal_map, positions
         return self.state
@@ -150,15 +157,21 @@ class SurfaceTracker:
         confidence: npt.NDArray[np.floating],
         slopes: npt.NDArray[np.float32],
         registration: TemplateRegistration,
-    ) -> Points2:
-        """Move what is not seen to where what is seen, and the lengths on the surface, carry it."""
+    ) -> tuple[Points2, npt.NDArray[np.floating]]:
+        """Move what is not seen to where what is seen, and the lengths on the surface, carry it.
+
+        Returns also how far the result may be relied on: not where lengths have changed.
+        """
         if self._extrapolation is None or self._isometry is None:
-            return moved
+            return moved, np.ones_like(confidence)
+        around = registration.jacobians(moved)
+        surely, reliably = self._isometry.plausibility(slopes, moved, around)
+        seen = confidence * surely
         template, carried = self.template.positions_px, moved
         for _ in range(_CARRIES):
             stretch = self._isometry.jacobians(slopes, carried, registration.jacobians(carried))
-            carried = template + self._extrapolation.carried(moved - template, confidence, stretch)
-        return carried
+            carried = template + self._extrapolation.carried(moved - template, seen, stretch)
+        return carried, reliably
 
     def _with_carried_depth(
         self, moved: Points2, targets: Points, confidence: npt.NDArray[np.floating], plate: Extrapolation
