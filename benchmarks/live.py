@@ -61,7 +61,7 @@ def measure(width: int, height: int, seconds: float, browser: bool) -> dict[str,
             processed.reached(timed.arrived_s)
 
         run = LiveRun(FileSource(open_capture(path)), processor, on_result)
-        viewer = LiveViewer(processor.camera, ViewerOptions(port=8097), figures=run.figures)
+        viewer = LiveViewer(processor.depth_camera, ViewerOptions(port=8097), figures=run.figures)
         meters.append(viewer.meter)
         viewer.meter = LatencyMeter(keep=None)
         load = os.getloadavg()[0]

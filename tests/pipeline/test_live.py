@@ -21,7 +21,13 @@ from vntoolkit.io.video import write_video
 from vntoolkit.photometry.lambertian import rgb_from_normals
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.live import LatencyMeter, LiveRun
-from vntoolkit.pipeline.live_frames import FrameView, LiveProcessor, LiveResult, exposure_warnings
+from vntoolkit.pipeline.live_frames import (
+    FrameView,
+    LiveOptions,
+    LiveProcessor,
+    LiveResult,
+    exposure_warnings,
+)
 from vntoolkit.pipeline.live_recorder import LiveRecorder
 from vntoolkit.report.live_viewer import LiveViewer
 from vntoolkit.report.viewer import ViewerOptions
@@ -164,6 +170,21 @@ def test_results_are_those_of_the_dome_and_depth_keeps_its_offset() -> None:
     assert abs(np.median((second.depth_map.depth - first.depth_map.depth)[both])) < 1e-3
 
 
+def test_depth_of_half_the_size_is_the_same_surface() -> None:
+    whole = LiveProcessor(dome_rig(), options=LiveOptions(depth_px=64))
+    half = LiveProcessor(dome_rig(), options=LiveOptions(depth_px=32))
+    large, small = (p.process(encoded(dome_picture())) for p in (whole, half))
+    assert large.normal_map.shape == small.normal_map.shape == (48, 64)
+    assert small.depth_map.shape == (half.depth_camera.height, half.depth_camera.width) == (24, 32)
+    means = large.depth_map.depth.reshape(24, 2, 32, 2).mean(axis=(1, 3))
+    inside = large.depth_map.mask.reshape(24, 2, 32, 2).all(axis=(1, 3)) & small.depth_map.mask
+    assert inside.sum() > 150
+    apart = (small.depth_map.depth - means)[inside]
+    relief = np.ptp(means[inside])
+    assert relief > 3  # pixels: lengths do not shrink with the picture
+    assert np.abs(apart - np.median(apart)).max() < 0.02 * relief
+
+
 def test_warming_up_leaves_nothing_behind() -> None:
     fresh, warm = LiveProcessor(dome_rig()), LiveProcessor(dome_rig())
     warm.warm_up(encoded(np.full((48, 64, 3), 128, np.uint8)))
@@ -227,7 +248,7 @@ def test_recordings_are_lossless_and_one_file_each(tmp_path: Path, rng) -> None:
 def test_the_viewer_shows_results(dome_capture: DomeCapture) -> None:
     processor = LiveProcessor(dome_capture.rig)
     run = LiveRun(FileSource(open_capture(dome_capture.source), realtime=False), processor, lambda r, t: None)
-    viewer = LiveViewer(processor.camera, ViewerOptions(port=8191), figures=run.figures)
+    viewer = LiveViewer(processor.depth_camera, ViewerOptions(port=8191), figures=run.figures)
     try:
         result = processor.process(encoded(dome_picture()))
         viewer.show(result, TimedFrame(frame=encoded(dome_picture()), arrived_s=time.perf_counter()))

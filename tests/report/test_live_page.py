@@ -68,7 +68,7 @@ def test_a_browser_watches_while_frames_come(tmp_path: Path) -> None:
 
     run = LiveRun(lamp, processor, on_result, recorder.take, on_failure=on_failure)
     shown = LiveViewer(
-        processor.camera, ViewerOptions(port=free_port()), figures=run.figures, recorder=recorder
+        processor.depth_camera, ViewerOptions(port=free_port()), figures=run.figures, recorder=recorder
     )
     thread = threading.Thread(target=run.run)
     thread.start()

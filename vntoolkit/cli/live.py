@@ -130,7 +130,7 @@ def _watch(
     run = LiveRun(
         source, processor, on_result, recorder.take, on_failure=on_failure, wait_for_all=wait_for_all
     )
-    shown = LiveViewer(processor.camera, options, figures=run.figures, recorder=recorder)
+    shown = LiveViewer(processor.depth_camera, options, figures=run.figures, recorder=recorder)
     print(f"{shown.address} (r records, Ctrl-C ends)", flush=True)
     timer = None if seconds is None else threading.Timer(seconds, run.stop)
     try:

@@ -15,6 +15,7 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.integration.anchor import DepthAnchor
+from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.integration.options import IntegrationOptions
 from vntoolkit.io.decoding import EncodedFrame, linear_frame_from_encoded
 from vntoolkit.io.rectification import rectify_frame
@@ -64,7 +65,10 @@ class FrameView:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LiveResult:
-    """What a live frame became. warnings: what a person should change about the exposure."""
+    """What a live frame became. depth_map: of `LiveProcessor.depth_camera`, smaller where that is.
+
+    warnings: what a person should change about the exposure.
+    """
 
     number: int
     normal_map: NormalMap
@@ -74,8 +78,13 @@ class LiveResult:
 
 @dataclass(frozen=True, kw_only=True)
 class LiveOptions:
-    """Options of the stages in live mode."""
+    """Options of the stages in live mode.
 
+    depth_px: longest side at which normals are integrated, pixels; they themselves keep their full size. The
+    masked integration of a whole frame would take longer than a frame lasts.
+    """
+
+    depth_px: int = 320
     inversion: InversionOptions = field(default_factory=InversionOptions)
     integration: IntegrationOptions = field(default_factory=IntegrationOptions)
 
@@ -99,7 +108,7 @@ class LiveProcessor:
             self._background = self._linear_values(background)
             require_shape(self._background, (rig.camera.height, rig.camera.width, 3), "background")
         reconstruction = ReconstructOptions(
-            to=Product.DEPTH,
+            to=Product.NORMALS,
             shadows=ShadowMethod.NONE,
             match_albedo=False,
             inversion=options.inversion,
@@ -109,6 +118,11 @@ class LiveProcessor:
         self._processor = FrameProcessor(
             _of_linear_values(rig) if rectified else rig, reconstruction, mask, self._background
         )
+        self._step = max(1, -(-max(self.camera.width, self.camera.height) // options.depth_px))
+        height, width = (n // self._step * self._step for n in (self.camera.height, self.camera.width))
+        self.depth_camera = self.camera.cropped(slice(0, height), slice(0, width)).scaled(1 / self._step)
+        self._integration = options.integration
+        self._integrator = DepthIntegrator(self.depth_camera, self._integration)
         self._anchor: DepthAnchor | None = None
 
     @property
@@ -121,7 +135,7 @@ class LiveProcessor:
         with contextlib.suppress(VntError):  # a dark one warms up too
             self.process(frame)
         self._processor.forget()
-        self._anchor = None
+        self._integrator, self._anchor = DepthIntegrator(self.depth_camera, self._integration), None
 
     def process(self, frame: EncodedFrame) -> LiveResult:
         """Return normals and depth of one frame; raise as `FrameProcessor.process` does."""
@@ -130,10 +144,9 @@ class LiveProcessor:
         if self.view.rectification is not None:
             cut = replace(cut, values=self._linear_values(frame), bits=32)
         result = self._processor.process(cut)
-        depth_map = result.depth_map
-        if depth_map is not None:
-            self._anchor = self._anchor or DepthAnchor(depth_map)
-            depth_map = self._anchor.align(depth_map)
+        depth_map = self._integrator.integrate(reduced(result.normal_map, self._step))
+        self._anchor = self._anchor or DepthAnchor(depth_map)
+        depth_map = self._anchor.align(depth_map)
         if result.normal_map.mask.mean() < _FEW:
             warnings = (*warnings, "hardly any pixel has a normal")
         return LiveResult(
@@ -145,6 +158,21 @@ class LiveProcessor:
         if self.view.rectification is not None:
             linear = rectify_frame(linear, self.view.rectification)
         return linear.rgb
+
+
+def reduced(normal_map: NormalMap, step: int) -> NormalMap:
+    """Return means over blocks of step × step pixels, of unit length; valid where half a block is."""
+    if step == 1:
+        return normal_map
+    height, width = (size // step * step for size in normal_map.shape)
+    rows_columns = [(v, u) for v in range(step) for u in range(step)]
+    cells = [(slice(v, height, step), slice(u, width, step)) for v, u in rows_columns]
+    total = np.sum([normal_map.normals_in_camera[cell] for cell in cells], axis=0)  # 0 where invalid
+    count = np.sum([normal_map.mask[cell] for cell in cells], axis=0)
+    length = np.linalg.norm(total, axis=2, keepdims=True)
+    mask = (2 * count >= step * step) & (length[..., 0] > 0)
+    unit = np.where(mask[..., None], total / np.maximum(length, 1e-9), 0)
+    return NormalMap(normals_in_camera=unit.astype(np.float32), mask=mask)
 
 
 def exposure_warnings(frame: EncodedFrame) -> tuple[str, ...]:
