@@ -277,6 +277,8 @@ def test_the_command_plays_a_video_and_says_what_was_dropped(tmp_path: Path, cap
     write_rig(tmp_path / "rig.json", dome_rig())
     arguments = ["live", "--rig", str(tmp_path / "rig.json"), "--port", "8192"]
     assert main([*arguments, "--video", str(tmp_path / "a.mkv")]) == 0
-    assert "0 of 6 dropped" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "0 of 6 dropped" in printed
+    assert "viser" not in printed
     assert main([*arguments, "--video", str(tmp_path / "a.mkv"), "--camera", "0"]) != 0
     assert "either --camera NUMBER or --video FILE" in capsys.readouterr().err

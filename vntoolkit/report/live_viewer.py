@@ -21,7 +21,7 @@ from vntoolkit.pipeline.live_frames import LiveResult, exposure_warnings
 from vntoolkit.pipeline.live_recorder import LiveRecorder
 from vntoolkit.report.live_status import LiveStatus
 from vntoolkit.report.pictures import Picture, picture_of_normals
-from vntoolkit.report.serving import started_server
+from vntoolkit.report.serving import started_server, stop_server
 from vntoolkit.report.viewer import ViewerOptions
 
 _PICTURE_PX = 480  # longer side of the pictures in the panel
@@ -93,7 +93,7 @@ class LiveViewer:
             self._closed = True
             self._changed.notify()
         self._thread.join()
-        self._server.stop()
+        stop_server(self._server)
 
     def _set_up(self) -> None:
         server: Any = self._server

@@ -30,3 +30,9 @@ def started_server(host: str, port: int) -> Any:
         raise CannotWrite(
             f"cannot serve on {host}:{port}: {reason}; is --host an address of this machine, as 127.0.0.1?"
         ) from error
+
+
+def stop_server(server: Any) -> None:
+    """Stop viser, without the line that it prints."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        server.stop()

@@ -24,7 +24,7 @@ from vntoolkit.report.pictures import (
     picture_of_labels,
     picture_of_normals,
 )
-from vntoolkit.report.serving import started_server
+from vntoolkit.report.serving import started_server, stop_server
 from vntoolkit.report.thinning import ThinnedTemplate, thinned_template
 
 _PLASTER = (190, 185, 177)
@@ -108,7 +108,7 @@ class ResultViewer:
     def close(self) -> None:
         """Stop serving."""
         self._closed.set()
-        self._server.stop()
+        stop_server(self._server)
 
     def wait(self) -> None:
         """Serve until interrupted."""
