@@ -63,7 +63,8 @@ def main(out: Path, frames: int = 1000, scene: str = "face") -> None:
     last = {name: rows[-1] for name, rows in compare(reconstruction(scene, frames, out), out).items()}
     numbers = [number(f"{n}: median at frame {e.frame}", e.median_px, "px") for n, e in last.items()]
     tails = [number(f"{n}: 95 % at frame {e.frame}", e.p95_px, "px") for n, e in last.items()]
-    print(write_numbers(out, numbers + tails))
+    found = [number(f"{n}: 95 % of {1 - e.lost:.0%} found", e.found_p95_px, "px") for n, e in last.items()]
+    print(write_numbers(out, numbers + tails + found))
 
 
 def run(documentation: str, name: str, scene: str) -> None:
