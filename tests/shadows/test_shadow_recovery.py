@@ -235,3 +235,32 @@ def test_the_place_of_a_figure_in_its_frame_changes_nothing(stage) -> None:
     assert found.depth_map is not None
     assert expected.depth_map is not None
     assert np.allclose(found.depth_map.depth[:128, :168], expected.depth_map.depth, atol=1e-5)
+
+
+def test_a_step_in_depth_does_not_bend_the_surface_beside_it() -> None:
+    """Two tilted planes, one twenty pixels in front of the other, all lit and noisy."""
+    height, width = 90, 120
+    slopes = np.where(np.arange(width) < 60, 0.3, -0.2)[None, :, None] * np.ones((height, 1, 1))
+    normals = np.concatenate([slopes, 0.1 * np.ones_like(slopes), -np.ones_like(slopes)], axis=-1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    normals[20:70, 58:62] = [
+        -0.7,
+        0.0,
+        -0.714,
+    ]  # the front plane's rim turns away: its depth adds up to a step
+    lights = np.array([[0.3, 0.1, -0.95], [-0.4, 0.2, -0.89], [0.1, -0.4, -0.91]])
+    shares = normals @ lights.T + np.random.default_rng(2).normal(0.0, 0.005, normals.shape)
+    first = shares @ np.linalg.inv(lights).T
+    first /= np.linalg.norm(first, axis=-1, keepdims=True)
+    labels, mask = np.full((height, width), 7, np.uint8), np.ones((height, width), bool)
+    away = np.ones((height, width), bool)
+    away[:, 54:66] = False
+
+    def error(softness: float) -> float:
+        options = SurfaceOptions(step_softness=softness, noise=0.01)
+        solved = solve_surface(shares, labels, lights, mask, first_normals=first, options=options)
+        return float(degrees(solved.normals, normals)[away].mean())
+
+    plain = float(degrees(first, normals)[away].mean())
+    assert error(10.0) < 0.5 * plain  # noise is averaged away, the step is not
+    assert error(0.0) > plain  # without breaking, the step spreads over both planes
