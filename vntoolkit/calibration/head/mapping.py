@@ -37,7 +37,7 @@ def map_tracks(tracks: Tracks, camera: Camera, *, refine_focal: bool) -> Guess:
     """
     import pycolmap
 
-    pycolmap.logging.minloglevel = pycolmap.logging.ERROR.value
+    pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value  # what fails is raised below
     rows = [np.flatnonzero(tracks.frame == k) for k in range(tracks.frame_count)]
     with tempfile.TemporaryDirectory(prefix="vntoolkit-") as folder:
         path = Path(folder) / "tracks.db"
