@@ -1,5 +1,8 @@
 """Camera video read in parts, in any order, gives the frames of one pass; going on costs no seek."""
 
+import subprocess
+import sys
+
 import av
 import numpy as np
 import pytest
@@ -71,3 +74,10 @@ def test_going_on_opens_the_file_no_more(camera_video, monkeypatch):
     list(reader.frames(30, 31))  # over a key frame it is not
     list(reader.frames(3, 5))
     assert len(opened) == 2
+
+
+def test_a_decoder_that_waits_does_not_complain_when_the_program_ends(camera_video):
+    script = "import sys; from vntoolkit.io.captures import open_capture; c = open_capture(sys.argv[1]); "
+    command = [sys.executable, "-c", script + "list(c.frames(0, 3))", str(camera_video)]
+    ended = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert ended.stderr == ""

@@ -119,6 +119,7 @@ class VideoReader:
 
     def _decoded(self, from_time: int | None) -> Iterator[tuple[int | None, Any]]:
         damaged_times = {self.index.times[number] for number in self.index.damaged}
+        errors = av_errors()  # here, since a decoder may be closed when nothing can be imported any more
         with self._open() as container:
             stream = _video_stream(container, self.path)
             stream.thread_type = "AUTO"
@@ -131,7 +132,7 @@ class VideoReader:
                     if packet.pts not in damaged_times:
                         for frame in packet.decode():
                             yield frame.pts, frame
-            except av_errors() as error:
+            except errors as error:
                 raise BadCapture(f"{self.path}: a frame cannot be decoded ({reason_of(error)})") from error
 
     def _rgb(self, frame: Any, number: int) -> npt.NDArray[Any]:
