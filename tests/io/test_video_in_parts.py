@@ -7,8 +7,10 @@ import av
 import numpy as np
 import pytest
 
+from vntoolkit.io import video
 from vntoolkit.io.captures import open_capture
-from vntoolkit.io.video import VideoReader
+from vntoolkit.io.video import VideoReader, write_video
+from vntoolkit.io.video_index import index_of_stream
 
 _COUNT = 40
 
@@ -81,3 +83,16 @@ def test_a_decoder_that_waits_does_not_complain_when_the_program_ends(camera_vid
     command = [sys.executable, "-c", script + "list(c.frames(0, 3))", str(camera_video)]
     ended = subprocess.run(command, capture_output=True, text=True, check=True)
     assert ended.stderr == ""
+
+
+def test_an_index_is_kept_until_the_file_changes(tmp_path, rng, monkeypatch):
+    frames = list(rng.integers(0, 255, (6, 16, 24, 3), dtype=np.uint8))
+    write_video(tmp_path / "a.mkv", frames, 25)
+    read = []
+    monkeypatch.setattr(video, "index_of_stream", lambda *a, **k: read.append(a) or index_of_stream(*a, **k))
+    assert len(VideoReader(tmp_path / "a.mkv").index.times) == 6
+    assert len(VideoReader(tmp_path / "a.mkv").index.times) == 6
+    assert len(read) == 1
+    write_video(tmp_path / "a.mkv", frames[:4], 25)
+    assert len(VideoReader(tmp_path / "a.mkv").index.times) == 4
+    assert len(read) == 2

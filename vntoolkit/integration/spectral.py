@@ -10,11 +10,12 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
+import numba
 import numpy as np
 import numpy.typing as npt
 import scipy.fft
 
-_WORKERS = 2
+_MOST_WORKERS = 2  # more wait for each other at this size
 
 Image = npt.NDArray[np.floating[Any]]
 
@@ -37,9 +38,9 @@ class CosineSolver:
     def solve(self, divergence: Image) -> Image:
         """Return z, (h, w), of mean 0; a `divergence` of the solver's dtype is overwritten."""
         field = divergence.astype(self._inverse.dtype, copy=False)
-        spectrum = scipy.fft.dctn(field, type=2, norm="ortho", workers=_WORKERS, overwrite_x=True)
+        spectrum = scipy.fft.dctn(field, type=2, norm="ortho", workers=_workers(), overwrite_x=True)
         spectrum *= self._inverse
-        return scipy.fft.idctn(spectrum, type=2, norm="ortho", workers=_WORKERS, overwrite_x=True)
+        return scipy.fft.idctn(spectrum, type=2, norm="ortho", workers=_workers(), overwrite_x=True)
 
 
 class FourierSolver:
@@ -63,10 +64,15 @@ class FourierSolver:
         field = divergence.astype(self._inverse.dtype)
         field = np.concatenate([field, field[::-1]], axis=0)
         field = np.concatenate([field, field[:, ::-1]], axis=1)
-        spectrum = scipy.fft.rfft2(field, workers=_WORKERS)
+        spectrum = scipy.fft.rfft2(field, workers=_workers())
         spectrum *= self._inverse
-        depth = scipy.fft.irfft2(spectrum, s=field.shape, workers=_WORKERS, overwrite_x=True)
+        depth = scipy.fft.irfft2(spectrum, s=field.shape, workers=_workers(), overwrite_x=True)
         return np.ascontiguousarray(depth[:height, :width])
+
+
+def _workers() -> int:
+    """Threads of a transform; no more than compiled loops may use, so that one limit rules both."""
+    return min(_MOST_WORKERS, numba.get_num_threads())
 
 
 def laplacian_eigenvalues(length: int, count: int | None = None) -> npt.NDArray[np.float64]:

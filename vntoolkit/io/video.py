@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     import av
 
 _HD_HEIGHT = 720
+_INDICES: dict[tuple[str, int, int], VideoIndex] = {}  # of files by path, size and time of change, in ns
+_MOST_INDICES = 8
 # AVCOL_TRC_* that a stream may state, in our words; BT.601 and BT.2020 share BT.709's curve.
 _TRANSFER_NAMES = {
     1: "bt709",
@@ -73,10 +75,19 @@ class VideoReader:
 
     @cached_property
     def index(self) -> VideoIndex:
-        """Read all packets once, without decoding."""
-        with self._open() as container:
-            stream = _video_stream(container, self.path)
-            return index_of_stream(container, stream, str(self.path), has_checksums=self.codec == "ffv1")
+        """Read all packets once, without decoding; a file that did not change since is not read again."""
+        state = self.path.stat()
+        known = (str(self.path.absolute()), state.st_size, state.st_mtime_ns)
+        index = _INDICES.get(known)
+        if index is None:
+            with self._open() as container:
+                stream = _video_stream(container, self.path)
+                checked = self.codec == "ffv1"
+                index = index_of_stream(container, stream, str(self.path), has_checksums=checked)
+            if len(_INDICES) >= _MOST_INDICES:
+                _INDICES.clear()
+            _INDICES[known] = index
+        return index
 
     def frames(
         self, start: int = 0, stop: int | None = None, step: int = 1

@@ -104,13 +104,13 @@ def _collect(
 def _run_block(job: ReconstructionJob, block: range, already_done: frozenset[int]) -> list[FrameEntry]:
     """Run on the cluster: process a block with this thread's worker."""
     if getattr(_here, "job", None) is not job:  # one run sends one object: another rig is another object
-        limit_threads(1)  # the cluster's processes and threads are the parallelism
+        limit_threads(1)
         _here.worker, _here.job = BlockWorker(job), job
     return list(_here.worker.run(block, already_done))
 
 
 def _for_anywhere(job: ReconstructionJob) -> ReconstructionJob:
-    """The job with absolute paths: a worker runs in another folder, but sees the same ones."""
+    """The job for one thread, paths absolute: a worker runs in another folder, but sees the same ones."""
 
     def absolute(path: Path | None) -> Path | None:
         return None if path is None else Path(path).absolute()
@@ -121,4 +121,5 @@ def _for_anywhere(job: ReconstructionJob) -> ReconstructionJob:
         folder=ReconstructionFolder(root=job.folder.root.absolute()),
         mask=absolute(job.mask),
         background=absolute(job.background),
+        threads=1,  # as Dask counts: the cluster's processes and threads are the parallelism
     )

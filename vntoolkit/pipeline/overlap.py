@@ -15,7 +15,13 @@ _END = object()
 
 
 def read_ahead(items: Iterable[Item], depth: int = 2) -> Iterator[Item]:
-    """Yield `items` in order while a thread fetches the next `depth`; an error surfaces in its place."""
+    """Yield `items` in order while a thread fetches the next `depth`; an error surfaces in its place.
+
+    With a depth of 0 there is no thread: each item is fetched when it is asked for.
+    """
+    if depth == 0:
+        yield from items
+        return
     fetched: queue.Queue[object] = queue.Queue(maxsize=depth)
     stopped = threading.Event()
 
@@ -50,7 +56,7 @@ def read_ahead(items: Iterable[Item], depth: int = 2) -> Iterator[Item]:
 
 
 class WriteBehind(Generic[Item]):
-    """Hands items to `write` in another thread, in order, at most `depth` of them waiting.
+    """Hands items to `write` in another thread, in order, at most `depth` of them waiting; 0: in this thread.
 
     A failed write is raised by the next `put` or on leaving the context.
     """
@@ -63,6 +69,9 @@ class WriteBehind(Generic[Item]):
 
     def put(self, item: Item) -> None:
         """Queue an item; wait while the queue is full."""
+        if self._depth == 0:
+            self._write(item)
+            return
         while len(self._pending) >= self._depth:
             self._pending.popleft().result()
         self._pending.append(self._pool.submit(self._write, item))

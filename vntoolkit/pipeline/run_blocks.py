@@ -8,6 +8,7 @@ import signal
 from collections.abc import Callable, Generator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
 
 from vntoolkit.errors import VntError
 from vntoolkit.io.frame_log import FrameEntry
@@ -65,8 +66,9 @@ def _start_worker(job: ReconstructionJob, workers: int) -> None:
     """Open the capture in a new process; Ctrl-C is the parent's to handle."""
     global _worker  # noqa: PLW0603 - a worker process has exactly one
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    limit_threads(max(1, (os.cpu_count() or 1) // workers))
-    _worker = BlockWorker(job)
+    threads = max(1, (os.cpu_count() or 1) // workers)
+    limit_threads(threads)
+    _worker = BlockWorker(replace(job, threads=min(job.threads, threads)))
 
 
 def _run_block(block: range, already_done: frozenset[int]) -> list[FrameEntry]:

@@ -1,0 +1,58 @@
+"""Reading ahead and writing behind keep order and surface errors; at depth 0 they need no thread."""
+
+import threading
+
+import pytest
+
+from vntoolkit.pipeline.overlap import WriteBehind, read_ahead
+
+
+@pytest.mark.parametrize("depth", [0, 1, 3])
+def test_items_come_in_order_and_an_error_in_its_place(depth):
+    def items():
+        yield from range(5)
+        raise ValueError("the sixth")
+
+    got = []
+    with pytest.raises(ValueError, match="the sixth"):
+        got.extend(read_ahead(items(), depth))
+    got = []
+    with pytest.raises(ValueError, match="the sixth"):  # noqa: PT012 - what came before it counts
+        for item in read_ahead(items(), depth):
+            got.append(item)
+    assert got == list(range(5))
+
+
+@pytest.mark.parametrize("depth", [0, 2])
+def test_writes_keep_order_and_a_failed_one_is_raised(depth):
+    written = []
+
+    def write(item):
+        if item == 3:
+            raise OSError("disk full")
+        written.append(item)
+
+    def run():
+        with WriteBehind(write, depth) as writer:
+            for item in range(10):
+                writer.put(item)
+
+    with pytest.raises(OSError, match="disk full"):
+        run()
+    assert written[:3] == [0, 1, 2]
+    assert len(written) <= 3 + depth  # what was waiting already may still be written
+    assert 3 not in written
+
+
+@pytest.mark.parametrize(("depth", "here"), [(0, True), (2, False)])
+def test_depth_0_works_in_the_calling_thread(depth, here):
+    threads = set()
+
+    def items():
+        threads.add(threading.get_ident())
+        yield 1
+
+    with WriteBehind(lambda _: threads.add(threading.get_ident()), depth) as writer:
+        for item in read_ahead(items(), depth):
+            writer.put(item)
+    assert (threads == {threading.get_ident()}) is here
