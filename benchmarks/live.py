@@ -1,6 +1,6 @@
 """Live mode on a 1280×720 file played at 30 frames a second: frames dropped and latency, viewer open.
 
-python -m benchmarks.live [--size 1280x720] [--seconds 15] [--browser] [--out FILE.json]      # 1 min
+python -m benchmarks.live [--size 1280x720] [--seconds 15] [--codec ffv1] [--browser] [--out F.json]   # 1 min
 
 Latency counts from the moment a frame is due to its result, and to its having been sent to the viewer.
 --browser opens the page in headless Chromium, which renders it on the same cores.
@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.pipeline import footage, rig_of
+from benchmarks.pipeline import footage, rig_of, write_h264
 from vntoolkit.io.captures import open_capture
 from vntoolkit.io.live_sources import FileSource, TimedFrame
 from vntoolkit.io.video import write_video
@@ -47,11 +47,15 @@ def browser_on(address: str, wanted: bool) -> Iterator[None]:
         chromium.close()
 
 
-def measure(width: int, height: int, seconds: float, browser: bool) -> dict[str, object]:
+def measure(width: int, height: int, seconds: float, codec: str, browser: bool) -> dict[str, object]:
     processed, meters = LatencyMeter(keep=None), []
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "live.mkv"
-        write_video(path, footage(width, height, round(seconds * _RATE_HZ)), _RATE_HZ)
+        frames = footage(width, height, round(seconds * _RATE_HZ))
+        path = Path(folder) / ("live.mp4" if codec == "h264" else "live.mkv")
+        if codec == "h264":
+            write_h264(path, frames, width, height, round(_RATE_HZ))
+        else:
+            write_video(path, frames, _RATE_HZ)
         processor = LiveProcessor(rig_of(width, height))
         first = next(open_capture(path).encoded_frames())
         processor.process(first)  # compiles
@@ -73,6 +77,7 @@ def measure(width: int, height: int, seconds: float, browser: bool) -> dict[str,
     shown_rate, shown = viewer.meter.figures()
     return {
         "size": [width, height],
+        "codec": codec,
         "browsers": watchers,
         "load_before": load,
         "arrived": figures.arrived,
@@ -89,11 +94,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--size", default="1280x720")
     parser.add_argument("--seconds", type=float, default=15.0)
+    parser.add_argument(
+        "--codec", choices=("h264", "ffv1"), default="h264", help="as cameras write, or lossless"
+    )
     parser.add_argument("--browser", action="store_true")
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
     width, height = map(int, arguments.size.split("x"))
-    text = json.dumps(measure(width, height, arguments.seconds, arguments.browser), indent=2)
+    text = json.dumps(measure(width, height, arguments.seconds, arguments.codec, arguments.browser), indent=2)
     print(text)
     if arguments.out is not None:
         arguments.out.write_text(text + "\n")

@@ -66,9 +66,11 @@ def footage(width: int, height: int, count: int) -> Iterator[npt.NDArray[np.uint
     return (frames[k % _DISTINCT] for k in range(count))
 
 
-def write_h264(path: Path, frames: Iterator[npt.NDArray[np.uint8]], width: int, height: int) -> None:
+def write_h264(
+    path: Path, frames: Iterator[npt.NDArray[np.uint8]], width: int, height: int, rate_hz: int = 60
+) -> None:
     with av.open(str(path), "w") as container:
-        stream = container.add_stream("libx264", rate=60, options={"crf": "16", "preset": "veryfast"})
+        stream = container.add_stream("libx264", rate=rate_hz, options={"crf": "16", "preset": "veryfast"})
         stream.width, stream.height, stream.pix_fmt = width, height, "yuv444p"
         for frame in frames:
             container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))

@@ -26,16 +26,15 @@ from vntoolkit.pipeline.overlap import WriteBehind, read_ahead
 from vntoolkit.pipeline.temporal import smoothed_frames
 from vntoolkit.shadows.detector import ShadowMethod
 
-_AHEAD = 2  # frames read before, and written after, the one at work
+_AHEAD = 2  # frames read before the one at work
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReconstructionJob:
     """Everything that a worker needs, small enough to send to another process or machine.
 
-    source: as for `open_capture`. mask, background: files or None. threads: for decoding; with 1, reading,
-    processing and writing take turns too, so that a worker is one core's. limits: on what is read, in any
-    process.
+    source: as for `open_capture`. mask, background: files or None. threads: for decoding; with 1, reading
+    and processing take turns too, so that a worker is one core's. limits: on what is read, in any process.
     """
 
     source: str
@@ -104,9 +103,8 @@ class BlockWorker:
         def write(done: tuple[FrameEntry, FrameResult | None]) -> None:
             written.append(self._write(*done))
 
-        depth = _AHEAD if self._job.threads > 1 else 0
-        with WriteBehind(write, depth) as writer:
-            for frame in read_ahead(frames, depth):
+        with WriteBehind(write) as writer:
+            for frame in read_ahead(frames, _AHEAD if self._job.threads > 1 else 0):
                 done = self._process(frame)
                 if frame.number not in already_done:
                     writer.put(done)

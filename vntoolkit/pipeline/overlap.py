@@ -56,7 +56,7 @@ def read_ahead(items: Iterable[Item], depth: int = 2) -> Iterator[Item]:
 
 
 class WriteBehind(Generic[Item]):
-    """Hands items to `write` in another thread, in order, at most `depth` of them waiting; 0: in this thread.
+    """Hands items to `write` in another thread, in order, at most `depth` of them waiting.
 
     A failed write is raised by the next `put` or on leaving the context.
     """
@@ -69,9 +69,6 @@ class WriteBehind(Generic[Item]):
 
     def put(self, item: Item) -> None:
         """Queue an item; wait while the queue is full."""
-        if self._depth == 0:
-            self._write(item)
-            return
         while len(self._pending) >= self._depth:
             self._pending.popleft().result()
         self._pending.append(self._pool.submit(self._write, item))
