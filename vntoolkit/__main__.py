@@ -6,12 +6,14 @@ import os
 import sys
 
 # Pools that spin while they wait steal the cores from the pool that works: the same frame then takes
-# 17 to 22 ms instead of 7. Must be set before numpy is imported.
+# 17 to 22 ms instead of 7. numba would try TBB first, and complain of one too old. Must be set before numpy
+# is imported.
 for _name, _value in {
     "OPENBLAS_NUM_THREADS": "1",
     "OMP_WAIT_POLICY": "PASSIVE",
     "GOMP_SPINCOUNT": "0",
     "KMP_BLOCKTIME": "0",
+    "NUMBA_THREADING_LAYER_PRIORITY": "omp tbb workqueue",
 }.items():
     os.environ.setdefault(_name, _value)
 
