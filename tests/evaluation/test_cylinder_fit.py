@@ -83,8 +83,8 @@ def test_pose_and_radius_are_found_under_noise_and_wrong_normals(
     fit = fit_cylinder(frames, camera, rng)
     for pose, (axis, centre) in zip(fit, truths, strict=True):
         across = np.rad2deg(np.arccos(min(1.0, abs(pose.axis @ axis))))
-        # Of an orthographic outline only the ends' arcs and the normals tell the tilt towards the viewer. Over
-        # twelve seeds the worst pose was off by 0.11° and 0.37°.
+        # In an orthographic outline only the ends' arcs tell the tilt towards the viewer. Over twelve seeds
+        # the worst pose was off by 0.11° and 0.37°.
         assert across < (0.15 if camera.is_perspective else 0.45)
         nearest = centre - (centre @ axis) * axis
         if camera.is_perspective:
