@@ -2,6 +2,7 @@
 
 import re
 
+import av
 import numpy as np
 import pytest
 
@@ -12,13 +13,21 @@ from vntoolkit.io.video import VideoReader, write_video
 
 @pytest.fixture
 def frames(rng) -> list[np.ndarray]:
-    """Thirty frames: three groups that begin with a key frame (FFmpeg writes one every twelve)."""
     return [rng.integers(0, 255, (24, 32, 3), dtype=np.uint8) for _ in range(30)]
 
 
-def _packets(path) -> list[tuple[int, int, bool]]:
-    import av
+def _write_in_groups(path, frames) -> None:
+    """Write FFV1 with a key frame every twelve, as FFmpeg does unless it is told otherwise."""
+    with av.open(str(path), "w", format="matroska") as container:
+        stream = container.add_stream("ffv1", rate=30, options={"level": "3", "slicecrc": "1"})
+        stream.width, stream.height, stream.pix_fmt = 32, 24, "bgr0"
+        stream.codec_context.gop_size = 12
+        for frame in frames:
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
+        container.mux(stream.encode(None))
 
+
+def _packets(path) -> list[tuple[int, int, bool]]:
     with av.open(str(path)) as container:
         packets = [p for p in container.demux(container.streams.video[0]) if p.size]
         return [(p.pos, p.size, p.is_keyframe) for p in packets]
@@ -42,7 +51,7 @@ def test_every_flipped_bit_in_the_frames_is_found(tmp_path, rng, frames, dtype):
 
 def test_frames_before_the_damage_and_after_the_next_key_frame_are_as_written(tmp_path, frames):
     path = tmp_path / "a.mkv"
-    write_video(path, frames, 30)
+    _write_in_groups(path, frames)
     packets = _packets(path)
     keys = [number for number, (_, _, is_key) in enumerate(packets) if is_key]
     assert keys == [0, 12, 24]
@@ -56,6 +65,20 @@ def test_frames_before_the_damage_and_after_the_next_key_frame_are_as_written(tm
             assert np.array_equal(values, frames[number])
     with pytest.raises(BadCapture, match=re.escape("frame 20 of 30 is damaged: its checksum is wrong")):
         list(reader.frames(20, 21))
+
+
+def test_damage_in_a_video_of_ours_costs_one_frame(tmp_path, frames):
+    path = tmp_path / "a.mkv"
+    write_video(path, frames, 30)
+    position, size, _ = _packets(path)[14]
+    content = bytearray(path.read_bytes())
+    content[position + size // 2] ^= 16
+    path.write_bytes(content)
+    reader = VideoReader(path)
+    assert reader.index.damaged == frozenset({14})
+    for start, stop in ((0, 14), (15, 30)):
+        for number, values in reader.frames(start, stop):
+            assert np.array_equal(values, frames[number])
 
 
 def test_a_video_without_checksums_is_read(tmp_path, frames):

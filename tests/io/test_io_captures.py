@@ -11,7 +11,7 @@ from vntoolkit.io.captures import CaptureOptions, open_capture
 from vntoolkit.io.frame_range import FrameRange
 from vntoolkit.io.images import write_exr, write_png
 from vntoolkit.io.sources import CaptureKind, find_capture_files
-from vntoolkit.io.video import write_video
+from vntoolkit.io.video import VideoReader, write_video
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
 
 
@@ -102,7 +102,7 @@ def test_subsampled_chroma_is_named_and_right_on_smooth_colour(tmp_path, bits, c
     assert np.abs(frame.values / (2**frame.bits - 1) - rgb)[inside].max() < 0.5 * 0.009 * 1.86 + 2.2 / 255
 
 
-@pytest.mark.parametrize("share", [0.3, 0.7, 0.97, 0.999])
+@pytest.mark.parametrize("share", [0.3, 0.7, 0.97, 0.99])
 def test_a_truncated_video_says_where_it_ends_and_can_be_used_up_to_there(tmp_path, rng, share, capfd):
     write_video(tmp_path / "a.mkv", _frames(rng, 20), 25)
     content = (tmp_path / "a.mkv").read_bytes()
@@ -114,6 +114,24 @@ def test_a_truncated_video_says_where_it_ends_and_can_be_used_up_to_there(tmp_pa
         list(capture.frames())
     assert len(list(capture.frames(0, have))) == have
     assert capfd.readouterr().err == ""
+
+
+def test_a_video_cut_off_behind_its_last_frame_loses_none(tmp_path, rng):
+    pictures = _frames(rng, 20)
+    write_video(tmp_path / "a.mkv", pictures, 25)
+    content = (tmp_path / "a.mkv").read_bytes()
+    (tmp_path / "a.mkv").write_bytes(content[:-100])  # within the index for seeking, which comes last
+    capture = open_capture(tmp_path / "a.mkv")
+    for number in (19, 7):
+        np.testing.assert_array_equal(next(capture.encoded_frames(number)).values, pictures[number])
+    assert len(list(capture.frames())) == 20
+
+
+def test_any_frame_of_a_written_video_decodes_without_another(tmp_path, rng):
+    write_video(tmp_path / "a.mkv", _frames(rng, 20), 25)
+    capture = open_capture(tmp_path / "a.mkv")
+    assert [capture.readable_alone(number, within=0) for number in range(20)] == list(range(20))
+    assert VideoReader(tmp_path / "a.mkv").index.key_frames == tuple(range(20))
 
 
 def test_a_truncated_mp4_says_where_it_ends(tmp_path, rng):

@@ -1,4 +1,4 @@
-"""Reading ahead and writing behind keep order and surface errors; at depth 0 reading needs no thread."""
+"""Reading ahead and writing behind keep order and surface errors; at depth 0 neither needs a thread."""
 
 import threading
 
@@ -50,3 +50,19 @@ def test_depth_0_reads_in_the_calling_thread(depth, here):
         yield threading.get_ident()
 
     assert (list(read_ahead(items(), depth)) == [threading.get_ident()]) is here
+
+
+@pytest.mark.parametrize(("depth", "here"), [(0, True), (2, False)])
+def test_depth_0_writes_in_the_calling_thread(depth, here):
+    writers = []
+    with WriteBehind(lambda _: writers.append(threading.get_ident()), depth) as writer:
+        writer.put("frame")
+    assert (writers == [threading.get_ident()]) is here
+
+
+def test_depth_0_raises_a_failed_write_at_once():
+    def write(_):
+        raise OSError("disk full")
+
+    with WriteBehind(write, 0) as writer, pytest.raises(OSError, match="disk full"):
+        writer.put("frame")

@@ -110,6 +110,13 @@ class Capture:
                 values=values, bits=self.info.bits, number=number, name=f"{self.name}, frame {number}"
             )
 
+    def readable_alone(self, number: int, within: int) -> int:
+        """Return the nearest frame, at most `within` away, that needs no other to be decoded, or `number`."""
+        if self._reader is None:
+            return number
+        nearest = self._reader.index.nearest_key_frame(number)
+        return nearest if abs(nearest - number) <= within else number
+
     def _images(self, start: int, stop: int | None, step: int) -> Iterator[EncodedFrame]:
         for number in range(len(self.info.files))[start:stop:step]:
             path = self.info.files[number]

@@ -25,18 +25,29 @@ def findings_from_capture(
     numbers = numbers or range(len(capture))
     findings = findings_from_quality(rig)
     transfer = capture.options.transfer
-    places = np.linspace(0, len(numbers) - 1, _FRAMES_COMPARED).round().astype(int)
-    middle = len(places) // 2
+    chosen = frames_to_compare(capture, numbers)
+    middle = chosen[len(chosen) // 2]
     compared = []
-    for number in sorted({numbers[i] for i in places}):
+    for number in chosen:
         for encoded in capture.encoded_frames(number, number + 1):
             compared.append(linear_frame_from_encoded(encoded, transfer))
-            if number == numbers[places[middle]]:
+            if number == middle:
                 findings += findings_from_rig(encoded, rig, transfer, mask, capture.background)
     if len(compared) > 1:
         drift = drift_of_static_part(compared)
         findings += [] if drift is None else [drift.to_text()]
     return findings
+
+
+def frames_to_compare(capture: Capture, numbers: range) -> list[int]:
+    """Return a few numbers, evenly spread, moved to key frames nearby, which are quick to reach."""
+    first, last = numbers[0], numbers[-1]
+    within = (last - first) // (2 * (_FRAMES_COMPARED - 1))
+    chosen = set()
+    for place in np.linspace(0, len(numbers) - 1, _FRAMES_COMPARED).round().astype(int):
+        quick = capture.readable_alone(numbers[place], within)
+        chosen.add(quick if first <= quick <= last else numbers[place])
+    return sorted(chosen)
 
 
 def findings_from_quality(rig: Rig) -> list[str]:

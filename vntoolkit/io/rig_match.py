@@ -8,6 +8,9 @@ the normals: then curl alone tells.
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import numpy as np
 
 from vntoolkit.arrays import LinearImage, Mask
@@ -28,6 +31,7 @@ _WORST_WITHOUT_MASK = 0.06  # of a mended misfit: a backdrop of another material
 _UNEVEN = 0.004  # a misfit below it is noise: a clean rendering leaves 0.0007, sRGB read as linear 0.008
 _ALBEDO_FLOOR = 0.05  # where both readings give an even albedo, curl alone decides
 _FEWEST_PIXELS = 100
+_ENOUGH_PIXELS = 200_000
 _DARKEST = 0.02  # of full scale; below it noise decides
 
 
@@ -48,6 +52,7 @@ def findings_from_rig(
             f"the frames are {width}×{height}, the rig's camera is {rig.camera.width}×{rig.camera.height}: "
             "calibrate with footage of this size"
         ]
+    frame, mask, background = _thinned(frame, mask, background)
     as_read = misfit(frame, rig, transfer, mask, background)
     if not as_read > _UNEVEN:
         return []
@@ -58,6 +63,22 @@ def findings_from_rig(
             f"as read {as_read:.3f}"
         ]
     return _findings_from_curves(frame, rig, transfer, mask, background, as_read)
+
+
+def _thinned(
+    frame: EncodedFrame, mask: Mask | None, background: LinearImage | None
+) -> tuple[EncodedFrame, Mask | None, LinearImage | None]:
+    """Keep every k-th row and column, a picture that is large enough to tell and quick to try."""
+    height, width = frame.values.shape[:2]
+    if mask is not None:
+        require_same_size(mask, "mask", frame.values, frame.name)
+    step = max(1, math.isqrt(height * width // _ENOUGH_PIXELS))
+    every = (slice(None, None, step), slice(None, None, step))
+    return (
+        replace(frame, values=frame.values[every]),
+        None if mask is None else mask[every],
+        None if background is None else background[every],
+    )
 
 
 def _findings_from_curves(
@@ -114,6 +135,5 @@ def _light(
     linear = linear_frame_from_encoded(frame, transfer, background)
     used: Mask = ~linear.clipped & (linear.rgb.min(axis=2) > _DARKEST)
     if mask is not None:
-        require_same_size(mask, "mask", used, frame.name)
         used &= mask
     return linear.rgb, used

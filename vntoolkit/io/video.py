@@ -236,6 +236,7 @@ def _ffv1_stream(container: Any, frame: npt.NDArray[Any], frame_rate_hz: float, 
     stream.height, stream.width = frame.shape[:2]
     stream.pix_fmt = "bgr0" if frame.dtype == np.uint8 else "gbrp16le"
     stream.codec_context.thread_count = threads
+    stream.codec_context.gop_size = 1  # for 1 % more bytes any frame is read alone and damage stays in it
     return stream
 
 

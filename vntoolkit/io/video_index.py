@@ -31,6 +31,10 @@ class VideoIndex:
         at = bisect_right(self.key_frames, number)
         return self.key_frames[at - 1] if at else 0
 
+    def nearest_key_frame(self, number: int) -> int:
+        """Return the key frame closest to frame `number`, the earlier of two; 0 where there is none."""
+        return min(self.key_frames, key=lambda key: abs(key - number), default=0)
+
 
 @dataclass(kw_only=True)
 class _Packets:

@@ -26,15 +26,15 @@ from vntoolkit.pipeline.overlap import WriteBehind, read_ahead
 from vntoolkit.pipeline.temporal import smoothed_frames
 from vntoolkit.shadows.detector import ShadowMethod
 
-_AHEAD = 2  # frames read before the one at work
+_WAITING = 2  # frames read before the one at work, and results not yet written
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReconstructionJob:
     """Everything that a worker needs, small enough to send to another process or machine.
 
-    source: as for `open_capture`. mask, background: files or None. threads: for decoding; with 1, reading
-    and processing take turns too, so that a worker is one core's. limits: on what is read, in any process.
+    source: as for `open_capture`. mask, background: files or None. threads: for decoding; with 1, reading,
+    processing and writing take turns, so that a worker is one core's. limits: on what any process reads.
     """
 
     source: str
@@ -103,8 +103,9 @@ class BlockWorker:
         def write(done: tuple[FrameEntry, FrameResult | None]) -> None:
             written.append(self._write(*done))
 
-        with WriteBehind(write) as writer:
-            for frame in read_ahead(frames, _AHEAD if self._job.threads > 1 else 0):
+        waiting = _WAITING if self._job.threads > 1 else 0
+        with WriteBehind(write, waiting) as writer:
+            for frame in read_ahead(frames, waiting):
                 done = self._process(frame)
                 if frame.number not in already_done:
                     writer.put(done)

@@ -18,7 +18,7 @@ from typing import Any
 
 from vntoolkit.errors import BadInput, MissingDependency, VntError
 from vntoolkit.io.frame_log import FrameEntry
-from vntoolkit.native import limit_threads
+from vntoolkit.native import keep_freed_memory, limit_threads
 from vntoolkit.pipeline.block_work import BlockWorker, ReconstructionJob
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 
@@ -105,6 +105,7 @@ def _run_block(job: ReconstructionJob, block: range, already_done: frozenset[int
     """Run on the cluster: process a block with this thread's worker."""
     if getattr(_here, "job", None) is not job:  # one run sends one object: another rig is another object
         limit_threads(1)
+        keep_freed_memory()
         _here.worker, _here.job = BlockWorker(job), job
     return list(_here.worker.run(block, already_done))
 

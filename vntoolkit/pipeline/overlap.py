@@ -58,7 +58,8 @@ def read_ahead(items: Iterable[Item], depth: int = 2) -> Iterator[Item]:
 class WriteBehind(Generic[Item]):
     """Hands items to `write` in another thread, in order, at most `depth` of them waiting.
 
-    A failed write is raised by the next `put` or on leaving the context.
+    With a depth of 0 there is no thread: `put` writes. A failed write is raised by the next `put` or on
+    leaving the context.
     """
 
     def __init__(self, write: Callable[[Item], None], depth: int = 2) -> None:
@@ -69,6 +70,9 @@ class WriteBehind(Generic[Item]):
 
     def put(self, item: Item) -> None:
         """Queue an item; wait while the queue is full."""
+        if self._depth == 0:
+            self._write(item)
+            return
         while len(self._pending) >= self._depth:
             self._pending.popleft().result()
         self._pending.append(self._pool.submit(self._write, item))
