@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.pipeline.conftest import RESPONSE, DomeCapture, dome_normals
+from tests.pipeline.conftest import RESPONSE, dome_normals
 from vntoolkit.__main__ import main
 from vntoolkit.errors import BadCapture, BadInput, VntError
 from vntoolkit.geometry.camera import Camera
@@ -29,8 +29,6 @@ from vntoolkit.pipeline.live_frames import (
     exposure_warnings,
 )
 from vntoolkit.pipeline.live_recorder import LiveRecorder
-from vntoolkit.report.live_viewer import LiveViewer
-from vntoolkit.report.viewer import ViewerOptions
 
 
 def dome_picture(background: float = 0.0) -> np.ndarray:
@@ -243,23 +241,6 @@ def test_recordings_are_lossless_and_one_file_each(tmp_path: Path, rng) -> None:
     assert len(recorder.files) == 2
     read = [f.values for path in recorder.files for f in open_capture(path).encoded_frames()]
     np.testing.assert_array_equal(read, pictures)
-
-
-def test_the_viewer_shows_results(dome_capture: DomeCapture) -> None:
-    processor = LiveProcessor(dome_capture.rig)
-    run = LiveRun(FileSource(open_capture(dome_capture.source), realtime=False), processor, lambda r, t: None)
-    viewer = LiveViewer(processor.depth_camera, ViewerOptions(port=8191), figures=run.figures)
-    try:
-        result = processor.process(encoded(dome_picture()))
-        viewer.show(result, TimedFrame(frame=encoded(dome_picture()), arrived_s=time.perf_counter()))
-        for _ in range(200):
-            if viewer.meter.count:
-                break
-            time.sleep(0.05)
-        assert viewer.meter.count == 1
-        assert viewer.address.startswith("http://")
-    finally:
-        viewer.close()
 
 
 def test_rate_and_latency_are_measured() -> None:

@@ -80,8 +80,10 @@ def test_a_browser_watches_while_frames_come(tmp_path: Path) -> None:
             turned = picture_when(seen, lambda p: np.abs(p - first).max(axis=2).mean() > 4)
             assert np.abs(turned - first).max(axis=2).mean() > 4
             seen.page.get_by_text("frames a second").wait_for()
-            sizes = seen.page.evaluate("[...document.images].map(i => [i.naturalWidth, i.naturalHeight])")
-            assert sizes.count([WIDTH, HEIGHT]) == 2  # camera and normals
+            sizes = seen.page.evaluate("['camera', 'normals'].map((n) => [$(n).width, $(n).height])")
+            assert sizes == [[WIDTH, HEIGHT]] * 2
+            colours = seen.picture("#normals").astype(int)
+            assert (colours[..., 2] - colours[..., 0] > 60).mean() > 0.1  # a normal map, not a blank
 
             assert seen.page.get_by_text("clipped:").count() == 0
             lamp.picture = dome(3.0)
@@ -111,6 +113,56 @@ def test_a_browser_watches_while_frames_come(tmp_path: Path) -> None:
     frames = [frame.values for frame in open_capture(recorded).encoded_frames()]
     assert len(frames) > 5
     np.testing.assert_array_equal(frames[0], dome(1.0))
+
+
+@pytest.mark.slow
+def test_a_slow_browser_draws_less_says_so_and_a_hidden_one_draws_nothing() -> None:
+    lamp = Lamp()
+    processor = LiveProcessor(Rig(camera=Camera.orthographic(width=WIDTH, height=HEIGHT), response=RESPONSE))
+
+    def on_result(result: LiveResult, timed: TimedFrame) -> None:
+        shown.show(result, timed)
+
+    run = LiveRun(lamp, processor, on_result)
+    shown = LiveViewer(processor.depth_camera, ViewerOptions(port=free_port()), figures=run.figures)
+    thread = threading.Thread(target=run.run)
+    thread.start()
+    try:
+        with visit(shown.address, width=1200, height=800) as seen:
+            page = seen.page
+            page.set_default_timeout(90_000)
+            page.get_by_text("drawing reduced: this browser draws slowly").wait_for()  # no graphics card here
+            drawn, box = page.evaluate("[canvas.width, canvas.clientWidth]")
+            assert 0.3 * box < drawn < 0.7 * box
+            assert page.evaluate("period()") >= 100  # ten a second at most
+
+            page.evaluate("judge = ((real) => (window.real = real, () => {}))(judge)")
+            page.evaluate("finest = 0; settled.fill(0); change(REDUCED)")
+            fast = "for (let k = 0; k < 40; k++) real(1)"
+            page.evaluate(fast)  # as a graphics card would
+            assert page.evaluate("[level, period()]") == [0, pytest.approx(1000 / 30)]
+            assert not page.get_by_text("drawing reduced").is_visible()
+            page.wait_for_function("canvas.width === 2 * canvas.clientWidth")
+            page.evaluate("for (let k = 0; k < 40; k++) real(50)")
+            assert page.evaluate("[level, period()]") == [3, 250]
+            page.evaluate(fast)  # what was too slow is not tried again at once
+            assert page.evaluate("level") == 3
+            assert page.get_by_text("drawing reduced").is_visible()
+
+            page.evaluate("Object.defineProperty(document, 'hidden', { value: true, configurable: true })")
+            page.wait_for_timeout(1500)
+            hidden = shown.meter.count
+            arrived = run.figures().arrived
+            page.wait_for_timeout(1500)
+            assert run.figures().arrived > arrived
+            assert shown.meter.count == hidden
+            page.evaluate("delete document.hidden; document.dispatchEvent(new Event('visibilitychange'))")
+            page.wait_for_function(f"document.body.dataset.shown > {run.figures().arrived}")
+            assert seen.complaints == []
+    finally:
+        lamp.stopped.set()
+        thread.join()
+        shown.close()
 
 
 def test_the_status_says_it_all_and_escapes() -> None:

@@ -30,6 +30,7 @@ from vntoolkit.report.live_viewer import LiveViewer
 from vntoolkit.report.viewer import ViewerOptions
 
 _GREY = 128
+_LATE_FRAMES = 1.5  # intervals between frames; a result that took longer is late
 
 if TYPE_CHECKING:
     CameraFlags: TypeAlias = CameraOptions | None
@@ -130,7 +131,13 @@ def _watch(
     run = LiveRun(
         source, processor, on_result, recorder.take, on_failure=on_failure, wait_for_all=wait_for_all
     )
-    shown = LiveViewer(processor.depth_camera, options, figures=run.figures, recorder=recorder)
+    shown = LiveViewer(
+        processor.depth_camera,
+        options,
+        figures=run.figures,
+        recorder=recorder,
+        late_s=_LATE_FRAMES / source.frame_rate_hz,
+    )
     print(f"{shown.address} (r records, Ctrl-C ends)", flush=True)
     timer = None if seconds is None else threading.Timer(seconds, run.stop)
     try:
@@ -145,9 +152,9 @@ def _watch(
         shown.close()
     rate, (median, high) = shown.meter.figures()
     print(f"{source.name}: {run.figures().line()}")
-    print(
-        f"shown {shown.meter.count}: {rate:.1f} frames/s, {1000 * median:.0f} ms (95 %: {1000 * high:.0f} ms)"
-    )
+    if shown.meter.count:
+        told = f"{rate:.1f} frames/s, {1000 * median:.0f} ms (95 %: {1000 * high:.0f} ms) after arrival"
+        print(f"drawn {shown.meter.count}: {told}")
     for path in recorder.files:
         print(f"recorded {path}")
     if recorder.lost or recorder.problem:

@@ -55,10 +55,10 @@ class LatencyMeter:
         self._lock = threading.Lock()
         self.count = 0
 
-    def reached(self, arrived_s: float) -> None:
-        """Note that a frame which arrived then is there now."""
+    def reached(self, arrived_s: float, there_s: float | None = None) -> None:
+        """Note that a frame which arrived then is there now, or was at another time."""
         with self._lock:
-            self._seen.append((arrived_s, time.perf_counter()))
+            self._seen.append((arrived_s, time.perf_counter() if there_s is None else there_s))
             self.count += 1
 
     def figures(self) -> tuple[float, tuple[float, float]]:

@@ -26,10 +26,15 @@ def started_server(host: str, port: int) -> Any:
         with contextlib.redirect_stdout(io.StringIO()):  # it prints a box, whatever it is told
             return viser.ViserServer(host=host, port=port, verbose=False)
     except (OSError, UnicodeError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise CannotWrite(
-            f"cannot serve on {host}:{port}: {reason}; is --host an address of this machine, as 127.0.0.1?"
-        ) from error
+        raise cannot_serve(host, port, error) from error
+
+
+def cannot_serve(host: str, port: int, error: Exception) -> CannotWrite:
+    """Return the error to raise where an address cannot be listened on."""
+    reason = getattr(error, "strerror", None) or str(error)
+    return CannotWrite(
+        f"cannot serve on {host}:{port}: {reason}; is --host an address of this machine, as 127.0.0.1?"
+    )
 
 
 def stop_server(server: Any) -> None:
