@@ -1,3 +1,4 @@
+import cv2
 import numpy as np
 import pytest
 
@@ -36,12 +37,18 @@ def trace(
 
 
 def cover(camera: Camera, axis: np.ndarray, centre: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Share of each pixel inside: random places in it, since a fixed pattern would lean on straight edges."""
+    """Share of each pixel inside; where the outline runs, of 1024 random places, which favour no direction."""
     grid = camera.pixel_grid()
-    places = (grid + rng.uniform(-0.5, 0.5, grid.shape) for _ in range(8))
-    return np.mean(
-        [trace(camera, axis, centre, at).mask | caps(camera, axis, centre, at) for at in places], axis=0
-    )
+
+    def inside(pixels: np.ndarray) -> np.ndarray:
+        return trace(camera, axis, centre, pixels).mask | caps(camera, axis, centre, pixels)
+
+    share = inside(grid).astype(float)
+    window = np.ones((3, 3))
+    outline = cv2.dilate(share, window) != cv2.erode(share, window)
+    places = grid[outline][:, None] + rng.uniform(-0.5, 0.5, (int(outline.sum()), 1024, 2))
+    share[outline] = inside(places).mean(axis=1)
+    return share
 
 
 def caps(camera: Camera, axis: np.ndarray, centre: np.ndarray, pixels: np.ndarray) -> np.ndarray:
@@ -83,9 +90,7 @@ def test_pose_and_radius_are_found_under_noise_and_wrong_normals(
     fit = fit_cylinder(frames, camera, rng)
     for pose, (axis, centre) in zip(fit, truths, strict=True):
         across = np.rad2deg(np.arccos(min(1.0, abs(pose.axis @ axis))))
-        # In an orthographic outline only the ends' arcs tell the tilt towards the viewer. Over twelve seeds
-        # the worst pose was off by 0.11° and 0.37°.
-        assert across < (0.15 if camera.is_perspective else 0.45)
+        assert across < (0.15 if camera.is_perspective else 0.3)
         nearest = centre - (centre @ axis) * axis
         if camera.is_perspective:
             assert np.linalg.norm(pose.centre) * RADIUS == pytest.approx(np.linalg.norm(nearest), rel=0.01)
