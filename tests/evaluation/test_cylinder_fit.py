@@ -37,7 +37,7 @@ def trace(
 
 
 def cover(camera: Camera, axis: np.ndarray, centre: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Share of each pixel inside; where the outline runs, of 1024 random places, which favour no direction."""
+    """Share of each pixel inside; on the outline, of a random place in each of 144 squares in it."""
     grid = camera.pixel_grid()
 
     def inside(pixels: np.ndarray) -> np.ndarray:
@@ -46,7 +46,9 @@ def cover(camera: Camera, axis: np.ndarray, centre: np.ndarray, rng: np.random.G
     share = inside(grid).astype(float)
     window = np.ones((3, 3))
     outline = cv2.dilate(share, window) != cv2.erode(share, window)
-    places = grid[outline][:, None] + rng.uniform(-0.5, 0.5, (int(outline.sum()), 1024, 2))
+    corners = np.stack(np.meshgrid(np.arange(12), np.arange(12)), axis=-1).reshape(-1, 2)
+    in_square = rng.uniform(0, 1, (int(outline.sum()), len(corners), 2))
+    places = grid[outline][:, None] + (corners + in_square) / 12 - 0.5
     share[outline] = inside(places).mean(axis=1)
     return share
 
