@@ -23,6 +23,9 @@ def test_the_list_gives_each_verb_a_line(
     ("verb", "told"),
     [
         ("live", "Frames that come too fast are dropped and counted."),
+        ("live", "a video plays at its own with --realtime"),
+        ("simulate", "board_sweep, sphere, jacket, sweater, spandex, head_turn, face, face_makeup"),
+        ("calibrate head", "raise it where hollows such as eye sockets come out filled"),
         ("export", "The same command again goes on where an earlier run stopped"),
         ("evaluate tracks", "Every vertex is judged whose true point can be seen in that frame"),
     ],

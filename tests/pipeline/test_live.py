@@ -263,3 +263,5 @@ def test_the_command_plays_a_video_and_says_what_was_dropped(tmp_path: Path, cap
     assert "viser" not in printed
     assert main([*arguments, "--video", str(tmp_path / "a.mkv"), "--camera", "0"]) != 0
     assert "either --camera NUMBER or --video FILE" in capsys.readouterr().err
+    assert main([*arguments, "--video", str(tmp_path / "a.mkv"), "--rate", "5"]) != 0
+    assert "a video has its own" in capsys.readouterr().err

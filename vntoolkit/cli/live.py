@@ -166,6 +166,8 @@ def _source(
 ) -> LiveSource:
     if (camera is None) == (video is None):
         raise BadInput("live: expected either --camera NUMBER or --video FILE")
+    if video is not None and asked is not None:
+        raise BadInput("live: --width, --height and --rate are asked of a camera; a video has its own")
     if video is not None:
         return FileSource(open_capture(video, CaptureOptions(transfer=rig.transfer)), realtime=realtime)
     if realtime:

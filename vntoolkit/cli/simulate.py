@@ -19,7 +19,7 @@ from vntoolkit.pipeline.simulate import simulate as run
 from vntoolkit.pipeline.simulation_job import SimulationFolder, SimulationJob
 from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.render import RenderOptions
-from vntoolkit.simulation.scene import SceneOptions
+from vntoolkit.simulation.scene import SCENES, SceneOptions
 
 if TYPE_CHECKING:
     SceneFlags: TypeAlias = SceneOptions | None
@@ -32,7 +32,7 @@ else:
 
 
 def simulate(
-    scene: str,
+    scene: Annotated[str, Parameter(help=f"One of {', '.join(SCENES)}.")],
     *,
     out: Path,
     frames: str = "::",
@@ -50,8 +50,6 @@ def simulate(
 
     Parameters
     ----------
-    scene
-        cylinder, board, sphere, jacket, and more: an unknown name lists them all.
     out
         The folder to write: capture.mkv, truth, contact_sheet.png and simulation.json.
     frames

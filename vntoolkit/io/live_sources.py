@@ -41,9 +41,11 @@ class LiveSource(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class CameraOptions:
-    """What is asked of a camera, which may give something else.
+    """What is asked of a camera, which gives the nearest that it can.
 
-    width, height: pixels. rate: frames per second.
+    width: width in pixels of the picture that the camera is asked for; after crop and rectification it must
+    be the rig's. Not for a video, which has its own. height: the same for the height. rate: frames a second
+    that the camera is asked for; a video plays at its own with --realtime, else as fast as it can be read.
     """
 
     width: int = 1280

@@ -32,8 +32,10 @@ class FusionOptions:
     surface: Poisson's, or truncated signed distances averaged in the hull's cells. fusion_depth: levels of
     Poisson's octree; 7 resolves about a 100th of the head. agreement: distance, as a share
     of the hull's diagonal, within which points of another view must confirm a point. confirmations: how many
-    other views must. hull_gap: distance, as a share of the diagonal,
-    from the places of the hull whose depth stereo corrected, beyond which the hull itself is surface.
+    other views must confirm a point for it to be kept; raise it to 2 or 3 where single wrong points leave
+    bumps, lower it to 0 where parts that few views saw are missing. hull_gap: distance, as a share of the
+    diagonal, from the places of the hull whose depth stereo corrected, beyond which the hull itself is
+    surface.
     """
 
     surface: Surface = Surface.POISSON

@@ -34,9 +34,13 @@ class StereoOptions:
 
     references: views that get a depth map, evenly over the turn. neighbour_angles_deg: turn between a
     reference and the views it is compared with, to both sides. stereo_window_px: side of the compared window.
-    before, behind: how far before and behind the hull is searched, as shares of its diagonal.
-    least_correlation: below, a pixel gets no depth. smoothing_px: standard deviation of the smoothing of the
-    depth in a map. passes: 1 searches about the hull; every further one closely about the mesh of the one
+    before: how far in front of the hull depth is searched, as a share of its diagonal; the head lies inside
+    the hull, so little is needed: raise it where the silhouettes cut into the head. behind: how far beneath
+    the hull depth is searched, as a share of its diagonal, 0.07 being 2 to 3 cm of a head; raise it where
+    hollows such as eye sockets come out filled, lower it where dents appear that the head does not have.
+    least_correlation: correlation of the compared windows, 0 to 1, below which a pixel gets no depth; lower
+    it to 0.5 where smooth or dark skin leaves holes, raise it to 0.7 where wrong points roughen the surface.
+    smoothing_px: standard deviation of the smoothing of the depth in a map. passes: 1 searches about the hull; every further one closely about the mesh of the one
     before, whose slant it knows, so that a smaller window does. closer: how far a further pass searches to
     both sides, as a share of the diagonal. closer_angles_deg, closer_window_px: its neighbours and window.
     """
