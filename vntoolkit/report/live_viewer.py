@@ -31,7 +31,7 @@ from vntoolkit.report.live_server import LiveServer
 from vntoolkit.report.live_status import LiveStatus
 from vntoolkit.report.viewer import ViewerOptions
 
-_CAPTION_S = 0.25
+_CAPTION_S = 0.4  # numbers that change faster cannot be read
 _WARNED_S = 1.5  # a warning stays for so long, so that it can be read
 _PUT_OFF_S = 0.5  # a late result is not sent on, but after so long one is
 _ANSWER_S = 1.0  # an empty answer, where no frame comes

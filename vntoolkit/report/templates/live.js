@@ -5,7 +5,7 @@ const $ = (id) => document.getElementById(id);
 const LEVELS = [  // longest sides in pixels; scale: of the drawn picture to the window's
   { grid: 160, normals: 640, camera: 480, scale: 2 },
   { grid: 160, normals: 640, camera: 480, scale: 1 },
-  { grid: 108, normals: 320, camera: 320, scale: 0.6 },
+  { grid: 80, normals: 320, camera: 320, scale: 0.6 },
   { grid: 64, normals: 240, camera: 240, scale: 0.4 },
 ];
 const SLOW_MS = 12, FAST_MS = 6, SHARE = 0.1;  // of a drawing; of the time that drawing may take
@@ -168,7 +168,7 @@ function judge(cost) {  // coarser at once, finer with patience, which grows whe
   if (seen < 8) return;
   if (usual > SLOW_MS && level + 1 < LEVELS.length) {
     settled[level] = now() + patience;
-    patience *= 2;
+    patience = Math.min(2 * patience, 30 * PATIENCE_MS);
     change(level + 1);
   } else if (usual < FAST_MS && level > finest && now() > settled[level - 1]) change(level - 1);
   $("reduced").hidden = level < REDUCED;
@@ -185,8 +185,7 @@ async function paint(packet, transfer_ms) {  // one at a time; what comes meanwh
   if (packet) for (const name of ["camera", "normals"]) if (packet[name]) picture($(name), packet[name]);
   const drawn = now();
   await nextFrame();
-  await nextFrame();
-  const stalled = Math.max(0, now() - drawn - 40);  // two frames at 60 Hz take 33 ms
+  const stalled = Math.max(0, now() - drawn - 34);  // the window's next picture takes 17 ms where nothing waits
   if (packet) judge(drawn - started + transfer_ms + stalled);
   busy = false;
   return now();
