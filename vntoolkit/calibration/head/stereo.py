@@ -40,9 +40,10 @@ class StereoOptions:
     hollows such as eye sockets come out filled, lower it where dents appear that the head does not have.
     least_correlation: correlation of the compared windows, 0 to 1, below which a pixel gets no depth; lower
     it to 0.5 where smooth or dark skin leaves holes, raise it to 0.7 where wrong points roughen the surface.
-    smoothing_px: standard deviation of the smoothing of the depth in a map. passes: 1 searches about the hull; every further one closely about the mesh of the one
-    before, whose slant it knows, so that a smaller window does. closer: how far a further pass searches to
-    both sides, as a share of the diagonal. closer_angles_deg, closer_window_px: its neighbours and window.
+    smoothing_px: standard deviation of the smoothing of the depth in a map. passes: 1 searches about the
+    hull; every further one closely about the mesh of the one before, whose slant it knows, so that a smaller
+    window does. closer: how far a further pass searches to both sides, as a share of the diagonal.
+    closer_angles_deg, closer_window_px: its neighbours and window.
     """
 
     references: int = 11
