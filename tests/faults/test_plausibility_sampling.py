@@ -1,14 +1,23 @@
 """Plausibility looks at few frames, quick to reach, and at few pixels of a large one, and still sees."""
 
+from dataclasses import replace
+
 import av
 import numpy as np
 import pytest
 from simulated_captures import simulate_capture
 
+from vntoolkit.geometry.camera import Camera
 from vntoolkit.io import rig_match
 from vntoolkit.io.captures import CaptureOptions, open_capture
+from vntoolkit.io.decoding import EncodedFrame
 from vntoolkit.io.plausibility import findings_from_capture, frames_to_compare
 from vntoolkit.io.video import write_video
+from vntoolkit.photometry.lambertian import rgb_from_normals
+from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.rig import Rig
+from vntoolkit.photometry.transfer import Transfer
+from vntoolkit.photometry.variation import ResponseVariation
 
 
 @pytest.fixture(scope="module")
@@ -54,3 +63,30 @@ def test_a_ninth_of_the_pixels_tells_the_same(tmp_path, monkeypatch, seed):
     assert findings("right.mkv") == []
     (found,) = findings("swapped.mkv")
     assert "red and blue look exchanged" in found
+
+
+def test_a_response_that_varies_is_asked_where_the_pixels_kept_are():
+    """A ball under lights whose strength changes over the picture, seen by every second pixel."""
+    width, height = 1000, 900
+    v, u = np.mgrid[:height, :width]
+    x, y = (u - 500) / 420, (v - 450) / 420
+    inside = x**2 + y**2 < 0.6
+    normals = np.stack([x, y, -np.sqrt(np.where(inside, 1 - x**2 - y**2, 1))], axis=-1) * inside[..., None]
+    matrix = np.array([[0.3, 0.0, -0.5], [-0.15, 0.25, -0.5], [-0.15, -0.25, -0.5]])
+    variation = ResponseVariation(
+        powers=np.array([[1, 0], [0, 1]]),
+        matrices=np.stack([0.3 * matrix * [1, 0.5, 1], -0.2 * matrix]),
+        ambients=np.zeros((2, 3)),
+        centre_px=np.array([500.0, 450.0]),
+        scale_px=500.0,
+    )
+    response = LightResponse(matrix=matrix, variation=variation)
+    rgb = np.where(inside[..., None], rgb_from_normals(normals, response), 0).astype(np.float32)
+    rig = Rig(camera=Camera.orthographic(width=width, height=height), response=response)
+    frame = EncodedFrame(values=np.clip(rgb, 0, 1), bits=32, number=0, name="ball")
+    linear = Transfer.from_text("linear")
+    picture = rig_match._thinned(frame, inside, None)
+    assert picture.frame.values.shape[:2] == (450, 500)
+    assert rig_match._misfit(picture, rig, linear) < 1e-3
+    elsewhere = replace(picture, positions_px=picture.positions_px / 2)
+    assert rig_match._misfit(elsewhere, rig, linear) > 4e-3

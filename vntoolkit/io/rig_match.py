@@ -9,11 +9,11 @@ the normals: then curl alone tells.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vntoolkit.arrays import LinearImage, Mask
+from vntoolkit.arrays import FloatArray, LinearImage, Mask
 from vntoolkit.checks import require_same_size
 from vntoolkit.io.consistency import albedo_variation, curl_share
 from vntoolkit.io.decoding import EncodedFrame, linear_frame_from_encoded
@@ -52,55 +52,57 @@ def findings_from_rig(
             f"the frames are {width}×{height}, the rig's camera is {rig.camera.width}×{rig.camera.height}: "
             "calibrate with footage of this size"
         ]
-    frame, mask, background = _thinned(frame, mask, background)
-    as_read = misfit(frame, rig, transfer, mask, background)
+    picture = _thinned(frame, mask, background)
+    as_read = _misfit(picture, rig, transfer)
     if not as_read > _UNEVEN:
         return []
-    swapped = misfit(frame, rig, transfer, mask, background, swap=True)
+    swapped = _misfit(picture, rig, transfer, swap=True)
     if swapped < _MARGIN * as_read:
         return [
             f"red and blue look exchanged: with the channels swapped the rig's misfit is {swapped:.3f}, "
             f"as read {as_read:.3f}"
         ]
-    return _findings_from_curves(frame, rig, transfer, mask, background, as_read)
+    return _findings_from_curves(picture, rig, transfer, as_read)
 
 
-def _thinned(
-    frame: EncodedFrame, mask: Mask | None, background: LinearImage | None
-) -> tuple[EncodedFrame, Mask | None, LinearImage | None]:
-    """Keep every k-th row and column, a picture that is large enough to tell and quick to try."""
-    height, width = frame.values.shape[:2]
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Picture:
+    """Some of a frame's pixels as a smaller image; positions_px (h, w, 2): where in the frame they are."""
+
+    frame: EncodedFrame
+    mask: Mask | None
+    background: LinearImage | None
+    positions_px: FloatArray
+
+
+def _thinned(frame: EncodedFrame, mask: Mask | None, background: LinearImage | None) -> _Picture:
+    """Keep every k-th row and column: enough pixels to tell, few enough to try five readings of them."""
     if mask is not None:
         require_same_size(mask, "mask", frame.values, frame.name)
+    height, width = frame.values.shape[:2]
     step = max(1, math.isqrt(height * width // _ENOUGH_PIXELS))
     every = (slice(None, None, step), slice(None, None, step))
-    return (
-        replace(frame, values=frame.values[every]),
-        None if mask is None else mask[every],
-        None if background is None else background[every],
+    v, u = np.indices((height, width))
+    return _Picture(
+        frame=replace(frame, values=frame.values[every]),
+        mask=None if mask is None else mask[every],
+        background=None if background is None else background[every],
+        positions_px=np.stack([u[every], v[every]], axis=-1).astype(np.float64),
     )
 
 
-def _findings_from_curves(
-    frame: EncodedFrame,
-    rig: Rig,
-    transfer: Transfer,
-    mask: Mask | None,
-    background: LinearImage | None,
-    as_read: float,
-) -> list[str]:
+def _findings_from_curves(picture: _Picture, rig: Rig, transfer: Transfer, as_read: float) -> list[str]:
     """Name the curve, or the gains of the channels, that mends more of the misfit."""
     left = {transfer.to_text(): as_read}
-    if frame.values.dtype != np.float32:
+    if picture.frame.values.dtype != np.float32:
         curves = {text: Transfer.from_text(text) for text in _CURVES if text != transfer.to_text()}
-        left |= {text: misfit(frame, rig, curve, mask, background) for text, curve in curves.items()}
+        left |= {text: _misfit(picture, rig, curve) for text, curve in curves.items()}
     best = min(left, key=lambda text: left[text])
-    rgb, used = _light(frame, transfer, mask, background)
-    gains, mended, unmended = fit_gains(rgb, rig.response, used)
+    gains, mended, unmended = fit_gains(*_light(picture, transfer), rig.response, picture.positions_px)
     text = text_of_gains(gains, mended / unmended)
     if text and mended / unmended < left[best] / as_read:
         return [text]
-    explains = mask is not None or left[best] < _WORST_WITHOUT_MASK
+    explains = picture.mask is not None or left[best] < _WORST_WITHOUT_MASK
     if left[best] < _MARGIN * as_read and explains:
         return [
             f"the transfer curve looks like {best}, not {transfer.to_text()}: the rig's misfit is then "
@@ -109,31 +111,21 @@ def _findings_from_curves(
     return []
 
 
-def misfit(
-    frame: EncodedFrame,
-    rig: Rig,
-    transfer: Transfer,
-    mask: Mask | None = None,
-    background: LinearImage | None = None,
-    *,
-    swap: bool = False,
-) -> float:
+def _misfit(picture: _Picture, rig: Rig, transfer: Transfer, *, swap: bool = False) -> float:
     """Return (albedo variation + floor) × curl share on lit, unclipped pixels; NaN where there are few."""
-    rgb, used = _light(frame, transfer, mask, background)
+    rgb, used = _light(picture, transfer)
     if int(used.sum()) < _FEWEST_PIXELS:
         return float("nan")
     rgb = rgb[..., ::-1] if swap else rgb
-    scaled_normals = scaled_normals_from_rgb(rgb.astype(np.float64), rig.response)
+    scaled_normals = scaled_normals_from_rgb(rgb.astype(np.float64), rig.response, picture.positions_px)
     variation = albedo_variation(rgb[used], scaled_normals[used])
     return (variation + _ALBEDO_FLOOR) * curl_share(scaled_normals, used)
 
 
-def _light(
-    frame: EncodedFrame, transfer: Transfer, mask: Mask | None, background: LinearImage | None
-) -> tuple[LinearImage, Mask]:
+def _light(picture: _Picture, transfer: Transfer) -> tuple[LinearImage, Mask]:
     """Return linear light (h, w, 3) and where it is bright enough, unclipped and of the surface."""
-    linear = linear_frame_from_encoded(frame, transfer, background)
+    linear = linear_frame_from_encoded(picture.frame, transfer, picture.background)
     used: Mask = ~linear.clipped & (linear.rgb.min(axis=2) > _DARKEST)
-    if mask is not None:
-        used &= mask
+    if picture.mask is not None:
+        used &= picture.mask
     return linear.rgb, used

@@ -22,20 +22,20 @@ _NOTED_LOG_GAIN = 0.05
 _MARGIN = 0.5  # gains must leave this share of the misfit: two free numbers always mend a little
 
 
-def fit_gains(rgb: FloatArray, response: LightResponse, used: Mask) -> tuple[FloatArray, float, float]:
+def fit_gains(
+    rgb: FloatArray, used: Mask, response: LightResponse, positions_px: FloatArray
+) -> tuple[FloatArray, float, float]:
     """Return the capture's gains (3,) against calibration, green's 1, and the misfit with and without.
 
-    rgb: (h, w, 3) linear. used: (h, w) lit and unclipped pixels of the surface.
+    rgb: (h, w, 3) linear. used: (h, w) lit and unclipped pixels of the surface. positions_px: (h, w, 2),
+    where a response that varies over the image is asked.
     """
     factor = min(1.0, _SIDE_PX / max(used.shape))
     size = tuple(max(1, round(n * factor)) for n in used.shape[::-1])
     averaged = cv2.resize(np.asarray(rgb, dtype=np.float64), size, interpolation=cv2.INTER_AREA)
     small = np.asarray(averaged, dtype=np.float64)
     inside: Mask = cv2.resize(used.astype(np.float64), size, interpolation=cv2.INTER_AREA) > 0.999
-
-    v, u = np.indices(inside.shape)
-    shrunk = np.array(used.shape[::-1]) / size
-    positions_px = (np.stack([u, v], axis=-1) + 0.5) * shrunk - 0.5  # where a response that varies is asked
+    positions_px = np.asarray(cv2.resize(positions_px, size, interpolation=cv2.INTER_AREA))
 
     def misfit(logs: FloatArray) -> float:
         undone = small * np.exp([-logs[0], 0.0, -logs[1]])
@@ -59,5 +59,5 @@ def text_of_gains(gains: FloatArray, left: float) -> str:
     red, blue = (f"{100 * (gain - 1):+.0f} %" for gain in gains[[0, 2]])
     return (
         f"the white balance looks changed since calibration: red by {red} and blue by {blue} against green; "
-        "lock it, and film or calibrate again"
+        "lock it, and film or calibrate again; on a subject of another colour, calibrate on that colour"
     )
