@@ -6,7 +6,7 @@ Without --track DIR (written by `vntoolkit track`) the moving mesh is that of th
 second of it, played back and forth. Writes a USD, a contact sheet and a turntable for every motion.
 
 walk_published_sheet.png: the walk, weights as published; time runs to the right, a direction a row.
-walk_smooth_sheet.png: the same without seams between the bones' parts, by dual quaternions.
+walk_heat_sheet.png: the same with weights by heat that spreads along the cloth, the toolkit's own choice.
 """
 
 import argparse
@@ -18,17 +18,11 @@ import numpy as np
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.mesh_sequence import MeshSequence
 from vntoolkit.io.sequences import MeshSequenceWriter, read_mesh_sequence
-from vntoolkit.pipeline.dress import (
-    DressOptions,
-    dress,
-    read_motion,
-    read_tracked_cloth,
-    write_dressed_figure,
-)
+from vntoolkit.pipeline.dress import DressOptions, dress, write_dressed_figure
+from vntoolkit.pipeline.dress_inputs import read_motion, read_tracked_cloth
 from vntoolkit.report.numbers import number, write_numbers
 from vntoolkit.report.turntable import PreviewOptions, write_preview
 from vntoolkit.simulation.scene import SceneOptions, build_scene
-from vntoolkit.skinning.blending import Blend
 from vntoolkit.skinning.clock import ClockOptions, Loop
 from vntoolkit.skinning.weights import Falloff, WeightOptions
 
@@ -37,12 +31,10 @@ CAPTURED_FRAMES = 60
 WOOL = (0.62, 0.48, 0.36)
 CLOCK = ClockOptions(loop=Loop.PING_PONG, stop=3.0)
 STYLES = {
-    "published": DressOptions(clock=CLOCK),
-    "smooth": DressOptions(
-        clock=CLOCK,
-        blend=Blend.DUAL_QUATERNION,
-        weights=WeightOptions(falloff=Falloff.CONTINUOUS, distance_power=2.0),
+    "published": DressOptions(
+        clock=CLOCK, weights=WeightOptions(falloff=Falloff.INVERSE), max_stretch=float("inf")
     ),
+    "heat": DressOptions(clock=CLOCK),
 }
 
 

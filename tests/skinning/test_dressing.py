@@ -20,7 +20,8 @@ from vntoolkit.io.images import read_image
 from vntoolkit.io.meshes import read_mesh
 from vntoolkit.io.sequences import write_mesh_sequence
 from vntoolkit.io.usd import read_usd_sequence
-from vntoolkit.pipeline.dress import DressedFigure, DressOptions, UpAxis, dress, read_motion
+from vntoolkit.pipeline.dress import DressedFigure, DressOptions, UpAxis, dress
+from vntoolkit.pipeline.dress_inputs import read_motion
 from vntoolkit.report.raycast_view import View, picture_of
 from vntoolkit.report.turntable import PreviewOptions, contact_sheet, turntable, write_preview
 from vntoolkit.skinning.anatomy import anatomy_of, facing_of
@@ -125,9 +126,8 @@ def test_a_sheet_seen_from_the_front_lies_before_the_bones(jumper: Mesh) -> None
     for name, cloth in (("sheet", sheet), ("closed", closed)):
         dressed = dress(cloth, walking_motion())
         trunk = list(anatomy_of(dressed.motion.skeleton).trunk)
-        depths[name] = (
-            dressed.rest_from_cloth.apply(jumper.vertices)[:, 2] - dressed.rest_from_model[trunk, 2, 3].mean()
-        )
+        covered = dressed.template.vertices[np.unique(cloth.template.faces)]
+        depths[name] = covered[:, 2] - dressed.rest_from_model[trunk, 2, 3].mean()
     assert depths["sheet"].max() == pytest.approx(0, abs=1e-9)
     assert depths["closed"].max() == pytest.approx(-depths["closed"].min(), abs=1e-9)
 

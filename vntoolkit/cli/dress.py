@@ -11,13 +11,8 @@ from cyclopts import Parameter
 from vntoolkit.cli.flags import flags_from
 from vntoolkit.cli.limits import limits_on
 from vntoolkit.io.garment_fits import read_garment_fit
-from vntoolkit.pipeline.dress import (
-    DressOptions,
-    dress,
-    read_motion,
-    read_tracked_cloth,
-    write_dressed_figure,
-)
+from vntoolkit.pipeline.dress import DressOptions, dress, write_dressed_figure
+from vntoolkit.pipeline.dress_inputs import read_motion, read_tracked_cloth
 from vntoolkit.report.turntable import write_preview
 from vntoolkit.skinning.clock import ClockOptions
 from vntoolkit.skinning.fitting import FitOptions
@@ -80,7 +75,8 @@ def run(
         None if fit is None else read_garment_fit(fit),
     )
     count = write_dressed_figure(dressed, out)
-    print(f"{out}: {count} frames of {len(dressed.template.vertices)} vertices")
+    cut = f"; {dressed.cut_triangles} triangles cut" if dressed.cut_triangles else ""
+    print(f"{out}: {count} frames of {len(dressed.template.vertices)} vertices{cut}")
     if preview:
         stem = out.stem.split("%")[0].rstrip("_") or "dress"
         write_preview(out.parent, stem, dressed)

@@ -54,18 +54,30 @@ def cotangent_laplacian(vertices: Points, faces: Faces) -> sp.csr_array:
     the mesh is scaled. Zero in the interior of a plane, however it is triangulated. Raises BadMesh where a
     triangle has no area.
     """
+    pairs, cosines, sines = edge_cotangents(vertices, faces)
+    flat = sines <= _SMALLEST_SINE
+    if flat.any():
+        raise BadMesh(
+            f"cotangent Laplacian: {int(flat.reshape(3, -1).any(axis=0).sum())} triangles have no area; use "
+            "the uniform Laplacian"
+        )
+    return graph_laplacian(pairs, len(np.asarray(vertices)), 0.5 * cosines / sines)
+
+
+def edge_cotangents(vertices: Points, faces: Faces) -> tuple[npt.NDArray[np.int64], FloatArray, FloatArray]:
+    """Return every triangle's edges (3 m, 2), lower index first, and cosine and sine of the angles opposite.
+
+    Cosines and sines, (3 m,), are those of the first, of the second, then of the third corners; both are 0
+    where a side has no length.
+    """
     points = np.asarray(vertices, dtype=np.float64)
-    pairs, weights = [], []
+    pairs, cosines, sines = [], [], []
     for apex, left, right in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         to_left = points[faces[:, left]] - points[faces[:, apex]]
         to_right = points[faces[:, right]] - points[faces[:, apex]]
-        cosine = np.sum(to_left * to_right, axis=1)
-        sine = np.linalg.norm(np.cross(to_left, to_right), axis=1)
-        flat = sine <= _SMALLEST_SINE * np.linalg.norm(to_left, axis=1) * np.linalg.norm(to_right, axis=1)
-        if flat.any():
-            raise BadMesh(
-                f"cotangent Laplacian: {int(flat.sum())} triangles have no area; use the uniform Laplacian"
-            )
+        lengths = np.linalg.norm(to_left, axis=1) * np.linalg.norm(to_right, axis=1)
+        per_length = np.divide(1.0, lengths, out=np.zeros_like(lengths), where=lengths > 0)
         pairs.append(np.sort(np.asarray(faces, dtype=np.int64)[:, [left, right]], axis=1))
-        weights.append(0.5 * cosine / sine)
-    return graph_laplacian(np.concatenate(pairs), len(points), np.concatenate(weights))
+        cosines.append(np.sum(to_left * to_right, axis=1) * per_length)
+        sines.append(np.linalg.norm(np.cross(to_left, to_right), axis=1) * per_length)
+    return np.concatenate(pairs), np.concatenate(cosines), np.concatenate(sines)

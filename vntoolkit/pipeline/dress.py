@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
 
@@ -19,12 +19,10 @@ from vntoolkit.geometry.motion import Motion
 from vntoolkit.io.atomic import require_writable_folder
 from vntoolkit.io.glb import write_glb
 from vntoolkit.io.meshes import write_mesh
-from vntoolkit.io.motion_asf import AmcOptions, read_asf_amc
-from vntoolkit.io.motion_bvh import read_bvh
-from vntoolkit.io.sequences import read_mesh_sequence
 from vntoolkit.io.usd import write_usd_sequence
 from vntoolkit.skinning.anatomy import anatomy_of
 from vntoolkit.skinning.anchoring import Anchor, TrunkAnchor
+from vntoolkit.skinning.attachment import weights_without_web
 from vntoolkit.skinning.blending import Blend, skinned_vertices
 from vntoolkit.skinning.clock import (
     Clock,
@@ -35,10 +33,11 @@ from vntoolkit.skinning.clock import (
 )
 from vntoolkit.skinning.fitting import FitOptions, fit_garment_to_figure
 from vntoolkit.skinning.kinematics import pose_of_frame
-from vntoolkit.skinning.weights import SkinWeights, WeightOptions, weights_from_distances
+from vntoolkit.skinning.weights import SkinWeights, WeightOptions
 
 logger = logging.getLogger(__name__)
 
+_WEB_SAMPLES = 32  # poses of the motion in which web is looked for
 FIGURE_HEIGHT_M = 1.65  # toes to crown of an average adult, as skeletons measure it
 _Z_UP_TO_Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # in camera axes: −z becomes −y
 _SEQUENCE_SUFFIXES = (".ply", ".obj")
@@ -59,13 +58,16 @@ class DressOptions:
     blend: how a vertex mixes the motions of its bones. anchor: what holds the captured garment in place
     although the performer stepped and turned: its trunk, or none, which keeps those steps. figure_height:
     metres from the toes to the crown, for motion files that carry no unit. up_axis: which axis of the
-    motion file points up.
+    motion file points up. max_stretch: where two bones' parts of the garment meet and the motion would
+    stretch a triangle's edge beyond so many times its length, the triangle is cut: the capture joined what
+    only touched, as a sleeve and a flank; `inf` cuts nothing, nor do weights by distance.
     """
 
     blend: Blend = Blend.LINEAR
     anchor: Anchor = Anchor.TRUNK
     figure_height: float = FIGURE_HEIGHT_M
     up_axis: UpAxis = UpAxis.AUTO
+    max_stretch: float = 3.0
     fitting: FitOptions = field(default_factory=FitOptions)
     weights: WeightOptions = field(default_factory=WeightOptions)
     clock: ClockOptions = field(default_factory=ClockOptions)
@@ -73,15 +75,17 @@ class DressOptions:
     def __post_init__(self) -> None:
         if not 0 < self.figure_height < np.inf:
             raise BadInput(f"figure height: expected positive metres, got {self.figure_height:g}")
+        if not self.max_stretch > 1:
+            raise BadInput(f"max stretch: expected a factor above 1, or inf, got {self.max_stretch:g}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DressedFigure:
     """The garment on the figure; metres, camera axes, in the world of the motion.
 
-    cloth: as captured. rest_from_cloth: brings it into the pose of attachment. rest_from_model: that pose, R
-    of equation 8, (j, 4, 4). motion: the skeleton's, already on the clock. anchor: takes out the performer's
-    steps, or None..
+    cloth: as captured, less the web that was cut. cut_triangles: how many those were. rest_from_cloth:
+    brings it into the pose of attachment. rest_from_model: that pose, R of equation 8, (j, 4, 4). motion:
+    the skeleton's, already on the clock. anchor: takes out the performer's steps, or None.
     """
 
     cloth: MeshSequence
@@ -92,6 +96,7 @@ class DressedFigure:
     weights: SkinWeights
     blend: Blend
     anchor: TrunkAnchor | None
+    cut_triangles: int = 0
 
     def __len__(self) -> int:
         return len(self.clock)
@@ -138,20 +143,35 @@ def dress(
         raise BadInput("the garment has no frame")
     garment = cloth[0]
     fitting = fit_garment_to_figure(garment, motion, fit, options.fitting)
-    vertices = fitting.rest_from_cloth.apply(garment.vertices)
-    weights = weights_from_distances(vertices, motion.skeleton, fitting.rest_from_model, options.weights)
+    attached = garment.with_vertices(fitting.rest_from_cloth.apply(garment.vertices))
     clock = clock_from_recordings(cloth, motion, options.clock)
-    logger.info("%d frames at %g Hz", len(clock), clock.frame_rate_hz)
+    played = resampled_motion(motion, clock.motion_s, clock.frame_rate_hz)
+    weights, faces = weights_without_web(
+        attached,
+        motion.skeleton,
+        fitting.rest_from_model,
+        options.weights,
+        poses=_sampled_poses(played),
+        max_stretch=options.max_stretch,
+    )
+    cut = len(attached.faces) - len(faces)
+    logger.info("%d frames at %g Hz; %d triangles cut", len(clock), clock.frame_rate_hz, cut)
     return DressedFigure(
-        cloth=cloth,
-        motion=resampled_motion(motion, clock.motion_s, clock.frame_rate_hz),
+        cloth=replace(cloth, template=replace(cloth.template, faces=faces)),
+        motion=played,
         clock=clock,
         rest_from_cloth=fitting.rest_from_cloth,
         rest_from_model=fitting.rest_from_model,
         weights=weights,
         blend=options.blend,
-        anchor=_anchor(vertices, weights, motion, options.anchor),
+        anchor=_anchor(attached.vertices, weights, motion, options.anchor),
+        cut_triangles=cut,
     )
+
+
+def _sampled_poses(motion: Motion) -> FloatArray:
+    frames = np.unique(np.linspace(0, len(motion) - 1, _WEB_SAMPLES).round().astype(int))
+    return np.stack([pose_of_frame(motion, int(frame)) for frame in frames])
 
 
 def _anchor(vertices: Points, weights: SkinWeights, motion: Motion, anchor: Anchor) -> TrunkAnchor | None:
@@ -167,41 +187,6 @@ def _upright(motion: Motion, up_axis: UpAxis) -> Motion:
     extent = np.ptp(points, axis=0)
     is_z = up_axis is UpAxis.Z or (up_axis is UpAxis.AUTO and extent[2] > extent[1])
     return motion.turned(_Z_UP_TO_Y_UP) if is_z else motion
-
-
-def read_motion(path: Path | str, skeleton: Path | str | None = None) -> Motion:
-    """Read `.bvh`, or `.amc` with its `.asf` (by default the one of the same name, or the only one there)."""
-    path = Path(path)
-    match path.suffix.lower():
-        case ".bvh":
-            return read_bvh(path)
-        case ".amc":
-            return read_asf_amc(Path(skeleton) if skeleton else _skeleton_beside(path), path, AmcOptions())
-        case suffix:
-            raise BadInput(f"{path}: expected a motion in .bvh or .amc, got {suffix or 'no suffix'}")
-
-
-def _skeleton_beside(path: Path) -> Path:
-    """Find the skeleton of an AMC file: same name, else the longest name that begins the motion's."""
-    candidates = [
-        file
-        for file in sorted(path.parent.glob("*.[aA][sS][fF]"))
-        if path.stem.lower().startswith(file.stem.lower())
-    ]
-    if not candidates:
-        raise BadInput(f"{path}: no skeleton (.asf) of that name beside it; name one with --skeleton")
-    return max(candidates, key=lambda file: len(file.stem))
-
-
-def read_tracked_cloth(folder: Path | str) -> MeshSequence:
-    """Open the registered mesh that `track` left in a folder (or the folder `track` itself)."""
-    folder = Path(folder)
-    if not folder.is_dir():
-        raise BadInput(f"{folder}: expected a folder written by `vntoolkit track`")
-    inside = folder / "track"
-    if not inside.is_dir() and not (folder / "sequence.json").exists():
-        raise BadInput(f"{folder}: holds no registered mesh: run `vntoolkit track {folder}` first")
-    return read_mesh_sequence(inside if inside.is_dir() else folder)
 
 
 def write_dressed_figure(dressed: DressedFigure, out: Path | str) -> int:

@@ -79,6 +79,16 @@ def _neck_base(path: list[int], place: int, heights: FloatArray) -> int:
     return place
 
 
+def shoulders_of(skeleton: Skeleton, anatomy: Anatomy) -> tuple[int, ...]:
+    """Return for each arm the joint that turns its longest bone: the upper arm, not the collar bone."""
+    return tuple(_shoulder(skeleton, arm) for arm in anatomy.arms)
+
+
+def _shoulder(skeleton: Skeleton, arm: tuple[int, ...]) -> int:
+    lengths = np.linalg.norm(skeleton.offsets[list(arm[1:])], axis=1)
+    return arm[int(np.argmax(lengths))] if len(lengths) else arm[0]
+
+
 def facing_of(skeleton: Skeleton, legs: tuple[int, ...]) -> Vector3:
     """Return the horizontal unit vector in which the toes point, −z (towards the camera) where unknown."""
     feet = [tip for tip, joint in enumerate(skeleton.tip_joints) if joint in legs]

@@ -15,10 +15,11 @@ from vntoolkit.geometry.mesh import Mesh, face_normals
 from vntoolkit.geometry.motion import Motion
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.geometry.skeleton import Skeleton
-from vntoolkit.skinning.anatomy import anatomy_of, facing_of
+from vntoolkit.skinning.anatomy import Anatomy, anatomy_of, facing_of, shoulders_of
 from vntoolkit.skinning.kinematics import forward_kinematics
 from vntoolkit.skinning.sleeves import arms_aimed_at_sleeves
 
+_LEVELS = 64  # heights at which the garment's depth is looked at
 _OPEN_ABOVE = 0.3  # |Σ area vectors| / Σ areas: 0 for a closed garment, near 1 for a flat sheet
 
 
@@ -148,7 +149,7 @@ def _by_bounding_box(garment: Mesh, skeleton: Skeleton, pose: FloatArray, option
     yaw = np.arctan2(-facing[0], -facing[2])  # turns −z, towards the camera, into the facing
     rotation = Rotation.from_euler("y", yaw).as_matrix()
     trunk = pose[list(anatomy.trunk), :3, 3]
-    bottom, top = _vertical_span(pose, trunk, anatomy.legs, options.region)
+    bottom, top = _vertical_span(pose, anatomy, shoulders_of(skeleton, anatomy), options.region)
     scale = options.fullness * (bottom - top) / height
     anchor = np.array([(low[0] + high[0]) / 2, low[1], _anchor_depth(garment, options)])
     target = np.array([trunk[:, 0].mean(), top, trunk[:, 2].mean()])
@@ -157,24 +158,39 @@ def _by_bounding_box(garment: Mesh, skeleton: Skeleton, pose: FloatArray, option
 
 
 def _vertical_span(
-    pose: FloatArray, trunk: Points, legs: tuple[int, ...], region: Region
+    pose: FloatArray, anatomy: Anatomy, shoulders: tuple[int, ...], region: Region
 ) -> tuple[float, float]:
-    """Return y of the region's bottom and top (y points down)."""
-    feet = float(pose[list(legs), 1, 3].max()) if legs else float(trunk[0, 1])
-    hips, neck = float(trunk[0, 1]), float(trunk[-1, 1])
+    """Return y of the region's bottom and top (y points down); shoulders may lie above the neck's base."""
+    heights = pose[:, 1, 3]
+    hips = float(heights[anatomy.trunk[0]])
+    feet = float(heights[list(anatomy.legs)].max()) if anatomy.legs else hips
     bottom = hips if region is Region.UPPER_BODY else feet
-    top = hips if region is Region.LOWER_BODY else neck
+    top = hips if region is Region.LOWER_BODY else float(heights[[anatomy.trunk[-1], *shoulders]].min())
     if not bottom > top:
         raise BadInput(f"fit: the figure has no {region.value.replace('-', ' ')}; use landmarks")
     return bottom, top
 
 
 def _anchor_depth(garment: Mesh, options: FitOptions) -> float:
-    z = garment.vertices[:, 2]
     placement = options.depth
     if placement is DepthPlacement.AUTO:
         areas = face_normals(garment.vertices, garment.faces)
         total = float(np.linalg.norm(areas, axis=1).sum())
         is_open = np.linalg.norm(areas.sum(axis=0)) > _OPEN_ABOVE * total
         placement = DepthPlacement.REAR if is_open else DepthPlacement.CENTRE
-    return float(z.max()) if placement is DepthPlacement.REAR else float(z.min() + z.max()) / 2
+    covered = garment.vertices[np.unique(garment.faces)]
+    if placement is DepthPlacement.REAR:
+        return _rear(covered)
+    return float(covered[:, 2].min() + covered[:, 2].max()) / 2
+
+
+def _rear(vertices: Points) -> float:
+    """Return how far back the garment reaches at most heights: there a body seen from the front turns away.
+
+    The median over heights passes over a collar, whose far side is seen from within.
+    """
+    y = vertices[:, 1]
+    level = np.minimum((y - y.min()) / max(np.ptp(y), 1e-300) * _LEVELS, _LEVELS - 1).astype(np.int64)
+    rearmost = np.full(_LEVELS, -np.inf)
+    np.maximum.at(rearmost, level, vertices[:, 2])
+    return float(np.median(rearmost[np.isfinite(rearmost)]))

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from vntoolkit.arrays import FloatArray, Points, Vector3
 from vntoolkit.geometry.skeleton import Skeleton
-from vntoolkit.skinning.anatomy import Anatomy
+from vntoolkit.skinning.anatomy import Anatomy, shoulders_of
 
 _CUFF_SHARE = 0.02  # of the vertices on one side: the outermost ones are its cuff
 _LEAST_REACH = 0.4  # of the arm: a garment that ends nearer to the shoulder has no sleeve to aim at
@@ -23,8 +23,7 @@ def arms_aimed_at_sleeves(
     """
     turns = {}
     middle = float(pose[list(anatomy.trunk), 0, 3].mean())
-    for arm in anatomy.arms:
-        shoulder = _shoulder(skeleton, arm)
+    for arm, shoulder in zip(anatomy.arms, shoulders_of(skeleton, anatomy), strict=True):
         start = pose[shoulder, :3, 3]
         end = _hand(skeleton, pose, arm)
         side = np.sign(end[0] - middle)
@@ -38,12 +37,6 @@ def arms_aimed_at_sleeves(
         ):
             turns[shoulder] = _rotation_between(end - start, cuff - start)
     return turns
-
-
-def _shoulder(skeleton: Skeleton, arm: tuple[int, ...]) -> int:
-    """Return the joint that turns the arm's longest bone: the upper arm, not the collar bone."""
-    lengths = np.linalg.norm(skeleton.offsets[list(arm[1:])], axis=1)
-    return arm[int(np.argmax(lengths))] if len(lengths) else arm[0]
 
 
 def _hand(skeleton: Skeleton, pose: FloatArray, arm: tuple[int, ...]) -> Vector3:

@@ -1,4 +1,4 @@
-"""How much each vertex follows each bone: inverse distance to the nearest ones."""
+"""How much each vertex follows each bone: options, and inverse distance to the nearest ones as published."""
 
 from __future__ import annotations
 
@@ -19,37 +19,49 @@ _NEAREST = 1e-6  # of the skeleton's height: nearer counts as this near, so that
 
 
 class Falloff(Enum):
-    """How a vertex weighs its nearest bones.
+    """How a vertex weighs its bones.
 
-    INVERSE: by 1/distance, as published; the cloth tears a little where the set of nearest bones changes.
+    HEAT: by heat that spreads along the cloth from where each bone lies under it, baran2007: a flank does
+    not follow the arm beside it. INVERSE: by 1/distance through the air to the nearest bones, as published;
+    the cloth tears where the set of nearest bones changes, and hangs like a web under a raised arm.
     CONTINUOUS: by 1/distance less that of the next bone farther off, franke1980, so that a bone's weight is
     0 where it drops out and the cloth stays whole.
     """
 
+    HEAT = "heat"
     INVERSE = "inverse"
     CONTINUOUS = "continuous"
+
+
+_BONES = {Falloff.HEAT: 8, Falloff.INVERSE: 4, Falloff.CONTINUOUS: 4}
 
 
 @dataclass(frozen=True, kw_only=True)
 class WeightOptions:
     """How vertices are attached.
 
-    neighbours: number of nearest bones a vertex follows. falloff: how a vertex weighs its nearest bones:
-    inverse as published, continuous without tears. distance_power: weights fall with distance to this
-    power; 1 is the published rule, higher ones let limbs go their own way. exclude: joints whose bones
-    attract nothing, as names or patterns (`*Hand*`).
+    falloff: how a vertex weighs its bones: by heat along the cloth, by the inverse distance as published,
+    or continuous, the same without tears. neighbours: number of bones a vertex follows (default: 8 by heat,
+    else the 4 nearest). distance_power: weights fall with distance to this power, not by heat; 1 is the
+    published rule, higher ones let limbs go their own way. exclude: joints whose bones attract nothing, as
+    names or patterns (`*Hand*`).
     """
 
-    neighbours: int = 4
-    falloff: Falloff = Falloff.INVERSE
+    falloff: Falloff = Falloff.HEAT
+    neighbours: int | None = None
     distance_power: float = 1.0
     exclude: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.neighbours < 1:
+        if self.neighbours is not None and self.neighbours < 1:
             raise BadInput(f"neighbours: expected at least 1, got {self.neighbours}")
         if not 0 < self.distance_power < np.inf:
             raise BadInput(f"distance power: expected a positive number, got {self.distance_power:g}")
+
+    @property
+    def bones(self) -> int:
+        """Number of bones a vertex follows."""
+        return _BONES[self.falloff] if self.neighbours is None else self.neighbours
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -75,27 +87,41 @@ def weights_from_distances(
 
     A joint is as far as the nearest of the bones it turns. Section VII-C of brostow2011.
     """
-    joints, starts, ends = bone_segments(skeleton, pose)
-    kept = np.array(
-        [not any(fnmatch(skeleton.names[j], pattern) for pattern in options.exclude) for j in joints], bool
-    )
-    if not kept.any():
-        raise BadInput("skin weights: no bone is left: the skeleton is a point, or `exclude` names them all")
-    order = np.argsort(joints[kept], kind="stable")
-    joints, starts, ends = joints[kept][order], starts[kept][order], ends[kept][order]
+    if options.falloff is Falloff.HEAT:
+        raise BadInput("skin weights: heat spreads along a garment's triangles: use `weights_of_garment`")
+    bones = attracting_bones(skeleton, pose, options.exclude)
     continuous = options.falloff is Falloff.CONTINUOUS
-    count = min(options.neighbours + continuous, len(np.unique(joints)))
-    floor = _NEAREST * max(skeleton.height, float(np.linalg.norm(np.ptp(starts, axis=0))))
-    nearest, distances = _nearest_joints(
-        np.ascontiguousarray(vertices, dtype=np.float64), joints, starts, ends, count
-    )
+    count = min(options.bones + continuous, len(np.unique(bones[0])))
+    floor = _NEAREST * max(skeleton.height, float(np.linalg.norm(np.ptp(bones[1], axis=0))))
+    nearest, distances = nearest_joints(vertices, *bones, count=count)
     # The nearest bone gets 1 before normalising, so no power can overflow.
     distances = np.maximum(distances, floor)
     raw = (distances[:, :1] / distances) ** options.distance_power
-    if continuous and count > options.neighbours:
+    if continuous and count > options.bones:
         nearest, raw = nearest[:, :-1], raw[:, :-1] - raw[:, -1:]
         raw[raw.sum(axis=1) <= 0] = 1.0  # all equally far: they share
     return SkinWeights(joints=nearest, weights=raw / raw.sum(axis=1, keepdims=True))
+
+
+def attracting_bones(
+    skeleton: Skeleton, pose: FloatArray, exclude: tuple[str, ...]
+) -> tuple[IntArray, Points, Points]:
+    """Return `bone_segments` less those of excluded joints, the bones of one joint side by side."""
+    joints, starts, ends = bone_segments(skeleton, pose)
+    kept = np.array(
+        [not any(fnmatch(skeleton.names[j], pattern) for pattern in exclude) for j in joints], bool
+    )
+    if not kept.any():
+        raise BadInput("skin weights: no bone is left: the skeleton is a point, or `exclude` names them all")
+    order = np.flatnonzero(kept)[np.argsort(joints[kept], kind="stable")]
+    return joints[order], starts[order], ends[order]
+
+
+def nearest_joints(
+    vertices: Points, joints: IntArray, starts: Points, ends: Points, *, count: int
+) -> tuple[IntArray, FloatArray]:
+    """Return the `count` joints nearest to each vertex (n, count), nearest first, and their distances."""
+    return _nearest_joints(np.ascontiguousarray(vertices, dtype=np.float64), joints, starts, ends, count)
 
 
 @numba.njit(cache=True)
