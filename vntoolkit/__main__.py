@@ -18,10 +18,11 @@ for _name, _value in {
     os.environ.setdefault(_name, _value)
 
 INTERRUPTED = 130  # the shell's convention for SIGINT
+OWN_FAULT = 70  # EX_SOFTWARE of sysexits.h
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line; return the exit status (0 done, 1 error, 130 interrupted)."""
+    """Run the command line; return the exit status (0 done, 1 error, 70 our own fault, 130 interrupted)."""
     try:
         return _run(arguments)
     except KeyboardInterrupt as interrupt:
@@ -34,6 +35,7 @@ def _run(arguments: list[str] | None) -> int:
     from cyclopts import CycloptsError
 
     from vntoolkit.cli import build_app
+    from vntoolkit.cli.internal_error import line_from_unforeseen
     from vntoolkit.cli.usage import line_from_usage_error
     from vntoolkit.errors import VntError
 
@@ -49,11 +51,15 @@ def _run(arguments: list[str] | None) -> int:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except MemoryError as error:
+        return _fail(line_from_unforeseen(error))
+    except Exception as error:  # the last door before the user
+        return _fail(line_from_unforeseen(error), OWN_FAULT)
 
 
-def _fail(message: str) -> int:
+def _fail(message: str, status: int = 1) -> int:
     print(f"vntoolkit: {message}", file=sys.stderr)
-    return 1
+    return status
 
 
 def _set_up_logging() -> None:
