@@ -37,6 +37,10 @@ VERBS: dict[str, tuple[str, str]] = {
         "Turn footage and a rig into normals, depth and meshes.",
     ),
     "track": ("vntoolkit.cli.track:track", "Follow one surface through a reconstruction's frames."),
+    "session": (
+        "vntoolkit.cli.session:session",
+        "Reconstruct and track all captures of a session, on this machine or on many.",
+    ),
     "view": (
         "vntoolkit.cli.view:view",
         "Look at results in a browser, or write a page that shows them offline.",

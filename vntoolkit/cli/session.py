@@ -1,0 +1,135 @@
+"""`vntoolkit session`: the captures of a day, on this machine or on many."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from vntoolkit.cli.limits import limits_on
+from vntoolkit.cli.progress import Advance, progress_bar
+from vntoolkit.cli.reconstruct import IntegrationFlags, InversionFlags, PipelineFlags
+from vntoolkit.errors import BadInput, VntError
+from vntoolkit.integration.options import IntegrationOptions
+from vntoolkit.io.frame_log import FrameEntry
+from vntoolkit.io.frame_range import FrameRange
+from vntoolkit.io.rigs import read_rig
+from vntoolkit.normals.inversion import InversionOptions
+from vntoolkit.pipeline.block_work import ReconstructionJob
+from vntoolkit.pipeline.options import Product, ReconstructOptions
+from vntoolkit.pipeline.outputs import ReconstructionFolder
+from vntoolkit.pipeline.session import CaptureOutcome, names_from_sources, run_session
+from vntoolkit.tracking.published import Tracker, options_of
+
+
+@limits_on("max_megapixels")
+def session(
+    *sources: str,
+    rig: Path,
+    out: Path,
+    track: Annotated[bool, Parameter(negative=())] = False,
+    method: Tracker = Tracker.DEFAULT,
+    frames: str = "::",
+    jobs: int = 1,
+    scheduler: str | None = None,
+    overwrite: Annotated[bool, Parameter(negative=())] = False,
+    pipeline: PipelineFlags = None,
+    inversion: InversionFlags = None,
+    integration: IntegrationFlags = None,
+) -> None:
+    """Reconstruct all captures of one rig, and track them, each into a folder of its own name.
+
+    What fails is reported at the end and stops no other capture. The same command, given again, goes on
+    where it stopped. With a scheduler, frames of a capture are shared by all its workers, and every sequence
+    is tracked by one of them while the next captures are reconstructed.
+
+    Parameters
+    ----------
+    sources
+        Videos, or folders of images: take1.mkv take2.mkv ...
+    rig
+        The rig.json of `vntoolkit calibrate`, of all these captures.
+    out
+        The folder to write: take1, take2, ..., as `vntoolkit reconstruct` and `track` write them.
+    track
+        Follow the surface through each capture too.
+    method
+        How, as for `vntoolkit track`.
+    frames
+        Which frames of each, a:b:c: from a, below b, every c-th; or one number.
+    jobs
+        Worker processes.
+    scheduler
+        Address of a Dask scheduler, tcp://host:8786, whose workers see the same folders; or "local".
+    overwrite
+        Replace the reconstructions and tracks that the folders hold.
+    """
+    if not sources:
+        raise BadInput("session: expected one video or folder of images or more, got none")
+    options = pipeline or ReconstructOptions()
+    if track and options.to is Product.NORMALS:
+        raise BadInput("--track needs depth: give --to depth or mesh, not normals")
+    options = replace(
+        options,
+        inversion=inversion or InversionOptions(),
+        integration=integration or IntegrationOptions(),
+    )
+    lit_by = read_rig(rig)
+    captures = {
+        name: ReconstructionJob(
+            source=source, rig=lit_by, options=options, folder=ReconstructionFolder(root=out / name)
+        )
+        for name, source in names_from_sources(sources).items()
+    }
+    with contextlib.ExitStack() as stack:
+        bar = _Bar(stack)
+        outcomes = run_session(
+            captures,
+            tracking=options_of(method) if track else None,
+            frames=FrameRange.from_text(frames),
+            workers=jobs,
+            scheduler=scheduler,
+            overwrite=overwrite,
+            on_capture=bar.begin,
+            on_frame=bar.advance,
+        )
+    _report(out, outcomes)
+
+
+class _Bar:
+    """One progress bar after the other, named by the captures."""
+
+    def __init__(self, stack: contextlib.ExitStack) -> None:
+        self._stack = stack
+        self._advance: Advance = lambda n: None
+
+    def begin(self, name: str, total: int, done: int) -> None:
+        self._stack.close()
+        self._advance = self._stack.enter_context(progress_bar(name, total, done))
+
+    def advance(self, _: FrameEntry) -> None:
+        self._advance(1)
+
+
+def _report(out: Path, outcomes: list[CaptureOutcome]) -> None:
+    """Print a line for each capture; raise `VntError` where one failed."""
+    for outcome in outcomes:
+        print(f"{out / outcome.name}: {_line(outcome)}")
+    failed = [outcome.name for outcome in outcomes if outcome.failure]
+    if failed:
+        raise VntError(f"{len(failed)} of {len(outcomes)} captures failed: {', '.join(failed)}")
+
+
+def _line(outcome: CaptureOutcome) -> str:
+    made = outcome.reconstruction
+    if made is None:
+        return f"failed: {outcome.failure}"
+    text = f"{made.done} of {made.frames} frames done"
+    text += f", {made.resumed} were there already" if made.resumed else ""
+    text += "".join(f"; skipped frame {record.number}: {record.failure}" for record in made.skipped)
+    if outcome.failure:
+        return f"{text}; failed: {outcome.failure}"
+    return text if outcome.tracks is None else f"{text}; {outcome.tracks.vertices} vertices tracked"

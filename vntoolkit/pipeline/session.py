@@ -1,0 +1,158 @@
+"""The captures of one session, filmed with one rig: each reconstructed, and tracked if that is asked for.
+
+Frames of a capture are independent, so its blocks go to all workers; tracking goes from frame to frame, so a
+sequence is one worker's. While one capture is tracked the next is reconstructed. A capture that fails does
+not stop the others.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from vntoolkit.errors import BadInput, VntError
+from vntoolkit.io.frame_log import FrameEntry
+from vntoolkit.io.frame_range import FrameRange
+from vntoolkit.io.limits import ReadingLimits, limited_to
+from vntoolkit.native import keep_freed_memory, limit_threads
+from vntoolkit.pipeline.block_work import ReconstructionJob
+from vntoolkit.pipeline.checkerboard import write_checkerboard
+from vntoolkit.pipeline.cluster import connected
+from vntoolkit.pipeline.reconstruct import ReconstructionSummary, reconstruct
+from vntoolkit.pipeline.track import TrackJob, TrackSummary, track
+from vntoolkit.tracking.options import TrackingOptions
+
+Result = Callable[[], TrackSummary]  # waits for a sequence that is being tracked
+Submit = Callable[[TrackJob, ReadingLimits, bool], Result]  # the bool: overwrite
+
+
+@dataclass(frozen=True, kw_only=True)
+class CaptureOutcome:
+    """What became of one capture. tracks: None where none were asked for. failure: "" or one line."""
+
+    name: str
+    reconstruction: ReconstructionSummary | None
+    tracks: TrackSummary | None = None
+    failure: str = ""
+
+
+def names_from_sources(sources: tuple[str, ...]) -> dict[str, str]:
+    """Return source by name: a video's name without its ending, or a folder's.
+
+    Raises `BadInput` for a pattern, which has no name, and for two captures of one name.
+    """
+    named: dict[str, str] = {}
+    for source in sources:
+        path = Path(source)
+        if not path.exists():
+            raise BadInput(
+                f"{source}: no such video or folder of images; a session takes these, not patterns"
+            )
+        name = path.absolute().name if path.is_dir() else path.stem
+        if name in named:
+            raise BadInput(
+                f"{source} and {named[name]}: both would be written into '{name}'; give one another name"
+            )
+        named[name] = source
+    return named
+
+
+def run_session(
+    captures: Mapping[str, ReconstructionJob],
+    *,
+    tracking: TrackingOptions | None = None,
+    frames: FrameRange | None = None,
+    workers: int = 1,
+    scheduler: str | None = None,
+    overwrite: bool = False,
+    on_capture: Callable[[str, int, int], None] = lambda name, total, done: None,
+    on_frame: Callable[[FrameEntry], None] = lambda record: None,
+) -> list[CaptureOutcome]:
+    """Reconstruct captures, by name, and track each into its folder's `track`; go on where a run stopped.
+
+    tracking: None for no tracks. workers: processes of this machine. scheduler: as for `reconstruct`; then
+    sequences are tracked by its workers, one each. on_capture is called with a capture's name, its frames
+    and how many of these are on disk. Raises what `reconstruct` raises of a scheduler; what a capture's own
+    failure is, its outcome tells.
+    """
+    outcomes: list[CaptureOutcome] = []
+    waiting: list[tuple[ReconstructionSummary, str, Result]] = []
+    with _tracker(scheduler, workers) as (address, submit):
+        for name, job in captures.items():
+            try:
+                done = reconstruct(
+                    job,
+                    frames=frames,
+                    jobs=workers,
+                    scheduler=address,
+                    overwrite=overwrite,
+                    on_start=lambda total, done, name=name: on_capture(name, total, done),  # type: ignore[misc]
+                    on_frame=on_frame,
+                )
+            except VntError as error:
+                outcomes.append(CaptureOutcome(name=name, reconstruction=None, failure=str(error)))
+                continue
+            if tracking is None:
+                outcomes.append(CaptureOutcome(name=name, reconstruction=done))
+            else:
+                sequence = TrackJob(folder=done.folder.absolute(), options=tracking)
+                waiting.append((done, name, submit(sequence, job.limits, overwrite)))
+        outcomes += [_tracked(*sequence) for sequence in waiting]
+    order = list(captures)
+    return sorted(outcomes, key=lambda outcome: order.index(outcome.name))
+
+
+def _tracked(done: ReconstructionSummary, name: str, result: Result) -> CaptureOutcome:
+    try:
+        return CaptureOutcome(name=name, reconstruction=done, tracks=result())
+    except VntError as error:
+        return CaptureOutcome(name=name, reconstruction=done, failure=f"tracking: {error}")
+
+
+@contextlib.contextmanager
+def _tracker(scheduler: str | None, workers: int) -> Iterator[tuple[str | None, Submit]]:
+    """Yield the scheduler's address, None without one, and what begins to track a sequence there or here."""
+    if scheduler is None:
+        yield None, lambda *asked: lambda: _track(*asked)
+        return
+    with connected(scheduler, workers) as client:
+        futures: list[Any] = []
+
+        def submit(*asked: Any) -> Result:
+            futures.append(client.submit(_track_alone, *asked, pure=False))
+            return lambda future=futures[-1]: _result_of(future)  # type: ignore[misc]
+
+        try:
+            yield client.scheduler.address, submit
+        finally:
+            client.cancel(futures, force=True)
+
+
+def _result_of(future: Any) -> TrackSummary:
+    import distributed
+
+    try:
+        found: TrackSummary = future.result()
+    except distributed.KilledWorker as error:
+        raise VntError(
+            "it ended several workers, one after the other (out of memory?); run the same command again to "
+            "go on"
+        ) from error
+    return found
+
+
+def _track_alone(job: TrackJob, limits: ReadingLimits, overwrite: bool) -> TrackSummary:
+    """Run on the cluster: track a sequence with one thread."""
+    limit_threads(1)
+    keep_freed_memory()
+    return _track(job, limits, overwrite)
+
+
+def _track(job: TrackJob, limits: ReadingLimits, overwrite: bool) -> TrackSummary:
+    with limited_to(limits):
+        done = track(job, overwrite=overwrite)
+        write_checkerboard(job.folder, job.target)
+    return done
