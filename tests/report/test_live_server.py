@@ -17,6 +17,7 @@ from tests.pipeline.conftest import RESPONSE, dome_normals
 from tests.report.test_viewer import free_port
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.maps import DepthMap
 from vntoolkit.io.decoding import EncodedFrame
 from vntoolkit.io.live_sources import TimedFrame
 from vntoolkit.meshing.surface import MeshOptions, mesh_from_depth
@@ -110,7 +111,12 @@ def test_the_grid_carries_the_depth_and_says_where_there_is_none(dome: tuple[Liv
     assert np.prod(odd["shape"]) % 2 == 0 or padded[-1] == 65535
     assert len(padded) % 2 == 0
     place = Place.of(depth_map, camera)
-    assert place.size[2] == pytest.approx(np.ptp(depth_map.depth[depth_map.mask]), rel=1e-6)
+    coarse = depth_map.depth[::4, ::4][depth_map.mask[::4, ::4]]
+    assert place.size[2] == pytest.approx(np.ptp(coarse), rel=1e-6)
+    assert place.centre[2] == pytest.approx(-(coarse.min() + coarse.max()) / 2, abs=1e-5)
+    assert place.size[0] == pytest.approx(np.ptp(np.nonzero(depth_map.mask[::4, ::4])[1]) * 4, abs=1e-4)
+    speck = DepthMap(depth=np.full((48, 64), 2.0, np.float32), mask=np.arange(48 * 64).reshape(48, 64) == 65)
+    assert Place.of(speck, camera).centre[2] == -2.0
 
 
 def test_pictures_carry_normals_and_mark_what_is_clipped(dome: tuple[LiveResult, Camera]) -> None:

@@ -257,7 +257,17 @@ function connect() {
     window.addEventListener("keydown", (event) => { if (event.key === "r" && !event.repeat && !event.ctrlKey && !event.metaKey) record(); });
   }
 }
-if (gl) start();
+function warmUp() {  // what compiles at the first drawing does so before the first frame comes
+  const rgba = new Uint8ClampedArray(16), normals = { width: 2, height: 2, rgba };
+  const depth = { shape: [2, 2], steps: new Uint16Array(4), low: 0, step: 1, focal: [1, 1], centre: [0.5, 0.5], perspective: false, jump: 1 };
+  for (const name of ["camera", "normals"]) picture($(name), normals);
+  load({ depth, normals, place: { centre: [0, 0, 0], size: [1, 1, 1] } });
+  draw();
+  count = 0;
+  draw();
+}
+
+if (gl) { start(); warmUp(); }
 else {
   $("failed").textContent = "This browser shows no WebGL 2; the pictures beside work all the same.";
   $("failed").hidden = false;
