@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Usd, UsdGeom, UsdSkel, UsdValidation
+from pxr import Usd, UsdGeom, UsdShade, UsdSkel, UsdValidation
 
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.geometry.mesh import Mesh
@@ -65,6 +65,24 @@ def test_other_programs_find_scale_axis_and_rate(tmp_path: Path, moving_jumper: 
     )
     normals = mesh.GetOrientationAttr().Get()
     assert normals == UsdGeom.Tokens.rightHanded
+
+
+def test_colours_are_shown_by_a_material(tmp_path: Path, moving_jumper: MeshSequence) -> None:
+    path, plain = tmp_path / "cloth.usdc", tmp_path / "plain.usdc"
+    coloured = moving_jumper.template
+    write_usd_sequence(path, coloured, iter(moving_jumper.vertices), frame_rate_hz=60)
+    bare = Mesh(vertices=coloured.vertices, faces=coloured.faces)
+    write_usd_meshes(plain, iter([bare]), frame_rate_hz=60)
+    stages = [Usd.Stage.Open(str(file)) for file in (path, plain)]
+    bindings = [UsdShade.MaterialBindingAPI(stage.GetPrimAtPath("/World/Surface")) for stage in stages]
+    material = bindings[0].ComputeBoundMaterial()[0]
+    shader = material.ComputeSurfaceSource()[0]
+    assert shader.GetShaderId() == "UsdPreviewSurface"
+    reader = UsdShade.Shader(shader.GetInput("diffuseColor").GetConnectedSources()[0][0].source)
+    assert reader.GetShaderId() == "UsdPrimvarReader_float3"
+    assert reader.GetInput("varname").Get() == "displayColor"
+    assert complaints(path) == []
+    assert not bindings[1].ComputeBoundMaterial()[0]
 
 
 def test_usd_skeleton_moves_as_ours(tmp_path: Path, moving_jumper: MeshSequence) -> None:

@@ -76,7 +76,8 @@ def run(
     )
     count = write_dressed_figure(dressed, out)
     cut = f"; {dressed.cut_triangles} triangles cut" if dressed.cut_triangles else ""
-    print(f"{out}: {count} frames of {len(dressed.template.vertices)} vertices{cut}")
+    rate = f"{dressed.clock.frame_rate_hz:g} frames a second"
+    print(f"{out}: {count} frames of {len(dressed.template.vertices)} vertices, {rate}{cut}")
     if preview:
         stem = out.stem.split("%")[0].rstrip("_") or "dress"
         write_preview(out.parent, stem, dressed)

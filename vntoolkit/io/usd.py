@@ -1,8 +1,9 @@
 """Animated USD: one moving surface with its skeleton, or a new mesh every frame; streamed.
 
 Vertices come in the camera frame (y down) and leave with y up, as every file, or z up. Houdini, Maya and
-usdview take scale, up axis and frame rate from the file. Blender takes scale and axis but keeps the frame
-rate of its own scene: set it there, else the motion plays too slowly or too fast.
+usdview take scale, up axis and frame rate from the file. Blender 5.0.1 takes scale, axis and the range of
+frames but keeps the frame rate of its own scene, 24: set it there, or write the file at that rate, else the
+motion plays too slowly. `scripts/check_in_blender.py` shows what arrives there.
 """
 
 from __future__ import annotations
@@ -21,11 +22,13 @@ from vntoolkit.geometry.mesh_sequence import MeshSequence
 from vntoolkit.geometry.motion import Motion
 from vntoolkit.io.conventions import UpAxis, graphics_from_camera
 from vntoolkit.io.files import require_file
+from vntoolkit.io.usd_material import add_colour_material
 from vntoolkit.io.usd_skeleton import add_skeleton
 from vntoolkit.io.usd_stage import ROOT, new_stage, vec3f_from_camera
 
 SURFACE = f"{ROOT}/Surface"
 FIGURE = f"{ROOT}/Figure"
+CLOTH = f"{ROOT}/Cloth"
 
 
 def write_usd_sequence(
@@ -51,6 +54,8 @@ def write_usd_sequence(
         mesh = _define_mesh(stage.stage)
         _set_topology(mesh, template, None)
         _set_attributes(mesh, template, None)
+        if template.colours is not None:
+            add_colour_material(stage.stage, CLOTH, mesh)
         if motion is not None:
             add_skeleton(stage.stage, FIGURE, motion)
         for count, vertices in enumerate(frames, start=1):
@@ -81,6 +86,8 @@ def write_usd_meshes(
             size = _set_points(surface, mesh.vertices, time, up)
             size += _set_topology(surface, mesh, time)
             size += _set_attributes(surface, mesh, time)
+            if mesh.colours is not None and not stage.stage.GetPrimAtPath(CLOTH):
+                add_colour_material(stage.stage, CLOTH, surface)
             stage.wrote(size)
     return count
 

@@ -1,0 +1,127 @@
+"""Open what `dress` writes in Blender, and compare what arrives there with what was written.
+
+    python scripts/check_in_blender.py TRACK --motion walk.bvh --blender /path/to/python [--out DIR]
+
+TRACK is a folder that `vntoolkit track` wrote. --blender names a Python that has Blender as its module
+`bpy` (`pip install bpy` into an environment of its own: it needs another numpy). Without one nothing is
+checked, which is said. Half a second of the motion is dressed, written as USD and as GLB, and imported
+with Blender's own defaults. Prints one line a property; exit code 1 where one does not arrive.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from vntoolkit.pipeline.dress import DressedFigure, DressOptions, dress, write_dressed_figure
+from vntoolkit.pipeline.dress_inputs import read_motion, read_tracked_cloth
+from vntoolkit.skinning.clock import ClockOptions
+from vntoolkit.skinning.kinematics import pose_of_frame
+
+BLENDER_FROM_CAMERA = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # z up, away from the viewer is +y
+CLIP_S = 0.5
+PROBE = Path(__file__).with_name("blender_probe.py")
+WITHIN = {"vertices": 2e-6, "heads": 5e-6, "colours": 1e-6, "uv": 1e-6}  # m, m, full scale, texture
+GLB_COLOURS_WITHIN = 0.0045  # Blender keeps those in 8 bits of sRGB: half a step near white
+_HINT = "pip install bpy, in an environment of its own"
+
+
+def has_blender(python: str) -> bool:
+    """Return whether a Python imports `bpy`."""
+    try:
+        return subprocess.run([python, "-c", "import bpy"], capture_output=True, check=False).returncode == 0
+    except OSError:
+        return False
+
+
+def expected(dressed: DressedFigure, frames: list[int]) -> dict[str, np.ndarray]:
+    """Return what Blender should find in these frames, in its world: z up, metres."""
+    template = dressed.template
+    by_name = np.argsort(dressed.motion.skeleton.names)
+    poses = [pose_of_frame(dressed.motion, frame)[by_name, :3, 3] for frame in frames]
+    truth = {
+        "vertices": np.stack([dressed.frame(frame) for frame in frames]) @ BLENDER_FROM_CAMERA.T,
+        "heads": np.stack(poses) @ BLENDER_FROM_CAMERA.T,
+        "faces": template.faces,
+    }
+    if template.colours is not None:
+        truth["colours"] = np.asarray(template.colours)[template.faces.ravel()]
+    if template.uv is not None:
+        truth["uv"] = np.asarray(template.uv)[template.faces.ravel()]
+    return truth
+
+
+def compare(
+    found: dict[str, np.ndarray], truth: dict[str, np.ndarray], within: dict[str, float]
+) -> list[tuple[str, bool]]:
+    """Return a line for each property, and whether it arrived."""
+    lines = [(f"triangles {len(found['faces'])}", np.array_equal(found["faces"], truth["faces"]))]
+    for name, limit in within.items():
+        if name in truth and name in found:
+            error = float(np.abs(found[name] - truth[name]).max())
+            lines.append((f"{name}: off by at most {error:.2g}", error <= limit))
+        elif name in truth and name != "heads":
+            lines.append((f"{name}: missing", False))
+    if "colours" in truth:
+        lines.append(("the material shows the colours", bool(found["material_reads_colours"])))
+    lines.append((f"{float(found['metres']):g} m a unit", float(found["metres"]) == 1.0))
+    return lines
+
+
+def check(dressed: DressedFigure, python: str, folder: Path) -> bool:
+    """Write, import and compare both formats; print the findings; return whether everything arrived."""
+    frames = sorted({0, 1, len(dressed) // 2, len(dressed) - 1})
+    truth, arrived = expected(dressed, frames), True
+    (folder / "frames.json").write_text(json.dumps(frames))
+    for name in ("cloth.usdc", "cloth.glb"):
+        write_dressed_figure(dressed, folder / name)
+        arguments = [str(folder / name), str(folder / "frames.json"), str(folder / f"{name}.npz")]
+        within = WITHIN
+        if name.endswith(".glb"):  # its key frames lie at seconds: Blender's rate decides at which frames
+            rate = dressed.clock.frame_rate_hz
+            (folder / "frames.json").write_text(json.dumps([frame * 24 / rate for frame in frames]))
+            within = {**WITHIN, "colours": GLB_COLOURS_WITHIN}
+        subprocess.run([python, str(PROBE), *arguments, str(folder / f"{name}.png")], check=True, stdout=2)
+        with np.load(folder / f"{name}.npz") as loaded:
+            found = dict(loaded)
+        if "heads" in found:
+            found["heads"] = found["heads"][:, np.argsort(found["joints"])]
+        lines = compare(found, truth, within)
+        if name.endswith(".usdc"):
+            lines.append(("the skeleton moves", "heads" in found))
+            last = int(found["scene_range"][1])
+            lines.append((f"frames 0 to {last}", tuple(found["scene_range"]) == (0, len(dressed) - 1)))
+        print(f"{name} in Blender {found['version']}; its scene runs at {float(found['scene_rate']):g} Hz:")
+        for line, good in lines:
+            print(f"  {'arrives' if good else 'FAILS  '}  {line}")
+            arrived &= good
+    return arrived
+
+
+def main() -> int:
+    """Dress half a second, check both formats, and return the exit code."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("track", type=Path, help="folder that `vntoolkit track` wrote")
+    parser.add_argument("--motion", type=Path, required=True, help=".bvh, or .amc beside its .asf")
+    parser.add_argument("--blender", default=sys.executable, help="a Python that has `bpy`")
+    parser.add_argument("--out", type=Path, help="folder to keep files and pictures in (default: temporary)")
+    arguments = parser.parse_args()
+    if not has_blender(arguments.blender):
+        print(f"nothing checked: {arguments.blender} has no module `bpy` ({_HINT})")
+        return 0
+    options = DressOptions(clock=ClockOptions(stop=CLIP_S))
+    dressed = dress(read_tracked_cloth(arguments.track), read_motion(arguments.motion), options)
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = arguments.out or Path(temporary)
+        folder.mkdir(parents=True, exist_ok=True)
+        return 0 if check(dressed, arguments.blender, folder) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
