@@ -1,5 +1,6 @@
 """What the live page is sent: only what it asks for, the newest result in time, true to the maps."""
 
+import http.client
 import json
 import struct
 import threading
@@ -206,6 +207,16 @@ def test_only_the_page_itself_may_record_and_nonsense_is_refused(viewer: LiveVie
     for query in ("", "?id=a&serial=x&ago_ms=0&grid=9&normals=9&camera=9",
                   "?id=a&serial=0&ago_ms=0&grid=9&normals=9&camera=999999"):  # fmt: skip
         assert status_of(f"{viewer.address}/packet{query}") == 400
+
+
+def test_a_page_is_told_that_it_is_over(dome: tuple[LiveResult, Camera]) -> None:
+    ended = LiveViewer(dome[1], ViewerOptions(port=free_port()), figures=lambda: FIGURES)
+    kept = http.client.HTTPConnection(ended.address.removeprefix("http://"), timeout=10)
+    kept.request("GET", "/")
+    assert kept.getresponse().read().startswith(b"<!DOCTYPE html>")
+    ended.close()
+    kept.request("GET", "/packet?id=a&serial=0&ago_ms=0&grid=9&normals=9&camera=9")
+    assert kept.getresponse().status == 503  # an empty answer would make it ask again at once
 
 
 def test_a_port_in_use_is_passed_over(viewer: LiveViewer, dome: tuple[LiveResult, Camera]) -> None:

@@ -26,14 +26,15 @@ class LiveServer:
     """Serves the page at `/`, what `answer` returns at `/packet`, and calls `record` on a POST to `/record`.
 
     Each runs in the thread of its connection. answer(page, serial, ago_s, sizes): the page's own name, the
-    packet that it drew last, how long ago, and how large the next may be; empty where there is nothing new.
+    packet that it drew last, how long ago, and how large the next may be; it returns empty bytes where there
+    is nothing new, None where there never will be.
     """
 
     def __init__(
         self,
         host: str,
         port: int,
-        answer: Callable[[str, int, float, PacketSizes], bytes],
+        answer: Callable[[str, int, float, PacketSizes], bytes | None],
         record: Callable[[], None] | None,
     ) -> None:
         """Listen at once. Raises `CannotWrite` for an address that is not ours."""
@@ -63,7 +64,7 @@ class LiveServer:
 class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"  # one connection for all packets
     disable_nagle_algorithm = True
-    packet: Callable[[str, int, float, PacketSizes], bytes]
+    packet: Callable[[str, int, float, PacketSizes], bytes | None]
     toggle: Callable[[], None] | None
 
     def do_GET(self) -> None:
@@ -75,7 +76,12 @@ class _Handler(BaseHTTPRequestHandler):
                 asked = {name: values[0] for name, values in parse_qs(address.query).items()}
                 sizes = PacketSizes(**{name: int(asked[name]) for name in ("grid", "normals", "camera")})
                 serial, ago_s = int(asked["serial"]), int(asked["ago_ms"]) / 1000
-                self._reply(self.packet(asked["id"], serial, ago_s, sizes), "application/octet-stream")
+                answer = self.packet(asked["id"], serial, ago_s, sizes)
+                if answer is None:
+                    self.close_connection = True
+                    self._reply(b"", status=HTTPStatus.SERVICE_UNAVAILABLE)
+                else:
+                    self._reply(answer, "application/octet-stream")
             else:
                 self._reply(b"", status=HTTPStatus.NOT_FOUND)
         except (KeyError, ValueError, BadInput):

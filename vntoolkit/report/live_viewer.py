@@ -117,8 +117,11 @@ class LiveViewer:
                 self._sent_s = now
                 self._changed.notify_all()
 
-    def _answer(self, name: str, serial: int, ago_s: float, sizes: PacketSizes) -> bytes:
-        """Wait for the next result that comes in time, and return it as a packet; empty where none comes."""
+    def _answer(self, name: str, serial: int, ago_s: float, sizes: PacketSizes) -> bytes | None:
+        """Wait for the next result that comes in time, and return it as a packet; empty where none comes.
+
+        None once all is over.
+        """
         now = time.perf_counter()
         with self._changed:
             page = self._page(name, now)
@@ -130,7 +133,7 @@ class LiveViewer:
             if not self._closed:
                 self._changed.wait(_ANSWER_S)
             if self._closed or self._newest is None or self._serial == serial:
-                return b""
+                return None if self._closed else b""
             (result, timed), serial = self._newest, self._serial
             page.sent = serial, timed.arrived_s
         return self._packet(page, serial, result, timed, sizes)

@@ -195,6 +195,11 @@ function turnedByHand() {  // draw soon, but no more often than the budget allow
   if (!timer) timer = setTimeout(() => { timer = 0; if (busy) turnedByHand(); else paint(null, 0); }, Math.max(0, started + period() - now()));
 }
 
+function trouble(text) {
+  $("failed").textContent = text;
+  $("failed").hidden = !text;
+}
+const flat = gl ? "" : "This browser shows no WebGL 2; the pictures beside work all the same.";
 function tell(packet) {
   if (packet.status) $("status").innerHTML = packet.status;
   if ($("record") && packet.record) $("record").textContent = packet.record;
@@ -214,10 +219,9 @@ async function watch() {
     let packet, transfer_ms;
     try {
       [packet, transfer_ms] = await next(serial, now() - drawn);
-      $("failed").hidden = true;
+      trouble(flat);
     } catch (problem) {
-      $("failed").textContent = "no connection: the capture has ended, or its machine cannot be reached";
-      $("failed").hidden = false;
+      trouble("no connection: the capture has ended, or its machine cannot be reached");
       await sleep(3000);
       continue;
     }
@@ -268,9 +272,6 @@ function warmUp() {  // what compiles at the first drawing does so before the fi
 }
 
 if (gl) { start(); warmUp(); }
-else {
-  $("failed").textContent = "This browser shows no WebGL 2; the pictures beside work all the same.";
-  $("failed").hidden = false;
-}
+trouble(flat);
 connect();
 watch();
