@@ -51,10 +51,11 @@ def connected(scheduler: str, workers: int) -> Iterator[Any]:
         import distributed
     except ImportError as error:
         raise MissingDependency("--scheduler needs Dask: pip install vntoolkit[cluster]") from error
+    _let_dask_report_errors_only()
     if scheduler == LOCAL:
         with (
             distributed.LocalCluster(
-                n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None,
+                n_workers=workers, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",
                 silence_logs=logging.ERROR,
             ) as cluster,
             distributed.Client(cluster) as client,
@@ -67,6 +68,14 @@ def connected(scheduler: str, workers: int) -> Iterator[Any]:
         raise BadInput(f"--scheduler {scheduler}: no Dask scheduler answers there ({error})") from error
     with client:
         yield client
+
+
+def _let_dask_report_errors_only() -> None:
+    """Dask's loggers tell of every connection on the way to the user's terminal."""
+    for name in ("distributed", *logging.root.manager.loggerDict):
+        if name.partition(".")[0] == "distributed":
+            logger = logging.getLogger(name)
+            logger.setLevel(max(logger.level, logging.ERROR))
 
 
 def _collect(
