@@ -20,6 +20,7 @@ from vntoolkit.skinning.kinematics import forward_kinematics
 from vntoolkit.skinning.sleeves import arms_aimed_at_sleeves
 
 _LEVELS = 64  # heights at which the garment's depth is looked at
+_COLLAR_RISE = 0.12  # of the way from hips to shoulders: a collar lies above the shoulders' joints
 _OPEN_ABOVE = 0.3  # |Σ area vectors| / Σ areas: 0 for a closed garment, near 1 for a flat sheet
 
 
@@ -165,7 +166,8 @@ def _vertical_span(
     hips = float(heights[anatomy.trunk[0]])
     feet = float(heights[list(anatomy.legs)].max()) if anatomy.legs else hips
     bottom = hips if region is Region.UPPER_BODY else feet
-    top = hips if region is Region.LOWER_BODY else float(heights[[anatomy.trunk[-1], *shoulders]].min())
+    collar = [heights[shoulder] - _COLLAR_RISE * (hips - heights[shoulder]) for shoulder in shoulders]
+    top = hips if region is Region.LOWER_BODY else float(min([heights[anatomy.trunk[-1]], *collar]))
     if not bottom > top:
         raise BadInput(f"fit: the figure has no {region.value.replace('-', ' ')}; use landmarks")
     return bottom, top
