@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 import tifffile
+from specimen_texts import write_motion, write_texts
 
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
@@ -19,11 +19,11 @@ from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.mesh_sequence import MeshSequence
 from vntoolkit.io.captures import CaptureOptions, open_capture
 from vntoolkit.io.exr import ExrCompression, write_exr
-from vntoolkit.io.frame_log import FrameEntry, FrameLog
+from vntoolkit.io.frame_log import FrameLog
 from vntoolkit.io.garment_fits import read_garment_fit
 from vntoolkit.io.images import write_png
 from vntoolkit.io.light_files import read_lights
-from vntoolkit.io.manifest import InputEntry, Manifest, read_manifest, write_manifest
+from vntoolkit.io.manifest import read_manifest
 from vntoolkit.io.maps import (
     read_depth_map,
     read_flow,
@@ -41,13 +41,13 @@ from vntoolkit.io.motion_asf import read_asf_amc
 from vntoolkit.io.motion_bvh import read_bvh
 from vntoolkit.io.obj import read_obj_texture
 from vntoolkit.io.press_labels import read_press_label
-from vntoolkit.io.rigs import entry_from_rig, read_rig, write_rig
+from vntoolkit.io.rigs import read_rig
 from vntoolkit.io.seams import read_seams
 from vntoolkit.io.sequences import read_mesh_sequence, write_mesh_sequence
 from vntoolkit.io.video import write_video
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import FitQuality, Rig, SourceFile
-from vntoolkit.pipeline.tracked_folder import read_track_record, write_track_record
+from vntoolkit.pipeline.tracked_folder import read_track_record
 
 H, W = 24, 32
 LIMITED = CaptureOptions(max_megapixels=4.0)  # what the option is for: memory of untrusted footage
@@ -123,8 +123,8 @@ def write_specimens(folder: Path) -> list[tuple[str, Path]]:
     found = [("capture", path) for path in _write_captures(folder / "captures", rng)]
     found += _write_maps(folder / "maps", rng)
     found += _write_meshes(folder / "meshes")
-    found += _write_motion(folder / "motion")
-    found += _write_texts(folder / "texts")
+    found += write_motion(folder / "motion")
+    found += write_texts(folder / "texts", rig())
     for kind, path in found:
         assert KINDS[kind].judge(KINDS[kind].read(path)), f"the good {path} is not read"
     return found
@@ -256,109 +256,6 @@ def _write_meshes(folder: Path) -> list[tuple[str, Path]]:
     return [
         *(("mesh", folder / name) for name in ("a.ply", "ascii.ply", "big.ply")),
         ("textured", folder / "a.obj"), ("points", folder / "a.ply"), ("moving", folder / "moving"),
-    ]  # fmt: skip
-
-
-BVH = """HIERARCHY
-ROOT Hips
-{
-  OFFSET 0 0 0
-  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
-  JOINT Chest
-  {
-    OFFSET 0 5.5 0
-    CHANNELS 3 Zrotation Xrotation Yrotation
-    End Site
-    {
-      OFFSET 0 4 0
-    }
-  }
-}
-MOTION
-Frames: 3
-Frame Time: 0.0333333
-0 1 2 10 20 30 1 2 3
-0 1 2 11 21 31 1 2 3
-0 1 2 12 22 32 1 2 3
-"""
-ASF = """:version 1.10
-:name a
-:units
-  mass 1.0
-  length 0.45
-  angle deg
-:root
-  order TX TY TZ RX RY RZ
-  axis XYZ
-  position 0 0 0
-  orientation 0 0 0
-:bonedata
-  begin
-    id 1
-    name spine
-    direction 0 1 0
-    length 2.2
-    axis 0 0 20 XYZ
-    dof rx ry rz
-    limits (-160.0 20.0)
-           (-70.0 70.0)
-           (-60.0 70.0)
-  end
-  begin
-    id 2
-    name head
-    direction 0 1 0.1
-    length 1.2
-    axis 10 0 0 XYZ
-    dof rx
-  end
-:hierarchy
-  begin
-    root spine
-    spine head
-  end
-"""
-AMC = "#!OML:ASF a.ASF\n:FULLY-SPECIFIED\n:DEGREES\n" + "".join(
-    f"{n}\nroot 0 1 2 {n} 20 30\nspine 1 2 {n}\nhead 5\n" for n in (1, 2, 3)
-)
-
-
-def _write_motion(folder: Path) -> list[tuple[str, Path]]:
-    (folder / "acclaim").mkdir(parents=True)
-    (folder / "a.bvh").write_text(BVH)
-    (folder / "acclaim" / "a.asf").write_text(ASF)
-    (folder / "acclaim" / "a.amc").write_text(AMC)
-    return [("bvh", folder / "a.bvh"), ("acclaim", folder / "acclaim")]
-
-
-def _write_texts(folder: Path) -> list[tuple[str, Path]]:
-    folder.mkdir()
-    write_rig(folder / "rig.json", rig())
-    entry = InputEntry(source="a.mkv", files=[], width=W, height=H, frame_count=3, frame_rate_hz=30)
-    write_manifest(
-        folder / "result",
-        Manifest(input=entry, rig=entry_from_rig(rig()), options={"a": 1.5, "b": "x", "c": None}),
-    )
-    log = FrameLog(folder / "result")
-    for number in range(3):
-        log.append(FrameEntry(number=number, seconds=0.01, valid_share=0.5))
-    log.close()
-    write_track_record(folder / "track", {"template": 0, "options": {}, "seams": [], "frames": [0, 1, 2]})
-    (folder / "seams.json").write_text('{"seams": [[[3, 4], [5.5, 6], [7, 8]], [[1, 2], [2, 3]]]}')
-    (folder / "lights.txt").write_text("2\n# x y z r g b\n0.1 0.2 0.9 1 1 1\n-0.1 0.2 0.9 1 0.5 1\n")
-    (folder / "diligent").mkdir()
-    (folder / "diligent" / "light_directions.txt").write_text("0.1 0.2 0.9\n0 0 1\n")
-    (folder / "diligent" / "light_intensities.txt").write_text("1 1 1\n0.9 1 1\n")
-    (folder / "diligent" / "filenames.txt").write_text("001.png\n002.png\n")
-    (folder / "press.txt").write_text("120.5 99.25 17\n")
-    landmarks = [{"vertex": k, "joint": "Hips", "offset_m": [0, 0.1, 0]} for k in range(3)]
-    fit = {"version": 1, "scale": 1.1, "rotation_deg": [0, 5, 0], "bind_frame": 0, "landmarks": landmarks}
-    fit["pose_deg"] = {"Hips": [0, 0, 9]}
-    (folder / "fit.json").write_text(json.dumps(fit, indent=1))
-    return [
-        ("rig", folder / "rig.json"), ("manifest", folder / "result"), ("track", folder / "track"),
-        ("seams", folder / "seams.json"), ("lights", folder / "lights.txt"), ("lights", folder / "diligent"),
-        ("press", folder / "press.txt"), ("fit", folder / "fit.json"),
     ]  # fmt: skip
 
 

@@ -15,9 +15,8 @@ from tests.pipeline.conftest import SIZE, DomeCapture
 from vntoolkit.__main__ import main
 from vntoolkit.calibration.lights import LightColours
 from vntoolkit.calibration.presses import PressOptions
-from vntoolkit.errors import BadCalibration, BadCapture, BadInput, BadMotion, CannotWrite, VntError
+from vntoolkit.errors import BadCalibration, BadCapture, BadInput, BadMotion, VntError
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.geometry.maps import LengthUnit
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.mesh_sequence import MeshSequence
 from vntoolkit.geometry.motion import Motion
@@ -36,8 +35,6 @@ from vntoolkit.pipeline.evaluate_cylinder import CylinderTruth
 from vntoolkit.pipeline.evaluate_integration import read_object, surface_cases
 from vntoolkit.pipeline.evaluate_normals import compare_normal_files
 from vntoolkit.pipeline.evaluate_tracks import evaluate_tracks, read_track_truth
-from vntoolkit.pipeline.export import ExportJob, export
-from vntoolkit.pipeline.export_options import ExportFormat, ExportOptions, file_lengths
 from vntoolkit.pipeline.opened_result import open_result
 from vntoolkit.pipeline.options import ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
@@ -46,8 +43,6 @@ from vntoolkit.pipeline.referenced_captures import read_capture
 from vntoolkit.pipeline.simulation_job import SimulationFolder, SimulationJob, read_motion_file
 from vntoolkit.pipeline.tracked_folder import read_track_record, recorded_camera
 from vntoolkit.pipeline.truth_comparison import compare_with_truth
-from vntoolkit.report.live_viewer import LiveViewer
-from vntoolkit.report.viewer import ResultViewer, ViewerOptions
 from vntoolkit.simulation.scene import SceneOptions
 
 __all__ = ["dome_result"]
@@ -58,69 +53,6 @@ TRIANGLE = Mesh(vertices=np.eye(3), faces=np.array([[0, 1, 2]], dtype=np.int32))
 def result(dome_result: DomeResult, tmp_path: Path) -> Path:
     """A copy of the result that a test may spoil."""
     return Path(shutil.copytree(dome_result.folder, tmp_path / "result"))
-
-
-def exported(folder: Path, to: ExportFormat, **options: object) -> None:
-    export(ExportJob(folder=folder, options=ExportOptions(to=to, **options), out=None))
-
-
-def test_a_result_without_the_frames_asked_for(result: Path) -> None:
-    with pytest.raises(BadInput, match="holds none of the frames 3:4:1; it holds 5 of the 6 asked for"):
-        open_result(result, frames=FrameRange.from_text("3"))
-
-
-def test_a_result_whose_footage_is_another(result: Path, dome_capture: DomeCapture) -> None:
-    opened = open_result(result, footage=dome_capture.source)
-    with pytest.raises(
-        BadInput, match=r"20 frames of 64×48, but .* from 6 of 64×48; name the footage it came"
-    ):
-        _ = opened.capture
-    moved = open_result(result, footage=str(result / "nowhere.mkv"))
-    with pytest.raises(
-        BadCapture, match=r"nowhere\.mkv: no such file; if the footage has moved, give --footage"
-    ):
-        _ = moved.capture
-
-
-@pytest.mark.parametrize("to", [ExportFormat.PLY, ExportFormat.USD])
-def test_a_result_without_meshes_cannot_be_exported(result: Path, to: ExportFormat) -> None:
-    shutil.rmtree(result / "mesh")
-    shutil.rmtree(result / "track")
-    with pytest.raises(BadInput, match="holds no mesh of those frames; run `vntoolkit reconstruct"):
-        exported(result, to)
-
-
-def test_a_result_with_a_background_needs_it_for_diligent(result: Path) -> None:
-    manifest = json.loads((result / "reconstruction.json").read_text())
-    manifest["extra_files"] = {"background": {"file": "b.png", "sha256": "0" * 64}}
-    (result / "reconstruction.json").write_text(json.dumps(manifest))
-    with pytest.raises(BadInput, match="made with a background; give it as --background"):
-        exported(result, ExportFormat.DILIGENT)
-
-
-def test_exported_lengths_that_contradict_the_result() -> None:
-    with pytest.raises(BadInput, match="scale: expected a positive number of metres, got 0"):
-        ExportOptions(to=ExportFormat.PLY, scale=0.0)
-    with pytest.raises(BadInput, match="has lengths in metres already; leave out --scale"):
-        file_lengths(ExportOptions(to=ExportFormat.PLY, scale=1.0), LengthUnit.METRE)
-
-
-def test_a_viewer_at_an_address_that_is_not_ours(result: Path) -> None:
-    options = ViewerOptions(host="203.0.113.1")  # of a network that exists in documents only
-    camera = Camera.orthographic(width=64, height=48)
-    for made in (
-        lambda: ResultViewer(open_result(result), options),
-        lambda: LiveViewer(camera, options, figures=lambda: None),
-    ):
-        with pytest.raises(CannotWrite, match=r"cannot serve on 203\.0\.113\.1:\d+"):
-            made()
-
-
-def test_a_result_of_normals_alone_has_nothing_to_view(result: Path) -> None:
-    for name in ("mesh", "depth", "track"):
-        shutil.rmtree(result / name)
-    with pytest.raises(BadInput, match="holds no depth to show; run `vntoolkit reconstruct --to depth`"):
-        ResultViewer(open_result(result), ViewerOptions(port=18231))
 
 
 def test_records_of_tracks_that_are_spoilt(result: Path) -> None:
