@@ -2,14 +2,16 @@
 
     python benchmarks/skinning.py [--blend dual-quaternion]      # 20 s, 900 MB in the temporary folder
 
-Prints seconds and the peak of the process's own memory for each length: equal peaks mean that memory does
-not grow with the number of frames.
+Every length runs in a process of its own. Prints its seconds and the peak of its memory: equal peaks mean
+that memory does not grow with the number of frames.
 """
 
 import argparse
+import multiprocessing
 import os
 import tempfile
 import time
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -49,6 +51,22 @@ def anonymous_peak_mb(reset: bool) -> float:
     return (int(fields["VmHWM"].split()[0]) - int(fields["RssFile"].split()[0])) / 1024
 
 
+def dress_and_write(frames: int, blend: Blend, folder: Path) -> str:
+    """Dress and write so many frames in this process; return the line to print."""
+    mesh = sheet(VERTICES_ACROSS, VERTICES_DOWN)
+    cloth = MeshSequence(template=mesh, vertices=np.load(folder / "v.npy", mmap_mode="r"))
+    motion = walking_motion(GaitOptions(strides=5))
+    clock = ClockOptions(stop=(frames - 1) / 60, loop=Loop.PING_PONG)
+    anonymous_peak_mb(reset=True)
+    start = time.perf_counter()
+    dressed = dress(cloth, motion, DressOptions(clock=clock, blend=blend))
+    attached = time.perf_counter() - start
+    count = write_dressed_figure(dressed, folder / "cloth.usdc")
+    seconds = time.perf_counter() - start
+    size, peak = (folder / "cloth.usdc").stat().st_size / 1e6, anonymous_peak_mb(reset=False)
+    return f"{count:4d} frames: {seconds:6.2f} s (attach {attached:.2f}), {size:.0f} MB, peak {peak:.0f}"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -56,32 +74,24 @@ def main() -> None:
     parser.add_argument("--blend", type=Blend, default=Blend.LINEAR)
     blend = parser.parse_args().blend
     mesh = sheet(VERTICES_ACROSS, VERTICES_DOWN)
-    motion = walking_motion(GaitOptions(strides=5))
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
         stored = np.lib.format.open_memmap(
-            Path(folder) / "v.npy", mode="w+", dtype=np.float32, shape=(CLOTH_FRAMES, len(mesh.vertices), 3)
+            folder / "v.npy", mode="w+", dtype=np.float32, shape=(CLOTH_FRAMES, len(mesh.vertices), 3)
         )
         for frame in range(CLOTH_FRAMES):
             stored[frame] = mesh.vertices + np.array([0, 0, 0.001 * frame])
-        cloth = MeshSequence(template=mesh, vertices=np.load(Path(folder) / "v.npy", mmap_mode="r"))
-        for frames in (5, 100, 300):  # the first compiles
-            clock = ClockOptions(stop=(frames - 1) / 60, loop=Loop.PING_PONG)
-            anonymous_peak_mb(reset=True)
-            start = time.perf_counter()
-            dressed = dress(cloth, motion, DressOptions(clock=clock, blend=blend))
-            attached = time.perf_counter() - start
-            count = write_dressed_figure(dressed, Path(folder) / "cloth.usdc")
-            seconds = time.perf_counter() - start
-            size = (Path(folder) / "cloth.usdc").stat().st_size / 1e6
-            peak = anonymous_peak_mb(reset=False)
-            print(
-                f"{count:4d} frames: {seconds:6.2f} s (attach {attached:.2f}), {size:.0f} MB, peak {peak:.0f}"
-            )
+        stored.flush()
+        alone = multiprocessing.get_context(
+            "spawn"
+        )  # what one length leaves behind is not the next one's peak
+        with ProcessPoolExecutor(1, mp_context=alone, max_tasks_per_child=1) as processes:
+            for frames in (5, 100, 300):  # the first compiles
+                print(processes.submit(dress_and_write, frames, blend, folder).result())
         small = [sheet(158, 158 + frame % 3) for frame in range(50)]
         start = time.perf_counter()
-        write_usd_meshes(Path(folder) / "meshes.usdc", small, frame_rate_hz=60)
-        size = (Path(folder) / "meshes.usdc").stat().st_size / 1e6
-        seconds = time.perf_counter() - start
+        write_usd_meshes(folder / "meshes.usdc", small, frame_rate_hz=60)
+        size, seconds = (folder / "meshes.usdc").stat().st_size / 1e6, time.perf_counter() - start
         print(f"50 meshes of 25,000 vertices, changing topology: {seconds:.2f} s, {size:.1f} MB")
 
 

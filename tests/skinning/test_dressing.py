@@ -24,7 +24,7 @@ from vntoolkit.pipeline.dress import DressedFigure, DressOptions, UpAxis, dress
 from vntoolkit.pipeline.dress_inputs import read_motion
 from vntoolkit.report.raycast_view import View, picture_of
 from vntoolkit.report.turntable import PreviewOptions, contact_sheet, turntable, write_preview
-from vntoolkit.skinning.anatomy import anatomy_of, facing_of
+from vntoolkit.skinning.anatomy import anatomy_of, facing_of, shoulders_of
 from vntoolkit.skinning.anchoring import Anchor
 from vntoolkit.skinning.blending import Blend
 from vntoolkit.skinning.clock import ClockOptions
@@ -99,6 +99,9 @@ def test_real_motions_are_understood(real_data: Path, moving_jumper: MeshSequenc
         assert motion.skeleton.names[anatomy.trunk[0]].lower() in ("hips", "root")
         assert facing_of(motion.skeleton, anatomy.legs)[2] < -0.99  # towards the camera
         dressed = dress(moving_jumper, motion, DressOptions(clock=ClockOptions(start=1.0)))
+        shoulders = list(shoulders_of(motion.skeleton, anatomy))
+        top = dressed.template.vertices[:, 1].min()  # y points down
+        assert top < dressed.rest_from_model[shoulders, 1, 3].min() - 0.04  # the collar: above both shoulders
         for frame in (0, 29):
             assert gaps_to_torso(dressed, frame).max() < 0.35
 
@@ -130,6 +133,20 @@ def test_a_sheet_seen_from_the_front_lies_before_the_bones(jumper: Mesh) -> None
         depths[name] = covered[:, 2] - dressed.rest_from_model[trunk, 2, 3].mean()
     assert depths["sheet"].max() == pytest.approx(0, abs=1e-9)
     assert depths["closed"].max() == pytest.approx(-depths["closed"].min(), abs=1e-9)
+
+
+def test_a_collar_seen_from_within_does_not_push_the_bones_back(jumper: Mesh) -> None:
+    front = jumper.faces[np.all(jumper.vertices[jumper.faces][..., 2] <= 5.0, axis=1)]
+    low = jumper.vertices.min(axis=0)
+    flap = low + np.array([[0.4, 0.0, 0.5], [0.5, 0.0, 0.5], [0.45, 0.01, 0.5]])
+    with_collar = np.concatenate([jumper.vertices, flap])
+    faces = np.concatenate([front, len(jumper.vertices) + np.array([[0, 2, 1]])])
+    bones = []
+    for vertices, triangles in ((jumper.vertices, front), (with_collar, faces)):
+        sheet = Mesh(vertices=vertices, faces=triangles)
+        dressed = dress(MeshSequence(template=sheet, vertices=vertices[None]), walking_motion())
+        bones.append(dressed.rest_from_cloth.rigid.translation[2])
+    assert bones[1] == pytest.approx(bones[0], abs=1e-9)
 
 
 def test_fit_is_adjustable(moving_jumper: MeshSequence) -> None:

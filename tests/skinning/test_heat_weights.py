@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,8 +17,10 @@ from vntoolkit.geometry.motion import Motion
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.geometry.skeleton import Skeleton, rest_pose
 from vntoolkit.pipeline.dress import DressedFigure, DressOptions, dress
+from vntoolkit.pipeline.dress_inputs import read_motion
 from vntoolkit.skinning.attachment import weights_of_garment
 from vntoolkit.skinning.blending import Blend, skinned_vertices
+from vntoolkit.skinning.clock import ClockOptions, Loop
 from vntoolkit.skinning.fitting import ArmPose, FitOptions
 from vntoolkit.skinning.gait import walking_motion
 from vntoolkit.skinning.inside import covered_bones
@@ -143,6 +146,20 @@ def test_raised_arms_stretch_less_cloth_than_with_the_published_weights() -> Non
     assert share[Falloff.HEAT] < 0.3 * share[Falloff.INVERSE]
 
 
+def test_real_motion_stretches_less_cloth_than_with_the_published_weights(real_data: Path) -> None:
+    sheet = sheet_seen_from_the_front(0.42)
+    sheet = MeshSequence(template=sheet.template, vertices=sheet.vertices[:1], frame_rate_hz=60)
+    for name in ("charleston1.amc", "lambada.amc", "131_01.bvh"):
+        motion, share = read_motion(real_data / "mocap" / name), {}
+        for options in (HEAT, PUBLISHED):
+            clock = ClockOptions(loop=Loop.REPEAT, frame_rate_hz=4)
+            dressed = dress(sheet, motion, DressOptions(weights=options, clock=clock, max_stretch=np.inf))
+            grown = np.stack([stretch(dressed, frame) for frame in range(len(dressed))])
+            share[options.falloff] = (grown > 3).mean()
+        assert share[Falloff.INVERSE] > 0.02  # a web of stretched triangles, under each raised arm
+        assert share[Falloff.HEAT] < 0.0002
+
+
 def test_sleeves_captured_as_one_with_the_trunk_are_cut_loose() -> None:
     touching, apart = sheet_seen_from_the_front(0.24), sheet_seen_from_the_front(0.42)
     web = dress(touching, raised_arms(90), DressOptions(max_stretch=np.inf))
@@ -217,6 +234,8 @@ def test_normals_decide_which_side_is_within(jumper: Mesh) -> None:
 def test_refusals() -> None:
     with pytest.raises(BadInput, match="max stretch: expected a factor above 1"):
         DressOptions(max_stretch=1.0)
+    with pytest.raises(BadInput, match="weights by heat have none"):
+        WeightOptions(distance_power=2.0)
     skeleton = walking_motion().skeleton
     with pytest.raises(BadInput, match="use `weights_of_garment`"):
         weights_from_distances(np.zeros((1, 3)), skeleton, rest_pose(skeleton), HEAT)

@@ -33,7 +33,8 @@ class ClockOptions:
 
     start: second of the motion at which the result begins. stop: second of the motion at which it ends
     (default: the motion's end). speed: seconds of motion per second of result. loop: what a cloth shorter
-    than the motion does. frame_rate_hz: frames per second of the result (default: the cloth's).
+    than the motion does. frame_rate_hz: frames per second of the result (default: the cloth's); Blender plays
+    a file at its scene's rate, 24 unless you set it to the file's.
     """
 
     start: float = 0.0

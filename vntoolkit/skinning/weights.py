@@ -57,6 +57,8 @@ class WeightOptions:
             raise BadInput(f"neighbours: expected at least 1, got {self.neighbours}")
         if not 0 < self.distance_power < np.inf:
             raise BadInput(f"distance power: expected a positive number, got {self.distance_power:g}")
+        if self.falloff is Falloff.HEAT and self.distance_power != 1:
+            raise BadInput("distance power: weights by heat have none; choose falloff inverse or continuous")
 
     @property
     def bones(self) -> int:
