@@ -192,6 +192,15 @@ def test_weights_sum_to_one_on_any_mesh(jumper: Mesh, neighbours: int | None) ->
     assert np.all(np.diff(weights.weights, axis=1) <= 0)  # the heaviest first, as the dual blend expects
 
 
+@pytest.mark.parametrize("faces", [np.zeros((0, 3), int), np.array([[0, 0, 1]]), np.array([[0, 1, 2]])])
+def test_hardly_a_garment_is_dressed_too(faces: np.ndarray) -> None:
+    vertices = np.array([[0, 0, 0], [0.2, 0.5, 0], [0.1, 0.1, 0.2], [0, 0.3, 0]])
+    scrap = MeshSequence(template=Mesh(vertices=vertices, faces=faces), vertices=vertices[None])
+    dressed = dress(scrap, walking_motion())
+    np.testing.assert_allclose(dressed.weights.weights.sum(axis=1), 1, rtol=0, atol=1e-12)
+    assert np.isfinite(dressed.frame(0)).all()
+
+
 @pytest.mark.parametrize("blend", list(Blend))
 def test_equation_8_keeps_its_identities(moving_jumper: MeshSequence, blend: Blend) -> None:
     dressed = dress(moving_jumper, walking_motion(), DressOptions(blend=blend))

@@ -180,7 +180,7 @@ def _anchor_depth(garment: Mesh, options: FitOptions) -> float:
         total = float(np.linalg.norm(areas, axis=1).sum())
         is_open = np.linalg.norm(areas.sum(axis=0)) > _OPEN_ABOVE * total
         placement = DepthPlacement.REAR if is_open else DepthPlacement.CENTRE
-    covered = garment.vertices[np.unique(garment.faces)]
+    covered = garment.vertices[np.unique(garment.faces)] if len(garment.faces) else garment.vertices
     if placement is DepthPlacement.REAR:
         return _rear(covered)
     return float(covered[:, 2].min() + covered[:, 2].max()) / 2

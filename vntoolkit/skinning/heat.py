@@ -32,7 +32,8 @@ def weights_from_heat(
     used, column = np.unique(joints, return_inverse=True)
     area = np.linalg.norm(face_normals(garment.vertices, garment.faces), axis=1) / 6
     shares = np.bincount(garment.faces.ravel(), np.repeat(area, 3), len(joints))
-    heat = _HOLD * hold * np.maximum(shares, 1e-9 * shares.mean() + 1e-300) / distances**2
+    least = 1e-9 * (shares.mean() or 1.0)  # of a vertex without area: it keeps to its bone
+    heat = _HOLD * hold * np.maximum(shares, least) / distances**2
     matrix = sp.csc_array(_laplacian(garment) + sp.diags_array(heat))
     factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     sources = np.zeros((len(joints), len(used)))
