@@ -41,10 +41,23 @@ def test_the_frame_tells_how_much_light_its_shadows_hold() -> None:
         level, _ = largest_dark_share(shares, predicted, white, EVERYWHERE, DarkLevelOptions(noise=0.0))
         assert ((shares < level)[:15] == (np.arange(30)[:, None] < 10) & (np.arange(3) == 1)).all()
         levels[glow] = level
-    assert levels[0.0][15:].max() == pytest.approx(0.02)
-    assert levels[0.1][15:].max() == pytest.approx(0.12)
-    assert levels[0.0][:15].max() == pytest.approx(0.06)
-    assert levels[0.1][:15].max() == pytest.approx(0.36)
+    assert levels[0.0][15:].max() == pytest.approx(0.015)
+    assert levels[0.1][15:].max() == pytest.approx(0.115)
+    assert levels[0.0][:15].max() == pytest.approx(0.015)
+    assert levels[0.1][:15].max() == pytest.approx(0.315)
+
+
+def test_shadows_of_uneven_darkness_raise_the_level() -> None:
+    """The same median in shadow, with and without a spread: 1.3 times that is added to the upper bound."""
+    predicted = np.full((20, 30, 3), 0.8)
+    white = np.ones((20, 30))
+    upper = []
+    for spread in (0.0, 0.04):
+        shares = predicted.copy()
+        shares[..., 1] = 0.1 + spread * np.linspace(-1.25, 1.25, 30)
+        level, _ = largest_dark_share(shares, predicted, white, EVERYWHERE, DarkLevelOptions(noise=0.0))
+        upper.append(level.max())
+    assert upper[1] - upper[0] == pytest.approx(1.3 * 0.04, abs=0.004)
 
 
 def test_a_part_predicted_wrongly_does_not_call_itself_shadow() -> None:

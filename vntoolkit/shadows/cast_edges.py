@@ -28,10 +28,10 @@ class CastEdgeOptions:
     faintest: the largest share nearby must be at least this.
     """
 
-    part: float = 0.5
+    part: float = 0.45
     reach_px: int = 2
-    facing: float = 0.25
-    faintest: float = 0.25
+    facing: float = 0.2
+    faintest: float = 0.22
 
     def __post_init__(self) -> None:
         require_in_range(self.part, 0.0, 1.0, "cast shadow's edge: part")

@@ -20,12 +20,14 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.photometry.visibility import labels_from_lit
 from vntoolkit.shadows.albedo import AlbedoOptions, albedo_from_lit
+from vntoolkit.shadows.albedo_evidence import AlbedoEvidenceOptions, evidence_from_albedo
 from vntoolkit.shadows.cast_edges import CastEdgeOptions, lit_beyond_half
 from vntoolkit.shadows.dark_level import DarkLevelOptions, largest_dark_share
 from vntoolkit.shadows.graph_cut import bonds_of_light, lit_by_cut
 from vntoolkit.shadows.lengths import all_of_three, largest_of_three, median_of_three
 from vntoolkit.shadows.outline import OutlineOptions, turned_from_lights
 from vntoolkit.shadows.shares import LightShares
+from vntoolkit.shadows.sharpening import SharpeningOptions, sharpened_shares
 from vntoolkit.shadows.surface import SurfaceOptions, solve_surface
 
 _STRONGEST_EVIDENCE = 4.0
@@ -43,8 +45,8 @@ class RobustOptions:
     smoothness: price of a change of label between neighbours, in units of evidence. contrast: see
     `bonds_of_light`. rounds: alternations. working_pixels: larger frames are shrunk towards this size for the
     alternation; the last cut has the frame's own size. persistence: weight of the previous frame's
-    evidence, 0 to 1. cast_edge: where a cast shadow ends. outline: the last
-    pixels before the figure's outline.
+    evidence, 0 to 1. sharpening: of the shares that the last cut judges. albedo_evidence: what the albedo
+    adds to it. cast_edge: where a cast shadow ends. outline: the last pixels before the figure's outline.
     """
 
     first_share: float = 0.2
@@ -54,10 +56,12 @@ class RobustOptions:
     tolerance_dark: float = 0.04
     tolerance_bright: float = 0.05
     smoothness: float = 0.5
-    contrast: float = 0.5
+    contrast: float = 0.6
     rounds: int = 3
     working_pixels: int = 100_000
     persistence: float = 0.25
+    sharpening: SharpeningOptions = field(default_factory=SharpeningOptions)
+    albedo_evidence: AlbedoEvidenceOptions = field(default_factory=AlbedoEvidenceOptions)
     cast_edge: CastEdgeOptions = field(default_factory=CastEdgeOptions)
     outline: OutlineOptions = field(default_factory=OutlineOptions)
     albedo: AlbedoOptions = field(default_factory=AlbedoOptions)
@@ -85,8 +89,12 @@ def lit_by_surface(
     normals, albedo = _surface_by_rounds(small, small_mask, options, small_camera)
     normals, albedo = _enlarged(normals, mask.shape), _enlarged(albedo, mask.shape)
     predicted = normals @ measured.directions.T.astype(np.float32)
-    shares = _without_paint(measured.shares(albedo), predicted, options)
-    evidence = _evidence(shares, predicted, albedo, mask, options)
+    raw = measured.shares(albedo)
+    shares = _without_paint(raw, predicted, options)
+    sharp = _without_paint(sharpened_shares(raw, mask, options.sharpening), predicted, options)
+    evidence = _evidence(sharp, predicted, albedo, mask, options)
+    evidence += evidence_from_albedo(measured, sharp, predicted, albedo, mask, options.albedo_evidence)
+    evidence = np.clip(evidence, -_STRONGEST_EVIDENCE, _STRONGEST_EVIDENCE)
     if memory is not None and memory.shape == evidence.shape:
         evidence = (1 - options.persistence) * evidence + options.persistence * memory
     turned = turned_from_lights(normals, shares, measured.directions, mask, factor, options.outline)
