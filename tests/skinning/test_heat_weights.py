@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,12 +11,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.skinning.conftest import tube
+from vntoolkit.__main__ import main
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.geometry.mesh_sequence import MeshSequence
 from vntoolkit.geometry.motion import Motion
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.geometry.skeleton import Skeleton, rest_pose
+from vntoolkit.io.motion_bvh import write_bvh
+from vntoolkit.io.sequences import write_mesh_sequence
 from vntoolkit.pipeline.dress import DressedFigure, DressOptions, dress
 from vntoolkit.pipeline.dress_inputs import read_motion
 from vntoolkit.skinning.attachment import weights_of_garment
@@ -173,6 +177,16 @@ def test_sleeves_captured_as_one_with_the_trunk_are_cut_loose() -> None:
     assert dress(touching, raised_arms(0), stay).cut_triangles == 0  # arms that stay show no web
     assert dress(touching, raised_arms(90), DressOptions(weights=PUBLISHED)).cut_triangles == 0
     np.testing.assert_array_equal(cut.cloth.vertices, touching.vertices)
+
+
+def test_command_line_says_how_many_triangles_it_cut(tmp_path: Path, capsys) -> None:
+    write_mesh_sequence(tmp_path / "track", sheet_seen_from_the_front(0.24))
+    write_bvh(tmp_path / "raised.bvh", raised_arms(90))
+    common = ["dress", str(tmp_path), "--motion", str(tmp_path / "raised.bvh"), "--out"]
+    assert main([*common, str(tmp_path / "a.usdc")]) == 0
+    assert re.search(r", 60 frames a second; \d{2,4} triangles cut\n", capsys.readouterr().out)
+    assert main([*common, str(tmp_path / "b.usdc"), "--max-stretch", "inf"]) == 0
+    assert "cut" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("neighbours", [None, 1, 3, 100])
