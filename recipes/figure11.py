@@ -31,9 +31,7 @@ CAPTURED_FRAMES = 60
 WOOL = (0.62, 0.48, 0.36)
 CLOCK = ClockOptions(loop=Loop.PING_PONG, stop=3.0)
 STYLES = {
-    "published": DressOptions(
-        clock=CLOCK, weights=WeightOptions(falloff=Falloff.INVERSE), max_stretch=float("inf")
-    ),
+    "published": DressOptions(clock=CLOCK, weights=WeightOptions(falloff=Falloff.INVERSE), max_stretch=0),
     "heat": DressOptions(clock=CLOCK),
 }
 

@@ -60,7 +60,7 @@ class DressOptions:
     metres from the toes to the crown, for motion files that carry no unit. up_axis: which axis of the
     motion file points up. max_stretch: where two bones' parts of the garment meet and the motion would
     stretch a triangle's edge beyond so many times its length, the triangle is cut: the capture joined what
-    only touched, as a sleeve and a flank; `inf` cuts nothing, nor do weights by distance.
+    only touched, as a sleeve and a flank; 0 cuts nothing, nor do weights by distance.
     """
 
     blend: Blend = Blend.LINEAR
@@ -75,8 +75,8 @@ class DressOptions:
     def __post_init__(self) -> None:
         if not 0 < self.figure_height < np.inf:
             raise BadInput(f"figure height: expected positive metres, got {self.figure_height:g}")
-        if not self.max_stretch > 1:
-            raise BadInput(f"max stretch: expected a factor above 1, or inf, got {self.max_stretch:g}")
+        if self.max_stretch != 0 and not self.max_stretch > 1:
+            raise BadInput(f"max stretch: expected a factor above 1, or 0, got {self.max_stretch:g}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -38,10 +38,10 @@ def weights_without_web(
 
     A triangle is web where two parts of the garment meet, each mostly one bone's, and a pose stretches an
     edge of it beyond `max_stretch`: cloth never bears that, so the capture joined what only touched. Weights
-    by distance know no triangles: they would stay, web and all, so nothing is cut for them.
+    by distance know no triangles: they would stay, web and all, so nothing is cut for them, nor at 0.
     """
     weights, faces = weights_of_garment(garment, skeleton, pose, options), garment.faces
-    if options.falloff is not Falloff.HEAT or np.isinf(max_stretch):
+    if options.falloff is not Falloff.HEAT or not max_stretch:
         return weights, faces
     for _ in range(_ROUNDS):
         web = _web(Mesh(vertices=garment.vertices, faces=faces), weights, pose, poses, max_stretch)
