@@ -5,7 +5,8 @@
 TRACK is a folder that `vntoolkit track` wrote. --blender names a Python that has Blender as its module
 `bpy` (`pip install bpy` into an environment of its own: it needs another numpy). Without one nothing is
 checked, which is said. Half a second of the motion is dressed, written as USD and as GLB, and imported
-with Blender's own defaults. Prints one line a property; exit code 1 where one does not arrive.
+with Blender's own defaults. Prints one line a property; exit code 1 where one does not arrive. With Blender
+5.0.1 all do, but for the rate of a USD: Blender keeps its scene's, 24 frames a second. A GLB keeps its speed.
 """
 
 import argparse
