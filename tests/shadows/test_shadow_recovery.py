@@ -201,6 +201,8 @@ def test_refusals(stage) -> None:
         recover_normals(stage.frame, np.zeros((3, 3), np.uint8), stage.response)
     with pytest.raises(BadInput, match="at least 1"):
         SurfaceOptions(iterations=0)
+    with pytest.raises(BadInput, match="trust by lights"):
+        SurfaceOptions(trust_by_lights=(1.0, -0.2, 1.0, 1.0))
     flat = LinearFrame(rgb=np.full((40, 40, 3), 0.5, np.float32), clipped=np.zeros((40, 40), bool))
     with pytest.raises(BadCalibration, match="0 shadow edge pixels of light 0"):
         response_with_light_colours([flat], stage.response)

@@ -65,7 +65,9 @@ class RobustOptions:
     cast_edge: CastEdgeOptions = field(default_factory=CastEdgeOptions)
     outline: OutlineOptions = field(default_factory=OutlineOptions)
     albedo: AlbedoOptions = field(default_factory=AlbedoOptions)
-    surface: SurfaceOptions = field(default_factory=lambda: SurfaceOptions(iterations=3, noise=0.08))
+    surface: SurfaceOptions = field(
+        default_factory=lambda: SurfaceOptions(iterations=3, noise=0.08, smoothness=1.5)
+    )
 
     def __post_init__(self) -> None:
         for name in ("first_share", "paint_part", "paint_share", "persistence"):

@@ -15,7 +15,7 @@ import numpy as np
 
 from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels, Weight
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.photometry.visibility import ALL_LIT
+from vntoolkit.photometry.visibility import ALL_LIT, count_lit
 from vntoolkit.shadows.lengths import TOWARDS_VIEWER, lengths_of
 from vntoolkit.shadows.normal_noise import slope_noise
 from vntoolkit.shadows.shares import LightShares
@@ -39,7 +39,8 @@ def surface_from_either_start(
 
     albedo: (h, w), that of the surroundings. trust: (h, w), beyond that of `measured`.
     """
-    measured = replace(measured, trust=(measured.trust * trust).astype(np.float32))
+    by_lights = np.asarray(options.trust_by_lights, dtype=np.float32)[count_lit(labels)]
+    measured = replace(measured, trust=(measured.trust * trust * by_lights).astype(np.float32))
     options = _with_measured_noise(options, measured, mask & (labels == ALL_LIT))
     return _coarse_to_fine(measured, labels, albedo, mask, camera, options, options.large_iterations)
 

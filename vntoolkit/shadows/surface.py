@@ -51,6 +51,9 @@ class SurfaceOptions:
     arrive; large, as there the colour's length is the albedo. step_softness: χ² at which a depth gradient
     counts a quarter, because it crosses a step in depth; 0 makes the surface continuous everywhere.
     shadow_step_softness: the same under two lights, where the slope hangs on the albedo around.
+    trust_by_lights: weight of the colour of a pixel that 0, 1, 2, 3 lights reach, in
+    `surface_from_either_start`: one light alone hangs on the albedo; few pixels under two must hold against
+    many around.
     smoothness: weight of a shadowed pixel's slope being its surroundings' mean; smooth_px: radius (standard
     deviation, pixels) of that mean. doubt_trust: weight of a light that is labelled missing where the surface
     would return about what is seen, as it does where it turns from the light; doubt_reach: difference
@@ -69,7 +72,8 @@ class SurfaceOptions:
     own_albedo_spread: float = 3.0
     step_softness: float = 10.0
     shadow_step_softness: float = 40.0
-    smoothness: float = 1.5
+    trust_by_lights: tuple[float, float, float, float] = (1.0, 0.2, 2.0, 1.0)
+    smoothness: float = 3.0
     smooth_px: float = 2.0
     doubt_trust: float = 0.3
     doubt_reach: float = 0.2
@@ -85,6 +89,8 @@ class SurfaceOptions:
     def __post_init__(self) -> None:
         if not (self.noise > 0 and self.damping > 0 and self.steepest > 0 and self.albedo_spread >= 0):
             raise BadInput("surface options: noise, damping and steepest must be positive")
+        if min(self.trust_by_lights) < 0:
+            raise BadInput("surface options: trust by lights must not be negative")
         if not (self.step_softness >= 0 and self.shadow_step_softness > 0):
             raise BadInput("surface options: step_softness must not be negative, the shadow's positive")
         if not (0 <= self.doubt_trust <= 1 and self.doubt_reach > 0):
