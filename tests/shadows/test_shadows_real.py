@@ -10,9 +10,9 @@ from vntoolkit.pipeline.referenced_captures import read_capture
 from vntoolkit.shadows.detector import ShadowDetector
 from vntoolkit.shadows.recovery import RecoveryMethod, RecoveryOptions, recover_normals
 
-# Mean error over all pixels, and over pixels in one shadow. Measured: 8.47 and 18.0; 7.83 and 16.0; 7.27 and
+# Mean error over all pixels, and over pixels in one shadow. Measured: 8.22 and 18.0; 7.86 and 16.0; 7.32 and
 # 17.9 degrees.
-BOUNDS = {"buddha": (8.5, 18.2), "yaleB01": (7.9, 16.3), "yaleB02": (7.4, 18.0)}
+BOUNDS = {"buddha": (8.3, 18.2), "yaleB01": (7.9, 16.3), "yaleB02": (7.4, 18.0)}
 
 
 @pytest.mark.parametrize("name", BOUNDS)
@@ -27,5 +27,7 @@ def test_found_shadows_are_recovered_on_photographs(real_data: Path, name: str) 
 
     recovered = angles(RecoveryOptions())
     plain = angles(RecoveryOptions(method=RecoveryMethod.INVERSION))
+    lit = capture.mask & (count_lit(capture.labels) == 3)
+    assert recovered[lit].mean() < plain[lit].mean() + 0.2  # measured: 0.17, -0.89 and -0.84
     assert recovered[capture.mask].mean() < min(BOUNDS[name][0], plain[capture.mask].mean())
     assert recovered[one_shadow].mean() < min(BOUNDS[name][1], 0.85 * plain[one_shadow].mean())

@@ -22,6 +22,7 @@ from vntoolkit.shadows.lengths import lengths_of
 from vntoolkit.shadows.penumbra import PenumbraOptions, labels_without_penumbra
 from vntoolkit.shadows.shares import LightShares, shares_from_frame
 from vntoolkit.shadows.starts import surface_from_either_start
+from vntoolkit.shadows.steep_lights import SteepLightOptions, normals_by_steep_lights
 from vntoolkit.shadows.surface import SurfaceOptions, depth_map_from_surface
 from vntoolkit.shadows.two_lights import continue_with_two_lights
 from vntoolkit.shadows.window import Window, frame_in_window, in_whole_image, window_around
@@ -37,12 +38,13 @@ class RecoveryMethod(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class RecoveryOptions:
-    """method: which. surface, albedo, penumbra, confidence: the parameters of the parts."""
+    """method: which. surface, albedo, penumbra, steep_lights, confidence: the parameters of the parts."""
 
     method: RecoveryMethod = RecoveryMethod.SURFACE
     surface: SurfaceOptions = field(default_factory=SurfaceOptions)
     albedo: AlbedoOptions = field(default_factory=AlbedoOptions)
     penumbra: PenumbraOptions = field(default_factory=PenumbraOptions)
+    steep_lights: SteepLightOptions = field(default_factory=SteepLightOptions)
     confidence: ConfidenceOptions = field(default_factory=ConfidenceOptions)
 
 
@@ -115,7 +117,10 @@ def _recover(
             measured, labels, albedo, inside, camera=camera, options=options.surface,
             trust=gloss_trust(measured.length, albedo, full, options.confidence),
         )  # fmt: skip
-        normals, agreement = surface.normals, surface.agreement
+        agreement = surface.agreement
+        normals = normals_by_steep_lights(
+            surface.normals, measured.normals, measured.directions, full, options.steep_lights
+        )
         depth_map = depth_map_from_surface(surface, inside, camera)
     weight = confidence_weight(labels, frame.clipped, measured.length, albedo, agreement, options.confidence)
     return RecoveredSurface(normal_map=_towards_viewer(normals, weight, inside), depth_map=depth_map)
