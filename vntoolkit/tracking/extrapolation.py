@@ -4,6 +4,7 @@ Three guesses say how the displacement from the template goes on into what is no
 a seam; it is the motion of one body (`LiftedMotion`), right for a head that turns; lengths stay (`Isometry`),
 right for cloth that folds. On every link between two cells that are both seen, all are put to the test; each
 counts, there and nearby, by how well it did. What they leave bends as little as it can, as a thin plate.
+What lies still though nothing near does (`RestingParts`) holds it too.
 Since the displacement is from the template, not from the frame before, no error adds up while a part is
 hidden, and when it comes back it is looked for where it then must be about.
 """
@@ -25,6 +26,7 @@ _BENDING = 0.1  # energy of a unit second difference, where a fully seen cell th
 _STRETCHING = 1.0  # of a unit first difference that departs from the guess
 _GOOD_SQUARE = 0.1  # px²: guesses that err by more per cell bind the less
 _LEAST_WEIGHT = 1e-9  # holds pieces of the surface of which nothing is seen
+_SEEN_WEIGHT = 0.2  # of a cell, from which it is not asked whether it lies still
 _UNSEEN_BELOW, _SEEN_ABOVE = 0.25, 0.75  # confidence
 _NEAR_PASSES = 12  # of lattice smoothing: how far around a guess's success counts
 _FAR_SHARE = 1e-3  # of the mean over the whole template, where nothing near was put to the test
@@ -50,11 +52,16 @@ class Extrapolation:
         self._motion = LiftedMotion(lattice, template, camera)
 
     def carried(
-        self, displacements: FloatArray, confidence: FloatArray, stretch: Stretch | None = None
+        self,
+        displacements: FloatArray,
+        confidence: FloatArray,
+        stretch: Stretch | None = None,
+        rest: FloatArray | None = None,
     ) -> npt.NDArray[np.float64]:
         """Return displacements (n, k) from the template; those of low confidence (n,) from the plate.
 
         stretch: Jacobians of positions in the image that lengths on the surface ask for, and their trust.
+        rest: (nodes,) how surely a cell lies still; it counts where the cell is not seen.
         """
         seen = seen_share(confidence)[:, None]
         sums = self._lattice.sums(np.hstack([seen * displacements, seen]))
@@ -63,15 +70,19 @@ class Extrapolation:
         weight = (sums[:, -1] / self._whole) ** 2
         means = sums[:, :-1] / np.maximum(sums[:, -1:], 1e-12)
         at_nodes, at_vertices = self._motion.fitted(means, weight)
-        rest = means - at_nodes
-        steps, strength = self._expected_steps(stretch, at_nodes, rest, weight)
+        if rest is not None:
+            still = rest * np.maximum(0.0, 1.0 - weight / _SEEN_WEIGHT)
+            means *= (weight / np.maximum(weight + still, 1e-12))[:, None]
+            weight = weight + still
+        own = means - at_nodes
+        steps, strength = self._expected_steps(stretch, at_nodes, own, weight)
         differences = self._differences
         system = sp.csc_array(
             self._bending
             + differences.T @ sp.diags_array(strength) @ differences
             + sp.diags_array(weight + _LEAST_WEIGHT)
         )
-        right = weight[:, None] * rest + differences.T @ (strength[:, None] * steps)
+        right = weight[:, None] * own + differences.T @ (strength[:, None] * steps)
         factor = splu(system, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
         plate = at_vertices + self._lattice.at_vertices(factor.solve(right))
         return np.asarray(plate + seen * (displacements - plate))

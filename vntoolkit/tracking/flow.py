@@ -15,7 +15,7 @@ import numpy.typing as npt
 from vntoolkit.arrays import Flow, Mask, Points2
 from vntoolkit.checks import require_same_size
 from vntoolkit.geometry.maps import NormalMap
-from vntoolkit.tracking.flow_slopes import bytes_from_normals
+from vntoolkit.tracking.flow_slopes import Relief, bytes_from_normals
 from vntoolkit.tracking.options import FlowMethod, FlowOptions
 
 _OUTLIER_PX = 1.5  # a lattice vector this far from the median of its 5×5 neighbours is not believed
@@ -27,19 +27,24 @@ _SMALLEST_DIS_SIDE = 32  # OpenCV's DIS fails below
 
 
 def flow_between(
-    first: NormalMap, second: NormalMap, options: FlowOptions | None = None, expected: Flow | None = None
+    first: NormalMap,
+    second: NormalMap,
+    options: FlowOptions | None = None,
+    expected: Flow | None = None,
+    relief: tuple[Relief, Relief] | None = None,
 ) -> Flow:
     """Return the flow (h, w, 2) in pixels that carries `first` to `second`.
 
-    expected: a guess, such as the flow of the frame before; None for no motion. Outside the mask of `first`
-    the flow is extrapolated from the nearest surface.
+    expected: a guess, such as the flow of the frame before; None for no motion. relief: of both by
+    `bytes_from_normals`, where it is known already. Outside the mask of `first` the flow is extrapolated from
+    the nearest surface.
     """
     options = options or FlowOptions()
     require_same_size(first.mask, "first normal map", second.mask, "second normal map")
     height, width = first.shape
     if options.method is FlowMethod.NONE or not (first.mask.any() and second.mask.any()):
         return np.zeros((height, width, 2), dtype=np.float32)
-    before, after = bytes_from_normals(first), bytes_from_normals(second)
+    before, after = relief or (bytes_from_normals(first), bytes_from_normals(second))
     if options.method is FlowMethod.DIS:
         return _dis(before, after)
     start = np.zeros((height, width, 2), dtype=np.float32) if expected is None else expected

@@ -1,4 +1,4 @@
-"""Normal maps as images that flow and registration can read: bytes, and pyramids of slopes."""
+"""Normal maps as images that flow and registration can read: bytes, pyramids of slopes, smooth normals."""
 
 from __future__ import annotations
 
@@ -8,13 +8,17 @@ import numpy.typing as npt
 from numba import njit
 
 from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.tracking.flow_jumps import jump_pixels
+
+Relief = npt.NDArray[np.uint8]  # (h, w, 3)
 
 _RELIEF_SIGMA_PX = 4.0
 _RELIEF_GAIN = 400.0  # steps of a byte per unit of normal
 _STEEPEST = 0.15  # −n_z below which a slope is clamped: 81° from the viewing direction
+_AT_JUMPS = np.float32(0.02)  # share of the weight that is left there
 
 
-def bytes_from_normals(normal_map: NormalMap) -> npt.NDArray[np.uint8]:
+def bytes_from_normals(normal_map: NormalMap) -> Relief:
     """Return (h, w, 3) bytes of the fine relief of a normal map, as OpenCV's DIS and LK need; 128 outside.
 
     The mean over the surroundings is taken off, and what is left is stretched: a surface that turns changes
@@ -31,16 +35,25 @@ def bytes_from_normals(normal_map: NormalMap) -> npt.NDArray[np.uint8]:
 def slope_pyramid(normal_map: NormalMap, levels: int) -> list[npt.NDArray[np.float32]]:
     """Return the slopes at full resolution and `levels` halvings, each (h, w, 3) float32.
 
-    Channels: w ∂z/∂u, w ∂z/∂v, w with w the pixel's weight (mask, normal map's weight, and less at grazing
-    angles); premultiplied, so that smoothing mixes only what is valid. The finest is smoothed over 3×3
-    pixels: interpolation then blurs no more at half pixels than at whole ones.
+    Channels: w ∂z/∂u, w ∂z/∂v, w with w the pixel's weight (mask, normal map's weight, less at grazing
+    angles, next to nothing around its jumps); premultiplied, so that smoothing mixes only what is valid. The
+    finest is smoothed over 3×3 pixels: interpolation then blurs no more at half pixels than at whole ones.
     """
-    weight = normal_map.weight if normal_map.weight is not None else np.ones((1, 1), dtype=np.float32)
+    weight = np.ones((1, 1), dtype=np.float32)
+    if normal_map.weight is not None:
+        weight = np.where(jump_pixels(normal_map), _AT_JUMPS * normal_map.weight, normal_map.weight)
     finest = _slopes(normal_map.normals_in_camera, normal_map.mask, weight)
     pyramid = [cv2.GaussianBlur(finest, (3, 3), 0.7)]
     for _ in range(levels):
         pyramid.append(cv2.pyrDown(pyramid[-1]))
     return [np.asarray(level, dtype=np.float32) for level in pyramid]
+
+
+def smooth_normals(normal_map: NormalMap, sigma_px: float) -> npt.NDArray[np.float32]:
+    """Return (h, w, 3) normals under a Gaussian: shape without relief; not unit, 0 outside the mask."""
+    inside = normal_map.mask[..., None]
+    smooth = cv2.GaussianBlur(normal_map.normals_in_camera * inside.astype(np.float32), (0, 0), sigma_px)
+    return np.asarray(smooth * inside, dtype=np.float32)
 
 
 @njit(cache=True)

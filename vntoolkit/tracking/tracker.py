@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
 
-from vntoolkit.arrays import Points, Points2, read_only
+from vntoolkit.arrays import Flow, Points, Points2, read_only
 from vntoolkit.checks import require_same_size
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.laplacian import cotangent_laplacian, graph_laplacian
@@ -20,7 +20,7 @@ from vntoolkit.tracking.arap import ArapRegulariser
 from vntoolkit.tracking.drift import TemplateRegistration
 from vntoolkit.tracking.extrapolation import Extrapolation
 from vntoolkit.tracking.flow import flow_between, flow_from_tracks
-from vntoolkit.tracking.flow_slopes import slope_pyramid
+from vntoolkit.tracking.flow_slopes import Relief, bytes_from_normals, slope_pyramid
 from vntoolkit.tracking.isometry import Isometry
 from vntoolkit.tracking.laplacian_coordinates import LaplacianRegulariser, beta_from_smoothing_length
 from vntoolkit.tracking.lattice import lattice_on_template
@@ -34,11 +34,12 @@ from vntoolkit.tracking.options import (
     Tears,
     TrackingOptions,
 )
+from vntoolkit.tracking.resting import RestingParts
 from vntoolkit.tracking.tears import tear_pixels
 from vntoolkit.tracking.template import TrackingTemplate, template_from_maps
 from vntoolkit.tracking.translation import TranslationRegulariser
 
-_CARRIES = 2  # the second reads the lengths where the first has put what is not seen
+_CARRIES = 2  # the second reads lengths and normals where the first has put what is not seen
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -97,10 +98,12 @@ class SurfaceTracker:
         )
         self._steps = 0
         self._previous = template
+        self._relief: Relief | None = None
         self._positions_before = self.state.positions_px
         self._registration: TemplateRegistration | None = None
         self._extrapolation: Extrapolation | None = None
         self._isometry: Isometry | None = None
+        self._resting: RestingParts | None = None
         self._prepare_registration(template)
         self._regularise_pixels = self._registration is not None
         self._solver = self._new_solver()
@@ -115,17 +118,15 @@ class SurfaceTracker:
         require_same_size(normal_map.mask, "normals", self._previous.mask, "the frame before")
         require_same_size(depth_map.mask, "depth", normal_map.mask, "normals")
         self._steps += 1
-        flow_options, positions = self.options.flow, self.state.positions_px
-        expected = flow_from_tracks(self._positions_before, positions, normal_map.shape, flow_options)
-        flow = flow_between(self._previous, normal_map, flow_options, expected)
-        moved: Points2 = advected_positions(positions, flow)
+        positions = self.state.positions_px
+        moved: Points2 = advected_positions(positions, self._flow(normal_map))
         confidence = self.state.confidence
         if self._registration is not None:
             pyramid = slope_pyramid(normal_map, self.options.drift.levels)
             if self._steps % self.options.drift.every == 0:
                 corrected = self._registration.register(moved, pyramid)
                 moved, confidence = corrected.positions_px, corrected.confidence
-            moved, reliable = self._carried(moved, confidence, pyramid[0], self._registration)
+            moved, reliable = self._carried(moved, confidence, normal_map, pyramid[0])
             if self._steps % self.options.drift.every == 0:  # else it is lowered already
                 confidence = confidence * reliable
         self.state = self._regularised(moved, confidence, depth_map)
@@ -135,7 +136,19 @@ class SurfaceTracker:
     def resume(self, before: TrackedFrame, state: TrackedFrame, previous: NormalMap, steps: int) -> None:
         """Continue from the results of the last two frames, the last one's normals and the steps taken."""
         self.state, self._previous, self._steps = state, previous, steps
-        self._positions_before = before.positions_px
+        self._positions_before, self._relief = before.positions_px, None
+
+    def _flow(self, normal_map: NormalMap) -> Flow:
+        """From the frame before, whose relief is still there."""
+        options, relief = self.options.flow, None
+        expected = flow_from_tracks(
+            self._positions_before, self.state.positions_px, normal_map.shape, options
+        )
+        if options.method is not FlowMethod.NONE:
+            before = bytes_from_normals(self._previous) if self._relief is None else self._relief
+            self._relief = bytes_from_normals(normal_map)
+            relief = before, self._relief
+        return flow_between(self._previous, normal_map, options, expected, relief)
 
     def _regularised(
         self, moved: Points2, confidence: npt.NDArray[np.floating], depth_map: DepthMap
@@ -155,22 +168,25 @@ class SurfaceTracker:
         self,
         moved: Points2,
         confidence: npt.NDArray[np.floating],
+        normal_map: NormalMap,
         slopes: npt.NDArray[np.float32],
-        registration: TemplateRegistration,
     ) -> tuple[Points2, npt.NDArray[np.floating]]:
         """Move what is not seen to where what is seen, and the lengths on the surface, carry it.
 
         Returns also how far the result may be relied on: not where lengths have changed.
         """
-        if self._extrapolation is None or self._isometry is None:
+        registration = self._registration
+        if not (registration and self._extrapolation and self._isometry and self._resting):
             return moved, np.ones_like(confidence)
         around = registration.jacobians(moved)
         surely, reliably = self._isometry.plausibility(slopes, moved, around)
         seen = confidence * surely
-        template, carried = self.template.positions_px, moved
-        for _ in range(_CARRIES):
+        template, carried, rest = self.template.positions_px, moved, None
+        for number in range(_CARRIES):
+            if number > 0:
+                rest = self._resting.shares(normal_map, carried)
             stretch = self._isometry.jacobians(slopes, carried, registration.jacobians(carried))
-            carried = template + self._extrapolation.carried(moved - template, seen, stretch)
+            carried = template + self._extrapolation.carried(moved - template, seen, stretch, rest)
         return carried, reliably
 
     def _with_carried_depth(
@@ -216,6 +232,7 @@ class SurfaceTracker:
         if self.options.confidence is Confidence.CARRIED:
             self._extrapolation = Extrapolation(lattice, self.template, self.camera)
             self._isometry = Isometry(lattice, self.template, pyramid[0])
+            self._resting = RestingParts(lattice, self.template, normal_map)
 
     def _new_solver(self) -> TranslationRegulariser | LaplacianRegulariser | ArapRegulariser | None:
         options, template = self.options, self.template
