@@ -11,10 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
-from vntoolkit.arrays import FloatArray, Mask
+from vntoolkit.arrays import FloatArray, Mask, Matrix3
 from vntoolkit.checks import require_in_range
-from vntoolkit.shadows.lengths import lengths_of
 from vntoolkit.shadows.shares import LightShares
 
 _LARGEST_EXCESS = 0.8  # of log albedo: beyond, it is paint or gloss
@@ -57,18 +57,41 @@ def evidence_from_albedo(
     """
     options = options or AlbedoEvidenceOptions()
     evidence: FloatArray = np.zeros(shares.shape, dtype=np.float32)
-    duals: FloatArray = np.linalg.inv(measured.directions).astype(np.float32)
-    weakest = np.argmin(shares, axis=-1)
-    for k in range(3):
-        here = mask & (weakest == k) & (shares[..., k] < options.weak_share)
-        excess = _log(measured.length[here] / np.maximum(albedo[here], _SMALLEST))
-        lost = np.maximum(predicted[here][:, k] - np.maximum(shares[here][:, k], 0.0), 0.0)
-        left = lengths_of(predicted[here] @ duals.T - lost[:, None] * duals[:, k])[:, 0]
-        expected = _log(np.maximum(left, _SHORTEST))
-        found = options.comparison * expected * (expected - 2.0 * excess) - options.departure * excess**2
-        evidence[here, k] = np.clip(found, -options.most, options.most)
+    _evidence_kernel(
+        measured.length, albedo, mask, shares, predicted, np.linalg.inv(measured.directions),
+        options.comparison, options.departure, options.most, options.weak_share, evidence,
+    )  # fmt: skip
     return evidence
 
 
-def _log(ratio: FloatArray) -> FloatArray:
-    return np.clip(np.log(np.maximum(ratio, _SMALLEST)), -_LARGEST_EXCESS, _LARGEST_EXCESS)
+@njit(cache=True)
+def _evidence_kernel(
+    length: FloatArray, albedo: FloatArray, mask: Mask, shares: FloatArray, predicted: FloatArray,
+    duals: Matrix3, comparison: float, departure: float, most: float, weak_share: float, out: FloatArray,
+) -> None:  # fmt: skip
+    """Fill out (h, w, 3) at each pixel's weakest light. duals: (3, 3), a normal is duals times its shares."""
+    h, w = mask.shape
+    for v in range(h):
+        for u in range(w):
+            k = 0
+            for i in range(1, 3):
+                if shares[v, u, i] < shares[v, u, k]:
+                    k = i
+            if not mask[v, u] or not shares[v, u, k] < weak_share:
+                continue
+            lost = max(predicted[v, u, k] - max(shares[v, u, k], 0.0), 0.0)
+            squared = 0.0
+            for i in range(3):
+                part = -lost * duals[i, k]
+                for j in range(3):
+                    part += duals[i, j] * predicted[v, u, j]
+                squared += part * part
+            excess = _log(length[v, u] / max(albedo[v, u], _SMALLEST))
+            expected = _log(max(np.sqrt(squared), _SHORTEST))
+            found = comparison * expected * (expected - 2.0 * excess) - departure * excess * excess
+            out[v, u, k] = min(max(found, -most), most)
+
+
+@njit(cache=True, inline="always")
+def _log(ratio: float) -> float:
+    return min(max(np.log(max(ratio, _SMALLEST)), -_LARGEST_EXCESS), _LARGEST_EXCESS)
