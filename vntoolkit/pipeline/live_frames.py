@@ -28,6 +28,7 @@ from vntoolkit.shadows.detector import ShadowMethod
 _CLIPPED_SHARE = 0.01  # of all pixels: more ruins normals
 _DARK_SHARE = 0.05  # of full scale: the 99th percentile of a picture that is too dark
 _FEW = 0.02  # of all pixels: fewer normals than that mean that nothing is lit
+_WARMING = 4  # the second frame starts from the first one's depth, and memory is then still fresh
 _EVERY = 7  # pixel and row looked at for the exposure
 
 
@@ -133,7 +134,8 @@ class LiveProcessor:
     def warm_up(self, frame: EncodedFrame) -> None:
         """Work on a frame and forget it: what is compiled or loaded at first use costs no live frame then."""
         with contextlib.suppress(VntError):  # a dark one warms up too
-            self.process(frame)
+            for _ in range(_WARMING):
+                self.process(frame)
         self._processor.forget()
         self._integrator, self._anchor = DepthIntegrator(self.depth_camera, self._integration), None
 
