@@ -1,6 +1,8 @@
 """Two Dask workers against one on the same machine: frames a second, 1280×720 video to normals and depth.
 
-python -m benchmarks.cluster [--size 1280x720] [--frames 480] [--out FILE.json]   # idle machine, 6 GB, 4 min
+python -m benchmarks.cluster [--frames 480] [--shadows] [--out FILE.json]         # idle machine, 6 GB, 4 min
+
+--shadows finds self-shadows, as `reconstruct` does unless told otherwise: 64 frames are then enough.
 
 Workers are started before the clock, and one block a worker is done first, so that compiling does not count.
 A worker has one thread; decoding takes `threads` of the job, which is 1 here.
@@ -25,6 +27,7 @@ from vntoolkit.pipeline.blocks import BLOCK_FRAMES
 from vntoolkit.pipeline.cluster import connected
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import reconstruct
+from vntoolkit.shadows.detector import ShadowMethod
 
 
 def frames_per_second(job: ReconstructionJob, workers: int, frames: int) -> float:
@@ -44,6 +47,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--size", default="1280x720")
     parser.add_argument("--frames", type=int, default=480)
+    parser.add_argument("--shadows", action="store_true")
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
     width, height = map(int, arguments.size.split("x"))
@@ -53,7 +57,7 @@ def main() -> None:
         job = ReconstructionJob(
             source=str(video),
             rig=rig_of(width, height),
-            options=options_of(),
+            options=options_of(ShadowMethod.ROBUST if arguments.shadows else ShadowMethod.NONE),
             folder=ReconstructionFolder(root=Path(name) / "out"),
             threads=1,
         )
