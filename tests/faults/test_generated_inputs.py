@@ -5,7 +5,8 @@ import json
 import numpy as np
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from specimens import BVH, rig
+from specimen_texts import BVH
+from specimens import rig
 
 from vntoolkit.errors import VntError
 from vntoolkit.io.frame_range import FrameRange
