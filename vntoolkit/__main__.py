@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import _thread
+import contextlib
 import os
 import sys
+import threading
+from collections.abc import Iterator
 
 # Pools that spin while they wait steal the cores from the pool that works: the same frame then takes
 # 17 to 22 ms instead of 7. numba would try TBB first, and complain of one too old. Must be set before numpy
@@ -19,16 +23,38 @@ for _name, _value in {
 
 INTERRUPTED = 130  # the shell's convention for SIGINT
 OWN_FAULT = 70  # EX_SOFTWARE of sysexits.h
+_OUT_OF_CALLBACK_S = 0.02
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; return the exit status (0 done, 1 error, 70 our own fault, 130 interrupted)."""
     try:
-        return _run(arguments)
+        with _no_interrupt_lost():
+            return _run(arguments)
     except KeyboardInterrupt as interrupt:
         hint = str(interrupt) or "run the same command again to continue"
         print(f"\nvntoolkit: interrupted: {hint}", file=sys.stderr)
         return INTERRUPTED
+
+
+@contextlib.contextmanager
+def _no_interrupt_lost() -> Iterator[None]:
+    """Hear a Ctrl-C that strikes in a callback, which Python would print and forget, once more outside it."""
+    before = sys.unraisablehook
+
+    def hook(unraisable: sys.UnraisableHookArgs) -> None:
+        if issubclass(unraisable.exc_type, KeyboardInterrupt):
+            again = threading.Timer(_OUT_OF_CALLBACK_S, _thread.interrupt_main)
+            again.daemon = True
+            again.start()
+        else:
+            before(unraisable)
+
+    sys.unraisablehook = hook
+    try:
+        yield
+    finally:
+        sys.unraisablehook = before
 
 
 def _run(arguments: list[str] | None) -> int:

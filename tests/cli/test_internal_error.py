@@ -1,7 +1,8 @@
-"""An exception that nobody foresaw: one line, a status of its own, and the trace in a file."""
+"""Exceptions that nobody foresaw: one line, a status, the trace in a file; and no Ctrl-C is lost."""
 
 import re
 import tempfile
+import time
 from pathlib import Path
 
 import pytest
@@ -46,3 +47,21 @@ def test_too_little_memory_is_the_users_to_mend(failing, capsys):
     failing(MemoryError("Unable to allocate 99.0 GiB"))
     assert entry.main(["doctor"]) == 1
     assert "out of memory (Unable to allocate 99.0 GiB): take fewer --jobs" in capsys.readouterr().err
+
+
+def test_an_interrupt_that_strikes_in_a_callback_is_heard(monkeypatch, capsys):
+    class Struck:
+        def __del__(self):
+            raise KeyboardInterrupt
+
+    def app(_):
+        Struck()
+        for _ in range(500):
+            time.sleep(0.01)
+        return 0
+
+    monkeypatch.setattr(cli, "build_app", lambda _: app)
+    assert entry.main(["doctor"]) == entry.INTERRUPTED
+    said = capsys.readouterr().err
+    assert "interrupted: run the same command again to continue" in said
+    assert "Traceback" not in said
