@@ -19,8 +19,9 @@ from vntoolkit.errors import MissingDependency
 OPEN3D_LIBRARIES = {"libGL.so.1": "libgl1", "libEGL.so.1": "libegl1", "libusb-1.0.so.0": "libusb-1.0-0"}
 PYMESHLAB_LIBRARIES = {"libGL.so.1": "libgl1", "libOpenGL.so.0": "libopengl0"}
 
-_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # of mallopt(3)
+_TRIM_THRESHOLD, _TOP_PAD, _MMAP_THRESHOLD = -1, -2, -3  # of mallopt(3)
 _KEPT_BYTES = 1 << 30
+_MORE_THAN_A_HEAP = 1 << 27  # bytes; threads other than the first have heaps of half of that
 
 
 def missing_packages(libraries: dict[str, str]) -> list[str]:
@@ -59,7 +60,9 @@ def keep_freed_memory() -> None:
     """Let this process keep what it frees, since the next frame needs the same arrays again.
 
     Dask has its workers give memory back at once (MALLOC_TRIM_THRESHOLD_), which at 1280×720 costs more time
-    in the kernel, for fresh pages, than normals and depth together. Does nothing where malloc is not glibc's.
+    in the kernel, for fresh pages, than normals and depth together. The heaps of threads, and Dask works in
+    one, are given back by another rule, which only the padding of their tops holds off. Does nothing where
+    malloc is not glibc's.
     """
     if not sys.platform.startswith("linux"):
         return
@@ -67,6 +70,7 @@ def keep_freed_memory() -> None:
     if mallopt is not None:
         for setting in (_TRIM_THRESHOLD, _MMAP_THRESHOLD):
             mallopt(setting, _KEPT_BYTES)
+        mallopt(_TOP_PAD, _MORE_THAN_A_HEAP)
 
 
 @contextlib.contextmanager

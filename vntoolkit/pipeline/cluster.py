@@ -25,6 +25,13 @@ from vntoolkit.pipeline.outputs import ReconstructionFolder
 LOCAL = "local"
 _BLOCKS_IN_FLIGHT = 2  # per thread of the cluster: one at work, one ready
 _SECONDS_TO_CONNECT = 15
+_RARE_HOUSEKEEPING: dict[str, Any] = {  # several watches a second would cost two busy cores a twelfth
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.interval": "5s",
+    "distributed.admin.system-monitor.gil.enabled": False,
+    "distributed.worker.memory.monitor-interval": "1s",
+    "distributed.worker.profile.enabled": False,
+}
 _here = threading.local()  # a worker of many threads has one `BlockWorker` for each
 
 
@@ -48,15 +55,17 @@ def run_blocks_on_cluster(
 def connected(scheduler: str, workers: int) -> Iterator[Any]:
     """A Dask client of a scheduler, which is started and ended here if it is to be local."""
     try:
+        import dask
         import distributed
     except ImportError as error:
         raise MissingDependency("--scheduler needs Dask: pip install vntoolkit[cluster]") from error
     _let_dask_report_errors_only()
     if scheduler == LOCAL:
         with (
+            dask.config.set(_RARE_HOUSEKEEPING),
             distributed.LocalCluster(
-                n_workers=workers, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",
-                silence_logs=logging.ERROR,
+                n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None,
+                silence_logs=logging.CRITICAL,  # a heartbeat that meets the end of the run is called an error
             ) as cluster,
             distributed.Client(cluster) as client,
         ):  # fmt: skip
