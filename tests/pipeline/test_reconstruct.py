@@ -130,6 +130,29 @@ def test_other_options_are_not_mixed_in(dome_capture: DomeCapture, tmp_path: Pat
     assert len(read_mesh(tmp_path / "mesh/000000.ply").vertices) < 0.3 * small
 
 
+@pytest.mark.parametrize("mistake", ["mask", "reference", "dark"])
+def test_a_refused_command_leaves_the_old_result_and_makes_no_folder(
+    dome_capture: DomeCapture, tmp_path: Path, mistake: str
+) -> None:
+    frames, out = FrameRange.from_text("0"), tmp_path / "out"
+    reconstruct(job_of(dome_capture, out), frames=frames)
+    before = digest(out)
+    write_mask(tmp_path / "small.png", np.ones((5, 5), bool))
+    write_png(tmp_path / "dark.png", np.zeros((48, 64, 3), np.uint8))
+    wrong = {
+        "mask": replace(job_of(dome_capture, out, match_albedo=False), mask=tmp_path / "small.png"),
+        "reference": job_of(dome_capture, out, reference_frame=99),
+        "dark": replace(job_of(dome_capture, out), source=str(tmp_path / "dark.png")),
+    }[mistake]
+    with pytest.raises(BadInput, match=r"mask is 5×5|has only 20 frames|dark\.png"):
+        reconstruct(wrong, frames=frames, overwrite=True)
+    assert digest(out) == before
+    elsewhere = replace(wrong, folder=ReconstructionFolder(root=tmp_path / "new"))
+    with pytest.raises(BadInput):
+        reconstruct(elsewhere, frames=frames)
+    assert not (tmp_path / "new").exists()
+
+
 def test_a_mask_is_obeyed(dome_capture: DomeCapture, tmp_path: Path) -> None:
     mask = np.zeros((48, 64), bool)
     mask[20:30, 25:40] = True

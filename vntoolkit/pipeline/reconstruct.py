@@ -6,40 +6,31 @@ import logging
 import shutil
 import time
 from collections.abc import Callable, Generator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from vntoolkit.errors import BadCapture, BadInput, VntError
+from vntoolkit.errors import BadInput, VntError
 from vntoolkit.io.atomic import require_writable_folder
 from vntoolkit.io.captures import Capture
-from vntoolkit.io.files import source_file
 from vntoolkit.io.frame_log import FRAMES_NAME, FrameEntry, FrameLog
 from vntoolkit.io.frame_range import FrameRange
 from vntoolkit.io.manifest import (
     MANIFEST_NAME,
-    InputEntry,
     Manifest,
-    hashed,
-    library_versions,
     now_utc,
     read_manifest,
     require_resumable,
     write_manifest,
 )
 from vntoolkit.io.plausibility import findings_from_capture
-from vntoolkit.io.rig_schema import SourceEntry
-from vntoolkit.io.rigs import entry_from_rig
-from vntoolkit.normals.inversion import relative_albedo_from_frame
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.blocks import blocks_of
 from vntoolkit.pipeline.cluster import run_blocks_on_cluster
-from vntoolkit.pipeline.frame_processor import FrameProcessor
-from vntoolkit.pipeline.option_values import option_values
 from vntoolkit.pipeline.run_blocks import DoneFrames, run_blocks
-from vntoolkit.shadows.detector import ShadowMethod
+from vntoolkit.pipeline.settled_job import manifest_of_run, settled_job
 
 logger = logging.getLogger(__name__)
 
@@ -78,20 +69,21 @@ def reconstruct(
     further one. Raises the kinds of `VntError` that bad input deserves, before anything is written where
     that can be known.
     """
-    frames = frames or FrameRange()
+    frames, root = frames or FrameRange(), job.folder.root
     if jobs < 1:
         raise BadInput(f"jobs: expected 1 or more, got {jobs}")
     started = time.perf_counter()
-    job = _as_the_rig_asks(job)
     capture = job.open_capture()
     job.rig.require_size(capture.info.width, capture.info.height, job.source)
     numbers = frames.numbers(capture.info.frame_count)
-    root = require_writable_folder(job.folder.root)
+    resumes = (root / MANIFEST_NAME).exists() and not overwrite
+    job = settled_job(job, capture, numbers, read_manifest(root).options if resumes else {})
+    manifest = manifest_of_run(job, capture, frames)
+    if resumes:
+        require_resumable(root, manifest)
+    require_writable_folder(root)
     if overwrite:
         clear(root)
-    job = _with_reference_frame(_with_matched_albedo(job, capture, numbers, root), capture, numbers, root)
-    manifest = _manifest(job, capture, frames)
-    require_resumable(root, manifest)
     log = FrameLog(root)
     on_disk = _frames_on_disk(job, log)
     write_manifest(root, manifest)
@@ -125,14 +117,6 @@ def _workers(jobs: int, scheduler: str | None) -> Workers:
     if scheduler is None:
         return partial(run_blocks, jobs=jobs)
     return partial(run_blocks_on_cluster, scheduler=scheduler, workers=jobs)
-
-
-def _as_the_rig_asks(job: ReconstructionJob) -> ReconstructionJob:
-    """A gel was calibrated itself, so its albedo is known, and nothing throws a shadow on it."""
-    quality = job.rig.quality
-    if quality is None or quality.method != "presses":
-        return job
-    return replace(job, options=replace(job.options, match_albedo=False, shadows=ShadowMethod.NONE))
 
 
 def _run(
@@ -174,36 +158,6 @@ def _frames_on_disk(job: ReconstructionJob, log: FrameLog) -> set[int]:
     }
 
 
-def _with_matched_albedo(
-    job: ReconstructionJob, capture: Capture, numbers: range, root: Path
-) -> ReconstructionJob:
-    """Measure how bright the subject is against the calibration material, once a folder."""
-    if not job.options.match_albedo:
-        return job
-    albedo = None
-    if (root / MANIFEST_NAME).exists():
-        albedo = read_manifest(root).options.get("inversion.relative_albedo")
-    if not isinstance(albedo, float):
-        albedo = _measure_albedo(job, capture, numbers)
-    inversion = replace(job.options.inversion, relative_albedo=albedo)
-    return replace(job, options=replace(job.options, inversion=inversion))
-
-
-def _with_reference_frame(
-    job: ReconstructionJob, capture: Capture, numbers: range, root: Path
-) -> ReconstructionJob:
-    """Choose the frame that depth is tied to, once a folder."""
-    reference = job.options.reference_frame
-    if reference is None:
-        stored = None
-        if (root / MANIFEST_NAME).exists():
-            stored = read_manifest(root).options.get("reference_frame")
-        reference = stored if isinstance(stored, int) else numbers[0]
-    elif reference >= capture.info.frame_count:
-        raise BadInput(f"reference frame: the capture has only {capture.info.frame_count} frames")
-    return replace(job, options=replace(job.options, reference_frame=reference))
-
-
 def _warn_of_the_implausible(job: ReconstructionJob, capture: Capture, numbers: range) -> None:
     """Log what the footage tells of mistakes that ruin normals without failing."""
     try:
@@ -213,49 +167,6 @@ def _warn_of_the_implausible(job: ReconstructionJob, capture: Capture, numbers: 
         return
     for finding in findings:
         logger.warning("%s", finding)
-
-
-def _measure_albedo(job: ReconstructionJob, capture: Capture, numbers: range) -> float:
-    mask = job.read_mask(capture)
-    processor = FrameProcessor(job.rig, job.options, mask, capture.background)
-    first = next(capture.encoded_frames(numbers[0], numbers[0] + 1))
-    try:
-        albedo = relative_albedo_from_frame(processor.linear(first), job.rig.response, mask)
-    except BadInput as error:
-        raise BadCapture(f"{first.name}: {error}") from error
-    return float(np.format_float_positional(albedo, precision=4, fractional=False))
-
-
-def _manifest(job: ReconstructionJob, capture: Capture, frames: FrameRange) -> Manifest:
-    info = capture.info
-    extra = {
-        name: _source_entry(path)
-        for name, path in (("mask", job.mask), ("background", job.background))
-        if path is not None
-    }
-    outputs = {"normals": ["normals"], "depth": ["normals", "depth"], "mesh": ["normals", "depth", "mesh"]}
-    return Manifest(
-        input=InputEntry(
-            source=job.source,
-            files=hashed(info.files),
-            width=info.width,
-            height=info.height,
-            frame_count=info.frame_count,
-            frame_rate_hz=info.frame_rate_hz,
-        ),
-        extra_files=extra,
-        rig=entry_from_rig(job.rig),
-        options=option_values(job.options, without=("to", "on_error")),  # they shape no value
-        frames=frames.to_text(),
-        outputs=outputs[job.options.to.value] + (["shadows"] if job.has_labels else []),
-        versions=library_versions(),
-        started=now_utc(),
-    )
-
-
-def _source_entry(path: Path) -> SourceEntry:
-    record = source_file(path)
-    return SourceEntry(file=record.file, sha256=record.sha256)
 
 
 def _finish(root: Path, manifest: Manifest, log: FrameLog, numbers: range, seconds: float) -> None:
