@@ -13,7 +13,7 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import LengthUnit
 from vntoolkit.io.frame_range import FrameRange
 from vntoolkit.pipeline.export import ExportJob, export
-from vntoolkit.pipeline.export_options import ExportFormat, ExportOptions, file_lengths
+from vntoolkit.pipeline.export_options import ExportedSurface, ExportFormat, ExportOptions, file_lengths
 from vntoolkit.pipeline.opened_result import open_result
 from vntoolkit.report.live_viewer import LiveViewer
 from vntoolkit.report.viewer import ResultViewer, ViewerOptions
@@ -32,8 +32,22 @@ def exported(folder: Path, to: ExportFormat, **options: object) -> None:
 
 
 def test_a_result_without_the_frames_asked_for(result: Path) -> None:
-    with pytest.raises(BadInput, match="holds none of the frames 3:4:1; it holds 5 of the 6 asked for"):
+    with pytest.raises(BadInput, match="holds none of the frames 3:4:1; it holds 5, from 0 to 5"):
         open_result(result, frames=FrameRange.from_text("3"))
+
+
+def test_tracks_of_an_earlier_reconstruction_are_left_out(
+    result: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    assert open_result(result).track is not None
+    manifest = json.loads((result / "reconstruction.json").read_text())
+    manifest["rig"]["response"]["matrix"][0][0] += 0.01  # made again, with --overwrite and another rig
+    (result / "reconstruction.json").write_text(json.dumps(manifest))
+    opened = open_result(result)
+    assert opened.track is None
+    assert f"run `vntoolkit track {result} --overwrite`" in caplog.text
+    with pytest.raises(BadInput, match="holds no tracked surface; run `vntoolkit track` first"):
+        exported(result, ExportFormat.PLY, surface=ExportedSurface.TRACKED)
 
 
 def test_a_result_whose_footage_is_another(result: Path, dome_capture: DomeCapture) -> None:

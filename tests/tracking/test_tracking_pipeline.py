@@ -11,7 +11,7 @@ import pytest
 
 from tests.tracking.wrinkled_video import WrinkledVideo
 from vntoolkit.errors import BadInput
-from vntoolkit.io.manifest import InputEntry, Manifest, write_manifest
+from vntoolkit.io.manifest import InputEntry, Manifest, read_manifest, write_manifest
 from vntoolkit.io.maps import write_depth_map, write_normal_map
 from vntoolkit.io.rigs import entry_from_rig
 from vntoolkit.io.seams import read_seams, write_seams
@@ -101,6 +101,38 @@ def test_other_options_are_not_mixed_in(folder: Path) -> None:
     with pytest.raises(BadInput, match="tracks made with other options; add --overwrite"):
         track(other)
     assert track(other, overwrite=True).resumed == 0
+
+
+def test_tracks_of_another_reconstruction_are_not_mixed_in(folder: Path) -> None:
+    track(job(folder))
+    manifest = read_manifest(folder)
+    again = manifest.model_copy(update={"input": manifest.input.model_copy(update={"source": "../x"})})
+    write_manifest(folder, again)  # the same footage, named from elsewhere
+    assert track(job(folder)).resumed == FRAMES
+    brighter = manifest.model_copy(update={"options": {"inversion.relative_albedo": 1.5}})
+    write_manifest(folder, brighter)
+    with pytest.raises(BadInput, match="tracks made with other normals and depth; add --overwrite"):
+        track(job(folder))
+    assert track(job(folder), overwrite=True).resumed == 0
+
+
+def test_a_refused_command_leaves_the_old_tracks(folder: Path) -> None:
+    track(job(folder))
+    before = (folder / "track/vertices.npy").read_bytes()
+    with pytest.raises(BadInput, match="seam 0: expected two points"):
+        track(job(folder, seams=[np.zeros((1, 2))]), overwrite=True)
+    assert (folder / "track/vertices.npy").read_bytes() == before
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_a_moving_mesh_that_track_did_not_write_is_left_alone(folder: Path, overwrite: bool) -> None:
+    track(job(folder))
+    foreign = Path(shutil.copytree(folder / "track", folder / "truth"))
+    (foreign / "track.json").unlink()  # as `simulate` writes it
+    before = {path.name: path.read_bytes() for path in foreign.iterdir()}
+    with pytest.raises(BadInput, match="a moving mesh that `vntoolkit track` did not write; choose another"):
+        track(job(folder, out=foreign), overwrite=overwrite)
+    assert {path.name: path.read_bytes() for path in foreign.iterdir()} == before
 
 
 def test_bad_input_is_one_line(folder: Path, tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import shutil
 from collections.abc import Callable
@@ -171,15 +170,7 @@ def _export_folder(
 
 def _require_same(out: Path, job: ExportJob, result: OpenedResult) -> None:
     """Refuse to mix files of other options or another result into a folder; record this one's."""
-    manifest = result.manifest
-    made_from = json.dumps(
-        [manifest.input.model_dump(), manifest.rig.model_dump(), manifest.options], sort_keys=True
-    )
-    record = {
-        "version": 1,
-        "options": option_values(job.options),
-        "result_sha256": hashlib.sha256(made_from.encode()).hexdigest(),
-    }
+    record = {"version": 1, "options": option_values(job.options), "result_sha256": result.digest}
     path = out / _RECORD
     if path.exists() and parse_json(read_text(path), str(path)) != record:
         raise BadInput(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -29,7 +30,10 @@ from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
 from vntoolkit.pipeline.outputs import ReconstructionFolder
+from vntoolkit.pipeline.result_digest import result_digest
 from vntoolkit.pipeline.tracked_folder import read_track_record
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,6 +72,11 @@ class OpenedResult:
         """The camera that the maps and meshes belong to, without distortion."""
         return self.rig.camera.without_distortion()
 
+    @property
+    def digest(self) -> str:
+        """Which reconstruction it is."""
+        return result_digest(self.manifest)
+
     @cached_property
     def entries(self) -> dict[int, FrameEntry]:
         """What was logged of each frame, skipped ones too."""
@@ -102,11 +111,18 @@ class OpenedResult:
 
     @cached_property
     def track(self) -> TrackedSurface | None:
-        """The registered moving mesh, or None where `track` has not been run or wrote no frame."""
+        """The registered moving mesh; None without one, or where it follows another reconstruction."""
         root = self.folder.root / "track"
         if not (root / "track.json").exists():
             return None
         record, sequence = read_track_record(root), read_mesh_sequence(root)
+        if record.get("result_sha256", self.digest) != self.digest:
+            logger.warning(
+                "%s: follows an earlier reconstruction and is left out; run `vntoolkit track %s --overwrite`",
+                root,
+                self.folder.root,
+            )
+            return None
         numbers, template = tuple(record["frames"][: len(sequence)]), record["template"]
         if template not in numbers:
             return None
@@ -169,16 +185,15 @@ def open_result(
     """Open a folder that `reconstruct` wrote; frames: only those of them. Raises `BadInput`."""
     manifest = read_manifest(root)
     folder = ReconstructionFolder(root=root)
-    asked = FrameRange.from_text(manifest.frames).numbers(manifest.input.frame_count)
     wanted = (frames or FrameRange()).numbers(manifest.input.frame_count)
     # a folder may hold frames of an earlier, longer run: those count too
     present = sorted({int(path.stem) for path in (root / "normals").glob("*.exr") if path.stem.isdigit()})
     numbers = tuple(number for number in present if number in wanted)
     if not numbers:
-        raise BadInput(
-            f"{root}: holds none of the frames {(frames or FrameRange()).to_text()}; it holds "
-            f"{len(present)} of the {len(asked)} asked for"
+        held = (
+            f"it holds {len(present)}, from {present[0]} to {present[-1]}" if present else "it holds no frame"
         )
+        raise BadInput(f"{root}: holds none of the frames {(frames or FrameRange()).to_text()}; {held}")
     return OpenedResult(
         folder=folder,
         manifest=manifest,

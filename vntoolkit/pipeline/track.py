@@ -22,7 +22,7 @@ from vntoolkit.pipeline.tracked_folder import (
     camera_record,
     clear_track,
     open_track_source,
-    require_same_record,
+    require_free,
     write_track_record,
 )
 from vntoolkit.tracking.options import TrackingOptions
@@ -74,7 +74,8 @@ def track(
 
     The template is tracked backwards to the first frame, then forwards to the last. A frame without files
     holds the vertices where they were, with confidence 0; tracking goes on with the next frame that is
-    there. A single frame gives a sequence of one. Raises BadInput for a template frame that is not there.
+    there. A single frame gives a sequence of one. Raises `BadInput` for a template frame that is not there
+    and for a target that holds something else, before anything there is touched.
     """
     started = time.perf_counter()
     source = open_track_source(job.folder)
@@ -84,12 +85,12 @@ def track(
             f"--template {template}: that frame is not in {job.folder}; "
             f"it holds {source.numbers[0]} to {source.numbers[-1]}"
         )
-    if overwrite:
-        clear_track(job.target)
     record = _record(job, source, template)
-    require_same_record(job.target, record)
-    target = require_writable_folder(job.target)
+    require_free(job.target, record, overwrite=overwrite)
     tracker = SurfaceTracker(*source.maps(template), source.camera, job.options, job.seams)
+    target = require_writable_folder(job.target)
+    if overwrite:
+        clear_track(target)
     write_track_record(target, record)
     resumed = _run(tracker, source, template, target, on_start, on_frame)
     missing = tuple(n for n in source.numbers if not source.has(n))
@@ -187,6 +188,7 @@ def _copy_reversed(folder: Path, writer: MeshSequenceWriter) -> None:
 
 def _record(job: TrackJob, source: TrackSource, template: int) -> dict[str, Any]:
     return {
+        "result_sha256": source.digest,
         "template": template,
         "options": option_values(job.options),
         "seams": [np.asarray(seam).tolist() for seam in job.seams],

@@ -21,9 +21,11 @@ from vntoolkit.io.manifest import read_manifest
 from vntoolkit.io.maps import read_depth_map, read_normal_map
 from vntoolkit.io.rigs import rig_from_entry
 from vntoolkit.pipeline.outputs import ReconstructionFolder
+from vntoolkit.pipeline.result_digest import result_digest
 
 _RECORD = "track.json"
 _VERSION = 1
+_IN_WORDS = {"result_sha256": "normals and depth", "frame_rate_hz": "frame rate"}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -31,7 +33,8 @@ class TrackSource:
     """A reconstruction to track.
 
     numbers: frames asked for, in order; those without files are missing. camera: of the undistorted maps.
-    filmed_by: the camera of the footage, with its distortion.
+    filmed_by: the camera of the footage, with its distortion. digest: of the reconstruction
+    (`result_digest`).
     """
 
     folder: ReconstructionFolder
@@ -39,6 +42,7 @@ class TrackSource:
     filmed_by: Camera
     numbers: tuple[int, ...]
     frame_rate_hz: float
+    digest: str
 
     def has(self, number: int) -> bool:
         """Whether the frame's normals and depth are both there."""
@@ -68,6 +72,7 @@ def open_track_source(root: Path) -> TrackSource:
         filmed_by=camera,
         numbers=numbers[: numbers.index(present[-1]) + 1],
         frame_rate_hz=manifest.input.frame_rate_hz,
+        digest=result_digest(manifest),
     )
 
 
@@ -115,20 +120,31 @@ def read_track_record(folder: Path) -> dict[str, Any]:
     return record
 
 
-def require_same_record(folder: Path, record: dict[str, Any]) -> None:
-    """Raise `BadInput` that names what changed, where the folder holds tracks made otherwise."""
+def require_free(folder: Path, record: dict[str, Any], *, overwrite: bool) -> None:
+    """Raise `BadInput` where the folder holds tracks made otherwise, naming what changed, or another mesh.
+
+    overwrite: tracks made otherwise may be replaced; what `track` did not write never.
+    """
     if not (folder / _RECORD).exists():
+        if (folder / "vertices.npy").exists() or (folder / "sequence.json").exists():
+            raise BadInput(
+                f"{folder}: holds a moving mesh that `vntoolkit track` did not write; choose another --out"
+            )
+        return
+    if overwrite:
         return
     before, now = read_track_record(folder), json.loads(json.dumps(record))
     grown = now["frames"][: len(before["frames"])] == before["frames"]
     changed = [key for key in now if key != "frames" and before.get(key) != now[key]]
     if changed or not grown:
-        names = ", ".join(changed or ["frames"])
+        names = ", ".join(_IN_WORDS.get(key, key) for key in changed or ["frames"])
         raise BadInput(f"{folder}: holds tracks made with other {names}; add --overwrite to replace them")
 
 
 def clear_track(folder: Path) -> None:
-    """Remove what `track` wrote, and nothing else."""
+    """Remove what `track` wrote into a folder, and nothing else."""
+    if not (folder / _RECORD).exists():
+        return
     for name in ("vertices.npy", "confidence.npy", "template.ply", "sequence.json", _RECORD):
         (folder / name).unlink(missing_ok=True)
     for name in ("checkerboard.mkv", "checkerboard.png"):
