@@ -62,9 +62,16 @@ def test_records_of_tracks_that_are_spoilt(result: Path) -> None:
         BadInput, match=r"names no whole camera .* run `vntoolkit track` again, with --overwrite"
     ):
         recorded_camera({"camera": {"model": "orthographic"}})
-    (result / "track" / "track.json").write_text("[]")
-    with pytest.raises(BadInput, match="expected an object with the key frames"):
-        read_track_record(result / "track")
+    for content in (
+        [],
+        {},
+        {"frames": [0]},
+        {"frames": ["0"], "template": 0},
+        {"frames": [0], "template": ""},
+    ):
+        (result / "track" / "track.json").write_text(json.dumps(content))
+        with pytest.raises(BadInput, match="expected an object with frames, a list of numbers, and template"):
+            read_track_record(result / "track")
     (result / "track" / "track.json").unlink()
     with pytest.raises(BadInput, match=r"holds no track\.json; give a folder that `vntoolkit track`"):
         read_track_record(result / "track")

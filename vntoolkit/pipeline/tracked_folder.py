@@ -114,10 +114,10 @@ def read_track_record(folder: Path) -> dict[str, Any]:
     path = folder / _RECORD
     if not path.exists():
         raise BadInput(f"{folder}: holds no {_RECORD}; give a folder that `vntoolkit track` has worked on")
-    record = parse_json(read_text(path), str(path))
-    if not isinstance(record, dict) or not isinstance(record.get("frames"), list):
-        raise BadInput(f"{path}: expected an object with the key frames")
-    return record
+    match parse_json(read_text(path), str(path)):
+        case {"frames": [*numbers], "template": int()} as record if all(isinstance(n, int) for n in numbers):
+            return record
+    raise BadInput(f"{path}: expected an object with frames, a list of numbers, and template, a number")
 
 
 def require_free(folder: Path, record: dict[str, Any], *, overwrite: bool) -> None:
