@@ -183,6 +183,27 @@ def test_an_interrupted_export_goes_on(dome_result: DomeResult, tmp_path: Path) 
     assert export(other, overwrite=True).kept == 0
 
 
+def test_overwriting_leaves_no_frame_of_another_format(dome_result: DomeResult, tmp_path: Path) -> None:
+    exported(dome_result, tmp_path, ExportFormat.NPZ)
+    job = ExportJob(
+        folder=dome_result.folder, options=ExportOptions(to=ExportFormat.PNG), out=tmp_path, frames=FRAMES
+    )
+    export(job, overwrite=True)
+    names = ["000000.png", "000001.png", "000002.png", "export.json"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == names
+
+
+def test_a_refused_export_writes_nothing(dome_result: DomeResult, tmp_path: Path) -> None:
+    folder = shutil.copytree(dome_result.folder, tmp_path / "result")
+    shutil.rmtree(folder / "mesh")
+    options = {"surface": ExportedSurface.FRAMES}
+    with pytest.raises(BadInput, match="holds no mesh of those frames"):
+        exported(DomeResult(folder, folder), tmp_path / "out", ExportFormat.PLY, **options)
+    with pytest.raises(BadInput, match=r"a\.glb: expected the name of a folder, for one \.glb a frame"):
+        exported(dome_result, tmp_path / "a.glb", ExportFormat.GLB, **options)
+    assert [path.name for path in tmp_path.iterdir()] == ["result"]
+
+
 def test_what_has_changed_is_written_again(dome_result: DomeResult, tmp_path: Path) -> None:
     folder = shutil.copytree(dome_result.folder, tmp_path / "result")
     job = ExportJob(folder=folder, options=ExportOptions(to=ExportFormat.PNG))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from vntoolkit.io.frame_range import FrameRange
 from vntoolkit.io.glb import write_glb
 from vntoolkit.io.json_text import parse_json
 from vntoolkit.io.usd import write_usd_meshes, write_usd_sequence
-from vntoolkit.pipeline.export_frames import FrameExport, frame_export
+from vntoolkit.pipeline.export_frames import frame_export, numbers_with_mesh, own_mesh
 from vntoolkit.pipeline.export_options import (
     ExportedSurface,
     ExportFormat,
@@ -29,6 +29,7 @@ from vntoolkit.pipeline.opened_result import OpenedResult, TrackedSurface, open_
 from vntoolkit.pipeline.option_values import option_values
 
 _RECORD = "export.json"
+_SUFFIXES = ("", ".ply", ".obj", ".glb", ".npz", ".png")  # of a frame's file; none of a frame's folder
 Advance = Callable[[], None]
 
 
@@ -96,7 +97,7 @@ def _export_animation(
     if out.suffix.lower() not in ((".glb",) if suffix == ".glb" else (".usdc", ".usd")):
         raise BadInput(f"{out}: expected the name of a file that ends in {suffix}")
     lengths = file_lengths(options, result.length_unit)
-    numbers = _mesh_numbers(result, track)
+    numbers = numbers_with_mesh(result, track)
     require_writable_folder(out.parent)  # and remove what a killed run left there
     on_start(len(numbers), 0)
 
@@ -105,7 +106,7 @@ def _export_animation(
         return thing
 
     if track is None:
-        own = (passing(n, _scaled(_required(result.mesh(n), n), lengths)) for n in numbers)
+        own = (passing(n, _scaled(own_mesh(result, n), lengths)) for n in numbers)
         count = write_usd_meshes(
             out, own, frame_rate_hz=rate, metres_per_unit=lengths.metres_per_unit, up=options.up
         )
@@ -122,24 +123,6 @@ def _export_animation(
     return ExportSummary(out=out, frames=count, kept=0)
 
 
-def _mesh_numbers(result: OpenedResult, track: TrackedSurface | None) -> list[int]:
-    if track is not None:
-        numbers = [number for number in track.numbers if number in set(result.numbers)]
-    else:
-        numbers = [number for number in result.numbers if result.folder.mesh(number).exists()]
-    if not numbers:
-        raise BadInput(
-            f"{result.folder.root}: holds no mesh of those frames; run `vntoolkit reconstruct --to mesh`"
-        )
-    return numbers
-
-
-def _required(mesh: Mesh | None, number: int) -> Mesh:
-    if mesh is None:
-        raise BadInput(f"frame {number}: its mesh has vanished")
-    return mesh
-
-
 def _scaled(mesh: Mesh, lengths: FileLengths) -> Mesh:
     return replace(mesh, vertices=mesh.vertices * lengths.factor)
 
@@ -152,12 +135,18 @@ def _export_folder(
     on_start: Callable[[int, int], None],
     on_frame: Advance,
 ) -> ExportSummary:
-    out = require_writable_folder(job.out or result.folder.root / "export" / job.options.to.value)
+    out = job.out or result.folder.root / "export" / job.options.to.value
     writer = frame_export(result, track, job.options)
-    if overwrite:
-        _clear(out, writer)
-    _require_same(out, job, result)
+    if out.suffix and out.suffix.lower() == writer.suffix:
+        raise BadInput(f"{out}: expected the name of a folder, for one {writer.suffix} a frame")
     numbers = writer.numbers()
+    record = {"version": 1, "options": option_values(job.options), "result_sha256": result.digest}
+    if not overwrite:
+        _require_same(out, record)
+    require_writable_folder(out)
+    if overwrite:
+        _clear(out)
+    write_text(out / _RECORD, json.dumps(record, indent=2) + "\n")
     kept = {number for number in numbers if writer.is_current(out, number)}
     on_start(len(numbers), len(kept))
     for number in numbers:
@@ -168,24 +157,22 @@ def _export_folder(
     return ExportSummary(out=out, frames=len(numbers), kept=len(kept))
 
 
-def _require_same(out: Path, job: ExportJob, result: OpenedResult) -> None:
-    """Refuse to mix files of other options or another result into a folder; record this one's."""
-    record = {"version": 1, "options": option_values(job.options), "result_sha256": result.digest}
+def _require_same(out: Path, record: Mapping[str, Any]) -> None:
+    """Refuse to mix files of other options or of another result into a folder."""
     path = out / _RECORD
     if path.exists() and parse_json(read_text(path), str(path)) != record:
         raise BadInput(
             f"{out}: holds an export with other options or of another result; add --overwrite to replace it, "
             "or choose another --out"
         )
-    write_text(path, json.dumps(record, indent=2) + "\n")
 
 
-def _clear(out: Path, writer: FrameExport) -> None:
-    """Remove the frames of an earlier export, and nothing else."""
+def _clear(out: Path) -> None:
+    """Remove the frames of an earlier export, whatever their format, and nothing else."""
     if not (out / _RECORD).exists():
         return
     for path in out.iterdir():
-        if path.stem.isdigit() and len(path.stem) == 6 and path.suffix in (writer.suffix, ".mtl"):
+        if path.stem.isdigit() and len(path.stem) == 6 and path.suffix in _SUFFIXES:
             shutil.rmtree(path) if path.is_dir() else path.unlink()
     (out / "track.npz").unlink(missing_ok=True)
     (out / _RECORD).unlink()

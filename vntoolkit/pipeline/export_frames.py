@@ -3,27 +3,45 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.io.conventions import graphics_from_camera
 from vntoolkit.io.diligent import write_diligent
 from vntoolkit.io.glb import write_glb
 from vntoolkit.io.maps import write_normal_map
 from vntoolkit.io.meshes import write_mesh
-from vntoolkit.io.npz import StreamedArray, write_npz
+from vntoolkit.io.npz import write_npz
+from vntoolkit.pipeline.export_arrays import arrays_of_frame, write_tracked_npz
 from vntoolkit.pipeline.export_options import ExportFormat, ExportOptions, file_lengths
 from vntoolkit.pipeline.opened_result import OpenedResult, TrackedSurface
 
 _HEADROOM = 1.25  # of a light's picture over the brightest that the rig's material gets
+
+
+def numbers_with_mesh(result: OpenedResult, track: TrackedSurface | None) -> tuple[int, ...]:
+    """Return the opened frames of the registered surface, or those with an own mesh; raise for none."""
+    if track is not None:
+        opened = set(result.numbers)
+        found = tuple(number for number in track.numbers if number in opened)
+    else:
+        found = tuple(number for number in result.numbers if result.folder.mesh(number).exists())
+    if not found:
+        root = result.folder.root
+        raise BadInput(f"{root}: holds no mesh of those frames; run `vntoolkit reconstruct --to mesh`")
+    return found
+
+
+def own_mesh(result: OpenedResult, number: int) -> Mesh:
+    """Return a frame's own mesh, which was there a moment ago."""
+    mesh = result.mesh(number)
+    if mesh is None:
+        raise BadInput(f"frame {number}: its mesh has vanished")
+    return mesh
 
 
 class FrameExport(ABC):
@@ -77,15 +95,7 @@ class _Meshes(FrameExport):
         self._factor = file_lengths(options, result.length_unit).factor
 
     def numbers(self) -> tuple[int, ...]:
-        if self.track is not None:
-            wanted = set(self.result.numbers)
-            found = tuple(number for number in self.track.numbers if number in wanted)
-        else:
-            found = tuple(n for n in self.result.numbers if self.result.folder.mesh(n).exists())
-        if not found:
-            root = self.result.folder.root
-            raise BadInput(f"{root}: holds no mesh of those frames; run `vntoolkit reconstruct --to mesh`")
-        return found
+        return numbers_with_mesh(self.result, self.track)
 
     def sources(self, number: int) -> list[Path]:
         if self.track is not None:
@@ -93,9 +103,7 @@ class _Meshes(FrameExport):
         return [self.result.folder.mesh(number)]
 
     def write(self, out: Path, number: int) -> None:
-        mesh = self.track.mesh(number) if self.track is not None else self.result.mesh(number)
-        if mesh is None:
-            raise BadInput(f"frame {number}: its mesh has vanished")
+        mesh = self.track.mesh(number) if self.track is not None else own_mesh(self.result, number)
         mesh = replace(mesh, vertices=mesh.vertices * self._factor)
         path = self.place(out, number)
         if self.options.to is ExportFormat.GLB:
@@ -137,71 +145,6 @@ class _Arrays(FrameExport):
         if self.track is not None:
             numbers = self.result.numbers
             write_tracked_npz(out / "track.npz", self.track, numbers, self.options, self.factor)
-
-
-def arrays_of_frame(
-    result: OpenedResult, number: int, options: ExportOptions, factor: float
-) -> Mapping[str, npt.NDArray[Any]]:
-    """Return what `--to npz` holds of a frame.
-
-    normals (h, w, 3) in the asked convention, mask, confidence; depth along the optical axis, depth_mask;
-    labels; vertices, faces, vertex_normals, vertex_colours, uv of the frame's own mesh in the frame of files;
-    camera_matrix. factor: of lengths. Parts that the frame lacks are left out.
-    """
-    normal_map, depth_map = result.normals(number), result.depth(number)
-    assert normal_map is not None
-    signs = np.array(options.normal_convention.signs, np.float32)
-    arrays: dict[str, Any] = {
-        "normals": normal_map.normals_in_camera * signs,
-        "mask": normal_map.mask,
-        "confidence": normal_map.weight,
-        "labels": result.labels(number),
-        "camera_matrix": result.camera.matrix,
-        "normal_convention": np.array(options.normal_convention.value),
-        "up": np.array(options.up.value),
-    }
-    if depth_map is not None:
-        arrays |= {"depth": (depth_map.depth * factor).astype(np.float32), "depth_mask": depth_map.mask}
-    mesh = result.mesh(number)
-    if mesh is not None:
-        arrays |= _mesh_arrays(mesh, factor, options)
-    return {name: np.asarray(values) for name, values in arrays.items() if values is not None}
-
-
-def _mesh_arrays(mesh: Mesh, factor: float, options: ExportOptions) -> dict[str, Any]:
-    normals = None if mesh.normals is None else graphics_from_camera(mesh.normals, options.up)
-    return {
-        "vertices": (graphics_from_camera(mesh.vertices, options.up) * factor).astype(np.float32),
-        "faces": mesh.faces,
-        "vertex_normals": None if normals is None else normals.astype(np.float32),
-        "vertex_colours": mesh.colours,
-        "uv": mesh.uv,
-    }
-
-
-def write_tracked_npz(
-    path: Path, track: TrackedSurface, numbers: tuple[int, ...], options: ExportOptions, factor: float
-) -> None:
-    """Write the registered surface: vertices (frames, n, 3), faces, uv, confidence, frames, frame_rate_hz."""
-    rows = [row for row, number in enumerate(track.numbers) if number in set(numbers)]
-    sequence, template = track.sequence, track.sequence.template
-    moving = (graphics_from_camera(sequence.vertices[row], options.up) * factor for row in rows)
-    arrays: dict[str, Any] = {
-        "vertices": StreamedArray(
-            shape=(len(rows), len(template.vertices), 3), dtype=np.float32, rows=moving
-        ),
-        "faces": template.faces,
-        "frames": np.array([track.numbers[row] for row in rows]),
-        "frame_rate_hz": np.array(sequence.frame_rate_hz),
-        "up": np.array(options.up.value),
-    }
-    arrays |= {name: v for name, v in (("uv", template.uv), ("colours", template.colours)) if v is not None}
-    confidence = sequence.confidence
-    if confidence is not None:
-        arrays["confidence"] = StreamedArray(
-            shape=(len(rows), len(template.vertices)), dtype=np.float32, rows=(confidence[r] for r in rows)
-        )
-    write_npz(path, arrays)
 
 
 class _Diligent(FrameExport):
