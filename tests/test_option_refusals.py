@@ -20,6 +20,7 @@ MOVING = {
     "template": Mesh(vertices=np.eye(3), faces=np.array([[0, 1, 2]], dtype=np.int32)),
     "vertices": np.zeros((1, 3, 3), np.float32),
 }
+NAN, INFINITE = float("nan"), float("inf")
 PRESS = {"ball_radius_mm": 3.0, "pixel_mm": 0.1}
 PLANE = {
     "corners_px": (0.0, 0.0, 90.0, 0.0, 0.0, 90.0, 90.0, 90.0),
@@ -94,7 +95,13 @@ REFUSALS = [
         {"names": "a", "parents": [-1], "offsets": [[0, 0, 0]], "tip_joints": [1], "tip_offsets": [[0] * 3]},
         "a tip names a joint that does not exist",
     ),
+    ("integration.discontinuity:DiscontinuityOptions", {"widest": NAN}, "widest scale: expected a value"),
+    ("integration.discontinuity:DiscontinuityOptions", {"narrowest": 99.0}, "narrowest scale: expected a"),
+    ("integration.discontinuity:DiscontinuityOptions", {"noisy": 0.0}, "slope noise of a noisy map: expected"),
+    ("integration.discontinuity:DiscontinuityOptions", {"steep": NAN}, "slope that tells the side"),
+    ("integration.discontinuity:DiscontinuityOptions", {"round_tolerance": 0.0}, "the later rounds: expected"),
     ("integration.options:IntegrationOptions", {"tolerance": 0.0}, "tolerance"),
+    ("integration.options:IntegrationOptions", {"least_weight": NAN}, "least weight: expected a value"),
     ("io.frame_range:FrameRange", {"start": 0, "stop": None, "step": 0}, "step"),
     ("io.live_sources:CameraOptions", {"rate": 0.0}, "camera: expected a positive width, height and rate"),
     ("meshing.clean:CleanOptions", {"smallest_piece": -1}, "smallest piece and largest hole of 0 or more"),

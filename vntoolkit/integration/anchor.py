@@ -10,8 +10,11 @@ its neighbours, so that nothing drifts and frames may be worked on in any order.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
 
 from vntoolkit.arrays import Mask
 from vntoolkit.geometry.maps import DepthMap, LengthUnit
@@ -30,26 +33,26 @@ class DepthAnchor:
 
     def align(self, depth_map: DepthMap) -> DepthMap:
         """Return `depth_map` with the reference's offset (`FREE` depth: its scale)."""
-        if depth_map.mask.all():
-            return self._align_parts(depth_map, [depth_map.mask])
-        components = Components(depth_map.mask)
-        if components.count == 1:
-            return self._align_parts(depth_map, [depth_map.mask])
-        return self._align_parts(
-            depth_map, [components.labels == label for label in range(1, components.count + 1)]
-        )
-
-    def _align_parts(self, depth_map: DepthMap, parts: list[Mask]) -> DepthMap:
         depth = np.array(depth_map.depth)
-        for part in parts:
-            common = np.flatnonzero(part & self._reference.mask)
-            if len(common) < max(_FEWEST_PIXELS, _SMALLEST_SHARE * np.count_nonzero(part)):
-                continue
-            common = common[:: max(1, len(common) // _VOTES)]
-            ours = depth.ravel()[common].astype(np.float64)
-            wanted = self._reference.depth.ravel()[common]
-            if depth_map.unit is LengthUnit.FREE:
-                np.multiply(depth, np.median(wanted / ours), out=depth, where=part)
-            else:
-                np.add(depth, np.median(wanted - ours), out=depth, where=part)
+        if depth_map.mask.all():
+            self._align_part(depth, depth_map.mask, np.s_[:, :], depth_map.unit)
+            return replace(depth_map, depth=depth)
+        labels = Components(depth_map.mask).labels
+        for label, box in enumerate(ndimage.find_objects(labels), start=1):
+            self._align_part(depth[box], labels[box] == label, box, depth_map.unit)
         return replace(depth_map, depth=depth)
+
+    def _align_part(
+        self, depth: npt.NDArray[Any], part: Mask, box: tuple[slice, slice], unit: LengthUnit
+    ) -> None:
+        """Shift or scale `depth`, the view of one part's bounding box, in place where `part` is."""
+        common = np.flatnonzero(part & self._reference.mask[box])
+        if len(common) < max(_FEWEST_PIXELS, _SMALLEST_SHARE * np.count_nonzero(part)):
+            return
+        common = common[:: max(1, len(common) // _VOTES)]
+        ours = depth.ravel()[common].astype(np.float64)
+        wanted = self._reference.depth[box].ravel()[common]
+        if unit is LengthUnit.FREE:
+            np.multiply(depth, np.median(wanted / ours), out=depth, where=part)
+        else:
+            np.add(depth, np.median(wanted - ours), out=depth, where=part)

@@ -25,7 +25,7 @@ class ChordField:
     """One row per edge of a graph, float64.
 
     difference: (m,) wanted difference of depth (or log depth times focal length), in pixels. variance: (m,)
-    its variance, relative to that of a normal that faces the camera.
+    its variance, relative to that of an edge between two normals that face the camera.
     """
 
     difference: Float64
@@ -44,8 +44,7 @@ def chords_from_normals(
     """Wanted differences along all edges from normals (n, 3) and image plane points (n, 2) per node.
 
     A turn of a normal by an angle ε moves its slope by ε / cos² of its inclination: grazing ends make an
-    edge unsure. So does a bend, as far as the two ends disagree on the slope (a part of 1 in
-    10 pixels of that disagreement counts against one facing normal's noise).
+    edge unsure. So does a bend, as far as the two ends disagree on the slope (`_BEND`).
     """
     least_facing = float(np.cos(np.deg2rad(steepest_slope_deg)))
     difference, variance = _chords(
@@ -60,7 +59,8 @@ def chords_from_normals(
     return ChordField(difference=difference, variance=variance)
 
 
-_BEND = 10.0  # standard deviations of a facing normal's slope per pixel of disagreement
+_BEND = 10.0  # standard deviations of a facing edge's difference per pixel of disagreement
+_STEEPEST_HALF = 0.9  # half of the difference of log depth, by the chord: 1 would be infinitely steep
 
 
 @numba.njit(cache=True)
@@ -71,7 +71,7 @@ def _along(nx, ny, nz, x1, y1, x2, y2, perspective, scale, least_facing):  # typ
     facing = max(facing, least_facing)
     slope = rise / facing
     if perspective > 0.0:
-        half = min(max(0.5 * slope, -0.9), 0.9)
+        half = min(max(0.5 * slope, -_STEEPEST_HALF), _STEEPEST_HALF)
         slope = 2.0 * np.arctanh(half)
     return slope * scale, facing
 

@@ -63,8 +63,15 @@ class DiscontinuityOptions:
 
     def __post_init__(self) -> None:
         require_in_range(self.rounds, 1, 1000, "rounds of reweighting")
+        require_in_range(self.widest, 1e-3, 1e6, "widest scale")
         require_in_range(self.narrowest, 1e-3, self.widest, "narrowest scale")
+        require_in_range(self.narrowest_noisy, 1e-3, 1e6, "narrowest scale on noisy normals")
+        require_in_range(self.noisy, 1e-6, 1e6, "slope noise of a noisy map")
         require_in_range(self.against, 1.0, 1e6, "factor against contradicted occlusions")
+        require_in_range(self.steep, 0.0, 1e6, "slope that tells the side of an occlusion")
+        require_in_range(self.circulation, 0.0, 1e6, "share of the circulation")
+        require_in_range(self.first_tolerance, 1e-12, 1.0, "tolerance of the first round")
+        require_in_range(self.round_tolerance, 1e-12, 1.0, "tolerance of the later rounds")
 
 
 def solve_discontinuous(
@@ -79,7 +86,7 @@ def solve_discontinuous(
 ) -> Float64:
     """Return depth in pixels per node (n,), arbitrary offset per component.
 
-    confidence: (m,) weight per edge from 0 to 1. noise: see `noise_of_chords`. start: a first guess (n,).
+    difference: (m,) wanted, pixels. confidence: (m,) weight per edge from 0 to 1. start: a first guess (n,).
     """
     trust = confidence / evidence.variance
     depth = np.zeros(len(graph.pixels)) if start is None else start
@@ -124,8 +131,8 @@ def _reweighted(depth, tail, head, wanted, variance, trust, scale, against, stee
 class Evidence:
     """What the wanted differences say about themselves.
 
-    noise: standard deviation in pixels of a facing normal's slope. variance: (m,) of every edge, in units of
-    noise²: that of the normals plus the circulation that no surface can explain.
+    noise: standard deviation in pixels of the difference between two facing normals' pixels. variance: (m,)
+    of every edge, in units of noise²: that of the normals plus the circulation that no surface can explain.
     """
 
     noise: float

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import Mask
-from vntoolkit.checks import require_some
+from vntoolkit.checks import require_finite, require_some
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
@@ -20,6 +20,7 @@ from vntoolkit.integration.slopes import Float32Image, rays_from_camera, slopes_
 from vntoolkit.integration.spectral import CosineSolver, FourierSolver, RectangleSolver
 
 _RECTANGLE = (Integrator.COSINE, Integrator.FOURIER)
+_LEAST_TRUST = np.float32(1e-4)  # of a pixel in the domain: with none, what lies beyond it would float
 
 
 class DepthIntegrator:
@@ -46,7 +47,8 @@ class DepthIntegrator:
 
         Lengths are in pixels for an orthographic camera of scale 1, in its length unit for another scale,
         and free (mean 1) for a perspective camera. Raises `BadInput` where the size is not the camera's,
-        nothing is valid, or the integrator cannot take the domain; `SolverFailed` where iterations run out.
+        nothing is valid, a normal is not finite, or the integrator cannot take the domain; `SolverFailed`
+        where iterations run out.
         """
         wanted = (self._camera.height, self._camera.width)
         if normal_map.shape != wanted:
@@ -59,11 +61,18 @@ class DepthIntegrator:
                 normal_map.normals_in_camera, self._rays, self._options.steepest_slope_deg
             )
             return self._finish(self._solve_rectangle(p, q, choice), domain)
+        return self._integrate_domain(normal_map, domain, choice)
+
+    def _integrate_domain(self, normal_map: NormalMap, domain: Mask, choice: Integrator) -> DepthMap:
+        normals, weight = normal_map.normals_in_camera, normal_map.weight
+        if not np.isfinite(normals.sum()):  # a pixel outside the domain may be anything
+            require_finite(normals[domain], "normals to integrate")
+        if weight is not None:
+            weight = np.maximum(weight, _LEAST_TRUST)
         if self._domain is None or not np.array_equal(domain, self._domain.domain):
             self._domain = DomainSolver(domain, self._rays, self._options)
         solve = self._domain.poisson if choice is Integrator.POISSON else self._domain.discontinuity
-        solution = solve(normal_map.normals_in_camera, normal_map.weight)
-        return self._finish(solution, domain, self._domain.components)
+        return self._finish(solve(normals, weight), domain, self._domain.components)
 
     def _domain_of(self, normal_map: NormalMap) -> Mask:
         domain = normal_map.mask
@@ -88,7 +97,10 @@ class DepthIntegrator:
             solver = CosineSolver if choice is Integrator.COSINE else FourierSolver
             dtype = np.float32 if self._options.precision is Precision.SINGLE else np.float64
             self._rectangle[choice] = solver(p.shape[0], p.shape[1], dtype)
-        return self._rectangle[choice].solve(divergence_from_slopes(p, q))
+        solution = self._rectangle[choice].solve(divergence_from_slopes(p, q))
+        if not np.isfinite(solution[0, 0]):  # every pixel of a transform holds a little of every other
+            raise BadInput("normals to integrate: some are NaN or infinite; leave them out of the mask")
+        return solution
 
     def _finish(
         self, solution: npt.NDArray[Any], domain: Mask, components: Components | None = None

@@ -171,8 +171,8 @@ def flexible_conjugate_gradients(levels, load, start, tolerance, most):  # type:
     b[:count] = load
     _cycle(levels, b, x, kept, kept_product, work, state, rho, step)
     scale = _dot(load, x, count)
-    if scale <= 0.0:
-        return solution, 0, 0.0
+    if scale <= 0.0:  # nothing is asked for, whatever the start
+        return np.zeros(count), 0, 0.0
     _multiply(levels, 0, count, solution, product)
     started = False
     for i in range(count):

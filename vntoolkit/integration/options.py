@@ -36,8 +36,8 @@ class IntegrationOptions:
     """Options of `DepthIntegrator`.
 
     integrator: how slopes become depth; by default COSINE where every pixel is used, else POISSON.
-    steepest_slope_deg: angle between surface and image plane beyond which slopes are held at that angle
-        (degrees); keeps grazing and backward normals from exploding.
+    steepest_slope_deg: angle in degrees between a normal and the way to the camera beyond which slopes are
+        held at that angle; keeps grazing and backward normals from exploding.
     least_weight: pixels of lower confidence leave the domain (0 to 1).
     precision: floating-point precision of COSINE and FOURIER.
     tolerance: relative residual at which POISSON stops.
