@@ -44,10 +44,10 @@ LEVEL = DepthMap(depth=PLANE, mask=ALL)
     ("write", "error", "line"),
     [
         (lambda p: write_png(p / "a.png", PLANE), BadInput, "a PNG holds 8- or 16-bit integers, got float32"),
-        (lambda p: write_png(p / "a.png", np.zeros((4, 5, 2), np.uint8)), BadInput, "3 or 4 channels, got 2"),
+        (lambda p: write_png(p / "a.png", np.zeros((4, 5, 2), np.uint8)), BadInput, r"got \(4, 5, 2\)"),
         (lambda p: encoded_image(np.zeros((4, 5), np.uint8), ".gif"), BadInput, r"one of \.png.*'\.gif'"),
         (lambda p: encoded_image(np.zeros((0, 5), np.uint8)), BadInput, r"of shape \(0, 5\) as \.png"),
-        (lambda p: write_png(p / "a.png", np.zeros((0, 5), np.uint8)), BadInput, "an image of shape"),
+        (lambda p: write_png(p / "a.png", np.zeros((0, 5), np.uint8)), BadInput, r"got \(0, 5\)"),
         (lambda p: write_exr(p / "a.exr", {"Z": PLANE.astype(int)}), BadInput, "float32, got int64"),
         (lambda p: write_labels(p / "a.png", np.full((4, 5), 8, np.uint8)), BadInput, "bytes from 0 to 7"),
         (lambda p: write_normal_map(p / "a.jpg", FLAT), BadInput, r"as \.exr or \.png, not '\.jpg'"),

@@ -23,7 +23,7 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
     cannot leave half a file, a power cut may.
     """
     path = Path(path)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+    temporary = path.parent / f".{path.stem}.{os.getpid()}.part{path.suffix}"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.is_dir():

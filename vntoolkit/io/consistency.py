@@ -28,13 +28,16 @@ def albedo_variation(rgb: FloatArray, scaled_normals: FloatArray) -> float:
 def curl_share(scaled_normals: FloatArray, used: Mask) -> float:
     """Return |∂p/∂v − ∂q/∂u| over |∂p/∂v| + |∂q/∂u|, each summed over the inside of `used`; 0 to 1.
 
-    p and q are the slopes of the smoothed (h, w, 3) normals; a surface that exists has the share 0.
+    p and q are the slopes of the smoothed (h, w, 3) normals; a surface that exists has the share 0. NaN
+    where nothing is inside, or all of it is flat.
     """
     normals = cv2.blur(scaled_normals, (_SMOOTHING_PX, _SMOOTHING_PX))
     normals = normals / np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-12)
     side = 2 * _SMOOTHING_PX - 1
     eroded = cv2.erode(used.astype(np.uint8), np.ones((side, side), np.uint8), borderValue=0) > 0
     inside: Mask = np.asarray(eroded & (normals[..., 2] < -_STEEPEST))
+    if not inside.any():
+        return float("nan")
     slopes = normals[..., :2] / np.minimum(normals[..., 2:], -_STEEPEST)
     p_along_v = np.gradient(slopes[..., 0], axis=0)[inside]
     q_along_u = np.gradient(slopes[..., 1], axis=1)[inside]

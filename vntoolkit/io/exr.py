@@ -110,6 +110,8 @@ def read_exr(
         raise error(f"{path}: the EXR file is damaged ({' '.join(said.getvalue().split())})")
     for name, values in channels.items():
         require_shape(values, (header.height, header.width), f"{path}: channel {name}", error)
+        if values.dtype == np.object_:
+            raise error(f"{path}: channel {name} is deep; expected one value a pixel: flatten it first")
     return channels, header.texts
 
 

@@ -48,15 +48,10 @@ def read_image(
     `reading_limits`. Raises `error` with one line for a file that is missing, empty, damaged, too large, or
     holds NaN.
     """
-    pixels = _decode(path, max_megapixels, error)
-    if pixels.ndim == 2:
-        return np.repeat(pixels[..., None], 3, axis=2)
-    if pixels.shape[2] in (2, 4):
-        _require_opaque(pixels[..., -1], path, error)
-        pixels = pixels[..., :-1]
-    if pixels.shape[2] == 1:
-        return np.repeat(pixels, 3, axis=2)
-    return np.ascontiguousarray(pixels)
+    colours, alpha = _decode(path, max_megapixels, error)
+    if alpha is not None:
+        _require_opaque(alpha, path, error)
+    return _in_three_channels(colours)
 
 
 def read_image_with_alpha(
@@ -66,19 +61,19 @@ def read_image_with_alpha(
     error: type[BadInput] = BadInput,
 ) -> tuple[npt.NDArray[Any], Mask | None]:
     """Read (h, w, 3) RGB and, where there is an alpha channel, the (h, w) mask of alpha >= half."""
-    pixels = _decode(path, max_megapixels, error)
-    if pixels.ndim == 3 and pixels.shape[2] == 4:
-        full = 1.0 if pixels.dtype == np.float32 else np.iinfo(pixels.dtype).max
-        return np.ascontiguousarray(pixels[..., :3]), pixels[..., 3] >= full / 2
-    return read_image(path, max_megapixels=max_megapixels, error=error), None
+    colours, alpha = _decode(path, max_megapixels, error)
+    if alpha is None:
+        return _in_three_channels(colours), None
+    full = 1.0 if alpha.dtype == np.float32 else np.iinfo(alpha.dtype).max
+    return _in_three_channels(colours), alpha >= full / 2
 
 
 def read_grey(
     path: Path | str, *, max_megapixels: float | None = None, error: type[BadInput] = BadInput
 ) -> npt.NDArray[Any]:
     """Read an image as (h, w): grey as stored, colour by its largest channel (so any paint counts)."""
-    pixels = _decode(path, max_megapixels, error)
-    return pixels if pixels.ndim == 2 else pixels[..., :3].max(axis=2)
+    colours, _ = _decode(path, max_megapixels, error)
+    return np.asarray(colours.max(axis=2))
 
 
 def write_png(path: Path | str, pixels: npt.NDArray[Any], *, compression_level: int = 1) -> None:
@@ -88,8 +83,8 @@ def write_png(path: Path | str, pixels: npt.NDArray[Any], *, compression_level: 
     """
     if pixels.dtype not in (np.uint8, np.uint16):
         raise BadInput(f"{path}: a PNG holds 8- or 16-bit integers, got {pixels.dtype}")
-    if pixels.ndim == 3 and pixels.shape[2] not in (3, 4):
-        raise BadInput(f"{path}: expected 3 or 4 channels, got {pixels.shape[2]}")
+    if pixels.ndim not in (2, 3) or pixels.size == 0 or (pixels.ndim == 3 and pixels.shape[2] not in (3, 4)):
+        raise BadInput(f"{path}: expected an image of (h, w), (h, w, 3) or (h, w, 4), got {pixels.shape}")
     if pixels.ndim == 3:
         order = cv2.COLOR_RGB2BGR if pixels.shape[2] == 3 else cv2.COLOR_RGBA2BGRA
         pixels = cv2.cvtColor(np.ascontiguousarray(pixels), order)
@@ -137,8 +132,10 @@ def resized_image(
     return np.asarray(cv2.resize(np.ascontiguousarray(pixels), size, interpolation=method), dtype=np.uint8)
 
 
-def _decode(path: Path | str, max_megapixels: float | None, error: type[BadInput]) -> npt.NDArray[Any]:
-    """Return (h, w) or (h, w, channels), channels in RGB order, alpha last."""
+def _decode(
+    path: Path | str, max_megapixels: float | None, error: type[BadInput]
+) -> tuple[npt.NDArray[Any], npt.NDArray[Any] | None]:
+    """Return the colours (h, w, 1) or (h, w, 3) in RGB order, and alpha (h, w) or None."""
     data = read_bytes(path, error)
     header = read_image_header(data, str(path), error)
     require_pixels(header.width, header.height, max_megapixels, str(path), error)
@@ -163,19 +160,28 @@ def _decode(path: Path | str, max_megapixels: float | None, error: type[BadInput
     if pixels.ndim == 3 and pixels.shape[2] >= 3:
         order = cv2.COLOR_BGR2RGB if pixels.shape[2] == 3 else cv2.COLOR_BGRA2RGBA
         pixels = cv2.cvtColor(pixels, order)
-    return pixels
+    pixels = np.atleast_3d(pixels)
+    return (pixels[..., :-1], pixels[..., -1]) if pixels.shape[2] in (2, 4) else (pixels, None)
+
+
+def _in_three_channels(colours: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    return np.repeat(colours, 3, axis=2) if colours.shape[2] == 1 else np.ascontiguousarray(colours)
 
 
 def _pixels_from_exr(
     path: Path | str, max_megapixels: float | None, error: type[BadInput]
-) -> npt.NDArray[np.float32]:
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32] | None]:
     channels, _ = read_exr(path, max_megapixels=max_megapixels, error=error)
-    names = [name for name in "RGBA" if name in channels] or [name for name in "YZ" if name in channels]
-    if names[:3] != ["R", "G", "B"] and len(names) != 1:
+    names = next((kept for group in ("RGB", "YZ", "A") if (kept := [n for n in group if n in channels])), [])
+    if names != ["R", "G", "B"] and len(names) != 1:
         raise error(f"{path}: expected the channels R, G, B (or Y), found {', '.join(channels)}")
     pixels = np.stack([channels[name] for name in names], axis=-1).astype(np.float32)
     _require_numbers(pixels, path, error)
-    return pixels[..., 0] if len(names) == 1 else pixels
+    if "A" not in channels or names == ["A"]:
+        return pixels, None
+    alpha = channels["A"].astype(np.float32)
+    _require_numbers(alpha, path, error)
+    return pixels, alpha
 
 
 def _require_numbers(pixels: npt.NDArray[Any], path: Path | str, error: type[BadInput]) -> None:

@@ -51,14 +51,14 @@ def read_mask(
 ) -> Mask:
     """Read an (h, w) mask: True where a pixel is brighter than half of full scale.
 
-    size: (width, height) that it must have. An image whose values are only 0 and 1 counts 1 as True.
+    size: (width, height) that it must have. Integers that are only 0 and 1 count 1 as True.
     """
     grey = read_grey(path, max_megapixels=max_megapixels)
     height, width = grey.shape
     if size is not None and (width, height) != size:
         raise BadInput(f"{path}: the mask is {width}×{height}, the capture {size[0]}×{size[1]}")
-    full = 1.0 if grey.dtype == np.float32 else np.iinfo(grey.dtype).max
-    mask: Mask = grey > (0 if grey.max(initial=0) == 1 else full / 2)
+    half = 0.5 if grey.dtype == np.float32 else np.iinfo(grey.dtype).max / 2
+    mask: Mask = grey > (0 if grey.dtype != np.float32 and grey.max() == 1 else half)
     require_some(mask, f"mask {path}")
     return mask
 

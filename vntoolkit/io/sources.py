@@ -29,7 +29,13 @@ def find_capture_files(source: Path | str) -> tuple[CaptureKind, tuple[Path, ...
 
     A name that exists is taken as it is, even if it holds `%` or `*`. Raises `BadCapture`.
     """
-    text = str(source)
+    try:
+        return _find(str(source))
+    except OSError as problem:  # of a name that is too long, or a folder that may not be looked into
+        raise BadCapture(f"{source}: cannot be read ({problem.strerror})") from problem
+
+
+def _find(text: str) -> tuple[CaptureKind, tuple[Path, ...]]:
     path = Path(text)
     if path.is_dir():
         return CaptureKind.SEQUENCE, _in_folder(path)
@@ -49,7 +55,7 @@ def find_capture_files(source: Path | str) -> tuple[CaptureKind, tuple[Path, ...
 def natural_key(path: Path) -> tuple[tuple[int, int, str], ...]:
     """Sort key by which `f2.png` comes before `f10.png`."""
     parts = re.split(r"(\d+)", path.name)
-    return tuple((0, int(part), "") if part.isdigit() else (1, 0, part.lower()) for part in parts if part)
+    return tuple((0, int(part), "") if part.isdecimal() else (1, 0, part.lower()) for part in parts if part)
 
 
 def _in_folder(folder: Path) -> tuple[Path, ...]:

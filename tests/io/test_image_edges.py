@@ -1,0 +1,79 @@
+"""Pictures at the edge of what a format holds: one row, grey with alpha, soft masks, depth in lists."""
+
+import numpy as np
+import pytest
+
+from vntoolkit.errors import BadCapture, BadInput, CannotWrite
+from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.io.atomic import write_bytes
+from vntoolkit.io.consistency import curl_share
+from vntoolkit.io.exr import read_exr, write_exr
+from vntoolkit.io.images import read_grey, read_image, read_image_with_alpha, write_png
+from vntoolkit.io.label_images import read_mask
+from vntoolkit.io.maps import read_normal_map, write_normal_map
+from vntoolkit.io.sources import find_capture_files
+
+
+@pytest.mark.parametrize("shape", [(1, 500), (500, 1), (1, 1)])
+def test_a_normal_map_of_one_row_or_column_comes_back(tmp_path, shape):
+    normals = np.broadcast_to(np.float32([0, 0, -1]), (*shape, 3))
+    write_normal_map(tmp_path / "a.png", NormalMap(normals_in_camera=normals, mask=np.ones(shape, bool)))
+    assert read_normal_map(tmp_path / "a.png").normals_in_camera == pytest.approx(normals, abs=1e-4)
+
+
+def test_slopes_of_no_area_have_no_curl():
+    assert np.isnan(curl_share(np.ones((1, 9, 3)), np.ones((1, 9), bool)))
+
+
+def test_a_grey_exr_with_alpha_is_its_grey(tmp_path):
+    grey = np.array([[0.25, 0.5]], np.float32)
+    write_exr(tmp_path / "a.exr", {"Y": grey, "A": np.ones((1, 2), np.float32)})
+    assert read_image(tmp_path / "a.exr")[..., 1].tolist() == grey.tolist()
+    assert read_grey(tmp_path / "a.exr").tolist() == grey.tolist()
+    write_exr(tmp_path / "b.exr", {"Y": grey, "A": np.array([[1, 0.5]], np.float32)})
+    with pytest.raises(BadCapture, match="not opaque at 1 pixels"):
+        read_image(tmp_path / "b.exr")
+    rgb, mask = read_image_with_alpha(tmp_path / "b.exr")
+    assert (rgb[..., 0].tolist(), mask.tolist()) == (grey.tolist(), [[True, True]])
+
+
+def test_a_soft_float_mask_is_cut_at_half(tmp_path):
+    write_exr(tmp_path / "a.exr", {"Y": np.array([[0, 0.2, 0.6, 1]], np.float32)})
+    assert read_mask(tmp_path / "a.exr").tolist() == [[False, False, True, True]]
+
+
+def test_a_deep_exr_is_refused(tmp_path):
+    import OpenEXR
+
+    samples = np.empty((2, 2), object)
+    for place in np.ndindex(2, 2):
+        samples[place] = np.float32([1, 2])
+    header = {"type": OpenEXR.deepscanline, "compression": OpenEXR.ZIPS_COMPRESSION}
+    OpenEXR.File(header, {"Y": samples}).write(str(tmp_path / "a.exr"))
+    with pytest.raises(BadCapture, match="expected one value a pixel"):
+        read_exr(tmp_path / "a.exr")
+
+
+@pytest.mark.parametrize("shape", [(4,), (2, 2, 2, 3), (0, 3)])
+def test_what_is_no_picture_is_not_written(tmp_path, shape, capfd):
+    with pytest.raises(BadInput, match=r"a\.png: expected"):
+        write_png(tmp_path / "a.png", np.zeros(shape, np.uint8))
+    assert capfd.readouterr() == ("", "")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("path", [".", "/", ""])
+def test_a_folder_is_no_file_to_write(path):
+    with pytest.raises(CannotWrite, match="is a folder"):
+        write_bytes(path, b"")
+
+
+def test_file_names_with_digits_of_other_kinds_sort(tmp_path):
+    for name in ("f10.png", "f9²4.png", "f٣.png"):
+        (tmp_path / name).write_bytes(b"x")
+    assert [path.name for path in find_capture_files(tmp_path)[1]] == ["f٣.png", "f9²4.png", "f10.png"]
+
+
+def test_a_name_too_long_for_any_file_is_one_line():
+    with pytest.raises(BadCapture, match="cannot be read"):
+        find_capture_files("x" * 300)
