@@ -1,5 +1,6 @@
 """Live mode: frames in time, the oldest dropped when it is too much, results those of the stages."""
 
+import os
 import threading
 import time
 from dataclasses import replace
@@ -10,7 +11,8 @@ import pytest
 
 from tests.pipeline.conftest import RESPONSE, dome_normals
 from vntoolkit.__main__ import main
-from vntoolkit.errors import BadCapture, BadInput, VntError
+from vntoolkit.cli.live import _keys
+from vntoolkit.errors import BadCapture, BadInput, CannotWrite, VntError
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.io.captures import open_capture
@@ -243,6 +245,49 @@ def test_recordings_are_lossless_and_one_file_each(tmp_path: Path, rng) -> None:
     np.testing.assert_array_equal(read, pictures)
 
 
+def test_a_recording_without_a_frame_leaves_nothing(tmp_path: Path) -> None:
+    recorder = LiveRecorder(tmp_path, 30.0)
+    recorder.start()
+    recorder.stop()
+    assert (recorder.files, recorder.problem, list(tmp_path.iterdir())) == ([], "", [])
+
+
+def test_a_recording_that_fails_is_over_and_the_next_one_is_not_blamed(tmp_path: Path, monkeypatch) -> None:
+    def full_disk(_path: Path, frames: object, _rate: float) -> None:
+        next(frames)
+        raise CannotWrite("no space left")
+
+    recorder = LiveRecorder(tmp_path, 30.0)
+    with monkeypatch.context() as failing:
+        failing.setattr("vntoolkit.pipeline.live_recorder.write_video", full_disk)
+        recorder.start()
+        recorder.take(TimedFrame(frame=encoded(dome_picture()), arrived_s=0.0))
+        until = time.monotonic() + 10
+        while recorder.is_recording and time.monotonic() < until:
+            time.sleep(0.01)
+    assert not recorder.is_recording
+    assert (recorder.files, recorder.problem) == ([], "no space left")
+    recorder.toggle()
+    recorder.take(TimedFrame(frame=encoded(dome_picture()), arrived_s=0.0))
+    assert recorder.problem == ""
+    recorder.stop()
+    assert len(recorder.files) == 1
+
+
+def test_every_r_in_the_terminal_counts(monkeypatch) -> None:
+    ours, theirs = os.openpty()
+    pressed: list[int] = []
+    with os.fdopen(theirs) as terminal:
+        monkeypatch.setattr("sys.stdin", terminal)
+        with _keys(lambda: pressed.append(1)):
+            os.write(ours, b"rxr")
+            until = time.monotonic() + 10
+            while len(pressed) < 2 and time.monotonic() < until:
+                time.sleep(0.01)
+    os.close(ours)
+    assert len(pressed) == 2
+
+
 def test_rate_and_latency_are_measured() -> None:
     meter = LatencyMeter()
     assert meter.figures() == (0.0, (0.0, 0.0))
@@ -263,5 +308,7 @@ def test_the_command_plays_a_video_and_says_what_was_dropped(tmp_path: Path, cap
     assert "viser" not in printed
     assert main([*arguments, "--video", str(tmp_path / "a.mkv"), "--camera", "0"]) != 0
     assert "either --camera NUMBER or --video FILE" in capsys.readouterr().err
+    assert main([*arguments, "--video", str(tmp_path / "a.mkv"), "--seconds", "0"]) != 0
+    assert "seconds: expected more than 0, got 0" in capsys.readouterr().err
     assert main([*arguments, "--video", str(tmp_path / "a.mkv"), "--rate", "5"]) != 0
     assert "a video has its own" in capsys.readouterr().err

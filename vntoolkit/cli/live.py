@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -90,8 +91,10 @@ def live(
     record_to
         The folder for recordings.
     seconds
-        Stop after so long; default: when the video ends, or Ctrl-C.
+        Stop after so many seconds; default: when the video ends, or Ctrl-C.
     """
+    if seconds is not None and not seconds > 0:
+        raise BadInput(f"seconds: expected more than 0, got {seconds:g}")
     read = read_rig(rig)
     source = _source(camera, video, realtime, asked, read)
     view = FrameView(crop=crop, rectification=_rectification(corners, size_mm, pixel_mm))
@@ -157,8 +160,10 @@ def _watch(
         print(f"drawn {shown.meter.count}: {told}")
     for path in recorder.files:
         print(f"recorded {path}")
-    if recorder.lost or recorder.problem:
-        print(f"the recording lost {recorder.lost} frames {recorder.problem}".rstrip())
+    if recorder.lost:
+        print(f"the recordings lost {recorder.lost} frames: the disk is too slow")
+    if recorder.problem:
+        print(f"not recorded: {recorder.problem}")
 
 
 def _source(
@@ -204,15 +209,17 @@ def _keys(on_r: Callable[[], None]) -> Iterator[None]:
     import termios
     import tty
 
-    before = termios.tcgetattr(sys.stdin)
+    terminal = sys.stdin.fileno()
+    before = termios.tcgetattr(terminal)
     ended = threading.Event()
 
     def listen() -> None:
         while not ended.is_set():
-            if select.select([sys.stdin], [], [], 0.2)[0] and sys.stdin.read(1) == "r":
+            # by the descriptor: sys.stdin would read ahead, where select cannot see what waits
+            if select.select([terminal], [], [], 0.2)[0] and os.read(terminal, 1) == b"r":
                 on_r()
 
-    tty.setcbreak(sys.stdin)
+    tty.setcbreak(terminal)
     listener = threading.Thread(target=listen, daemon=True)
     listener.start()
     try:
@@ -220,4 +227,4 @@ def _keys(on_r: Callable[[], None]) -> Iterator[None]:
     finally:
         ended.set()
         listener.join()
-        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
+        termios.tcsetattr(terminal, termios.TCSADRAIN, before)

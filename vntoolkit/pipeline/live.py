@@ -27,7 +27,7 @@ class LiveFigures:
     """How it goes: frames so far, frames a second and seconds of latency lately.
 
     arrived, processed, dropped, failed: frames. rate_hz: of frames processed. latency_s: from a frame's
-    arrival to its result, median and 95th percentile. recorded: frames written to disk.
+    arrival to its result, median and 95th percentile.
     """
 
     arrived: int

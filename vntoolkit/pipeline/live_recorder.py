@@ -23,7 +23,8 @@ _BUFFERED = 90  # frames; 3 seconds at 30 a second ride out a slow disk
 class LiveRecorder:
     """Writes frames as FFV1 in Matroska, one file a recording; frames as the camera gave them, uncropped.
 
-    A frame that finds the buffer full is lost to the recording, and counted in `lost`.
+    A frame that finds the buffer full is lost to the recording, and counted in `lost`. A recording that fails
+    is over; `problem` says why, until the next one begins.
     """
 
     def __init__(self, folder: Path, frame_rate_hz: float) -> None:
@@ -58,6 +59,7 @@ class LiveRecorder:
                 count += 1
                 path = folder / f"{stem}-{count}.mkv"
             self.files.append(path)
+            self.problem = ""
             frames: queue.Queue[npt.NDArray[Any] | None] = queue.Queue(_BUFFERED)
             self._queue = frames
             self._thread = threading.Thread(target=self._write, args=(path, frames), name="recorder")
@@ -88,11 +90,20 @@ class LiveRecorder:
 
     def _write(self, path: Path, frames: queue.Queue[npt.NDArray[Any] | None]) -> None:
         def taken() -> Iterator[npt.NDArray[Any]]:
-            while (values := frames.get()) is not None:
+            values = first
+            while values is not None:
                 yield values
+                values = frames.get()
 
-        try:
-            write_video(path, taken(), self._frame_rate_hz)
-        except VntError as error:  # a full disk must not end the show
-            self.problem = str(error)
+        first, problem = frames.get(), ""
+        if first is not None:
+            try:
+                write_video(path, taken(), self._frame_rate_hz)
+                return
+            except VntError as error:  # a full disk must not end the show
+                problem = str(error)
+        with self._lock:
             self.files.remove(path)
+            self.problem = problem
+            if self._queue is frames:
+                self._queue = self._thread = None

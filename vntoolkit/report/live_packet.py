@@ -103,7 +103,7 @@ def normals_block(normal_map: NormalMap, longest_px: int) -> npt.NDArray[np.uint
     )
     block = np.zeros((*mask.shape, 4), np.uint8)
     scale = 127.5 * np.array(NormalConvention.OPENGL.signs, np.float32)
-    block[..., :3] = normals * scale + 127.5
+    block[..., :3] = (normals * scale + 127.5) * mask[..., None]
     block[..., 3] = mask * np.uint8(255)
     return block
 

@@ -121,8 +121,8 @@ def live_page(records: bool) -> str:
     import jinja2
 
     folder = files("vntoolkit.report") / "templates"
-    template = jinja2.Environment(autoescape=True).from_string((folder / "live.html.j2").read_text())
-    return template.render(records=records, script=(folder / "live.js").read_text())
+    template = jinja2.Environment(autoescape=True).from_string((folder / "live.html.j2").read_text("utf-8"))
+    return template.render(records=records, script=(folder / "live.js").read_text("utf-8"))
 
 
 def _listening(host: str, port: int, handler: type[_Handler]) -> _Listener:
