@@ -124,7 +124,8 @@ def _followed(
     """Where the points (n, 2) end up, and 1 where they were found; each from the start that fits better."""
     u, v = points.astype(int).T
     ended, found, residual = _lucas_kanade(before, after, points, points + start[v, u], options)
-    doubtful = (found == 0) | (residual > _DOUBTFUL * np.median(residual))
+    usual = np.median(residual[found > 0]) if found.any() else 0.0
+    doubtful = (found == 0) | (residual > _DOUBTFUL * usual)
     if np.mean(doubtful) < _FEW:
         return ended, found
     u, v = u[doubtful], v[doubtful]
@@ -145,6 +146,7 @@ def _lucas_kanade(
     guess: Points2,
     options: FlowOptions,
 ) -> tuple[Points2, npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    """Where points (n, 2) end up, 1 where found, and the residual (n,), undefined where not found."""
     ended, status, residual = cv2.calcOpticalFlowPyrLK(
         before, after, points.reshape(-1, 1, 2), guess.reshape(-1, 1, 2).astype(np.float32),
         winSize=(options.window_px, options.window_px), maxLevel=options.levels,

@@ -58,18 +58,18 @@ class FlowMethod(Enum):
     """Optical flow between consecutive normal maps."""
 
     NONE = "none"  # nothing moves: no registration
-    DIS = "dis"
-    LATTICE = "lattice"  # DIS, then Lucas and Kanade on a lattice
+    DIS = "dis"  # dense inverse search
+    LATTICE = "lattice"  # Lucas and Kanade on a lattice, from the motion before and, where it fits ill, DIS's
 
 
 @dataclass(frozen=True, kw_only=True)
 class FlowOptions:
     """Optical flow between consecutive normal maps.
 
-    method: how motion between two frames is found: none, dis (dense inverse search), or lattice, which then
-    follows points by Lucas–Kanade. lattice_px: spacing of the points that Lucas–Kanade follows, pixels.
-    window_px: side of the window around such a point, pixels, odd. levels: pyramid levels above full
-    resolution.
+    method: how motion between two frames is found: none, dis (dense inverse search), or lattice, which
+    follows points by Lucas–Kanade and starts from dis where the motion before does not fit. lattice_px:
+    spacing of the points that Lucas–Kanade follows, pixels. window_px: side of the window around such a
+    point, pixels, odd. levels: pyramid levels above full resolution.
     """
 
     method: FlowMethod = FlowMethod.LATTICE
