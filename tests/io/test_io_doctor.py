@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from vntoolkit.__main__ import main
+from vntoolkit.cli.tables import print_table
 from vntoolkit.errors import BadCapture
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.images import read_image, write_png
@@ -52,6 +53,16 @@ def test_good_footage_has_no_finding(tmp_path, picture, rig):
     report = inspect_capture(_store(tmp_path / "a.png", picture), rig=rig)
     assert report.findings == ()
     assert report.clipped_share == 0
+
+
+def test_names_are_shown_as_they_are(tmp_path, picture, capsys):
+    """Brackets and colons mean something to the library that draws the tables."""
+    for name in ("take[red].png", "take[/].png", "take:b:1.png"):
+        _store(tmp_path / name, picture)
+        assert main(["doctor", str(tmp_path / name)]) == 0
+        assert name in "".join(capsys.readouterr().out.split("\n"))
+    print_table("[b]", ["[red]name", "n"], [["take[/].png", "[/]"]])
+    assert capsys.readouterr().out.split() == ["[b]", "[red]name", "n", "take[/].png", "[/]"]
 
 
 def test_swapped_channels_are_found(tmp_path, picture, rig):

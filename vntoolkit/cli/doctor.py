@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from vntoolkit import __version__
@@ -73,7 +74,7 @@ def doctor(
         options = replace(options, transfer=Transfer.from_text(transfer))
     the_mask = None if mask is None else read_mask(mask)
     report = inspect_capture(source, options, rig=the_rig, mask=the_mask)
-    _print_report(Console(), source, report)
+    _print_report(Console(emoji=False), source, report)
     return int(any(finding.severity is Severity.FATAL for finding in report.findings))
 
 
@@ -103,7 +104,7 @@ def _check_libraries(console: Console) -> int:
 
 def _print_report(console: Console, source: str, report: CaptureReport) -> None:
     info = report.info
-    table = Table(title=source, show_header=False, title_justify="left")
+    table = Table(title=escape(source), show_header=False, title_justify="left")
     table.add_column(style="bold")
     table.add_column()
     rate = f", {info.frame_rate_hz:g} per second" if info.kind.value == "video" else ""
@@ -120,7 +121,9 @@ def _print_report(console: Console, source: str, report: CaptureReport) -> None:
     for finding in report.findings:
         colour = _COLOURS[finding.severity.value]
         console.print(
-            f"[{colour}]{finding.severity.value:>8}[/]  {finding.text}", highlight=False, soft_wrap=True
+            f"[{colour}]{finding.severity.value:>8}[/]  {escape(finding.text)}",
+            highlight=False,
+            soft_wrap=True,
         )
     if not report.findings:
         console.print("[green]nothing found[/] that would ruin normals")

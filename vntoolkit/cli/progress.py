@@ -32,7 +32,7 @@ class _RateColumn(ProgressColumn):
 def progress_bar(title: str, total: int, done: int = 0) -> Iterator[Advance]:
     """Show progress on standard error while the block runs; yield the function that advances it by n."""
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         _RateColumn(),

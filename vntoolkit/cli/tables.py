@@ -13,6 +13,8 @@ from rich.table import Table
 
 from vntoolkit.io.atomic import write_text
 
+_WIDE = 200
+
 
 def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], names: int = 1) -> None:
     """Print a table whose first `names` columns are texts and whose others are numbers."""
@@ -21,10 +23,15 @@ def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]
         table.add_column(column, justify="left" if i < names else "right", no_wrap=True)
     for row in rows:
         table.add_row(*row)
-    console = Console(highlight=False)
-    if not console.is_terminal:  # a pipe or a file has no width to keep to
-        console = Console(highlight=False, width=200)
-    console.print(table)
+    plain_console().print(table)
+
+
+def plain_console() -> Console:
+    """Return a console that prints brackets, colons and numbers in names as they are."""
+    plain: dict[str, Any] = {"highlight": False, "markup": False, "emoji": False}
+    console = Console(**plain)
+    # a pipe or a file has no width to keep to
+    return console if console.is_terminal else Console(**plain, width=_WIDE)
 
 
 def write_json(path: Path, content: Any) -> None:
