@@ -1,4 +1,5 @@
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -71,6 +72,12 @@ def test_a_mesh_is_measured_and_one_without_faces_is_refused(tmp_path: Path) -> 
     assert written["distance"]["mean"] == pytest.approx(0.5, rel=1e-5)
     assert written["distance"]["hausdorff_percent"] == pytest.approx(100 * 0.5 / np.hypot(9, 9), rel=1e-4)
     assert written["quality"]["low.ply"]["faces"] == 162
+    for folder, name in (("ours", "high"), ("truth", "low")):
+        (tmp_path / folder).mkdir()
+        shutil.copy(tmp_path / f"{name}.ply", tmp_path / folder / "000000.ply")
+    pair = tmp_path / "ours" / "000000.ply", tmp_path / "truth" / "000000.ply"
+    evaluate_mesh(*pair, out=tmp_path / "out")
+    assert list(json.loads((tmp_path / "out" / "mesh.json").read_text())["quality"]) == [str(p) for p in pair]
     write_mesh(tmp_path / "points.ply", Mesh(vertices=flat, faces=np.zeros((0, 3), int)))
     with pytest.raises(BadMesh, match=r"points.ply: has 100 vertices but no face"):
         evaluate_mesh(tmp_path / "points.ply", out=tmp_path / "out")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -52,17 +53,19 @@ def mesh(
     """
     options = options or AlignmentOptions()
     measured = _read(mesh)
-    qualities = {mesh.name: mesh_quality(measured)}
+    same_name = reference is not None and reference.name == mesh.name  # such as 000000.ply of two folders
+    name = str if same_name else attrgetter("name")
+    qualities = {name(mesh): mesh_quality(measured)}
     content: dict[str, object] = {"mesh": mesh, "reference": reference, "quality": qualities}
     if reference is not None:
         target = _read(reference)
-        qualities[reference.name] = mesh_quality(target)
+        qualities[name(reference)] = mesh_quality(target)
         aligned, motion = align_mesh(measured, target, np.random.default_rng(_SEED), options)
         distance = mesh_distance(aligned, target)
         content |= {"distance": distance_summary(distance), "scale": motion.scale}
         percent = 100.0 / distance.diagonal * vertex_distances(aligned, target)
         write_cumulative_errors(
-            out / "mesh_curve.png", {mesh.name: percent}, f"to {reference.name}", "% of the diagonal"
+            out / "mesh_curve.png", {name(mesh): percent}, f"to {name(reference)}", "% of the diagonal"
         )
         _print_distance(distance)
         if options.free is Alignment.SIMILARITY:
