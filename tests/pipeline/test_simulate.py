@@ -145,6 +145,9 @@ def test_a_motion_file_moves_the_mesh_or_is_refused(tmp_path):
     expected = 0.01 * job.built.camera.matrix[0, 0] / depth.depth[depth.mask]
     assert flow[depth.mask] == pytest.approx(np.stack([expected, 0 * expected], axis=1), abs=1e-3)
     assert not (tmp_path / "out/truth/poses.json").exists()
+    np.save(tmp_path / "m.npy", np.stack([still, still]).astype(np.float32))
+    with pytest.raises(BadInput, match="made with other options"):  # of the same name
+        simulate(job_in(tmp_path / "out", scene="sphere", motion=tmp_path / "m.npy", frames=FrameRange()))
     np.save(tmp_path / "m.npy", np.zeros((2, 7, 3), np.float32))
     with pytest.raises(BadMesh, match="another topology"):
         simulate(replace(job, folder=SimulationFolder(root=tmp_path / "b")))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ import numpy as np
 
 from vntoolkit.arrays import FloatArray
 from vntoolkit.errors import BadInput, BadMotion
-from vntoolkit.io.files import read_text
+from vntoolkit.io.files import read_text, source_file
 from vntoolkit.io.frame_range import FrameRange
 from vntoolkit.io.npy import map_npy
 from vntoolkit.pipeline.option_values import option_values
@@ -95,7 +95,7 @@ class SimulationJob:
             "version": _VERSION,
             "scene": self.scene,
             "frames": self.frames.to_text(),
-            "motion": None if self.motion is None else self.motion.name,
+            "motion": None if self.motion is None else asdict(source_file(self.motion)),
             "scene_options": {k: v for k, v in option_values(self.options).items() if v is not None},
             "nuisances": option_values(self.nuisances),
             "samples": self.rendering.samples,
