@@ -105,7 +105,10 @@ def test_other_bad_input_gets_one_line(tmp_path, capsys) -> None:
     write_mask(tmp_path / "small.png", np.ones((60, 80), bool))
     ball, out = str(tmp_path / "ball.png"), str(tmp_path / "rig.json")
     assert main(["calibrate", "sphere", ball, "--out", out, "--mask", str(tmp_path / "small.png")]) == 1
-    assert "the mask is 80×60 but the footage is 160×120" in capsys.readouterr().err
+    assert "the mask is 80×60, the capture 160×120" in capsys.readouterr().err
+    camera = ["--camera", str(tmp_path / "rig.json"), "--focal-px", "300"]
+    assert main(["calibrate", "sphere", ball, "--out", out, *camera]) == 1
+    assert "expected --camera or --focal-px, got both" in capsys.readouterr().err
     assert main(["calibrate", "board", ball, "--out", out]) == 1
     assert "the board is not seen" in capsys.readouterr().err
     (tmp_path / "flat.txt").write_text("1 0 1\n0 1 1\n1 1 2\n")

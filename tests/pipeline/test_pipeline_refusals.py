@@ -5,6 +5,7 @@ import shutil
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -170,6 +171,8 @@ def test_presses_without_labels_or_of_another_size(tmp_path: Path, dome_capture:
     (tmp_path / "labels" / "f0.txt").write_text("30 20 9")
     with pytest.raises(BadCalibration, match="the background has another size than the presses"):
         calibrate_presses(job, options)
+    with pytest.raises(BadInput, match="label size: expected a width and height of 1 pixel or more, got 0 0"):
+        replace(job, label_size=(0, 0))
 
 
 def test_a_first_frame_that_shows_nothing_is_named(tmp_path: Path, dome_capture: DomeCapture) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -52,6 +52,10 @@ class CalibrationJob:
     single_light: tuple[Path, ...] = ()
     frames: FrameRange = field(default_factory=FrameRange)
 
+    def __post_init__(self) -> None:
+        if self.camera is not None and self.focal_px is not None:
+            raise BadInput("calibrate: expected --camera or --focal-px, got both")
+
     def open(self, source: str | Path | None = None) -> Capture:
         """Open the footage, or another source, with the job's transfer curve and background."""
         options = CaptureOptions(transfer=self.transfer, background=self.background)
@@ -75,7 +79,7 @@ def calibrate_sphere(job: CalibrationJob, options: SphereOptions) -> tuple[Rig, 
     camera = job.camera_for(info) or Camera.orthographic(width=info.width, height=info.height)
     numbers = job.frames.numbers(info.frame_count)
     frame = mean_frame(capture.frames(numbers.start, numbers.stop, numbers.step))
-    mask = read_mask_of_size(job.mask, frame.shape)
+    mask = None if job.mask is None else read_mask(job.mask, size=(info.width, info.height))
     result = fit_response_to_sphere(frame, camera, mask, options, np.random.default_rng(_SEED))
     response = _with_single_lights(job, result.fit.response, mask)
     return _rig(job, capture, camera, response, result.fit.quality), result
@@ -163,23 +167,10 @@ def mean_frame(frames: Iterable[LinearFrame]) -> LinearFrame:
     return LinearFrame(rgb=(total / count).astype(np.float32), clipped=clipped)
 
 
-def read_mask_of_size(path: Path | None, shape: tuple[int, int]) -> Mask | None:
-    """Read a mask, or None without one; refuse another size than the footage's (h, w)."""
-    if path is None:
-        return None
-    mask = read_mask(path)
-    if mask.shape != shape:
-        raise BadInput(
-            f"{path}: the mask is {mask.shape[1]}×{mask.shape[0]} but the footage is {shape[1]}×{shape[0]}"
-        )
-    return mask
-
-
 def _with_single_lights(job: CalibrationJob, response: LightResponse, mask: Mask | None) -> LightResponse:
     if not job.single_light:
         return response
-    plain = replace(job, mask=None)
-    frames = [next(plain.open(path).frames()) for path in job.single_light]
+    frames = [next(job.open(path).frames()) for path in job.single_light]
     return with_light_colours(response, fit_light_colours(frames, mask))
 
 

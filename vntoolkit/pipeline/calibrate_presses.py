@@ -17,7 +17,7 @@ from vntoolkit.calibration.presses import (
     PressSamples,
     samples_from_press,
 )
-from vntoolkit.errors import BadCalibration
+from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.io.captures import Capture, CaptureOptions, open_capture
@@ -49,6 +49,11 @@ class PressJob:
     transfer: Transfer = field(default_factory=Transfer)
     rectification: Rectification | None = None
     label_size: tuple[int, int] | None = None
+
+    def __post_init__(self) -> None:
+        if self.label_size is not None and min(self.label_size) < 1:
+            got = " ".join(map(str, self.label_size))
+            raise BadInput(f"label size: expected a width and height of 1 pixel or more, got {got}")
 
     def prepare(self, frame: LinearFrame) -> LinearFrame:
         """Rectify a frame where asked for."""
