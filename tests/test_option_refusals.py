@@ -21,6 +21,7 @@ MOVING = {
     "vertices": np.zeros((1, 3, 3), np.float32),
 }
 NAN, INFINITE = float("nan"), float("inf")
+ALIKE = {"matrix": np.eye(3), "light_colours": np.ones((3, 3))}
 PRESS = {"ball_radius_mm": 3.0, "pixel_mm": 0.1}
 PLANE = {
     "corners_px": (0.0, 0.0, 90.0, 0.0, 0.0, 90.0, 90.0, 90.0),
@@ -38,6 +39,10 @@ VARIATION = {
 REFUSALS = [
     ("calibration.board_camera:IntrinsicsOptions", {"most_views": 1}, "at least [0-9]+ views, got 1"),
     ("calibration.board_camera:IntrinsicsOptions", {"radial_terms": 3}, "0 to 2 radial"),
+    ("calibration.board_camera:IntrinsicsOptions", {"largest_error_px": NAN}, "largest error in pixels: "),
+    ("calibration.board:BoardOptions", {"largest_error_px": 0.0}, "a positive number, got 0"),
+    ("calibration.board:BoardOptions", {"degree": 4}, "degree of the variation: expected a value"),
+    ("calibration.fit:FitOptions", {"inlier_share": INFINITE}, "outlier sigmas and inlier share"),
     ("calibration.fit:FitOptions", {"shadow_share": 1.0}, "shadow share: expected 0 to 1, got 1"),
     ("calibration.fit:FitOptions", {"outlier_sigmas": 0.0}, "outlier sigmas and inlier share"),
     ("calibration.fit:FitOptions", {"rounds": 0}, "rounds and draws: expected at least 1"),
@@ -57,9 +62,12 @@ REFUSALS = [
     ("calibration.head.tracks:TrackOptions", {"corner_quality": 0.0}, "tracks: expected positive corner"),
     ("calibration.presses:PressOptions", {**PRESS, "pixel_mm": 0.0}, "positive ball radius and pixel size"),
     ("calibration.presses:PressOptions", {**PRESS, "contact_share": 0.0}, "contact share from 0 to 1, got 0"),
-    ("calibration.presses:PressOptions", {**PRESS, "samples": 3}, "at least 4 samples a press"),
+    ("calibration.presses:PressOptions", {**PRESS, "samples": 3}, "at least 4 samples a press, got 3"),
+    ("calibration.presses:PressOptions", {**PRESS, "outlier_sigmas": NAN}, "a positive number, got nan"),
+    ("calibration.presses:PressOptions", {**PRESS, "ball_radius_mm": INFINITE}, "positive ball radius"),
     ("calibration.presses:PressOptions", {**PRESS, "flat_share": 11.0}, "flat share from 0 to 10, got 11"),
     ("calibration.varying:VariationOptions", {"degree": 99}, "degree of the variation: expected 0 to"),
+    ("calibration.varying:VariationOptions", {"softness_deg": INFINITE}, "softness, length share and stiff"),
     ("calibration.varying:VariationOptions", {"softness_deg": 0.0}, "softness, length share and stiffness"),
     ("evaluation.track_error:TrackErrorOptions", {"lost_px": 0.0}, "expected positive lost_px"),
     ("evaluation.track_error:TrackErrorOptions", {"sure_confidence": 9.0}, "sure confidence: expected"),
@@ -113,6 +121,7 @@ REFUSALS = [
     ("normals.inversion:InversionOptions", {"darkest": 1.0}, "darkest: expected a share between 0 and 1"),
     ("normals.photometric_stereo:PhotometricStereoOptions", {"shadow_share": 1.0}, "shadow share: expected"),
     ("normals.photometric_stereo:PhotometricStereoOptions", {"darkest": 0.0}, "saturation and darkest"),
+    ("photometry.response:LightResponse", ALIKE, "light colours are mixtures of each other"),
     ("photometry.transfer:Transfer", {"gamma": 0.0}, r"a gamma from 0\.1 to 10, got 0"),
     ("photometry.transfer:Transfer", {"black_level": 1.0}, "black_level < white_level <= 1, got 1 and 1"),
     ("photometry.variation:ResponseVariation", VARIATION, "a monomial is listed twice"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -53,6 +54,12 @@ def require_unit_length(vectors: npt.NDArray[Any], name: str) -> None:
     worst = float(np.max(np.abs(lengths - 1.0), initial=0.0))
     if not worst <= _UNIT_LENGTH_TOLERANCE:
         raise BadInput(f"{name}: expected unit vectors, the worst length is off by {worst:.3g}")
+
+
+def require_positive(value: float, name: str) -> None:
+    """Raise unless value is a finite number above 0."""
+    if not 0 < value < math.inf:
+        raise BadInput(f"{name}: expected a positive number, got {value:g}")
 
 
 def require_in_range(value: float, low: float, high: float, name: str) -> None:

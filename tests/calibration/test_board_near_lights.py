@@ -48,6 +48,7 @@ def test_a_varying_response_explains_near_lights(rng: np.random.Generator) -> No
     assert one.quality.residual_deg > 2.0
     assert varying.quality.residual_deg < 0.5
     assert varying.response.variation is not None
+    assert varying.quality.condition_number == varying.response.condition_number
     for pixel in ([140.0, 120.0], [500.0, 360.0], [319.5, 239.5]):
         point = CAMERA.unproject(np.array(pixel), np.array(DISTANCE_MM))
         true = np.stack([colour_at(point, axis) for axis in np.eye(3)], axis=1)

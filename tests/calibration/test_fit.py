@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from vntoolkit.calibration.fit import FitMethod, FitOptions, ResponseModel, fit_response
+from vntoolkit.calibration.robust import Design, fit_by_trimming
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.photometry.lambertian import rgb_from_normals, shaded_rgb_from_normals
 from vntoolkit.photometry.response import LightResponse
@@ -85,6 +86,17 @@ def test_cone_is_the_half_angle_that_holds_most_normals(rng, caplog) -> None:
         fit = fit_response(normals, rgb_from_normals(normals, RESPONSE))
     assert 11 < fit.quality.cone_deg < 12
     assert "within 12 degrees" in caplog.text
+
+
+def test_a_channel_that_is_dark_everywhere_is_fitted_where_shadow_is_kept(rng) -> None:
+    """Colours from which a background was taken may be negative: then no pair is the brightest."""
+    normals = hemisphere(rng, 200, 40)
+    truth = np.array([[0.3, 0.1, 0.2], [0.0, 0.4, 0.1], [0.2, 0.2, 0.5]])
+    for colours in (normals @ truth - [0.0, 0.0, 5.0], normals @ truth * [1, 1, 0]):
+        design = Design.from_pairs(normals, colours, with_ambient=True)
+        unknowns, inliers = fit_by_trimming(design, np.ones(200, bool), 0.0, 3.0, 30)
+        assert inliers.all()
+        np.testing.assert_allclose(design.rows @ unknowns, colours, atol=1e-9)
 
 
 def test_same_seed_same_fit(rng) -> None:

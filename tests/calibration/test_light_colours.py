@@ -48,6 +48,8 @@ def test_known_lights_make_m() -> None:
 
 def test_refusals(rng) -> None:
     frames = photographs(rng)
+    with pytest.raises(BadInput, match="albedo: expected a positive number, got -1"):
+        response_from_lights(DIRECTIONS, COLOURS, LightColours.GIVEN, albedo=-1.0)
     with pytest.raises(BadCalibration, match="three photographs"):
         fit_light_colours(frames[:2])
     with pytest.raises(BadCalibration, match="same colour"):

@@ -125,6 +125,20 @@ def test_presses_all_over_the_gel_give_the_response_that_varies(rng) -> None:
     assert 0.2 < fit.quality.residual_deg < 1.2  # the noise itself
 
 
+def test_a_pair_without_light_does_not_stop_the_fit(rng) -> None:
+    normals = np.column_stack([rng.normal(0, 0.3, (400, 2)), -np.ones(400)])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    rgb = normals @ MATRIX.T
+    rgb[7] = 0.0  # no direction, whatever M
+    one, start = VariationOptions(degree=0), LightResponse(matrix=1.2 * MATRIX + 0.05)
+    anywhere = rng.uniform(0, 80, (400, 2))
+    fitted = fit_varying_response(normals, rgb, anywhere, SIZE, start, one, fit_ambient=False)
+    np.testing.assert_allclose(fitted.matrix, MATRIX, atol=1e-6)
+    rgb[7] = np.nan
+    with pytest.raises(BadInput, match="colours: 3 of 1200 values are NaN"):
+        fit_varying_response(normals, rgb, anywhere, SIZE, start, one)
+
+
 def test_one_place_does_not_tell_how_the_light_varies(rng) -> None:
     normals = np.column_stack([rng.normal(0, 0.3, (400, 2)), -np.ones(400)])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -17,12 +17,15 @@ from vntoolkit.arrays import Points
 from vntoolkit.calibration.board_camera import IntrinsicsOptions, fit_camera
 from vntoolkit.calibration.board_detection import BoardSighting
 from vntoolkit.calibration.fit import FitOptions, ResponseFit, ResponseModel, fit_response
+from vntoolkit.calibration.quality import fit_quality
 from vntoolkit.calibration.varying import VariationOptions, fit_varying_response
+from vntoolkit.checks import require_in_range, require_positive
 from vntoolkit.errors import BadCalibration
 from vntoolkit.geometry.board_layout import NORMAL_IN_BOARD, BoardLayout
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.rigid import RigidTransform
-from vntoolkit.photometry.lambertian import rgb_from_normals, scaled_normals_from_rgb
+from vntoolkit.photometry.lambertian import rgb_from_normals
+from vntoolkit.photometry.variation import HIGHEST_DEGREE
 
 logger = logging.getLogger(__name__)
 
@@ -43,6 +46,10 @@ class BoardOptions:
     degree: int = 0
     intrinsics: IntrinsicsOptions = field(default_factory=IntrinsicsOptions)
     fit: FitOptions = field(default_factory=FitOptions)
+
+    def __post_init__(self) -> None:
+        require_positive(self.largest_error_px, "board: largest error in pixels")
+        require_in_range(self.degree, 0, HIGHEST_DEGREE, "board: degree of the variation")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -125,20 +132,17 @@ def _varying(
     middles = np.array([pose.camera_from_board.apply(middle_mm) for pose in poses])
     shares = normals @ fit.response.matrix.T
     lit = (shares > options.fit.shadow_share * shares.max(axis=0)).all(axis=1)
+    positions_px = camera.without_distortion().project(middles[lit])
     response = fit_varying_response(
         normals[lit],
         rgb[lit],
-        camera.without_distortion().project(middles[lit]),
+        positions_px,
         size,
         fit.response,
         VariationOptions(degree=options.degree),
         fit_ambient=options.fit.model is ResponseModel.AMBIENT,
     )
-    recovered = scaled_normals_from_rgb(rgb[lit], response, camera.without_distortion().project(middles[lit]))
-    recovered /= np.linalg.norm(recovered, axis=1, keepdims=True)
-    cosine = np.clip(np.sum(recovered * normals[lit], axis=1), -1.0, 1.0)
-    residual_deg = float(np.median(np.rad2deg(np.arccos(cosine))))
-    quality = replace(fit.quality, residual_deg=residual_deg, samples=int(lit.sum()))
+    quality = fit_quality(normals[lit], rgb[lit], response, fit.quality.method, positions_px)
     return ResponseFit(response=response, quality=quality, inliers=lit)
 
 

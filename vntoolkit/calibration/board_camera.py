@@ -12,6 +12,7 @@ import numpy as np
 from vntoolkit.arrays import FloatArray
 from vntoolkit.calibration.board_detection import BoardSighting
 from vntoolkit.calibration.quality import cone_of_normals_deg
+from vntoolkit.checks import require_positive
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.board_layout import BoardLayout
 from vntoolkit.geometry.camera import Camera, CameraModel
@@ -20,9 +21,7 @@ from vntoolkit.native import one_opencv_thread
 _FEWEST_VIEWS = 5
 _FEWEST_CORNERS = 16
 _LARGEST_FOCAL_DEVIATION = 0.05  # relative standard deviation
-_NARROWEST_CONE_DEG = (
-    8.0  # half-angle of the views: with less tilt, focal length and distance are one unknown
-)
+_NARROWEST_CONE_DEG = 8.0  # half-angle of the views: with less, focal length and distance are one unknown
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +43,7 @@ class IntrinsicsOptions:
             raise BadInput("intrinsics: expected 0 to 2 radial and 0 or 2 tangential terms")
         if self.most_views < _FEWEST_VIEWS:
             raise BadInput(f"intrinsics: expected at least {_FEWEST_VIEWS} views, got {self.most_views}")
+        require_positive(self.largest_error_px, "intrinsics: largest error in pixels")
 
 
 def fit_camera(

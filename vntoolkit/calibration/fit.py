@@ -38,10 +38,10 @@ class FitMethod(Enum):
 class FitOptions:
     """How a light response is fitted.
 
-    model: with or without ambient light. method: how outliers are kept out. shadow_share: a pair counts as
-    shadowed where a light's estimated contribution is at most this share of its largest; 0 keeps shadow.
-    outlier_sigmas: (trimmed) pairs whose colour residual exceeds this many robust standard deviations are
-    gloss or cast shadow. rounds: (trimmed) largest number of repetitions. draws: (MSAC) minimal samples
+    model: with or without ambient light. method: how outliers are kept out. shadow_share: (trimmed) a pair
+    counts as shadowed where a channel's estimated contribution is at most this share of its largest; 0 keeps
+    shadow. outlier_sigmas: (trimmed) pairs whose colour residual exceeds this many robust standard deviations
+    are gloss or cast shadow. rounds: (trimmed) largest number of repetitions. draws: (MSAC) minimal samples
     tried. inlier_share: (MSAC) largest residual of an inlier as a share of the median colour's length.
     """
 
@@ -56,7 +56,7 @@ class FitOptions:
     def __post_init__(self) -> None:
         if not 0 <= self.shadow_share < 1:
             raise BadInput(f"shadow share: expected 0 to 1, got {self.shadow_share:g}")
-        if not (self.outlier_sigmas > 0 and self.inlier_share > 0):
+        if not (0 < self.outlier_sigmas < np.inf and 0 < self.inlier_share < np.inf):
             raise BadInput("outlier sigmas and inlier share: expected positive numbers")
         if self.rounds < 1 or self.draws < 1:
             raise BadInput("rounds and draws: expected at least 1")

@@ -8,7 +8,7 @@ import numpy as np
 
 from vntoolkit.arrays import FloatArray, Points
 from vntoolkit.calibration.quality import warn_of_weak_fit
-from vntoolkit.checks import require_finite, require_shape
+from vntoolkit.checks import require_finite, require_positive, require_shape
 from vntoolkit.errors import BadCalibration, BadRig
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import FitQuality
@@ -29,6 +29,7 @@ def response_from_lights(
     Under `CHANNELS` the strength of light k is its intensity in channel k. The quality carries M's
     condition number; samples = 0 says that nothing was fitted. Raises `BadCalibration` where M is singular.
     """
+    require_positive(albedo, "calibrate lights: albedo")
     directions = np.asarray(directions, dtype=np.float64)
     require_shape(directions, (3, 3), "light directions")
     require_finite(directions, "light directions")

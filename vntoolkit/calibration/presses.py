@@ -27,11 +27,12 @@ import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, LinearImage, Mask, Points, Points2
 from vntoolkit.calibration.varying import VariationOptions
-from vntoolkit.checks import require_shape
+from vntoolkit.checks import require_positive, require_shape
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.photometry.frame import LinearFrame
 
-_UNTOUCHED_RADII = 3.3  # of the labelled contact: beyond it the gel lies flat
+_UNTOUCHED_RADII = 3.3  # of the labelled contact: beyond it the gel lies flat, by half a radius to spare
+_FLAT_RADII = 2.8  # of the contact where it really is, which may be half a radius from its label
 _DRAWN_RADII = 1.25  # of the labelled contact: room for labels that lie beside the dent
 
 
@@ -64,12 +65,13 @@ class PressOptions:
     variation: VariationOptions = field(default_factory=VariationOptions)
 
     def __post_init__(self) -> None:
-        if not (self.ball_radius_mm > 0 and self.pixel_mm > 0):
+        if not (0 < self.ball_radius_mm < np.inf and 0 < self.pixel_mm < np.inf):
             raise BadInput("presses: expected a positive ball radius and pixel size in mm")
         if not 0 < self.contact_share <= 1:
             raise BadInput(f"presses: expected a contact share from 0 to 1, got {self.contact_share:g}")
-        if self.samples < 4 or not self.outlier_sigmas > 0:
-            raise BadInput("presses: expected at least 4 samples a press and positive outlier sigmas")
+        if self.samples < 4:
+            raise BadInput(f"presses: expected at least 4 samples a press, got {self.samples}")
+        require_positive(self.outlier_sigmas, "presses: outlier sigmas")
         if not 0 <= self.flat_share <= 10:
             raise BadInput(f"presses: expected a flat share from 0 to 10, got {self.flat_share:g}")
 
@@ -170,7 +172,7 @@ def pairs_from_samples(
         touched = distance < options.contact_share * part.press.radius_px
         xy = np.where(touched[:, None], offsets * options.pixel_mm / options.ball_radius_mm, 0.0)
         normals = np.column_stack([xy, -np.sqrt(np.maximum(1.0 - (xy**2).sum(axis=1), 0.0))])
-        used = touched | (distance > (_UNTOUCHED_RADII - 0.5) * part.press.radius_px)
+        used = touched | (distance > _FLAT_RADII * part.press.radius_px)
         parts.append((normals[used], part.rgb[used], part.positions_px[used], touched[used]))
     if not any(touched.any() for *_, touched in parts):
         raise BadCalibration(

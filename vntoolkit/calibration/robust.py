@@ -67,9 +67,10 @@ def fit_by_trimming(
 
     Returns the unknowns (3 or 4, 3) and the pairs used (n,). Robust scale: 1.4826 × median residual.
     """
-    top = np.percentile(design.colours[usable], 99, axis=0)
-    first_share = _FIRST_SHADOW_SHARE if shadow_share > 0 else -np.inf
-    chosen = usable & (design.colours > first_share * top).all(axis=1)
+    chosen = usable
+    if shadow_share > 0:
+        top = np.percentile(design.colours[usable], 99, axis=0)
+        chosen = usable & (design.colours > _FIRST_SHADOW_SHARE * top).all(axis=1)
     floor = _ROUNDING * float(np.abs(design.colours[usable]).max())
     unknowns = design.solve(chosen)
     for _ in range(rounds):

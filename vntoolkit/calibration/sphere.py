@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, Mask, Points2, Vector3
 from vntoolkit.calibration.fit import FitOptions, ResponseFit, fit_response
+from vntoolkit.calibration.quality import angles_deg
 from vntoolkit.calibration.sphere_outline import Circle, find_ball_outline, outline_from_mask
 from vntoolkit.checks import require_shape, require_some
 from vntoolkit.errors import BadCalibration, BadInput
@@ -56,9 +57,8 @@ def fit_response_to_sphere(
 ) -> SphereCalibration:
     """Fit M to one image of a ball; outline from `mask` where given, else found in the image.
 
-    rng: draws samples where `options.fit` says MSAC.
-
-    Raises `BadCalibration` where no ball is found or its pixels do not determine M.
+    rng: draws samples where `options.fit` says MSAC. Raises `BadCalibration` where no ball is found or
+    its pixels do not determine M.
     """
     options = options or SphereOptions()
     require_shape(frame.rgb, (camera.height, camera.width, 3), "frame of the ball")
@@ -76,8 +76,7 @@ def fit_response_to_sphere(
     fit = fit_response(normals, rgb, options.fit, clipped=frame.clipped[chosen], verb="sphere", rng=rng)
     residual_deg = np.full(frame.shape, np.nan, np.float32)
     recovered = (rgb - fit.response.ambient) @ fit.response.inverse.T
-    cosine = np.sum(recovered * normals, axis=1) / np.maximum(np.linalg.norm(recovered, axis=1), 1e-12)
-    residual_deg[chosen] = np.where(fit.inliers, np.rad2deg(np.arccos(np.clip(cosine, -1, 1))), np.nan)
+    residual_deg[chosen] = np.where(fit.inliers, angles_deg(recovered, normals), np.nan)
     return SphereCalibration(fit=fit, outline=outline, normal_map=normal_map, residual_deg=residual_deg)
 
 

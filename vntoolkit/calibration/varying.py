@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, Points, Points2
-from vntoolkit.checks import require_shape
+from vntoolkit.checks import require_finite, require_shape
 from vntoolkit.errors import BadCalibration, BadInput, BadRig
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.variation import HIGHEST_DEGREE, ResponseVariation, powers_to_degree
@@ -27,6 +27,7 @@ _LARGEST_DAMPING = 1e9
 _PAIRS_PER_TERM = 4  # positions that each monomial needs at least, at very least
 _FLATTEST = 0.02  # smallest over largest singular value of the monomials over the positions seen
 _LARGEST_CONDITION = 1e3  # of M anywhere in the image
+_DARKEST = 1e-3  # length of a recovered normal, which should be 1, below which it has no direction
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +48,8 @@ class VariationOptions:
     def __post_init__(self) -> None:
         if not 0 <= self.degree <= HIGHEST_DEGREE:
             raise BadInput(f"degree of the variation: expected 0 to {HIGHEST_DEGREE}, got {self.degree}")
-        if not (self.softness_deg > 0 and self.length_share > 0 and self.stiffness >= 0):
+        positive = 0 < self.softness_deg < np.inf and 0 < self.length_share < np.inf
+        if not (positive and 0 <= self.stiffness < np.inf):
             raise BadInput("softness, length share and stiffness of the variation: expected positive numbers")
 
 
@@ -65,13 +67,17 @@ def fit_varying_response(
 
     normals, rgb: (n, 3), lit by all three lights. positions_px: (n, 2), in the image without lens distortion,
     of size (width, height). fit_ambient: whether the ambient light is fitted and varies too, else it stays.
-    Raises `BadCalibration` where the positions do not determine the polynomials, or the fit is singular
-    somewhere in the image.
+    Pairs so dark that `start` makes no direction of them are left out. Raises `BadCalibration` where the
+    positions do not determine the polynomials, or the fit is singular somewhere in the image.
     """
     options = options or VariationOptions()
     require_shape(normals, (None, 3), "normals")
     require_shape(rgb, (len(normals), 3), "colours")
     require_shape(positions_px, (len(normals), 2), "positions")
+    for values, name in ((normals, "normals"), (rgb, "colours"), (positions_px, "positions")):
+        require_finite(values, name)
+    seen = np.linalg.norm((rgb - start.ambient) @ start.inverse.T, axis=1) > _DARKEST
+    normals, rgb, positions_px = normals[seen], rgb[seen], positions_px[seen]
     powers = powers_to_degree(options.degree)
     centre, scale = (np.array(size) - 1.0) / 2, max(size) / 2.0
     xy = (positions_px - centre) / scale

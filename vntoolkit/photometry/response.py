@@ -44,6 +44,12 @@ class LightResponse:
                 f"light response: M is singular (condition number {condition:.3g}): the three lights must "
                 "differ in colour and must not lie in one plane with the surface; calibrate again"
             )
+        colours = self.light_colours
+        if colours is not None and not np.linalg.cond(colours) < _LARGEST_CONDITION_NUMBER:
+            raise BadRig(
+                "light response: the light colours are mixtures of each other, so that no colour tells the "
+                "lights apart; calibrate again"
+            )
 
     def at(self, positions_px: FloatArray) -> tuple[FloatArray, FloatArray]:
         """M (..., 3, 3) and ambient (..., 3) at pixels (..., 2)."""
