@@ -1,8 +1,8 @@
 """Two Dask workers against one on the same machine: frames a second, 1280×720 video to normals and depth.
 
-python -m benchmarks.cluster [--frames 480] [--rounds 3] [--shadows] [--out FILE.json]  # idle machine, 5 min
+python -m benchmarks.cluster [--shadows none] [--frames N] [--rounds 3] [--out FILE.json]   # idle, 10 min
 
---shadows finds self-shadows, as `reconstruct` does unless told otherwise: 64 frames are then enough (10 min).
+With self-shadows found, as `reconstruct` comes, 64 frames; with --shadows none 480, and half the time.
 
 Workers are started before the clock, and one block a worker is done first, so that compiling does not count.
 A worker has one thread; decoding takes `threads` of the job, which is 1 here. One and two workers take turns
@@ -49,27 +49,29 @@ def frames_per_second(job: ReconstructionJob, workers: int, frames: int) -> floa
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--size", default="1280x720")
-    parser.add_argument("--frames", type=int, default=480)
+    parser.add_argument("--frames", type=int)
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--shadows", action="store_true")
+    parser.add_argument("--shadows", choices=[method.value for method in ShadowMethod], default="robust")
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
     width, height = map(int, arguments.size.split("x"))
+    shadows = ShadowMethod(arguments.shadows)
+    frames = arguments.frames or (480 if shadows is ShadowMethod.NONE else 64)
     rates: dict[int, list[float]] = {1: [], 2: []}
     with tempfile.TemporaryDirectory() as name:
         video = Path(name) / "footage.mkv"
-        write_video(video, footage(width, height, arguments.frames), 60.0)
+        write_video(video, footage(width, height, frames), 60.0)
         job = ReconstructionJob(
             source=str(video),
             rig=rig_of(width, height),
-            options=options_of(ShadowMethod.ROBUST if arguments.shadows else ShadowMethod.NONE),
+            options=options_of(shadows),
             folder=ReconstructionFolder(root=Path(name) / "out"),
             threads=1,
         )
         load = os.getloadavg()[0]
         for number in range(arguments.rounds):
             for workers in (1, 2) if number % 2 == 0 else (2, 1):
-                rates[workers].append(frames_per_second(job, workers, arguments.frames))
+                rates[workers].append(frames_per_second(job, workers, frames))
     one, two = (statistics.median(rates[workers]) for workers in (1, 2))
     found = {"load_before": load, "one_worker_hz": one, "two_workers_hz": two, "ratio": two / one}
     for key, value in found.items():
