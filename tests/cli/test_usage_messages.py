@@ -100,6 +100,22 @@ def test_a_misspelt_command_is_answered_by_what_to_type(command, line, place, ca
         ("track empty", "holds no reconstruction.json; give a folder that `vntoolkit reconstruct` wrote"),
         ("export text.txt --to ply", "text.txt: is no folder; give a folder that `vntoolkit reconstruct`"),
         ("view nothere", "nothere: is no folder; give a folder that `vntoolkit reconstruct` wrote"),
+        # an output that cannot be, told before the work
+        ("calibrate sphere frame.png --out text.txt/rig.json", "a file stands where a folder is needed"),
+        ("calibrate board frame.png --out rig", "rig: expected a name that ends in .json"),
+        ("calibrate lights text.txt --out empty", "empty: expected a name that ends in .json"),
+        ("calibrate presses empty --out frame.png --background frame.png --labels empty --ball-radius-mm 3 "
+         "--pixel-mm 0.1", "frame.png: expected a name that ends in .json"),
+        ("calibrate head frame.png --out r.json --mesh m.stl", "m.stl: expected a name that ends in .ply or"),
+        ("calibrate head frame.png --out r.json --figure f.jpg", "f.jpg: expected a name that ends in .png"),
+        ("calibrate head frame.png --out r.json --report r.pdf", "r.pdf: expected a name that ends in .html"),
+        ("evaluate mesh fake.ply --out text.txt", "a file stands where a folder is needed"),
+        ("evaluate normals fake.png fake.png --out text.txt", "a file stands where a folder is needed"),
+        ("evaluate tracks empty --truth empty --plot p.gif", "p.gif: expected a name that ends in .png"),
+        ("dress nothere --motion text.txt --out a.fbx", "a.fbx: expected .usdc, .usd, .glb, or a pattern"),
+        ("dress nothere --motion text.txt --out a.ply", "a.ply: expected one place for the frame number"),
+        ("view empty --html v.txt", "v.txt: expected a name that ends in .html"),
+        ("report empty --out text.txt/r.html", "a file stands where a folder is needed"),
         # another size
         ("reconstruct frame.png --rig other.json --out o", "is 40×30 but the rig's camera is 50×30"),
         ("reconstruct frame.png --rig rig.json --out o --mask large.png", "mask is 80×60, the capture 40×30"),

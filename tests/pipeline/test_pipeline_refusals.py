@@ -116,7 +116,7 @@ def test_tracks_and_a_truth_that_do_not_match(result: Path, tmp_path: Path) -> N
     ("arguments", "line"),
     [
         (["A", "--every", "0"], "every: expected 1 or more, got 0"),
-        (["A", "--plot", "a.gif"], "expected a name that ends in .png or .svg, got a.gif"),
+        (["A", "--plot", "a.gif"], "a.gif: expected a name that ends in .png or .svg"),
     ],
 )
 def test_evaluate_tracks_refuses_what_it_cannot_draw(

@@ -17,6 +17,7 @@ from vntoolkit.calibration.lights import LightColours
 from vntoolkit.calibration.sphere import SphereOptions
 from vntoolkit.cli.flags import flags_from
 from vntoolkit.cli.limits import limits_on
+from vntoolkit.cli.outputs import JSON, require_output
 from vntoolkit.cli.progress import progress_bar
 from vntoolkit.geometry.board_layout import BoardLayout
 from vntoolkit.io.frame_range import FrameRange
@@ -82,6 +83,7 @@ def sphere(
     frames
         Which frames, a:b:c: from a, below b, every c-th.
     """
+    require_output(out, JSON)
     job = _job(source, mask, background, transfer, camera, focal_px, single_light, frames)
     sphere_options = replace(options or SphereOptions(), fit=fit or FitOptions())
     rig, result = calibrate.calibrate_sphere(job, sphere_options)
@@ -128,6 +130,7 @@ def board(
     frames
         Which frames, a:b:c: from a, below b, every c-th.
     """
+    require_output(out, JSON)
     job = _job(source, None, background, transfer, camera, focal_px, single_light, frames)
     board_options = replace(
         options or BoardOptions(), fit=fit or FitOptions(), intrinsics=intrinsics or IntrinsicsOptions()
@@ -182,6 +185,7 @@ def lights(
     focal_px
         Focal length in pixels, for a pinhole camera instead.
     """
+    require_output(out, JSON)
     job = _job(str(source), None, None, transfer, camera, focal_px, None, "::")
     rig = calibrate.calibrate_lights(source, like, lights, light_colours, job)
     write_rig(out, rig)

@@ -21,6 +21,7 @@ from vntoolkit.calibration.head.tracks import TrackOptions
 from vntoolkit.cli.calibrate import report_rig
 from vntoolkit.cli.flags import flags_from
 from vntoolkit.cli.limits import limits_on
+from vntoolkit.cli.outputs import JSON, MESH, PAGE, PICTURE, require_output
 from vntoolkit.cli.progress import Advance, progress_bar
 from vntoolkit.io.frame_range import FrameRange
 from vntoolkit.io.meshes import write_mesh
@@ -103,7 +104,7 @@ def head(
     mesh
         Also write the head's mesh, .ply or .obj; its unit is the distance from the camera.
     figure
-        Also write a picture of tracks, shape, samples and lights, .png.
+        Also write a picture of tracks, shape, samples and lights, .png or .svg.
     report
         Also write a page about tracks, poses, shape, samples and lights, .html.
     features
@@ -115,6 +116,8 @@ def head(
     head_shape
         Shape that gives the normals: silhouettes alone, or fused with stereo.
     """
+    for path, suffixes in ((out, JSON), (mesh, MESH), (figure, PICTURE), (report, PAGE)):
+        require_output(path, suffixes)
     job = CalibrationJob(
         source=source,
         background=background,

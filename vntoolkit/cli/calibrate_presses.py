@@ -14,6 +14,7 @@ from vntoolkit.calibration.varying import VariationOptions
 from vntoolkit.cli.calibrate import report_rig
 from vntoolkit.cli.flags import flags_from
 from vntoolkit.cli.limits import limits_on
+from vntoolkit.cli.outputs import JSON, require_output
 from vntoolkit.cli.progress import progress_bar
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.rectification import Rectification
@@ -74,6 +75,7 @@ def presses(
     transfer
         Transfer curve of the footage: linear, srgb, bt709 or gamma:G.
     """
+    require_output(out, JSON)
     press_options = replace(options, variation=variation or VariationOptions())
     job = pipeline.PressJob(
         source=source,

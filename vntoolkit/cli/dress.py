@@ -10,8 +10,9 @@ from cyclopts import Parameter
 
 from vntoolkit.cli.flags import flags_from
 from vntoolkit.cli.limits import limits_on
+from vntoolkit.cli.outputs import require_output
 from vntoolkit.io.garment_fits import read_garment_fit
-from vntoolkit.pipeline.dress import DressOptions, dress, write_dressed_figure
+from vntoolkit.pipeline.dress import DressOptions, dress, require_figure_name, write_dressed_figure
 from vntoolkit.pipeline.dress_inputs import read_motion, read_tracked_cloth
 from vntoolkit.report.turntable import write_preview
 from vntoolkit.skinning.clock import ClockOptions
@@ -62,6 +63,8 @@ def run(
     preview:
         Also draw a contact sheet and a turntable beside the result.
     """
+    require_figure_name(out)
+    require_output(out)
     chosen = replace(
         options or DressOptions(),
         fitting=fitting or FitOptions(),

@@ -9,6 +9,7 @@ import numpy as np
 
 from vntoolkit.cli.flags import flags_from
 from vntoolkit.cli.limits import limits_on
+from vntoolkit.cli.outputs import require_output
 from vntoolkit.cli.progress import progress_bar
 from vntoolkit.cli.tables import print_table, write_json
 from vntoolkit.evaluation.cylinder_fit import CylinderOptions
@@ -53,10 +54,11 @@ def cylinder(
     out
         Folder to write; default: `evaluation` in the given folder.
     """
+    target = out or folder / "evaluation"
+    require_output(target / "cylinder.json")
     result = open_result(folder, frames=FrameRange.from_text(frames), footage=footage)
     with progress_bar("cylinder", 2 * len(result.numbers)) as advance:
         found = run(result, truth, options, lambda _number: advance(1))
-    target = out or folder / "evaluation"
     write_json(target / "cylinder.json", found)
     times = np.array([error.frame for error in found.frames]) / found.frame_rate_hz
     mean, std = (np.array([getattr(e, name) for e in found.frames]) for name in ("mean_deg", "std_deg"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from vntoolkit.cli.limits import limits_on
+from vntoolkit.cli.outputs import require_output
 from vntoolkit.cli.progress import progress_bar
 from vntoolkit.cli.tables import print_table, write_json
 from vntoolkit.pipeline.evaluate_integration import objects_in, real_object_errors, surface_cases
@@ -27,6 +28,7 @@ def integration(*, data: Path | None = None, size: int = 256, out: Path = Path("
     out
         Folder to write.
     """
+    require_output(out / "integration.json")
     objects = [] if data is None else objects_in(data)
     cases = surface_cases(size)
     rows, curves, last = [], {}, None

@@ -11,6 +11,7 @@ import numpy as np
 
 from vntoolkit.cli.flags import flags_from
 from vntoolkit.cli.limits import limits_on
+from vntoolkit.cli.outputs import require_output
 from vntoolkit.cli.tables import print_table, write_json
 from vntoolkit.errors import BadMesh
 from vntoolkit.evaluation.mesh_alignment import Alignment, AlignmentOptions, align_mesh
@@ -51,6 +52,7 @@ def mesh(
     out
         Folder to write.
     """
+    require_output(out / "mesh.json")
     options = options or AlignmentOptions()
     measured = _read(mesh)
     same_name = reference is not None and reference.name == mesh.name  # such as 000000.ply of two folders

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from vntoolkit.cli.limits import limits_on
+from vntoolkit.cli.outputs import require_output
 from vntoolkit.cli.progress import progress_bar
 from vntoolkit.cli.tables import print_table, write_json
 from vntoolkit.evaluation.angular_error import AngularError
@@ -43,6 +44,7 @@ def normals(
     reference_convention
         Axes of the reference.
     """
+    require_output(out / "normals.json")
     pairs = pairs_of(measured, reference)
     with progress_bar("normals", len(pairs)) as advance:
         found = compare_normal_files(

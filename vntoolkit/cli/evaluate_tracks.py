@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from vntoolkit.cli.flags import flags_from
 from vntoolkit.cli.limits import limits_on
+from vntoolkit.cli.outputs import PICTURE, require_output
 from vntoolkit.errors import BadInput
 from vntoolkit.evaluation.track_error import TrackError, TrackErrorOptions
 from vntoolkit.pipeline.evaluate_tracks import evaluate_tracks, write_track_errors
@@ -54,17 +55,20 @@ def tracks(
     """
     if every < 1:
         raise BadInput(f"every: expected 1 or more, got {every}")
-    if plot is not None and plot.suffix not in (".png", ".svg"):
-        raise BadInput(f"plot: expected a name that ends in .png or .svg, got {plot.name}")
-    results = {}
-    for each in (folder, *others):
-        target = each / "track" if (each / "track").is_dir() else each
-        results[_name(each)] = evaluate_tracks(target, truth, every, options)
-    if len(results) <= len(others):
+    folders = {_name(each): each for each in (folder, *others)}
+    if len(folders) <= len(others):
         raise BadInput("evaluate tracks: two of the folders have the same name; give each its own")
+    tables = {} if out is None else {name: out / f"{name}.tsv" if others else out for name in folders}
+    for table in tables.values():
+        require_output(table)
+    require_output(plot, PICTURE)
+    results = {}
+    for name, each in folders.items():
+        target = each / "track" if (each / "track").is_dir() else each
+        results[name] = evaluate_tracks(target, truth, every, options)
     for name, errors in results.items():
-        if out is not None:
-            write_track_errors(out / f"{name}.tsv" if others else out, errors)
+        if name in tables:
+            write_track_errors(tables[name], errors)
         _print_table(name, errors)
     if plot is not None:
         write_error_plot(plot, results)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from vntoolkit.cli.flags import flags_from
 from vntoolkit.cli.limits import limits_on
+from vntoolkit.cli.outputs import PAGE, require_output
 from vntoolkit.report.report import ReportOptions, write_report
 
 if TYPE_CHECKING:
@@ -26,4 +27,5 @@ def report(folder: Path, *, out: Path | None = None, options: ReportFlags = None
     out
         The page to write; default FOLDER/report.html.
     """
+    require_output(out, PAGE)
     print(write_report(folder, out, options))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from vntoolkit.cli.flags import flags_from
 from vntoolkit.cli.limits import limits_on
+from vntoolkit.cli.outputs import PAGE, require_output
 from vntoolkit.cli.progress import progress_bar
 from vntoolkit.io.frame_range import FrameRange
 from vntoolkit.pipeline.opened_result import open_result
@@ -45,6 +46,7 @@ def view(
     html
         Write one self-contained page that opens offline, instead of serving.
     """
+    require_output(html, PAGE)
     result = open_result(folder, frames=FrameRange.from_text(frames), footage=footage)
     if html is not None:
         scene = scene or SceneOptions()

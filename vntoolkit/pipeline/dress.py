@@ -40,7 +40,7 @@ logger = logging.getLogger(__name__)
 _WEB_SAMPLES = 32  # poses of the motion in which web is looked for
 FIGURE_HEIGHT_M = 1.65  # toes to crown of an average adult, as skeletons measure it
 _Z_UP_TO_Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # in camera axes: −z becomes −y
-_SEQUENCE_SUFFIXES = (".ply", ".obj")
+_FILE_SUFFIXES, _SEQUENCE_SUFFIXES = (".usdc", ".usd", ".glb"), (".ply", ".obj")
 
 
 class UpAxis(Enum):
@@ -192,30 +192,36 @@ def _upright(motion: Motion, up_axis: UpAxis) -> Motion:
 def write_dressed_figure(dressed: DressedFigure, out: Path | str) -> int:
     """Write `.usdc`/`.usd` (with skeleton), `.glb`, or one `.ply`/`.obj` a frame (`cloth_%04d.ply`)."""
     out = Path(out)
+    require_figure_name(out)
     require_writable_folder(out.parent)
     rate = dressed.clock.frame_rate_hz
     match out.suffix.lower():
-        case ".usdc" | ".usd":
-            return write_usd_sequence(
-                out, dressed.template, dressed.frames(), frame_rate_hz=rate, motion=dressed.motion
-            )
         case ".glb":
             return write_glb(out, dressed.template, dressed.frames(), frame_rate_hz=rate)
         case suffix if suffix in _SEQUENCE_SUFFIXES:
             return _write_files(dressed, out)
         case _:
-            raise BadInput(
-                f"{out}: expected .usdc, .usd, .glb, or a pattern such as cloth_%04d.ply (or .obj)"
+            return write_usd_sequence(
+                out, dressed.template, dressed.frames(), frame_rate_hz=rate, motion=dressed.motion
             )
 
 
-def _write_files(dressed: DressedFigure, pattern: Path) -> int:
+def require_figure_name(out: Path) -> None:
+    """Raise `BadInput` unless `write_dressed_figure` can tell from the name what to write."""
+    suffix = out.suffix.lower()
+    if suffix in _FILE_SUFFIXES:
+        return
+    if suffix not in _SEQUENCE_SUFFIXES:
+        raise BadInput(f"{out}: expected .usdc, .usd, .glb, or a pattern such as cloth_%04d.ply (or .obj)")
     try:
-        names = [pattern.name % 0, pattern.name % 1]
+        names = {out.name % 0, out.name % 1}
     except (TypeError, ValueError):
-        names = []
-    if len(set(names)) != 2:
-        raise BadInput(f"{pattern.name}: expected one place for the frame number, as in cloth_%04d.ply")
+        names = set()
+    if len(names) != 2:
+        raise BadInput(f"{out.name}: expected one place for the frame number, as in cloth_%04d.ply")
+
+
+def _write_files(dressed: DressedFigure, pattern: Path) -> int:
     template = dressed.template
     count = 0
     for count, vertices in enumerate(dressed.frames(), start=1):
