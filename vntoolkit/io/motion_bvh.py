@@ -135,13 +135,15 @@ def write_bvh(path: Path, motion: Motion) -> None:
     The unit of length is the motion's; BVH has no place to say which that is.
     """
     turned = motion_with_axes_turned(motion)
-    angles = np.stack(
-        [
-            Rotation.from_quat(turned.rotations[:, joint]).as_euler(_WRITTEN_ORDER, degrees=True)
-            for joint in range(len(turned.skeleton.names))
-        ],
-        axis=1,
-    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about a right angle, where any such pair of others is right
+        angles = np.stack(
+            [
+                Rotation.from_quat(turned.rotations[:, joint]).as_euler(_WRITTEN_ORDER, degrees=True)
+                for joint in range(len(turned.skeleton.names))
+            ],
+            axis=1,
+        )
     rows = np.concatenate([turned.root_positions, angles.reshape(len(turned), -1)], axis=1)
     rows = np.round(rows, 4) + 0.0  # no −0.0000
     with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:

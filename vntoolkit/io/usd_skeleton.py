@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,8 @@ def add_skeleton(stage: Any, path: str, motion: Motion) -> None:
     from pxr import UsdSkel, Vt
 
     turned = motion_with_axes_turned(motion)
-    paths = Vt.TokenArray([_usd_path(p) for p in joint_paths(turned.skeleton)])
+    named = replace(turned.skeleton, names=tuple(map(_usd_name, turned.skeleton.names)))
+    paths = Vt.TokenArray(joint_paths(named))
     root = UsdSkel.Root.Define(stage, path)
     skeleton = UsdSkel.Skeleton.Define(stage, f"{path}/Skeleton")
     skeleton.CreateJointsAttr(paths)
@@ -51,12 +53,8 @@ def _author_extents(root: Any, skeleton: Any, turned: Motion) -> None:
     skeleton.CreateExtentAttr(box)
 
 
-def _usd_path(path: str) -> str:
-    """Make every name of a joint path one that USD accepts."""
-    return "/".join(_usd_name(name) for name in path.split("/"))
-
-
 def _usd_name(name: str) -> str:
+    """Turn a joint's name into one that USD accepts: a slash in it would make a joint of each half."""
     plain = re.sub(r"[^A-Za-z0-9_]", lambda m: f"_{ord(m.group()):x}_", name)
     return plain if not plain[0].isdigit() else f"_{plain}"
 
