@@ -35,14 +35,14 @@ class Mesh:
 
     def __post_init__(self) -> None:
         vertices = np.asarray(self.vertices)
-        faces = np.asarray(self.faces, dtype=np.int32)
+        faces = np.asarray(self.faces)
         require_shape(vertices, (None, 3), "vertices", BadMesh)
         require_finite(vertices, "vertices", BadMesh)
         require_shape(faces, (None, 3), "faces", BadMesh)
-        if faces.size and (faces.min() < 0 or faces.max() >= len(vertices)):
+        if faces.size and not (faces.min() >= 0 and faces.max() < len(vertices)):
             raise BadMesh(f"faces: an index lies outside the {len(vertices)} vertices")
         object.__setattr__(self, "vertices", read_only(vertices))
-        object.__setattr__(self, "faces", read_only(faces))
+        object.__setattr__(self, "faces", read_only(faces.astype(np.int32, copy=False)))
         for name, width in (("normals", 3), ("colours", 3), ("uv", 2)):
             values = getattr(self, name)
             if values is not None:

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from vntoolkit import __version__
 from vntoolkit.arrays import Points
-from vntoolkit.checks import require_finite, require_shape
+from vntoolkit.checks import require_finite, require_positive, require_shape
 from vntoolkit.errors import BadMesh, CannotWrite
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.atomic import atomic_path
@@ -96,6 +96,10 @@ def _content(
     template: Mesh, frames: Iterable[Points], frame_rate_hz: float, name: str, shaded: bool = True
 ) -> tuple[int, list[bytes]]:
     """Return the number of frames, and the file's bytes in pieces."""
+    require_positive(frame_rate_hz, f"{name}: frame rate")
+    nothing = BadMesh(f"{name}: a GLB needs at least one frame and one triangle")
+    if not len(template.faces):
+        raise nothing
     binary = _Binary()
     primitive: dict[str, Any] = {"attributes": {}, "mode": 4, "material": 0}
     first: npt.NDArray[np.float32] | None = None
@@ -109,8 +113,8 @@ def _content(
             _add_surface(binary, primitive, template, first)
         else:
             targets.append({"POSITION": binary.add(positions - first, "VEC3", target=_ARRAY_BUFFER)})
-    if first is None or not len(first) or not len(template.faces):
-        raise BadMesh(f"{name}: a GLB needs at least one frame and one triangle")
+    if first is None:
+        raise nothing
     mesh: dict[str, Any] = {"primitives": [primitive]}
     document: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": f"vntoolkit {__version__}"},

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray
 from vntoolkit.errors import BadMesh, CannotWrite
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.point_cloud import PointCloud
 from vntoolkit.io.conventions import UpAxis, graphics_from_camera
 from vntoolkit.io.limits import require_mesh_file
 from vntoolkit.io.obj import read_obj, write_obj
-from vntoolkit.io.ply import PlyContent, read_ply, write_ply
+from vntoolkit.io.ply import PlyContent, bytes_from_colours, read_ply, write_ply
 
 
 def write_mesh(
@@ -75,7 +73,7 @@ def write_point_cloud(path: Path | str, cloud: PointCloud) -> None:
     content = PlyContent(
         vertices=graphics_from_camera(cloud.points),
         normals=None if cloud.normals is None else graphics_from_camera(cloud.normals),
-        colours=_bytes_from_colours(cloud.colours),
+        colours=bytes_from_colours(cloud.colours),
     )
     write_ply(path, content)
 
@@ -100,14 +98,10 @@ def _content(mesh: Mesh) -> PlyContent:
         vertices=mesh.vertices,
         faces=mesh.faces,
         normals=mesh.normals,
-        colours=_bytes_from_colours(mesh.colours),
+        colours=bytes_from_colours(mesh.colours),
         uv=mesh.uv,
     )
 
 
 def _colours(content: PlyContent) -> npt.NDArray[np.float32] | None:
     return None if content.colours is None else content.colours.astype(np.float32) / np.float32(255)
-
-
-def _bytes_from_colours(colours: FloatArray | None) -> npt.NDArray[Any] | None:
-    return None if colours is None else np.rint(np.clip(colours, 0, 1) * 255).astype(np.uint8)

@@ -62,6 +62,8 @@ def read_obj(path: Path | str) -> Mesh:
             if key in tables:
                 tables[key].append([float(word) for word in words])
                 require_vertices(len(tables[key]), str(path))
+            elif key == "f" and not words:
+                raise ValueError(key)
             elif key == "f":
                 counts = (len(tables["v"]), len(tables["vt"]), len(tables["vn"]))
                 polygons.append([_corner(word, counts) for word in words])
@@ -81,8 +83,9 @@ def read_obj_texture(path: Path | str) -> npt.NDArray[Any] | None:
                 require_inside(path.parent, line[7:].strip(), path, BadMesh), BadMesh
             ).splitlines():
                 if entry.strip().startswith("map_Kd "):
-                    texture = require_inside(path.parent, entry.split()[-1], path, BadMesh)
-                    return read_image(texture, error=BadMesh)
+                    name = entry.strip()[7:].strip()
+                    name = name.split()[-1] if name.startswith("-") else name  # options come first
+                    return read_image(require_inside(path.parent, name, path, BadMesh), error=BadMesh)
     return None
 
 
@@ -105,7 +108,10 @@ def _mesh(
     if v.shape[1] not in (3, 4, 6, 7):
         raise BadMesh(f"{name}: a vertex has {v.shape[1]} numbers, expected x y z and perhaps r g b")
     colours = v[kept[:, 0], -3:].astype(np.float32) if v.shape[1] >= 6 else None
-    return Mesh(vertices=v[kept[:, 0], :3], faces=faces, normals=vn, colours=colours, uv=uv)
+    try:
+        return Mesh(vertices=v[kept[:, 0], :3], faces=faces, normals=vn, colours=colours, uv=uv)
+    except BadMesh as problem:
+        raise BadMesh(f"{name}: {problem}") from problem
 
 
 def _vertices_of_corners(

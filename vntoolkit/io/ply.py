@@ -76,9 +76,8 @@ def read_ply(path: Path | str) -> PlyContent:
             else:
                 tables[element.name], at = _binary_table(element, data, at, order)
     except (ValueError, IndexError, StopIteration) as problem:
-        raise BadMesh(
-            f"{path}: the element '{element.name}' is malformed or cut off ({problem})"
-        ) from problem
+        reason = str(problem) or "too few lines"
+        raise BadMesh(f"{path}: the element '{element.name}' is malformed or cut off ({reason})") from problem
     vertex = tables.get("vertex")
     if vertex is None or not {"x", "y", "z"} <= set(vertex):
         raise BadMesh(f"{path}: expected an element 'vertex' with x, y and z")
@@ -89,18 +88,19 @@ def _content(name: str, vertex: dict[str, Any], face: dict[str, Any] | None) -> 
     def gather(*names: str) -> npt.NDArray[Any] | None:
         return np.stack([vertex[n] for n in names], axis=1) if set(names) <= set(vertex) else None
 
-    vertices = gather("x", "y", "z")
+    def gather_floats(*names: str) -> FloatArray | None:
+        values = gather(*names)
+        whole = values is not None and not np.issubdtype(values.dtype, np.floating)
+        return values.astype(np.float64) if values is not None and whole else values
+
+    vertices, normals = gather_floats("x", "y", "z"), gather_floats("nx", "ny", "nz")
     assert vertices is not None
-    if not np.isfinite(vertices).all():
-        raise BadMesh(f"{name}: a vertex is NaN or infinite")
+    pairs = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
+    uv = next((found for pair in pairs if (found := gather_floats(*pair)) is not None), None)
     colours = gather("red", "green", "blue")
-    if colours is not None and colours.dtype != np.uint8:
-        scale = 255.0 if np.issubdtype(colours.dtype, np.floating) else 1.0
-        colours = np.rint(np.clip(colours * scale, 0, 255)).astype(np.uint8)
-    uv = next(
-        (c for c in (gather("s", "t"), gather("u", "v"), gather("texture_u", "texture_v")) if c is not None),
-        None,
-    )
+    for what, values in (("vertex", vertices), ("normal", normals), ("colour", colours), ("uv", uv)):
+        if values is not None and not np.isfinite(values).all():
+            raise BadMesh(f"{name}: a {what} is NaN or infinite")
     faces = None
     if face is not None:
         polygons = face.get("vertex_indices", face.get("vertex_index"))
@@ -108,8 +108,17 @@ def _content(name: str, vertex: dict[str, Any], face: dict[str, Any] | None) -> 
             raise BadMesh(f"{name}: the faces have no list 'vertex_indices'")
         faces = triangles_from_polygons(polygons, len(vertices), name)
     return PlyContent(
-        vertices=vertices, faces=faces, normals=gather("nx", "ny", "nz"), colours=colours, uv=uv
+        vertices=vertices, faces=faces, normals=normals, colours=bytes_from_colours(colours), uv=uv
     )
+
+
+def bytes_from_colours(colours: npt.NDArray[Any] | None) -> npt.NDArray[np.uint8] | None:
+    """Return colours (n, 3) as bytes: floats count from 0 to 1, 16 bits to 65535, other integers to 255."""
+    if colours is None or colours.dtype == np.uint8:
+        return colours
+    is_float, is_short = np.issubdtype(colours.dtype, np.floating), colours.dtype == np.uint16
+    full = 1.0 if is_float else 65535.0 if is_short else 255.0
+    return np.rint(np.clip(colours * (255.0 / full), 0, 255)).astype(np.uint8)
 
 
 def _binary_table(element: PlyElement, data: bytes, at: int, order: str) -> tuple[dict[str, Any], int]:

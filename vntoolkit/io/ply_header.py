@@ -59,7 +59,7 @@ def parse_ply_header(data: bytes, name: str) -> tuple[str, list[PlyElement], int
                     order = _ORDERS[kind]
                 case ["element", element, count] if int(count) >= 0:
                     elements.append(PlyElement(name=element, count=int(count)))
-                case ["property", "list", count_kind, kind, prop]:
+                case ["property", "list", count_kind, kind, prop] if _KINDS[count_kind][0] != "f":
                     elements[-1].properties.append(
                         PlyProperty(name=prop, kind=_KINDS[kind], count_kind=_KINDS[count_kind])
                     )
@@ -87,4 +87,8 @@ def read_ply_counts(path: Path | str) -> dict[str, int]:
     with require_file(path, BadMesh).open("rb") as stream:
         lines = stream.read(_LONGEST_HEADER).split(b"end_header")[0].splitlines()
     words = [line.split() for line in lines]
-    return {w[1].decode("ascii", "replace"): int(w[2]) for w in words if len(w) == 3 and w[0] == b"element"}
+    return {
+        w[1].decode("ascii", "replace"): int(w[2])
+        for w in words
+        if len(w) == 3 and w[0] == b"element" and w[2].isdigit()
+    }

@@ -32,8 +32,11 @@ def triangles_from_polygons(
     for length, group in groups.items():
         if length < 3:
             raise BadMesh(f"{name}: a face has {length} corners, expected at least 3")
-        if int(group.min()) < 0 or int(group.max()) >= vertex_count:
-            raise BadMesh(f"{name}: a face names vertex {int(group.max())}, there are {vertex_count}")
+        if not np.issubdtype(group.dtype, np.integer):
+            raise BadMesh(f"{name}: a face's corners are numbers of vertices, got {group.dtype}")
+        strange = group[(group < 0) | (group >= vertex_count)]
+        if strange.size:
+            raise BadMesh(f"{name}: a face names vertex {strange[0]}, there are {vertex_count}")
         fans = [group[:, [0, i, i + 1]] for i in range(1, length - 1)]
         triangles.append(np.stack(fans, axis=1).reshape(-1, 3))
     return np.concatenate(triangles).astype(np.int32)

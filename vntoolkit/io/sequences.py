@@ -17,7 +17,7 @@ from typing import BinaryIO
 import numpy as np
 
 from vntoolkit.arrays import FloatArray
-from vntoolkit.checks import require_finite, require_shape
+from vntoolkit.checks import require_finite, require_positive, require_shape
 from vntoolkit.errors import BadMesh
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.mesh_sequence import MeshSequence
@@ -40,6 +40,7 @@ class MeshSequenceWriter:
     def __init__(
         self, folder: Path | str, template: Mesh, *, frame_rate_hz: float = 60.0, resume: bool = False
     ) -> None:
+        require_positive(frame_rate_hz, "moving mesh: frame rate")
         self.folder = require_writable_folder(folder)
         self._vertex_count = len(template.vertices)
         going_on = resume and (self.folder / "sequence.json").exists()
@@ -110,21 +111,23 @@ def write_mesh_sequence(folder: Path | str, sequence: MeshSequence) -> None:
 
 
 def read_mesh_sequence(folder: Path | str) -> MeshSequence:
-    """Open a moving mesh; vertices and confidence stay on disk as memory maps. Raises `BadMesh`."""
+    """Open a moving mesh; vertices and confidence stay on disk as memory maps. Raises `BadMesh`.
+
+    Where a run was killed between writing the one and the other, the frames that both have are read.
+    """
     folder = Path(folder)
     template = read_mesh(require_file(folder / "template.ply", BadMesh))
     meaning = parse_json(read_text(folder / "sequence.json", BadMesh), str(folder / "sequence.json"), BadMesh)
     try:
         rate = float(meaning["frame_rate_hz"])
-    except (ValueError, KeyError, TypeError) as problem:
+    except (ValueError, KeyError, TypeError, OverflowError) as problem:
         raise BadMesh(f"{folder / 'sequence.json'}: expected JSON with frame_rate_hz") from problem
-    confidence = folder / "confidence.npy"
-    return MeshSequence(
-        template=template,
-        vertices=map_npy(folder / "vertices.npy", BadMesh),
-        frame_rate_hz=rate,
-        confidence=map_npy(confidence, BadMesh) if confidence.exists() else None,
-    )
+    vertices, confidence = np.atleast_1d(map_npy(folder / "vertices.npy", BadMesh)), None
+    if (folder / "confidence.npy").exists():
+        confidence = np.atleast_1d(map_npy(folder / "confidence.npy", BadMesh))
+        whole = min(len(vertices), len(confidence))
+        vertices, confidence = vertices[:whole], confidence[:whole]
+    return MeshSequence(template=template, vertices=vertices, frame_rate_hz=rate, confidence=confidence)
 
 
 class _GrowingArray:

@@ -157,7 +157,8 @@ def _set_attributes(surface: Any, mesh: Mesh, time: float | None) -> int:
 def read_usd_sequence(path: Path | str) -> MeshSequence:
     """Read a surface that `write_usd_sequence` wrote, back in the camera frame, whole in memory.
 
-    Raises `BadMesh` where the file is no USD, or its topology changes from frame to frame.
+    Raises `BadMesh` where the file is no USD, holds no frame or other polygons than triangles, or where its
+    topology changes from frame to frame.
     """
     path = require_file(path, BadMesh)
     from pxr import Tf, Usd, UsdGeom
@@ -171,11 +172,16 @@ def read_usd_sequence(path: Path | str) -> MeshSequence:
         raise BadMesh(f"{path}: expected a mesh at {SURFACE}: not a file of this toolkit")
     if mesh.GetFaceVertexIndicesAttr().GetNumTimeSamples():
         raise BadMesh(f"{path}: the topology changes from frame to frame: this is no registered surface")
-    points = mesh.GetPointsAttr()
+    points, counts = mesh.GetPointsAttr(), np.array(mesh.GetFaceVertexCountsAttr().Get())
     frames = [np.array(points.Get(time)) for time in points.GetTimeSamples()]
+    if len({frame.shape for frame in frames}) != 1 or not (counts == 3).all():
+        raise BadMesh(f"{path}: expected a frame or more of one triangle mesh at {SURFACE}")
     vertices = graphics_from_camera(np.stack(frames))
     primvars = UsdGeom.PrimvarsAPI(mesh)
-    colours, uv = (primvars.GetPrimvar(name).Get() for name in ("displayColor", "st"))
+    colours, uv = (
+        primvars.GetPrimvar(name).Get() if primvars.HasPrimvar(name) else None
+        for name in ("displayColor", "st")
+    )
     template = Mesh(
         vertices=vertices[0],
         faces=np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3),

@@ -1,0 +1,141 @@
+"""Meshes at the edge of what a format holds: odd kinds of numbers, names with blanks, nothing at all."""
+
+import numpy as np
+import pytest
+
+from vntoolkit.errors import BadInput, BadMesh
+from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.io.glb import write_glb
+from vntoolkit.io.meshes import read_mesh, read_point_cloud, write_mesh
+from vntoolkit.io.obj import read_obj_texture
+from vntoolkit.io.ply_header import read_ply_counts
+from vntoolkit.io.sequences import MeshSequenceWriter, read_mesh_sequence
+from vntoolkit.io.usd import read_usd_sequence, write_usd_sequence
+
+TRIANGLE = Mesh(vertices=np.eye(3), faces=np.array([[0, 1, 2]]))
+NOTHING = Mesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), np.int32))
+
+
+def _ply(
+    path, *, kind="float", colour="", rows=("0 0 0", "1 0 0", "0 1 0"), face="uchar int", corners="3 0 1 2"
+):
+    colours = "".join(f"property {colour} {name}\n" for name in ("red", "green", "blue") if colour)
+    path.write_text(
+        f"ply\nformat ascii 1.0\nelement vertex 3\nproperty {kind} x\nproperty {kind} y\nproperty {kind} z\n"
+        f"{colours}element face 1\nproperty list {face} vertex_indices\nend_header\n"
+        + "\n".join((*rows, corners, ""))
+    )
+    return path
+
+
+def test_whole_numbers_are_positions_too(tmp_path):
+    mesh = read_mesh(_ply(tmp_path / "a.ply", kind="uchar"))
+    assert mesh.vertices.tolist() == [[0, 0, 0], [1, 0, 0], [0, -1, 0]]
+    assert read_point_cloud(tmp_path / "a.ply").points.dtype == np.float64
+
+
+def test_colours_of_16_bits_keep_their_share_of_full_scale(tmp_path):
+    rows = ("0 0 0 32896 0 65535", "1 0 0 0 0 0", "0 1 0 0 0 0")
+    mesh = read_mesh(_ply(tmp_path / "a.ply", colour="ushort", rows=rows))
+    assert mesh.colours[0] == pytest.approx([128 / 255, 0, 1])
+
+
+@pytest.mark.parametrize(
+    ("changed", "line"),
+    [
+        ({"face": "uchar float", "corners": "3 0 nan 2"}, "corners are numbers of vertices, got float32"),
+        ({"face": "uchar float", "corners": "3 0 1.7 2"}, "corners are numbers of vertices, got float32"),
+        ({"face": "float int"}, "unknown line in the PLY header: 'property list float int"),
+        ({"corners": "3 0 -1 2"}, "a face names vertex -1, there are 3"),
+        ({"rows": ("0 0 0",), "corners": ""}, "malformed or cut off (too few lines)"),
+    ],
+)
+def test_a_ply_of_odd_numbers_is_one_line(tmp_path, changed, line):
+    with pytest.raises(BadMesh) as refusal:
+        read_mesh(_ply(tmp_path / "a.ply", **changed))
+    assert line in str(refusal.value)
+
+
+def test_a_header_without_a_count_counts_nothing(tmp_path):
+    (tmp_path / "a.ply").write_text("ply\nelement vertex many\nelement face 2\nend_header\n")
+    assert read_ply_counts(tmp_path / "a.ply") == {"face": 2}
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf\n", "line 4 is malformed"),
+        ("v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "a.obj: vertices: 1 of 9 values are NaN"),
+    ],
+)
+def test_an_obj_of_odd_numbers_is_one_line_with_its_name(tmp_path, text, line):
+    (tmp_path / "a.obj").write_text(text)
+    with pytest.raises(BadMesh) as refusal:
+        read_mesh(tmp_path / "a.obj")
+    assert line in str(refusal.value)
+
+
+def test_a_texture_is_found_by_a_name_with_blanks(tmp_path, rng):
+    texture = rng.integers(0, 255, (2, 2, 3), dtype=np.uint8)
+    mesh = Mesh(vertices=np.eye(3), faces=TRIANGLE.faces, uv=np.zeros((3, 2)))
+    write_mesh(tmp_path / "my face.obj", mesh, texture=texture)
+    assert read_obj_texture(tmp_path / "my face.obj").tolist() == texture.tolist()
+    (tmp_path / "my face.mtl").write_text("newmtl a\nmap_Kd -s 1 1 1 my.png\n")
+    (tmp_path / "my face.png").rename(tmp_path / "my.png")
+    assert read_obj_texture(tmp_path / "my face.obj").tolist() == texture.tolist()
+
+
+def test_an_index_beyond_32_bits_does_not_wrap_round():
+    with pytest.raises(BadMesh, match="outside the 3 vertices"):
+        Mesh(vertices=np.eye(3), faces=np.array([[0, 1, 2**32 + 2]]))
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, np.nan, np.inf])
+def test_a_clip_needs_a_rate(tmp_path, rate):
+    with pytest.raises(BadInput, match="frame rate: expected a positive number"):
+        write_glb(tmp_path / "a.glb", TRIANGLE, [np.eye(3)] * 2, frame_rate_hz=rate)
+    with pytest.raises(BadInput, match="frame rate: expected a positive number"):
+        MeshSequenceWriter(tmp_path / "b", TRIANGLE, frame_rate_hz=rate)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_clip_of_nothing_is_refused(tmp_path):
+    with pytest.raises(BadMesh, match="at least one frame and one triangle"):
+        write_glb(tmp_path / "a.glb", NOTHING, [NOTHING.vertices], frame_rate_hz=30.0)
+
+
+def test_a_moving_mesh_ends_with_the_last_whole_frame(tmp_path):
+    """A run that is killed between the two files leaves a confidence without its vertices."""
+    with MeshSequenceWriter(tmp_path, TRIANGLE) as writer:
+        for frame in range(3):
+            writer.append(np.eye(3) + frame, np.full(3, 0.5))
+        writer._vertices.truncate(2)
+    sequence = read_mesh_sequence(tmp_path)
+    assert (sequence.vertices.shape, sequence.confidence.shape) == ((2, 3, 3), (2, 3))
+    (tmp_path / "sequence.json").write_text('{"frame_rate_hz": 1' + "0" * 400 + "}")
+    with pytest.raises(BadMesh, match="expected JSON with frame_rate_hz"):
+        read_mesh_sequence(tmp_path)
+
+
+def test_a_usd_without_colours_comes_back(tmp_path):
+    write_usd_sequence(tmp_path / "a.usdc", TRIANGLE, [np.eye(3)] * 2, frame_rate_hz=30.0)
+    sequence = read_usd_sequence(tmp_path / "a.usdc")
+    assert sequence.vertices.tolist() == [np.eye(3).tolist()] * 2
+    assert sequence.template.colours is None
+    assert sequence.template.uv is None
+
+
+def test_a_usd_of_no_triangles_or_no_frame_is_refused(tmp_path):
+    from pxr import Usd, UsdGeom
+
+    write_usd_sequence(tmp_path / "a.usdc", TRIANGLE, [], frame_rate_hz=30.0)
+    with pytest.raises(BadMesh, match="expected a frame or more of one triangle mesh"):
+        read_usd_sequence(tmp_path / "a.usdc")
+    stage = Usd.Stage.CreateNew(str(tmp_path / "b.usda"))
+    mesh = UsdGeom.Mesh.Define(stage, "/World/Surface")
+    mesh.CreatePointsAttr().Set([(0, 0, 0)] * 4, 0.0)
+    mesh.CreateFaceVertexCountsAttr().Set([4])
+    mesh.CreateFaceVertexIndicesAttr().Set([0, 1, 2, 3])
+    stage.GetRootLayer().Save()
+    with pytest.raises(BadMesh, match="expected a frame or more of one triangle mesh"):
+        read_usd_sequence(tmp_path / "b.usda")
