@@ -19,6 +19,7 @@ from vntoolkit.cli.flags import flags_from
 from vntoolkit.cli.limits import limits_on
 from vntoolkit.cli.outputs import JSON, require_output
 from vntoolkit.cli.progress import progress_bar
+from vntoolkit.cli.shared_flags import AmbientImage, Curve, FocalPx, Frames, SingleLight
 from vntoolkit.geometry.board_layout import BoardLayout
 from vntoolkit.io.frame_range import FrameRange
 from vntoolkit.io.rigs import write_rig
@@ -39,10 +40,6 @@ else:
     BoardFlags = flags_from(BoardOptions)
     IntrinsicsFlags = flags_from(IntrinsicsOptions, without=("largest_error_px",))
 
-SingleLight: TypeAlias = Annotated[
-    tuple[Path, Path, Path] | None, Parameter(consume_multiple=True, negative=())
-]
-
 
 @limits_on("max_megapixels")
 def sphere(
@@ -51,12 +48,12 @@ def sphere(
     *,
     out: Path,
     mask: Path | None = None,
-    background: Path | None = None,
-    transfer: str = "linear",
+    background: AmbientImage = None,
+    transfer: Curve = "linear",
     camera: Path | None = None,
-    focal_px: float | None = None,
+    focal_px: FocalPx = None,
     single_light: SingleLight = None,
-    frames: str = "::",
+    frames: Frames = "::",
     options: SphereFlags = None,
     fit: FitFlags = None,
 ) -> None:
@@ -70,18 +67,8 @@ def sphere(
         The rig.json to write.
     mask
         Image, white where the ball is; without it the outline is found.
-    background
-        Image of the scene under ambient light only, subtracted.
-    transfer
-        Transfer curve of the footage: linear, srgb, bt709 or gamma:G.
     camera
         A rig.json whose camera is taken; default: orthographic.
-    focal_px
-        Focal length in pixels, for a pinhole camera instead.
-    single_light
-        Three photographs, under the red, the green and the blue light alone: takes M apart.
-    frames
-        Which frames, a:b:c: from a, below b, every c-th.
     """
     require_output(out, JSON)
     job = _job(source, mask, background, transfer, camera, focal_px, single_light, frames)
@@ -98,12 +85,12 @@ def board(
     /,
     *,
     out: Path,
-    background: Path | None = None,
-    transfer: str = "linear",
+    background: AmbientImage = None,
+    transfer: Curve = "linear",
     camera: Path | None = None,
-    focal_px: float | None = None,
+    focal_px: FocalPx = None,
     single_light: SingleLight = None,
-    frames: str = "::",
+    frames: Frames = "::",
     layout: LayoutFlags = None,
     options: BoardFlags = None,
     intrinsics: IntrinsicsFlags = None,
@@ -117,18 +104,8 @@ def board(
         A video, a folder of images, or a pattern.
     out
         The rig.json to write.
-    background
-        Image of the scene under ambient light only, subtracted.
-    transfer
-        Transfer curve of the footage: linear, srgb, bt709 or gamma:G.
     camera
         A rig.json whose camera is taken; default: fitted to the same footage.
-    focal_px
-        Focal length in pixels, for a pinhole camera instead.
-    single_light
-        Three photographs, under the red, the green and the blue light alone: takes M apart.
-    frames
-        Which frames, a:b:c: from a, below b, every c-th.
     """
     require_output(out, JSON)
     job = _job(source, None, background, transfer, camera, focal_px, single_light, frames)
@@ -159,9 +136,9 @@ def lights(
     like: str | None = None,
     lights: Annotated[tuple[int, int, int], Parameter(consume_multiple=True, negative=())] = (0, 1, 2),
     light_colours: LightColours = LightColours.CHANNELS,
-    transfer: str = "linear",
+    transfer: Curve = "linear",
     camera: Path | None = None,
-    focal_px: float | None = None,
+    focal_px: FocalPx = None,
 ) -> None:
     """Make a rig from lights whose directions and strengths are known.
 
@@ -178,12 +155,8 @@ def lights(
         Which three of the lights, counted from 0, are the red, the green and the blue one.
     light_colours
         Whether the intensities are the lights' colours, or channel k sees light k alone.
-    transfer
-        Transfer curve of the footage to come: linear, srgb, bt709 or gamma:G.
     camera
         A rig.json whose camera is taken; default: orthographic.
-    focal_px
-        Focal length in pixels, for a pinhole camera instead.
     """
     require_output(out, JSON)
     job = _job(str(source), None, None, transfer, camera, focal_px, None, "::")

@@ -23,6 +23,7 @@ from vntoolkit.cli.flags import flags_from
 from vntoolkit.cli.limits import limits_on
 from vntoolkit.cli.outputs import JSON, MESH, PAGE, PICTURE, require_output
 from vntoolkit.cli.progress import Advance, progress_bar
+from vntoolkit.cli.shared_flags import AmbientImage, Curve, FocalPx, Frames
 from vntoolkit.io.frame_range import FrameRange
 from vntoolkit.io.meshes import write_mesh
 from vntoolkit.io.rigs import write_rig
@@ -61,11 +62,11 @@ def head(
     /,
     *,
     out: Path,
-    background: Path | None = None,
-    transfer: str = "linear",
+    background: AmbientImage = None,
+    transfer: Curve = "linear",
     camera: Path | None = None,
-    focal_px: float | None = None,
-    frames: str = "::",
+    focal_px: FocalPx = None,
+    frames: Frames = "::",
     mesh: Path | None = None,
     figure: Path | None = None,
     report: Path | None = None,
@@ -85,22 +86,17 @@ def head(
 ) -> None:
     """Calibrate on a bare head that turns all the way left and right, with a fixed expression, in the dark.
 
+    60 to 120 frames are plenty.
+
     Parameters
     ----------
     source
         A video, a folder of images, or a pattern.
     out
         The rig.json to write.
-    background
-        Image of the scene under ambient light only, subtracted.
-    transfer
-        Transfer curve of the footage: linear, srgb, bt709 or gamma:G.
     camera
-        A rig.json whose camera is taken; best.
-    focal_px
-        Focal length in pixels, for a pinhole camera instead; with neither it is fitted to the turn, roughly.
-    frames
-        Which frames, a:b:c: from a, below b, every c-th; 60 to 120 are plenty.
+        A rig.json whose camera is taken; best. Without it and --focal-px the focal length is fitted to the
+        turn, roughly.
     mesh
         Also write the head's mesh, .ply or .obj; its unit is the distance from the camera.
     figure

@@ -16,6 +16,7 @@ from vntoolkit.cli.flags import flags_from
 from vntoolkit.cli.limits import limits_on
 from vntoolkit.cli.outputs import JSON, require_output
 from vntoolkit.cli.progress import progress_bar
+from vntoolkit.cli.shared_flags import Curve
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.io.atomic import require_writable_folder
@@ -49,7 +50,7 @@ def presses(
     corners: Corners = None,
     size_mm: SizeMm = None,
     label_size: SizePx = None,
-    transfer: str = "linear",
+    transfer: Curve = "linear",
     variation: VariationFlags = None,
 ) -> None:
     """Calibrate a tactile sensor on a ball of known size, pressed into its gel again and again.
@@ -72,8 +73,6 @@ def presses(
         Width and height of the rectangle between these corners in millimetres.
     label_size
         Width and height of the image that the labels refer to; default: the rectified one.
-    transfer
-        Transfer curve of the footage: linear, srgb, bt709 or gamma:G.
     """
     require_output(out, JSON)
     press_options = replace(options, variation=variation or VariationOptions())
@@ -100,7 +99,7 @@ def rectify(
     corners: Corners,
     size_mm: SizeMm,
     pixel_mm: float,
-    transfer: str = "linear",
+    transfer: Curve = "linear",
 ) -> None:
     """Resample footage of a plane seen at an angle onto square pixels of known size.
 
@@ -116,8 +115,6 @@ def rectify(
         Width and height of the rectangle in millimetres.
     pixel_mm
         Side of a pixel of the result in millimetres.
-    transfer
-        Transfer curve of the footage: linear, srgb, bt709 or gamma:G.
     """
     rectification = rectification_from_flags(corners, size_mm, pixel_mm)
     assert rectification is not None  # both flags are required

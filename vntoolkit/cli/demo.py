@@ -5,12 +5,11 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeAlias
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING, TypeAlias
 
 from vntoolkit.cli.flags import flags_from
 from vntoolkit.cli.progress import progress_bar
+from vntoolkit.cli.shared_flags import Jobs, Overwrite
 from vntoolkit.pipeline.demo import DemoFolder, DemoOptions, Stage, run_demo
 from vntoolkit.pipeline.opened_result import open_result
 from vntoolkit.pipeline.truth_comparison import compare_with_truth
@@ -26,8 +25,8 @@ else:
 def demo(
     *,
     out: Path = Path("demo"),
-    jobs: int = 1,
-    overwrite: Annotated[bool, Parameter(negative=())] = False,
+    jobs: Jobs = 1,
+    overwrite: Overwrite = False,
     options: DemoFlags = None,
 ) -> None:
     """Simulate a calibration board and a dancing sweater, calibrate, reconstruct, compare with the truth.
@@ -38,8 +37,6 @@ def demo(
     ----------
     out
         The folder to write: board, rig.json, sweater, reconstruction and report.html.
-    jobs
-        Worker processes; the results do not depend on their number.
     overwrite
         Replace what the folder holds.
     """

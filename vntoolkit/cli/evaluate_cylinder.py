@@ -11,6 +11,7 @@ from vntoolkit.cli.flags import flags_from
 from vntoolkit.cli.limits import limits_on
 from vntoolkit.cli.outputs import require_output
 from vntoolkit.cli.progress import progress_bar
+from vntoolkit.cli.shared_flags import Footage, Frames
 from vntoolkit.cli.tables import print_table, write_json
 from vntoolkit.evaluation.cylinder_fit import CylinderOptions
 from vntoolkit.io.frame_range import FrameRange
@@ -32,8 +33,8 @@ def cylinder(
     folder: Path,
     *,
     truth: Path | None = None,
-    frames: str = "::",
-    footage: str = "",
+    frames: Frames = "::",
+    footage: Footage = "",
     out: Path | None = None,
     options: CylinderFlags = None,
 ) -> CylinderEvaluation:
@@ -47,10 +48,6 @@ def cylinder(
         The folder that `vntoolkit reconstruct` wrote.
     truth
         The folder that `vntoolkit simulate` wrote: judges the fit itself too.
-    frames
-        Which frames, a:b:c: from a, below b, every c-th.
-    footage
-        Where the footage is now; default: where it was when it was reconstructed.
     out
         Folder to write; default: `evaluation` in the given folder.
     """

@@ -5,13 +5,12 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeAlias
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING, TypeAlias
 
 from vntoolkit.cli.flags import flags_from
 from vntoolkit.cli.limits import limits_on
 from vntoolkit.cli.progress import progress_bar
+from vntoolkit.cli.shared_flags import Footage, Frames, Overwrite
 from vntoolkit.io.frame_range import FrameRange
 from vntoolkit.pipeline.export import ExportJob, ExportSummary
 from vntoolkit.pipeline.export import export as run
@@ -29,14 +28,15 @@ def export(
     *,
     options: ExportFlags,
     out: Path | None = None,
-    frames: str = "::",
-    footage: str = "",
+    frames: Frames = "::",
+    footage: Footage = "",
     background: Path | None = None,
-    overwrite: Annotated[bool, Parameter(negative=())] = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Hand a reconstruction on to other programs.
 
-    The same command again goes on where an earlier run stopped, and writes what has changed since.
+    --footage and --background are for diligent, which alone reads the footage again. The same command again
+    goes on where an earlier run stopped, and writes what has changed since.
 
     Parameters
     ----------
@@ -44,12 +44,8 @@ def export(
         The folder that `vntoolkit reconstruct` wrote.
     out
         The file (usd, glb) or folder to write; default FOLDER/export/….
-    frames
-        Which frames, a:b:c: from a, below b, every c-th; or one number.
-    footage
-        For diligent: where the footage is now, if not where it was when it was reconstructed.
     background
-        For diligent: the background that the reconstruction subtracted.
+        The background that the reconstruction subtracted.
     overwrite
         Replace an export of other options in the folder.
     """

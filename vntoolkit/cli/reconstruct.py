@@ -5,13 +5,12 @@ from __future__ import annotations
 import contextlib
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeAlias
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING, TypeAlias
 
 from vntoolkit.cli.flags import flags_from
 from vntoolkit.cli.limits import limits_on
 from vntoolkit.cli.progress import progress_bar
+from vntoolkit.cli.shared_flags import AmbientImage, Frames, Jobs, Overwrite, Scheduler
 from vntoolkit.integration.options import IntegrationOptions
 from vntoolkit.io.frame_log import FrameEntry
 from vntoolkit.io.frame_range import FrameRange
@@ -45,12 +44,12 @@ def reconstruct(
     rig: Path,
     out: Path,
     mask: Path | None = None,
-    background: Path | None = None,
+    background: AmbientImage = None,
     transfer: str | None = None,
-    frames: str = "::",
-    jobs: int = 1,
-    scheduler: str | None = None,
-    overwrite: Annotated[bool, Parameter(negative=())] = False,
+    frames: Frames = "::",
+    jobs: Jobs = 1,
+    scheduler: Scheduler = None,
+    overwrite: Overwrite = False,
     pipeline: PipelineFlags = None,
     inversion: InversionFlags = None,
     integration: IntegrationFlags = None,
@@ -70,35 +69,35 @@ def reconstruct(
         The folder to write: normals, depth, mesh and reconstruction.json.
     mask
         An image of the footage's size, white where the subject is.
-    background
-        An image of the scene under ambient light only, subtracted from every frame.
     transfer
         Transfer curve of the footage, linear, srgb, bt709 or gamma:G; default: the rig's.
-    frames
-        Which frames, a:b:c: from a, below b, every c-th; or one number.
-    jobs
-        Worker processes.
-    scheduler
-        Address of a Dask scheduler, tcp://host:8786, whose workers see the same folders; or "local".
     overwrite
         Replace the results that the folder holds.
     """
-    read = read_rig(rig)
-    options = pipeline or ReconstructOptions()
     job = ReconstructionJob(
         source=source,
-        rig=_with_transfer(read, transfer),
-        options=replace(
-            options,
-            inversion=inversion or InversionOptions(),
-            integration=integration or IntegrationOptions(),
-            meshing=meshing or MeshOptions(),
-        ),
+        rig=_with_transfer(read_rig(rig), transfer),
+        options=joined_options(pipeline, inversion, integration, meshing),
         folder=ReconstructionFolder(root=out),
         mask=mask,
         background=background,
     )
     _report(_run_with_progress(job, FrameRange.from_text(frames), jobs, scheduler, overwrite))
+
+
+def joined_options(
+    pipeline: ReconstructOptions | None,
+    inversion: InversionOptions | None,
+    integration: IntegrationOptions | None,
+    meshing: MeshOptions | None,
+) -> ReconstructOptions:
+    """Put together what was typed of each stage; None where nothing was."""
+    return replace(
+        pipeline or ReconstructOptions(),
+        inversion=inversion or InversionOptions(),
+        integration=integration or IntegrationOptions(),
+        meshing=meshing or MeshOptions(),
+    )
 
 
 def _with_transfer(rig: Rig, transfer: str | None) -> Rig:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -11,15 +10,20 @@ from cyclopts import Parameter
 
 from vntoolkit.cli.limits import limits_on
 from vntoolkit.cli.progress import Advance, progress_bar
-from vntoolkit.cli.reconstruct import IntegrationFlags, InversionFlags, PipelineFlags
+from vntoolkit.cli.reconstruct import (
+    IntegrationFlags,
+    InversionFlags,
+    MeshFlags,
+    PipelineFlags,
+    joined_options,
+)
+from vntoolkit.cli.shared_flags import Frames, Jobs, Overwrite, Scheduler
 from vntoolkit.errors import BadInput, VntError
-from vntoolkit.integration.options import IntegrationOptions
 from vntoolkit.io.frame_log import FrameEntry
 from vntoolkit.io.frame_range import FrameRange
 from vntoolkit.io.rigs import read_rig
-from vntoolkit.normals.inversion import InversionOptions
 from vntoolkit.pipeline.block_work import ReconstructionJob
-from vntoolkit.pipeline.options import Product, ReconstructOptions
+from vntoolkit.pipeline.options import Product
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.session import CaptureOutcome, names_from_sources, run_session
 from vntoolkit.tracking.published import Tracker, options_of
@@ -32,13 +36,14 @@ def session(
     out: Path,
     track: Annotated[bool, Parameter(negative=())] = False,
     method: Tracker = Tracker.DEFAULT,
-    frames: str = "::",
-    jobs: int = 1,
-    scheduler: str | None = None,
-    overwrite: Annotated[bool, Parameter(negative=())] = False,
+    frames: Frames = "::",
+    jobs: Jobs = 1,
+    scheduler: Scheduler = None,
+    overwrite: Overwrite = False,
     pipeline: PipelineFlags = None,
     inversion: InversionFlags = None,
     integration: IntegrationFlags = None,
+    meshing: MeshFlags = None,
 ) -> None:
     """Reconstruct all captures of one rig, and track them, each into a folder of its own name.
 
@@ -57,26 +62,17 @@ def session(
     track
         Follow the surface through each capture too.
     method
-        How, as for `vntoolkit track`.
-    frames
-        Which frames of each, a:b:c: from a, below b, every c-th; or one number.
-    jobs
-        Worker processes.
-    scheduler
-        Address of a Dask scheduler, tcp://host:8786, whose workers see the same folders; or "local".
+        How it is followed, as for `vntoolkit track`.
     overwrite
         Replace the reconstructions and tracks that the folders hold.
     """
     if not sources:
         raise BadInput("session: expected one video or folder of images or more, got none")
-    options = pipeline or ReconstructOptions()
+    options = joined_options(pipeline, inversion, integration, meshing)
     if track and options.to is Product.NORMALS:
         raise BadInput("--track needs depth: give --to depth or mesh, not normals")
-    options = replace(
-        options,
-        inversion=inversion or InversionOptions(),
-        integration=integration or IntegrationOptions(),
-    )
+    if method is not Tracker.DEFAULT and not track:
+        raise BadInput("--method says how to track: add --track")
     lit_by = read_rig(rig)
     captures = {
         name: ReconstructionJob(

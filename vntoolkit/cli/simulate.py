@@ -12,6 +12,7 @@ from cyclopts import Parameter
 
 from vntoolkit.cli.flags import flags_from
 from vntoolkit.cli.progress import progress_bar
+from vntoolkit.cli.shared_flags import Frames, Jobs, Overwrite
 from vntoolkit.errors import BadInput
 from vntoolkit.io.frame_range import FrameRange
 from vntoolkit.pipeline.simulate import SimulationSummary
@@ -35,11 +36,11 @@ def simulate(
     scene: Annotated[str, Parameter(help=f"One of {', '.join(SCENES)}.")],
     *,
     out: Path,
-    frames: str = "::",
+    frames: Frames = "::",
     size: str = "640x480",
     motion: Path | None = None,
-    jobs: int = 1,
-    overwrite: Annotated[bool, Parameter(negative=())] = False,
+    jobs: Jobs = 1,
+    overwrite: Overwrite = False,
     options: SceneFlags = None,
     nuisances: NuisanceFlags = None,
     rendering: RenderFlags = None,
@@ -52,14 +53,10 @@ def simulate(
     ----------
     out
         The folder to write: capture.mkv, truth, contact_sheet.png and simulation.json.
-    frames
-        Which frames of the scene, a:b:c: from a, below b, every c-th; or one number.
     size
         Image size in pixels, WIDTHxHEIGHT.
     motion
         A .npy file of vertices (frames, n, 3), metres in the camera frame, that moves the scene's mesh.
-    jobs
-        Worker processes; the files do not depend on their number.
     overwrite
         Replace the capture that the folder holds.
     """

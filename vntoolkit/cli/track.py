@@ -5,13 +5,13 @@ from __future__ import annotations
 import contextlib
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeAlias
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING, TypeAlias
 
 from vntoolkit.cli.flags import flags_from
 from vntoolkit.cli.limits import limits_on
 from vntoolkit.cli.progress import progress_bar
+from vntoolkit.cli.shared_flags import Overwrite
+from vntoolkit.errors import BadInput
 from vntoolkit.io.seams import read_seams
 from vntoolkit.pipeline.checkerboard import write_checkerboard
 from vntoolkit.pipeline.track import TrackJob, TrackSummary
@@ -51,7 +51,7 @@ def track(
     tears: Tears | None = None,
     template: int | None = None,
     out: Path | None = None,
-    overwrite: Annotated[bool, Parameter(negative=())] = False,
+    overwrite: Overwrite = False,
     drift: DriftFlags = None,
     flow: FlowFlags = None,
     board: BoardFlags = None,
@@ -65,7 +65,7 @@ def track(
     folder
         The folder that `vntoolkit reconstruct` wrote, with normals and depth.
     method
-        A whole method by name; the options below change parts of it.
+        A whole method by name; the options below change parts of it. Drift is corrected by the default only.
     regulariser
         What keeps neighbouring vertices together.
     smoothing_length
@@ -113,8 +113,14 @@ def _options(
     flow: FlowOptions | None,
 ) -> TrackingOptions:
     base = options_of(method)
+    if drift is not None and method is not Tracker.DEFAULT:
+        raise BadInput(
+            f"--method {method.value} corrects no drift: leave out --drift and its options, or --method"
+        )
+    if flow is not None and method is Tracker.NO_REGISTRATION:
+        raise BadInput(f"--method {method.value} follows no flow: leave out --flow and its options")
     chosen = regulariser or base.regulariser
-    drift = base.drift if method is not Tracker.DEFAULT or drift is None else drift
+    drift = drift or base.drift
     weighted = chosen is Regulariser.LAPLACIAN and drift.correction is DriftCorrection.TEMPLATE
     return replace(
         base,
@@ -123,7 +129,7 @@ def _options(
         data_share=base.data_share if data_share is None else data_share,
         confidence=confidence or (base.confidence if weighted else Confidence.NONE),
         drift=drift,
-        flow=base.flow if method is Tracker.NO_REGISTRATION or flow is None else flow,
+        flow=flow or base.flow,
     )
 
 

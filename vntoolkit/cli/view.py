@@ -10,6 +10,7 @@ from vntoolkit.cli.flags import flags_from
 from vntoolkit.cli.limits import limits_on
 from vntoolkit.cli.outputs import PAGE, require_output
 from vntoolkit.cli.progress import progress_bar
+from vntoolkit.cli.shared_flags import Footage, Frames
 from vntoolkit.io.frame_range import FrameRange
 from vntoolkit.pipeline.opened_result import open_result
 from vntoolkit.report.scene_page import SceneOptions, counted, write_scene
@@ -27,8 +28,8 @@ else:
 def view(
     folder: Path,
     *,
-    frames: str = "::",
-    footage: str = "",
+    frames: Frames = "::",
+    footage: Footage = "",
     html: Path | None = None,
     viewer: ViewerFlags = None,
     scene: SceneFlags = None,
@@ -39,10 +40,6 @@ def view(
     ----------
     folder
         The folder that `vntoolkit reconstruct` wrote, tracked or not.
-    frames
-        Which frames, a:b:c: from a, below b, every c-th; or one number.
-    footage
-        Where the footage is now, if not where it was when it was reconstructed.
     html
         Write one self-contained page that opens offline, instead of serving.
     """
