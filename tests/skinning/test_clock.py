@@ -85,3 +85,13 @@ def test_refusals() -> None:
         clock_from_recordings(cloth(10), motion, ClockOptions(start=9.0))
     with pytest.raises(BadInput, match="speed: expected a positive number, got -1"):
         ClockOptions(speed=-1.0)
+
+
+@pytest.mark.parametrize(("rate", "frames"), [(24.0, 8), (29.97, 10), (60.0, 17)])
+def test_a_repeated_cloth_shows_every_frame_once_a_round(rate: float, frames: int) -> None:
+    """Whole rounds in seconds do not come out even in floating point."""
+    motion = walking_motion(GaitOptions(strides=4, frame_rate_hz=rate))
+    options = ClockOptions(loop=Loop.REPEAT)
+    clock = clock_from_recordings(cloth(frames, rate), motion, options)
+    expected = np.arange(len(clock)) % frames
+    np.testing.assert_allclose(clock.cloth_s * rate, expected, atol=1e-6)

@@ -14,6 +14,7 @@ from vntoolkit.geometry.mesh_sequence import MeshSequence
 from vntoolkit.geometry.motion import Motion
 
 _SLERP_LINEAR_BELOW = 1e-6  # radians: there slerp and linear interpolation agree to the last digit
+_ON_A_FRAME = 1e-6  # frames: as near as this is on it, for seconds times a rate do not come out even
 
 
 class Loop(Enum):
@@ -47,8 +48,9 @@ class ClockOptions:
         for name, value in (("speed", self.speed), ("frame rate", self.frame_rate_hz)):
             if value is not None and not 0 < value < np.inf:
                 raise BadInput(f"{name}: expected a positive number, got {value:g}")
-        if not 0 <= self.start < np.inf:
-            raise BadInput(f"start: expected seconds from 0 on, got {self.start:g}")
+        for name, value in (("start", self.start), ("stop", self.stop)):
+            if value is not None and not 0 <= value < np.inf:
+                raise BadInput(f"{name}: expected seconds from 0 on, got {value:g}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,8 +89,11 @@ def clock_from_recordings(cloth: MeshSequence, motion: Motion, options: ClockOpt
 def _looped(t: FloatArray, length: float, rate: float, loop: Loop) -> FloatArray:
     if loop is Loop.NONE or length == 0:
         return np.minimum(t, length)
-    if loop is Loop.REPEAT:  # the last frame lasts one frame, then the first follows
-        return np.minimum(np.mod(t, length + 1 / rate), length)
+    if loop is Loop.REPEAT:
+        round_s = length + 1 / rate  # the last frame lasts one frame, then the first follows
+        phase = np.mod(t, round_s)
+        phase = np.where(phase > round_s - _ON_A_FRAME / rate, 0.0, phase)
+        return np.minimum(phase, length)
     return length - np.abs(np.mod(t, 2 * length) - length)
 
 
@@ -114,7 +119,7 @@ def resampled_vertices(cloth: MeshSequence, times_s: FloatArray) -> Iterator[Poi
 def _neighbours(position: FloatArray, count: int) -> tuple[IntArray, IntArray, FloatArray]:
     """Return the frames before and after each position, and the share of the second, 0 on a frame."""
     nearest = np.round(position)
-    position = np.where(np.abs(position - nearest) < 1e-6, nearest, position)  # rounding of t · rate
+    position = np.where(np.abs(position - nearest) < _ON_A_FRAME, nearest, position)
     first = np.clip(np.floor(position).astype(np.int64), 0, count - 1)
     share = np.clip(position - first, 0, 1)
     return first, np.minimum(first + 1, count - 1), share
