@@ -16,19 +16,16 @@ from vntoolkit.geometry.mesh_sequence import MeshSequence
 from vntoolkit.geometry.motion import Motion
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.geometry.skeleton import Skeleton
-from vntoolkit.io.images import read_image
 from vntoolkit.io.meshes import read_mesh
 from vntoolkit.io.sequences import write_mesh_sequence
 from vntoolkit.io.usd import read_usd_sequence
 from vntoolkit.pipeline.dress import DressedFigure, DressOptions, UpAxis, dress
 from vntoolkit.pipeline.dress_inputs import read_motion
-from vntoolkit.report.raycast_view import View, picture_of
-from vntoolkit.report.turntable import PreviewOptions, contact_sheet, turntable, write_preview
 from vntoolkit.skinning.anatomy import anatomy_of, facing_of, shoulders_of
 from vntoolkit.skinning.anchoring import Anchor
 from vntoolkit.skinning.blending import Blend
 from vntoolkit.skinning.clock import ClockOptions
-from vntoolkit.skinning.fitting import DepthPlacement, FitOptions, Region
+from vntoolkit.skinning.fitting import FitOptions, Region
 from vntoolkit.skinning.gait import walking_motion
 from vntoolkit.skinning.kinematics import bone_segments, pose_of_frame
 
@@ -117,6 +114,27 @@ def test_arms_are_turned_into_the_sleeves(real_data: Path, moving_jumper: MeshSe
     cosine = (hand - shoulder) @ (cuff - shoulder)
     cosine /= np.linalg.norm(hand - shoulder) * np.linalg.norm(cuff - shoulder)
     assert np.degrees(np.arccos(cosine)) < 3
+
+
+@pytest.mark.parametrize("tips", [0, 1])
+def test_a_joint_that_leads_nowhere_is_no_arm_to_aim(jumper: Mesh, tips: int) -> None:
+    """Files mark props and collars by joints beside the chest that end where they begin."""
+    walk = walking_motion()
+    plain, number = walk.skeleton, len(walk.skeleton.names)
+    marked = replace(
+        plain,
+        names=(*plain.names, "Marker"),
+        parents=np.append(plain.parents, plain.index_of("Chest")),
+        offsets=np.vstack([plain.offsets, [10.0, -5.0, 0.0]]),
+        tip_joints=np.append(plain.tip_joints, [number] * tips).astype(np.int64),
+        tip_offsets=np.vstack([plain.tip_offsets, np.zeros((tips, 3))]),
+    )
+    still = np.tile([0.0, 0, 0, 1], (len(walk), 1, 1))
+    motion = replace(walk, skeleton=marked, rotations=np.concatenate([walk.rotations, still], axis=1))
+    cloth = MeshSequence(template=jumper, vertices=np.array(jumper.vertices)[None])
+    dressed, expected = dress(cloth, motion), dress(cloth, walk)
+    np.testing.assert_allclose(dressed.rest_from_model[:number], expected.rest_from_model, atol=1e-12)
+    assert np.isfinite(dressed.frame(0)).all()
 
 
 def test_a_sheet_seen_from_the_front_lies_before_the_bones(jumper: Mesh) -> None:
@@ -258,50 +276,3 @@ def test_command_line_refuses_in_one_line(
 def test_a_folder_without_track_says_what_to_run(tmp_path: Path, capsys) -> None:
     assert main(["dress", str(tmp_path), "--motion", str(WALK), "--out", str(tmp_path / "a.usdc")]) == 1
     assert "run `vntoolkit track" in capsys.readouterr().err
-
-
-def test_picture_shows_left_right_up_and_near() -> None:
-    corner = np.array([[0, 0, 0], [0.2, 0, 0], [0, 0.2, 0]])
-
-    def patch(shift, colour) -> Mesh:
-        return Mesh(
-            vertices=corner + shift, faces=np.array([[0, 1, 2]]), colours=np.tile(np.float32(colour), (3, 1))
-        )
-
-    right_and_down = patch([0.2, 0.2, 0], [1, 0, 0])
-    behind = patch([0.2, 0.2, 0.3], [0, 1, 0])
-    view = View(centre=np.zeros(3), height=1.0, width_px=100, height_px=100)
-    picture = picture_of([right_and_down, behind], view).astype(int)
-    red = np.argwhere((picture[..., 0] > 100) & (picture[..., 1] < 50))
-    assert red.mean(axis=0).min() > 70  # right and low in the picture
-    assert not np.any((picture[..., 1] > 100) & (picture[..., 0] < 50))  # the nearer one hides the other
-    from_behind = picture_of([right_and_down], View(centre=np.zeros(3), height=1.0, azimuth_deg=180)).astype(
-        int
-    )
-    seen = np.argwhere((from_behind[..., 0] > 100) & (from_behind[..., 1] < 50))
-    assert seen[:, 1].mean() < 320 / 2
-    from_left = picture_of(
-        [right_and_down, patch([-0.4, 0.2, 0], [0, 1, 0])],
-        View(centre=np.zeros(3), height=1.0, azimuth_deg=90, elevation_deg=1),
-    )
-    assert from_left.shape == (480, 320, 3)
-
-
-def test_preview_moves_and_turns(moving_jumper: MeshSequence, tmp_path: Path) -> None:
-    dressed = dress(moving_jumper, walking_motion())
-    options = PreviewOptions(
-        frames=3, azimuths_deg=(0.0, 90.0), picture_width=60, picture_height=80, turn_frames=4
-    )
-    sheet = contact_sheet(dressed, options)
-    assert sheet.shape == (160, 180, 3)
-    tiles = [sheet[:80, 60 * i : 60 * i + 60].astype(int) for i in range(3)]
-    assert np.abs(tiles[0] - tiles[2]).mean() > 1
-    pictures = list(turntable(dressed, options))
-    assert len(pictures) == 4
-    cloth = (pictures[0][..., 0].astype(int) - pictures[0][..., 2]) > 15
-    assert 0.05 < cloth.mean() < 0.5
-    write_preview(tmp_path, "walk", dressed, options)
-    headed = read_image(tmp_path / "walk_sheet.png")
-    assert headed.shape[0] > 160 + 3 * 20  # the same, below times and beside directions
-    assert (tmp_path / "walk_turntable.mkv").stat().st_size > 1000
-    assert DepthPlacement.AUTO is FitOptions().depth

@@ -19,22 +19,21 @@ def arms_aimed_at_sleeves(
     """Return joint → (3, 3): the turn, in the axes of the figure, that aims an arm at its cuff.
 
     vertices: (n, 3) of the garment, already on the figure in `pose` (j, 4, 4). A cuff is the middle of the
-    outermost vertices on the arm's side of the trunk. Arms without a sleeve stay.
+    outermost vertices on the arm's side of the trunk. Arms without a sleeve, or without length, stay.
     """
     turns = {}
     middle = float(pose[list(anatomy.trunk), 0, 3].mean())
     for arm, shoulder in zip(anatomy.arms, shoulders_of(skeleton, anatomy), strict=True):
         start = pose[shoulder, :3, 3]
         end = _hand(skeleton, pose, arm)
+        reach = np.linalg.norm(end - start)
         side = np.sign(end[0] - middle)
         outward = side * (vertices[:, 0] - middle)
-        if side == 0 or not (outward > 0).any():
+        if side == 0 or reach == 0 or not (outward > 0).any():
             continue
         threshold = np.quantile(outward[outward > 0], 1 - _CUFF_SHARE)
         cuff = vertices[outward >= threshold].mean(axis=0)
-        if side * (cuff - start)[0] > 0 and np.linalg.norm(cuff - start) > _LEAST_REACH * np.linalg.norm(
-            end - start
-        ):
+        if side * (cuff - start)[0] > 0 and np.linalg.norm(cuff - start) > _LEAST_REACH * reach:
             turns[shoulder] = _rotation_between(end - start, cuff - start)
     return turns
 
