@@ -5,23 +5,23 @@ from __future__ import annotations
 import contextlib
 from collections import deque
 from collections.abc import Iterable, Iterator
+from collections.abc import Set as AbstractSet
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from vntoolkit.checks import require_in_range
 from vntoolkit.errors import BadCapture, CannotWrite
 from vntoolkit.io.atomic import atomic_path
+from vntoolkit.io.ffmpeg import av_errors, file_name, open_video, reason_of
 from vntoolkit.io.files import require_file
 from vntoolkit.io.limits import require_pixels
 from vntoolkit.io.pixel_formats import PixelFormat, rgb_from_video_frame
-from vntoolkit.io.video_index import VideoIndex, av_errors, index_of_stream, reason_of
-
-if TYPE_CHECKING:
-    import av
+from vntoolkit.io.video_index import VideoIndex, index_of_stream
 
 _HD_HEIGHT = 720
 _INDICES: dict[tuple[str, int, int], VideoIndex] = {}  # of files by path, size and time of change, in ns
@@ -53,8 +53,8 @@ class VideoReader:
         self.threads = threads
         # (number of its next frame, decoder); a deque, whose pop gives it to one thread alone
         self._waiting: deque[tuple[int, Iterator[tuple[int | None, Any]]]] = deque(maxlen=1)
-        with self._open() as container:
-            stream = _video_stream(container, self.path)
+        container, stream = open_video(self.path)
+        with container:
             context = stream.codec_context
             if context is None:
                 raise BadCapture(f"{self.path}: is in a codec that FFmpeg does not know, or is damaged")
@@ -80,8 +80,8 @@ class VideoReader:
         known = (str(self.path.absolute()), state.st_size, state.st_mtime_ns)
         index = _INDICES.get(known)
         if index is None:
-            with self._open() as container:
-                stream = _video_stream(container, self.path)
+            container, stream = open_video(self.path)
+            with container:
                 checked = self.codec == "ffv1"
                 index = index_of_stream(container, stream, str(self.path), has_checksums=checked)
             if len(_INDICES) >= _MOST_INDICES:
@@ -95,7 +95,8 @@ class VideoReader:
         """Yield (number, RGB array) for the frames start, start + step, … below stop.
 
         Decoding goes on where the call before it ended, if that is no farther than the key frame before
-        `start`, or starts there. Raises `BadCapture` where the file ends early or a frame is damaged.
+        `start`, or starts there. Where every frame is a key frame, those left out are not decoded. Raises
+        `BadCapture` where the file ends early or a frame is damaged.
         """
         times = self.index.times
         last = len(times) if stop is None else min(stop, len(times))
@@ -103,13 +104,17 @@ class VideoReader:
             raise self._breaks_off(len(times))
         if start >= last:
             return
-        decoded = self._decoded_to(start)
         numbers = range(start, last, step)
+        left_out: set[int] = set()
+        if len(self.index.key_frames) == len(times):
+            left_out = set(times[start:last]).difference(times[start:last:step])
+        decoded = self._decoded(times[start], left_out) if left_out else self._decoded_to(start)
         for number in numbers:
             if number in self.index.damaged:
                 raise self._damaged(number, "its checksum is wrong, or that of a frame it builds on")
             yield number, self._rgb(self._frame_shown_at(times[number], number, decoded), number)
-        self._waiting.append((numbers[-1] + 1, decoded))
+        if not left_out:
+            self._waiting.append((numbers[-1] + 1, decoded))
 
     def _decoded_to(self, start: int) -> Iterator[tuple[int | None, Any]]:
         """Return a decoder that will come to frame `start`: the one that waits, if it need not go back."""
@@ -128,11 +133,14 @@ class VideoReader:
                 raise self._damaged(number, "it cannot be decoded")
         raise self._breaks_off(number)
 
-    def _decoded(self, from_time: int | None) -> Iterator[tuple[int | None, Any]]:
+    def _decoded(
+        self, from_time: int | None, left_out: AbstractSet[int] = frozenset()
+    ) -> Iterator[tuple[int | None, Any]]:
+        """Yield (time, frame) from the key frame before `from_time` on, but for the times left out."""
         damaged_times = {self.index.times[number] for number in self.index.damaged}
         errors = av_errors()  # here, since a decoder may be closed when nothing can be imported any more
-        with self._open() as container:
-            stream = _video_stream(container, self.path)
+        container, stream = open_video(self.path)
+        with container:
             stream.thread_type = "AUTO"
             stream.codec_context.thread_count = self.threads
             try:
@@ -140,7 +148,7 @@ class VideoReader:
                     container.seek(from_time, stream=stream, backward=True)
                 for packet in container.demux(stream):
                     # A decoder that works ahead would fail on a damaged frame before its turn has come.
-                    if packet.pts not in damaged_times:
+                    if packet.pts not in damaged_times and packet.pts not in left_out:
                         for frame in packet.decode():
                             yield frame.pts, frame
             except errors as error:
@@ -172,44 +180,34 @@ class VideoReader:
             f"again, or leave the frame out, as with --frames {f'0:{number}' if number else '1:'}"
         )
 
-    def _open(self) -> Any:
-        import av
-
-        # Errors arrive as exceptions, in one line. PyAV's own log callback waits, in FFmpeg's threads, for
-        # Python's lock, and does so for ever where Python holds it and waits for these threads to end.
-        av.logging.restore_default_callback()
-        av.logging.set_libav_level(av.logging.PANIC)
-        try:
-            return av.open(str(self.path), metadata_errors="replace")
-        except av_errors() as error:
-            raise BadCapture(
-                f"{self.path}: cannot be opened as a video ({reason_of(error)}); it is damaged, cut off or "
-                "in an unknown format"
-            ) from error
-
 
 def write_video(
     path: Path | str, frames: Iterable[npt.NDArray[Any]], frame_rate_hz: float, *, threads: int = 2
 ) -> int:
     """Write (h, w, 3) RGB frames, all uint8 or all uint16, losslessly as FFV1 in Matroska; atomically.
 
-    Returns the number of frames. Frames are taken one at a time, so memory stays constant.
+    frame_rate_hz: 0.001 to a million. Returns the number of frames. Frames are taken one at a time, so memory
+    stays constant. Raises `BadInput` where a frame is of another size or depth than the first.
     """
     import av
 
     path = Path(path)
     if path.suffix.lower() != ".mkv":
         raise CannotWrite(f"{path}: video is written as FFV1 in Matroska; give a name that ends in .mkv")
-    count = 0
+    require_in_range(frame_rate_hz, 1e-3, 1e6, f"{path}: frame rate")
+    count, first = 0, ""
     try:
         # Without "bitexact" Matroska gets a random identifier, and equal frames unequal files.
         exact = {"fflags": "+bitexact"}
         with (
             atomic_path(path) as temporary,
-            av.open(str(temporary), "w", format="matroska", options=exact) as container,
+            av.open(file_name(temporary), "w", format="matroska", options=exact) as container,
         ):
             stream = None
             for count, frame in enumerate(frames, start=1):
+                kind = f"{frame.shape} {frame.dtype}"
+                if kind != (first := first or kind):  # the encoder would scale and round it without a word
+                    raise BadCapture(f"{path}: frame {count - 1} is {kind}, the first one {first}")
                 stream = stream or _ffv1_stream(container, frame, frame_rate_hz, threads)
                 picture = av.VideoFrame.from_ndarray(
                     np.ascontiguousarray(frame), format="rgb24" if frame.dtype == np.uint8 else "rgb48le"
@@ -229,7 +227,9 @@ def _ffv1_stream(container: Any, frame: npt.NDArray[Any], frame_rate_hz: float, 
     if frame.ndim != 3 or frame.shape[2] != 3 or frame.dtype not in (np.uint8, np.uint16):
         raise BadCapture(f"video: expected (h, w, 3) uint8 or uint16 frames, got {frame.shape} {frame.dtype}")
     # 16 slices let two threads work on a frame; Rice coding decodes twice as fast as range coding.
-    options = {"level": "3", "slices": "16", "slicecrc": "1"}
+    options = {"level": "3", "slicecrc": "1"}
+    if min(frame.shape[:2]) >= 4:  # four rows of four slices, of a pixel at least
+        options["slices"] = "16"
     if frame.dtype == np.uint8:
         options["coder"] = "rice"
     stream = container.add_stream("ffv1", rate=_rational(frame_rate_hz), options=options)
@@ -242,9 +242,3 @@ def _ffv1_stream(container: Any, frame: npt.NDArray[Any], frame_rate_hz: float, 
 
 def _rational(frame_rate_hz: float) -> Fraction:
     return Fraction(frame_rate_hz).limit_denominator(1001)
-
-
-def _video_stream(container: av.container.InputContainer, path: Path) -> Any:
-    if not container.streams.video:
-        raise BadCapture(f"{path}: holds no video stream")
-    return container.streams.video[0]

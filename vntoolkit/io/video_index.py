@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from vntoolkit.errors import BadCapture
+from vntoolkit.io.ffmpeg import av_errors
 from vntoolkit.io.ffv1 import SliceCheck, check_slices
 
 _logger = logging.getLogger(__name__)
@@ -97,15 +98,3 @@ def _missing_frames(container: Any, stream: Any, times: list[int]) -> int:
     start_s = max(0, container.start_time or 0) / 1e6
     last_end_s = float(times[-1] * stream.time_base) + 1 / float(rate)
     return max(0, round((start_s + container.duration / 1e6 - last_end_s) * float(rate)))
-
-
-def av_errors() -> tuple[type[Exception], ...]:
-    """Return what PyAV raises; it is imported only here."""
-    import av
-
-    return (av.error.FFmpegError, OSError, EOFError)
-
-
-def reason_of(error: Exception) -> str:
-    """Return FFmpeg's reason on one line."""
-    return " ".join(str(getattr(error, "strerror", None) or error).split()).lower()

@@ -1,0 +1,69 @@
+"""Videos at their edges: a pixel or three, names that look like protocols, frames left out, odd rates."""
+
+import numpy as np
+import pytest
+
+from vntoolkit.errors import BadCapture, BadInput
+from vntoolkit.io.captures import open_capture
+from vntoolkit.io.video import VideoReader, write_video
+
+
+def _noise(rng, count, height, width, dtype=np.uint8):
+    return list(rng.integers(0, np.iinfo(dtype).max, (count, height, width, 3), dtype=dtype, endpoint=True))
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("size", [(1, 1), (3, 5), (5, 3), (1, 64), (7, 9)])
+def test_small_and_odd_pictures_are_lossless(tmp_path, rng, size, dtype):
+    frames = _noise(rng, 3, *size, dtype)
+    write_video(tmp_path / "a.mkv", frames, 25)
+    for number, values in VideoReader(tmp_path / "a.mkv").frames():
+        np.testing.assert_array_equal(values, frames[number])
+
+
+@pytest.mark.parametrize(
+    "second",
+    [np.zeros((24, 32, 3), np.uint8), np.zeros((16, 24, 3), np.uint16), np.zeros((16, 24, 3), float)],
+)
+def test_frames_that_change_are_not_written(tmp_path, second):
+    """The encoder would scale and round them to the first frame's kind without a word."""
+    with pytest.raises(BadCapture, match=r"frame 1 is \(.*, the first one \(16, 24, 3\) uint8"):
+        write_video(tmp_path / "a.mkv", [np.zeros((16, 24, 3), np.uint8), second], 25)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("rate", [0.0, -25.0, 1e-9, np.nan, np.inf])
+def test_a_video_needs_a_rate(tmp_path, rate):
+    with pytest.raises(BadInput, match="frame rate: expected"):
+        write_video(tmp_path / "a.mkv", [np.zeros((16, 24, 3), np.uint8)], rate)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["take:1.mkv", "http:a.mkv", "ü 火 %03d.mkv"])
+def test_a_name_is_no_protocol(tmp_path, rng, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    frames = _noise(rng, 2, 16, 24)
+    write_video(name, frames, 25)
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    np.testing.assert_array_equal(next(open_capture(name).encoded_frames(1)).values, frames[1])
+
+
+@pytest.mark.parametrize("part", [(0, None, 4), (1, 11, 3), (2, 4, 5)])
+def test_frames_left_out_are_not_decoded(tmp_path, rng, monkeypatch, part):
+    frames = _noise(rng, 12, 16, 24)
+    write_video(tmp_path / "a.mkv", frames, 25)
+    reader, decoded = VideoReader(tmp_path / "a.mkv", threads=1), []
+    plain = reader._decoded
+
+    def counted(*arguments):
+        for shown in plain(*arguments):
+            decoded.append(shown)
+            yield shown
+
+    monkeypatch.setattr(reader, "_decoded", counted)
+    read = dict(reader.frames(*part))
+    assert list(read) == list(range(12))[slice(*part)]
+    assert len(decoded) == len(read)
+    for number, values in read.items():
+        np.testing.assert_array_equal(values, frames[number])
+    np.testing.assert_array_equal(dict(reader.frames(3, 5))[4], frames[4])
