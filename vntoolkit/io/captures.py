@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import LinearImage
-from vntoolkit.checks import require_shape
+from vntoolkit.checks import require_in_range, require_positive, require_shape
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.decoding import EncodedFrame, linear_frame_from_encoded
 from vntoolkit.io.files import read_bytes
@@ -41,6 +41,14 @@ class CaptureOptions:
     bits: int | None = None
     frame_rate_hz: float = 30.0
     threads: int = 2
+
+    def __post_init__(self) -> None:
+        require_positive(self.frame_rate_hz, "capture: frame rate")
+        require_positive(self.threads, "capture: threads")
+        if self.max_megapixels is not None:
+            require_positive(self.max_megapixels, "capture: max_megapixels")
+        if self.bits is not None:
+            require_in_range(self.bits, 1, 16, "capture: bits")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,7 +135,8 @@ class Capture:
                     f"{path}: frame {number} is {width}×{height}, the first one {self.info.width}×"
                     f"{self.info.height}: a capture has one size"
                 )
-            yield EncodedFrame(values=values, bits=_bits(values, self.options), number=number, name=str(path))
+            bits = _bits(values, self.options, path)
+            yield EncodedFrame(values=values, bits=bits, number=number, name=str(path))
 
     def _read_background(self) -> LinearImage | None:
         background = self.options.background
@@ -137,7 +146,8 @@ class Capture:
         if isinstance(background, (str, Path)):
             name = str(background)
             values = read_image(background, max_megapixels=self.options.max_megapixels)
-            encoded = EncodedFrame(values=values, bits=_bits(values, self.options), number=0, name=name)
+            bits = _bits(values, self.options, background)
+            encoded = EncodedFrame(values=values, bits=bits, number=0, name=name)
             background = linear_frame_from_encoded(encoded, self.options.transfer).rgb
         require_shape(background, (None, None, 3), name, BadCapture)
         height, width = background.shape[:2]
@@ -189,7 +199,7 @@ def _info_of_images(kind: CaptureKind, files: tuple[Path, ...], options: Capture
         frame_count=len(files),
         frame_rate_hz=options.frame_rate_hz,
         pixel_format=f"{header.format} {header.bits}-bit{' float' if header.floating else ''}",
-        bits=_bits(first, options),
+        bits=_bits(first, options, files[0]),
         codec=header.format,
         chroma="grey" if header.channels < 3 else header.chroma,
         files=files,
@@ -197,7 +207,12 @@ def _info_of_images(kind: CaptureKind, files: tuple[Path, ...], options: Capture
     )
 
 
-def _bits(values: npt.NDArray[Any], options: CaptureOptions) -> int:
+def _bits(values: npt.NDArray[Any], options: CaptureOptions, path: Path | str) -> int:
     if values.dtype == np.float32:
         return 32
-    return options.bits or values.dtype.itemsize * 8
+    stored = values.dtype.itemsize * 8
+    if options.bits is not None and options.bits > stored:
+        raise BadCapture(
+            f"{path}: samples of {stored} bits cannot hold {options.bits}; give bits up to {stored}"
+        )
+    return options.bits or stored

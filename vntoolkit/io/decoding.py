@@ -54,10 +54,11 @@ def linear_frame_from_encoded(
 
 
 def clipped_pixel_share(frame: EncodedFrame, transfer: Transfer) -> float:
-    """Return which share of an integer frame's pixels, 0 to 1, has a channel at the white level or above."""
-    white = np.ceil(transfer.white_level * (2**frame.bits - 1))
+    """Return the share, 0 to 1, of an integer frame's pixels that `linear_frame_from_encoded` marks clipped."""
     values = np.ascontiguousarray(frame.values)
-    return int(_count_from(values, int(white))) / (values.shape[0] * values.shape[1])
+    table = decoding_table(transfer, frame.bits, values.dtype.itemsize * 8)
+    code = clipping_code(transfer, table, frame.bits)
+    return int(_count_from(values, code)) / (values.shape[0] * values.shape[1])
 
 
 def clipping_code(transfer: Transfer, table: npt.NDArray[np.float32], bits: int) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -96,6 +97,7 @@ class FrameLog:
             self._stream.write(entry.to_line() + "\n")
             self._stream.flush()
         except OSError as error:
+            self.close()
             raise cannot_write(self.path, error) from error
 
     def clear(self) -> None:
@@ -105,6 +107,7 @@ class FrameLog:
 
     def close(self) -> None:
         """Close the file."""
-        if self._stream is not None:
-            self._stream.close()
-            self._stream = None
+        stream, self._stream = self._stream, None
+        if stream is not None:
+            with contextlib.suppress(OSError):  # of a line that could not be written: `append` has told
+                stream.close()

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from vntoolkit.arrays import Mask
+from vntoolkit.checks import require_positive
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.captures import CaptureInfo, CaptureOptions, open_capture
 from vntoolkit.io.decoding import linear_frame_from_encoded
@@ -75,6 +76,7 @@ def inspect_capture(
     With a rig its transfer curve is used, and the order of the channels and the curve are checked against it,
     inside `mask` (h, w) where given: a background of another material would hide what the surface shows.
     """
+    require_positive(samples, "samples")
     if options is None:
         options = CaptureOptions() if rig is None else CaptureOptions(transfer=rig.transfer)
     capture = open_capture(source, options)

@@ -75,7 +75,7 @@ def _read_folder(folder: Path) -> KnownLights:
             )
     images: tuple[Path, ...] = ()
     if (folder / "filenames.txt").exists():
-        names = read_text(folder / "filenames.txt").split()
+        names = [line.strip() for line in read_text(folder / "filenames.txt").splitlines() if line.strip()]
         if len(names) != len(directions):
             raise BadInput(
                 f"{folder}/filenames.txt: names {len(names)} images for {len(directions)} light directions"
@@ -91,25 +91,25 @@ def _read_folder(folder: Path) -> KnownLights:
 
 def _read_rows(path: Path) -> Points:
     rows: list[list[float]] = []
-    count = None
+    lines: list[int] = []
     for number, line in enumerate(read_text(path, expected=_EXPECTED).splitlines(), start=1):
         words = line.split("#")[0].replace(",", " ").split()
         if not words:
             continue
         try:
-            values = [float(word) for word in words]
+            rows.append([float(word) for word in words])
         except ValueError as error:
             raise BadInput(f"{path}: line {number} is not a row of numbers; expected {_EXPECTED}") from error
-        if not rows and count is None and len(values) == 1 and values[0].is_integer():
-            count = int(values[0])
-            continue
-        if rows and len(values) != len(rows[0]):
-            raise BadInput(f"{path}: line {number} holds {len(values)} numbers, those before {len(rows[0])}")
-        rows.append(values)
+        lines.append(number)
+    if len(rows) > 1 and len(rows[0]) == 1 and (len(rows[1]) > 1 or rows[0] == [len(rows) - 1]):
+        (count,), lines = rows.pop(0), lines[1:]
+        if count != len(rows):
+            raise BadInput(f"{path}: promises {count:g} lights, holds {len(rows)}")
     if not rows:
         raise BadInput(f"{path}: holds no light; expected {_EXPECTED}")
-    if count is not None and count != len(rows):
-        raise BadInput(f"{path}: promises {count} lights, holds {len(rows)}")
+    for number, values in zip(lines, rows, strict=True):
+        if len(values) != len(rows[0]):
+            raise BadInput(f"{path}: line {number} holds {len(values)} numbers, those before {len(rows[0])}")
     table = np.array(rows)
     if not np.isfinite(table).all():
         raise BadInput(f"{path}: holds NaN or infinity")

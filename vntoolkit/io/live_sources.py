@@ -9,7 +9,8 @@ from typing import Protocol
 
 import numpy as np
 
-from vntoolkit.errors import BadCapture, BadInput
+from vntoolkit.checks import require_positive
+from vntoolkit.errors import BadCapture
 from vntoolkit.io.captures import Capture
 from vntoolkit.io.decoding import EncodedFrame
 
@@ -53,8 +54,8 @@ class CameraOptions:
     rate: float = 30.0
 
     def __post_init__(self) -> None:
-        if self.width < 1 or self.height < 1 or not self.rate > 0:
-            raise BadInput("camera: expected a positive width, height and rate")
+        for name in ("width", "height", "rate"):
+            require_positive(getattr(self, name), f"camera: {name}")
 
 
 class CameraSource:

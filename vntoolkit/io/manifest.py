@@ -147,5 +147,8 @@ def library_versions() -> dict[str, str]:
 def now_utc() -> str:
     """Return the present moment, UTC, ISO 8601; fixed by SOURCE_DATE_EPOCH for reproducible output."""
     fixed = os.environ.get("SOURCE_DATE_EPOCH")
-    moment = datetime.fromtimestamp(int(fixed), UTC) if fixed else datetime.now(UTC)
+    try:
+        moment = datetime.fromtimestamp(int(fixed), UTC) if fixed else datetime.now(UTC)
+    except (ValueError, OverflowError, OSError) as problem:
+        raise BadInput(f"SOURCE_DATE_EPOCH: expected seconds since 1970, got '{fixed}'") from problem
     return moment.isoformat(timespec="seconds")

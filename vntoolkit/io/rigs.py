@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, get_origin
 
 import numpy as np
 from pydantic import BaseModel, ValidationError
@@ -95,10 +95,13 @@ def _clipped(text: str, length: int) -> str:
 
 
 def _known_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
+    is_key = False
     for step in location:
-        if isinstance(step, int):
+        if isinstance(step, int) or is_key:  # a place in a list or a mapping is no field
+            is_key = False
             continue
         inner = model.model_fields[step].annotation
+        is_key = get_origin(inner) is dict
         candidates = (inner, *getattr(inner, "__args__", ()))
         model = next(c for c in candidates if isinstance(c, type) and issubclass(c, BaseModel))
     return list(model.model_fields)

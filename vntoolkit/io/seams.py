@@ -31,7 +31,7 @@ def read_seams(path: Path | str) -> tuple[Points2, ...]:
     for number, points in enumerate(content["seams"]):
         try:
             seam = np.array(points, dtype=np.float64)
-        except (ValueError, TypeError):
+        except (ValueError, TypeError, OverflowError):
             seam = np.empty(0)
         if seam.ndim != 2 or seam.shape[1] != 2 or len(seam) < 2 or not np.isfinite(seam).all():
             raise BadInput(f"{path}: seam {number}: expected two points [u, v] or more, in pixels")

@@ -27,6 +27,8 @@ def fit_gains(
 ) -> tuple[FloatArray, float, float]:
     """Return the capture's gains (3,) against calibration, green's 1, and the misfit with and without.
 
+    Where the surface is so scattered that no averaged pixel is wholly of it: ones, NaN and NaN.
+
     rgb: (h, w, 3) linear. used: (h, w) lit and unclipped pixels of the surface. positions_px: (h, w, 2),
     where a response that varies over the image is asked.
     """
@@ -36,6 +38,8 @@ def fit_gains(
     small = np.asarray(averaged, dtype=np.float64)
     inside: Mask = cv2.resize(used.astype(np.float64), size, interpolation=cv2.INTER_AREA) > 0.999
     positions_px = np.asarray(cv2.resize(positions_px, size, interpolation=cv2.INTER_AREA))
+    if not inside.any():
+        return np.ones(3), float("nan"), float("nan")
 
     def misfit(logs: FloatArray) -> float:
         undone = small * np.exp([-logs[0], 0.0, -logs[1]])
