@@ -54,7 +54,7 @@ def linear_frame_from_encoded(
 
 
 def clipped_pixel_share(frame: EncodedFrame, transfer: Transfer) -> float:
-    """Return the share, 0 to 1, of an integer frame's pixels that `linear_frame_from_encoded` marks clipped."""
+    """Return the share, 0 to 1, of an integer frame's pixels that are clipped, as `LinearFrame` has it."""
     values = np.ascontiguousarray(frame.values)
     table = decoding_table(transfer, frame.bits, values.dtype.itemsize * 8)
     code = clipping_code(transfer, table, frame.bits)
