@@ -63,7 +63,7 @@ def main(out: Path, motions: tuple[Path, ...] = (WALK,), track: Path | None = No
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--out", type=Path, required=True, help="folder to write")
+    parser.add_argument("--out", type=Path, default=Path("out/figure11"), help="folder to write")
     parser.add_argument("--motion", type=Path, nargs="+", default=[WALK], help=".bvh, or .amc beside .asf")
     parser.add_argument("--track", type=Path, help="folder that `vntoolkit track` wrote")
     arguments = parser.parse_args()

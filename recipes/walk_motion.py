@@ -2,7 +2,7 @@
 
     python recipes/walk_motion.py --out data        # 1 s
 
-Sines, no captured person: four strides of a figure 1.8 m tall, in centimetres, at 60 Hz.
+Sines, no captured person: four strides of a figure 1.73 m tall, in centimetres, at 60 Hz.
 """
 
 import argparse

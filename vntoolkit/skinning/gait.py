@@ -43,12 +43,12 @@ class GaitOptions:
     frame_rate_hz: float = 60.0
 
     def __post_init__(self) -> None:
-        if self.strides < 1 or not self.stride_s > 0 or not self.frame_rate_hz > 0:
+        if self.strides < 1 or not (0 < self.stride_s < np.inf and 0 < self.frame_rate_hz < np.inf):
             raise BadInput("gait: expected at least one stride, a positive duration and frame rate")
 
 
 def walking_motion(options: GaitOptions | None = None) -> Motion:
-    """Return a walk in centimetres (1.8 m tall), camera axes, towards the camera."""
+    """Return a walk in centimetres (the figure is 1.73 m tall), camera axes, towards the camera."""
     options = options or GaitOptions()
     count = round(options.strides * options.stride_s * options.frame_rate_hz) + 1
     phase = 2 * np.pi * np.arange(count) / (options.stride_s * options.frame_rate_hz)
