@@ -43,3 +43,29 @@ def test_a_camera_without_distortion_leaves_frames_alone() -> None:
     frame = smooth_scene(PINHOLE)
     assert undistorter.frame(frame) is frame
     assert not undistorter.changes_frames
+
+
+def test_what_draws_on_a_clipped_pixel_is_clipped() -> None:
+    """Bilinear interpolation mixes up to four pixels, each with a share of its own."""
+    rgb, clipped = np.zeros((90, 120, 3), np.float32), np.zeros((90, 120), bool)
+    rgb[40, 70], clipped[40, 70] = 1.0, True
+    seen = Undistorter(BARREL).frame(LinearFrame(rgb=rgb, clipped=clipped))
+    assert np.count_nonzero(seen.rgb[..., 0]) > 1
+    assert np.array_equal(seen.clipped, seen.rgb[..., 0] > 0)
+
+
+def test_beyond_the_picture_nothing_is_seen() -> None:
+    """The lens bends the pinhole camera's corners out of the picture, by fractions of a pixel too."""
+    cushion = Camera(
+        model=CameraModel.OPENCV,
+        width=120,
+        height=90,
+        matrix=PINHOLE.matrix,
+        distortion=np.array([0.15, 0, 0, 0]),
+    )
+    undistorter = Undistorter(cushion)
+    ones = LinearFrame(rgb=np.ones((90, 120, 3), np.float32), clipped=np.ones((90, 120), bool))
+    seen = undistorter.frame(ones)
+    assert 0.02 < 1 - undistorter.inside.mean() < 0.2
+    assert not seen.rgb[~undistorter.inside].any()
+    np.testing.assert_allclose(seen.rgb[undistorter.inside], 1.0)

@@ -42,11 +42,12 @@ class Undistorter:
         return self._maps is not None
 
     def frame(self, frame: LinearFrame) -> LinearFrame:
-        """Return the undistorted frame; pixels outside `inside` hold 0."""
+        """Return the undistorted frame: 0 outside `inside`, clipped where a clipped pixel has a share."""
         if self._maps is None:
             return frame
         rgb = np.asarray(cv2.remap(np.array(frame.rgb), *self._maps, cv2.INTER_LINEAR), dtype=np.float32)
-        clipped = cv2.remap(frame.clipped.astype(np.uint8), *self._maps, cv2.INTER_LINEAR)
+        rgb[~self.inside] = 0
+        clipped = cv2.remap(frame.clipped.astype(np.float32), *self._maps, cv2.INTER_LINEAR)
         return LinearFrame(rgb=rgb, clipped=clipped > 0, number=frame.number)
 
     def mask(self, mask: Mask) -> Mask:
