@@ -46,6 +46,8 @@ def test_scaling_keeps_the_corners_of_the_image() -> None:
 def test_refusals() -> None:
     with pytest.raises(BadInput, match="positive focal"):
         Camera(model=CameraModel.PINHOLE, width=4, height=4, matrix=np.zeros((3, 3)))
+    with pytest.raises(BadInput, match=r"0, 0, 1 in its last row, got \[0\.0, 0\.0, 2\.0\]"):
+        Camera(model=CameraModel.PINHOLE, width=4, height=4, matrix=np.diag([9.0, 9, 2]))
     with pytest.raises(BadInput, match="no distortion"):
         Camera(model=CameraModel.PINHOLE, width=4, height=4, matrix=np.eye(3), distortion=[0.1, 0, 0, 0])
     with pytest.raises(BadInput, match="expected shape 48 × 64"):

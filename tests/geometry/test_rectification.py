@@ -29,3 +29,19 @@ def test_refusals() -> None:
         Rectification(corners_px=(0, 0, 1, 1, 2, 2, 3, 3), width_mm=24, height_mm=35, pixel_mm=0.1)
     with pytest.raises(BadInput, match="makes an image"):
         Rectification(corners_px=CORNERS, width_mm=24, height_mm=35, pixel_mm=20)
+
+
+def test_numbers_and_orders_that_make_no_plane_are_refused() -> None:
+    plane = {"corners_px": CORNERS, "width_mm": 24.0, "height_mm": 35.0, "pixel_mm": 0.1}
+    for name in ("width_mm", "height_mm", "pixel_mm"):
+        for value in (np.inf, np.nan, -1.0):
+            with pytest.raises(BadInput, match=r"positive sizes in millimetres, got .*(inf|nan|-1)"):
+                Rectification(**{**plane, name: value})
+    top_left, top_right, bottom_left, bottom_right = np.reshape(CORNERS, (4, 2))
+    clockwise = np.concatenate([top_left, top_right, bottom_right, bottom_left])
+    dented = np.concatenate([top_left, top_right, bottom_left, (100.0, 100.0)])
+    for corners in (clockwise, dented):
+        with pytest.raises(BadInput, match="no convex outline; give them in the order top left, top right"):
+            Rectification(**{**plane, "corners_px": tuple(corners.tolist())})
+    turned = np.concatenate([bottom_right, bottom_left, top_right, top_left])
+    Rectification(**{**plane, "corners_px": tuple(turned.tolist())})  # upside down is a way to film

@@ -49,3 +49,15 @@ def test_refusals(tmp_path) -> None:
     assert not (tmp_path / "board.pdf").exists()
     with pytest.raises(CannotWrite):
         write_board_pdf("/proc/board.pdf", BoardLayout())
+
+
+@pytest.mark.parametrize(
+    ("sizes", "line"),
+    [
+        ({"square_mm": float("inf")}, "positive size in mm, got inf"),
+        ({"hole_squares": -3}, "got -3; 0 for none"),
+    ],
+)
+def test_layouts_of_no_paper_are_refused(sizes, line) -> None:
+    with pytest.raises(BadInput, match=line):
+        BoardLayout(**sizes)

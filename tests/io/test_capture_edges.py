@@ -46,7 +46,7 @@ def test_capture_options_that_are_none(options, line):
 
 @pytest.mark.parametrize("rate", [NAN, INF, 0.0])
 def test_a_camera_needs_a_rate(rate):
-    with pytest.raises(BadInput, match="camera: rate: expected a positive number"):
+    with pytest.raises(BadInput, match="camera: expected a positive width, height and rate, got 1280×720"):
         CameraOptions(rate=rate)
 
 

@@ -56,3 +56,9 @@ def test_unknown_curves_are_refused(text: str) -> None:
 def test_signed_samples_are_refused() -> None:
     with pytest.raises(BadInput, match="8- or 16-bit"):
         linear_from_integers(np.zeros((2, 2, 3), np.int32), Transfer())
+
+
+@pytest.mark.parametrize("text", ["linear", "srgb", "gamma:2", "gamma:2.2", "gamma:2.2222222222222223"])
+def test_a_curve_comes_back_from_its_text_to_the_last_digit(text: str) -> None:
+    assert Transfer.from_text(text).to_text() == text
+    assert Transfer.from_text(Transfer.from_text(text).to_text()) == Transfer.from_text(text)

@@ -9,6 +9,7 @@ The side that is seen therefore has the normal (0, 0, −1).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,12 +43,14 @@ class BoardLayout:
             raise BadInput(
                 f"board: expected odd numbers of squares from 3 on, got {self.columns} × {self.rows}"
             )
-        if not self.square_mm > 0:
+        if not 0 < self.square_mm < math.inf:
             raise BadInput(f"board: expected squares of a positive size in mm, got {self.square_mm:g}")
         if not 0.3 <= self.marker_share <= 0.9:
             raise BadInput(f"board: expected markers of 0.3 to 0.9 of a square, got {self.marker_share:g}")
-        if self.hole_squares != 0 and self.hole_squares % 2 == 0:
-            raise BadInput(f"board: expected a hole of an odd number of squares, got {self.hole_squares}")
+        if self.hole_squares < 0 or (self.hole_squares != 0 and self.hole_squares % 2 == 0):
+            raise BadInput(
+                f"board: expected a hole of an odd number of squares, got {self.hole_squares}; 0 for none"
+            )
         if self.hole_squares > min(self.columns, self.rows) - 4:
             raise BadInput("board: the hole leaves no ring of two squares around it; use more squares")
         if self.columns * self.rows // 2 > MARKER_COUNT:

@@ -50,6 +50,8 @@ class Camera:
             raise BadInput(f"camera: expected a positive image size, got {self.width}×{self.height}")
         if not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
             raise BadInput("camera matrix K: expected positive focal lengths K[0][0], K[1][1]")
+        if matrix[2].tolist() != [0, 0, 1]:
+            raise BadInput(f"camera matrix K: expected 0, 0, 1 in its last row, got {matrix[2].tolist()}")
         if np.any(distortion != 0) and self.model is not CameraModel.OPENCV:
             raise BadInput(f"camera: a {self.model.value} camera has no distortion; use model OPENCV")
         object.__setattr__(self, "matrix", read_only(matrix))

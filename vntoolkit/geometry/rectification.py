@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from vntoolkit.arrays import Matrix3, Points2
+from vntoolkit.arrays import FloatArray, Matrix3, Points2
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 
@@ -27,12 +28,22 @@ class Rectification:
     def __post_init__(self) -> None:
         if len(self.corners_px) != 8:
             raise BadInput(f"rectification: expected four corners, eight numbers, got {len(self.corners_px)}")
-        if not (self.width_mm > 0 and self.height_mm > 0 and self.pixel_mm > 0):
-            raise BadInput("rectification: expected positive sizes in millimetres")
+        sizes = (self.width_mm, self.height_mm, self.pixel_mm)
+        if not all(0 < size < math.inf for size in sizes):
+            raise BadInput(
+                "rectification: expected positive sizes in millimetres, got "
+                + ", ".join(f"{size:g}" for size in sizes)
+            )
         if not 8 <= min(self.size) <= max(self.size) <= 20000:
             raise BadInput(f"rectification: the pixel size makes an image of {self.size[0]}×{self.size[1]}")
-        if not _smallest_triangle(np.reshape(self.corners_px, (4, 2))) > 1.0:
+        areas = _areas_of_triangles(np.reshape(self.corners_px, (4, 2)))
+        if not np.abs(areas).min() > 1.0:
             raise BadInput("rectification: three of the corners lie on a line")
+        if np.ptp(np.sign(areas)):
+            raise BadInput(
+                "rectification: the corners make no convex outline; give them in the order top left, "
+                "top right, bottom left, bottom right"
+            )
 
     @property
     def size(self) -> tuple[int, int]:
@@ -58,10 +69,8 @@ class Rectification:
         return Camera.orthographic(width=width, height=height, pixels_per_unit=1000.0 / self.pixel_mm)
 
 
-def _smallest_triangle(corners: Points2) -> float:
-    """Smallest area, in square pixels, of the triangles that three of the four corners make."""
-    areas = []
-    for left_out in range(4):
-        a, b, c = np.delete(corners, left_out, axis=0)
-        areas.append(0.5 * abs(float(np.linalg.det(np.stack([b - a, c - a])))))
-    return min(areas)
+def _areas_of_triangles(corners: Points2) -> FloatArray:
+    """Signed areas (4,), square pixels, of the triangles at the corners, in order round the outline."""
+    outline = corners[[0, 1, 3, 2]]
+    before, after = np.roll(outline, 1, axis=0) - outline, np.roll(outline, -1, axis=0) - outline
+    return np.asarray(0.5 * (after[:, 0] * before[:, 1] - after[:, 1] * before[:, 0]))

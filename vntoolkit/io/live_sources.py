@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -9,8 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from vntoolkit.checks import require_positive
-from vntoolkit.errors import BadCapture
+from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.captures import Capture
 from vntoolkit.io.decoding import EncodedFrame
 
@@ -54,8 +54,11 @@ class CameraOptions:
     rate: float = 30.0
 
     def __post_init__(self) -> None:
-        for name in ("width", "height", "rate"):
-            require_positive(getattr(self, name), f"camera: {name}")
+        if self.width < 1 or self.height < 1 or not 0 < self.rate < math.inf:
+            raise BadInput(
+                "camera: expected a positive width, height and rate, got "
+                f"{self.width}×{self.height} pixels and {self.rate:g} a second"
+            )
 
 
 class CameraSource:

@@ -62,8 +62,11 @@ class Transfer:
         raise BadInput(f"transfer: expected linear, srgb, bt709 or gamma:G (such as gamma:2.2), got '{text}'")
 
     def to_text(self) -> str:
-        """Return the form that `from_text` reads (levels not included)."""
-        return f"gamma:{self.gamma:g}" if self.curve is TransferCurve.GAMMA else self.curve.value
+        """Return the form that `from_text` reads (levels not included); a gamma keeps every digit."""
+        if self.curve is not TransferCurve.GAMMA:
+            return self.curve.value
+        short = f"{self.gamma:g}"
+        return f"gamma:{short if float(short) == self.gamma else repr(float(self.gamma))}"
 
 
 def linear_from_encoded(encoded: FloatArray, transfer: Transfer) -> FloatArray:
