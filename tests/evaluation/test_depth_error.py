@@ -44,3 +44,7 @@ def test_refusals() -> None:
     elsewhere = DepthMap(depth=truth.depth, mask=np.zeros_like(truth.mask), unit=truth.unit)
     with pytest.raises(BadInput, match="common mask"):
         compare_depths(elsewhere, truth, PINHOLE)
+    one_pixel = elsewhere.mask.copy()
+    one_pixel[tuple(np.argwhere(truth.mask)[0])] = True
+    with pytest.raises(BadInput, match="a single pixel is valid in both"):
+        compare_depths(DepthMap(depth=truth.depth, mask=one_pixel, unit=truth.unit), truth, PINHOLE)

@@ -62,5 +62,8 @@ def test_refusals(rng: np.random.Generator) -> None:
         align_mesh(relief(), points, rng, SIMILARITY)
     with pytest.raises(BadMesh, match="no triangle, so there is no surface"):
         vertex_distances(points, relief())
+    one_point = relief().with_vertices(np.ones_like(relief().vertices))
+    with pytest.raises(SolverFailed, match="lie in one point"):
+        align_mesh(one_point, relief(), rng, SIMILARITY)
     with pytest.raises(SolverFailed, match="slide on each other"):
         align_mesh(relief(height=0.0), relief(height=0.0), rng, SIMILARITY)

@@ -4,6 +4,7 @@ import pytest
 from vntoolkit.errors import BadMesh
 from vntoolkit.evaluation.mesh_distance import mesh_distance
 from vntoolkit.evaluation.mesh_quality import mesh_quality, triangle_aspects
+from vntoolkit.evaluation.vertex_distance import vertex_distances
 from vntoolkit.geometry.mesh import Mesh
 
 
@@ -57,8 +58,20 @@ def test_quality_of_a_clean_grid_and_of_a_broken_one() -> None:
 def test_an_equilateral_triangle_has_aspect_one() -> None:
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [0.5, np.sqrt(3) / 2, 0]])
     assert triangle_aspects(Mesh(vertices=corners, faces=[[0, 1, 2]]))[0] == pytest.approx(1)
-    flat = Mesh(vertices=corners * [1, 0, 0], faces=[[0, 1, 2]])
-    assert np.isinf(triangle_aspects(flat)[0])
+    for no_area in ([1, 0, 0], [0, 0, 0]):
+        degenerate = Mesh(vertices=corners * no_area, faces=[[0, 1, 2]])
+        assert np.isinf(triangle_aspects(degenerate)[0])
+
+
+@pytest.mark.parametrize("measure", [mesh_distance, vertex_distances])
+def test_meshes_that_a_search_would_never_reach_are_refused(measure) -> None:
+    """pymeshlab searches in steps of the mesh's size: at ten thousand of them for minutes, at 0 for ever."""
+    one_point = Mesh(vertices=np.ones((3, 3)), faces=[[0, 1, 2]])
+    elsewhere = grid(height=1e4)
+    far = ((grid(), one_point), (one_point, grid()), (one_point, one_point), (grid(), elsewhere))
+    for first, second in far:
+        with pytest.raises(BadMesh, match="too far apart to compare: are they in one frame and one unit"):
+            measure(first, second)
 
 
 def test_meshes_without_faces_are_refused() -> None:

@@ -90,7 +90,10 @@ def test_refusals() -> None:
         mesh_from_depth(empty, ORTHOGRAPHIC)
     lonely = np.zeros((30, 40), bool)
     lonely[3, 3] = True
-    with pytest.raises(BadMesh, match="no two neighbouring"):
+    with pytest.raises(BadMesh, match="no three neighbouring"):
         mesh_from_depth(DepthMap(depth=np.zeros((30, 40)), mask=lonely), ORTHOGRAPHIC)
+    cliffs = DepthMap(depth=100.0 * np.arange(1200.0).reshape(30, 40), mask=np.ones((30, 40), bool))
+    with pytest.raises(BadMesh, match="jumps by more than 10 pixel widths in every triangle"):
+        mesh_from_depth(cliffs, ORTHOGRAPHIC)
     with pytest.raises(BadInput, match="but the camera is"):
         mesh_from_depth(dome(20, 20), ORTHOGRAPHIC)

@@ -85,6 +85,8 @@ def test_undetermined_pixels_and_lights_are_refused() -> None:
     assert np.isfinite(result.normals_in_camera).all()
     with pytest.raises(BadInput, match="one plane"):
         normals_from_lights(images, np.array([[1, 0, 0], [0, 1, 0], [0.7, 0.7, 0.0]]))
+    with pytest.raises(BadInput, match="a light has no strength"):
+        normals_from_lights(images[[0, 1, 2, 2]], np.vstack([lights, np.zeros(3)]))
     with pytest.raises(BadInput, match="at least three lights"):
         normals_from_lights(images[:2], lights[:2])
     with pytest.raises(BadInput, match="one for each light"):

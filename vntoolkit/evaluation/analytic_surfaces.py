@@ -6,11 +6,11 @@ import numpy as np
 
 from vntoolkit.arrays import FloatArray, Mask, Normals
 
-PEAKS_RANGE = 14.7  # of the unscaled surface
+PEAKS_RANGE = 14.7  # of the unscaled surface, from −6.55 to 8.11
 
 
 def peaks(height: int, width: int | None = None) -> tuple[FloatArray, Normals]:
-    """Return depth (h, w) in pixels, range a quarter of the height, and normals of three smooth hills."""
+    """Return depth (h, w) in pixels, range a quarter of the height, and normals of Matlab's `peaks`."""
     step = 6.0 / (height - 1)
     span = step * (np.arange(width or height) - ((width or height) - 1) / 2)
     y, x = np.meshgrid(step * np.arange(height) - 3.0, span, indexing="ij")

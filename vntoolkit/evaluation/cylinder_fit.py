@@ -61,7 +61,8 @@ class CylinderOptions:
         """Refuse angles and spreads that no observation has."""
         for name in ("support_deg", "parallel_deg"):
             require_in_range(getattr(self, name), 0.0, 90.0, f"cylinder: {name}")
-        if not (self.silhouette_px > 0 and self.correlated_points >= 1 and self.common_deg > 0):
+        finite = max(self.silhouette_px, self.correlated_points, self.common_deg) < np.inf
+        if not (finite and self.silhouette_px > 0 and self.correlated_points >= 1 and self.common_deg > 0):
             raise BadInput("cylinder: expected positive silhouette_px and common_deg, correlated_points >= 1")
 
 
@@ -173,8 +174,8 @@ def _scatter(seen: _Observation, cylinder: Cylinder, camera: Camera) -> Matrix3:
     spread = max(_NARROWEST_SPREAD, float(np.median(apart)) / 1.18)
     weights = np.maximum(1.0 - (apart / (_GATE * spread)) ** 2, 0.0) ** 2
     plane = np.stack(across_axis(cylinder.axis, least_aligned(cylinder.axis)))
-    round_ = np.arctan2(*(expected @ plane.T).T)
-    strips = ((round_ + np.pi) / (2 * np.pi) * _STRIPS).astype(int) % _STRIPS
+    turn = np.arctan2(*(expected @ plane.T).T)  # round the axis
+    strips = ((turn + np.pi) / (2 * np.pi) * _STRIPS).astype(int) % _STRIPS
     total = np.bincount(strips, weights, _STRIPS)
     means = np.stack([np.bincount(strips, weights * normals[:, i], _STRIPS) for i in range(3)], axis=1)
     kept = total > 0.1 * total.mean()

@@ -8,6 +8,7 @@ import numpy as np
 
 from vntoolkit.arrays import FloatArray, Mask
 from vntoolkit.checks import require_same_size, require_some
+from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap
 
@@ -52,14 +53,20 @@ def aligned_depth(measured: DepthMap, reference: DepthMap, camera: Camera) -> tu
 
 
 def compare_depths(measured: DepthMap, reference: DepthMap, camera: Camera) -> DepthError:
-    """Summarise the distances between two depth maps that one camera saw, free constant removed."""
+    """Summarise the distances between two depth maps that one camera saw, free constant removed.
+
+    Raises as `aligned_depth` does, and `BadInput` where they have but one pixel in common.
+    """
     aligned, both = aligned_depth(measured, reference, camera)
     distances = np.abs(aligned[both] - reference.depth[both])
     points = camera.points_from_depth(np.where(both, reference.depth, np.nan))[both]
+    diagonal = float(np.linalg.norm(np.ptp(points, axis=0)))
+    if not diagonal > 0:
+        raise BadInput("depth maps: a single pixel is valid in both, which has no extent to compare with")
     return DepthError(
         pixels=int(both.sum()),
         mean=float(distances.mean()),
         median=float(np.median(distances)),
         p95=float(np.percentile(distances, 95)),
-        diagonal=float(np.linalg.norm(np.ptp(points, axis=0))),
+        diagonal=diagonal,
     )

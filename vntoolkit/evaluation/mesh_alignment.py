@@ -103,6 +103,8 @@ def _step(points: Points, targets: Points, normals: Points, free: Alignment) -> 
     centre = points.mean(axis=0)
     from_centre = points - centre
     size = float(np.sqrt((from_centre**2).sum(axis=1).mean()))
+    if not size > 0:
+        raise SolverFailed("align: all vertices of the mesh lie in one point")
     rows = np.column_stack([np.cross(from_centre / size, normals), normals])
     if free is Alignment.SIMILARITY:
         rows = np.column_stack([rows, ((from_centre / size) * normals).sum(axis=1)])

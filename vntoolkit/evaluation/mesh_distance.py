@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from vntoolkit.errors import BadMesh
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.native import import_pymeshlab
+
+_FARTHEST = 1000.0  # times the size of the smaller mesh: beyond it distances say nothing of shape
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,10 +57,11 @@ class MeshDistance:
 
 
 def mesh_distance(mesh: Mesh, reference: Mesh) -> MeshDistance:
-    """Measure the distance between two meshes in one frame; raises `BadMesh` for a mesh without faces."""
-    for name, each in (("mesh", mesh), ("reference mesh", reference)):
-        if not len(each.faces):
-            raise BadMesh(f"{name}: no triangle, so there is no surface to measure the distance to")
+    """Measure the distance between two meshes in one frame.
+
+    Raises `BadMesh` for a mesh without faces, and for meshes too far apart for their sizes.
+    """
+    require_comparable(mesh, reference)
     meshes = import_pymeshlab().MeshSet(verbose=False)
     meshes.add_mesh(mesh.to_pymeshlab())
     meshes.add_mesh(reference.to_pymeshlab())
@@ -65,6 +70,24 @@ def mesh_distance(mesh: Mesh, reference: Mesh) -> MeshDistance:
         from_reference=_one_way(meshes, 1, 0),
         diagonal=reference.diagonal,
     )
+
+
+def require_comparable(mesh: Mesh, reference: Mesh) -> None:
+    """Raise `BadMesh` unless both have faces and sizes that suit their distance.
+
+    pymeshlab looks for the nearest face in steps as small as the mesh that it searches: for one that is a
+    point it would never end.
+    """
+    for name, each in (("mesh", mesh), ("reference mesh", reference)):
+        if not len(each.faces):
+            raise BadMesh(f"{name}: no triangle, so there is no surface to measure the distance to")
+    corners = np.stack([pick(m.vertices, axis=0) for m in (mesh, reference) for pick in (np.min, np.max)])
+    reach = float(np.linalg.norm(np.ptp(corners, axis=0)))
+    if not 0 < reach <= _FARTHEST * min(mesh.diagonal, reference.diagonal):
+        raise BadMesh(
+            f"meshes: one is {mesh.diagonal:.3g} across, the reference {reference.diagonal:.3g}, both "
+            f"together {reach:.3g}, which is too far apart to compare: are they in one frame and one unit?"
+        )
 
 
 def _one_way(meshes: object, sampled: int, target: int) -> OneWayDistance:

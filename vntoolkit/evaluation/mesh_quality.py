@@ -64,6 +64,8 @@ def triangle_aspects(mesh: Mesh) -> FloatArray:
     double_area = np.linalg.norm(
         np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
     )
-    inradius = double_area / edges.sum(axis=1).clip(1e-300)
-    with np.errstate(divide="ignore"):
-        return edges.max(axis=1) / (2.0 * np.sqrt(3.0) * inradius)
+    perimeter, longest = edges.sum(axis=1), edges.max(axis=1)
+    infinite = np.full(len(edges), np.inf)
+    return np.divide(
+        longest * perimeter, 2.0 * np.sqrt(3.0) * double_area, out=infinite, where=double_area > 0
+    )

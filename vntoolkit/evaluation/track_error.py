@@ -84,7 +84,7 @@ class TrackErrorOptions:
 
     def __post_init__(self) -> None:
         """Refuse limits that mean nothing."""
-        if not (self.lost_px > 0 and self.hidden_share > 0):
+        if not (0 < self.lost_px < np.inf and 0 < self.hidden_share < np.inf):
             raise BadInput("track error: expected positive lost_px and hidden_share")
         require_in_range(self.sure_confidence, 0.0, 1.0, "track error: sure confidence")
 

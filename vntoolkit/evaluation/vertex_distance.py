@@ -5,16 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from vntoolkit.arrays import FloatArray
-from vntoolkit.errors import BadMesh
+from vntoolkit.evaluation.mesh_distance import require_comparable
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.native import import_pymeshlab
 
 
 def vertex_distances(mesh: Mesh, reference: Mesh) -> FloatArray:
-    """Return (n,) distances, measured by pymeshlab; raises `BadMesh` for a mesh without faces."""
-    for name, each in (("mesh", mesh), ("reference mesh", reference)):
-        if not len(each.faces):
-            raise BadMesh(f"{name}: no triangle, so there is no surface to measure the distance to")
+    """Return (n,) distances, measured by pymeshlab; raises `BadMesh` as `mesh_distance` does."""
+    require_comparable(mesh, reference)
     pymeshlab = import_pymeshlab()
     meshes = pymeshlab.MeshSet(verbose=False)
     meshes.add_mesh(mesh.to_pymeshlab())

@@ -47,16 +47,21 @@ def mesh_from_depth(
     depth_map: (h, w). rgb: (h, w, 3) becomes the vertex colours, clipped to 0 … 1. normal_map: its normals
     become the vertex normals; without, they are the mesh's own. Returns a mesh in the camera frame with
     texture coordinates that place the image on it. Raises `BadInput` for maps of different sizes or an
-    empty mask, `BadMesh` where no two neighbouring pixels are valid.
+    empty mask, `BadMesh` where no three neighbouring pixels are valid, or jumps part them all.
     """
     options = options or MeshOptions()
     _require_match(depth_map, camera, rgb, normal_map)
     rows, columns, index = _vertex_pixels(depth_map.mask, options.stride)
     points = _points_at(depth_map, camera, rows, columns)
     faces = _faces_of_grid(index)
+    if not len(faces):
+        raise BadMesh("mesh: no three neighbouring pixels are valid, so there is no triangle")
     faces = faces[~_spans_jump(faces, points, camera, options)]
     if not len(faces):
-        raise BadMesh("mesh: no two neighbouring pixels are valid, so there is no triangle")
+        raise BadMesh(
+            f"mesh: depth jumps by more than {options.largest_step:g} pixel widths in every triangle; raise "
+            "the largest step"
+        )
     used, faces = _compact(faces, len(points))
     rows, columns, points = rows[used], columns[used], points[used]
     return Mesh(

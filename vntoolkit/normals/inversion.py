@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import Mask
-from vntoolkit.checks import require_shape
+from vntoolkit.checks import require_positive, require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.normals.inversion_kernels import (
@@ -62,10 +62,8 @@ class InversionOptions:
     clipped: ClippedPixels = ClippedPixels.DOWNWEIGHT
 
     def __post_init__(self) -> None:
-        if not self.relative_albedo > 0:
-            raise BadInput(f"relative albedo: expected a positive number, got {self.relative_albedo:g}")
-        if not self.albedo_tolerance > 0:
-            raise BadInput(f"albedo tolerance: expected a positive number, got {self.albedo_tolerance:g}")
+        require_positive(self.relative_albedo, "relative albedo")
+        require_positive(self.albedo_tolerance, "albedo tolerance")
         if not 0 < self.darkest < 1:
             raise BadInput(f"darkest: expected a share between 0 and 1, got {self.darkest:g}")
 

@@ -75,7 +75,8 @@ def solve_photometric_stereo(
 
     images: (k, h, w) linear grey. lights: (k, 3), camera frame, direction to light k times its strength.
     mask: (h, w). A pixel needs three samples that are neither shadow nor clipped; where fewer than four are
-    left, none can be told to be an outlier. Raises `BadInput` for fewer than three lights or coplanar ones.
+    left, none can be told to be an outlier. Raises `BadInput` for fewer than three lights, coplanar ones, or
+    one of no strength.
     """
     options = options or PhotometricStereoOptions()
     lights = np.ascontiguousarray(lights, dtype=np.float64)
@@ -112,4 +113,6 @@ def _require_images(images: FloatArray, lights: Points) -> npt.NDArray[Any]:
     singular = np.linalg.svd(lights, compute_uv=False)
     if not singular[2] > _FLATTEST_LIGHTS * singular[0]:
         raise BadInput("photometric stereo: the lights lie in one plane and cannot determine a normal")
+    if not lights.any(axis=1).all():
+        raise BadInput("photometric stereo: a light has no strength; leave its photograph out")
     return stack
