@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -89,6 +90,68 @@ def test_a_browser_shows_the_surface(page: Path) -> None:
         assert seen.complaints == []
 
 
+def data_of(page: Path) -> dict[str, Any]:
+    return json.loads(re.search(r'id="scene">(.*?)</script>', page.read_text(), re.DOTALL)[1])
+
+
+def altered(page: Path, out: Path, data: dict[str, Any], **more: str) -> Path:
+    """Write the page with other data, and with texts of it replaced."""
+    text = re.sub(
+        r'(?<=id="scene">).*?(?=</script>)', lambda _: json.dumps(data), page.read_text(), flags=re.S
+    )
+    for old, new in more.items():
+        text = text.replace(old, new)
+    out.write_text(text)
+    return out
+
+
+@pytest.mark.slow
+def test_a_browser_copes_with_what_a_result_may_lack(page: Path, tmp_path: Path) -> None:
+    whole = data_of(page)
+    with visit(altered(page, tmp_path / "no_webgl.html", whole, webgl2="nosuchthing")) as seen:
+        seen.page.wait_for_selector("body[data-shown='0']")
+        widths = seen.page.evaluate("[...document.querySelectorAll('aside img')].map(i => i.naturalWidth)")
+        assert widths == [64] * 4  # as the message promises
+        seen.page.get_by_text("This browser shows no WebGL 2").wait_for()
+        seen.page.locator("#time").focus()
+        seen.page.keyboard.press("End")
+        seen.page.wait_for_selector("body[data-shown='4']")
+        assert seen.complaints == []
+
+    single = {**whole, "frames": whole["frames"][:1], "registered": None}
+    single["frames"][0]["pictures"].pop("captured")
+    with visit(altered(page, tmp_path / "single.html", single)) as seen:
+        seen.page.wait_for_selector("body[data-shown='0']")
+        assert seen.page.evaluate("[...$('look').options].map(o => o.value)") == ["1", "2", "3"]
+        assert seen.page.is_disabled("#play")
+        assert seen.page.is_disabled("#time")
+        assert seen.complaints == []
+
+    gaps = data_of(page)
+    gaps["frames"][0].update(own=None, pictures={"normals": gaps["frames"][0]["pictures"]["normals"]})
+    with visit(altered(page, tmp_path / "gaps.html", gaps)) as seen:
+        seen.page.wait_for_selector("body[data-shown='0']")
+        assert not covered(seen.picture("#view"))[:-200].any()  # below lie the light and a hint
+        seen.page.evaluate("show(1)")
+        seen.page.wait_for_selector("body[data-shown='1']")
+        assert covered(seen.picture("#view")).mean() > 0.05
+        assert len(seen.page.query_selector_all("aside img")) == 4
+        assert seen.complaints == []
+
+
+@pytest.mark.slow
+def test_playing_shows_frames_though_each_takes_longer_than_it_lasts(page: Path) -> None:
+    with visit(page) as seen:
+        seen.page.wait_for_selector("body[data-shown='0']")
+        seen.page.evaluate(
+            "void (loadSurface = ((real) => async (index) => "
+            "(await new Promise((done) => setTimeout(done, 200)), real(index)))(loadSurface))"
+        )
+        seen.page.click("#play")
+        for index in (1, 2, 3):
+            seen.page.wait_for_selector(f"body[data-shown='{index}']", timeout=20_000)
+
+
 def test_nothing_in_it_points_elsewhere(page: Path) -> None:
     text = page.read_text()
     assert re.findall(r"https?://", text) == []
@@ -97,8 +160,7 @@ def test_nothing_in_it_points_elsewhere(page: Path) -> None:
 
 
 def test_five_frames_lie_in_it_the_skipped_one_not(page: Path) -> None:
-    text = page.read_text()
-    data = json.loads(re.search(r'id="scene">(.*?)</script>', text, re.DOTALL)[1])
+    data = data_of(page)
     assert [frame["number"] for frame in data["frames"]] == [0, 1, 2, 4, 5]
     assert data["registered"]["template"] == 0
     assert len(data["registered"]["frames"]) == 5
@@ -107,7 +169,7 @@ def test_five_frames_lie_in_it_the_skipped_one_not(page: Path) -> None:
 def test_a_long_capture_is_thinned_evenly_and_keeps_its_pace(dome_result: DomeResult, tmp_path: Path) -> None:
     out = tmp_path / "scene.html"
     write_scene(out, open_result(dome_result.folder), SceneOptions(vertices=100, most_frames=3))
-    data = json.loads(re.search(r'id="scene">(.*?)</script>', out.read_text(), re.DOTALL)[1])
+    data = data_of(out)
     assert [frame["number"] for frame in data["frames"]] == [0, 2, 5]
     assert data["rate"] == pytest.approx(30 * 3 / 5)
 

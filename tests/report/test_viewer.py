@@ -11,7 +11,8 @@ from tests.browser import Visit, visit
 from tests.dome_result import DomeResult
 from vntoolkit.errors import BadInput
 from vntoolkit.pipeline.opened_result import open_result
-from vntoolkit.report.viewer import Look, ResultViewer, Surface, ViewerOptions
+from vntoolkit.report.result_surfaces import Look, Surface
+from vntoolkit.report.viewer import ResultViewer, ViewerOptions
 
 
 def free_port() -> int:

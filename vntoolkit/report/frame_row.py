@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from vntoolkit.evaluation.angular_error import angular_error_map
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.report.pictures import Picture, cropped, picture_of_depth, picture_of_normals
+from vntoolkit.report.pictures import Picture, cropped, displayed, picture_of_depth, picture_of_normals
 from vntoolkit.report.tiles import ErrorScale, picture_of_errors
-
-_DISPLAY_GAMMA = 1 / 2.2
 
 
 def row_of_frame(
@@ -25,7 +21,7 @@ def row_of_frame(
     """Return the pictures (h, w, 3) by their headings, cut to the mask of the normals; errors in degrees."""
     errors, compared = angular_error_map(normal_map, truth)
     pictures = {
-        "captured": (255 * np.clip(frame.rgb, 0, 1) ** _DISPLAY_GAMMA).astype(np.uint8),
+        "captured": displayed(frame.rgb),
         "normals": picture_of_normals(normal_map),
         "relief": picture_of_depth(depth_map, camera),
         "error of the normals": picture_of_errors(errors, compared, scale),

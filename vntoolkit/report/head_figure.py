@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, LinearImage, Mask
+from vntoolkit.arrays import FloatArray, Mask
 from vntoolkit.calibration.head.turn import turn_angles_deg
 from vntoolkit.calibration.quality import angles_deg
 from vntoolkit.geometry.camera import Camera
@@ -17,10 +17,10 @@ from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.native import import_open3d
 from vntoolkit.pipeline.calibrate import CalibrationJob
 from vntoolkit.pipeline.calibrate_head import HeadCalibration
+from vntoolkit.report.pictures import displayed
 from vntoolkit.report.raycast_view import View, picture_of
 from vntoolkit.report.style import BLUE, ERROR_COLOURS, RED, SKY, new_figure, report_style, write_figure
 
-_DISPLAY_GAMMA = 1 / 2.2
 _TRAIL_FRAMES = 8
 _MOST_TRAILS = 400
 _YELLOW = "#f0e442"  # of the same colours for all kinds of colour vision as the style's
@@ -176,11 +176,6 @@ def _shading(mesh: Mesh, camera: Camera, pose: RigidTransform) -> FloatArray:
 
 def _overlap(first: Mask, second: Mask) -> float:
     return float((first & second).sum() / max(1, (first | second).sum()))
-
-
-def displayed(rgb: LinearImage) -> npt.NDArray[np.uint8]:
-    """Return linear colour (h, w, 3) as a screen shows it, 8 bits."""
-    return (255.0 * np.clip(rgb, 0.0, 1.0) ** _DISPLAY_GAMMA).astype(np.uint8)
 
 
 def _show(axis: Any, image: npt.NDArray[np.uint8]) -> None:

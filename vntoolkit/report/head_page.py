@@ -13,7 +13,6 @@ from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.calibrate import CalibrationJob
 from vntoolkit.pipeline.calibrate_head import HeadCalibration
 from vntoolkit.report.head_figure import (
-    displayed,
     draw_meshes,
     draw_samples,
     draw_shape,
@@ -31,6 +30,7 @@ from vntoolkit.report.page import (
     figure_from_plot,
     write_page,
 )
+from vntoolkit.report.pictures import displayed
 from vntoolkit.report.style import new_figure, report_style
 
 if TYPE_CHECKING:

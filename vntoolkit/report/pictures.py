@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels
+from vntoolkit.arrays import FloatArray, LinearImage, Mask, VisibilityLabels
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
-from vntoolkit.io.images import resized_image
 from vntoolkit.io.label_images import label_colours
+from vntoolkit.pipeline.opened_result import OpenedResult
 
 Picture = npt.NDArray[np.uint8]
 GROUND = 255  # grey value where a map is invalid
@@ -17,6 +17,32 @@ _LIGHT = np.array([-0.45, -0.55, -0.70])  # from the surface: left, above, befor
 _AMBIENT = 0.10
 _PLASTER = 0.78
 _DISPLAY_GAMMA = 1 / 2.2
+
+
+def displayed(linear: FloatArray | LinearImage) -> Picture:
+    """Return linear light (h, w, 3), full scale 1, as a screen shows it."""
+    return (255 * np.clip(linear, 0, 1) ** _DISPLAY_GAMMA).astype(np.uint8)
+
+
+def pictures_of_frame(
+    result: OpenedResult, number: int, *, ground: int, beside_normals: int, beside_labels: int | None = None
+) -> dict[str, Picture]:
+    """Return what there is of a frame: captured, normals, depth (as relief) and shadows, by these names.
+
+    ground: grey value where a map is invalid; beside_normals, beside_labels: for those, default as for all.
+    """
+    normal_map, depth_map = result.normals(number), result.depth(number)
+    labels, captured = result.labels(number), result.picture(number)
+    pictures: dict[str, Picture] = {} if captured is None else {"captured": captured}
+    if normal_map is not None:
+        pictures["normals"] = picture_of_normals(normal_map, ground=beside_normals)
+    if depth_map is not None:
+        pictures["depth"] = picture_of_depth(depth_map, result.camera, ground=ground)
+    if labels is not None:
+        mask = None if normal_map is None else normal_map.mask
+        beside = ground if beside_labels is None else beside_labels
+        pictures["shadows"] = picture_of_labels(labels, mask, ground=beside)
+    return pictures
 
 
 def picture_of_normals(normal_map: NormalMap, ground: int = GROUND) -> Picture:
@@ -76,13 +102,3 @@ def cropped(pictures: list[Picture], mask: Mask, margin_px: int = 6) -> list[Pic
     rows = slice(max(0, v.min() - margin_px), v.max() + 1 + margin_px)
     columns = slice(max(0, u.min() - margin_px), u.max() + 1 + margin_px)
     return [picture[rows, columns] for picture in pictures]
-
-
-def strip_of(pictures: list[Picture], height_px: int, gap_px: int = 6, ground: int = GROUND) -> Picture:
-    """Set pictures of one size side by side, shrunk to at most `height_px`, with gaps."""
-    height, width = pictures[0].shape[:2]
-    largest = round(max(height, width) * min(1.0, height_px / height))
-    shrunk = [resized_image(picture, largest) for picture in pictures]
-    gap = np.full((shrunk[0].shape[0], gap_px, 3), ground, np.uint8)
-    cells = [cell for picture in shrunk for cell in (gap, picture)]
-    return np.concatenate(cells[1:], axis=1)

@@ -16,7 +16,6 @@ from vntoolkit.report.calibration_section import calibration_section
 from vntoolkit.report.frames_section import results_section, shares_section
 from vntoolkit.report.page import PageNotice, PageNumber, PageSection, write_page
 from vntoolkit.report.samples_section import (
-    sampled,
     samples_section,
     settings_section,
     size_and_rate,
@@ -56,7 +55,7 @@ def write_report(
     options = options or ReportOptions()
     out = folder / "report.html" if out is None else out
     result = open_result(folder, footage=options.footage)
-    middle = sampled(result.numbers, 3)[len(sampled(result.numbers, 3)) // 2]
+    middle = result.numbers[len(result.numbers) // 2]
     sections = [
         samples_section(result, options.samples, options.picture_height),
         *extra,
@@ -84,7 +83,7 @@ def warnings_section(result: OpenedResult) -> PageSection:
     notices = list(_findings(result))
     failed = [entry for entry in result.entries.values() if entry.failure]
     if failed:
-        text = f"{len(failed)} frames were skipped; the first is {failed[0].number}: {failed[0].failure}"
+        text = f"frames skipped: {len(failed)}; the first is {failed[0].number}: {failed[0].failure}"
         notices.append(PageNotice(severity="warning", text=text))
     if not result.manifest.finished:
         text = "the run was not finished: the same command goes on where it stopped"

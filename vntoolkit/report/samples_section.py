@@ -17,11 +17,10 @@ from vntoolkit.report.page import (
     figure_from_plot,
 )
 from vntoolkit.report.pictures import (
+    GROUND,
     Picture,
     cropped,
-    picture_of_depth,
-    picture_of_labels,
-    picture_of_normals,
+    pictures_of_frame,
     short_label,
     web_colour,
 )
@@ -29,6 +28,7 @@ from vntoolkit.report.style import BLUE, FAINT, new_figure, report_style
 from vntoolkit.report.tiles import tiled
 
 _SHEET_PX = 1600
+_TITLES = {"depth": "relief", "shadows": "lights that arrive"}
 _BESIDE = 205  # grey beside the subject, since white means that all lights arrive
 
 
@@ -51,7 +51,7 @@ def samples_section(result: OpenedResult, count: int, height_px: int) -> PageSec
     )
     words = list(dict.fromkeys(name for row in rows for name in row))
     frames = ", ".join(map(str, shown))
-    caption = f"{', '.join(words).capitalize()} of frame {frames}."
+    caption = f"{', '.join(words).capitalize()} of {'frame' if len(shown) == 1 else 'frames'} {frames}."
     return PageSection(
         title="Sample frames",
         paragraphs=(
@@ -63,18 +63,11 @@ def samples_section(result: OpenedResult, count: int, height_px: int) -> PageSec
 
 
 def _parts(result: OpenedResult, number: int) -> dict[str, Picture]:
-    normal_map, depth_map = result.normals(number), result.depth(number)
+    normal_map = result.normals(number)
     assert normal_map is not None  # the frame is in result.numbers
-    labels, captured = result.labels(number), result.picture(number)
-    parts: dict[str, Picture] = {}
-    if captured is not None:
-        parts["captured"] = captured
-    parts["normals"] = picture_of_normals(normal_map)
-    if depth_map is not None:
-        parts["relief"] = picture_of_depth(depth_map, result.camera)
-    if labels is not None:
-        parts["lights that arrive"] = picture_of_labels(labels, normal_map.mask, ground=_BESIDE)
-    return dict(zip(parts, cropped(list(parts.values()), normal_map.mask), strict=True))
+    parts = pictures_of_frame(result, number, ground=GROUND, beside_normals=GROUND, beside_labels=_BESIDE)
+    titles = [_TITLES.get(name, name) for name in parts]
+    return dict(zip(titles, cropped(list(parts.values()), normal_map.mask), strict=True))
 
 
 def _legend() -> dict[str, str]:

@@ -27,12 +27,7 @@ from vntoolkit.io.images import encoded_image, resized_image
 from vntoolkit.meshing.surface import MeshOptions, mesh_from_depth
 from vntoolkit.pipeline.opened_result import OpenedResult
 from vntoolkit.report.page import data_uri
-from vntoolkit.report.pictures import (
-    Picture,
-    picture_of_depth,
-    picture_of_labels,
-    picture_of_normals,
-)
+from vntoolkit.report.pictures import pictures_of_frame
 from vntoolkit.report.samples_section import sampled
 from vntoolkit.report.thinning import thinned_template
 
@@ -119,25 +114,14 @@ def _own_mesh(result: OpenedResult, number: int, options: SceneOptions) -> Mesh 
 
 
 def _pictures(result: OpenedResult, number: int, options: SceneOptions) -> dict[str, str]:
-    normal_map, depth_map = result.normals(number), result.depth(number)
-    labels, captured = result.labels(number), result.picture(number)
-    pictures: dict[str, str] = {}
-    if captured is not None:
-        pictures["captured"] = _uri(captured, options)
-    if normal_map is not None:
-        pictures["normals"] = _uri(picture_of_normals(normal_map, ground=127), options)
-    if depth_map is not None:
-        pictures["depth"] = _uri(picture_of_depth(depth_map, result.camera, ground=20), options)
-    if labels is not None:
-        mask = None if normal_map is None else normal_map.mask
-        shown = resized_image(picture_of_labels(labels, mask, ground=20), options.picture_px, smooth=False)
-        pictures["shadows"] = data_uri(encoded_image(shown, ".png"), ".png")
-    return pictures
-
-
-def _uri(picture: Picture, options: SceneOptions) -> str:
-    small = resized_image(picture, options.picture_px)
-    return data_uri(encoded_image(small, ".webp", quality=_WEBP_QUALITY), ".webp")
+    """Return the frame's pictures as URIs; labels stay sharp, since mixed colours would mean other lights."""
+    uris = {}
+    for name, picture in pictures_of_frame(result, number, ground=20, beside_normals=127).items():
+        sharp = name == "shadows"
+        suffix = ".png" if sharp else ".webp"
+        small = resized_image(picture, options.picture_px, smooth=not sharp)
+        uris[name] = data_uri(encoded_image(small, suffix, quality=_WEBP_QUALITY), suffix)
+    return uris
 
 
 def _scene(result: OpenedResult, frames: list[_Frame], template: Mesh | None) -> dict[str, Any]:

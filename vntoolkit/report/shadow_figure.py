@@ -8,18 +8,17 @@ from pathlib import Path
 
 import numpy as np
 
-from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels
+from vntoolkit.arrays import Mask, VisibilityLabels
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.io.label_images import label_colours
 from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
-from vntoolkit.report.pictures import Picture, picture_of_normals, short_label, web_colour
+from vntoolkit.report.pictures import Picture, displayed, picture_of_normals, short_label, web_colour
 from vntoolkit.report.raycast_view import View, picture_of
 from vntoolkit.report.tiles import ErrorScale, picture_of_errors, write_tiles
 
-_DISPLAY_GAMMA = 1 / 2.2
 _SCALE = ErrorScale(most=40.0)
 _GROUND = 205  # beside the subject: white means lit by all
 _LIGHT_TILES = 4  # film and three lights
@@ -43,10 +42,10 @@ def write_detection_figure(
     """Write film, the share of each light, and below the labels of every method by name, with a legend."""
     contributions = np.clip(frame.rgb - response.ambient, 0, None) @ response.contributions_from_rgb.T
     top = np.maximum(np.percentile(contributions[mask], 99, axis=0), 1e-6) if mask.any() else np.ones(3)
-    tiles = {"film": _displayed(frame.rgb)}
+    tiles = {"film": displayed(frame.rgb)}
     for k in range(3):
         share = np.clip(contributions[..., k : k + 1] / top[k], 0, 1)
-        tiles[f"light {k}"] = _displayed(np.repeat(share, 3, axis=-1))
+        tiles[f"light {k}"] = displayed(np.repeat(share, 3, axis=-1))
     for name, found in labels.items():
         tiles[name] = np.where(mask[..., None], label_colours(found), _GROUND).astype(np.uint8)
     cut = {name: _cropped(tile, mask) for name, tile in tiles.items()}
@@ -86,10 +85,6 @@ def write_recovery_figure(
 
 def _used(labels: Mapping[str, VisibilityLabels], mask: Mask) -> list[int]:
     return sorted({int(label) for found in labels.values() for label in np.unique(found[mask])})
-
-
-def _displayed(linear: FloatArray) -> Picture:
-    return (255 * np.clip(linear, 0, 1) ** _DISPLAY_GAMMA).astype(np.uint8)
 
 
 def _cropped(picture: Picture, mask: Mask) -> Picture:

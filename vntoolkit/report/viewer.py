@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from dataclasses import dataclass, replace
-from enum import Enum
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,40 +15,16 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.conventions import graphics_from_camera
 from vntoolkit.io.glb import glb_bytes
-from vntoolkit.meshing.surface import MeshOptions, mesh_from_depth
 from vntoolkit.pipeline.opened_result import OpenedResult
-from vntoolkit.report.pictures import (
-    Picture,
-    picture_of_depth,
-    picture_of_labels,
-    picture_of_normals,
-)
+from vntoolkit.report.pictures import Picture, pictures_of_frame
+from vntoolkit.report.result_surfaces import Look, ResultSurfaces, Surface
 from vntoolkit.report.serving import started_server, stop_server
-from vntoolkit.report.thinning import ThinnedTemplate, thinned_template
 
 _PLASTER = (190, 185, 177)
 _CAPTIONS = {"depth": "depth, as relief", "shadows": "lights that arrive: white all, dark none"}
-_WIRE, _WIRE_VERTICES = (130, 190, 255), 3000
-_CHECKS = (32, 24)  # cells across and down the template's picture
-_CHECK_COLOURS = np.array([[0.85, 0.82, 0.78], [0.62, 0.13, 0.08]], np.float32)
+_WIRE = (130, 190, 255)
 _LAMP = (-0.42, 0.26, 0.4)  # where the light starts, the subject's size being 1
 _FASTEST_HZ = 15.0
-
-
-class Look(Enum):
-    """How the mesh is painted; plaster and checkerboard are lit by the light that one drags."""
-
-    PLASTER = "relit plaster"
-    CAPTURED = "captured colours"
-    NORMALS = "normals"
-    CHECKERBOARD = "checkerboard"
-
-
-class Surface(Enum):
-    """Before and after registration."""
-
-    OWN = "of each frame"
-    REGISTERED = "registered"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,12 +49,12 @@ class ResultViewer:
     def __init__(self, result: OpenedResult, options: ViewerOptions | None = None) -> None:
         options = options or ViewerOptions()
         self._result = result
+        self._surfaces = ResultSurfaces(result)
         self._lock = threading.Lock()
         self._playing = threading.Event()
         self._closed = threading.Event()
-        self._thinned: ThinnedTemplate | None = None
         self._pictured = result.numbers[0]  # the frame whose pictures are in the panel
-        if not self._surfaces():
+        if not self._surfaces.kinds():
             raise BadInput(
                 f"{result.folder.root}: holds no depth to show; run `vntoolkit reconstruct --to depth`, or "
                 "look at the normals by `vntoolkit report`"
@@ -117,7 +92,7 @@ class ResultViewer:
 
     def _set_up_scene(self) -> None:
         """Bring the first frame to size 1 about the origin, y up; put the lamp before it."""
-        meshes = [self._mesh(self._result.numbers[0], surface) for surface in self._surfaces()]
+        meshes = [self._surfaces.mesh(self._result.numbers[0], kind) for kind in self._surfaces.kinds()]
         points = graphics_from_camera(np.concatenate([np.asarray(mesh.vertices) for mesh in meshes]))
         low, high = points.min(axis=0), points.max(axis=0)
         self._centre, self._size = (low + high) / 2, float((high - low).max())
@@ -146,7 +121,7 @@ class ResultViewer:
         self._caption = gui.add_markdown("")
         self._slider = gui.add_slider("time", 0, max(len(numbers) - 1, 1), 1, 0, disabled=len(numbers) == 1)
         self._button = gui.add_button("play", disabled=len(numbers) == 1)
-        self._surface = gui.add_dropdown("surface", [surface.value for surface in self._surfaces()])
+        self._surface = gui.add_dropdown("surface", [kind.value for kind in self._surfaces.kinds()])
         first = self._pictures(numbers[0])
         looks = [look.value for look in Look if look is not Look.CAPTURED or "captured" in first]
         self._look = gui.add_dropdown("look", looks)
@@ -177,24 +152,8 @@ class ResultViewer:
                 self._slider.value = (self._slider.value + 1) % count
                 self._closed.wait(max(0.02, pause - (time.monotonic() - started)))
 
-    def _surfaces(self) -> list[Surface]:
-        has_track = self._result.track is not None
-        own = self._result.length_unit is not None
-        return [s for s, there in ((Surface.OWN, own), (Surface.REGISTERED, has_track)) if there]
-
     def _pictures(self, number: int) -> dict[str, Picture]:
-        result = self._result
-        normal_map, depth_map, labels = result.normals(number), result.depth(number), result.labels(number)
-        captured = result.picture(number)
-        pictures: dict[str, Picture] = {} if captured is None else {"captured": captured}
-        if normal_map is not None:
-            pictures["normals"] = picture_of_normals(normal_map, ground=40)
-        if depth_map is not None:
-            pictures["depth"] = picture_of_depth(depth_map, result.camera, ground=20)
-        if labels is not None:
-            mask = None if normal_map is None else normal_map.mask
-            pictures["shadows"] = picture_of_labels(labels, mask, ground=20)
-        return pictures
+        return pictures_of_frame(self._result, number, ground=20, beside_normals=40)
 
     def _pictures_of(self, number: int) -> None:
         for name, picture in self._pictures(number).items():
@@ -204,7 +163,7 @@ class ResultViewer:
 
     def _mesh_of(self, number: int) -> None:
         surface, look = Surface(self._surface.value), Look(self._look.value)
-        mesh = self._wires(number, surface) if self._wire.value else self._mesh(number, surface)
+        mesh = (self._surfaces.wires if self._wire.value else self._surfaces.mesh)(number, surface)
         vertices = self._placed(mesh.vertices)
         scene: Any = self._server.scene
         with self._server.atomic():
@@ -217,7 +176,7 @@ class ResultViewer:
                 )  # fmt: skip
                 return
             scene.remove_by_name("/surface")
-            colours = self._colours(mesh, number, look)
+            colours = self._surfaces.colours(mesh, number, surface, look)
             painted = Mesh(vertices=vertices, faces=mesh.faces, colours=colours)
             # write the vertices as they are placed: glb_bytes turns from the camera frame
             turned = graphics_from_camera(vertices)
@@ -225,54 +184,6 @@ class ResultViewer:
             data = glb_bytes(painted, iter([turned]), frame_rate_hz=30.0, shaded=shaded)
             scene.add_glb("/painted", data, cast_shadow=False, receive_shadow=False)
 
-    def _wires(self, number: int, surface: Surface) -> Mesh:
-        """Return a mesh coarse enough to see through: a wire a pixel would look solid."""
-        track, depth_map = self._result.track, self._result.depth(number)
-        if surface is Surface.REGISTERED and track is not None and number in track.numbers:
-            if self._thinned is None:
-                self._thinned = thinned_template(track.sequence.template, _WIRE_VERTICES)
-            return replace(
-                self._thinned.mesh, vertices=track.mesh(number).vertices[self._thinned.kept], normals=None
-            )
-        if depth_map is None:
-            return self._mesh(number, surface)
-        stride = max(1, int(np.ceil(np.sqrt(depth_map.mask.sum() / _WIRE_VERTICES))))
-        return mesh_from_depth(depth_map, self._result.camera, options=MeshOptions(stride=stride))
-
-    def _mesh(self, number: int, surface: Surface) -> Mesh:
-        track = self._result.track
-        if surface is Surface.REGISTERED and track is not None and number in track.numbers:
-            return track.mesh(number)
-        mesh = self._result.mesh(number)
-        if mesh is not None:
-            return mesh
-        depth_map = self._result.depth(number)
-        if depth_map is None:
-            root = self._result.folder.root
-            raise BadInput(f"{root}: frame {number} has no depth; run `vntoolkit reconstruct --to depth`")
-        return mesh_from_depth(depth_map, self._result.camera)
-
     def _placed(self, vertices: Points) -> npt.NDArray[np.float32]:
         turned = graphics_from_camera(np.asarray(vertices, dtype=np.float64))
         return ((turned - self._centre) / self._size).astype(np.float32)
-
-    def _colours(self, mesh: Mesh, number: int, look: Look) -> npt.NDArray[np.float32]:
-        """Return linear vertex colours; texture coordinates say which pixel of the picture a vertex shows."""
-        camera, track = self._result.camera, self._result.track
-        registered = Surface(self._surface.value) is Surface.REGISTERED
-        uv = mesh.uv
-        if uv is None:  # meshes read back carry none: project
-            pixels = camera.project(mesh.vertices)
-            uv = np.stack([(pixels[:, 0] + 0.5) / camera.width, 1 - (pixels[:, 1] + 0.5) / camera.height], -1)
-        if look is Look.CHECKERBOARD:
-            cells = np.floor(np.asarray(uv) * _CHECKS).astype(int).sum(axis=1)
-            return np.asarray(_CHECK_COLOURS[cells % 2])
-        source = track.template if registered and track is not None else number
-        normal_map = self._result.normals(source)
-        picture = self._result.picture(source) if look is Look.CAPTURED else None
-        if picture is None:
-            assert normal_map is not None
-            picture = picture_of_normals(normal_map)
-        u = np.clip(np.rint(uv[:, 0] * camera.width - 0.5).astype(int), 0, camera.width - 1)
-        v = np.clip(np.rint((1 - uv[:, 1]) * camera.height - 0.5).astype(int), 0, camera.height - 1)
-        return np.asarray((picture[v, u] / np.float32(255)) ** np.float32(2.2), dtype=np.float32)

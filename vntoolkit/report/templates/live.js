@@ -255,7 +255,7 @@ function connect() {
     view.zoom = Math.max(0.2, Math.min(12, view.zoom * Math.exp(-event.deltaY * 0.001)));
     turnedByHand();
   }, { passive: false });
-  const record = () => fetch("record", { method: "POST", headers: { "X-Live": "1" } });
+  const record = () => fetch("record", { method: "POST", headers: { "X-Live": "1" } }).catch(() => {});  // `watch` tells
   if ($("record")) {
     $("record").addEventListener("click", (event) => { record(); event.target.blur(); });
     window.addEventListener("keydown", (event) => { if (event.key === "r" && !event.repeat && !event.ctrlKey && !event.metaKey) record(); });

@@ -136,12 +136,29 @@ const registered = () => $("surface").value === "registered";
 let topology = null;
 async function show(index) {
   shownFrame = index;
+  if (gl && !await loadSurface(index)) return;  // moved on meanwhile
+  const frame = scene.frames[index];
+  $("time").value = index;
+  $("number").textContent = `frame ${frame.number}`;
+  for (const image of document.querySelectorAll("aside img")) {
+    const uri = frame.pictures[image.dataset.name];
+    image.style.visibility = uri ? "visible" : "hidden";
+    if (uri) image.src = uri;
+  }
+  if (gl) draw();
+  document.body.dataset.shown = String(index);  // what tests wait for
+}
+async function loadSurface(index) {
   const frame = scene.frames[index], source = registered() ? scene.registered : frame.own;
+  if (!source) {  // a frame without depth, among others that have it
+    counts = {}; topology = null;
+    return true;
+  }
   const images = registered() ? scene.frames[scene.registered.template].pictures : frame.pictures;
   const wanted = await Promise.all([images.captured, images.normals].map((uri) => uri && picture(uri)));
   const p = await positions(registered() ? scene.registered.frames[index] : source.positions);
   const [faces, uv] = await Promise.all([list(source.faces), coordinates(source.uv)]);
-  if (shownFrame !== index || (source === scene.registered) !== registered()) return;  // moved on meanwhile
+  if (shownFrame !== index || (source === scene.registered) !== registered()) return false;
   wanted.forEach((image, unit) => image && upload(unit, image));
   if (topology !== source) {
     load(gl.ELEMENT_ARRAY_BUFFER, "edges", edgesOf(faces));
@@ -152,14 +169,7 @@ async function show(index) {
   }
   load(gl.ARRAY_BUFFER, "position", p);
   load(gl.ARRAY_BUFFER, "normal", vertexNormals(p, faces));
-  $("time").value = index;
-  $("number").textContent = `frame ${frame.number}`;
-  for (const [name, uri] of Object.entries(frame.pictures)) {
-    const image = document.querySelector(`img[data-name="${name}"]`);
-    if (image && uri) image.src = uri;
-  }
-  draw();
-  document.body.dataset.shown = String(index);  // what tests wait for
+  return true;
 }
 
 function clipMatrix() {
@@ -252,27 +262,24 @@ function connect() {
   }, { passive: false });
   for (const id of ["look", "wire"]) $(id).addEventListener("change", draw);
   $("surface").addEventListener("change", () => show(shownFrame));
-  $("time").addEventListener("input", () => { stop(); show(Number($("time").value)); });
   $("reset").addEventListener("click", () => { turn = home(); draw(); });
-  $("play").addEventListener("click", () => (playing ? stop() : play()));
   window.addEventListener("resize", draw);
 }
-function stop() { clearInterval(playing); playing = 0; $("play").textContent = "play"; }
-function play() {
+function stop() { playing = 0; $("play").textContent = "play"; }
+async function play() {  // a frame is shown before the next is asked for, however long that takes
+  const run = playing = performance.now();
   $("play").textContent = "pause";
-  playing = setInterval(() => show((shownFrame + 1) % scene.frames.length), 1000 / Math.min(scene.rate, 30));
+  while (playing === run) {
+    const due = performance.now() + 1000 / Math.min(scene.rate, 30);
+    await show((shownFrame + 1) % scene.frames.length);
+    await new Promise((done) => setTimeout(done, Math.max(0, due - performance.now())));
+  }
 }
 
 const CAPTIONS = { depth: "depth, as relief", shadows: "lights that arrive: white all, dark none" };
 function main() {
-  if (!gl) {
-    $("view").innerHTML = '<p id="failed">This browser shows no WebGL 2; the pictures beside work all the same.</p>';
-    return;
-  }
-  turn = home();
-  for (const [value, text] of [["own", "of each frame"], ["registered", "registered"]])
-    if (value === "own" ? scene.frames[0].own : scene.registered) $("surface").add(new Option(text, value));
-  for (const name of Object.keys(scene.frames[0].pictures)) {
+  const names = new Set(scene.frames.flatMap((frame) => Object.keys(frame.pictures)));
+  for (const name of names) {
     const figure = document.createElement("figure"), image = new Image(), caption = document.createElement("figcaption");
     image.dataset.name = name;
     image.alt = name;
@@ -281,8 +288,20 @@ function main() {
     $("pictures").append(figure);
   }
   $("time").max = scene.frames.length - 1;
-  start();
-  connect();
+  $("time").disabled = $("play").disabled = scene.frames.length === 1;
+  $("time").addEventListener("input", () => { stop(); show(Number($("time").value)); });
+  $("play").addEventListener("click", () => (playing ? stop() : play()));
+  if (gl) {
+    turn = home();
+    if (scene.frames.some((frame) => frame.own)) $("surface").add(new Option("of each frame", "own"));
+    if (scene.registered) $("surface").add(new Option("registered", "registered"));
+    if (!names.has("captured")) $("look").querySelector("[value='0']").remove();
+    start();
+    connect();
+  } else {
+    for (const id of ["surface", "look", "wire", "reset"]) $(id).disabled = true;
+    $("view").innerHTML = '<p id="failed">This browser shows no WebGL 2; the pictures work all the same.</p>';
+  }
   show(0);
 }
 main();
