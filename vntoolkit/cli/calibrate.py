@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
@@ -18,7 +18,7 @@ from vntoolkit.calibration.sphere import SphereOptions
 from vntoolkit.cli.flags import flags_from
 from vntoolkit.cli.limits import limits_on
 from vntoolkit.cli.outputs import JSON, require_output
-from vntoolkit.cli.progress import progress_bar
+from vntoolkit.cli.progress import ProgressBars
 from vntoolkit.cli.shared_flags import AmbientImage, Curve, FocalPx, Frames, SingleLight
 from vntoolkit.geometry.board_layout import BoardLayout
 from vntoolkit.io.frame_range import FrameRange
@@ -112,15 +112,10 @@ def board(
     board_options = replace(
         options or BoardOptions(), fit=fit or FitOptions(), intrinsics=intrinsics or IntrinsicsOptions()
     )
-    with contextlib.ExitStack() as stack:
-        advance = [lambda n: None]
-
-        def on_frame(done: int, total: int) -> None:
-            if done == 1:
-                advance[0] = stack.enter_context(progress_bar("find the board", total))
-            advance[0](1)
-
-        rig, result = calibrate.calibrate_board(job, layout or BoardLayout(), board_options, on_frame)
+    with ProgressBars() as bars:
+        rig, result = calibrate.calibrate_board(
+            job, layout or BoardLayout(), board_options, partial(bars.reach, "find the board")
+        )
     write_rig(out, rig)
     error = np.median([pose.error_px for pose in result.poses])
     focal = result.camera.matrix[0, 0]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
@@ -22,7 +21,7 @@ from vntoolkit.cli.calibrate import report_rig
 from vntoolkit.cli.flags import flags_from
 from vntoolkit.cli.limits import limits_on
 from vntoolkit.cli.outputs import JSON, MESH, PAGE, PICTURE, require_output
-from vntoolkit.cli.progress import Advance, progress_bar
+from vntoolkit.cli.progress import ProgressBars
 from vntoolkit.cli.shared_flags import AmbientImage, Curve, FocalPx, Frames
 from vntoolkit.io.frame_range import FrameRange
 from vntoolkit.io.meshes import write_mesh
@@ -139,8 +138,8 @@ def head(
         samples=samples or SampleOptions(),
         light=light or LightOptions(),
     )
-    with contextlib.ExitStack() as stack:
-        rig, result = calibrate_head(job, options, _Bars(stack))
+    with ProgressBars() as bars:
+        rig, result = calibrate_head(job, options, bars.reach)
     write_rig(out, rig)
     if mesh is not None:
         write_mesh(mesh, result.mesh)
@@ -163,21 +162,3 @@ def head(
         print(f"  focal length      {motion.camera.matrix[0, 0]:.0f} px, fitted to the turn: a rough guess")
     print(f"  samples agreeing  {result.light.inliers.mean():.0%}")
     print("  time              " + ", ".join(f"{k} {s:.0f} s" for k, s in result.stage_seconds.items()))
-
-
-class _Bars:
-    """One progress bar after the other, a stage each."""
-
-    def __init__(self, stack: contextlib.ExitStack) -> None:
-        self._stack = stack
-        self._stage = ""
-        self._done = 0
-        self._advance: Advance = lambda n: None
-
-    def __call__(self, stage: str, done: int, total: int) -> None:
-        if stage != self._stage:
-            self._stack.close()
-            self._advance = self._stack.enter_context(progress_bar(stage, total))
-            self._stage, self._done = stage, 0
-        self._advance(done - self._done)
-        self._done = done

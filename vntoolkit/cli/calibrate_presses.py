@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
@@ -15,7 +15,7 @@ from vntoolkit.cli.calibrate import report_rig
 from vntoolkit.cli.flags import flags_from
 from vntoolkit.cli.limits import limits_on
 from vntoolkit.cli.outputs import JSON, require_output
-from vntoolkit.cli.progress import progress_bar
+from vntoolkit.cli.progress import ProgressBars
 from vntoolkit.cli.shared_flags import Curve
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.rectification import Rectification
@@ -84,8 +84,8 @@ def presses(
         rectification=rectification_from_flags(corners, size_mm, options.pixel_mm),
         label_size=label_size,
     )
-    with contextlib.ExitStack() as stack:
-        rig, _ = pipeline.calibrate_presses(job, press_options, _progress(stack, "read presses"))
+    with ProgressBars() as bars:
+        rig, _ = pipeline.calibrate_presses(job, press_options, partial(bars.reach, "read presses"))
     write_rig(out, rig)
     report_rig(out, rig, f"presses of {source}")
 
@@ -120,8 +120,8 @@ def rectify(
     assert rectification is not None  # both flags are required
     capture = open_capture(source, CaptureOptions(transfer=Transfer.from_text(transfer)))
     folder = require_writable_folder(out)
-    with contextlib.ExitStack() as stack:
-        count = pipeline.rectify_capture(capture, rectification, folder, _progress(stack, "rectify"))
+    with ProgressBars() as bars:
+        count = pipeline.rectify_capture(capture, rectification, folder, partial(bars.reach, "rectify"))
     width, height = rectification.size
     print(f"{out}: {count} images of {width}×{height}, {pixel_mm:g} mm a pixel")
 
@@ -137,14 +137,3 @@ def rectification_from_flags(
     return Rectification(
         corners_px=tuple(corners), width_mm=size_mm[0], height_mm=size_mm[1], pixel_mm=pixel_mm
     )
-
-
-def _progress(stack: contextlib.ExitStack, title: str) -> pipeline.Progress:
-    advance = [lambda n: None]
-
-    def on_frame(done: int, total: int) -> None:
-        if done == 1:
-            advance[0] = stack.enter_context(progress_bar(title, total))
-        advance[0](1)
-
-    return on_frame

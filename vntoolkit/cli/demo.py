@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from vntoolkit.cli.flags import flags_from
-from vntoolkit.cli.progress import progress_bar
+from vntoolkit.cli.progress import ProgressBars
 from vntoolkit.cli.shared_flags import Jobs, Overwrite
-from vntoolkit.pipeline.demo import DemoFolder, DemoOptions, Stage, run_demo
+from vntoolkit.pipeline.demo import DemoFolder, DemoOptions, run_demo
 from vntoolkit.pipeline.opened_result import open_result
 from vntoolkit.pipeline.truth_comparison import compare_with_truth
 from vntoolkit.report.report import write_report
@@ -41,8 +39,8 @@ def demo(
         Replace what the folder holds.
     """
     folder = DemoFolder(root=out)
-    with _stages() as on_progress:
-        run_demo(folder, options, jobs=jobs, overwrite=overwrite, on_progress=on_progress)
+    with ProgressBars() as bars:
+        run_demo(folder, options, jobs=jobs, overwrite=overwrite, on_progress=bars.reach)
     result = open_result(folder.reconstruction)
     page = write_report(
         folder.reconstruction, out / "report.html", extra=[truth_section(result, folder.garment)]
@@ -54,21 +52,3 @@ def demo(
     )
     print(f"meshes, one a frame: {folder.reconstruction / 'mesh'}")
     print(f"the page to look at: {page}")
-
-
-@contextlib.contextmanager
-def _stages() -> Iterator[Stage]:
-    """Show one progress bar a stage, each ended by the next."""
-    with contextlib.ExitStack() as stack:
-        current: dict[str, tuple[Callable[[int], None], int]] = {}
-
-        def on_progress(stage: str, done: int, total: int) -> None:
-            if stage not in current:
-                stack.close()
-                current.clear()
-                current[stage] = (stack.enter_context(progress_bar(stage, total, done)), done)
-            advance, shown = current[stage]
-            advance(done - shown)
-            current[stage] = (advance, done)
-
-        yield on_progress

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from vntoolkit.cli.flags import flags_from
 from vntoolkit.cli.limits import limits_on
-from vntoolkit.cli.progress import progress_bar
+from vntoolkit.cli.progress import ProgressBars
 from vntoolkit.cli.shared_flags import Footage, Frames, Overwrite
 from vntoolkit.io.frame_range import FrameRange
-from vntoolkit.pipeline.export import ExportJob, ExportSummary
+from vntoolkit.pipeline.export import ExportJob
 from vntoolkit.pipeline.export import export as run
 from vntoolkit.pipeline.export_options import ExportOptions
 
@@ -57,16 +56,7 @@ def export(
         footage=footage,
         background=background,
     )
-    summary = _run_with_progress(job, overwrite)
+    with ProgressBars() as bars:
+        summary = run(job, overwrite=overwrite, on_start=partial(bars.begin, "export"), on_frame=bars.step)
     kept = f", {summary.kept} of them from before" if summary.kept else ""
     print(f"{summary.out}: {summary.frames} frames{kept}")
-
-
-def _run_with_progress(job: ExportJob, overwrite: bool) -> ExportSummary:
-    with contextlib.ExitStack() as stack:
-        advance: list[Callable[[int], None]] = []
-
-        def on_start(total: int, done: int) -> None:
-            advance.append(stack.enter_context(progress_bar("export", total, done)))
-
-        return run(job, overwrite=overwrite, on_start=on_start, on_frame=lambda: advance[0](1))

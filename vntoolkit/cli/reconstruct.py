@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from vntoolkit.cli.flags import flags_from
 from vntoolkit.cli.limits import limits_on
-from vntoolkit.cli.progress import progress_bar
+from vntoolkit.cli.progress import ProgressBars
 from vntoolkit.cli.shared_flags import AmbientImage, Frames, Jobs, Overwrite, Scheduler
 from vntoolkit.integration.options import IntegrationOptions
-from vntoolkit.io.frame_log import FrameEntry
 from vntoolkit.io.frame_range import FrameRange
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.meshing.surface import MeshOptions
@@ -82,7 +81,17 @@ def reconstruct(
         mask=mask,
         background=background,
     )
-    _report(_run_with_progress(job, FrameRange.from_text(frames), jobs, scheduler, overwrite))
+    with ProgressBars() as bars:
+        summary = run(
+            job,
+            frames=FrameRange.from_text(frames),
+            jobs=jobs,
+            scheduler=scheduler,
+            overwrite=overwrite,
+            on_start=partial(bars.begin, "reconstruct"),
+            on_frame=bars.step,
+        )
+    _report(summary)
 
 
 def joined_options(
@@ -105,29 +114,6 @@ def _with_transfer(rig: Rig, transfer: str | None) -> Rig:
         return rig
     curve = Transfer.from_text(transfer)
     return replace(rig, transfer=replace(rig.transfer, curve=curve.curve, gamma=curve.gamma))
-
-
-def _run_with_progress(
-    job: ReconstructionJob, frames: FrameRange, jobs: int, scheduler: str | None, overwrite: bool
-) -> ReconstructionSummary:
-    with contextlib.ExitStack() as stack:
-        advance = [lambda n: None]
-
-        def on_start(total: int, done: int) -> None:
-            advance[0] = stack.enter_context(progress_bar("reconstruct", total, done))
-
-        def on_frame(record: FrameEntry) -> None:
-            advance[0](1)
-
-        return run(
-            job,
-            frames=frames,
-            jobs=jobs,
-            scheduler=scheduler,
-            overwrite=overwrite,
-            on_start=on_start,
-            on_frame=on_frame,
-        )
 
 
 def _report(summary: ReconstructionSummary) -> None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
 from vntoolkit.cli.limits import limits_on
-from vntoolkit.cli.progress import Advance, progress_bar
+from vntoolkit.cli.progress import ProgressBars
 from vntoolkit.cli.reconstruct import (
     IntegrationFlags,
     InversionFlags,
@@ -19,7 +18,6 @@ from vntoolkit.cli.reconstruct import (
 )
 from vntoolkit.cli.shared_flags import Frames, Jobs, Overwrite, Scheduler
 from vntoolkit.errors import BadInput, VntError
-from vntoolkit.io.frame_log import FrameEntry
 from vntoolkit.io.frame_range import FrameRange
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.pipeline.block_work import ReconstructionJob
@@ -80,8 +78,7 @@ def session(
         )
         for name, source in names_from_sources(sources).items()
     }
-    with contextlib.ExitStack() as stack:
-        bar = _Bar(stack)
+    with ProgressBars() as bars:
         outcomes = run_session(
             captures,
             tracking=options_of(method) if track else None,
@@ -89,25 +86,10 @@ def session(
             workers=jobs,
             scheduler=scheduler,
             overwrite=overwrite,
-            on_capture=bar.begin,
-            on_frame=bar.advance,
+            on_capture=bars.begin,
+            on_frame=bars.step,
         )
     _report(out, outcomes)
-
-
-class _Bar:
-    """One progress bar after the other, named by the captures."""
-
-    def __init__(self, stack: contextlib.ExitStack) -> None:
-        self._stack = stack
-        self._advance: Advance = lambda n: None
-
-    def begin(self, name: str, total: int, done: int) -> None:
-        self._stack.close()
-        self._advance = self._stack.enter_context(progress_bar(name, total, done))
-
-    def advance(self, _: FrameEntry) -> None:
-        self._advance(1)
 
 
 def _report(out: Path, outcomes: list[CaptureOutcome]) -> None:

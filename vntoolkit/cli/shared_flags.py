@@ -8,7 +8,11 @@ from typing import Annotated, TypeAlias
 from cyclopts import Parameter
 
 Frames: TypeAlias = Annotated[
-    str, Parameter(help="Which frames, a:b:c: from a, below b, every c-th; or one number.")
+    str,
+    Parameter(
+        help="Which frames, a:b:c: from a, below b, every c-th; or one number.",
+        show_default=lambda text: "all" if text == "::" else text,
+    ),
 ]
 Jobs: TypeAlias = Annotated[
     int, Parameter(help="Worker processes on this machine; the results do not depend on their number.")

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import contextlib
 import re
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from cyclopts import Parameter
 
 from vntoolkit.cli.flags import flags_from
-from vntoolkit.cli.progress import progress_bar
+from vntoolkit.cli.progress import ProgressBars
 from vntoolkit.cli.shared_flags import Frames, Jobs, Overwrite
 from vntoolkit.errors import BadInput
 from vntoolkit.io.frame_range import FrameRange
-from vntoolkit.pipeline.simulate import SimulationSummary
 from vntoolkit.pipeline.simulate import simulate as run
 from vntoolkit.pipeline.simulation_job import SimulationFolder, SimulationJob
 from vntoolkit.simulation.nuisances import Nuisances
@@ -70,21 +69,11 @@ def simulate(
         frames=FrameRange.from_text(frames),
         motion=motion,
     )
-    summary = _run_with_progress(job, jobs, overwrite)
+    with ProgressBars() as bars:
+        summary = run(
+            job, jobs=jobs, overwrite=overwrite, on_start=partial(bars.begin, "simulate"), on_frame=bars.step
+        )
     print(f"{out}: {summary.frames} frames of {scene} in capture.mkv, {summary.rendered} rendered now")
-
-
-def _run_with_progress(job: SimulationJob, jobs: int, overwrite: bool) -> SimulationSummary:
-    with contextlib.ExitStack() as stack:
-        advance = [lambda n: None]
-
-        def on_start(total: int, done: int) -> None:
-            advance[0] = stack.enter_context(progress_bar("simulate", total, done))
-
-        def on_frame(_place: int) -> None:
-            advance[0](1)
-
-        return run(job, jobs=jobs, overwrite=overwrite, on_start=on_start, on_frame=on_frame)
 
 
 def _size(text: str) -> tuple[int, int]:

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import contextlib
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from vntoolkit.cli.flags import flags_from
 from vntoolkit.cli.limits import limits_on
-from vntoolkit.cli.progress import progress_bar
+from vntoolkit.cli.progress import ProgressBars
 from vntoolkit.cli.shared_flags import Overwrite
 from vntoolkit.errors import BadInput
 from vntoolkit.io.seams import read_seams
 from vntoolkit.pipeline.checkerboard import write_checkerboard
-from vntoolkit.pipeline.track import TrackJob, TrackSummary
+from vntoolkit.pipeline.track import TrackJob
 from vntoolkit.pipeline.track import track as run
 from vntoolkit.tracking.checkerboard import CheckerboardOptions
 from vntoolkit.tracking.options import (
@@ -95,7 +95,8 @@ def track(
         seams=() if seams is None else read_seams(seams),
         out=out,
     )
-    summary = _run_with_progress(job, overwrite)
+    with ProgressBars() as bars:
+        summary = run(job, overwrite=overwrite, on_start=partial(bars.begin, "track"), on_frame=bars.step)
     files = write_checkerboard(folder, job.target, board)
     held = f", {len(summary.missing)} missing and held" if summary.missing else ""
     resumed = f", {summary.resumed} of them from before" if summary.resumed else ""
@@ -131,13 +132,3 @@ def _options(
         drift=drift,
         flow=flow or base.flow,
     )
-
-
-def _run_with_progress(job: TrackJob, overwrite: bool) -> TrackSummary:
-    with contextlib.ExitStack() as stack:
-        advance = [lambda n: None]
-
-        def on_start(total: int, done: int) -> None:
-            advance[0] = stack.enter_context(progress_bar("track", total, done))
-
-        return run(job, overwrite=overwrite, on_start=on_start, on_frame=lambda: advance[0](1))
