@@ -9,8 +9,6 @@ reconstructs 200 and 2000 frames, each in a process of its own (10 min).
 
 from __future__ import annotations
 
-import vntoolkit.__main__  # noqa: F401  # isort: skip - tames the thread pools before numpy is loaded
-
 import argparse
 import json
 import statistics

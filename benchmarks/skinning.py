@@ -1,6 +1,6 @@
 """Speed and memory of dressing: 100 and 300 frames of a 184,000-vertex mesh, skinned and written as USD.
 
-    python benchmarks/skinning.py [--blend dual-quaternion]      # 20 s, 900 MB in the temporary folder
+    python -m benchmarks.skinning [--blend dual-quaternion]      # 20 s, 900 MB in the temporary folder
 
 Every length runs in a process of its own. Prints its seconds and the peak of its memory: equal peaks mean
 that memory does not grow with the number of frames.
