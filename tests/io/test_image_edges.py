@@ -1,10 +1,14 @@
 """Pictures at the edge of what a format holds: one row, grey with alpha, soft masks, depth in lists."""
 
+import errno
+import os
+
 import numpy as np
 import pytest
 
 from vntoolkit.errors import BadCapture, BadInput, CannotWrite
 from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.io import native_output
 from vntoolkit.io.atomic import write_bytes
 from vntoolkit.io.consistency import curl_share
 from vntoolkit.io.exr import read_exr, write_exr
@@ -77,3 +81,19 @@ def test_file_names_with_digits_of_other_kinds_sort(tmp_path):
 def test_a_name_too_long_for_any_file_is_one_line():
     with pytest.raises(BadCapture, match="cannot be read"):
         find_capture_files("x" * 300)
+
+
+def test_a_process_without_descriptors_left_loses_none_to_quiet_reading(monkeypatch):
+    def next_descriptor():
+        number = os.dup(2)
+        os.close(number)
+        return number
+
+    def none_left(*arguments):
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    monkeypatch.setattr(native_output.os, "open", none_left)
+    before = next_descriptor()
+    with native_output.silenced_native_output():
+        pass
+    assert next_descriptor() == before

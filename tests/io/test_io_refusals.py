@@ -188,7 +188,7 @@ def test_a_frame_log_that_is_no_file(tmp_path):
             "holds 1 rows of 2, expected 1",
         ),
         (
-            {"light_directions.txt": "0 0 1\n", "filenames.txt": "a b"},
+            {"light_directions.txt": "0 0 1\n", "filenames.txt": "a\nb"},
             "names 2 images for 1 light directions",
         ),
         ({"light_directions.txt": "0 0 1\n0 1\n"}, "line 2 holds 2 numbers, those before 3"),

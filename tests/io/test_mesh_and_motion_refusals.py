@@ -51,11 +51,11 @@ def test_moving_meshes_that_do_not_fit_together(tmp_path):
     moving = MeshSequence(template=TRIANGLE, vertices=np.eye(3, dtype=np.float32)[None])
     write_mesh_sequence(tmp_path, moving)
     larger = Mesh(vertices=np.zeros((4, 3)), faces=TRIANGLE.faces)
-    with pytest.raises(BadMesh, match="expected shape any × 4 × 3, got 1 × 3 × 3"):
-        MeshSequenceWriter(tmp_path, larger, resume=True)
-    (tmp_path / "vertices.npy").unlink()
     with pytest.raises(BadMesh, match="holds a moving mesh of 3 vertices, not 4; overwrite it"):
         MeshSequenceWriter(tmp_path, larger, resume=True)
+    np.save(tmp_path / "vertices.npy", np.zeros((1, 4, 3), np.float32))
+    with pytest.raises(BadMesh, match="expected shape any × 3 × 3, got 1 × 4 × 3"):
+        MeshSequenceWriter(tmp_path, TRIANGLE, resume=True)
     (tmp_path / "sequence.json").write_text("{}")
     with pytest.raises(BadMesh, match="expected JSON with frame_rate_hz"):
         read_mesh_sequence(tmp_path)

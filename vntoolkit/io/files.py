@@ -55,7 +55,7 @@ def require_inside(folder: Path, name: str, source: Path | str, error: type[BadI
         if path.resolve().is_relative_to(folder.resolve()):
             return path
     except (OSError, ValueError, RuntimeError) as problem:  # a NUL in the name, a symlink loop
-        raise error(f"{source}: names a file that cannot be: '{name[:80]!r}'") from problem
+        raise error(f"{source}: names a file that cannot be: {name[:80]!r}") from problem
     raise error(f"{source}: names '{name[:80]}', outside its folder; put that file beside it")
 
 

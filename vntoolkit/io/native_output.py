@@ -18,15 +18,16 @@ def silenced_native_output() -> Iterator[None]:
     is lost too: keep the body short.
     """
     with _lock:
-        try:
-            saved, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
-        except OSError:  # no descriptor left, or none open: then there is nothing to keep quiet
-            yield
-            return
-        try:
+        saved = nowhere = None
+        with contextlib.suppress(OSError):  # no descriptor left, or none open: then nothing is kept quiet
+            saved = os.dup(2)
+            nowhere = os.open(os.devnull, os.O_WRONLY)
             os.dup2(nowhere, 2)
+        try:
             yield
         finally:
-            os.dup2(saved, 2)
-            os.close(saved)
-            os.close(nowhere)
+            if saved is not None:
+                os.dup2(saved, 2)
+                os.close(saved)
+            if nowhere is not None:
+                os.close(nowhere)

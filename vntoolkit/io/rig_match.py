@@ -82,12 +82,12 @@ def _thinned(frame: EncodedFrame, mask: Mask | None, background: LinearImage | N
     height, width = frame.values.shape[:2]
     step = max(1, math.isqrt(height * width // _ENOUGH_PIXELS))
     every = (slice(None, None, step), slice(None, None, step))
-    v, u = np.indices((height, width))
+    v, u = np.mgrid[:height:step, :width:step]
     return _Picture(
         frame=replace(frame, values=frame.values[every]),
         mask=None if mask is None else mask[every],
         background=None if background is None else background[every],
-        positions_px=np.stack([u[every], v[every]], axis=-1).astype(np.float64),
+        positions_px=np.stack([u, v], axis=-1).astype(np.float64),
     )
 
 

@@ -44,10 +44,11 @@ class MeshSequenceWriter:
         self.folder = require_writable_folder(folder)
         self._vertex_count = len(template.vertices)
         going_on = resume and (self.folder / "sequence.json").exists()
+        if going_on:
+            _require_same_template(self.folder, self._vertex_count)
         self._vertices = _GrowingArray(self.folder / "vertices.npy", (self._vertex_count, 3), keep=going_on)
         self._confidence: _GrowingArray | None = None
         if going_on:
-            _require_same_template(self.folder, self._vertex_count)
             if (self.folder / "confidence.npy").exists():
                 self._confidence = _GrowingArray(
                     self.folder / "confidence.npy", (self._vertex_count,), keep=True
