@@ -75,10 +75,15 @@ def write_manifest(folder: Path | str, manifest: Manifest) -> None:
     write_text(Path(folder) / MANIFEST_NAME, text_from_model(manifest))
 
 
+def has_manifest(folder: Path | str) -> bool:
+    """Tell whether a folder holds results; False where it may not be looked into: writing there will tell."""
+    return os.access(Path(folder) / MANIFEST_NAME, os.F_OK)
+
+
 def read_manifest(folder: Path | str) -> Manifest:
     """Read reconstruction.json; raise `BadInput` with one line."""
     path = Path(folder) / MANIFEST_NAME
-    if not path.exists():
+    if not has_manifest(folder):
         found = f"holds no {MANIFEST_NAME}" if Path(folder).is_dir() else "is no folder"
         raise BadInput(f"{folder}: {found}; give a folder that `vntoolkit reconstruct` wrote")
     content = parse_json(read_text(path), str(path))
@@ -118,7 +123,7 @@ def changes_between(before: Manifest, now: Manifest) -> list[str]:
 
 def require_resumable(folder: Path | str, now: Manifest) -> None:
     """Raise `BadInput` that names what changed, where `folder` holds results of other inputs or options."""
-    if not (Path(folder) / MANIFEST_NAME).exists():
+    if not has_manifest(folder):
         return
     changes = changes_between(read_manifest(folder), now)
     if changes:

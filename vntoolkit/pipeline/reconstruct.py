@@ -20,6 +20,7 @@ from vntoolkit.io.frame_range import FrameRange
 from vntoolkit.io.manifest import (
     MANIFEST_NAME,
     Manifest,
+    has_manifest,
     now_utc,
     read_manifest,
     require_resumable,
@@ -76,7 +77,7 @@ def reconstruct(
     capture = job.open_capture()
     job.rig.require_size(capture.info.width, capture.info.height, job.source)
     numbers = frames.numbers(capture.info.frame_count)
-    resumes = (root / MANIFEST_NAME).exists() and not overwrite
+    resumes = has_manifest(root) and not overwrite
     job = settled_job(job, capture, numbers, read_manifest(root).options if resumes else {})
     manifest = manifest_of_run(job, capture, frames)
     if resumes:
@@ -105,7 +106,7 @@ def reconstruct(
 
 def clear(root: Path) -> None:
     """Remove what `reconstruct` wrote into a folder, and nothing else."""
-    if not (root / MANIFEST_NAME).exists():
+    if not has_manifest(root):
         return
     for name in ("normals", "depth", "shadows", "mesh"):
         shutil.rmtree(root / name, ignore_errors=True)
