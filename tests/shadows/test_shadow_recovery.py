@@ -18,7 +18,8 @@ from vntoolkit.shadows.filling import fill_smoothly
 from vntoolkit.shadows.grid_solver import grid_hierarchy, solve_grid
 from vntoolkit.shadows.light_colours import response_with_light_colours
 from vntoolkit.shadows.recovery import RecoveryMethod, RecoveryOptions, recover_normals, recover_surface
-from vntoolkit.shadows.surface import SurfaceOptions, solve_surface
+from vntoolkit.shadows.surface import solve_surface
+from vntoolkit.shadows.surface_options import SurfaceOptions
 from vntoolkit.shadows.two_lights import continue_with_two_lights, roots_from_two_lights
 
 INVERSION = RecoveryOptions(method=RecoveryMethod.INVERSION)
@@ -99,11 +100,14 @@ def test_black_white_and_broken_frames_pass_without_nan(stage, level: float) -> 
         assert np.isfinite(result.depth_map.depth).all()
 
 
-def test_an_empty_mask_gives_an_empty_map(stage) -> None:
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("camera", [None, Camera.pinhole(width=160, height=120, focal_px=300.0)])
+def test_an_empty_mask_gives_an_empty_map(stage, camera: Camera | None) -> None:
     nothing = np.zeros(stage.mask.shape, bool)
-    result = recover_surface(stage.frame, stage.labels, stage.response, nothing)
+    result = recover_surface(stage.frame, stage.labels, stage.response, nothing, camera=camera)
     assert not result.normal_map.mask.any()
     assert not result.normal_map.normals_in_camera.any()
+    assert not result.depth_map.depth.any()
 
 
 def test_perspective_sphere_keeps_its_normals_and_distances() -> None:

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from vntoolkit.arrays import FloatArray, Mask
+from vntoolkit.checks import require_in_range, require_positive
 from vntoolkit.shadows.filling import fill_smoothly
 
 _DARKEST = 1e-3  # of the albedo scale; keeps the logarithm finite
@@ -27,12 +28,18 @@ class AlbedoOptions:
     rounds: int = 2
     margin_px: int = 1
 
+    def __post_init__(self) -> None:
+        require_in_range(self.finest_level, 0, 30, "albedo: finest level")
+        require_positive(self.outlier, "albedo: outlier")
+        require_in_range(self.rounds, 0, 1000, "albedo: rounds")
+        require_in_range(self.margin_px, 0, 100, "albedo: margin in pixels")
+
 
 def albedo_from_lit(length: FloatArray, lit: Mask, options: AlbedoOptions | None = None) -> FloatArray:
     """Spread the albedo of fully lit pixels over the image.
 
-    length: (h, w), |M⁻¹(r − a)|, which is the albedo where all three lights arrive (`lit`). Returns (h, w),
-    positive everywhere; 1, the calibration material's, where nothing is lit.
+    length: (h, w), `LightShares.length`, which is the albedo where all three lights arrive (`lit`). Returns
+    (h, w), positive everywhere; 1, the calibration material's, where nothing is lit.
     """
     options = options or AlbedoOptions()
     side = 2 * options.margin_px + 1

@@ -40,6 +40,8 @@ class AlbedoEvidenceOptions:
     def __post_init__(self) -> None:
         require_in_range(self.comparison, 0.0, 100.0, "albedo evidence: comparison")
         require_in_range(self.departure, 0.0, 100.0, "albedo evidence: departure")
+        require_in_range(self.most, 0.0, 100.0, "albedo evidence: most")
+        require_in_range(self.weak_share, -1.0, 1.0, "albedo evidence: weak share")
 
 
 def evidence_from_albedo(

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, Mask
 from vntoolkit.checks import require_in_range
+from vntoolkit.shadows.penumbra import partly_lit
 
 Lit = npt.NDArray[np.bool_]
 
@@ -25,7 +25,7 @@ class CastEdgeOptions:
 
     part: a pixel beside the shadow joins it with less than this part of the light's largest share nearby; 0
     for none. reach_px: how far nearby is, pixels. facing: predicted share from which a shadow counts as cast.
-    faintest: the largest share nearby must be at least this.
+    faintest: the largest share nearby must be more than this.
     """
 
     part: float = 0.45
@@ -36,6 +36,8 @@ class CastEdgeOptions:
     def __post_init__(self) -> None:
         require_in_range(self.part, 0.0, 1.0, "cast shadow's edge: part")
         require_in_range(self.reach_px, 1, 50, "cast shadow's edge: reach in pixels")
+        require_in_range(self.facing, -1.0, 1.0, "cast shadow's edge: facing")
+        require_in_range(self.faintest, -1.0, 1.0, "cast shadow's edge: faintest")
 
 
 def lit_beyond_half(
@@ -46,13 +48,10 @@ def lit_beyond_half(
     shares, predicted: (h, w, 3), measured and to be expected where the light arrives.
     """
     options = options or CastEdgeOptions()
-    window = np.ones((2 * options.reach_px + 1,) * 2, np.uint8)
     out = lit.copy()
     for k in range(3):
         cast = mask & ~lit[..., k] & (predicted[..., k] > options.facing)
-        beside = cv2.dilate(cast.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-        share = np.where(lit[..., k] & mask, shares[..., k], 0.0).astype(np.float32)
-        brightest = cv2.dilate(share, window)
-        joins = beside & (brightest > options.faintest) & (shares[..., k] < options.part * brightest)
-        out[..., k] &= ~(joins & mask)
+        out[..., k] &= ~partly_lit(
+            lit[..., k] & mask, cast, shares[..., k], options.part, options.reach_px, options.faintest
+        )
     return out

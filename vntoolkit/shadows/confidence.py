@@ -31,7 +31,7 @@ class ConfidenceOptions:
     def __post_init__(self) -> None:
         for weight in (*self.by_lights, self.clipped):
             require_in_range(weight, 0.0, 1.0, "confidence weight")
-        if not (self.albedo_tolerance > 0 and self.gloss > 0):
+        if not (0 < self.albedo_tolerance < np.inf and 0 < self.gloss < np.inf):
             raise BadInput("confidence: albedo tolerance and gloss must be positive")
 
 
@@ -43,8 +43,11 @@ def confidence_weight(
     agreement: FloatArray | None,
     options: ConfidenceOptions | None = None,
 ) -> Weight:
-    """(h, w), 0 to 1. length: |M⁻¹(r − a)|; albedo: the surroundings'; agreement: of colour
-    and depth, 0 where unknown."""
+    """Return (h, w) weights from 0 to 1.
+
+    length: (h, w), the albedo if all lights arrive; albedo: (h, w), the surroundings'. agreement: (h, w), of
+    colour and depth, 0 where unknown, or None.
+    """
     options = options or ConfidenceOptions()
     lights = count_lit(labels)
     weight = np.asarray(options.by_lights, dtype=np.float32)[lights]
@@ -59,7 +62,7 @@ def confidence_weight(
 def gloss_trust(
     length: FloatArray, albedo: FloatArray, lit: Mask, options: ConfidenceOptions | None = None
 ) -> Weight:
-    """(h, w): 1, less where a fully lit pixel is brighter than matte paint of the surrounding albedo."""
+    """Return (h, w): 1, less where a pixel of `lit` outshines matte paint of the surrounding albedo."""
     options = options or ConfidenceOptions()
     excess = np.maximum(_log_excess(length, albedo) - options.gloss, 0.0) / options.gloss
     return np.where(lit, 1.0 / (1.0 + excess**2), 1.0).astype(np.float32)

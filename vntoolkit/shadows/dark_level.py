@@ -48,8 +48,11 @@ class DarkLevelOptions:
     def __post_init__(self) -> None:
         require_in_range(self.ratio, 0.0, 1.0, "dark level: ratio")
         require_in_range(self.turning_share, 0.0, 1.0, "dark level: turning share")
-        if min(self.margin, self.most_times, self.most_margin, self.most_spreads, self.noise) < 0:
-            raise BadInput("dark level: margins, factor and noise must not be negative")
+        for value in (self.margin, self.most_times, self.most_margin, self.most_spreads, self.noise):
+            if not 0 <= value < np.inf:
+                raise BadInput("dark level: margins, factor and noise must not be negative")
+        require_in_range(self.predicted_share, 0.0, 1.0, "dark level: predicted share")
+        require_in_range(self.fewest, 1, 1e9, "dark level: fewest")
 
 
 def largest_dark_share(

@@ -58,7 +58,8 @@ def solve_grid(
 ) -> Grid:
     """Solve L x = right from `start` until the residual falls to `tolerance` of the right-hand side.
 
-    right, start: (h, w) float32. Returns (h, w) float32, the best found within `most_iterations`.
+    right, start: (h, w) float32. Returns (h, w) float32, which after `most_iterations` may be short of the
+    tolerance: a Gauss–Newton step need not be solved to the end.
     """
     x = start.astype(np.float32).copy()
     residual = right - apply_kernel(levels[0].edges, x)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vntoolkit.arrays import FloatArray, Mask, Matrix3
-from vntoolkit.checks import require_shape
+from vntoolkit.checks import require_in_range, require_shape
 from vntoolkit.errors import BadCalibration
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
@@ -35,6 +35,12 @@ class LightColourOptions:
     darkest: float = 0.05
     rounds: int = 4
     fewest: int = 30
+
+    def __post_init__(self) -> None:
+        for name in ("left", "spill", "darkest"):
+            require_in_range(getattr(self, name), 0.0, 1.0, f"light colours: {name}")
+        for name in ("reach_px", "rounds", "fewest"):
+            require_in_range(getattr(self, name), 1, 1e9, f"light colours: {name}")
 
 
 def response_with_light_colours(

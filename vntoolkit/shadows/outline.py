@@ -39,7 +39,10 @@ class OutlineOptions:
 
     def __post_init__(self) -> None:
         require_in_range(self.reach_px, 0.0, 100.0, "outline: reach in pixels")
-        if not self.far_px > self.near_px > 0:
+        require_in_range(self.least_turn, 0.0, 1.0, "outline: least turn")
+        require_in_range(self.away, -1.0, 1.0, "outline: away")
+        require_in_range(self.brightest, -1.0, 1.0, "outline: brightest")
+        if not np.inf > self.far_px > self.near_px > 0:
             raise BadInput("outline: far_px must be larger than near_px, near_px larger than 0")
 
 

@@ -32,6 +32,7 @@ class PenumbraOptions:
     def __post_init__(self) -> None:
         require_in_range(self.part, 0.0, 1.0, "penumbra: part")
         require_in_range(self.reach_px, 1, 50, "penumbra: reach in pixels")
+        require_in_range(self.faintest, -1.0, 1.0, "penumbra: faintest")
 
 
 def labels_without_penumbra(
@@ -43,13 +44,24 @@ def labels_without_penumbra(
     Returns labels (h, w), 7 outside `mask`.
     """
     options = options or PenumbraOptions()
-    lit = lit_from_labels(labels) | ~mask[..., None]
-    window = np.ones((2 * options.reach_px + 1,) * 2, np.uint8)
-    whole = lit.copy()
+    whole = lit_from_labels(labels) | ~mask[..., None]
     for k in range(3):
-        beside = cv2.dilate((~lit[..., k]).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-        share = np.where(lit[..., k] & mask, relative[..., k], 0.0).astype(np.float32)
-        brightest = cv2.dilate(share, window)
-        partly = beside & (brightest > options.faintest) & (share < options.part * brightest)
-        whole[..., k] &= ~(partly & mask)
+        lit = whole[..., k].copy()
+        whole[..., k] &= ~partly_lit(
+            lit & mask, ~lit, relative[..., k], options.part, options.reach_px, options.faintest
+        )
     return np.where(mask, labels_from_lit(whole), ALL_LIT).astype(np.uint8)
+
+
+def partly_lit(
+    lit: Mask, shadow: Mask, share: FloatArray, part: float, reach_px: int, faintest: float
+) -> Mask:
+    """Return (h, w): pixels of `lit` beside `shadow` with less than `part` of the largest share nearby.
+
+    share: (h, w), what comes back of one light over the albedo. reach_px: how far nearby is. faintest: the
+    largest share nearby must be more than this.
+    """
+    beside = cv2.dilate(shadow.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    share = np.where(lit, share, 0.0).astype(np.float32)
+    brightest = cv2.dilate(share, np.ones((2 * reach_px + 1,) * 2, np.uint8))
+    return np.asarray(lit & beside & (brightest > faintest) & (share < part * brightest))

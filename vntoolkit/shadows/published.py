@@ -46,7 +46,7 @@ class PublishedOptions:
         require_in_range(self.gradient_threshold, 0.0, 1.0, "shadow gradient threshold")
         require_in_range(self.flood_tolerance, 0.0, 1.0, "shadow flood tolerance")
         require_in_range(self.direction_tolerance, 0, 4, "shadow direction tolerance")
-        if self.reach_px < 1 or self.smallest_component < 1 or not self.blur_px > 0:
+        if self.reach_px < 1 or self.smallest_component < 1 or not 0 < self.blur_px < np.inf:
             raise BadInput("published detector: reach, component size and blur must be positive")
 
 

@@ -23,7 +23,8 @@ from vntoolkit.shadows.penumbra import PenumbraOptions, labels_without_penumbra
 from vntoolkit.shadows.shares import LightShares, shares_from_frame
 from vntoolkit.shadows.starts import surface_from_either_start
 from vntoolkit.shadows.steep_lights import SteepLightOptions, normals_by_steep_lights
-from vntoolkit.shadows.surface import SurfaceOptions, depth_map_from_surface
+from vntoolkit.shadows.surface import depth_map_from_surface
+from vntoolkit.shadows.surface_options import SurfaceOptions
 from vntoolkit.shadows.two_lights import continue_with_two_lights
 from vntoolkit.shadows.window import Window, frame_in_window, in_whole_image, window_around
 

@@ -28,7 +28,8 @@ from vntoolkit.shadows.lengths import all_of_three, largest_of_three, median_of_
 from vntoolkit.shadows.outline import OutlineOptions, turned_from_lights
 from vntoolkit.shadows.shares import LightShares
 from vntoolkit.shadows.sharpening import SharpeningOptions, sharpened_shares
-from vntoolkit.shadows.surface import SurfaceOptions, solve_surface
+from vntoolkit.shadows.surface import solve_surface
+from vntoolkit.shadows.surface_options import SurfaceOptions
 
 _STRONGEST_EVIDENCE = 4.0
 _SMALLEST_ALBEDO = 1e-3
@@ -72,7 +73,9 @@ class RobustOptions:
     def __post_init__(self) -> None:
         for name in ("first_share", "paint_part", "paint_share", "persistence"):
             require_in_range(getattr(self, name), 0.0, 1.0, f"robust shadow detector: {name}")
-        if self.rounds < 1 or not (self.tolerance_dark > 0 and self.contrast > 0 and self.smoothness >= 0):
+        positive = 0 < self.tolerance_dark < np.inf and 0 < self.contrast < np.inf
+        not_negative = 0 <= self.tolerance_bright < np.inf and 0 <= self.smoothness < np.inf
+        if min(self.rounds, self.working_pixels) < 1 or not (positive and not_negative):
             raise BadInput("robust shadow detector: rounds, tolerances and contrast must be positive")
 
 

@@ -34,6 +34,7 @@ class SharpeningOptions:
     def __post_init__(self) -> None:
         require_in_range(self.amount, 0.0, 10.0, "sharpening: amount")
         require_in_range(self.radius_px, 0.1, 50.0, "sharpening: radius in pixels")
+        require_in_range(self.inset_px, 0.0, 1000.0, "sharpening: inset in pixels")
 
 
 def sharpened_shares(shares: FloatArray, mask: Mask, options: SharpeningOptions | None = None) -> FloatArray:

@@ -19,7 +19,8 @@ from vntoolkit.photometry.visibility import ALL_LIT, count_lit
 from vntoolkit.shadows.lengths import TOWARDS_VIEWER, lengths_of
 from vntoolkit.shadows.normal_noise import slope_noise
 from vntoolkit.shadows.shares import LightShares
-from vntoolkit.shadows.surface import Surface, SurfaceOptions, solve_surface
+from vntoolkit.shadows.surface import Surface, solve_surface
+from vntoolkit.shadows.surface_options import SurfaceOptions
 from vntoolkit.shadows.two_lights import continue_with_two_lights
 
 _LARGEST_MISFIT = 25.0  # χ² of one pixel beyond which it says no more about its region

@@ -18,7 +18,6 @@ import cv2
 import numpy as np
 
 from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels, Weight
-from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, LengthUnit
 from vntoolkit.photometry.visibility import ALL_LIT
@@ -35,68 +34,9 @@ from vntoolkit.shadows.surface_kernels import (
     right_side_kernel,
     slopes_kernel,
 )
+from vntoolkit.shadows.surface_options import SurfaceOptions
 
 _FLATTEST_Z = 0.12  # |n_z| below which a first slope is held, so that no pixel starts edge-on
-
-
-@dataclass(frozen=True, kw_only=True)
-class SurfaceOptions:
-    """The energy and how long it is minimised.
-
-    noise: standard deviation of a light's share, the share of a surface that faces the light being 1; it
-    stands for camera noise and for what the model leaves out (interreflection, gloss). noise_per_slope,
-    least_noise: on frames whose normals are cleaner `surface_from_either_start` lowers the noise to
-    noise_per_slope times that of a slope, but not below least_noise. albedo_spread: relative standard
-    deviation of the albedo continued into a shadow. own_albedo_spread: the same where all three lights
-    arrive; large, as there the colour's length is the albedo. step_softness: χ² at which a depth gradient
-    counts a quarter, because it crosses a step in depth; 0 makes the surface continuous everywhere.
-    shadow_step_softness: the same under two lights, where the slope hangs on the albedo around.
-    trust_by_lights: weight of the colour of a pixel that 0, 1, 2, 3 lights reach, in
-    `surface_from_either_start`: one light alone hangs on the albedo; few pixels under two must hold against
-    many around.
-    smoothness: weight of a shadowed pixel's slope being its surroundings' mean; smooth_px: radius (standard
-    deviation, pixels) of that mean. doubt_trust: weight of a light that is labelled missing where the surface
-    would return about what is seen, as it does where it turns from the light; doubt_reach: difference
-    of shares at which that weight ends. damping: holds the slope back where nothing else is known.
-    iterations: Gauss–Newton steps. start_pixels: frames larger than this are halved until they are not, and
-    compare starts there; middle_iterations, large_iterations: steps that follow at every larger size, and at
-    the frame's own. cycles: multigrid cycles
-    per step. tolerance: relative residual that ends a step early. steepest: largest slope, the tangent of the
-    angle from the viewing ray.
-    """
-
-    noise: float = 0.03
-    noise_per_slope: float = 1.7
-    least_noise: float = 0.01
-    albedo_spread: float = 0.15
-    own_albedo_spread: float = 3.0
-    step_softness: float = 10.0
-    shadow_step_softness: float = 40.0
-    trust_by_lights: tuple[float, float, float, float] = (1.0, 0.2, 2.0, 1.0)
-    smoothness: float = 3.0
-    smooth_px: float = 2.0
-    doubt_trust: float = 0.3
-    doubt_reach: float = 0.2
-    damping: float = 1.0
-    iterations: int = 8
-    start_pixels: int = 15_000
-    middle_iterations: int = 4
-    large_iterations: int = 3
-    cycles: int = 5
-    tolerance: float = 3e-3
-    steepest: float = 8.0
-
-    def __post_init__(self) -> None:
-        if not (self.noise > 0 and self.damping > 0 and self.steepest > 0 and self.albedo_spread >= 0):
-            raise BadInput("surface options: noise, damping and steepest must be positive")
-        if min(self.trust_by_lights) < 0:
-            raise BadInput("surface options: trust by lights must not be negative")
-        if not (self.step_softness >= 0 and self.shadow_step_softness > 0):
-            raise BadInput("surface options: step_softness must not be negative, the shadow's positive")
-        if not (0 <= self.doubt_trust <= 1 and self.doubt_reach > 0):
-            raise BadInput("surface options: doubt_trust must be from 0 to 1, doubt_reach positive")
-        if self.iterations < 1 or self.cycles < 1:
-            raise BadInput("surface options: iterations and cycles must be at least 1")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -143,7 +83,6 @@ def solve_surface(
     known = mask & (labels == ALL_LIT)
     guess = known if guessed is None else known | (mask & guessed)
     slopes, depth = _first_guess(first_normals, guess, rays, options, start)
-    own = slopes.copy()
     rows = np.ascontiguousarray(lights, dtype=np.float64)
     weights = np.empty((*mask.shape, 4), np.float32)
     agreement = np.zeros(mask.shape, np.float32)
@@ -167,8 +106,6 @@ def solve_surface(
     if start is None:
         local_quadratics_kernel(data, seen, trust, slopes, prior, rows, rays, model, quadratics)
         misfit = quadratics[..., 5].copy()
-    lonely = known & (agreement <= 0.0)
-    slopes[lonely] = own[lonely]
     normals = _blend(normals_from_slopes(slopes, rays), first_normals, known, agreement)
     return Surface(
         normals=np.where(mask[..., None], normals, 0.0),
@@ -188,12 +125,14 @@ def normals_from_slopes(slopes: FloatArray, rays: RayGrid) -> FloatArray:
 
 def depth_map_from_surface(surface: Surface, mask: Mask, camera: Camera | None = None) -> DepthMap:
     """Return the surface's depth: pixels (mean 0) or, for a perspective camera, of free scale (mean 1)."""
+    perspective = camera is not None and camera.is_perspective
     depth = np.where(mask, surface.depth, 0.0)
-    if camera is None or not camera.is_perspective:
-        depth = np.where(mask, depth - depth[mask].mean(), 0.0) if mask.any() else depth
-        return DepthMap(depth=depth, mask=mask, unit=LengthUnit.PIXEL)
-    depth = np.where(mask, np.exp((depth - depth[mask].mean()) / camera.matrix[0, 0]), 0.0)
-    return DepthMap(depth=depth / depth[mask].mean(), mask=mask, unit=LengthUnit.FREE)
+    if mask.any():
+        depth = np.where(mask, depth - depth[mask].mean(), 0.0)
+        if camera is not None and camera.is_perspective:
+            depth = np.where(mask, np.exp(depth / camera.matrix[0, 0]), 0.0)
+            depth /= depth[mask].mean()
+    return DepthMap(depth=depth, mask=mask, unit=LengthUnit.FREE if perspective else LengthUnit.PIXEL)
 
 
 def _ray_grid(camera: Camera | None) -> RayGrid:

@@ -7,6 +7,7 @@ import numpy.typing as npt
 from numba import njit
 
 from vntoolkit.arrays import FloatArray, Mask, Normals, VisibilityLabels
+from vntoolkit.photometry.visibility import ALL_LIT
 from vntoolkit.shadows.lengths import lengths_of
 
 _PAIRS = ((1, 2, 6), (0, 2, 5), (0, 1, 3))  # the two lights that remain, and the label that says so
@@ -50,7 +51,7 @@ def continue_with_two_lights(
         roots[here] = np.stack([plus, minus], axis=1)
     out = np.array(normals, dtype=np.float64)
     two = mask & np.isin(labels, [pair[2] for pair in _PAIRS])
-    decided = mask & (labels == 7)
+    decided = mask & (labels == ALL_LIT)
     _propagate(out, roots, two, decided)
     rest = two & ~decided
     facing = np.where(roots[rest][:, :1, 2] <= roots[rest][:, 1:, 2], roots[rest][:, 0], roots[rest][:, 1])
