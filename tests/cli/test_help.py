@@ -46,3 +46,10 @@ def test_defaults_that_mean_something_are_shown(
     text = help_of("export", capsys, monkeypatch)
     assert "[default: opengl]" in text
     assert "[choices: y, z] [default: y]" in text
+    assert "[default: all]" in text  # frames
+
+
+def test_no_flag_empties_a_list(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    text = help_of("dress", capsys, monkeypatch)
+    assert "--exclude" in text
+    assert "--empty-" not in text

@@ -23,7 +23,7 @@ def board(*, out: Path, page: PageSize = PageSize.A4, layout: LayoutFlags = None
     out
         The PDF to write.
     page
-        Paper.
+        Size of the paper.
     """
     drawn = layout or BoardLayout()
     write_board_pdf(out, drawn, page)

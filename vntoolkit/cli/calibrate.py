@@ -43,7 +43,7 @@ else:
 
 @limits_on("max_megapixels")
 def sphere(
-    source: Annotated[str, Parameter(name="INPUT")],
+    source: str,
     /,
     *,
     out: Path,
@@ -81,7 +81,7 @@ def sphere(
 
 @limits_on("max_megapixels")
 def board(
-    source: Annotated[str, Parameter(name="INPUT")],
+    source: str,
     /,
     *,
     out: Path,
@@ -124,7 +124,7 @@ def board(
 
 @limits_on("max_megapixels")
 def lights(
-    source: Annotated[Path, Parameter(name="INPUT")],
+    source: Path,
     /,
     *,
     out: Path,

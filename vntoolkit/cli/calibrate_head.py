@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeAlias
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING, TypeAlias
 
 from vntoolkit.calibration.head.contrast import ContrastOptions
 from vntoolkit.calibration.head.fusion import FusionOptions
@@ -57,7 +55,7 @@ else:
 
 @limits_on("max_megapixels")
 def head(
-    source: Annotated[str, Parameter(name="INPUT")],
+    source: str,
     /,
     *,
     out: Path,

@@ -40,7 +40,7 @@ SizePx: TypeAlias = Annotated[tuple[int, int] | None, _List]
 
 @limits_on("max_megapixels")
 def presses(
-    source: Annotated[str, Parameter(name="INPUT")],
+    source: str,
     /,
     *,
     out: Path,
@@ -92,7 +92,7 @@ def presses(
 
 @limits_on("max_megapixels")
 def rectify(
-    source: Annotated[str, Parameter(name="INPUT")],
+    source: str,
     /,
     *,
     out: Path,

@@ -6,9 +6,8 @@ import platform
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-from cyclopts import Parameter
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -40,7 +39,7 @@ _COLOURS = {"note": "cyan", "warning": "yellow", "fatal": "red"}
 
 @limits_on("max_megapixels")
 def doctor(
-    source: Annotated[str | None, Parameter(name="INPUT")] = None,
+    source: str | None = None,
     /,
     *,
     rig: Path | None = None,

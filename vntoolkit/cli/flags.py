@@ -30,6 +30,7 @@ def flags_from(options: type[Any], *, without: tuple[str, ...] = (), **renamed: 
             name=f"--{renamed.get(field.name, field.name).replace('_', '-')}",
             help=None if hidden else _capitalised(meanings[field.name]),
             parse=not hidden,
+            negative_iterable=(),  # --exclude A B, and no --empty-exclude
             validator=require_finite,
         )
         default = (

@@ -21,10 +21,13 @@ def require_output(path: Path | None, suffixes: tuple[str, ...] = ()) -> None:
         return
     if suffixes and path.suffix.lower() not in suffixes:
         raise BadInput(f"{path}: expected a name that ends in {' or '.join(suffixes)}")
-    if path.is_dir():
-        raise CannotWrite(f"{path}: is a folder, expected the name of a file to write")
-    nearest = next(folder for folder in path.absolute().parents if folder.exists())
-    fault = 0 if os.access(nearest, os.W_OK | os.X_OK) else errno.EACCES
-    fault = fault if nearest.is_dir() else errno.ENOTDIR
-    if fault:
-        raise cannot_write(path, OSError(fault, os.strerror(fault)))
+    try:
+        if path.is_dir():
+            raise CannotWrite(f"{path}: is a folder, expected the name of a file to write")
+        nearest = next(folder for folder in path.absolute().parents if folder.exists())
+        fault = 0 if os.access(nearest, os.W_OK | os.X_OK) else errno.EACCES
+        fault = fault if nearest.is_dir() else errno.ENOTDIR
+        if fault:
+            raise OSError(fault, os.strerror(fault))
+    except OSError as error:
+        raise cannot_write(path, error) from error

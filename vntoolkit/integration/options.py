@@ -35,13 +35,15 @@ class Precision(Enum):
 class IntegrationOptions:
     """Options of `DepthIntegrator`.
 
-    integrator: how slopes become depth; by default COSINE where every pixel is used, else POISSON.
+    integrator: how slopes become depth: fourier or cosine over a full rectangle, poisson inside any mask, or
+        discontinuity, which lets depth jump where the normals suggest it; by default cosine where every pixel
+        is used, else poisson.
     steepest_slope_deg: angle in degrees between a normal and the way to the camera beyond which slopes are
         held at that angle; keeps grazing and backward normals from exploding.
     least_weight: pixels of lower confidence leave the domain (0 to 1).
-    precision: floating-point precision of COSINE and FOURIER.
-    tolerance: relative residual at which POISSON stops.
-    most_iterations: most iterations of POISSON; reaching them is an error.
+    precision: floating-point precision of cosine and fourier.
+    tolerance: relative residual at which poisson stops.
+    most_iterations: most iterations of poisson; reaching them is an error.
     discontinuity: further options of DISCONTINUITY.
     """
 

@@ -28,7 +28,7 @@ class ReportOptions:
     """What the report shows.
 
     samples: frames shown as pictures, evenly spread. picture_height: most pixels that each of them is high.
-    footage: where the capture is now, if not where it was when it was reconstructed.
+    footage: where the footage is now, if not where it was when it was reconstructed.
     """
 
     samples: int = 4

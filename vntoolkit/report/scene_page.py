@@ -40,9 +40,9 @@ _ZLIB_LEVEL = 6
 class SceneOptions:
     """How much of a reconstruction goes into an offline page.
 
-    vertices: most vertices of a frame's mesh; finer ones are thinned. picture_px: longest side of the
-    pictures, pixels. most_frames: most frames on the page, evenly spread over those there are; 12,000
-    vertices and four pictures of 640 pixels take about 0.3 MB a frame.
+    vertices: most vertices of a frame's mesh on the page of --html; finer ones are thinned. picture_px:
+    longest side of that page's pictures, pixels. most_frames: most frames on that page, evenly spread over
+    those there are; 12,000 vertices and four pictures of 640 pixels take about 0.3 MB a frame.
     """
 
     vertices: int = 12_000
