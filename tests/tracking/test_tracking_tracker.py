@@ -28,6 +28,7 @@ def test_a_still_scene_leaves_the_template() -> None:
     assert np.abs(tracked.positions_px - tracker.template.positions_px).max() < 1e-3
     assert np.abs(tracked.vertices_in_camera - tracker.template.vertices_in_camera).max() < 1e-3
     assert np.median(tracked.confidence) > 0.99
+    assert tracked.confidence.min() > 0.9  # the outermost rows and columns too
 
 
 @pytest.mark.parametrize("tracker", [Tracker.DEFAULT, Tracker.FLOW, Tracker.TRANSLATION])

@@ -15,16 +15,14 @@ import numpy.typing as npt
 from numba import njit
 
 from vntoolkit.arrays import FloatArray, Points2
+from vntoolkit.tracking.jacobians import LocalJacobians
 from vntoolkit.tracking.lattice import TemplateLattice
 from vntoolkit.tracking.lattice_solve import solve_on_lattice
 from vntoolkit.tracking.options import DriftOptions
 from vntoolkit.tracking.template import TrackingTemplate
 
-# Of lattice smoothing. None: the mean of a cell is taken off, and only waves shorter than about two cells
-# count. Longer ones are folds, which travel over the cloth and would drag the template along.
-_HIGH_PASS_PASSES = 0
-_WINDOW_PASSES = 2  # narrower windows, or a softer lattice, and errors of a cell's size feed themselves
-_JACOBIAN_PASSES = 1
+# Of lattice smoothing. Under narrower windows, or a softer lattice, errors of a cell's size feed themselves.
+_WINDOW_PASSES = 2
 _LARGEST_STEP_PX = 3.0
 _ROBUST_SIGMAS = 3.0
 _USUAL = 1.5  # times the frame's median squared residual passes for noise
@@ -63,7 +61,7 @@ class TemplateRegistration:
         """Prepare the template's features; pyramid: slopes of the template frame."""
         self._lattice, self._options = lattice, options
         self._pixels = template.positions_px
-        self._moments = _Moments(lattice, self._pixels)
+        self._jacobians = LocalJacobians(lattice, self._pixels)
         self._levels = [self._template_level(pyramid[k], 2.0**k) for k in range(options.levels + 1)]
 
     def register(self, positions_px: Points2, pyramid: Pyramid) -> Registration:
@@ -78,13 +76,13 @@ class TemplateRegistration:
 
     def jacobians(self, positions_px: Points2) -> npt.NDArray[np.float64]:
         """Return (nodes, 4) ∂u/∂x, ∂u/∂y, ∂v/∂x, ∂v/∂y of positions (n, 2) by the template's pixels."""
-        return self._moments.jacobians(positions_px)
+        return self._jacobians.of(positions_px)
 
     def _step(
         self, positions: Points2, slopes: npt.NDArray[np.float32], level: TemplateLevel
     ) -> tuple[Points2, npt.NDArray[np.float64]]:
         lattice = self._lattice
-        jacobian = lattice.at_vertices(self._moments.jacobians(positions))
+        jacobian = lattice.at_vertices(self._jacobians.of(positions))
         pulled = _pulled_back(slopes, positions, jacobian, level.scale)
         features = self._high_passed(pulled)
         sigma = _ROBUST_SIGMAS * self._options.noise_slope
@@ -129,51 +127,15 @@ class TemplateRegistration:
         )
 
     def _high_passed(self, weighted: FloatArray) -> npt.NDArray[np.float64]:
-        """Subtract the local weighted mean; weighted: (n, 3), two values and their weight."""
+        """Subtract the cells' weighted means from weighted (n, 3), two values and their weight.
+
+        What is left are waves shorter than about two cells. Longer ones are folds, which travel over the
+        cloth and would drag the template along.
+        """
         lattice = self._lattice
-        sums = lattice.smoothed(_weighted_sums(lattice.node_of_vertex, weighted, lattice.count),
-                                _HIGH_PASS_PASSES)  # fmt: skip
+        sums = _weighted_sums(lattice.node_of_vertex, weighted, lattice.count)
         means = sums[:, :2] / np.maximum(sums[:, 2:], 1e-9)
         return np.asarray(weighted[:, :2] - lattice.at_vertices(means))
-
-
-class _Moments:
-    """Local affine fits of the correspondence: its Jacobian, smooth over a cell and its neighbours."""
-
-    def __init__(self, lattice: TemplateLattice, pixels: Points2) -> None:
-        self._lattice = lattice
-        self._centre = pixels.mean(axis=0)
-        self._x = pixels - self._centre
-        ones = np.ones((len(pixels), 1))
-        x, y = self._x[:, :1], self._x[:, 1:]
-        sums = lattice.smoothed(lattice.sums(np.hstack([ones, x, y, x * x, x * y, y * y])), _JACOBIAN_PASSES)
-        self._count, self._mean = sums[:, 0], sums[:, 1:3] / sums[:, :1]
-        xx = sums[:, 3] - self._count * self._mean[:, 0] ** 2
-        xy = sums[:, 4] - self._count * self._mean[:, 0] * self._mean[:, 1]
-        yy = sums[:, 5] - self._count * self._mean[:, 1] ** 2
-        ridge = self._count  # of one pixel²: a piece too thin to measure keeps the identity
-        xx, yy = xx + ridge, yy + ridge
-        determinant = xx * yy - xy * xy
-        self._inverse = np.stack([yy, -xy, -xy, xx], axis=1).reshape(-1, 2, 2) / determinant[:, None, None]
-
-    def jacobians(self, positions: Points2) -> npt.NDArray[np.float64]:
-        """Return (nodes, 4): ∂u/∂x, ∂u/∂y, ∂v/∂x, ∂v/∂y of the positions by the template's pixels."""
-        moved = positions - self._centre - self._x
-        sums = _first_moments(self._lattice.node_of_vertex, self._x, moved, self._lattice.count)
-        sums = self._lattice.smoothed(sums, _JACOBIAN_PASSES)
-        mixed = sums[:, 2:].reshape(-1, 2, 2) - sums[:, :2, None] * self._mean[:, None, :]
-        return np.asarray((mixed @ self._inverse + np.eye(2)).reshape(-1, 4))
-
-
-@njit(cache=True)
-def _first_moments(node, x, moved, count):  # type: ignore[no-untyped-def]
-    out = np.zeros((count, 6))
-    for i in range(len(node)):
-        for c in range(2):
-            out[node[i], c] += moved[i, c]
-            out[node[i], 2 + 2 * c] += moved[i, c] * x[i, 0]
-            out[node[i], 3 + 2 * c] += moved[i, c] * x[i, 1]
-    return out
 
 
 @njit(cache=True)
@@ -189,15 +151,19 @@ def _weighted_sums(node, weighted, count):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _pulled_back(slopes, positions, jacobian, scale):  # type: ignore[no-untyped-def]
-    """(n, 3): Jᵀ ∇z at the positions, and the weight there (0 where under a tenth is surface)."""
+    """(n, 3): Jᵀ ∇z at the positions, and the weight there (0 where under a tenth is surface).
+
+    Within half a pixel beyond the outermost centres, which is still the picture, the outermost pixels count.
+    """
     h, w = slopes.shape[:2]
     n = positions.shape[0]
     out = np.zeros((n, 3))
     for i in range(n):
         x, y = positions[i, 0] / scale, positions[i, 1] / scale
-        if not (x >= 0 and y >= 0 and x < w - 1 and y < h - 1):
+        if not (x > -0.5 and y > -0.5 and x < w - 0.5 and y < h - 0.5):
             continue
-        u, v = int(x), int(y)
+        x, y = min(max(x, 0.0), w - 1.0), min(max(y, 0.0), h - 1.0)
+        u, v = min(int(x), w - 2), min(int(y), h - 2)
         a, b = x - u, y - v
         p = q = weight = 0.0
         for dv in range(2):
