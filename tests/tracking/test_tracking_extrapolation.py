@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from tests.tracking.wrinkled_video import WrinkledVideo
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.maps import DepthMap
 from vntoolkit.tracking.extrapolation import Extrapolation, seen_share
 from vntoolkit.tracking.lattice import lattice_on_template
 from vntoolkit.tracking.template import TrackingTemplate, template_from_maps
@@ -69,3 +71,25 @@ def test_the_share_seen_goes_from_none_to_all_without_a_step() -> None:
     assert (share[0], share[-1]) == (0.0, 1.0)
     assert np.all(np.diff(share) >= 0)
     assert np.diff(share).max() < 0.05
+
+
+@pytest.mark.parametrize(
+    ("camera", "unit"),
+    [
+        (Camera.orthographic(width=96, height=72), 1.0),
+        (Camera.orthographic(width=96, height=72, pixels_per_unit=1000.0), 1e-3),  # metres
+        (Camera.pinhole(width=96, height=72, focal_px=2000.0), 1 / 2000.0),  # mean depth 1
+    ],
+)
+def test_the_hidden_depth_of_a_body_that_turns_does_not_depend_on_the_unit(camera: Camera, unit: float):
+    """Where lengths are not pixels, the guess that does well must still tell itself from the poor ones."""
+    normals, depth = WrinkledVideo(width=96, height=72).maps(0)
+    start = 1.0 if camera.is_perspective else 0.0
+    here = DepthMap(depth=start + unit * (depth.depth - 200.0), mask=depth.mask)
+    template = template_from_maps(normals, here, camera)
+    hidden = template.pixels[:, 0] > 64  # an end, which nothing holds on its far side
+    turned = template.vertices_in_camera[:, 2] + unit * 0.3 * (template.pixels[:, 0] - 48.0)
+    seen = np.where(hidden, template.vertices_in_camera[:, 2], turned)
+    plate = Extrapolation(lattice_on_template(template, 8), template, camera)
+    carried = plate.carried_depth(seen, np.where(hidden, 0.0, 1.0))
+    assert np.abs(carried - turned)[hidden].max() < 0.5 * unit  # of up to 14 pixels

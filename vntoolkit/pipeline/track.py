@@ -26,7 +26,8 @@ from vntoolkit.pipeline.tracked_folder import (
     write_track_record,
 )
 from vntoolkit.tracking.options import TrackingOptions
-from vntoolkit.tracking.tracker import SurfaceTracker, tracked_frame
+from vntoolkit.tracking.tracked_frame import tracked_frame
+from vntoolkit.tracking.tracker import SurfaceTracker
 
 _LOGGER = logging.getLogger(__name__)
 

@@ -50,6 +50,8 @@ class Extrapolation:
         bending = _second_differences(lattice)
         self._bending = sp.csc_array(_BENDING * (bending.T @ bending))
         self._motion = LiftedMotion(lattice, template, camera)
+        self._depth = template.vertices_in_camera[:, 2]
+        self._pixels_per_length = template.pixels_per_length(camera)
 
     def carried(
         self,
@@ -58,7 +60,7 @@ class Extrapolation:
         stretch: Stretch | None = None,
         rest: FloatArray | None = None,
     ) -> npt.NDArray[np.float64]:
-        """Return displacements (n, k) from the template; those of low confidence (n,) from the plate.
+        """Return displacements (n, k) from the template, pixels; those of low confidence (n,) from the plate.
 
         stretch: Jacobians of positions in the image that lengths on the surface ask for, and their trust.
         rest: (nodes,) how surely a cell lies still; it counts where the cell is not seen.
@@ -87,8 +89,13 @@ class Extrapolation:
         plate = at_vertices + self._lattice.at_vertices(factor.solve(right))
         return np.asarray(plate + seen * (displacements - plate))
 
+    def carried_depth(self, depth: FloatArray, confidence: FloatArray) -> npt.NDArray[np.float64]:
+        """Return depths (n,); those of low confidence (n,) from the plate, their changes judged in pixels."""
+        offsets = self._pixels_per_length * (depth - self._depth)[:, None]
+        return np.asarray(self._depth + self.carried(offsets, confidence)[:, 0] / self._pixels_per_length)
+
     def _expected_steps(
-        self, stretch: Stretch | None, motion: FloatArray, rest: FloatArray, weight: FloatArray
+        self, stretch: Stretch | None, motion: FloatArray, own: FloatArray, weight: FloatArray
     ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Return (links, k), by how much more than the motion as one body a displacement changes along each.
 
@@ -97,7 +104,7 @@ class Extrapolation:
         """
         first, second = self._links.T
         seen = np.minimum(weight[first], weight[second]) > 0.5
-        measured, by_motion = rest[second] - rest[first], motion[second] - motion[first]
+        measured, by_motion = own[second] - own[first], motion[second] - motion[first]
         whole = np.ones(len(seen))
         guesses = [(np.zeros_like(measured), whole), (-by_motion, whole)]  # one body, no change at all
         if stretch is not None:
@@ -116,7 +123,7 @@ class Extrapolation:
         return total / shares[:, None], _STRETCHING * np.minimum(1.0, _GOOD_SQUARE * shares / errors)
 
     def _mean_square(self, error: FloatArray, tested: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
-        """Return (links,) the mean squared error (links, 2) of the links tested around each, bounded."""
+        """Return (links,) the mean squared error (links, k) of the links tested around each, bounded."""
         square = np.minimum(np.sum(error[tested] ** 2, axis=1), _LARGEST_SQUARE)
         sums = np.zeros((self._lattice.count, 2))
         for end in self._links[tested].T:

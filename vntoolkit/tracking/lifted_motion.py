@@ -22,6 +22,8 @@ _RIDGE = np.array([0.1, 0.1, 0.1, 1e-3])  # in fully seen cells, by unit coordin
 _PIECE_RIDGE = np.array([0.3, 0.3, 3.0, 0.03])  # of a piece's own motion beside the whole's
 _PIECE_LEAST = 4.0  # fully seen cells that show a motion of their own
 _SEEN = 0.3  # weight from which a cell's residual counts for the scale
+_LEAST_SCALE_PX = 1.0  # of the residuals; closer fits are not worth more
+_SIGMAS = 1.5  # of a normal distribution in the median of its size
 
 
 class LiftedMotion:
@@ -30,9 +32,8 @@ class LiftedMotion:
     def __init__(self, lattice: TemplateLattice, template: TrackingTemplate, camera: Camera) -> None:
         """Lay out the coordinates (u, v, depth in pixels, 1), scaled to unit size."""
         depth = template.vertices_in_camera[:, 2]
-        middle = float(np.median(depth))
-        per_length = camera.matrix[0, 0] / (middle if camera.is_perspective else 1.0)
-        points = np.column_stack([template.positions_px, per_length * (depth - middle)])
+        relief_px = template.pixels_per_length(camera) * (depth - np.median(depth))
+        points = np.column_stack([template.positions_px, relief_px])
         points -= points.mean(axis=0)
         points /= max(float(points[:, :2].std()), 1e-9)
         self._lattice = lattice
@@ -50,7 +51,7 @@ class LiftedMotion:
     ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Return the motion's displacements at nodes (nodes, k) and vertices (n, k).
 
-        displacements: (nodes, k), measured. weight: (nodes,) from 0 to 1 how far a node was seen.
+        displacements: (nodes, k), measured, pixels. weight: (nodes,) from 0 to 1 how far a node was seen.
         """
         motion = _robust_fit(self._nodes, displacements, weight, _RIDGE)
         at_nodes, at_vertices = self._nodes @ motion, self._vertices @ motion
@@ -78,6 +79,7 @@ def _robust_fit(
         weighted = trust[:, None] * points
         motion = np.linalg.solve(points.T @ weighted + np.diag(ridge), weighted.T @ values)
         residual = np.linalg.norm(values - points @ motion, axis=1)
-        scale = max(1.0, 1.5 * float(np.median(residual[counted]))) if counted.any() else 1.0
+        usual = float(np.median(residual[counted])) if counted.any() else 0.0
+        scale = max(_LEAST_SCALE_PX, _SIGMAS * usual)
         trust = weight / (1.0 + (residual / scale) ** 2)
     return np.asarray(motion)

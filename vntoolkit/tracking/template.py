@@ -38,6 +38,11 @@ class TrackingTemplate:
         """(n, 2) float64 pixel positions in the template frame."""
         return self.pixels.astype(np.float64)
 
+    def pixels_per_length(self, camera: Camera) -> float:
+        """Return how many pixels a length unit takes at the template's median depth."""
+        depth = float(np.median(self.vertices_in_camera[:, 2])) if camera.is_perspective else 1.0
+        return float(camera.matrix[0, 0]) / depth
+
 
 def template_from_maps(
     normal_map: NormalMap, depth_map: DepthMap, camera: Camera, seams: Sequence[Points2] = ()

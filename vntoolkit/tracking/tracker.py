@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
 
-from vntoolkit.arrays import Flow, Points, Points2, read_only
+from vntoolkit.arrays import Flow, Points, Points2
 from vntoolkit.checks import require_same_size
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.laplacian import cotangent_laplacian, graph_laplacian
@@ -37,38 +37,10 @@ from vntoolkit.tracking.options import (
 from vntoolkit.tracking.resting import RestingParts
 from vntoolkit.tracking.tears import tear_pixels
 from vntoolkit.tracking.template import TrackingTemplate, template_from_maps
+from vntoolkit.tracking.tracked_frame import TrackedFrame, tracked_frame
 from vntoolkit.tracking.translation import TranslationRegulariser
 
 _CARRIES = 2  # the second reads lengths and normals where the first has put what is not seen
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TrackedFrame:
-    """The template in one frame.
-
-    vertices_in_camera: (n, 3). positions_px: (n, 2) their pixels. confidence: (n,) from 0 (not seen here,
-    carried along by what is) to 1; below 0.5 a vertex is declared lost.
-    """
-
-    vertices_in_camera: Points
-    positions_px: Points2
-    confidence: npt.NDArray[np.floating]
-
-
-def tracked_frame(
-    vertices_in_camera: Points, confidence: npt.NDArray[np.floating], camera: Camera
-) -> TrackedFrame:
-    """Return a frame in the single precision that files hold.
-
-    The state that tracking goes on from is then the one on disk, and a run that was interrupted ends in the
-    same bytes as one that was not.
-    """
-    vertices = np.asarray(vertices_in_camera, dtype=np.float32)
-    return TrackedFrame(
-        vertices_in_camera=read_only(vertices),
-        positions_px=read_only(camera.project(vertices)),
-        confidence=read_only(np.asarray(confidence, dtype=np.float32)),
-    )
 
 
 class SurfaceTracker:
@@ -160,7 +132,10 @@ class SurfaceTracker:
         targets, found = targets_on_surface(moved, depth_map, self.camera, depth)
         confidence = np.clip(confidence * found, 0.0, 1.0)
         if self._extrapolation is not None:
-            targets = self._with_carried_depth(moved, targets, confidence, self._extrapolation)
+            # what is not seen may lie before another surface: its depth is not that of the pixel it is in
+            targets = self.camera.unproject(
+                moved, self._extrapolation.carried_depth(targets[:, 2], confidence)
+            )
         vertices = targets if self._regularise_pixels else self._regularised_vertices(targets)
         return tracked_frame(vertices, confidence, self.camera)
 
@@ -188,14 +163,6 @@ class SurfaceTracker:
             stretch = self._isometry.jacobians(slopes, carried, registration.jacobians(carried))
             carried = template + self._extrapolation.carried(moved - template, seen, stretch, rest)
         return carried, reliably
-
-    def _with_carried_depth(
-        self, moved: Points2, targets: Points, confidence: npt.NDArray[np.floating], plate: Extrapolation
-    ) -> Points:
-        """What is not seen may lie before another surface: its depth is not that of the pixel it is in."""
-        template = self.template.vertices_in_camera[:, 2:]
-        depth = template + plate.carried(targets[:, 2:] - template, confidence)
-        return self.camera.unproject(moved, depth[:, 0])
 
     def _regularised_pixels(self, moved: Points2, confidence: npt.NDArray[np.floating]) -> Points2:
         """The default: smooth the step in the image; depth is then read, not smoothed."""
