@@ -129,7 +129,7 @@ REFUSALS = [
     ("photometry.transfer:Transfer", {"black_level": 1.0}, "black_level < white_level <= 1, got 1 and 1"),
     ("photometry.variation:ResponseVariation", VARIATION, "a monomial is listed twice"),
     ("pipeline.demo:DemoOptions", {"frames": 0}, "demo: expected 1 to 1000 frames, got 0"),
-    ("pipeline.demo:DemoOptions", {"width": 16}, "images of at least 320×240, got 16×480"),
+    ("pipeline.demo:DemoOptions", {"width": 16}, "images of at least 640×480, got 16×480"),
     ("pipeline.dress:DressOptions", {"figure_height": 0.0}, "figure height: expected positive metres, got 0"),
     ("pipeline.options:ReconstructOptions", {"distance_m": 0.0}, "a positive number of metres, got 0"),
     ("pipeline.options:ReconstructOptions", {"smoothing": 2.0}, "a share of full scale from 0 to 1, got 2"),

@@ -29,6 +29,7 @@ _BOARD = "board_sweep"  # carried through the field, so that M is known all over
 _BOARD_STEP = 2  # of its 240 frames: neighbours show the same tilt
 _DEGREE = 2  # of the polynomials by which M varies
 _FIELD_WIDTH_M = 1.42  # one zoom for the board and the garment, as on a real set
+_LEAST_WIDTH, _LEAST_HEIGHT = 640, 480  # on smaller images the board's corners are too coarse for a camera
 
 Stage = Callable[[str, int, int], None]
 
@@ -37,8 +38,8 @@ Stage = Callable[[str, int, int], None]
 class DemoOptions:
     """How large the demonstration is.
 
-    frames: frames of the garment that are filmed and reconstructed. width: width of the images, pixels.
-    height: height of the images, pixels.
+    frames: frames of the garment that are filmed and reconstructed. width: width of the images, pixels, at
+    least 640. height: height of the images, pixels, at least 480.
     """
 
     frames: int = 12
@@ -48,8 +49,9 @@ class DemoOptions:
     def __post_init__(self) -> None:
         if not 1 <= self.frames <= 1000:
             raise BadInput(f"demo: expected 1 to 1000 frames, got {self.frames}")
-        if self.width < 320 or self.height < 240:
-            raise BadInput(f"demo: expected images of at least 320×240, got {self.width}×{self.height}")
+        if self.width < _LEAST_WIDTH or self.height < _LEAST_HEIGHT:
+            least = f"{_LEAST_WIDTH}×{_LEAST_HEIGHT}"
+            raise BadInput(f"demo: expected images of at least {least}, got {self.width}×{self.height}")
 
 
 @dataclass(frozen=True, kw_only=True)
