@@ -9,6 +9,7 @@ import numpy.typing as npt
 from numba import njit
 
 from vntoolkit.arrays import Faces, Points, Points2
+from vntoolkit.checks import require_in_range
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
 
@@ -20,10 +21,13 @@ _LONGEST_EDGE_PX = 12.0  # a triangle stretched over more spans a fold or a gap 
 class CheckerboardOptions:
     """How the texture is drawn.
 
-    square_px: side of a square on the template, pixels.
+    square_px: side of a square of the checkerboard on the template, pixels.
     """
 
     square_px: int = 16
+
+    def __post_init__(self) -> None:
+        require_in_range(self.square_px, 1, 10_000, "square of the checkerboard in pixels")
 
 
 def checkerboard_frame(

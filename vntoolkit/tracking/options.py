@@ -8,6 +8,8 @@ from enum import Enum
 from vntoolkit.checks import require_in_range
 from vntoolkit.errors import BadInput
 
+_MOST_LEVELS = 8  # a picture of 8192 pixels is then 32 wide
+
 
 class Regulariser(Enum):
     """What keeps neighbouring vertices together."""
@@ -77,6 +79,13 @@ class FlowOptions:
     window_px: int = 21
     levels: int = 0
 
+    def __post_init__(self) -> None:
+        require_in_range(self.lattice_px, 1, 1000, "flow lattice in pixels")
+        require_in_range(self.window_px, 5, 101, "flow window in pixels")
+        if self.window_px % 2 == 0:
+            raise BadInput(f"flow window in pixels: expected an odd number, got {self.window_px}")
+        require_in_range(self.levels, 0, _MOST_LEVELS, "pyramid levels of the flow")
+
 
 @dataclass(frozen=True, kw_only=True)
 class DriftOptions:
@@ -98,6 +107,14 @@ class DriftOptions:
     iterations: int = 3
     stiffness: float = 0.5
     noise_slope: float = 0.05
+
+    def __post_init__(self) -> None:
+        require_in_range(self.every, 1, 1e6, "frames from one drift correction to the next")
+        require_in_range(self.cell_px, 4, 64, "lattice cell in pixels")
+        require_in_range(self.levels, 0, _MOST_LEVELS, "pyramid levels of the drift correction")
+        require_in_range(self.iterations, 1, 1000, "iterations of the drift correction")
+        require_in_range(self.stiffness, 0.0, 1e6, "stiffness of the drift correction")
+        require_in_range(self.noise_slope, 1e-6, 10.0, "noise of a slope")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,9 +142,7 @@ class TrackingOptions:
     def __post_init__(self) -> None:
         require_in_range(self.data_share, 1e-3, 1.0, "data share α")
         require_in_range(self.smoothing_length, 0.0, 1e3, "smoothing length in edges")
-        require_in_range(self.drift.every, 1, 1e6, "frames from one drift correction to the next")
-        require_in_range(self.drift.cell_px, 4, 64, "lattice cell in pixels")
-        require_in_range(self.flow.window_px, 5, 101, "flow window in pixels")
+        require_in_range(self.handle_spacing_px, 1, 1000, "handle spacing in pixels")
         used, name = self.confidence is not Confidence.NONE, self.confidence.value
         if used and self.drift.correction is DriftCorrection.NONE:
             raise BadInput(f"confidence `{name}` needs drift correction `template`, which it is measured by")
