@@ -16,6 +16,7 @@ Relief = npt.NDArray[np.uint8]  # (h, w, 3)
 _RELIEF_SIGMA_PX = 4.0
 _RELIEF_GAIN = 400.0  # steps of a byte per unit of normal
 _STEEPEST = 0.15  # −n_z below which a slope is clamped: 81° from the viewing direction
+_GRAZING = 0.3  # −n_z below which a slope weighs less, 73°: there it is mostly noise
 _AT_JUMPS = np.float32(0.02)  # share of the weight that is left there
 
 
@@ -97,7 +98,7 @@ def _slopes(normals, mask, weight):  # type: ignore[no-untyped-def]
         for u in range(w):
             if mask[v, u]:
                 facing = max(-normals[v, u, 2], _STEEPEST)
-                share = min(1.0, (facing / 0.3) ** 2)  # grazing slopes are noise
+                share = min(1.0, (facing / _GRAZING) ** 2)
                 if weighted:
                     share *= weight[v, u]
                 out[v, u, 0] = share * normals[v, u, 0] / facing

@@ -20,7 +20,7 @@ from vntoolkit.tracking.template import TrackingTemplate
 _TURN_PASSES = 2  # of lattice smoothing: the turn in the image is that of the surroundings
 _WHOLE = 0.5  # mean weight of the slopes in a cell from which they are fully trusted
 _LEAST_SHARE = 0.3  # of a cell's pixels on the surface, else its mean says nothing
-_LEAST_WEIGHT = 0.02  # of a pixel's slope: 81° and beyond
+_LEAST_WEIGHT = 0.02  # of a slope that counts in full: towards where there is no surface it fades to 0
 _STRAINS = (0.7, 0.4)  # logarithmic: twice as long or short is wrong, half as much again is not reliable
 _TINY = 1e-9
 
