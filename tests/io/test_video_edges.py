@@ -1,5 +1,6 @@
 """Videos at their edges: a pixel or three, names that look like protocols, frames left out, odd rates."""
 
+import av
 import numpy as np
 import pytest
 
@@ -67,3 +68,26 @@ def test_frames_left_out_are_not_decoded(tmp_path, rng, monkeypatch, part):
     for number, values in read.items():
         np.testing.assert_array_equal(values, frames[number])
     np.testing.assert_array_equal(dict(reader.frames(3, 5))[4], frames[4])
+
+
+@pytest.mark.parametrize(
+    ("name", "codec"),
+    [("a.mts", "libx264"), ("a.mpg", "mpeg2video"), ("a.mp4", "libx264"), ("a.mkv", "libx264")],
+)
+def test_camcorder_files_are_read_from_any_frame(tmp_path, rng, name, codec):
+    """Transport and program streams have no index: a seek lands between key frames."""
+    still = rng.integers(0, 200, (48, 64, 3), dtype=np.uint8)
+    options = {"g": "30", "keyint_min": "30", "sc_threshold": "0", "bf": "2"}
+    container_format = {"a.mts": "mpegts", "a.mpg": "vob"}.get(name)
+    with av.open(str(tmp_path / name), "w", format=container_format) as container:
+        stream = container.add_stream(codec, rate=25, options=options)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        for k in range(100):
+            picture = np.roll(still, k, axis=1) + np.uint8(k // 2)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        container.mux(stream.encode())
+    whole = [frame.values for frame in open_capture(tmp_path / name).encoded_frames()]
+    assert len(whole) == 100
+    for start in (1, 28, 29, 30, 31, 61, 95):
+        for frame in open_capture(tmp_path / name).encoded_frames(start, start + 3):
+            np.testing.assert_array_equal(frame.values, whole[frame.number])

@@ -26,6 +26,8 @@ from vntoolkit.io.video_index import VideoIndex, index_of_stream
 _HD_HEIGHT = 720
 _INDICES: dict[tuple[str, int, int], VideoIndex] = {}  # of files by path, size and time of change, in ns
 _MOST_INDICES = 8
+_WITHOUT_INDEX = ("mpegts", "mpeg")  # of camcorders: FFmpeg finds a time in them, but no key frame
+_EARLY_S = 1  # more than a key frame is decoded ahead of its time
 # AVCOL_TRC_* that a stream may state, in our words; BT.601 and BT.2020 share BT.709's curve.
 _TRANSFER_NAMES = {
     1: "bt709",
@@ -122,7 +124,7 @@ class VideoReader:
             next_number, decoded = self._waiting.pop()
             if self.index.key_frame_before(start) <= next_number <= start:
                 return decoded
-        return self._decoded(self.index.times[start] if start else None)
+        return self._decoded(self.index.times[self.index.key_frame_before(start)] if start else None)
 
     def _frame_shown_at(self, time: int, number: int, decoded: Iterator[tuple[int | None, Any]]) -> Any:
         """Take frames until the one of that time; a frame that the decoder left out shifts no other."""
@@ -136,7 +138,7 @@ class VideoReader:
     def _decoded(
         self, from_time: int | None, left_out: AbstractSet[int] = frozenset()
     ) -> Iterator[tuple[int | None, Any]]:
-        """Yield (time, frame) from the key frame before `from_time` on, but for the times left out."""
+        """Yield (time, frame) from a key frame's time on or before it, but for the times left out."""
         damaged_times = {self.index.times[number] for number in self.index.damaged}
         errors = av_errors()  # here, since a decoder may be closed when nothing can be imported any more
         container, stream = open_video(self.path)
@@ -145,7 +147,8 @@ class VideoReader:
             stream.codec_context.thread_count = self.threads
             try:
                 if from_time is not None:
-                    container.seek(from_time, stream=stream, backward=True)
+                    early = _EARLY_S / stream.time_base if container.format.name in _WITHOUT_INDEX else 0
+                    container.seek(from_time - round(early), stream=stream, backward=True)
                 for packet in container.demux(stream):
                     # A decoder that works ahead would fail on a damaged frame before its turn has come.
                     if packet.pts not in damaged_times and packet.pts not in left_out:
