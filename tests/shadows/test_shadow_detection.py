@@ -50,6 +50,22 @@ def test_published_rejects_what_is_too_faint_or_too_small() -> None:
     assert not lit_by_edges(speck, mask, PublishedOptions(smallest_component=1)).all()
 
 
+def test_the_flood_climbs_as_far_as_it_is_let() -> None:
+    """A shadow that grows lighter towards its middle, too gently for an edge."""
+    image, mask = square(0.1), np.ones((60, 80), bool)
+    v, u = np.indices((60, 80))
+    inset = np.minimum(np.minimum(v - 20, 39 - v), np.minimum(u - 30, 54 - u))
+    image[..., 1] += np.where(inset > 3, 0.01 * (inset - 3), 0.0)
+    middle = np.s_[28:32, 40:45, 1]
+    published, climbing = (
+        lit_by_edges(image, mask, PublishedOptions(blur_px=0.5, flood_tolerance=climb))
+        for climb in (0.0, 0.015)
+    )
+    assert published[middle].all()
+    assert not climbing[middle].any()
+    assert climbing[:15, :, 1].all()
+
+
 def test_robust_labels_overlap_the_truth_and_beat_the_published_ones(stage) -> None:
     robust = ShadowDetector(stage.response).labels(stage.frame, stage.mask)
     published = ShadowDetector(stage.response, ShadowMethod.PUBLISHED).labels(stage.frame)
