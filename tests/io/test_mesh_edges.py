@@ -17,12 +17,18 @@ NOTHING = Mesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), np.int32))
 
 
 def _ply(
-    path, *, kind="float", colour="", rows=("0 0 0", "1 0 0", "0 1 0"), face="uchar int", corners="3 0 1 2"
+    path,
+    *,
+    kind="float",
+    colour="",
+    rows=("0 0 0", "1 0 0", "0 1 0"),
+    face="list uchar int",
+    corners="3 0 1 2",
 ):
     colours = "".join(f"property {colour} {name}\n" for name in ("red", "green", "blue") if colour)
     path.write_text(
         f"ply\nformat ascii 1.0\nelement vertex 3\nproperty {kind} x\nproperty {kind} y\nproperty {kind} z\n"
-        f"{colours}element face 1\nproperty list {face} vertex_indices\nend_header\n"
+        f"{colours}element face 1\nproperty {face} vertex_indices\nend_header\n"
         + "\n".join((*rows, corners, ""))
     )
     return path
@@ -43,10 +49,21 @@ def test_colours_of_16_bits_keep_their_share_of_full_scale(tmp_path):
 @pytest.mark.parametrize(
     ("changed", "line"),
     [
-        ({"face": "uchar float", "corners": "3 0 nan 2"}, "corners are numbers of vertices, got float32"),
-        ({"face": "uchar float", "corners": "3 0 1.7 2"}, "corners are numbers of vertices, got float32"),
-        ({"face": "float int"}, "unknown line in the PLY header: 'property list float int"),
+        (
+            {"face": "list uchar float", "corners": "3 0 nan 2"},
+            "corners are numbers of vertices, got float32",
+        ),
+        (
+            {"face": "list uchar float", "corners": "3 0 1.7 2"},
+            "corners are numbers of vertices, got float32",
+        ),
+        ({"face": "list float int"}, "unknown line in the PLY header: 'property list float int"),
         ({"corners": "3 0 -1 2"}, "a face names vertex -1, there are 3"),
+        ({"face": "int", "corners": "2"}, "the faces have no list 'vertex_indices'"),
+        (
+            {"kind": "list uchar float", "rows": ("1 0 1 0 1 0", "2 0 0 1 0 1 0", "1 1 1 0 1 0")},
+            "expected an element 'vertex' with x, y",
+        ),
         ({"rows": ("0 0 0",), "corners": ""}, "malformed or cut off (too few lines)"),
     ],
 )

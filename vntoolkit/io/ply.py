@@ -78,8 +78,9 @@ def read_ply(path: Path | str) -> PlyContent:
     except (ValueError, IndexError, StopIteration) as problem:
         reason = str(problem) or "too few lines"
         raise BadMesh(f"{path}: the element '{element.name}' is malformed or cut off ({reason})") from problem
-    vertex = tables.get("vertex")
-    if vertex is None or not {"x", "y", "z"} <= set(vertex):
+    columns = tables.get("vertex", {}).items()
+    vertex = {key: values for key, values in columns if isinstance(values, np.ndarray) and values.ndim == 1}
+    if not {"x", "y", "z"} <= set(vertex):
         raise BadMesh(f"{path}: expected an element 'vertex' with x, y and z")
     return _content(str(path), vertex, tables.get("face"))
 
@@ -104,7 +105,7 @@ def _content(name: str, vertex: dict[str, Any], face: dict[str, Any] | None) -> 
     faces = None
     if face is not None:
         polygons = face.get("vertex_indices", face.get("vertex_index"))
-        if polygons is None:
+        if polygons is None or (isinstance(polygons, np.ndarray) and polygons.ndim == 1):
             raise BadMesh(f"{name}: the faces have no list 'vertex_indices'")
         faces = triangles_from_polygons(polygons, len(vertices), name)
     return PlyContent(
