@@ -40,9 +40,9 @@ class DiscontinuityOptions:
     """Options of the discontinuity-preserving integrator.
 
     rounds: times the weights are computed anew. widest, narrowest: scale of the first and of the last round,
-    in standard deviations of the normals' noise, on clean normals. narrowest_noisy: the same of the last
-    round on noisy ones, whose residuals are noise where depth is continuous. noisy: slope noise in pixels
-    from which a map is noisy; 0.02 is a degree. against: factor on the scale for residuals that
+    in units of `Evidence.noise`, on clean normals. narrowest_noisy: the same of the last round on noisy ones,
+    whose residuals are noise where depth is continuous. noisy: `Evidence.noise` in pixels from which a map
+    is noisy; 0.02 is that of normals off by 1.6 degrees. against: factor on the scale for residuals that
     contradict an occlusion (depth falls less than the slope). steep: slope in pixels per pixel from which
     the side of an occlusion is known. circulation: share of the squared circulation around an edge's better
     square that counts as its variance. first_tolerance, round_tolerance: relative
@@ -131,8 +131,9 @@ def _reweighted(depth, tail, head, wanted, variance, trust, scale, against, stee
 class Evidence:
     """What the wanted differences say about themselves.
 
-    noise: standard deviation in pixels of the difference between two facing normals' pixels. variance: (m,)
-    of every edge, in units of noise²: that of the normals plus the circulation that no surface can explain.
+    noise: standard deviation in pixels of the difference along an edge between facing normals, which is
+    that of their slopes over √2. variance: (m,) of every edge, in units of noise²: that of the normals plus
+    the circulation that no surface can explain.
     """
 
     noise: float
