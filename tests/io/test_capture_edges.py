@@ -1,5 +1,6 @@
 """Options and footage at their edges: numbers that are none, strips, scattered pixels, a full disk."""
 
+import contextlib
 import errno
 import json
 
@@ -16,10 +17,11 @@ from vntoolkit.io.inspection import inspect_capture
 from vntoolkit.io.light_files import read_lights
 from vntoolkit.io.live_sources import CameraOptions
 from vntoolkit.io.manifest import now_utc, read_manifest
+from vntoolkit.io.rigs import read_rig, write_rig
 from vntoolkit.io.seams import read_seams
 from vntoolkit.io.white_balance import fit_gains, text_of_gains
 from vntoolkit.photometry.response import LightResponse
-from vntoolkit.photometry.rig import Rig
+from vntoolkit.photometry.rig import Rig, SourceFile
 from vntoolkit.photometry.transfer import Transfer
 
 NAN, INF = float("nan"), float("inf")
@@ -147,3 +149,15 @@ def test_intensities_of_one_number_and_names_with_blanks(tmp_path):
         lights = read_lights(tmp_path)
         assert lights.intensities.tolist() == [[1, 1, 1], [2, 2, 2], [1, 1, 1]]
         assert [path.name for path in lights.images] == ["my 1.png", "my 2.png", "my 3.png"]
+
+
+def test_a_name_that_is_no_unicode_is_recorded_and_comes_back(tmp_path):
+    """Linux allows any bytes in a name; Python stands those that are no UTF-8 in as lone surrogates."""
+    name = "take\udcff.png"
+    source = SourceFile(file=name, sha256="0" * 64)
+    camera = Camera.orthographic(width=4, height=4)
+    write_rig(tmp_path / "rig.json", Rig(camera=camera, response=RESPONSE, sources=(source,)))
+    assert read_rig(tmp_path / "rig.json").sources == (source,)
+    with contextlib.closing(FrameLog(tmp_path)) as log:
+        log.append(FrameEntry(number=0, failure=f"{name} is black"))
+        assert log.entries()[0].failure == "take\\udcff.png is black"

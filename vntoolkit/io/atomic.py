@@ -44,8 +44,11 @@ def write_bytes(path: Path | str, content: bytes | memoryview) -> None:
 
 
 def write_text(path: Path | str, content: str) -> None:
-    """Write a whole UTF-8 file atomically."""
-    write_bytes(path, content.encode("utf-8"))
+    """Write a whole UTF-8 file atomically.
+
+    A byte of a file's name that is no UTF-8 goes in as `\\udcXX`, which JSON reads back as it was.
+    """
+    write_bytes(path, content.encode("utf-8", "backslashreplace"))
 
 
 def require_writable_folder(folder: Path | str) -> Path:

@@ -91,7 +91,7 @@ class FrameLog:
         try:
             if self._stream is None:
                 torn = self.path.exists() and self.path.read_bytes()[-1:] not in (b"", b"\n")
-                self._stream = self.path.open("a", encoding="utf-8")
+                self._stream = self.path.open("a", encoding="utf-8", errors="backslashreplace")
                 if torn:
                     self._stream.write("\n")
             self._stream.write(entry.to_line() + "\n")
