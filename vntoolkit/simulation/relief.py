@@ -48,7 +48,10 @@ def plain_weave(threads: int, texels_per_thread: int) -> FloatArray:
 
 
 def twill_weave(threads: int, texels_per_thread: int) -> FloatArray:
-    """Return the height, 0 to 1, of a 3/1 twill, whose diagonal ribs a jacket's cotton shows."""
+    """Return the height, 0 to 1, of a 3/1 twill, whose diagonal ribs a jacket's cotton shows.
+
+    threads: each way, a multiple of four, so that it tiles.
+    """
     x, y = _thread_grid(threads, texels_per_thread)
     over = np.where((np.floor(x) + np.floor(y)) % 4 == 0, -1.0, 1.0)
     rib = np.cos(np.pi / 2 * (x + y))

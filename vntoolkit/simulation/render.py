@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, Flow, Mask, Points
-from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.geometry.mesh import vertex_normals
@@ -191,10 +190,9 @@ class Renderer:
 def require_same_topology(vertices: Points, scene: Scene) -> None:
     """Raise `BadMesh` unless `vertices` (n, 3) are as many as the scene's mesh has."""
     count = scene.vertex_count
-    if vertices.ndim != 2 or vertices.shape != (count, 3):
+    if vertices.shape != (count, 3):
         have = " × ".join(map(str, vertices.shape))
         raise BadMesh(f"scene {scene.name}: expected {count} × 3 vertices, got {have}: another topology")
-    require_shape(vertices, (count, 3), "vertices", BadMesh)
 
 
 def render_frame(

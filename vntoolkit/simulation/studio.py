@@ -11,7 +11,7 @@ from vntoolkit.simulation.spectra import coloured_lamps, room_glow
 CAMERA_DISTANCE_M = 5.0
 _LIGHT_DISTANCES_M = (5.2, 4.8, 5.4)
 _LIGHT_AZIMUTHS_DEG = (155.0, 35.0, 270.0)  # about the optical axis, 0 = right, 90 = down, seen by the camera
-_LIGHT_OFF_AXIS_DEG = 18.0  # on a cone of 18° the lights are 27° to 32° apart, and not in one plane
+_LIGHT_OFF_AXIS_DEG = 18.0  # on a cone of 18° the lights are 30° to 32° apart, and not in one plane
 _AMBIENT_LEVEL = 0.02
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from scipy.spatial.transform import Rotation
 
 from vntoolkit.arrays import FloatArray, IntArray, Points
 
@@ -109,8 +110,6 @@ def _bound(part: Part) -> FloatArray:
 
 def _rotation(vector: FloatArray) -> FloatArray:
     """Return body_from_part (3, 3) of a rotation vector."""
-    from scipy.spatial.transform import Rotation
-
     return Rotation.from_rotvec(vector).as_matrix()
 
 
@@ -133,7 +132,7 @@ def _distances(
             reach = total if blends[k] >= 0.0 else -total
             if _SKIP_SHARE * (np.sqrt(away) - bounds[k, 3]) > reach + abs(blends[k]):
                 continue  # too far to touch the blend
-            if kinds[k] == 0:
+            if kinds[k] == _ELLIPSOID:
                 part = _ellipsoid_distance(points[i], numbers[k], rotations[k])
             else:
                 part = _capsule_distance(points[i], numbers[k])

@@ -57,7 +57,7 @@ def _values_near_surface(body: ImplicitBody, low: FloatArray, counts: IntArray, 
     distance = body.signed_distance(centres) / cell
     values = np.empty(tuple(counts))
     near = np.flatnonzero(np.abs(distance) < 1.3 * _COARSE)
-    coarse = np.repeat(np.repeat(np.repeat(distance.reshape(blocks), 4, 0), 4, 1), 4, 2)
+    coarse = np.kron(distance.reshape(blocks), np.ones((_COARSE,) * 3))
     values[:-1, :-1, :-1] = coarse
     values[-1], values[:, -1], values[:, :, -1] = values[-2], values[:, -2], values[:, :, -2]
     corner = np.stack(np.unravel_index(near, blocks), axis=1) * _COARSE

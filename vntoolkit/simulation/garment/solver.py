@@ -21,11 +21,10 @@ class ClothOptions:
     """Material and numerics of the cloth.
 
     density: kg/m². stretch_compliance: m/N of an edge; the edges run in three directions, so they resist
-    shear too. bending_stiffness: N m; the ribbing has
-    `rib_stiffening` times as much. air_drag: 1/s. inner_friction: share of the velocity difference
-    between neighbours that a step takes away. thickness_m: least distance of two layers.
-    body_margin_m: least distance to the body. body_friction: tangential hold per depth of contact.
-    steps_per_frame: small steps per frame of 1/60 s, one sweep over the constraints each.
+    shear too. bending_stiffness: N m; the ribbing has `rib_stiffening` times as much. air_drag: 1/s.
+    inner_friction: share of the velocity difference between neighbours that a step takes away. thickness_m:
+    least distance of two layers. body_margin_m: least distance to the body. body_friction: tangential hold
+    per depth of contact. steps_per_frame: small steps per frame, one sweep over the constraints each.
     """
 
     density: float = 0.35

@@ -42,7 +42,7 @@ class Head:
     def seams(self) -> dict[str, IntArray]:
         """Return the edges of lips and lids: closed loops of vertex numbers from the corner of least x."""
         slits = {"mouth": self.mouth, "eye_left_in_image": self.eyes[0], "eye_right_in_image": self.eyes[1]}
-        return {name: np.concatenate([s.upper, s.lower[-2:0:-1]]) for name, s in slits.items()}
+        return {name: slit.loop for name, slit in slits.items()}
 
 
 def lip_line(x: FloatArray) -> FloatArray:

@@ -21,7 +21,7 @@ def extrude_slit(
 
     first: the number of the first new vertex. Also returns the rim vertex that each new one hangs on.
     """
-    loop = np.concatenate([slit.upper, slit.lower[-2:0:-1]])
+    loop = slit.loop
     rim, size, half = shape[loop], len(loop), len(slit.upper)
     rings = []
     if eye is None:

@@ -22,6 +22,11 @@ class Slit:
     upper: IntArray
     lower: IntArray
 
+    @property
+    def loop(self) -> IntArray:
+        """Vertex numbers once round, from the corner of least x: along the upper side, back by the lower."""
+        return np.concatenate([self.upper, self.lower[-2:0:-1]])
+
 
 def cut_slit(
     vertices: Points, faces: Faces, level: FloatArray, inside: BoolArray

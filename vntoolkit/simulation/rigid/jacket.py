@@ -39,7 +39,7 @@ def build_jacket(options: SceneOptions) -> Scene:
 
 
 def _joined(parts: list[Part]) -> tuple[Points, Surface]:
-    """Return all vertices and one surface; the parts' texture coordinates become metres of cloth."""
+    """Return all vertices and one surface; the parts' texture coordinates become tiles of the weave."""
     starts = np.cumsum([0] + [len(part.vertices) for part in parts])
     faces = [part.faces + start for part, start in zip(parts, starts, strict=False)]
     tile_m = _THREADS * _THREAD_M

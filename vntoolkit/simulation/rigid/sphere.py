@@ -1,4 +1,4 @@
-"""A matte ball that stands still: the simplest thing with every normal."""
+"""A matte ball that drifts and turns a little: the simplest thing with every normal."""
 
 from __future__ import annotations
 
