@@ -26,6 +26,13 @@ def require_shape(
         raise error(f"{name}: expected shape {want}, got {have}")
 
 
+def require_mask(mask: npt.NDArray[Any], shape: tuple[int, ...], name: str = "mask") -> None:
+    """Raise unless `mask` holds booleans, which index otherwise than 0 and 255 do, and has `shape`."""
+    if mask.dtype != np.bool_:
+        raise BadInput(f"{name}: expected booleans, got {mask.dtype}")
+    require_shape(mask, shape, name)
+
+
 def require_same_size(
     first: npt.NDArray[Any], first_name: str, second: npt.NDArray[Any], second_name: str
 ) -> None:

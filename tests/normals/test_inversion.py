@@ -138,6 +138,8 @@ def test_refusals(rng) -> None:
     frame = frame_of(np.ones((4, 5, 3)))
     with pytest.raises(BadInput, match="mask: expected shape 4 × 5, got 5 × 4"):
         normals_from_frame(frame, RESPONSE, np.ones((5, 4), bool))
+    with pytest.raises(BadInput, match="mask: expected booleans, got uint8"):
+        relative_albedo_from_frame(frame, RESPONSE, np.full((4, 5), 255, np.uint8))
     with pytest.raises(BadInput, match="8- or 16-bit"):
         normals_from_encoded(np.ones((4, 5, 3)), RESPONSE, Transfer())
     with pytest.raises(BadInput, match="image: expected shape"):

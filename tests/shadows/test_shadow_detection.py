@@ -145,6 +145,8 @@ def test_bonds_give_way_to_one_light_alone() -> None:
 def test_refusals(stage) -> None:
     with pytest.raises(BadInput, match="mask: expected shape 120 × 160"):
         ShadowDetector(stage.response).labels(stage.frame, np.ones((4, 4), bool))
+    with pytest.raises(BadInput, match="mask: expected booleans, got uint8"):
+        ShadowDetector(stage.response).labels(stage.frame, np.full((120, 160), 255, np.uint8))
     with pytest.raises(BadInput, match="gradient threshold"):
         PublishedOptions(gradient_threshold=2.0)
     with pytest.raises(BadInput, match="rounds"):

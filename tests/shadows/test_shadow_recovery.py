@@ -201,6 +201,8 @@ def test_light_colours_from_shadow_edges(steep_stage) -> None:
 def test_refusals(stage) -> None:
     with pytest.raises(BadInput, match="bytes from 0 to 7"):
         recover_normals(stage.frame, np.full(stage.mask.shape, 9, np.uint8), stage.response)
+    with pytest.raises(BadInput, match="mask: expected booleans, got uint8"):
+        recover_normals(stage.frame, stage.labels, stage.response, np.full((120, 160), 255, np.uint8))
     with pytest.raises(BadInput, match="visibility labels: expected shape"):
         recover_normals(stage.frame, np.zeros((3, 3), np.uint8), stage.response)
     with pytest.raises(BadInput, match="at least 1"):

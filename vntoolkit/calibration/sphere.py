@@ -11,7 +11,7 @@ from vntoolkit.arrays import FloatArray, Mask, Points2, Vector3
 from vntoolkit.calibration.fit import FitOptions, ResponseFit, fit_response
 from vntoolkit.calibration.quality import angles_deg
 from vntoolkit.calibration.sphere_outline import Circle, find_ball_outline, outline_from_mask
-from vntoolkit.checks import require_shape, require_some
+from vntoolkit.checks import require_mask, require_shape, require_some
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
@@ -67,7 +67,7 @@ def fit_response_to_sphere(
     if mask is None:
         outline = find_ball_outline(frame)
     else:
-        require_shape(mask, frame.shape, "mask")
+        require_mask(mask, frame.shape)
         require_some(mask, "mask")
         outline = outline_from_mask(mask)
     normal_map = sphere_normals(outline, camera, options.rim_share)

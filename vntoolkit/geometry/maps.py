@@ -8,7 +8,7 @@ from enum import Enum
 import numpy as np
 
 from vntoolkit.arrays import Depth, Mask, Normals, Weight, read_only
-from vntoolkit.checks import require_shape
+from vntoolkit.checks import require_mask, require_shape
 from vntoolkit.errors import BadInput
 
 
@@ -35,7 +35,7 @@ class NormalMap:
     def __post_init__(self) -> None:
         normals = np.asarray(self.normals_in_camera, dtype=np.float32)
         require_shape(normals, (None, None, 3), "normals")
-        _require_mask(self.mask, normals.shape[:2])
+        require_mask(self.mask, normals.shape[:2])
         object.__setattr__(self, "normals_in_camera", read_only(normals))
         object.__setattr__(self, "mask", read_only(np.asarray(self.mask)))
         if self.weight is not None:
@@ -65,7 +65,7 @@ class DepthMap:
         if not np.issubdtype(depth.dtype, np.floating):
             raise BadInput(f"depth: expected floating point, got {depth.dtype}")
         require_shape(depth, (None, None), "depth")
-        _require_mask(self.mask, depth.shape)
+        require_mask(self.mask, depth.shape)
         object.__setattr__(self, "depth", read_only(depth))
         object.__setattr__(self, "mask", read_only(np.asarray(self.mask)))
 
@@ -73,9 +73,3 @@ class DepthMap:
     def shape(self) -> tuple[int, int]:
         """(h, w)."""
         return self.depth.shape[0], self.depth.shape[1]
-
-
-def _require_mask(mask: Mask, shape: tuple[int, ...]) -> None:
-    if mask.dtype != np.bool_:
-        raise BadInput(f"mask: expected booleans, got {mask.dtype}")
-    require_shape(mask, tuple(shape), "mask")

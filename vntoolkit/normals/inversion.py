@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import Mask
-from vntoolkit.checks import require_positive, require_shape
+from vntoolkit.checks import require_mask, require_positive, require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.normals.inversion_kernels import (
@@ -175,7 +175,7 @@ def _require_encoded(encoded: npt.NDArray[Any]) -> tuple[int, int]:
 def _require_mask(mask: Mask | None, shape: tuple[int, int]) -> Mask:
     if mask is None:
         return np.ones(shape, dtype=np.bool_)
-    require_shape(mask, shape, "mask")
+    require_mask(mask, shape)
     return np.ascontiguousarray(mask)
 
 

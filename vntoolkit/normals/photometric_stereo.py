@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, Mask, Points, read_only
-from vntoolkit.checks import require_finite, require_shape
+from vntoolkit.checks import require_finite, require_mask, require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.normals.photometric_stereo_kernels import fewest_lights, robust_normals_kernel
@@ -83,7 +83,7 @@ def solve_photometric_stereo(
     stack = _require_images(images, lights)
     shape = stack.shape[1:]
     inside = np.ones(shape, np.bool_) if mask is None else np.ascontiguousarray(mask)
-    require_shape(inside, shape, "mask")
+    require_mask(inside, shape)
     scaled = np.zeros((*shape, 3), np.float32)
     used = np.zeros(shape, np.float32)
     robust_normals_kernel(

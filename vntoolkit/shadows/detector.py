@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels
-from vntoolkit.checks import require_shape
+from vntoolkit.checks import require_mask
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
@@ -69,7 +69,7 @@ class ShadowDetector:
         inside = np.ones(frame.shape, dtype=np.bool_) if mask is None else np.asarray(mask)
         if frame.shape != self._shape:
             self._shape, self._memory = frame.shape, None
-        require_shape(inside, frame.shape, "mask")
+        require_mask(inside, frame.shape)
         if self._method is ShadowMethod.NONE or not inside.any():
             return np.full(frame.shape, ALL_LIT, dtype=np.uint8)
         window = window_around(inside)

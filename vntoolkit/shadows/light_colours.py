@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vntoolkit.arrays import FloatArray, Mask, Matrix3
-from vntoolkit.checks import require_in_range, require_shape
+from vntoolkit.checks import require_in_range, require_mask
 from vntoolkit.errors import BadCalibration
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
@@ -72,7 +72,7 @@ def _sides(
     """(n, 2, 3): the colours at either side of every pixel, across both axes and both ways round."""
     inside: Mask = ~frame.clipped
     if mask is not None:
-        require_shape(mask, frame.shape, "mask")
+        require_mask(mask, frame.shape)
         inside = inside & mask
     rgb = np.nan_to_num(frame.rgb - ambient.astype(np.float32)).astype(np.float64)
     bright = np.linalg.norm(rgb, axis=-1)

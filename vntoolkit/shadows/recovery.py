@@ -8,7 +8,7 @@ from enum import Enum
 import numpy as np
 
 from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels
-from vntoolkit.checks import require_shape
+from vntoolkit.checks import require_mask, require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
@@ -83,7 +83,7 @@ def recover_surface(
     """`recover_normals`, with the depth that the surface method solves for at the same time."""
     options = options or RecoveryOptions()
     inside = np.ones(frame.shape, dtype=np.bool_) if mask is None else np.asarray(mask)
-    require_shape(inside, frame.shape, "mask")
+    require_mask(inside, frame.shape)
     require_shape(labels, frame.shape, "visibility labels")
     if labels.dtype != np.uint8 or labels.max(initial=0) > ALL_LIT:
         raise BadInput("visibility labels: expected bytes from 0 to 7")
