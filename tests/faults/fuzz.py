@@ -20,7 +20,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).parent))
+sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[2])]
 
 HANG_S = 10.0
 _ADDRESS_SPACE = 6 << 30
@@ -84,6 +84,7 @@ def _serve(worker: _Worker, has_word: bool, waiting: list[int], report: Report) 
             outcome = worker.pipe.recv()
         except EOFError:
             worker.process.join()
+            _require_ready(worker)
             if worker.index is not None:
                 report.counts["ended", False] += 1
                 report.faults.append(
@@ -102,9 +103,16 @@ def _serve(worker: _Worker, has_word: bool, waiting: list[int], report: Report) 
     elif time.monotonic() - worker.since > (HANG_S if worker.is_ready else _START_S):
         worker.process.kill()
         worker.process.join()
+        _require_ready(worker)
         report.counts["hung", False] += 1
         report.faults.append(f"case {worker.index}: hung for more than {HANG_S:g} s")
         worker.index = None
+
+
+def _require_ready(worker: _Worker) -> None:
+    """Raise for a process that ended before its first case: its successors would, for ever."""
+    if not worker.is_ready:
+        raise RuntimeError(f"a process ended before its first case, status {worker.process.exitcode}")
 
 
 def _start(seed: int, specimens: list[tuple[str, Path]], folder: Path) -> _Worker:

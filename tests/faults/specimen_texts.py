@@ -5,74 +5,12 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+from tests.motion_texts import AMC, ASF, BVH
 from vntoolkit.io.frame_log import FrameEntry, FrameLog
 from vntoolkit.io.manifest import InputEntry, Manifest, write_manifest
 from vntoolkit.io.rigs import entry_from_rig, write_rig
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.tracked_folder import write_track_record
-
-BVH = """HIERARCHY
-ROOT Hips
-{
-  OFFSET 0 0 0
-  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
-  JOINT Chest
-  {
-    OFFSET 0 5.5 0
-    CHANNELS 3 Zrotation Xrotation Yrotation
-    End Site
-    {
-      OFFSET 0 4 0
-    }
-  }
-}
-MOTION
-Frames: 3
-Frame Time: 0.0333333
-0 1 2 10 20 30 1 2 3
-0 1 2 11 21 31 1 2 3
-0 1 2 12 22 32 1 2 3
-"""
-ASF = """:version 1.10
-:name a
-:units
-  mass 1.0
-  length 0.45
-  angle deg
-:root
-  order TX TY TZ RX RY RZ
-  axis XYZ
-  position 0 0 0
-  orientation 0 0 0
-:bonedata
-  begin
-    id 1
-    name spine
-    direction 0 1 0
-    length 2.2
-    axis 0 0 20 XYZ
-    dof rx ry rz
-    limits (-160.0 20.0)
-           (-70.0 70.0)
-           (-60.0 70.0)
-  end
-  begin
-    id 2
-    name head
-    direction 0 1 0.1
-    length 1.2
-    axis 10 0 0 XYZ
-    dof rx
-  end
-:hierarchy
-  begin
-    root spine
-    spine head
-  end
-"""
-AMC = "#!OML:ASF a.ASF\n:FULLY-SPECIFIED\n:DEGREES\n" + "".join(
-    f"{n}\nroot 0 1 2 {n} 20 30\nspine 1 2 {n}\nhead 5\n" for n in (1, 2, 3)
-)
 
 
 def write_motion(folder: Path) -> list[tuple[str, Path]]:

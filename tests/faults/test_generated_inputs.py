@@ -5,9 +5,9 @@ import json
 import numpy as np
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from specimen_texts import BVH
 from specimens import rig
 
+from tests.motion_texts import BVH
 from vntoolkit.errors import VntError
 from vntoolkit.io.frame_range import FrameRange
 from vntoolkit.io.light_files import read_lights

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.motion_texts import AMC, ASF, BVH
 from vntoolkit.errors import BadInput, BadMotion
 from vntoolkit.geometry.skeleton import Skeleton
 from vntoolkit.io import motion_bvh
@@ -19,75 +20,6 @@ from vntoolkit.io.motion_asf import AmcOptions, read_asf_amc
 from vntoolkit.io.motion_bvh import read_bvh
 
 DATA = Path(__file__).parents[2] / "data"
-
-BVH = """HIERARCHY
-ROOT Hips
-{
-  OFFSET 0 1 0
-  CHANNELS 6 Xposition Yposition Zposition Zrotation Yrotation Xrotation
-  JOINT Chest
-  {
-    OFFSET 0 1 0
-    CHANNELS 3 Zrotation Yrotation Xrotation
-    End Site
-    {
-      OFFSET 0 1 0
-    }
-  }
-}
-MOTION
-Frames: 2
-Frame Time: 0.01
-1 2 3 0 0 0 90 0 0
-1 2 3 0 0 0 0 0 90
-"""
-
-ASF = """:version 1.10
-:name test
-:units
-  mass 1.0
-  length 0.45
-  angle deg
-:root
-  order TX TY TZ RX RY RZ
-  axis XYZ
-  position 0 0 0
-  orientation 0 0 0
-:bonedata
-  begin
-    id 1
-    name spine
-    direction 0 1 0
-    length 2
-    axis 0 0 30 XYZ
-    dof rx rz
-    limits (-1 1)
-           (-1 1)
-  end
-  begin
-    id 2
-    name head
-    direction 0 1 0
-    length 1
-    axis 0 0 0 XYZ
-  end
-:hierarchy
-  begin
-    root spine
-    spine head
-  end
-"""
-
-AMC = """#comment
-:FULLY-SPECIFIED
-:DEGREES
-1
-root 1 2 3 0 0 0
-spine 10 20
-2
-root 1 2 3 0 0 0
-spine 10 20
-"""
 
 
 def write(path: Path, text: str | bytes) -> Path:
