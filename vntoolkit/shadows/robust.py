@@ -48,6 +48,7 @@ class RobustOptions:
     alternation; the last cut has the frame's own size. persistence: weight of the previous frame's
     evidence, 0 to 1. sharpening: of the shares that the last cut judges. albedo_evidence: what the albedo
     adds to it. cast_edge: where a cast shadow ends. outline: the last pixels before the figure's outline.
+    albedo, surface: how both are estimated in every round.
     """
 
     first_share: float = 0.2
