@@ -2,14 +2,17 @@
 
 import errno
 import os
+import struct
 
 import numpy as np
 import pytest
+import tifffile
 
 from vntoolkit.errors import BadCapture, BadInput, CannotWrite
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io import native_output
 from vntoolkit.io.atomic import write_bytes
+from vntoolkit.io.captures import open_capture
 from vntoolkit.io.consistency import curl_share
 from vntoolkit.io.exr import read_exr, write_exr
 from vntoolkit.io.images import read_grey, read_image, read_image_with_alpha, write_png
@@ -97,3 +100,40 @@ def test_a_process_without_descriptors_left_loses_none_to_quiet_reading(monkeypa
     with native_output.silenced_native_output():
         pass
     assert next_descriptor() == before
+
+
+def _packed_tiff(samples, bits):
+    """Bytes of an RGB TIFF (h, w, 3) whose samples follow each other without padding, as sensors deliver."""
+    height, width, _ = samples.shape
+    rows = ["".join(f"{value:0{bits}b}" for value in row) for row in samples.reshape(height, -1).tolist()]
+    body = b"".join(int(row + "0" * (-len(row) % 8), 2).to_bytes(-(-len(row) // 8), "big") for row in rows)
+    start = 8 + 2 + 12 * 10 + 4
+    entries = [
+        (256, 4, 1, width), (257, 4, 1, height), (258, 3, 3, start), (259, 3, 1, 1), (262, 3, 1, 2),
+        (273, 4, 1, start + 6), (277, 3, 1, 3), (278, 4, 1, height), (279, 4, 1, len(body)), (284, 3, 1, 1),
+    ]  # fmt: skip
+    directory = b"".join(struct.pack("<HHII", *entry) for entry in entries)
+    head = b"II*\0" + struct.pack("<IH", 8, len(entries))
+    return head + directory + struct.pack("<I3H", 0, bits, bits, bits) + body
+
+
+@pytest.mark.parametrize("bits", [10, 12, 14])
+def test_packed_samples_reach_full_scale(tmp_path, bits):
+    full = 2**bits - 1
+    samples = np.linspace(0, full, 48).round().astype(int).reshape(4, 4, 3)
+    (tmp_path / "a.tif").write_bytes(_packed_tiff(samples, bits))
+    frame = open_capture(tmp_path / "a.tif").frame(0)
+    assert frame.rgb == pytest.approx(samples / full, abs=1 / 65535)
+    assert frame.clipped.tolist() == (samples == full).any(axis=2).tolist()
+
+
+def test_tiff_that_would_be_misread_is_refused(tmp_path, rng):
+    for dtype in (np.uint8, np.uint16):
+        apart = rng.integers(0, 255, (3, 20, 30)).astype(dtype)
+        tifffile.imwrite(tmp_path / "a.tif", apart, photometric="rgb", planarconfig="separate")
+        with pytest.raises(BadCapture, match=r"a\.tif: stores its channels apart \(planar\), expected"):
+            read_image(tmp_path / "a.tif")
+    grey_and_alpha = np.full((20, 30, 2), 65535, np.uint16)
+    tifffile.imwrite(tmp_path / "a.tif", grey_and_alpha, photometric="minisblack", planarconfig="contig")
+    with pytest.raises(BadCapture, match=r"16-bit samples would be read as 8 bits; save"):
+        read_image(tmp_path / "a.tif")

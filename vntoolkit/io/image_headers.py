@@ -40,7 +40,7 @@ def read_image_header(data: bytes, name: str, error: type[BadInput] = BadCapture
         if data.startswith(b"\xff\xd8"):
             return _jpeg(data)
         if data.startswith(_TIFF):
-            return _tiff(data)
+            return _tiff(data, name, error)
         if data.startswith(b"BM"):
             width, height, _, bits = struct.unpack_from("<iiHH", data, 18)
             return ImageHeader(
@@ -104,7 +104,7 @@ def _jpeg(data: bytes) -> ImageHeader:
         at += 1 if marker == 0xFF else 2 + length
 
 
-def _tiff(data: bytes) -> ImageHeader:
+def _tiff(data: bytes, name: str, error: type[BadInput]) -> ImageHeader:
     import tifffile
 
     logging.getLogger("tifffile").setLevel(logging.CRITICAL + 1)  # of a damaged file the caller tells
@@ -112,6 +112,10 @@ def _tiff(data: bytes) -> ImageHeader:
         with tifffile.TiffFile(io.BytesIO(data)) as tiff:
             page: Any = tiff.pages[0]
             bits = page.bitspersample
+            if page.samplesperpixel > 1 and page.planarconfig != 1:  # OpenCV takes them as interleaved
+                raise error(
+                    f"{name}: stores its channels apart (planar), expected RGB pixel by pixel; save it so"
+                )
             return ImageHeader(
                 format="TIFF",
                 width=int(page.imagewidth),

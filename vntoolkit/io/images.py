@@ -151,17 +151,30 @@ def _decode(
         pixels = None
     if pixels is None:
         raise error(f"{path}: the {header.format} file is damaged or cut off")
-    if pixels.dtype == np.float64:
-        pixels = pixels.astype(np.float32)
-    if pixels.dtype not in (np.uint8, np.uint16, np.float32):
-        raise error(f"{path}: expected 8-bit, 16-bit or float samples, got {pixels.dtype}")
-    if pixels.dtype == np.float32:
-        _require_numbers(pixels, path, error)
+    pixels = _sound_samples(pixels, header, path, error)
     if pixels.ndim == 3 and pixels.shape[2] >= 3:
         order = cv2.COLOR_BGR2RGB if pixels.shape[2] == 3 else cv2.COLOR_BGRA2RGBA
         pixels = cv2.cvtColor(pixels, order)
     pixels = np.atleast_3d(pixels)
     return (pixels[..., :-1], pixels[..., -1]) if pixels.shape[2] in (2, 4) else (pixels, None)
+
+
+def _sound_samples(
+    pixels: npt.NDArray[Any], header: ImageHeader, path: Path | str, error: type[BadInput]
+) -> npt.NDArray[Any]:
+    """Return samples of 8 or 16 bits, whose full scale is all ones, or finite floats; raise for any other."""
+    if pixels.dtype == np.float64:
+        pixels = pixels.astype(np.float32)
+    if pixels.dtype not in (np.uint8, np.uint16, np.float32):
+        raise error(f"{path}: expected 8-bit, 16-bit or float samples, got {pixels.dtype}")
+    if pixels.dtype == np.uint8 and header.bits > 8:
+        raise error(f"{path}: its {header.bits}-bit samples would be read as 8 bits; save it as RGB or grey")
+    if pixels.dtype == np.uint16 and header.bits < 16:  # a packed TIFF, whose samples come filled with zeros
+        packed = np.asarray(pixels, dtype=np.uint16)
+        return packed | (packed >> np.uint16(header.bits))
+    if pixels.dtype == np.float32:
+        _require_numbers(pixels, path, error)
+    return pixels
 
 
 def _in_three_channels(colours: npt.NDArray[Any]) -> npt.NDArray[Any]:
