@@ -147,6 +147,20 @@ def test_arap_follows_its_handles() -> None:
     assert np.median(video.error(tracked, tracker.template, 2)) < 0.3
 
 
+@pytest.mark.parametrize("spacing_px", [8, 1000])
+def test_arap_holds_a_piece_between_its_handles(spacing_px: int) -> None:
+    """An island, or the whole of a small template, that no handle of the lattice meets."""
+    video = WrinkledVideo(width=64, height=48, sway_px=0.0, bend=0.0, drift_px=(0.5, 0.0))
+    mask = np.zeros((48, 64), dtype=bool)
+    mask[8:40, 4:40] = mask[9:13, 49:54] = True
+    options = replace(options_of(Tracker.ARAP), handle_spacing_px=spacing_px)
+    tracker = SurfaceTracker(*video.maps(0, mask), video.camera, options)
+    for k in (1, 2):
+        tracked = tracker.step(*video.maps(k))
+    moved = tracked.positions_px - tracker.template.positions_px
+    assert np.abs(moved[tracker.template.pixels[:, 0] > 45] - [1.0, 0.0]).max() < 1.0
+
+
 def test_a_template_without_a_pixel_is_refused() -> None:
     video = WrinkledVideo()
     with pytest.raises(BadInput, match="template: no valid pixel"):
