@@ -1,6 +1,7 @@
 """The board: layout against OpenCV, detection and calibration on drawn views, the printed page."""
 
 import logging
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -114,6 +115,23 @@ def test_detection_finds_sharp_corners_and_the_colour_in_the_hole(views) -> None
         assert error.max() < 0.3
         truth = shaded_rgb_from_normals(pose.rotate(np.array(NORMAL_IN_BOARD)), RESPONSE)
         np.testing.assert_allclose(sighting.rgb, truth, atol=0.002)
+
+
+def test_a_mistaken_corner_at_the_edge_of_the_image_is_left_out(rng) -> None:
+    """Its true place lies outside, where OpenCV refines nothing."""
+    pose = RigidTransform(translation=np.array([-220.0, -88.0, 420.0]))  # the left columns are out of sight
+    frame, corner_ids = view_of_board(pose, rng), LAYOUT.sound_corner_ids
+    corners = np.column_stack([LAYOUT.corners_mm[corner_ids], np.zeros(len(corner_ids))])
+    true_px = CAMERA.project(pose.apply(corners))
+    outside = (true_px[:, 0] < -3) & (true_px[:, 0] > -40)
+    assert outside.any()
+    claimed = np.clip(true_px, 2, [637, 477])[true_px[:, 0] > -40]
+    ids = corner_ids[true_px[:, 0] > -40]
+    detector = BoardDetector(LAYOUT)
+    detector._detector = SimpleNamespace(detectBoard=lambda _: (claimed[:, None], ids[:, None], None, None))
+    sighting = detector.sight(frame)
+    assert sighting is not None
+    assert not np.isin(sighting.corner_ids, corner_ids[outside]).any()
 
 
 def test_board_gives_camera_poses_and_response(views) -> None:

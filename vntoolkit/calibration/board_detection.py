@@ -94,7 +94,8 @@ def _refine(
     predicted: Any = cv2.perspectiveTransform(corners_mm[None], homography)[0]
     departure = np.linalg.norm(predicted - corners, axis=1)
     tolerance = max(_SMALLEST_TOLERANCE_PX, _TOLERANCE_MEDIANS * float(np.median(departure)))
-    start = np.where(departure[:, None] > tolerance, predicted, corners).astype(np.float32)
+    start = np.where(departure[:, None] > tolerance, predicted, corners)
+    start = np.clip(start, 0, np.array(grey.shape[::-1]) - 1).astype(np.float32)  # OpenCV takes no others
     gap_px = 0.5 * (layout.square_mm - layout.marker_mm) * _pixels_per_mm(homography, layout)
     window = max(2, int(_WINDOW_SHARE * gap_px))
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 0.01)
