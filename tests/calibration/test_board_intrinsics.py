@@ -11,6 +11,7 @@ from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.rigid import RigidTransform
 
 LAYOUT = BoardLayout()
+LONG = BoardLayout(columns=31, rows=5, hole_squares=1)
 MATRIX = np.array([[800.0, 0, 322], [0, 805, 236], [0, 0, 1]])
 DISTORTION = np.array([-0.09, 0.05, 0.004, -0.003])  # k1, k2, p1, p2
 
@@ -46,3 +47,10 @@ def test_terms_that_are_not_asked_for_stay_zero(rng: np.random.Generator) -> Non
     assert none.model is CameraModel.PINHOLE
     with pytest.raises(BadCalibration, match="misses the corners by"):
         fit_camera(seen, LAYOUT, (640, 480), IntrinsicsOptions(radial_terms=0, largest_error_px=0.1))
+
+
+def test_a_single_row_of_corners_tells_no_camera() -> None:
+    ids = np.intersect1d(LONG.sound_corner_ids, np.arange(LONG.columns - 1))
+    row = BoardSighting(number=0, corner_ids=ids, corners_px=3.0 * LONG.corners_mm[ids], rgb=None)
+    with pytest.raises(BadCalibration, match="0 frames show the board well enough"):
+        fit_camera([row] * 6, LONG, (640, 480))

@@ -58,7 +58,7 @@ def fit_camera(
     the views are too few or too much alike.
     """
     options = options or IntrinsicsOptions()
-    usable = [s for s in sightings if len(s.corner_ids) >= _FEWEST_CORNERS]
+    usable = [s for s in sightings if _spans_plane(layout.corners_mm[s.corner_ids])]
     if len(usable) < _FEWEST_VIEWS:
         raise BadCalibration(
             f"calibrate board: {len(usable)} frames show the board well enough for the camera's intrinsics, "
@@ -96,6 +96,11 @@ def fit_camera(
         matrix=matrix,
         distortion=np.array([k1, k2, p1, p2]) if model is CameraModel.OPENCV else np.zeros(4),
     )
+
+
+def _spans_plane(corners_mm: FloatArray) -> bool:
+    """Whether corners (n, 2) are many, and not all in one row or column."""
+    return len(corners_mm) >= _FEWEST_CORNERS and bool((np.ptp(corners_mm, axis=0) > 0).all())
 
 
 def _flags(options: IntrinsicsOptions) -> int:
