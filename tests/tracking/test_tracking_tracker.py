@@ -10,7 +10,14 @@ import pytest
 from tests.tracking.wrinkled_video import WrinkledVideo
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import DepthMap, NormalMap
-from vntoolkit.tracking.options import Confidence, DriftCorrection, DriftOptions, Regulariser, TrackingOptions
+from vntoolkit.tracking.options import (
+    Confidence,
+    DriftCorrection,
+    DriftOptions,
+    Regulariser,
+    RestShape,
+    TrackingOptions,
+)
 from vntoolkit.tracking.published import Tracker, options_of
 from vntoolkit.tracking.tracker import SurfaceTracker
 
@@ -37,6 +44,31 @@ def test_a_rigid_motion_is_recovered(tracker: Tracker) -> None:
     follower, tracked = follow(video, options_of(tracker), 5)
     error = video.error(tracked, follower.template, 5)
     assert np.median(error) < 0.05
+
+
+VARIANTS = {
+    "corrected every second frame": TrackingOptions(drift=DriftOptions(every=2)),
+    "corrected from a coarser level": TrackingOptions(drift=DriftOptions(levels=1)),
+    "weighted": TrackingOptions(confidence=Confidence.TEMPLATE),
+    "the template's shape": TrackingOptions(rest=RestShape.TEMPLATE),
+}
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_a_variant_recovers_a_rigid_motion(name: str) -> None:
+    video = WrinkledVideo(width=96, height=72, sway_px=0.0, bend=0.0, drift_px=(0.7, -0.4))
+    follower, tracked = follow(video, VARIANTS[name], 4)
+    assert np.median(video.error(tracked, follower.template, 4)) < 0.05
+
+
+def test_cotangent_weights_are_those_of_the_grid_on_a_flat_one() -> None:
+    """Its triangles have two sides of one pixel: the diagonal's angles are right, its weight is 0."""
+    video = WrinkledVideo(width=96, height=72, bend=0.0, drift_px=(0.7, -0.4))
+    by_kind = [
+        follow(video, options_of(name), 3)[1].positions_px
+        for name in (Tracker.LAPLACIAN_COTANGENT, Tracker.LAPLACIAN_PREVIOUS)
+    ]
+    assert np.abs(by_kind[0] - by_kind[1]).max() < 0.02
 
 
 @pytest.mark.slow
