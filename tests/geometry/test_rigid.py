@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from vntoolkit.errors import BadInput
-from vntoolkit.geometry.rigid import RigidTransform, angle_between_rotations_deg
+from vntoolkit.geometry.rigid import RigidTransform
 
 
 @pytest.fixture
@@ -32,11 +32,6 @@ def test_matrix_and_rotation_vector_round_trip(b_from_a: RigidTransform) -> None
 def test_directions_ignore_translation() -> None:
     moved = RigidTransform(translation=np.array([5.0, 6, 7]))
     np.testing.assert_array_equal(moved.rotate(np.array([0.0, 0, 1])), [0, 0, 1])
-
-
-def test_angle_between_rotations() -> None:
-    turned = RigidTransform.from_rotation_vector([0, 0, np.deg2rad(33)])
-    assert angle_between_rotations_deg(np.eye(3), turned.rotation) == pytest.approx(33)
 
 
 @pytest.mark.parametrize("matrix", [np.diag([1.0, 1, -1]), 2 * np.eye(3), np.full((3, 3), np.nan)])

@@ -82,8 +82,3 @@ class RigidTransform:
             rotation=self.rotation @ other.rotation,
             translation=self.rotation @ other.translation + self.translation,
         )
-
-
-def angle_between_rotations_deg(first: Matrix3, second: Matrix3) -> float:
-    """Angle in degrees of the rotation that takes one (3, 3) rotation to the other."""
-    return float(np.rad2deg(Rotation.from_matrix(first.T @ second).magnitude()))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 from vntoolkit.errors import BadInput
@@ -48,7 +47,3 @@ class FrameRange:
                 f"frames {self.to_text()}: the capture has only {frame_count} frames (0 to {frame_count - 1})"
             )
         return numbers
-
-    def __iter__(self) -> Iterator[int | None]:
-        """Unpack as `start, stop, step`."""
-        return iter((self.start, self.stop, self.step))
