@@ -72,6 +72,8 @@ def test_a_misspelt_command_is_answered_by_what_to_type(command, line, place, ca
         ("simulate sphare --out o", "unknown scene 'sphare': expected one of board"),
         ("recipe run figur07", "recipe 'figur07': expected all, or one of figure02"),
         ("simulate sphere --out o --size 64", "size: expected WIDTHxHEIGHT such as 1280x720, got '64'"),
+        ("simulate sphere --out o --size 99999x99999", "expected at most 200 megapixels, got 99999x99999"),
+        ("evaluate tracks empty --truth empty", "empty: holds no truth; give the folder that `vntoolkit sim"),
         ("board --out b.txt", "b.txt: the board is drawn as .pdf, not '.txt'"),
         ("reconstruct frame.png --rig rig.json --out o --frames x", "frames: expected a:b:c as in 0:100:2"),
         ("reconstruct frame.png --rig rig.json --out o --frames 5:9", "the capture has only 1 frame"),

@@ -201,6 +201,12 @@ def test_a_refused_export_writes_nothing(dome_result: DomeResult, tmp_path: Path
         exported(DomeResult(folder, folder), tmp_path / "out", ExportFormat.PLY, **options)
     with pytest.raises(BadInput, match=r"a\.glb: expected the name of a folder, for one \.glb a frame"):
         exported(dome_result, tmp_path / "a.glb", ExportFormat.GLB, **options)
+    moved = ExportJob(
+        folder=dome_result.folder, options=ExportOptions(to=ExportFormat.DILIGENT), out=tmp_path / "out",
+        footage="nowhere.mkv",
+    )  # fmt: skip
+    with pytest.raises(BadInput, match=r"nowhere\.mkv: no such file"):
+        export(moved)
     assert [path.name for path in tmp_path.iterdir()] == ["result"]
 
 

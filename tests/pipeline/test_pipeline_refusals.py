@@ -178,6 +178,35 @@ def test_presses_without_labels_or_of_another_size(tmp_path: Path, dome_capture:
         replace(job, label_size=(0, 0))
 
 
+def test_rectified_images_are_not_mixed_with_others(
+    tmp_path: Path, dome_capture: DomeCapture, capsys: pytest.CaptureFixture[str]
+) -> None:
+    footage, out = tmp_path / "footage", tmp_path / "out"
+    write_png(footage / "000000.png", np.full((*SIZE, 3), 90, np.uint8))
+    write_png(out / "000007.png", np.full((*SIZE, 3), 9, np.uint8))
+    plane = [
+        "--corners",
+        "0",
+        "0",
+        "63",
+        "0",
+        "0",
+        "47",
+        "63",
+        "47",
+        "--size-mm",
+        "6",
+        "4",
+        "--pixel-mm",
+        "0.2",
+    ]
+    for target, line in ((out, "holds images already, such as 000007.png"), (footage, "footage lies there")):
+        assert main(["rectify", str(footage), "--out", str(target), *plane]) == 1
+        assert line in capsys.readouterr().err
+    assert main(["rectify", str(footage), "--out", str(out), *plane, "--overwrite"]) == 0
+    assert [path.name for path in out.iterdir()] == ["000000.png"]
+
+
 def test_a_first_frame_that_shows_nothing_is_named(tmp_path: Path, dome_capture: DomeCapture) -> None:
     write_png(tmp_path / "dark.png", np.zeros((*SIZE, 3), np.uint8))
     job = ReconstructionJob(

@@ -16,10 +16,9 @@ from vntoolkit.cli.flags import flags_from
 from vntoolkit.cli.limits import limits_on
 from vntoolkit.cli.outputs import JSON, require_output
 from vntoolkit.cli.progress import ProgressBars
-from vntoolkit.cli.shared_flags import Curve
+from vntoolkit.cli.shared_flags import Curve, Overwrite
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.rectification import Rectification
-from vntoolkit.io.atomic import require_writable_folder
 from vntoolkit.io.captures import CaptureOptions, open_capture
 from vntoolkit.io.rigs import write_rig
 from vntoolkit.photometry.transfer import Transfer
@@ -100,6 +99,7 @@ def rectify(
     size_mm: SizeMm,
     pixel_mm: float,
     transfer: Curve = "linear",
+    overwrite: Overwrite = False,
 ) -> None:
     """Resample footage of a plane seen at an angle onto square pixels of known size.
 
@@ -115,13 +115,16 @@ def rectify(
         Width and height of the rectangle in millimetres.
     pixel_mm
         Side of a pixel of the result in millimetres.
+    overwrite
+        Replace the images that the folder holds.
     """
     rectification = rectification_from_flags(corners, size_mm, pixel_mm)
     assert rectification is not None  # both flags are required
     capture = open_capture(source, CaptureOptions(transfer=Transfer.from_text(transfer)))
-    folder = require_writable_folder(out)
     with ProgressBars() as bars:
-        count = pipeline.rectify_capture(capture, rectification, folder, partial(bars.reach, "rectify"))
+        count = pipeline.rectify_capture(
+            capture, rectification, out, partial(bars.reach, "rectify"), overwrite=overwrite
+        )
     width, height = rectification.size
     print(f"{out}: {count} images of {width}×{height}, {pixel_mm:g} mm a pixel")
 

@@ -21,6 +21,8 @@ from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.render import RenderOptions
 from vntoolkit.simulation.scene import SCENES, SceneOptions
 
+_MOST_MEGAPIXELS = 200  # as readers take by default
+
 if TYPE_CHECKING:
     SceneFlags: TypeAlias = SceneOptions | None
     NuisanceFlags: TypeAlias = Nuisances | None
@@ -80,4 +82,7 @@ def _size(text: str) -> tuple[int, int]:
     match = re.fullmatch(r"(\d+)[x×](\d+)", text.strip())
     if match is None:
         raise BadInput(f"size: expected WIDTHxHEIGHT such as 1280x720, got '{text}'")
-    return int(match[1]), int(match[2])
+    width, height = int(match[1]), int(match[2])
+    if width * height > _MOST_MEGAPIXELS * 1e6:
+        raise BadInput(f"size: expected at most {_MOST_MEGAPIXELS} megapixels, got {text}")
+    return width, height

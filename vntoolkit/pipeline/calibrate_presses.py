@@ -20,6 +20,7 @@ from vntoolkit.calibration.presses import (
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.rectification import Rectification
+from vntoolkit.io.atomic import require_writable_folder
 from vntoolkit.io.captures import Capture, CaptureOptions, open_capture
 from vntoolkit.io.files import source_file
 from vntoolkit.io.images import write_png
@@ -95,8 +96,24 @@ def rectify_capture(
     rectification: Rectification,
     folder: Path,
     on_frame: Progress = lambda done, total: None,
+    *,
+    overwrite: bool = False,
 ) -> int:
-    """Write every frame of a capture, rectified, as a 16-bit PNG with the capture's transfer curve."""
+    """Write every frame of a capture, rectified, as a 16-bit PNG with the capture's transfer curve.
+
+    Raises `BadInput` where the folder holds the footage, or other numbered images, which `overwrite` removes.
+    """
+    if folder.resolve() in {path.parent.resolve() for path in capture.info.files}:
+        raise BadInput(f"{folder}: the footage lies there; choose another --out")
+    earlier = sorted(path for path in folder.glob("*.png") if path.stem.isdigit() and len(path.stem) == 6)
+    if earlier and not overwrite:
+        raise BadInput(
+            f"{folder}: holds images already, such as {earlier[0].name}; add --overwrite to replace them, or "
+            "choose another --out"
+        )
+    require_writable_folder(folder)
+    for path in earlier:
+        path.unlink()
     for number, frame in enumerate(capture.frames()):
         rectified = rectify_frame(frame, rectification)
         encoded = encoded_from_linear(rectified.rgb.astype(np.float64), capture.options.transfer)

@@ -38,6 +38,8 @@ class TrackTruth:
 def read_track_truth(folder: Path) -> TrackTruth:
     """Open DIR/truth (or DIR) as `vntoolkit simulate` writes it. Raises `BadInput`."""
     truth = folder / "truth" if (folder / "truth").is_dir() else folder
+    if not (truth / "vertices.npy").exists():
+        raise BadInput(f"{folder}: holds no truth; give the folder that `vntoolkit simulate` wrote")
     vertices = map_npy(truth / "vertices.npy")
     faces = read_mesh(truth / "template.ply").faces
     if vertices.ndim != 3 or vertices.shape[2] != 3 or int(faces.max(initial=0)) >= vertices.shape[1]:

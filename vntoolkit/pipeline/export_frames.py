@@ -154,6 +154,7 @@ class _Diligent(FrameExport):
         super().__init__(result, track, options)
         if "background" in result.manifest.extra_files and result.background is None:
             raise BadInput("diligent: the result was made with a background; give it as --background")
+        result.capture  # noqa: B018 - refused before anything is written
         lights = result.rig.response.lights
         strengths: FloatArray = np.linalg.norm(lights, axis=1)
         albedo = result.manifest.options.get("inversion.relative_albedo", 1.0)
