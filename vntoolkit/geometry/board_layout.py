@@ -28,8 +28,8 @@ class BoardLayout:
     """Sizes of a board; the defaults fit on A4 and have a hole of 45 % of the width.
 
     columns, rows: squares across and down; rows and columns odd, so that the hole is centred on squares.
-    square_mm: side of a square, millimetres. marker_share: side of a marker over that of its square. hole_squares: side of
-    the hole in squares, odd; 0 for none.
+    square_mm: side of a square, millimetres. marker_share: side of a marker over that of its square.
+    hole_squares: side of the hole in squares, odd; 0 for none.
     """
 
     columns: int = 11
