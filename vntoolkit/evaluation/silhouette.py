@@ -73,8 +73,11 @@ def contour_of(coverage: FloatArray) -> tuple[Points2, FloatArray]:
 
     coverage: (h, w) from 0 to 1, or a mask. A point lies where the line between neighbouring pixels crosses
     one half, after smoothing: that leaves a straight edge where it is and takes the staircase out of it. The
-    image's border gives no points, since the silhouette is cut off there.
+    image's border gives no points, since the silhouette is cut off there; an image of one row or column gives
+    none at all.
     """
+    if min(coverage.shape) < 2:
+        return np.zeros((0, 2)), np.zeros((0, 2))
     smooth = ndimage.gaussian_filter(coverage.astype(np.float64), _SMOOTHING_PX, mode="nearest")
     above = smooth - 0.5
     points = []
