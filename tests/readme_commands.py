@@ -45,6 +45,8 @@ class Step:
     @property
     def serves(self) -> bool:
         """Whether it goes on until it is interrupted."""
+        if self.language == "python":
+            return False
         words = shlex.split(self.text, comments=True)
         return words[:2] == ["vntoolkit", "view"] and "--html" not in words
 
