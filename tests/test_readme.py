@@ -92,7 +92,8 @@ def test_blocks_are_read_as_a_person_would() -> None:
 
 def test_a_failing_command_is_named_with_its_line(tmp_path: Path) -> None:
     assert run_step(Step("sh", "echo one; pwd", 1), tmp_path).split() == ["one", str(tmp_path)]
-    assert run_step(Step("python", "print(6 * 7)  # it's all", 1), tmp_path) == "42\n"
+    assert run_step(Step("python", "print(6 * 7)", 1), tmp_path) == "42\n"
+    assert run_step(Step("python", r"print('it\'s')", 1), tmp_path) == "it's\n"  # no words of a shell
     with pytest.raises(AssertionError, match=r"line 17: exit status 3\n  exit 3"):
         run_step(Step("sh", "exit 3", 17), tmp_path)
     which = run_step(Step("sh", "command -v python", 1), tmp_path).strip()
