@@ -133,7 +133,9 @@ def require_free(folder: Path, record: dict[str, Any], *, overwrite: bool) -> No
         return
     if overwrite:
         return
-    before, now = read_track_record(folder), json.loads(json.dumps(record))
+    now = json.loads(json.dumps(record))
+    unnamed = {"result_sha256": now["result_sha256"]}  # a record of before this was kept
+    before = unnamed | read_track_record(folder)
     grown = now["frames"][: len(before["frames"])] == before["frames"]
     changed = [key for key in now if key != "frames" and before.get(key) != now[key]]
     if changed or not grown:
