@@ -8,8 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from vntoolkit.arrays import FloatArray, Points, Vector3, read_only
+from vntoolkit.checks import require_finite, require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.rigid import RigidTransform
+
+_NO_TRIANGLE = "landmarks: the points lie on a line; choose three that span a triangle"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,11 +65,17 @@ def fit_similarity(source: Points, target: Points) -> Similarity:
     Raises `BadInput` where the points lie on a line, which leaves a turn open.
     """
     source, target = np.asarray(source, np.float64), np.asarray(target, np.float64)
+    require_shape(source, (None, 3), "source points")
+    require_shape(target, source.shape, "target points")
+    require_finite(source, "source points")
+    require_finite(target, "target points")
+    if len(source) < 3:
+        raise BadInput(_NO_TRIANGLE)
     centre_s, centre_t = source.mean(axis=0), target.mean(axis=0)
     covariance = (target - centre_t).T @ (source - centre_s) / len(source)
     u, singular, vt = np.linalg.svd(covariance)
     if not singular[1] > 1e-9 * max(singular[0], 1e-300):
-        raise BadInput("landmarks: the points lie on a line; choose three that span a triangle")
+        raise BadInput(_NO_TRIANGLE)
     signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u) * np.linalg.det(vt))])
     rotation = (u * signs) @ vt
     scale = float((singular * signs).sum() / np.mean(np.sum((source - centre_s) ** 2, axis=1)))

@@ -44,11 +44,11 @@ class Mesh:
         object.__setattr__(self, "vertices", read_only(vertices))
         object.__setattr__(self, "faces", read_only(faces.astype(np.int32, copy=False)))
         for name, width in (("normals", 3), ("colours", 3), ("uv", 2)):
-            values = getattr(self, name)
-            if values is not None:
+            if getattr(self, name) is not None:
+                values = np.asarray(getattr(self, name))
                 require_shape(values, (len(vertices), width), name, BadMesh)
-                require_finite(np.asarray(values), name, BadMesh)
-                object.__setattr__(self, name, read_only(np.asarray(values)))
+                require_finite(values, name, BadMesh)
+                object.__setattr__(self, name, read_only(values))
 
     def with_vertices(self, vertices: Points) -> Mesh:
         """Return the same topology at other positions, normals recomputed if there were any."""

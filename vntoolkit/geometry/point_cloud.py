@@ -35,11 +35,11 @@ class PointCloud:
         require_finite(points, "points", BadMesh)
         object.__setattr__(self, "points", read_only(points))
         for name in ("normals", "colours"):
-            values = getattr(self, name)
-            if values is not None:
+            if getattr(self, name) is not None:
+                values = np.asarray(getattr(self, name))
                 require_shape(values, (len(points), 3), name, BadMesh)
-                require_finite(np.asarray(values), name, BadMesh)
-                object.__setattr__(self, name, read_only(np.asarray(values)))
+                require_finite(values, name, BadMesh)
+                object.__setattr__(self, name, read_only(values))
 
     def to_open3d(self) -> o3d.geometry.PointCloud:
         """Return a copy as an Open3D point cloud."""

@@ -49,7 +49,7 @@ class RigidTransform:
     def from_matrix(cls, matrix: FloatArray) -> RigidTransform:
         """Build from a (4, 4) homogeneous or (3, 4) matrix."""
         matrix = np.asarray(matrix, dtype=np.float64)
-        return cls(rotation=matrix[:3, :3], translation=matrix[:3, 3])
+        return cls(rotation=matrix[:3, :3], translation=matrix[:3, 3:].ravel())
 
     @property
     def matrix(self) -> Matrix4:

@@ -8,6 +8,7 @@ import numpy as np
 
 from vntoolkit.arrays import LinearImage, Mask, read_only
 from vntoolkit.checks import require_shape
+from vntoolkit.errors import BadInput
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -26,9 +27,12 @@ class LinearFrame:
     def __post_init__(self) -> None:
         rgb = np.asarray(self.rgb, dtype=np.float32)
         require_shape(rgb, (None, None, 3), "frame")
-        require_shape(self.clipped, rgb.shape[:2], "clipped mask")
+        clipped = np.asarray(self.clipped)
+        require_shape(clipped, rgb.shape[:2], "clipped mask")
+        if clipped.dtype != np.bool_:
+            raise BadInput(f"clipped mask: expected booleans, got {clipped.dtype}")
         object.__setattr__(self, "rgb", read_only(rgb))
-        object.__setattr__(self, "clipped", read_only(np.asarray(self.clipped)))
+        object.__setattr__(self, "clipped", read_only(clipped))
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -14,6 +14,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from vntoolkit.checks import require_positive
+
 _FULL = 65535
 
 
@@ -23,8 +25,9 @@ def smoothed_over_time(
     """Blend stored integers (h, w, 3) of three frames; the result has 16 significant bits.
 
     sameness: s, as a share of full scale (stored values). A value at full scale stays there, so that clipped
-    pixels are still known.
+    pixels are still known. Raises `BadInput` where sameness is not positive.
     """
+    require_positive(sameness, "sameness")
     out = np.empty(now.shape, np.uint16)
     top = 2**bits - 1
     _blend(before, now, after, np.float32(_FULL / top), np.float32(0.5 / (sameness * top) ** 2), top, out)
