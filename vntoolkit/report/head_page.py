@@ -129,7 +129,8 @@ def _light_section(frames: list[_ShownFrame], rig: Rig, result: HeadCalibration)
         paragraphs=(
             "Every sample is a normal of the shape, in the camera frame, and a colour. The sphere shows "
             "which normals were seen, in the colour of their residual; stars are the lights. Directions are "
-            "M's, channel by channel: where lamps overlap in colour, they lie closer together than these.",
+            "M's, channel by channel: where lamps overlap in colour, these lie closer together than the "
+            "lamps do.",
         ),
         figures=(
             _strip(samples, frames, "Samples on the head, by what became of them."),
