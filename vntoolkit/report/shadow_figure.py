@@ -15,7 +15,7 @@ from vntoolkit.io.label_images import label_colours
 from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
-from vntoolkit.report.pictures import Picture, displayed, picture_of_normals, short_label, web_colour
+from vntoolkit.report.pictures import Picture, cropped, displayed, picture_of_normals, short_label, web_colour
 from vntoolkit.report.raycast_view import View, picture_of
 from vntoolkit.report.tiles import ErrorScale, picture_of_errors, write_tiles
 
@@ -48,7 +48,7 @@ def write_detection_figure(
         tiles[f"light {k}"] = displayed(np.repeat(share, 3, axis=-1))
     for name, found in labels.items():
         tiles[name] = np.where(mask[..., None], label_colours(found), _GROUND).astype(np.uint8)
-    cut = {name: _cropped(tile, mask) for name, tile in tiles.items()}
+    cut = dict(zip(tiles, cropped(list(tiles.values()), mask, 0), strict=True))
     first = dict(list(cut.items())[:_LIGHT_TILES])
     legend = {short_label(label): web_colour(label) for label in _used(labels, mask)}
     write_tiles(path, [first, {name: cut[name] for name in cut if name not in first}], legend=legend)
@@ -65,7 +65,7 @@ def write_recovery_figure(
     names = []
     for name, recovery in recoveries.items():
         mask = recovery.normals.mask
-        normals = _cropped(picture_of_normals(recovery.normals), mask)
+        normals = cropped([picture_of_normals(recovery.normals)], mask, 0)[0]
         height, width = normals.shape[:2]
         row = {
             "normals": normals,
@@ -76,7 +76,7 @@ def write_recovery_figure(
             both = mask & truth.mask
             cosine = (recovery.normals.normals_in_camera * truth.normals_in_camera).sum(-1)
             error = np.where(both, np.rad2deg(np.arccos(np.clip(cosine, -1, 1))), 0.0)
-            row["error of the normals"] = _cropped(picture_of_errors(error, both, _SCALE), mask)
+            row["error of the normals"] = cropped([picture_of_errors(error, both, _SCALE)], mask, 0)[0]
             mean = f": mean error {error[both].mean():.1f}°"
         rows.append(row)
         names.append(f"{name}{mean}")
@@ -85,13 +85,6 @@ def write_recovery_figure(
 
 def _used(labels: Mapping[str, VisibilityLabels], mask: Mask) -> list[int]:
     return sorted({int(label) for found in labels.values() for label in np.unique(found[mask])})
-
-
-def _cropped(picture: Picture, mask: Mask) -> Picture:
-    if not mask.any():
-        return picture
-    v, u = np.nonzero(mask)
-    return picture[v.min() : v.max() + 1, u.min() : u.max() + 1]
 
 
 def _seen_from_the_side(depth: DepthMap, camera: Camera, width: int, height: int) -> Picture:
