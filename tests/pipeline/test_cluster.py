@@ -4,7 +4,6 @@ import hashlib
 import os
 import signal
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -41,7 +40,8 @@ def test_without_dask_one_line_says_what_to_install(
 ) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(MissingDependency, match=r"pip install vntoolkit\[cluster\]"):
-        reconstruct(job_of(dome_capture, tmp_path), scheduler="local")
+        reconstruct(job_of(dome_capture, tmp_path / "out"), scheduler="local")
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow
@@ -94,6 +94,14 @@ def test_a_frame_that_fails_on_a_worker_is_named_here(tmp_path: Path) -> None:
     write_png(tmp_path / "footage" / "f2.png", np.zeros((48, 64, 3), np.uint16))
     with pytest.raises(BadCapture, match=r"f2\.png: no usable pixel"):
         reconstruct(job_of(capture, tmp_path / "out"), scheduler="local", jobs=1)
-    job = replace(job_of(capture, tmp_path / "none"), source=capture.source)
+
+
+@pytest.mark.slow
+def test_a_scheduler_out_of_reach_costs_no_result(dome_capture: DomeCapture, tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    job = job_of(dome_capture, tmp_path / "out")
+    reconstruct(job, frames=FrameRange(stop=2))
+    before = digest(tmp_path)
     with pytest.raises(BadInput, match="no Dask scheduler answers there"):
-        reconstruct(job, scheduler="tcp://127.0.0.1:1")
+        reconstruct(job, scheduler="tcp://127.0.0.1:1", overwrite=True)
+    assert digest(tmp_path) == before

@@ -51,14 +51,18 @@ def run_blocks_on_cluster(
         yield from _collect(client, _for_anywhere(job), blocks, done_frames)
 
 
+def require_scheduler(scheduler: str) -> None:
+    """Raise what `connected` would, without starting anything, so that nothing is written before."""
+    if scheduler != LOCAL:
+        with connected(scheduler, workers=0):
+            return
+    _import_distributed()
+
+
 @contextlib.contextmanager
 def connected(scheduler: str, workers: int) -> Iterator[Any]:
     """A Dask client of a scheduler, which is started and ended here if it is to be local."""
-    try:
-        import dask
-        import distributed
-    except ImportError as error:
-        raise MissingDependency("--scheduler needs Dask: pip install vntoolkit[cluster]") from error
+    dask, distributed = _import_distributed()
     _let_dask_report_errors_only()
     if scheduler == LOCAL:
         with (
@@ -77,6 +81,15 @@ def connected(scheduler: str, workers: int) -> Iterator[Any]:
         raise BadInput(f"--scheduler {scheduler}: no Dask scheduler answers there ({error})") from error
     with client:
         yield client
+
+
+def _import_distributed() -> tuple[Any, Any]:
+    try:
+        import dask
+        import distributed
+    except ImportError as error:
+        raise MissingDependency("--scheduler needs Dask: pip install vntoolkit[cluster]") from error
+    return dask, distributed
 
 
 def _let_dask_report_errors_only() -> None:

@@ -29,7 +29,7 @@ from vntoolkit.io.manifest import (
 from vntoolkit.io.plausibility import findings_from_capture
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.blocks import blocks_of
-from vntoolkit.pipeline.cluster import run_blocks_on_cluster
+from vntoolkit.pipeline.cluster import require_scheduler, run_blocks_on_cluster
 from vntoolkit.pipeline.run_blocks import DoneFrames, run_blocks
 from vntoolkit.pipeline.settled_job import manifest_of_run, settled_job
 
@@ -82,6 +82,8 @@ def reconstruct(
     manifest = manifest_of_run(job, capture, frames)
     if resumes:
         require_resumable(root, manifest)
+    if scheduler is not None:
+        require_scheduler(scheduler)
     require_writable_folder(root)
     if overwrite:
         clear(root)
