@@ -1,6 +1,7 @@
 """Exceptions that nobody foresaw: one line, a status, the trace in a file; and no Ctrl-C is lost."""
 
 import re
+import signal
 import tempfile
 import time
 from pathlib import Path
@@ -61,7 +62,11 @@ def test_an_interrupt_that_strikes_in_a_callback_is_heard(monkeypatch, capsys):
         return 0
 
     monkeypatch.setattr(cli, "build_app", lambda _: app)
-    assert entry.main(["doctor"]) == entry.INTERRUPTED
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it
+    try:
+        assert entry.main(["doctor"]) == entry.INTERRUPTED
+    finally:
+        signal.signal(signal.SIGINT, before)
     said = capsys.readouterr().err
     assert "interrupted: run the same command again to continue" in said
     assert "Traceback" not in said
