@@ -75,7 +75,13 @@ def poses(count: int) -> list[tuple[np.ndarray, np.ndarray]]:
     return made
 
 
-@pytest.mark.parametrize("camera", [PINHOLE, ORTHOGRAPHIC], ids=lambda c: c.model.value)
+@pytest.mark.parametrize(
+    "camera",
+    [
+        pytest.param(PINHOLE, marks=pytest.mark.slow, id="pinhole"),
+        pytest.param(ORTHOGRAPHIC, id="orthographic"),
+    ],
+)
 def test_pose_and_radius_are_found_under_noise_and_wrong_normals(
     camera: Camera, rng: np.random.Generator
 ) -> None:

@@ -124,6 +124,7 @@ def test_averaged_distances_better_the_hull_too(footage, calibrated):
     require_closed_and_outward(mesh)
 
 
+@pytest.mark.slow
 def test_features_place_photographs_far_apart(footage):
     options = replace(
         OPTIONS,

@@ -112,7 +112,9 @@ OCCLUDED_BY = {
 }
 
 
-@pytest.mark.parametrize("name", ["carried", pytest.param("weighted", marks=pytest.mark.slow), "flow"])
+@pytest.mark.parametrize(
+    "name", ["carried", *(pytest.param(other, marks=pytest.mark.slow) for other in ("weighted", "flow"))]
+)
 def test_confidence_holds_the_surface_behind_an_occluder_and_finds_it_again(name: str) -> None:
     video = WrinkledVideo(sway_px=2.0)
     tracker = SurfaceTracker(*video.maps(0), video.camera, OCCLUDED_BY[name])
