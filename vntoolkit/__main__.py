@@ -5,9 +5,11 @@ from __future__ import annotations
 import _thread
 import contextlib
 import os
+import signal
 import sys
 import threading
 from collections.abc import Iterator
+from typing import NoReturn
 
 # Pools that spin while they wait steal the cores from the pool that works: the same frame then takes
 # 17 to 22 ms instead of 7. numba would try TBB first, and complain of one too old. Must be set before numpy
@@ -35,6 +37,18 @@ def main(arguments: list[str] | None = None) -> int:
         hint = str(interrupt) or "run the same command again to continue"
         print(f"\nvntoolkit: interrupted: {hint}", file=sys.stderr)
         return INTERRUPTED
+
+
+def run() -> NoReturn:
+    """Be the whole process: run the command line and exit with its status.
+
+    A Ctrl-C that comes when all is done would strike in what Python clears up, and leave a traceback there;
+    it ends the process as it ends any other.
+    """
+    status = main()
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # a shell's background job ignores it
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    sys.exit(status)
 
 
 @contextlib.contextmanager
@@ -95,4 +109,4 @@ def _set_up_logging() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run()

@@ -2,6 +2,8 @@
 
 import re
 import signal
+import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -70,3 +72,17 @@ def test_an_interrupt_that_strikes_in_a_callback_is_heard(monkeypatch, capsys):
     said = capsys.readouterr().err
     assert "interrupted: run the same command again to continue" in said
     assert "Traceback" not in said
+
+
+def test_an_interrupt_that_strikes_when_all_is_done_leaves_no_traceback():
+    script = """
+import atexit, os, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
+atexit.register(lambda: os.kill(os.getpid(), signal.SIGINT))
+sys.argv = ["vntoolkit", "--version"]
+from vntoolkit.__main__ import run
+run()
+"""
+    done = subprocess.run([sys.executable, "-c", script], check=False, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (-signal.SIGINT, "")
+    assert done.stdout
