@@ -5,11 +5,9 @@ from __future__ import annotations
 import _thread
 import contextlib
 import os
-import signal
 import sys
 import threading
 from collections.abc import Iterator
-from typing import NoReturn
 
 # Pools that spin while they wait steal the cores from the pool that works: the same frame then takes
 # 17 to 22 ms instead of 7. numba would try TBB first, and complain of one too old. Must be set before numpy
@@ -39,13 +37,15 @@ def main(arguments: list[str] | None = None) -> int:
         return INTERRUPTED
 
 
-def run() -> NoReturn:
+def run() -> None:
     """Be the whole process: run the command line and exit with its status.
 
     A Ctrl-C that comes when all is done would strike in what Python clears up, and leave a traceback there;
     it ends the process as it ends any other.
     """
     status = main()
+    import signal  # not above: a Ctrl-C while that is being loaded would leave a traceback too
+
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # a shell's background job ignores it
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     sys.exit(status)
