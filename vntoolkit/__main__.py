@@ -6,8 +6,10 @@ import _thread
 import contextlib
 import os
 import sys
-import threading
-from collections.abc import Iterator
+
+TYPE_CHECKING = False  # as typing has it; what is loaded here is loaded before Ctrl-C is met with a sentence
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 # Pools that spin while they wait steal the cores from the pool that works: the same frame then takes
 # 17 to 22 ms instead of 7. numba would try TBB first, and complain of one too old. Must be set before numpy
@@ -44,7 +46,7 @@ def run() -> None:
     it ends the process as it ends any other.
     """
     status = main()
-    import signal  # not above: a Ctrl-C while that is being loaded would leave a traceback too
+    import signal
 
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # a shell's background job ignores it
         signal.signal(signal.SIGINT, signal.SIG_DFL)
@@ -58,6 +60,8 @@ def _no_interrupt_lost() -> Iterator[None]:
 
     def hook(unraisable: sys.UnraisableHookArgs) -> None:
         if issubclass(unraisable.exc_type, KeyboardInterrupt):
+            import threading
+
             again = threading.Timer(_OUT_OF_CALLBACK_S, _thread.interrupt_main)
             again.daemon = True
             again.start()
