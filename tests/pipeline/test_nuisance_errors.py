@@ -8,6 +8,9 @@ from vntoolkit.simulation.render import RenderOptions
 from vntoolkit.simulation.scene import SceneOptions, build_scene
 
 
+pytestmark = pytest.mark.slow  # a capture for every nuisance
+
+
 @pytest.fixture(scope="module")
 def table():
     scene = build_scene("cylinder", SceneOptions(width=240, height=180))

@@ -121,6 +121,7 @@ def job_of(capture: DomeCapture, out: Path, **options: object) -> Reconstruction
     )
 
 
+@pytest.mark.slow
 def test_smoothed_frames_do_not_depend_on_the_blocks(dome_capture: DomeCapture, tmp_path: Path) -> None:
     capture = open_capture(dome_capture.source)
     whole = {f.number: f.values for f in smoothed_frames(capture, range(20), 0.02)}
