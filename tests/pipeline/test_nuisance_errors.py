@@ -7,7 +7,6 @@ from vntoolkit.simulation.nuisances import Nuisances, nuisance_names
 from vntoolkit.simulation.render import RenderOptions
 from vntoolkit.simulation.scene import SceneOptions, build_scene
 
-
 pytestmark = pytest.mark.slow  # a capture for every nuisance
 
 
