@@ -1,11 +1,14 @@
 """Videos at their edges: a pixel or three, names that look like protocols, frames left out, odd rates."""
 
+from pathlib import Path
+
 import av
 import numpy as np
 import pytest
 
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.captures import open_capture
+from vntoolkit.io.ffmpeg import open_video
 from vntoolkit.io.video import VideoReader, write_video
 
 
@@ -47,6 +50,49 @@ def test_a_name_is_no_protocol(tmp_path, rng, monkeypatch, name):
     write_video(name, frames, 25)
     assert [path.name for path in tmp_path.iterdir()] == [name]
     np.testing.assert_array_equal(next(open_capture(name).encoded_frames(1)).values, frames[1])
+
+
+def _write_video_with_broken_tags(path, frames):
+    """A title of the file and one of the stream, both in Latin-1, where Matroska asks for UTF-8."""
+    with av.open(str(path), "w", format="matroska") as container:
+        stream = container.add_stream("ffv1", rate=25)
+        stream.height, stream.width = frames[0].shape[:2]
+        stream.pix_fmt = "bgr0"
+        container.metadata["title"] = stream.metadata["title"] = "TITLE OF A TAKE"
+        for frame in [*(av.VideoFrame.from_ndarray(values, format="rgb24") for values in frames), None]:
+            container.mux(stream.encode(frame))
+    plain = path.read_bytes()
+    assert plain.count(b"TITLE OF A TAKE") == 2
+    path.write_bytes(plain.replace(b"TITLE OF A TAKE", "Rücken, Äpfel ß".encode("latin-1")))
+
+
+def test_tags_that_are_no_utf8_keep_no_video_from_opening(tmp_path, rng):
+    frames = _noise(rng, 2, 16, 24)
+    _write_video_with_broken_tags(tmp_path / "a.mkv", frames)
+    for number, values in VideoReader(tmp_path / "a.mkv").frames():
+        np.testing.assert_array_equal(values, frames[number])
+
+
+def _open_as_18(name, *, metadata_errors="strict"):
+    """PyAV 18 fails on such a tag unless told otherwise."""
+    if metadata_errors == "strict":
+        raise UnicodeDecodeError("utf-8", b"\xfc", 0, 1, "invalid start byte")
+    return "opened"
+
+
+def _open_as_19(name):
+    """PyAV 19 opens it as it is; the option is gone, and naming it a TypeError."""
+    return "opened"
+
+
+@pytest.mark.parametrize("behaviour", [_open_as_18, _open_as_19])
+def test_videos_open_with_every_pyav_that_the_lock_names(monkeypatch, behaviour):
+    class Container:
+        class streams:
+            video = ("picture",)
+
+    monkeypatch.setattr(av, "open", lambda *given, **named: behaviour(*given, **named) and Container)
+    assert open_video(Path("a.mkv")) == (Container, "picture")
 
 
 @pytest.mark.parametrize("part", [(0, None, 4), (1, 11, 3), (2, 4, 5)])

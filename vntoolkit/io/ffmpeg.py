@@ -20,7 +20,7 @@ def open_video(path: Path) -> tuple[Any, Any]:
     av.logging.restore_default_callback()
     av.logging.set_libav_level(av.logging.PANIC)
     try:
-        container = av.open(file_name(path), metadata_errors="replace")
+        container = _opened(file_name(path))
     except av_errors() as error:
         raise BadCapture(
             f"{path}: cannot be opened as a video ({reason_of(error)}); it is damaged, cut off or "
@@ -30,6 +30,20 @@ def open_video(path: Path) -> tuple[Any, Any]:
         container.close()
         raise BadCapture(f"{path}: holds no video stream")
     return container, container.streams.video[0]
+
+
+def _opened(name: str) -> Any:
+    """Open a file whose title, author or other tag may be no UTF-8; none of them is read here.
+
+    PyAV up to 18 raises `UnicodeDecodeError` unless told otherwise; from 19 on it hands such bytes on as lone
+    surrogates, and has no option for it.
+    """
+    import av
+
+    try:
+        return av.open(name)
+    except UnicodeDecodeError:
+        return av.open(name, metadata_errors="replace")
 
 
 def file_name(path: Path) -> str:
