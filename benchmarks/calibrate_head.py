@@ -20,17 +20,19 @@ from typing import Any
 import numpy as np
 
 from benchmarks.head_truth import HeadTruth
-from vntoolkit.calibration.head.fusion import FusionOptions, Surface
-from vntoolkit.calibration.head.hull import View, box_about_points, fit_hull
-from vntoolkit.calibration.head.shape import fit_shape
-from vntoolkit.calibration.head.turn import spread_over_turn
-from vntoolkit.io.frame_range import FrameRange
+from vntoolkit.calibration.head.hull import View, box_about_points, fit_hull, spread_over_turn
+from vntoolkit.calibration.head.shape import FusionOptions, Surface, fit_shape
+from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.pipeline.calibrate import CalibrationJob
-from vntoolkit.pipeline.calibrate_head import HeadCalibration, HeadOptions, calibrate_head
-from vntoolkit.pipeline.head_footage import Features, FollowOptions
-from vntoolkit.pipeline.simulate import simulate
-from vntoolkit.pipeline.simulation_job import SimulationFolder, SimulationJob
+from vntoolkit.pipeline.calibrate_head import (
+    Features,
+    FollowOptions,
+    HeadCalibration,
+    HeadOptions,
+    calibrate_head,
+)
+from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob, simulate
 from vntoolkit.simulation.scene import SceneOptions
 
 

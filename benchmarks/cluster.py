@@ -23,13 +23,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from benchmarks.pipeline import footage, options_of, rig_of
-from vntoolkit.io.frame_range import FrameRange
-from vntoolkit.io.video import write_video
+from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.footage.video import write_video
 from vntoolkit.pipeline.block_work import ReconstructionJob
-from vntoolkit.pipeline.blocks import BLOCK_FRAMES
 from vntoolkit.pipeline.cluster import connected
 from vntoolkit.pipeline.outputs import ReconstructionFolder
-from vntoolkit.pipeline.reconstruct import reconstruct
+from vntoolkit.pipeline.reconstruct import BLOCK_FRAMES, reconstruct
 from vntoolkit.shadows.detector import ShadowMethod
 
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap
-from vntoolkit.io.glb import write_glb
-from vntoolkit.io.usd import write_usd_meshes, write_usd_sequence
+from vntoolkit.io.maps_and_meshes.glb import write_glb
+from vntoolkit.io.maps_and_meshes.usd import write_usd_meshes, write_usd_sequence
 from vntoolkit.meshing.surface import mesh_from_depth
 
 FRAMES, SIDE, RUNS, RATE_HZ = 50, 158, 7, 60.0

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.geometry.rigid import RigidTransform
-from vntoolkit.io.meshes import read_mesh
+from vntoolkit.io.maps_and_meshes.meshes import read_mesh
 from vntoolkit.pipeline.calibrate_head import HeadCalibration
 
 _STILL = 1e-5  # of the length unit: what a rigid part may be off

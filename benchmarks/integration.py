@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from vntoolkit.evaluation.analytic_surfaces import disc_with_hole, peaks, tear
+from vntoolkit.evaluation.depth_error import disc_with_hole, peaks, tear
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.integration.integrate import DepthIntegrator

@@ -22,12 +22,12 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.pipeline import footage, rig_of, write_h264
-from vntoolkit.io.captures import open_capture
-from vntoolkit.io.live_sources import FileSource, TimedFrame
-from vntoolkit.io.video import write_video
-from vntoolkit.pipeline.live import LatencyMeter, LiveRun
-from vntoolkit.pipeline.live_frames import LiveProcessor, LiveResult
-from vntoolkit.report.live_viewer import LiveViewer
+from vntoolkit.io.footage.captures import open_capture
+from vntoolkit.io.footage.video import write_video
+from vntoolkit.live.capture import LatencyMeter, LiveRun
+from vntoolkit.live.frames import LiveProcessor, LiveResult
+from vntoolkit.live.page import LiveViewer
+from vntoolkit.live.sources import FileSource, TimedFrame
 from vntoolkit.report.viewer import ViewerOptions
 
 _RATE_HZ = 30.0

@@ -24,8 +24,8 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.io.captures import open_capture
-from vntoolkit.io.video import write_video
+from vntoolkit.io.footage.captures import open_capture
+from vntoolkit.io.footage.video import write_video
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.block_work import ReconstructionJob

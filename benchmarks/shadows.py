@@ -24,17 +24,14 @@ from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.integration.options import IntegrationOptions, Integrator
 from vntoolkit.normals.inversion import normals_from_frame
-from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.photometry.levelling import Leveller
-from vntoolkit.photometry.visibility import count_lit, lit_from_labels
+from vntoolkit.photometry.frame import LinearFrame, count_lit, lit_from_labels
+from vntoolkit.photometry.lambertian import Leveller
 from vntoolkit.pipeline.referenced_captures import CAPTURES, ReferencedCapture, read_capture
 from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
 from vntoolkit.shadows.recovery import RecoveryMethod, RecoveryOptions, recover_normals
-from vntoolkit.simulation.frame import FrameTruth, SimulatedFrame
-from vntoolkit.simulation.image_formation import true_response
-from vntoolkit.simulation.near_response import true_varying_response
+from vntoolkit.simulation.image_formation import true_response, true_varying_response
 from vntoolkit.simulation.nuisances import Nuisances
-from vntoolkit.simulation.render import render_frame
+from vntoolkit.simulation.render import FrameTruth, SimulatedFrame, render_frame
 from vntoolkit.simulation.scene import SceneOptions, build_scene
 
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.mesh_sequence import MeshSequence
-from vntoolkit.io.usd import write_usd_meshes
+from vntoolkit.io.maps_and_meshes.usd import write_usd_meshes
 from vntoolkit.pipeline.dress import DressOptions, dress, write_dressed_figure
 from vntoolkit.skinning.blending import Blend
 from vntoolkit.skinning.clock import ClockOptions, Loop

@@ -19,15 +19,13 @@ from vntoolkit.evaluation.angular_error import compare_normals
 from vntoolkit.geometry.board_layout import BoardLayout
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.integration.integrate import DepthIntegrator
-from vntoolkit.io.frame_range import FrameRange
+from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.rigs import write_rig
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.pipeline.calibrate import CalibrationJob, calibrate_board
-from vntoolkit.pipeline.simulate import simulate
-from vntoolkit.pipeline.simulation_job import SimulationFolder, SimulationJob
-from vntoolkit.report.frame_row import row_of_frame
-from vntoolkit.report.numbers import number, write_numbers
-from vntoolkit.report.tiles import ErrorScale, write_tiles
+from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob, simulate
+from vntoolkit.report.recipes_page import number, write_numbers
+from vntoolkit.report.tiles import ErrorScale, row_of_frame, write_tiles
 from vntoolkit.simulation.render import render_frame
 from vntoolkit.simulation.scene import SceneOptions, build_scene
 

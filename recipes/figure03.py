@@ -17,18 +17,16 @@ import numpy as np
 from vntoolkit.evaluation.angular_error import compare_normals
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.integration.integrate import DepthIntegrator
-from vntoolkit.io.frame_range import FrameRange
-from vntoolkit.io.meshes import write_mesh
+from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.maps_and_meshes.meshes import write_mesh
 from vntoolkit.io.rigs import write_rig
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.pipeline.calibrate import CalibrationJob
 from vntoolkit.pipeline.calibrate_head import calibrate_head
-from vntoolkit.pipeline.simulate import simulate
-from vntoolkit.pipeline.simulation_job import SimulationFolder, SimulationJob
-from vntoolkit.report.frame_row import row_of_frame
+from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob, simulate
 from vntoolkit.report.head_figure import write_head_figure
-from vntoolkit.report.numbers import number, write_numbers
-from vntoolkit.report.tiles import ErrorScale, write_tiles
+from vntoolkit.report.recipes_page import number, write_numbers
+from vntoolkit.report.tiles import ErrorScale, row_of_frame, write_tiles
 from vntoolkit.simulation.image_formation import true_response
 from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.render import render_frame

@@ -17,8 +17,8 @@ import numpy as np
 from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.normals.inversion import normals_from_frame
-from vntoolkit.photometry.visibility import count_lit
-from vntoolkit.report.numbers import number, write_numbers
+from vntoolkit.photometry.frame import count_lit
+from vntoolkit.report.recipes_page import number, write_numbers
 from vntoolkit.report.shadow_figure import Recovery, write_recovery_figure
 from vntoolkit.shadows.detector import ShadowDetector
 from vntoolkit.shadows.recovery import recover_normals

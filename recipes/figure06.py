@@ -16,16 +16,20 @@ from pathlib import Path
 import numpy as np
 
 from vntoolkit.evaluation.angular_error import compare_normals
-from vntoolkit.evaluation.mesh_alignment import Alignment, AlignmentOptions, align_mesh
-from vntoolkit.evaluation.mesh_distance import mesh_distance
-from vntoolkit.evaluation.vertex_distance import vertex_distances
+from vntoolkit.evaluation.mesh_comparison import (
+    Alignment,
+    AlignmentOptions,
+    align_mesh,
+    mesh_distance,
+    vertex_distances,
+)
 from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.normals.photometric_stereo import normals_from_lights
 from vntoolkit.report.error_figures import write_cumulative_errors
-from vntoolkit.report.numbers import number, write_numbers
 from vntoolkit.report.raycast_view import View, picture_of
+from vntoolkit.report.recipes_page import number, write_numbers
 from vntoolkit.report.tiles import write_tiles
 from vntoolkit.simulation.image_formation import exposure_of_scene, light_colours_of, true_response
 from vntoolkit.simulation.lights import Lighting

@@ -16,13 +16,13 @@ import numpy as np
 
 from vntoolkit.calibration.board import BoardOptions
 from vntoolkit.cli.calibrate import board
-from vntoolkit.cli.evaluate_cylinder import cylinder
+from vntoolkit.cli.evaluate import cylinder
 from vntoolkit.cli.reconstruct import reconstruct
 from vntoolkit.cli.simulate import simulate
 from vntoolkit.pipeline.evaluate_cylinder import CylinderEvaluation
 from vntoolkit.pipeline.options import Product, ReconstructOptions
-from vntoolkit.report.numbers import number, write_numbers
-from vntoolkit.simulation.rigid.board_sweep import SWEPT_LAYOUT
+from vntoolkit.report.recipes_page import number, write_numbers
+from vntoolkit.simulation.rigid.board import SWEPT_LAYOUT
 
 
 def measured(out: Path, name: str, degree: int, frames: str) -> CylinderEvaluation:

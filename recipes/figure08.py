@@ -15,13 +15,13 @@ from vntoolkit.cli.calibrate import board
 from vntoolkit.cli.reconstruct import reconstruct
 from vntoolkit.cli.simulate import simulate
 from vntoolkit.evaluation.track_error import TrackError
-from vntoolkit.io.seams import read_seams
+from vntoolkit.io.results.seams import read_seams
 from vntoolkit.pipeline.checkerboard import write_checkerboard
 from vntoolkit.pipeline.evaluate_tracks import evaluate_tracks, write_track_errors
 from vntoolkit.pipeline.options import Product, ReconstructOptions
 from vntoolkit.pipeline.track import TrackJob, track
-from vntoolkit.report.numbers import number, write_numbers
-from vntoolkit.report.track_plot import write_error_plot, write_moments
+from vntoolkit.report.error_figures import write_error_plot, write_moments
+from vntoolkit.report.recipes_page import number, write_numbers
 from vntoolkit.shadows.detector import ShadowMethod
 from vntoolkit.simulation.scene import SceneOptions
 from vntoolkit.tracking.published import Tracker, options_of

@@ -17,10 +17,15 @@ import numpy as np
 
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.mesh_sequence import MeshSequence
-from vntoolkit.io.sequences import MeshSequenceWriter, read_mesh_sequence
-from vntoolkit.pipeline.dress import DressOptions, dress, write_dressed_figure
-from vntoolkit.pipeline.dress_inputs import read_motion, read_tracked_cloth
-from vntoolkit.report.numbers import number, write_numbers
+from vntoolkit.io.results.sequences import MeshSequenceWriter, read_mesh_sequence
+from vntoolkit.pipeline.dress import (
+    DressOptions,
+    dress,
+    read_motion,
+    read_tracked_cloth,
+    write_dressed_figure,
+)
+from vntoolkit.report.recipes_page import number, write_numbers
 from vntoolkit.report.turntable import PreviewOptions, write_preview
 from vntoolkit.simulation.scene import SceneOptions, build_scene
 from vntoolkit.skinning.clock import ClockOptions, Loop

@@ -8,7 +8,7 @@ Sines, no captured person: four strides of a figure 1.73 m tall, in centimetres,
 import argparse
 from pathlib import Path
 
-from vntoolkit.io.motion_bvh import write_bvh
+from vntoolkit.io.motion.bvh import write_bvh
 from vntoolkit.skinning.gait import walking_motion
 
 

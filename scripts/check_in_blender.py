@@ -18,8 +18,14 @@ from pathlib import Path
 
 import numpy as np
 
-from vntoolkit.pipeline.dress import DressedFigure, DressOptions, dress, write_dressed_figure
-from vntoolkit.pipeline.dress_inputs import read_motion, read_tracked_cloth
+from vntoolkit.pipeline.dress import (
+    DressedFigure,
+    DressOptions,
+    dress,
+    read_motion,
+    read_tracked_cloth,
+    write_dressed_figure,
+)
 from vntoolkit.skinning.clock import ClockOptions
 from vntoolkit.skinning.kinematics import pose_of_frame
 

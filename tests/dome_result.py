@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.pipeline.conftest import write_dome_capture
-from vntoolkit.io.images import write_png
+from vntoolkit.io.footage.images import write_png
 from vntoolkit.photometry.rig import FitQuality
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.checkerboard import write_checkerboard

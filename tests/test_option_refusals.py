@@ -7,7 +7,7 @@ import pytest
 
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.geometry.skeleton import Skeleton
+from vntoolkit.geometry.motion import Skeleton
 
 ONE_JOINT = Skeleton(names=("hips",), parents=np.array([-1]), offsets=np.zeros((1, 3)))
 STILL = {

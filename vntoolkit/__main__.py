@@ -79,8 +79,7 @@ def _run(arguments: list[str] | None) -> int:
     from cyclopts import CycloptsError
 
     from vntoolkit.cli import build_app
-    from vntoolkit.cli.internal_error import line_from_unforeseen
-    from vntoolkit.cli.usage import line_from_usage_error
+    from vntoolkit.cli.messages import line_from_unforeseen, line_from_usage_error
     from vntoolkit.errors import VntError
 
     _set_up_logging()

@@ -55,14 +55,6 @@ def require_some(mask: npt.NDArray[np.bool_], name: str, error: type[BadInput] =
         raise error(f"{name}: no valid pixel (the mask is empty)")
 
 
-def require_unit_length(vectors: npt.NDArray[Any], name: str) -> None:
-    """Raise unless all vectors (last axis) have unit length to 1e-3."""
-    lengths = np.linalg.norm(vectors, axis=-1)
-    worst = float(np.max(np.abs(lengths - 1.0), initial=0.0))
-    if not worst <= _UNIT_LENGTH_TOLERANCE:
-        raise BadInput(f"{name}: expected unit vectors, the worst length is off by {worst:.3g}")
-
-
 def require_positive(value: float, name: str) -> None:
     """Raise unless value is a finite number above 0."""
     if not 0 < value < math.inf:

@@ -9,7 +9,9 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import importlib
+import os
 import sys
+import threading
 from collections.abc import Iterator
 from typing import Any
 
@@ -18,10 +20,10 @@ from vntoolkit.errors import MissingDependency
 # shared object -> Debian and Ubuntu package
 OPEN3D_LIBRARIES = {"libGL.so.1": "libgl1", "libEGL.so.1": "libegl1", "libusb-1.0.so.0": "libusb-1.0-0"}
 PYMESHLAB_LIBRARIES = {"libGL.so.1": "libgl1", "libOpenGL.so.0": "libopengl0"}
-
 _TRIM_THRESHOLD, _TOP_PAD, _MMAP_THRESHOLD = -1, -2, -3  # of mallopt(3)
 _KEPT_BYTES = 1 << 30
 _MORE_THAN_A_HEAP = 1 << 27  # bytes; threads other than the first have heaps of half of that
+_lock = threading.Lock()
 
 
 def missing_packages(libraries: dict[str, str]) -> list[str]:
@@ -100,3 +102,29 @@ def _import(module: str, libraries: dict[str, str]) -> Any:
         raise MissingDependency(
             f"cannot import {module} ({error}): pip install --upgrade {module}"
         ) from error
+
+
+# Keeps C libraries quiet while they decode: what is wrong with a file is said once, by the error raised.
+
+
+@contextlib.contextmanager
+def silenced_native_output() -> Iterator[None]:
+    """Send file descriptor 2 of this process to nowhere; for libpng, libtiff and OpenEXR, which write to it.
+
+    Takes 20 µs. Descriptors belong to the whole process, so a line that another thread writes in the meantime
+    is lost too: keep the body short.
+    """
+    with _lock:
+        saved = nowhere = None
+        with contextlib.suppress(OSError):  # no descriptor left, or none open: then nothing is kept quiet
+            saved = os.dup(2)
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, 2)
+        try:
+            yield
+        finally:
+            if saved is not None:
+                os.dup2(saved, 2)
+                os.close(saved)
+            if nowhere is not None:
+                os.close(nowhere)

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from vntoolkit.calibration.board import BoardOptions, fit_response_to_board
-from vntoolkit.calibration.board_camera import IntrinsicsOptions, fit_camera
+from tests.attached_shadow import shaded_rgb_from_normals
+from vntoolkit.calibration.board import BoardOptions, IntrinsicsOptions, fit_camera, fit_response_to_board
 from vntoolkit.calibration.board_detection import BoardDetector
 from vntoolkit.calibration.fit import FitOptions
 from vntoolkit.errors import BadCalibration, BadInput
@@ -16,7 +16,6 @@ from vntoolkit.geometry.board_layout import MARKER_DICTIONARY, NORMAL_IN_BOARD, 
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.photometry.lambertian import shaded_rgb_from_normals
 from vntoolkit.photometry.response import LightResponse
 
 LAYOUT = BoardLayout()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vntoolkit.calibration.board_camera import IntrinsicsOptions, fit_camera
+from vntoolkit.calibration.board import IntrinsicsOptions, fit_camera
 from vntoolkit.calibration.board_detection import BoardSighting
 from vntoolkit.errors import BadCalibration
 from vntoolkit.geometry.board_layout import BoardLayout

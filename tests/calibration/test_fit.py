@@ -5,10 +5,17 @@ import logging
 import numpy as np
 import pytest
 
-from vntoolkit.calibration.fit import FitMethod, FitOptions, ResponseModel, fit_response
-from vntoolkit.calibration.robust import Design, fit_by_trimming
+from tests.attached_shadow import shaded_rgb_from_normals
+from vntoolkit.calibration.fit import (
+    Design,
+    FitMethod,
+    FitOptions,
+    ResponseModel,
+    fit_by_trimming,
+    fit_response,
+)
 from vntoolkit.errors import BadCalibration, BadInput
-from vntoolkit.photometry.lambertian import rgb_from_normals, shaded_rgb_from_normals
+from vntoolkit.photometry.lambertian import rgb_from_normals
 from vntoolkit.photometry.response import LightResponse
 
 DIRECTIONS = np.array([[0.6, 0.0, -0.8], [-0.36, 0.48, -0.8], [-0.36, -0.48, -0.8]])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vntoolkit.calibration.head.affine import fit_affine_model, metric_poses
+from vntoolkit.calibration.head.first_poses import fit_affine_model, metric_poses
 from vntoolkit.calibration.head.light import LightOptions, fit_light
 from vntoolkit.calibration.head.samples import HeadSamples
 from vntoolkit.calibration.head.silhouettes import Silhouette, SilhouetteOptions, require_head

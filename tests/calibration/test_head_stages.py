@@ -12,14 +12,20 @@ from tests.calibration.turning_egg import (
     turning_poses,
 )
 from vntoolkit.calibration.fit import ResponseModel
-from vntoolkit.calibration.head.contrast import ContrastOptions, local_contrast
-from vntoolkit.calibration.head.hull import Box, HullOptions, View, fit_hull, mesh_of_grid
+from vntoolkit.calibration.head.hull import (
+    Box,
+    HullOptions,
+    View,
+    fit_hull,
+    mesh_of_grid,
+    neighbours_of,
+    turn_angles_deg,
+)
 from vntoolkit.calibration.head.light import LightOptions, fit_light
 from vntoolkit.calibration.head.samples import HeadRays, HeadSamples, spread_over_orientations
 from vntoolkit.calibration.head.sift import joined_matches
 from vntoolkit.calibration.head.silhouettes import SilhouetteOptions, find_silhouette
-from vntoolkit.calibration.head.tracks import TrackBuilder, TrackOptions
-from vntoolkit.calibration.head.turn import neighbours_of, turn_angles_deg
+from vntoolkit.calibration.head.tracks import ContrastOptions, TrackBuilder, TrackOptions, local_contrast
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 

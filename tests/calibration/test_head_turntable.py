@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from vntoolkit.calibration.head.contrast import ContrastOptions, local_contrast
-from vntoolkit.calibration.head.fusion import FusionOptions, fuse_points
 from vntoolkit.calibration.head.hull import Box, HullOptions, View, fit_hull, mesh_of_grid
 from vntoolkit.calibration.head.poses import PoseOptions, PoseStart, solve_head_motion
+from vntoolkit.calibration.head.shape import FusionOptions, fuse_points
 from vntoolkit.calibration.head.sift import SiftBuilder, SiftOptions, require_features
 from vntoolkit.calibration.head.stereo import StereoOptions, hull_depth, stereo_points
+from vntoolkit.calibration.head.tracks import ContrastOptions, local_contrast
 from vntoolkit.errors import BadCalibration
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.rigid import RigidTransform

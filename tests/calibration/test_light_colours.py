@@ -3,8 +3,12 @@
 import numpy as np
 import pytest
 
-from vntoolkit.calibration.light_colours import fit_light_colours, with_light_colours
-from vntoolkit.calibration.lights import LightColours, response_from_lights
+from vntoolkit.calibration.lights import (
+    LightColours,
+    fit_light_colours,
+    response_from_lights,
+    with_light_colours,
+)
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse

@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vntoolkit.calibration.press_fit import fit_label_offset, fit_response_to_presses
 from vntoolkit.calibration.presses import (
     LabelOffset,
     Press,
     PressOptions,
+    fit_label_offset,
+    fit_response_to_presses,
     normals_of_press,
     pairs_from_samples,
     samples_from_press,
@@ -18,8 +19,7 @@ from vntoolkit.calibration.varying import VariationOptions, fit_varying_response
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.lambertian import rgb_from_normals, scaled_normals_from_rgb
-from vntoolkit.photometry.response import LightResponse
-from vntoolkit.photometry.variation import ResponseVariation, powers_to_degree
+from vntoolkit.photometry.response import LightResponse, ResponseVariation, powers_to_degree
 
 MATRIX = np.array([[0.4, 0.1, -0.42], [-0.2, 0.35, -0.45], [-0.15, -0.35, -0.5]])
 LEVEL = -MATRIX[:, 2]

@@ -3,12 +3,18 @@
 import numpy as np
 import pytest
 
-from vntoolkit.calibration.sphere import SphereOptions, fit_response_to_sphere, sphere_normals
-from vntoolkit.calibration.sphere_outline import Circle, find_ball_outline, outline_from_mask
+from tests.attached_shadow import shaded_rgb_from_normals
+from vntoolkit.calibration.sphere import (
+    Circle,
+    SphereOptions,
+    find_ball_outline,
+    fit_response_to_sphere,
+    outline_from_mask,
+    sphere_normals,
+)
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.photometry.lambertian import shaded_rgb_from_normals
 from vntoolkit.photometry.response import LightResponse
 
 WIDTH, HEIGHT = 240, 180

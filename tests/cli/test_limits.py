@@ -13,11 +13,11 @@ from vntoolkit.errors import BadCapture, BadInput, BadMesh
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.mesh_sequence import MeshSequence
-from vntoolkit.io.images import read_image, write_png
+from vntoolkit.io.footage.images import read_image, write_png
 from vntoolkit.io.limits import ReadingLimits, limited_to, reading_limits
-from vntoolkit.io.meshes import read_mesh, read_point_cloud, write_mesh
+from vntoolkit.io.maps_and_meshes.meshes import read_mesh, read_point_cloud, write_mesh
+from vntoolkit.io.results.sequences import write_mesh_sequence
 from vntoolkit.io.rigs import read_rig, write_rig
-from vntoolkit.io.sequences import write_mesh_sequence
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.block_work import ReconstructionJob

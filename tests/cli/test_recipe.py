@@ -9,8 +9,7 @@ import pytest
 
 from vntoolkit.cli import recipe
 from vntoolkit.errors import BadInput
-from vntoolkit.report.numbers import number, write_numbers
-from vntoolkit.report.recipes_page import read_numbers
+from vntoolkit.report.recipes_page import number, read_numbers, write_numbers
 
 ROOT = Path(__file__).parents[2]
 
@@ -35,7 +34,7 @@ def made_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Two recipes: one that works, one that fails with a clear line."""
     scripts = {
         "good": '"""Figure 1: a made-up one."""\nimport sys\nfrom pathlib import Path\n'
-        "from vntoolkit.report.numbers import number, write_numbers\n"
+        "from vntoolkit.report.recipes_page import number, write_numbers\n"
         'folder = Path(sys.argv[sys.argv.index("--out") + 1])\n'
         'quick = "--quick" in sys.argv\n'
         'print(write_numbers(folder, [number("answer", 21.0 if quick else 42.0, "", 40)]))\n',

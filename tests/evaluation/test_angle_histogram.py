@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from vntoolkit.errors import BadInput
-from vntoolkit.evaluation.angle_histogram import AngleHistogram
-from vntoolkit.evaluation.angular_error import summarise_angles
+from vntoolkit.evaluation.angular_error import AngleHistogram, summarise_angles
 
 
 def test_parts_summarise_like_the_whole(rng: np.random.Generator) -> None:

@@ -1,9 +1,16 @@
 import numpy as np
 import pytest
 
+from tests.evaluation.seen_cylinder import cylinder_normals
 from vntoolkit.errors import BadInput
-from vntoolkit.evaluation.cylinder import Cylinder, camera_rays, cylinder_normals, intersect
-from vntoolkit.evaluation.cylinder_error import axis_error_deg, radius_from_distance, side_angles
+from vntoolkit.evaluation.cylinder import (
+    Cylinder,
+    axis_error_deg,
+    camera_rays,
+    intersect,
+    radius_from_distance,
+    side_angles,
+)
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
 

@@ -3,9 +3,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from vntoolkit.errors import BadMesh, SolverFailed
-from vntoolkit.evaluation.mesh_alignment import Alignment, AlignmentOptions, align_mesh
-from vntoolkit.evaluation.mesh_distance import mesh_distance
-from vntoolkit.evaluation.vertex_distance import vertex_distances
+from vntoolkit.evaluation.mesh_comparison import (
+    Alignment,
+    AlignmentOptions,
+    align_mesh,
+    mesh_distance,
+    vertex_distances,
+)
 from vntoolkit.geometry.mesh import Mesh
 
 SIMILARITY = AlignmentOptions(free=Alignment.SIMILARITY)

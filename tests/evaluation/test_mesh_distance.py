@@ -2,9 +2,12 @@ import numpy as np
 import pytest
 
 from vntoolkit.errors import BadMesh
-from vntoolkit.evaluation.mesh_distance import mesh_distance
-from vntoolkit.evaluation.mesh_quality import mesh_quality, triangle_aspects
-from vntoolkit.evaluation.vertex_distance import vertex_distances
+from vntoolkit.evaluation.mesh_comparison import (
+    mesh_distance,
+    mesh_quality,
+    triangle_aspects,
+    vertex_distances,
+)
 from vntoolkit.geometry.mesh import Mesh
 
 

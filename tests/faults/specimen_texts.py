@@ -6,8 +6,8 @@ import json
 from pathlib import Path
 
 from tests.motion_texts import AMC, ASF, BVH
-from vntoolkit.io.frame_log import FrameEntry, FrameLog
-from vntoolkit.io.manifest import InputEntry, Manifest, write_manifest
+from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
+from vntoolkit.io.results.manifest import InputEntry, Manifest, write_manifest
 from vntoolkit.io.rigs import entry_from_rig, write_rig
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.tracked_folder import write_track_record

@@ -17,36 +17,32 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.mesh_sequence import MeshSequence
-from vntoolkit.io.captures import CaptureOptions, open_capture
-from vntoolkit.io.exr import ExrCompression, write_exr
-from vntoolkit.io.frame_log import FrameLog
-from vntoolkit.io.garment_fits import read_garment_fit
-from vntoolkit.io.images import write_png
+from vntoolkit.io.footage.captures import CaptureOptions, open_capture
+from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.video import write_video
 from vntoolkit.io.light_files import read_lights
-from vntoolkit.io.manifest import read_manifest
-from vntoolkit.io.maps import (
+from vntoolkit.io.maps_and_meshes.exr import ExrCompression, write_exr
+from vntoolkit.io.maps_and_meshes.label_images import read_labels, read_mask, write_labels, write_mask
+from vntoolkit.io.maps_and_meshes.maps import (
     read_depth_map,
     read_flow,
-    read_labels,
-    read_mask,
     read_normal_map,
     write_depth_map,
     write_flow,
-    write_labels,
-    write_mask,
     write_normal_map,
 )
-from vntoolkit.io.meshes import read_mesh, read_point_cloud, write_mesh
-from vntoolkit.io.motion_asf import read_asf_amc
-from vntoolkit.io.motion_bvh import read_bvh
-from vntoolkit.io.obj import read_obj_texture
-from vntoolkit.io.press_labels import read_press_label
+from vntoolkit.io.maps_and_meshes.meshes import read_mesh, read_point_cloud, write_mesh
+from vntoolkit.io.motion.asf import read_asf_amc
+from vntoolkit.io.motion.bvh import read_bvh
+from vntoolkit.io.motion.garment_fits import read_garment_fit
+from vntoolkit.io.results.frame_log import FrameLog
+from vntoolkit.io.results.manifest import read_manifest
+from vntoolkit.io.results.seams import read_seams
+from vntoolkit.io.results.sequences import read_mesh_sequence, write_mesh_sequence
 from vntoolkit.io.rigs import read_rig
-from vntoolkit.io.seams import read_seams
-from vntoolkit.io.sequences import read_mesh_sequence, write_mesh_sequence
-from vntoolkit.io.video import write_video
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import FitQuality, Rig, SourceFile
+from vntoolkit.pipeline.calibrate_presses import read_press_label
 from vntoolkit.pipeline.tracked_folder import read_track_record
 
 H, W = 24, 32
@@ -82,12 +78,6 @@ def _read_moving_mesh(folder: Path) -> MeshSequence:
     return sequence
 
 
-def _read_textured(path: Path) -> Any:
-    mesh = read_mesh(path)
-    read_obj_texture(path)
-    return mesh
-
-
 KINDS: dict[str, Kind] = {
     "capture": Kind(read=_read_capture, judge=lambda found: bool(found) and _finite(*(f.rgb for f in found))),
     "rig": Kind(read=read_rig, judge=lambda rig: _finite(rig.camera.matrix, rig.response.inverse)),
@@ -100,7 +90,7 @@ KINDS: dict[str, Kind] = {
     "depth": Kind(read=read_depth_map, judge=lambda d: _finite(d.depth)),
     "flow": Kind(read=read_flow),
     "mesh": Kind(read=read_mesh, judge=_judge_mesh),
-    "textured": Kind(read=_read_textured, judge=_judge_mesh),
+    "textured": Kind(read=read_mesh, judge=_judge_mesh),
     "points": Kind(read=read_point_cloud, judge=lambda cloud: _finite(cloud.points, cloud.normals)),
     "moving": Kind(read=_read_moving_mesh, judge=lambda s: _finite(np.asarray(s.vertices))),
     "bvh": Kind(read=read_bvh, judge=lambda m: _finite(m.rotations, m.root_positions)),

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from vntoolkit.errors import BadCapture
-from vntoolkit.io.ffv1 import check_slices
-from vntoolkit.io.video import VideoReader, write_video
+from vntoolkit.io.footage.video import VideoReader, check_slices, write_video
 
 
 @pytest.fixture

@@ -9,11 +9,11 @@ from specimens import rig
 
 from tests.motion_texts import BVH
 from vntoolkit.errors import VntError
-from vntoolkit.io.frame_range import FrameRange
+from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.light_files import read_lights
-from vntoolkit.io.motion_bvh import read_bvh
+from vntoolkit.io.motion.bvh import read_bvh
+from vntoolkit.io.results.seams import read_seams
 from vntoolkit.io.rigs import rig_from_text, text_from_rig
-from vntoolkit.io.seams import read_seams
 from vntoolkit.photometry.transfer import Transfer
 
 quick = settings(

@@ -8,8 +8,7 @@ import pytest
 
 from tests.dome_result import dome_result
 from vntoolkit.io.atomic import atomic_path, require_writable_folder
-from vntoolkit.pipeline.export import ExportJob, export
-from vntoolkit.pipeline.export_options import ExportFormat, ExportOptions
+from vntoolkit.pipeline.export import ExportFormat, ExportJob, ExportOptions, export
 
 __all__ = ["dome_result"]
 

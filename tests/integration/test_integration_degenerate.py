@@ -9,8 +9,7 @@ from analytic_surfaces import peaks
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
-from vntoolkit.integration.anchor import DepthAnchor
-from vntoolkit.integration.integrate import DepthIntegrator
+from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
 from vntoolkit.integration.options import IntegrationOptions, Integrator
 
 SIZE = 48

@@ -6,8 +6,7 @@ from analytic_surfaces import largest_error, peaks, sphere_before_camera, tear
 
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.maps import NormalMap
-from vntoolkit.integration.chords import chords_from_normals
-from vntoolkit.integration.graph import graph_from_domain
+from vntoolkit.integration.edges import chords_from_normals, graph_from_domain
 from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.integration.options import IntegrationOptions, Integrator
 from vntoolkit.integration.slopes import rays_from_camera

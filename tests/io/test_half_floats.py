@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vntoolkit.geometry.maps import NormalMap
-from vntoolkit.io.half_floats import half_planes_from_normals
+from vntoolkit.io.maps_and_meshes.maps import half_planes_from_normals
 
 
 def _as_map(values):

@@ -10,8 +10,9 @@ from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.geometry.mesh_sequence import MeshSequence
 from vntoolkit.geometry.point_cloud import PointCloud
 from vntoolkit.io.conventions import NormalConvention
-from vntoolkit.io.exr import write_exr
-from vntoolkit.io.maps import (
+from vntoolkit.io.footage.images import read_image
+from vntoolkit.io.maps_and_meshes.exr import write_exr
+from vntoolkit.io.maps_and_meshes.maps import (
     read_depth_map,
     read_flow,
     read_normal_map,
@@ -19,9 +20,13 @@ from vntoolkit.io.maps import (
     write_flow,
     write_normal_map,
 )
-from vntoolkit.io.meshes import read_mesh, read_point_cloud, write_mesh, write_point_cloud
-from vntoolkit.io.obj import read_obj_texture
-from vntoolkit.io.sequences import MeshSequenceWriter, read_mesh_sequence, write_mesh_sequence
+from vntoolkit.io.maps_and_meshes.meshes import (
+    read_mesh,
+    read_point_cloud,
+    write_mesh,
+    write_point_cloud,
+)
+from vntoolkit.io.results.sequences import MeshSequenceWriter, read_mesh_sequence, write_mesh_sequence
 
 
 @pytest.fixture
@@ -163,7 +168,7 @@ def test_texture_travels_with_an_obj(tmp_path, patch, rng):
     texture = rng.integers(0, 255, (8, 9, 3), dtype=np.uint8)
     write_mesh(tmp_path / "m.obj", patch, texture=texture)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["m.mtl", "m.obj", "m.png"]
-    np.testing.assert_array_equal(read_obj_texture(tmp_path / "m.obj"), texture)
+    np.testing.assert_array_equal(read_image(tmp_path / "m.png"), texture)
     with pytest.raises(CannotWrite, match="carries no texture"):
         write_mesh(tmp_path / "m.ply", patch, texture=texture)
 

@@ -12,26 +12,26 @@ from vntoolkit.errors import BadCapture, BadInput, BadMesh, BadRig, CannotWrite
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.point_cloud import PointCloud
-from vntoolkit.io.exr import read_exr, write_exr
 from vntoolkit.io.files import require_file, require_inside, sha256_of_file
-from vntoolkit.io.frame_log import FrameEntry, FrameLog
-from vntoolkit.io.images import encoded_image, read_image, write_png
-from vntoolkit.io.label_images import read_labels, write_labels
+from vntoolkit.io.footage.images import encoded_image, read_image, write_png
+from vntoolkit.io.footage.video import write_video
 from vntoolkit.io.light_files import read_lights
-from vntoolkit.io.live_sources import CameraSource
-from vntoolkit.io.manifest import read_manifest
-from vntoolkit.io.maps import (
+from vntoolkit.io.maps_and_meshes.arrays import map_npy, read_npz
+from vntoolkit.io.maps_and_meshes.exr import read_exr, write_exr
+from vntoolkit.io.maps_and_meshes.label_images import read_labels, write_labels
+from vntoolkit.io.maps_and_meshes.maps import (
     read_depth_map,
     read_flow,
     read_normal_map,
     write_depth_map,
     write_normal_map,
 )
-from vntoolkit.io.meshes import write_mesh, write_point_cloud
-from vntoolkit.io.npy import map_npy, read_npz
-from vntoolkit.io.press_labels import read_press_label
+from vntoolkit.io.maps_and_meshes.meshes import write_mesh, write_point_cloud
+from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
+from vntoolkit.io.results.manifest import read_manifest
 from vntoolkit.io.rigs import rig_from_text
-from vntoolkit.io.video import write_video
+from vntoolkit.live.sources import CameraSource
+from vntoolkit.pipeline.calibrate_presses import read_press_label
 
 TRIANGLE = Mesh(vertices=np.eye(3), faces=np.array([[0, 1, 2]], dtype=np.int32))
 PLANE = np.ones((4, 5), dtype=np.float32)

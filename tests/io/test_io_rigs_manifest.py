@@ -8,8 +8,8 @@ import pytest
 from vntoolkit.errors import BadInput, BadRig
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.io.files import sha256_of_file, source_file
-from vntoolkit.io.frame_log import FrameEntry, FrameLog
-from vntoolkit.io.manifest import (
+from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
+from vntoolkit.io.results.manifest import (
     InputEntry,
     Manifest,
     changes_between,

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
+from tests.usd_reading import read_usd_sequence
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.io.glb import write_glb
-from vntoolkit.io.meshes import read_mesh, read_point_cloud, write_mesh
-from vntoolkit.io.obj import read_obj_texture
-from vntoolkit.io.ply_header import read_ply_counts
-from vntoolkit.io.sequences import MeshSequenceWriter, read_mesh_sequence
-from vntoolkit.io.usd import read_usd_sequence, write_usd_sequence
+from vntoolkit.io.maps_and_meshes.glb import write_glb
+from vntoolkit.io.maps_and_meshes.meshes import read_mesh, read_point_cloud
+from vntoolkit.io.maps_and_meshes.ply import read_ply_counts
+from vntoolkit.io.maps_and_meshes.usd import write_usd_sequence
+from vntoolkit.io.results.sequences import MeshSequenceWriter, read_mesh_sequence
 
 TRIANGLE = Mesh(vertices=np.eye(3), faces=np.array([[0, 1, 2]]))
 NOTHING = Mesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), np.int32))
@@ -92,16 +92,6 @@ def test_an_obj_of_odd_numbers_is_one_line_with_its_name(tmp_path, text, line):
     assert line in str(refusal.value)
 
 
-def test_a_texture_is_found_by_a_name_with_blanks(tmp_path, rng):
-    texture = rng.integers(0, 255, (2, 2, 3), dtype=np.uint8)
-    mesh = Mesh(vertices=np.eye(3), faces=TRIANGLE.faces, uv=np.zeros((3, 2)))
-    write_mesh(tmp_path / "my face.obj", mesh, texture=texture)
-    assert read_obj_texture(tmp_path / "my face.obj").tolist() == texture.tolist()
-    (tmp_path / "my face.mtl").write_text("newmtl a\nmap_Kd -s 1 1 1 my.png\n")
-    (tmp_path / "my face.png").rename(tmp_path / "my.png")
-    assert read_obj_texture(tmp_path / "my face.obj").tolist() == texture.tolist()
-
-
 def test_an_index_beyond_32_bits_does_not_wrap_round():
     with pytest.raises(BadMesh, match="outside the 3 vertices"):
         Mesh(vertices=np.eye(3), faces=np.array([[0, 1, 2**32 + 2]]))
@@ -140,19 +130,3 @@ def test_a_usd_without_colours_comes_back(tmp_path):
     assert sequence.vertices.tolist() == [np.eye(3).tolist()] * 2
     assert sequence.template.colours is None
     assert sequence.template.uv is None
-
-
-def test_a_usd_of_no_triangles_or_no_frame_is_refused(tmp_path):
-    from pxr import Usd, UsdGeom
-
-    write_usd_sequence(tmp_path / "a.usdc", TRIANGLE, [], frame_rate_hz=30.0)
-    with pytest.raises(BadMesh, match="expected a frame or more of one triangle mesh"):
-        read_usd_sequence(tmp_path / "a.usdc")
-    stage = Usd.Stage.CreateNew(str(tmp_path / "b.usda"))
-    mesh = UsdGeom.Mesh.Define(stage, "/World/Surface")
-    mesh.CreatePointsAttr().Set([(0, 0, 0)] * 4, 0.0)
-    mesh.CreateFaceVertexCountsAttr().Set([4])
-    mesh.CreateFaceVertexIndicesAttr().Set([0, 1, 2, 3])
-    stage.GetRootLayer().Save()
-    with pytest.raises(BadMesh, match="expected a frame or more of one triangle mesh"):
-        read_usd_sequence(tmp_path / "b.usda")

@@ -7,10 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.geometry.motion import Motion
-from vntoolkit.geometry.skeleton import Skeleton
-from vntoolkit.io.motion_bvh import read_bvh, write_bvh
-from vntoolkit.io.usd import FIGURE, write_usd_sequence
+from vntoolkit.geometry.motion import Motion, Skeleton
+from vntoolkit.io.maps_and_meshes.usd import FIGURE, write_usd_sequence
+from vntoolkit.io.motion.bvh import read_bvh, write_bvh
 
 
 def _motion(names=("hips", "knee")):

@@ -15,12 +15,10 @@ from vntoolkit.normals.inversion import (
     relative_albedo_from_frame,
 )
 from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.photometry.lambertian import rgb_from_normals, scaled_normals_from_rgb
-from vntoolkit.photometry.levelling import Leveller
-from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.lambertian import Leveller, rgb_from_normals, scaled_normals_from_rgb
+from vntoolkit.photometry.response import LightResponse, ResponseVariation, powers_to_degree
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer
-from vntoolkit.photometry.variation import ResponseVariation, powers_to_degree
 
 MATRIX = np.array([[0.4, 0.1, -0.42], [-0.2, 0.35, -0.45], [-0.15, -0.35, -0.5]])
 COLOURS = np.array([[0.6, 0.1, 0.05], [0.08, 0.5, 0.1], [0.1, 0.15, 0.55]])  # of the three lights

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.io.images import write_png
+from vntoolkit.io.footage.images import write_png
 from vntoolkit.photometry.lambertian import rgb_from_normals
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig

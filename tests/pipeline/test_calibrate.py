@@ -6,23 +6,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.attached_shadow import shaded_rgb_from_normals
 from vntoolkit.__main__ import main
 from vntoolkit.calibration.presses import LabelOffset, Press, PressOptions, normals_of_press
 from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.geometry.rectification import Rectification
-from vntoolkit.io.captures import open_capture
-from vntoolkit.io.images import read_image, write_png
-from vntoolkit.io.label_images import read_mask, write_mask
+from vntoolkit.io.footage.captures import open_capture
+from vntoolkit.io.footage.images import read_image, write_png
 from vntoolkit.io.light_files import read_lights
-from vntoolkit.io.press_labels import read_press_label
+from vntoolkit.io.maps_and_meshes.label_images import read_mask, write_mask
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame
 from vntoolkit.normals.photometric_stereo import normals_from_lights
 from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.photometry.lambertian import shaded_rgb_from_normals
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.transfer import Transfer, encoded_from_linear
-from vntoolkit.pipeline.calibrate_presses import PressJob, calibrate_presses
+from vntoolkit.pipeline.calibrate_presses import PressJob, calibrate_presses, read_press_label
 
 DIRECTIONS = np.array([[0.6, 0.0, -0.8], [-0.36, 0.48, -0.8], [-0.36, -0.48, -0.8]])
 COLOURS = np.array([[0.5, 0.05, 0.02], [0.06, 0.6, 0.1], [0.0, 0.1, 0.4]])

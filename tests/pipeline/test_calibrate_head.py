@@ -17,20 +17,17 @@ from tests.calibration.turning_egg import (
     turning_poses,
     write_frames,
 )
-from vntoolkit.calibration.head.fusion import FusionOptions, Surface
 from vntoolkit.calibration.head.hull import HullOptions, View, box_about_points, fit_hull
 from vntoolkit.calibration.head.poses import PoseOptions
 from vntoolkit.calibration.head.samples import SampleOptions
-from vntoolkit.calibration.head.shape import fit_shape
+from vntoolkit.calibration.head.shape import FusionOptions, Surface, fit_shape
 from vntoolkit.calibration.head.stereo import StereoOptions
 from vntoolkit.calibration.head.tracks import TrackOptions
 from vntoolkit.errors import BadCalibration, BadInput
-from vntoolkit.io.frame_range import FrameRange
+from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.pipeline.calibrate import CalibrationJob
-from vntoolkit.pipeline.calibrate_head import HeadOptions, HeadShape, calibrate_head
-from vntoolkit.pipeline.head_footage import Features, FollowOptions
-from vntoolkit.report.head_page import write_head_page
-from vntoolkit.report.head_verdict import notices_of_head
+from vntoolkit.pipeline.calibrate_head import Features, FollowOptions, HeadOptions, HeadShape, calibrate_head
+from vntoolkit.report.head_page import notices_of_head, write_head_page
 
 OPTIONS = HeadOptions(  # for a picture of 320 by 240
     following=FollowOptions(

@@ -10,9 +10,9 @@ import pytest
 
 from tests.pipeline.conftest import DomeCapture, write_dome_capture
 from vntoolkit.errors import BadCapture, BadInput, MissingDependency
-from vntoolkit.io.frame_log import FrameEntry, FrameLog
-from vntoolkit.io.frame_range import FrameRange
-from vntoolkit.io.images import write_png
+from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.cluster import connected
 from vntoolkit.pipeline.options import Product, ReconstructOptions

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from vntoolkit.cli.evaluate_cylinder import cylinder as evaluate
+from vntoolkit.cli.evaluate import cylinder as evaluate
 from vntoolkit.cli.reconstruct import reconstruct
 from vntoolkit.cli.simulate import simulate
 from vntoolkit.errors import BadInput

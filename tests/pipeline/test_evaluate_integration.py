@@ -4,12 +4,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vntoolkit.cli.evaluate_integration import integration as evaluate
+from vntoolkit.cli.evaluate import integration as evaluate
 from vntoolkit.errors import BadInput
-from vntoolkit.evaluation.analytic_surfaces import peaks
+from vntoolkit.evaluation.depth_error import peaks
 from vntoolkit.geometry.maps import NormalMap
-from vntoolkit.io.label_images import write_mask
-from vntoolkit.io.maps import write_normal_map
+from vntoolkit.io.maps_and_meshes.label_images import write_mask
+from vntoolkit.io.maps_and_meshes.maps import write_normal_map
 from vntoolkit.pipeline.evaluate_integration import objects_in, real_object_errors
 
 

@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vntoolkit.cli.evaluate_mesh import mesh as evaluate_mesh
-from vntoolkit.cli.evaluate_normals import normals as evaluate
+from vntoolkit.cli.evaluate import mesh as evaluate_mesh
+from vntoolkit.cli.evaluate import normals as evaluate
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.io.maps import write_normal_map
-from vntoolkit.io.meshes import write_mesh
+from vntoolkit.io.maps_and_meshes.maps import write_normal_map
+from vntoolkit.io.maps_and_meshes.meshes import write_mesh
 from vntoolkit.pipeline.evaluate_normals import compare_normal_files, pairs_of
 
 

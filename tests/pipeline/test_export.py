@@ -14,16 +14,23 @@ from vntoolkit.errors import BadInput
 from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.geometry.mesh import face_normals
 from vntoolkit.io.conventions import NormalConvention, UpAxis, graphics_from_camera
-from vntoolkit.io.frame_range import FrameRange
-from vntoolkit.io.images import read_image, read_image_with_alpha
+from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.footage.images import read_image, read_image_with_alpha
 from vntoolkit.io.light_files import read_lights
-from vntoolkit.io.maps import read_mask, read_normal_map
-from vntoolkit.io.meshes import read_mesh
-from vntoolkit.io.npz import StreamedArray, write_npz
-from vntoolkit.io.sequences import read_mesh_sequence
+from vntoolkit.io.maps_and_meshes.arrays import StreamedArray, write_npz
+from vntoolkit.io.maps_and_meshes.label_images import read_mask
+from vntoolkit.io.maps_and_meshes.maps import read_normal_map
+from vntoolkit.io.maps_and_meshes.meshes import read_mesh
+from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.normals.photometric_stereo import normals_from_lights
-from vntoolkit.pipeline.export import ExportJob, export
-from vntoolkit.pipeline.export_options import ExportedSurface, ExportFormat, ExportOptions, FileUnit
+from vntoolkit.pipeline.export import (
+    ExportedSurface,
+    ExportFormat,
+    ExportJob,
+    ExportOptions,
+    FileUnit,
+    export,
+)
 
 __all__ = ["dome_result"]
 FRAMES = FrameRange.from_text("0:3")

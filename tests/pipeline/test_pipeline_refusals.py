@@ -20,14 +20,14 @@ from vntoolkit.errors import BadCalibration, BadCapture, BadInput, BadMotion, Vn
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.mesh_sequence import MeshSequence
-from vntoolkit.geometry.motion import Motion
-from vntoolkit.geometry.skeleton import Skeleton
-from vntoolkit.io.frame_range import FrameRange
-from vntoolkit.io.images import write_png
+from vntoolkit.geometry.motion import Motion, Skeleton
+from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.results.sequences import write_mesh_sequence
 from vntoolkit.io.rigs import write_rig
-from vntoolkit.io.sequences import write_mesh_sequence
 from vntoolkit.photometry.rig import Rig
-from vntoolkit.pipeline import run_blocks, simulate
+from vntoolkit.pipeline import reconstruct as reconstruction
+from vntoolkit.pipeline import simulate
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.calibrate import CalibrationJob, calibrate_lights, mean_frame
 from vntoolkit.pipeline.calibrate_presses import PressJob, calibrate_presses
@@ -41,7 +41,7 @@ from vntoolkit.pipeline.options import ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import reconstruct
 from vntoolkit.pipeline.referenced_captures import read_capture
-from vntoolkit.pipeline.simulation_job import SimulationFolder, SimulationJob, read_motion_file
+from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob, read_motion_file
 from vntoolkit.pipeline.tracked_folder import read_track_record, recorded_camera
 from vntoolkit.pipeline.truth_comparison import compare_with_truth
 from vntoolkit.simulation.scene import SceneOptions
@@ -224,7 +224,7 @@ def _dies(*_: object) -> Iterator[int]:
     yield
 
 
-@pytest.mark.parametrize("module", [run_blocks, simulate])
+@pytest.mark.parametrize("module", [reconstruction, simulate])
 def test_a_worker_that_dies_is_named(
     module: object, tmp_path: Path, dome_capture: DomeCapture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -243,7 +243,9 @@ def test_a_worker_that_dies_is_named(
         frames=FrameRange.from_text("0:2"),
     )
     runs = {
-        run_blocks: lambda: list(run_blocks.run_blocks(job, [range(1), range(2)], lambda _: frozenset(), 2)),
+        reconstruction: lambda: list(
+            reconstruction.run_blocks(job, [range(1), range(2)], lambda _: frozenset(), 2)
+        ),
         simulate: lambda: simulate.simulate(simulation, jobs=2),
     }
     with pytest.raises(VntError, match=r"ended abruptly .* run the same command again, with fewer --jobs"):

@@ -11,12 +11,13 @@ from tests.pipeline.conftest import DomeCapture, write_dome_capture
 from vntoolkit.errors import BadCapture, BadInput, BadRig
 from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.io.frame_log import FrameEntry, FrameLog
-from vntoolkit.io.frame_range import FrameRange
-from vntoolkit.io.images import write_png
-from vntoolkit.io.manifest import read_manifest
-from vntoolkit.io.maps import read_depth_map, read_normal_map, write_mask
-from vntoolkit.io.meshes import read_mesh
+from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.maps_and_meshes.label_images import write_mask
+from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
+from vntoolkit.io.maps_and_meshes.meshes import read_mesh
+from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
+from vntoolkit.io.results.manifest import read_manifest
 from vntoolkit.photometry.rig import FitQuality
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.options import OnError, Product, ReconstructOptions

@@ -8,10 +8,10 @@ import pytest
 from tests.pipeline.conftest import DomeCapture
 from tests.pipeline.test_reconstruct import digest, job_of
 from vntoolkit.evaluation.angular_error import angles_between_deg
-from vntoolkit.io.images import write_png
-from vntoolkit.io.label_images import read_labels
-from vntoolkit.io.manifest import read_manifest
-from vntoolkit.io.maps import read_normal_map
+from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.maps_and_meshes.label_images import read_labels
+from vntoolkit.io.maps_and_meshes.maps import read_normal_map
+from vntoolkit.io.results.manifest import read_manifest
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.options import Product

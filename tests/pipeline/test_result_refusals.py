@@ -11,11 +11,17 @@ from tests.pipeline.conftest import DomeCapture
 from vntoolkit.errors import BadCapture, BadInput, CannotWrite
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import LengthUnit
-from vntoolkit.io.frame_range import FrameRange
-from vntoolkit.pipeline.export import ExportJob, export
-from vntoolkit.pipeline.export_options import ExportedSurface, ExportFormat, ExportOptions, file_lengths
+from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.live.page import LiveViewer
+from vntoolkit.pipeline.export import (
+    ExportedSurface,
+    ExportFormat,
+    ExportJob,
+    ExportOptions,
+    export,
+    file_lengths,
+)
 from vntoolkit.pipeline.opened_result import open_result
-from vntoolkit.report.live_viewer import LiveViewer
 from vntoolkit.report.viewer import ResultViewer, ViewerOptions
 
 __all__ = ["dome_result"]

@@ -10,14 +10,13 @@ import pytest
 
 from vntoolkit.__main__ import main
 from vntoolkit.errors import BadInput, BadMesh, BadMotion
-from vntoolkit.io.captures import CaptureOptions, open_capture
-from vntoolkit.io.frame_range import FrameRange
-from vntoolkit.io.label_images import read_labels, read_mask
-from vntoolkit.io.maps import read_depth_map, read_flow, read_normal_map
+from vntoolkit.io.footage.captures import CaptureOptions, open_capture
+from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.maps_and_meshes.label_images import read_labels, read_mask
+from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_flow, read_normal_map
+from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.io.rigs import read_rig
-from vntoolkit.io.sequences import read_mesh_sequence
-from vntoolkit.pipeline.simulate import simulate
-from vntoolkit.pipeline.simulation_job import SimulationFolder, SimulationJob
+from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob, simulate
 from vntoolkit.simulation.lights import Lighting
 from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.render import RenderOptions, render_frame

@@ -10,20 +10,17 @@ from tests.pipeline.conftest import RESPONSE, DomeCapture, dome_normals
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, LengthUnit
-from vntoolkit.integration.anchor import DepthAnchor
-from vntoolkit.integration.integrate import DepthIntegrator
-from vntoolkit.io.captures import open_capture
-from vntoolkit.io.manifest import read_manifest
-from vntoolkit.io.maps import read_depth_map
+from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
+from vntoolkit.io.footage.captures import open_capture
+from vntoolkit.io.maps_and_meshes.maps import read_depth_map
+from vntoolkit.io.results.manifest import read_manifest
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.lambertian import rgb_from_normals
-from vntoolkit.photometry.temporal import smoothed_over_time
-from vntoolkit.pipeline.block_work import ReconstructionJob
+from vntoolkit.pipeline.block_work import ReconstructionJob, smoothed_frames, smoothed_over_time
 from vntoolkit.pipeline.options import DepthOffset, Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import reconstruct
-from vntoolkit.pipeline.temporal import smoothed_frames
 from vntoolkit.shadows.detector import ShadowMethod
 
 

@@ -8,9 +8,15 @@ import pytest
 
 from tests.browser import visit
 from vntoolkit.errors import BadInput
-from vntoolkit.io.images import write_png
-from vntoolkit.report.recipe_text import RecipeText, read_recipe_text
-from vntoolkit.report.recipes_page import RecipeRun, figures_of, read_numbers, write_recipes_page
+from vntoolkit.io.footage.images import write_png
+from vntoolkit.report.recipes_page import (
+    RecipeRun,
+    RecipeText,
+    figures_of,
+    read_numbers,
+    read_recipe_text,
+    write_recipes_page,
+)
 
 
 @pytest.fixture

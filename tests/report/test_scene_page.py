@@ -13,10 +13,9 @@ from tests.browser import visit
 from tests.dome_result import DomeResult
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import Mesh, face_normals
-from vntoolkit.io.sequences import read_mesh_sequence
+from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.pipeline.opened_result import open_result
-from vntoolkit.report.scene_page import SceneOptions, write_scene
-from vntoolkit.report.thinning import thinned_template
+from vntoolkit.report.scene_page import SceneOptions, thinned_template, write_scene
 
 GROUND = np.array([32, 38, 47])
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vntoolkit.errors import BadInput
-from vntoolkit.io.images import read_image
+from vntoolkit.io.footage.images import read_image
 from vntoolkit.report.tiles import ErrorScale, picture_of_errors, tiled, write_tiles
 
 

@@ -11,7 +11,7 @@ from tests.browser import Visit, visit
 from tests.dome_result import DomeResult
 from vntoolkit.errors import BadInput
 from vntoolkit.pipeline.opened_result import open_result
-from vntoolkit.report.result_surfaces import Look, Surface
+from vntoolkit.report.scene_page import Look, Surface
 from vntoolkit.report.viewer import ResultViewer, ViewerOptions
 
 

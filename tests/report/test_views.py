@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.io.images import read_image
+from vntoolkit.io.footage.images import read_image
+from vntoolkit.report.error_figures import write_moments
 from vntoolkit.report.raycast_view import BACKGROUND, View, picture_of
-from vntoolkit.report.track_plot import write_moments
 
 
 def slab(width: float, height: float) -> Mesh:

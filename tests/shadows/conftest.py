@@ -10,9 +10,8 @@ import numpy.typing as npt
 import pytest
 
 from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels
-from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.frame import LinearFrame, labels_from_lit
 from vntoolkit.photometry.response import LightResponse
-from vntoolkit.photometry.visibility import labels_from_lit
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from vntoolkit.errors import BadInput
-from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.photometry.visibility import lit_from_labels
+from vntoolkit.photometry.frame import LinearFrame, lit_from_labels
 from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod, ShadowOptions
 from vntoolkit.shadows.graph_cut import bonds_of_light, lit_by_cut
 from vntoolkit.shadows.published import PublishedOptions, lit_by_edges

@@ -8,9 +8,8 @@ import pytest
 
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.frame import LinearFrame, count_lit
 from vntoolkit.photometry.response import LightResponse
-from vntoolkit.photometry.visibility import count_lit
 from vntoolkit.shadows.albedo import albedo_from_lit
 from vntoolkit.shadows.confidence import confidence_weight, gloss_trust
 from vntoolkit.shadows.detector import ShadowDetector

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from vntoolkit.evaluation.angular_error import angles_between_deg
-from vntoolkit.photometry.visibility import count_lit
+from vntoolkit.photometry.frame import count_lit
 from vntoolkit.pipeline.referenced_captures import read_capture
 from vntoolkit.shadows.detector import ShadowDetector
 from vntoolkit.shadows.recovery import RecoveryMethod, RecoveryOptions, recover_normals

@@ -5,7 +5,7 @@ import pytest
 
 from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.normals.inversion import normals_from_frame
-from vntoolkit.photometry.visibility import count_lit, lit_from_labels
+from vntoolkit.photometry.frame import count_lit, lit_from_labels
 from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
 from vntoolkit.shadows.recovery import recover_normals
 from vntoolkit.simulation.image_formation import true_response

@@ -7,7 +7,7 @@ import pytest
 
 from vntoolkit.geometry.mesh import vertex_normals
 from vntoolkit.geometry.rigid import RigidTransform
-from vntoolkit.photometry.visibility import ALL_LIT, lit_from_labels
+from vntoolkit.photometry.frame import ALL_LIT, lit_from_labels
 from vntoolkit.simulation.grids import grid_faces
 from vntoolkit.simulation.image_formation import true_response
 from vntoolkit.simulation.lights import Lighting

@@ -5,8 +5,14 @@ import pytest
 from scipy import stats
 
 from vntoolkit.photometry.transfer import Transfer, linear_from_integers
-from vntoolkit.simulation.nuisances import Nuisances
-from vntoolkit.simulation.sensor import blurred, expose, mosaic_from_rgb, rgb_from_mosaic, stored_from_linear
+from vntoolkit.simulation.nuisances import (
+    Nuisances,
+    blurred,
+    expose,
+    mosaic_from_rgb,
+    rgb_from_mosaic,
+    stored_from_linear,
+)
 
 
 @pytest.mark.parametrize("light", [0.0, 0.02, 0.3, 0.9])

@@ -9,14 +9,19 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import vertex_normals
 from vntoolkit.simulation.body.spandex import build_spandex
 from vntoolkit.simulation.head import anatomy, paint
-from vntoolkit.simulation.head.anatomy import Head, build_head
-from vntoolkit.simulation.head.expression import Expression, HeadPose, performance_at, turning_pose
+from vntoolkit.simulation.head.anatomy import Head, build_head, cut_slit
 from vntoolkit.simulation.head.paint import Makeup
-from vntoolkit.simulation.head.rig import HeadRig
+from vntoolkit.simulation.head.rig import (
+    Expression,
+    HeadPose,
+    HeadRig,
+    performance_at,
+    seam_lines_px,
+    seam_loops_px,
+    turning_pose,
+)
 from vntoolkit.simulation.head.scenes import build_face_makeup
 from vntoolkit.simulation.head.sculpture import MOUTH_HEIGHT, NECK_CUT, sculpt_head
-from vntoolkit.simulation.head.seams import seam_lines_px, seam_loops_px
-from vntoolkit.simulation.head.slit import cut_slit
 from vntoolkit.simulation.scene import SceneOptions
 
 STILL = HeadPose()

@@ -5,8 +5,7 @@ import pytest
 
 from vntoolkit.geometry.mesh import face_normals
 from vntoolkit.simulation.body.implicit import ImplicitBody, both_sides, capsule, ellipsoid
-from vntoolkit.simulation.body.legs import LegPose, Legs
-from vntoolkit.simulation.body.spandex import step_at
+from vntoolkit.simulation.body.spandex import LegPose, Legs, step_at
 from vntoolkit.simulation.body.surface_nets import mesh_from_implicit
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from vntoolkit.geometry.mesh_sequence import MeshSequence
-from vntoolkit.io.sequences import write_mesh_sequence
+from vntoolkit.io.results.sequences import write_mesh_sequence
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = ROOT / "scripts" / "check_in_blender.py"

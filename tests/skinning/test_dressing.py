@@ -8,24 +8,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.usd_reading import read_usd_sequence
 from vntoolkit.__main__ import main
 from vntoolkit.errors import BadInput, BadMotion
 from vntoolkit.geometry.garment_fit import GarmentFit, Landmark, fit_similarity
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.mesh_sequence import MeshSequence
-from vntoolkit.geometry.motion import Motion
+from vntoolkit.geometry.motion import Motion, Skeleton
 from vntoolkit.geometry.rigid import RigidTransform
-from vntoolkit.geometry.skeleton import Skeleton
-from vntoolkit.io.meshes import read_mesh
-from vntoolkit.io.sequences import write_mesh_sequence
-from vntoolkit.io.usd import read_usd_sequence
-from vntoolkit.pipeline.dress import DressedFigure, DressOptions, UpAxis, dress
-from vntoolkit.pipeline.dress_inputs import read_motion
+from vntoolkit.io.maps_and_meshes.meshes import read_mesh
+from vntoolkit.io.results.sequences import write_mesh_sequence
+from vntoolkit.pipeline.dress import DressedFigure, DressOptions, UpAxis, dress, read_motion
 from vntoolkit.skinning.anatomy import anatomy_of, facing_of, shoulders_of
-from vntoolkit.skinning.anchoring import Anchor
 from vntoolkit.skinning.blending import Blend
 from vntoolkit.skinning.clock import ClockOptions
-from vntoolkit.skinning.fitting import FitOptions, Region
+from vntoolkit.skinning.fitting import Anchor, FitOptions, Region
 from vntoolkit.skinning.gait import walking_motion
 from vntoolkit.skinning.kinematics import bone_segments, pose_of_frame
 

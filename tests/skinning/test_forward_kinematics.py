@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from vntoolkit.errors import BadMotion
-from vntoolkit.geometry.motion import Motion
-from vntoolkit.geometry.skeleton import Skeleton
-from vntoolkit.io.motion_asf import read_asf_amc
-from vntoolkit.io.motion_bvh import read_bvh, write_bvh
+from vntoolkit.geometry.motion import Motion, Skeleton
+from vntoolkit.io.motion.asf import read_asf_amc
+from vntoolkit.io.motion.bvh import read_bvh, write_bvh
 from vntoolkit.skinning.gait import walking_motion
 from vntoolkit.skinning.kinematics import bone_segments, forward_kinematics, pose_of_frame
 

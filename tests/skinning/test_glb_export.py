@@ -12,8 +12,8 @@ import pytest
 from vntoolkit.errors import BadMesh, CannotWrite
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.mesh_sequence import MeshSequence
-from vntoolkit.io import glb
-from vntoolkit.io.glb import write_glb
+from vntoolkit.io.maps_and_meshes import glb
+from vntoolkit.io.maps_and_meshes.glb import write_glb
 
 COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}
 KINDS = {5126: np.float32, 5125: np.uint32}

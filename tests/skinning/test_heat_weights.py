@@ -15,19 +15,16 @@ from vntoolkit.__main__ import main
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.geometry.mesh_sequence import MeshSequence
-from vntoolkit.geometry.motion import Motion
+from vntoolkit.geometry.motion import Motion, Skeleton, rest_pose
 from vntoolkit.geometry.rigid import RigidTransform
-from vntoolkit.geometry.skeleton import Skeleton, rest_pose
-from vntoolkit.io.motion_bvh import write_bvh
-from vntoolkit.io.sequences import write_mesh_sequence
-from vntoolkit.pipeline.dress import DressedFigure, DressOptions, dress
-from vntoolkit.pipeline.dress_inputs import read_motion
-from vntoolkit.skinning.attachment import weights_of_garment
+from vntoolkit.io.motion.bvh import write_bvh
+from vntoolkit.io.results.sequences import write_mesh_sequence
+from vntoolkit.pipeline.dress import DressedFigure, DressOptions, dress, read_motion
+from vntoolkit.skinning.attachment import covered_bones, weights_of_garment
 from vntoolkit.skinning.blending import Blend, skinned_vertices
 from vntoolkit.skinning.clock import ClockOptions, Loop
 from vntoolkit.skinning.fitting import ArmPose, FitOptions
 from vntoolkit.skinning.gait import walking_motion
-from vntoolkit.skinning.inside import covered_bones
 from vntoolkit.skinning.kinematics import bone_segments, pose_of_frame
 from vntoolkit.skinning.weights import Falloff, WeightOptions, weights_from_distances
 

@@ -13,11 +13,11 @@ import pytest
 
 from tests.motion_texts import AMC, ASF, BVH
 from vntoolkit.errors import BadInput, BadMotion
-from vntoolkit.geometry.skeleton import Skeleton
-from vntoolkit.io import motion_bvh
-from vntoolkit.io.garment_fits import read_garment_fit
-from vntoolkit.io.motion_asf import AmcOptions, read_asf_amc
-from vntoolkit.io.motion_bvh import read_bvh
+from vntoolkit.geometry.motion import Skeleton
+from vntoolkit.io.motion import bvh
+from vntoolkit.io.motion.asf import AmcOptions, read_asf_amc
+from vntoolkit.io.motion.bvh import read_bvh
+from vntoolkit.io.motion.garment_fits import read_garment_fit
 
 DATA = Path(__file__).parents[2] / "data"
 
@@ -116,7 +116,7 @@ def test_bvh_is_written_depth_first_or_not_at_all(tmp_path: Path) -> None:
     breadth = Skeleton(names=("a", "b", "c", "d"), parents=np.array([-1, 0, 0, 1]), offsets=np.ones((4, 3)))
     still = np.tile([0.0, 0, 0, 1], (2, 4, 1))
     with pytest.raises(BadMotion, match="without interruption"):
-        motion_bvh.write_bvh(tmp_path / "b.bvh", replace(motion, skeleton=breadth, rotations=still))
+        bvh.write_bvh(tmp_path / "b.bvh", replace(motion, skeleton=breadth, rotations=still))
     assert not list(tmp_path.glob("*b.bvh"))
 
 

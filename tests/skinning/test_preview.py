@@ -8,7 +8,7 @@ import numpy as np
 
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.mesh_sequence import MeshSequence
-from vntoolkit.io.images import read_image
+from vntoolkit.io.footage.images import read_image
 from vntoolkit.pipeline.dress import dress
 from vntoolkit.report.raycast_view import View, picture_of
 from vntoolkit.report.turntable import PreviewOptions, contact_sheet, turntable, write_preview

@@ -9,9 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from vntoolkit.errors import BadInput
-from vntoolkit.geometry.motion import Motion
+from vntoolkit.geometry.motion import Motion, Skeleton, rest_pose
 from vntoolkit.geometry.rigid import RigidTransform
-from vntoolkit.geometry.skeleton import Skeleton, rest_pose
 from vntoolkit.skinning.blending import Blend, dual_quaternions, skinned_vertices
 from vntoolkit.skinning.gait import walking_motion
 from vntoolkit.skinning.kinematics import bone_segments, pose_of_frame

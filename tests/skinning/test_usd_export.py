@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from pxr import Usd, UsdGeom, UsdShade, UsdSkel, UsdValidation
 
+from tests.usd_reading import read_usd_sequence
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.mesh_sequence import MeshSequence
-from vntoolkit.io import usd_stage
-from vntoolkit.io.usd import read_usd_sequence, write_usd_meshes, write_usd_sequence
+from vntoolkit.io.maps_and_meshes import usd
+from vntoolkit.io.maps_and_meshes.usd import write_usd_meshes, write_usd_sequence
 from vntoolkit.skinning.gait import walking_motion
 from vntoolkit.skinning.kinematics import pose_of_frame
 
@@ -136,8 +137,6 @@ def test_meshes_of_changing_topology(tmp_path: Path, rng: np.random.Generator) -
         assert list(surface.GetFaceVertexCountsAttr().Get(time)) == [3] * len(mesh.faces)
         colours = UsdGeom.PrimvarsAPI(surface).GetPrimvar("displayColor").Get(time)
         np.testing.assert_array_equal(colours, mesh.colours)
-    with pytest.raises(BadMesh, match="topology changes"):
-        read_usd_sequence(path)
 
 
 def test_memory_does_not_grow_with_the_number_of_frames(tmp_path: Path) -> None:
@@ -159,7 +158,7 @@ def test_memory_does_not_grow_with_the_number_of_frames(tmp_path: Path) -> None:
     # A frame is 1.2 MB; between two saves 16 MiB may gather, in the first 40 frames as in the last 40.
     growth = max(seen[80:]) - max(seen[:40])
     assert growth < 0.05 * written
-    assert max(seen) - seen[0] < 3 * usd_stage._FLUSH_BYTES
+    assert max(seen) - seen[0] < 3 * usd._FLUSH_BYTES
     assert (tmp_path / "long.usdc").stat().st_size < 1.05 * written
 
 
@@ -182,6 +181,3 @@ def test_refusals(tmp_path: Path, jumper: Mesh) -> None:
         write_usd_sequence(tmp_path / "cloth.abc", jumper, [], frame_rate_hz=60)
     with pytest.raises(BadInput, match="positive frame rate"):
         write_usd_sequence(tmp_path / "cloth.usdc", jumper, [], frame_rate_hz=0)
-    (tmp_path / "text.usdc").write_text("no usd")
-    with pytest.raises(BadMesh, match="cannot be read as USD"):
-        read_usd_sequence(tmp_path / "text.usdc")

@@ -11,11 +11,11 @@ import pytest
 
 from tests.tracking.wrinkled_video import WrinkledVideo
 from vntoolkit.errors import BadInput
-from vntoolkit.io.manifest import InputEntry, Manifest, read_manifest, write_manifest
-from vntoolkit.io.maps import write_depth_map, write_normal_map
+from vntoolkit.io.maps_and_meshes.maps import write_depth_map, write_normal_map
+from vntoolkit.io.results.manifest import InputEntry, Manifest, read_manifest, write_manifest
+from vntoolkit.io.results.seams import read_seams, write_seams
+from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.io.rigs import entry_from_rig
-from vntoolkit.io.seams import read_seams, write_seams
-from vntoolkit.io.sequences import read_mesh_sequence
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.checkerboard import write_checkerboard

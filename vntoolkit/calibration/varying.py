@@ -18,8 +18,7 @@ import numpy.typing as npt
 from vntoolkit.arrays import FloatArray, Points, Points2
 from vntoolkit.checks import require_finite, require_shape
 from vntoolkit.errors import BadCalibration, BadInput, BadRig
-from vntoolkit.photometry.response import LightResponse
-from vntoolkit.photometry.variation import HIGHEST_DEGREE, ResponseVariation, powers_to_degree
+from vntoolkit.photometry.response import HIGHEST_DEGREE, LightResponse, ResponseVariation, powers_to_degree
 
 _ROUNDS = 60
 _SETTLED = 1e-5  # relative decrease of the cost at which the fit rests

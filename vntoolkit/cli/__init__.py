@@ -19,7 +19,7 @@ from vntoolkit.cli.flags import require_finite
 VERBS: dict[str, tuple[str, str]] = {
     "demo": ("vntoolkit.cli.demo:demo", "Do the whole job on synthetic footage, and show it on a page."),
     "rectify": (
-        "vntoolkit.cli.calibrate_presses:rectify",
+        "vntoolkit.cli.calibrate:rectify",
         "Resample footage of a plane seen at an angle onto square pixels.",
     ),
     "board": ("vntoolkit.cli.board:board", "Draw the calibration board, printed to scale."),
@@ -64,12 +64,12 @@ GROUPS: dict[str, tuple[str, dict[str, tuple[str, str]]]] = {
                 "Calibrate on the printed board with the material in its hole.",
             ),
             "head": (
-                "vntoolkit.cli.calibrate_head:head",
+                "vntoolkit.cli.calibrate:head",
                 "Calibrate on a bare head that turns left and right.",
             ),
             "lights": ("vntoolkit.cli.calibrate:lights", "Make a rig from lights that are known."),
             "presses": (
-                "vntoolkit.cli.calibrate_presses:presses",
+                "vntoolkit.cli.calibrate:presses",
                 "Calibrate a tactile sensor on a ball pressed into its gel.",
             ),
         },
@@ -85,20 +85,20 @@ GROUPS: dict[str, tuple[str, dict[str, tuple[str, str]]]] = {
         "Compare results with the truth.",
         {
             "normals": (
-                "vntoolkit.cli.evaluate_normals:normals",
+                "vntoolkit.cli.evaluate:normals",
                 "Angles between two normal maps, or folders of them.",
             ),
             "mesh": (
-                "vntoolkit.cli.evaluate_mesh:mesh",
+                "vntoolkit.cli.evaluate:mesh",
                 "Distances between two meshes both ways, and their quality.",
             ),
             "cylinder": (
-                "vntoolkit.cli.evaluate_cylinder:cylinder",
+                "vntoolkit.cli.evaluate:cylinder",
                 "A moving cylinder's normals against one fitted cylinder.",
             ),
-            "tracks": ("vntoolkit.cli.evaluate_tracks:tracks", "Tracked vertices against the simulator's."),
+            "tracks": ("vntoolkit.cli.evaluate:tracks", "Tracked vertices against the simulator's."),
             "integration": (
-                "vntoolkit.cli.evaluate_integration:integration",
+                "vntoolkit.cli.evaluate:integration",
                 "The integrators on surfaces whose depth is known.",
             ),
         },

@@ -10,22 +10,45 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 import numpy as np
 from cyclopts import Parameter
 
-from vntoolkit.calibration.board import BoardOptions
-from vntoolkit.calibration.board_camera import IntrinsicsOptions
+from vntoolkit.calibration.board import BoardOptions, IntrinsicsOptions
 from vntoolkit.calibration.fit import FitOptions
+from vntoolkit.calibration.head.hull import HullOptions
+from vntoolkit.calibration.head.light import LightOptions
+from vntoolkit.calibration.head.poses import PoseOptions, PoseStart
+from vntoolkit.calibration.head.samples import SampleOptions
+from vntoolkit.calibration.head.shape import FusionOptions
+from vntoolkit.calibration.head.sift import SiftOptions
+from vntoolkit.calibration.head.silhouettes import SilhouetteOptions
+from vntoolkit.calibration.head.stereo import StereoOptions
+from vntoolkit.calibration.head.tracks import ContrastOptions, TrackOptions
 from vntoolkit.calibration.lights import LightColours
+from vntoolkit.calibration.presses import PressOptions
 from vntoolkit.calibration.sphere import SphereOptions
-from vntoolkit.cli.flags import flags_from
-from vntoolkit.cli.limits import limits_on
-from vntoolkit.cli.outputs import JSON, require_output
-from vntoolkit.cli.progress import ProgressBars
-from vntoolkit.cli.shared_flags import AmbientImage, Curve, FocalPx, Frames, SingleLight
+from vntoolkit.calibration.varying import VariationOptions
+from vntoolkit.cli.flags import (
+    AmbientImage,
+    Curve,
+    FocalPx,
+    Frames,
+    Overwrite,
+    SingleLight,
+    flags_from,
+    limits_on,
+)
+from vntoolkit.cli.output import JSON, MESH, PAGE, PICTURE, ProgressBars, require_output
+from vntoolkit.errors import BadInput
 from vntoolkit.geometry.board_layout import BoardLayout
-from vntoolkit.io.frame_range import FrameRange
+from vntoolkit.geometry.rectification import Rectification
+from vntoolkit.io.footage.captures import CaptureOptions, open_capture
+from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.maps_and_meshes.meshes import write_mesh
 from vntoolkit.io.rigs import write_rig
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer
 from vntoolkit.pipeline import calibrate
+from vntoolkit.pipeline import calibrate_presses as pipeline
+from vntoolkit.pipeline.calibrate import CalibrationJob
+from vntoolkit.pipeline.calibrate_head import Features, FollowOptions, HeadOptions, HeadShape, calibrate_head
 
 if TYPE_CHECKING:
     FitFlags: TypeAlias = FitOptions | None
@@ -39,6 +62,38 @@ else:
     LayoutFlags = flags_from(BoardLayout)
     BoardFlags = flags_from(BoardOptions)
     IntrinsicsFlags = flags_from(IntrinsicsOptions, without=("largest_error_px",))
+if TYPE_CHECKING:
+    ContrastFlags: TypeAlias = ContrastOptions | None
+    SilhouetteFlags: TypeAlias = SilhouetteOptions | None
+    TrackFlags: TypeAlias = TrackOptions | None
+    SiftFlags: TypeAlias = SiftOptions | None
+    PoseFlags: TypeAlias = PoseOptions | None
+    HullFlags: TypeAlias = HullOptions | None
+    StereoFlags: TypeAlias = StereoOptions | None
+    FusionFlags: TypeAlias = FusionOptions | None
+    SampleFlags: TypeAlias = SampleOptions | None
+    LightFlags: TypeAlias = LightOptions | None
+else:
+    ContrastFlags = flags_from(ContrastOptions)
+    SilhouetteFlags = flags_from(SilhouetteOptions)
+    TrackFlags = flags_from(TrackOptions)
+    SiftFlags = flags_from(SiftOptions)
+    PoseFlags = flags_from(PoseOptions)
+    HullFlags = flags_from(HullOptions)
+    StereoFlags = flags_from(StereoOptions, without=("neighbour_angles_deg", "closer_angles_deg"))
+    FusionFlags = flags_from(FusionOptions)
+    SampleFlags = flags_from(SampleOptions)
+    LightFlags = flags_from(LightOptions)
+if TYPE_CHECKING:
+    PressFlags: TypeAlias = PressOptions
+    VariationFlags: TypeAlias = VariationOptions | None
+else:
+    PressFlags = flags_from(PressOptions)
+    VariationFlags = flags_from(VariationOptions)
+_List = Parameter(consume_multiple=True, negative=())
+Corners: TypeAlias = Annotated[tuple[float, float, float, float, float, float, float, float] | None, _List]
+SizeMm: TypeAlias = Annotated[tuple[float, float] | None, _List]
+SizePx: TypeAlias = Annotated[tuple[int, int] | None, _List]
 
 
 @limits_on("max_megapixels")
@@ -198,3 +253,223 @@ def report_rig(out: Path, rig: Rig, seen: str) -> None:
     title = "lights" if rig.response.light_colours is not None else "lights (channel by channel)"
     tilts = np.rad2deg(np.arccos(np.clip(-rig.response.light_directions[:, 2], -1, 1)))
     print(f"  {title}: {', '.join(f'{tilt:.0f}' for tilt in tilts)} degrees from the optical axis")
+
+
+# `vntoolkit calibrate head`: footage of a turning head in, rig.json out.
+
+
+@limits_on("max_megapixels")
+def head(
+    source: str,
+    /,
+    *,
+    out: Path,
+    background: AmbientImage = None,
+    transfer: Curve = "linear",
+    camera: Path | None = None,
+    focal_px: FocalPx = None,
+    frames: Frames = "::",
+    mesh: Path | None = None,
+    figure: Path | None = None,
+    report: Path | None = None,
+    features: Features = Features.TRACKS,
+    pose_start: PoseStart | None = None,
+    head_shape: HeadShape = HeadShape.FUSED,
+    contrast: ContrastFlags = None,
+    silhouettes: SilhouetteFlags = None,
+    tracks: TrackFlags = None,
+    sift: SiftFlags = None,
+    poses: PoseFlags = None,
+    hull: HullFlags = None,
+    stereo: StereoFlags = None,
+    fusion: FusionFlags = None,
+    samples: SampleFlags = None,
+    light: LightFlags = None,
+) -> None:
+    """Calibrate on a bare head that turns all the way left and right, with a fixed expression, in the dark.
+
+    60 to 120 frames are plenty.
+
+    Parameters
+    ----------
+    source
+        A video, a folder of images, or a pattern.
+    out
+        The rig.json to write.
+    camera
+        A rig.json whose camera is taken; best. Without it and --focal-px the focal length is fitted to the
+        turn, roughly.
+    mesh
+        Also write the head's mesh, .ply or .obj; its unit is the distance from the camera.
+    figure
+        Also write a picture of tracks, shape, samples and lights, .png or .svg.
+    report
+        Also write a page about tracks, poses, shape, samples and lights, .html.
+    features
+        What is recognised from frame to frame: skin followed in a video, or SIFT features of photographs that
+        lie up to 20 degrees apart.
+    pose_start
+        Where the first guess of the poses comes from; default: factorisation for tracks, mapping for features
+        and, where it fails, factorisation.
+    head_shape
+        Shape that gives the normals: silhouettes alone, or fused with stereo.
+    """
+    for path, suffixes in ((out, JSON), (mesh, MESH), (figure, PICTURE), (report, PAGE)):
+        require_output(path, suffixes)
+    job = CalibrationJob(
+        source=source,
+        background=background,
+        transfer=Transfer.from_text(transfer),
+        camera=camera,
+        focal_px=focal_px,
+        frames=FrameRange.from_text(frames),
+    )
+    options = HeadOptions(
+        head_shape=head_shape,
+        pose_start=pose_start,
+        following=FollowOptions(
+            features=features,
+            contrast=contrast or ContrastOptions(),
+            silhouettes=silhouettes or SilhouetteOptions(),
+            tracks=tracks or TrackOptions(),
+            sift=sift or SiftOptions(),
+        ),
+        poses=poses or PoseOptions(),
+        hull=hull or HullOptions(),
+        stereo=stereo or StereoOptions(),
+        fusion=fusion or FusionOptions(),
+        samples=samples or SampleOptions(),
+        light=light or LightOptions(),
+    )
+    with ProgressBars() as bars:
+        rig, result = calibrate_head(job, options, bars.reach)
+    write_rig(out, rig)
+    if mesh is not None:
+        write_mesh(mesh, result.mesh)
+    if figure is not None:
+        from vntoolkit.report.head_figure import write_head_figure
+
+        write_head_figure(figure, job, result)
+    if report is not None:
+        from vntoolkit.report.head_page import write_head_page
+
+        write_head_page(report, job, rig, result)
+    motion = result.motion
+    report_rig(
+        out,
+        rig,
+        f"{len(motion.camera_from_head)} poses over {motion.turn_deg:.0f} degrees, "
+        f"{len(motion.point)} tracks to {motion.error_px:.2f} px",
+    )
+    if camera is None and focal_px is None:
+        print(f"  focal length      {motion.camera.matrix[0, 0]:.0f} px, fitted to the turn: a rough guess")
+    print(f"  samples agreeing  {result.light.inliers.mean():.0%}")
+    print("  time              " + ", ".join(f"{k} {s:.0f} s" for k, s in result.stage_seconds.items()))
+
+
+# `vntoolkit calibrate presses` and `vntoolkit rectify`: tactile sensors.
+
+
+@limits_on("max_megapixels")
+def presses(
+    source: str,
+    /,
+    *,
+    out: Path,
+    background: Path,
+    labels: Path,
+    options: PressFlags,
+    corners: Corners = None,
+    size_mm: SizeMm = None,
+    label_size: SizePx = None,
+    transfer: Curve = "linear",
+    variation: VariationFlags = None,
+) -> None:
+    """Calibrate a tactile sensor on a ball of known size, pressed into its gel again and again.
+
+    Reconstruct with the same background: --background subtracts it.
+
+    Parameters
+    ----------
+    source
+        A folder or pattern of images, one press each.
+    out
+        The rig.json to write.
+    background
+        Image of the untouched gel.
+    labels
+        Folder of text files, NAME.txt for NAME.jpg: u v contact_radius in pixels of the rectified image.
+    corners
+        u v of the gel's top left, top right, bottom left and bottom right corner in the image, to rectify it.
+    size_mm
+        Width and height of the rectangle between these corners in millimetres.
+    label_size
+        Width and height of the image that the labels refer to; default: the rectified one.
+    """
+    require_output(out, JSON)
+    press_options = replace(options, variation=variation or VariationOptions())
+    job = pipeline.PressJob(
+        source=source,
+        background=background,
+        labels=labels,
+        transfer=Transfer.from_text(transfer),
+        rectification=rectification_from_flags(corners, size_mm, options.pixel_mm),
+        label_size=label_size,
+    )
+    with ProgressBars() as bars:
+        rig, _ = pipeline.calibrate_presses(job, press_options, partial(bars.reach, "read presses"))
+    write_rig(out, rig)
+    report_rig(out, rig, f"presses of {source}")
+
+
+@limits_on("max_megapixels")
+def rectify(
+    source: str,
+    /,
+    *,
+    out: Path,
+    corners: Corners,
+    size_mm: SizeMm,
+    pixel_mm: float,
+    transfer: Curve = "linear",
+    overwrite: Overwrite = False,
+) -> None:
+    """Resample footage of a plane seen at an angle onto square pixels of known size.
+
+    Parameters
+    ----------
+    source
+        A video, an image, a folder of images, or a pattern.
+    out
+        The folder to write, 16-bit PNG in the same transfer curve.
+    corners
+        u v of the rectangle's top left, top right, bottom left and bottom right corner in the image.
+    size_mm
+        Width and height of the rectangle in millimetres.
+    pixel_mm
+        Side of a pixel of the result in millimetres.
+    overwrite
+        Replace the images that the folder holds.
+    """
+    rectification = rectification_from_flags(corners, size_mm, pixel_mm)
+    assert rectification is not None  # both flags are required
+    capture = open_capture(source, CaptureOptions(transfer=Transfer.from_text(transfer)))
+    with ProgressBars() as bars:
+        count = pipeline.rectify_capture(
+            capture, rectification, out, partial(bars.reach, "rectify"), overwrite=overwrite
+        )
+    width, height = rectification.size
+    print(f"{out}: {count} images of {width}×{height}, {pixel_mm:g} mm a pixel")
+
+
+def rectification_from_flags(
+    corners: tuple[float, ...] | None, size_mm: tuple[float, float] | None, pixel_mm: float
+) -> Rectification | None:
+    """The rectification that --corners, --size-mm and --pixel-mm ask for, or None without them."""
+    if corners is None and size_mm is None:
+        return None
+    if corners is None or size_mm is None:
+        raise BadInput("rectification: --corners and --size-mm belong together")
+    return Rectification(
+        corners_px=tuple(corners), width_mm=size_mm[0], height_mm=size_mm[1], pixel_mm=pixel_mm
+    )

@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
-from vntoolkit.cli.flags import flags_from
-from vntoolkit.cli.progress import ProgressBars
-from vntoolkit.cli.shared_flags import Jobs, Overwrite
+from vntoolkit.cli.flags import Jobs, Overwrite, flags_from
+from vntoolkit.cli.output import ProgressBars
 from vntoolkit.pipeline.demo import DemoFolder, DemoOptions, run_demo
 from vntoolkit.pipeline.opened_result import open_result
 from vntoolkit.pipeline.truth_comparison import compare_with_truth

@@ -13,11 +13,11 @@ from rich.markup import escape
 from rich.table import Table
 
 from vntoolkit import __version__
-from vntoolkit.cli.limits import limits_on
+from vntoolkit.cli.flags import limits_on
 from vntoolkit.native import OPEN3D_LIBRARIES, PYMESHLAB_LIBRARIES, missing_packages
 
 if TYPE_CHECKING:
-    from vntoolkit.io.inspection import CaptureReport
+    from vntoolkit.diagnosis.inspection import CaptureReport
 
 # distribution -> what it does here
 _LIBRARIES = {
@@ -61,9 +61,9 @@ def doctor(
     """
     if source is None:
         return _check_libraries(Console())
-    from vntoolkit.io.captures import CaptureOptions
-    from vntoolkit.io.inspection import Severity, inspect_capture
-    from vntoolkit.io.maps import read_mask
+    from vntoolkit.diagnosis.inspection import Severity, inspect_capture
+    from vntoolkit.io.footage.captures import CaptureOptions
+    from vntoolkit.io.maps_and_meshes.label_images import read_mask
     from vntoolkit.io.rigs import read_rig
     from vntoolkit.photometry.transfer import Transfer
 

@@ -8,12 +8,17 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from cyclopts import Parameter
 
-from vntoolkit.cli.flags import flags_from
-from vntoolkit.cli.limits import limits_on
-from vntoolkit.cli.outputs import require_output
-from vntoolkit.io.garment_fits import read_garment_fit
-from vntoolkit.pipeline.dress import DressOptions, dress, require_figure_name, write_dressed_figure
-from vntoolkit.pipeline.dress_inputs import read_motion, read_tracked_cloth
+from vntoolkit.cli.flags import flags_from, limits_on
+from vntoolkit.cli.output import require_output
+from vntoolkit.io.motion.garment_fits import read_garment_fit
+from vntoolkit.pipeline.dress import (
+    DressOptions,
+    dress,
+    read_motion,
+    read_tracked_cloth,
+    require_figure_name,
+    write_dressed_figure,
+)
 from vntoolkit.report.turntable import write_preview
 from vntoolkit.skinning.clock import ClockOptions
 from vntoolkit.skinning.fitting import FitOptions

@@ -6,14 +6,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
-from vntoolkit.cli.flags import flags_from
-from vntoolkit.cli.limits import limits_on
-from vntoolkit.cli.progress import ProgressBars
-from vntoolkit.cli.shared_flags import Footage, Frames, Overwrite
-from vntoolkit.io.frame_range import FrameRange
-from vntoolkit.pipeline.export import ExportJob
+from vntoolkit.cli.flags import Footage, Frames, Overwrite, flags_from, limits_on
+from vntoolkit.cli.output import ProgressBars
+from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.pipeline.export import ExportJob, ExportOptions
 from vntoolkit.pipeline.export import export as run
-from vntoolkit.pipeline.export_options import ExportOptions
 
 if TYPE_CHECKING:
     ExportFlags: TypeAlias = ExportOptions

@@ -7,12 +7,58 @@ next field or the end of the paragraph.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import inspect
 import math
 import re
-from typing import Annotated, Any, get_type_hints
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, ParamSpec, TypeAlias, TypeVar, get_type_hints
 
 from cyclopts import Parameter
+
+from vntoolkit.io.limits import ReadingLimits, limited_to
+
+Frames: TypeAlias = Annotated[
+    str,
+    Parameter(
+        help="Which frames, a:b:c: from a, below b, every c-th; or one number.",
+        show_default=lambda text: "all" if text == "::" else text,
+    ),
+]
+Jobs: TypeAlias = Annotated[
+    int, Parameter(help="Worker processes on this machine; the results do not depend on their number.")
+]
+Scheduler: TypeAlias = Annotated[
+    str | None,
+    Parameter(
+        help='Address of a Dask scheduler, tcp://host:8786, whose workers see the same folders; or "local".'
+    ),
+]
+Overwrite: TypeAlias = Annotated[bool, Parameter(negative=())]
+Footage: TypeAlias = Annotated[
+    str, Parameter(help="Where the footage is now, if not where it was when it was reconstructed.")
+]
+Curve: TypeAlias = Annotated[
+    str, Parameter(help="Transfer curve of the footage: linear, srgb, bt709 or gamma:G.")
+]
+AmbientImage: TypeAlias = Annotated[
+    Path | None, Parameter(help="Image of the scene under ambient light only, subtracted from every frame.")
+]
+FocalPx: TypeAlias = Annotated[
+    float | None, Parameter(help="Focal length in pixels, for a pinhole camera instead of --camera.")
+]
+SingleLight: TypeAlias = Annotated[
+    tuple[Path, Path, Path] | None,
+    Parameter(
+        consume_multiple=True,
+        negative=(),
+        help="Three photographs, under the red, the green and the blue light alone: takes M apart.",
+    ),
+]
+P = ParamSpec("P")
+R = TypeVar("R")
+_PARAMETER = "reading_limits"
 
 
 def flags_from(options: type[Any], *, without: tuple[str, ...] = (), **renamed: str) -> Any:
@@ -95,3 +141,29 @@ def _values_of(given: Any) -> dict[str, Any]:
 
 def _capitalised(sentence: str) -> str:
     return sentence[:1].upper() + sentence[1:] + "."
+
+
+# `--max-megapixels` and `--max-vertices`: one decorator gives them to every verb that reads such files.
+
+
+def limits_on(*fields: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Give a verb the flags of these fields of `ReadingLimits`; while it runs, every reader keeps to them."""
+    others = tuple(field.name for field in dataclasses.fields(ReadingLimits) if field.name not in fields)
+    flags = flags_from(ReadingLimits, without=others)
+
+    def give(verb: Callable[P, R]) -> Callable[P, R]:
+        @functools.wraps(verb)
+        def run(*arguments: Any, **options: Any) -> R:
+            limits = options.pop(_PARAMETER, None) or ReadingLimits()
+            with limited_to(limits):
+                return verb(*arguments, **options)
+
+        signature = inspect.signature(verb)
+        extra = inspect.Parameter(_PARAMETER, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=flags)
+        run.__annotations__ = {**verb.__annotations__, _PARAMETER: flags}
+        run.__signature__ = signature.replace(  # type: ignore[attr-defined]
+            parameters=[*signature.parameters.values(), extra]
+        )
+        return run
+
+    return give

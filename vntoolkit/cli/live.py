@@ -13,21 +13,20 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 import numpy as np
 from cyclopts import Parameter
 
-from vntoolkit.cli.calibrate_presses import Corners, SizeMm, rectification_from_flags
-from vntoolkit.cli.flags import flags_from
-from vntoolkit.cli.limits import limits_on
+from vntoolkit.cli.calibrate import Corners, SizeMm, rectification_from_flags
+from vntoolkit.cli.flags import flags_from, limits_on
 from vntoolkit.errors import BadInput, VntError
 from vntoolkit.geometry.rectification import Rectification
-from vntoolkit.io.captures import CaptureOptions, open_capture
-from vntoolkit.io.decoding import EncodedFrame
-from vntoolkit.io.label_images import read_mask
-from vntoolkit.io.live_sources import CameraOptions, CameraSource, FileSource, LiveSource, TimedFrame
+from vntoolkit.io.footage.captures import CaptureOptions, open_capture
+from vntoolkit.io.footage.decoding import EncodedFrame
+from vntoolkit.io.maps_and_meshes.label_images import read_mask
 from vntoolkit.io.rigs import read_rig
+from vntoolkit.live.capture import LiveRun
+from vntoolkit.live.frames import FrameView, LiveProcessor, LiveResult
+from vntoolkit.live.page import LiveViewer
+from vntoolkit.live.recorder import LiveRecorder
+from vntoolkit.live.sources import CameraOptions, CameraSource, FileSource, LiveSource, TimedFrame
 from vntoolkit.photometry.rig import Rig
-from vntoolkit.pipeline.live import LiveRun
-from vntoolkit.pipeline.live_frames import FrameView, LiveProcessor, LiveResult
-from vntoolkit.pipeline.live_recorder import LiveRecorder
-from vntoolkit.report.live_viewer import LiveViewer
 from vntoolkit.report.viewer import ViewerOptions
 
 _GREY = 128

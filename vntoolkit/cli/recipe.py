@@ -12,10 +12,9 @@ from typing import Annotated
 from cyclopts import Parameter
 
 import vntoolkit
-from vntoolkit.cli.tables import print_table
+from vntoolkit.cli.output import print_table
 from vntoolkit.errors import BadInput, VntError
-from vntoolkit.report.recipe_text import read_recipe_text
-from vntoolkit.report.recipes_page import RecipeRun, write_recipes_page
+from vntoolkit.report.recipes_page import RecipeRun, read_recipe_text, write_recipes_page
 
 _LOG = logging.getLogger(__name__)
 _EXPERIMENTS = ("Figure", "Table")  # first word of the summary; the other recipes make data and pictures

@@ -7,12 +7,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
-from vntoolkit.cli.flags import flags_from
-from vntoolkit.cli.limits import limits_on
-from vntoolkit.cli.progress import ProgressBars
-from vntoolkit.cli.shared_flags import AmbientImage, Frames, Jobs, Overwrite, Scheduler
+from vntoolkit.cli.flags import AmbientImage, Frames, Jobs, Overwrite, Scheduler, flags_from, limits_on
+from vntoolkit.cli.output import ProgressBars
 from vntoolkit.integration.options import IntegrationOptions
-from vntoolkit.io.frame_range import FrameRange
+from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.meshing.surface import MeshOptions
 from vntoolkit.normals.inversion import InversionOptions

@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
-from vntoolkit.cli.flags import flags_from
-from vntoolkit.cli.limits import limits_on
-from vntoolkit.cli.outputs import PAGE, require_output
+from vntoolkit.cli.flags import flags_from, limits_on
+from vntoolkit.cli.output import PAGE, require_output
 from vntoolkit.report.report import ReportOptions, write_report
 
 if TYPE_CHECKING:

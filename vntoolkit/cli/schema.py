@@ -15,8 +15,8 @@ def schema(file: Literal["rig", "reconstruction"] = "rig", /) -> int:
     file
         rig (rig.json) or reconstruction (reconstruction.json).
     """
-    from vntoolkit.io.manifest import Manifest
-    from vntoolkit.io.rig_schema import RigFile
+    from vntoolkit.io.results.manifest import Manifest
+    from vntoolkit.io.rigs import RigFile
 
     model = RigFile if file == "rig" else Manifest
     sys.stdout.write(json.dumps(model.model_json_schema(), indent=2) + "\n")

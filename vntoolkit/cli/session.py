@@ -7,8 +7,8 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from vntoolkit.cli.limits import limits_on
-from vntoolkit.cli.progress import ProgressBars
+from vntoolkit.cli.flags import Frames, Jobs, Overwrite, Scheduler, limits_on
+from vntoolkit.cli.output import ProgressBars
 from vntoolkit.cli.reconstruct import (
     IntegrationFlags,
     InversionFlags,
@@ -16,9 +16,8 @@ from vntoolkit.cli.reconstruct import (
     PipelineFlags,
     joined_options,
 )
-from vntoolkit.cli.shared_flags import Frames, Jobs, Overwrite, Scheduler
 from vntoolkit.errors import BadInput, VntError
-from vntoolkit.io.frame_range import FrameRange
+from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.options import Product

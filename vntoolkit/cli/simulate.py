@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from cyclopts import Parameter
 
-from vntoolkit.cli.flags import flags_from
-from vntoolkit.cli.progress import ProgressBars
-from vntoolkit.cli.shared_flags import Frames, Jobs, Overwrite
+from vntoolkit.cli.flags import Frames, Jobs, Overwrite, flags_from
+from vntoolkit.cli.output import ProgressBars
 from vntoolkit.errors import BadInput
-from vntoolkit.io.frame_range import FrameRange
+from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob
 from vntoolkit.pipeline.simulate import simulate as run
-from vntoolkit.pipeline.simulation_job import SimulationFolder, SimulationJob
 from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.render import RenderOptions
 from vntoolkit.simulation.scene import SCENES, SceneOptions

@@ -7,12 +7,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
-from vntoolkit.cli.flags import flags_from
-from vntoolkit.cli.limits import limits_on
-from vntoolkit.cli.progress import ProgressBars
-from vntoolkit.cli.shared_flags import Overwrite
+from vntoolkit.cli.flags import Overwrite, flags_from, limits_on
+from vntoolkit.cli.output import ProgressBars
 from vntoolkit.errors import BadInput
-from vntoolkit.io.seams import read_seams
+from vntoolkit.io.results.seams import read_seams
 from vntoolkit.pipeline.checkerboard import write_checkerboard
 from vntoolkit.pipeline.track import TrackJob
 from vntoolkit.pipeline.track import track as run

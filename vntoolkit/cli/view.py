@@ -6,12 +6,9 @@ import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
-from vntoolkit.cli.flags import flags_from
-from vntoolkit.cli.limits import limits_on
-from vntoolkit.cli.outputs import PAGE, require_output
-from vntoolkit.cli.progress import progress_bar
-from vntoolkit.cli.shared_flags import Footage, Frames
-from vntoolkit.io.frame_range import FrameRange
+from vntoolkit.cli.flags import Footage, Frames, flags_from, limits_on
+from vntoolkit.cli.output import PAGE, progress_bar, require_output
+from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.pipeline.opened_result import open_result
 from vntoolkit.report.scene_page import SceneOptions, counted, write_scene
 from vntoolkit.report.viewer import ResultViewer, ViewerOptions

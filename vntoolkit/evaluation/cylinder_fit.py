@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from vntoolkit.arrays import FloatArray, Matrix3, Points, Points2
+from vntoolkit.arrays import FloatArray, Matrix3, Points, Points2, Vector3
 from vntoolkit.checks import require_in_range
 from vntoolkit.errors import BadInput, SolverFailed
 from vntoolkit.evaluation.cylinder import (
@@ -23,9 +23,8 @@ from vntoolkit.evaluation.cylinder import (
     distance_from_touching_px,
     intersect,
     least_aligned,
+    plane_cross,
 )
-from vntoolkit.evaluation.cylinder_ends import EndPoints, distance_from_rim_px, end_points
-from vntoolkit.evaluation.cylinder_start import start_from_normals
 from vntoolkit.evaluation.silhouette import contour_of
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
@@ -39,6 +38,12 @@ _ROUNDS_WITHOUT_ENDS = 3  # the first cylinders are too far off to tell which ri
 _GATE = 3  # spreads of one component; beyond it a normal does not count
 _STRIPS = 72  # round the whole cylinder, half of which is seen
 _NARROWEST_SPREAD = 0.01  # radians: normals are never so good that a finer gate would help
+_PAIRS = 300
+_LEAST_SUPPORT = 0.3  # share of the normals that must agree on the axis
+_RIM_POINTS = 180
+_LEAST_FACING = 0.35  # sine of the angle to the sides from which the outline belongs to an end
+_FEWEST_POINTS = 15
+_REACH_SHARE = 0.25  # of the silhouette's length: where an end's rim can lie
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -247,3 +252,156 @@ def _side_points(seen: _Observation, start: Cylinder, camera: Camera, tolerance_
 def _sign(axis: FloatArray) -> float:
     """Of the two directions of an axis, the one whose largest component is positive."""
     return float(np.sign(axis[int(np.argmax(np.abs(axis)))]))
+
+
+# A first cylinder from normals alone: the axis that most are perpendicular to, then a linear solve.
+
+
+def start_from_normals(
+    normals: Points,
+    origins: Points,
+    rays: Points,
+    support_deg: float,
+    is_perspective: bool,
+    rng: np.random.Generator,
+    name: str,
+) -> Cylinder:
+    """Return a cylinder near to that of the normals, all (n, 3); `name` stands in errors.
+
+    The surface point centre + R n lies on its ray, so (centre + R n − origin) × ray = 0 across the axis.
+    Raises `SolverFailed` where the normals span no axis.
+    """
+    limit = float(np.sin(np.deg2rad(support_deg)))
+    axis = axis_from_normals(normals, limit, rng, name)
+    plane = np.stack(across_axis(axis, least_aligned(axis)))
+    side = np.abs(normals @ axis) < limit
+    flat_normals, flat_origins, flat_rays = (x[side] @ plane.T for x in (normals, origins, rays))
+    flat_rays /= np.linalg.norm(flat_rays, axis=1, keepdims=True)
+    rows = np.stack([flat_rays[:, 1], -flat_rays[:, 0], plane_cross(flat_normals, flat_rays)], axis=-1)
+    if is_perspective:  # only the ratio of centre to radius is seen
+        return Cylinder(axis=axis, centre=_robust_solve(rows[:, :2], -rows[:, 2]) @ plane)
+    *centre, radius = _robust_solve(rows, plane_cross(flat_origins, flat_rays))
+    return Cylinder(axis=axis, centre=np.array(centre) @ plane, radius=abs(float(radius)))
+
+
+def axis_from_normals(normals: Points, limit: float, rng: np.random.Generator, name: str) -> Vector3:
+    """Return the direction that most normals are perpendicular to: best of many pairs, then least squares.
+
+    limit: sine of the angle within which a normal counts as perpendicular.
+    """
+    pairs = rng.integers(0, len(normals), (_PAIRS, 2))
+    axes = np.cross(normals[pairs[:, 0]], normals[pairs[:, 1]])
+    lengths = np.linalg.norm(axes, axis=1)
+    axes = axes[lengths > 0.2] / lengths[lengths > 0.2, None]
+    if not len(axes):
+        raise SolverFailed(f"cylinder: {name} shows a plane, its normals span no axis")
+    residuals = np.abs(normals @ axes.T)
+    axis = axes[int(np.argmin(np.minimum(residuals, limit).sum(axis=0)))]
+    if np.mean(np.abs(normals @ axis) < limit) < _LEAST_SUPPORT:
+        raise SolverFailed(
+            f"cylinder: in {name} less than a third of the normals agree on an axis; is a cylinder in sight, "
+            "and nothing else inside the mask?"
+        )
+    for _ in range(10):
+        weights = 1.0 / (1.0 + (normals @ axis / limit) ** 2) ** 2
+        axis = np.linalg.eigh((normals * weights[:, None]).T @ normals)[1][:, 0]
+    return axis
+
+
+def _robust_solve(rows: FloatArray, values: FloatArray) -> FloatArray:
+    solution = np.linalg.lstsq(rows, values, rcond=None)[0]
+    for _ in range(15):
+        residuals = rows @ solution - values
+        spread = 1.4826 * np.median(np.abs(residuals)) + 1e-12
+        weights = 1.0 / (1.0 + (residuals / (2 * spread)) ** 2)
+        solution = np.linalg.lstsq(rows * weights[:, None], values * weights, rcond=None)[0]
+    return solution
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EndPoints:
+    """Outline of one end: points (n, 2) in pixels and their outward unit normals (n, 2).
+
+    direction: (2,) unit vector in the image from the cylinder's middle to this end. along: where the end
+    lies on the axis, from the cylinder's centre, to begin with.
+    """
+
+    points: Points2
+    outward: FloatArray
+    direction: FloatArray
+    along: float
+
+
+# The two ends of a cylinder's silhouette: how far their arcs bulge tells how far it leans in depth.
+
+
+def end_points(
+    contour: Points2, outward: FloatArray, cylinder: Cylinder, camera: Camera
+) -> tuple[EndPoints, ...]:
+    """Return the outlines of the ends that the silhouette shows, two, one or none."""
+    middle = along_axis(cylinder, contour.mean(axis=0), camera)
+    near = camera.project(
+        cylinder.centre + (middle + np.array([[0.0], [0.01 * cylinder.radius]])) * cylinder.axis
+    )
+    image_axis = near[1] - near[0]
+    length = np.linalg.norm(image_axis)
+    if length < 1e-6:  # the axis points at the camera
+        return ()
+    image_axis /= length
+    facing = outward @ image_axis
+    position = contour @ image_axis
+    reach = _REACH_SHARE * np.ptp(position)
+    ends = []
+    for sign in (-1.0, 1.0):
+        farthest = float(np.max(sign * position))
+        chosen = (sign * facing > _LEAST_FACING) & (sign * position > farthest - reach)
+        if np.count_nonzero(chosen) < _FEWEST_POINTS:
+            continue
+        end = EndPoints(
+            points=contour[chosen],
+            outward=outward[chosen],
+            direction=sign * image_axis,
+            along=along_axis(cylinder, np.median(contour[chosen], axis=0), camera),
+        )
+        ends.append(replace(end, along=_best_place(cylinder, end, camera)))
+    return tuple(ends)
+
+
+def along_axis(cylinder: Cylinder, pixel: FloatArray, camera: Camera) -> float:
+    """Where the axis passes nearest to a pixel's ray, from the centre, in the cylinder's unit of length."""
+    origin, ray = camera_rays(camera, pixel)
+    ray = ray / np.linalg.norm(ray)
+    offset = origin - cylinder.centre
+    slant = float(cylinder.axis @ ray)
+    return float(offset @ (cylinder.axis - slant * ray)) / max(1e-9, 1.0 - slant**2)
+
+
+def _best_place(cylinder: Cylinder, end: EndPoints, camera: Camera) -> float:
+    """Where the rim fits the outline best: the arc's middle lies up to a radius beyond its plane."""
+    place, step = end.along, 0.1 * cylinder.radius
+    for _ in range(2):
+        tried = place + step * np.arange(-12, 13)
+        misfits = [np.median(np.abs(distance_from_rim_px(cylinder, t, end, camera))) for t in tried]
+        place, step = float(tried[int(np.argmin(misfits))]), step / 12
+    return place
+
+
+def distance_from_rim_px(cylinder: Cylinder, along: float, end: EndPoints, camera: Camera) -> FloatArray:
+    """How far, in pixels, each outline point (n,) lies outside (+) or inside (−) the rim's outer half.
+
+    along: where the end's plane cuts the axis, from the centre, in the cylinder's unit of length.
+    """
+    middle = cylinder.centre + along * cylinder.axis
+    first, second = across_axis(cylinder.axis, least_aligned(cylinder.axis))
+    angle = np.linspace(0, 2 * np.pi, _RIM_POINTS, endpoint=False)
+    circle = middle + cylinder.radius * (np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * second)
+    rim, centre = camera.project(circle), camera.project(middle[None])[0]
+    after = np.roll(rim, -1, axis=0)
+    outer = ((rim + after) / 2 - centre) @ end.direction >= 0
+    start, step = rim[outer], (after - rim)[outer]
+    offset = end.points[:, None] - start
+    share = np.clip(np.sum(offset * step, axis=2) / np.maximum(np.sum(step**2, axis=1), 1e-12), 0.0, 1.0)
+    apart = offset - share[..., None] * step
+    nearest = np.argmin(np.sum(apart**2, axis=2), axis=1)
+    chosen = apart[np.arange(len(nearest)), nearest]
+    return np.asarray(np.sum(chosen * end.outward, axis=1))

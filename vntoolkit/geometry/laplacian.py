@@ -39,14 +39,6 @@ def graph_laplacian(
     return sp.csr_array((values, (rows, columns)), shape=(vertex_count, vertex_count))
 
 
-def uniform_laplacian(faces: Faces, vertex_count: int) -> sp.csr_array:
-    """Return the (n, n) umbrella Laplacian of the triangles' edges, all of weight 1, symmetric.
-
-    Zero in the interior of a plane that is sampled on a regular grid.
-    """
-    return graph_laplacian(edges_from_faces(faces), vertex_count)
-
-
 def cotangent_laplacian(vertices: Points, faces: Faces) -> sp.csr_array:
     """Return the (n, n) cotangent Laplacian, w_ij = (cot a_ij + cot b_ij) / 2, symmetric.
 

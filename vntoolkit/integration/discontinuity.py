@@ -24,8 +24,7 @@ import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, Mask, Weight
 from vntoolkit.checks import require_in_range
-from vntoolkit.integration.chords import ChordField
-from vntoolkit.integration.graph import PixelGraph, divergence_on_graph
+from vntoolkit.integration.edges import ChordField, PixelGraph, divergence_on_graph
 from vntoolkit.integration.multigrid import hierarchy_from_graph, solve_laplacian
 
 Float64 = npt.NDArray[np.float64]

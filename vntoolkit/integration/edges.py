@@ -10,14 +10,21 @@ equation built on them has no consistency error of its own.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numba
 import numpy as np
 import numpy.typing as npt
+from scipy import ndimage
 
-from vntoolkit.arrays import Mask
+from vntoolkit.arrays import FloatArray, Mask
 
 Float32Image = npt.NDArray[np.float32]
+_C = np.float32(1.0 / 24.0)
+Float64 = npt.NDArray[np.float64]
+_BEND = 10.0  # standard deviations of a facing edge's difference per pixel of disagreement
+_STEEPEST_HALF = 0.9  # half of the difference of log depth, by the chord: 1 would be infinitely steep
+Int32 = npt.NDArray[np.int32]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,9 +56,6 @@ def edges_from_slopes(
     _edges_along_rows(p, weights, right, right_weight)
     _edges_along_columns(q, weights, down, down_weight)
     return EdgeField(right=right, down=down, right_weight=right_weight, down_weight=down_weight)
-
-
-_C = np.float32(1.0 / 24.0)
 
 
 @numba.njit(cache=True, inline="always")
@@ -112,3 +116,180 @@ def _edges_along_columns(q, weights, difference, weight):  # type: ignore[no-unt
                 first = q[v - 1, u] if before else np.float32(0.0)
                 last = q[v + 2, u] if after else np.float32(0.0)
                 difference[v, u] = _difference(first, q[v, u], q[v + 1, u], last, before, after)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ChordField:
+    """One row per edge of a graph, float64.
+
+    difference: (m,) wanted difference of depth (or log depth times focal length), in pixels. variance: (m,)
+    its variance, relative to that of an edge between two normals that face the camera.
+    """
+
+    difference: Float64
+    variance: Float64
+
+
+# From normals to the depth difference along an edge, by the chord between its two surface points.
+
+
+def chords_from_normals(
+    normals: FloatArray,
+    points: FloatArray,
+    graph: PixelGraph,
+    *,
+    perspective: bool,
+    pixels_per_unit: float,
+    steepest_slope_deg: float,
+) -> ChordField:
+    """Wanted differences along all edges from normals (n, 3) and image plane points (n, 2) per node.
+
+    A turn of a normal by an angle ε moves its slope by ε / cos² of its inclination: grazing ends make an
+    edge unsure. So does a bend, as far as the two ends disagree on the slope (`_BEND`).
+    """
+    least_facing = float(np.cos(np.deg2rad(steepest_slope_deg)))
+    difference, variance = _chords(
+        np.ascontiguousarray(normals, dtype=np.float64),
+        np.ascontiguousarray(points, dtype=np.float64),
+        graph.tail,
+        graph.head,
+        1.0 if perspective else 0.0,
+        pixels_per_unit,
+        least_facing,
+    )
+    return ChordField(difference=difference, variance=variance)
+
+
+@numba.njit(cache=True)
+def _along(nx, ny, nz, x1, y1, x2, y2, perspective, scale, least_facing):  # type: ignore[no-untyped-def]
+    """Difference in pixels between two points of one plane, and how much the plane faces the rays."""
+    rise = nx * (x2 - x1) + ny * (y2 - y1)
+    facing = -(perspective * 0.5 * (nx * (x1 + x2) + ny * (y1 + y2)) + nz)
+    facing = max(facing, least_facing)
+    slope = rise / facing
+    if perspective > 0.0:
+        half = min(max(0.5 * slope, -_STEEPEST_HALF), _STEEPEST_HALF)
+        slope = 2.0 * np.arctanh(half)
+    return slope * scale, facing
+
+
+@numba.njit(cache=True)
+def _chords(n, xy, tail, head, perspective, scale, least_facing):  # type: ignore[no-untyped-def]
+    count = len(tail)
+    difference, variance = np.empty(count), np.empty(count)
+    for e in range(count):
+        i, j = tail[e], head[e]
+        x1, y1, x2, y2 = xy[i, 0], xy[i, 1], xy[j, 0], xy[j, 1]
+        sx, sy, sz = n[i, 0] + n[j, 0], n[i, 1] + n[j, 1], n[i, 2] + n[j, 2]
+        length = max(np.sqrt(sx * sx + sy * sy + sz * sz), 1e-6)
+        difference[e], _ = _along(
+            sx / length, sy / length, sz / length, x1, y1, x2, y2, perspective, scale, least_facing
+        )
+        one, facing1 = _along(n[i, 0], n[i, 1], n[i, 2], x1, y1, x2, y2, perspective, scale, least_facing)
+        two, facing2 = _along(n[j, 0], n[j, 1], n[j, 2], x1, y1, x2, y2, perspective, scale, least_facing)
+        bend = _BEND * (one - two)
+        variance[e] = 0.5 * (facing1**-4.0 + facing2**-4.0) + bend * bend
+    return difference, variance
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PixelGraph:
+    """The edges of a domain and its adjacency.
+
+    pixels: (n,) flat index of each node in the image, scan order. tail, head: (m,) nodes of each edge; first
+    the `across` edges that go right, then those that go down. row_start (n+1,), neighbour (2m,), edge (2m,):
+    for node i, slots row_start[i] … row_start[i+1] give its neighbours and the edges that lead to them.
+    """
+
+    pixels: npt.NDArray[np.int64]
+    tail: Int32
+    head: Int32
+    across: int
+    row_start: Int32
+    neighbour: Int32
+    edge: Int32
+
+
+# A domain as a graph: one node per pixel, one edge per pair of pixels that share a side.
+
+
+def graph_from_domain(domain: Mask) -> PixelGraph:
+    """Build the graph of `domain`, (h, w) bool."""
+    node = np.full(domain.shape, -1, dtype=np.int32)
+    pixels = np.flatnonzero(domain)
+    node.ravel()[pixels] = np.arange(len(pixels), dtype=np.int32)
+    right, down = domain[:, :-1] & domain[:, 1:], domain[:-1] & domain[1:]
+    tail = np.concatenate([node[:, :-1][right], node[:-1][down]])
+    head = np.concatenate([node[:, 1:][right], node[1:][down]])
+    row_start, neighbour, edge = _adjacency(tail, head, len(pixels))
+    return PixelGraph(
+        pixels=pixels,
+        tail=tail,
+        head=head,
+        across=int(np.count_nonzero(right)),
+        row_start=row_start,
+        neighbour=neighbour,
+        edge=edge,
+    )
+
+
+@numba.njit(cache=True)
+def _adjacency(tail, head, count):  # type: ignore[no-untyped-def]
+    row_start = np.zeros(count + 1, np.int32)
+    for e in range(len(tail)):
+        row_start[tail[e] + 1] += 1
+        row_start[head[e] + 1] += 1
+    for i in range(count):
+        row_start[i + 1] += row_start[i]
+    fill = row_start[:-1].copy()
+    neighbour = np.empty(2 * len(tail), np.int32)
+    edge = np.empty(2 * len(tail), np.int32)
+    for e in range(len(tail)):
+        i, j = tail[e], head[e]
+        neighbour[fill[i]], edge[fill[i]] = j, e
+        neighbour[fill[j]], edge[fill[j]] = i, e
+        fill[i] += 1
+        fill[j] += 1
+    return row_start, neighbour, edge
+
+
+def divergence_on_graph(
+    graph: PixelGraph, weight: npt.NDArray[np.floating[Any]], difference: npt.NDArray[np.floating[Any]]
+) -> npt.NDArray[np.float64]:
+    """Right-hand side of the weighted least squares over edges, (n,): sums to 0 over every component."""
+    load = np.zeros(len(graph.pixels))
+    _accumulate(graph.tail, graph.head, weight * difference, load)
+    return load
+
+
+@numba.njit(cache=True)
+def _accumulate(tail, head, flow, out):  # type: ignore[no-untyped-def]
+    for e in range(len(flow)):
+        out[head[e]] += flow[e]
+        out[tail[e]] -= flow[e]
+
+
+class Components:
+    """Connected components (over shared pixel sides) of a domain, (h, w) bool."""
+
+    def __init__(self, domain: Mask) -> None:
+        self.labels, self.count = ndimage.label(domain)
+        self._domain = domain
+        self._flat = self.labels.ravel()
+        self._sizes = np.bincount(self._flat, minlength=self.count + 1)
+
+    def remove_means(self, values: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.float64]:
+        """Shift `values` (h, w) to mean 0 over each component; 0 outside the domain."""
+        return np.where(self._domain, values - self._means(values), 0.0)
+
+    def scale_means(self, values: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.float64]:
+        """Scale `values` (h, w) to mean 1 over each component; 0 outside the domain."""
+        return np.where(self._domain, values / self._means(values), 0.0)
+
+    def _means(self, values: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.float64]:
+        """Mean over the component of each pixel, (h, w) or a scalar."""
+        if self.count == 1:
+            return np.asarray(values[self._domain].mean(dtype=np.float64))
+        sums = np.bincount(self._flat, weights=values.ravel(), minlength=self.count + 1)
+        means = sums / np.maximum(self._sizes, 1)
+        return np.where(self._domain, means[self.labels], 1.0)

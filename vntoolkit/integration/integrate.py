@@ -2,25 +2,45 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
+import numba
 import numpy as np
 import numpy.typing as npt
+from scipy import ndimage
 
-from vntoolkit.arrays import Mask
-from vntoolkit.checks import require_finite, require_some
+from vntoolkit.arrays import FloatArray, Mask, Normals, Weight
+from vntoolkit.checks import require_finite, require_same_size, require_some
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
-from vntoolkit.integration.components import Components
-from vntoolkit.integration.divergence import divergence_from_slopes
-from vntoolkit.integration.domain import DomainSolver
+from vntoolkit.integration.discontinuity import (
+    confidence_of_edges,
+    evidence_from_chords,
+    solve_discontinuous,
+)
+from vntoolkit.integration.edges import (
+    Components,
+    PixelGraph,
+    chords_from_normals,
+    divergence_on_graph,
+    edges_from_slopes,
+    graph_from_domain,
+)
+from vntoolkit.integration.multigrid import hierarchy_from_graph, solve_laplacian
 from vntoolkit.integration.options import IntegrationOptions, Integrator, Precision
-from vntoolkit.integration.slopes import Float32Image, rays_from_camera, slopes_from_normals
-from vntoolkit.integration.spectral import CosineSolver, FourierSolver, RectangleSolver
+from vntoolkit.integration.poisson import CosineSolver, FourierSolver, MaskedSolver, RectangleSolver
+from vntoolkit.integration.slopes import Float32Image, RayField, rays_from_camera, slopes_from_normals
 
 _RECTANGLE = (Integrator.COSINE, Integrator.FOURIER)
 _LEAST_TRUST = np.float32(1e-4)  # of a pixel in the domain: with none, what lies beyond it would float
+Float64 = npt.NDArray[np.float64]
+_LEAST_SIZE = 5  # pixels that the one-sided stencils need
+_FEWEST_PIXELS = 64
+_VOTES = 20_000  # pixels that the median is taken over, evenly spread
+_SMALLEST_SHARE = 0.02  # of a part's pixels that the reference must cover
 
 
 class DepthIntegrator:
@@ -115,3 +135,181 @@ class DepthIntegrator:
         else:
             depth = components.scale_means(depth)
         return DepthMap(depth=depth, mask=domain, unit=LengthUnit.FREE)
+
+
+class DomainSolver:
+    """Solvers inside one domain, (h, w) bool; each keeps its operator and starts from the depth before.
+
+    Solutions are depth (orthographic) or log depth (perspective), (h, w) float64, of mean 0 over each
+    connected component and 0 outside.
+    """
+
+    def __init__(self, domain: Mask, rays: RayField, options: IntegrationOptions) -> None:
+        self.domain = domain
+        self.components = Components(domain)
+        self.iterations = 0
+        self._rays = rays
+        self._options = options
+        self._last: Float64 | None = None
+
+    @cached_property
+    def _masked(self) -> MaskedSolver:
+        return MaskedSolver(
+            self.domain, tolerance=self._options.tolerance, most_iterations=self._options.most_iterations
+        )
+
+    @cached_property
+    def _graph(self) -> PixelGraph:
+        return graph_from_domain(self.domain)
+
+    @cached_property
+    def _points(self) -> FloatArray:
+        return self._rays.image_plane_points(*self.domain.shape)[self.domain]
+
+    def poisson(self, normals: Normals, weight: Weight | None) -> Float64:
+        """Least squares over all edges of the domain.
+
+        Without weights by the cosine transform as preconditioner, with weights by algebraic multigrid.
+        """
+        p, q = slopes_from_normals(normals, self._rays, self._options.steepest_slope_deg)
+        edges = edges_from_slopes(p, q, self.domain, weight)
+        if weight is None:
+            solution = self._masked.solve(edges, self._last)
+            self.iterations = self._masked.iterations
+            return self._keep(solution)
+        graph = self._graph
+        tail = graph.pixels[graph.tail]
+        across, down = tail[: graph.across], tail[graph.across :]
+        difference = np.concatenate([edges.right.ravel()[across], edges.down.ravel()[down]])
+        trust = np.concatenate([edges.right_weight.ravel()[across], edges.down_weight.ravel()[down]])
+        trust = trust.astype(np.float64)
+        nodes, self.iterations = solve_laplacian(
+            hierarchy_from_graph(graph.row_start, graph.neighbour, trust[graph.edge]),
+            divergence_on_graph(graph, trust, difference),
+            self._start(),
+            tolerance=self._options.tolerance,
+            most_iterations=self._options.most_iterations,
+        )
+        return self._keep(self._image(nodes))
+
+    def discontinuity(self, normals: Normals, weight: Weight | None) -> Float64:
+        """Robust least squares that cuts edges across depth discontinuities."""
+        graph, scale = self._graph, self._rays.pixels_per_unit
+        chords = chords_from_normals(
+            normals[self.domain],
+            self._points,
+            graph,
+            perspective=self._rays.depth_scales_ray > 0.0,
+            pixels_per_unit=scale,
+            steepest_slope_deg=self._options.steepest_slope_deg,
+        )
+        nodes = solve_discontinuous(
+            graph,
+            chords.difference,
+            evidence_from_chords(graph, chords, self.domain, self._options.discontinuity),
+            confidence_of_edges(graph, weight),
+            self._options.discontinuity,
+            start=self._start() * scale,
+            most_iterations=self._options.most_iterations,
+        )
+        return self._keep(self._image(nodes) / scale)
+
+    def _start(self) -> Float64:
+        return np.zeros(len(self._graph.pixels)) if self._last is None else self._last[self.domain]
+
+    def _image(self, nodes: Float64) -> Float64:
+        image = np.zeros(self.domain.shape)
+        image[self.domain] = nodes
+        return image
+
+    def _keep(self, solution: Float64) -> Float64:
+        self._last = self.components.remove_means(solution)
+        return self._last
+
+
+# The divergence of the wanted differences on a full rectangle, straight from the slopes.
+
+
+def divergence_from_slopes(p: npt.NDArray[np.float32], q: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """Divergence (h, w) float32 of the wanted differences, from slopes per pixel along u (p) and v (q).
+
+    Sums to zero: the border is the natural one of least squares, not a slope of zero.
+    """
+    require_same_size(p, "slopes along u", q, "slopes along v")
+    if min(p.shape) < _LEAST_SIZE:
+        raise BadInput(f"slopes: expected at least {_LEAST_SIZE}×{_LEAST_SIZE} pixels, got {p.shape[::-1]}")
+    p = np.ascontiguousarray(p, dtype=np.float32)
+    q = np.ascontiguousarray(q, dtype=np.float32)
+    divergence = np.empty(p.shape, dtype=np.float32)
+    _divergence(p, q, divergence)
+    return divergence
+
+
+@numba.njit(cache=True, fastmath=True, parallel=True)
+def _divergence(p, q, out):  # type: ignore[no-untyped-def]
+    height, width = p.shape
+    k = np.float32(1.0 / 24.0)
+    c14, c9, c19, c13, c5 = (
+        np.float32(14.0), np.float32(9.0), np.float32(19.0), np.float32(13.0), np.float32(5.0),
+    )  # fmt: skip
+    for v in numba.prange(height):
+        row = p[v]
+        to = out[v]
+        for u in range(2, width - 2):
+            to[u] = (row[u - 2] - row[u + 2] + c14 * (row[u + 1] - row[u - 1])) * k
+        first = (c9 * row[0] + c19 * row[1] - c5 * row[2] + row[3]) * k
+        second = (c13 * (row[1] + row[2]) - row[0] - row[3]) * k
+        to[0] = first
+        to[1] = second - first
+        n = width - 1
+        first = (c9 * row[n] + c19 * row[n - 1] - c5 * row[n - 2] + row[n - 3]) * k
+        second = (c13 * (row[n - 1] + row[n - 2]) - row[n] - row[n - 3]) * k
+        to[n] = -first
+        to[n - 1] = first - second
+        if 2 <= v < height - 2:
+            above2, above, below, below2 = q[v - 2], q[v - 1], q[v + 1], q[v + 2]
+            for u in range(width):
+                to[u] += (above2[u] - below2[u] + c14 * (below[u] - above[u])) * k
+    n = height - 1
+    for u in range(width):
+        first = (c9 * q[0, u] + c19 * q[1, u] - c5 * q[2, u] + q[3, u]) * k
+        second = (c13 * (q[1, u] + q[2, u]) - q[0, u] - q[3, u]) * k
+        out[0, u] += first
+        out[1, u] += second - first
+        first = (c9 * q[n, u] + c19 * q[n - 1, u] - c5 * q[n - 2, u] + q[n - 3, u]) * k
+        second = (c13 * (q[n - 1, u] + q[n - 2, u]) - q[n, u] - q[n - 3, u]) * k
+        out[n, u] -= first
+        out[n - 1, u] += first - second
+
+
+class DepthAnchor:
+    """Ties depth maps to a reference; parts that the reference does not cover stay as they are."""
+
+    def __init__(self, reference: DepthMap) -> None:
+        self._reference = reference
+
+    def align(self, depth_map: DepthMap) -> DepthMap:
+        """Return `depth_map` with the reference's offset (`FREE` depth: its scale)."""
+        depth = np.array(depth_map.depth)
+        if depth_map.mask.all():
+            self._align_part(depth, depth_map.mask, np.s_[:, :], depth_map.unit)
+            return replace(depth_map, depth=depth)
+        labels = Components(depth_map.mask).labels
+        for label, box in enumerate(ndimage.find_objects(labels), start=1):
+            self._align_part(depth[box], labels[box] == label, box, depth_map.unit)
+        return replace(depth_map, depth=depth)
+
+    def _align_part(
+        self, depth: npt.NDArray[Any], part: Mask, box: tuple[slice, slice], unit: LengthUnit
+    ) -> None:
+        """Shift or scale `depth`, the view of one part's bounding box, in place where `part` is."""
+        common = np.flatnonzero(part & self._reference.mask[box])
+        if len(common) < max(_FEWEST_PIXELS, _SMALLEST_SHARE * np.count_nonzero(part)):
+            return
+        common = common[:: max(1, len(common) // _VOTES)]
+        ours = depth.ravel()[common].astype(np.float64)
+        wanted = self._reference.depth[box].ravel()[common]
+        if unit is LengthUnit.FREE:
+            np.multiply(depth, np.median(wanted / ours), out=depth, where=part)
+        else:
+            np.add(depth, np.median(wanted - ours), out=depth, where=part)

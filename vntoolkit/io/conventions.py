@@ -7,6 +7,7 @@ from enum import Enum
 import numpy as np
 
 from vntoolkit.arrays import FloatArray
+from vntoolkit.geometry.motion import Motion
 
 
 class NormalConvention(Enum):
@@ -55,3 +56,11 @@ def graphics_from_camera(vectors: FloatArray, up: UpAxis = UpAxis.Y) -> FloatArr
     if up is UpAxis.Z:
         return np.stack([vectors[..., 0], vectors[..., 2], -vectors[..., 1]], axis=-1)
     return vectors * np.array([1, -1, -1], dtype=vectors.dtype)
+
+
+# Motion between the axes on disk (y up) and in memory (y down): half a turn about x, its own inverse.
+
+
+def motion_with_axes_turned(motion: Motion) -> Motion:
+    """Return the motion in the other of the two frames."""
+    return motion.turned(graphics_from_camera(np.eye(3)))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from pathlib import Path
+from typing import Any
 
 from vntoolkit.errors import BadInput
 from vntoolkit.photometry.rig import SourceFile
@@ -75,3 +77,26 @@ def sha256_of_file(path: Path | str, error: type[BadInput] = BadInput) -> str:
 def source_file(path: Path | str) -> SourceFile:
     """Return the record of a source: its name and its hash."""
     return SourceFile(file=Path(path).name, sha256=sha256_of_file(path))
+
+
+# JSON that a person or a program wrote, parsed with every failure on one line.
+
+
+def parse_json(text: str, name: str, error: type[BadInput] = BadInput, expected: str = "a JSON file") -> Any:
+    """Return what a JSON text holds; raise `error` where it is none, as `expected`, or is nested too deeply.
+
+    NaN and infinity pass, as Python has it: the schema, which can name the key, refuses them.
+    """
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError as problem:
+        raise error(
+            f"{name}: expected {expected}, but this is not JSON: {problem.msg} at line {problem.lineno}, "
+            f"column {problem.colno}"
+        ) from problem
+    except RecursionError as problem:
+        raise error(f"{name}: its brackets are nested too deeply for any file of this program") from problem
+    except ValueError as problem:  # an integer of thousands of digits
+        raise error(
+            f"{name}: expected {expected}, but this is not JSON: {str(problem).split(';')[0][:200]}"
+        ) from problem

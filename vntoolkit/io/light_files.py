@@ -10,10 +10,18 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
-from vntoolkit.arrays import Points
+from vntoolkit.arrays import FloatArray, Points
+from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput
+from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.io.atomic import atomic_path, write_text
+from vntoolkit.io.conventions import NormalConvention, graphics_from_camera
 from vntoolkit.io.files import read_text, require_inside
+from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.maps_and_meshes.label_images import write_mask
+from vntoolkit.io.maps_and_meshes.maps import write_normal_map
 
 _EXPECTED = "x y z, and perhaps red green blue, per light"
 _CAMERA_FROM_GRAPHICS = np.array([1.0, -1.0, -1.0])
@@ -114,3 +122,43 @@ def _read_rows(path: Path) -> Points:
     if not np.isfinite(table).all():
         raise BadInput(f"{path}: holds NaN or infinity")
     return table
+
+
+# A folder laid out like an object of the DiLiGenT benchmark (shi2019), for code that reads those.
+
+
+def write_diligent(
+    folder: Path,
+    images: list[npt.NDArray[np.uint16]],
+    light_directions: FloatArray,
+    light_intensities: FloatArray,
+    normal_map: NormalMap,
+    convention: NormalConvention = NormalConvention.OPENGL,
+) -> None:
+    """Write one object.
+
+    images: k of (h, w, 3), linear, 65535 = full scale. light_directions: (k, 3) unit vectors towards the
+    lights, camera frame. light_intensities: (k, 3) red, green, blue, by which the
+    benchmark's users divide. convention: of Normal_est.mat and normal.png; the lights always are OPENGL.
+    filenames.txt comes last: a folder that has it is whole.
+    """
+    from scipy.io import savemat
+
+    count = len(images)
+    require_shape(light_directions, (count, 3), "light directions")
+    require_shape(light_intensities, (count, 3), "light intensities")
+    names = [f"{k + 1:03d}.png" for k in range(count)]
+    for name, image in zip(names, images, strict=True):
+        write_png(folder / name, image)
+    write_text(folder / "light_directions.txt", _rows(graphics_from_camera(light_directions)))
+    write_text(folder / "light_intensities.txt", _rows(light_intensities))
+    write_mask(folder / "mask.png", normal_map.mask)
+    write_normal_map(folder / "normal.png", normal_map, convention=convention)
+    signs = np.array(convention.signs, np.float64)
+    with atomic_path(folder / "Normal_est.mat") as temporary:
+        savemat(temporary, {"Normal_est": normal_map.normals_in_camera * signs}, appendmat=False)
+    write_text(folder / "filenames.txt", "\n".join(names) + "\n")
+
+
+def _rows(values: FloatArray) -> str:
+    return "".join(" ".join(f"{x:.8f}" for x in row) + "\n" for row in np.asarray(values))

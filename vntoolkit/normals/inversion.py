@@ -9,34 +9,27 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from numba import njit, prange
 
 from vntoolkit.arrays import Mask
 from vntoolkit.checks import require_mask, require_positive, require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import NormalMap
-from vntoolkit.normals.inversion_kernels import (
-    Coefficients,
-    Decoding,
-    Outputs,
-    normals_from_integers_kernel,
-    normals_from_rgb_kernel,
-)
-from vntoolkit.normals.varying_kernels import (
-    Field,
-    field_from_response,
-    normals_from_integers_in_field,
-    normals_from_rgb_in_field,
-)
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.lambertian import scaled_normals_from_rgb
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.transfer import Transfer, decoding_table
 
 Single = npt.NDArray[np.float32]
+FLAGS = {"contract", "arcp", "nsz"}  # reordering that keeps NaN and infinity meaningful
+_LONGEST = np.float32(1e18)  # squares beyond it overflow float32: treated as not finite
+_ZERO = np.float32(0)
+_ONE = np.float32(1)
+Array = npt.NDArray[Any]
 
 
 class ClippedPixels(Enum):
@@ -189,3 +182,207 @@ def _outputs(shape: tuple[int, int]) -> Outputs:
 
 def _map_from_outputs(out: Outputs) -> NormalMap:
     return NormalMap(normals_in_camera=out.normals, mask=out.valid, weight=out.weight)
+
+
+class Coefficients(NamedTuple):
+    """What the loops need to know, all float32.
+
+    inverse: M⁻¹ over the expected albedo, (3, 3). offset: the same times the ambient light, (3,). darkest:
+    smallest length of a pixel that has a normal. sharpness: 1 / (2 albedo tolerance). clipped_factor: on a
+    clipped pixel's weight.
+    """
+
+    inverse: Array
+    offset: Array
+    darkest: np.float32
+    sharpness: np.float32
+    clipped_factor: np.float32
+
+
+class Decoding(NamedTuple):
+    """table: linear float32 value of every stored integer. white: value from which a sample is clipped."""
+
+    table: Array
+    white: np.float32
+
+
+class Outputs(NamedTuple):
+    """normals (h, w, 3) float32, weight (h, w) float32, valid (h, w) bool: filled by the loops."""
+
+    normals: Array
+    weight: Array
+    valid: Array
+
+
+# The compiled loops of inversion: one pass over the image, row by row.
+
+
+@njit(cache=True, inline="always", fastmath=FLAGS, error_model="numpy")
+def _mix(r: Any, g: Any, b: Any, c: Coefficients, x: Array, y: Array, z: Array, u: int) -> None:
+    x[u] = c.inverse[0, 0] * r + c.inverse[0, 1] * g + c.inverse[0, 2] * b - c.offset[0]
+    y[u] = c.inverse[1, 0] * r + c.inverse[1, 1] * g + c.inverse[1, 2] * b - c.offset[1]
+    z[u] = c.inverse[2, 0] * r + c.inverse[2, 1] * g + c.inverse[2, 2] * b - c.offset[2]
+
+
+@njit(cache=True, inline="always", fastmath=FLAGS, error_model="numpy")
+def normalise_row(
+    x: Array, y: Array, z: Array, clipped: Array, inside: Array, c: Coefficients, weight: Array, valid: Array
+) -> None:
+    """Scale one row to unit length, with its weight; 0 where there is no normal."""
+    for u in range(x.shape[0]):
+        length = np.sqrt(x[u] * x[u] + y[u] * y[u] + z[u] * z[u])
+        factor = c.clipped_factor if clipped[u] else _ONE
+        good = inside[u] & (length > c.darkest) & (length < _LONGEST) & (z[u] < _ZERO) & (factor > _ZERO)
+        scale = _ONE / length
+        departure = (length - scale) * c.sharpness  # near 1: the relative departure over the tolerance
+        weight[u] = factor / (_ONE + departure * departure) if good else _ZERO
+        x[u] = x[u] * scale if good else _ZERO
+        y[u] = y[u] * scale if good else _ZERO
+        z[u] = z[u] * scale if good else _ZERO
+        valid[u] = good
+
+
+@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
+def normals_from_rgb_kernel(rgb: Array, clipped: Array, inside: Array, c: Coefficients, out: Outputs) -> None:
+    """Fill `out` from linear float32 colours (h, w, 3)."""
+    height, width = inside.shape
+    normals, weight, valid = out  # numba drops stores through a tuple's field inside prange
+    for v in prange(height):
+        x, y, z = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
+        for u in range(width):
+            _mix(rgb[v, u, 0], rgb[v, u, 1], rgb[v, u, 2], c, x, y, z, u)
+        normalise_row(x, y, z, clipped[v], inside[v], c, weight[v], valid[v])
+        for u in range(width):
+            normals[v, u, 0] = x[u]
+            normals[v, u, 1] = y[u]
+            normals[v, u, 2] = z[u]
+
+
+@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
+def normals_from_integers_kernel(
+    encoded: Array, decoding: Decoding, inside: Array, c: Coefficients, out: Outputs
+) -> None:
+    """Fill `out` from stored integers (h, w, 3) through a decoding table."""
+    height, width = inside.shape
+    normals, weight, valid = out  # numba drops stores through a tuple's field inside prange
+    table = decoding.table
+    for v in prange(height):
+        x, y, z = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
+        clipped = np.empty(width, np.bool_)
+        for u in range(width):
+            r, g, b = table[encoded[v, u, 0]], table[encoded[v, u, 1]], table[encoded[v, u, 2]]
+            clipped[u] = max(r, g, b) >= decoding.white
+            _mix(r, g, b, c, x, y, z, u)
+        normalise_row(x, y, z, clipped, inside[v], c, weight[v], valid[v])
+        for u in range(width):
+            normals[v, u, 0] = x[u]
+            normals[v, u, 1] = y[u]
+            normals[v, u, 2] = z[u]
+
+
+class Field(NamedTuple):
+    """M and a over the image, all float32.
+
+    terms: (12, 4, 4): number e of (M row by row, then a), coefficient of x^i y^j; M is multiplied by the
+    expected albedo. x = (u − centre_u) × inverse_scale, y likewise.
+    """
+
+    terms: Array
+    centre_u: np.float32
+    centre_v: np.float32
+    inverse_scale: np.float32
+
+
+# The loops of inversion for a response that varies over the image: M(u, v) is solved at every pixel.
+
+
+@njit(cache=True, inline="always", fastmath=FLAGS, error_model="numpy")
+def _cubics_of_row(field: Field, v: int, row: Array) -> None:
+    """Put y in: row[e, i] is the coefficient of x^i in row v."""
+    y = (np.float32(v) - field.centre_v) * field.inverse_scale
+    terms = field.terms
+    for e in range(12):
+        for i in range(4):
+            row[e, i] = ((terms[e, i, 3] * y + terms[e, i, 2]) * y + terms[e, i, 1]) * y + terms[e, i, 0]
+
+
+@njit(cache=True, inline="always", fastmath=FLAGS, error_model="numpy")
+def _cubic(row: Array, e: int, x: Any) -> Any:
+    return ((row[e, 3] * x + row[e, 2]) * x + row[e, 1]) * x + row[e, 0]
+
+
+@njit(cache=True, inline="always", fastmath=FLAGS, error_model="numpy")
+def _solve_row(field: Field, row: Array, x: Array, y: Array, z: Array) -> None:
+    """Replace the colours in x, y, z by M⁻¹(r − a), by Cramer's rule."""
+    for u in range(x.shape[0]):
+        s = (np.float32(u) - field.centre_u) * field.inverse_scale
+        a, b, c = _cubic(row, 0, s), _cubic(row, 1, s), _cubic(row, 2, s)
+        d, e, f = _cubic(row, 3, s), _cubic(row, 4, s), _cubic(row, 5, s)
+        g, h, k = _cubic(row, 6, s), _cubic(row, 7, s), _cubic(row, 8, s)
+        red, green, blue = x[u] - _cubic(row, 9, s), y[u] - _cubic(row, 10, s), z[u] - _cubic(row, 11, s)
+        first, second, third = e * k - f * h, f * g - d * k, d * h - e * g
+        scale = _ONE / (a * first + b * second + c * third)
+        x[u] = (first * red + (c * h - b * k) * green + (b * f - c * e) * blue) * scale
+        y[u] = (second * red + (a * k - c * g) * green + (c * d - a * f) * blue) * scale
+        z[u] = (third * red + (b * g - a * h) * green + (a * e - b * d) * blue) * scale
+
+
+@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
+def normals_from_rgb_in_field(
+    rgb: Array, clipped: Array, inside: Array, field: Field, c: Coefficients, out: Outputs
+) -> None:
+    """Fill `out` from linear float32 colours (h, w, 3)."""
+    height, width = inside.shape
+    normals, weight, valid = out  # numba drops stores through a tuple's field inside prange
+    for v in prange(height):
+        x, y, z = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
+        row = np.empty((12, 4), np.float32)
+        _cubics_of_row(field, v, row)
+        for u in range(width):
+            x[u], y[u], z[u] = rgb[v, u, 0], rgb[v, u, 1], rgb[v, u, 2]
+        _solve_row(field, row, x, y, z)
+        normalise_row(x, y, z, clipped[v], inside[v], c, weight[v], valid[v])
+        for u in range(width):
+            normals[v, u, 0], normals[v, u, 1], normals[v, u, 2] = x[u], y[u], z[u]
+
+
+@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
+def normals_from_integers_in_field(
+    encoded: Array, decoding: Decoding, inside: Array, field: Field, c: Coefficients, out: Outputs
+) -> None:
+    """Fill `out` from stored integers (h, w, 3) through a decoding table."""
+    height, width = inside.shape
+    normals, weight, valid = out  # numba drops stores through a tuple's field inside prange
+    table = decoding.table
+    for v in prange(height):
+        x, y, z = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
+        clipped = np.empty(width, np.bool_)
+        row = np.empty((12, 4), np.float32)
+        _cubics_of_row(field, v, row)
+        for u in range(width):
+            r, g, b = table[encoded[v, u, 0]], table[encoded[v, u, 1]], table[encoded[v, u, 2]]
+            clipped[u] = max(r, g, b) >= decoding.white
+            x[u], y[u], z[u] = r, g, b
+        _solve_row(field, row, x, y, z)
+        normalise_row(x, y, z, clipped, inside[v], c, weight[v], valid[v])
+        for u in range(width):
+            normals[v, u, 0], normals[v, u, 1], normals[v, u, 2] = x[u], y[u], z[u]
+
+
+def field_from_response(response: LightResponse, relative_albedo: float) -> Field:
+    """Lay out a response for the loops."""
+    terms = np.zeros((12, 4, 4))
+    terms[:9, 0, 0] = response.matrix.ravel() * relative_albedo
+    terms[9:, 0, 0] = response.ambient
+    centre_u, centre_v, scale = 0.0, 0.0, 1.0
+    if response.variation is not None:
+        (centre_u, centre_v), scale = response.variation.centre_px.tolist(), response.variation.scale_px
+        i, j = response.variation.powers.T
+        terms[:9, i, j] = response.variation.matrices.reshape(-1, 9).T * relative_albedo
+        terms[9:, i, j] = response.variation.ambients.T
+    return Field(
+        terms=terms.astype(np.float32),
+        centre_u=np.float32(centre_u),
+        centre_v=np.float32(centre_v),
+        inverse_scale=np.float32(1.0 / scale),
+    )

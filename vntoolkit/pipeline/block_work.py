@@ -3,30 +3,40 @@
 from __future__ import annotations
 
 import contextlib
+import queue
+import threading
 import time
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import TracebackType
+from typing import Any, Generic, TypeVar
 
 import numpy as np
+import numpy.typing as npt
+from numba import njit
 
 from vntoolkit.arrays import Mask
+from vntoolkit.checks import require_positive
 from vntoolkit.errors import VntError
-from vntoolkit.io.captures import Capture, CaptureOptions, open_capture
-from vntoolkit.io.decoding import EncodedFrame
-from vntoolkit.io.frame_log import FrameEntry
+from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
+from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.limits import ReadingLimits, reading_limits
-from vntoolkit.io.maps import read_mask
+from vntoolkit.io.maps_and_meshes.label_images import read_mask
+from vntoolkit.io.results.frame_log import FrameEntry
+from vntoolkit.photometry.frame import ALL_LIT
 from vntoolkit.photometry.rig import Rig
-from vntoolkit.photometry.visibility import ALL_LIT
 from vntoolkit.pipeline.frame_processor import FrameProcessor, FrameResult
 from vntoolkit.pipeline.options import DepthOffset, OnError, Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
-from vntoolkit.pipeline.overlap import WriteBehind, read_ahead
-from vntoolkit.pipeline.temporal import smoothed_frames
 from vntoolkit.shadows.detector import ShadowMethod
 
 _WAITING = 2  # frames read before the one at work, and results not yet written
+Item = TypeVar("Item")
+_END = object()
+_FULL = 65535
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -144,3 +154,167 @@ def record_of(result: FrameResult, seconds: float) -> FrameEntry:
         clipped_share=result.clipped_share,
         shadowed_share=shadowed,
     )
+
+
+# Reading ahead and writing behind, a thread and a bounded queue each, so that disk and cores overlap.
+
+
+def read_ahead(items: Iterable[Item], depth: int = 2) -> Iterator[Item]:
+    """Yield `items` in order while a thread fetches the next `depth`; an error surfaces in its place.
+
+    With a depth of 0 there is no thread: each item is fetched when it is asked for.
+    """
+    if depth == 0:
+        yield from items
+        return
+    fetched: queue.Queue[object] = queue.Queue(maxsize=depth)
+    stopped = threading.Event()
+
+    def put(item: object) -> bool:
+        while not stopped.is_set():
+            try:
+                fetched.put(item, timeout=0.1)
+                return True
+            except queue.Full:
+                continue
+        return False
+
+    def fetch() -> None:
+        try:
+            for item in items:
+                if not put(item):
+                    return
+            put(_END)
+        except BaseException as error:
+            put(_Failure(error))
+
+    thread = threading.Thread(target=fetch, name="read-ahead", daemon=True)
+    thread.start()
+    try:
+        while (item := fetched.get()) is not _END:
+            if isinstance(item, _Failure):
+                raise item.error
+            yield item  # type: ignore[misc]
+    finally:
+        stopped.set()
+        thread.join()
+
+
+class WriteBehind(Generic[Item]):
+    """Hands items to `write` in another thread, in order, at most `depth` of them waiting.
+
+    With a depth of 0 there is no thread: `put` writes. A failed write is raised by the next `put` or on
+    leaving the context.
+    """
+
+    def __init__(self, write: Callable[[Item], None], depth: int = 2) -> None:
+        self._write = write
+        self._depth = depth
+        self._pending: deque[Future[None]] = deque()
+        self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="write-behind")
+
+    def put(self, item: Item) -> None:
+        """Queue an item; wait while the queue is full."""
+        if self._depth == 0:
+            self._write(item)
+            return
+        while len(self._pending) >= self._depth:
+            self._pending.popleft().result()
+        self._pending.append(self._pool.submit(self._write, item))
+
+    def __enter__(self) -> WriteBehind[Item]:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            while self._pending and error is None:
+                self._pending.popleft().result()
+        finally:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+
+
+class _Failure:
+    def __init__(self, error: BaseException) -> None:
+        self.error = error
+
+
+# What frames owe to other frames: the reference that fixes the free depth, and smoothing over time.
+
+
+def smoothed_frames(capture: Capture, block: range, sameness: float) -> Iterator[EncodedFrame]:
+    """Yield a block's frames; with sameness > 0, each blended with the captured frames before and after it.
+
+    The neighbours are those in the capture, not in the block: results do not depend on how frames are shared
+    out. The first and the last frame of the capture have one neighbour; frames of floats are not blended.
+    """
+    if not sameness > 0:
+        yield from capture.encoded_frames(block.start, block.stop, block.step)
+        return
+    last = capture.info.frame_count - 1
+    if block.step == 1:
+        start, stop = max(0, block.start - 1), min(last + 1, block.stop + 1)
+        window: list[EncodedFrame] = []
+        for frame in capture.encoded_frames(start, stop):
+            window.append(frame)
+            if len(window) == 3:
+                yield _blended(window[0], window[1], window[2], sameness)
+                window.pop(0)
+            elif len(window) == 2 and start == block.start:
+                yield _blended(window[0], window[0], window[1], sameness)
+        if stop == block.stop:
+            yield _blended(window[-2] if len(window) > 1 else window[-1], window[-1], window[-1], sameness)
+        return
+    for number in block:
+        frames = list(capture.encoded_frames(max(0, number - 1), min(last, number + 1) + 1))
+        here = number - frames[0].number
+        yield _blended(
+            frames[max(0, here - 1)], frames[here], frames[min(here + 1, len(frames) - 1)], sameness
+        )
+
+
+def _blended(before: EncodedFrame, now: EncodedFrame, after: EncodedFrame, sameness: float) -> EncodedFrame:
+    if now.values.dtype not in (np.uint8, np.uint16):
+        return now
+    values = smoothed_over_time(before.values, now.values, after.values, now.bits, sameness)
+    return replace(now, values=values, bits=16)
+
+
+# Noise averaged over a frame and its two neighbours in time, where the picture rests.
+
+
+def smoothed_over_time(
+    before: npt.NDArray[Any], now: npt.NDArray[Any], after: npt.NDArray[Any], bits: int, sameness: float
+) -> npt.NDArray[np.uint16]:
+    """Blend stored integers (h, w, 3) of three frames; the result has 16 significant bits.
+
+    sameness: s, as a share of full scale (stored values). A value at full scale stays there, so that clipped
+    pixels are still known. Raises `BadInput` where sameness is not positive.
+    """
+    require_positive(sameness, "sameness")
+    out = np.empty(now.shape, np.uint16)
+    top = 2**bits - 1
+    _blend(before, now, after, np.float32(_FULL / top), np.float32(0.5 / (sameness * top) ** 2), top, out)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _blend(before, now, after, scale, sharpness, top, out):  # type: ignore[no-untyped-def]  # pragma: no cover
+    height, width = now.shape[:2]
+    for v in range(height):
+        for u in range(width):
+            d_before, d_after = np.float32(0), np.float32(0)
+            for c in range(3):
+                own = np.float32(now[v, u, c])
+                d_before += (np.float32(before[v, u, c]) - own) ** 2
+                d_after += (np.float32(after[v, u, c]) - own) ** 2
+            w_before, w_after = np.exp(-d_before * sharpness), np.exp(-d_after * sharpness)
+            inverse = scale / (np.float32(1) + w_before + w_after)
+            for c in range(3):
+                own = now[v, u, c]
+                if own >= top:
+                    out[v, u, c] = np.uint16(65535)
+                    continue
+                total = np.float32(own) + w_before * before[v, u, c] + w_after * after[v, u, c]
+                out[v, u, c] = np.uint16(total * inverse + np.float32(0.5))

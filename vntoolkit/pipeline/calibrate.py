@@ -11,17 +11,21 @@ import numpy as np
 from vntoolkit.arrays import Mask
 from vntoolkit.calibration.board import BoardCalibration, BoardOptions, fit_response_to_board
 from vntoolkit.calibration.board_detection import BoardDetector, BoardSighting
-from vntoolkit.calibration.light_colours import fit_light_colours, with_light_colours
-from vntoolkit.calibration.lights import LightColours, response_from_lights
+from vntoolkit.calibration.lights import (
+    LightColours,
+    fit_light_colours,
+    response_from_lights,
+    with_light_colours,
+)
 from vntoolkit.calibration.sphere import SphereCalibration, SphereOptions, fit_response_to_sphere
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.board_layout import BoardLayout
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.io.captures import Capture, CaptureInfo, CaptureOptions, open_capture
 from vntoolkit.io.files import source_file
-from vntoolkit.io.frame_range import FrameRange
-from vntoolkit.io.label_images import read_mask
+from vntoolkit.io.footage.captures import Capture, CaptureInfo, CaptureOptions, open_capture
+from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.light_files import read_lights
+from vntoolkit.io.maps_and_meshes.label_images import read_mask
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse

@@ -3,48 +3,70 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import partial
 
 import numpy as np
+import numpy.typing as npt
 
-from vntoolkit.calibration.head.fusion import FusionOptions
 from vntoolkit.calibration.head.hull import (
     HullOptions,
     View,
     box_about_points,
     fit_hull,
     mesh_of_grid,
+    spread_over_turn,
 )
 from vntoolkit.calibration.head.light import HeadLight, LightOptions, fit_light
 from vntoolkit.calibration.head.poses import HeadMotion, PoseOptions, PoseStart, solve_head_motion
 from vntoolkit.calibration.head.samples import HeadRays, HeadSamples, LightFrame, SampleOptions, sample_head
-from vntoolkit.calibration.head.shape import fit_shape
+from vntoolkit.calibration.head.shape import FusionOptions, fit_shape
+from vntoolkit.calibration.head.sift import SiftBuilder, SiftOptions, require_features
+from vntoolkit.calibration.head.silhouettes import (
+    Silhouette,
+    SilhouetteOptions,
+    find_silhouette,
+    require_head,
+)
 from vntoolkit.calibration.head.stereo import StereoOptions
-from vntoolkit.calibration.head.tracks import Tracks
-from vntoolkit.calibration.head.turn import spread_over_turn
+from vntoolkit.calibration.head.tracks import (
+    ContrastOptions,
+    TrackBuilder,
+    TrackOptions,
+    Tracks,
+    local_contrast,
+    require_tracks,
+)
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.files import source_file
-from vntoolkit.io.undistortion import Undistorter
+from vntoolkit.io.footage.resampling import Undistorter
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.calibrate import CalibrationJob
-from vntoolkit.pipeline.head_footage import Features, FollowOptions, HeadFootage, follow_frames
 
 _SEED = 0
 _GUESSED_FOCAL = 3.0  # of the picture's longer side, where nobody knows: a portrait lens
 _LEAST_FRAMES, _MOST_FRAMES = 12, 400
 _HULL_VIEWS = 32
+Progress = Callable[[str, int, int], None]
+
+
+class Features(Enum):
+    """What is recognised from frame to frame."""
+
+    TRACKS = "tracks"  # skin followed by optical flow: video, up to 4 degrees from frame to frame
+    SIFT = "sift"  # features matched: photographs, up to 20 degrees apart; slower
+
+
 _STARTS = {
     Features.TRACKS: [PoseStart.FACTORISATION],
     Features.SIFT: [PoseStart.MAPPING, PoseStart.FACTORISATION],
 }
-Progress = Callable[[str, int, int], None]
 
 
 class HeadShape(Enum):
@@ -52,6 +74,17 @@ class HeadShape(Enum):
 
     HULL = "hull"  # silhouettes alone: quick, and enough for M on a well-lit head
     FUSED = "fused"  # silhouettes and stereo
+
+
+@dataclass(frozen=True, kw_only=True)
+class FollowOptions:
+    """How footage is followed. features: skin followed from frame to frame, or features matched."""
+
+    features: Features = Features.TRACKS
+    contrast: ContrastOptions = field(default_factory=ContrastOptions)
+    silhouettes: SilhouetteOptions = field(default_factory=SilhouetteOptions)
+    tracks: TrackOptions = field(default_factory=TrackOptions)
+    sift: SiftOptions = field(default_factory=SiftOptions)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -224,3 +257,37 @@ class _Clock:
         start = time.perf_counter()
         yield
         self.seconds[name] = time.perf_counter() - start
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HeadFootage:
+    """What is kept of the footage: per frame used its number, silhouette and 8-bit local contrast."""
+
+    numbers: tuple[int, ...]
+    silhouettes: tuple[Silhouette, ...]
+    contrasts: tuple[npt.NDArray[np.uint8], ...]
+
+
+# Silhouettes and tracks of a turning head, frame by frame.
+
+
+def follow_frames(
+    frames: Iterable[LinearFrame], camera: Camera, options: FollowOptions
+) -> tuple[HeadFootage, Tracks]:
+    """Find silhouettes and tracks in undistorted frames; raise `BadCalibration` where either is no use."""
+    sift = options.features is Features.SIFT
+    builder = (
+        SiftBuilder(camera=camera, options=options.sift) if sift else TrackBuilder(options=options.tracks)
+    )
+    numbers, silhouettes, contrasts = [], [], []
+    for frame in frames:
+        silhouette = find_silhouette(frame.rgb, options.silhouettes)
+        builder.add(local_contrast(frame.rgb, options.contrast), silhouette.mask)
+        numbers.append(frame.number)
+        silhouettes.append(silhouette)
+        contrasts.append(builder.image)
+    require_head(silhouettes)
+    tracks = builder.finish()
+    (require_features if sift else require_tracks)(tracks)
+    footage = HeadFootage(numbers=tuple(numbers), silhouettes=tuple(silhouettes), contrasts=tuple(contrasts))
+    return footage, tracks

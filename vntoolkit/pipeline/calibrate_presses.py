@@ -10,22 +10,21 @@ import numpy as np
 
 from vntoolkit.arrays import Mask
 from vntoolkit.calibration.fit import ResponseFit
-from vntoolkit.calibration.press_fit import fit_response_to_presses
 from vntoolkit.calibration.presses import (
     Press,
     PressOptions,
     PressSamples,
+    fit_response_to_presses,
     samples_from_press,
 )
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.io.atomic import require_writable_folder
-from vntoolkit.io.captures import Capture, CaptureOptions, open_capture
-from vntoolkit.io.files import source_file
-from vntoolkit.io.images import write_png
-from vntoolkit.io.press_labels import label_path, read_press_label
-from vntoolkit.io.rectification import rectify_frame
+from vntoolkit.io.files import read_text, source_file
+from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
+from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.resampling import rectify_frame
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, encoded_from_linear
@@ -154,3 +153,25 @@ def _without(frame: LinearFrame, usable: Mask) -> LinearFrame:
     if frame.shape != usable.shape:
         raise BadCalibration("calibrate presses: the background has another size than the presses")
     return LinearFrame(rgb=frame.rgb, clipped=frame.clipped | ~usable, number=frame.number)
+
+
+# Labels of ball presses: one text file a frame, `u v contact_radius` in pixels.
+
+
+def read_press_label(path: Path | str) -> tuple[float, float, float]:
+    """Read centre u, v and contact radius, pixels, of one press."""
+    words = read_text(path).split()
+    try:
+        values = [float(word) for word in words]
+    except ValueError as error:
+        raise BadInput(
+            f"{path}: expected three numbers (u, v, contact radius), got '{words[0][:40]} …'"
+        ) from error
+    if len(values) != 3 or not np.isfinite(values).all() or values[2] <= 0:
+        raise BadInput(f"{path}: expected three numbers (u, v, contact radius > 0), got {len(values)}")
+    return values[0], values[1], values[2]
+
+
+def label_path(folder: Path, image: Path) -> Path:
+    """The label of an image: the file of its name with the suffix .txt."""
+    return folder / f"{image.stem}.txt"

@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.io.images import write_png
-from vntoolkit.io.sequences import read_mesh_sequence
-from vntoolkit.io.video import write_video
+from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.video import write_video
+from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.pipeline.tracked_folder import TrackSource, open_track_source, read_track_record
 from vntoolkit.tracking.checkerboard import CheckerboardOptions, checkerboard_frame
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from vntoolkit.errors import BadInput, MissingDependency, VntError
-from vntoolkit.io.frame_log import FrameEntry
+from vntoolkit.io.results.frame_log import FrameEntry
 from vntoolkit.native import keep_freed_memory, limit_threads
 from vntoolkit.pipeline.block_work import BlockWorker, ReconstructionJob
 from vntoolkit.pipeline.outputs import ReconstructionFolder

@@ -12,7 +12,7 @@ from pathlib import Path
 from vntoolkit.calibration.board import BoardOptions
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.board_layout import BoardLayout
-from vntoolkit.io.frame_range import FrameRange
+from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.rigs import read_rig, write_rig
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.block_work import ReconstructionJob
@@ -20,8 +20,7 @@ from vntoolkit.pipeline.calibrate import CalibrationJob, calibrate_board
 from vntoolkit.pipeline.options import ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import ReconstructionSummary, reconstruct
-from vntoolkit.pipeline.simulate import simulate
-from vntoolkit.pipeline.simulation_job import SimulationFolder, SimulationJob
+from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob, simulate
 from vntoolkit.simulation.scene import SceneOptions, build_scene
 from vntoolkit.simulation.studio import CAMERA_DISTANCE_M
 

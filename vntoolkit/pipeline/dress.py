@@ -17,11 +17,13 @@ from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.mesh_sequence import MeshSequence
 from vntoolkit.geometry.motion import Motion
 from vntoolkit.io.atomic import require_writable_folder
-from vntoolkit.io.glb import write_glb
-from vntoolkit.io.meshes import write_mesh
-from vntoolkit.io.usd import write_usd_sequence
+from vntoolkit.io.maps_and_meshes.glb import write_glb
+from vntoolkit.io.maps_and_meshes.meshes import write_mesh
+from vntoolkit.io.maps_and_meshes.usd import write_usd_sequence
+from vntoolkit.io.motion.asf import AmcOptions, read_asf_amc
+from vntoolkit.io.motion.bvh import read_bvh
+from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.skinning.anatomy import anatomy_of
-from vntoolkit.skinning.anchoring import Anchor, TrunkAnchor
 from vntoolkit.skinning.attachment import weights_without_web
 from vntoolkit.skinning.blending import Blend, skinned_vertices
 from vntoolkit.skinning.clock import (
@@ -31,12 +33,11 @@ from vntoolkit.skinning.clock import (
     resampled_motion,
     resampled_vertices,
 )
-from vntoolkit.skinning.fitting import FitOptions, fit_garment_to_figure
+from vntoolkit.skinning.fitting import Anchor, FitOptions, TrunkAnchor, fit_garment_to_figure
 from vntoolkit.skinning.kinematics import pose_of_frame
 from vntoolkit.skinning.weights import SkinWeights, WeightOptions
 
 logger = logging.getLogger(__name__)
-
 _WEB_SAMPLES = 32  # poses of the motion in which web is looked for
 FIGURE_HEIGHT_M = 1.65  # toes to crown of an average adult, as skeletons measure it
 _Z_UP_TO_Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # in camera axes: −z becomes −y
@@ -227,3 +228,41 @@ def _write_files(dressed: DressedFigure, pattern: Path) -> int:
     for count, vertices in enumerate(dressed.frames(), start=1):
         write_mesh(pattern.with_name(pattern.name % (count - 1)), template.with_vertices(vertices))
     return count
+
+
+# What `dress` reads: motion capture by its suffix, and the folder that `track` wrote.
+
+
+def read_motion(path: Path | str, skeleton: Path | str | None = None) -> Motion:
+    """Read `.bvh`, or `.amc` with its `.asf` (by default the one of the same name, or the only one there)."""
+    path = Path(path)
+    match path.suffix.lower():
+        case ".bvh":
+            return read_bvh(path)
+        case ".amc":
+            return read_asf_amc(Path(skeleton) if skeleton else _skeleton_beside(path), path, AmcOptions())
+        case suffix:
+            raise BadInput(f"{path}: expected a motion in .bvh or .amc, got {suffix or 'no suffix'}")
+
+
+def _skeleton_beside(path: Path) -> Path:
+    """Find the skeleton of an AMC file: same name, else the longest name that begins the motion's."""
+    candidates = [
+        file
+        for file in sorted(path.parent.glob("*.[aA][sS][fF]"))
+        if path.stem.lower().startswith(file.stem.lower())
+    ]
+    if not candidates:
+        raise BadInput(f"{path}: no skeleton (.asf) of that name beside it; name one with --skeleton")
+    return max(candidates, key=lambda file: len(file.stem))
+
+
+def read_tracked_cloth(folder: Path | str) -> MeshSequence:
+    """Open the registered mesh that `track` left in a folder (or the folder `track` itself)."""
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise BadInput(f"{folder}: expected a folder written by `vntoolkit track`")
+    inside = folder / "track"
+    if not inside.is_dir() and not (folder / "sequence.json").exists():
+        raise BadInput(f"{folder}: holds no registered mesh: run `vntoolkit track {folder}` first")
+    return read_mesh_sequence(inside if inside.is_dir() else folder)

@@ -14,16 +14,14 @@ from vntoolkit.arrays import FloatArray, Vector3
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.evaluation.angular_error import compare_normals
-from vntoolkit.evaluation.cylinder import Cylinder
-from vntoolkit.evaluation.cylinder_error import axis_error_deg, radius_from_distance, side_angles
+from vntoolkit.evaluation.cylinder import Cylinder, axis_error_deg, radius_from_distance, side_angles
 from vntoolkit.evaluation.cylinder_fit import CylinderOptions, fit_cylinder
 from vntoolkit.evaluation.silhouette import silhouette_from_image
 from vntoolkit.geometry.maps import NormalMap
-from vntoolkit.io.files import read_text, require_file
-from vntoolkit.io.json_text import parse_json
-from vntoolkit.io.maps import read_normal_map
+from vntoolkit.io.files import parse_json, read_text, require_file
+from vntoolkit.io.maps_and_meshes.maps import read_normal_map
 from vntoolkit.pipeline.opened_result import OpenedResult
-from vntoolkit.pipeline.simulation_job import SimulationFolder
+from vntoolkit.pipeline.simulate import SimulationFolder
 
 logger = logging.getLogger(__name__)
 _SEED = 0  # the same folder gives the same numbers

@@ -9,16 +9,17 @@ import numpy as np
 
 from vntoolkit.arrays import FloatArray, Mask
 from vntoolkit.checks import require_same_size, require_some
+from vntoolkit.diagnosis.consistency import warn_of_flipped_axes
 from vntoolkit.errors import BadInput
-from vntoolkit.evaluation.analytic_surfaces import disc_with_hole, peaks, tear
+from vntoolkit.evaluation.depth_error import disc_with_hole, peaks, tear
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.integration.options import IntegrationOptions, Integrator
 from vntoolkit.io.files import read_text
-from vntoolkit.io.label_images import read_mask
-from vntoolkit.io.maps import read_normal_map
-from vntoolkit.io.npy import read_npz
+from vntoolkit.io.maps_and_meshes.arrays import read_npz
+from vntoolkit.io.maps_and_meshes.label_images import read_mask
+from vntoolkit.io.maps_and_meshes.maps import read_normal_map
 
 TEAR_STEEPNESS = 1.0
 _OBJECT_FILES = ("normal_map.png", "mask.png", "K.txt", "depth_gt.npz")
@@ -137,6 +138,7 @@ def read_object(folder: Path) -> tuple[Camera, NormalMap, FloatArray]:
     """Read camera, normals and true depth (h, w) in mm, NaN where unknown, of one real object."""
     mask = read_mask(folder / "mask.png")
     normal_map = read_normal_map(folder / "normal_map.png", mask=mask)
+    warn_of_flipped_axes(folder / "normal_map.png", normal_map)
     height, width = mask.shape
     matrix = _read_matrix(folder / "K.txt")
     camera = Camera(model=CameraModel.PINHOLE, width=width, height=height, matrix=matrix)

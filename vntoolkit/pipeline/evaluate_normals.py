@@ -7,11 +7,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from vntoolkit.arrays import FloatArray, Mask
+from vntoolkit.diagnosis.consistency import warn_of_flipped_axes
 from vntoolkit.errors import BadInput
-from vntoolkit.evaluation.angle_histogram import AngleHistogram
-from vntoolkit.evaluation.angular_error import AngularError, angular_error_map, summarise_angles
+from vntoolkit.evaluation.angular_error import (
+    AngleHistogram,
+    AngularError,
+    angular_error_map,
+    summarise_angles,
+)
 from vntoolkit.io.conventions import NormalConvention
-from vntoolkit.io.maps import read_normal_map
+from vntoolkit.io.maps_and_meshes.maps import read_normal_map
 
 _SUFFIXES = (".exr", ".png", ".tif", ".tiff")
 
@@ -95,6 +100,8 @@ def _angle_maps(
     for pair in pairs:
         measured = read_normal_map(pair.measured, convention=conventions[0])
         reference = read_normal_map(pair.reference, convention=conventions[1])
+        warn_of_flipped_axes(pair.measured, measured)
+        warn_of_flipped_axes(pair.reference, reference)
         try:
             angles, both = angular_error_map(measured, reference)
         except BadInput as problem:

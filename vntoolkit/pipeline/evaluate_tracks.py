@@ -19,10 +19,10 @@ from vntoolkit.evaluation.track_error import (
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh_sequence import MeshSequence
 from vntoolkit.io.atomic import write_text
-from vntoolkit.io.meshes import read_mesh
-from vntoolkit.io.npy import map_npy
+from vntoolkit.io.maps_and_meshes.arrays import map_npy
+from vntoolkit.io.maps_and_meshes.meshes import read_mesh
+from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.io.rigs import read_rig
-from vntoolkit.io.sequences import read_mesh_sequence
 from vntoolkit.pipeline.tracked_folder import read_track_record, recorded_camera
 
 

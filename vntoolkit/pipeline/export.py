@@ -3,34 +3,41 @@
 from __future__ import annotations
 
 import json
+import logging
 import shutil
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.arrays import FloatArray
 from vntoolkit.errors import BadInput
+from vntoolkit.geometry.maps import LengthUnit
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.atomic import require_writable_folder, write_text
-from vntoolkit.io.files import read_text
-from vntoolkit.io.frame_range import FrameRange
-from vntoolkit.io.glb import write_glb
-from vntoolkit.io.json_text import parse_json
-from vntoolkit.io.usd import write_usd_meshes, write_usd_sequence
-from vntoolkit.pipeline.export_frames import frame_export, numbers_with_mesh, own_mesh
-from vntoolkit.pipeline.export_options import (
-    ExportedSurface,
-    ExportFormat,
-    ExportOptions,
-    FileLengths,
-    file_lengths,
-)
+from vntoolkit.io.conventions import NormalConvention, UpAxis, graphics_from_camera
+from vntoolkit.io.files import parse_json, read_text
+from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.light_files import write_diligent
+from vntoolkit.io.maps_and_meshes.arrays import StreamedArray, write_npz
+from vntoolkit.io.maps_and_meshes.glb import write_glb
+from vntoolkit.io.maps_and_meshes.maps import write_normal_map
+from vntoolkit.io.maps_and_meshes.meshes import write_mesh
+from vntoolkit.io.maps_and_meshes.usd import write_usd_meshes, write_usd_sequence
 from vntoolkit.pipeline.opened_result import OpenedResult, TrackedSurface, open_result
-from vntoolkit.pipeline.option_values import option_values
+from vntoolkit.pipeline.options import option_values
 
 _RECORD = "export.json"
 _SUFFIXES = ("", ".ply", ".obj", ".glb", ".npz", ".png")  # of a frame's file; none of a frame's folder
 Advance = Callable[[], None]
+_LOGGER = logging.getLogger(__name__)
+_METRES_PER_PIXEL = 0.001  # shown, not measured: a 600-pixel subject opens 0.6 m tall in Blender
+_HEADROOM = 1.25  # of a light's picture over the brightest that the rig's material gets
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,3 +183,339 @@ def _clear(out: Path) -> None:
             shutil.rmtree(path) if path.is_dir() else path.unlink()
     (out / "track.npz").unlink(missing_ok=True)
     (out / _RECORD).unlink()
+
+
+class ExportFormat(Enum):
+    """What results are handed on as."""
+
+    PLY = "ply"  # a mesh a frame
+    OBJ = "obj"  # a mesh a frame
+    USD = "usd"  # one animated file
+    GLB = "glb"  # one animated file of a registered surface, else one a frame
+    NPZ = "npz"  # arrays: one file a frame, and one of a registered surface
+    DILIGENT = "diligent"  # one folder a frame, laid out like the benchmark's
+    PNG = "png"  # 16-bit normal maps
+
+
+class ExportedSurface(Enum):
+    """Which meshes: of one topology, or a new one every frame."""
+
+    AUTO = "auto"  # the registered surface where there is one
+    TRACKED = "tracked"
+    FRAMES = "frames"
+
+
+class FileUnit(Enum):
+    """Length unit of exported files."""
+
+    M = "m"
+    CM = "cm"
+    MM = "mm"
+
+    @property
+    def metres(self) -> float:
+        """Its length."""
+        return {"m": 1.0, "cm": 0.01, "mm": 0.001}[self.value]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportOptions:
+    """How results are handed on.
+
+    to: the format: usd, one animated file (Blender keeps its own frame rate when it opens one: set that of
+    its scene to the capture's); glb, one animated file of a registered surface, else one a frame; ply and
+    obj, a mesh a frame; npz, arrays; png, 16-bit normal maps; diligent, a folder a frame, laid out like the
+    benchmark's. normal_convention: axes of normal maps (png, npz, diligent). units: length unit of the files,
+    where the result has a scale; default metres, and lengths as they are where it has none. up: axis that
+    points up in meshes. scale: metres for a length of 1 in the result, where it has no scale of its own
+    (lengths in pixels, or free). surface: which meshes: the registered surface (tracked), those of each frame
+    (frames), or the registered one where there is one (auto).
+    """
+
+    to: ExportFormat
+    normal_convention: NormalConvention = NormalConvention.OPENGL
+    units: FileUnit | None = None
+    up: UpAxis = UpAxis.Y
+    scale: float | None = None
+    surface: ExportedSurface = ExportedSurface.AUTO
+
+    def __post_init__(self) -> None:
+        if self.scale is not None and not self.scale > 0:
+            raise BadInput(f"scale: expected a positive number of metres, got {self.scale:g}")
+        if self.to is ExportFormat.GLB and (self.up is not UpAxis.Y or self.units not in (None, FileUnit.M)):
+            raise BadInput("a GLB has metres and y up by its standard: leave out --units and --up")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FileLengths:
+    """factor: by which lengths are multiplied on their way into a file. metres_per_unit: of the file."""
+
+    factor: float
+    metres_per_unit: float
+
+
+# What a user may choose about an export, and what lengths become.
+
+
+def file_lengths(options: ExportOptions, unit: LengthUnit | None) -> FileLengths:
+    """Return what lengths of a result become; raise `BadInput` for units that it has no scale for."""
+    metres = 1.0 if unit is LengthUnit.METRE else options.scale
+    if unit is LengthUnit.METRE and options.scale is not None:
+        raise BadInput("scale: the result has lengths in metres already; leave out --scale")
+    if metres is not None:
+        target = (options.units or FileUnit.M).metres
+        return FileLengths(factor=metres / target, metres_per_unit=target)
+    if options.units is not None and unit is not None:
+        stored = "in pixels" if unit is LengthUnit.PIXEL else "of free scale"
+        raise BadInput(
+            f"units: the result's lengths are {stored}; give --scale METRES for a length of 1, or "
+            "reconstruct with --distance"
+        )
+    shown = _METRES_PER_PIXEL if unit is LengthUnit.PIXEL else 1.0
+    if unit is not None:
+        _LOGGER.warning("the result has no scale: lengths are written as if 1 were %g m", shown)
+    if options.to is ExportFormat.GLB:
+        return FileLengths(factor=shown, metres_per_unit=1.0)
+    return FileLengths(factor=1.0, metres_per_unit=shown)
+
+
+# One exported file or folder per frame: meshes, arrays, normal maps, DiLiGenT-like objects.
+
+
+def numbers_with_mesh(result: OpenedResult, track: TrackedSurface | None) -> tuple[int, ...]:
+    """Return the opened frames of the registered surface, or those with an own mesh; raise for none."""
+    if track is not None:
+        opened = set(result.numbers)
+        found = tuple(number for number in track.numbers if number in opened)
+    else:
+        found = tuple(number for number in result.numbers if result.folder.mesh(number).exists())
+    if not found:
+        root = result.folder.root
+        raise BadInput(f"{root}: holds no mesh of those frames; run `vntoolkit reconstruct --to mesh`")
+    return found
+
+
+def own_mesh(result: OpenedResult, number: int) -> Mesh:
+    """Return a frame's own mesh, which was there a moment ago."""
+    mesh = result.mesh(number)
+    if mesh is None:
+        raise BadInput(f"frame {number}: its mesh has vanished")
+    return mesh
+
+
+class FrameExport(ABC):
+    """Writes one frame at a time; `suffix` of its files, empty for a folder a frame."""
+
+    suffix = ""
+
+    def __init__(self, result: OpenedResult, track: TrackedSurface | None, options: ExportOptions) -> None:
+        self.result = result
+        self.track = track
+        self.options = options
+
+    def numbers(self) -> tuple[int, ...]:
+        """Return the frames that there are."""
+        return self.result.numbers
+
+    def place(self, out: Path, number: int) -> Path:
+        """Return the file or folder of a frame."""
+        return out / f"{number:06d}{self.suffix}"
+
+    def last_file(self, out: Path, number: int) -> Path:
+        """Return the file that is written last."""
+        return self.place(out, number)
+
+    def sources(self, number: int) -> list[Path]:
+        """Return the files of the result that the frame is made from."""
+        return [self.result.folder.normals(number)]
+
+    def is_current(self, out: Path, number: int) -> bool:
+        """Whether the frame was exported, and is not older than what it is made from."""
+        made = self.last_file(out, number)
+        if not made.exists():
+            return False
+        newest = max((path.stat().st_mtime for path in self.sources(number) if path.exists()), default=0.0)
+        return made.stat().st_mtime >= newest
+
+    @abstractmethod
+    def write(self, out: Path, number: int) -> None:
+        """Write a frame."""
+
+    def finish(self, out: Path) -> None:  # noqa: B027 - most have nothing to add
+        """Write what belongs to all frames together."""
+
+
+class _Meshes(FrameExport):
+    """PLY, OBJ, or GLB a frame, of the registered surface or the frames' own."""
+
+    def __init__(self, result: OpenedResult, track: TrackedSurface | None, options: ExportOptions) -> None:
+        super().__init__(result, track, options)
+        self.suffix = f".{options.to.value}"
+        self._factor = file_lengths(options, result.length_unit).factor
+
+    def numbers(self) -> tuple[int, ...]:
+        return numbers_with_mesh(self.result, self.track)
+
+    def sources(self, number: int) -> list[Path]:
+        if self.track is not None:
+            return [self.result.folder.root / "track" / "vertices.npy"]
+        return [self.result.folder.mesh(number)]
+
+    def write(self, out: Path, number: int) -> None:
+        mesh = self.track.mesh(number) if self.track is not None else own_mesh(self.result, number)
+        mesh = replace(mesh, vertices=mesh.vertices * self._factor)
+        path = self.place(out, number)
+        if self.options.to is ExportFormat.GLB:
+            rate = self.result.manifest.input.frame_rate_hz
+            write_glb(path, mesh, iter([mesh.vertices]), frame_rate_hz=rate)
+        else:
+            write_mesh(path, mesh, up=self.options.up)
+
+
+class _NormalMaps(FrameExport):
+    """16-bit PNG."""
+
+    suffix = ".png"
+
+    def write(self, out: Path, number: int) -> None:
+        normal_map = self.result.normals(number)
+        assert normal_map is not None
+        path = self.place(out, number)
+        write_normal_map(path, normal_map, convention=self.options.normal_convention)
+
+
+class _Arrays(FrameExport):
+    """Everything of a frame as named arrays."""
+
+    suffix = ".npz"
+
+    def __init__(self, result: OpenedResult, track: TrackedSurface | None, options: ExportOptions) -> None:
+        super().__init__(result, track, options)
+        self.factor = file_lengths(options, result.length_unit).factor
+
+    def sources(self, number: int) -> list[Path]:
+        folder = self.result.folder
+        return [folder.normals(number), folder.depth(number), folder.shadows(number), folder.mesh(number)]
+
+    def write(self, out: Path, number: int) -> None:
+        write_npz(self.place(out, number), arrays_of_frame(self.result, number, self.options, self.factor))
+
+    def finish(self, out: Path) -> None:
+        if self.track is not None:
+            numbers = self.result.numbers
+            write_tracked_npz(out / "track.npz", self.track, numbers, self.options, self.factor)
+
+
+class _Diligent(FrameExport):
+    """Each light's share of the frame as a picture of its own, as if it had shone alone."""
+
+    def __init__(self, result: OpenedResult, track: TrackedSurface | None, options: ExportOptions) -> None:
+        super().__init__(result, track, options)
+        if "background" in result.manifest.extra_files and result.background is None:
+            raise BadInput("diligent: the result was made with a background; give it as --background")
+        result.capture  # noqa: B018 - refused before anything is written
+        lights = result.rig.response.lights
+        strengths: FloatArray = np.linalg.norm(lights, axis=1)
+        albedo = result.manifest.options.get("inversion.relative_albedo", 1.0)
+        self._scale = _HEADROOM * max(1.0, float(albedo)) * float(strengths.max())
+        self._directions = lights / strengths[:, None]
+        self._intensities = np.repeat(strengths[:, None] / self._scale, 3, axis=1)
+
+    def last_file(self, out: Path, number: int) -> Path:
+        return self.place(out, number) / "filenames.txt"
+
+    def write(self, out: Path, number: int) -> None:
+        normal_map = self.result.normals(number)
+        assert normal_map is not None
+        response = self.result.rig.response
+        rgb = self.result.linear(number).rgb - response.ambient
+        shares = rgb @ response.contributions_from_rgb.T / self._scale
+        stored = np.rint(np.clip(shares, 0, 1) * 65535).astype(np.uint16)
+        images = [np.repeat(stored[..., k : k + 1], 3, axis=2) for k in range(3)]
+        write_diligent(
+            self.place(out, number),
+            images,
+            self._directions,
+            self._intensities,
+            normal_map,
+            self.options.normal_convention,
+        )
+
+
+def frame_export(result: OpenedResult, track: TrackedSurface | None, options: ExportOptions) -> FrameExport:
+    """Return what writes the frames of a format."""
+    kinds: dict[ExportFormat, type[FrameExport]] = {
+        ExportFormat.NPZ: _Arrays,
+        ExportFormat.PNG: _NormalMaps,
+        ExportFormat.DILIGENT: _Diligent,
+    }
+    return kinds.get(options.to, _Meshes)(result, track, options)
+
+
+# What `--to npz` holds: the named arrays of a frame, and those of the registered surface.
+
+
+def arrays_of_frame(
+    result: OpenedResult, number: int, options: ExportOptions, factor: float
+) -> Mapping[str, npt.NDArray[Any]]:
+    """Return what `--to npz` holds of a frame.
+
+    normals (h, w, 3) in the asked convention, mask, confidence; depth along the optical axis, depth_mask;
+    labels; vertices, faces, vertex_normals, vertex_colours, uv of the frame's own mesh in the frame of files;
+    camera_matrix. factor: of lengths. Parts that the frame lacks are left out.
+    """
+    normal_map, depth_map = result.normals(number), result.depth(number)
+    assert normal_map is not None
+    signs = np.array(options.normal_convention.signs, np.float32)
+    arrays: dict[str, Any] = {
+        "normals": normal_map.normals_in_camera * signs,
+        "mask": normal_map.mask,
+        "confidence": normal_map.weight,
+        "labels": result.labels(number),
+        "camera_matrix": result.camera.matrix,
+        "normal_convention": np.array(options.normal_convention.value),
+        "up": np.array(options.up.value),
+    }
+    if depth_map is not None:
+        arrays |= {"depth": (depth_map.depth * factor).astype(np.float32), "depth_mask": depth_map.mask}
+    mesh = result.mesh(number)
+    if mesh is not None:
+        arrays |= _mesh_arrays(mesh, factor, options)
+    return {name: np.asarray(values) for name, values in arrays.items() if values is not None}
+
+
+def _mesh_arrays(mesh: Mesh, factor: float, options: ExportOptions) -> dict[str, Any]:
+    normals = None if mesh.normals is None else graphics_from_camera(mesh.normals, options.up)
+    return {
+        "vertices": (graphics_from_camera(mesh.vertices, options.up) * factor).astype(np.float32),
+        "faces": mesh.faces,
+        "vertex_normals": None if normals is None else normals.astype(np.float32),
+        "vertex_colours": mesh.colours,
+        "uv": mesh.uv,
+    }
+
+
+def write_tracked_npz(
+    path: Path, track: TrackedSurface, numbers: tuple[int, ...], options: ExportOptions, factor: float
+) -> None:
+    """Write the registered surface: vertices (frames, n, 3), faces, uv, confidence, frames, frame_rate_hz."""
+    wanted = set(numbers)
+    rows = [row for row, number in enumerate(track.numbers) if number in wanted]
+    sequence, template = track.sequence, track.sequence.template
+    moving = (graphics_from_camera(sequence.vertices[row], options.up) * factor for row in rows)
+    arrays: dict[str, Any] = {
+        "vertices": StreamedArray(
+            shape=(len(rows), len(template.vertices), 3), dtype=np.float32, rows=moving
+        ),
+        "faces": template.faces,
+        "frames": np.array([track.numbers[row] for row in rows]),
+        "frame_rate_hz": np.array(sequence.frame_rate_hz),
+        "up": np.array(options.up.value),
+    }
+    arrays |= {name: v for name, v in (("uv", template.uv), ("colours", template.colours)) if v is not None}
+    confidence = sequence.confidence
+    if confidence is not None:
+        arrays["confidence"] = StreamedArray(
+            shape=(len(rows), len(template.vertices)), dtype=np.float32, rows=(confidence[r] for r in rows)
+        )
+    write_npz(path, arrays)

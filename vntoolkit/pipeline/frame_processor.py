@@ -9,20 +9,17 @@ import numpy.typing as npt
 
 from vntoolkit.arrays import Colours, LinearImage, Mask, VisibilityLabels
 from vntoolkit.checks import require_shape
-from vntoolkit.devices import find_backend
 from vntoolkit.errors import BadCapture
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.integration.anchor import DepthAnchor
-from vntoolkit.integration.integrate import DepthIntegrator
-from vntoolkit.io.decoding import EncodedFrame, clipped_pixel_share, linear_frame_from_encoded
-from vntoolkit.io.undistortion import Undistorter
+from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
+from vntoolkit.io.footage.decoding import EncodedFrame, clipped_pixel_share, linear_frame_from_encoded
+from vntoolkit.io.footage.resampling import Undistorter
 from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame
 from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.photometry.levelling import Leveller
+from vntoolkit.photometry.lambertian import Leveller
 from vntoolkit.photometry.rig import Rig
-from vntoolkit.pipeline.device_path import DevicePath
 from vntoolkit.pipeline.options import Product, ReconstructOptions
 from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
 from vntoolkit.shadows.recovery import recover_normals
@@ -67,11 +64,6 @@ class FrameProcessor:
         self._mask = self._undistorter.mask(whole)
         self._integrator = DepthIntegrator(self.camera, options.integration)
         self._anchor: DepthAnchor | None = None
-        self._depth_of_device: DepthMap | None = None
-        backend = find_backend(options.device)
-        self._device = None
-        if backend is not None:
-            self._device = DevicePath(backend, rig, self._mask, options.inversion, options.integration)
         self._central = rig.response.central
         self._leveller = None
         if rig.response.variation is not None and options.shadows is not ShadowMethod.NONE:
@@ -83,7 +75,7 @@ class FrameProcessor:
         self.forget()
         normal_map, _, _ = self._normals(frame)
         if normal_map.mask.any():
-            self._anchor = DepthAnchor(self._unanchored_depth(normal_map))
+            self._anchor = DepthAnchor(self._integrator.integrate(normal_map))
         self.forget()
 
     def forget(self) -> None:
@@ -124,9 +116,6 @@ class FrameProcessor:
     def _normals(self, frame: EncodedFrame) -> tuple[NormalMap, VisibilityLabels | None, float]:
         if self._options.shadows is not ShadowMethod.NONE:
             return self._normals_under_shadow(self.linear(frame))
-        if self._device is not None and self._is_plain(frame):
-            normal_map, self._depth_of_device = self._device.process(frame)
-            return normal_map, None, clipped_pixel_share(frame, self._rig.transfer)
         if self._is_plain(frame):
             values, transfer = frame.values, self._rig.transfer
             normal_map = normals_from_encoded(
@@ -164,12 +153,8 @@ class FrameProcessor:
         integers = frame.values.dtype in (np.uint8, np.uint16)
         return integers and self._background is None and not self._undistorter.changes_frames
 
-    def _unanchored_depth(self, normal_map: NormalMap) -> DepthMap:
-        ready, self._depth_of_device = self._depth_of_device, None
-        return self._integrator.integrate(normal_map) if ready is None else ready
-
     def _depth(self, normal_map: NormalMap) -> DepthMap:
-        depth_map = self._unanchored_depth(normal_map)
+        depth_map = self._integrator.integrate(normal_map)
         if self._anchor is not None:
             depth_map = self._anchor.align(depth_map)
         if depth_map.unit is LengthUnit.FREE and self._options.distance_m is not None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from vntoolkit.evaluation.angular_error import AngularError, compare_normals
 from vntoolkit.normals.inversion import normals_from_frame
-from vntoolkit.simulation.near_response import true_varying_response
+from vntoolkit.simulation.image_formation import true_varying_response
 from vntoolkit.simulation.nuisances import Nuisances, nuisance_names
 from vntoolkit.simulation.render import RenderOptions, render_frame
 from vntoolkit.simulation.scene import Scene

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import logging
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -16,21 +18,21 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.mesh_sequence import MeshSequence
-from vntoolkit.io.captures import Capture, CaptureOptions, open_capture
-from vntoolkit.io.decoding import linear_frame_from_encoded
-from vntoolkit.io.frame_log import FrameEntry, FrameLog
-from vntoolkit.io.frame_range import FrameRange
-from vntoolkit.io.manifest import Manifest, read_manifest
-from vntoolkit.io.maps import read_depth_map, read_labels, read_normal_map
-from vntoolkit.io.meshes import read_mesh
+from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
+from vntoolkit.io.footage.decoding import linear_frame_from_encoded
+from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.footage.resampling import Undistorter
+from vntoolkit.io.maps_and_meshes.label_images import read_labels
+from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
+from vntoolkit.io.maps_and_meshes.meshes import read_mesh
+from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
+from vntoolkit.io.results.manifest import Manifest, read_manifest
+from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.io.rigs import rig_from_entry
-from vntoolkit.io.sequences import read_mesh_sequence
-from vntoolkit.io.undistortion import Undistorter
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
 from vntoolkit.pipeline.outputs import ReconstructionFolder
-from vntoolkit.pipeline.result_digest import result_digest
 from vntoolkit.pipeline.tracked_folder import read_track_record
 
 logger = logging.getLogger(__name__)
@@ -202,3 +204,21 @@ def open_result(
         footage=footage,
         background=background,
     )
+
+
+# Which reconstruction is it? What is made of one, tracks and exports, is not mixed with that of another.
+
+
+def result_digest(manifest: Manifest) -> str:
+    """Return the SHA-256 of what shapes a reconstruction: footage, mask, background, rig and options.
+
+    Frames may be added and the footage may be named otherwise, as for `io.manifest.changes_between`.
+    """
+    content = [
+        [file.model_dump() for file in manifest.input.files],
+        manifest.input.frame_rate_hz,
+        {name: file.model_dump() for name, file in manifest.extra_files.items()},
+        manifest.rig.model_dump(exclude={"quality", "sources"}),
+        manifest.options,
+    ]
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

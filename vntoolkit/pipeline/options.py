@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import Any
 
-from vntoolkit.devices import Device
 from vntoolkit.errors import BadInput
 from vntoolkit.integration.options import IntegrationOptions
 from vntoolkit.meshing.surface import MeshOptions
@@ -50,8 +51,7 @@ class ReconstructOptions:
     frame that depth is tied to; default: the first of the run that makes the folder. smoothing: difference of
     colour, as a share of full scale, up to which a pixel of the frame before or after counts as the same
     surface at rest and is averaged in; 0 for none, about 3 times the noise to use it. on_error: what a
-    failing frame does: stop the run, or be skipped and named at the end. device: what the per-pixel and
-    Fourier stages run on; CUDA needs CuPy or PyTorch, and falls back silently.
+    failing frame does: stop the run, or be skipped and named at the end.
 
     A rig fitted to presses on a gel turns match_albedo and shadows off: it is the gel's own.
     """
@@ -64,7 +64,6 @@ class ReconstructOptions:
     reference_frame: int | None = None
     smoothing: float = 0.0
     on_error: OnError = OnError.STOP
-    device: Device = Device.CPU
     inversion: InversionOptions = field(default_factory=InversionOptions)
     integration: IntegrationOptions = field(default_factory=IntegrationOptions)
     meshing: MeshOptions = field(default_factory=MeshOptions)
@@ -78,3 +77,23 @@ class ReconstructOptions:
             raise BadInput(f"smoothing: expected a share of full scale from 0 to 1, got {self.smoothing:g}")
         if self.reference_frame is not None and self.reference_frame < 0:
             raise BadInput(f"reference frame: expected a frame number, got {self.reference_frame}")
+
+
+# Options as plain values, for a manifest: nested dataclasses become dotted names.
+
+
+def option_values(options: Any, prefix: str = "", without: tuple[str, ...] = ()) -> dict[str, Any]:
+    """Return {dotted field name: JSON value} of a frozen option dataclass and those within, but for some."""
+    values: dict[str, Any] = {}
+    for option in dataclasses.fields(options):
+        if option.name in without:
+            continue
+        value = getattr(options, option.name)
+        name = f"{prefix}{option.name}"
+        if dataclasses.is_dataclass(value):
+            values.update(option_values(value, f"{name}."))
+        elif isinstance(value, Enum):
+            values[name] = value.value
+        else:
+            values[name] = value
+    return values

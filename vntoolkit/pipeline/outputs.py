@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from vntoolkit.io.maps import write_depth_map, write_labels, write_normal_map
-from vntoolkit.io.meshes import write_mesh
+from vntoolkit.io.maps_and_meshes.label_images import write_labels
+from vntoolkit.io.maps_and_meshes.maps import write_depth_map, write_normal_map
+from vntoolkit.io.maps_and_meshes.meshes import write_mesh
 from vntoolkit.pipeline.frame_processor import FrameResult
 from vntoolkit.pipeline.options import Product
 

@@ -3,41 +3,57 @@
 from __future__ import annotations
 
 import logging
+import multiprocessing
+import os
 import shutil
+import signal
 import time
-from collections.abc import Callable, Generator
-from dataclasses import dataclass
+from collections.abc import Callable, Generator, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from vntoolkit.errors import BadInput, VntError
+from vntoolkit.arrays import Mask
+from vntoolkit.diagnosis.inspection import findings_from_capture
+from vntoolkit.errors import BadCapture, BadInput, VntError
 from vntoolkit.io.atomic import require_writable_folder
-from vntoolkit.io.captures import Capture
-from vntoolkit.io.frame_log import FRAMES_NAME, FrameEntry, FrameLog
-from vntoolkit.io.frame_range import FrameRange
-from vntoolkit.io.manifest import (
+from vntoolkit.io.files import source_file
+from vntoolkit.io.footage.captures import Capture
+from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.results.frame_log import FRAMES_NAME, FrameEntry, FrameLog
+from vntoolkit.io.results.manifest import (
     MANIFEST_NAME,
+    InputEntry,
     Manifest,
     has_manifest,
+    hashed,
+    library_versions,
     now_utc,
     read_manifest,
     require_resumable,
     write_manifest,
 )
-from vntoolkit.io.plausibility import findings_from_capture
-from vntoolkit.pipeline.block_work import ReconstructionJob
-from vntoolkit.pipeline.blocks import blocks_of
+from vntoolkit.io.rigs import SourceEntry, entry_from_rig
+from vntoolkit.native import limit_threads
+from vntoolkit.normals.inversion import relative_albedo_from_frame
+from vntoolkit.pipeline.block_work import BlockWorker, ReconstructionJob
 from vntoolkit.pipeline.cluster import require_scheduler, run_blocks_on_cluster
-from vntoolkit.pipeline.run_blocks import DoneFrames, run_blocks
-from vntoolkit.pipeline.settled_job import manifest_of_run, settled_job
+from vntoolkit.pipeline.frame_processor import FrameProcessor
+from vntoolkit.pipeline.options import option_values
+from vntoolkit.shadows.detector import ShadowMethod
 
 logger = logging.getLogger(__name__)
-
 Started = Callable[[int, int], None]
 Finished = Callable[[FrameEntry], None]
+DoneFrames = Callable[[range], frozenset[int]]
 Workers = Callable[[ReconstructionJob, list[range], DoneFrames], Generator[FrameEntry]]
+_worker: BlockWorker | None = None  # one per worker process
+BLOCK_FRAMES = 16
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -177,3 +193,152 @@ def _finish(root: Path, manifest: Manifest, log: FrameLog, numbers: range, secon
     spent = [done[number] for number in numbers if number in done]
     timings = {"frame_s": float(np.median(spent)) if spent else 0.0, "wall_s": round(seconds, 3)}
     write_manifest(root, manifest.model_copy(update={"finished": now_utc(), "timings": timings}))
+
+
+# What a run settles before its first frame, once for a whole folder, and the record that it keeps.
+
+
+def settled_job(
+    job: ReconstructionJob, capture: Capture, numbers: range, earlier: Mapping[str, Any]
+) -> ReconstructionJob:
+    """Return the job with the options that rig and footage decide, so that every frame is done alike.
+
+    earlier: options of the run that this one goes on with, empty for none; what that run measured and chose
+    is kept. Raises `BadInput` for a mask of another size and a reference frame that is not there,
+    `BadCapture` for a first frame that shows nothing; nothing is written.
+    """
+    mask = job.read_mask(capture)
+    options = job.options
+    if _was_pressed(job):  # a gel was calibrated itself, and nothing throws a shadow on it
+        options = replace(options, match_albedo=False, shadows=ShadowMethod.NONE)
+    reference = options.reference_frame
+    if reference is None:
+        stored = earlier.get("reference_frame")
+        reference = stored if isinstance(stored, int) else numbers[0]
+    elif reference >= capture.info.frame_count:
+        raise BadInput(f"reference frame: the capture has only {capture.info.frame_count} frames")
+    job = replace(job, options=replace(options, reference_frame=reference))
+    if not options.match_albedo:
+        return job
+    albedo = earlier.get("inversion.relative_albedo")
+    if not isinstance(albedo, float):
+        albedo = _measured_albedo(job, capture, numbers[0], mask)
+    return replace(
+        job, options=replace(job.options, inversion=replace(options.inversion, relative_albedo=albedo))
+    )
+
+
+def _was_pressed(job: ReconstructionJob) -> bool:
+    return job.rig.quality is not None and job.rig.quality.method == "presses"
+
+
+def _measured_albedo(job: ReconstructionJob, capture: Capture, number: int, mask: Mask | None) -> float:
+    """Measure how bright the subject is against the calibration material."""
+    processor = FrameProcessor(job.rig, job.options, mask, capture.background)
+    first = next(capture.encoded_frames(number, number + 1))
+    try:
+        albedo = relative_albedo_from_frame(processor.linear(first), job.rig.response, mask)
+    except BadInput as error:
+        raise BadCapture(f"{first.name}: {error}") from error
+    return float(np.format_float_positional(albedo, precision=4, fractional=False))
+
+
+def manifest_of_run(job: ReconstructionJob, capture: Capture, frames: FrameRange) -> Manifest:
+    """Return the record of a run of a settled job that begins now; all input files are read and hashed."""
+    info = capture.info
+    extra = {
+        name: _source_entry(path)
+        for name, path in (("mask", job.mask), ("background", job.background))
+        if path is not None
+    }
+    outputs = {"normals": ["normals"], "depth": ["normals", "depth"], "mesh": ["normals", "depth", "mesh"]}
+    return Manifest(
+        input=InputEntry(
+            source=job.source,
+            files=hashed(info.files),
+            width=info.width,
+            height=info.height,
+            frame_count=info.frame_count,
+            frame_rate_hz=info.frame_rate_hz,
+        ),
+        extra_files=extra,
+        rig=entry_from_rig(job.rig),
+        options=option_values(job.options, without=("to", "on_error")),  # they shape no value
+        frames=frames.to_text(),
+        outputs=outputs[job.options.to.value] + (["shadows"] if job.has_labels else []),
+        versions=library_versions(),
+        started=now_utc(),
+    )
+
+
+def _source_entry(path: Path) -> SourceEntry:
+    record = source_file(path)
+    return SourceEntry(file=record.file, sha256=record.sha256)
+
+
+# Blocks of frames on one worker in this process, or on several processes.
+
+
+def run_blocks(
+    job: ReconstructionJob, blocks: list[range], done_frames: DoneFrames, jobs: int = 1
+) -> Generator[FrameEntry]:
+    """Yield a record per finished frame; frames of one block in order, blocks as they finish.
+
+    done_frames: tells which frames of a block are on disk already. jobs: worker processes; with 1 the work
+    is done here. Closing the iterator ends the workers.
+    """
+    if jobs == 1 or len(blocks) == 1:
+        worker = BlockWorker(job)
+        for block in blocks:
+            yield from worker.run(block, done_frames(block))
+        return
+    context = multiprocessing.get_context("spawn")  # a fork would copy threads that hold locks
+    workers = min(jobs, len(blocks))
+    pool = ProcessPoolExecutor(workers, context, initializer=_start_worker, initargs=(job, workers))
+    try:
+        yield from _collect(pool, blocks, done_frames, workers)
+    except BrokenProcessPool as error:
+        raise VntError(
+            "a worker process ended abruptly (out of memory?); what is finished is on disk: run the same "
+            "command again, with fewer --jobs, to go on"
+        ) from error
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _collect(
+    pool: ProcessPoolExecutor, blocks: list[range], done_frames: DoneFrames, workers: int
+) -> Generator[FrameEntry]:
+    """Keep two blocks per worker submitted, and hand on what they return."""
+    waiting = iter(blocks)
+    running: set[Future[list[FrameEntry]]] = set()
+    while True:
+        while len(running) < 2 * workers and (block := next(waiting, None)) is not None:
+            running.add(pool.submit(_run_block, block, done_frames(block)))
+        if not running:
+            return
+        finished, running = wait(running, return_when=FIRST_COMPLETED)
+        for future in finished:
+            yield from future.result()
+
+
+def _start_worker(job: ReconstructionJob, workers: int) -> None:
+    """Open the capture in a new process; Ctrl-C is the parent's to handle."""
+    global _worker  # noqa: PLW0603 - a worker process has exactly one
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threads = max(1, (os.cpu_count() or 1) // workers)
+    limit_threads(threads)
+    _worker = BlockWorker(replace(job, threads=min(job.threads, threads)))
+
+
+def _run_block(block: range, already_done: frozenset[int]) -> list[FrameEntry]:
+    assert _worker is not None
+    return list(_worker.run(block, already_done))
+
+
+# The unit of work of a long run: a block of consecutive frames.
+
+
+def blocks_of(numbers: range, size: int = BLOCK_FRAMES) -> list[range]:
+    """Cut the frame numbers of a run into blocks, in order."""
+    return [numbers[start : start + size] for start in range(0, len(numbers), size)]

@@ -17,11 +17,10 @@ from vntoolkit.errors import BadInput
 from vntoolkit.evaluation.angular_error import AngularError, angles_between_deg, summarise_angles
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io.files import read_bytes, require_file
-from vntoolkit.io.images import read_image
-from vntoolkit.io.label_images import read_mask
-from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.io.footage.images import read_image
+from vntoolkit.io.maps_and_meshes.label_images import read_mask
+from vntoolkit.photometry.frame import LinearFrame, count_lit, labels_from_lit
 from vntoolkit.photometry.response import LightResponse
-from vntoolkit.photometry.visibility import count_lit, labels_from_lit
 
 CAPTURES = ("buddha", "cat", "yaleB01", "yaleB02")
 STATUE_LIGHTS = (0, 4, 10)

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from vntoolkit.errors import BadInput, VntError
-from vntoolkit.io.frame_log import FrameEntry
-from vntoolkit.io.frame_range import FrameRange
+from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.limits import ReadingLimits, limited_to
+from vntoolkit.io.results.frame_log import FrameEntry
 from vntoolkit.native import keep_freed_memory, limit_threads
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.checkerboard import write_checkerboard

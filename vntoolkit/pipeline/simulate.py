@@ -6,35 +6,64 @@ of its own, its mesh from the file that the parent wrote. So neither jobs nor an
 
 from __future__ import annotations
 
+import json
+import logging
 import multiprocessing
 import os
 import shutil
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from vntoolkit.errors import BadInput, VntError
+from vntoolkit.arrays import FloatArray, VisibilityLabels
+from vntoolkit.errors import BadInput, BadMotion, BadRig, VntError
+from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.atomic import require_writable_folder, write_text
-from vntoolkit.io.images import read_image, write_png
-from vntoolkit.io.label_images import read_labels
-from vntoolkit.io.maps import read_normal_map
-from vntoolkit.io.video import write_video
+from vntoolkit.io.files import read_text, source_file
+from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.footage.images import read_image, resized_image, write_png
+from vntoolkit.io.footage.video import write_video
+from vntoolkit.io.maps_and_meshes.arrays import map_npy
+from vntoolkit.io.maps_and_meshes.exr import ExrCompression
+from vntoolkit.io.maps_and_meshes.label_images import read_labels, write_labels, write_mask
+from vntoolkit.io.maps_and_meshes.maps import read_normal_map, write_depth_map, write_flow, write_normal_map
+from vntoolkit.io.results.seams import write_seams
+from vntoolkit.io.results.sequences import MeshSequenceWriter
+from vntoolkit.io.rigs import write_rig
 from vntoolkit.native import limit_threads
+from vntoolkit.photometry.frame import lit_from_labels
+from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import TransferCurve
-from vntoolkit.pipeline.simulation_job import SimulationFolder, SimulationJob, require_free
-from vntoolkit.pipeline.simulation_truth import write_fixed_truth, write_frame, write_moving_mesh
-from vntoolkit.simulation.contact_sheet import contact_row, contact_sheet
-from vntoolkit.simulation.render import Renderer, frame_generator
+from vntoolkit.pipeline.options import option_values
+from vntoolkit.simulation.head.rig import seam_lines_px
+from vntoolkit.simulation.image_formation import exposure_of_scene, light_colours_of, true_response
+from vntoolkit.simulation.nuisances import Nuisances
+from vntoolkit.simulation.render import (
+    Renderer,
+    RenderOptions,
+    SimulatedFrame,
+    frame_generator,
+    require_same_topology,
+)
+from vntoolkit.simulation.scene import Scene, SceneOptions, build_scene
+from vntoolkit.simulation.spectra import WAVELENGTHS_NM
 
 _SHEET_FRAMES, _SHEET_WIDTH = 8, 320
 _worker: FrameWorker | None = None  # one per worker process
+_VERSION = 1
+logger = logging.getLogger(__name__)
+_COMPRESSION = ExrCompression.ZIPS  # maps are mostly empty around the subject: a fifth of the size
+Picture = npt.NDArray[np.uint8]
+_DISPLAY_GAMMA = 2.2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,3 +205,231 @@ def _clear(folder: SimulationFolder) -> None:
         path.unlink(missing_ok=True)
     shutil.rmtree(folder.truth, ignore_errors=True)
     shutil.rmtree(folder.staged(0).parent, ignore_errors=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulationFolder:
+    """The layout of a synthetic capture on disk; frames are numbered by their place in the video."""
+
+    root: Path
+
+    @property
+    def video(self) -> Path:
+        """The capture itself."""
+        return self.root / "capture.mkv"
+
+    @property
+    def truth(self) -> Path:
+        """Everything that is known about it."""
+        return self.root / "truth"
+
+    @property
+    def description(self) -> Path:
+        """What was asked for; written first."""
+        return self.root / "simulation.json"
+
+    def staged(self, place: int) -> Path:
+        """A rendered frame that waits for the video to be written; comes last of a frame's files."""
+        return self.root / ".frames" / f"{place:06d}.png"
+
+    def map_file(self, kind: str, place: int, suffix: str) -> Path:
+        """The file of one frame's normals, depth, mask, visibility or flow."""
+        return self.truth / kind / f"{place:06d}{suffix}"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SimulationJob:
+    """Everything that a worker needs, small enough to send to another process.
+
+    scene: a name in `SCENES`. frames: which of the scene's frames are filmed. motion: .npy file, float
+    (frames, n, 3) in the camera frame and metres, that moves the scene's mesh instead of its own motion.
+    """
+
+    scene: str
+    folder: SimulationFolder
+    options: SceneOptions = field(default_factory=SceneOptions)
+    nuisances: Nuisances = field(default_factory=Nuisances)
+    rendering: RenderOptions = field(default_factory=RenderOptions)
+    frames: FrameRange = field(default_factory=FrameRange)
+    motion: Path | None = None
+
+    @cached_property
+    def built(self) -> Scene:
+        """The scene, moved by the motion file where there is one. Raises `BadMotion`, `BadMesh`."""
+        scene = build_scene(self.scene, self.options)
+        if self.motion is None:
+            return scene
+        moved = read_motion_file(self.motion)
+        require_same_topology(moved[0], scene)
+        return replace(
+            scene,
+            vertices=lambda frame: np.array(moved[frame], np.float64),
+            frame_count=len(moved),
+            camera_from_object=None,
+        )
+
+    @cached_property
+    def numbers(self) -> range:
+        """The scene's frames that are filmed."""
+        return self.frames.numbers(self.built.frame_count)
+
+    def description(self) -> str:
+        """Return what shapes the result, as JSON: two runs with the same text give the same bytes."""
+        content: dict[str, Any] = {
+            "version": _VERSION,
+            "scene": self.scene,
+            "frames": self.frames.to_text(),
+            "motion": None if self.motion is None else asdict(source_file(self.motion)),
+            "scene_options": {k: v for k, v in option_values(self.options).items() if v is not None},
+            "nuisances": option_values(self.nuisances),
+            "samples": self.rendering.samples,
+        }
+        return json.dumps(content, indent=2) + "\n"
+
+
+# One synthetic capture: what is asked for, and where its files go.
+
+
+def read_motion_file(path: Path) -> FloatArray:
+    """Map a (frames, n, 3) .npy file of vertices into memory. Raises `BadMotion`."""
+    moved: FloatArray = map_npy(path, BadMotion)
+    if moved.ndim != 3 or moved.shape[2] != 3 or not len(moved) or moved.dtype.kind != "f":
+        raise BadMotion(
+            f"{path}: expected floating point vertices (frames, n, 3), got {moved.shape} {moved.dtype}"
+        )
+    return moved
+
+
+def require_free(folder: SimulationFolder, description: str, overwrite: bool) -> bool:
+    """Return whether a run of the same description began here; raise where another one's files are."""
+    if not folder.description.exists():
+        if folder.video.exists() and not overwrite:
+            raise BadInput(f"{folder.root}: holds a capture.mkv already; choose another folder")
+        return False
+    if overwrite:
+        return False
+    if read_text(folder.description) != description:
+        raise BadInput(
+            f"{folder.root}: holds a capture made with other options (see {folder.description.name}); "
+            "choose another folder, or add --overwrite"
+        )
+    return True
+
+
+# The truth of a synthetic capture on disk: the parts that do not change, and each frame's.
+
+
+def write_fixed_truth(job: SimulationJob) -> None:
+    """Write rig.json (where three lights give an M), lights.json, scene.json, poses.json and seams.json.
+
+    seams.json holds the edges of lips and lids in the first frame, as `track --seams` reads them.
+    """
+    scene, truth = job.built, job.folder.truth
+    try:
+        response = true_response(scene, job.nuisances)
+        rig = Rig(camera=scene.camera, response=response, transfer=job.nuisances.file_transfer)
+        write_rig(truth / "rig.json", rig)
+    except BadRig:
+        logger.info("scene %s: a single light gives no M, so there is no rig.json", scene.name)
+    write_text(truth / "lights.json", json.dumps(_lights(job), indent=1) + "\n")
+    facts = {
+        "scene": scene.name,
+        "frame_rate_hz": scene.frame_rate_hz,
+        "scene_frames": list(job.numbers),
+        "facts": dict(scene.facts),
+    }
+    write_text(truth / "scene.json", json.dumps(facts, indent=1) + "\n")
+    seams = seam_lines_px(scene, job.numbers[0])
+    if seams:
+        write_seams(truth / "seams.json", seams)
+    if scene.camera_from_object is not None:
+        poses = [scene.camera_from_object(number).matrix.tolist() for number in job.numbers]
+        write_text(truth / "poses.json", json.dumps({"camera_from_object": poses}, indent=1) + "\n")
+
+
+def write_moving_mesh(job: SimulationJob, resume: bool) -> None:
+    """Write the mesh of every frame, in order, a frame in memory at a time: vertices.npy and template.ply."""
+    scene, numbers = job.built, job.numbers
+    first = scene.vertices(numbers[0])
+    template = Mesh(vertices=first, faces=scene.surface.faces)
+    rate = scene.frame_rate_hz / numbers.step
+    with MeshSequenceWriter(job.folder.truth, template, frame_rate_hz=rate, resume=resume) as writer:
+        for place in range(writer.frame_count, len(numbers)):
+            writer.append(first if place == 0 else scene.vertices(numbers[place]))
+
+
+def write_frame(folder: SimulationFolder, place: int, frame: SimulatedFrame) -> None:
+    """Write one frame's truth, and the frame itself, last, where the video is gathered from."""
+    truth = frame.truth
+    write_normal_map(folder.map_file("normals", place, ".exr"), truth.normals, compression=_COMPRESSION)
+    write_depth_map(folder.map_file("depth", place, ".exr"), truth.depth, compression=_COMPRESSION)
+    write_mask(folder.map_file("mask", place, ".png"), truth.normals.mask)
+    write_labels(folder.map_file("visibility", place, ".png"), truth.labels)
+    if truth.flow_px is not None:
+        flow = np.where(truth.normals.mask[..., None], truth.flow_px, np.float32(np.nan))
+        write_flow(folder.map_file("flow", place, ".exr"), flow, compression=_COMPRESSION)
+    write_png(folder.staged(place), frame.stored)
+
+
+def _lights(job: SimulationJob) -> dict[str, object]:
+    """Positions, and what the reference material makes of each light at the scene's centre."""
+    scene = job.built
+    exposure = exposure_of_scene(scene, job.nuisances)
+    lights = [
+        {
+            "label_bit": bit,
+            "position_m": position.tolist(),
+            "direction": direction.tolist(),
+            "colour": colour.tolist(),
+            "spectrum": np.round(spectrum, 9).tolist(),
+        }
+        for bit, position, direction, colour, spectrum in zip(
+            scene.lights.bits,
+            scene.lights.positions,
+            exposure.directions,
+            light_colours_of(scene, exposure),
+            scene.lights.spectra,
+            strict=True,
+        )
+    ]
+    ambient = scene.surface.reference_weights @ exposure.ambient_colours
+    return {
+        "frame": "camera: x right, y down, z forward; metres; colours in full scale = 1",
+        "centre_m": np.asarray(scene.centre).tolist(),
+        "ambient": ambient.tolist(),
+        "wavelengths_nm": WAVELENGTHS_NM.tolist(),
+        "lights": lights,
+    }
+
+
+# A contact sheet of a simulated capture: film, normals and lights of frames spread over it.
+
+
+def contact_row(
+    stored: npt.NDArray[Any], normals: NormalMap, labels: VisibilityLabels, linear: bool, width: int
+) -> Picture:
+    """Return one frame's film, normals (colours as in a normal map file) and lit channels, side by side.
+
+    stored: (h, w, 3) as in the file; linear: whether its values need a display curve. width: of each picture.
+    """
+    film = stored.astype(np.float32) / np.iinfo(stored.dtype).max
+    if linear:
+        film = film ** np.float32(1.0 / _DISPLAY_GAMMA)
+    towards_viewer = normals.normals_in_camera * np.array([1.0, -1.0, -1.0], np.float32)
+    coloured = np.where(normals.mask[..., None], 0.5 * (towards_viewer + 1.0), 0.0)
+    lit = lit_from_labels(labels).astype(np.float32)
+    pictures = [
+        resized_image(np.rint(255.0 * np.clip(picture, 0.0, 1.0)).astype(np.uint8), width)
+        for picture in (film, coloured, lit)
+    ]
+    return np.hstack(pictures)
+
+
+def contact_sheet(rows: Iterable[Picture]) -> Picture:
+    """Stack rows of equal size, two abreast where there are more than three."""
+    stacked = list(rows)
+    if len(stacked) <= 3:
+        return np.vstack(stacked)
+    if len(stacked) % 2:
+        stacked.append(np.zeros_like(stacked[0]))
+    return np.vstack([np.hstack(stacked[i : i + 2]) for i in range(0, len(stacked), 2)])

@@ -15,8 +15,8 @@ import numpy as np
 from vntoolkit.arrays import Points2
 from vntoolkit.errors import BadInput
 from vntoolkit.io.atomic import require_writable_folder
-from vntoolkit.io.sequences import MeshSequenceWriter, read_mesh_sequence
-from vntoolkit.pipeline.option_values import option_values
+from vntoolkit.io.results.sequences import MeshSequenceWriter, read_mesh_sequence
+from vntoolkit.pipeline.options import option_values
 from vntoolkit.pipeline.tracked_folder import (
     TrackSource,
     camera_record,

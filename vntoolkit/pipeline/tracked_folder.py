@@ -14,14 +14,13 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.io.atomic import write_text
-from vntoolkit.io.files import read_text
-from vntoolkit.io.frame_range import FrameRange
-from vntoolkit.io.json_text import parse_json
-from vntoolkit.io.manifest import read_manifest
-from vntoolkit.io.maps import read_depth_map, read_normal_map
+from vntoolkit.io.files import parse_json, read_text
+from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
+from vntoolkit.io.results.manifest import read_manifest
 from vntoolkit.io.rigs import rig_from_entry
+from vntoolkit.pipeline.opened_result import result_digest
 from vntoolkit.pipeline.outputs import ReconstructionFolder
-from vntoolkit.pipeline.result_digest import result_digest
 
 _RECORD = "track.json"
 _VERSION = 1

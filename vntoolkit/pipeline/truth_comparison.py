@@ -13,11 +13,11 @@ from vntoolkit.errors import BadInput
 from vntoolkit.evaluation.angular_error import AngularError, angles_between_deg, compare_normals
 from vntoolkit.evaluation.depth_error import DepthError, compare_depths
 from vntoolkit.geometry.maps import DepthMap, NormalMap
-from vntoolkit.io.maps import read_depth_map, read_normal_map
+from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.pipeline.opened_result import OpenedResult
-from vntoolkit.pipeline.simulation_job import SimulationFolder
+from vntoolkit.pipeline.simulate import SimulationFolder
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, Mask
-from vntoolkit.calibration.head.turn import turn_angles_deg
-from vntoolkit.calibration.quality import angles_deg
+from vntoolkit.calibration.fit import angles_deg
+from vntoolkit.calibration.head.hull import turn_angles_deg
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.rigid import RigidTransform

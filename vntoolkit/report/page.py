@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import base64
 import datetime
+import hashlib
+import io
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,13 +18,12 @@ import vntoolkit
 from vntoolkit.errors import BadInput
 from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import read_bytes
-from vntoolkit.io.images import encoded_image
-from vntoolkit.io.manifest import now_utc
-from vntoolkit.report.svg import svg_from_figure
+from vntoolkit.io.footage.images import encoded_image
+from vntoolkit.io.results.manifest import now_utc
+from vntoolkit.report.style import report_style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
 _KINDS = {
     ".png": "image/png",
     ".jpg": "image/jpeg",
@@ -134,3 +136,31 @@ def write_page(
         version=vntoolkit.__version__,
     )
     write_text(path, text)
+
+
+# Matplotlib figures as SVG that stands inside a page.
+
+
+def svg_from_figure(figure: Figure) -> str:
+    """Return `<svg …>…</svg>` without prolog, comments, dates or metadata, its ids unlike any other figure's.
+
+    The same figure gives the same text.
+    """
+    stream = io.StringIO()
+    with report_style(**{"svg.hashsalt": "vntoolkit"}):
+        figure.savefig(
+            stream,
+            format="svg",
+            transparent=True,
+            metadata={"Date": None, "Creator": None, "Format": None, "Type": None},
+        )
+    text = stream.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
+    mark = "f" + hashlib.sha256(text.encode()).hexdigest()[:8]
+    text = re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>{mark}-", text)
+    # the page sets the width; the viewBox keeps the proportions
+    head, tail = text.split(">", 1)
+    head = re.sub(r'\s(width|height)="[^"]*"', "", head)
+    return f'{head} role="img">{tail}'.strip()

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from vntoolkit.arrays import FloatArray, LinearImage, Mask, VisibilityLabels
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
-from vntoolkit.io.label_images import label_colours
+from vntoolkit.io.maps_and_meshes.label_images import label_colours
 from vntoolkit.pipeline.opened_result import OpenedResult
 
 Picture = npt.NDArray[np.uint8]

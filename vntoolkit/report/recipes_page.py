@@ -6,18 +6,21 @@ numbers, texts or null, and figures as PNG, JPEG, WebP or SVG.
 
 from __future__ import annotations
 
+import ast
+import dataclasses
+import json
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from vntoolkit.errors import BadInput
-from vntoolkit.io.files import read_text
-from vntoolkit.io.images import read_image, resized_image
-from vntoolkit.io.json_text import parse_json
+from vntoolkit.io.atomic import write_text
+from vntoolkit.io.files import parse_json, read_text
+from vntoolkit.io.footage.images import read_image, resized_image
 from vntoolkit.report.page import (
     PageFigure,
     PageNotice,
@@ -27,7 +30,6 @@ from vntoolkit.report.page import (
     figure_from_pixels,
     write_page,
 )
-from vntoolkit.report.recipe_text import RecipeText
 
 NUMBERS_NAME = "numbers.json"
 _KEYS = {"what", "paper", "ours", "unit"}
@@ -39,6 +41,7 @@ _DIGITS = 4
 _NOTHING = "–"
 _HEADINGS = ("what", "paper", "ours", "unit")
 _MOST_ROWS = 12  # more are folded away
+_FIGURE = re.compile(r"^([\w.-]+\.(?:png|jpe?g|webp|svg)): (.+)$")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,3 +171,65 @@ def _shown(value: float | str | None) -> str:
     if isinstance(value, str | bool):
         return str(value)
     return f"{value:,}" if isinstance(value, int) else f"{value:.{_DIGITS}g}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecipeText:
+    """summary: one line. paragraphs: what it does. captions: of its figures, by the names of their files."""
+
+    summary: str
+    paragraphs: tuple[str, ...] = ()
+    captions: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def title(self) -> str:
+        """What stands before the colon: "Figure 4", or "Table"."""
+        return self.summary.partition(":")[0]
+
+
+# What a recipe says of itself: the docstring of its script, taken apart.
+
+
+def read_recipe_text(script: Path) -> RecipeText:
+    """Read a script's docstring, without running it."""
+    documentation = ast.get_docstring(ast.parse(read_text(script))) or ""
+    summary, _, rest = documentation.partition("\n")
+    paragraphs: list[str] = []
+    captions: dict[str, str] = {}
+    for block in re.split(r"\n\s*\n", rest.strip("\n")):
+        lines = block.splitlines()
+        if not lines or lines[0].startswith(" "):  # the command
+            continue
+        found = [_FIGURE.match(line) for line in lines]
+        if found[0] is None:
+            paragraphs.append(" ".join(lines))
+            continue
+        name = ""
+        for line, figure in zip(lines, found, strict=True):
+            if figure is not None:
+                name = figure[1]
+            captions[name] = figure[2] if figure is not None else f"{captions[name]} {line.strip()}"
+    return RecipeText(summary=summary, paragraphs=tuple(paragraphs), captions=captions)
+
+
+# The numbers that a recipe ends with, ours beside the paper's: on disk for the page, and as text.
+
+
+def number(what: str, ours: float | str, unit: str, paper: float | str | None = None) -> RecipeNumber:
+    """Return one number; figures beyond the fifth are dropped."""
+    rounded = float(f"{ours:.5g}") if isinstance(ours, float) else ours
+    return RecipeNumber(what=what, paper=paper, ours=rounded, unit=unit)
+
+
+def write_numbers(folder: Path, numbers: Sequence[RecipeNumber]) -> str:
+    """Write numbers.json into a recipe's folder, and return them as lines to print."""
+    rows = [dataclasses.asdict(each) for each in numbers]
+    ordered = [{key: row[key] for key in ("what", "paper", "ours", "unit")} for row in rows]
+    write_text(folder / NUMBERS_NAME, json.dumps(ordered, indent=1) + "\n")
+    return "\n".join(_line(each) for each in numbers)
+
+
+def _line(each: RecipeNumber) -> str:
+    ours = f"{each.ours:.4g}" if isinstance(each.ours, float) else str(each.ours)
+    beside = "" if each.paper is None else f" (in paper: {each.paper})"
+    return f"{each.what}: {ours} {each.unit}".rstrip() + beside

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from vntoolkit.geometry.camera import Camera, CameraModel
-from vntoolkit.io.images import read_image, resized_image
-from vntoolkit.io.label_images import LABEL_LEGEND
-from vntoolkit.io.manifest import InputEntry
+from vntoolkit.io.footage.images import read_image, resized_image
+from vntoolkit.io.maps_and_meshes.label_images import LABEL_LEGEND
+from vntoolkit.io.results.manifest import InputEntry
 from vntoolkit.pipeline.opened_result import OpenedResult, TrackedSurface
 from vntoolkit.report.page import (
     PageNumber,

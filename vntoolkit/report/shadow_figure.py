@@ -11,7 +11,7 @@ import numpy as np
 from vntoolkit.arrays import Mask, VisibilityLabels
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
-from vntoolkit.io.label_images import label_colours
+from vntoolkit.io.maps_and_meshes.label_images import label_colours
 from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse

@@ -12,7 +12,12 @@ import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, Mask
 from vntoolkit.errors import BadInput
-from vntoolkit.io.images import resized_image, write_png
+from vntoolkit.evaluation.angular_error import angular_error_map
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.maps import DepthMap, NormalMap
+from vntoolkit.io.footage.images import resized_image, write_png
+from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.report.pictures import cropped, displayed, picture_of_depth, picture_of_normals
 from vntoolkit.report.style import ERROR_COLOURS, INK, report_style
 
 Picture = npt.NDArray[np.uint8]
@@ -150,3 +155,26 @@ def _paint_scale(canvas: Picture, scale: ErrorScale, y: float, zoom: float) -> l
         _Text(x=right - long - 6 * zoom, y=y, text=f"error  0{scale.unit}", side="right"),
         _Text(x=right + 6 * zoom, y=y, text=f"≥ {scale.most:g}{scale.unit}", side="left"),
     ]
+
+
+# One frame as a row of tiles: captured, normals, relief, and the error where the truth is known.
+
+
+def row_of_frame(
+    frame: LinearFrame,
+    normal_map: NormalMap,
+    depth_map: DepthMap,
+    camera: Camera,
+    truth: NormalMap,
+    scale: ErrorScale,
+) -> dict[str, Picture]:
+    """Return the pictures (h, w, 3) by their headings, cut to the mask of the normals; errors in degrees."""
+    errors, compared = angular_error_map(normal_map, truth)
+    pictures = {
+        "captured": displayed(frame.rgb),
+        "normals": picture_of_normals(normal_map),
+        "relief": picture_of_depth(depth_map, camera),
+        "error of the normals": picture_of_errors(errors, compared, scale),
+    }
+    cut = cropped(list(pictures.values()), normal_map.mask)
+    return dict(zip(pictures, cut, strict=True))

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from vntoolkit.arrays import IntArray
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.io.video import write_video
+from vntoolkit.io.footage.video import write_video
 from vntoolkit.pipeline.dress import DressedFigure
 from vntoolkit.report.raycast_view import View, capsules, picture_of
 from vntoolkit.report.tiles import write_tiles

@@ -14,10 +14,10 @@ from vntoolkit.arrays import Points
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.conventions import graphics_from_camera
-from vntoolkit.io.glb import glb_bytes
+from vntoolkit.io.maps_and_meshes.glb import glb_bytes
 from vntoolkit.pipeline.opened_result import OpenedResult
 from vntoolkit.report.pictures import Picture, pictures_of_frame
-from vntoolkit.report.result_surfaces import Look, ResultSurfaces, Surface
+from vntoolkit.report.scene_page import Look, ResultSurfaces, Surface
 from vntoolkit.report.serving import started_server, stop_server
 
 _PLASTER = (190, 185, 177)

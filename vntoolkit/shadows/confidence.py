@@ -9,7 +9,7 @@ import numpy as np
 from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels, Weight
 from vntoolkit.checks import require_in_range
 from vntoolkit.errors import BadInput
-from vntoolkit.photometry.visibility import count_lit
+from vntoolkit.photometry.frame import count_lit
 
 _SMALLEST_ALBEDO = 1e-3
 

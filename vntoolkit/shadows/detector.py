@@ -11,9 +11,8 @@ import numpy.typing as npt
 from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels
 from vntoolkit.checks import require_mask
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.frame import ALL_LIT, LinearFrame, labels_from_lit
 from vntoolkit.photometry.response import LightResponse
-from vntoolkit.photometry.visibility import ALL_LIT, labels_from_lit
 from vntoolkit.shadows.published import PublishedOptions, lit_by_edges
 from vntoolkit.shadows.robust import RobustOptions, lit_by_surface
 from vntoolkit.shadows.shares import shares_from_frame

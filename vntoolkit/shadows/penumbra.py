@@ -13,7 +13,7 @@ import numpy as np
 
 from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels
 from vntoolkit.checks import require_in_range
-from vntoolkit.photometry.visibility import ALL_LIT, labels_from_lit, lit_from_labels
+from vntoolkit.photometry.frame import ALL_LIT, labels_from_lit, lit_from_labels
 
 
 @dataclass(frozen=True, kw_only=True)

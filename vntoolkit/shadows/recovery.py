@@ -12,9 +12,8 @@ from vntoolkit.checks import require_mask, require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
-from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
 from vntoolkit.photometry.response import LightResponse
-from vntoolkit.photometry.visibility import ALL_LIT
 from vntoolkit.shadows.albedo import AlbedoOptions, albedo_from_lit
 from vntoolkit.shadows.confidence import ConfidenceOptions, confidence_weight, gloss_trust
 from vntoolkit.shadows.filling import fill_smoothly

@@ -18,7 +18,7 @@ from vntoolkit.arrays import FloatArray, Mask
 from vntoolkit.checks import require_in_range
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.photometry.visibility import labels_from_lit
+from vntoolkit.photometry.frame import labels_from_lit
 from vntoolkit.shadows.albedo import AlbedoOptions, albedo_from_lit
 from vntoolkit.shadows.albedo_evidence import AlbedoEvidenceOptions, evidence_from_albedo
 from vntoolkit.shadows.cast_edges import CastEdgeOptions, lit_beyond_half

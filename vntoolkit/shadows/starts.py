@@ -15,7 +15,7 @@ import numpy as np
 
 from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels, Weight
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.photometry.visibility import ALL_LIT, count_lit
+from vntoolkit.photometry.frame import ALL_LIT, count_lit
 from vntoolkit.shadows.lengths import TOWARDS_VIEWER, lengths_of
 from vntoolkit.shadows.normal_noise import slope_noise
 from vntoolkit.shadows.shares import LightShares

@@ -20,7 +20,7 @@ import numpy as np
 from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels, Weight
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, LengthUnit
-from vntoolkit.photometry.visibility import ALL_LIT
+from vntoolkit.photometry.frame import ALL_LIT
 from vntoolkit.shadows.filling import fill_smoothly
 from vntoolkit.shadows.grid_solver import grid_hierarchy, solve_grid
 from vntoolkit.shadows.lengths import lengths_of

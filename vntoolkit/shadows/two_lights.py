@@ -7,7 +7,7 @@ import numpy.typing as npt
 from numba import njit
 
 from vntoolkit.arrays import FloatArray, Mask, Normals, VisibilityLabels
-from vntoolkit.photometry.visibility import ALL_LIT
+from vntoolkit.photometry.frame import ALL_LIT
 from vntoolkit.shadows.lengths import lengths_of
 
 _PAIRS = ((1, 2, 6), (0, 2, 5), (0, 1, 3))  # the two lights that remain, and the label that says so

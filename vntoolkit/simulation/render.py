@@ -4,21 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Flow, Mask, Points
+from vntoolkit.arrays import FloatArray, Flow, LinearImage, Mask, Points, VisibilityLabels
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.geometry.mesh import vertex_normals
-from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.photometry.visibility import labels_from_lit
-from vntoolkit.simulation.frame import FrameTruth, SimulatedFrame
-from vntoolkit.simulation.nuisances import Nuisances
+from vntoolkit.photometry.frame import LinearFrame, labels_from_lit
+from vntoolkit.simulation.nuisances import Nuisances, expose
 from vntoolkit.simulation.ray_casting import Hits, RayCaster
 from vntoolkit.simulation.scene import Scene
-from vntoolkit.simulation.sensor import expose
 from vntoolkit.simulation.shading import Shader
 
 # Sample positions in a pixel, (u, v) from its centre, the centre first: one; a turned square of four round
@@ -217,3 +215,36 @@ def render_frame(
 def frame_generator(seed: int, index: int) -> np.random.Generator:
     """Return the generator of one frame's noise, whichever process renders it."""
     return np.random.default_rng([seed, index])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FrameTruth:
+    """What is true of one frame.
+
+    normals: the shaded normal, relief included; where a pixel has several samples, their mean's direction.
+    depth: metres, of the mesh (without relief), at the pixel's centre. Both masks are True where the ray
+    through the pixel's centre meets the mesh. labels: (h, w) bit k set where light k reaches at least half
+    of the pixel's samples. flow_px: (h, w, 2) to the next frame, 0 outside the mask, or None for the last
+    frame. vertices: (n, 3) in the camera frame.
+    """
+
+    normals: NormalMap
+    depth: DepthMap
+    labels: VisibilityLabels
+    flow_px: Flow | None
+    vertices: Points
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SimulatedFrame:
+    """One frame as filmed, and its truth.
+
+    radiance: (h, w, 3) linear light before lens and sensor. stored: (h, w, 3) uint8 or uint16 as the file
+    holds it. linear: what a reader who knows the transfer gets.
+    """
+
+    number: int
+    radiance: LinearImage
+    stored: npt.NDArray[Any]
+    linear: LinearFrame
+    truth: FrameTruth

@@ -45,7 +45,7 @@ from vntoolkit.simulation.studio import studio_centre
 SCENES: dict[str, str] = {
     "cylinder": "vntoolkit.simulation.rigid.cylinder:build_cylinder",
     "board": "vntoolkit.simulation.rigid.board:build_board",
-    "board_sweep": "vntoolkit.simulation.rigid.board_sweep:build_board_sweep",
+    "board_sweep": "vntoolkit.simulation.rigid.board:build_board_sweep",
     "sphere": "vntoolkit.simulation.rigid.sphere:build_sphere",
     "jacket": "vntoolkit.simulation.rigid.jacket:build_jacket",
     "sweater": "vntoolkit.simulation.garment.sweater:build_sweater",

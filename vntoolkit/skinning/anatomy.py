@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vntoolkit.arrays import FloatArray, Vector3
-from vntoolkit.geometry.skeleton import Skeleton
+from vntoolkit.geometry.motion import Skeleton
 
 _LEG_DROP = 0.25  # of the height: what hangs this far below the root is a leg
 _NECK_RISE = 0.05  # of the trunk: files put joints of no length between chest and neck

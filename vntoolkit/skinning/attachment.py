@@ -2,18 +2,32 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 import numpy.typing as npt
+import scipy.sparse as sp
+from scipy.sparse.linalg import splu
 
-from vntoolkit.arrays import Faces, FloatArray
-from vntoolkit.geometry.laplacian import edges_from_faces
-from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.geometry.skeleton import Skeleton
+from vntoolkit.arrays import Faces, FloatArray, IntArray, Points
+from vntoolkit.geometry.laplacian import edge_cotangents, edges_from_faces, graph_laplacian
+from vntoolkit.geometry.mesh import Mesh, face_normals, vertex_normals
+from vntoolkit.geometry.motion import Skeleton
 from vntoolkit.skinning.blending import skinned_vertices
-from vntoolkit.skinning.heat import weights_from_heat
-from vntoolkit.skinning.weights import Falloff, SkinWeights, WeightOptions, weights_from_distances
+from vntoolkit.skinning.weights import (
+    Falloff,
+    SkinWeights,
+    WeightOptions,
+    attracting_bones,
+    nearest_joints,
+    weights_from_distances,
+)
 
 _ROUNDS = 4  # a cut lets both sides go their own way, which may show more web beside it
+_HOLD = 2.0  # heat that a vertex takes from its bone: 1 blends wider, 4 stretches arms raised high
+_LEAST_COTANGENT, _MOST_COTANGENT = 0.01, 100.0  # a negative one could make a weight negative
+_GUESSED = 1e-3  # how a vertex that covers no bone holds the nearest, beside one that covers its own
+_NEAREST = 1e-2  # of the skeleton's height: nearer counts as this near
+_CLOSER = 1 - 1e-9  # of the ball so far: bones meet at joints, where the first of them is taken
 
 
 def weights_of_garment(
@@ -84,3 +98,130 @@ def _has_torn_edge(faces: Faces, torn: Faces, count: int) -> npt.NDArray[np.bool
     codes = np.sort(torn.astype(np.int64), axis=1) @ [count, 1]
     sides = np.stack([np.sort(faces[:, pair], axis=1) for pair in ([0, 1], [1, 2], [2, 0])]).astype(np.int64)
     return np.asarray(np.isin(sides @ [count, 1], codes).any(axis=0))
+
+
+# How much each vertex follows each bone: by heat that spreads along the cloth, not through the air.
+
+
+def weights_from_heat(
+    garment: Mesh, skeleton: Skeleton, pose: FloatArray, options: WeightOptions
+) -> SkinWeights:
+    """Weigh the garment's vertices by bone heat: −Δw + H w = H p, baran2007.
+
+    garment: on the skeleton in the pose (j, 4, 4). p is 1 where a vertex covers the bone, H is 2 / d² of
+    its distance. The bone is the one on the inner side of the cloth, which a sheet seen from the front has
+    too; a test of visibility would need a closed garment. Few bones are kept as in `Falloff.CONTINUOUS`.
+    """
+    joints, distances, hold = _own_bones(garment, skeleton, pose, options)
+    used, column = np.unique(joints, return_inverse=True)
+    area = np.linalg.norm(face_normals(garment.vertices, garment.faces), axis=1) / 6
+    shares = np.bincount(garment.faces.ravel(), np.repeat(area, 3), len(joints))
+    least = 1e-9 * (shares.mean() or 1.0)  # of a vertex without area: it keeps to its bone
+    heat = _HOLD * hold * np.maximum(shares, least) / distances**2
+    matrix = sp.csc_array(_laplacian(garment) + sp.diags_array(heat))
+    factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    sources = np.zeros((len(joints), len(used)))
+    sources[np.arange(len(joints)), column] = heat
+    return _heaviest(used, np.maximum(factor.solve(sources), 0.0), options.bones)
+
+
+def _own_bones(
+    garment: Mesh, skeleton: Skeleton, pose: FloatArray, options: WeightOptions
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Return for every vertex its joint, the distance to it, and how sure that is, (n,) each."""
+    bones = attracting_bones(skeleton, pose, options.exclude)
+    normals = vertex_normals(garment.vertices, garment.faces)
+    joints, distances = covered_bones(garment.vertices, normals, *bones)
+    lost = joints < 0
+    if lost.any():
+        guessed, gaps = nearest_joints(garment.vertices[lost], *bones, count=1)
+        joints[lost], distances[lost] = guessed[:, 0], gaps[:, 0]
+    floor = _NEAREST * max(skeleton.height, float(np.linalg.norm(np.ptp(bones[1], axis=0))))
+    return joints, np.maximum(distances, floor), np.where(lost, _GUESSED, 1.0)
+
+
+def _laplacian(garment: Mesh) -> sp.csr_array:
+    pairs, cosines, sines = edge_cotangents(garment.vertices, garment.faces)
+    cotangents = cosines / np.maximum(sines, 1e-300)
+    weights = 0.5 * np.clip(np.nan_to_num(cotangents), _LEAST_COTANGENT, _MOST_COTANGENT)
+    return graph_laplacian(pairs, len(garment.vertices), weights)
+
+
+def _heaviest(joints: IntArray, weights: FloatArray, count: int) -> SkinWeights:
+    """Keep the `count` heaviest bones, less the weight of the next, so that none drops out with a jump."""
+    order = np.argsort(-weights, axis=1, kind="stable")[:, : count + 1]
+    kept: Points = np.take_along_axis(weights, order, axis=1)
+    if order.shape[1] > count:
+        order, kept = order[:, :-1], kept[:, :-1] - kept[:, -1:]
+        kept[kept.sum(axis=1) <= 0] = 1.0
+    return SkinWeights(joints=joints[order].astype(np.int32), weights=kept / kept.sum(axis=1, keepdims=True))
+
+
+# The bone that a vertex covers: the first that a ball meets which grows on the inner side of the cloth.
+
+
+def covered_bones(
+    vertices: Points, normals: Points, joints: IntArray, starts: Points, ends: Points
+) -> tuple[IntArray, FloatArray]:
+    """Return the joint that each vertex covers (n,), −1 for none, and its distance to that bone (n,), inf.
+
+    vertices, normals: (n, 3), outward. joints, starts, ends: bones as `bone_segments` gives them. The ball
+    touches the cloth at the vertex from within, so |p − v|² / (2 n·(v − p)) is its radius when it reaches
+    a point p: a flank covers the spine, although an arm that hangs beside it is nearer.
+    """
+    return _first_met(
+        np.ascontiguousarray(vertices, dtype=np.float64),
+        np.ascontiguousarray(normals, dtype=np.float64),
+        joints,
+        np.ascontiguousarray(starts),
+        np.ascontiguousarray(ends),
+    )
+
+
+@numba.njit(cache=True)
+def _first_met(vertices, normals, joints, starts, ends):  # type: ignore[no-untyped-def]
+    covered = np.full(len(vertices), -1, np.int32)
+    distances = np.full(len(vertices), np.inf)
+    for v in range(len(vertices)):
+        least = np.inf
+        for b in range(len(joints)):
+            radius, along = _ball_radius(vertices[v], normals[v], starts[b], ends[b])
+            if radius < _CLOSER * least:
+                least = radius
+                covered[v] = joints[b]
+                squared = 0.0
+                for axis in range(3):
+                    foot = starts[b, axis] + along * (ends[b, axis] - starts[b, axis])
+                    squared += (foot - vertices[v, axis]) ** 2
+                distances[v] = np.sqrt(squared)
+    return covered, distances
+
+
+@numba.njit(cache=True)
+def _ball_radius(vertex, normal, start, end):  # type: ignore[no-untyped-def]
+    """Minimise (A t² + 2 B t + C) / (2 (D + E t)) over 0 ≤ t ≤ 1; convex where D + E t > 0."""
+    a = b = c = d = e = 0.0
+    for axis in range(3):
+        bone, away = end[axis] - start[axis], start[axis] - vertex[axis]
+        a += bone * bone
+        b += bone * away
+        c += away * away
+        d -= normal[axis] * away
+        e -= normal[axis] * bone
+    # The derivative vanishes where A E t² + 2 A D t + 2 B D − E C = 0, or B / A behind it where E = 0.
+    level = abs(e) < 1e-12 * np.sqrt(a)
+    root = np.sqrt(max(a * a * d * d - a * e * (2 * b * d - e * c), 0.0))
+    flat = -b / a
+    least, place = np.inf, 0.0
+    for t in (
+        0.0,
+        1.0,
+        flat if level else (root - a * d) / (a * e),
+        flat if level else -(root + a * d) / (a * e),
+    ):
+        depth = d + e * t
+        if 0.0 <= t <= 1.0 and depth > 0.0:
+            radius = (a * t * t + 2 * b * t + c) / (2 * depth)
+            if radius < least:
+                least, place = radius, t
+    return least, place

@@ -8,20 +8,22 @@ from enum import Enum
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from vntoolkit.arrays import FloatArray, Points
+from vntoolkit.arrays import FloatArray, Points, Vector3
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.garment_fit import GarmentFit, Similarity, fit_similarity
 from vntoolkit.geometry.mesh import Mesh, face_normals
-from vntoolkit.geometry.motion import Motion
+from vntoolkit.geometry.motion import Motion, Skeleton
 from vntoolkit.geometry.rigid import RigidTransform
-from vntoolkit.geometry.skeleton import Skeleton
 from vntoolkit.skinning.anatomy import Anatomy, anatomy_of, facing_of, shoulders_of
 from vntoolkit.skinning.kinematics import forward_kinematics
-from vntoolkit.skinning.sleeves import arms_aimed_at_sleeves
+from vntoolkit.skinning.weights import SkinWeights
 
 _LEVELS = 64  # heights at which the garment's depth is looked at
 _COLLAR_RISE = 0.12  # of the way from hips to shoulders: a collar lies above the shoulders' joints
 _OPEN_ABOVE = 0.3  # |Σ area vectors| / Σ areas: 0 for a closed garment, near 1 for a flat sheet
+_CUFF_SHARE = 0.02  # of the vertices on one side: the outermost ones are its cuff
+_LEAST_REACH = 0.4  # of the arm: a garment that ends nearer to the shoulder has no sleeve to aim at
+_MAX_POINTS = 5000  # a rigid motion needs no more, and the fit then takes no time
 
 
 class Region(Enum):
@@ -196,3 +198,87 @@ def _rear(vertices: Points) -> float:
     rearmost = np.full(_LEVELS, -np.inf)
     np.maximum.at(rearmost, level, vertices[:, 2])
     return float(np.median(rearmost[np.isfinite(rearmost)]))
+
+
+# Turning the figure's arms into the garment's sleeves, since files rest with arms out, aslant or down.
+
+
+def arms_aimed_at_sleeves(
+    vertices: Points, skeleton: Skeleton, pose: FloatArray, anatomy: Anatomy
+) -> dict[int, FloatArray]:
+    """Return joint → (3, 3): the turn, in the axes of the figure, that aims an arm at its cuff.
+
+    vertices: (n, 3) of the garment, already on the figure in `pose` (j, 4, 4). A cuff is the middle of the
+    outermost vertices on the arm's side of the trunk. Arms without a sleeve, or without length, stay.
+    """
+    turns = {}
+    middle = float(pose[list(anatomy.trunk), 0, 3].mean())
+    for arm, shoulder in zip(anatomy.arms, shoulders_of(skeleton, anatomy), strict=True):
+        start = pose[shoulder, :3, 3]
+        end = _hand(skeleton, pose, arm)
+        reach = np.linalg.norm(end - start)
+        side = np.sign(end[0] - middle)
+        outward = side * (vertices[:, 0] - middle)
+        if side == 0 or reach == 0 or not (outward > 0).any():
+            continue
+        threshold = np.quantile(outward[outward > 0], 1 - _CUFF_SHARE)
+        cuff = vertices[outward >= threshold].mean(axis=0)
+        if side * (cuff - start)[0] > 0 and np.linalg.norm(cuff - start) > _LEAST_REACH * reach:
+            turns[shoulder] = _rotation_between(end - start, cuff - start)
+    return turns
+
+
+def _hand(skeleton: Skeleton, pose: FloatArray, arm: tuple[int, ...]) -> Vector3:
+    tips = np.flatnonzero(skeleton.tip_joints == arm[-1])
+    offset = skeleton.tip_offsets[tips[0]] if len(tips) else np.zeros(3)
+    return pose[arm[-1], :3, :3] @ offset + pose[arm[-1], :3, 3]
+
+
+def _rotation_between(start: Vector3, end: Vector3) -> FloatArray:
+    """Return the smallest rotation (3, 3) from one direction to another."""
+    a, b = start / np.linalg.norm(start), end / np.linalg.norm(end)
+    axis = np.cross(a, b)
+    sine = float(np.linalg.norm(axis))
+    if sine < 1e-12:
+        return np.eye(3)
+    return Rotation.from_rotvec(axis / sine * np.arctan2(sine, float(a @ b))).as_matrix()
+
+
+class Anchor(Enum):
+    """What holds the captured garment in place.
+
+    TRUNK: the rigid motion of what covers the trunk is taken out; folds and sleeves keep moving. NONE: the
+    garment moves as captured, performer's steps included.
+    """
+
+    TRUNK = "trunk"
+    NONE = "none"
+
+
+class TrunkAnchor:
+    """Finds, frame by frame, the rigid motion that takes the garment's trunk back to the first frame."""
+
+    def __init__(self, rest_vertices: Points, weights: SkinWeights, trunk: tuple[int, ...]) -> None:
+        on_trunk = np.where(np.isin(weights.joints, trunk), weights.weights, 0).sum(axis=1)
+        chosen = np.flatnonzero(on_trunk > 0.5 * on_trunk.max())
+        self._chosen = chosen[:: max(1, len(chosen) // _MAX_POINTS)]
+        self._weights = on_trunk[self._chosen]
+        self._rest = np.asarray(rest_vertices, dtype=np.float64)[self._chosen]
+
+    def rest_from_now(self, vertices: Points) -> RigidTransform:
+        """Return the rigid motion from the garment now, (n, 3), to its first frame (Kabsch, weighted)."""
+        now = np.asarray(vertices, dtype=np.float64)[self._chosen]
+        return _fit_rigid(now, self._rest, self._weights)
+
+
+# Taking the performer's own steps and turns out of the captured garment, so that it stays on the figure.
+
+
+def _fit_rigid(source: Points, target: Points, weights: FloatArray) -> RigidTransform:
+    share = weights / weights.sum()
+    centre_s, centre_t = share @ source, share @ target
+    covariance = (target - centre_t).T @ ((source - centre_s) * share[:, None])
+    u, _, vt = np.linalg.svd(covariance)
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u) * np.linalg.det(vt))])
+    rotation = (u * signs) @ vt
+    return RigidTransform(rotation=rotation, translation=centre_t - rotation @ centre_s)

@@ -13,8 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from vntoolkit.arrays import FloatArray
 from vntoolkit.errors import BadInput
-from vntoolkit.geometry.motion import Motion
-from vntoolkit.geometry.skeleton import Skeleton
+from vntoolkit.geometry.motion import Motion, Skeleton
 from vntoolkit.skinning.kinematics import forward_kinematics
 
 # joint, its parent, and the way from there in centimetres (x to the figure's left, y up, z forwards)

@@ -6,8 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from vntoolkit.arrays import FloatArray, IntArray, Points
-from vntoolkit.geometry.motion import Motion
-from vntoolkit.geometry.skeleton import Skeleton
+from vntoolkit.geometry.motion import Motion, Skeleton
 
 
 def forward_kinematics(skeleton: Skeleton, rotations: FloatArray, root_positions: Points) -> FloatArray:

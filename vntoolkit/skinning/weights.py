@@ -12,7 +12,7 @@ import numpy as np
 from vntoolkit.arrays import FloatArray, IntArray, Points, read_only
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput
-from vntoolkit.geometry.skeleton import Skeleton
+from vntoolkit.geometry.motion import Skeleton
 from vntoolkit.skinning.kinematics import bone_segments
 
 _NEAREST = 1e-6  # of the skeleton's height: nearer counts as this near, so that 1/distance stays finite

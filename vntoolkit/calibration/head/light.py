@@ -13,9 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, IntArray, Points, read_only
-from vntoolkit.calibration.fit import ResponseModel, response_from_unknowns
+from vntoolkit.calibration.fit import ResponseModel, fit_quality, response_from_unknowns, warn_of_weak_fit
 from vntoolkit.calibration.head.samples import HeadRays, HeadSamples
-from vntoolkit.calibration.quality import fit_quality, warn_of_weak_fit
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import FitQuality

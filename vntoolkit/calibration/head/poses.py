@@ -11,9 +11,8 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation, Slerp
 
 from vntoolkit.arrays import Points, read_only
-from vntoolkit.calibration.head.affine import fit_affine_model, metric_poses
 from vntoolkit.calibration.head.colmap import AdjustmentOptions, SparseModel, adjust_sparse_model
-from vntoolkit.calibration.head.mapping import Guess, map_tracks
+from vntoolkit.calibration.head.first_poses import Guess, fit_affine_model, map_tracks, metric_poses
 from vntoolkit.calibration.head.tracks import Tracks
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 
-from vntoolkit.calibration.head.fusion import FusionOptions, Surface, fuse_points
-from vntoolkit.calibration.head.hull import DistanceGrid, View, mesh_of_grid
-from vntoolkit.calibration.head.stereo import StereoOptions, stereo_points
-from vntoolkit.calibration.head.turn import spread_over_turn
+from vntoolkit.calibration.head.hull import DistanceGrid, View, mesh_of_grid, spread_over_turn
+from vntoolkit.calibration.head.stereo import OrientedPoints, StereoOptions, stereo_points
 from vntoolkit.calibration.head.volume import fuse_depths
-from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.errors import BadCalibration, BadInput
+from vntoolkit.geometry.mesh import Mesh, vertex_normals
+from vntoolkit.native import import_open3d
+
+_LEAST_POINTS = 500
 
 
 def fit_shape(
@@ -43,3 +48,113 @@ def fit_shape(
             volume = fuse_depths(maps, [views[k] for k in references], volume, hull, diagonal, fusion)
             mesh = mesh_of_grid(volume)
     return mesh
+
+
+class Surface(Enum):
+    """How depths become a surface."""
+
+    POISSON = "poisson"  # screened Poisson over points and normals
+    TSDF = "tsdf"  # truncated signed distances, averaged over the views
+
+
+@dataclass(frozen=True, kw_only=True)
+class FusionOptions:
+    """How depths become a mesh.
+
+    surface: Poisson's, or truncated signed distances averaged in the hull's cells. fusion_depth: levels of
+    Poisson's octree; 7 resolves about a 100th of the head. agreement: distance, as a share
+    of the hull's diagonal, within which points of another view must confirm a point. confirmations: how many
+    other views must confirm a point for it to be kept; raise it to 2 or 3 where single wrong points leave
+    bumps, lower it to 0 where parts that few views saw are missing. hull_gap: distance, as a share of the
+    diagonal, from the places of the hull whose depth stereo corrected, beyond which the hull itself is
+    surface.
+    """
+
+    surface: Surface = Surface.POISSON
+    fusion_depth: int = 7
+    agreement: float = 0.004
+    confirmations: int = 1
+    hull_gap: float = 0.008
+
+    def __post_init__(self) -> None:
+        if not 4 <= self.fusion_depth <= 12 or self.confirmations < 0:
+            raise BadInput("fusion: expected a depth of 4 to 12 and no negative number of confirmations")
+        if min(self.agreement, self.hull_gap) <= 0:
+            raise BadInput("fusion: expected a positive agreement and hull gap")
+
+
+# One closed mesh from the stereo points of many views and the hull behind them (kazhdan2013).
+
+
+def fuse_points(
+    maps: Sequence[OrientedPoints], hull: Mesh, grid: DistanceGrid, options: FusionOptions
+) -> Mesh:
+    """Fuse: points that other views confirm, the hull where there are none, screened Poisson over both.
+
+    Points outside the hull are dropped: no silhouette allows them. Returns a closed mesh in the head frame.
+    Raises `BadCalibration` where hardly a point is confirmed.
+    """
+    points = _joined(confirmed_maps(maps, hull.diagonal, grid, options))
+    distance, _ = cKDTree(points.on_hull).query(hull.vertices, workers=1)
+    rest = distance > options.hull_gap * hull.diagonal
+    normals = vertex_normals(hull.vertices, hull.faces)
+    return _poisson(
+        np.concatenate([points.points, hull.vertices[rest]]),
+        np.concatenate([points.normals, normals[rest]]),
+        options.fusion_depth,
+    )
+
+
+def confirmed_maps(
+    maps: Sequence[OrientedPoints], diagonal: float, grid: DistanceGrid, options: FusionOptions
+) -> list[OrientedPoints]:
+    """Keep of every map the points inside the hull that lie close, along their normals, to enough others'.
+
+    diagonal: the hull's. Raises `BadCalibration` where hardly a point remains.
+    """
+    trees = [cKDTree(each.points) if len(each.points) else None for each in maps]
+    kept = []
+    for k, each in enumerate(maps):
+        votes = np.zeros(len(each.points), dtype=np.int64)
+        for j, tree in enumerate(trees):
+            if j == k or tree is None or not len(each.points):
+                continue
+            distance, nearest = tree.query(
+                each.points, distance_upper_bound=2.0 * options.agreement * diagonal, workers=1
+            )
+            found = np.isfinite(distance)
+            gap = np.full(len(votes), np.inf)
+            step = maps[j].points[nearest[found]] - each.points[found]
+            gap[found] = np.abs((step * each.normals[found]).sum(axis=1))
+            votes += gap < options.agreement * diagonal
+        kept.append(each.chosen((votes >= options.confirmations) & (grid.at(each.points) > -grid.cell)))
+    count = sum(len(each.points) for each in kept)
+    if count < _LEAST_POINTS:
+        raise BadCalibration(
+            f"stereo: only {count} depths agree between views; film more sharply, closer, slower"
+        )
+    return kept
+
+
+def _joined(maps: Sequence[OrientedPoints]) -> OrientedPoints:
+    return OrientedPoints(
+        points=np.concatenate([each.points for each in maps]),
+        normals=np.concatenate([each.normals for each in maps]),
+        on_hull=np.concatenate([each.on_hull for each in maps]),
+        correlation=np.concatenate([each.correlation for each in maps]),
+    )
+
+
+def _poisson(points: np.ndarray, normals: np.ndarray, depth: int) -> Mesh:
+    o3d = import_open3d()
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
+    cloud.normals = o3d.utility.Vector3dVector(normals)
+    surface, _ = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
+        cloud, depth=depth, linear_fit=False, n_threads=1
+    )
+    clusters, sizes, _ = surface.cluster_connected_triangles()
+    largest = int(np.argmax(np.asarray(sizes)))
+    surface.remove_triangles_by_mask(np.asarray(clusters) != largest)
+    surface.remove_unreferenced_vertices()
+    vertices, faces = np.asarray(surface.vertices), np.asarray(surface.triangles, dtype=np.int32)
+    return Mesh(vertices=vertices.copy(), faces=faces.copy(), normals=vertex_normals(vertices, faces))

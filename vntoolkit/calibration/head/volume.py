@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 
 from vntoolkit.arrays import FloatArray, Points
-from vntoolkit.calibration.head.fusion import FusionOptions, confirmed_maps
 from vntoolkit.calibration.head.hull import DistanceGrid, View, largest_part
-from vntoolkit.calibration.head.oriented_points import OrientedPoints
+from vntoolkit.calibration.head.shape import FusionOptions, confirmed_maps
+from vntoolkit.calibration.head.stereo import OrientedPoints
 
 _REACH_CELLS = 4.0  # distances are cut off beyond; further behind a surface its view says nothing
 _DEEPEST = 0.12  # of the diagonal: stereo carves no deeper into the hull

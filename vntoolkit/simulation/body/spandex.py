@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.ndimage import gaussian_filter
+from scipy.spatial.transform import Rotation
 
 from vntoolkit.arrays import FloatArray, Points
-from vntoolkit.simulation.body.legs import LegPose, Legs
+from vntoolkit.simulation.body.implicit import ImplicitBody, both_sides, capsule, ellipsoid
+from vntoolkit.simulation.body.surface_nets import mesh_from_implicit
 from vntoolkit.simulation.scene import Scene, SceneOptions, Surface
 from vntoolkit.simulation.studio import studio_camera, studio_centre, studio_lights
 
@@ -15,6 +19,10 @@ _FIELD_WIDTH_M = 1.42
 _MIDDLE_CM = np.array([0.0, -31.0, 0.0])
 _FABRIC = np.array([0.70, 0.70, 0.72])
 _STEP_HZ = 0.5
+_HIP, _KNEE = np.array([8.6, 0.0, 0.0]), np.array([9.2, -43.0, 1.2])
+_WAIST_CUT, _ANKLE_CUT = 17.0, -80.0
+_CELL_CM = 0.40
+_GAP_DEPTHS = (-9.0, -6.0, -3.0, 0.0, 3.0, 6.0, 9.0)  # what is carved out between the thighs
 
 
 def build_spandex(options: SceneOptions) -> Scene:
@@ -67,3 +75,76 @@ def _weave(rng: np.random.Generator, size: int = 256) -> FloatArray:
     noise = gaussian_filter(rng.standard_normal((size, size)), 1.5, mode="wrap")
     factor = 0.98 + 0.02 * np.tanh(noise / noise.std())
     return np.repeat(factor[..., None], 3, axis=2).astype(np.float32)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LegPose:
+    """Angles in degrees, each for the leg (left in the image, right in the image), and the hips' shift.
+
+    raise_deg: thigh forwards. inward_deg: thigh across the other leg. knee_deg: shin backwards.
+    sway_cm: of the hips (x, y). turn_deg: of the whole about the vertical.
+    """
+
+    raise_deg: tuple[float, float] = (0.0, 0.0)
+    inward_deg: tuple[float, float] = (0.0, 0.0)
+    knee_deg: tuple[float, float] = (0.0, 0.0)
+    sway_cm: tuple[float, float] = (0.0, 0.0)
+    turn_deg: float = 0.0
+
+
+class Legs:
+    """The skin of two legs and how its vertices follow a pose; open at waist and ankles."""
+
+    def __init__(self) -> None:
+        low, high = np.array([-21.0, _ANKLE_CUT, -19.0]), np.array([21.0, _WAIST_CUT, 17.0])
+        rest, self.faces = mesh_from_implicit(_sculpt(), low, high, _CELL_CM)
+        self.rest: Points = rest
+        self._on_side = [_smooth(0.5 + sign * rest[:, 0] / 4.0) for sign in (-1.0, 1.0)]
+        self._thigh = _smooth((6.0 + 0.55 * (np.abs(rest[:, 0]) - 8.0) - rest[:, 1]) / 17.0)
+        self._shin = _smooth((_KNEE[1] + 7.0 - rest[:, 1]) / 14.0)
+
+    def vertices(self, pose: LegPose) -> Points:
+        """Return (n, 3) the vertices in that pose, centimetres."""
+        points = self.rest.copy()
+        for leg, sign in enumerate((-1.0, 1.0)):
+            mirror = np.array([sign, 1.0, 1.0])
+            rows = np.flatnonzero(self._on_side[leg] > 0.0)
+            share = self._on_side[leg][rows]
+            knee = np.radians(pose.knee_deg[leg]) * np.array([1.0, 0.0, 0.0])
+            bent = _turned(points[rows], _KNEE * mirror, knee, self._shin[rows] * share)
+            lift = Rotation.from_euler("x", -pose.raise_deg[leg], degrees=True)
+            inward = Rotation.from_euler("z", -sign * pose.inward_deg[leg], degrees=True)
+            thigh = (lift * inward).as_rotvec()
+            points[rows] = _turned(bent, _HIP * mirror, thigh, self._thigh[rows] * share)
+        points = Rotation.from_euler("y", pose.turn_deg, degrees=True).apply(points)
+        return points + np.array([*pose.sway_cm, 0.0])
+
+
+# Two legs in one skin: an implicit body at rest, bent at hips and knees without pinching.
+
+
+def _turned(points: Points, centre: FloatArray, rotation: FloatArray, share: FloatArray) -> Points:
+    """Rotate each point about `centre` by its share of a rotation vector."""
+    return Rotation.from_rotvec(share[:, None] * rotation).apply(points - centre) + centre
+
+
+def _smooth(x: FloatArray) -> FloatArray:
+    x = np.clip(x, 0.0, 1.0)
+    return np.asarray(x * x * (3.0 - 2.0 * x))
+
+
+def _sculpt() -> ImplicitBody:
+    parts = [
+        ellipsoid((0.0, 12.0, -0.5), (14.0, 17.0, 9.5), 0.0),
+        ellipsoid((0.0, 26.0, 0.0), (12.5, 16.0, 8.5), 6.0),
+        *both_sides(
+            capsule((8.8, 0.0, -0.2), (9.2, -42.0, 1.0), (8.2, 5.2), 5.0),
+            ellipsoid((7.2, 1.0, -6.0), (7.2, 8.5, 6.5), 5.0),
+            ellipsoid((8.6, -18.0, 2.2), (6.4, 19.0, 5.8), 5.0),
+            ellipsoid((9.2, -43.0, 1.9), (2.6, 6.0, 2.6), 5.0),
+            capsule((9.2, -42.0, 0.8), (9.2, -84.0, -1.6), (4.2, 3.4), 3.0),
+            ellipsoid((9.6, -56.0, -2.4), (4.7, 12.5, 4.9), 4.0),
+        ),
+        *(capsule((0.0, -8.5, z), (0.0, -95.0, z), (1.5, 1.5), -3.0) for z in _GAP_DEPTHS),
+    ]
+    return ImplicitBody.from_parts(parts)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from scipy import sparse
 from scipy.spatial import cKDTree
 
 from vntoolkit.arrays import Faces, FloatArray, IntArray, Points
-from vntoolkit.simulation.body.capsules import Capsules
-from vntoolkit.simulation.garment import kernels
+from vntoolkit.simulation.body.capsules import Capsules, closest_capsule
 from vntoolkit.simulation.garment.pattern import BACK, Garment
 
 _GRAVITY = 9.81
@@ -86,19 +86,12 @@ class ClothSolver:
             v[:, 1] -= gravity * _GRAVITY * self.step_s
             before = x.copy()
             x += self.step_s * v
-            kernels.project_edges(x, self.edges, self.rest_lengths, self.inverse_mass, softness)
-            kernels.project_hinges(x, self.hinges, self.stencils, self.hinge_softness, self.inverse_mass)
-            kernels.separate_pairs(x, pairs, o.thickness_m)
-            kernels.collide(
-                x, before, starts, ends, radii, starts_step, ends_step, o.body_margin_m, o.body_friction
-            )
+            project_edges(x, self.edges, self.rest_lengths, self.inverse_mass, softness)
+            project_hinges(x, self.hinges, self.stencils, self.hinge_softness, self.inverse_mass)
+            separate_pairs(x, pairs, o.thickness_m)
+            collide(x, before, starts, ends, radii, starts_step, ends_step, o.body_margin_m, o.body_friction)
             v[:] = (x - before) / self.step_s
-            kernels.damp_edges(v, self.edges, o.inner_friction)
-
-    def edge_strain(self) -> FloatArray:
-        """Return (e,) each edge's relative change of length."""
-        ends = self.positions[self.edges]
-        return np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) / self.rest_lengths - 1.0
+            damp_edges(v, self.edges, o.inner_friction)
 
     def _close_pairs(self) -> IntArray:
         """Return (p, 2) the points that may touch within this frame though the cloth does not join them."""
@@ -165,3 +158,112 @@ def _neighbourhood(faces: Faces, count: int, rings: int) -> IntArray:
         reach = ((reach @ step) > 0).astype(np.int32)
     pairs = sparse.triu(reach, k=1).tocoo()
     return np.sort(pairs.row.astype(np.int64) * count + pairs.col)
+
+
+# The inner loops of the cloth solver: constraints projected one after another (Gauss–Seidel).
+
+
+@njit(cache=True)
+def project_edges(x: Points, edges: IntArray, rest: FloatArray, inverse_mass: float, softness: float) -> None:
+    """Bring every edge to its rest length; softness = compliance / dt² (macklin2016)."""
+    share = inverse_mass / (2.0 * inverse_mass + softness)
+    count = len(edges)
+    for sweep in range(2 * count):  # there and back, so that the order favours no direction
+        e = sweep if sweep < count else 2 * count - 1 - sweep
+        i, j = edges[e, 0], edges[e, 1]
+        dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
+        length = np.sqrt(dx * dx + dy * dy + dz * dz)
+        pull = share * (length - rest[e]) / max(length, 1e-9)
+        x[i, 0] += pull * dx
+        x[i, 1] += pull * dy
+        x[i, 2] += pull * dz
+        x[j, 0] -= pull * dx
+        x[j, 1] -= pull * dy
+        x[j, 2] -= pull * dz
+
+
+@njit(cache=True)
+def project_hinges(
+    x: Points, hinges: IntArray, stencils: FloatArray, softness: FloatArray, inverse_mass: float
+) -> None:
+    """Flatten every pair of triangles: the constraint is |Σ k_i x_i|, their mean curvature (bergou2006)."""
+    for h in range(len(hinges)):
+        cx, cy, cz, weight = 0.0, 0.0, 0.0, 0.0
+        for c in range(4):
+            k, i = stencils[h, c], hinges[h, c]
+            cx += k * x[i, 0]
+            cy += k * x[i, 1]
+            cz += k * x[i, 2]
+            weight += k * k
+        share = inverse_mass / (inverse_mass * weight + softness[h])
+        for c in range(4):
+            step, i = share * stencils[h, c], hinges[h, c]
+            x[i, 0] -= step * cx
+            x[i, 1] -= step * cy
+            x[i, 2] -= step * cz
+
+
+@njit(cache=True)
+def separate_pairs(x: Points, pairs: IntArray, thickness: float) -> None:
+    """Push two parts of the cloth apart that come closer than its thickness."""
+    for p in range(len(pairs)):
+        i, j = pairs[p, 0], pairs[p, 1]
+        dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
+        squared = dx * dx + dy * dy + dz * dz
+        if squared < thickness * thickness and squared > 1e-16:
+            push = 0.5 * (1.0 - thickness / np.sqrt(squared))
+            x[i, 0] += push * dx
+            x[i, 1] += push * dy
+            x[i, 2] += push * dz
+            x[j, 0] -= push * dx
+            x[j, 1] -= push * dy
+            x[j, 2] -= push * dz
+
+
+@njit(cache=True)
+def collide(
+    x: Points,
+    before: Points,
+    starts: Points,
+    ends: Points,
+    radii: FloatArray,
+    starts_step: Points,
+    ends_step: Points,
+    margin: float,
+    friction: float,
+) -> None:
+    """Push points out of the body to `margin`; friction drags them along with the body's motion.
+
+    starts_step, ends_step: how far the capsules' ends moved in this step.
+    """
+    for i in range(len(x)):
+        k, along, distance = closest_capsule(x[i, 0], x[i, 1], x[i, 2], starts, ends, radii)
+        depth = margin - distance
+        if depth <= 0.0:
+            continue
+        n = np.empty(3)
+        for a in range(3):
+            n[a] = x[i, a] - (starts[k, a] + along * (ends[k, a] - starts[k, a]))
+        n /= max(np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2), 1e-9)
+        slip, normal_slip = np.empty(3), 0.0
+        for a in range(3):
+            x[i, a] += depth * n[a]
+            body = starts_step[k, a] + along * (ends_step[k, a] - starts_step[k, a])
+            slip[a] = x[i, a] - before[i, a] - body
+            normal_slip += slip[a] * n[a]
+        slip -= normal_slip * n
+        length = np.sqrt(slip[0] ** 2 + slip[1] ** 2 + slip[2] ** 2)
+        held = min(1.0, friction * depth / max(length, 1e-12))
+        for a in range(3):
+            x[i, a] -= held * slip[a]
+
+
+@njit(cache=True)
+def damp_edges(v: Points, edges: IntArray, share: float) -> None:
+    """Take `share` of the velocity difference out of every edge: the yarn's inner friction."""
+    for e in range(len(edges)):
+        i, j = edges[e, 0], edges[e, 1]
+        for a in range(3):
+            change = 0.5 * share * (v[j, a] - v[i, a])
+            v[i, a] += change
+            v[j, a] -= change

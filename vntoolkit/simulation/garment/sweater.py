@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numba import njit
+from scipy import sparse
+from scipy.ndimage import gaussian_filter
 
-from vntoolkit.arrays import Faces, FloatArray, Points
-from vntoolkit.simulation.garment.dance import DancingGarment
-from vntoolkit.simulation.garment.knit import STITCH_M, heather_texture, knit_relief, stitch_tile
-from vntoolkit.simulation.garment.pattern import SweaterOptions, knit_coordinates
-from vntoolkit.simulation.garment.refinement import loop_subdivision, raise_along_normals
+from vntoolkit.arrays import Faces, FloatArray, IntArray, Points, Points2
+from vntoolkit.simulation.body.capsules import Capsules
+from vntoolkit.simulation.body.dancer import Pose, body_from_pose, pose_at
+from vntoolkit.simulation.garment.pattern import Garment, SweaterOptions, knit_coordinates, sew_sweater
+from vntoolkit.simulation.garment.solver import ClothOptions, ClothSolver
 from vntoolkit.simulation.scene import Detail, Scene, SceneOptions, Surface
 from vntoolkit.simulation.studio import studio_camera, studio_centre, studio_lights
 
@@ -19,6 +22,13 @@ _FIELD_WIDTH_M = 1.42
 _MIDDLE_M = np.array([0.0, -0.36, 0.0])  # of the sweater, below the throat: what the camera looks at
 _LEVELS = 2
 _WOOL = np.array([0.66, 0.63, 0.58])
+_SETTLE_FRAMES, _HANG_FRAMES, _FADE_FRAMES = 30, 30, 75
+STITCH_M = (0.011, 0.0095)  # width and height of one stitch
+_CABLE_SPACING_M, _CABLE_TWIST_M = 0.066, 0.070
+_STRAND_SHIFT_M, _STRAND_WIDTH_M = 0.0085, 0.0065
+_CABLE_HEIGHT_M, _RIB_HEIGHT_M, _RIB_SPACING_M = 0.0032, 0.0016, 0.0135
+_STITCH_HEIGHT_M = 0.00045
+_YARN_SPREAD = 0.05
 
 
 def build_sweater(options: SceneOptions) -> Scene:
@@ -65,3 +75,175 @@ def _refined(
         return (fine - _MIDDLE_M) * [1.0, -1.0, -1.0] + studio_centre()
 
     return vertices
+
+
+class DancingGarment:
+    """The coarse cage of the garment at any frame; holds one state only.
+
+    A later frame is simulated from the current one; an earlier one starts again from the beginning. The
+    same seed gives the same bytes.
+    """
+
+    def __init__(
+        self, seed: int, sweater: SweaterOptions | None = None, cloth: ClothOptions | None = None
+    ) -> None:
+        self.garment: Garment = sew_sweater(sweater or SweaterOptions())
+        self._cloth = cloth or ClothOptions()
+        self._phases = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, 8)
+        self._solver: ClothSolver | None = None  # dressed when the first frame is asked for
+        self._frame = -_FADE_FRAMES
+
+    @property
+    def solver(self) -> ClothSolver:
+        """The solver in its current state."""
+        if self._solver is None:
+            self._solver = self._dressed()
+            self._frame = -_FADE_FRAMES
+        return self._solver
+
+    def body(self, frame: int) -> Capsules:
+        """Return the dancer's body; before frame 0 it fades in from the rest pose."""
+        fade = np.clip((frame + _FADE_FRAMES) / _FADE_FRAMES, 0.0, 1.0)
+        return body_from_pose(pose_at(frame / 60.0, self._phases, float(fade * fade * (3.0 - 2.0 * fade))))
+
+    def cage(self, frame: int) -> Points:
+        """Return (n, 3) the garment's vertices, studio frame of the body, metres."""
+        if self._solver is not None and frame < self._frame:
+            self._solver = None
+        solver = self.solver
+        while self._frame < frame:
+            solver.advance(self.body(self._frame), self.body(self._frame + 1))
+            self._frame += 1
+        return solver.positions.copy()
+
+    def _dressed(self) -> ClothSolver:
+        body = body_from_pose(Pose())
+        solver = ClothSolver(self.garment, body, self._cloth)
+        for _ in range(_SETTLE_FRAMES):
+            solver.settle(body)
+        for frame in range(_HANG_FRAMES):
+            solver.draw_ribbing((frame + 1) / _HANG_FRAMES)
+            solver.advance(body, body)
+        return solver
+
+
+# The look of the knit: cables and ribs as relief of the mesh, stitches as detail, heathered yarn.
+
+
+def knit_relief(along_knit: Points2, gather: FloatArray) -> FloatArray:
+    """Return (n,) metres by which cables and ribs stand out; along_knit: (n, 2) across and along the ribs."""
+    x = along_knit[:, 0]
+    offset = x - _CABLE_SPACING_M * np.round(x / _CABLE_SPACING_M)
+    swing = _STRAND_SHIFT_M * np.sin(2.0 * np.pi * along_knit[:, 1] / _CABLE_TWIST_M)
+    strands = [np.exp(-0.5 * ((offset - s * swing) / (0.5 * _STRAND_WIDTH_M)) ** 2) for s in (-1.0, 1.0)]
+    cables = _CABLE_HEIGHT_M * np.maximum(*strands)
+    ribs = _RIB_HEIGHT_M * np.cos(2.0 * np.pi * x / _RIB_SPACING_M)
+    band = np.clip((1.0 - gather) / max(1.0 - float(gather.min()), 1e-9), 0.0, 1.0)
+    return np.asarray((1.0 - band) * cables + band * ribs)
+
+
+def stitch_tile(size: int = 48) -> FloatArray:
+    """Return (size, size) the height of one stitch, metres: two yarns that lean into a V, tiling."""
+    v, u = np.meshgrid(*(2 * [(np.arange(size) + 0.5) / size]), indexing="ij")
+    height = np.zeros((size, size))
+    for sign in (-1.0, 1.0):
+        for row in (-1.0, 0.0, 1.0):
+            along = v - row - 0.5
+            across = (u - 0.5) - sign * (0.24 - 0.16 * along)
+            yarn = np.exp(-0.5 * (across / 0.13) ** 2 - 0.5 * (along / 0.34) ** 2)
+            height = np.maximum(height, yarn)
+    return np.asarray(_STITCH_HEIGHT_M * height)
+
+
+def heather_texture(rng: np.random.Generator, size: int = 256) -> FloatArray:
+    """Return (size, size, 3) factors near 1: the yarn's uneven dye, without a change of hue, tiling."""
+    noise = np.zeros((size, size))
+    for blur in (0.8, 2.5, 7.0):
+        layer = gaussian_filter(rng.standard_normal((size, size)), (blur, 1.6 * blur), mode="wrap")
+        noise += layer / layer.std()
+    factor = 1.0 - _YARN_SPREAD + _YARN_SPREAD * np.tanh(noise / noise.std())
+    return np.repeat(factor[..., None], 3, axis=2).astype(np.float32)
+
+
+# Loop subdivision (loop1987) as one sparse matrix, so that a frame is refined by one product.
+
+
+def loop_subdivision(faces: Faces, count: int) -> tuple[sparse.csr_matrix, sparse.csr_matrix, Faces]:
+    """Split every face in four.
+
+    Returns S (n', n) with refined = S @ vertices, the plain mid-point matrix of the same shape (for texture
+    coordinates), and the finer faces. Rims follow the cubic B-spline of their own points.
+    """
+    corners = faces.astype(np.int64)
+    directed = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
+    opposite = np.concatenate([corners[:, 2], corners[:, 0], corners[:, 1]])
+    edges, number, times = np.unique(
+        np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    number = number.ravel()
+    on_rim = times == 1
+    midpoints = count + number.reshape(3, -1)
+    a, b, c = corners.T
+    ab, bc, ca = midpoints
+    finer = np.concatenate(
+        [np.stack(t, axis=1) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
+    ).astype(np.int32)
+    smooth = sparse.vstack(
+        [_old_points(edges, on_rim, count), _edge_points(edges, number, opposite, on_rim, count)]
+    )
+    rows = np.repeat(np.arange(len(edges)), 2)
+    halves = sparse.csr_matrix(
+        (np.full(2 * len(edges), 0.5), (rows, edges.ravel())), shape=(len(edges), count)
+    )
+    return smooth.tocsr(), sparse.vstack([sparse.eye(count), halves]).tocsr(), finer
+
+
+def _old_points(edges: IntArray, on_rim: IntArray, count: int) -> sparse.csr_matrix:
+    """Return (n, n) the weights of the moved old points."""
+    rim = np.zeros(count, dtype=bool)
+    rim[edges[on_rim]] = True
+    ends = np.concatenate([edges, edges[:, ::-1]])
+    along_rim = np.tile(on_rim, 2)
+    degree = np.bincount(ends[:, 0], minlength=count)
+    beta = np.where(degree == 3, 3.0 / 16.0, 3.0 / (8.0 * np.maximum(degree, 1)))
+    weight = np.where(rim[ends[:, 0]], np.where(along_rim, 0.125, 0.0), beta[ends[:, 0]])
+    matrix = sparse.csr_matrix((weight, (ends[:, 0], ends[:, 1])), shape=(count, count))
+    matrix.eliminate_zeros()
+    return matrix + sparse.diags(1.0 - np.asarray(matrix.sum(axis=1)).ravel())
+
+
+def _edge_points(
+    edges: IntArray, number: IntArray, opposite: IntArray, on_rim: IntArray, count: int
+) -> sparse.csr_matrix:
+    """Return (e, n) the weights of the new points on the edges."""
+    row = np.arange(len(edges))
+    near = np.where(on_rim, 0.5, 0.375)
+    inner = ~on_rim[number]
+    rows = np.concatenate([row, row, number[inner]])
+    columns = np.concatenate([edges[:, 0], edges[:, 1], opposite[inner]])
+    weights = np.concatenate([near, near, np.full(np.count_nonzero(inner), 0.125)])
+    return sparse.csr_matrix((weights, (rows, columns)), shape=(len(edges), count))
+
+
+@njit(cache=True)
+def raise_along_normals(vertices: Points, faces: Faces, relief: FloatArray) -> None:
+    """Move every vertex by its `relief` along its area-weighted normal, in place."""
+    normals = np.zeros_like(vertices)
+    for f in range(len(faces)):
+        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+        ax = vertices[j, 0] - vertices[i, 0]
+        ay = vertices[j, 1] - vertices[i, 1]
+        az = vertices[j, 2] - vertices[i, 2]
+        bx = vertices[k, 0] - vertices[i, 0]
+        by = vertices[k, 1] - vertices[i, 1]
+        bz = vertices[k, 2] - vertices[i, 2]
+        nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        for v in (i, j, k):
+            normals[v, 0] += nx
+            normals[v, 1] += ny
+            normals[v, 2] += nz
+    for v in range(len(vertices)):
+        length = np.sqrt(normals[v, 0] ** 2 + normals[v, 1] ** 2 + normals[v, 2] ** 2)
+        step = relief[v] / max(length, 1e-30)
+        for c in range(3):
+            vertices[v, c] += step * normals[v, c]

@@ -9,10 +9,8 @@ from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
 from vntoolkit.arrays import Colours, FloatArray
 from vntoolkit.simulation.head import anatomy
-from vntoolkit.simulation.head.anatomy import Head, lip_line
-from vntoolkit.simulation.head.hair import azimuth_deg, hair_share
-from vntoolkit.simulation.head.interior import IRIS_RADIUS, PUPIL_RADIUS
-from vntoolkit.simulation.head.sculpture import EYE_CENTRE, MOUTH_HALF_WIDTH
+from vntoolkit.simulation.head.anatomy import IRIS_RADIUS, PUPIL_RADIUS, Head, lip_line
+from vntoolkit.simulation.head.sculpture import EYE_CENTRE, MOUTH_HALF_WIDTH, azimuth_deg, hair_share
 
 ROWS, COLUMNS = 1024, 2048
 _LOW_CM, _HIGH_CM = -20.0, 12.6

@@ -9,14 +9,14 @@ import numpy as np
 from vntoolkit.arrays import Points
 from vntoolkit.simulation.head import anatomy, paint
 from vntoolkit.simulation.head.anatomy import Head, build_head
-from vntoolkit.simulation.head.expression import (
+from vntoolkit.simulation.head.paint import Makeup
+from vntoolkit.simulation.head.rig import (
     Expression,
+    HeadRig,
     performance_at,
     performance_pose,
     turning_pose,
 )
-from vntoolkit.simulation.head.paint import Makeup
-from vntoolkit.simulation.head.rig import HeadRig
 from vntoolkit.simulation.scene import Detail, Scene, SceneOptions, Surface
 from vntoolkit.simulation.studio import studio_camera, studio_centre, studio_lights
 

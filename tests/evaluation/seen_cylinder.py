@@ -1,0 +1,11 @@
+"""The normal map of a cylinder, for captures that tests make themselves."""
+
+from vntoolkit.evaluation.cylinder import Cylinder, camera_rays, intersect
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.maps import NormalMap
+
+
+def cylinder_normals(cylinder: Cylinder, camera: Camera) -> NormalMap:
+    """Return the normals (h, w, 3) of the cylinder's side, ends open, wherever a pixel's ray meets it."""
+    met = intersect(cylinder, *camera_rays(camera, camera.pixel_grid()))
+    return NormalMap(normals_in_camera=met.normals, mask=met.hit)

@@ -1,0 +1,229 @@
+"""What the live page is sent: only what it asks for, the newest result in time, true to the maps."""
+
+import http.client
+import json
+import struct
+import threading
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.pipeline.conftest import RESPONSE, dome_normals
+from tests.report.test_viewer import free_port
+from vntoolkit.errors import BadInput
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.maps import DepthMap
+from vntoolkit.io.footage.decoding import EncodedFrame
+from vntoolkit.live.capture import LiveFigures
+from vntoolkit.live.frames import LiveProcessor, LiveResult
+from vntoolkit.live.packet import PacketSizes, Place, camera_block, depth_block, normals_block
+from vntoolkit.live.page import LiveViewer
+from vntoolkit.live.recorder import LiveRecorder
+from vntoolkit.live.sources import TimedFrame
+from vntoolkit.meshing.surface import MeshOptions, mesh_from_depth
+from vntoolkit.photometry.lambertian import rgb_from_normals
+from vntoolkit.photometry.rig import Rig
+from vntoolkit.report.viewer import ViewerOptions
+
+FIGURES = LiveFigures(arrived=1, processed=1, dropped=0, failed=0, rate_hz=0.0, latency_s=(0.0, 0.0))
+
+
+def dome_frame(number: int = 0) -> EncodedFrame:
+    normals, mask = dome_normals(31.5)
+    rgb = np.where(mask[..., None], rgb_from_normals(normals, RESPONSE), 0)
+    values = np.round(rgb.clip(0, 1) * 255).astype(np.uint8)
+    return EncodedFrame(values=values, bits=8, number=number, name=f"frame {number}")
+
+
+@pytest.fixture(scope="module")
+def dome() -> tuple[LiveResult, Camera]:
+    processor = LiveProcessor(Rig(camera=Camera.orthographic(width=64, height=48), response=RESPONSE))
+    return processor.process(dome_frame()), processor.depth_camera
+
+
+@pytest.fixture
+def viewer(dome: tuple[LiveResult, Camera], tmp_path: Path) -> Iterator[LiveViewer]:
+    shown = LiveViewer(
+        dome[1],
+        ViewerOptions(port=free_port()),
+        figures=lambda: FIGURES,
+        recorder=LiveRecorder(tmp_path, 30.0),
+    )
+    yield shown
+    shown.close()
+
+
+def timed(number: int = 0, *, age_s: float = 0.0) -> TimedFrame:
+    return TimedFrame(frame=dome_frame(number), arrived_s=time.perf_counter() - age_s)
+
+
+class Asked(threading.Thread):
+    """A page that asks once, in a thread of its own."""
+
+    def __init__(self, viewer: LiveViewer, serial: int = 0, ago_ms: int = 0) -> None:
+        super().__init__()
+        query = f"id=a&serial={serial}&ago_ms={ago_ms}&grid=20&normals=64&camera=30"
+        self._address, self._viewer = f"{viewer.address}/packet?{query}", viewer
+        self.content, self.seconds = b"", 0.0
+        self.start()
+        time.sleep(0.2)  # it waits for a result by now
+
+    def run(self) -> None:
+        started = time.perf_counter()
+        self.content = urllib.request.urlopen(self._address, timeout=10).read()
+        self.seconds = time.perf_counter() - started
+
+    def header(self) -> dict[str, Any]:
+        self.join()
+        return opened(self.content)[0]
+
+
+def opened(content: bytes) -> tuple[dict[str, Any], bytes]:
+    (length,) = struct.unpack_from("<I", content)
+    return json.loads(content[4 : 4 + length]), content[4 + length :]
+
+
+def test_the_grid_carries_the_depth_and_says_where_there_is_none(dome: tuple[LiveResult, Camera]) -> None:
+    result, camera = dome
+    depth_map = result.depth_map
+    assert depth_map is not None
+    facts, steps = depth_block(depth_map, camera, 22)  # every third pixel: 16 × 22
+    assert facts["shape"] == (16, 22)
+    depth, mask = depth_map.depth[::3, ::3], depth_map.mask[::3, ::3]
+    steps = steps.reshape(16, 22)
+    np.testing.assert_array_equal(steps == 65535, ~mask)
+    read = facts["low"] + facts["step"] * steps[mask]
+    np.testing.assert_allclose(read, depth[mask], atol=0.51 * facts["step"] + 1e-6)
+    assert facts["step"] < 1e-3
+    # the vertices that the page makes of it are the mesh's
+    v, u = np.nonzero(mask)
+    x, y = ((np.stack([u, v]).T - facts["centre"]) / facts["focal"]).T
+    mesh = mesh_from_depth(depth_map, camera, options=MeshOptions(stride=3))
+    made = {tuple(p) for p in np.round([x, y, depth[mask]], 3).T}
+    assert len(mesh.vertices) > 50
+    assert {tuple(p) for p in np.round(mesh.vertices, 3)} <= made
+    odd, padded = depth_block(depth_map, camera, 8)
+    assert np.prod(odd["shape"]) % 2 == 0 or padded[-1] == 65535
+    assert len(padded) % 2 == 0
+    place = Place.of(depth_map, camera)
+    coarse = depth_map.depth[::4, ::4][depth_map.mask[::4, ::4]]
+    assert place.size[2] == pytest.approx(np.ptp(coarse), rel=1e-6)
+    assert place.centre[2] == pytest.approx(-(coarse.min() + coarse.max()) / 2, abs=1e-5)
+    assert place.size[0] == pytest.approx(np.ptp(np.nonzero(depth_map.mask[::4, ::4])[1]) * 4, abs=1e-4)
+    speck = DepthMap(depth=np.full((48, 64), 2.0, np.float32), mask=np.arange(48 * 64).reshape(48, 64) == 65)
+    assert Place.of(speck, camera).centre[2] == -2.0
+
+
+def test_pictures_carry_normals_and_mark_what_is_clipped(dome: tuple[LiveResult, Camera]) -> None:
+    block = normals_block(dome[0].normal_map, 64).astype(float)
+    mask = dome[0].normal_map.mask
+    np.testing.assert_array_equal(block[..., 3] == 255, mask)
+    np.testing.assert_array_equal(block[~mask], 0)  # the page divides colour by opacity where it blends
+    read = (block[..., :3] / 127.5 - 1) * (1, -1, -1)
+    np.testing.assert_allclose(read[mask], dome[0].normal_map.normals_in_camera[mask], atol=1 / 127)
+    values = np.full((6, 8, 3), 70, np.uint8)
+    values[2, 3, 1] = 255
+    for shift, kind in ((0, np.uint8), (2, np.uint16)):
+        frame = EncodedFrame(
+            values=(values.astype(np.uint16) << shift).astype(kind), bits=8 + shift, number=0, name="f"
+        )
+        picture = camera_block(TimedFrame(frame=frame, arrived_s=0.0), 8)
+        assert tuple(picture[2, 3]) == (255, 0, 255, 255)
+        assert (np.delete(picture.reshape(-1, 4), 19, axis=0) == (70, 70, 70, 255)).all()
+    with pytest.raises(BadInput, match="sizes from 2 to"):
+        PacketSizes(grid=100_000)
+
+
+def test_one_packet_per_question_and_always_the_newest(
+    viewer: LiveViewer, dome: tuple[LiveResult, Camera]
+) -> None:
+    assert viewer.watchers == 0
+    viewer.show(dome[0], timed())  # nobody looks on
+    page = Asked(viewer)
+    assert viewer.watchers == 1
+    viewer.show(dome[0], timed())
+    first, rest = opened(page.content) if page.join() is None else ({}, b"")
+    assert first["serial"] == 2  # not the old one that was there when it asked
+    assert first["depth"]["shape"] == [12, 16]
+    assert (first["normals"], first["camera"]) == ([48, 64], [16, 22])
+    assert "waiting" not in first["status"]
+    assert len(rest) == 2 * 12 * 16 + 4 * 48 * 64 + 4 * 16 * 22
+    assert viewer.meter.count == 0  # sent, but not drawn yet
+    for _ in range(3):
+        viewer.show(dome[0], timed())  # passed over
+    page = Asked(viewer, serial=2, ago_ms=150)
+    assert viewer.meter.count == 1
+    viewer.show(dome[0], timed())
+    assert page.header()["serial"] == 6
+    repeated = Asked(viewer, serial=2)  # not what was sent last
+    viewer.show(dome[0], timed())
+    repeated.join()
+    assert viewer.meter.count == 1
+
+
+def test_a_late_capture_comes_first(viewer: LiveViewer, dome: tuple[LiveResult, Camera]) -> None:
+    page = Asked(viewer)
+    viewer.show(dome[0], timed())
+    assert page.header()["serial"] == 1
+    page = Asked(viewer, serial=1)
+    viewer.show(dome[0], timed(age_s=0.2))  # put off
+    time.sleep(0.1)
+    assert page.is_alive()
+    viewer.show(dome[0], timed())
+    assert page.header()["serial"] == 3
+    page = Asked(viewer, serial=3)
+    time.sleep(0.5)
+    viewer.show(dome[0], timed(age_s=0.2))  # late again, but the page has waited long enough
+    assert page.header()["serial"] == 4
+    assert page.seconds < 1.0
+    page = Asked(viewer, serial=4)
+    page.join()
+    assert page.content == b""  # no frame came
+
+
+def status_of(address: str, **more: Any) -> int:
+    try:
+        return int(urllib.request.urlopen(urllib.request.Request(address, **more), timeout=10).status)
+    except urllib.error.HTTPError as refused:
+        return refused.code
+
+
+def test_only_the_page_itself_may_record_and_nonsense_is_refused(viewer: LiveViewer) -> None:
+    recorder = viewer._recorder
+    assert recorder is not None
+    assert status_of(f"{viewer.address}/record", method="POST") == 404
+    assert not recorder.is_recording
+    assert status_of(f"{viewer.address}/record", method="POST", headers={"X-Live": "1"}) == 200
+    assert recorder.is_recording
+    recorder.stop()
+    assert status_of(f"{viewer.address}/") == 200
+    assert status_of(f"{viewer.address}/../../etc/passwd") == 404
+    for query in ("", "?id=a&serial=x&ago_ms=0&grid=9&normals=9&camera=9",
+                  "?id=a&serial=0&ago_ms=0&grid=9&normals=9&camera=999999"):  # fmt: skip
+        assert status_of(f"{viewer.address}/packet{query}") == 400
+
+
+def test_a_page_is_told_that_it_is_over(dome: tuple[LiveResult, Camera]) -> None:
+    ended = LiveViewer(dome[1], ViewerOptions(port=free_port()), figures=lambda: FIGURES)
+    kept = http.client.HTTPConnection(ended.address.removeprefix("http://"), timeout=10)
+    kept.request("GET", "/")
+    assert kept.getresponse().read().startswith(b"<!DOCTYPE html>")
+    ended.close()
+    kept.request("GET", "/packet?id=a&serial=0&ago_ms=0&grid=9&normals=9&camera=9")
+    assert kept.getresponse().status == 503  # an empty answer would make it ask again at once
+
+
+def test_a_port_in_use_is_passed_over(viewer: LiveViewer, dome: tuple[LiveResult, Camera]) -> None:
+    port = int(viewer.address.rsplit(":", 1)[1])
+    other = LiveViewer(dome[1], ViewerOptions(port=port), figures=lambda: FIGURES)
+    try:
+        assert int(other.address.rsplit(":", 1)[1]) > port
+        assert status_of(f"{other.address}/record", method="POST", headers={"X-Live": "1"}) == 404
+    finally:
+        other.close()

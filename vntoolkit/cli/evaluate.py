@@ -1,0 +1,401 @@
+"""`vntoolkit evaluate normals`: angles between two normal maps, or two folders of them."""
+
+from __future__ import annotations
+
+import dataclasses
+from operator import attrgetter
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+from vntoolkit.cli.flags import Footage, Frames, flags_from, limits_on
+from vntoolkit.cli.output import PICTURE, print_table, progress_bar, require_output, write_json
+from vntoolkit.errors import BadInput, BadMesh
+from vntoolkit.evaluation.angular_error import AngularError
+from vntoolkit.evaluation.cylinder_fit import CylinderOptions
+from vntoolkit.evaluation.mesh_comparison import (
+    Alignment,
+    AlignmentOptions,
+    MeshDistance,
+    MeshQuality,
+    align_mesh,
+    mesh_distance,
+    mesh_quality,
+    vertex_distances,
+)
+from vntoolkit.evaluation.track_error import TrackError, TrackErrorOptions
+from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.io.conventions import NormalConvention
+from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.maps_and_meshes.meshes import read_mesh
+from vntoolkit.pipeline.evaluate_cylinder import CylinderEvaluation
+from vntoolkit.pipeline.evaluate_cylinder import evaluate_cylinder as run
+from vntoolkit.pipeline.evaluate_integration import objects_in, real_object_errors, surface_cases
+from vntoolkit.pipeline.evaluate_normals import compare_normal_files, pairs_of
+from vntoolkit.pipeline.evaluate_tracks import evaluate_tracks, write_track_errors
+from vntoolkit.pipeline.opened_result import open_result
+from vntoolkit.report.error_figures import (
+    write_cumulative_errors,
+    write_error_map,
+    write_error_over_time,
+    write_error_plot,
+)
+
+_NORMAL_LINES = 10  # of the table on the screen; the file has all frames
+COLUMNS = ["", "pixels", "mean", "median", "std", "95 %", "< 5°", "< 10°", "< 20°"]
+if TYPE_CHECKING:
+    AlignmentFlags: TypeAlias = AlignmentOptions | None
+else:
+    AlignmentFlags = flags_from(AlignmentOptions, free="align")
+_SEED = 0  # of the vertices sampled to align by
+if TYPE_CHECKING:
+    CylinderFlags: TypeAlias = CylinderOptions | None
+else:
+    CylinderFlags = flags_from(CylinderOptions)
+_LINES = 10  # of the table on the screen; the file has all frames
+if TYPE_CHECKING:
+    ErrorFlags: TypeAlias = TrackErrorOptions | None
+else:
+    ErrorFlags = flags_from(TrackErrorOptions)
+_TRACK_LINES = 12  # of a table on the screen; the file has all frames
+
+
+@limits_on("max_megapixels")
+def normals(
+    measured: Path,
+    reference: Path,
+    *,
+    out: Path = Path("evaluation"),
+    measured_convention: NormalConvention | None = None,
+    reference_convention: NormalConvention | None = None,
+) -> None:
+    """Print the angles in degrees between two normal maps, or between two folders of them frame by frame.
+
+    Writes normals.json, the map of the worst frame's errors (normals_map.png) and the cumulative curve
+    (normals_curve.png).
+
+    Parameters
+    ----------
+    measured
+        A normal map, EXR or PNG, or a folder of them, such as `vntoolkit reconstruct` writes.
+    reference
+        What it is compared with; a folder may be that of `vntoolkit simulate`. Paired by file names.
+    out
+        Folder to write.
+    measured_convention
+        Axes of the measured map; default: what the file states, else x right, y up, z to the viewer.
+    reference_convention
+        Axes of the reference.
+    """
+    require_output(out / "normals.json")
+    pairs = pairs_of(measured, reference)
+    with progress_bar("normals", len(pairs)) as advance:
+        found = compare_normal_files(
+            pairs, (measured_convention, reference_convention), lambda _name: advance(1)
+        )
+    content = {"measured": measured, "reference": reference}
+    write_json(out / "normals.json", {**content, "overall": found.overall, "frames": found.frames})
+    title = f"{found.worst}: mean {found.frames[found.worst].mean_deg:.2f}°"
+    write_error_map(out / "normals_map.png", found.worst_deg, found.worst_mask, title, "degrees")
+    title = f"{measured.name} against {reference.name}"
+    write_cumulative_errors(out / "normals_curve.png", {"all frames": found.curve_deg}, title, "degrees")
+    step = max(1, -(-len(found.frames) // _NORMAL_LINES))
+    rows = [error_row(name, error) for name, error in list(found.frames.items())[::step]]
+    if len(found.frames) > 1:
+        rows.append(error_row("all", found.overall))
+    print_table("degrees between the normals", COLUMNS, rows)
+    print(f"{out}: normals.json, normals_map.png, normals_curve.png")
+
+
+def error_row(name: str, error: AngularError) -> list[str]:
+    """Format one row of `COLUMNS`."""
+    angles = (error.mean_deg, error.median_deg, error.std_deg, error.p95_deg)
+    shares = (error.below_5, error.below_10, error.below_20)
+    return [name, str(error.pixels), *(f"{a:.2f}" for a in angles), *(f"{100 * s:.1f}%" for s in shares)]
+
+
+# `vntoolkit evaluate mesh`: distances between two meshes both ways, and the quality of each.
+
+
+@limits_on("max_vertices")
+def mesh(
+    mesh: Path,
+    reference: Path | None = None,
+    *,
+    out: Path = Path("evaluation"),
+    options: AlignmentFlags = None,
+) -> None:
+    """Print how far a mesh lies from a reference, both ways, and what the next program stumbles over in it.
+
+    Distances are measured by pymeshlab from the vertices of one to the faces of the other. Writes mesh.json
+    and mesh_curve.png.
+
+    Parameters
+    ----------
+    mesh
+        A PLY or OBJ file.
+    reference
+        Another; without it only the quality is measured.
+    out
+        Folder to write.
+    """
+    require_output(out / "mesh.json")
+    options = options or AlignmentOptions()
+    measured = _read(mesh)
+    same_name = reference is not None and reference.name == mesh.name  # such as 000000.ply of two folders
+    name = str if same_name else attrgetter("name")
+    qualities = {name(mesh): mesh_quality(measured)}
+    content: dict[str, object] = {"mesh": mesh, "reference": reference, "quality": qualities}
+    if reference is not None:
+        target = _read(reference)
+        qualities[name(reference)] = mesh_quality(target)
+        aligned, motion = align_mesh(measured, target, np.random.default_rng(_SEED), options)
+        distance = mesh_distance(aligned, target)
+        content |= {"distance": distance_summary(distance), "scale": motion.scale}
+        percent = 100.0 / distance.diagonal * vertex_distances(aligned, target)
+        write_cumulative_errors(
+            out / "mesh_curve.png", {name(mesh): percent}, f"to {name(reference)}", "% of the diagonal"
+        )
+        _print_distance(distance)
+        if options.free is Alignment.SIMILARITY:
+            print(f"aligned with a scale of {motion.scale:.4f}")
+    write_json(out / "mesh.json", content)
+    _print_quality(qualities)
+    print(f"{out}: mesh.json" + (", mesh_curve.png" if reference else ""))
+
+
+def distance_summary(distance: MeshDistance) -> dict[str, object]:
+    """Return the measured values and those derived, for JSON."""
+    derived = {
+        name: getattr(distance, name) for name in ("mean", "hausdorff", "mean_percent", "hausdorff_percent")
+    }
+    return {**dataclasses.asdict(distance), **derived}
+
+
+def _read(path: Path) -> Mesh:
+    read = read_mesh(path)
+    if not len(read.faces):
+        raise BadMesh(f"{path}: has {len(read.vertices)} vertices but no face, so it is no surface")
+    return read
+
+
+def _print_distance(distance: MeshDistance) -> None:
+    rows = []
+    for name, way in (
+        ("mesh to reference", distance.to_reference),
+        ("reference to mesh", distance.from_reference),
+    ):
+        values = (way.mean, way.root_mean_square, way.largest)
+        shares = (100 * value / distance.diagonal for value in values)
+        rows.append([name, *(f"{v:.6g}" for v in values), *(f"{s:.4f}" for s in shares)])
+    columns = ["", "mean", "rms", "largest", "mean, %", "rms, %", "largest, %"]
+    print_table(f"distances, and in % of the reference's diagonal {distance.diagonal:.6g}", columns, rows)
+    print(f"mean {distance.mean_percent:.3f} %, Hausdorff {distance.hausdorff_percent:.3f} % of the diagonal")
+
+
+def _print_quality(qualities: dict[str, MeshQuality]) -> None:
+    rows = []
+    for field in dataclasses.fields(MeshQuality):
+        values = [getattr(quality, field.name) for quality in qualities.values()]
+        rows.append([field.name.replace("_", " "), *(f"{value:.6g}" for value in values)])
+    print_table("quality", ["", *qualities], rows)
+
+
+# `vntoolkit evaluate cylinder`: a sequence's normals against one fitted cylinder.
+
+
+@limits_on("max_megapixels")
+def cylinder(
+    folder: Path,
+    *,
+    truth: Path | None = None,
+    frames: Frames = "::",
+    footage: Footage = "",
+    out: Path | None = None,
+    options: CylinderFlags = None,
+) -> CylinderEvaluation:
+    """Fit one cylinder to a reconstruction of a moving cylinder; measure its normals against it (Figure 7).
+
+    Writes cylinder.json and cylinder.png.
+
+    Parameters
+    ----------
+    folder
+        The folder that `vntoolkit reconstruct` wrote.
+    truth
+        The folder that `vntoolkit simulate` wrote: judges the fit itself too.
+    out
+        Folder to write; default: `evaluation` in the given folder.
+    """
+    target = out or folder / "evaluation"
+    require_output(target / "cylinder.json")
+    result = open_result(folder, frames=FrameRange.from_text(frames), footage=footage)
+    with progress_bar("cylinder", 2 * len(result.numbers)) as advance:
+        found = run(result, truth, options, lambda _number: advance(1))
+    write_json(target / "cylinder.json", found)
+    times = np.array([error.frame for error in found.frames]) / found.frame_rate_hz
+    mean, std = (np.array([getattr(e, name) for e in found.frames]) for name in ("mean_deg", "std_deg"))
+    title = f"{found.mean_deg:.2f} ± {found.std_deg:.2f} degrees over all frames"
+    write_error_over_time(target / "cylinder.png", times, mean, std, title)
+    _print(found)
+    print(f"{target}: cylinder.json, cylinder.png")
+    return found
+
+
+def _print(found: CylinderEvaluation) -> None:
+    columns = ["frame", "pixels", "mean", "std"]
+    with_truth = found.frames[0].truth is not None
+    if with_truth:
+        columns += ["true mean", "true std", "axis off", "radius off %"]
+    step = max(1, -(-len(found.frames) // _LINES))
+    rows = []
+    for error in found.frames[::step]:
+        row = [str(error.frame), str(error.pixels), f"{error.mean_deg:.2f}", f"{error.std_deg:.2f}"]
+        if error.truth is not None:
+            t = error.truth
+            row += [f"{t.normals_mean_deg:.2f}", f"{t.normals_std_deg:.2f}"]
+            row += [f"{t.axis_deg:.2f}", f"{t.radius_percent:+.2f}"]
+        rows.append(row)
+    print_table("degrees between normals and the fitted cylinder", columns, rows)
+    print(
+        f"{len(found.frames)} frames: {found.mean_deg:.2f} ± {found.std_deg:.2f} degrees (paper: 8.67 ± 4.29)"
+    )
+    truths = [error.truth for error in found.frames if error.truth is not None]
+    if truths:
+        axis = [t.axis_deg for t in truths]
+        radius = [abs(t.radius_percent) for t in truths]
+        print(
+            f"the fit against the truth: axis {np.median(axis):.2f} degrees (worst {max(axis):.2f}), "
+            f"radius {np.median(radius):.2f} % (worst {max(radius):.2f})"
+        )
+
+
+# `vntoolkit evaluate tracks`: registered meshes against the simulator's vertices.
+
+
+@limits_on("max_vertices")
+def tracks(
+    folder: Path,
+    *others: Path,
+    truth: Path,
+    every: int = 10,
+    out: Path | None = None,
+    plot: Path | None = None,
+    options: ErrorFlags = None,
+) -> None:
+    """Print the end-point error in pixels by frame: of all vertices, and of those not declared lost.
+
+    Every vertex is judged whose true point can be seen in that frame. `astray` is the share of them that is
+    off by more than 4 pixels, `lost` the share that the tracker itself declares lost; the last two columns
+    leave these out, and mean nothing without that share.
+
+    Parameters
+    ----------
+    folder
+        The folder that `vntoolkit track` wrote (or the one that holds its folder track).
+    others
+        More of them, to compare.
+    truth
+        The folder that `vntoolkit simulate` wrote.
+    every
+        Judge every n-th frame, and the last.
+    out
+        Also write all judged frames as a tab-separated table; of several folders, one table each, NAME.tsv in
+        this folder.
+    plot
+        Also draw the error against the frame, .png or .svg.
+    """
+    if every < 1:
+        raise BadInput(f"every: expected 1 or more, got {every}")
+    folders = {_name(each): each for each in (folder, *others)}
+    if len(folders) <= len(others):
+        raise BadInput("evaluate tracks: two of the folders have the same name; give each its own")
+    tables = {} if out is None else {name: out / f"{name}.tsv" if others else out for name in folders}
+    for table in tables.values():
+        require_output(table)
+    require_output(plot, PICTURE)
+    results = {}
+    for name, each in folders.items():
+        target = each / "track" if (each / "track").is_dir() else each
+        results[name] = evaluate_tracks(target, truth, every, options)
+    for name, errors in results.items():
+        if name in tables:
+            write_track_errors(tables[name], errors)
+        _print_table(name, errors)
+    if plot is not None:
+        write_error_plot(plot, results)
+        print(plot)
+
+
+def _name(folder: Path) -> str:
+    resolved = folder.resolve()
+    return resolved.parent.name if resolved.name == "track" else resolved.name
+
+
+def _print_table(name: str, errors: list[TrackError]) -> None:
+    step = max(1, -(-(len(errors) - 1) // _TRACK_LINES))
+    print(name)
+    print("       of all vertices in sight           of those not declared lost")
+    print("frame  median px   95 % px  astray    lost  median px   95 % px")
+    for error in [*errors[:-1:step], errors[-1]]:
+        print(
+            f"{error.frame:5d}  {error.median_px:9.2f} {error.p95_px:9.2f} {100 * error.astray:6.1f}% "
+            f"{100 * error.lost:6.1f}%  {error.found_median_px:9.2f} {error.found_p95_px:9.2f}"
+        )
+
+
+# `vntoolkit evaluate integration`: the integrators on surfaces whose depth is known.
+
+
+@limits_on("max_megapixels")
+def integration(*, data: Path | None = None, size: int = 256, out: Path = Path("evaluation")) -> None:
+    """Print the depth errors of every integrator on analytic surfaces, and on real objects where given.
+
+    Writes integration.json, the errors' curves on the torn surface (integration_curve.png) and the map of the
+    last integrator's (integration_map.png).
+
+    Parameters
+    ----------
+    data
+        Folder of real objects, one folder each: normal_map.png, mask.png, K.txt, depth_gt.npz (millimetres).
+    size
+        Side of the analytic surfaces in pixels.
+    out
+        Folder to write.
+    """
+    require_output(out / "integration.json")
+    objects = [] if data is None else objects_in(data)
+    cases = surface_cases(size)
+    rows, curves, last = [], {}, None
+    with progress_bar("integration", len(cases) + len(objects)) as advance:
+        for case in cases:
+            error = case.measure()
+            rows.append(error)
+            if case.is_torn:
+                curves[error.integrator] = error.distances_percent[error.mask]
+                last = error
+            advance(1)
+        real = []
+        for folder in objects:
+            real += real_object_errors(folder)
+            advance(1)
+    plain = [{"surface": r.surface, "integrator": r.integrator, **r.numbers} for r in rows]
+    write_json(out / "integration.json", {"surfaces": plain, "objects": real})
+    columns = ["surface", "integrator", "mean", "rms", "largest"]
+    table = [
+        [r.surface, r.integrator, *(f"{r.numbers[n]:.2e}" for n in ("mean", "rms", "largest"))] for r in rows
+    ]
+    print_table("depth error, % of the surface's range", columns, table, names=2)
+    if real:
+        table = [[e.name, e.integrator, f"{e.mean_mm:.3f}", f"{e.median_mm:.3f}"] for e in real]
+        print_table(
+            "depth error on real objects, mm", ["object", "integrator", "mean", "median"], table, names=2
+        )
+    write_cumulative_errors(out / "integration_curve.png", curves, "torn surface", "error, % of the range")
+    if last is not None:
+        title = f"{last.surface}, {last.integrator}"
+        write_error_map(
+            out / "integration_map.png", last.distances_percent, last.mask, title, "% of the range"
+        )
+    print(f"{out}: integration.json, integration_curve.png, integration_map.png")

@@ -1,0 +1,100 @@
+"""One clear line for a command that was typed wrongly: what was expected, what came, where to look."""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+import inspect
+import re
+import tempfile
+import traceback
+from enum import Enum
+from pathlib import Path
+
+from cyclopts import Argument, CycloptsError
+from cyclopts.exceptions import ConsumeMultipleError, MissingArgumentError, UnusedCliTokensError
+
+from vntoolkit.errors import printable_line
+
+_TYPES = {"int": "a whole number", "float": "a number", "bool": "true or false"}
+
+
+def line_from_usage_error(error: CycloptsError) -> str:
+    """Return the error as a sentence, ended by the command whose help explains it."""
+    verb = " ".join(error.command_chain or ())
+    if isinstance(error, MissingArgumentError) and not isinstance(error, ConsumeMultipleError):
+        text = f"{verb}: {_missing(error)}."
+    elif isinstance(error, UnusedCliTokensError):
+        text = f"{verb}: one file or folder too many: '{' '.join(error.unused_tokens or ())}'."
+    else:
+        text = " ".join(str(error).split())
+    for name, meaning in _TYPES.items():
+        text = re.sub(rf': unable to convert "(.*)" into {name}\.', rf': expected {meaning}, got "\1".', text)
+    return f"{text} `{' '.join(['vntoolkit', *verb.split(), '--help'])}` explains it"
+
+
+def _missing(error: MissingArgumentError) -> str:
+    argument = error.argument
+    assert argument is not None
+    if error.keyword or argument.tokens:
+        name = error.keyword or next((t.keyword for t in argument.tokens if t.keyword), argument.name)
+        count, _ = argument.token_count()
+        got = len(error.tokens_so_far)
+        return f"{name}: expected {count} value{'s' if count > 1 else ''}, got {got or 'none'}"
+    typed = [token for token in error.unused_tokens or () if token.startswith("-")]
+    close = difflib.get_close_matches(argument.name, typed, n=1, cutoff=0.6)
+    if close:
+        return f"unknown option {close[0]}, perhaps for {argument.name}"
+    meaning = _meaning(argument, error)
+    return f"{_shown_name(argument)} is missing{f' ({meaning})' if meaning else ''}"
+
+
+def _shown_name(argument: Argument) -> str:
+    name = argument.name
+    return name.lstrip("-").upper() if argument.field_info.is_positional else name
+
+
+def _meaning(argument: Argument, error: CycloptsError) -> str:
+    """What the flag is for: its choices, or the first sentence that the verb's docstring says of it."""
+    if isinstance(argument.hint, type) and issubclass(argument.hint, Enum):
+        return "one of " + ", ".join(member.name.lower().replace("_", "-") for member in argument.hint)
+    text = inspect.getdoc(error.target) or ""
+    found = re.search(rf"^{argument.field_info.name}:?\n((?: +\S.*\n?)+)", text, re.MULTILINE)
+    if found is None:
+        return ""
+    sentence = re.split(r"[.;:](?:\s|$)", " ".join(found[1].split()))[0]
+    return sentence[:1].lower() + sentence[1:]
+
+
+# What is said of an exception that nobody foresaw: one line, and the trace in a file that can be sent.
+
+
+def line_from_unforeseen(error: Exception) -> str:
+    """Return the line to show; the traceback goes into a new file of the temporary folder, which it names.
+
+    Where that folder cannot be written, the line names the function that failed instead.
+    """
+    if isinstance(error, MemoryError):
+        return printable_line(
+            f"out of memory ({error}): take fewer --jobs or --frames, or smaller footage; what is "
+            "finished is on disk"
+        )
+    what = printable_line(f"{type(error).__name__}: {error}"[:300])
+    last = traceback.extract_tb(error.__traceback__)[-1:]
+    where = f"it arose in {last[0].name}, line {last[0].lineno} of {last[0].filename}" if last else ""
+    with contextlib.suppress(OSError):
+        where = f"its trace is in {_written(error)}"
+    return f"a fault of vntoolkit's own, not of your input ({what}); {where}: please report it"
+
+
+def _written(error: Exception) -> Path:
+    with tempfile.NamedTemporaryFile(
+        "w",
+        prefix="vntoolkit-trace-",
+        suffix=".txt",
+        delete=False,
+        encoding="utf-8",
+        errors="backslashreplace",
+    ) as file:
+        file.writelines(traceback.format_exception(error))
+    return Path(file.name)

@@ -1,0 +1,1 @@
+"""Floor 2, whether footage, rig and result can be trusted."""

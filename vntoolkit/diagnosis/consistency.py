@@ -1,0 +1,82 @@
+"""Two things that hold for a matte surface of one colour, whatever its shape: see `rig_match`.
+
+M⁻¹ (r − a) has the same length everywhere, and the slopes of its direction have no curl.
+"""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from vntoolkit.arrays import FloatArray, Mask
+from vntoolkit.geometry.maps import NormalMap
+
+logger = logging.getLogger(__name__)
+_SMOOTHING_PX = 5
+_STEEPEST = 0.2  # least |n_z| of a slope that counts
+_LARGEST_SAMPLE = 200_000
+_MARGIN = 0.6  # the other reading must leave this share of the curl
+_WORST_AS_FLIPPED = 0.5  # and be nearly free of curl itself: noise has 0.6 either way
+_FEWEST_PIXELS = 400
+
+
+def albedo_variation(rgb: FloatArray, scaled_normals: FloatArray) -> float:
+    """Return the spread of the lengths of (n, 3) albedo-scaled normals over that of the channels (n, 3).
+
+    A spread is half the distance between the 16th and 84th percentile, over the median: robust against
+    highlights and against pixels that not all three lights reach.
+    """
+    of_channels = sum(_spread(rgb[:, channel]) for channel in range(3)) / 3.0
+    return _spread(np.linalg.norm(scaled_normals, axis=1)) / max(of_channels, 1e-6)
+
+
+def curl_share(scaled_normals: FloatArray, used: Mask) -> float:
+    """Return |∂p/∂v − ∂q/∂u| over |∂p/∂v| + |∂q/∂u|, each summed over the inside of `used`; 0 to 1.
+
+    p and q are the slopes of the smoothed (h, w, 3) normals; a surface that exists has the share 0. NaN
+    where nothing is inside, or all of it is flat.
+    """
+    normals = cv2.blur(scaled_normals, (_SMOOTHING_PX, _SMOOTHING_PX))
+    normals = normals / np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-12)
+    side = 2 * _SMOOTHING_PX - 1
+    eroded = cv2.erode(used.astype(np.uint8), np.ones((side, side), np.uint8), borderValue=0) > 0
+    inside: Mask = np.asarray(eroded & (normals[..., 2] < -_STEEPEST))
+    if not inside.any():
+        return float("nan")
+    slopes = normals[..., :2] / np.minimum(normals[..., 2:], -_STEEPEST)
+    p_along_v = np.gradient(slopes[..., 0], axis=0)[inside]
+    q_along_u = np.gradient(slopes[..., 1], axis=1)[inside]
+    total = float((np.abs(p_along_v) + np.abs(q_along_u)).sum())
+    return float(np.abs(p_along_v - q_along_u).sum()) / total if total > 0 else float("nan")
+
+
+def _spread(values: FloatArray) -> float:
+    low, median, high = np.percentile(values[:: max(1, len(values) // _LARGEST_SAMPLE)], [16, 50, 84])
+    return float((high - low) / 2 / median)
+
+
+# Is the green axis of an imported normal map flipped? The curl of the slopes tells.
+
+
+def warn_of_flipped_axes(path: Path | str, normal_map: NormalMap) -> None:
+    """Log a warning where the map read from `path` makes a surface only with its y axis flipped."""
+    if finding := finding_from_axes(normal_map):
+        logger.warning("%s: %s", path, finding)
+
+
+def finding_from_axes(normal_map: NormalMap) -> str | None:
+    """Return a line where the map makes a surface only with its y axis flipped, else None."""
+    if int(normal_map.mask.sum()) < _FEWEST_PIXELS:
+        return None
+    normals = np.asarray(normal_map.normals_in_camera, dtype=np.float64)
+    as_read = curl_share(normals, normal_map.mask)
+    flipped = curl_share(normals * np.array([1.0, -1.0, 1.0]), normal_map.mask)
+    if not flipped < min(_MARGIN * as_read, _WORST_AS_FLIPPED):
+        return None
+    return (
+        f"the green axis looks flipped: as read the slopes contradict each other (curl share {as_read:.2f}), "
+        f"flipped they fit ({flipped:.2f}); read it with the other convention, opengl or directx"
+    )

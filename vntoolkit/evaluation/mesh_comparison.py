@@ -1,0 +1,294 @@
+"""Distance between two surfaces, measured by pymeshlab from the vertices of one to the faces of the other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from vntoolkit.arrays import FloatArray, Matrix3, Points, Vector3
+from vntoolkit.errors import BadInput, BadMesh, SolverFailed
+from vntoolkit.geometry.mesh import Mesh, vertex_normals
+from vntoolkit.native import import_pymeshlab
+
+_FARTHEST = 1000.0  # times the size of the smaller mesh: beyond it distances say nothing of shape
+_FEWEST_VERTICES = 20
+
+
+@dataclass(frozen=True, kw_only=True)
+class OneWayDistance:
+    """Distances from the vertices of one mesh to the nearest point of another, in its length unit."""
+
+    mean: float
+    root_mean_square: float
+    largest: float
+    samples: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshDistance:
+    """Distances both ways.
+
+    diagonal: of the reference's bounding box. mean: the larger of the two mean distances, the value to
+    quote. hausdorff: the larger of the two largest distances. *_percent: of the diagonal.
+    """
+
+    to_reference: OneWayDistance
+    from_reference: OneWayDistance
+    diagonal: float
+
+    @property
+    def mean(self) -> float:
+        """The larger mean of the two ways."""
+        return max(self.to_reference.mean, self.from_reference.mean)
+
+    @property
+    def hausdorff(self) -> float:
+        """The larger maximum of the two ways."""
+        return max(self.to_reference.largest, self.from_reference.largest)
+
+    @property
+    def mean_percent(self) -> float:
+        """`mean` in percent of the reference's diagonal."""
+        return 100.0 * self.mean / self.diagonal
+
+    @property
+    def hausdorff_percent(self) -> float:
+        """`hausdorff` in percent of the reference's diagonal."""
+        return 100.0 * self.hausdorff / self.diagonal
+
+
+def mesh_distance(mesh: Mesh, reference: Mesh) -> MeshDistance:
+    """Measure the distance between two meshes in one frame.
+
+    Raises `BadMesh` for a mesh without faces, and for meshes too far apart for their sizes.
+    """
+    require_comparable(mesh, reference)
+    meshes = import_pymeshlab().MeshSet(verbose=False)
+    meshes.add_mesh(mesh.to_pymeshlab())
+    meshes.add_mesh(reference.to_pymeshlab())
+    return MeshDistance(
+        to_reference=_one_way(meshes, 0, 1),
+        from_reference=_one_way(meshes, 1, 0),
+        diagonal=reference.diagonal,
+    )
+
+
+def require_comparable(mesh: Mesh, reference: Mesh) -> None:
+    """Raise `BadMesh` unless both have faces and sizes that suit their distance.
+
+    pymeshlab looks for the nearest face in steps as small as the mesh that it searches: for one that is a
+    point it would never end.
+    """
+    for name, each in (("mesh", mesh), ("reference mesh", reference)):
+        if not len(each.faces):
+            raise BadMesh(f"{name}: no triangle, so there is no surface to measure the distance to")
+    corners = np.stack([pick(m.vertices, axis=0) for m in (mesh, reference) for pick in (np.min, np.max)])
+    reach = float(np.linalg.norm(np.ptp(corners, axis=0)))
+    if not 0 < reach <= _FARTHEST * min(mesh.diagonal, reference.diagonal):
+        raise BadMesh(
+            f"meshes: one is {mesh.diagonal:.3g} across, the reference {reference.diagonal:.3g}, both "
+            f"together {reach:.3g}, which is too far apart to compare: are they in one frame and one unit?"
+        )
+
+
+def _one_way(meshes: object, sampled: int, target: int) -> OneWayDistance:
+    unlimited = import_pymeshlab().PureValue(float("inf"))  # the default ignores far samples
+    found = meshes.get_hausdorff_distance(  # type: ignore[attr-defined]
+        sampledmesh=sampled, targetmesh=target, samplevert=True, maxdist=unlimited
+    )
+    return OneWayDistance(
+        mean=found["mean"], root_mean_square=found["RMS"], largest=found["max"], samples=found["n_samples"]
+    )
+
+
+class Alignment(Enum):
+    """What is free between two meshes."""
+
+    NONE = "none"
+    RIGID = "rigid"
+    SIMILARITY = "similarity"  # and one scale: that of a perspective camera's depth
+
+
+@dataclass(frozen=True, kw_only=True)
+class AlignmentOptions:
+    """How meshes are aligned.
+
+    free: what may move: nothing, position and orientation (rigid), or the scale too (similarity).
+    kept_share: share of the nearest pairs that count, 0 to 1; the others have no counterpart. rounds: largest
+    number of repetitions. samples: vertices that are paired.
+    """
+
+    free: Alignment = Alignment.NONE
+    kept_share: float = 0.95
+    rounds: int = 60
+    samples: int = 20000
+
+    def __post_init__(self) -> None:
+        """Refuse what leaves nothing to align by."""
+        if not 0 < self.kept_share <= 1:
+            raise BadInput(f"alignment: expected a share of pairs from 0 to 1, got {self.kept_share:g}")
+        if self.rounds < 1 or self.samples < 3:
+            raise BadInput("alignment: expected at least one round and 3 samples")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Similarity:
+    """x_in_reference = scale · rotation @ x + translation."""
+
+    scale: float = 1.0
+    rotation: Matrix3
+    translation: Vector3
+
+    def apply(self, points: Points) -> Points:
+        """Move points (n, 3)."""
+        return self.scale * np.asarray(points) @ self.rotation.T + self.translation
+
+
+# One surface laid on another: the rigid motion, and the scale of depth, that reconstructions leave free.
+
+
+def align_mesh(
+    mesh: Mesh, reference: Mesh, rng: np.random.Generator, options: AlignmentOptions | None = None
+) -> tuple[Mesh, Similarity]:
+    """Move a mesh onto the reference, near to which it must lie; the reference stays.
+
+    Raises `BadMesh` for a mesh without faces or with too few vertices, `SolverFailed` where the surfaces
+    leave the motion undetermined.
+    """
+    options = options or AlignmentOptions()
+    for name, each in (("mesh", mesh), ("reference mesh", reference)):
+        if not len(each.faces) or len(each.vertices) < _FEWEST_VERTICES:
+            raise BadMesh(
+                f"{name}: {len(each.vertices)} vertices and {len(each.faces)} faces are too few to align by"
+            )
+    motion = Similarity(rotation=np.eye(3), translation=np.zeros(3))
+    if options.free is Alignment.NONE:
+        return mesh, motion
+    targets = np.asarray(reference.vertices, dtype=np.float64)
+    normals, tree = vertex_normals(targets, reference.faces), cKDTree(targets)
+    vertices = np.asarray(mesh.vertices, dtype=np.float64)
+    sampled = vertices[rng.permutation(len(vertices))[: options.samples]]
+    last = np.inf
+    for _ in range(options.rounds):
+        moved = motion.apply(sampled)
+        distances, nearest = tree.query(moved)
+        kept = distances <= np.quantile(distances, options.kept_share)
+        step = _step(moved[kept], targets[nearest[kept]], normals[nearest[kept]], options.free)
+        motion = _after(step, motion)
+        cost = float(distances[kept].mean())
+        if abs(last - cost) <= 1e-7 * cost:
+            break
+        last = cost
+    return mesh.with_vertices(motion.apply(vertices)), motion
+
+
+def _step(points: Points, targets: Points, normals: Points, free: Alignment) -> Similarity:
+    """Small motion about the points' centre that takes them to the tangent planes of their targets."""
+    centre = points.mean(axis=0)
+    from_centre = points - centre
+    size = float(np.sqrt((from_centre**2).sum(axis=1).mean()))
+    if not size > 0:
+        raise SolverFailed("align: all vertices of the mesh lie in one point")
+    rows = np.column_stack([np.cross(from_centre / size, normals), normals])
+    if free is Alignment.SIMILARITY:
+        rows = np.column_stack([rows, ((from_centre / size) * normals).sum(axis=1)])
+    values = ((targets - points) * normals).sum(axis=1)
+    solution, _, rank, _ = np.linalg.lstsq(rows, values, rcond=1e-9)
+    if rank < rows.shape[1] or not np.isfinite(solution).all():
+        raise SolverFailed("align: the surfaces slide on each other (flat, or surfaces of revolution)")
+    rotation = Rotation.from_rotvec(solution[:3] / size).as_matrix()
+    scale = 1.0 + (float(solution[6]) / size if free is Alignment.SIMILARITY else 0.0)
+    return Similarity(
+        scale=scale, rotation=rotation, translation=centre + solution[3:6] - scale * rotation @ centre
+    )
+
+
+def _after(step: Similarity, before: Similarity) -> Similarity:
+    """The motion that does `before` and then `step`."""
+    return Similarity(
+        scale=step.scale * before.scale,
+        rotation=step.rotation @ before.rotation,
+        translation=step.scale * step.rotation @ before.translation + step.translation,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshQuality:
+    """Counts and shapes.
+
+    median_aspect, worst_aspect: longest edge over twice √3 times the inscribed circle's radius: 1 for an
+    equilateral triangle, infinite for a degenerate one. pieces: connected components. holes: boundary loops.
+    """
+
+    vertices: int
+    faces: int
+    pieces: int
+    holes: int
+    boundary_edges: int
+    non_manifold_edges: int
+    non_manifold_vertices: int
+    isolated_vertices: int
+    self_intersecting_faces: int
+    median_aspect: float
+    worst_aspect: float
+
+
+# What a mesh's next user stumbles over: slivers, non-manifold edges, holes, self-intersections.
+
+
+def mesh_quality(mesh: Mesh) -> MeshQuality:
+    """Measure a mesh; raises `BadMesh` where it has no triangle."""
+    if not len(mesh.faces):
+        raise BadMesh("mesh: no triangle to judge")
+    meshes = import_pymeshlab().MeshSet(verbose=False)
+    meshes.add_mesh(mesh.to_pymeshlab())
+    topology = meshes.get_topological_measures()
+    meshes.compute_selection_by_self_intersections_per_face()
+    aspect = triangle_aspects(mesh)
+    return MeshQuality(
+        vertices=len(mesh.vertices),
+        faces=len(mesh.faces),
+        pieces=topology["connected_components_number"],
+        holes=topology["number_holes"],  # -1 where non-manifold edges leave it undefined
+        boundary_edges=topology["boundary_edges"],
+        non_manifold_edges=topology["non_two_manifold_edges"],
+        non_manifold_vertices=topology["non_two_manifold_vertices"],
+        isolated_vertices=topology["unreferenced_vertices"],
+        self_intersecting_faces=meshes.current_mesh().selected_face_number(),
+        median_aspect=float(np.median(aspect)),
+        worst_aspect=float(aspect.max()),
+    )
+
+
+def triangle_aspects(mesh: Mesh) -> FloatArray:
+    """Return (m,) longest edge / (2√3 · inradius) of each triangle."""
+    corners = np.asarray(mesh.vertices, dtype=np.float64)[mesh.faces]
+    edges = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
+    double_area = np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+    perimeter, longest = edges.sum(axis=1), edges.max(axis=1)
+    infinite = np.full(len(edges), np.inf)
+    return np.divide(
+        longest * perimeter, 2.0 * np.sqrt(3.0) * double_area, out=infinite, where=double_area > 0
+    )
+
+
+# The distance of every vertex of one mesh from the surface of another.
+
+
+def vertex_distances(mesh: Mesh, reference: Mesh) -> FloatArray:
+    """Return (n,) distances, measured by pymeshlab; raises `BadMesh` as `mesh_distance` does."""
+    require_comparable(mesh, reference)
+    pymeshlab = import_pymeshlab()
+    meshes = pymeshlab.MeshSet(verbose=False)
+    meshes.add_mesh(mesh.to_pymeshlab())
+    meshes.add_mesh(reference.to_pymeshlab())
+    meshes.compute_scalar_by_distance_from_another_mesh_per_vertex(
+        measuremesh=0, refmesh=1, signeddist=False, maxdist=pymeshlab.PureValue(float("inf"))
+    )
+    return np.abs(np.array(meshes.mesh(0).vertex_scalar_array()))

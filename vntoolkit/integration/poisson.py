@@ -1,0 +1,238 @@
+"""Poisson's equation on a full rectangle, by cosine transform or by Fourier transform of the mirrored image.
+
+Both find the depth whose differences fit the wanted ones best in the least-squares sense, with the border
+free. Mirroring the image about its border makes it periodic without a seam, which is what Frankot and
+Chellappa's projection (`frankot1988`) needs to be right on a surface that is not periodic; the cosine
+transform is that mirrored Fourier transform without the copies.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numba
+import numpy as np
+import numpy.typing as npt
+import scipy.fft
+
+from vntoolkit.arrays import Mask
+from vntoolkit.errors import SolverFailed
+from vntoolkit.integration.edges import EdgeField
+
+_MOST_WORKERS = 2  # more wait for each other at this size
+Image = npt.NDArray[np.floating[Any]]
+Float64Image = npt.NDArray[np.float64]
+
+
+class RectangleSolver(Protocol):
+    """Solves Laplacian z = divergence on one rectangle; mean z = 0."""
+
+    def solve(self, divergence: Image) -> Image:
+        """Return z, (h, w), in the dtype of the solver; `divergence` may be overwritten."""
+
+
+class CosineSolver:
+    """By the type 2 discrete cosine transform; the eigenvalues are computed once."""
+
+    def __init__(self, height: int, width: int, dtype: npt.DTypeLike = np.float32) -> None:
+        eigenvalues = laplacian_eigenvalues(height)[:, None] + laplacian_eigenvalues(width)
+        eigenvalues[0, 0] = np.inf  # the mean is free: it becomes 0
+        self._inverse = np.asarray(1.0 / eigenvalues, dtype=dtype)
+
+    def solve(self, divergence: Image) -> Image:
+        """Return z, (h, w), of mean 0; a `divergence` of the solver's dtype is overwritten."""
+        field = divergence.astype(self._inverse.dtype, copy=False)
+        spectrum = scipy.fft.dctn(field, type=2, norm="ortho", workers=_workers(), overwrite_x=True)
+        spectrum *= self._inverse
+        return scipy.fft.idctn(spectrum, type=2, norm="ortho", workers=_workers(), overwrite_x=True)
+
+
+class FourierSolver:
+    """Frankot and Chellappa's projection on the image mirrored to twice its height and width.
+
+    The wave numbers are those of differences between neighbouring pixels, so that the result is the exact
+    discrete least squares rather than one of a derivative that the sampled, mirrored surface does not have.
+    """
+
+    def __init__(self, height: int, width: int, dtype: npt.DTypeLike = np.float32) -> None:
+        self._shape = (height, width)
+        rows = laplacian_eigenvalues(height, 2 * height)
+        columns = laplacian_eigenvalues(width, width + 1)
+        eigenvalues = rows[:, None] + columns
+        eigenvalues[0, 0] = np.inf
+        self._inverse = np.asarray(1.0 / eigenvalues, dtype=dtype)
+
+    def solve(self, divergence: Image) -> Image:
+        """Return z, (h, w), of mean 0."""
+        height, width = self._shape
+        field = divergence.astype(self._inverse.dtype)
+        field = np.concatenate([field, field[::-1]], axis=0)
+        field = np.concatenate([field, field[:, ::-1]], axis=1)
+        spectrum = scipy.fft.rfft2(field, workers=_workers())
+        spectrum *= self._inverse
+        depth = scipy.fft.irfft2(spectrum, s=field.shape, workers=_workers(), overwrite_x=True)
+        return np.ascontiguousarray(depth[:height, :width])
+
+
+def _workers() -> int:
+    """Threads of a transform; no more than compiled loops may use, so that one limit rules both."""
+    return min(_MOST_WORKERS, numba.get_num_threads())
+
+
+def laplacian_eigenvalues(length: int, count: int | None = None) -> npt.NDArray[np.float64]:
+    """Eigenvalues 2 cos(pi k / n) - 2, k = 0 … count-1 (n-1), of the second difference with a free border.
+
+    Written as -4 sin², which keeps its digits at small k where the cosine would lose them.
+    """
+    index = np.arange(length if count is None else count)
+    return -4.0 * np.sin(np.pi * index / (2.0 * length)) ** 2
+
+
+class MaskedSolver:
+    """Least squares over the edges of one domain; keeps what depends on the domain alone."""
+
+    def __init__(self, domain: Mask, *, tolerance: float, most_iterations: int) -> None:
+        rows, columns = np.flatnonzero(domain.any(axis=1)), np.flatnonzero(domain.any(axis=0))
+        self._box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+        self._shape = domain.shape
+        self._tolerance = tolerance
+        self._most_iterations = most_iterations
+        inside = domain[self._box]
+        height, width = (scipy.fft.next_fast_len(n, real=True) for n in inside.shape)
+        self._inside = np.zeros((height, width), dtype=bool)
+        self._inside[: inside.shape[0], : inside.shape[1]] = inside
+        self._cosine = CosineSolver(height, width)
+        self.iterations = 0
+
+    def solve(self, edges: EdgeField, start: npt.NDArray[np.floating[Any]] | None = None) -> Float64Image:
+        """Return the depth (h, w) whose differences fit `edges` best; offsets per component are arbitrary.
+
+        start: a first guess (h, w), for example the frame before. Raises `SolverFailed` if the iterations
+        do not suffice.
+        """
+        right, down = self._padded(edges.right_weight), self._padded(edges.down_weight)
+        residual = np.zeros(right.shape)
+        _load(self._padded(edges.right), self._padded(edges.down), right, down, residual)
+        depth = np.zeros(right.shape)
+        scale = self._energy(residual)
+        if start is not None:
+            depth[1:-1, 1:-1] = self._padded(start)[1:-1, 1:-1]
+            product = np.zeros_like(depth)
+            _apply(right, down, depth, product)
+            residual -= product
+        self._iterate(right, down, depth, residual, scale)
+        out = np.zeros(self._shape)
+        box_height, box_width = (s.stop - s.start for s in self._box)
+        out[self._box] = depth[1 : box_height + 1, 1 : box_width + 1]
+        return out
+
+    def _iterate(
+        self,
+        right: npt.NDArray[np.float32],
+        down: npt.NDArray[np.float32],
+        depth: Float64Image,
+        residual: Float64Image,
+        scale: float,
+    ) -> None:
+        """Preconditioned conjugate gradients, in place on depth and residual."""
+        direction = np.zeros_like(depth)
+        product = np.zeros_like(depth)
+        energy = np.inf
+        self.iterations = 0
+        while self.iterations <= self._most_iterations:
+            correction = self._precondition(residual)
+            previous, energy = energy, _dot(residual, correction)
+            if energy <= self._tolerance**2 * scale:
+                return
+            _advance(direction, correction, energy / previous)
+            step = energy / _apply(right, down, direction, product)
+            _update(depth, residual, direction, product, step)
+            self.iterations += 1
+        raise SolverFailed(
+            f"masked Poisson did not converge in {self._most_iterations} iterations (relative "
+            f"residual {np.sqrt(energy / scale):.1e}, wanted {self._tolerance:.1e}): "
+            "raise most_iterations or tolerance"
+        )
+
+    def _precondition(self, residual: Float64Image) -> npt.NDArray[np.float32]:
+        """Solve on the rectangle; the preconditioner may be rounded, the operator may not."""
+        inner = residual[1:-1, 1:-1]
+        largest = float(np.abs(inner).max(initial=0.0)) or 1.0
+        solution = self._cosine.solve(-(inner / largest).astype(np.float32))
+        solution *= np.float32(largest)
+        solution *= self._inside
+        return solution
+
+    def _energy(self, residual: Float64Image) -> float:
+        return _dot(residual, self._precondition(residual)) or 1.0
+
+    def _padded(self, image: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.floating[Any]]:
+        """Crop to the box and put a rim of zeros around, so that no kernel asks for a border."""
+        height, width = self._inside.shape
+        out = np.zeros((height + 2, width + 2), dtype=image.dtype)
+        cropped = image[self._box]
+        out[1 : cropped.shape[0] + 1, 1 : cropped.shape[1] + 1] = cropped
+        return out
+
+
+# Poisson's equation inside a mask: conjugate gradients preconditioned by the cosine transform.
+
+
+@numba.njit(cache=True, fastmath=True, nogil=True)
+def _load(right, down, right_weight, down_weight, out):  # type: ignore[no-untyped-def]
+    """Right-hand side: the weighted divergence of the wanted differences, with the sign of A z = b."""
+    height, width = out.shape
+    for v in range(1, height - 1):
+        for u in range(1, width - 1):
+            out[v, u] = (
+                np.float64(right_weight[v, u - 1]) * right[v, u - 1]
+                - np.float64(right_weight[v, u]) * right[v, u]
+                + np.float64(down_weight[v - 1, u]) * down[v - 1, u]
+                - np.float64(down_weight[v, u]) * down[v, u]
+            )
+
+
+@numba.njit(cache=True, fastmath=True, nogil=True)
+def _apply(right, down, x, out):  # type: ignore[no-untyped-def]
+    """out = A x; return x · A x."""
+    height, width = x.shape
+    total = 0.0
+    for v in range(1, height - 1):
+        for u in range(1, width - 1):
+            here = x[v, u]
+            value = (
+                right[v, u] * (here - x[v, u + 1])
+                + right[v, u - 1] * (here - x[v, u - 1])
+                + down[v, u] * (here - x[v + 1, u])
+                + down[v - 1, u] * (here - x[v - 1, u])
+            )
+            out[v, u] = value
+            total += here * value
+    return total
+
+
+@numba.njit(cache=True, fastmath=True, nogil=True)
+def _dot(padded, inner):  # type: ignore[no-untyped-def]
+    height, width = inner.shape
+    total = 0.0
+    for v in range(height):
+        for u in range(width):
+            total += padded[v + 1, u + 1] * inner[v, u]
+    return total
+
+
+@numba.njit(cache=True, fastmath=True, nogil=True)
+def _advance(direction, correction, factor):  # type: ignore[no-untyped-def]
+    height, width = correction.shape
+    for v in range(height):
+        for u in range(width):
+            direction[v + 1, u + 1] = factor * direction[v + 1, u + 1] + correction[v, u]
+
+
+@numba.njit(cache=True, fastmath=True, nogil=True)
+def _update(depth, residual, direction, product, step):  # type: ignore[no-untyped-def]
+    height, width = depth.shape
+    for v in range(height):
+        for u in range(width):
+            depth[v, u] += step * direction[v, u]
+            residual[v, u] -= step * product[v, u]

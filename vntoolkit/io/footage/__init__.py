@@ -1,0 +1,1 @@
+"""Captures in: video, images, folders; decoded, linear, frame by frame."""

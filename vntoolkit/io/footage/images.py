@@ -1,0 +1,330 @@
+"""Single images: PNG, TIFF, JPEG, BMP by OpenCV, EXR by OpenEXR; RGB, sizes checked before decoding."""
+
+from __future__ import annotations
+
+import io
+import logging
+import math
+import struct
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.arrays import Mask
+from vntoolkit.errors import BadCapture, BadInput
+from vntoolkit.io.atomic import write_bytes
+from vntoolkit.io.files import read_bytes
+from vntoolkit.io.limits import require_pixels
+from vntoolkit.io.maps_and_meshes import exr
+from vntoolkit.io.maps_and_meshes.exr import read_exr
+from vntoolkit.native import silenced_native_output
+
+SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".exr")
+_PNG = b"\x89PNG\r\n\x1a\n"
+_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+# (sampling factors of luma, number of channels): chroma's own factors are 1 × 1 in practice.
+_JPEG_CHROMA = {(0x22, 3): "4:2:0", (0x21, 3): "4:2:2", (0x12, 3): "4:4:0", (0x41, 3): "4:1:1"}
+_PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
+
+
+def read_image(
+    path: Path | str,
+    *,
+    max_megapixels: float | None = None,
+    error: type[BadInput] = BadCapture,
+) -> npt.NDArray[Any]:
+    """Read an image as (h, w, 3) RGB, encoded values as stored: uint8, uint16 or float32 (EXR, float TIFF).
+
+    Grey is repeated in the three channels. An alpha channel is dropped where it is opaque everywhere and
+    refused where it is not, since the colour beneath it is undefined. max_megapixels: None for the limit of
+    `reading_limits`. Raises `error` with one line for a file that is missing, empty, damaged, too large, or
+    holds NaN.
+    """
+    colours, alpha = _decode(path, max_megapixels, error)
+    if alpha is not None:
+        _require_opaque(alpha, path, error)
+    return _in_three_channels(colours)
+
+
+def read_image_with_alpha(
+    path: Path | str,
+    *,
+    max_megapixels: float | None = None,
+    error: type[BadInput] = BadInput,
+) -> tuple[npt.NDArray[Any], Mask | None]:
+    """Read (h, w, 3) RGB and, where there is an alpha channel, the (h, w) mask of alpha >= half."""
+    colours, alpha = _decode(path, max_megapixels, error)
+    if alpha is None:
+        return _in_three_channels(colours), None
+    full = 1.0 if alpha.dtype == np.float32 else np.iinfo(alpha.dtype).max
+    return _in_three_channels(colours), alpha >= full / 2
+
+
+def read_grey(
+    path: Path | str, *, max_megapixels: float | None = None, error: type[BadInput] = BadInput
+) -> npt.NDArray[Any]:
+    """Read an image as (h, w): grey as stored, colour by its largest channel (so any paint counts)."""
+    colours, _ = _decode(path, max_megapixels, error)
+    return np.asarray(colours.max(axis=2))
+
+
+def write_png(path: Path | str, pixels: npt.NDArray[Any], *, compression_level: int = 1) -> None:
+    """Write (h, w), (h, w, 3) RGB or (h, w, 4) RGBA, uint8 or uint16, atomically.
+
+    compression_level: 0 (fast, large) to 9.
+    """
+    if pixels.dtype not in (np.uint8, np.uint16):
+        raise BadInput(f"{path}: a PNG holds 8- or 16-bit integers, got {pixels.dtype}")
+    if pixels.ndim not in (2, 3) or pixels.size == 0 or (pixels.ndim == 3 and pixels.shape[2] not in (3, 4)):
+        raise BadInput(f"{path}: expected an image of (h, w), (h, w, 3) or (h, w, 4), got {pixels.shape}")
+    if pixels.ndim == 3:
+        order = cv2.COLOR_RGB2BGR if pixels.shape[2] == 3 else cv2.COLOR_RGBA2BGRA
+        pixels = cv2.cvtColor(np.ascontiguousarray(pixels), order)
+    write_bytes(path, _encoded(pixels, ".png", [cv2.IMWRITE_PNG_COMPRESSION, compression_level], str(path)))
+
+
+def encoded_image(pixels: npt.NDArray[np.uint8], suffix: str = ".png", *, quality: int = 88) -> bytes:
+    """Return the bytes of an image file, `.png`, `.jpg` or `.webp`, of (h, w, 3) or (h, w) uint8 RGB pixels.
+
+    quality: 0 to 100, of a JPEG or WebP.
+    """
+    flags = {
+        ".png": [cv2.IMWRITE_PNG_COMPRESSION, 9],
+        ".jpg": [cv2.IMWRITE_JPEG_QUALITY, quality],
+        ".webp": [cv2.IMWRITE_WEBP_QUALITY, quality],
+    }
+    if suffix not in flags or pixels.dtype != np.uint8:
+        raise BadInput(
+            f"image: expected 8 bits and one of {', '.join(flags)}, got {pixels.dtype}, '{suffix}'"
+        )
+    ordered = cv2.cvtColor(np.ascontiguousarray(pixels), cv2.COLOR_RGB2BGR) if pixels.ndim == 3 else pixels
+    return _encoded(ordered, suffix, flags[suffix], "image")
+
+
+def _encoded(pixels: npt.NDArray[Any], suffix: str, flags: list[int], name: str) -> bytes:
+    """Return the bytes of an image file of pixels in OpenCV's order; raise `BadInput`."""
+    try:
+        ok, content = cv2.imencode(suffix, pixels, flags)
+    except cv2.error:  # of an empty image, or one larger than the format allows
+        ok = False
+    if not ok:
+        raise BadInput(f"{name}: OpenCV cannot encode an image of shape {pixels.shape} as {suffix}")
+    return bytes(content.tobytes())
+
+
+def resized_image(
+    pixels: npt.NDArray[np.uint8], largest_px: int, *, smooth: bool = True
+) -> npt.NDArray[np.uint8]:
+    """Return the picture shrunk so that no side exceeds `largest_px`; labels want smooth=False."""
+    factor = largest_px / max(pixels.shape[:2])
+    if factor >= 1:
+        return pixels
+    size = (max(1, round(pixels.shape[1] * factor)), max(1, round(pixels.shape[0] * factor)))
+    method = cv2.INTER_AREA if smooth else cv2.INTER_NEAREST
+    return np.asarray(cv2.resize(np.ascontiguousarray(pixels), size, interpolation=method), dtype=np.uint8)
+
+
+def _decode(
+    path: Path | str, max_megapixels: float | None, error: type[BadInput]
+) -> tuple[npt.NDArray[Any], npt.NDArray[Any] | None]:
+    """Return the colours (h, w, 1) or (h, w, 3) in RGB order, and alpha (h, w) or None."""
+    data = read_bytes(path, error)
+    header = read_image_header(data, str(path), error)
+    require_pixels(header.width, header.height, max_megapixels, str(path), error)
+    if data[:4] == exr.MAGIC:
+        return _pixels_from_exr(path, max_megapixels, error)
+    cv2.utils.logging.setLogLevel(
+        cv2.utils.logging.LOG_LEVEL_SILENT
+    )  # a damaged file is reported by the one line below, not by OpenCV on stderr
+    try:
+        with silenced_native_output():
+            pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        pixels = None
+    if pixels is None:
+        raise error(f"{path}: the {header.format} file is damaged or cut off")
+    pixels = _sound_samples(pixels, header, path, error)
+    if pixels.ndim == 3 and pixels.shape[2] >= 3:
+        order = cv2.COLOR_BGR2RGB if pixels.shape[2] == 3 else cv2.COLOR_BGRA2RGBA
+        pixels = cv2.cvtColor(pixels, order)
+    pixels = np.atleast_3d(pixels)
+    return (pixels[..., :-1], pixels[..., -1]) if pixels.shape[2] in (2, 4) else (pixels, None)
+
+
+def _sound_samples(
+    pixels: npt.NDArray[Any], header: ImageHeader, path: Path | str, error: type[BadInput]
+) -> npt.NDArray[Any]:
+    """Return samples of 8 or 16 bits, whose full scale is all ones, or finite floats; raise for any other."""
+    if pixels.dtype == np.float64:
+        pixels = pixels.astype(np.float32)
+    if pixels.dtype not in (np.uint8, np.uint16, np.float32):
+        raise error(f"{path}: expected 8-bit, 16-bit or float samples, got {pixels.dtype}")
+    if pixels.dtype == np.uint8 and header.bits > 8:
+        raise error(f"{path}: its {header.bits}-bit samples would be read as 8 bits; save it as RGB or grey")
+    if pixels.dtype == np.uint16 and header.bits < 16:  # a packed TIFF, whose samples come filled with zeros
+        packed = np.asarray(pixels, dtype=np.uint16)
+        return packed | (packed >> np.uint16(header.bits))
+    if pixels.dtype == np.float32:
+        _require_numbers(pixels, path, error)
+    return pixels
+
+
+def _in_three_channels(colours: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    return np.repeat(colours, 3, axis=2) if colours.shape[2] == 1 else np.ascontiguousarray(colours)
+
+
+def _pixels_from_exr(
+    path: Path | str, max_megapixels: float | None, error: type[BadInput]
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32] | None]:
+    channels, _ = read_exr(path, max_megapixels=max_megapixels, error=error)
+    names = next((kept for group in ("RGB", "YZ", "A") if (kept := [n for n in group if n in channels])), [])
+    if names != ["R", "G", "B"] and len(names) != 1:
+        raise error(f"{path}: expected the channels R, G, B (or Y), found {', '.join(channels)}")
+    pixels = np.stack([channels[name] for name in names], axis=-1).astype(np.float32)
+    _require_numbers(pixels, path, error)
+    if "A" not in channels or names == ["A"]:
+        return pixels, None
+    alpha = channels["A"].astype(np.float32)
+    _require_numbers(alpha, path, error)
+    return pixels, alpha
+
+
+def _require_numbers(pixels: npt.NDArray[Any], path: Path | str, error: type[BadInput]) -> None:
+    with np.errstate(invalid="ignore"):  # of infinity minus infinity
+        if math.isfinite(float(pixels.sum(dtype=np.float64))):
+            return
+    bad = ~np.isfinite(pixels)
+    if bad.any():
+        v, u = np.argwhere(bad)[0][:2]
+        raise error(
+            f"{path}: {int(bad.sum())} values are NaN or infinite, the first at pixel ({u}, {v}); "
+            "replace them, or mask those pixels and store 0"
+        )
+
+
+def _require_opaque(alpha: npt.NDArray[Any], path: Path | str, error: type[BadInput]) -> None:
+    full = 1.0 if alpha.dtype == np.float32 else np.iinfo(alpha.dtype).max
+    see_through = int(np.count_nonzero(alpha < full))
+    if see_through:
+        bits = "floating-point" if alpha.dtype == np.float32 else f"{alpha.dtype.itemsize * 8}-bit"
+        raise error(
+            f"{path}: the {bits} alpha channel is not opaque at {see_through} pixels, and colour under it is "
+            "undefined; save without alpha and give the outline as --mask"
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImageHeader:
+    """Format name, size in pixels, channels (alpha included), bits per sample, chroma subsampling (JPEG)."""
+
+    format: str
+    width: int
+    height: int
+    channels: int
+    bits: int
+    floating: bool = False
+    chroma: str = "4:4:4"
+
+
+# Size and sample depth of an image from its first bytes, before any pixel is decoded.
+
+
+def read_image_header(data: bytes, name: str, error: type[BadInput] = BadCapture) -> ImageHeader:
+    """Parse the header of a PNG, JPEG, TIFF, BMP or EXR file given as bytes; raise `error` with one line."""
+    try:
+        if data.startswith(_PNG):
+            return _png(data, name, error)
+        if data.startswith(b"\xff\xd8"):
+            return _jpeg(data)
+        if data.startswith(_TIFF):
+            return _tiff(data, name, error)
+        if data.startswith(b"BM"):
+            width, height, _, bits = struct.unpack_from("<iiHH", data, 18)
+            return ImageHeader(
+                format="BMP", width=width, height=abs(height), channels=max(1, bits // 8), bits=8
+            )
+    except (struct.error, IndexError, ValueError, KeyError) as problem:
+        raise error(f"{name}: the image header is damaged or cut off") from problem
+    if data.startswith(exr.MAGIC):
+        header = exr.read_exr_header(data, name, error)
+        return ImageHeader(
+            format="EXR",
+            width=header.width,
+            height=header.height,
+            channels=len(header.channels),
+            bits=32,
+            floating=True,
+        )
+    raise error(f"{name}: is not a PNG, TIFF, JPEG, BMP or EXR image")
+
+
+def _png(data: bytes, name: str, error: type[BadInput]) -> ImageHeader:
+    width, height, bits, colour = struct.unpack_from(">IIBB", data, 16)
+    _require_sound_chunks(data, name, error)
+    return ImageHeader(
+        format="PNG", width=width, height=height, channels=_PNG_CHANNELS[colour], bits=max(bits, 8)
+    )
+
+
+def _require_sound_chunks(data: bytes, name: str, error: type[BadInput]) -> None:
+    """Check every chunk's length and CRC: libpng prints of its own what it finds, and lets some pass."""
+    at, view = 8, memoryview(data)
+    while at + 12 <= len(data):
+        length, kind = struct.unpack_from(">I4s", data, at)
+        end = at + 12 + length
+        if end > len(data):
+            break
+        if zlib.crc32(view[at + 4 : end - 4]) != struct.unpack_from(">I", data, end - 4)[0]:
+            raise error(f"{name}: the PNG file is damaged: the checksum at byte {at} is wrong; copy it again")
+        if kind == b"IEND":
+            return
+        at = end
+    raise error(f"{name}: the PNG file is cut off; copy or write it again")
+
+
+def _jpeg(data: bytes) -> ImageHeader:
+    at = 2
+    while True:
+        if data[at] != 0xFF:
+            raise ValueError("no JPEG marker")
+        marker, length = data[at + 1], struct.unpack_from(">H", data, at + 2)[0]
+        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
+            bits, height, width, channels = struct.unpack_from(">BHHB", data, at + 4)
+            return ImageHeader(
+                format="JPEG",
+                width=width,
+                height=height,
+                channels=channels,
+                bits=bits,
+                chroma=_JPEG_CHROMA.get((data[at + 11], channels), "4:4:4"),
+            )
+        at += 1 if marker == 0xFF else 2 + length
+
+
+def _tiff(data: bytes, name: str, error: type[BadInput]) -> ImageHeader:
+    import tifffile
+
+    logging.getLogger("tifffile").setLevel(logging.CRITICAL + 1)  # of a damaged file the caller tells
+    try:
+        with tifffile.TiffFile(io.BytesIO(data)) as tiff:
+            page: Any = tiff.pages[0]
+            bits = page.bitspersample
+            if page.samplesperpixel > 1 and page.planarconfig != 1:  # OpenCV takes them as interleaved
+                raise error(
+                    f"{name}: stores its channels apart (planar), expected RGB pixel by pixel; save it so"
+                )
+            return ImageHeader(
+                format="TIFF",
+                width=int(page.imagewidth),
+                height=int(page.imagelength),
+                channels=int(page.samplesperpixel),
+                bits=int(bits[0] if isinstance(bits, tuple) else bits),
+                floating=page.sampleformat == 3,
+            )
+    except (tifffile.TiffFileError, AttributeError, TypeError, OverflowError) as problem:
+        raise ValueError(str(problem)) from problem

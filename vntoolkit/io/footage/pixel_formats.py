@@ -1,0 +1,141 @@
+"""What a video stores per pixel, and its way to RGB without losing bits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from vntoolkit.arrays import Matrix3, Vector3
+
+_UNSPECIFIED = 2  # AVCOL_SPC_UNSPECIFIED
+_SWS_ITU709, _SWS_ITU601 = 1, 5
+# Codecs whose decoded frame equals what was encoded, whatever their settings.
+LOSSLESS_CODECS = frozenset({"ffv1", "huffyuv", "ffvhuff", "utvideo", "rawvideo", "png", "qtrle", "magicyuv"})
+_FULL_RANGE = 2  # AVCOL_RANGE_JPEG
+# AVCOL_SPC_* to the luma weights (K_R, K_B): BT.709, FCC, BT.470BG and SMPTE 170M (BT.601), 240M, BT.2020.
+_LUMA_WEIGHTS = {
+    1: (0.2126, 0.0722), 4: (0.30, 0.11), 5: (0.299, 0.114), 6: (0.299, 0.114), 7: (0.212, 0.087),
+    9: (0.2627, 0.0593), 10: (0.2627, 0.0593),
+}  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class PixelFormat:
+    """FFmpeg's name, bits per sample, chroma subsampling (`4:4:4` for RGB), and whether it is RGB or grey."""
+
+    name: str
+    bits: int
+    chroma: str
+    is_rgb: bool
+    is_grey: bool = False
+
+    @classmethod
+    def from_av(cls, video_format: Any) -> PixelFormat:
+        """Read it off an `av.VideoFormat`."""
+        grey = len(video_format.components) < 3 and not video_format.is_rgb
+        chroma = {(16, 16): "4:4:4", (8, 16): "4:2:2", (8, 8): "4:2:0", (4, 16): "4:1:1", (16, 8): "4:4:0"}
+        width, height = video_format.chroma_width(16), video_format.chroma_height(16)
+        return cls(
+            name=str(video_format.name),
+            bits=max(int(component.bits) for component in video_format.components),
+            chroma="grey" if grey else chroma.get((width, height), f"{width}/16 × {height}/16"),
+            is_rgb=bool(video_format.is_rgb),
+            is_grey=grey,
+        )
+
+    @property
+    def decoded_bits(self) -> int:
+        """Significant bits of the RGB samples that `rgb_from_video_frame` returns.
+
+        Planar RGB keeps its own depth; what is converted from more than 8 bits of YUV fills 16.
+        """
+        if self.bits <= 8:
+            return 8
+        return self.bits if self.is_planar_rgb else 16
+
+    @property
+    def is_planar_rgb(self) -> bool:
+        """True for the formats whose planes are numpy arrays already, at their own depth."""
+        return self.name.startswith("gbrp") and self.name.endswith("le")
+
+
+def rgb_from_video_frame(frame: Any, pixel_format: PixelFormat, *, hd: bool) -> npt.NDArray[Any]:
+    """Return (h, w, 3) RGB, uint8 or uint16, of a decoded frame.
+
+    The YUV matrix and range are those that the stream states; where it states no matrix, BT.709 for a picture
+    of 720 lines or more (`hd`) and BT.601 below, as players do. Rounding is accurate and chroma is
+    interpolated at full resolution, so that 4:4:4 is exact to one level.
+    """
+    from av.video.reformatter import Interpolation
+
+    if pixel_format.name in ("rgb24", "rgb48le") or (pixel_format.is_planar_rgb and pixel_format.bits > 8):
+        return frame.to_ndarray()
+    is_yuv = not pixel_format.is_rgb and not pixel_format.is_grey
+    accurate = Interpolation.BICUBIC | Interpolation.ACCURATE_RND
+    accurate |= Interpolation.FULL_CHR_H_INT | Interpolation.FULL_CHR_H_INP
+    if is_yuv and pixel_format.bits > 8:
+        full = frame.reformat(format=f"yuv444p{pixel_format.bits}le", interpolation=accurate, threads=1)
+        return rgb_from_deep_yuv(full, frame, pixel_format.bits, hd=hd)
+    target = "rgb24" if pixel_format.decoded_bits == 8 else "rgb48le"
+    arguments: dict[str, Any] = {"threads": 1}
+    if is_yuv:
+        arguments["interpolation"] = accurate
+        if frame.colorspace == _UNSPECIFIED:
+            arguments["src_colorspace"] = _SWS_ITU709 if hd else _SWS_ITU601
+    return np.ascontiguousarray(frame.reformat(format=target, **arguments).to_ndarray())
+
+
+# YUV of 9 to 16 bits to 16-bit RGB, exact to half a level.
+
+
+def rgb_from_deep_yuv(frame: Any, source: Any, bits: int, *, hd: bool) -> npt.NDArray[np.uint16]:
+    """Return (h, w, 3) uint16 RGB, 65535 = full scale, of a planar 4:4:4 frame of `bits` bits.
+
+    Matrix and range are taken from `source`, the frame as decoded; where it states no matrix, BT.709 for a
+    picture of 720 lines or more (`hd`), else BT.601.
+    """
+    colour_space = int(source.colorspace)
+    if colour_space == _UNSPECIFIED or colour_space not in _LUMA_WEIGHTS:
+        colour_space = 1 if hd else 5
+    full_range = int(source.color_range) == _FULL_RANGE
+    matrix, offset = _rgb_from_yuv(*_LUMA_WEIGHTS[colour_space], bits=bits, full_range=full_range)
+    planes = [_plane(frame, i) for i in range(3)]
+    rgb = np.empty((frame.height, frame.width, 3), dtype=np.uint16)
+    _apply(planes[0], planes[1], planes[2], matrix * 65535.0, offset * 65535.0, rgb)
+    return rgb
+
+
+def _rgb_from_yuv(k_red: float, k_blue: float, *, bits: int, full_range: bool) -> tuple[Matrix3, Vector3]:
+    """Return the affine map from stored YUV to RGB 0 to 1 (ITU-R BT.709-6, items 3 and 4)."""
+    k_green = 1.0 - k_red - k_blue
+    yuv_from_rgb = np.array(
+        [
+            [k_red, k_green, k_blue],
+            np.array([-k_red, -k_green, 1 - k_blue]) / (2 * (1 - k_blue)),
+            np.array([1 - k_red, -k_green, -k_blue]) / (2 * (1 - k_red)),
+        ]
+    )
+    step = 2 ** (bits - 8)
+    luma, chroma, black = (2**bits - 1, 2**bits - 1, 0) if full_range else (219 * step, 224 * step, 16 * step)
+    matrix = np.linalg.inv(yuv_from_rgb) / np.array([luma, chroma, chroma])
+    return matrix, -matrix @ np.array([black, 128 * step, 128 * step], dtype=np.float64)
+
+
+def _plane(frame: Any, index: int) -> npt.NDArray[np.uint16]:
+    plane = frame.planes[index]
+    rows = np.frombuffer(plane, np.uint16).reshape(-1, plane.line_size // 2)
+    return rows[: frame.height, : frame.width]
+
+
+@njit(cache=True, nogil=True)
+def _apply(luma, blue, red, matrix, offset, rgb):  # type: ignore[no-untyped-def]  # pragma: no cover
+    for v in range(rgb.shape[0]):
+        for u in range(rgb.shape[1]):
+            y, cb, cr = float(luma[v, u]), float(blue[v, u]), float(red[v, u])
+            for c in range(3):
+                value = matrix[c, 0] * y + matrix[c, 1] * cb + matrix[c, 2] * cr + offset[c] + 0.5
+                rgb[v, u, c] = np.uint16(min(max(value, 0.0), 65535.0))

@@ -1,0 +1,1 @@
+"""Maps, meshes and scenes on disk, in the forms that other tools read."""

@@ -1,0 +1,91 @@
+"""Arrays of numpy's own files, mapped or read, without pickles and with every failure on one line."""
+
+from __future__ import annotations
+
+import tokenize
+import zipfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.checks import require_shape
+from vntoolkit.errors import BadInput
+from vntoolkit.io.atomic import atomic_path
+from vntoolkit.io.files import require_file
+
+_LONGEST_REASON = 200
+_DAMAGES = (
+    ValueError, OSError, EOFError, SyntaxError, OverflowError, tokenize.TokenError, zipfile.BadZipFile,
+    MemoryError, NotImplementedError, RuntimeError,
+)  # fmt: skip
+_EPOCH = (1980, 1, 1, 0, 0, 0)  # the least that a ZIP can state: the same arrays give the same bytes
+
+
+def map_npy(path: Path | str, error: type[BadInput] = BadInput) -> Any:
+    """Return the array of a .npy file as a read-only memory map; raise `error`."""
+    path = require_file(path, error)
+    try:
+        return np.load(path, mmap_mode="r", allow_pickle=False)
+    except _DAMAGES as problem:
+        raise error(f"{path}: is not a whole .npy array ({_reason(problem)})") from problem
+
+
+def read_npz(path: Path | str, key: str, error: type[BadInput] = BadInput) -> npt.NDArray[Any]:
+    """Return the array of this name from a .npz file; raise `error`."""
+    path = require_file(path, error)
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            return np.asarray(archive[key])
+    except KeyError as problem:
+        raise error(f"{path}: holds no array '{key}'") from problem
+    except (*_DAMAGES, AttributeError, TypeError) as problem:  # of a .npy file that bears this name
+        raise error(f"{path}: is not a whole .npz archive ({_reason(problem)})") from problem
+
+
+def _reason(problem: BaseException) -> str:
+    return " ".join(str(problem).split())[:_LONGEST_REASON] or type(problem).__name__
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StreamedArray:
+    """An array that is never whole in memory. shape: of all; rows: yields shape[0] arrays of shape[1:]."""
+
+    shape: tuple[int, ...]
+    dtype: npt.DTypeLike
+    rows: Iterator[npt.NDArray[Any]]
+
+
+# Arrays by name in one .npz file, large ones streamed row by row.
+
+
+def write_npz(path: Path | str, arrays: Mapping[str, npt.ArrayLike | StreamedArray]) -> None:
+    """Write an uncompressed .npz that `numpy.load` opens without pickles, atomically."""
+    with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as archive:
+        for name, values in arrays.items():
+            entry = zipfile.ZipInfo(f"{name}.npy", date_time=_EPOCH)
+            with archive.open(entry, "w", force_zip64=True) as member:
+                if isinstance(values, StreamedArray):
+                    _stream(member, values, name)
+                else:
+                    np.lib.format.write_array(member, np.asarray(values), allow_pickle=False)
+
+
+def _stream(member: Any, array: StreamedArray, name: str) -> None:
+    dtype = np.dtype(array.dtype)
+    header = {
+        "descr": np.lib.format.dtype_to_descr(dtype),
+        "fortran_order": False,
+        "shape": array.shape,
+    }
+    np.lib.format.write_array_header_2_0(member, header)
+    count = 0
+    for row in array.rows:
+        require_shape(row, array.shape[1:], f"{name}, row {count}")
+        member.write(np.ascontiguousarray(row, dtype=dtype).tobytes())
+        count += 1
+    if count != array.shape[0]:
+        raise ValueError(f"{name}: {count} rows came, {array.shape[0]} were promised")

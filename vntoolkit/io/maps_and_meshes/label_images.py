@@ -1,0 +1,104 @@
+"""Masks as grey PNG; visibility labels as indexed PNG whose palette shows which lights arrive."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.arrays import Mask, VisibilityLabels
+from vntoolkit.checks import require_shape, require_some
+from vntoolkit.errors import BadInput
+from vntoolkit.io.atomic import write_bytes
+from vntoolkit.io.footage.images import read_grey, read_image, write_png
+
+# Colour of label k: red, green, blue where light 0, 1, 2 arrives, white where all do, dark grey where none.
+_PALETTE = np.array(
+    [
+        [40, 40, 40], [230, 60, 50], [60, 190, 80], [235, 210, 60],
+        [60, 90, 220], [210, 80, 210], [70, 200, 220], [255, 255, 255],
+    ],
+    dtype=np.uint8,
+)  # fmt: skip
+
+LABEL_LEGEND: dict[str, str] = {
+    str(label): "no light" if label == 0 else "lit by " + " and ".join(
+        f"light {light}" for light in range(3) if label >> light & 1
+    )
+    for label in range(8)
+}  # fmt: skip
+
+
+def label_colours(labels: VisibilityLabels | np.uint8) -> npt.NDArray[np.uint8]:
+    """Return the legend's colour (..., 3) of each label, as `write_labels` shows it."""
+    return _PALETTE[labels]
+
+
+def write_mask(path: Path | str, mask: Mask) -> None:
+    """Write an (h, w) mask as 8-bit grey PNG: 255 where True, 0 where False."""
+    require_shape(mask, (None, None), "mask")
+    write_png(path, mask.astype(np.uint8) * np.uint8(255))
+
+
+def read_mask(
+    path: Path | str,
+    *,
+    size: tuple[int, int] | None = None,
+    max_megapixels: float | None = None,
+) -> Mask:
+    """Read an (h, w) mask: True where a pixel is brighter than half of full scale.
+
+    size: (width, height) that it must have. Integers that are only 0 and 1 count 1 as True.
+    """
+    grey = read_grey(path, max_megapixels=max_megapixels)
+    height, width = grey.shape
+    if size is not None and (width, height) != size:
+        raise BadInput(f"{path}: the mask is {width}×{height}, the capture {size[0]}×{size[1]}")
+    half = 0.5 if grey.dtype == np.float32 else np.iinfo(grey.dtype).max / 2
+    mask: Mask = grey > (0 if grey.dtype != np.float32 and grey.max() == 1 else half)
+    require_some(mask, f"mask {path}")
+    return mask
+
+
+def write_labels(path: Path | str, labels: VisibilityLabels) -> None:
+    """Write (h, w) labels 0 to 7 as indexed PNG; a viewer shows the colours of the lights that arrive."""
+    require_shape(labels, (None, None), "visibility labels")
+    if labels.dtype != np.uint8 or labels.max(initial=0) > 7:
+        raise BadInput(f"{path}: visibility labels are bytes from 0 to 7")
+    height, width = labels.shape
+    rows = np.zeros((height, width + 1), dtype=np.uint8)  # column 0: PNG's filter 0, none
+    rows[:, 1:] = labels
+    content = b"\x89PNG\r\n\x1a\n" + _chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 3, 0, 0, 0))
+    content += _chunk(b"PLTE", _PALETTE.tobytes())
+    content += _chunk(b"tEXt", b"Legend\0" + "; ".join(f"{k}: {v}" for k, v in LABEL_LEGEND.items()).encode())
+    content += _chunk(b"IDAT", zlib.compress(rows.tobytes(), 1)) + _chunk(b"IEND", b"")
+    write_bytes(path, content)
+
+
+def read_labels(path: Path | str, *, max_megapixels: float | None = None) -> VisibilityLabels:
+    """Read (h, w) labels from an indexed PNG of `write_labels`, or from grey values 0 to 7."""
+    rgb = read_image(path, max_megapixels=max_megapixels, error=BadInput)
+    if rgb.dtype != np.uint8:
+        raise BadInput(f"{path}: visibility labels are 8-bit, got {rgb.dtype}")
+    if rgb.max(initial=0) <= 7:
+        return rgb[..., 0].copy()
+    keys = rgb.astype(np.int32) @ np.array([65536, 256, 1], dtype=np.int32)
+    known = _PALETTE.astype(np.int32) @ np.array([65536, 256, 1], dtype=np.int32)
+    order = np.argsort(known)
+    place = np.clip(np.searchsorted(known[order], keys), 0, 7)
+    labels = order[place].astype(np.uint8)
+    strange = known[labels] != keys
+    if strange.any():
+        v, u = np.argwhere(strange)[0]
+        raise BadInput(
+            f"{path}: pixel ({u}, {v}) has the colour {rgb[v, u].tolist()}, no label of the legend"
+        )
+    return labels
+
+
+def _chunk(kind: bytes, content: bytes) -> bytes:
+    checksum = zlib.crc32(kind + content)
+    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", checksum)

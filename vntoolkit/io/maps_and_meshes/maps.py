@@ -1,0 +1,205 @@
+"""Normal maps, depth maps and optical flow on disk. Masks and labels: `label_images`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from vntoolkit.arrays import FloatArray, Flow, Mask
+from vntoolkit.checks import require_shape
+from vntoolkit.errors import BadInput
+from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
+from vntoolkit.io.conventions import NormalConvention
+from vntoolkit.io.footage.images import read_image_with_alpha, write_png
+from vntoolkit.io.maps_and_meshes.exr import ExrCompression, read_exr, write_exr
+
+_UNIT_ATTRIBUTE = "vntoolkit.lengthUnit"
+_CONVENTION_ATTRIBUTE = "vntoolkit.normalConvention"
+_SHORTEST_NORMAL = 0.5  # a stored vector below it is background, not a normal: (0, 0, 0) or mid grey
+_SIGN = np.uint32(0x8000_0000)
+_SMALLEST_NORMAL = np.uint32(0x3880_0000)  # 2**-14: below it a half counts in steps of 2**-24
+_BIAS = np.uint32(0x3800_0000)  # the exponents' zeros lie 112 apart
+_TOO_LARGE = np.uint32(0x4780_0000)  # 2**16
+_BEYOND_INFINITY = np.uint32(0x7F80_0000)
+_STEPS_PER_UNIT = np.float32(2.0**24)
+
+
+def write_normal_map(
+    path: Path | str,
+    normal_map: NormalMap,
+    *,
+    convention: NormalConvention = NormalConvention.OPENGL,
+    compression: ExrCompression = ExrCompression.NONE,
+    bits: int = 16,
+) -> None:
+    """Write a normal map: `.exr` (half RGBA, A = confidence, 0 where invalid) or `.png` (n = v/max·2 − 1).
+
+    bits: 8 or 16, of a PNG (RGBA, A opaque where valid). compression: of an EXR.
+    """
+    match Path(path).suffix.lower():
+        case ".exr":
+            attributes = {_CONVENTION_ATTRIBUTE: convention.value}
+            planes = half_planes_from_normals(normal_map, convention.signs)
+            channels = dict(zip("RGBA", planes, strict=True))
+            write_exr(path, channels, attributes=attributes, compression=compression)
+        case ".png":
+            stored = normal_map.normals_in_camera * np.array(convention.signs, np.float32)
+            write_png(path, _png_from_normals(stored, normal_map.mask, bits))
+        case suffix:
+            raise BadInput(f"{path}: a normal map is written as .exr or .png, not '{suffix}'")
+
+
+def read_normal_map(
+    path: Path | str,
+    *,
+    convention: NormalConvention | None = None,
+    mask: Mask | None = None,
+    max_megapixels: float | None = None,
+) -> NormalMap:
+    """Read a normal map, EXR, or 8- or 16-bit PNG or TIFF, and normalise it.
+
+    convention: None for what the EXR's header says, else opengl. mask: (h, w); None for the alpha channel,
+    or where there is none, for the pixels whose vector is longer than 0.5.
+    """
+    if Path(path).suffix.lower() == ".exr":
+        stored, weight, stated = _normals_from_exr(path, max_megapixels)
+    else:
+        pixels, alpha = read_image_with_alpha(path, max_megapixels=max_megapixels)
+        full = 1.0 if pixels.dtype == np.float32 else np.iinfo(pixels.dtype).max
+        stored = pixels if pixels.dtype == np.float32 else pixels * np.float32(2.0 / full) - 1.0
+        weight = None if alpha is None else alpha.astype(np.float32)
+        stated = None
+    signs = (convention or stated or NormalConvention.OPENGL).signs
+    normals = stored * np.array(signs, np.float32)
+    length = np.linalg.norm(normals, axis=2)
+    valid = length > _SHORTEST_NORMAL
+    if weight is not None:
+        valid &= weight > 0
+    if mask is not None:
+        require_shape(mask, valid.shape, f"mask of {path}")
+        valid &= mask
+    if not valid.any():
+        raise BadInput(f"{path}: no pixel holds a normal")
+    normals = np.where(valid[..., None], normals / np.where(valid, length, 1.0)[..., None], np.float32(0))
+    graded = weight is not None and bool((weight[valid] < 1).any())
+    return NormalMap(normals_in_camera=normals, mask=valid, weight=weight if graded else None)
+
+
+def write_depth_map(
+    path: Path | str, depth_map: DepthMap, *, compression: ExrCompression = ExrCompression.NONE
+) -> None:
+    """Write depth as EXR: channel Z, float32, NaN where invalid; the length unit is in the header."""
+    if Path(path).suffix.lower() != ".exr":
+        raise BadInput(f"{path}: a depth map is written as .exr")
+    z = np.full(depth_map.shape, np.nan, dtype=np.float32)
+    np.copyto(z, depth_map.depth, where=depth_map.mask, casting="same_kind")
+    write_exr(path, {"Z": z}, attributes={_UNIT_ATTRIBUTE: depth_map.unit.value}, compression=compression)
+
+
+def read_depth_map(path: Path | str, *, max_megapixels: float | None = None) -> DepthMap:
+    """Read the channel Z of an EXR; NaN and infinity are invalid. Without a stated unit: pixels."""
+    channels, texts = read_exr(path, max_megapixels=max_megapixels, error=BadInput)
+    z = channels.get("Z")
+    if z is None:
+        raise BadInput(f"{path}: expected a channel Z, found {', '.join(channels)}")
+    mask = np.isfinite(z)
+    if not mask.any():
+        raise BadInput(f"{path}: no pixel holds a depth")
+    try:
+        unit = LengthUnit(texts.get(_UNIT_ATTRIBUTE, LengthUnit.PIXEL.value))
+    except ValueError as problem:
+        raise BadInput(f"{path}: unknown length unit '{texts[_UNIT_ATTRIBUTE]}'") from problem
+    return DepthMap(depth=np.where(mask, z, 0).astype(np.float32), mask=mask, unit=unit)
+
+
+def write_flow(path: Path | str, flow_px: Flow, *, compression: ExrCompression = ExrCompression.NONE) -> None:
+    """Write optical flow (h, w, 2) in pixels as EXR: channels du, dv, float32; NaN stays NaN."""
+    require_shape(flow_px, (None, None, 2), "flow")
+    flow_px = np.asarray(flow_px, dtype=np.float32)
+    write_exr(path, {"du": flow_px[..., 0], "dv": flow_px[..., 1]}, compression=compression)
+
+
+def read_flow(path: Path | str, *, max_megapixels: float | None = None) -> Flow:
+    """Read optical flow (h, w, 2) in pixels from the channels du, dv of an EXR."""
+    channels, _ = read_exr(path, max_megapixels=max_megapixels, error=BadInput)
+    if not {"du", "dv"} <= set(channels):
+        raise BadInput(f"{path}: expected the channels du and dv, found {', '.join(channels)}")
+    return np.stack([channels["du"], channels["dv"]], axis=-1).astype(np.float32)
+
+
+def _png_from_normals(stored: FloatArray, mask: Mask, bits: int) -> npt.NDArray[Any]:
+    if bits not in (8, 16):
+        raise BadInput(f"normal map: a PNG has 8 or 16 bits, not {bits}")
+    full = 2**bits - 1
+    rgba = np.zeros((*mask.shape, 4), dtype=np.uint8 if bits == 8 else np.uint16)
+    rgba[..., :3] = np.rint(np.clip((stored + 1.0) * (full / 2), 0, full))
+    rgba[~mask, :3] = full // 2 + 1
+    rgba[..., 3] = np.where(mask, full, 0)
+    return rgba
+
+
+def _normals_from_exr(
+    path: Path | str, max_megapixels: float | None
+) -> tuple[FloatArray, npt.NDArray[np.float32] | None, NormalConvention | None]:
+    channels, texts = read_exr(path, max_megapixels=max_megapixels, error=BadInput)
+    names = next((n for n in ("RGB", "XYZ", "xyz") if set(n) <= set(channels)), None)
+    if names is None:
+        raise BadInput(f"{path}: expected the channels R, G, B or X, Y, Z, found {', '.join(channels)}")
+    stored = np.stack([channels[name] for name in names], axis=-1).astype(np.float32)
+    weight = channels["A"].astype(np.float32) if "A" in channels else None
+    valid: Mask = np.asarray(np.isfinite(stored).all(axis=2))
+    if weight is None:
+        weight = valid.astype(np.float32)
+    elif not valid[weight > 0].all():
+        raise BadInput(f"{path}: {int((~valid & (weight > 0)).sum())} normals are NaN or infinite")
+    convention = texts.get(_CONVENTION_ATTRIBUTE)
+    try:
+        stated = None if convention is None else NormalConvention(convention)
+        return np.where(valid[..., None], stored, 0), weight, stated
+    except ValueError as problem:
+        raise BadInput(f"{path}: unknown normal convention '{convention}'") from problem
+
+
+# Normals as half floats, the four planes of an EXR, in one pass over the pixels.
+
+
+def half_planes_from_normals(
+    normal_map: NormalMap, signs: tuple[float, float, float]
+) -> npt.NDArray[np.float16]:
+    """Return (4, h, w) float16: n_x, n_y, n_z, each times its sign (1 or -1); the weight, 0 where invalid."""
+    planes = np.empty((4, *normal_map.shape), dtype=np.uint16)
+    normals = np.ascontiguousarray(normal_map.normals_in_camera, dtype=np.float32)
+    weight = normal_map.mask if normal_map.weight is None else normal_map.weight * normal_map.mask
+    flips = np.array([0x8000 if sign < 0 else 0 for sign in (*signs, 1)], dtype=np.uint32)
+    _fill(normals, np.ascontiguousarray(weight, dtype=np.float32), flips, planes)
+    return planes.view(np.float16)
+
+
+@njit(cache=True, inline="always")
+def _half_bits(value, bits):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Round a float32, given as value and as bits, to the nearest half, ties to even."""
+    sign = (bits & _SIGN) >> np.uint32(16)
+    size = bits & ~_SIGN
+    normal = (size - _BIAS + np.uint32(0xFFF) + ((size >> np.uint32(13)) & np.uint32(1))) >> np.uint32(13)
+    subnormal = np.uint32(np.int32(np.rint(min(abs(value), np.float32(1.0)) * _STEPS_PER_UNIT)))
+    half = normal if size >= _SMALLEST_NORMAL else subnormal
+    infinite = np.uint32(0x7E00) if size > _BEYOND_INFINITY else np.uint32(0x7C00)
+    return sign | (min(half, np.uint32(0x7C00)) if size < _TOO_LARGE else infinite)
+
+
+@njit(cache=True, nogil=True)
+def _fill(normals, weight, flips, planes):  # type: ignore[no-untyped-def]  # pragma: no cover
+    height, width = weight.shape
+    row = np.empty(width, np.float32)  # contiguous, so that eight pixels are converted at a time
+    bits = row.view(np.uint32)
+    for v in range(height):
+        for k in range(4):
+            for u in range(width):
+                row[u] = normals[v, u, k] if k < 3 else weight[v, u]
+            plane = planes[k, v]
+            for u in range(width):
+                plane[u] = _half_bits(row[u], bits[u]) ^ flips[k]

@@ -1,0 +1,231 @@
+"""Meshes and point clouds on disk, by suffix: PLY and OBJ. Camera frame in memory, graphics frame on disk."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.errors import BadMesh, CannotWrite
+from vntoolkit.geometry.mesh import Mesh, triangles_from_polygons
+from vntoolkit.geometry.point_cloud import PointCloud
+from vntoolkit.io.atomic import write_text
+from vntoolkit.io.conventions import UpAxis, graphics_from_camera
+from vntoolkit.io.files import read_text
+from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.limits import require_mesh_file, require_vertices
+from vntoolkit.io.maps_and_meshes.ply import PlyContent, bytes_from_colours, read_ply, write_ply
+
+
+def write_mesh(
+    path: Path | str,
+    mesh: Mesh,
+    *,
+    texture: npt.NDArray[np.uint8] | None = None,
+    up: UpAxis = UpAxis.Y,
+) -> None:
+    """Write a mesh in the camera frame as `.ply` (binary, float32) or `.obj` (with `.mtl`, texture `.png`).
+
+    texture: (h, w, 3) uint8 RGB for an OBJ whose mesh has texture coordinates. Colours are stored as
+    value·255, without a curve. up: the axis that points up in the file; `read_mesh` expects y.
+    """
+    flipped = _flip(mesh, up)
+    match Path(path).suffix.lower():
+        case ".ply":
+            if texture is not None:
+                raise CannotWrite(f"{path}: a PLY carries no texture; write .obj, or give vertex colours")
+            write_ply(path, _content(flipped), up.meaning)
+        case ".obj":
+            write_obj(path, flipped, texture, up.meaning)
+        case suffix:
+            raise CannotWrite(f"{path}: a mesh is written as .ply or .obj, not '{suffix}'")
+
+
+def read_mesh(path: Path | str) -> Mesh:
+    """Read a triangle mesh from `.ply` or `.obj` into the camera frame; polygons are cut into triangles.
+
+    One of more vertices than `reading_limits` allows is refused before it is read. Raises `BadMesh`.
+    """
+    require_mesh_file(path)
+    match Path(path).suffix.lower():
+        case ".ply":
+            content = read_ply(path)
+            if content.faces is None:
+                raise BadMesh(f"{path}: holds points but no faces; read it as a point cloud")
+            mesh = Mesh(
+                vertices=content.vertices,
+                faces=content.faces,
+                normals=content.normals,
+                colours=_colours(content),
+                uv=content.uv,
+            )
+        case ".obj":
+            mesh = read_obj(path)
+        case suffix:
+            raise BadMesh(f"{path}: a mesh is read from .ply or .obj, not '{suffix}'; export it as .ply")
+    return _flip(mesh)
+
+
+def write_point_cloud(path: Path | str, cloud: PointCloud) -> None:
+    """Write a point cloud in the camera frame as binary `.ply`."""
+    if Path(path).suffix.lower() != ".ply":
+        raise CannotWrite(f"{path}: a point cloud is written as .ply")
+    content = PlyContent(
+        vertices=graphics_from_camera(cloud.points),
+        normals=None if cloud.normals is None else graphics_from_camera(cloud.normals),
+        colours=bytes_from_colours(cloud.colours),
+    )
+    write_ply(path, content)
+
+
+def read_point_cloud(path: Path | str) -> PointCloud:
+    """Read the vertices of a `.ply` into the camera frame; limits and errors as `read_mesh`."""
+    content = read_ply(require_mesh_file(path))
+    return PointCloud(
+        points=graphics_from_camera(content.vertices),
+        normals=None if content.normals is None else graphics_from_camera(content.normals),
+        colours=_colours(content),
+    )
+
+
+def _flip(mesh: Mesh, up: UpAxis = UpAxis.Y) -> Mesh:
+    normals = None if mesh.normals is None else graphics_from_camera(mesh.normals, up)
+    return replace(mesh, vertices=graphics_from_camera(mesh.vertices, up), normals=normals)
+
+
+def _content(mesh: Mesh) -> PlyContent:
+    return PlyContent(
+        vertices=mesh.vertices,
+        faces=mesh.faces,
+        normals=mesh.normals,
+        colours=bytes_from_colours(mesh.colours),
+        uv=mesh.uv,
+    )
+
+
+def _colours(content: PlyContent) -> npt.NDArray[np.float32] | None:
+    return None if content.colours is None else content.colours.astype(np.float32) / np.float32(255)
+
+
+# Wavefront OBJ with its material file and texture; positions in the frame of the file.
+
+
+def write_obj(
+    path: Path | str,
+    mesh: Mesh,
+    texture: npt.NDArray[np.uint8] | None = None,
+    comment: str = "x right, y up, z towards the viewer",
+) -> None:
+    """Write `v` (colours behind, as MeshLab does), `vt`, `vn`, `f`; NAME.mtl and NAME.png for a texture."""
+    path = Path(path)
+    lines = [f"# {comment}"]
+    if texture is not None:
+        if mesh.uv is None:
+            raise BadMesh(f"{path}: a texture needs texture coordinates (uv) in the mesh")
+        write_png(path.with_suffix(".png"), texture)
+        material = "newmtl surface\nKa 0 0 0\nKd 1 1 1\nKs 0 0 0\nillum 1\n"
+        write_text(path.with_suffix(".mtl"), f"{material}map_Kd {path.stem}.png\n")
+        lines += [f"mtllib {path.stem}.mtl", "usemtl surface"]
+    vertices = np.asarray(mesh.vertices, dtype=np.float64)
+    if mesh.colours is not None:
+        vertices = np.column_stack([vertices, mesh.colours])
+    lines += _rows("v", vertices)
+    if mesh.uv is not None:
+        lines += _rows("vt", mesh.uv)
+    if mesh.normals is not None:
+        lines += _rows("vn", mesh.normals)
+    corner = {(False, False): "{0}", (True, False): "{0}/{0}", (False, True): "{0}//{0}"}.get(
+        (mesh.uv is not None, mesh.normals is not None), "{0}/{0}/{0}"
+    )
+    names = [corner.format(i) for i in range(1, len(vertices) + 1)]
+    lines += [f"f {names[a]} {names[b]} {names[c]}" for a, b, c in mesh.faces.tolist()]
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def read_obj(path: Path | str) -> Mesh:
+    """Read an OBJ; corners that share a position but not its texture coordinate become vertices apart.
+
+    Groups, materials, lines and curves are skipped. Raises `BadMesh` with the number of the bad line.
+    """
+    tables: dict[str, list[list[float]]] = {"v": [], "vt": [], "vn": []}
+    polygons: list[list[tuple[int, int, int]]] = []
+    for number, line in enumerate(read_text(path, BadMesh).splitlines(), start=1):
+        key, *words = line.split() or [""]
+        try:
+            if key in tables:
+                tables[key].append([float(word) for word in words])
+                require_vertices(len(tables[key]), str(path))
+            elif key == "f" and not words:
+                raise ValueError(key)
+            elif key == "f":
+                counts = (len(tables["v"]), len(tables["vt"]), len(tables["vn"]))
+                polygons.append([_corner(word, counts) for word in words])
+        except (ValueError, IndexError) as problem:
+            raise BadMesh(f"{path}: line {number} is malformed: '{line[:60]}'") from problem
+    if not tables["v"] or not polygons:
+        raise BadMesh(f"{path}: holds no mesh (vertices and faces)")
+    return _mesh(str(path), tables, polygons)
+
+
+def _mesh(
+    name: str, tables: dict[str, list[list[float]]], polygons: list[list[tuple[int, int, int]]]
+) -> Mesh:
+    corners = np.array([corner for polygon in polygons for corner in polygon], dtype=np.int64)
+    kept, first, index = _vertices_of_corners(corners, len(tables["v"]), len(tables["vt"]))
+    ends = np.cumsum([len(polygon) for polygon in polygons])[:-1]
+    faces = triangles_from_polygons(np.split(index, ends), len(kept), name)
+    try:
+        v = np.array(tables["v"], dtype=np.float64)
+        uv = np.array(tables["vt"])[kept[:, 1], :2] if (corners[:, 1] >= 0).all() else None
+        vn = None
+        if (corners[:, 2] >= 0).all():
+            vn = np.zeros((len(kept), 3))
+            vn[index[first]] = np.array(tables["vn"])[corners[first, 2]]
+    except (IndexError, ValueError) as problem:
+        raise BadMesh(f"{name}: rows of differing length") from problem
+    if v.shape[1] not in (3, 4, 6, 7):
+        raise BadMesh(f"{name}: a vertex has {v.shape[1]} numbers, expected x y z and perhaps r g b")
+    colours = v[kept[:, 0], -3:].astype(np.float32) if v.shape[1] >= 6 else None
+    try:
+        return Mesh(vertices=v[kept[:, 0], :3], faces=faces, normals=vn, colours=colours, uv=uv)
+    except BadMesh as problem:
+        raise BadMesh(f"{name}: {problem}") from problem
+
+
+def _vertices_of_corners(
+    corners: npt.NDArray[np.int64], v_count: int, vt_count: int
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Return (position, texture coordinate) of each vertex, a corner of each used one, a vertex per corner.
+
+    Where texture coordinates follow the positions one to one, as in our own files, every vertex keeps its
+    place, used or not. A normal that differs per corner makes no new vertex: the first one seen wins.
+    """
+    has_uv = bool((corners[:, 1] >= 0).all())
+    if not has_uv or (vt_count == v_count and (corners[:, 0] == corners[:, 1]).all()):
+        every = np.arange(v_count)
+        _, first = np.unique(corners[:, 0], return_index=True)
+        return np.column_stack([every, every]), first, corners[:, 0]
+    kept, first, index = np.unique(corners[:, :2], axis=0, return_index=True, return_inverse=True)
+    return kept, first, index.ravel()
+
+
+def _corner(word: str, counts: tuple[int, int, int]) -> tuple[int, int, int]:
+    """Turn `v/vt/vn`, counted from 1 or backwards from the end, into indices; -1 for a part left out."""
+    parts = [*word.split("/"), "", ""][:3]
+    indices: list[int] = []
+    for part, count in zip(parts, counts, strict=True):
+        number = int(part) if part else 0
+        index = number - 1 if number > 0 else count + number if number < 0 else -1
+        if part and not 0 <= index < count:
+            raise IndexError(word)
+        if not part and not indices:
+            raise ValueError(word)
+        indices.append(index)
+    return indices[0], indices[1], indices[2]
+
+
+def _rows(key: str, values: npt.NDArray[Any]) -> list[str]:
+    return [f"{key} " + " ".join(f"{x:.7g}" for x in row) for row in np.asarray(values).tolist()]

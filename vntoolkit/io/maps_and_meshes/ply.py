@@ -1,0 +1,309 @@
+"""Stanford PLY: vertices with normals, colour and texture coordinates, and faces; ASCII and binary."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.arrays import Faces, FloatArray
+from vntoolkit.errors import BadMesh
+from vntoolkit.geometry.mesh import triangles_from_polygons
+from vntoolkit.io.atomic import write_bytes
+from vntoolkit.io.files import read_bytes, require_file
+from vntoolkit.io.limits import require_vertices
+
+_KINDS = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2",
+    "ushort": "u2", "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
+    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
+}  # fmt: skip
+_ORDERS = {"ascii": "ascii", "binary_little_endian": "<", "binary_big_endian": ">"}
+_LONGEST_HEADER = 1 << 16
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlyContent:
+    """What a PLY file holds, in the frame of the file.
+
+    vertices: (n, 3). faces: (m, 3) int32 or None for a point cloud. normals: (n, 3). colours: (n, 3) uint8.
+    uv: (n, 2).
+    """
+
+    vertices: FloatArray
+    faces: Faces | None = None
+    normals: FloatArray | None = None
+    colours: npt.NDArray[np.uint8] | None = None
+    uv: FloatArray | None = None
+
+
+def write_ply(
+    path: Path | str, content: PlyContent, comment: str = "x right, y up, z towards the viewer"
+) -> None:
+    """Write little-endian binary: float32 `x y z nx ny nz s t`, uchar `red green blue`, triangles."""
+    columns: list[tuple[tuple[str, ...], str, npt.NDArray[Any]]] = [(("x", "y", "z"), "f4", content.vertices)]
+    if content.normals is not None:
+        columns.append((("nx", "ny", "nz"), "f4", content.normals))
+    if content.uv is not None:
+        columns.append((("s", "t"), "f4", content.uv))
+    if content.colours is not None:
+        columns.append((("red", "green", "blue"), "u1", content.colours))
+    row = np.dtype([(name, "<" + kind) for names, kind, _ in columns for name in names])
+    vertices = np.empty(len(content.vertices), dtype=row)
+    header = ["ply", "format binary_little_endian 1.0", f"comment {comment}"]
+    header.append(f"element vertex {len(vertices)}")
+    for names, kind, values in columns:
+        for i, name in enumerate(names):
+            vertices[name] = values[:, i]
+            header.append(f"property {'float' if kind == 'f4' else 'uchar'} {name}")
+    body = vertices.tobytes()
+    if content.faces is not None:
+        faces = np.empty(len(content.faces), dtype=[("count", "u1"), ("indices", "<i4", 3)])
+        faces["count"] = 3
+        faces["indices"] = content.faces
+        header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+        body += faces.tobytes()
+    header.append("end_header\n")
+    write_bytes(path, "\n".join(header).encode("ascii") + body)
+
+
+def read_ply(path: Path | str) -> PlyContent:
+    """Read a PLY file; raise `BadMesh` with one line for a malformed one."""
+    data = read_bytes(path, BadMesh)
+    order, elements, at = parse_ply_header(data, str(path))
+    tables: dict[str, Any] = {}
+    try:
+        lines = iter(data[at:].splitlines()) if order == "ascii" else iter(())
+        for element in elements:
+            if order == "ascii":
+                tables[element.name] = _ascii_table(element, lines)
+            else:
+                tables[element.name], at = _binary_table(element, data, at, order)
+    except (ValueError, IndexError, StopIteration) as problem:
+        reason = str(problem) or "too few lines"
+        raise BadMesh(f"{path}: the element '{element.name}' is malformed or cut off ({reason})") from problem
+    columns = tables.get("vertex", {}).items()
+    vertex = {key: values for key, values in columns if isinstance(values, np.ndarray) and values.ndim == 1}
+    if not {"x", "y", "z"} <= set(vertex):
+        raise BadMesh(f"{path}: expected an element 'vertex' with x, y and z")
+    return _content(str(path), vertex, tables.get("face"))
+
+
+def _content(name: str, vertex: dict[str, Any], face: dict[str, Any] | None) -> PlyContent:
+    def gather(*names: str) -> npt.NDArray[Any] | None:
+        return np.stack([vertex[n] for n in names], axis=1) if set(names) <= set(vertex) else None
+
+    def gather_floats(*names: str) -> FloatArray | None:
+        values = gather(*names)
+        whole = values is not None and not np.issubdtype(values.dtype, np.floating)
+        return values.astype(np.float64) if values is not None and whole else values
+
+    vertices, normals = gather_floats("x", "y", "z"), gather_floats("nx", "ny", "nz")
+    assert vertices is not None
+    pairs = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
+    uv = next((found for pair in pairs if (found := gather_floats(*pair)) is not None), None)
+    colours = gather("red", "green", "blue")
+    for what, values in (("vertex", vertices), ("normal", normals), ("colour", colours), ("uv", uv)):
+        if values is not None and not np.isfinite(values).all():
+            raise BadMesh(f"{name}: a {what} is NaN or infinite")
+    faces = None
+    if face is not None:
+        polygons = face.get("vertex_indices", face.get("vertex_index"))
+        if polygons is None or (isinstance(polygons, np.ndarray) and polygons.ndim == 1):
+            raise BadMesh(f"{name}: the faces have no list 'vertex_indices'")
+        faces = triangles_from_polygons(polygons, len(vertices), name)
+    return PlyContent(
+        vertices=vertices, faces=faces, normals=normals, colours=bytes_from_colours(colours), uv=uv
+    )
+
+
+def bytes_from_colours(colours: npt.NDArray[Any] | None) -> npt.NDArray[np.uint8] | None:
+    """Return colours (n, 3) as bytes: floats count from 0 to 1, 16 bits to 65535, other integers to 255."""
+    if colours is None or colours.dtype == np.uint8:
+        return colours
+    is_float, is_short = np.issubdtype(colours.dtype, np.floating), colours.dtype == np.uint16
+    full = 1.0 if is_float else 65535.0 if is_short else 255.0
+    return np.rint(np.clip(colours * (255.0 / full), 0, 255)).astype(np.uint8)
+
+
+def _binary_table(element: PlyElement, data: bytes, at: int, order: str) -> tuple[dict[str, Any], int]:
+    """Read one element; a list property of constant length takes the fast way."""
+    if not element.has_list:
+        row = np.dtype([(p.name, order + p.kind) for p in element.properties])
+        require_bytes(data, at, element.count * row.itemsize)
+        table = np.frombuffer(data, row, element.count, at)
+        return {n: table[n].astype(row[n].newbyteorder("=")) for n in row.names or ()}, at + table.nbytes
+    counts = _first_counts(element, data, at, order)
+    row = np.dtype(
+        [
+            field
+            for p in element.properties
+            for field in (
+                [("\0" + p.name, order + p.count_kind), (p.name, order + p.kind, (counts[p.name],))]
+                if p.count_kind
+                else [(p.name, order + p.kind)]
+            )
+        ]
+    )
+    if element.count * row.itemsize <= len(data) - at:
+        table = np.frombuffer(data, row, element.count, at)
+        if all((table["\0" + name] == count).all() for name, count in counts.items()):
+            return {p.name: table[p.name].astype(p.kind) for p in element.properties}, at + table.nbytes
+    return _mixed_table(element, data, at, order)
+
+
+def _first_counts(element: PlyElement, data: bytes, at: int, order: str) -> dict[str, int]:
+    counts: dict[str, int] = {}
+    for p in element.properties if element.count else ():
+        if p.count_kind:
+            kind = np.dtype(order + p.count_kind)
+            require_bytes(data, at, kind.itemsize)
+            counts[p.name] = int(np.frombuffer(data, kind, 1, at)[0])
+            at += kind.itemsize
+        size = counts.get(p.name, 1) * np.dtype(p.kind).itemsize
+        if size < 0:
+            raise ValueError("a list of negative length")
+        require_bytes(data, at, size)
+        at += size
+    return counts or {p.name: 0 for p in element.properties if p.count_kind}
+
+
+def _mixed_table(element: PlyElement, data: bytes, at: int, order: str) -> tuple[dict[str, Any], int]:
+    """Read rows one by one: lists of differing lengths."""
+    table: dict[str, list[Any]] = {p.name: [] for p in element.properties}
+    for _ in range(element.count):
+        for p in element.properties:
+            count = 1
+            if p.count_kind:
+                kind = np.dtype(order + p.count_kind)
+                require_bytes(data, at, kind.itemsize)
+                count = int(np.frombuffer(data, kind, 1, at)[0])
+                at += kind.itemsize
+            kind = np.dtype(order + p.kind)
+            if count < 0:
+                raise ValueError("a list of negative length")
+            require_bytes(data, at, count * kind.itemsize)
+            table[p.name].append(np.frombuffer(data, kind, count, at))
+            at += count * kind.itemsize
+    return {p.name: _joined(table[p.name], p.count_kind) for p in element.properties}, at
+
+
+def _ascii_table(element: PlyElement, lines: Any) -> dict[str, Any]:
+    text = b"\n".join([next(lines) for _ in range(element.count)])
+    if not element.has_list:
+        values = (
+            np.loadtxt(io.BytesIO(text), ndmin=2) if element.count else np.empty((0, len(element.properties)))
+        )
+        return {p.name: _of_kind(values[:, i], p.kind) for i, p in enumerate(element.properties)}
+    table: dict[str, list[Any]] = {p.name: [] for p in element.properties}
+    for line in text.splitlines():
+        words = iter(line.split())
+        for p in element.properties:
+            count = int(next(words)) if p.count_kind else 1
+            table[p.name].append(_of_kind([float(next(words)) for _ in range(count)], p.kind))
+    return {p.name: _joined(table[p.name], p.count_kind) for p in element.properties}
+
+
+def _of_kind(values: Any, kind: str) -> npt.NDArray[Any]:
+    """Numbers of a text as a PLY kind; NaN and what exceeds an integer raise instead of wrapping round."""
+    numbers = np.asarray(values, dtype=np.float64)
+    is_integer = np.dtype(kind).kind in "iu"
+    if is_integer and not ((numbers >= np.iinfo(kind).min) & (numbers <= np.iinfo(kind).max)).all():
+        raise ValueError(f"a number does not fit into {kind}")
+    with np.errstate(over="ignore"):  # a double beyond float's range becomes infinite, which is refused later
+        return numbers.astype(kind)
+
+
+def _joined(values: list[Any], count_kind: str) -> Any:
+    if not count_kind:
+        return np.concatenate(values) if values else np.empty(0)
+    return values
+
+
+def require_bytes(data: bytes, at: int, size: int) -> None:
+    """Raise before anything is allocated for a count that the file cannot hold."""
+    if at + size > len(data):
+        raise ValueError(f"needs {size} bytes, {len(data) - at} are left")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlyProperty:
+    """Name and numpy kind of a property; `count_kind` is the kind of a list's length, empty for a scalar."""
+
+    name: str
+    kind: str
+    count_kind: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlyElement:
+    """Name, number of rows and properties of an element."""
+
+    name: str
+    count: int
+    properties: list[PlyProperty] = field(default_factory=list)
+
+    @property
+    def has_list(self) -> bool:
+        """True if a property is a list."""
+        return any(p.count_kind for p in self.properties)
+
+
+# The header of a PLY file: which elements with which properties follow.
+
+
+def parse_ply_header(data: bytes, name: str) -> tuple[str, list[PlyElement], int]:
+    """Return the byte order (`<`, `>` or `ascii`), the elements and where their data begins."""
+    if not data.startswith(b"ply"):
+        raise BadMesh(f"{name}: is not a PLY file")
+    end = data.find(b"end_header", 0, _LONGEST_HEADER)
+    newline = data.find(b"\n", end)
+    if end < 0 or newline < 0:
+        raise BadMesh(f"{name}: the PLY header has no end")
+    order = ""
+    elements: list[PlyElement] = []
+    for line in data[:end].decode("ascii", "replace").splitlines()[1:]:
+        words = line.split()
+        try:
+            match words:
+                case ["format", kind, _]:
+                    order = _ORDERS[kind]
+                case ["element", element, count] if int(count) >= 0:
+                    elements.append(PlyElement(name=element, count=int(count)))
+                case ["property", "list", count_kind, kind, prop] if _KINDS[count_kind][0] != "f":
+                    elements[-1].properties.append(
+                        PlyProperty(name=prop, kind=_KINDS[kind], count_kind=_KINDS[count_kind])
+                    )
+                case ["property", kind, prop]:
+                    elements[-1].properties.append(PlyProperty(name=prop, kind=_KINDS[kind]))
+                case [] | ["comment" | "obj_info", *_]:
+                    pass
+                case _:
+                    raise ValueError
+        except (KeyError, IndexError, ValueError) as problem:
+            raise BadMesh(f"{name}: unknown line in the PLY header: '{line[:60]}'") from problem
+    if not order:
+        raise BadMesh(f"{name}: the PLY header names no format")
+    least = sum(e.count for e in elements if e.properties)  # every row takes a byte at least
+    if least > len(data) - newline:
+        raise BadMesh(
+            f"{name}: the header promises {least} rows, but only {len(data) - newline} bytes follow"
+        )
+    require_vertices(max((e.count for e in elements if e.name == "vertex"), default=0), name)
+    return order, elements, newline + 1
+
+
+def read_ply_counts(path: Path | str) -> dict[str, int]:
+    """Return {element: rows} that the header of a PLY promises; its rows are not read."""
+    with require_file(path, BadMesh).open("rb") as stream:
+        lines = stream.read(_LONGEST_HEADER).split(b"end_header")[0].splitlines()
+    words = [line.split() for line in lines]
+    return {
+        w[1].decode("ascii", "replace"): int(w[2])
+        for w in words
+        if len(w) == 3 and w[0] == b"element" and w[2].isdigit()
+    }

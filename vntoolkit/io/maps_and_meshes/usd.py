@@ -1,0 +1,303 @@
+"""Animated USD: one moving surface with its skeleton, or a new mesh every frame; streamed.
+
+Vertices come in the camera frame (y down) and leave with y up, as every file, or z up. Houdini, Maya and
+usdview take scale, up axis and frame rate from the file. Blender 5.0.1 takes scale, axis and the range of
+frames but keeps the frame rate of its own scene, 24: set it there, or write the file at that rate, else the
+motion plays too slowly. `scripts/check_in_blender.py` shows what arrives there.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.arrays import FloatArray, Points
+from vntoolkit.checks import require_finite, require_shape
+from vntoolkit.errors import BadInput, BadMesh, CannotWrite
+from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.geometry.motion import Motion, Skeleton, joint_paths, rest_pose
+from vntoolkit.io.atomic import atomic_path
+from vntoolkit.io.conventions import UpAxis, graphics_from_camera, motion_with_axes_turned
+
+ROOT = "/World"
+SURFACE = f"{ROOT}/Surface"
+FIGURE = f"{ROOT}/Figure"
+CLOTH = f"{ROOT}/Cloth"
+SUFFIXES = (".usdc", ".usd")
+_FLUSH_BYTES = 16 * 2**20
+
+
+def write_usd_sequence(
+    path: Path | str,
+    template: Mesh,
+    frames: Iterable[Points],
+    *,
+    frame_rate_hz: float,
+    metres_per_unit: float = 1.0,
+    motion: Motion | None = None,
+    up: UpAxis = UpAxis.Y,
+) -> int:
+    """Write one surface of fixed topology, its vertices (n, 3) a time sample a frame; return the frames.
+
+    Colours become `displayColor`, texture coordinates `st`. With `motion` (one frame a frame, in the same
+    unit) the file also holds the skeleton as UsdSkel; the surface is not bound to it, its vertices move
+    already. Memory does not grow with the number of frames.
+    """
+    if motion is not None and up is not UpAxis.Y:
+        raise BadInput(f"{path}: a skeleton is written with y up only")
+    count = 0
+    with new_stage(path, frame_rate_hz=frame_rate_hz, metres_per_unit=metres_per_unit, up=up) as stage:
+        mesh = _define_mesh(stage.stage)
+        _set_topology(mesh, template, None)
+        _set_attributes(mesh, template, None)
+        if template.colours is not None:
+            add_colour_material(stage.stage, CLOTH, mesh)
+        if motion is not None:
+            add_skeleton(stage.stage, FIGURE, motion)
+        for count, vertices in enumerate(frames, start=1):
+            require_shape(vertices, (len(template.vertices), 3), f"frame {count - 1}", BadMesh)
+            require_finite(vertices, f"frame {count - 1}", BadMesh)
+            stage.wrote(_set_points(mesh, vertices, float(count - 1), up))
+    return count
+
+
+def write_usd_meshes(
+    path: Path | str,
+    meshes: Iterable[Mesh],
+    *,
+    frame_rate_hz: float,
+    metres_per_unit: float = 1.0,
+    up: UpAxis = UpAxis.Y,
+) -> int:
+    """Write a mesh of its own topology for every frame; return the number of frames.
+
+    Memory does not grow with the number of frames. Colours and texture coordinates are written where a
+    mesh has them.
+    """
+    count = 0
+    with new_stage(path, frame_rate_hz=frame_rate_hz, metres_per_unit=metres_per_unit, up=up) as stage:
+        surface = _define_mesh(stage.stage)
+        for count, mesh in enumerate(meshes, start=1):
+            time = float(count - 1)
+            size = _set_points(surface, mesh.vertices, time, up)
+            size += _set_topology(surface, mesh, time)
+            size += _set_attributes(surface, mesh, time)
+            if mesh.colours is not None and not stage.stage.GetPrimAtPath(CLOTH):
+                add_colour_material(stage.stage, CLOTH, surface)
+            stage.wrote(size)
+    return count
+
+
+def _define_mesh(stage: Any) -> Any:
+    from pxr import UsdGeom
+
+    mesh = UsdGeom.Mesh.Define(stage, SURFACE)
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)  # else viewers smooth the capture away
+    mesh.CreateDoubleSidedAttr(True)  # captured cloth is one layer, seen from both sides
+    return mesh
+
+
+def _time(time: float | None) -> Any:
+    from pxr import Usd
+
+    return Usd.TimeCode.Default() if time is None else Usd.TimeCode(time)
+
+
+def _set_points(mesh: Any, vertices: Points, time: float, up: UpAxis) -> int:
+    """Author positions and their bounding box; return the bytes."""
+    from pxr import Vt
+
+    points = vec3f_from_camera(vertices, up)
+    mesh.CreatePointsAttr().Set(points, time)
+    box = np.zeros((2, 3))
+    if len(vertices):
+        columns = [vertices[:, axis] for axis in range(3)]  # numpy is ten times slower along the first axis
+        ends = [[column.min() for column in columns], [column.max() for column in columns]]
+        turned = graphics_from_camera(np.array(ends), up)
+        box = np.stack([turned.min(axis=0), turned.max(axis=0)])  # turning swaps least and greatest
+    mesh.CreateExtentAttr().Set(Vt.Vec3fArray.FromNumpy(box.astype(np.float32)), time)
+    return len(vertices) * 12
+
+
+def _set_topology(surface: Any, mesh: Mesh, time: float | None) -> int:
+    from pxr import Vt
+
+    counts = np.full(len(mesh.faces), 3, dtype=np.int32)
+    surface.CreateFaceVertexCountsAttr().Set(Vt.IntArray.FromNumpy(counts), _time(time))
+    indices = np.ascontiguousarray(mesh.faces, dtype=np.int32).ravel()
+    surface.CreateFaceVertexIndicesAttr().Set(Vt.IntArray.FromNumpy(indices), _time(time))
+    return counts.nbytes + indices.nbytes
+
+
+def _set_attributes(surface: Any, mesh: Mesh, time: float | None) -> int:
+    """Author colours and texture coordinates where there are any; return the bytes."""
+    from pxr import Sdf, UsdGeom, Vt
+
+    size = 0
+    primvars = UsdGeom.PrimvarsAPI(surface)
+    if mesh.colours is not None:
+        colours = np.ascontiguousarray(mesh.colours, dtype=np.float32)
+        primvar = primvars.CreatePrimvar(
+            "displayColor", Sdf.ValueTypeNames.Color3fArray, UsdGeom.Tokens.vertex
+        )
+        primvar.Set(Vt.Vec3fArray.FromNumpy(colours), _time(time))
+        size += colours.nbytes
+    if mesh.uv is not None:
+        uv = np.ascontiguousarray(mesh.uv, dtype=np.float32)
+        primvar = primvars.CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex)
+        primvar.Set(Vt.Vec2fArray.FromNumpy(uv), _time(time))
+        size += uv.nbytes
+    return size
+
+
+class UsdStage:
+    """An open stage; `wrote(bytes)` after each frame lets it empty its memory into the file.
+
+    A saved crate layer keeps only where each time sample lies in the file, and saving again appends. So
+    a save every 16 MiB bounds the memory, and one file results, where value clips would need many.
+    """
+
+    def __init__(self, stage: Any) -> None:
+        self.stage = stage
+        self._pending = 0
+        self._frames = 0
+
+    def wrote(self, size: int) -> None:
+        """Count one finished frame of `size` bytes; save where enough has gathered."""
+        self._frames += 1
+        self._pending += size
+        if self._pending >= _FLUSH_BYTES:
+            self.save()
+
+    def save(self) -> None:
+        """Append what is in memory to the file, with the time range so far."""
+        self.stage.SetStartTimeCode(0)
+        self.stage.SetEndTimeCode(max(self._frames - 1, 0))
+        self.stage.GetRootLayer().Save()
+        self._pending = 0
+
+
+# A USD stage that is written as it grows: one binary file, constant memory, whole or not there.
+
+
+@contextlib.contextmanager
+def new_stage(
+    path: Path | str, *, frame_rate_hz: float, metres_per_unit: float, up: UpAxis = UpAxis.Y
+) -> Iterator[UsdStage]:
+    """Yield a stage with its up axis, length unit, frame rate (time code = frame) and a root prim."""
+    path = Path(path)
+    if path.suffix.lower() not in SUFFIXES:
+        raise BadInput(f"{path}: expected a name that ends in .usdc or .usd (binary USD)")
+    if not 0 < frame_rate_hz < np.inf or not 0 < metres_per_unit < np.inf:
+        raise BadInput(f"{path}: expected a positive frame rate and length unit")
+    from pxr import Sdf, Tf, Usd, UsdGeom
+
+    with atomic_path(path) as temporary:
+        try:
+            layer = Sdf.Layer.CreateNew(str(temporary), {"format": "usdc"})
+            stage = Usd.Stage.Open(layer)
+            UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y if up is UpAxis.Y else UsdGeom.Tokens.z)
+            UsdGeom.SetStageMetersPerUnit(stage, metres_per_unit)
+            stage.SetTimeCodesPerSecond(frame_rate_hz)
+            stage.SetFramesPerSecond(frame_rate_hz)
+            stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, ROOT).GetPrim())
+            open_stage = UsdStage(stage)
+            yield open_stage
+            open_stage.save()
+        except Tf.ErrorException as error:
+            raise CannotWrite(f"cannot write {path}: {' '.join(str(error).split())[:300]}") from error
+
+
+def vec3f_from_camera(vectors: npt.NDArray[Any], up: UpAxis = UpAxis.Y) -> Any:
+    """Return a USD array of (n, 3) vectors turned from the camera frame to y or z up."""
+    from pxr import Vt
+
+    return Vt.Vec3fArray.FromNumpy(graphics_from_camera(np.asarray(vectors, dtype=np.float32), up))
+
+
+# A matte material that shows the vertex colours: without one Blender reads the colours and renders grey.
+
+
+def add_colour_material(stage: Any, path: str, surface: Any) -> None:
+    """Define at `path` a UsdPreviewSurface whose colour is the primvar `displayColor`; bind the surface."""
+    from pxr import Sdf, UsdShade
+
+    material = UsdShade.Material.Define(stage, path)
+    reader = UsdShade.Shader.Define(stage, f"{path}/Colour")
+    reader.CreateIdAttr("UsdPrimvarReader_float3")
+    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("displayColor")
+    shader = UsdShade.Shader.Define(stage, f"{path}/Matte")
+    shader.CreateIdAttr("UsdPreviewSurface")
+    colour = shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
+    colour.ConnectToSource(reader.CreateOutput("result", Sdf.ValueTypeNames.Float3))
+    shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(1.0)
+    shown = shader.CreateOutput("surface", Sdf.ValueTypeNames.Token)
+    material.CreateSurfaceOutput().ConnectToSource(shown)
+    UsdShade.MaterialBindingAPI.Apply(surface.GetPrim()).Bind(material)
+
+
+# A moving skeleton as UsdSkel: what Blender imports as an armature and Houdini as a rig.
+
+
+def add_skeleton(stage: Any, path: str, motion: Motion) -> None:
+    """Define a SkelRoot at `path` with the skeleton, its rest pose and one time sample a frame."""
+    from pxr import UsdSkel, Vt
+
+    turned = motion_with_axes_turned(motion)
+    named = replace(turned.skeleton, names=tuple(map(_usd_name, turned.skeleton.names)))
+    paths = Vt.TokenArray(joint_paths(named))
+    root = UsdSkel.Root.Define(stage, path)
+    skeleton = UsdSkel.Skeleton.Define(stage, f"{path}/Skeleton")
+    skeleton.CreateJointsAttr(paths)
+    skeleton.CreateBindTransformsAttr(_matrices(rest_pose(turned.skeleton)))
+    skeleton.CreateRestTransformsAttr(_matrices(_local_rest(turned.skeleton)))
+    _author_extents(root, skeleton, turned)
+    animation = UsdSkel.Animation.Define(stage, f"{path}/Skeleton/Motion")
+    animation.CreateJointsAttr(paths)
+    animation.CreateScalesAttr(Vt.Vec3hArray.FromNumpy(np.ones((len(paths), 3), dtype=np.float16)))
+    UsdSkel.BindingAPI.Apply(skeleton.GetPrim()).CreateAnimationSourceRel().SetTargets([animation.GetPath()])
+    translations, rotations = animation.CreateTranslationsAttr(), animation.CreateRotationsAttr()
+    # Quatf.FromNumpy takes (x, y, z, w), the order in memory of USD's quaternions.
+    quaternions = np.ascontiguousarray(turned.rotations, dtype=np.float32)
+    for frame, root_position in enumerate(motion.root_positions):
+        offsets = np.array(motion.skeleton.offsets)
+        offsets[0] = root_position
+        translations.Set(vec3f_from_camera(offsets), float(frame))
+        rotations.Set(Vt.QuatfArray.FromNumpy(quaternions[frame]), float(frame))
+
+
+def _author_extents(root: Any, skeleton: Any, turned: Motion) -> None:
+    """Give both boxes that hold the figure in every frame: no joint is farther than the skeleton's reach."""
+    from pxr import Vt
+
+    reach = float(np.abs(turned.skeleton.offsets[1:]).sum() + np.abs(turned.skeleton.tip_offsets).sum())
+    low, high = turned.root_positions.min(axis=0) - reach, turned.root_positions.max(axis=0) + reach
+    box = Vt.Vec3fArray.FromNumpy(np.stack([low, high]).astype(np.float32))
+    root.CreateExtentAttr(box)
+    skeleton.CreateExtentAttr(box)
+
+
+def _usd_name(name: str) -> str:
+    """Turn a joint's name into one that USD accepts: a slash in it would make a joint of each half."""
+    plain = re.sub(r"[^A-Za-z0-9_]", lambda m: f"_{ord(m.group()):x}_", name)
+    return plain if not plain[0].isdigit() else f"_{plain}"
+
+
+def _local_rest(skeleton: Skeleton) -> FloatArray:
+    matrices = np.tile(np.eye(4), (len(skeleton.names), 1, 1))
+    matrices[:, :3, 3] = skeleton.offsets
+    return matrices
+
+
+def _matrices(target_from_source: FloatArray) -> Any:
+    """Return a USD array; USD multiplies row vectors, so every matrix is transposed."""
+    from pxr import Vt
+
+    return Vt.Matrix4dArray.FromNumpy(np.ascontiguousarray(target_from_source.transpose(0, 2, 1)))

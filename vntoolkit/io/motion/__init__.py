@@ -1,0 +1,1 @@
+"""Motion capture and the fit of a garment to it."""

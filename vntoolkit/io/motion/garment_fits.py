@@ -1,0 +1,67 @@
+"""The small file in which a person corrects how a garment sits: JSON, metres and degrees, y up."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from scipy.spatial.transform import Rotation
+
+from vntoolkit.errors import BadInput
+from vntoolkit.geometry.garment_fit import GarmentFit, Landmark
+from vntoolkit.geometry.rigid import RigidTransform
+from vntoolkit.io.conventions import graphics_from_camera
+from vntoolkit.io.files import parse_json, read_text
+from vntoolkit.io.rigs import one_line_from_validation
+
+_Triple = tuple[float, float, float]
+_EXPECTED = "a JSON file that corrects how a garment sits"
+_ZERO: _Triple = (0.0, 0.0, 0.0)
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class _Landmark(_Strict):
+    vertex: int = Field(ge=0)
+    joint: str
+    offset_m: _Triple = _ZERO
+
+
+class _Fit(_Strict):
+    version: Literal[1]
+    scale: float = Field(default=1.0, gt=0)
+    rotation_deg: _Triple = _ZERO
+    translation_m: _Triple = _ZERO
+    landmarks: tuple[_Landmark, ...] = ()
+    pose_deg: dict[str, _Triple] = Field(default_factory=dict)
+    bind_frame: int | None = Field(default=None, ge=0)
+
+
+def read_garment_fit(path: Path | str) -> GarmentFit:
+    """Read a fit file into camera axes; angles turn about x, then y, then z. Raises `BadInput`."""
+    content = parse_json(read_text(path, expected=_EXPECTED), str(path), expected=_EXPECTED)
+    try:
+        fit = _Fit.model_validate(content)
+    except ValidationError as error:
+        raise BadInput(f"{path}: {one_line_from_validation(error, _Fit)}") from error
+    turn = graphics_from_camera(np.eye(3))
+    return GarmentFit(
+        scale=fit.scale,
+        adjustment=RigidTransform(
+            rotation=turn @ Rotation.from_euler("xyz", fit.rotation_deg, degrees=True).as_matrix() @ turn,
+            translation=turn @ np.array(fit.translation_m),
+        ),
+        landmarks=tuple(
+            Landmark(vertex=mark.vertex, joint=mark.joint, offset=turn @ np.array(mark.offset_m))
+            for mark in fit.landmarks
+        ),
+        pose={
+            joint: Rotation.from_euler("xyz", graphics_from_camera(np.array(angles)), degrees=True).as_quat()
+            for joint, angles in fit.pose_deg.items()
+        },
+        bind_frame=fit.bind_frame,
+    )

@@ -1,0 +1,157 @@
+"""reconstruction.json: what a result folder was made from, with what, and how far it got.
+
+The manifest is written when a run starts and when it ends; finished frames are appended to frames.log
+beside it (`frame_log`), one short line each, so that 10,000 frames cost no more each than the first.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+import vntoolkit
+from vntoolkit.errors import BadInput
+from vntoolkit.io.atomic import write_text
+from vntoolkit.io.files import parse_json, read_text, require_file, sha256_of_file
+from vntoolkit.io.maps_and_meshes.label_images import LABEL_LEGEND
+from vntoolkit.io.rigs import RigFile, SourceEntry, one_line_from_validation, text_from_model
+
+MANIFEST_NAME = "reconstruction.json"
+MANIFEST_VERSION = 1
+_LIBRARIES = ("numpy", "scipy", "numba", "opencv-contrib-python-headless", "av", "OpenEXR", "open3d")
+
+
+class InputEntry(BaseModel):
+    """The capture that was read."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    source: str = Field(description="What was given on the command line.")
+    files: list[SourceEntry] = Field(description="Every file read, in order, with the SHA-256 of its bytes.")
+    width: int = Field(gt=0, description="Frame width in pixels.")
+    height: int = Field(gt=0, description="Frame height in pixels.")
+    frame_count: int = Field(ge=0, description="Frames in the capture.")
+    frame_rate_hz: float = Field(gt=0, allow_inf_nan=False, description="Frames per second.")
+
+
+class Manifest(BaseModel):
+    """What a result folder holds."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    version: int = Field(default=MANIFEST_VERSION, description="Version of this schema.")
+    input: InputEntry
+    extra_files: dict[str, SourceEntry] = Field(
+        default_factory=dict, description="Mask, background and the like, by option."
+    )
+    rig: RigFile = Field(description="The rig that was used, whole.")
+    options: dict[str, Any] = Field(
+        default_factory=dict, description="Every option that shapes the result, by its name."
+    )
+    frames: str = Field(default="0::1", description="Frames asked for, start:stop:step.")
+    outputs: list[str] = Field(default_factory=list, description="Folders written: normals, depth, …")
+    versions: dict[str, str] = Field(default_factory=dict, description="Program and libraries.")
+    label_legend: dict[str, str] = Field(
+        default_factory=lambda: dict(LABEL_LEGEND), description="Meaning of the values in shadows/*.png."
+    )
+    started: str = Field(default="", description="When the run began, UTC, ISO 8601.")
+    finished: str = Field(default="", description="When the last frame was done; empty while it runs.")
+    timings: dict[str, float] = Field(
+        default_factory=dict, description="Seconds per frame, median, by stage; wall_s is the whole run."
+    )
+
+
+def write_manifest(folder: Path | str, manifest: Manifest) -> None:
+    """Write reconstruction.json into `folder`, atomically."""
+    write_text(Path(folder) / MANIFEST_NAME, text_from_model(manifest))
+
+
+def has_manifest(folder: Path | str) -> bool:
+    """Tell whether a folder holds results; False where it may not be looked into: writing there will tell."""
+    return os.access(Path(folder) / MANIFEST_NAME, os.F_OK)
+
+
+def read_manifest(folder: Path | str) -> Manifest:
+    """Read reconstruction.json; raise `BadInput` with one line."""
+    path = Path(folder) / MANIFEST_NAME
+    if not has_manifest(folder):
+        found = f"holds no {MANIFEST_NAME}" if Path(folder).is_dir() else "is no folder"
+        raise BadInput(f"{folder}: {found}; give a folder that `vntoolkit reconstruct` wrote")
+    content = parse_json(read_text(path), str(path))
+    try:
+        if isinstance(content, dict) and content.get("version") != MANIFEST_VERSION:
+            raise BadInput(
+                f"{path}: is of version {content.get('version')}, this program reads {MANIFEST_VERSION}"
+            )
+        return Manifest.model_validate(content)
+    except ValidationError as problem:
+        raise BadInput(f"{path}: {one_line_from_validation(problem, Manifest)}") from problem
+
+
+def changes_between(before: Manifest, now: Manifest) -> list[str]:
+    """Return what makes the results of two runs differ, one phrase each; empty where they may be mixed.
+
+    Frames asked for, folders written, versions and times may differ; inputs, rig and options may not.
+    """
+    changes = []
+    if before.input.files != now.input.files:
+        changes.append(f"the input files ({before.input.source} → {now.input.source})")
+    for name in sorted(set(before.extra_files) | set(now.extra_files)):
+        if before.extra_files.get(name) != now.extra_files.get(name):
+            changes.append(f"the file of --{name}")
+    for section in RigFile.model_fields:
+        if section not in ("quality", "sources") and getattr(before.rig, section) != getattr(
+            now.rig, section
+        ):
+            changes.append(f"the rig's {section}")
+    now_options = json.loads(json.dumps(now.options))
+    for name in sorted(set(before.options) | set(now_options)):
+        old, new = before.options.get(name), now_options.get(name)
+        if old != new:
+            changes.append(f"{name} ({old} → {new})")
+    return changes
+
+
+def require_resumable(folder: Path | str, now: Manifest) -> None:
+    """Raise `BadInput` that names what changed, where `folder` holds results of other inputs or options."""
+    if not has_manifest(folder):
+        return
+    changes = changes_between(read_manifest(folder), now)
+    if changes:
+        raise BadInput(
+            f"{folder}: holds results made differently: {'; '.join(changes)}; add --overwrite to replace "
+            "them, or choose another --out"
+        )
+
+
+def hashed(files: tuple[Path, ...] | list[Path]) -> list[SourceEntry]:
+    """Return name and SHA-256 of each file, in order."""
+    return [SourceEntry(file=path.name, sha256=sha256_of_file(require_file(path))) for path in files]
+
+
+def library_versions() -> dict[str, str]:
+    """Return the versions of the program, Python and the libraries that shape results."""
+    versions = {"vntoolkit": vntoolkit.__version__, "python": platform.python_version()}
+    for name in _LIBRARIES:
+        try:
+            versions[name] = version(name)
+        except PackageNotFoundError:
+            versions[name] = "absent"
+    return versions
+
+
+def now_utc() -> str:
+    """Return the present moment, UTC, ISO 8601; fixed by SOURCE_DATE_EPOCH for reproducible output."""
+    fixed = os.environ.get("SOURCE_DATE_EPOCH")
+    try:
+        moment = datetime.fromtimestamp(int(fixed), UTC) if fixed else datetime.now(UTC)
+    except (ValueError, OverflowError, OSError) as problem:
+        raise BadInput(f"SOURCE_DATE_EPOCH: expected seconds since 1970, got '{fixed}'") from problem
+    return moment.isoformat(timespec="seconds")

@@ -1,0 +1,194 @@
+"""One live frame to normals and depth: crop, rectification, background, inversion, integration."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.arrays import LinearImage, Mask
+from vntoolkit.checks import require_shape
+from vntoolkit.errors import BadInput, VntError
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.maps import DepthMap, NormalMap
+from vntoolkit.geometry.rectification import Rectification
+from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
+from vntoolkit.integration.options import IntegrationOptions
+from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
+from vntoolkit.io.footage.resampling import rectify_frame
+from vntoolkit.normals.inversion import InversionOptions
+from vntoolkit.photometry.rig import Rig
+from vntoolkit.pipeline.frame_processor import FrameProcessor
+from vntoolkit.pipeline.options import Product, ReconstructOptions
+from vntoolkit.shadows.detector import ShadowMethod
+
+_CLIPPED_SHARE = 0.01  # of all pixels: more ruins normals
+_DARK_SHARE = 0.05  # of full scale: the 99th percentile of a picture that is too dark
+_FEW = 0.02  # of all pixels: fewer normals than that mean that nothing is lit
+_WARMING = 4  # the second frame starts from the first one's depth, and memory is then still fresh
+_EVERY = 7  # pixel and row looked at for the exposure
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameView:
+    """What part of the camera's picture is worked on; the rig belongs to the result.
+
+    crop: left, top, width and height in pixels, or None. rectification: then applied, or None; its corners
+    count from the crop's.
+    """
+
+    crop: tuple[int, int, int, int] | None = None
+    rectification: Rectification | None = None
+
+    def require_inside(self, width: int, height: int) -> None:
+        """Raise unless the crop lies within a picture of this size."""
+        if self.crop is not None:
+            u, v, w, h = self.crop
+            if min(u, v) < 0 or min(w, h) < 1 or u + w > width or v + h > height:
+                raise BadInput(f"crop: {u} {v} {w} {h} does not lie within the {width}×{height} picture")
+
+    def size(self, width: int, height: int) -> tuple[int, int]:
+        """(width, height) of the result."""
+        if self.rectification is not None:
+            return self.rectification.size
+        return (width, height) if self.crop is None else self.crop[2:]
+
+    def cut(self, frame: EncodedFrame) -> EncodedFrame:
+        """Crop a frame."""
+        if self.crop is None:
+            return frame
+        u, v, w, h = self.crop
+        return replace(frame, values=np.ascontiguousarray(frame.values[v : v + h, u : u + w]))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LiveResult:
+    """What a live frame became. depth_map: of `LiveProcessor.depth_camera`, smaller where that is.
+
+    warnings: what a person should change about the exposure.
+    """
+
+    number: int
+    normal_map: NormalMap
+    depth_map: DepthMap | None
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LiveOptions:
+    """Options of the stages in live mode.
+
+    depth_px: longest side at which normals are integrated, pixels; they themselves keep their full size. The
+    masked integration of a whole frame would take longer than a frame lasts.
+    """
+
+    depth_px: int = 320
+    inversion: InversionOptions = field(default_factory=InversionOptions)
+    integration: IntegrationOptions = field(default_factory=IntegrationOptions)
+
+
+class LiveProcessor:
+    """Works on the frames of one source; the first one with a depth fixes the free offset of all."""
+
+    def __init__(
+        self,
+        rig: Rig,
+        view: FrameView | None = None,
+        options: LiveOptions | None = None,
+        mask: Mask | None = None,
+        background: EncodedFrame | None = None,
+    ) -> None:
+        """background: the scene under ambient light, or the untouched gel, as the camera sees it."""
+        options = options or LiveOptions()
+        self.rig, self.view = rig, view or FrameView()
+        self._background: LinearImage | None = None
+        if background is not None:
+            self._background = self._linear_values(background)
+            require_shape(self._background, (rig.camera.height, rig.camera.width, 3), "background")
+        reconstruction = ReconstructOptions(
+            to=Product.NORMALS,
+            shadows=ShadowMethod.NONE,
+            match_albedo=False,
+            inversion=options.inversion,
+            integration=options.integration,
+        )
+        rectified = self.view.rectification is not None
+        self._processor = FrameProcessor(
+            _of_linear_values(rig) if rectified else rig, reconstruction, mask, self._background
+        )
+        self._step = max(1, -(-max(self.camera.width, self.camera.height) // options.depth_px))
+        height, width = (n // self._step * self._step for n in (self.camera.height, self.camera.width))
+        self.depth_camera = self.camera.cropped(slice(0, height), slice(0, width)).scaled(1 / self._step)
+        self._integration = options.integration
+        self._integrator = DepthIntegrator(self.depth_camera, self._integration)
+        self._anchor: DepthAnchor | None = None
+
+    @property
+    def camera(self) -> Camera:
+        """The camera that results belong to."""
+        return self._processor.camera
+
+    def warm_up(self, frame: EncodedFrame) -> None:
+        """Work on a frame and forget it: what is compiled or loaded at first use costs no live frame then."""
+        with contextlib.suppress(VntError):  # a dark one warms up too
+            for _ in range(_WARMING):
+                self.process(frame)
+        self._processor.forget()
+        self._integrator, self._anchor = DepthIntegrator(self.depth_camera, self._integration), None
+
+    def process(self, frame: EncodedFrame) -> LiveResult:
+        """Return normals and depth of one frame; raise as `FrameProcessor.process` does."""
+        cut = self.view.cut(frame)
+        warnings = exposure_warnings(cut)
+        if self.view.rectification is not None:
+            cut = replace(cut, values=self._linear_values(frame), bits=32)
+        result = self._processor.process(cut)
+        depth_map = self._integrator.integrate(reduced(result.normal_map, self._step))
+        self._anchor = self._anchor or DepthAnchor(depth_map)
+        depth_map = self._anchor.align(depth_map)
+        if result.normal_map.mask.mean() < _FEW:
+            warnings = (*warnings, "hardly any pixel has a normal")
+        return LiveResult(
+            number=result.number, normal_map=result.normal_map, depth_map=depth_map, warnings=warnings
+        )
+
+    def _linear_values(self, frame: EncodedFrame) -> npt.NDArray[np.float32]:
+        linear = linear_frame_from_encoded(self.view.cut(frame), self.rig.transfer)
+        if self.view.rectification is not None:
+            linear = rectify_frame(linear, self.view.rectification)
+        return linear.rgb
+
+
+def reduced(normal_map: NormalMap, step: int) -> NormalMap:
+    """Return means over blocks of step × step pixels, of unit length; valid where half a block is."""
+    if step == 1:
+        return normal_map
+    height, width = (size // step * step for size in normal_map.shape)
+    rows_columns = [(v, u) for v in range(step) for u in range(step)]
+    cells = [(slice(v, height, step), slice(u, width, step)) for v, u in rows_columns]
+    total = np.sum([normal_map.normals_in_camera[cell] for cell in cells], axis=0)  # 0 where invalid
+    count = np.sum([normal_map.mask[cell] for cell in cells], axis=0)
+    length = np.linalg.norm(total, axis=2, keepdims=True)
+    mask = (2 * count >= step * step) & (length[..., 0] > 0)
+    unit = np.where(mask[..., None], total / np.maximum(length, 1e-9), 0)
+    return NormalMap(normals_in_camera=unit.astype(np.float32), mask=mask)
+
+
+def exposure_warnings(frame: EncodedFrame) -> tuple[str, ...]:
+    """Say where the stored values are clipped or too dark."""
+    values = frame.values[::_EVERY, ::_EVERY]
+    top = 2**frame.bits - 1 if values.dtype in (np.uint8, np.uint16) else 1.0
+    brightest = values.max(axis=2)
+    clipped = float(np.mean(brightest >= top))
+    if clipped > _CLIPPED_SHARE:
+        return (f"clipped: {clipped:.0%} of the pixels; expose less",)
+    if np.percentile(brightest, 99) < _DARK_SHARE * top:
+        return ("dark: expose more, or open the lens",)
+    return ()
+
+
+def _of_linear_values(rig: Rig) -> Rig:
+    """The rig for values that are linear already, their black level removed."""
+    return replace(rig, transfer=replace(rig.transfer, black_level=0.0))
