@@ -6,16 +6,14 @@ import cv2
 import numpy as np
 import pytest
 
-from vntoolkit.errors import BadCalibration, BadInput
+from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.photometry.frame import LinearFrame, count_lit
-from vntoolkit.photometry.response import LightResponse
 from vntoolkit.shadows.albedo import albedo_from_lit
 from vntoolkit.shadows.confidence import confidence_weight, gloss_trust
 from vntoolkit.shadows.detector import ShadowDetector
 from vntoolkit.shadows.filling import fill_smoothly
 from vntoolkit.shadows.grid_solver import grid_hierarchy, solve_grid
-from vntoolkit.shadows.light_colours import response_with_light_colours
 from vntoolkit.shadows.recovery import RecoveryMethod, RecoveryOptions, recover_normals, recover_surface
 from vntoolkit.shadows.surface import solve_surface
 from vntoolkit.shadows.surface_options import SurfaceOptions
@@ -183,21 +181,6 @@ def test_weights_fall_with_shadow_saturation_gloss_and_paint() -> None:
     assert gloss_trust(length, np.ones((1, 6)), labels == 7)[0, 5] < 0.1
 
 
-def test_light_colours_from_shadow_edges(steep_stage) -> None:
-    stage = steep_stage
-    known = stage.response.light_colours
-    unknown = LightResponse(matrix=stage.response.matrix)
-    found = response_with_light_colours([stage.frame], unknown).light_colours
-    axes = degrees(np.eye(3), known / np.linalg.norm(known, axis=1, keepdims=True))
-    left = degrees(
-        found / np.linalg.norm(found, axis=1, keepdims=True),
-        known / np.linalg.norm(known, axis=1, keepdims=True),
-    )
-    assert axes.min() > 6.0
-    assert left.max() < 1.5
-    assert np.abs(found - known).max() < 0.03
-
-
 def test_refusals(stage) -> None:
     with pytest.raises(BadInput, match="bytes from 0 to 7"):
         recover_normals(stage.frame, np.full(stage.mask.shape, 9, np.uint8), stage.response)
@@ -209,9 +192,6 @@ def test_refusals(stage) -> None:
         SurfaceOptions(iterations=0)
     with pytest.raises(BadInput, match="trust by lights"):
         SurfaceOptions(trust_by_lights=(1.0, -0.2, 1.0, 1.0))
-    flat = LinearFrame(rgb=np.full((40, 40, 3), 0.5, np.float32), clipped=np.zeros((40, 40), bool))
-    with pytest.raises(BadCalibration, match="0 shadow edge pixels of light 0"):
-        response_with_light_colours([flat], stage.response)
 
 
 def test_the_place_of_a_figure_in_its_frame_changes_nothing(stage) -> None:
