@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import logging
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -26,7 +24,7 @@ from vntoolkit.io.maps_and_meshes.label_images import read_labels
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
-from vntoolkit.io.results.manifest import Manifest, read_manifest
+from vntoolkit.io.results.manifest import Manifest, read_manifest, result_digest
 from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.io.rigs import rig_from_entry
 from vntoolkit.photometry.frame import LinearFrame
@@ -204,21 +202,3 @@ def open_result(
         footage=footage,
         background=background,
     )
-
-
-# Which reconstruction is it? What is made of one, tracks and exports, is not mixed with that of another.
-
-
-def result_digest(manifest: Manifest) -> str:
-    """Return the SHA-256 of what shapes a reconstruction: footage, mask, background, rig and options.
-
-    Frames may be added and the footage may be named otherwise, as for `io.manifest.changes_between`.
-    """
-    content = [
-        [file.model_dump() for file in manifest.input.files],
-        manifest.input.frame_rate_hz,
-        {name: file.model_dump() for name, file in manifest.extra_files.items()},
-        manifest.rig.model_dump(exclude={"quality", "sources"}),
-        manifest.options,
-    ]
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

@@ -17,9 +17,8 @@ from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import parse_json, read_text
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
-from vntoolkit.io.results.manifest import read_manifest
+from vntoolkit.io.results.manifest import read_manifest, result_digest
 from vntoolkit.io.rigs import rig_from_entry
-from vntoolkit.pipeline.opened_result import result_digest
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 
 _RECORD = "track.json"

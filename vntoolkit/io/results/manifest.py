@@ -6,6 +6,7 @@ beside it (`frame_log`), one short line each, so that 10,000 frames cost no more
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import platform
@@ -155,3 +156,18 @@ def now_utc() -> str:
     except (ValueError, OverflowError, OSError) as problem:
         raise BadInput(f"SOURCE_DATE_EPOCH: expected seconds since 1970, got '{fixed}'") from problem
     return moment.isoformat(timespec="seconds")
+
+
+def result_digest(manifest: Manifest) -> str:
+    """Return the SHA-256 of what shapes a reconstruction: footage, mask, background, rig and options.
+
+    Frames may be added and the footage may be named otherwise, as for `changes_between`.
+    """
+    content = [
+        [file.model_dump() for file in manifest.input.files],
+        manifest.input.frame_rate_hz,
+        {name: file.model_dump() for name, file in manifest.extra_files.items()},
+        manifest.rig.model_dump(exclude={"quality", "sources"}),
+        manifest.options,
+    ]
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
