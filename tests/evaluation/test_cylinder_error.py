@@ -6,13 +6,13 @@ from vntoolkit.errors import BadInput
 from vntoolkit.evaluation.cylinder import (
     Cylinder,
     axis_error_deg,
-    camera_rays,
     intersect,
     radius_from_distance,
     side_angles,
 )
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.geometry.rays import pixel_rays
 
 CAMERA = Camera.pinhole(width=200, height=160, focal_px=800)
 AXIS = np.array([0.3, 0.9, -0.4]) / np.linalg.norm([0.3, 0.9, -0.4])
@@ -24,7 +24,7 @@ POINT = 0.1 * CENTRE  # on the true axis of a cylinder of radius 0.1
 def with_cap(half_length: float) -> NormalMap:
     """The side to one end; beyond it the cap, whose normal is the axis' direction towards the camera."""
     exact = cylinder_normals(CYLINDER, CAMERA)
-    along = intersect(CYLINDER, *camera_rays(CAMERA, CAMERA.pixel_grid())).along
+    along = intersect(CYLINDER, *pixel_rays(CAMERA, CAMERA.pixel_grid())).along
     middle = (CENTRE - CYLINDER.centre) @ AXIS
     cap = -np.sign(AXIS[2]) * AXIS
     normals = np.where((along > middle + half_length)[..., None], cap, exact.normals_in_camera)

@@ -20,7 +20,6 @@ from tests.calibration.turning_egg import (
 from vntoolkit.calibration.head.hull import HullOptions, View, box_about_points, fit_hull
 from vntoolkit.calibration.head.poses import PoseOptions
 from vntoolkit.calibration.head.samples import SampleOptions
-from vntoolkit.calibration.head.shape import FusionOptions, Surface, fit_shape
 from vntoolkit.calibration.head.stereo import StereoOptions
 from vntoolkit.calibration.head.tracks import TrackOptions
 from vntoolkit.errors import BadCalibration, BadInput
@@ -102,23 +101,6 @@ def require_closed_and_outward(mesh):
     # and its triangles face outwards
     a, b, c = (mesh.vertices[faces[:, k]] for k in range(3))
     assert np.einsum("ij,ij->", a, np.cross(b, c)) > 0
-
-
-def test_averaged_distances_better_the_hull_too(footage, calibrated):
-    _, result = calibrated
-    motion = result.motion
-    views = [
-        View(camera=motion.camera, camera_from_head=pose, mask=silhouette.mask)
-        for pose, silhouette in zip(motion.camera_from_head, result.footage.silhouettes, strict=True)
-    ]
-    grid = fit_hull(views[::2], box_about_points(motion.points_in_head), OPTIONS.hull)
-    mesh = fit_shape(
-        views, result.footage.contrasts, grid, OPTIONS.stereo, FusionOptions(surface=Surface.TSDF)
-    )
-    assert surface_error(mesh, motion, footage[1]) < min(
-        surface_error(result.hull, motion, footage[1]), 0.003
-    )
-    require_closed_and_outward(mesh)
 
 
 @pytest.mark.slow

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from vntoolkit.geometry.mesh import vertex_normals
+from vntoolkit.geometry.rays import RayScene
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.photometry.frame import ALL_LIT, lit_from_labels
 from vntoolkit.simulation.grids import grid_faces
 from vntoolkit.simulation.image_formation import true_response
 from vntoolkit.simulation.lights import Lighting
 from vntoolkit.simulation.nuisances import Nuisances
-from vntoolkit.simulation.ray_casting import RayCaster
 from vntoolkit.simulation.render import Renderer, RenderOptions, frame_generator, render_frame
 from vntoolkit.simulation.rigid.sphere import ball_mesh
 from vntoolkit.simulation.scene import Detail, Scene, SceneOptions, Surface, build_scene
@@ -137,10 +137,10 @@ def test_shadows_equal_an_independent_ray_triangle_test():
     corners = generator.uniform(-0.4, 0.4, (60, 1, 3)) + generator.normal(0, 0.12, (60, 3, 3))
     triangles = corners + studio_centre()
     vertices = triangles.reshape(-1, 3)
-    caster = RayCaster(vertices, np.arange(180).reshape(60, 3))
+    caster = RayScene((vertices, np.arange(180).reshape(60, 3)))
     origins = studio_centre() + generator.uniform(-0.6, 0.6, (400, 3))
     for lamp in studio_lights().positions:
-        blocked = caster.blocked(origins, np.broadcast_to(lamp, origins.shape))
+        blocked = caster.blocked(origins, targets=np.broadcast_to(lamp, origins.shape))
         expected = np.array([hit_by_triangle(o, lamp, triangles).any() for o in origins])
         assert 0.1 < expected.mean() < 0.9
         assert np.array_equal(blocked, expected)

@@ -8,8 +8,8 @@ import pytest
 
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.geometry.board_layout import MARKER_DICTIONARY, BoardLayout
+from vntoolkit.geometry.rays import RayScene
 from vntoolkit.simulation.nuisances import Nuisances, each_turned_off, nuisance_names
-from vntoolkit.simulation.ray_casting import RayCaster
 from vntoolkit.simulation.render import Renderer, RenderOptions, frame_generator, render_frame
 from vntoolkit.simulation.scene import SCENES, SceneOptions, build_scene
 
@@ -91,7 +91,7 @@ def test_faces_look_outwards(name):
     vertices, faces = scene.vertices(0), scene.surface.faces
     directions = scene.camera.unproject(scene.camera.pixel_grid(), np.ones((120, 160))).reshape(-1, 3)
     rays = np.concatenate([np.zeros_like(directions), directions], axis=1).astype(np.float32)
-    hits = RayCaster(vertices, faces).first_hits(rays, np.arange(len(rays)))
+    hits = RayScene((vertices, faces)).first_hits(rays)
     a, b, c = (vertices[faces[hits.faces, i]] for i in range(3))
     facing = np.sum(np.cross(b - a, c - a) * directions[hits.rays], axis=1) < 0
     assert facing.mean() > (0.97 if name == "jacket" else 0.9999)

@@ -11,6 +11,7 @@ from vntoolkit.errors import BadInput
 from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.geometry.rays import pixel_rays
 
 _FEWEST_PIXELS = 200
 _SIDE_DEG = 45.0  # an end's normals are 90 degrees from the side's
@@ -37,14 +38,6 @@ class Intersection:
     normals: FloatArray
     along: FloatArray
     hit: Mask
-
-
-def camera_rays(camera: Camera, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return origins and directions (..., 3) of the rays of pixels (..., 2) in the camera frame."""
-    points = camera.unproject(pixels, np.ones(pixels.shape[:-1]))
-    if camera.is_perspective:
-        return np.zeros_like(points), points
-    return points * [1.0, 1.0, 0.0], np.broadcast_to([0.0, 0.0, 1.0], points.shape)
 
 
 def intersect(cylinder: Cylinder, origins: FloatArray, rays: FloatArray) -> Intersection:
@@ -109,7 +102,7 @@ def side_angles(cylinder: Cylinder, normal_map: NormalMap, camera: Camera, name:
     The ends' discs are left out by where they lie along the axis, not pixel by pixel, so that bad normals on
     the side still count. Raises `BadInput` where too little of the side is seen.
     """
-    met = intersect(cylinder, *camera_rays(camera, camera.pixel_grid()))
+    met = intersect(cylinder, *pixel_rays(camera, camera.pixel_grid()))
     seen = normal_map.mask & met.hit
     angles = np.where(seen, angles_between_deg(normal_map.normals_in_camera, met.normals), 0.0)
     low, high = _extent(met.along[seen], angles[seen] < _SIDE_DEG)

@@ -19,7 +19,6 @@ from vntoolkit.errors import BadInput, SolverFailed
 from vntoolkit.evaluation.cylinder import (
     Cylinder,
     across_axis,
-    camera_rays,
     distance_from_touching_px,
     intersect,
     least_aligned,
@@ -28,6 +27,7 @@ from vntoolkit.evaluation.cylinder import (
 from vntoolkit.evaluation.silhouette import contour_of
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.geometry.rays import pixel_rays
 
 _MOST_SAMPLES = 20000
 _FEWEST_PIXELS = 200
@@ -121,7 +121,7 @@ def _fit_frame(
 ) -> Cylinder:
     normals = seen.normals.astype(np.float64)
     start = start_from_normals(
-        normals, *camera_rays(camera, seen.pixels), options.support_deg, camera.is_perspective, rng, seen.name
+        normals, *pixel_rays(camera, seen.pixels), options.support_deg, camera.is_perspective, rng, seen.name
     )
     return _refine(seen, start, camera, options, 1.0 if camera.is_perspective else None)
 
@@ -157,7 +157,7 @@ def _refine(
     """
     for round_ in range(_ROUNDS):
         tolerance_deg = options.parallel_deg * (2.5 if round_ == 0 else 1.0)
-        origins, rays = camera_rays(camera, _side_points(seen, start, camera, tolerance_deg))
+        origins, rays = pixel_rays(camera, _side_points(seen, start, camera, tolerance_deg))
         ends = end_points(seen.contour, seen.outward, start, camera) if round_ >= _ROUNDS_WITHOUT_ENDS else ()
         scatter = _scatter(seen, start, camera)
         start = _solve(start, origins, rays, ends, scatter, camera, options, radius)
@@ -171,7 +171,7 @@ def _scatter(seen: _Observation, cylinder: Cylinder, camera: Camera) -> Matrix3:
     weights of the angle between measured and expected normal, whose median is 1.18 spreads of a component.
     And wrong normals err together, where a light is blocked or mirrored: Cauchy's weights of whole strips.
     """
-    met = intersect(cylinder, *camera_rays(camera, seen.pixels))
+    met = intersect(cylinder, *pixel_rays(camera, seen.pixels))
     if not met.hit.any():
         raise SolverFailed(f"cylinder: in {seen.name} the cylinder of the normals lies beside the silhouette")
     normals, expected = seen.normals[met.hit].astype(np.float64), met.normals[met.hit]
@@ -369,7 +369,7 @@ def end_points(
 
 def along_axis(cylinder: Cylinder, pixel: FloatArray, camera: Camera) -> float:
     """Where the axis passes nearest to a pixel's ray, from the centre, in the cylinder's unit of length."""
-    origin, ray = camera_rays(camera, pixel)
+    origin, ray = pixel_rays(camera, pixel)
     ray = ray / np.linalg.norm(ray)
     offset = origin - cylinder.centre
     slant = float(cylinder.axis @ ray)

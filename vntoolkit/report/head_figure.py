@@ -13,8 +13,8 @@ from vntoolkit.calibration.fit import angles_deg
 from vntoolkit.calibration.head.hull import turn_angles_deg
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.geometry.rays import RayScene, pixel_rays
 from vntoolkit.geometry.rigid import RigidTransform
-from vntoolkit.native import import_open3d
 from vntoolkit.pipeline.calibrate import CalibrationJob
 from vntoolkit.pipeline.calibrate_head import HeadCalibration
 from vntoolkit.report.pictures import displayed
@@ -161,17 +161,9 @@ def draw_meshes(axis: Any, result: HeadCalibration) -> None:
 
 def _shading(mesh: Mesh, camera: Camera, pose: RigidTransform) -> FloatArray:
     """Return (h, w) how much the mesh faces the camera, 0 to 1, and −1 beside it."""
-    o3d = import_open3d()
-    scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(
-        o3d.core.Tensor(np.ascontiguousarray(pose.apply(mesh.vertices), dtype=np.float32)),
-        o3d.core.Tensor(np.ascontiguousarray(mesh.faces, dtype=np.uint32)),
-    )
-    directions = camera.unproject(camera.pixel_grid(), np.ones((camera.height, camera.width)))
-    rays = np.concatenate([np.zeros_like(directions), directions], axis=-1).astype(np.float32)
-    hits = scene.cast_rays(o3d.core.Tensor(rays))
-    facing = np.abs(hits["primitive_normals"].numpy()[..., 2])
-    return np.where(np.isfinite(hits["t_hit"].numpy()), facing, -1.0)
+    rays = np.concatenate(pixel_rays(camera, camera.pixel_grid()), axis=-1).reshape(-1, 6)
+    hits = RayScene((pose.apply(mesh.vertices), mesh.faces)).first_hits(rays)
+    return hits.image(np.abs(hits.normals[:, 2]), (camera.height, camera.width), -1.0)
 
 
 def _overlap(first: Mask, second: Mask) -> float:

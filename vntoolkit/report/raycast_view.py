@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from vntoolkit.arrays import Colours, FloatArray, Points, Vector3
 from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.native import import_open3d
+from vntoolkit.geometry.rays import RayScene
 
 BACKGROUND = (0.93, 0.94, 0.96)
 PLAIN = (0.66, 0.65, 0.62)  # of a mesh without colours
@@ -55,25 +55,17 @@ class View:
 
 def picture_of(meshes: Sequence[Mesh], view: View) -> npt.NDArray[np.uint8]:
     """Render meshes in the camera frame; returns (h, w, 3) uint8 RGB. Both sides of a face are lit."""
-    o3d = import_open3d()
-    scene = o3d.t.geometry.RaycastingScene()
     turned = [(mesh.vertices - view.centre) @ view.view_from_world.T for mesh in meshes]
-    for mesh, vertices in zip(meshes, turned, strict=True):
-        scene.add_triangles(
-            o3d.core.Tensor(np.ascontiguousarray(vertices, dtype=np.float32)),
-            o3d.core.Tensor(np.ascontiguousarray(mesh.faces, dtype=np.uint32)),
-        )
+    scene = RayScene(*((vertices, mesh.faces) for vertices, mesh in zip(turned, meshes, strict=True)))
     finer = replace(view, width_px=_FINER * view.width_px, height_px=_FINER * view.height_px)
-    hits = scene.cast_rays(o3d.core.Tensor(_rays(finer, turned)))
-    geometry = hits["geometry_ids"].numpy()
-    picture = np.tile(np.array(BACKGROUND, np.float32), (finer.height_px, finer.width_px, 1))
+    hits = scene.first_hits(_rays(finer, turned).reshape(-1, 6))
+    picture = np.tile(np.array(BACKGROUND, np.float32), (finer.height_px * finer.width_px, 1))
     for index, mesh in enumerate(meshes):
-        seen = geometry == index
-        faces = mesh.faces[hits["primitive_ids"].numpy()[seen]]
-        corners = np.asarray(hits["primitive_uvs"].numpy()[seen])
+        seen = hits.surfaces == index
+        corners = hits.barycentric[seen]
         shares = np.column_stack([1 - corners.sum(axis=1), corners])
-        normals = hits["primitive_normals"].numpy()[seen]
-        picture[seen] = _shaded(_colours_at(mesh, faces, shares), normals)
+        colours = _colours_at(mesh, mesh.faces[hits.faces[seen]], shares)
+        picture[hits.rays[seen]] = _shaded(colours, hits.normals[seen])
     cells = picture.reshape(view.height_px, _FINER, view.width_px, _FINER, 3)
     return (np.clip(cells.mean(axis=(1, 3)), 0, 1) * 255 + 0.5).astype(np.uint8)
 

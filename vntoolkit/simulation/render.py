@@ -13,9 +13,9 @@ from vntoolkit.arrays import FloatArray, Flow, LinearImage, Mask, Points, Visibi
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.geometry.mesh import vertex_normals
+from vntoolkit.geometry.rays import Hits, RayScene, pixel_rays
 from vntoolkit.photometry.frame import LinearFrame, labels_from_lit
 from vntoolkit.simulation.nuisances import Nuisances, expose
-from vntoolkit.simulation.ray_casting import Hits, RayCaster
 from vntoolkit.simulation.scene import Scene
 from vntoolkit.simulation.shading import Shader
 
@@ -107,16 +107,16 @@ class Renderer:
     def _sample(self, vertices: Points) -> tuple[_Sums, Hits]:
         """Cast and shade every sample of every pixel; also return what the pixels' centres met."""
         faces = self.scene.surface.faces
-        caster = RayCaster(vertices, faces, self.options.threads)
+        scene = RayScene((vertices, faces), threads=self.options.threads)
         normals = vertex_normals(vertices, faces)
         sums = _Sums.of(self.scene.camera.width * self.scene.camera.height)
         centre_hits: Hits | None = None
         window = self._window(vertices)
         for rays in self._rays:
-            hits = caster.first_hits(rays, window)
+            hits = scene.first_hits(rays, window)
             if centre_hits is None:
                 centre_hits = hits
-            shaded = self._shader.shade(vertices, normals, hits, caster)
+            shaded = self._shader.shade(vertices, normals, hits, scene)
             sums.colours[hits.rays] += shaded.colours
             sums.normals[hits.rays] += shaded.normals
             sums.lit[hits.rays] += shaded.lit
@@ -142,9 +142,7 @@ class Renderer:
         all_rays = []
         for offset in _PATTERNS[self.options.samples]:
             pixels = (camera.pixel_grid() + np.array(offset)).reshape(-1, 2)
-            rays = np.zeros((len(pixels), 6), np.float32)
-            rays[:, 3:] = camera.unproject(pixels, np.ones(len(pixels)))
-            all_rays.append(rays)
+            all_rays.append(np.concatenate(pixel_rays(camera, pixels), axis=1, dtype=np.float32))
         return all_rays
 
     def _truth(self, vertices: Points, next_vertices: Points | None, sums: _Sums, hits: Hits) -> FrameTruth:

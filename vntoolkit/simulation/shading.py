@@ -10,10 +10,10 @@ import numpy.typing as npt
 from numba import njit
 
 from vntoolkit.arrays import FloatArray, Points
+from vntoolkit.geometry.rays import Hits, RayScene
 from vntoolkit.simulation.image_formation import exposure_of_scene
 from vntoolkit.simulation.lights import MOST_LIGHTS
 from vntoolkit.simulation.nuisances import Nuisances
-from vntoolkit.simulation.ray_casting import Hits, RayCaster
 from vntoolkit.simulation.scene import Detail, Scene
 
 _FAR_M = 100.0  # a parallel light's shadow rays end here
@@ -53,13 +53,13 @@ class Shader:
             np.asarray(surface.gloss if nuisances.gloss else 0.0, np.float64), (scene.vertex_count,)
         )
 
-    def shade(self, vertices: Points, normals: Points, hits: Hits, caster: RayCaster) -> Shaded:
+    def shade(self, vertices: Points, normals: Points, hits: Hits, rays: RayScene) -> Shaded:
         """Shade where rays hit the mesh at `vertices` with unit vertex `normals`, both (n, 3)."""
         points, shading, origins = sample_geometry(
             vertices, normals, self._faces, hits.faces, hits.barycentric
         )
         self._tilt(shading, points, vertices, hits)
-        lit = self._unblocked(origins, caster)
+        lit = self._unblocked(origins, rays)
         exposure, lights = self._exposure, self._scene.lights
         colours = shade(
             points, shading, self._weights(hits), self._at_hits(self._gloss[:, None], hits)[:, 0],
@@ -81,7 +81,7 @@ class Shader:
             slopes *= self._at_hits(np.asarray(detail.strength, np.float64)[:, None], hits)
         tilt_normals(shading, points, slopes, vertices, self._faces, self._uv, hits.faces)
 
-    def _unblocked(self, origins: Points, caster: RayCaster) -> npt.NDArray[np.bool_]:
+    def _unblocked(self, origins: Points, rays: RayScene) -> npt.NDArray[np.bool_]:
         lit = np.ones((len(origins), len(self._scene.lights)), dtype=np.bool_)
         if not self._nuisances.shadows:
             return lit
@@ -90,7 +90,7 @@ class Shader:
                 targets = np.broadcast_to(position, origins.shape)
             else:
                 targets = origins + _FAR_M * self._exposure.directions[k]
-            lit[:, k] = ~caster.blocked(origins, targets)
+            lit[:, k] = ~rays.blocked(origins, targets=targets)
         return lit
 
     def _weights(self, hits: Hits) -> FloatArray:

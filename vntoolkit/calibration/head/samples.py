@@ -13,8 +13,8 @@ from vntoolkit.arrays import FloatArray, IntArray, Mask, Points, Vectors, read_o
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
+from vntoolkit.geometry.rays import RayScene
 from vntoolkit.geometry.rigid import RigidTransform
-from vntoolkit.native import import_open3d
 from vntoolkit.photometry.frame import LinearFrame
 
 _OFF_SURFACE = 0.004  # of the diagonal: rays start so far out, beyond the mesh's own roughness
@@ -71,20 +71,13 @@ class HeadRays:
     """Asks whether a point of the head sees a direction or is covered by the head itself."""
 
     def __init__(self, mesh: Mesh) -> None:
-        o3d = import_open3d()
-        self._tensor = o3d.core.Tensor
-        self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
-        self._scene.add_triangles(
-            self._tensor(np.ascontiguousarray(mesh.vertices, dtype=np.float32)),
-            self._tensor(np.ascontiguousarray(mesh.faces, dtype=np.uint32)),
-        )
+        self._scene = RayScene((mesh.vertices, mesh.faces), threads=1)
         normals = vertex_normals(mesh.vertices, mesh.faces)
         self._starts = mesh.vertices + _OFF_SURFACE * mesh.diagonal * normals
 
     def free(self, vertex: IntArray, directions_in_head: Vectors) -> npt.NDArray[np.bool_]:
         """Return for vertices (n,) whether nothing lies in their directions (n, 3)."""
-        rays = np.concatenate([self._starts[vertex], directions_in_head], axis=1)
-        return ~self._scene.test_occlusions(self._tensor(rays.astype(np.float32))).numpy()
+        return ~self._scene.blocked(self._starts[vertex], directions=directions_in_head)
 
 
 def sample_head(

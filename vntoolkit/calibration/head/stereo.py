@@ -18,7 +18,7 @@ from vntoolkit.calibration.head.hull import View, neighbours_of
 from vntoolkit.calibration.head.silhouettes import box_of_mask
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.native import import_open3d
+from vntoolkit.geometry.rays import RayScene, pixel_rays
 
 _BORDER_PX = 12  # beyond the silhouette's box, for windows
 _STEP_PX = 0.6  # that a point moves in the furthest neighbour from shell to shell
@@ -114,22 +114,13 @@ def stereo_points(
 
 def hull_depth(view: View, hull: Mesh, rows: slice, columns: slice) -> tuple[FloatArray, FloatArray]:
     """Return depth (h, w) of the hull in the window, 0 where it is not hit, and the cosine to the ray."""
-    o3d = import_open3d()
-    scene = o3d.t.geometry.RaycastingScene()
-    vertices = view.camera_from_head.apply(hull.vertices)
-    scene.add_triangles(
-        o3d.core.Tensor(np.ascontiguousarray(vertices, dtype=np.float32)),
-        o3d.core.Tensor(np.ascontiguousarray(hull.faces, dtype=np.uint32)),
-    )
     pixels = view.camera.pixel_grid()[rows, columns]
-    directions = view.camera.unproject(pixels, np.ones(pixels.shape[:2])).astype(np.float32)
-    rays = np.concatenate([np.zeros_like(directions), directions], axis=-1)
-    hits = scene.cast_rays(o3d.core.Tensor(rays))
-    depth = hits["t_hit"].numpy()
-    hit = np.isfinite(depth)
-    normals = hits["primitive_normals"].numpy()
-    cosine = -(normals * directions).sum(-1) / np.linalg.norm(directions, axis=-1)
-    return np.where(hit, depth, 0.0).astype(np.float32), np.where(hit, cosine, 0.0)
+    rays = np.concatenate(pixel_rays(view.camera, pixels), axis=-1, dtype=np.float32)
+    hits = RayScene((view.camera_from_head.apply(hull.vertices), hull.faces)).first_hits(rays.reshape(-1, 6))
+    directions = rays.reshape(-1, 6)[hits.rays, 3:]
+    cosine = -(hits.normals * directions).sum(-1) / np.linalg.norm(directions, axis=-1)
+    shape = (pixels.shape[0], pixels.shape[1])
+    return hits.image(hits.distances, shape, 0.0), hits.image(cosine, shape, 0.0)
 
 
 def _shells(view: View, hull: Mesh, options: StereoOptions, depth: float) -> FloatArray:
