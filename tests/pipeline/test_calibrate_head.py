@@ -17,7 +17,7 @@ from tests.calibration.turning_egg import (
     turning_poses,
     write_frames,
 )
-from vntoolkit.calibration.head.hull import HullOptions, View, box_about_points, fit_hull
+from vntoolkit.calibration.head.hull import HullOptions
 from vntoolkit.calibration.head.poses import PoseOptions
 from vntoolkit.calibration.head.samples import SampleOptions
 from vntoolkit.calibration.head.stereo import StereoOptions
