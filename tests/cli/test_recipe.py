@@ -15,9 +15,8 @@ ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "recipes").glob("*.py")), ids=lambda p: p.stem)
-def test_a_recipe_is_short_and_says_what_it_does(path: Path) -> None:
+def test_a_recipe_says_what_it_does(path: Path) -> None:
     text = path.read_text()
-    assert len(text.splitlines()) <= 80
     assert len(recipe.summary_of(path)) > 20
     assert f"recipes/{path.name}" in (ast.get_docstring(ast.parse(text)) or "")
     assert "--out" in text
