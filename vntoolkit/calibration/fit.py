@@ -92,8 +92,9 @@ def fit_response(
     verb: str = "fit",
     rng: np.random.Generator | None = None,
 ) -> ResponseFit:
-    """Fit M (and ambient a) to pairs of normal and linear colour, both (n, 3) (brostow2011, III-A and IV).
+    """Equation 4: fit the 3×4 M, r = [M a] [n; 1], to pairs of normal and linear colour, both (n, 3).
 
+    Without ambient light (the default) a = 0 and M is 3×3. Sections III-A and IV of brostow2011.
     clipped: (n,) pairs with a saturated channel, left out. verb: goes into the quality's `method`.
     rng: draws the minimal samples; needed by MSAC only. Logs a warning where the normals span a narrow cone.
     Raises `BadCalibration` where the pairs are too few, all dark or clipped, or do not determine M.

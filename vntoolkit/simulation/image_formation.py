@@ -32,8 +32,8 @@ class Exposure:
     distances_m: FloatArray
 
 
-def light_share(spectrum: FloatArray, reflectance: FloatArray, sensitivities: FloatArray) -> Vector3:
-    """Equation 2's integral over wavelength: ∫ S_k(λ) ρ(λ) ν_i(λ) dλ for i = red, green, blue; (3,)."""
+def light_colour(spectrum: FloatArray, reflectance: FloatArray, sensitivities: FloatArray) -> Vector3:
+    """Equation 2: ∫ S_k(λ) ρ(λ) ν_i(λ) dλ for i = red, green, blue; (3,)."""
     return colour_from_spectrum(np.asarray(spectrum) * reflectance, sensitivities)
 
 
@@ -48,8 +48,8 @@ def exposure_of_scene(scene: Scene, nuisances: Nuisances) -> Exposure:
     The exposure is that of the full scene whichever nuisance is off, so that nothing else changes.
     """
     lights, pigments, sensor = scene.lights, scene.surface.pigments, scene.sensitivities
-    colours = np.array([[light_share(s, p, sensor) for p in pigments] for s in lights.spectra])
-    ambient = np.array([light_share(lights.ambient_spectrum, p, sensor) for p in pigments])
+    colours = np.array([[light_colour(s, p, sensor) for p in pigments] for s in lights.spectra])
+    ambient = np.array([light_colour(lights.ambient_spectrum, p, sensor) for p in pigments])
     gloss = colour_from_spectrum(lights.spectra, sensor)
     towards = lights.positions - scene.centre
     distances = np.linalg.norm(towards, axis=1)

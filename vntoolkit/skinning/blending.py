@@ -28,8 +28,9 @@ def skinned_vertices(
     rest_from_model: FloatArray,
     blend: Blend = Blend.LINEAR,
 ) -> Points:
-    """Move captured vertices (n, 3) with the skeleton: v' = Σ_i w_i S_i R_i⁻¹ v. Returns (n, 3) float64.
+    """Equation 8: v' = Σ_i w_i S_i R_i⁻¹ v, captured vertices (n, 3) moved with the skeleton.
 
+    Returns (n, 3) float64. Blend.DUAL_QUATERNION mixes the motions S_i R_i⁻¹ as rigid ones instead.
     posed_from_model S and rest_from_model R: (j, 4, 4) rigid, the pose now and the pose of attachment.
     """
     require_shape(vertices, (len(weights.weights), 3), "vertices to skin")
