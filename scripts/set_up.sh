@@ -1,6 +1,6 @@
 #!/bin/sh
-# Sets up everything that vntoolkit needs on Debian 12 or Ubuntu 24.04: system libraries (when it may install
-# them, else it prints the line that does), a virtual environment in .venv, and the locked Python packages.
+# Sets up everything that vntoolkit needs on Debian and Ubuntu: system libraries (when it may install them,
+# else it prints the line that does), a virtual environment in .venv, and the locked Python packages.
 set -eu
 cd "$(dirname "$0")/.."
 
@@ -11,12 +11,15 @@ has_library() { { /sbin/ldconfig -p 2>/dev/null || ldconfig -p; } | grep -q "$1"
 
 command -v "$python" >/dev/null 2>&1 || wanted="$wanted python3"
 "$python" -c 'import venv, ensurepip' >/dev/null 2>&1 || wanted="$wanted python3-venv"
-# open3d needs the first four; without libOpenGL pymeshlab imports but cannot save a .ply file
+# open3d needs the first four, pymeshlab the last three; without libOpenGL it cannot save a .ply file.
+# vntoolkit/native.py holds the same list.
 has_library libGL.so.1 || wanted="$wanted libgl1"
 has_library libEGL.so.1 || wanted="$wanted libegl1"
 has_library libusb-1.0.so.0 || wanted="$wanted libusb-1.0-0"
-has_library libgomp.so.1 || wanted="$wanted libgomp1"
+has_library libidn2.so.0 || wanted="$wanted libidn2-0"
 has_library libOpenGL.so.0 || wanted="$wanted libopengl0"
+has_library libcom_err.so.2 || wanted="$wanted libcom-err2"
+has_library libp11-kit.so.0 || wanted="$wanted libp11-kit0"
 
 if [ -n "$wanted" ]; then
     install="apt-get install -y --no-install-recommends$wanted"

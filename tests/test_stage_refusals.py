@@ -178,14 +178,42 @@ def test_scenes_that_cannot_be_filmed():
 
 
 def test_libraries_that_are_not_there_are_named_with_the_line_that_installs_them(monkeypatch):
-    monkeypatch.setattr(native, "missing_packages", lambda libraries: ["libgl1", "libegl1"])
+    lacked = {"libGL.so.1": "libgl1", "libEGL.so.1": "libegl1"}
+    monkeypatch.setattr(native, "missing_libraries", lambda libraries: lacked)
     monkeypatch.delitem(sys.modules, "open3d", raising=False)
-    with pytest.raises(MissingDependency, match=r"open3d needs .* sudo apt-get install libgl1 libegl1"):
+    with pytest.raises(
+        MissingDependency,
+        match=r"open3d needs libGL.so.1, libEGL.so.1, .*: sudo apt-get install libegl1 libgl1",
+    ):
         native.import_open3d()
-    monkeypatch.setattr(native, "missing_packages", lambda libraries: [])
+    monkeypatch.setattr(native, "missing_libraries", lambda libraries: {})
     monkeypatch.setitem(sys.modules, "open3d", None)
-    with pytest.raises(MissingDependency, match=r"cannot import open3d .*: pip install --upgrade open3d"):
+    with pytest.raises(
+        MissingDependency, match=r"cannot import open3d .*: pip install --force-reinstall open3d"
+    ):
         native.import_open3d()
+
+
+@pytest.mark.parametrize(
+    ("said", "line"),
+    [
+        ("libidn2.so.0: cannot open shared object file: No such file", "sudo apt-get install libidn2-0"),
+        (
+            "libnew-1.2.so.3: cannot open shared object file",
+            r"install the package that holds libnew-1.2.so.3",
+        ),
+    ],
+)
+def test_a_library_that_only_the_loader_names_is_named(monkeypatch, said, line):
+    """A library that another one needs in turn is not on our list of what is looked for first."""
+
+    def refuse(module):
+        raise ImportError(said)
+
+    monkeypatch.setattr(native, "missing_libraries", lambda libraries: {})
+    monkeypatch.setattr(native.importlib, "import_module", refuse)
+    with pytest.raises(MissingDependency, match=rf"pymeshlab needs {said.split(':')[0]}, .*: {line}"):
+        native.import_pymeshlab()
 
 
 def test_a_linear_solver_that_runs_out_of_iterations(rng):

@@ -1,7 +1,7 @@
 """The doors to open3d, pymeshlab and OpenCV's threads: check system libraries first, import late.
 
 Without libGL open3d ends in a traceback, and without libOpenGL pymeshlab imports but cannot save a
-.ply file. Both are turned into one line that says what to install.
+.ply file. Each is turned into one line that names the library and the package that holds it.
 """
 
 from __future__ import annotations
@@ -10,33 +10,75 @@ import contextlib
 import ctypes
 import importlib
 import os
+import re
 import sys
 import threading
 from collections.abc import Iterator
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from vntoolkit.errors import MissingDependency
 
-# shared object -> Debian and Ubuntu package
-OPEN3D_LIBRARIES = {"libGL.so.1": "libgl1", "libEGL.so.1": "libegl1", "libusb-1.0.so.0": "libusb-1.0-0"}
-PYMESHLAB_LIBRARIES = {"libGL.so.1": "libgl1", "libOpenGL.so.0": "libopengl0"}
+# Shared object -> Debian and Ubuntu package. What a wheel brings along, or every system has, is not here.
+OPEN3D_LIBRARIES = {
+    "libGL.so.1": "libgl1",
+    "libEGL.so.1": "libegl1",
+    "libusb-1.0.so.0": "libusb-1.0-0",
+    "libidn2.so.0": "libidn2-0",
+}
+PYMESHLAB_LIBRARIES = {
+    "libGL.so.1": "libgl1",
+    "libOpenGL.so.0": "libopengl0",
+    "libcom_err.so.2": "libcom-err2",
+    "libp11-kit.so.0": "libp11-kit0",
+}
+# Open3D is published twice: without CUDA, for Linux on x86-64 only, and with it, for every system.
+OPEN3D_DISTRIBUTIONS = ("open3d-cpu", "open3d")
+
+# What the loader of glibc says, of any library and of those that it needs in turn.
+_NOT_LOADED = re.compile(r"([\w+.-]+\.so[.\d]*): cannot open shared object file")
+
 _TRIM_THRESHOLD, _TOP_PAD, _MMAP_THRESHOLD = -1, -2, -3  # of mallopt(3)
 _KEPT_BYTES = 1 << 30
 _MORE_THAN_A_HEAP = 1 << 27  # bytes; threads other than the first have heaps of half of that
 _lock = threading.Lock()
 
 
-def missing_packages(libraries: dict[str, str]) -> list[str]:
-    """Return the Debian/Ubuntu packages of those shared libraries that cannot be loaded."""
+def missing_libraries(libraries: dict[str, str]) -> dict[str, str]:
+    """Return those of the shared libraries that cannot be loaded, with their Debian and Ubuntu packages."""
     if not sys.platform.startswith("linux"):
-        return []
-    missing = []
+        return {}
+    missing = {}
     for library, package in libraries.items():
         try:
             ctypes.CDLL(library)
         except OSError:
-            missing.append(package)
+            missing[library] = package
     return missing
+
+
+def remedy(libraries: dict[str, str]) -> str:
+    """Return the line that installs shared libraries; an empty package is one that we do not know."""
+    packages = sorted({package for package in libraries.values() if package})
+    unknown = [library for library, package in libraries.items() if not package]
+    steps = [f"sudo apt-get install {' '.join(packages)}"] if packages else []
+    if unknown:
+        steps.append(f"install the package that holds {', '.join(unknown)} (apt-file search NAME finds it)")
+    return ", then ".join(steps)
+
+
+def libraries_named_in(text: str) -> dict[str, str]:
+    """Return the shared libraries that a loader's message says are missing, with their packages."""
+    known = {**OPEN3D_LIBRARIES, **PYMESHLAB_LIBRARIES}
+    return {library: known.get(library, "") for library in _NOT_LOADED.findall(text)}
+
+
+def open3d_distribution() -> tuple[str, str]:
+    """Return the name and version of the installed Open3D distribution; `absent` where there is none."""
+    for name in OPEN3D_DISTRIBUTIONS:
+        with contextlib.suppress(PackageNotFoundError):
+            return name, version(name)
+    return OPEN3D_DISTRIBUTIONS[0], "absent"
 
 
 def import_open3d() -> Any:
@@ -90,18 +132,25 @@ def one_opencv_thread() -> Iterator[None]:
 
 def _import(module: str, libraries: dict[str, str]) -> Any:
     if module not in sys.modules:
-        missing = missing_packages(libraries)
+        missing = missing_libraries(libraries)
         if missing:
             raise MissingDependency(
-                f"{module} needs system libraries that are not installed: "
-                f"sudo apt-get install {' '.join(missing)}"
+                f"{module} needs {', '.join(missing)}, which this system lacks: {remedy(missing)}"
             )
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        raise MissingDependency(
-            f"cannot import {module} ({error}): pip install --upgrade {module}"
-        ) from error
+        named = libraries_named_in(str(error))
+        if named:
+            raise MissingDependency(
+                f"{module} needs {', '.join(named)}, which this system lacks: {remedy(named)}"
+            ) from error
+        raise MissingDependency(f"cannot import {module} ({error}): {_reinstalling(module)}") from error
+
+
+def _reinstalling(module: str) -> str:
+    name = open3d_distribution()[0] if module == "open3d" else module
+    return f"pip install --force-reinstall {name}"
 
 
 # Keeps C libraries quiet while they decode: what is wrong with a file is said once, by the error raised.

@@ -1,9 +1,14 @@
-"""`vntoolkit doctor`: are the libraries there, and what in this footage will ruin normals?"""
+"""`vntoolkit doctor`: does the installation work, and what in this footage will ruin normals?"""
 
 from __future__ import annotations
 
 import platform
-from dataclasses import replace
+import signal
+import subprocess
+import sys
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,26 +19,43 @@ from rich.table import Table
 
 from vntoolkit import __version__
 from vntoolkit.cli.flags import limits_on
-from vntoolkit.native import OPEN3D_LIBRARIES, PYMESHLAB_LIBRARIES, missing_packages
+from vntoolkit.errors import BadCapture
+from vntoolkit.native import (
+    OPEN3D_LIBRARIES,
+    PYMESHLAB_LIBRARIES,
+    libraries_named_in,
+    missing_libraries,
+    open3d_distribution,
+    remedy,
+)
 
 if TYPE_CHECKING:
     from vntoolkit.diagnosis.inspection import CaptureReport
 
-# distribution -> what it does here
-_LIBRARIES = {
-    "numpy": "arrays",
-    "scipy": "solvers, cosine transforms",
-    "numba": "compiled kernels",
-    "av": "video in and out",
-    "opencv-contrib-python-headless": "images, boards, flow",
-    "OpenEXR": "normal and depth maps",
-    "open3d": "meshes, ray casting",
-    "pymeshlab": "mesh cleaning and distance",
-    "pycolmap": "camera poses of a head",
-    "usd-core": "animated meshes",
-    "viser": "the viewer",
-    "matplotlib": "figures",
-}
+# (distribution, module that is imported, what it does here): every dependency of the package
+_LIBRARIES = (
+    ("numpy", "numpy", "arrays"),
+    ("scipy", "scipy.sparse.linalg", "solvers"),
+    ("numba", "numba", "compiled kernels"),
+    ("av", "av", "video in and out"),
+    ("opencv-contrib-python-headless", "cv2", "images, boards, flow"),
+    ("tifffile", "tifffile", "deep images"),
+    ("OpenEXR", "OpenEXR", "normal and depth maps"),
+    ("open3d", "open3d", "meshes, ray casting"),
+    ("pymeshlab", "pymeshlab", "mesh cleaning, distance"),
+    ("pycolmap", "pycolmap", "camera poses"),
+    ("PyMaxflow", "maxflow", "edges of shadows"),
+    ("usd-core", "pxr.UsdSkel", "animated meshes"),
+    ("pybvh", "pybvh", "recorded motion"),
+    ("viser", "viser", "the viewer"),
+    ("matplotlib", "matplotlib.figure", "figures"),
+    ("reportlab", "reportlab.pdfgen.canvas", "the board as PDF"),
+    ("jinja2", "jinja2", "pages"),
+    ("pydantic", "pydantic", "rig.json"),
+    ("cyclopts", "cyclopts", "the command line"),
+    ("rich", "rich", "tables"),
+)
+_LONGEST_S = 180.0  # to import one library; from a cold disk Open3D takes twenty seconds
 _COLOURS = {"note": "cyan", "warning": "yellow", "fatal": "red"}
 
 
@@ -77,28 +99,88 @@ def doctor(
     return int(any(finding.severity is Severity.FATAL for finding in report.findings))
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Trial:
+    """How a process of its own fared; fault is empty where it did well."""
+
+    fault: str = ""
+    missing: dict[str, str] = field(default_factory=dict)  # shared library -> package, or "" if unknown
+
+
 def _check_libraries(console: Console) -> int:
+    """Import each library and read a video back; a library that crashes takes only its own process along."""
     table = Table(title=f"vntoolkit {__version__}, Python {platform.python_version()}", title_justify="left")
-    for heading in ("library", "version", "for"):
-        table.add_column(heading)
-    absent = []
-    for name, purpose in _LIBRARIES.items():
-        try:
-            table.add_row(name, version(name), purpose)
-        except PackageNotFoundError:
-            absent.append(name)
-            table.add_row(name, "[red]absent", purpose)
+    for heading in ("library", "version", "for", "works"):
+        table.add_column(heading, no_wrap=True)
+    programs = [f"import {module}" for _, module, _ in _LIBRARIES]
+    programs.append(f"from {__name__} import try_video; try_video()")
+    with console.status("importing every library"), ThreadPoolExecutor(max_workers=2) as pool:
+        trials = list(pool.map(_try, programs))
+    lines = []
+    missing = missing_libraries({**OPEN3D_LIBRARIES, **PYMESHLAB_LIBRARIES})
+    for (name, _, purpose), trial in zip(_LIBRARIES, trials, strict=False):
+        shown, its_version = _installed(name)
+        table.add_row(shown, its_version, purpose, "[red]no" if trial.fault else "yes")
+        missing |= trial.missing
+        if its_version == "absent":
+            lines.append(f"{shown}: is not installed; pip install {shown}")
+        elif trial.fault:
+            step = "" if trial.missing else f"; pip install --force-reinstall {shown}"
+            lines.append(f"{shown}: {trial.fault}{step}")
+    table.add_row("a video", "", "written and read back", "[red]no" if trials[-1].fault else "yes")
+    if trials[-1].fault:
+        lines.append(f"a video cannot be written and read back: {trials[-1].fault}")
+    if missing:
+        lines.append(f"this system lacks {', '.join(missing)}: {remedy(missing)}")
     console.print(table)
-    packages = sorted(set(missing_packages({**OPEN3D_LIBRARIES, **PYMESHLAB_LIBRARIES})))
-    if absent:
-        console.print(f"[red]missing[/] Python libraries: pip install {' '.join(absent)}", soft_wrap=True)
-    if packages:
-        console.print(
-            f"[red]missing[/] system libraries: sudo apt-get install {' '.join(packages)}", soft_wrap=True
-        )
-    if not absent and not packages:
-        console.print("[green]all there[/]: libraries and system libraries")
-    return int(bool(absent or packages))
+    for line in lines:
+        console.print(f"[red]broken[/] {escape(line)}", highlight=False, soft_wrap=True)
+    if not lines:
+        console.print("[green]all there[/]: every library can be imported, and a video opens")
+    return int(bool(lines))
+
+
+def _installed(name: str) -> tuple[str, str]:
+    """Return a distribution's name and version."""
+    if name == "open3d":
+        return open3d_distribution()
+    try:
+        return name, version(name)
+    except PackageNotFoundError:
+        return name, "absent"
+
+
+def _try(program: str) -> _Trial:
+    # -P: files of the folder that one happens to be in are no libraries
+    command = [sys.executable, "-P", "-c", program]
+    try:
+        done = subprocess.run(command, capture_output=True, timeout=_LONGEST_S, check=False)
+    except subprocess.TimeoutExpired:
+        return _Trial(fault=f"did not end within {_LONGEST_S:g} s")
+    text = (done.stdout + done.stderr).decode(errors="replace").strip()
+    missing = libraries_named_in(text)
+    if missing:
+        return _Trial(fault=f"needs {', '.join(missing)}", missing=missing)
+    if done.returncode < 0:
+        return _Trial(fault=f"was ended by {signal.Signals(-done.returncode).name}")
+    if done.returncode:
+        return _Trial(fault=text.splitlines()[-1] if text else f"exit status {done.returncode}")
+    return _Trial()
+
+
+def try_video() -> None:
+    """Write a small lossless video and read it back; raise what goes wrong."""
+    import numpy as np
+
+    from vntoolkit.io.footage.video import VideoReader, write_video
+
+    frames = np.random.default_rng(0).integers(0, 256, (3, 24, 32, 3), dtype=np.uint8)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "noise.mkv"
+        write_video(path, list(frames), 25)
+        found = np.stack([values for _, values in VideoReader(path).frames()])
+    if not np.array_equal(found, frames):
+        raise BadCapture("a lossless video came back with other values than were written")
 
 
 def _print_report(console: Console, source: str, report: CaptureReport) -> None:

@@ -23,10 +23,11 @@ from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import parse_json, read_text, require_file, sha256_of_file
 from vntoolkit.io.maps_and_meshes.label_images import LABEL_LEGEND
 from vntoolkit.io.rigs import RigFile, SourceEntry, one_line_from_validation, text_from_model
+from vntoolkit.native import open3d_distribution
 
 MANIFEST_NAME = "reconstruction.json"
 MANIFEST_VERSION = 1
-_LIBRARIES = ("numpy", "scipy", "numba", "opencv-contrib-python-headless", "av", "OpenEXR", "open3d")
+_LIBRARIES = ("numpy", "scipy", "numba", "opencv-contrib-python-headless", "av", "OpenEXR")
 
 
 class InputEntry(BaseModel):
@@ -145,7 +146,8 @@ def library_versions() -> dict[str, str]:
             versions[name] = version(name)
         except PackageNotFoundError:
             versions[name] = "absent"
-    return versions
+    distribution, its_version = open3d_distribution()
+    return {**versions, distribution: its_version}
 
 
 def now_utc() -> str:

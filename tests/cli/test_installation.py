@@ -1,0 +1,99 @@
+"""`vntoolkit doctor` without footage: what is broken is found, though it is installed; lists agree."""
+
+import os
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from vntoolkit.__main__ import main
+from vntoolkit.cli import doctor
+from vntoolkit.native import OPEN3D_LIBRARIES, PYMESHLAB_LIBRARIES
+
+ROOT = Path(__file__).resolve().parents[2]
+SYSTEM_LIBRARIES = {**OPEN3D_LIBRARIES, **PYMESHLAB_LIBRARIES}
+
+
+@pytest.fixture
+def broken(tmp_path, monkeypatch, capsys):
+    """Return what the doctor says where one library is a module with this text."""
+
+    def said_of(text):
+        (tmp_path / "broken_library.py").write_text(text, encoding="utf-8")
+        path = os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])
+        monkeypatch.setenv("PYTHONPATH", path)
+        monkeypatch.setattr(doctor, "_LIBRARIES", (("numpy", "broken_library", "arrays"),))
+        assert main(["doctor"]) == 1
+        return capsys.readouterr().out
+
+    return said_of
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        (
+            "raise ImportError('libidn2.so.0: cannot open shared object file: No such file or directory')",
+            r"this system lacks libidn2.so.0: sudo apt-get install libidn2-0\n",
+        ),
+        (
+            "raise ImportError('libnew.so.7: cannot open shared object file: No such file or directory')",
+            r"this system lacks libnew.so.7: install the package that holds libnew.so.7 \(apt-file search",
+        ),
+        (
+            # what pymeshlab says of a plugin that it then goes without
+            "print('Warning: libp11-kit.so.0: cannot open shared object file: No such file or directory')",
+            r"this system lacks libp11-kit.so.0: sudo apt-get install libp11-kit0\n",
+        ),
+        ("import os; os.abort()", r"numpy: was ended by SIGABRT; pip install --force-reinstall numpy"),
+        (
+            "raise RuntimeError('built for another NumPy')",
+            r"numpy: RuntimeError: built for another NumPy; pip install --force-reinstall numpy",
+        ),
+        ("raise SystemExit(3)", r"numpy: exit status 3; pip install --force-reinstall numpy"),
+    ],
+)
+def test_a_library_that_is_installed_but_cannot_be_imported_is_found(broken, text, line):
+    said = broken(text)
+    assert re.search(line, said)
+    assert "all there" not in said
+
+
+def test_a_library_that_never_ends_is_found(broken, monkeypatch):
+    monkeypatch.setattr(doctor, "_LONGEST_S", 2.0)
+    monkeypatch.setattr(doctor, "try_video", None)
+    assert "numpy: did not end within 2 s" in broken("import time; time.sleep(60)")
+
+
+def test_a_library_that_is_not_installed_is_found(monkeypatch, capsys):
+    monkeypatch.setattr(doctor, "_LIBRARIES", (("nowhere-to-be-had", "nowhere_to_be_had", "nothing"),))
+    assert main(["doctor"]) == 1
+    assert "nowhere-to-be-had: is not installed; pip install nowhere-to-be-had\n" in capsys.readouterr().out
+
+
+def test_a_video_that_comes_back_changed_is_found(monkeypatch):
+    monkeypatch.setattr(
+        "vntoolkit.io.footage.video.VideoReader.frames",
+        lambda reader: ((number, 0) for number in range(3)),
+    )
+    with pytest.raises(doctor.BadCapture, match="came back with other values"):
+        doctor.try_video()
+
+
+def test_every_dependency_is_tried():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    named = {re.match(r"[\w.-]+", line)[0].lower() for line in project["dependencies"]}
+    assert {name.lower() for name, _, _ in doctor._LIBRARIES} == {
+        name.replace("open3d-cpu", "open3d") for name in named
+    }
+
+
+def test_set_up_and_the_readme_name_the_system_libraries_that_the_package_needs():
+    set_up = (ROOT / "scripts/set_up.sh").read_text(encoding="utf-8")
+    looked_for = re.findall(r'has_library (\S+) \|\| wanted="\$wanted (\S+)"', set_up)
+    assert dict(looked_for) == SYSTEM_LIBRARIES
+    line = re.search(
+        r"^sudo apt-get install (.*)$", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE
+    )
+    assert set(line[1].split()) == set(SYSTEM_LIBRARIES.values())
