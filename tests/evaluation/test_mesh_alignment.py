@@ -62,8 +62,11 @@ def test_distances_per_vertex_agree_with_their_mean() -> None:
 
 def test_refusals(rng: np.random.Generator) -> None:
     points = Mesh(vertices=relief().vertices, faces=np.zeros((0, 3), int))
-    with pytest.raises(BadMesh, match="reference mesh: 3600 vertices and 0 faces are too few"):
+    with pytest.raises(BadMesh, match="reference mesh: has neither faces nor normals"):
         align_mesh(relief(), points, rng, SIMILARITY)
+    for scale, shift in ((1000.0, 0.0), (1.0, 5.0)):  # of another unit, and far away
+        with pytest.raises(BadMesh, match=r"align: one is .* are they in one frame and one unit"):
+            align_mesh(relief().with_vertices(scale * relief().vertices + shift), relief(), rng, SIMILARITY)
     with pytest.raises(BadMesh, match="no triangle, so there is no surface"):
         vertex_distances(points, relief())
     one_point = relief().with_vertices(np.ones_like(relief().vertices))

@@ -3,12 +3,15 @@ import pytest
 
 from vntoolkit.errors import BadMesh
 from vntoolkit.evaluation.mesh_comparison import (
+    MeasuredBy,
     mesh_distance,
     mesh_quality,
+    mismatch,
     triangle_aspects,
     vertex_distances,
 )
 from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.geometry.point_cloud import PointCloud
 
 
 def sphere(radius: float, resolution: int = 60) -> Mesh:
@@ -66,20 +69,36 @@ def test_an_equilateral_triangle_has_aspect_one() -> None:
         assert np.isinf(triangle_aspects(degenerate)[0])
 
 
-@pytest.mark.parametrize("measure", [mesh_distance, vertex_distances])
-def test_meshes_that_a_search_would_never_reach_are_refused(measure) -> None:
-    """pymeshlab searches in steps of the mesh's size: at ten thousand of them for minutes, at 0 for ever."""
+def test_distances_far_off_and_of_other_scales_are_exact() -> None:
+    for other in (grid(height=1e6), grid().with_vertices(1e-4 * grid().vertices + [0, 0, 50.0])):
+        nearest = np.linalg.norm(grid().vertices[:, None] - other.vertices, axis=2).min(axis=1)
+        assert vertex_distances(grid(), other) == pytest.approx(nearest, rel=1e-5)
+        assert "are they in one frame and one unit?" in mismatch(grid(), other)
+    assert mismatch(grid(), grid(height=3.0)) == ""
+
+
+def test_pymeshlab_measures_the_same_and_refuses_what_it_would_search_for_minutes() -> None:
+    by_embree, by_pymeshlab = (vertex_distances(sphere(1.0), sphere(1.3, 40), by) for by in MeasuredBy)
+    np.testing.assert_allclose(by_embree, by_pymeshlab, atol=1e-6)
     one_point = Mesh(vertices=np.ones((3, 3)), faces=[[0, 1, 2]])
-    elsewhere = grid(height=1e4)
-    far = ((grid(), one_point), (one_point, grid()), (one_point, one_point), (grid(), elsewhere))
-    for first, second in far:
-        with pytest.raises(BadMesh, match="too far apart to compare: are they in one frame and one unit"):
-            measure(first, second)
+    for first, second in ((one_point, grid()), (grid(), grid(height=1e4))):
+        with pytest.raises(BadMesh, match=r"one frame and one unit.*measure by embree"):
+            vertex_distances(first, second, MeasuredBy.PYMESHLAB)
+
+
+def test_a_cloud_is_as_far_as_its_nearest_points() -> None:
+    cloud = PointCloud(points=grid().vertices)
+    assert mesh_distance(grid(height=0.25), cloud).mean == pytest.approx(0.25)
+    off = PointCloud(points=grid().vertices + np.array([0.5, 0.5, 0.0]))  # amid the quads, so on the faces
+    assert vertex_distances(off, grid(size=7)).max() == pytest.approx(0.0, abs=1e-6)
+    assert vertex_distances(off, PointCloud(points=grid(size=7).vertices)) == pytest.approx(np.sqrt(0.5))
 
 
 def test_meshes_without_faces_are_refused() -> None:
     points = Mesh(vertices=np.zeros((3, 3)), faces=np.zeros((0, 3), int))
     with pytest.raises(BadMesh, match="reference mesh: no triangle"):
         mesh_distance(grid(), points)
+    with pytest.raises(BadMesh, match="all its vertices lie in one point"):
+        mesh_distance(grid(), Mesh(vertices=np.ones((3, 3)), faces=[[0, 1, 2]]))
     with pytest.raises(BadMesh, match="no triangle to judge"):
         mesh_quality(points)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
@@ -17,15 +18,19 @@ from vntoolkit.evaluation.cylinder_fit import CylinderOptions
 from vntoolkit.evaluation.mesh_comparison import (
     Alignment,
     AlignmentOptions,
+    Compared,
+    MeasuredBy,
     MeshDistance,
     MeshQuality,
     align_mesh,
-    mesh_distance,
     mesh_quality,
+    mismatch,
+    positions,
     vertex_distances,
 )
 from vntoolkit.evaluation.track_error import TrackError, TrackErrorOptions
 from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.geometry.point_cloud import PointCloud
 from vntoolkit.io.conventions import NormalConvention
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
@@ -42,6 +47,7 @@ from vntoolkit.report.error_figures import (
     write_error_plot,
 )
 
+_LOGGER = logging.getLogger(__name__)
 _NORMAL_LINES = 10  # of the table on the screen; the file has all frames
 COLUMNS = ["", "pixels", "mean", "median", "std", "95 %", "< 5°", "< 10°", "< 20°"]
 if TYPE_CHECKING:
@@ -123,13 +129,14 @@ def mesh(
     mesh: Path,
     reference: Path | None = None,
     *,
+    measured_by: MeasuredBy = MeasuredBy.EMBREE,
     out: Path = Path("evaluation"),
     options: AlignmentFlags = None,
 ) -> None:
-    """Print how far a mesh lies from a reference, both ways, and what the next program stumbles over in it.
+    """Print how far a mesh lies from a reference, both ways, and the faults of each that other programs meet.
 
-    Distances are measured by pymeshlab from the vertices of one to the faces of the other. Writes mesh.json
-    and mesh_curve.png.
+    Distances go from the vertices of one to the faces of the other. A file without faces is a point cloud:
+    then they go to its points. Writes mesh.json and mesh_curve.png.
 
     Parameters
     ----------
@@ -137,30 +144,42 @@ def mesh(
         A PLY or OBJ file.
     reference
         Another; without it only the quality is measured.
+    measured_by
+        embree: the nearest point by Open3D's search, however far. pymeshlab: MeshLab's, to compare with.
     out
         Folder to write.
     """
     require_output(out / "mesh.json")
     options = options or AlignmentOptions()
     measured = _read(mesh)
+    if reference is None and not isinstance(measured, Mesh):
+        raise BadMesh(f"{mesh}: has {len(measured.points)} vertices but no face, so it is no surface")
     same_name = reference is not None and reference.name == mesh.name  # such as 000000.ply of two folders
     name = str if same_name else attrgetter("name")
-    qualities = {name(mesh): mesh_quality(measured)}
-    content: dict[str, object] = {"mesh": mesh, "reference": reference, "quality": qualities}
+    surfaces = {name(mesh): measured}
+    content: dict[str, object] = {"mesh": mesh, "reference": reference}
     if reference is not None:
-        target = _read(reference)
-        qualities[name(reference)] = mesh_quality(target)
-        aligned, motion = align_mesh(measured, target, np.random.default_rng(_SEED), options)
-        distance = mesh_distance(aligned, target)
+        surfaces[name(reference)] = target = _read(reference)
+        if why := mismatch(measured, target):
+            _LOGGER.warning("%s", why)
+        with progress_bar("vertices", len(positions(measured)) + len(positions(target))) as advance:
+            generator = np.random.default_rng(_SEED)
+            aligned, motion = align_mesh(measured, target, generator, options)  # type: ignore[type-var]
+            to_reference = vertex_distances(aligned, target, measured_by, advance)
+            back = vertex_distances(target, aligned, measured_by, advance)
+        distance = MeshDistance.from_vertices(to_reference, back, target.diagonal)
         content |= {"distance": distance_summary(distance), "scale": motion.scale}
-        percent = 100.0 / distance.diagonal * vertex_distances(aligned, target)
+        percent = 100.0 / distance.diagonal * to_reference
         write_cumulative_errors(
             out / "mesh_curve.png", {name(mesh): percent}, f"to {name(reference)}", "% of the diagonal"
         )
         _print_distance(distance)
         if options.free is Alignment.SIMILARITY:
             print(f"aligned with a scale of {motion.scale:.4f}")
-    write_json(out / "mesh.json", content)
+    qualities = {
+        each: mesh_quality(surface) for each, surface in surfaces.items() if isinstance(surface, Mesh)
+    }
+    write_json(out / "mesh.json", {**content, "quality": qualities})
     _print_quality(qualities)
     print(f"{out}: mesh.json" + (", mesh_curve.png" if reference else ""))
 
@@ -173,11 +192,11 @@ def distance_summary(distance: MeshDistance) -> dict[str, object]:
     return {**dataclasses.asdict(distance), **derived}
 
 
-def _read(path: Path) -> Mesh:
+def _read(path: Path) -> Compared:
     read = read_mesh(path)
-    if not len(read.faces):
-        raise BadMesh(f"{path}: has {len(read.vertices)} vertices but no face, so it is no surface")
-    return read
+    if len(read.faces):
+        return read
+    return PointCloud(points=read.vertices, normals=read.normals, colours=read.colours)
 
 
 def _print_distance(distance: MeshDistance) -> None:

@@ -1,9 +1,11 @@
-"""Distance between two surfaces, measured by pymeshlab from the vertices of one to the faces of the other."""
+"""Distances between surfaces, point clouds too, one laid on the other first; and the quality of a mesh."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from enum import Enum
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -12,15 +14,21 @@ from scipy.spatial.transform import Rotation
 from vntoolkit.arrays import FloatArray, Matrix3, Points, Vector3
 from vntoolkit.errors import BadInput, BadMesh, SolverFailed
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
+from vntoolkit.geometry.point_cloud import PointCloud
+from vntoolkit.geometry.rays import RayScene
 from vntoolkit.native import import_pymeshlab
 
-_FARTHEST = 1000.0  # times the size of the smaller mesh: beyond it distances say nothing of shape
+_FARTHEST = 1000.0  # times the smaller mesh's size: pymeshlab searches in steps of that, beyond for minutes
+_OTHER_SCALE = 10.0  # ratio of sizes from which two surfaces are hardly in one unit
+_POINTS_A_STEP = 1 << 14  # between two reports of progress
 _FEWEST_VERTICES = 20
+Compared: TypeAlias = Mesh | PointCloud
+S = TypeVar("S", Mesh, PointCloud)
 
 
 @dataclass(frozen=True, kw_only=True)
 class OneWayDistance:
-    """Distances from the vertices of one mesh to the nearest point of another, in its length unit."""
+    """Distances from the vertices of one surface to the nearest point of another, in its length unit."""
 
     mean: float
     root_mean_square: float
@@ -39,6 +47,20 @@ class MeshDistance:
     to_reference: OneWayDistance
     from_reference: OneWayDistance
     diagonal: float
+
+    @classmethod
+    def from_vertices(cls, to: FloatArray, back: FloatArray, diagonal: float) -> MeshDistance:
+        """Summarise the distances of all vertices to the reference, (n,), and of all its own back, (m,)."""
+        ways = (
+            OneWayDistance(
+                mean=float(way.mean()),
+                root_mean_square=float(np.sqrt(np.mean(way**2))),
+                largest=float(way.max()),
+                samples=len(way),
+            )
+            for way in (to, back)
+        )
+        return cls(to_reference=next(ways), from_reference=next(ways), diagonal=diagonal)
 
     @property
     def mean(self) -> float:
@@ -61,47 +83,89 @@ class MeshDistance:
         return 100.0 * self.hausdorff / self.diagonal
 
 
-def mesh_distance(mesh: Mesh, reference: Mesh) -> MeshDistance:
-    """Measure the distance between two meshes in one frame.
-
-    Raises `BadMesh` for a mesh without faces, and for meshes too far apart for their sizes.
-    """
-    require_comparable(mesh, reference)
-    meshes = import_pymeshlab().MeshSet(verbose=False)
-    meshes.add_mesh(mesh.to_pymeshlab())
-    meshes.add_mesh(reference.to_pymeshlab())
-    return MeshDistance(
-        to_reference=_one_way(meshes, 0, 1),
-        from_reference=_one_way(meshes, 1, 0),
-        diagonal=reference.diagonal,
-    )
+def mesh_distance(mesh: Compared, reference: Compared) -> MeshDistance:
+    """Measure two surfaces in one frame; raises as `vertex_distances`."""
+    to_reference, from_reference = vertex_distances(mesh, reference), vertex_distances(reference, mesh)
+    return MeshDistance.from_vertices(to_reference, from_reference, reference.diagonal)
 
 
-def require_comparable(mesh: Mesh, reference: Mesh) -> None:
-    """Raise `BadMesh` unless both have faces and sizes that suit their distance.
+class MeasuredBy(Enum):
+    """Who measures distances."""
 
-    pymeshlab looks for the nearest face in steps as small as the mesh that it searches: for one that is a
-    point it would never end.
+    EMBREE = "embree"  # the exact nearest point, however far, through Open3D
+    PYMESHLAB = "pymeshlab"  # MeshLab's own search, to compare with
+
+
+def vertex_distances(
+    mesh: Compared,
+    reference: Compared,
+    by: MeasuredBy = MeasuredBy.EMBREE,
+    on_progress: Callable[[int], None] = lambda vertices: None,
+) -> FloatArray:
+    """Return (n,) float64, from every vertex to the nearest point of the reference's faces, or of its points.
+
+    The largest both ways is the Hausdorff distance. Raises `BadMesh` where one is empty or the reference has
+    no size, and what pymeshlab would search for minutes.
     """
     for name, each in (("mesh", mesh), ("reference mesh", reference)):
-        if not len(each.faces):
+        if not len(positions(each)) or (isinstance(each, Mesh) and not len(each.faces)):
             raise BadMesh(f"{name}: no triangle, so there is no surface to measure the distance to")
-    corners = np.stack([pick(m.vertices, axis=0) for m in (mesh, reference) for pick in (np.min, np.max)])
+    if not reference.diagonal > 0:
+        raise BadMesh("reference mesh: all its vertices lie in one point")
+    points = np.asarray(positions(mesh), dtype=np.float64)
+    if by is MeasuredBy.PYMESHLAB:
+        distances = _distances_by_pymeshlab(mesh, reference)
+        on_progress(len(points))
+        return distances
+    # float32, which Embree takes, has the most digits about the reference's centre
+    centre = np.asarray(positions(reference), dtype=np.float64).mean(axis=0)
+    if isinstance(reference, Mesh):
+        scene = RayScene((reference.vertices - centre, reference.faces))
+    else:
+        tree = cKDTree(reference.points)
+    distances = np.empty(len(points))
+    for start in range(0, len(points), _POINTS_A_STEP):
+        some = points[start : start + _POINTS_A_STEP]
+        found = scene.distances(some - centre) if isinstance(reference, Mesh) else tree.query(some)[0]
+        distances[start : start + len(some)] = found
+        on_progress(len(some))
+    return distances
+
+
+def _distances_by_pymeshlab(mesh: Compared, reference: Compared) -> FloatArray:
+    if isinstance(reference, PointCloud):
+        raise BadMesh("pymeshlab measures distances to faces, and the reference has none: measure by embree")
+    corners = np.stack([pick(positions(m), axis=0) for m in (mesh, reference) for pick in (np.min, np.max)])
     reach = float(np.linalg.norm(np.ptp(corners, axis=0)))
-    if not 0 < reach <= _FARTHEST * min(mesh.diagonal, reference.diagonal):
-        raise BadMesh(
-            f"meshes: one is {mesh.diagonal:.3g} across, the reference {reference.diagonal:.3g}, both "
-            f"together {reach:.3g}, which is too far apart to compare: are they in one frame and one unit?"
-        )
-
-
-def _one_way(meshes: object, sampled: int, target: int) -> OneWayDistance:
-    unlimited = import_pymeshlab().PureValue(float("inf"))  # the default ignores far samples
-    found = meshes.get_hausdorff_distance(  # type: ignore[attr-defined]
-        sampledmesh=sampled, targetmesh=target, samplevert=True, maxdist=unlimited
+    if reach > _FARTHEST * min(mesh.diagonal, reference.diagonal):
+        raise BadMesh(f"{mismatch(mesh, reference)}: pymeshlab would search for minutes; measure by embree")
+    pymeshlab = import_pymeshlab()
+    meshes = pymeshlab.MeshSet(verbose=False)
+    meshes.add_mesh(mesh.to_pymeshlab())
+    meshes.add_mesh(reference.to_pymeshlab())
+    meshes.compute_scalar_by_distance_from_another_mesh_per_vertex(
+        measuremesh=0, refmesh=1, signeddist=False, maxdist=pymeshlab.PureValue(float("inf"))
     )
-    return OneWayDistance(
-        mean=found["mean"], root_mean_square=found["RMS"], largest=found["max"], samples=found["n_samples"]
+    return np.abs(np.array(meshes.mesh(0).vertex_scalar_array()))
+
+
+def positions(surface: Compared) -> Points:
+    """Return the (n, 3) vertices of a mesh or points of a cloud."""
+    return surface.vertices if isinstance(surface, Mesh) else surface.points
+
+
+def mismatch(mesh: Compared, reference: Compared) -> str:
+    """Say why two surfaces are hardly in one frame and one unit; empty where nothing tells so."""
+    sizes = (mesh.diagonal, reference.diagonal)
+    low, high = (
+        np.stack([pick(positions(m), axis=0) for m in (mesh, reference)]) for pick in (np.min, np.max)
+    )
+    gap = float(np.linalg.norm(np.maximum(low.max(axis=0) - high.min(axis=0), 0.0)))
+    if max(sizes) <= _OTHER_SCALE * min(sizes) and gap <= max(sizes):
+        return ""
+    return (
+        f"one is {sizes[0]:.3g} across, the reference {sizes[1]:.3g}, and {gap:.3g} lies between them: "
+        "are they in one frame and one unit?"
     )
 
 
@@ -152,25 +216,29 @@ class Similarity:
 
 
 def align_mesh(
-    mesh: Mesh, reference: Mesh, rng: np.random.Generator, options: AlignmentOptions | None = None
-) -> tuple[Mesh, Similarity]:
-    """Move a mesh onto the reference, near to which it must lie; the reference stays.
+    mesh: S, reference: Compared, rng: np.random.Generator, options: AlignmentOptions | None = None
+) -> tuple[S, Similarity]:
+    """Move a surface onto the reference, near to which it must lie; the reference stays.
 
-    Raises `BadMesh` for a mesh without faces or with too few vertices, `SolverFailed` where the surfaces
-    leave the motion undetermined.
+    Raises `BadMesh` for too few vertices, for a reference without normals, and where the two are far apart or
+    of other sizes; `SolverFailed` where the surfaces leave the motion undetermined.
     """
     options = options or AlignmentOptions()
-    for name, each in (("mesh", mesh), ("reference mesh", reference)):
-        if not len(each.faces) or len(each.vertices) < _FEWEST_VERTICES:
-            raise BadMesh(
-                f"{name}: {len(each.vertices)} vertices and {len(each.faces)} faces are too few to align by"
-            )
     motion = Similarity(rotation=np.eye(3), translation=np.zeros(3))
     if options.free is Alignment.NONE:
         return mesh, motion
-    targets = np.asarray(reference.vertices, dtype=np.float64)
-    normals, tree = vertex_normals(targets, reference.faces), cKDTree(targets)
-    vertices = np.asarray(mesh.vertices, dtype=np.float64)
+    for name, each in (("mesh", mesh), ("reference mesh", reference)):
+        if len(positions(each)) < _FEWEST_VERTICES:
+            raise BadMesh(f"{name}: {len(positions(each))} vertices are too few to align by")
+    targets = np.asarray(positions(reference), dtype=np.float64)
+    vertices = np.asarray(positions(mesh), dtype=np.float64)
+    faces = reference.faces if isinstance(reference, Mesh) else np.zeros((0, 3), np.int32)
+    normals = vertex_normals(targets, faces) if len(faces) else reference.normals
+    if normals is None:
+        raise BadMesh("reference mesh: has neither faces nor normals, so there is no surface to align to")
+    if np.ptp(vertices, axis=0).any() and (why := mismatch(mesh, reference)):
+        raise BadMesh(f"align: {why}")
+    tree = cKDTree(targets)
     sampled = vertices[rng.permutation(len(vertices))[: options.samples]]
     last = np.inf
     for _ in range(options.rounds):
@@ -183,7 +251,11 @@ def align_mesh(
         if abs(last - cost) <= 1e-7 * cost:
             break
         last = cost
-    return mesh.with_vertices(motion.apply(vertices)), motion
+    moved = motion.apply(vertices)
+    if isinstance(mesh, Mesh):
+        return mesh.with_vertices(moved), motion
+    turned = None if mesh.normals is None else mesh.normals @ motion.rotation.T
+    return replace(mesh, points=moved, normals=turned), motion
 
 
 def _step(points: Points, targets: Points, normals: Points, free: Alignment) -> Similarity:
@@ -276,19 +348,3 @@ def triangle_aspects(mesh: Mesh) -> FloatArray:
     return np.divide(
         longest * perimeter, 2.0 * np.sqrt(3.0) * double_area, out=infinite, where=double_area > 0
     )
-
-
-# The distance of every vertex of one mesh from the surface of another.
-
-
-def vertex_distances(mesh: Mesh, reference: Mesh) -> FloatArray:
-    """Return (n,) distances, measured by pymeshlab; raises `BadMesh` as `mesh_distance` does."""
-    require_comparable(mesh, reference)
-    pymeshlab = import_pymeshlab()
-    meshes = pymeshlab.MeshSet(verbose=False)
-    meshes.add_mesh(mesh.to_pymeshlab())
-    meshes.add_mesh(reference.to_pymeshlab())
-    meshes.compute_scalar_by_distance_from_another_mesh_per_vertex(
-        measuremesh=0, refmesh=1, signeddist=False, maxdist=pymeshlab.PureValue(float("inf"))
-    )
-    return np.abs(np.array(meshes.mesh(0).vertex_scalar_array()))

@@ -41,6 +41,11 @@ class PointCloud:
                 require_finite(values, name, BadMesh)
                 object.__setattr__(self, name, read_only(values))
 
+    @property
+    def diagonal(self) -> float:
+        """Length of the bounding box's diagonal."""
+        return float(np.linalg.norm(np.ptp(self.points, axis=0))) if len(self.points) else 0.0
+
     def to_open3d(self) -> o3d.geometry.PointCloud:
         """Return a copy as an Open3D point cloud."""
         o3d = import_open3d()
