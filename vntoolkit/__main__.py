@@ -1,4 +1,4 @@
-"""The entry point: threads tamed, errors turned into one line, exit status set."""
+"""The entry point: sets the threads, prints an error as one line, returns the exit status."""
 
 from __future__ import annotations
 
@@ -7,13 +7,12 @@ import contextlib
 import os
 import sys
 
-TYPE_CHECKING = False  # as typing has it; what is loaded here is loaded before Ctrl-C is met with a sentence
+TYPE_CHECKING = False  # importing typing takes time, and a Ctrl-C before `main` leaves a traceback
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-# Pools that spin while they wait steal the cores from the pool that works: the same frame then takes
-# 17 to 22 ms instead of 7. numba would try TBB first, and complain of one too old. Must be set before numpy
-# is imported.
+# Thread pools that spin while they wait take the cores from the pool that works: a frame then takes 17 to
+# 22 ms instead of 7. numba would try TBB first and warn of an old one. Set before numpy is imported.
 for _name, _value in {
     "OPENBLAS_NUM_THREADS": "1",
     "OMP_WAIT_POLICY": "PASSIVE",
@@ -29,7 +28,7 @@ _OUT_OF_CALLBACK_S = 0.02
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line; return the exit status (0 done, 1 error, 70 our own fault, 130 interrupted)."""
+    """Run the command line; return the exit status: 0 done, 1 error, 70 internal error, 130 interrupted."""
     try:
         with _no_interrupt_lost():
             return _run(arguments)
@@ -40,22 +39,23 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def run() -> None:
-    """Be the whole process: run the command line and exit with its status.
+    """Run the command line and exit the process with its status.
 
-    A Ctrl-C that comes when all is done would strike in what Python clears up, and leave a traceback there;
-    it ends the process as it ends any other.
+    After `main`, SIGINT gets its default action: a Ctrl-C while Python shuts down then leaves no traceback.
     """
     status = main()
     import signal
 
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # a shell's background job ignores it
+    if (
+        signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    ):  # a background job of a shell ignores SIGINT
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     sys.exit(status)
 
 
 @contextlib.contextmanager
 def _no_interrupt_lost() -> Iterator[None]:
-    """Hear a Ctrl-C that strikes in a callback, which Python would print and forget, once more outside it."""
+    """Raise KeyboardInterrupt again where Python only prints it, as in a callback from compiled code."""
     before = sys.unraisablehook
 
     def hook(unraisable: sys.UnraisableHookArgs) -> None:
@@ -96,7 +96,7 @@ def _run(arguments: list[str] | None) -> int:
         return 0
     except MemoryError as error:
         return _fail(line_from_unforeseen(error))
-    except Exception as error:  # the last door before the user
+    except Exception as error:  # whatever is left becomes one line and a file with the traceback
         return _fail(line_from_unforeseen(error), OWN_FAULT)
 
 

@@ -59,7 +59,7 @@ def test_an_undocumented_field_is_refused() -> None:
 
         volume: int = 0
 
-    with pytest.raises(KeyError, match="does not say what volume means"):
+    with pytest.raises(KeyError, match="does not document volume"):
         meanings_of_fields(Silent)
 
 

@@ -15,7 +15,7 @@ def test_the_list_gives_each_verb_a_line(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     text = help_of("", capsys, monkeypatch)
-    assert "Watch normals and the surface while filming." in text
+    assert "Show normals and the surface of a camera live." in text
     assert "Frames that come too fast" not in text
 
 
@@ -26,8 +26,8 @@ def test_the_list_gives_each_verb_a_line(
         ("live", "a video plays at its own with --realtime"),
         ("simulate", "board_sweep, sphere, jacket, sweater, spandex, head_turn, face, face_makeup"),
         ("calibrate head", "raise it where hollows such as eye sockets come out filled"),
-        ("export", "The same command again goes on where an earlier run stopped"),
-        ("evaluate tracks", "Every vertex is judged whose true point can be seen in that frame"),
+        ("export", "The same command again continues an interrupted run"),
+        ("evaluate tracks", "A vertex counts in a frame if its true point is visible there"),
     ],
 )
 def test_a_verb_tells_its_whole_story(

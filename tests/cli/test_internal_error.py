@@ -34,7 +34,7 @@ def test_an_unforeseen_exception_is_one_line_and_its_trace_a_file(failing, capsy
     said = capsys.readouterr().err
     assert said.count("\n") == 1
     assert r"not of your input (ZeroDivisionError: division\nby zero)" in said
-    trace = Path(re.search(r"its trace is in (\S+):", said)[1]).read_text()
+    trace = Path(re.search(r"the traceback is in (\S+);", said)[1]).read_text()
     assert trace.startswith("Traceback")
     assert "in app" in trace
 
@@ -43,13 +43,13 @@ def test_without_a_folder_for_the_trace_the_line_says_where_it_arose(failing, ca
     failing(TypeError("no"))
     monkeypatch.setattr(tempfile, "tempdir", "/nowhere/at/all")
     assert entry.main(["doctor"]) == entry.OWN_FAULT
-    assert re.search(r"it arose in app, line \d+ of \S+test_internal_error.py", capsys.readouterr().err)
+    assert re.search(r"raised in app, line \d+ of \S+test_internal_error.py", capsys.readouterr().err)
 
 
 def test_too_little_memory_is_the_users_to_mend(failing, capsys):
     failing(MemoryError("Unable to allocate 99.0 GiB"))
     assert entry.main(["doctor"]) == 1
-    assert "out of memory (Unable to allocate 99.0 GiB): take fewer --jobs" in capsys.readouterr().err
+    assert "out of memory (Unable to allocate 99.0 GiB): use fewer --jobs" in capsys.readouterr().err
 
 
 def test_an_interrupt_that_strikes_in_a_callback_is_heard(monkeypatch, capsys):

@@ -45,7 +45,7 @@ def line_of(command, place, capsys, monkeypatch):
             "reconstruct",
             "reconstruct: SOURCE is missing (a video, an image, a folder of images, or a pattern",
         ),
-        ("reconstruct frame.png", "--rig is missing (the rig.json of `vntoolkit calibrate`)"),
+        ("reconstruct frame.png", "--rig is missing (the rig.json that `vntoolkit calibrate` wrote)"),
         ("reconstruct frame.png --rig rig.json", "--out is missing (the folder to write)"),
         ("reconstruct frame.png --rig rig.json --ot out", "unknown option --ot, perhaps for --out"),
         ("reconstruct frame.png --rig rig.json --out", "--out: expected 1 value, got none"),

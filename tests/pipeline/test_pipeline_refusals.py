@@ -133,7 +133,7 @@ def test_evaluate_tracks_refuses_what_it_cannot_draw(
         (["live", "--rig", "R", "--video", "F", "--size-mm", "3", "4"], "--size-mm need --pixel-mm"),
         (["live", "--rig", "R", "--video", "F", "--size-mm", "3", "4", "--pixel-mm", "1"], "belong together"),
         (["reconstruct", "F", "--rig", "R", "--out", "o", "--scheduler", "nowhere"], "nowhere: no Dask"),
-        (["session", "F", "--rig", "R", "--out", "o", "--method", "flow"], "how to track: add --track"),
+        (["session", "F", "--rig", "R", "--out", "o", "--method", "flow"], "--method needs --track"),
         (["track", "o", "--method", "arap", "--drift-every", "5"], "--method arap corrects no drift"),
         (["track", "o", "--method", "no-registration", "--flow", "dis"], "follows no flow"),
     ],

@@ -63,8 +63,8 @@ def test_the_same_command_goes_on_and_overwrite_begins_again(films, tmp_path, ca
     capsys.readouterr()
     assert session(films, out, "--track", takes=takes) == 0
     first, second = capsys.readouterr().out.splitlines()
-    assert "0 of 6 frames done, 6 were there already" in first
-    assert "1 of 3 frames done, 2 were there already" in second
+    assert "0 of 6 frames done, 6 from before" in first
+    assert "1 of 3 frames done, 2 from before" in second
     assert digest(out) == before
     capsys.readouterr()
     assert session(films, out, "--track", "--overwrite", takes=takes) == 0
@@ -94,7 +94,7 @@ def test_captures_without_a_name_of_their_own_are_refused(films, sources, line):
     ("arguments", "line"),
     [
         (["take1", "--track", "--to", "normals"], "--track needs depth"),
-        ([], "expected one video or folder of images or more, got none"),
+        ([], "expected at least one video or folder of images, got none"),
     ],
 )
 def test_what_no_capture_could_mend_stops_before_the_first(films, capsys, monkeypatch, arguments, line):

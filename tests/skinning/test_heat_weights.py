@@ -181,7 +181,7 @@ def test_command_line_says_how_many_triangles_it_cut(tmp_path: Path, capsys) -> 
     write_bvh(tmp_path / "raised.bvh", raised_arms(90))
     common = ["dress", str(tmp_path), "--motion", str(tmp_path / "raised.bvh"), "--out"]
     assert main([*common, str(tmp_path / "a.usdc")]) == 0
-    assert re.search(r", 60 frames a second; \d{2,4} triangles cut\n", capsys.readouterr().out)
+    assert re.search(r", 60 frames per second; \d{2,4} triangles cut\n", capsys.readouterr().out)
     assert main([*common, str(tmp_path / "b.usdc"), "--max-stretch", "0"]) == 0
     assert "cut" not in capsys.readouterr().out
 

@@ -1,7 +1,7 @@
-"""Floor 4, the command line: one file a verb, imported only when its verb is called.
+"""Floor 4, the command line: a verb's file is imported only when the verb is called.
 
-A verb parses its options (the frozen dataclasses of the stages), calls `pipeline`, `report` or a stage,
-and says what it wrote. No algorithm lives here.
+A verb reads its options (the frozen dataclasses of the stages), calls `pipeline`, `live`, `report` or a
+stage, and prints what it wrote. It contains no algorithm.
 """
 
 from __future__ import annotations
@@ -17,41 +17,44 @@ from vntoolkit.cli.flags import require_finite
 
 # verb -> (where it lives, the line that `vntoolkit --help` shows)
 VERBS: dict[str, tuple[str, str]] = {
-    "demo": ("vntoolkit.cli.demo:demo", "Do the whole job on synthetic footage, and show it on a page."),
+    "demo": ("vntoolkit.cli.demo:demo", "Run the whole chain on a simulated capture and write a report."),
     "rectify": (
         "vntoolkit.cli.calibrate:rectify",
-        "Resample footage of a plane seen at an angle onto square pixels.",
+        "Resample footage of a tilted plane to square pixels.",
     ),
-    "board": ("vntoolkit.cli.board:board", "Draw the calibration board, printed to scale."),
+    "board": ("vntoolkit.cli.board:board", "Write the calibration board as a PDF, to scale."),
     "simulate": (
         "vntoolkit.cli.simulate:simulate",
-        "Film a synthetic scene, with everything true beside the video.",
+        "Simulate a capture with ground truth.",
     ),
     "doctor": (
         "vntoolkit.cli.doctor:doctor",
-        "Check the libraries, or say what in this footage will ruin normals.",
+        "Check the libraries, or check footage for faults that spoil normals.",
     ),
     "schema": ("vntoolkit.cli.schema:schema", "Print the JSON schema of rig.json or reconstruction.json."),
     "reconstruct": (
         "vntoolkit.cli.reconstruct:reconstruct",
-        "Turn footage and a rig into normals, depth and meshes.",
+        "Compute normals, depth and meshes from footage and a rig.",
     ),
-    "track": ("vntoolkit.cli.track:track", "Follow one surface through a reconstruction's frames."),
+    "track": ("vntoolkit.cli.track:track", "Register all frames of a reconstruction to one mesh."),
     "session": (
         "vntoolkit.cli.session:session",
-        "Reconstruct and track all captures of a session, on this machine or on many.",
+        "Reconstruct and track many captures, on one machine or several.",
     ),
     "view": (
         "vntoolkit.cli.view:view",
-        "Look at results in a browser, or write a page that shows them offline.",
+        "Show results in a browser, or write them as one HTML page.",
     ),
-    "export": ("vntoolkit.cli.export:export", "Hand results on as PLY, OBJ, USD, GLB, NPZ or DiLiGenT's."),
+    "export": (
+        "vntoolkit.cli.export:export",
+        "Convert results to PLY, OBJ, USD, GLB, NPZ or DiLiGenT's format.",
+    ),
     "report": (
         "vntoolkit.cli.report:report",
-        "Write one page that tells whether a reconstruction can be trusted.",
+        "Write an HTML report on the quality of a reconstruction.",
     ),
-    "live": ("vntoolkit.cli.live:live", "Watch normals and the surface while filming."),
-    "dress": ("vntoolkit.cli.dress:run", "Put a tracked garment on a figure that motion capture moves."),
+    "live": ("vntoolkit.cli.live:live", "Show normals and the surface of a camera live."),
+    "dress": ("vntoolkit.cli.dress:run", "Put a tracked garment on a skeleton animated by motion capture."),
 }
 
 GROUPS: dict[str, tuple[str, dict[str, tuple[str, str]]]] = {
@@ -67,7 +70,7 @@ GROUPS: dict[str, tuple[str, dict[str, tuple[str, str]]]] = {
                 "vntoolkit.cli.calibrate:head",
                 "Calibrate on a bare head that turns left and right.",
             ),
-            "lights": ("vntoolkit.cli.calibrate:lights", "Make a rig from lights that are known."),
+            "lights": ("vntoolkit.cli.calibrate:lights", "Compute a rig from known light directions."),
             "presses": (
                 "vntoolkit.cli.calibrate:presses",
                 "Calibrate a tactile sensor on a ball pressed into its gel.",
@@ -77,29 +80,32 @@ GROUPS: dict[str, tuple[str, dict[str, tuple[str, str]]]] = {
     "recipe": (
         "Reproduce the paper's figures and tables.",
         {
-            "list": ("vntoolkit.cli.recipe:list_", "Name the recipes."),
-            "run": ("vntoolkit.cli.recipe:run", "Run one, or all, and show every number beside the paper's."),
+            "list": ("vntoolkit.cli.recipe:list_", "List the recipes."),
+            "run": (
+                "vntoolkit.cli.recipe:run",
+                "Run one recipe or all; list each number beside the paper's.",
+            ),
         },
     ),
     "evaluate": (
-        "Compare results with the truth.",
+        "Compare results with ground truth.",
         {
             "normals": (
                 "vntoolkit.cli.evaluate:normals",
-                "Angles between two normal maps, or folders of them.",
+                "Measure the angles between normal maps.",
             ),
             "mesh": (
                 "vntoolkit.cli.evaluate:mesh",
-                "Distances between two meshes both ways, and their quality.",
+                "Measure the distances between two meshes, and their quality.",
             ),
             "cylinder": (
                 "vntoolkit.cli.evaluate:cylinder",
-                "A moving cylinder's normals against one fitted cylinder.",
+                "Compare the normals of a cylinder with one fitted cylinder.",
             ),
-            "tracks": ("vntoolkit.cli.evaluate:tracks", "Tracked vertices against the simulator's."),
+            "tracks": ("vntoolkit.cli.evaluate:tracks", "Compare tracked vertices with the simulator's."),
             "integration": (
                 "vntoolkit.cli.evaluate:integration",
-                "The integrators on surfaces whose depth is known.",
+                "Measure every integrator on surfaces of known depth.",
             ),
         },
     ),
@@ -109,8 +115,8 @@ GROUPS: dict[str, tuple[str, dict[str, tuple[str, str]]]] = {
 def build_app(arguments: Sequence[str] = ()) -> App:
     """Register every verb by name; nothing but cyclopts is imported.
 
-    arguments: what was typed. The verb that it names explains itself by its whole docstring; the others
-    stand in a list, with their line.
+    arguments: the typed words. The verb that they name shows its whole docstring as help; the others show
+    one line each.
     """
     app = App(
         name="vntoolkit",
@@ -121,7 +127,7 @@ def build_app(arguments: Sequence[str] = ()) -> App:
         result_action="return_value",
         exit_on_error=False,
         print_error=False,
-        suppress_keyboard_interrupt=False,  # else no sentence says how to go on
+        suppress_keyboard_interrupt=False,  # `main` prints how to continue
     )
     for verb, (target, line) in VERBS.items():
         app.command(target, name=verb, help=None if arguments[:1] == [verb] else line)
@@ -134,7 +140,7 @@ def build_app(arguments: Sequence[str] = ()) -> App:
 
 
 def _shown_default(value: Any) -> str | None:
-    """Return how `--help` shows a default; None where it would say nothing."""
+    """Return the text of a default in `--help`; None for empty defaults."""
     if value is None or value is False or value in ("", ()):
         return None
     if isinstance(value, Enum):

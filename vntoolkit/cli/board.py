@@ -1,4 +1,4 @@
-"""`vntoolkit board`: the calibration board as a PDF."""
+"""`vntoolkit board`: write the calibration board as a PDF."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ else:
 
 
 def board(*, out: Path, page: PageSize = PageSize.A4, layout: LayoutFlags = None) -> None:
-    """Draw the calibration board to scale, with a scale bar and what to do with it.
+    """Draw the calibration board to scale, with a scale bar and instructions.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""`vntoolkit calibrate …`: footage of a calibration object in, rig.json out."""
+"""`vntoolkit calibrate …`: fit a rig to footage of a calibration object and write rig.json."""
 
 from __future__ import annotations
 
@@ -56,13 +56,6 @@ if TYPE_CHECKING:
     LayoutFlags: TypeAlias = BoardLayout | None
     BoardFlags: TypeAlias = BoardOptions | None
     IntrinsicsFlags: TypeAlias = IntrinsicsOptions | None
-else:
-    FitFlags = flags_from(FitOptions, method="fit-method")
-    SphereFlags = flags_from(SphereOptions)
-    LayoutFlags = flags_from(BoardLayout)
-    BoardFlags = flags_from(BoardOptions)
-    IntrinsicsFlags = flags_from(IntrinsicsOptions, without=("largest_error_px",))
-if TYPE_CHECKING:
     ContrastFlags: TypeAlias = ContrastOptions | None
     SilhouetteFlags: TypeAlias = SilhouetteOptions | None
     TrackFlags: TypeAlias = TrackOptions | None
@@ -73,7 +66,14 @@ if TYPE_CHECKING:
     FusionFlags: TypeAlias = FusionOptions | None
     SampleFlags: TypeAlias = SampleOptions | None
     LightFlags: TypeAlias = LightOptions | None
+    PressFlags: TypeAlias = PressOptions
+    VariationFlags: TypeAlias = VariationOptions | None
 else:
+    FitFlags = flags_from(FitOptions, method="fit-method")
+    SphereFlags = flags_from(SphereOptions)
+    LayoutFlags = flags_from(BoardLayout)
+    BoardFlags = flags_from(BoardOptions)
+    IntrinsicsFlags = flags_from(IntrinsicsOptions, without=("largest_error_px",))
     ContrastFlags = flags_from(ContrastOptions)
     SilhouetteFlags = flags_from(SilhouetteOptions)
     TrackFlags = flags_from(TrackOptions)
@@ -84,10 +84,6 @@ else:
     FusionFlags = flags_from(FusionOptions)
     SampleFlags = flags_from(SampleOptions)
     LightFlags = flags_from(LightOptions)
-if TYPE_CHECKING:
-    PressFlags: TypeAlias = PressOptions
-    VariationFlags: TypeAlias = VariationOptions | None
-else:
     PressFlags = flags_from(PressOptions)
     VariationFlags = flags_from(VariationOptions)
 _List = Parameter(consume_multiple=True, negative=())
@@ -112,7 +108,7 @@ def sphere(
     options: SphereFlags = None,
     fit: FitFlags = None,
 ) -> None:
-    """Calibrate on a matte ball of the material, at rest under all three lights.
+    """Calibrate on a matte ball of the subject's material, at rest under all three lights.
 
     Parameters
     ----------
@@ -121,7 +117,7 @@ def sphere(
     out
         The rig.json to write.
     mask
-        Image, white where the ball is; without it the outline is found.
+        Image that is white where the ball is. Default: the outline is detected.
     camera
         A rig.json whose camera is taken; default: orthographic.
     """
@@ -151,7 +147,7 @@ def board(
     intrinsics: IntrinsicsFlags = None,
     fit: FitFlags = None,
 ) -> None:
-    """Calibrate on the printed board with the material in its hole, tilted in all directions.
+    """Calibrate on the printed board, tilted in all directions, with the subject's material in its hole.
 
     Parameters
     ----------
@@ -160,7 +156,7 @@ def board(
     out
         The rig.json to write.
     camera
-        A rig.json whose camera is taken; default: fitted to the same footage.
+        A rig.json with the camera to use. Default: the camera is fitted to the same footage.
     """
     require_output(out, JSON)
     job = _job(source, None, background, transfer, camera, focal_px, single_light, frames)
@@ -190,21 +186,21 @@ def lights(
     camera: Path | None = None,
     focal_px: FocalPx = None,
 ) -> None:
-    """Make a rig from lights whose directions and strengths are known.
+    """Compute a rig from known light directions and strengths.
 
     Parameters
     ----------
     source
-        A DiLiGenT folder (light_directions.txt, light_intensities.txt, filenames.txt), or a text file with
-        x y z, and perhaps red green blue, per light; x right, y up, z towards the viewer.
+        A DiLiGenT folder (light_directions.txt, light_intensities.txt, filenames.txt), or a text file with a
+        line per light: x y z, or x y z red green blue. x right, y up, z towards the viewer.
     out
         The rig.json to write.
     like
-        Footage of the rig, for the image size; default: the first image that the folder names.
+        Footage of the rig, which gives the image size. Default: the first image that the folder names.
     lights
-        Which three of the lights, counted from 0, are the red, the green and the blue one.
+        Numbers of the red, the green and the blue light, counted from 0.
     light_colours
-        Whether the intensities are the lights' colours, or channel k sees light k alone.
+        Use the intensities as the lights' colours, or assume that channel k sees only light k.
     camera
         A rig.json whose camera is taken; default: orthographic.
     """
@@ -238,7 +234,7 @@ def _job(
 
 
 def report_rig(out: Path, rig: Rig, seen: str) -> None:
-    """Say what was fitted and how well."""
+    """Print what was fitted, its residual and its condition number."""
     print(f"{out}: {seen}")
     quality = rig.quality
     if quality is not None and quality.samples:
@@ -248,14 +244,11 @@ def report_rig(out: Path, rig: Rig, seen: str) -> None:
         print(f"  cone of normals   {quality.cone_deg:.0f} degrees about their mean")
     print(f"  condition number  {rig.response.condition_number:.1f} (1 is best, below 10 is good)")
     if rig.response.variation is not None:
-        print("  varies over the image; the condition number is that of its centre")
+        print("  M varies over the image; the condition number is that of the centre")
         return
     title = "lights" if rig.response.light_colours is not None else "lights (channel by channel)"
     tilts = np.rad2deg(np.arccos(np.clip(-rig.response.light_directions[:, 2], -1, 1)))
     print(f"  {title}: {', '.join(f'{tilt:.0f}' for tilt in tilts)} degrees from the optical axis")
-
-
-# `vntoolkit calibrate head`: footage of a turning head in, rig.json out.
 
 
 @limits_on("max_megapixels")
@@ -286,9 +279,9 @@ def head(
     samples: SampleFlags = None,
     light: LightFlags = None,
 ) -> None:
-    """Calibrate on a bare head that turns all the way left and right, with a fixed expression, in the dark.
+    """Calibrate on a bare head that turns fully left and right, with a fixed expression, in a dark room.
 
-    60 to 120 frames are plenty.
+    60 to 120 frames are enough.
 
     Parameters
     ----------
@@ -297,22 +290,22 @@ def head(
     out
         The rig.json to write.
     camera
-        A rig.json whose camera is taken; best. Without it and --focal-px the focal length is fitted to the
-        turn, roughly.
+        A rig.json with the camera to use (most accurate). Without it and without --focal-px, the focal length
+        is estimated from the turn; that estimate is rough.
     mesh
-        Also write the head's mesh, .ply or .obj; its unit is the distance from the camera.
+        Also write the head's mesh, .ply or .obj. Its length unit is the distance to the camera.
     figure
         Also write a picture of tracks, shape, samples and lights, .png or .svg.
     report
         Also write a page about tracks, poses, shape, samples and lights, .html.
     features
-        What is recognised from frame to frame: skin followed in a video, or SIFT features of photographs that
-        lie up to 20 degrees apart.
+        What is matched between frames: tracks of the skin (video), or SIFT features (photographs up to 20
+        degrees apart).
     pose_start
-        Where the first guess of the poses comes from; default: factorisation for tracks, mapping for features
-        and, where it fails, factorisation.
+        Initialisation of the poses. Default: factorisation for tracks; mapping for features, or factorisation
+        where mapping fails.
     head_shape
-        Shape that gives the normals: silhouettes alone, or fused with stereo.
+        Shape that gives the normals: from silhouettes only, or fused with stereo.
     """
     for path, suffixes in ((out, JSON), (mesh, MESH), (figure, PICTURE), (report, PAGE)):
         require_output(path, suffixes)
@@ -362,12 +355,9 @@ def head(
         f"{len(motion.point)} tracks to {motion.error_px:.2f} px",
     )
     if camera is None and focal_px is None:
-        print(f"  focal length      {motion.camera.matrix[0, 0]:.0f} px, fitted to the turn: a rough guess")
+        print(f"  focal length      {motion.camera.matrix[0, 0]:.0f} px, estimated from the turn: rough")
     print(f"  samples agreeing  {result.light.inliers.mean():.0%}")
     print("  time              " + ", ".join(f"{k} {s:.0f} s" for k, s in result.stage_seconds.items()))
-
-
-# `vntoolkit calibrate presses` and `vntoolkit rectify`: tactile sensors.
 
 
 @limits_on("max_megapixels")
@@ -385,14 +375,14 @@ def presses(
     transfer: Curve = "linear",
     variation: VariationFlags = None,
 ) -> None:
-    """Calibrate a tactile sensor on a ball of known size, pressed into its gel again and again.
+    """Calibrate a tactile sensor on presses of a ball of known size into its gel.
 
-    Reconstruct with the same background: --background subtracts it.
+    Give `reconstruct` the same --background, which is subtracted.
 
     Parameters
     ----------
     source
-        A folder or pattern of images, one press each.
+        A folder or pattern of images, one for each press.
     out
         The rig.json to write.
     background
@@ -400,7 +390,8 @@ def presses(
     labels
         Folder of text files, NAME.txt for NAME.jpg: u v contact_radius in pixels of the rectified image.
     corners
-        u v of the gel's top left, top right, bottom left and bottom right corner in the image, to rectify it.
+        u v of the gel's top left, top right, bottom left and bottom right corner in the image. The image is
+        rectified to them.
     size_mm
         Width and height of the rectangle between these corners in millimetres.
     label_size
@@ -434,14 +425,14 @@ def rectify(
     transfer: Curve = "linear",
     overwrite: Overwrite = False,
 ) -> None:
-    """Resample footage of a plane seen at an angle onto square pixels of known size.
+    """Resample footage of a tilted plane to square pixels of known size.
 
     Parameters
     ----------
     source
         A video, an image, a folder of images, or a pattern.
     out
-        The folder to write, 16-bit PNG in the same transfer curve.
+        The folder to write: 16-bit PNG files with the same transfer curve.
     corners
         u v of the rectangle's top left, top right, bottom left and bottom right corner in the image.
     size_mm
@@ -465,11 +456,11 @@ def rectify(
 def rectification_from_flags(
     corners: tuple[float, ...] | None, size_mm: tuple[float, float] | None, pixel_mm: float
 ) -> Rectification | None:
-    """The rectification that --corners, --size-mm and --pixel-mm ask for, or None without them."""
+    """Return the rectification of --corners, --size-mm and --pixel-mm, or None without them."""
     if corners is None and size_mm is None:
         return None
     if corners is None or size_mm is None:
-        raise BadInput("rectification: --corners and --size-mm belong together")
+        raise BadInput("rectification: expected both --corners and --size-mm, got one of them")
     return Rectification(
         corners_px=tuple(corners), width_mm=size_mm[0], height_mm=size_mm[1], pixel_mm=pixel_mm
     )

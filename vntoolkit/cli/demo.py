@@ -1,4 +1,4 @@
-"""`vntoolkit demo`: the whole job on synthetic footage, ending with a page to look at."""
+"""`vntoolkit demo`: run the whole chain on a simulated capture and write a report."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ def demo(
     overwrite: Overwrite = False,
     options: DemoFlags = None,
 ) -> None:
-    """Simulate a calibration board and a dancing sweater, calibrate, reconstruct, compare with the truth.
+    """Simulate a board and a dancer's sweater, calibrate, reconstruct, and compare with the truth.
 
-    About a minute and a half on two cores. A run that was interrupted goes on where it stopped.
+    Takes a minute and a half on two cores. An interrupted run continues where it stopped.
 
     Parameters
     ----------
@@ -49,5 +49,5 @@ def demo(
         f"normals are {middle.normals.median_deg:.1f} degrees from the truth "
         f"(median of frame {middle.number})"
     )
-    print(f"meshes, one a frame: {folder.reconstruction / 'mesh'}")
-    print(f"the page to look at: {page}")
+    print(f"meshes, one per frame: {folder.reconstruction / 'mesh'}")
+    print(f"report: {page}")

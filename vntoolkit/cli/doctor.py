@@ -1,4 +1,4 @@
-"""`vntoolkit doctor`: does the installation work, and what in this footage will ruin normals?"""
+"""`vntoolkit doctor`: check the libraries, or check footage for faults that spoil normals."""
 
 from __future__ import annotations
 
@@ -68,16 +68,16 @@ def doctor(
     mask: Path | None = None,
     transfer: str | None = None,
 ) -> int:
-    """Check the installation, or look over footage for what ruins normals.
+    """Check the installation, or check footage for faults that spoil normals.
 
     Parameters
     ----------
     source
-        Video, image, folder of images, or pattern. Without it the libraries are checked.
+        A video, an image, a folder of images, or a pattern. Without it, the libraries are checked.
     rig
         Check the size, the channel order and the transfer curve against this rig.json.
     mask
-        Where the surface is; used with the rig.
+        Image that is white where the subject is. Used together with --rig.
     transfer
         Curve of the footage: linear, srgb, bt709 or gamma:G. Default: the rig's, else linear.
     """
@@ -136,7 +136,7 @@ def _check_libraries(console: Console) -> int:
     for line in lines:
         console.print(f"[red]broken[/] {escape(line)}", highlight=False, soft_wrap=True)
     if not lines:
-        console.print("[green]all there[/]: every library can be imported, and a video opens")
+        console.print("[green]complete[/]: every library can be imported, and a video opens")
     return int(bool(lines))
 
 
@@ -194,7 +194,7 @@ def _print_report(console: Console, source: str, report: CaptureReport) -> None:
     table.add_row("size", f"{info.width} × {info.height} pixels")
     bits = "float" if info.bits == 32 else f"{info.bits} bits per channel as read"
     table.add_row("stored as", f"{info.codec}, {info.pixel_format}, chroma {info.chroma}, {bits}")
-    table.add_row("looked at", f"frames {', '.join(map(str, report.examined))}")
+    table.add_row("examined", f"frames {', '.join(map(str, report.examined))}")
     table.add_row("clipped", f"{report.clipped_share:.2%} of the pixels")
     table.add_row("dark", f"{report.dark_share:.2%} of the pixels below 1 % of full scale")
     table.add_row("brightest", f"{report.brightest:.0%} of full scale (99th percentile)")
@@ -207,4 +207,4 @@ def _print_report(console: Console, source: str, report: CaptureReport) -> None:
             soft_wrap=True,
         )
     if not report.findings:
-        console.print("[green]nothing found[/] that would ruin normals")
+        console.print("[green]no fault found[/]")

@@ -1,4 +1,4 @@
-"""`vntoolkit dress`: put a captured garment on a moving figure."""
+"""`vntoolkit dress`: put a captured garment on an animated skeleton."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def run(
     weights: WeightFlags = None,
     clock: ClockFlags = None,
 ) -> None:
-    """Attach the registered mesh of a folder written by `track` to a skeleton that motion capture moves.
+    """Attach a mesh registered by `vntoolkit track` to a skeleton animated by motion capture.
 
     Parameters
     ----------
@@ -59,14 +59,15 @@ def run(
     motion:
         Motion capture: .bvh, or .amc with its .asf beside it.
     out:
-        What to write: .usdc (with skeleton), .glb (short clips), or one mesh a frame: cloth_%04d.ply, .obj.
+        The file to write: .usdc (with skeleton), .glb (short clips), or one mesh per frame, cloth_%04d.ply or
+        .obj.
     skeleton:
-        The .asf of an .amc, where it has another name.
+        The .asf file of an .amc file, if their names differ.
     fit:
         JSON file that corrects the automatic fit: scale, rotation_deg, translation_m, landmarks, pose_deg,
         bind_frame.
     preview:
-        Also draw a contact sheet and a turntable beside the result.
+        Also write a contact sheet and a turntable video beside the result.
     """
     require_figure_name(out)
     require_output(out)
@@ -84,7 +85,7 @@ def run(
     )
     count = write_dressed_figure(dressed, out)
     cut = f"; {dressed.cut_triangles} triangles cut" if dressed.cut_triangles else ""
-    rate = f"{dressed.clock.frame_rate_hz:g} frames a second"
+    rate = f"{dressed.clock.frame_rate_hz:g} frames per second"
     print(f"{out}: {count} frames of {len(dressed.template.vertices)} vertices, {rate}{cut}")
     if preview:
         stem = out.stem.split("%")[0].rstrip("_") or "dress"

@@ -1,4 +1,4 @@
-"""`vntoolkit evaluate normals`: angles between two normal maps, or two folders of them."""
+"""`vntoolkit evaluate …`: compare normals, meshes, cylinders, tracks and depth with a reference."""
 
 from __future__ import annotations
 
@@ -48,23 +48,19 @@ from vntoolkit.report.error_figures import (
 )
 
 _LOGGER = logging.getLogger(__name__)
-_NORMAL_LINES = 10  # of the table on the screen; the file has all frames
+
 COLUMNS = ["", "pixels", "mean", "median", "std", "95 %", "< 5°", "< 10°", "< 20°"]
 if TYPE_CHECKING:
     AlignmentFlags: TypeAlias = AlignmentOptions | None
-else:
-    AlignmentFlags = flags_from(AlignmentOptions, free="align")
-_SEED = 0  # of the vertices sampled to align by
-if TYPE_CHECKING:
     CylinderFlags: TypeAlias = CylinderOptions | None
-else:
-    CylinderFlags = flags_from(CylinderOptions)
-_LINES = 10  # of the table on the screen; the file has all frames
-if TYPE_CHECKING:
     ErrorFlags: TypeAlias = TrackErrorOptions | None
 else:
+    AlignmentFlags = flags_from(AlignmentOptions, free="align")
+    CylinderFlags = flags_from(CylinderOptions)
     ErrorFlags = flags_from(TrackErrorOptions)
-_TRACK_LINES = 12  # of a table on the screen; the file has all frames
+
+_SEED = 0  # of the vertices sampled for the alignment
+_LINES, _TRACK_LINES = 10, 12  # of a table on the screen; the file has all frames
 
 
 @limits_on("max_megapixels")
@@ -76,7 +72,7 @@ def normals(
     measured_convention: NormalConvention | None = None,
     reference_convention: NormalConvention | None = None,
 ) -> None:
-    """Print the angles in degrees between two normal maps, or between two folders of them frame by frame.
+    """Print the angles in degrees between two normal maps, or between two folders of normal maps.
 
     Writes normals.json, the map of the worst frame's errors (normals_map.png) and the cumulative curve
     (normals_curve.png).
@@ -86,11 +82,11 @@ def normals(
     measured
         A normal map, EXR or PNG, or a folder of them, such as `vntoolkit reconstruct` writes.
     reference
-        What it is compared with; a folder may be that of `vntoolkit simulate`. Paired by file names.
+        The reference: a map or a folder, such as `vntoolkit simulate` writes. Files are paired by name.
     out
         Folder to write.
     measured_convention
-        Axes of the measured map; default: what the file states, else x right, y up, z to the viewer.
+        Axes of the measured map. Default: those that the file states, else x right, y up, z to the viewer.
     reference_convention
         Axes of the reference.
     """
@@ -106,7 +102,7 @@ def normals(
     write_error_map(out / "normals_map.png", found.worst_deg, found.worst_mask, title, "degrees")
     title = f"{measured.name} against {reference.name}"
     write_cumulative_errors(out / "normals_curve.png", {"all frames": found.curve_deg}, title, "degrees")
-    step = max(1, -(-len(found.frames) // _NORMAL_LINES))
+    step = max(1, -(-len(found.frames) // _LINES))
     rows = [error_row(name, error) for name, error in list(found.frames.items())[::step]]
     if len(found.frames) > 1:
         rows.append(error_row("all", found.overall))
@@ -115,13 +111,10 @@ def normals(
 
 
 def error_row(name: str, error: AngularError) -> list[str]:
-    """Format one row of `COLUMNS`."""
+    """Return the cells of one row of `COLUMNS`."""
     angles = (error.mean_deg, error.median_deg, error.std_deg, error.p95_deg)
     shares = (error.below_5, error.below_10, error.below_20)
     return [name, str(error.pixels), *(f"{a:.2f}" for a in angles), *(f"{100 * s:.1f}%" for s in shares)]
-
-
-# `vntoolkit evaluate mesh`: distances between two meshes both ways, and the quality of each.
 
 
 @limits_on("max_vertices")
@@ -133,19 +126,20 @@ def mesh(
     out: Path = Path("evaluation"),
     options: AlignmentFlags = None,
 ) -> None:
-    """Print how far a mesh lies from a reference, both ways, and the faults of each that other programs meet.
+    """Print the distances between a mesh and a reference, in both directions, and the quality of both.
 
-    Distances go from the vertices of one to the faces of the other. A file without faces is a point cloud:
-    then they go to its points. Writes mesh.json and mesh_curve.png.
+    A distance goes from a vertex of one mesh to the nearest point on the faces of the other. A file without
+    faces is a point cloud: distances to it go to its points. Quality counts holes, non-manifold edges and the
+    like. Writes mesh.json and mesh_curve.png.
 
     Parameters
     ----------
     mesh
         A PLY or OBJ file.
     reference
-        Another; without it only the quality is measured.
+        The mesh to compare with. Without it, only the quality is measured.
     measured_by
-        embree: the nearest point by Open3D's search, however far. pymeshlab: MeshLab's, to compare with.
+        embree: nearest points by Open3D, at any distance. pymeshlab: nearest points by MeshLab.
     out
         Folder to write.
     """
@@ -153,7 +147,7 @@ def mesh(
     options = options or AlignmentOptions()
     measured = _read(mesh)
     if reference is None and not isinstance(measured, Mesh):
-        raise BadMesh(f"{mesh}: has {len(measured.points)} vertices but no face, so it is no surface")
+        raise BadMesh(f"{mesh}: expected a surface, got {len(measured.points)} vertices and no face")
     same_name = reference is not None and reference.name == mesh.name  # such as 000000.ply of two folders
     name = str if same_name else attrgetter("name")
     surfaces = {name(mesh): measured}
@@ -185,7 +179,7 @@ def mesh(
 
 
 def distance_summary(distance: MeshDistance) -> dict[str, object]:
-    """Return the measured values and those derived, for JSON."""
+    """Return measured and derived values for JSON."""
     derived = {
         name: getattr(distance, name) for name in ("mean", "hausdorff", "mean_percent", "hausdorff_percent")
     }
@@ -221,9 +215,6 @@ def _print_quality(qualities: dict[str, MeshQuality]) -> None:
     print_table("quality", ["", *qualities], rows)
 
 
-# `vntoolkit evaluate cylinder`: a sequence's normals against one fitted cylinder.
-
-
 @limits_on("max_megapixels")
 def cylinder(
     folder: Path,
@@ -234,7 +225,7 @@ def cylinder(
     out: Path | None = None,
     options: CylinderFlags = None,
 ) -> CylinderEvaluation:
-    """Fit one cylinder to a reconstruction of a moving cylinder; measure its normals against it (Figure 7).
+    """Fit one cylinder to a reconstruction of a moving cylinder; compare the normals with it (Figure 7).
 
     Writes cylinder.json and cylinder.png.
 
@@ -243,7 +234,7 @@ def cylinder(
     folder
         The folder that `vntoolkit reconstruct` wrote.
     truth
-        The folder that `vntoolkit simulate` wrote: judges the fit itself too.
+        The folder that `vntoolkit simulate` wrote. With it, the fit itself is compared with the truth.
     out
         Folder to write; default: `evaluation` in the given folder.
     """
@@ -290,9 +281,6 @@ def _print(found: CylinderEvaluation) -> None:
         )
 
 
-# `vntoolkit evaluate tracks`: registered meshes against the simulator's vertices.
-
-
 @limits_on("max_vertices")
 def tracks(
     folder: Path,
@@ -303,33 +291,33 @@ def tracks(
     plot: Path | None = None,
     options: ErrorFlags = None,
 ) -> None:
-    """Print the end-point error in pixels by frame: of all vertices, and of those not declared lost.
+    """Print the end-point error of each frame in pixels, for all visible vertices and without the lost ones.
 
-    Every vertex is judged whose true point can be seen in that frame. `astray` is the share of them that is
-    off by more than 4 pixels, `lost` the share that the tracker itself declares lost; the last two columns
-    leave these out, and mean nothing without that share.
+    A vertex counts in a frame if its true point is visible there. `astray`: percentage of these vertices with
+    an error above 4 pixels. `lost`: percentage that the tracker reports as lost. The last two columns leave
+    the lost vertices out: read them together with that percentage.
 
     Parameters
     ----------
     folder
-        The folder that `vntoolkit track` wrote (or the one that holds its folder track).
+        The folder that `vntoolkit track` wrote, or the folder that contains it as `track`.
     others
-        More of them, to compare.
+        More such folders, to compare.
     truth
         The folder that `vntoolkit simulate` wrote.
     every
-        Judge every n-th frame, and the last.
+        Evaluate every n-th frame, and the last one.
     out
-        Also write all judged frames as a tab-separated table; of several folders, one table each, NAME.tsv in
-        this folder.
+        Also write a tab-separated table of all evaluated frames. With several folders: a folder for one table
+        each, NAME.tsv.
     plot
-        Also draw the error against the frame, .png or .svg.
+        Also plot the error over the frames, .png or .svg.
     """
     if every < 1:
         raise BadInput(f"every: expected 1 or more, got {every}")
     folders = {_name(each): each for each in (folder, *others)}
     if len(folders) <= len(others):
-        raise BadInput("evaluate tracks: two of the folders have the same name; give each its own")
+        raise BadInput("evaluate tracks: expected folders with different names, got two of one name")
     tables = {} if out is None else {name: out / f"{name}.tsv" if others else out for name in folders}
     for table in tables.values():
         require_output(table)
@@ -355,7 +343,7 @@ def _name(folder: Path) -> str:
 def _print_table(name: str, errors: list[TrackError]) -> None:
     step = max(1, -(-(len(errors) - 1) // _TRACK_LINES))
     print(name)
-    print("       of all vertices in sight           of those not declared lost")
+    print("       all visible vertices               without those reported lost")
     print("frame  median px   95 % px  astray    lost  median px   95 % px")
     for error in [*errors[:-1:step], errors[-1]]:
         print(
@@ -364,20 +352,17 @@ def _print_table(name: str, errors: list[TrackError]) -> None:
         )
 
 
-# `vntoolkit evaluate integration`: the integrators on surfaces whose depth is known.
-
-
 @limits_on("max_megapixels")
 def integration(*, data: Path | None = None, size: int = 256, out: Path = Path("evaluation")) -> None:
-    """Print the depth errors of every integrator on analytic surfaces, and on real objects where given.
+    """Print the depth error of every integrator on analytic surfaces, and on real objects if given.
 
-    Writes integration.json, the errors' curves on the torn surface (integration_curve.png) and the map of the
-    last integrator's (integration_map.png).
+    Writes integration.json, the cumulative errors on the surface with a depth step (integration_curve.png)
+    and the error map of the last integrator (integration_map.png).
 
     Parameters
     ----------
     data
-        Folder of real objects, one folder each: normal_map.png, mask.png, K.txt, depth_gt.npz (millimetres).
+        Folder with one folder per real object: normal_map.png, mask.png, K.txt, depth_gt.npz (millimetres).
     size
         Side of the analytic surfaces in pixels.
     out

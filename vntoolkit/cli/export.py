@@ -1,4 +1,4 @@
-"""`vntoolkit export`: results in the files of other programs."""
+"""`vntoolkit export`: convert results to the formats of other programs."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ def export(
     background: Path | None = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Hand a reconstruction on to other programs.
+    """Convert a reconstruction to the formats of other programs.
 
-    --footage and --background are for diligent, which alone reads the footage again. The same command again
-    goes on where an earlier run stopped, and writes what has changed since.
+    Only --to diligent reads the footage again and needs --footage and --background. The same command again
+    continues an interrupted run and writes what has changed since.
 
     Parameters
     ----------
@@ -41,9 +41,9 @@ def export(
     out
         The file (usd, glb) or folder to write; default FOLDER/export/….
     background
-        The background that the reconstruction subtracted.
+        The background image that the reconstruction subtracted.
     overwrite
-        Replace an export of other options in the folder.
+        Replace an export with other options in the folder.
     """
     job = ExportJob(
         folder=folder,

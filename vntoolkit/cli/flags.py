@@ -1,7 +1,7 @@
-"""Command line flags from the frozen option dataclasses of the stages: one source for name, default and help.
+"""Command line flags, made from the option dataclasses of the stages.
 
-An option class documents each field in its docstring as `name: meaning.`; that becomes the help, up to the
-next field or the end of the paragraph.
+A dataclass is the only source of a flag's name, default and help. Its docstring documents each field as
+`name: meaning.`; the help is that text up to the next field or the end of the paragraph.
 """
 
 from __future__ import annotations
@@ -22,38 +22,40 @@ from vntoolkit.io.limits import ReadingLimits, limited_to
 Frames: TypeAlias = Annotated[
     str,
     Parameter(
-        help="Which frames, a:b:c: from a, below b, every c-th; or one number.",
+        help="Frames to use: a:b:c for every c-th frame from a to b - 1, or one number.",
         show_default=lambda text: "all" if text == "::" else text,
     ),
 ]
 Jobs: TypeAlias = Annotated[
-    int, Parameter(help="Worker processes on this machine; the results do not depend on their number.")
+    int, Parameter(help="Worker processes on this machine. The results do not depend on their number.")
 ]
 Scheduler: TypeAlias = Annotated[
     str | None,
     Parameter(
-        help='Address of a Dask scheduler, tcp://host:8786, whose workers see the same folders; or "local".'
+        help='Address of a Dask scheduler, tcp://host:8786, or "local". Workers must see the same folders.'
     ),
 ]
 Overwrite: TypeAlias = Annotated[bool, Parameter(negative=())]
 Footage: TypeAlias = Annotated[
-    str, Parameter(help="Where the footage is now, if not where it was when it was reconstructed.")
+    str, Parameter(help="Where the footage is now, if it was moved after the reconstruction.")
 ]
 Curve: TypeAlias = Annotated[
     str, Parameter(help="Transfer curve of the footage: linear, srgb, bt709 or gamma:G.")
 ]
 AmbientImage: TypeAlias = Annotated[
-    Path | None, Parameter(help="Image of the scene under ambient light only, subtracted from every frame.")
+    Path | None,
+    Parameter(help="Image of the scene under ambient light only. It is subtracted from every frame."),
 ]
 FocalPx: TypeAlias = Annotated[
-    float | None, Parameter(help="Focal length in pixels, for a pinhole camera instead of --camera.")
+    float | None,
+    Parameter(help="Focal length in pixels. Gives a pinhole camera; use it instead of --camera."),
 ]
 SingleLight: TypeAlias = Annotated[
     tuple[Path, Path, Path] | None,
     Parameter(
         consume_multiple=True,
         negative=(),
-        help="Three photographs, under the red, the green and the blue light alone: takes M apart.",
+        help="Three photographs, each under one light alone: red, green, blue. They split M into its lights.",
     ),
 ]
 P = ParamSpec("P")
@@ -62,10 +64,10 @@ _PARAMETER = "reading_limits"
 
 
 def flags_from(options: type[Any], *, without: tuple[str, ...] = (), **renamed: str) -> Any:
-    """Return an annotation for a verb's parameter, default None, that spreads `options` into flags.
+    """Return the annotation of a verb's parameter, default None, that gives every field of `options` a flag.
 
-    without: fields that get no flag and keep their default. renamed: field to flag name, where the field's
-    own name would be unclear among the flags of a verb.
+    without: fields that get no flag and keep their default. renamed: maps a field to its flag's name, where
+    the field's own name would be unclear among the other flags.
     """
     hints = get_type_hints(options)
     meanings = meanings_of_fields(options)
@@ -101,14 +103,14 @@ def flags_from(options: type[Any], *, without: tuple[str, ...] = (), **renamed: 
 
 
 def require_finite(_kind: Any, value: Any) -> None:
-    """Refuse NaN and infinity in every flag: no option means them, and few stages would notice."""
+    """Refuse NaN and infinity in every flag."""
     numbers = value if isinstance(value, tuple | list) else (value,)
     if any(isinstance(number, float) and not math.isfinite(number) for number in numbers):
         raise ValueError("Expected a finite number.")
 
 
 def meanings_of_fields(options: type[Any]) -> dict[str, str]:
-    """Return what the docstring of an option class says of each field; raise `KeyError` for one it omits."""
+    """Return the documentation of each field of an option class; raise `KeyError` where one is missing."""
     paragraphs = re.split(r"\n\s*\n", inspect.cleandoc(options.__doc__ or ""))
     names = [field.name for field in dataclasses.fields(options)]
     # `name:` or `first, second:` starts a field's sentence
@@ -126,12 +128,12 @@ def meanings_of_fields(options: type[Any]) -> dict[str, str]:
         if name in names and name not in meanings and not dataclasses.is_dataclass(hint)
     ]
     if missing:
-        raise KeyError(f"{options.__name__}: the docstring does not say what {', '.join(missing)} means")
+        raise KeyError(f"{options.__name__}: the docstring does not document {', '.join(missing)}")
     return meanings
 
 
 def _made(options: type[Any], values: dict[str, Any]) -> Any:
-    """Make the stage's own options in another process, which knows nothing of the spread class."""
+    """Make the stage's own options in another process, which does not have the derived class."""
     return options(**values)
 
 
@@ -143,11 +145,8 @@ def _capitalised(sentence: str) -> str:
     return sentence[:1].upper() + sentence[1:] + "."
 
 
-# `--max-megapixels` and `--max-vertices`: one decorator gives them to every verb that reads such files.
-
-
 def limits_on(*fields: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Give a verb the flags of these fields of `ReadingLimits`; while it runs, every reader keeps to them."""
+    """Give a verb the flags of these fields of `ReadingLimits`; all readers obey them while it runs."""
     others = tuple(field.name for field in dataclasses.fields(ReadingLimits) if field.name not in fields)
     flags = flags_from(ReadingLimits, without=others)
 

@@ -1,4 +1,4 @@
-"""One clear line for a command that was typed wrongly: what was expected, what came, where to look."""
+"""The error lines of the command line: a command typed wrongly, and an exception nobody foresaw."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _TYPES = {"int": "a whole number", "float": "a number", "bool": "true or false"}
 
 
 def line_from_usage_error(error: CycloptsError) -> str:
-    """Return the error as a sentence, ended by the command whose help explains it."""
+    """Return one line: what was expected, what was typed, and the `--help` that explains it."""
     verb = " ".join(error.command_chain or ())
     if isinstance(error, MissingArgumentError) and not isinstance(error, ConsumeMultipleError):
         text = f"{verb}: {_missing(error)}."
@@ -55,7 +55,7 @@ def _shown_name(argument: Argument) -> str:
 
 
 def _meaning(argument: Argument, error: CycloptsError) -> str:
-    """What the flag is for: its choices, or the first sentence that the verb's docstring says of it."""
+    """Return the flag's choices, or the first sentence on it in the verb's docstring."""
     if isinstance(argument.hint, type) and issubclass(argument.hint, Enum):
         return "one of " + ", ".join(member.name.lower().replace("_", "-") for member in argument.hint)
     text = inspect.getdoc(error.target) or ""
@@ -66,25 +66,22 @@ def _meaning(argument: Argument, error: CycloptsError) -> str:
     return sentence[:1].lower() + sentence[1:]
 
 
-# What is said of an exception that nobody foresaw: one line, and the trace in a file that can be sent.
-
-
 def line_from_unforeseen(error: Exception) -> str:
-    """Return the line to show; the traceback goes into a new file of the temporary folder, which it names.
+    """Write the traceback to a new file in the temporary folder; return one line that names the file.
 
-    Where that folder cannot be written, the line names the function that failed instead.
+    If that folder cannot be written, the line names the function that failed instead.
     """
     if isinstance(error, MemoryError):
         return printable_line(
-            f"out of memory ({error}): take fewer --jobs or --frames, or smaller footage; what is "
-            "finished is on disk"
+            f"out of memory ({error}): use fewer --jobs or --frames, or smaller footage; finished frames "
+            "are on disk"
         )
     what = printable_line(f"{type(error).__name__}: {error}"[:300])
     last = traceback.extract_tb(error.__traceback__)[-1:]
-    where = f"it arose in {last[0].name}, line {last[0].lineno} of {last[0].filename}" if last else ""
+    where = f"raised in {last[0].name}, line {last[0].lineno} of {last[0].filename}" if last else ""
     with contextlib.suppress(OSError):
-        where = f"its trace is in {_written(error)}"
-    return f"a fault of vntoolkit's own, not of your input ({what}); {where}: please report it"
+        where = f"the traceback is in {_written(error)}"
+    return f"internal error, not a fault of your input ({what}); {where}; please report it"
 
 
 def _written(error: Exception) -> Path:

@@ -1,4 +1,4 @@
-"""Results on the screen and on disk: a table, and the same numbers as JSON."""
+"""Output of the verbs: tables, JSON, checks of output names, progress bars."""
 
 from __future__ import annotations
 
@@ -43,10 +43,10 @@ def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]
 
 
 def plain_console() -> Console:
-    """Return a console that prints brackets, colons and numbers in names as they are."""
+    """Return a console without markup: brackets and colons in names are printed unchanged."""
     plain: dict[str, Any] = {"highlight": False, "markup": False, "emoji": False}
     console = Console(**plain)
-    # a pipe or a file has no width to keep to
+    # a pipe or a file has no width
     return console if console.is_terminal else Console(**plain, width=_WIDE)
 
 
@@ -63,13 +63,11 @@ def _plain(value: Any) -> Any:
     return value.item()  # numpy's numbers
 
 
-# Where a verb will write: refused before minutes of work, not after.
-
-
 def require_output(path: Path | None, suffixes: tuple[str, ...] = ()) -> None:
-    """Raise unless a file of that name can be written; None passes. Nothing is made.
+    """Raise `BadInput` or `CannotWrite` if a file of that name cannot be written; creates nothing.
 
-    suffixes: one of which the name must end in, or none for any.
+    Verbs call it first, so that a bad name is refused before minutes of work. suffixes: allowed endings of
+    the name; () allows any. path: None passes.
     """
     if path is None:
         return
@@ -77,7 +75,7 @@ def require_output(path: Path | None, suffixes: tuple[str, ...] = ()) -> None:
         raise BadInput(f"{path}: expected a name that ends in {' or '.join(suffixes)}")
     try:
         if path.is_dir():
-            raise CannotWrite(f"{path}: is a folder, expected the name of a file to write")
+            raise CannotWrite(f"{path}: expected the name of a file to write, got a folder")
         nearest = next(folder for folder in path.absolute().parents if folder.exists())
         fault = 0 if os.access(nearest, os.W_OK | os.X_OK) else errno.EACCES
         fault = fault if nearest.is_dir() else errno.ENOTDIR
@@ -88,19 +86,16 @@ def require_output(path: Path | None, suffixes: tuple[str, ...] = ()) -> None:
 
 
 class _RateColumn(ProgressColumn):
-    """Frames per second so far."""
+    """Shows frames per second."""
 
     def render(self, task: Task) -> Text:
         """Show the rate, or nothing before the first frame."""
         return Text(f"{task.speed:.1f}/s" if task.speed else "", style="progress.data.speed")
 
 
-# A progress bar with rate and time left, on a terminal; silent elsewhere.
-
-
 @contextlib.contextmanager
 def progress_bar(title: str, total: int, done: int = 0) -> Iterator[Advance]:
-    """Show progress on standard error while the block runs; yield the function that advances it by n."""
+    """Show a progress bar on standard error if it is a terminal; yield the function that advances it."""
     columns = (
         TextColumn("{task.description}", markup=False),
         BarColumn(),
@@ -115,7 +110,7 @@ def progress_bar(title: str, total: int, done: int = 0) -> Iterator[Advance]:
 
 
 class ProgressBars:
-    """Bars one after the other, each begun by the work, which knows how much there is. A context manager."""
+    """Shows one progress bar after another; a context manager."""
 
     def __init__(self) -> None:
         self._stack = contextlib.ExitStack()
@@ -129,18 +124,18 @@ class ProgressBars:
         self._stack.close()
 
     def begin(self, title: str, total: int, done: int = 0) -> None:
-        """Show a new bar instead of the last."""
+        """Replace the bar by a new one."""
         self._stack.close()
         self._advance = self._stack.enter_context(progress_bar(title, total, done))
         self._title, self._done = title, done
 
     def step(self, _finished: object = None) -> None:
-        """Show that one more is done."""
+        """Advance the bar by one."""
         self._done += 1
         self._advance(1)
 
     def reach(self, title: str, done: int, total: int) -> None:
-        """Show how much of a stage is done; a stage of another title begins a bar of its own."""
+        """Set the bar to `done` of `total`; a new title begins a new bar."""
         if title != self._title:
             self.begin(title, total, done)
         self._advance(done - self._done)

@@ -17,11 +17,11 @@ from vntoolkit.errors import BadInput, VntError
 from vntoolkit.report.recipes_page import RecipeRun, read_recipe_text, write_recipes_page
 
 _LOG = logging.getLogger(__name__)
-_EXPERIMENTS = ("Figure", "Table")  # first word of the summary; the other recipes make data and pictures
+_EXPERIMENTS = ("Figure", "Table")  # first words of the summary; other recipes make data and pictures
 
 
 def list_() -> None:
-    """Print the recipes by name, with what each does."""
+    """Print the name and the purpose of every recipe."""
     rows = [[name, summary_of(path)] for name, path in recipes().items()]
     print_table("vntoolkit recipe run NAME", ["recipe", "what"], rows, names=2)
 
@@ -32,16 +32,16 @@ def run(
     *arguments: Annotated[str, Parameter(allow_leading_hyphen=True)],
     out: Path | None = None,
 ) -> None:
-    """Run one recipe, or all figures and tables of the paper and a page of their numbers and pictures.
+    """Run one recipe, or all figures and tables of the paper with a page of their numbers and pictures.
 
     Parameters
     ----------
     name
         A name that `vntoolkit recipe list` shows, or all.
     arguments
-        Handed on to the recipe, such as --quick, or --data DIR; `-- --help` shows what it takes.
+        Options of the recipe, such as --quick or --data DIR. `-- --help` lists them.
     out
-        Folder to write; default: out/NAME, for all: out.
+        Folder to write. Default: out/NAME; with all: out.
     """
     if name == "all":
         _run_all(out or Path("out"), list(arguments))
@@ -53,13 +53,13 @@ def run(
 
 
 def recipes() -> dict[str, Path]:
-    """Return the scripts by name: those of the installed package, or of the repository it lies in."""
+    """Return the scripts by name, from the installed package or from its repository."""
     package = Path(vntoolkit.__file__).parent
     for folder in (package / "recipes", package.parent / "recipes"):
         found = {path.stem: path for path in sorted(folder.glob("*.py"))}
         if found:
             return found
-    raise BadInput(f"recipes: none in {package / 'recipes'}; install the package again")
+    raise BadInput(f"recipes: expected scripts in {package / 'recipes'}, got none; install the package again")
 
 
 def summary_of(path: Path) -> str:
@@ -77,7 +77,7 @@ def _run(path: Path, arguments: list[str]) -> None:
 
 
 def _run_all(out: Path, arguments: list[str]) -> None:
-    """Run every experiment; one that fails is named on the page and does not stop the others."""
+    """Run every experiment; the page lists a failed one, and the others still run."""
     runs = []
     for name, path in recipes().items():
         text = read_recipe_text(path)
@@ -91,7 +91,7 @@ def _run_all(out: Path, arguments: list[str]) -> None:
             failure = str(error)
         except SystemExit as stopped:  # argparse: an argument is missing
             failure = f"did not run: see `vntoolkit recipe run {name} -- --help`" if stopped.code else ""
-        except Exception as error:  # a fault of ours: hours of other recipes shall not be lost to it
+        except Exception as error:  # one fault must not lose hours of other recipes
             _LOG.exception("%s", name)
             failure = f"{type(error).__name__}: {error}"
         seconds = time.perf_counter() - started
@@ -102,7 +102,7 @@ def _run_all(out: Path, arguments: list[str]) -> None:
 
 
 def _understood(path: Path, arguments: list[str]) -> list[str]:
-    """Those of `--flag [value]` arguments whose flag the script knows."""
+    """Return those `--flag [value]` arguments whose flag the script has."""
     text, kept, known = path.read_text("utf-8"), [], True
     for argument in arguments:
         if argument.startswith("--"):

@@ -1,4 +1,4 @@
-"""`vntoolkit reconstruct`: footage and a rig in; normals, depth and meshes out."""
+"""`vntoolkit reconstruct`: compute normals, depth and meshes from footage and a rig."""
 
 from __future__ import annotations
 
@@ -52,20 +52,20 @@ def reconstruct(
     integration: IntegrationFlags = None,
     meshing: MeshFlags = None,
 ) -> None:
-    """Turn footage and a rig into normals, depth and meshes, frame by frame.
+    """Compute normals, depth and meshes from footage and a rig, frame by frame.
 
-    A run that was interrupted goes on where it stopped when the same command is given again.
+    The same command again continues an interrupted run.
 
     Parameters
     ----------
     source
         A video, an image, a folder of images, or a pattern such as frame_%04d.png or "frame_*.png".
     rig
-        The rig.json of `vntoolkit calibrate`.
+        The rig.json that `vntoolkit calibrate` wrote.
     out
         The folder to write: normals, depth, mesh and reconstruction.json.
     mask
-        An image of the footage's size, white where the subject is.
+        Image of the footage's size that is white where the subject is.
     transfer
         Transfer curve of the footage, linear, srgb, bt709 or gamma:G; default: the rig's.
     overwrite
@@ -98,7 +98,7 @@ def joined_options(
     integration: IntegrationOptions | None,
     meshing: MeshOptions | None,
 ) -> ReconstructOptions:
-    """Put together what was typed of each stage; None where nothing was."""
+    """Join the options of each stage; None means the default options."""
     return replace(
         pipeline or ReconstructOptions(),
         inversion=inversion or InversionOptions(),
@@ -117,6 +117,6 @@ def _with_transfer(rig: Rig, transfer: str | None) -> Rig:
 def _report(summary: ReconstructionSummary) -> None:
     for record in summary.skipped:
         print(f"skipped frame {record.number}: {record.failure}")
-    resumed = f", {summary.resumed} were there already" if summary.resumed else ""
+    resumed = f", {summary.resumed} from before" if summary.resumed else ""
     rate = f" ({summary.done / summary.seconds:.1f} frames/s)" if summary.done > 1 else ""
     print(f"{summary.folder}: {summary.done} of {summary.frames} frames done{resumed}{rate}")

@@ -1,4 +1,4 @@
-"""`vntoolkit report`: one page that tells whether a reconstruction can be trusted."""
+"""`vntoolkit report`: write an HTML page on the quality of a reconstruction."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ else:
 
 @limits_on("max_megapixels", "max_vertices")
 def report(folder: Path, *, out: Path | None = None, options: ReportFlags = None) -> None:
-    """Write one self-contained HTML page about a reconstruction: pictures, calibration, shares, warnings.
+    """Write one self-contained HTML page on a reconstruction: pictures, calibration, statistics, warnings.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""`vntoolkit schema`: the JSON schema of rig.json and reconstruction.json."""
+"""`vntoolkit schema`: print the JSON schema of rig.json or reconstruction.json."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`vntoolkit session`: the captures of a day, on this machine or on many."""
+"""`vntoolkit session`: reconstruct and track many captures, on one machine or several."""
 
 from __future__ import annotations
 
@@ -42,34 +42,34 @@ def session(
     integration: IntegrationFlags = None,
     meshing: MeshFlags = None,
 ) -> None:
-    """Reconstruct all captures of one rig, and track them, each into a folder of its own name.
+    """Reconstruct all captures of one rig, and track them on request, each into its own folder.
 
-    What fails is reported at the end and stops no other capture. The same command, given again, goes on
-    where it stopped. With a scheduler, frames of a capture are shared by all its workers, and every sequence
-    is tracked by one of them while the next captures are reconstructed.
+    A capture that fails is reported at the end; the others are still done. The same command again continues
+    an interrupted run. With a scheduler, all workers reconstruct the frames of one capture, and one of them
+    tracks it while the others reconstruct the next.
 
     Parameters
     ----------
     sources
-        Videos, or folders of images: take1.mkv take2.mkv ...
+        Videos or folders of images: take1.mkv take2.mkv ...
     rig
-        The rig.json of `vntoolkit calibrate`, of all these captures.
+        The rig.json of all these captures.
     out
-        The folder to write: take1, take2, ..., as `vntoolkit reconstruct` and `track` write them.
+        The folder to write. It gets one folder per capture: take1, take2, ...
     track
-        Follow the surface through each capture too.
+        Also register the frames of each capture to one mesh.
     method
-        How it is followed, as for `vntoolkit track`.
+        Tracking method, as for `vntoolkit track`.
     overwrite
         Replace the reconstructions and tracks that the folders hold.
     """
     if not sources:
-        raise BadInput("session: expected one video or folder of images or more, got none")
+        raise BadInput("session: expected at least one video or folder of images, got none")
     options = joined_options(pipeline, inversion, integration, meshing)
     if track and options.to is Product.NORMALS:
         raise BadInput("--track needs depth: give --to depth or mesh, not normals")
     if method is not Tracker.DEFAULT and not track:
-        raise BadInput("--method says how to track: add --track")
+        raise BadInput("--method needs --track")
     lit_by = read_rig(rig)
     captures = {
         name: ReconstructionJob(
@@ -105,7 +105,7 @@ def _line(outcome: CaptureOutcome) -> str:
     if made is None:
         return f"failed: {outcome.failure}"
     text = f"{made.done} of {made.frames} frames done"
-    text += f", {made.resumed} were there already" if made.resumed else ""
+    text += f", {made.resumed} from before" if made.resumed else ""
     text += "".join(f"; skipped frame {record.number}: {record.failure}" for record in made.skipped)
     if outcome.failure:
         return f"{text}; failed: {outcome.failure}"

@@ -1,4 +1,4 @@
-"""`vntoolkit simulate`: a synthetic capture with everything true beside it."""
+"""`vntoolkit simulate`: render a synthetic capture with ground truth."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ def simulate(
     nuisances: NuisanceFlags = None,
     rendering: RenderFlags = None,
 ) -> None:
-    """Film a synthetic scene under three coloured lights, with everything true about it beside the video.
+    """Render a synthetic scene under three coloured lights, with ground truth beside the video.
 
-    A run that was interrupted goes on where it stopped when the same command is given again.
+    The same command again continues an interrupted run.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def simulate(
     size
         Image size in pixels, WIDTHxHEIGHT.
     motion
-        A .npy file of vertices (frames, n, 3), metres in the camera frame, that moves the scene's mesh.
+        A .npy file of vertices (frames, n, 3), metres in the camera frame, that replaces the scene's motion.
     overwrite
         Replace the capture that the folder holds.
     """

@@ -1,4 +1,4 @@
-"""`vntoolkit track`: one surface through time."""
+"""`vntoolkit track`: register all frames of a reconstruction to one mesh."""
 
 from __future__ import annotations
 
@@ -56,29 +56,29 @@ def track(
 ) -> None:
     """Register the frames of a reconstruction to one mesh of fixed topology, and draw a checkerboard on it.
 
-    A run that was interrupted goes on where it stopped when the same command is given again.
+    The same command again continues an interrupted run.
 
     Parameters
     ----------
     folder
         The folder that `vntoolkit reconstruct` wrote, with normals and depth.
     method
-        A whole method by name; the options below change parts of it. Drift is corrected by the default only.
+        Name of a whole method. The options below change parts of it. Only the default corrects drift.
     regulariser
-        What keeps neighbouring vertices together.
+        How the motion is regularised.
     smoothing_length
-        Length over which motion is smoothed, in edges of the mesh; Laplacian coordinates keep waves
-        longer than about five times this.
+        Length over which motion is smoothed, in edges of the mesh. Laplacian coordinates keep waves longer
+        than about five times this length.
     data_share
-        Share α of the data term under the translation regulariser, 0 to 1.
+        Weight α of the data term for the translation regulariser, 0 to 1.
     confidence
-        What is done with vertices where the frame does not match the template.
+        How vertices are treated where the frame does not match the template.
     seams
-        JSON file of polylines on the template image where the surface is cut, as at mouth and eyes.
+        JSON file of polylines on the template image. The surface is cut along them, as at mouth and eyes.
     tears
-        Where else the template is cut: where its normals show one surface before another, or nowhere.
+        Where else the template is cut: where its normals show an occlusion, or nowhere.
     template
-        Number of the template frame; default the first. It is tracked forwards and backwards.
+        Number of the template frame. Default: the first. It is tracked forwards and backwards.
     out
         The folder to write; default FOLDER/track.
     overwrite
@@ -114,10 +114,10 @@ def _options(
     base = options_of(method)
     if drift is not None and method is not Tracker.DEFAULT:
         raise BadInput(
-            f"--method {method.value} corrects no drift: leave out --drift and its options, or --method"
+            f"--method {method.value} corrects no drift: omit --drift and its options, or omit --method"
         )
     if flow is not None and method is Tracker.NO_REGISTRATION:
-        raise BadInput(f"--method {method.value} follows no flow: leave out --flow and its options")
+        raise BadInput(f"--method {method.value} uses no flow: omit --flow and its options")
     chosen = regulariser or base.regulariser
     drift = drift or base.drift
     weighted = chosen is Regulariser.LAPLACIAN and drift.correction is DriftCorrection.TEMPLATE
