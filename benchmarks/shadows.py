@@ -28,7 +28,7 @@ from vntoolkit.photometry.frame import LinearFrame, count_lit, lit_from_labels
 from vntoolkit.photometry.lambertian import Leveller
 from vntoolkit.pipeline.referenced_captures import CAPTURES, ReferencedCapture, read_capture
 from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
-from vntoolkit.shadows.recovery import RecoveryMethod, RecoveryOptions, recover_normals
+from vntoolkit.shadows.recovery import RecoveryMethod, recover_normals
 from vntoolkit.simulation.image_formation import true_response, true_varying_response
 from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.render import FrameTruth, SimulatedFrame, render_frame
@@ -54,8 +54,7 @@ def recovered(capture: ReferencedCapture, labels, method: RecoveryMethod, camera
     frame, response = capture.frame, capture.response
     if response.variation is not None:
         frame = Leveller(response, frame.shape).frame(frame)
-    options = RecoveryOptions(method=method)
-    return recover_normals(frame, labels, response.central, capture.mask, options, camera)
+    return recover_normals(frame, labels, response.central, capture.mask, camera, method)
 
 
 def errors(capture: ReferencedCapture, found: NormalMap) -> str:
@@ -132,9 +131,8 @@ def times(capture: ReferencedCapture) -> None:
             labels = detector.labels(frame, mask)
             print(f"  detect, {method.value:10} {fastest(lambda: detector.labels(frame, mask)):6.2f}")  # noqa: B023
         for recovery in RecoveryMethod:
-            options = RecoveryOptions(method=recovery)
             seconds = fastest(
-                lambda: recover_normals(frame, labels, capture.response.central, mask, options)  # noqa: B023
+                lambda: recover_normals(frame, labels, capture.response.central, mask, method=recovery)  # noqa: B023
             )
             print(f"  recover, {recovery.value:10} {seconds:6.2f}")
 

@@ -10,7 +10,7 @@ PACKAGE = Path(__file__).parent.parent / "vntoolkit"
 # A lower number may be imported by a higher one; equal numbers only within the same room.
 FLOORS = {
     "arrays": 0, "errors": 0.1, "checks": 0.2, "native": 0.3,
-    "geometry": 1, "photometry": 1.5,
+    "solvers": 0.4, "geometry": 1, "photometry": 1.5,
     "io": 2, "calibration": 2, "simulation": 2, "normals": 2, "shadows": 2, "integration": 2,
     "meshing": 2, "tracking": 2, "skinning": 2, "evaluation": 2,
     "diagnosis": 2.5, "pipeline": 3, "report": 3.5, "live": 3.7,

@@ -60,7 +60,6 @@ def test_labels_are_written_and_right(shadowed_capture: DomeCapture, robust_run:
     manifest = read_manifest(robust_run)
     assert manifest.outputs == ["normals", "shadows"]
     assert manifest.options["shadows"] == "robust"
-    assert manifest.options["detection.published.gradient_threshold"] == 0.05
 
 
 def test_normals_under_the_shadow_are_recovered(

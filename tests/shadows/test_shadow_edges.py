@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import pytest
 
-from vntoolkit.errors import BadInput
-from vntoolkit.shadows.cast_edges import CastEdgeOptions, lit_beyond_half
-from vntoolkit.shadows.outline import OutlineOptions, turned_from_lights
-from vntoolkit.shadows.sure_labels import sure_labels
+from vntoolkit.shadows.graph_cut import sure_labels
+from vntoolkit.shadows.shadow_edges import (
+    lit_beyond_half,
+    turned_from_lights,
+)
 
 
 def sphere(radius: float, size: int) -> tuple[np.ndarray, np.ndarray]:
@@ -46,8 +46,6 @@ def test_a_cut_through_a_plane_is_no_outline() -> None:
     dark = np.zeros((60, 60, 3))
     assert not turned_from_lights(normals, dark, LIGHTS, mask).any()
     assert not turned_from_lights(normals, dark, LIGHTS, np.ones_like(mask)).any()
-    with pytest.raises(BadInput, match="far_px"):
-        OutlineOptions(near_px=5.0, far_px=4.0)
 
 
 def test_a_blurred_edge_of_a_cast_shadow_lies_at_half_light() -> None:
@@ -63,7 +61,6 @@ def test_a_blurred_edge_of_a_cast_shadow_lies_at_half_light() -> None:
     assert lit[:, 20:].all()
     turned = np.where(found, 0.8, 0.0)  # the surface turns away there
     assert np.array_equal(lit_beyond_half(found, shares, turned, mask), found)
-    assert np.array_equal(lit_beyond_half(found, shares, facing, mask, CastEdgeOptions(part=0.0)), found)
 
 
 def test_sure_labels_hold_in_every_cheapest_labelling(rng: np.random.Generator) -> None:

@@ -8,7 +8,7 @@ from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.photometry.frame import count_lit
 from vntoolkit.pipeline.referenced_captures import read_capture
 from vntoolkit.shadows.detector import ShadowDetector
-from vntoolkit.shadows.recovery import RecoveryMethod, RecoveryOptions, recover_normals
+from vntoolkit.shadows.recovery import RecoveryMethod, recover_normals
 
 # Mean error over all pixels, and over pixels in one shadow. Measured: 8.22 and 18.0; 7.86 and 16.0; 7.32 and
 # 17.9 degrees.
@@ -21,12 +21,12 @@ def test_found_shadows_are_recovered_on_photographs(real_data: Path, name: str) 
     one_shadow = capture.mask & (count_lit(capture.labels) == 2)
     labels = ShadowDetector(capture.response).labels(capture.frame, capture.mask)
 
-    def angles(options: RecoveryOptions):
-        found = recover_normals(capture.frame, labels, capture.response, capture.mask, options)
+    def angles(method: RecoveryMethod):
+        found = recover_normals(capture.frame, labels, capture.response, capture.mask, method=method)
         return angles_between_deg(found.normals_in_camera, capture.normals)
 
-    recovered = angles(RecoveryOptions())
-    plain = angles(RecoveryOptions(method=RecoveryMethod.INVERSION))
+    recovered = angles(RecoveryMethod.SURFACE)
+    plain = angles(RecoveryMethod.INVERSION)
     lit = capture.mask & (count_lit(capture.labels) == 3)
     assert recovered[lit].mean() < plain[lit].mean() + 0.2  # measured: 0.17, -0.89 and -0.84
     assert recovered[capture.mask].mean() < min(BOUNDS[name][0], plain[capture.mask].mean())

@@ -23,7 +23,6 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, Mask, Weight
-from vntoolkit.checks import require_in_range
 from vntoolkit.integration.edges import ChordField, PixelGraph, divergence_on_graph
 from vntoolkit.integration.multigrid import hierarchy_from_graph, solve_laplacian
 
@@ -33,44 +32,20 @@ _LEAST_WEIGHT = 1e-9  # of a fully cut edge: keeps parts that only cuts connect 
 _LEAST_NOISE = 1e-4  # pixels: rounding of float32 normals; a noiseless map has no other scale
 _MEDIAN_TO_DEVIATION = 1.4826
 
-
-@dataclass(frozen=True, kw_only=True)
-class DiscontinuityOptions:
-    """Options of the discontinuity-preserving integrator.
-
-    rounds: times the weights are computed anew. widest, narrowest: scale of the first and of the last round,
-    in units of `Evidence.noise`, on clean normals. narrowest_noisy: the same of the last round on noisy ones,
-    whose residuals are noise where depth is continuous. noisy: `Evidence.noise` in pixels from which a map
-    is noisy; 0.02 is that of normals off by 1.6 degrees. against: factor on the scale for residuals that
-    contradict an occlusion (depth falls less than the slope). steep: slope in pixels per pixel from which
-    the side of an occlusion is known. circulation: share of the squared circulation around an edge's better
-    square that counts as its variance. first_tolerance, round_tolerance: relative
-    residual of the first linear solve, and by which every later one reduces what the one before left: a part
-    that hangs on few edges finds its place because the tolerance is not relative to the whole surface.
-    """
-
-    rounds: int = 15
-    widest: float = 12.0
-    narrowest: float = 0.5
-    narrowest_noisy: float = 4.0
-    noisy: float = 0.02
-    against: float = 40.0
-    steep: float = 0.3
-    circulation: float = 0.05
-    first_tolerance: float = 1e-3
-    round_tolerance: float = 0.03
-
-    def __post_init__(self) -> None:
-        require_in_range(self.rounds, 1, 1000, "rounds of reweighting")
-        require_in_range(self.widest, 1e-3, 1e6, "widest scale")
-        require_in_range(self.narrowest, 1e-3, self.widest, "narrowest scale")
-        require_in_range(self.narrowest_noisy, 1e-3, 1e6, "narrowest scale on noisy normals")
-        require_in_range(self.noisy, 1e-6, 1e6, "slope noise of a noisy map")
-        require_in_range(self.against, 1.0, 1e6, "factor against contradicted occlusions")
-        require_in_range(self.steep, 0.0, 1e6, "slope that tells the side of an occlusion")
-        require_in_range(self.circulation, 0.0, 1e6, "share of the circulation")
-        require_in_range(self.first_tolerance, 1e-12, 1.0, "tolerance of the first round")
-        require_in_range(self.round_tolerance, 1e-12, 1.0, "tolerance of the later rounds")
+# The reweighting. Scales are in units of `Evidence.noise`.
+_ROUNDS = 15  # times the weights are computed anew
+_WIDEST_SCALE = 12.0  # of the first round: nothing is cut that a smooth surface might still explain
+_NARROWEST_SCALE, _NARROWEST_SCALE_NOISY = 0.5, 4.0  # of the last: clean normals; noisy ones, whose residuals
+# are noise where depth is continuous
+_NOISY_PX = 0.02  # `Evidence.noise` of a noisy map; that of normals off by 1.6 degrees
+_CONTRADICTION = 40.0  # factor on the scale where depth falls less than the slope, as no occlusion makes it
+_STEEP_SLOPE = 0.3  # pixels per pixel from which the side of an occlusion is known
+_CIRCULATION = 0.05  # share of the squared circulation around an edge's better square that is its variance
+_FIRST_TOLERANCE, _ROUND_TOLERANCE = (
+    1e-3,
+    0.03,
+)  # relative residual of the first linear solve; what every later
+# one leaves of the residual before it, so that a part that hangs on few edges finds its place too
 
 
 def solve_discontinuous(
@@ -78,7 +53,6 @@ def solve_discontinuous(
     difference: Float64,
     evidence: Evidence,
     confidence: Float64,
-    options: DiscontinuityOptions,
     *,
     start: Float64 | None,
     most_iterations: int,
@@ -90,37 +64,34 @@ def solve_discontinuous(
     trust = confidence / evidence.variance
     depth = np.zeros(len(graph.pixels)) if start is None else start
     weight = trust
-    noisiness = min(1.0, (evidence.noise / options.noisy) ** 2)
-    narrowest = options.narrowest + noisiness * (options.narrowest_noisy - options.narrowest)
-    widest = max(options.widest, narrowest)
-    for this_round in range(options.rounds + 1):
+    noisiness = min(1.0, (evidence.noise / _NOISY_PX) ** 2)
+    narrowest = _NARROWEST_SCALE + noisiness * (_NARROWEST_SCALE_NOISY - _NARROWEST_SCALE)
+    widest = max(_WIDEST_SCALE, narrowest)
+    for this_round in range(_ROUNDS + 1):
         hierarchy = hierarchy_from_graph(graph.row_start, graph.neighbour, weight[graph.edge])
         missing = difference - (depth[graph.head] - depth[graph.tail])
         correction, _ = solve_laplacian(
             hierarchy,
             divergence_on_graph(graph, weight, missing),
             np.zeros(len(depth)),
-            tolerance=options.first_tolerance if this_round == 0 else options.round_tolerance,
+            tolerance=_FIRST_TOLERANCE if this_round == 0 else _ROUND_TOLERANCE,
             most_iterations=most_iterations,
         )
         depth = depth + correction
-        progress = min(1.0, this_round / max(1.0, 0.7 * options.rounds))
+        progress = min(1.0, this_round / max(1.0, 0.7 * _ROUNDS))
         scale = evidence.noise * widest * (narrowest / widest) ** progress
-        weight = _reweighted(
-            depth, graph.tail, graph.head, difference, evidence.variance, trust, scale,
-            options.against, options.steep,
-        )  # fmt: skip
+        weight = _reweighted(depth, graph.tail, graph.head, difference, evidence.variance, trust, scale)
     return depth
 
 
 @numba.njit(cache=True)
-def _reweighted(depth, tail, head, wanted, variance, trust, scale, against, steep):  # type: ignore[no-untyped-def]
+def _reweighted(depth, tail, head, wanted, variance, trust, scale):  # type: ignore[no-untyped-def]
     weight = np.empty(len(tail))
     for e in range(len(tail)):
         residual = depth[head[e]] - depth[tail[e]] - wanted[e]
         tolerated = scale * scale * variance[e]
-        if abs(wanted[e]) > steep and residual * wanted[e] < 0.0:
-            tolerated *= against * against
+        if abs(wanted[e]) > _STEEP_SLOPE and residual * wanted[e] < 0.0:
+            tolerated *= _CONTRADICTION * _CONTRADICTION
         share = 1.0 / (1.0 + residual * residual / tolerated)
         weight[e] = trust[e] * max(share * share, _LEAST_WEIGHT)
     return weight
@@ -139,9 +110,7 @@ class Evidence:
     variance: Float64
 
 
-def evidence_from_chords(
-    graph: PixelGraph, chords: ChordField, domain: Mask, options: DiscontinuityOptions
-) -> Evidence:
+def evidence_from_chords(graph: PixelGraph, chords: ChordField, domain: Mask) -> Evidence:
     """Measure the noise on the map, and find the edges that its circulation betrays.
 
     The differences around 2×2 pixels sum to zero on a surface. Their typical sum gives the noise. Where depth
@@ -168,7 +137,7 @@ def evidence_from_chords(
             along.ravel()[graph.pixels[graph.tail[graph.across :]]],
         ]
     )
-    excess = np.where(np.isfinite(excess), excess, 0.0) * options.circulation / noise**2
+    excess = np.where(np.isfinite(excess), excess, 0.0) * _CIRCULATION / noise**2
     return Evidence(noise=noise, variance=chords.variance + excess)
 
 

@@ -206,9 +206,8 @@ class DomainSolver:
         nodes = solve_discontinuous(
             graph,
             chords.difference,
-            evidence_from_chords(graph, chords, self.domain, self._options.discontinuity),
+            evidence_from_chords(graph, chords, self.domain),
             confidence_of_edges(graph, weight),
-            self._options.discontinuity,
             start=self._start() * scale,
             most_iterations=self._options.most_iterations,
         )

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum
 
 from vntoolkit.checks import require_in_range
-from vntoolkit.integration.discontinuity import DiscontinuityOptions
 
 
 class Integrator(Enum):
@@ -44,7 +43,6 @@ class IntegrationOptions:
     precision: floating-point precision of cosine and fourier.
     tolerance: relative residual at which poisson stops.
     most_iterations: most iterations of poisson; reaching them is an error.
-    discontinuity: further options of DISCONTINUITY.
     """
 
     integrator: Integrator | None = None
@@ -53,7 +51,6 @@ class IntegrationOptions:
     precision: Precision = Precision.SINGLE
     tolerance: float = 1e-6
     most_iterations: int = 1000
-    discontinuity: DiscontinuityOptions = field(default_factory=DiscontinuityOptions)
 
     def __post_init__(self) -> None:
         require_in_range(self.steepest_slope_deg, 1.0, 89.9, "steepest slope in degrees")

@@ -68,7 +68,7 @@ class FrameProcessor:
         self._leveller = None
         if rig.response.variation is not None and options.shadows is not ShadowMethod.NONE:
             self._leveller = Leveller(rig.response, shape)
-        self._detector = ShadowDetector(self._central, options.shadows, options.detection, self.camera)
+        self._detector = ShadowDetector(self._central, options.shadows, self.camera)
 
     def anchor_to(self, frame: EncodedFrame) -> None:
         """Tie the depth of all later frames to this one's; see `DepthAnchor`. Raises as `process` does."""
@@ -138,9 +138,7 @@ class FrameProcessor:
         if inversion.clipped_factor == 0.0:
             mask &= ~frame.clipped
         labels = self._detector.labels(seen, mask)
-        normal_map = recover_normals(
-            frame, labels, response, mask, options=self._options.recovery, camera=self.camera
-        )
+        normal_map = recover_normals(frame, labels, response, mask, self.camera)
         return normal_map, labels, float(frame.clipped.mean())
 
     def linear(self, frame: EncodedFrame) -> LinearFrame:

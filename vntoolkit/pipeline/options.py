@@ -11,8 +11,7 @@ from vntoolkit.errors import BadInput
 from vntoolkit.integration.options import IntegrationOptions
 from vntoolkit.meshing.surface import MeshOptions
 from vntoolkit.normals.inversion import InversionOptions
-from vntoolkit.shadows.detector import ShadowMethod, ShadowOptions
-from vntoolkit.shadows.recovery import RecoveryOptions
+from vntoolkit.shadows.detector import ShadowMethod
 
 
 class Product(Enum):
@@ -67,8 +66,6 @@ class ReconstructOptions:
     inversion: InversionOptions = field(default_factory=InversionOptions)
     integration: IntegrationOptions = field(default_factory=IntegrationOptions)
     meshing: MeshOptions = field(default_factory=MeshOptions)
-    detection: ShadowOptions = field(default_factory=ShadowOptions)
-    recovery: RecoveryOptions = field(default_factory=RecoveryOptions)
 
     def __post_init__(self) -> None:
         if self.distance_m is not None and not self.distance_m > 0:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
@@ -13,10 +12,9 @@ from vntoolkit.checks import require_mask
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame, labels_from_lit
 from vntoolkit.photometry.response import LightResponse
-from vntoolkit.shadows.published import PublishedOptions, lit_by_edges
-from vntoolkit.shadows.robust import RobustOptions, lit_by_surface
-from vntoolkit.shadows.shares import shares_from_frame
-from vntoolkit.shadows.window import Window, frame_in_window, in_whole_image, window_around
+from vntoolkit.shadows.published import lit_by_edges
+from vntoolkit.shadows.robust import lit_by_surface
+from vntoolkit.shadows.shares import Window, frame_in_window, in_whole_image, shares_from_frame, window_around
 
 
 class ShadowMethod(Enum):
@@ -25,17 +23,6 @@ class ShadowMethod(Enum):
     NONE = "none"  # every pixel counts as lit by all three lights
     PUBLISHED = "published"  # edges and flood fill, brostow2011
     ROBUST = "robust"  # comparison with a surface, graph cut, memory from frame to frame
-
-
-@dataclass(frozen=True, kw_only=True)
-class ShadowOptions:
-    """The parameters of every method.
-
-    published, robust: those of the two detectors.
-    """
-
-    published: PublishedOptions = field(default_factory=PublishedOptions)
-    robust: RobustOptions = field(default_factory=RobustOptions)
 
 
 class ShadowDetector:
@@ -49,12 +36,10 @@ class ShadowDetector:
         self,
         response: LightResponse,
         method: ShadowMethod = ShadowMethod.ROBUST,
-        options: ShadowOptions | None = None,
         camera: Camera | None = None,
     ) -> None:
         self._method = method
         self._response = response
-        self._options = options or ShadowOptions()
         self._camera = camera
         self._memory: FloatArray | None = None
         self._shape = (0, 0)
@@ -79,9 +64,9 @@ class ShadowDetector:
     def _lit(self, frame: LinearFrame, mask: Mask, window: Window) -> npt.NDArray[np.bool_]:
         shares = shares_from_frame(frame, self._response)
         if self._method is ShadowMethod.PUBLISHED:
-            return lit_by_edges(shares.contributions, mask, self._options.published)
+            return lit_by_edges(shares.contributions, mask)
         camera = None if self._camera is None else self._camera.cropped(*window)
         memory = None if self._memory is None else self._memory[window]
-        lit, evidence = lit_by_surface(shares, mask, self._options.robust, camera, memory)
+        lit, evidence = lit_by_surface(shares, mask, camera, memory)
         self._memory = in_whole_image(evidence, window, self._shape)
         return lit

@@ -8,78 +8,50 @@ flood fill that spreads to neighbours of equal or lower intensity.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 
 from vntoolkit.arrays import FloatArray, Mask
-from vntoolkit.checks import require_in_range
-from vntoolkit.errors import BadInput
 
 _DIRECTIONS = np.array(
     [[1, 0], [1, 1], [0, 1], [-1, 1], [-1, 0], [-1, -1], [0, -1], [1, -1]], dtype=np.int64
 )  # (du, dv), counted by eighths of a turn
+_GRADIENT_THRESHOLD = 0.05  # τ: smallest change over the two reaches, as a share of the channel's maximum
+_REACH_PX = 2  # how far to look to either side of an edge, as published
+_SMALLEST_COMPONENT = 20  # edge components with fewer pixels are rejected
+_DIRECTION_TOLERANCE = 1  # neighbouring edge pixels agree within so many eighths of a turn
+_BLUR_PX = 1.0  # standard deviation of the Gaussian before the Laplacian
 
 
-@dataclass(frozen=True, kw_only=True)
-class PublishedOptions:
-    """The published detector's parameters.
-
-    gradient_threshold: τ, smallest change over the two reaches, as a share of the channel's maximum.
-    reach_px: how far to look to either side of an edge. smallest_component: edge components with fewer
-    pixels are rejected. direction_tolerance: neighbouring edge pixels agree if their directions differ by at
-    most this many eighths of a turn. blur_px: standard deviation of the Gaussian before the Laplacian.
-    flood_tolerance: rise of intensity, share of the maximum, that the flood still climbs (0 as published).
-    """
-
-    gradient_threshold: float = 0.05
-    reach_px: int = 2
-    smallest_component: int = 20
-    direction_tolerance: int = 1
-    blur_px: float = 1.0
-    flood_tolerance: float = 0.0
-
-    def __post_init__(self) -> None:
-        require_in_range(self.gradient_threshold, 0.0, 1.0, "shadow gradient threshold")
-        require_in_range(self.flood_tolerance, 0.0, 1.0, "shadow flood tolerance")
-        require_in_range(self.direction_tolerance, 0, 4, "shadow direction tolerance")
-        if self.reach_px < 1 or self.smallest_component < 1 or not 0 < self.blur_px < np.inf:
-            raise BadInput("published detector: reach, component size and blur must be positive")
-
-
-def lit_by_edges(
-    contributions: FloatArray, mask: Mask, options: PublishedOptions | None = None
-) -> npt.NDArray[np.bool_]:
+def lit_by_edges(contributions: FloatArray, mask: Mask) -> npt.NDArray[np.bool_]:
     """Return (h, w, 3): which lights arrive, from the (h, w, 3) contributions of the lights."""
-    options = options or PublishedOptions()
     lit = np.ones((*mask.shape, 3), dtype=np.bool_)
     for k in range(3):
-        lit[..., k] = ~_shadow_of_light(contributions[..., k], mask, options)
+        lit[..., k] = ~_shadow_of_light(contributions[..., k], mask)
     return lit
 
 
-def _shadow_of_light(contribution: FloatArray, mask: Mask, options: PublishedOptions) -> Mask:
+def _shadow_of_light(contribution: FloatArray, mask: Mask) -> Mask:
     image = np.where(mask, np.nan_to_num(contribution), 0.0).astype(np.float32)
     brightest = float(image.max(initial=0.0))
     if not brightest > 0.0:
         return np.zeros(mask.shape, dtype=np.bool_)
-    image = np.asarray(cv2.GaussianBlur(image / brightest, (0, 0), options.blur_px), dtype=np.float32)
-    direction = _edge_directions(image, mask, options)
-    kept = _large_components(direction, options.direction_tolerance, options.smallest_component)
-    return _flood(image, mask, kept, options.reach_px, options.flood_tolerance)
+    image = np.asarray(cv2.GaussianBlur(image / brightest, (0, 0), _BLUR_PX), dtype=np.float32)
+    direction = _edge_directions(image, mask)
+    kept = _large_components(direction, _DIRECTION_TOLERANCE, _SMALLEST_COMPONENT)
+    return _flood(image, mask, kept, _REACH_PX)
 
 
-def _edge_directions(image: FloatArray, mask: Mask, options: PublishedOptions) -> npt.NDArray[np.int64]:
+def _edge_directions(image: FloatArray, mask: Mask) -> npt.NDArray[np.int64]:
     """(h, w): direction of the brighter side in eighths of a turn at edge pixels, −1 elsewhere."""
     laplacian = cv2.Laplacian(image, cv2.CV_32F, ksize=3)
     sign = laplacian > 0
     edge = np.zeros(mask.shape, dtype=np.bool_)
     edge[:, :-1] |= sign[:, :-1] != sign[:, 1:]
     edge[:-1] |= sign[:-1] != sign[1:]
-    reach = options.reach_px
+    reach = _REACH_PX
     padded = np.pad(image, reach, mode="edge")
     inside = np.pad(mask, reach, constant_values=False)
     h, w = mask.shape
@@ -90,7 +62,7 @@ def _edge_directions(image: FloatArray, mask: Mask, options: PublishedOptions) -
         both = inside[ahead] & inside[behind]
         changes[i] = np.where(both, padded[ahead] - padded[behind], -1.0)
     steepest = changes.argmax(axis=0)
-    edge &= mask & (changes.max(axis=0) >= options.gradient_threshold)
+    edge &= mask & (changes.max(axis=0) >= _GRADIENT_THRESHOLD)
     return np.where(edge, steepest, -1)
 
 
@@ -135,7 +107,6 @@ def _flood(
     mask: npt.NDArray[np.bool_],
     direction: npt.NDArray[np.int64],
     reach: int,
-    climb: float,
 ) -> npt.NDArray[np.bool_]:
     """Spread from the dark side of the edges to four-neighbours of equal or lower intensity."""
     h, w = image.shape
@@ -159,7 +130,7 @@ def _flood(
             i, j = v + _DIRECTIONS[n, 1], u + _DIRECTIONS[n, 0]
             if i < 0 or j < 0 or i >= h or j >= w or flooded[i, j] or not mask[i, j]:
                 continue
-            if image[i, j] <= image[v, u] + climb:
+            if image[i, j] <= image[v, u]:
                 flooded[i, j] = True
                 stack[count, 0], stack[count, 1] = i, j
                 count += 1

@@ -2,30 +2,43 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
 
-from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels
+from vntoolkit.arrays import FloatArray, Mask, Normals, VisibilityLabels, Weight
 from vntoolkit.checks import require_mask, require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
-from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
+from vntoolkit.photometry.frame import ALL_LIT, LinearFrame, count_lit
 from vntoolkit.photometry.response import LightResponse
-from vntoolkit.shadows.albedo import AlbedoOptions, albedo_from_lit
-from vntoolkit.shadows.confidence import ConfidenceOptions, confidence_weight, gloss_trust
-from vntoolkit.shadows.filling import fill_smoothly
-from vntoolkit.shadows.lengths import lengths_of
-from vntoolkit.shadows.penumbra import PenumbraOptions, labels_without_penumbra
-from vntoolkit.shadows.shares import LightShares, shares_from_frame
-from vntoolkit.shadows.starts import surface_from_either_start
-from vntoolkit.shadows.steep_lights import SteepLightOptions, normals_by_steep_lights
+from vntoolkit.shadows.albedo import albedo_from_lit, fill_smoothly
+from vntoolkit.shadows.initialisation import continue_with_two_lights, solve_from_best_initialisation
+from vntoolkit.shadows.shadow_edges import labels_without_penumbra
+from vntoolkit.shadows.shares import (
+    LightShares,
+    Window,
+    frame_in_window,
+    in_whole_image,
+    lengths_of,
+    shares_from_frame,
+    window_around,
+)
 from vntoolkit.shadows.surface import depth_map_from_surface
-from vntoolkit.shadows.surface_options import SurfaceOptions
-from vntoolkit.shadows.two_lights import continue_with_two_lights
-from vntoolkit.shadows.window import Window, frame_in_window, in_whole_image, window_around
+
+_SMALLEST_ALBEDO = 1e-3
+
+# The weight of a normal.
+_WEIGHT_BY_LIGHTS = (0.05, 0.2, 0.5, 1.0)  # of a pixel that 0, 1, 2, 3 lights reach
+_CLIPPED_WEIGHT = 0.1  # factor on saturated pixels
+_ALBEDO_TOLERANCE = 0.4  # departure of a lit pixel's log albedo from its surroundings that halves the weight
+_GLOSS = 0.2  # excess of log albedo that paint may have; twice that halves the trust in the colour
+
+# Cosines of the most grazing light to the normal from colour alone.
+_GRAZING = 0.6  # below it the normal solved with the depth stays
+_STEEP = 0.8  # from it on only the colour counts
 
 
 class RecoveryMethod(Enum):
@@ -34,18 +47,6 @@ class RecoveryMethod(Enum):
     INVERSION = "inversion"  # as if all three lights arrived: the baseline
     TWO_LIGHTS = "two-lights"  # Onn and Bruckstein's quadratic pixel by pixel, smooth fill elsewhere
     SURFACE = "surface"  # solved together with the depth, Hernández, Vogiatzis and Cipolla
-
-
-@dataclass(frozen=True, kw_only=True)
-class RecoveryOptions:
-    """method: which. surface, albedo, penumbra, steep_lights, confidence: the parameters of the parts."""
-
-    method: RecoveryMethod = RecoveryMethod.SURFACE
-    surface: SurfaceOptions = field(default_factory=SurfaceOptions)
-    albedo: AlbedoOptions = field(default_factory=AlbedoOptions)
-    penumbra: PenumbraOptions = field(default_factory=PenumbraOptions)
-    steep_lights: SteepLightOptions = field(default_factory=SteepLightOptions)
-    confidence: ConfidenceOptions = field(default_factory=ConfidenceOptions)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,14 +62,14 @@ def recover_normals(
     labels: VisibilityLabels,
     response: LightResponse,
     mask: Mask | None = None,
-    options: RecoveryOptions | None = None,
     camera: Camera | None = None,
+    method: RecoveryMethod = RecoveryMethod.SURFACE,
 ) -> NormalMap:
     """Return a normal and a weight for every pixel of `mask`, whichever lights reach it.
 
     labels: (h, w), bit k set where light k arrives. camera: None for orthographic.
     """
-    return recover_surface(frame, labels, response, mask, options, camera).normal_map
+    return recover_surface(frame, labels, response, mask, camera, method).normal_map
 
 
 def recover_surface(
@@ -76,11 +77,10 @@ def recover_surface(
     labels: VisibilityLabels,
     response: LightResponse,
     mask: Mask | None = None,
-    options: RecoveryOptions | None = None,
     camera: Camera | None = None,
+    method: RecoveryMethod = RecoveryMethod.SURFACE,
 ) -> RecoveredSurface:
     """`recover_normals`, with the depth that the surface method solves for at the same time."""
-    options = options or RecoveryOptions()
     inside = np.ones(frame.shape, dtype=np.bool_) if mask is None else np.asarray(mask)
     require_mask(inside, frame.shape)
     require_shape(labels, frame.shape, "visibility labels")
@@ -88,8 +88,8 @@ def recover_surface(
         raise BadInput("visibility labels: expected bytes from 0 to 7")
     window = window_around(inside)
     part = _recover(
-        frame_in_window(frame, window), labels[window], response, inside[window], options,
-        None if camera is None else camera.cropped(*window),
+        frame_in_window(frame, window), labels[window], response, inside[window],
+        None if camera is None else camera.cropped(*window), method,
     )  # fmt: skip
     return part if part.normal_map.shape == frame.shape else _in_whole_image(part, window, frame.shape)
 
@@ -99,30 +99,28 @@ def _recover(
     labels: VisibilityLabels,
     response: LightResponse,
     inside: Mask,
-    options: RecoveryOptions,
     camera: Camera | None,
+    method: RecoveryMethod,
 ) -> RecoveredSurface:
     measured = shares_from_frame(frame, response)
     full = inside & (labels == ALL_LIT)
-    albedo = albedo_from_lit(measured.length, full, options.albedo)
+    albedo = albedo_from_lit(measured.length, full)
     depth_map, agreement = None, None
-    if options.method is RecoveryMethod.INVERSION:
+    if method is RecoveryMethod.INVERSION:
         normals = measured.normals
-    elif options.method is RecoveryMethod.TWO_LIGHTS:
+    elif method is RecoveryMethod.TWO_LIGHTS:
         normals = _pixel_by_pixel(measured, labels, albedo, inside)
     else:
-        labels = labels_without_penumbra(labels, measured.relative_to(albedo), inside, options.penumbra)
+        labels = labels_without_penumbra(labels, measured.relative_to(albedo), inside)
         full = inside & (labels == ALL_LIT)
-        surface = surface_from_either_start(
-            measured, labels, albedo, inside, camera=camera, options=options.surface,
-            trust=gloss_trust(measured.length, albedo, full, options.confidence),
+        surface = solve_from_best_initialisation(
+            measured, labels, albedo, inside, camera=camera,
+            trust=gloss_trust(measured.length, albedo, full),
         )  # fmt: skip
         agreement = surface.agreement
-        normals = normals_by_steep_lights(
-            surface.normals, measured.normals, measured.directions, full, options.steep_lights
-        )
+        normals = normals_by_grazing_incidence(surface.normals, measured.normals, measured.directions, full)
         depth_map = depth_map_from_surface(surface, inside, camera)
-    weight = confidence_weight(labels, frame.clipped, measured.length, albedo, agreement, options.confidence)
+    weight = confidence_weight(labels, frame.clipped, measured.length, albedo, agreement)
     return RecoveredSurface(normal_map=_towards_viewer(normals, weight, inside), depth_map=depth_map)
 
 
@@ -158,3 +156,57 @@ def _towards_viewer(normals: FloatArray, weight: FloatArray, mask: Mask) -> Norm
     return NormalMap(
         normals_in_camera=turned, mask=mask, weight=np.where(mask, weight, 0.0).astype(np.float32)
     )
+
+
+# How far each pixel's normal may be trusted: saturation, shadow, gloss, an albedo that does not fit.
+
+
+def confidence_weight(
+    labels: VisibilityLabels,
+    clipped: Mask,
+    length: FloatArray,
+    albedo: FloatArray,
+    agreement: FloatArray | None,
+) -> Weight:
+    """Return (h, w) weights from 0 to 1.
+
+    length: (h, w), the albedo if all lights arrive; albedo: (h, w), the surroundings'. agreement: (h, w), of
+    colour and depth, 0 where unknown, or None.
+    """
+    lights = count_lit(labels)
+    weight = np.asarray(_WEIGHT_BY_LIGHTS, dtype=np.float32)[lights]
+    full = lights == 3
+    departure = _log_excess(length, albedo) / _ALBEDO_TOLERANCE
+    weight = weight * np.where(full, 1.0 / (1.0 + departure**2), 1.0)
+    if agreement is not None:
+        weight = weight * np.where(full & (agreement > 0.0), np.maximum(agreement, 0.1), 1.0)
+    return (weight * np.where(clipped, _CLIPPED_WEIGHT, 1.0)).astype(np.float32)
+
+
+def gloss_trust(length: FloatArray, albedo: FloatArray, lit: Mask) -> Weight:
+    """Return (h, w): 1, less where a pixel of `lit` outshines matte paint of the surrounding albedo."""
+    excess = np.maximum(_log_excess(length, albedo) - _GLOSS, 0.0) / _GLOSS
+    return np.where(lit, 1.0 / (1.0 + excess**2), 1.0).astype(np.float32)
+
+
+def _log_excess(length: FloatArray, albedo: FloatArray) -> FloatArray:
+    return np.log(np.maximum(length, _SMALLEST_ALBEDO) / np.maximum(albedo, _SMALLEST_ALBEDO))
+
+
+# Colour before depth where all three lights meet the surface steeply.
+
+
+def normals_by_grazing_incidence(
+    solved: Normals, inverted: Normals, directions: FloatArray, lit: Mask
+) -> Normals:
+    """Blend two maps of normals (h, w, 3) in the pixels of `lit`, which all three lights reach.
+
+    solved: with the depth. inverted: from colour alone. directions: (3, 3), a unit row per light.
+    """
+    most_grazing = np.full(lit.shape, np.inf, dtype=np.float32)
+    for direction in directions.astype(np.float32):
+        most_grazing = np.minimum(most_grazing, inverted @ direction)
+    share = np.clip((most_grazing - _GRAZING) / (_STEEP - _GRAZING), 0.0, 1.0)
+    share = np.where(lit, share, 0.0)[..., None]
+    mixed = share * inverted + (1.0 - share) * solved
+    return mixed / np.maximum(lengths_of(mixed), np.float32(1e-6))

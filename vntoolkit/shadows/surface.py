@@ -13,30 +13,49 @@ Under a perspective camera the unknown is f · log z, whose gradient takes the p
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
+import numpy.typing as npt
+from numba import njit
 
 from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels, Weight
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, LengthUnit
 from vntoolkit.photometry.frame import ALL_LIT
-from vntoolkit.shadows.filling import fill_smoothly
-from vntoolkit.shadows.grid_solver import grid_hierarchy, solve_grid
-from vntoolkit.shadows.lengths import lengths_of
-from vntoolkit.shadows.surface_kernels import (
-    Grid,
-    Model,
-    RayGrid,
-    edges_kernel,
-    local_quadratics_kernel,
-    quadrant_weights_kernel,
-    right_side_kernel,
-    slopes_kernel,
-)
-from vntoolkit.shadows.surface_options import SurfaceOptions
+from vntoolkit.shadows.albedo import fill_smoothly
+from vntoolkit.shadows.shares import lengths_of
+from vntoolkit.solvers import grid_hierarchy, solve_grid
 
 _FLATTEST_Z = 0.12  # |n_z| below which a first slope is held, so that no pixel starts edge-on
+Grid = npt.NDArray[np.float32]
+Labels = npt.NDArray[np.uint8]
+# The energy; shares are 1 where a surface of the local albedo faces the light.
+_ALBEDO_SPREAD = 0.15  # relative standard deviation of the albedo continued into a shadow
+_OWN_ALBEDO_SPREAD = 3.0  # the same where all three lights arrive: there the colour's length is the albedo
+_STEP_SOFTNESS = 10.0  # χ² at which a depth gradient counts a quarter, as it crosses a step in depth
+_SHADOW_STEP_SOFTNESS = 40.0  # the same under two lights, where the slope hangs on the albedo around
+_SMOOTH_PX = 2.0  # standard deviation of the surroundings whose mean slope a shadowed pixel is drawn to
+_MISSING_LIGHT_WEIGHT = 0.3  # of a light labelled missing where the surface would return what is seen …
+_MISSING_LIGHT_CUTOFF = 0.2  # … and the difference of shares at which that weight ends
+_DAMPING = 1.0  # holds the slope back where nothing else is known
+_STEEPEST = 8.0  # largest slope: the tangent of the angle from the viewing ray
+_CYCLES, _TOLERANCE = 5, 3e-3  # multigrid cycles a step, at most; relative residual that ends one early
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurfaceOptions:
+    """What detection and recovery ask differently of the surface.
+
+    noise: standard deviation of a light's share; it stands for camera noise and for what the model leaves out
+    (interreflection, gloss). smoothness: weight of a shadowed pixel's slope being its surroundings' mean.
+    iterations: Gauss–Newton steps.
+    """
+
+    noise: float = 0.03
+    smoothness: float = 3.0
+    iterations: int = 8
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -82,26 +101,26 @@ def solve_surface(
     seen = np.where(mask, labels, 0).astype(np.uint8)
     known = mask & (labels == ALL_LIT)
     guess = known if guessed is None else known | (mask & guessed)
-    slopes, depth = _first_guess(first_normals, guess, rays, options, start)
+    slopes, depth = _first_guess(first_normals, guess, rays, start)
     rows = np.ascontiguousarray(lights, dtype=np.float64)
     weights = np.empty((*mask.shape, 4), np.float32)
     agreement = np.zeros(mask.shape, np.float32)
     quadratics = np.empty((*mask.shape, 6), np.float32)
     model = Model(
-        options.noise, options.albedo_spread, options.own_albedo_spread, options.smoothness, options.damping,
-        options.doubt_trust, options.doubt_reach,
+        options.noise, _ALBEDO_SPREAD, _OWN_ALBEDO_SPREAD, options.smoothness, _DAMPING,
+        _MISSING_LIGHT_WEIGHT, _MISSING_LIGHT_CUTOFF,
     )  # fmt: skip
-    shares_of_prior = _prior_shares(mask, known, options)
+    shares_of_prior = _prior_shares(mask, known)
     softness = 0.0  # the first depth must hold together before it may show steps
     for _ in range(options.iterations):
-        prior = _surrounding_slope(slopes, shares_of_prior, options)
+        prior = _surrounding_slope(slopes, shares_of_prior)
         local_quadratics_kernel(data, seen, trust, slopes, prior, rows, rays, model, quadratics)
         quadrant_weights_kernel(
-            quadratics, seen, mask, slopes, depth, softness, options.shadow_step_softness, weights
+            quadratics, seen, mask, slopes, depth, softness, _SHADOW_STEP_SOFTNESS, weights
         )
-        depth = _solve_depth(quadratics, slopes, weights, depth, options)
-        slopes_kernel(depth, weights, options.steepest, slopes, agreement)
-        softness = options.step_softness
+        depth = _solve_depth(quadratics, slopes, weights, depth)
+        slopes_kernel(depth, weights, _STEEPEST, slopes, agreement)
+        softness = _STEP_SOFTNESS
     misfit = np.zeros(mask.shape, np.float32)
     if start is None:
         local_quadratics_kernel(data, seen, trust, slopes, prior, rows, rays, model, quadratics)
@@ -148,9 +167,7 @@ def _rays(rays: RayGrid, shape: tuple[int, ...]) -> tuple[FloatArray, FloatArray
     return np.broadcast_to(x[None, :], shape[:2]), np.broadcast_to(y[:, None], shape[:2])
 
 
-def _first_guess(
-    normals: FloatArray, known: Mask, rays: RayGrid, options: SurfaceOptions, start: Surface | None
-) -> tuple[Grid, Grid]:
+def _first_guess(normals: FloatArray, known: Mask, rays: RayGrid, start: Surface | None) -> tuple[Grid, Grid]:
     """Slopes of the lit pixels, continued smoothly into the rest, and a depth to start from."""
     source = normals if start is None else start.normals
     x, y = _rays(rays, normals.shape[:2])
@@ -159,32 +176,32 @@ def _first_guess(
     if start is None:
         slopes = fill_smoothly(slopes, known.astype(np.float32)).astype(np.float32)
     long = lengths_of(slopes)
-    slopes *= np.minimum(1.0, options.steepest / np.maximum(long, 1e-12))
+    slopes *= np.minimum(1.0, _STEEPEST / np.maximum(long, 1e-12))
     depth = np.zeros(normals.shape[:2], np.float32) if start is None else start.depth
     return np.ascontiguousarray(slopes), depth
 
 
-def _prior_shares(mask: Mask, known: Mask, options: SurfaceOptions) -> tuple[Grid, Grid]:
+def _prior_shares(mask: Mask, known: Mask) -> tuple[Grid, Grid]:
     """(h, w) how much each pixel counts in the slope around it, a third in shadow; and 1 over what counts."""
     share = known.astype(np.float32)
     share[mask & ~known] = 1 / 3
-    count = cv2.GaussianBlur(share, (0, 0), options.smooth_px)
+    count = cv2.GaussianBlur(share, (0, 0), _SMOOTH_PX)
     return share, np.asarray(1.0 / np.maximum(count, 1e-6), dtype=np.float32)
 
 
-def _surrounding_slope(slopes: Grid, shares: tuple[Grid, Grid], options: SurfaceOptions) -> Grid:
+def _surrounding_slope(slopes: Grid, shares: tuple[Grid, Grid]) -> Grid:
     """Gaussian mean of the slopes around each pixel."""
     share, inverse_count = shares
-    total = cv2.GaussianBlur(slopes * share[..., None], (0, 0), options.smooth_px)
+    total = cv2.GaussianBlur(slopes * share[..., None], (0, 0), _SMOOTH_PX)
     return np.ascontiguousarray(total * inverse_count[..., None])
 
 
-def _solve_depth(quadratics: Grid, slopes: Grid, weights: Grid, start: Grid, options: SurfaceOptions) -> Grid:
+def _solve_depth(quadratics: Grid, slopes: Grid, weights: Grid, start: Grid) -> Grid:
     edges = np.empty((4, *start.shape), np.float32)
     edges_kernel(quadratics, weights, edges)
     right = np.empty(start.shape, np.float32)
     right_side_kernel(quadratics, slopes, weights, right)
-    return solve_grid(grid_hierarchy(edges), right, start, options.tolerance, options.cycles)
+    return solve_grid(grid_hierarchy(edges), right, start, _TOLERANCE, _CYCLES)
 
 
 def _blend(solved: FloatArray, first: FloatArray, known: Mask, agreement: Grid) -> FloatArray:
@@ -193,3 +210,236 @@ def _blend(solved: FloatArray, first: FloatArray, known: Mask, agreement: Grid) 
     mixed = share * solved + (1.0 - share) * first
     length = lengths_of(mixed)
     return np.where(length > 1e-6, mixed / np.maximum(length, np.float32(1e-6)), solved)
+
+
+class RayGrid(NamedTuple):
+    """The ray through pixel (u, v): x = (u − centre_u) · per_pixel_u, y = (v − centre_v) · per_pixel_v."""
+
+    centre_u: float
+    centre_v: float
+    per_pixel_u: float
+    per_pixel_v: float
+
+
+class Model(NamedTuple):
+    """Standard deviations and weights of the energy; see the table above."""
+
+    noise: float
+    albedo_known: float
+    albedo_own: float
+    prior: float
+    damping: float
+    missing_weight: float
+    missing_cutoff: float
+
+
+# Compiled loops of `surface`: what each pixel asks of the depth around it, gathered into grid edges.
+
+
+@njit(cache=True, inline="always")
+def _ray(rays: RayGrid, v: int, u: int) -> tuple[float, float]:
+    return (u - rays.centre_u) * rays.per_pixel_u, (v - rays.centre_v) * rays.per_pixel_v
+
+
+@njit(cache=True, inline="always")
+def _trust_of_missing(light: float, share: float, model: Model) -> float:
+    """Weight of a light that is labelled missing: where the surface turns from it, what is seen is right.
+
+    0 where the surface faces away (nothing is expected) or, beyond the cutoff, faces a light that
+    something else blocks (biweight).
+    """
+    away = (share - light) / model.missing_cutoff
+    if light <= 0.0 or away * away >= 1.0:
+        return 0.0
+    return model.missing_weight * (1.0 - away * away) ** 2
+
+
+@njit(cache=True, fastmath=True)
+def local_quadratics_kernel(
+    shares: Grid, labels: Labels, weight: Grid, slopes: Grid, prior: Grid,
+    lights: npt.NDArray[np.float64], rays: RayGrid, model: Model, out: Grid,
+) -> None:  # fmt: skip
+    """Fill out (h, w, 6) = A00, A01, A11, b0, b1, c at every pixel.
+
+    shares: (h, w, 3) contribution of each light over the albedo. The covariance of r is noise² I plus the
+    albedo's uncertainty squared times f fᵀ, inverted by the Sherman–Morrison formula.
+    """
+    h, w = labels.shape
+    inverse_variance = 1.0 / (model.noise * model.noise)
+    for v in range(h):
+        for u in range(w):
+            trust = weight[v, u]
+            if trust <= 0.0:
+                for i in range(6):
+                    out[v, u, i] = 0.0
+                continue
+            label = labels[v, u]
+            x, y = _ray(rays, v, u)
+            p, q = float(slopes[v, u, 0]), float(slopes[v, u, 1])
+            nz = -1.0 - x * p - y * q
+            scale = 1.0 / np.sqrt(p * p + q * q + nz * nz)
+            n0, n1, n2 = p * scale, q * scale, nz * scale
+            along_p, along_q = n0 - x * n2, n1 - y * n2
+            ff, fr, f0, f1, a00, a01, a11, b0, b1, c = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for k in range(3):
+                l0, l1, l2 = lights[k, 0], lights[k, 1], lights[k, 2]
+                light = l0 * n0 + l1 * n1 + l2 * n2
+                count = 1.0
+                if (label >> k) & 1 == 0:
+                    count = _trust_of_missing(light, shares[v, u, k], model)
+                    if count == 0.0:
+                        continue
+                rest = shares[v, u, k] - light
+                j0 = (l0 - x * l2 - light * along_p) * scale
+                j1 = (l1 - y * l2 - light * along_q) * scale
+                seen0, seen1, seen = count * j0, count * j1, count * light
+                a00 += seen0 * j0
+                a01 += seen0 * j1
+                a11 += seen1 * j1
+                b0 += seen0 * rest
+                b1 += seen1 * rest
+                c += count * rest * rest
+                ff += seen * light
+                fr += seen * rest
+                f0 += seen * j0
+                f1 += seen * j1
+            spread = model.albedo_own if label == 7 else model.albedo_known
+            unsure = spread * spread * inverse_variance
+            shrink = unsure / (1.0 + unsure * ff)
+            scaled = inverse_variance * trust
+            toward = model.prior if label != 7 else 0.0
+            extra = toward + model.damping
+            out[v, u, 0] = scaled * (a00 - shrink * f0 * f0) + extra
+            out[v, u, 1] = scaled * (a01 - shrink * f0 * f1)
+            out[v, u, 2] = scaled * (a11 - shrink * f1 * f1) + extra
+            out[v, u, 3] = scaled * (b0 - shrink * f0 * fr) + toward * (prior[v, u, 0] - p)
+            out[v, u, 4] = scaled * (b1 - shrink * f1 * fr) + toward * (prior[v, u, 1] - q)
+            out[v, u, 5] = scaled * (c - shrink * fr * fr)
+
+
+@njit(cache=True, inline="always")
+def _quadrant(i: int) -> tuple[int, int]:
+    return (1 if i & 1 == 0 else -1), (1 if i & 2 == 0 else -1)
+
+
+@njit(cache=True, fastmath=True)
+def quadrant_weights_kernel(
+    quadratics: Grid, labels: Labels, mask: Mask, slopes: Grid, depth: Grid,
+    softness: float, shadow_softness: float, out: Grid,
+) -> None:  # fmt: skip
+    """Fill out (h, w, 4): how far each quadrant's gradient belongs to the pixel's own surface, 0 to 1.
+
+    Where lights arrive the pixel knows its slope; a quadrant whose depth gradient disagrees crosses a step:
+    weight (s / (s + χ²))² (Geman and McClure's: a step has no pull at all), where s = softness under three
+    lights and shadow_softness under two. Other pixels take what they are given. softness 0: all 1.
+    """
+    h, w = labels.shape
+    for v in range(h):
+        for u in range(w):
+            label = labels[v, u]
+            lights = (label & 1) + ((label >> 1) & 1) + ((label >> 2) & 1)
+            soft = softness if lights == 3 else shadow_softness
+            for i in range(4):
+                out[v, u, i] = 0.0
+                su, sv = _quadrant(i)
+                if not mask[v, u] or u + su < 0 or u + su >= w or v + sv < 0 or v + sv >= h:
+                    continue
+                if not mask[v, u + su] or not mask[v + sv, u]:
+                    continue
+                out[v, u, i] = 1.0
+                if softness <= 0.0 or lights < 2:
+                    continue
+                d0 = su * (depth[v, u + su] - depth[v, u]) - slopes[v, u, 0]
+                d1 = sv * (depth[v + sv, u] - depth[v, u]) - slopes[v, u, 1]
+                a = quadratics[v, u]
+                chi = a[5] - 2.0 * (a[3] * d0 + a[4] * d1)
+                chi += a[0] * d0 * d0 + 2.0 * a[1] * d0 * d1 + a[2] * d1 * d1
+                share = soft / (soft + max(chi, 0.0))
+                out[v, u, i] = share * share
+
+
+@njit(cache=True, fastmath=True)
+def edges_kernel(quadratics: Grid, weights: Grid, edges: Grid) -> None:
+    """Sum all quadrants' quadratics into the edges (4, h, w) of a graph Laplacian.
+
+    With σ = ±1 the sign of the quadrant, 2 σ A01 d_u d_v = σ A01 (d_u² + d_v² − (d_u − d_v)²): every term is
+    a squared difference between two pixels.
+    """
+    _, h, w = edges.shape
+    for v in range(h):
+        for u in range(w):
+            here = quadratics[v, u]
+            for kind in range(4):
+                edges[kind, v, u] = 0.0
+            if u + 1 < w:
+                right = quadratics[v, u + 1]
+                edges[0, v, u] = 0.25 * (
+                    weights[v, u, 0] * (here[0] + here[1]) + weights[v, u, 2] * (here[0] - here[1])
+                    + weights[v, u + 1, 1] * (right[0] - right[1])
+                    + weights[v, u + 1, 3] * (right[0] + right[1])
+                )  # fmt: skip
+            if v + 1 < h:
+                below = quadratics[v + 1, u]
+                edges[1, v, u] = 0.25 * (
+                    weights[v, u, 0] * (here[2] + here[1]) + weights[v, u, 1] * (here[2] - here[1])
+                    + weights[v + 1, u, 2] * (below[2] - below[1])
+                    + weights[v + 1, u, 3] * (below[2] + below[1])
+                )  # fmt: skip
+            if u + 1 < w and v + 1 < h:
+                edges[2, v, u] = 0.25 * (
+                    weights[v, u + 1, 1] * quadratics[v, u + 1, 1]
+                    + weights[v + 1, u, 2] * quadratics[v + 1, u, 1]
+                )
+                edges[3, v, u] = -0.25 * (
+                    weights[v, u, 0] * here[1] + weights[v + 1, u + 1, 3] * quadratics[v + 1, u + 1, 1]
+                )
+
+
+@njit(cache=True, inline="always")
+def _target(quadratics: Grid, slopes: Grid, v: int, u: int) -> tuple[float, float]:
+    a, p, q = quadratics[v, u], slopes[v, u, 0], slopes[v, u, 1]
+    return a[0] * p + a[1] * q + a[3], a[1] * p + a[2] * q + a[4]
+
+
+@njit(cache=True, fastmath=True)
+def right_side_kernel(quadratics: Grid, slopes: Grid, weights: Grid, out: Grid) -> None:
+    """Fill out (h, w), the right-hand side that belongs to `edges_kernel`."""
+    h, w = out.shape
+    for v in range(h):
+        for u in range(w):
+            total = 0.0
+            t0, t1 = _target(quadratics, slopes, v, u)
+            for i in range(4):
+                su, sv = _quadrant(i)
+                total -= weights[v, u, i] * (su * t0 + sv * t1)
+                if 0 <= u - su < w:
+                    total += weights[v, u - su, i] * su * _target(quadratics, slopes, v, u - su)[0]
+                if 0 <= v - sv < h:
+                    total += weights[v - sv, u, i] * sv * _target(quadratics, slopes, v - sv, u)[1]
+            out[v, u] = 0.25 * total
+
+
+@njit(cache=True, fastmath=True)
+def slopes_kernel(depth: Grid, weights: Grid, steepest: float, slopes: Grid, agreement: Grid) -> None:
+    """Replace slopes (h, w, 2) by the weighted mean over the quadrants; agreement (h, w) = mean weight.
+
+    At the border, where quadrants are missing and differences are one-sided, the agreement is 0.
+    """
+    h, w = depth.shape
+    for v in range(h):
+        for u in range(w):
+            total, count, p, q = 0.0, 0, 0.0, 0.0
+            for i in range(4):
+                share = weights[v, u, i]
+                if share > 0.0:
+                    su, sv = _quadrant(i)
+                    p += share * su * (depth[v, u + su] - depth[v, u])
+                    q += share * sv * (depth[v + sv, u] - depth[v, u])
+                    total += share
+                    count += 1
+            agreement[v, u] = total / 4 if count == 4 else 0.0
+            if total > 1e-6:
+                p, q = p / total, q / total
+                long = np.sqrt(p * p + q * q)
+                hold = min(1.0, steepest / max(long, 1e-12))
+                slopes[v, u, 0], slopes[v, u, 1] = p * hold, q * hold

@@ -1,0 +1,139 @@
+"""How much of a light a pixel may seem to return although the light does not reach it.
+
+Other surfaces send some light into every shadow: next to nothing on a lone figure in a dark studio, a tenth
+of the lamp in the folds of a white statue. The frame itself says how much, where a light is predicted and
+all but missing. Camera noise adds to it, the more the darker the paint.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numba import njit
+
+from vntoolkit.arrays import FloatArray, Mask, Matrix3
+from vntoolkit.shadows.shares import LightShares
+
+_SMALLEST_ALBEDO = 0.02
+_SMALLEST_SHARE = 1e-6
+_UNKNOWN_SPREAD = 0.02
+_LARGEST_EXCESS = 0.8  # of log albedo: beyond, it is paint or gloss
+_SMALLEST_RATIO = 1e-3
+_SHORTEST = 0.05  # of the length that a missing light leaves
+_MEDIAN_PX = 3
+
+# The dark level. A share is 1 where a surface of the local albedo faces the light; `typical` and `spread` are
+# those of the frame's own shares in shadow.
+_MISSING_RATIO = 0.5  # a light is missing below half of its predicted share, within two bounds
+_TURNING_SHARE = 0.3  # predicted below it, that half falls towards 0: light fades where a surface turns away
+_LEAST_MARGIN = 0.015  # lower bound: typical share plus this, however little is predicted
+_MOST_TIMES, _MOST_MARGIN, _MOST_SPREADS = 3.0, 0.015, 1.3  # upper bound: 3 × typical + margin + 1.3 × spread
+CONTRIBUTION_NOISE = 0.008  # standard deviation, full scale = 1; both bounds rise by it over the albedo
+_SURELY_PREDICTED = 0.4  # a share in shadow is measured where more than this is predicted …
+_FEWEST_MISSING = 50  # … and on at least so many pixels, or typical is 0 and spread _UNKNOWN_SPREAD
+
+# The evidence of the albedo, in the units of `robust`.
+_COMPARISON = 4.0  # per squared log albedo, 1 / 2σ²: nearer to the albedo with the light or without
+_DEPARTURE = 3.0  # per squared log albedo, against a light that would leave any departure
+_MOST_FROM_ALBEDO = 2.0  # either way: paint and gloss depart too
+WEAK_SHARE = 0.4  # only a pixel's weakest light is judged, and only below this share
+
+# Sharpening.
+_SHARPENING = 1.2  # part of the difference to the blurred image that is added
+_BLUR_PX = 0.87  # standard deviation, about that of a lens with a Bayer pattern
+_INSET_PX = 3.2  # nearer to the outline pixels are mixed with the backdrop and stay as they are
+
+
+def largest_dark_share(
+    shares: FloatArray, predicted: FloatArray, albedo: FloatArray, mask: Mask
+) -> tuple[FloatArray, FloatArray]:
+    """Return per light the share (h, w, 3) below which it is missing, and the noise of a share (h, w, 1).
+
+    shares, predicted: (h, w, 3), measured and to be expected where the light arrives. albedo: (h, w).
+    """
+    grain = CONTRIBUTION_NOISE / np.maximum(albedo, _SMALLEST_ALBEDO)[..., None]
+    missing = mask[..., None] & (predicted > _SURELY_PREDICTED) & (shares < _MISSING_RATIO * predicted)
+    typical, spread = _typical_share(shares - grain, missing, _FEWEST_MISSING)
+    least = typical + _LEAST_MARGIN + grain
+    most = _MOST_TIMES * typical + _MOST_MARGIN + _MOST_SPREADS * spread + grain
+    part = _MISSING_RATIO * np.clip(predicted / max(_TURNING_SHARE, _SMALLEST_SHARE), 0.0, 1.0)
+    return np.clip(part * predicted, least, np.maximum(least, most)), grain
+
+
+def _typical_share(shares: FloatArray, missing: Mask, fewest: int) -> tuple[float, float]:
+    """The median share of a missing light, and its spread: the least of the three lights'.
+
+    Stray light favours none. A part whose surface is predicted wrongly makes one light look missing there
+    that is not, and would raise the level for itself; it seldom does so for all three.
+    """
+    found = [shares[..., k][missing[..., k]] for k in range(3)]
+    levels = [np.percentile(values, (10, 50)) for values in found if len(values) >= fewest]
+    if not levels:
+        return 0.0, _UNKNOWN_SPREAD
+    typical = max(0.0, float(min(level[1] for level in levels)))
+    return typical, float(min(level[1] - level[0] for level in levels))
+
+
+# What the albedo says about a weak light: missing, or only fading where the surface turns from it.
+
+
+def evidence_from_albedo(
+    measured: LightShares, shares: FloatArray, predicted: FloatArray, albedo: FloatArray, mask: Mask
+) -> FloatArray:
+    """Return (h, w, 3) evidence, positive for light, 0 where it is not asked.
+
+    shares, predicted: (h, w, 3), measured and to be expected where the light arrives. albedo: (h, w), that of
+    the surroundings.
+    """
+    evidence: FloatArray = np.zeros(shares.shape, dtype=np.float32)
+    _evidence_kernel(
+        measured.length, albedo, mask, shares, predicted, np.linalg.inv(measured.directions),
+        _COMPARISON, _DEPARTURE, _MOST_FROM_ALBEDO, WEAK_SHARE, evidence,
+    )  # fmt: skip
+    return evidence
+
+
+@njit(cache=True)
+def _evidence_kernel(
+    length: FloatArray, albedo: FloatArray, mask: Mask, shares: FloatArray, predicted: FloatArray,
+    duals: Matrix3, comparison: float, departure: float, most: float, weak_share: float, out: FloatArray,
+) -> None:  # fmt: skip
+    """Fill out (h, w, 3) at each pixel's weakest light. duals: (3, 3), a normal is duals times its shares."""
+    h, w = mask.shape
+    for v in range(h):
+        for u in range(w):
+            k = 0
+            for i in range(1, 3):
+                if shares[v, u, i] < shares[v, u, k]:
+                    k = i
+            if not mask[v, u] or not shares[v, u, k] < weak_share:
+                continue
+            lost = max(predicted[v, u, k] - max(shares[v, u, k], 0.0), 0.0)
+            squared = 0.0
+            for i in range(3):
+                part = -lost * duals[i, k]
+                for j in range(3):
+                    part += duals[i, j] * predicted[v, u, j]
+                squared += part * part
+            excess = _log(length[v, u] / max(albedo[v, u], _SMALLEST_RATIO))
+            expected = _log(max(np.sqrt(squared), _SHORTEST))
+            found = comparison * expected * (expected - 2.0 * excess) - departure * excess * excess
+            out[v, u, k] = min(max(found, -most), most)
+
+
+@njit(cache=True, inline="always")
+def _log(ratio: float) -> float:
+    return min(max(np.log(max(ratio, _SMALLEST_RATIO)), -_LARGEST_EXCESS), _LARGEST_EXCESS)
+
+
+# Shares as sharp as the shadows that made them: a lens's blur and a Bayer pattern's undone in part.
+
+
+def sharpened_shares(shares: FloatArray, mask: Mask) -> FloatArray:
+    """Return shares (h, w, 3), float32, sharpened inside `mask` (h, w) and as they were outside."""
+    given: FloatArray = np.asarray(shares, dtype=np.float32)
+    blurred = cv2.GaussianBlur(given, (0, 0), _BLUR_PX)
+    inset = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5)
+    inner = (inset > _INSET_PX)[..., None]
+    sharp = np.where(inner, given + np.float32(_SHARPENING) * (given - blurred), given)
+    return np.where(mask[..., None], cv2.medianBlur(sharp, _MEDIAN_PX), given)

@@ -1,0 +1,279 @@
+"""The surface from the better of two starts.
+
+Where two lights arrive the energy has two valleys, as the quadratic of `two_lights` has two roots. A smooth
+continuation of the lit surroundings and the roots chosen by continuity lead into one each; every shadow keeps
+the one whose surface returns the light that is seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from vntoolkit.arrays import FloatArray, Mask, Normals, VisibilityLabels, Weight
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.photometry.frame import ALL_LIT, count_lit
+from vntoolkit.shadows.shares import TOWARDS_VIEWER, LightShares, lengths_of
+from vntoolkit.shadows.surface import Surface, SurfaceOptions, solve_surface
+
+_LARGEST_MISFIT = 25.0  # χ² of one pixel beyond which it says no more about its region
+_FLATTEST_FACING = 0.12  # |n_z| below which a slope is held
+_MEDIAN_TO_DEVIATION = 1.4826
+_FEWEST_LOOPS = 100
+_PAIRS = ((1, 2, 6), (0, 2, 5), (0, 1, 3))  # the two lights that remain, and the label that says so
+_TRUST_BY_LIGHTS = (
+    1.0,
+    0.2,
+    2.0,
+    1.0,
+)  # of a pixel that 0 … 3 lights reach: one alone hangs on the albedo; few
+# pixels under two must hold against many around
+_NOISE_PER_SLOPE, _LEAST_NOISE = (
+    1.7,
+    0.01,
+)  # noise of a share per noise of a slope on cleaner frames; its bound
+_START_PIXELS = 15_000  # frames are halved until they are not larger; there the starts are compared
+_MIDDLE_ITERATIONS, _LARGE_ITERATIONS = 4, 3  # steps at every larger size, and at the frame's own
+
+
+def solve_from_best_initialisation(
+    measured: LightShares,
+    labels: VisibilityLabels,
+    albedo: FloatArray,
+    mask: Mask,
+    *,
+    trust: Weight,
+    camera: Camera | None,
+) -> Surface:
+    """Solve the surface of a frame, coarse to fine.
+
+    albedo: (h, w), that of the surroundings. trust: (h, w), beyond that of `measured`.
+    """
+    by_lights = np.asarray(_TRUST_BY_LIGHTS, dtype=np.float32)[count_lit(labels)]
+    measured = replace(measured, trust=(measured.trust * trust * by_lights).astype(np.float32))
+    options = _with_measured_noise(measured, mask & (labels == ALL_LIT))
+    return _coarse_to_fine(measured, labels, albedo, mask, camera, options, _LARGE_ITERATIONS)
+
+
+def _coarse_to_fine(
+    measured: LightShares,
+    labels: VisibilityLabels,
+    albedo: FloatArray,
+    mask: Mask,
+    camera: Camera | None,
+    options: SurfaceOptions,
+    last_iterations: int,
+) -> Surface:
+    """Compare the starts on a small image; go on from the better one at twice the size, and so on."""
+    if mask.size <= _START_PIXELS:
+        return _better_start(measured, labels, albedo, mask, camera, options)
+    small, small_mask = measured.shrunk(mask, 2)
+    size = small_mask.shape[::-1]
+    start = _coarse_to_fine(
+        small, cv2.resize(labels, size, interpolation=cv2.INTER_NEAREST).astype(np.uint8),
+        np.asarray(cv2.resize(albedo, size, interpolation=cv2.INTER_AREA)), small_mask,
+        None if camera is None else camera.scaled(0.5), options, _MIDDLE_ITERATIONS,
+    )  # fmt: skip
+    return _solver(measured, labels, albedo, mask, camera)(
+        first_normals=measured.normals,
+        start=_enlarged(start, mask, 2),
+        options=replace(options, iterations=last_iterations),
+    )
+
+
+def _with_measured_noise(measured: LightShares, full: Mask) -> SurfaceOptions:
+    found = slope_noise(measured.normals, full)
+    options = SurfaceOptions()
+    if found is None:
+        return options
+    measured_noise = max(_NOISE_PER_SLOPE * found, _LEAST_NOISE)
+    return replace(options, noise=min(options.noise, measured_noise))
+
+
+def _solver(
+    measured: LightShares,
+    labels: VisibilityLabels,
+    albedo: FloatArray,
+    mask: Mask,
+    camera: Camera | None,
+) -> partial[Surface]:
+    own = np.where(mask & (labels == ALL_LIT), measured.length, albedo)
+    return partial(
+        solve_surface, measured.relative_to(own), labels, measured.lights, mask,
+        weight=measured.trust, camera=camera,
+    )  # fmt: skip
+
+
+def _better_start(
+    measured: LightShares,
+    labels: VisibilityLabels,
+    albedo: FloatArray,
+    mask: Mask,
+    camera: Camera | None,
+    options: SurfaceOptions,
+) -> Surface:
+    solve = _solver(measured, labels, albedo, mask, camera)
+    smooth: Surface = solve(first_normals=measured.normals, options=options)
+    shadow = mask & (labels != ALL_LIT)
+    if not shadow.any():
+        return smooth
+    relative = measured.relative_to(albedo)
+    roots, decided = continue_with_two_lights(measured.normals, relative, labels, measured.lights, mask)
+    rooted: Surface = solve(first_normals=roots, guessed=decided, options=options)
+    better = _better_regions(rooted.misfit, smooth.misfit, shadow)
+    if not better.any():
+        return smooth
+    base = rooted if 2 * np.count_nonzero(better) > np.count_nonzero(shadow) else smooth
+    merged = np.where(better[..., None], rooted.normals, smooth.normals)
+    return solve(first_normals=measured.normals, start=replace(base, normals=merged), options=options)
+
+
+def _better_regions(first: FloatArray, second: FloatArray, shadow: Mask) -> Mask:
+    """Connected regions of `shadow` in which `first` sums to less than `second`."""
+    _, region = cv2.connectedComponents(shadow.astype(np.uint8), connectivity=4)
+    saved = np.minimum(second, _LARGEST_MISFIT) - np.minimum(first, _LARGEST_MISFIT)
+    gain = np.bincount(region[shadow], weights=saved[shadow], minlength=int(region.max()) + 1)
+    return shadow & (gain > 0)[region]
+
+
+def _enlarged(surface: Surface, mask: Mask, factor: int) -> Surface:
+    """The same surface on a grid `factor` times finer; depth counts pixels, so it grows too."""
+    size = mask.shape[::-1]
+
+    def enlarge(image: FloatArray) -> FloatArray:
+        return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_LINEAR), dtype=np.float32)
+
+    normals = enlarge(surface.normals.astype(np.float32))
+    length = lengths_of(normals)
+    normals = np.where(length > 1e-3, normals / np.maximum(length, 1e-3), TOWARDS_VIEWER)
+    return Surface(
+        normals=normals.astype(np.float32),
+        depth=np.ascontiguousarray(enlarge(surface.depth) * np.float32(factor)),
+        agreement=enlarge(surface.agreement),
+        misfit=enlarge(surface.misfit),
+    )
+
+
+# How noisy the normals of one frame are: as far as no surface has them.
+
+
+def slope_noise(normals: FloatArray, known: Mask) -> float | None:
+    """Return the standard deviation of a facing normal's slope, or None with too few `known` pixels.
+
+    normals: (h, w, 3), camera frame. A slope's noise grows with 1 / n_z², which is taken out. The median
+    makes steps in depth, where loops do not close either, count for little.
+    """
+    facing = np.maximum(-normals[..., 2], _FLATTEST_FACING)
+    p, q = normals[..., 0] / facing, normals[..., 1] / facing
+    along_u = 0.5 * (p[:-1, :-1] + p[:-1, 1:] - p[1:, :-1] - p[1:, 1:])
+    along_v = 0.5 * (q[:-1, 1:] + q[1:, 1:] - q[:-1, :-1] - q[1:, :-1])
+    loops = known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]
+    if np.count_nonzero(loops) < _FEWEST_LOOPS:
+        return None
+    sums = np.abs((along_u + along_v) * facing[:-1, :-1] ** 2)[loops]
+    return float(_MEDIAN_TO_DEVIATION * np.median(sums) / np.sqrt(2.0))  # of 8 slopes, a half each
+
+
+# Normals from two lights under a known albedo: the quadratic of Onn and Bruckstein (onn1990).
+
+
+def roots_from_two_lights(
+    first: FloatArray, second: FloatArray, light_first: FloatArray, light_second: FloatArray
+) -> tuple[Normals, Normals, FloatArray]:
+    """Solve l₁·n = first, l₂·n = second, |n| = 1 (onn1990, equation 5).
+
+    first, second: (...,), contributions over the albedo. light_*: (3,), direction times strength. Returns the
+    two unit normals (..., 3) and the discriminant 1 − |n₀|² (...,), n₀ the part of n in the lights' plane;
+    where it is negative no normal is bright enough, and both roots are n₀ brought to unit length.
+    """
+    lights = np.stack([light_first, light_second])
+    across = np.cross(light_first, light_second)
+    across = across / np.linalg.norm(across)
+    values = np.stack([first, second], axis=-1)
+    in_plane: FloatArray = values @ np.linalg.pinv(lights).T
+    discriminant = 1.0 - np.sum(in_plane**2, axis=-1)
+    reach = np.sqrt(np.maximum(discriminant, 0.0))[..., None] * across
+    plus, minus = in_plane + reach, in_plane - reach
+    return _unit(plus), _unit(minus), discriminant
+
+
+def continue_with_two_lights(
+    normals: Normals, relative: FloatArray, labels: VisibilityLabels, lights: FloatArray, mask: Mask
+) -> tuple[Normals, Mask]:
+    """Fill in the pixels that two lights reach, choosing roots by continuity from the fully lit ones inwards.
+
+    normals: (h, w, 3), right where the label is 7. relative: (h, w, 3), contributions over the albedo.
+    Returns the normals and the mask of decided pixels; shadows that touch no lit pixel take the root
+    that faces the viewer more.
+    """
+    roots = np.zeros((*mask.shape, 2, 3))
+    for i, j, label in _PAIRS:
+        here = mask & (labels == label)
+        plus, minus, _ = roots_from_two_lights(
+            relative[here][:, i], relative[here][:, j], lights[i], lights[j]
+        )
+        roots[here] = np.stack([plus, minus], axis=1)
+    out = np.array(normals, dtype=np.float64)
+    two = mask & np.isin(labels, [pair[2] for pair in _PAIRS])
+    decided = mask & (labels == ALL_LIT)
+    _propagate(out, roots, two, decided)
+    rest = two & ~decided
+    facing = np.where(roots[rest][:, :1, 2] <= roots[rest][:, 1:, 2], roots[rest][:, 0], roots[rest][:, 1])
+    out[rest] = facing
+    return out, decided | rest
+
+
+@njit(cache=True)
+def _propagate(
+    normals: npt.NDArray[np.float64],
+    roots: npt.NDArray[np.float64],
+    two: npt.NDArray[np.bool_],
+    decided: npt.NDArray[np.bool_],
+) -> None:
+    """Breadth first from the decided pixels: each takes the root nearer to its decided neighbours' mean."""
+    h, w = two.shape
+    queue = np.empty((h * w, 2), np.int64)
+    queued = np.zeros((h, w), np.bool_)
+    head, tail = 0, 0
+    for v in range(h):
+        for u in range(w):
+            if two[v, u] and _beside(decided, v, u):
+                queue[tail, 0], queue[tail, 1] = v, u
+                queued[v, u] = True
+                tail += 1
+    while head < tail:
+        v, u = queue[head, 0], queue[head, 1]
+        head += 1
+        mean = np.zeros(3)
+        for i in range(max(v - 1, 0), min(v + 2, h)):
+            for j in range(max(u - 1, 0), min(u + 2, w)):
+                if decided[i, j]:
+                    mean += normals[i, j]
+        better = 0 if np.sum(roots[v, u, 0] * mean) >= np.sum(roots[v, u, 1] * mean) else 1
+        normals[v, u] = roots[v, u, better]
+        decided[v, u] = True
+        for i in range(max(v - 1, 0), min(v + 2, h)):
+            for j in range(max(u - 1, 0), min(u + 2, w)):
+                if two[i, j] and not queued[i, j]:
+                    queue[tail, 0], queue[tail, 1] = i, j
+                    queued[i, j] = True
+                    tail += 1
+
+
+@njit(cache=True)
+def _beside(decided: npt.NDArray[np.bool_], v: int, u: int) -> bool:
+    h, w = decided.shape
+    for i in range(max(v - 1, 0), min(v + 2, h)):
+        for j in range(max(u - 1, 0), min(u + 2, w)):
+            if decided[i, j]:
+                return True
+    return False
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    return vectors / np.maximum(lengths_of(vectors), 1e-12)
