@@ -34,10 +34,8 @@ _SMALLEST_ALBEDO = 1e-3
 
 # A share is 1 where a surface of the local albedo faces the light.
 _FIRST_SHARE = 0.2  # lights with less are doubted at the start
-_PAINT_PART, _PAINT_SHARE = (
-    0.5,
-    0.12,
-)  # dark paint: below half of all three predictions, above this share of them
+_PAINT_PART = 0.5  # dark paint: all three shares are below this part of the predicted ones …
+_PAINT_SHARE = 0.12  # … and above this one
 _TOLERANCE_DARK = 0.04  # change of a share that is one unit of evidence where none is predicted
 _TOLERANCE_BRIGHT = 0.05  # what each unit of predicted share adds to that
 _SMOOTHNESS = 0.5  # price of a change of label between neighbours, in units of evidence
@@ -45,9 +43,8 @@ _CONTRAST = 0.6  # see `bonds_of_light`
 _ROUNDS = 3  # alternations of surface and labels; most of the change comes in the first
 _WORKING_PIXELS = 100_000  # larger frames are shrunk towards this size for the alternation
 _PERSISTENCE = 0.25  # weight of the previous frame's evidence
-_SURFACE = SurfaceOptions(
-    iterations=3, noise=0.08, smoothness=1.5
-)  # of a surface that still holds wrong labels
+# Of a surface whose labels may still be wrong.
+_SURFACE = SurfaceOptions(iterations=3, noise=0.08, smoothness=1.5)
 
 
 def lit_by_surface(
