@@ -3,7 +3,7 @@
     python -m benchmarks.calibrate_head [FOLDER] [--frames 0:60] [--features sift] [--out FILE]    # 3 min
 
 FOLDER: what `vntoolkit simulate head_turn --size 960x720 --out FOLDER` wrote; without it, 45 frames of 3
-degrees are simulated first (5 min more). Shapes: the hull, screened Poisson and averaged truncated distances
+degrees are simulated first (5 min more). Shapes: the hull and screened Poisson
 (TSDF) from the same depths, each against the part of the true surface that some frame sees.
 """
 
@@ -20,33 +20,17 @@ from typing import Any
 import numpy as np
 
 from benchmarks.head_truth import HeadTruth
-from vntoolkit.calibration.head.hull import View, box_about_points, fit_hull, spread_over_turn
-from vntoolkit.calibration.head.shape import FusionOptions, Surface, fit_shape
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.pipeline.calibrate import CalibrationJob
 from vntoolkit.pipeline.calibrate_head import (
     Features,
     FollowOptions,
-    HeadCalibration,
     HeadOptions,
     calibrate_head,
 )
 from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob, simulate
 from vntoolkit.simulation.scene import SceneOptions
-
-
-def averaged(result: HeadCalibration, options: HeadOptions) -> Any:
-    """The same depths once more, fused by averaged truncated distances."""
-    motion = result.motion
-    views = [
-        View(camera=motion.camera, camera_from_head=pose, mask=silhouette.mask)
-        for pose, silhouette in zip(motion.camera_from_head, result.footage.silhouettes, strict=True)
-    ]
-    few = [views[k] for k in spread_over_turn(views, 32)]
-    grid = fit_hull(few, box_about_points(motion.points_in_head), options.hull)
-    fusion = FusionOptions(surface=Surface.TSDF)
-    return fit_shape(views, result.footage.contrasts, grid, options.stereo, fusion)
 
 
 def measure(folder: Path, source: str, frames: str, features: Features) -> dict[str, Any]:
@@ -68,7 +52,6 @@ def measure(folder: Path, source: str, frames: str, features: Features) -> dict[
         "poses_worst_deg": float(errors.max()),
         "hull": truth.shape_errors(result.hull, result),
         "poisson": truth.shape_errors(result.mesh, result),
-        "tsdf": truth.shape_errors(averaged(result, options), result),
         "response_percent": float(100 * np.linalg.norm(scale * found - true) / np.linalg.norm(true)),
         "stage_seconds": dict(result.stage_seconds),
         "seconds": wall,

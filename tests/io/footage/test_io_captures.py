@@ -9,8 +9,9 @@ import pytest
 from vntoolkit.errors import BadCapture, BadInput, CannotWrite
 from vntoolkit.io.footage.captures import CaptureKind, CaptureOptions, find_capture_files, open_capture
 from vntoolkit.io.footage.frame_range import FrameRange
-from vntoolkit.io.footage.images import write_exr, write_png
+from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.footage.video import VideoReader, write_video
+from vntoolkit.io.maps_and_meshes.exr import write_exr
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
 
 

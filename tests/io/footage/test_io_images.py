@@ -11,9 +11,9 @@ import tifffile
 
 from vntoolkit.errors import BadCapture, BadInput, CannotWrite
 from vntoolkit.io import atomic
-from vntoolkit.io.footage.images import read_exr, read_grey, read_image, write_exr, write_png
+from vntoolkit.io.footage.images import read_grey, read_image, write_png
 from vntoolkit.io.maps_and_meshes import exr
-from vntoolkit.io.maps_and_meshes.exr import ExrCompression
+from vntoolkit.io.maps_and_meshes.exr import ExrCompression, read_exr, write_exr
 from vntoolkit.io.maps_and_meshes.label_images import read_labels, read_mask, write_labels, write_mask
 
 
