@@ -3,8 +3,8 @@
     python -m benchmarks.calibrate_head [FOLDER] [--frames 0:60] [--features sift] [--out FILE]    # 3 min
 
 FOLDER: what `vntoolkit simulate head_turn --size 960x720 --out FOLDER` wrote; without it, 45 frames of 3
-degrees are simulated first (5 min more). Shapes: the hull and screened Poisson
-(TSDF) from the same depths, each against the part of the true surface that some frame sees.
+degrees are simulated first (5 min more). Shapes: the hull, and screened Poisson over the depths of stereo,
+each against the part of the true surface that some frame sees.
 """
 
 from __future__ import annotations
