@@ -1,4 +1,9 @@
-"""The floors of the house hold: imports go strictly down, stages do not know each other."""
+"""Imports go strictly down the floors that the README shows, and no stage imports another stage.
+
+Floors, from the ground: 0 foundations; 1 the objects that flow; 2 the stages; 2.5 diagnosis; 3 pipeline; 3.5
+report; 3.7 live; 4 the command line. A file may import from lower floors and from its own room only. `DOORS`
+lists, for each third-party library, the rooms and files that may import it.
+"""
 
 import ast
 from pathlib import Path
@@ -7,7 +12,7 @@ import pytest
 
 PACKAGE = Path(__file__).parent.parent / "vntoolkit"
 
-# A lower number may be imported by a higher one; equal numbers only within the same room.
+# A room may import rooms with lower numbers, and itself.
 FLOORS = {
     "arrays": 0, "errors": 0.1, "checks": 0.2, "native": 0.3,
     "solvers": 0.4, "geometry": 1, "photometry": 1.5,
@@ -17,7 +22,7 @@ FLOORS = {
     "cli": 4, "__main__": 5,
 }  # fmt: skip
 
-# Third-party doors: a library not named here is free for all; a prefix names a file or a folder.
+# Library -> prefixes of the files that may import it; a library that is not listed may be imported anywhere.
 DOORS = {
     "pycolmap": ("calibration/head",),
     "pymeshlab": ("geometry/", "evaluation/", "meshing/", "native.py"),

@@ -2,25 +2,28 @@
 
 The floors, from the ground up; imports go strictly down:
 
-    0  arrays, errors, checks, native      foundations
-    1  geometry, photometry                the objects that flow between the stages
-    2  io, calibration, simulation, normals, shadows, integration,
-       meshing, tracking, skinning, evaluation      stages, blind to each other
-    3  pipeline, report                    stages joined; what people look at
-    4  cli                                 the command line
+    0    arrays, errors, checks, native    foundations
+    1    geometry, photometry              the objects that flow between the stages
+    2    io, calibration, simulation, normals, shadows, integration,
+         meshing, tracking, skinning, evaluation      stages; none imports another
+    2.5  diagnosis                         whether footage, rig and result can be trusted
+    3    pipeline                          stages joined, one file a job
+    3.5  report                            figures, HTML pages, the viewer
+    3.7  live                              the live view of a camera
+    4    cli                               the command line
 
-The chain of objects is the architecture:
+Stages exchange these objects:
 
     LinearFrame -> NormalMap -> DepthMap -> Mesh -> MeshSequence
 
-Public names are imported on first use, so that `import vntoolkit` stays cheap.
+Public names are imported on first use, so that `import vntoolkit` is fast.
 """
 
 from __future__ import annotations
 
 import importlib
 
-TYPE_CHECKING = False  # as typing has it, whose import takes long enough for a Ctrl-C to strike before `main`
+TYPE_CHECKING = False  # importing typing takes time, and a Ctrl-C before `main` leaves a traceback
 if TYPE_CHECKING:
     from typing import Any
 
