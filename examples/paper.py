@@ -9,7 +9,7 @@ free: spectra and places of the lamps, true normals (equations 1 and 4), mean de
 import numpy as np
 
 from vntoolkit import DepthIntegrator, DepthMap, LightResponse, fit_response, normals_from_frame
-from vntoolkit.calibration.fit import FitOptions, ResponseModel
+from vntoolkit.calibration.fit import ResponseFitOptions, ResponseModel
 from vntoolkit.geometry.laplacian import graph_laplacian
 from vntoolkit.photometry.lambertian import rgb_from_normals
 from vntoolkit.simulation.image_formation import light_colour, response_matrix
@@ -50,7 +50,7 @@ true = LightResponse(matrix=matrix * scene.exposure_level / np.linalg.norm(matri
 show("1  r = M n: error of r / full scale, mean", 100 * length(rgb - rgb_from_normals(normals, true)), "%")
 show("2  c_k of the red lamp: green over red", 100 * colours[0, 1] / colours[0, 0], "%")
 show("3  M = Σ c_k l_kᵀ: condition number", true.condition_number, "(a ratio)")
-response = fit_response(normals, rgb, FitOptions(model=ResponseModel.AMBIENT)).response
+response = fit_response(normals, rgb, ResponseFitOptions(model=ResponseModel.AMBIENT)).response
 error = np.linalg.norm(response.matrix - true.matrix) / np.linalg.norm(true.matrix)
 show("4  3×4 M from pairs of n and r: error of M", 100 * error, "%")
 found = [normals_from_frame(s.linear, response, s.truth.normals.mask) for s in seen]

@@ -7,7 +7,7 @@ import pytest
 import scipy.sparse as sp
 
 from vntoolkit import native
-from vntoolkit.calibration.fit import FitMethod, FitOptions, fit_response
+from vntoolkit.calibration.fit import FitMethod, ResponseFitOptions, fit_response
 from vntoolkit.calibration.sphere import Circle, sphere_normals
 from vntoolkit.errors import (
     BadCalibration,
@@ -25,7 +25,7 @@ from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.motion import Motion, Skeleton
 from vntoolkit.integration.edges import graph_from_domain
 from vntoolkit.integration.multigrid import hierarchy_from_graph, solve_laplacian
-from vntoolkit.io.conventions import UpAxis
+from vntoolkit.io.conventions import MeshUpAxis
 from vntoolkit.io.maps_and_meshes.usd import write_usd_sequence
 from vntoolkit.meshing.clean import clean_mesh
 from vntoolkit.photometry.lambertian import rgb_from_normals
@@ -34,7 +34,7 @@ from vntoolkit.simulation.lights import Lighting, Lights
 from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.scene import SceneOptions, build_scene
 from vntoolkit.simulation.spectra import WAVELENGTHS_NM
-from vntoolkit.skinning.fitting import FitOptions as FittingOptions
+from vntoolkit.skinning.fitting import ResponseFitOptions as FittingOptions
 from vntoolkit.skinning.fitting import fit_garment_to_figure
 from vntoolkit.tracking.factor import factor_symmetric
 from vntoolkit.tracking.template import template_from_maps
@@ -56,7 +56,7 @@ def test_colours_that_no_light_explains(rng):
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     rgb = rgb_from_normals(normals, LightResponse(matrix=MATRIX))
     assert fit_response(normals, rgb).response.condition_number < 10
-    options = FitOptions(method=FitMethod.TRIMMED, shadow_share=0.99)
+    options = ResponseFitOptions(method=FitMethod.TRIMMED, shadow_share=0.99)
     with pytest.raises(BadCalibration, match="calibration: "):
         fit_response(normals, np.abs(rng.normal(size=(300, 3))), options)
 
@@ -233,4 +233,4 @@ def test_usd_files_that_hold_no_surface_of_ours(tmp_path):
     stage.GetRootLayer().Save()
     mesh = Mesh(vertices=np.eye(3), faces=TRIANGLE)
     with pytest.raises(BadInput, match="a skeleton is written with y up only"):
-        write_usd_sequence(tmp_path / "b.usdc", mesh, [], frame_rate_hz=30, motion=figure(), up=UpAxis.Z)
+        write_usd_sequence(tmp_path / "b.usdc", mesh, [], frame_rate_hz=30, motion=figure(), up=MeshUpAxis.Z)

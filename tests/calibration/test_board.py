@@ -10,7 +10,7 @@ import pytest
 from tests.attached_shadow import shaded_rgb_from_normals
 from vntoolkit.calibration.board import BoardOptions, IntrinsicsOptions, fit_camera, fit_response_to_board
 from vntoolkit.calibration.board_detection import BoardDetector
-from vntoolkit.calibration.fit import FitOptions
+from vntoolkit.calibration.fit import ResponseFitOptions
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.board_layout import MARKER_DICTIONARY, NORMAL_IN_BOARD, BoardLayout
 from vntoolkit.geometry.camera import Camera, CameraModel
@@ -157,7 +157,7 @@ def test_given_camera_is_kept_and_outliers_are_left_out(views) -> None:
     sightings, _ = views
     spoiled = [replace(s, rgb=s.rgb * [0.2, 1.0, 1.0]) if i < 4 else s for i, s in enumerate(sightings)]
     result = fit_response_to_board(
-        spoiled, LAYOUT, (640, 480), CAMERA, BoardOptions(fit=FitOptions(outlier_sigmas=4.0))
+        spoiled, LAYOUT, (640, 480), CAMERA, BoardOptions(fit=ResponseFitOptions(outlier_sigmas=4.0))
     )
     assert result.camera is CAMERA
     np.testing.assert_allclose(result.fit.response.matrix, RESPONSE.matrix, atol=0.01)

@@ -9,7 +9,7 @@ from tests.attached_shadow import shaded_rgb_from_normals
 from vntoolkit.calibration.fit import (
     Design,
     FitMethod,
-    FitOptions,
+    ResponseFitOptions,
     ResponseModel,
     fit_by_trimming,
     fit_response,
@@ -38,7 +38,7 @@ def test_matte_hemisphere_gives_the_response_back(rng, method, model) -> None:
     truth = RESPONSE if model is ResponseModel.LINEAR else WITH_AMBIENT
     normals = hemisphere(rng, 3000)
     rgb = shaded_rgb_from_normals(normals, truth)
-    options = FitOptions(model=model, method=method, inlier_share=0.01)
+    options = ResponseFitOptions(model=model, method=method, inlier_share=0.01)
     fit = fit_response(normals, rgb, options, rng=rng, verb="sphere")
     atol = 1e-9 if method is FitMethod.TRIMMED else 0.005  # MSAC keeps the first hundredth of a shadow
     np.testing.assert_allclose(fit.response.matrix, truth.matrix, atol=atol)
@@ -66,7 +66,7 @@ def test_msac_survives_forty_percent_of_wrong_pairs(rng) -> None:
     rgb = shaded_rgb_from_normals(normals, WITH_AMBIENT) + rng.normal(0, 0.003, (2000, 3))
     wrong = rng.random(2000) < 0.4
     rgb[wrong] = rng.uniform(0, 0.8, (wrong.sum(), 3))
-    options = FitOptions(model=ResponseModel.AMBIENT, method=FitMethod.MSAC, inlier_share=0.03)
+    options = ResponseFitOptions(model=ResponseModel.AMBIENT, method=FitMethod.MSAC, inlier_share=0.03)
     fit = fit_response(normals, rgb, options, rng=rng)
     np.testing.assert_allclose(fit.response.matrix, WITH_AMBIENT.matrix, atol=0.01)
     assert fit.inliers[wrong].mean() < 0.01
@@ -79,7 +79,7 @@ def test_residual_is_the_injected_noise_from_both_sides(rng) -> None:
     fit = fit_response(
         normals,
         rgb_from_normals(normals, RESPONSE) + rng.normal(0, sigma, normals.shape),
-        FitOptions(outlier_sigmas=9),
+        ResponseFitOptions(outlier_sigmas=9),
     )
     scatter = sigma * rng.normal(size=normals.shape) @ RESPONSE.inverse.T
     across = scatter - np.sum(scatter * normals, axis=1, keepdims=True) * normals
@@ -110,7 +110,7 @@ def test_same_seed_same_fit(rng) -> None:
     normals = hemisphere(rng, 500)
     rgb = shaded_rgb_from_normals(normals, RESPONSE) + rng.normal(0, 0.01, (500, 3))
     fits = [
-        fit_response(normals, rgb, FitOptions(method=FitMethod.MSAC), rng=np.random.default_rng(5))
+        fit_response(normals, rgb, ResponseFitOptions(method=FitMethod.MSAC), rng=np.random.default_rng(5))
         for _ in "ab"
     ]
     assert np.array_equal(fits[0].response.matrix, fits[1].response.matrix)
@@ -136,12 +136,12 @@ def test_refusals(rng) -> None:
         fit_response(
             np.tile(normals[:1], (50, 1)),
             np.tile(rgb[:1], (50, 1)),
-            FitOptions(method=FitMethod.MSAC),
+            ResponseFitOptions(method=FitMethod.MSAC),
             rng=rng,
         )
     with pytest.raises(BadInput, match="random generator"):
-        fit_response(normals, rgb, FitOptions(method=FitMethod.MSAC))
+        fit_response(normals, rgb, ResponseFitOptions(method=FitMethod.MSAC))
     with pytest.raises(BadInput, match="colours: expected shape 200 × 3"):
         fit_response(normals, rgb[:100])
     with pytest.raises(BadInput, match="shadow share"):
-        FitOptions(shadow_share=1.5)
+        ResponseFitOptions(shadow_share=1.5)

@@ -15,7 +15,7 @@ from vntoolkit.calibration.fit import ResponseModel
 from vntoolkit.calibration.head.hull import (
     Box,
     HullOptions,
-    View,
+    SilhouetteView,
     fit_hull,
     mesh_of_grid,
     neighbours_of,
@@ -82,7 +82,9 @@ def test_silhouette_is_the_eggs_outline():
 def egg_views(poses):
     shape = (CAMERA.height, CAMERA.width)
     return [
-        View(camera=CAMERA, camera_from_head=pose, mask=render_egg(pose).max(axis=2).reshape(shape) > 0.0041)
+        SilhouetteView(
+            camera=CAMERA, camera_from_head=pose, mask=render_egg(pose).max(axis=2).reshape(shape) > 0.0041
+        )
         for pose in poses
     ]
 
@@ -101,14 +103,16 @@ def test_hull_holds_the_egg_and_hardly_more():
 
 def test_hull_refuses_silhouettes_that_contradict_each_other():
     views = egg_views(POSES[:2])
-    empty = View(camera=CAMERA, camera_from_head=POSES[2], mask=np.zeros_like(views[0].mask))
+    empty = SilhouetteView(camera=CAMERA, camera_from_head=POSES[2], mask=np.zeros_like(views[0].mask))
     with pytest.raises(BadCalibration, match="hull: no point"):
         fit_hull([*views, empty], Box(low=-AXES, high=AXES), HullOptions(hull_cells=24))
 
 
 def test_neighbours_lie_to_both_sides_also_beyond_half_a_turn():
     mask = np.ones((CAMERA.height, CAMERA.width), np.bool_)
-    views = [View(camera=CAMERA, camera_from_head=pose, mask=mask) for pose in turning_poses(36, 175.0)]
+    views = [
+        SilhouetteView(camera=CAMERA, camera_from_head=pose, mask=mask) for pose in turning_poses(36, 175.0)
+    ]
     angles = turn_angles_deg([view.camera_from_head for view in views], 18)
     assert angles[19] * angles[17] < 0
     assert sorted(neighbours_of(views, 18, (10.0,))) == [17, 19]

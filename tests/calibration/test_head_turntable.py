@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from vntoolkit.calibration.head.hull import Box, HullOptions, View, fit_hull, mesh_of_grid
+from vntoolkit.calibration.head.hull import Box, HullOptions, SilhouetteView, fit_hull, mesh_of_grid
 from vntoolkit.calibration.head.poses import PoseOptions, PoseStart, solve_head_motion
 from vntoolkit.calibration.head.shape import FusionOptions, fuse_points
 from vntoolkit.calibration.head.sift import SiftBuilder, SiftOptions, require_features
@@ -32,7 +32,7 @@ def view_of(matrix, rotation, translation, mask):
     left, _, right = np.linalg.svd(rotation)
     camera = Camera(model=CameraModel.PINHOLE, width=640, height=480, matrix=matrix)
     pose = RigidTransform(rotation=left @ right, translation=translation)
-    return View(camera=camera, camera_from_head=pose, mask=mask)
+    return SilhouetteView(camera=camera, camera_from_head=pose, mask=mask)
 
 
 def read(path):

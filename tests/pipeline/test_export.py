@@ -13,7 +13,7 @@ from tests.dome_result import DomeResult, dome_result
 from vntoolkit.errors import BadInput
 from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.geometry.mesh import face_normals
-from vntoolkit.io.conventions import NormalConvention, UpAxis, graphics_from_camera
+from vntoolkit.io.conventions import MeshUpAxis, NormalConvention, graphics_from_camera
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.images import read_image, read_image_with_alpha
 from vntoolkit.io.light_files import read_lights
@@ -52,10 +52,10 @@ def points_of(path: Path, time: float) -> np.ndarray:
     return np.array(mesh.GetPointsAttr().Get(time))
 
 
-@pytest.mark.parametrize("up", UpAxis)
+@pytest.mark.parametrize("up", MeshUpAxis)
 @pytest.mark.parametrize("surface", [ExportedSurface.TRACKED, ExportedSurface.FRAMES])
 def test_usd_is_valid_and_holds_the_surface(
-    dome_result: DomeResult, tmp_path: Path, surface: ExportedSurface, up: UpAxis
+    dome_result: DomeResult, tmp_path: Path, surface: ExportedSurface, up: MeshUpAxis
 ) -> None:
     path = exported(
         dome_result, tmp_path / "a.usdc", ExportFormat.USD, surface=surface, up=up, scale=0.002,
@@ -113,7 +113,7 @@ def test_meshes_come_back(dome_result: DomeResult, tmp_path: Path, kind: ExportF
     )
     np.testing.assert_allclose(mesh.vertices, truth.vertices, rtol=1e-5, atol=1e-5)
     assert np.array_equal(mesh.faces, truth.faces)
-    tall = exported(dome_result, tmp_path / "z", kind, surface=ExportedSurface.FRAMES, up=UpAxis.Z)
+    tall = exported(dome_result, tmp_path / "z", kind, surface=ExportedSurface.FRAMES, up=MeshUpAxis.Z)
     standing = read_mesh(tall / f"000002.{kind.value}")  # as if y were up: so undo the half turn
     as_stored = graphics_from_camera(standing.vertices)
     np.testing.assert_allclose(as_stored[:, 2], -truth.vertices[:, 1], rtol=1e-5, atol=1e-5)
@@ -183,7 +183,7 @@ def test_an_interrupted_export_goes_on(dome_result: DomeResult, tmp_path: Path) 
     assert sorted(p.name for p in tmp_path.iterdir()) == ["000000.ply", "000001.ply", "export.json"]
     assert export(job).kept == 2
     other = ExportJob(
-        folder=dome_result.folder, options=ExportOptions(to=ExportFormat.PLY, up=UpAxis.Z), out=tmp_path
+        folder=dome_result.folder, options=ExportOptions(to=ExportFormat.PLY, up=MeshUpAxis.Z), out=tmp_path
     )
     with pytest.raises(BadInput, match="other options or of another result; add --overwrite"):
         export(other)
@@ -240,7 +240,7 @@ def test_refusals(dome_result: DomeResult, tmp_path: Path) -> None:
     with pytest.raises(BadInput, match=r"in pixels; give --scale METRES"):
         exported(dome_result, tmp_path, ExportFormat.PLY, units=FileUnit.CM)
     with pytest.raises(BadInput, match="metres and y up by its standard"):
-        ExportOptions(to=ExportFormat.GLB, up=UpAxis.Z)
+        ExportOptions(to=ExportFormat.GLB, up=MeshUpAxis.Z)
     with pytest.raises(BadInput, match=r"ends in \.usdc"):
         exported(dome_result, tmp_path / "a.fbx", ExportFormat.USD)
     folder = shutil.copytree(dome_result.folder, tmp_path / "result")

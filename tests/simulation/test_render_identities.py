@@ -15,7 +15,7 @@ from vntoolkit.simulation.lights import Lighting
 from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.render import Renderer, RenderOptions, frame_generator, render_frame
 from vntoolkit.simulation.rigid.sphere import ball_mesh
-from vntoolkit.simulation.scene import Detail, Scene, SceneOptions, Surface, build_scene
+from vntoolkit.simulation.scene import Detail, Scene, SceneOptions, SceneSurface, build_scene
 from vntoolkit.simulation.studio import studio_camera, studio_centre, studio_lights
 
 SINGLE = RenderOptions(samples=1)
@@ -36,7 +36,7 @@ def ball_scene(**surface) -> Scene:
         name="ball",
         camera=studio_camera(160, 120, field_width_m=1.0),
         lights=studio_lights(),
-        surface=Surface(faces=faces, reference_weights=GREY, **surface),
+        surface=SceneSurface(faces=faces, reference_weights=GREY, **surface),
         vertices=lambda frame: pose(frame).apply(ball),
         frame_count=3,
         camera_from_object=pose,
@@ -109,7 +109,7 @@ def test_point_light_falls_off_with_the_square_of_the_distance():
         across /= np.linalg.norm(across)
         frame = np.stack([np.cross(across, -towards), across, -towards])  # rows: x, y, z of the patch
         patch = centre + quad @ frame
-        surface = Surface(faces=faces, reference_weights=GREY)
+        surface = SceneSurface(faces=faces, reference_weights=GREY)
         moved = replace(scene, surface=surface, vertices=lambda _f, patch=patch: patch, frame_count=1)
         shot = render_frame(moved, 0, nuisances=Nuisances().only("near_lights"), options=SINGLE)
         u, v = np.rint(scene.camera.project(centre)).astype(int)
@@ -154,7 +154,7 @@ def test_visibility_labels_equal_the_independent_test_in_the_image():
     faces = np.concatenate([grid_faces(np.arange(4).reshape(2, 2)), ball_faces + 4])
     scene = replace(
         ball_scene(),
-        surface=Surface(faces=faces, reference_weights=GREY),
+        surface=SceneSurface(faces=faces, reference_weights=GREY),
         vertices=lambda _frame: vertices,
         frame_count=1,
     )
@@ -237,7 +237,7 @@ def test_detail_tilts_the_true_normal_by_its_slope():
     rise = 0.4 * np.tan(np.deg2rad(10))  # over the plane's width of 0.4 m
     scene = replace(
         ball_scene(),
-        surface=Surface(
+        surface=SceneSurface(
             faces=faces, reference_weights=GREY, uv=corner_uv, detail=Detail(height_m=rise * ramp)
         ),
         vertices=lambda _frame: plane,

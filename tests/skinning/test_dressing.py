@@ -18,11 +18,11 @@ from vntoolkit.geometry.motion import Motion, Skeleton
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
 from vntoolkit.io.results.sequences import write_mesh_sequence
-from vntoolkit.pipeline.dress import DressedFigure, DressOptions, UpAxis, dress, read_motion
+from vntoolkit.pipeline.dress import DressedFigure, DressOptions, MotionUpAxis, dress, read_motion
 from vntoolkit.skinning.anatomy import anatomy_of, facing_of, shoulders_of
 from vntoolkit.skinning.blending import Blend
 from vntoolkit.skinning.clock import ClockOptions
-from vntoolkit.skinning.fitting import Anchor, FitOptions, Region
+from vntoolkit.skinning.fitting import Anchor, GarmentFitOptions, Region
 from vntoolkit.skinning.gait import walking_motion
 from vntoolkit.skinning.kinematics import bone_segments, pose_of_frame
 
@@ -211,7 +211,7 @@ def test_a_motion_with_z_up_is_righted(moving_jumper: MeshSequence) -> None:
     upright = dress(moving_jumper, walk)
     righted = dress(moving_jumper, lying)
     np.testing.assert_allclose(righted.frame(7), upright.frame(7), atol=1e-9)
-    told = dress(moving_jumper, lying, DressOptions(up_axis=UpAxis.Z))
+    told = dress(moving_jumper, lying, DressOptions(up_axis=MotionUpAxis.Z))
     np.testing.assert_allclose(told.frame(7), upright.frame(7), atol=1e-9)
 
 
@@ -221,7 +221,7 @@ def test_a_figure_without_legs_cannot_wear_trousers(moving_jumper: MeshSequence)
         names=walk.skeleton.names[:5], parents=walk.skeleton.parents[:5], offsets=walk.skeleton.offsets[:5]
     )
     motion = replace(walk, skeleton=torso, rotations=walk.rotations[:, :5])
-    options = DressOptions(fitting=FitOptions(region=Region.LOWER_BODY), up_axis=UpAxis.Y)
+    options = DressOptions(fitting=GarmentFitOptions(region=Region.LOWER_BODY), up_axis=MotionUpAxis.Y)
     with pytest.raises(BadInput, match="no lower body; use landmarks"):
         dress(moving_jumper, motion, options)
 

@@ -23,7 +23,7 @@ from vntoolkit.pipeline.dress import DressedFigure, DressOptions, dress, read_mo
 from vntoolkit.skinning.attachment import covered_bones, weights_of_garment
 from vntoolkit.skinning.blending import Blend, skinned_vertices
 from vntoolkit.skinning.clock import ClockOptions, Loop
-from vntoolkit.skinning.fitting import ArmPose, FitOptions
+from vntoolkit.skinning.fitting import ArmPose, GarmentFitOptions
 from vntoolkit.skinning.gait import walking_motion
 from vntoolkit.skinning.kinematics import bone_segments, pose_of_frame
 from vntoolkit.skinning.weights import Falloff, WeightOptions, weights_from_distances
@@ -170,7 +170,7 @@ def test_sleeves_captured_as_one_with_the_trunk_are_cut_loose() -> None:
     assert (stretch(web, 19) > 3).sum() > 100
     assert (stretch(cut, 19) > 3).sum() < 0.1 * (stretch(web, 19) > 3).sum()
     assert dress(apart, raised_arms(90)).cut_triangles < 0.1 * cut.cut_triangles
-    stay = DressOptions(fitting=FitOptions(arms=ArmPose.REST))
+    stay = DressOptions(fitting=GarmentFitOptions(arms=ArmPose.REST))
     assert dress(touching, raised_arms(0), stay).cut_triangles == 0  # arms that stay show no web
     assert dress(touching, raised_arms(90), DressOptions(weights=PUBLISHED)).cut_triangles == 0
     np.testing.assert_array_equal(cut.cloth.vertices, touching.vertices)

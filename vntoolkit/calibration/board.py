@@ -17,8 +17,8 @@ import numpy as np
 from vntoolkit.arrays import FloatArray, Points
 from vntoolkit.calibration.board_detection import BoardSighting
 from vntoolkit.calibration.fit import (
-    FitOptions,
     ResponseFit,
+    ResponseFitOptions,
     ResponseModel,
     cone_of_normals_deg,
     fit_quality,
@@ -77,7 +77,7 @@ class BoardOptions:
     largest_error_px: float = 1.0
     degree: int = 0
     intrinsics: IntrinsicsOptions = field(default_factory=IntrinsicsOptions)
-    fit: FitOptions = field(default_factory=FitOptions)
+    fit: ResponseFitOptions = field(default_factory=ResponseFitOptions)
 
     def __post_init__(self) -> None:
         require_positive(self.largest_error_px, "board: largest error in pixels")

@@ -47,7 +47,7 @@ class FitMethod(Enum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FitOptions:
+class ResponseFitOptions:
     """How a light response is fitted.
 
     model: with or without ambient light. method: how outliers are kept out. shadow_share: (trimmed) a pair
@@ -86,7 +86,7 @@ class ResponseFit:
 def fit_response(
     normals_in_camera: Points,
     rgb: Points,
-    options: FitOptions | None = None,
+    options: ResponseFitOptions | None = None,
     *,
     clipped: Mask | None = None,
     verb: str = "fit",
@@ -99,7 +99,7 @@ def fit_response(
     rng: draws the minimal samples; needed by MSAC only. Logs a warning where the normals span a narrow cone.
     Raises `BadCalibration` where the pairs are too few, all dark or clipped, or do not determine M.
     """
-    options = options or FitOptions()
+    options = options or ResponseFitOptions()
     normals = np.asarray(normals_in_camera, dtype=np.float64)
     colours = np.asarray(rgb, dtype=np.float64)
     require_shape(normals, (None, 3), "normals")

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, Mask, Points2, Vector3
-from vntoolkit.calibration.fit import FitOptions, ResponseFit, angles_deg, fit_response
+from vntoolkit.calibration.fit import ResponseFit, ResponseFitOptions, angles_deg, fit_response
 from vntoolkit.checks import require_mask, require_shape, require_some
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
@@ -43,7 +43,7 @@ class SphereOptions:
     """
 
     rim_share: float = 0.02
-    fit: FitOptions = field(default_factory=FitOptions)
+    fit: ResponseFitOptions = field(default_factory=ResponseFitOptions)
 
     def __post_init__(self) -> None:
         if not 0 <= self.rim_share < 0.5:

@@ -11,7 +11,7 @@ import numpy as np
 from cyclopts import Parameter
 
 from vntoolkit.calibration.board import BoardOptions, IntrinsicsOptions
-from vntoolkit.calibration.fit import FitOptions
+from vntoolkit.calibration.fit import ResponseFitOptions
 from vntoolkit.calibration.head.hull import HullOptions
 from vntoolkit.calibration.head.light import LightOptions
 from vntoolkit.calibration.head.poses import PoseOptions, PoseStart
@@ -51,7 +51,7 @@ from vntoolkit.pipeline.calibrate import CalibrationJob
 from vntoolkit.pipeline.calibrate_head import Features, FollowOptions, HeadOptions, HeadShape, calibrate_head
 
 if TYPE_CHECKING:
-    FitFlags: TypeAlias = FitOptions | None
+    FitFlags: TypeAlias = ResponseFitOptions | None
     SphereFlags: TypeAlias = SphereOptions | None
     LayoutFlags: TypeAlias = BoardLayout | None
     BoardFlags: TypeAlias = BoardOptions | None
@@ -69,7 +69,7 @@ if TYPE_CHECKING:
     PressFlags: TypeAlias = PressOptions
     VariationFlags: TypeAlias = VariationOptions | None
 else:
-    FitFlags = flags_from(FitOptions, method="fit-method")
+    FitFlags = flags_from(ResponseFitOptions, method="fit-method")
     SphereFlags = flags_from(SphereOptions)
     LayoutFlags = flags_from(BoardLayout)
     BoardFlags = flags_from(BoardOptions)
@@ -123,7 +123,7 @@ def sphere(
     """
     require_output(out, JSON)
     job = _job(source, mask, background, transfer, camera, focal_px, single_light, frames)
-    sphere_options = replace(options or SphereOptions(), fit=fit or FitOptions())
+    sphere_options = replace(options or SphereOptions(), fit=fit or ResponseFitOptions())
     rig, result = calibrate.calibrate_sphere(job, sphere_options)
     write_rig(out, rig)
     (u, v), radius = result.outline.centre_px, result.outline.radius_px
@@ -161,7 +161,9 @@ def board(
     require_output(out, JSON)
     job = _job(source, None, background, transfer, camera, focal_px, single_light, frames)
     board_options = replace(
-        options or BoardOptions(), fit=fit or FitOptions(), intrinsics=intrinsics or IntrinsicsOptions()
+        options or BoardOptions(),
+        fit=fit or ResponseFitOptions(),
+        intrinsics=intrinsics or IntrinsicsOptions(),
     )
     with ProgressBars() as bars:
         rig, result = calibrate.calibrate_board(

@@ -21,17 +21,17 @@ from vntoolkit.pipeline.dress import (
 )
 from vntoolkit.report.turntable import write_preview
 from vntoolkit.skinning.clock import ClockOptions
-from vntoolkit.skinning.fitting import FitOptions
+from vntoolkit.skinning.fitting import GarmentFitOptions
 from vntoolkit.skinning.weights import WeightOptions
 
 if TYPE_CHECKING:
     DressFlags: TypeAlias = DressOptions | None
-    FitFlags: TypeAlias = FitOptions | None
+    FitFlags: TypeAlias = GarmentFitOptions | None
     WeightFlags: TypeAlias = WeightOptions | None
     ClockFlags: TypeAlias = ClockOptions | None
 else:
     DressFlags = flags_from(DressOptions)
-    FitFlags = flags_from(FitOptions)
+    FitFlags = flags_from(GarmentFitOptions)
     WeightFlags = flags_from(WeightOptions)
     ClockFlags = flags_from(ClockOptions, frame_rate_hz="frame_rate")
 
@@ -73,7 +73,7 @@ def run(
     require_output(out)
     chosen = replace(
         options or DressOptions(),
-        fitting=fitting or FitOptions(),
+        fitting=fitting or GarmentFitOptions(),
         weights=weights or WeightOptions(),
         clock=clock or ClockOptions(),
     )

@@ -11,11 +11,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from vntoolkit.arrays import FloatArray, Matrix3, Points, Vector3
+from vntoolkit.arrays import FloatArray, Points
 from vntoolkit.errors import BadInput, BadMesh, SolverFailed
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.geometry.point_cloud import PointCloud
 from vntoolkit.geometry.rays import RayScene
+from vntoolkit.geometry.rigid import RigidTransform, Similarity
 from vntoolkit.native import import_pymeshlab
 
 _FARTHEST = 1000.0  # times the smaller mesh's size: pymeshlab searches in steps of that, beyond for minutes
@@ -199,22 +200,6 @@ class AlignmentOptions:
             raise BadInput("alignment: expected at least one round and 3 samples")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Similarity:
-    """x_in_reference = scale · rotation @ x + translation."""
-
-    scale: float = 1.0
-    rotation: Matrix3
-    translation: Vector3
-
-    def apply(self, points: Points) -> Points:
-        """Move points (n, 3)."""
-        return self.scale * np.asarray(points) @ self.rotation.T + self.translation
-
-
-# One surface laid on another: the rigid motion, and the scale of depth, that reconstructions leave free.
-
-
 def align_mesh(
     mesh: S, reference: Compared, rng: np.random.Generator, options: AlignmentOptions | None = None
 ) -> tuple[S, Similarity]:
@@ -224,7 +209,7 @@ def align_mesh(
     of other sizes; `SolverFailed` where the surfaces leave the motion undetermined.
     """
     options = options or AlignmentOptions()
-    motion = Similarity(rotation=np.eye(3), translation=np.zeros(3))
+    motion = Similarity(scale=1.0, rigid=RigidTransform())
     if options.free is Alignment.NONE:
         return mesh, motion
     for name, each in (("mesh", mesh), ("reference mesh", reference)):
@@ -254,7 +239,7 @@ def align_mesh(
     moved = motion.apply(vertices)
     if isinstance(mesh, Mesh):
         return mesh.with_vertices(moved), motion
-    turned = None if mesh.normals is None else mesh.normals @ motion.rotation.T
+    turned = None if mesh.normals is None else motion.rigid.rotate(mesh.normals)
     return replace(mesh, points=moved, normals=turned), motion
 
 
@@ -274,18 +259,17 @@ def _step(points: Points, targets: Points, normals: Points, free: Alignment) -> 
         raise SolverFailed("align: the surfaces slide on each other (flat, or surfaces of revolution)")
     rotation = Rotation.from_rotvec(solution[:3] / size).as_matrix()
     scale = 1.0 + (float(solution[6]) / size if free is Alignment.SIMILARITY else 0.0)
-    return Similarity(
-        scale=scale, rotation=rotation, translation=centre + solution[3:6] - scale * rotation @ centre
-    )
+    translation = centre + solution[3:6] - scale * rotation @ centre
+    return Similarity(scale=scale, rigid=RigidTransform(rotation=rotation, translation=translation))
 
 
 def _after(step: Similarity, before: Similarity) -> Similarity:
     """The motion that does `before` and then `step`."""
-    return Similarity(
-        scale=step.scale * before.scale,
-        rotation=step.rotation @ before.rotation,
-        translation=step.scale * step.rotation @ before.translation + step.translation,
+    rigid = RigidTransform(
+        rotation=step.rigid.rotation @ before.rigid.rotation,
+        translation=step.apply(before.rigid.translation),
     )
+    return Similarity(scale=step.scale * before.scale, rigid=rigid)
 
 
 @dataclass(frozen=True, kw_only=True)

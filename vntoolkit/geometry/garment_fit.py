@@ -10,7 +10,7 @@ import numpy as np
 from vntoolkit.arrays import FloatArray, Points, Vector3, read_only
 from vntoolkit.checks import require_finite, require_shape
 from vntoolkit.errors import BadInput
-from vntoolkit.geometry.rigid import RigidTransform
+from vntoolkit.geometry.rigid import RigidTransform, Similarity
 
 _NO_TRIANGLE = "landmarks: the points lie on a line; choose three that span a triangle"
 
@@ -45,18 +45,6 @@ class GarmentFit:
             raise BadInput(f"fit: expected a positive scale, got {self.scale}")
         if len(self.landmarks) in (1, 2):
             raise BadInput(f"fit: expected no or at least three landmarks, got {len(self.landmarks)}")
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Similarity:
-    """x_in_target = scale · rotation x + translation."""
-
-    scale: float
-    rigid: RigidTransform
-
-    def apply(self, points: Points) -> Points:
-        """Move points (..., 3)."""
-        return self.rigid.apply(self.scale * np.asarray(points, dtype=np.float64))
 
 
 def fit_similarity(source: Points, target: Points) -> Similarity:

@@ -1,4 +1,4 @@
-"""Rigid transforms, named `target_from_source`."""
+"""Rigid transforms and similarities, named `target_from_source`."""
 
 from __future__ import annotations
 
@@ -82,3 +82,15 @@ class RigidTransform:
             rotation=self.rotation @ other.rotation,
             translation=self.rotation @ other.translation + self.translation,
         )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Similarity:
+    """x_in_target = rotation @ (scale · x_in_source) + translation."""
+
+    scale: float
+    rigid: RigidTransform
+
+    def apply(self, points: FloatArray) -> FloatArray:
+        """Move points (..., 3)."""
+        return self.rigid.apply(self.scale * np.asarray(points, dtype=np.float64))

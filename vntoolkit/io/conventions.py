@@ -29,7 +29,7 @@ class NormalConvention(Enum):
         ]
 
 
-class UpAxis(Enum):
+class MeshUpAxis(Enum):
     """Which axis of a mesh file points up.
 
     Y: x right, y up, z towards the viewer (ours, MeshLab's, glTF's; the default). Z: x right, y away from the
@@ -42,18 +42,18 @@ class UpAxis(Enum):
     @property
     def meaning(self) -> str:
         """The three axes in words."""
-        if self is UpAxis.Y:
+        if self is MeshUpAxis.Y:
             return "x right, y up, z towards the viewer"
         return "x right, y away from the viewer, z up"
 
 
-def graphics_from_camera(vectors: FloatArray, up: UpAxis = UpAxis.Y) -> FloatArray:
+def graphics_from_camera(vectors: FloatArray, up: MeshUpAxis = MeshUpAxis.Y) -> FloatArray:
     """Turn points or directions (..., 3) about x, by half a turn (y up) or a quarter (z up); windings stay.
 
     With y up it is its own inverse.
     """
     vectors = np.asarray(vectors)
-    if up is UpAxis.Z:
+    if up is MeshUpAxis.Z:
         return np.stack([vectors[..., 0], vectors[..., 2], -vectors[..., 1]], axis=-1)
     return vectors * np.array([1, -1, -1], dtype=vectors.dtype)
 

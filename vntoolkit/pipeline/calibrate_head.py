@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from vntoolkit.calibration.head.hull import (
     HullOptions,
-    View,
+    SilhouetteView,
     box_about_points,
     fit_hull,
     mesh_of_grid,
@@ -150,7 +150,7 @@ def calibrate_head(
         motion = _moved(tracks, undistorter.camera, options, rng, refine_focal=given is None)
         on_progress("poses", 1, 1)
     views = [
-        View(camera=motion.camera, camera_from_head=pose, mask=silhouette.mask)
+        SilhouetteView(camera=motion.camera, camera_from_head=pose, mask=silhouette.mask)
         for pose, silhouette in zip(motion.camera_from_head, footage.silhouettes, strict=True)
     ]
     with clock.stage("hull"):

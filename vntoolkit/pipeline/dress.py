@@ -12,10 +12,11 @@ import numpy as np
 
 from vntoolkit.arrays import FloatArray, Points
 from vntoolkit.errors import BadInput
-from vntoolkit.geometry.garment_fit import GarmentFit, Similarity
+from vntoolkit.geometry.garment_fit import GarmentFit
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.mesh_sequence import MeshSequence
 from vntoolkit.geometry.motion import Motion
+from vntoolkit.geometry.rigid import Similarity
 from vntoolkit.io.atomic import require_writable_folder
 from vntoolkit.io.maps_and_meshes.glb import write_glb
 from vntoolkit.io.maps_and_meshes.meshes import write_mesh
@@ -33,7 +34,7 @@ from vntoolkit.skinning.clock import (
     resampled_motion,
     resampled_vertices,
 )
-from vntoolkit.skinning.fitting import Anchor, FitOptions, TrunkAnchor, fit_garment_to_figure
+from vntoolkit.skinning.fitting import Anchor, GarmentFitOptions, TrunkAnchor, fit_garment_to_figure
 from vntoolkit.skinning.kinematics import pose_of_frame
 from vntoolkit.skinning.weights import SkinWeights, WeightOptions
 
@@ -44,7 +45,7 @@ _Z_UP_TO_Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # in camera axes
 _FILE_SUFFIXES, _SEQUENCE_SUFFIXES = (".usdc", ".usd", ".glb"), (".ply", ".obj")
 
 
-class UpAxis(Enum):
+class MotionUpAxis(Enum):
     """Which axis of the motion file points up; AUTO takes the longer of y and z of the rest pose."""
 
     AUTO = "auto"
@@ -67,9 +68,9 @@ class DressOptions:
     blend: Blend = Blend.LINEAR
     anchor: Anchor = Anchor.TRUNK
     figure_height: float = FIGURE_HEIGHT_M
-    up_axis: UpAxis = UpAxis.AUTO
+    up_axis: MotionUpAxis = MotionUpAxis.AUTO
     max_stretch: float = 3.0
-    fitting: FitOptions = field(default_factory=FitOptions)
+    fitting: GarmentFitOptions = field(default_factory=GarmentFitOptions)
     weights: WeightOptions = field(default_factory=WeightOptions)
     clock: ClockOptions = field(default_factory=ClockOptions)
 
@@ -183,10 +184,10 @@ def _anchor(vertices: Points, weights: SkinWeights, motion: Motion, anchor: Anch
     return TrunkAnchor(vertices, weights, trunk) if on_trunk.any() else None  # trousers may have none
 
 
-def _upright(motion: Motion, up_axis: UpAxis) -> Motion:
+def _upright(motion: Motion, up_axis: MotionUpAxis) -> Motion:
     points = np.concatenate([motion.skeleton.rest_positions, motion.skeleton.rest_tips])
     extent = np.ptp(points, axis=0)
-    is_z = up_axis is UpAxis.Z or (up_axis is UpAxis.AUTO and extent[2] > extent[1])
+    is_z = up_axis is MotionUpAxis.Z or (up_axis is MotionUpAxis.AUTO and extent[2] > extent[1])
     return motion.turned(_Z_UP_TO_Y_UP) if is_z else motion
 
 

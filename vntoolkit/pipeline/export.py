@@ -20,7 +20,7 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import LengthUnit
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.atomic import require_writable_folder, write_text
-from vntoolkit.io.conventions import NormalConvention, UpAxis, graphics_from_camera
+from vntoolkit.io.conventions import MeshUpAxis, NormalConvention, graphics_from_camera
 from vntoolkit.io.files import parse_json, read_text
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.light_files import write_diligent
@@ -235,14 +235,16 @@ class ExportOptions:
     to: ExportFormat
     normal_convention: NormalConvention = NormalConvention.OPENGL
     units: FileUnit | None = None
-    up: UpAxis = UpAxis.Y
+    up: MeshUpAxis = MeshUpAxis.Y
     scale: float | None = None
     surface: ExportedSurface = ExportedSurface.AUTO
 
     def __post_init__(self) -> None:
         if self.scale is not None and not self.scale > 0:
             raise BadInput(f"scale: expected a positive number of metres, got {self.scale:g}")
-        if self.to is ExportFormat.GLB and (self.up is not UpAxis.Y or self.units not in (None, FileUnit.M)):
+        if self.to is ExportFormat.GLB and (
+            self.up is not MeshUpAxis.Y or self.units not in (None, FileUnit.M)
+        ):
             raise BadInput("a GLB has metres and y up by its standard: leave out --units and --up")
 
 

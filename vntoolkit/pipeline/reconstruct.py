@@ -94,7 +94,7 @@ def reconstruct(
     job.rig.require_size(capture.info.width, capture.info.height, job.source)
     numbers = frames.numbers(capture.info.frame_count)
     resumes = has_manifest(root) and not overwrite
-    job = settled_job(job, capture, numbers, read_manifest(root).options if resumes else {})
+    job = resolve_options(job, capture, numbers, read_manifest(root).options if resumes else {})
     manifest = manifest_of_run(job, capture, frames)
     if resumes:
         require_resumable(root, manifest)
@@ -198,7 +198,7 @@ def _finish(root: Path, manifest: Manifest, log: FrameLog, numbers: range, secon
 # What a run settles before its first frame, once for a whole folder, and the record that it keeps.
 
 
-def settled_job(
+def resolve_options(
     job: ReconstructionJob, capture: Capture, numbers: range, earlier: Mapping[str, Any]
 ) -> ReconstructionJob:
     """Return the job with the options that rig and footage decide, so that every frame is done alike.

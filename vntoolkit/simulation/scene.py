@@ -9,7 +9,7 @@ origin); the subject stands at `studio_centre()` = (0, 0, 5).
             name="sphere",
             camera=studio_camera(options.width, options.height, field_width_m=options.field_width_m or 1.0),
             lights=studio_lights(),
-            surface=Surface(faces=faces, vertex_weights=weights),     # weights of the RGB pigments
+            surface=SceneSurface(faces=faces, vertex_weights=weights),     # weights of the RGB pigments
             vertices=lambda frame: template + shift(frame),            # (n, 3) float64
             frame_count=60,
         )
@@ -98,7 +98,7 @@ class Detail:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Surface:
+class SceneSurface:
     """Topology and material of a scene's one mesh.
 
     faces: (m, 3) int32. pigments: (b, λ) reflectance spectra on `WAVELENGTHS_NM`, from 0 to 1. The
@@ -152,7 +152,7 @@ class Scene:
     name: str
     camera: Camera
     lights: Lights
-    surface: Surface
+    surface: SceneSurface
     vertices: Callable[[int], Points]
     frame_count: int
     frame_rate_hz: float = 60.0

@@ -10,10 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from vntoolkit.arrays import FloatArray, Points, Vector3
 from vntoolkit.errors import BadInput
-from vntoolkit.geometry.garment_fit import GarmentFit, Similarity, fit_similarity
+from vntoolkit.geometry.garment_fit import GarmentFit, fit_similarity
 from vntoolkit.geometry.mesh import Mesh, face_normals
 from vntoolkit.geometry.motion import Motion, Skeleton
-from vntoolkit.geometry.rigid import RigidTransform
+from vntoolkit.geometry.rigid import RigidTransform, Similarity
 from vntoolkit.skinning.anatomy import Anatomy, anatomy_of, facing_of, shoulders_of
 from vntoolkit.skinning.kinematics import forward_kinematics
 from vntoolkit.skinning.weights import SkinWeights
@@ -52,7 +52,7 @@ class ArmPose(Enum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FitOptions:
+class GarmentFitOptions:
     """How the garment is brought onto the figure.
 
     region: the part of the figure that the garment covers, from whose top it hangs. fullness: height of the
@@ -78,7 +78,9 @@ class Fitting:
     rest_from_model: FloatArray
 
 
-def fit_garment_to_figure(garment: Mesh, motion: Motion, fit: GarmentFit, options: FitOptions) -> Fitting:
+def fit_garment_to_figure(
+    garment: Mesh, motion: Motion, fit: GarmentFit, options: GarmentFitOptions
+) -> Fitting:
     """Bring garment and skeleton into one pose, the pose of attachment, in which the root is not turned."""
     skeleton = motion.skeleton
     rotations = _binding_rotations(motion, fit)
@@ -112,7 +114,7 @@ def _binding_rotations(motion: Motion, fit: GarmentFit) -> FloatArray:
 
 
 def fit_garment(
-    garment: Mesh, skeleton: Skeleton, pose: FloatArray, fit: GarmentFit, options: FitOptions
+    garment: Mesh, skeleton: Skeleton, pose: FloatArray, fit: GarmentFit, options: GarmentFitOptions
 ) -> Similarity:
     """Return rest_from_cloth: the similarity that puts the garment onto the figure in `pose` (j, 4, 4)."""
     if fit.landmarks:
@@ -141,7 +143,9 @@ def _by_landmarks(garment: Mesh, skeleton: Skeleton, pose: FloatArray, fit: Garm
     return fit_similarity(garment.vertices[vertices], targets)
 
 
-def _by_bounding_box(garment: Mesh, skeleton: Skeleton, pose: FloatArray, options: FitOptions) -> Similarity:
+def _by_bounding_box(
+    garment: Mesh, skeleton: Skeleton, pose: FloatArray, options: GarmentFitOptions
+) -> Similarity:
     """Scale the garment's height to the region's, hang it from its top, facing as the figure does."""
     low, high = garment.vertices.min(axis=0), garment.vertices.max(axis=0)
     height = float(high[1] - low[1])
@@ -175,7 +179,7 @@ def _vertical_span(
     return bottom, top
 
 
-def _anchor_depth(garment: Mesh, options: FitOptions) -> float:
+def _anchor_depth(garment: Mesh, options: GarmentFitOptions) -> float:
     placement = options.depth
     if placement is DepthPlacement.AUTO:
         areas = face_normals(garment.vertices, garment.faces)

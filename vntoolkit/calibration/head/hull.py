@@ -40,7 +40,7 @@ class HullOptions:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class View:
+class SilhouetteView:
     """One silhouette with its camera.
 
     mask: (h, w) bool. camera_from_head: pose.
@@ -85,7 +85,7 @@ class DistanceGrid:
         return ndimage.map_coordinates(self.values, places, order=1, mode="nearest")
 
 
-def fit_hull(views: Sequence[View], box: Box, options: HullOptions) -> DistanceGrid:
+def fit_hull(views: Sequence[SilhouetteView], box: Box, options: HullOptions) -> DistanceGrid:
     """Carve the box by all silhouettes: the least signed distance to the outline over the views.
 
     Distances in pixels become lengths at the point's own depth. Outside a view nothing is known and nothing
@@ -137,7 +137,7 @@ def largest_part(values: FloatArray, cell: float) -> FloatArray:
 
 
 def _carved(
-    views: Sequence[View],
+    views: Sequence[SilhouetteView],
     outlines: Sequence[FloatArray],
     box: Box,
     low: FloatArray,
@@ -151,7 +151,7 @@ def _carved(
 
 
 def _carved_points(
-    views: Sequence[View], outlines: Sequence[FloatArray], box: Box, points: Points, outvoted: int
+    views: Sequence[SilhouetteView], outlines: Sequence[FloatArray], box: Box, points: Points, outvoted: int
 ) -> FloatArray:
     result = np.empty(len(points))
     least_views = max(outvoted + 1, len(views) // _SHARE_OF_VIEWS)
@@ -170,7 +170,7 @@ def _carved_points(
     return result
 
 
-def _distance_in_view(view: View, outline: FloatArray, points: Points) -> FloatArray:
+def _distance_in_view(view: SilhouetteView, outline: FloatArray, points: Points) -> FloatArray:
     """Signed distance (n,) in length units; infinite where the view does not show the point."""
     moved = view.camera_from_head.apply(points)
     pixels = np.full((-(-len(points) // _ROW), _ROW, 2), -9.0, dtype=np.float32)
@@ -223,7 +223,7 @@ def box_about_points(points: Points) -> Box:
 # Views by how far the head is turned in them: an even choice, and neighbours.
 
 
-def spread_over_turn(views: Sequence[View], count: int) -> IntArray:
+def spread_over_turn(views: Sequence[SilhouetteView], count: int) -> IntArray:
     """Choose views (count,) spread evenly over the turn, by their angle from the first one's end."""
     angles = turn_angles_deg([view.camera_from_head for view in views])
     wanted = np.linspace(angles.min(), angles.max(), count) if count > 1 else [np.median(angles)]
@@ -237,7 +237,7 @@ def turn_angles_deg(poses: Sequence[RigidTransform], reference: int = 0) -> Floa
     return np.rad2deg(turns @ right[0])
 
 
-def neighbours_of(views: Sequence[View], reference: int, angles_deg: Sequence[float]) -> list[int]:
+def neighbours_of(views: Sequence[SilhouetteView], reference: int, angles_deg: Sequence[float]) -> list[int]:
     """Return the views nearest to the given turns to both sides of the reference, at least half as far."""
     apart = turn_angles_deg([view.camera_from_head for view in views], reference)
     chosen: list[int] = []

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from vntoolkit.calibration.head.hull import DistanceGrid, View, mesh_of_grid, spread_over_turn
+from vntoolkit.calibration.head.hull import DistanceGrid, SilhouetteView, mesh_of_grid, spread_over_turn
 from vntoolkit.calibration.head.stereo import OrientedPoints, StereoOptions, stereo_points
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
@@ -20,7 +20,7 @@ _LEAST_POINTS = 500
 
 
 def fit_shape(
-    views: Sequence[View],
+    views: Sequence[SilhouetteView],
     contrasts: Sequence[npt.NDArray[np.uint8]],
     hull: DistanceGrid,
     stereo: StereoOptions,

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, Mask, Points
-from vntoolkit.calibration.head.hull import View, neighbours_of
+from vntoolkit.calibration.head.hull import SilhouetteView, neighbours_of
 from vntoolkit.calibration.head.silhouettes import box_of_mask
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import Mesh
@@ -82,7 +82,7 @@ class StereoOptions:
 
 
 def stereo_points(
-    views: Sequence[View],
+    views: Sequence[SilhouetteView],
     contrasts: Sequence[npt.NDArray[np.uint8]],
     hull: Mesh,
     reference: int,
@@ -112,7 +112,9 @@ def stereo_points(
     return points_of_depth(view, depth, found, valid, correlation, window, step, options.smoothing_px)
 
 
-def hull_depth(view: View, hull: Mesh, rows: slice, columns: slice) -> tuple[FloatArray, FloatArray]:
+def hull_depth(
+    view: SilhouetteView, hull: Mesh, rows: slice, columns: slice
+) -> tuple[FloatArray, FloatArray]:
     """Return depth (h, w) of the hull in the window, 0 where it is not hit, and the cosine to the ray."""
     pixels = view.camera.pixel_grid()[rows, columns]
     rays = np.concatenate(pixel_rays(view.camera, pixels), axis=-1, dtype=np.float32)
@@ -123,7 +125,7 @@ def hull_depth(view: View, hull: Mesh, rows: slice, columns: slice) -> tuple[Flo
     return hits.image(hits.distances, shape, 0.0), hits.image(cosine, shape, 0.0)
 
 
-def _shells(view: View, hull: Mesh, options: StereoOptions, depth: float) -> FloatArray:
+def _shells(view: SilhouetteView, hull: Mesh, options: StereoOptions, depth: float) -> FloatArray:
     """Return the depths relative to the hull (s,), so close that a point moves `_STEP_PX` between two."""
     furthest = np.sin(np.deg2rad(max(options.neighbour_angles_deg)))
     step = _STEP_PX * depth / (view.camera.matrix[0, 0] * furthest)
@@ -134,7 +136,7 @@ def _shells(view: View, hull: Mesh, options: StereoOptions, depth: float) -> Flo
 
 
 def _scores(
-    views: Sequence[View],
+    views: Sequence[SilhouetteView],
     contrasts: Sequence[npt.NDArray[np.uint8]],
     reference: int,
     neighbours: Sequence[int],
@@ -225,7 +227,7 @@ class OrientedPoints:
 
 
 def points_of_depth(
-    view: View,
+    view: SilhouetteView,
     on_hull: FloatArray,
     depth: FloatArray,
     valid: Mask,

@@ -13,7 +13,7 @@ from vntoolkit.errors import BadMesh, CannotWrite
 from vntoolkit.geometry.mesh import Mesh, triangles_from_polygons
 from vntoolkit.geometry.point_cloud import PointCloud
 from vntoolkit.io.atomic import write_text
-from vntoolkit.io.conventions import UpAxis, graphics_from_camera
+from vntoolkit.io.conventions import MeshUpAxis, graphics_from_camera
 from vntoolkit.io.files import read_text
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.limits import require_mesh_file, require_vertices
@@ -25,7 +25,7 @@ def write_mesh(
     mesh: Mesh,
     *,
     texture: npt.NDArray[np.uint8] | None = None,
-    up: UpAxis = UpAxis.Y,
+    up: MeshUpAxis = MeshUpAxis.Y,
 ) -> None:
     """Write a mesh in the camera frame as `.ply` (binary, float32) or `.obj` (with `.mtl`, texture `.png`).
 
@@ -91,7 +91,7 @@ def read_point_cloud(path: Path | str) -> PointCloud:
     )
 
 
-def _flip(mesh: Mesh, up: UpAxis = UpAxis.Y) -> Mesh:
+def _flip(mesh: Mesh, up: MeshUpAxis = MeshUpAxis.Y) -> Mesh:
     normals = None if mesh.normals is None else graphics_from_camera(mesh.normals, up)
     return replace(mesh, vertices=graphics_from_camera(mesh.vertices, up), normals=normals)
 

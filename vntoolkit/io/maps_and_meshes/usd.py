@@ -24,7 +24,7 @@ from vntoolkit.errors import BadInput, BadMesh, CannotWrite
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.motion import Motion, Skeleton, joint_paths, rest_pose
 from vntoolkit.io.atomic import atomic_path
-from vntoolkit.io.conventions import UpAxis, graphics_from_camera, motion_with_axes_turned
+from vntoolkit.io.conventions import MeshUpAxis, graphics_from_camera, motion_with_axes_turned
 
 ROOT = "/World"
 SURFACE = f"{ROOT}/Surface"
@@ -42,7 +42,7 @@ def write_usd_sequence(
     frame_rate_hz: float,
     metres_per_unit: float = 1.0,
     motion: Motion | None = None,
-    up: UpAxis = UpAxis.Y,
+    up: MeshUpAxis = MeshUpAxis.Y,
 ) -> int:
     """Write one surface of fixed topology, its vertices (n, 3) a time sample a frame; return the frames.
 
@@ -50,7 +50,7 @@ def write_usd_sequence(
     unit) the file also holds the skeleton as UsdSkel; the surface is not bound to it, its vertices move
     already. Memory does not grow with the number of frames.
     """
-    if motion is not None and up is not UpAxis.Y:
+    if motion is not None and up is not MeshUpAxis.Y:
         raise BadInput(f"{path}: a skeleton is written with y up only")
     count = 0
     with new_stage(path, frame_rate_hz=frame_rate_hz, metres_per_unit=metres_per_unit, up=up) as stage:
@@ -74,7 +74,7 @@ def write_usd_meshes(
     *,
     frame_rate_hz: float,
     metres_per_unit: float = 1.0,
-    up: UpAxis = UpAxis.Y,
+    up: MeshUpAxis = MeshUpAxis.Y,
 ) -> int:
     """Write a mesh of its own topology for every frame; return the number of frames.
 
@@ -110,7 +110,7 @@ def _time(time: float | None) -> Any:
     return Usd.TimeCode.Default() if time is None else Usd.TimeCode(time)
 
 
-def _set_points(mesh: Any, vertices: Points, time: float, up: UpAxis) -> int:
+def _set_points(mesh: Any, vertices: Points, time: float, up: MeshUpAxis) -> int:
     """Author positions and their bounding box; return the bytes."""
     from pxr import Vt
 
@@ -189,7 +189,7 @@ class UsdStage:
 
 @contextlib.contextmanager
 def new_stage(
-    path: Path | str, *, frame_rate_hz: float, metres_per_unit: float, up: UpAxis = UpAxis.Y
+    path: Path | str, *, frame_rate_hz: float, metres_per_unit: float, up: MeshUpAxis = MeshUpAxis.Y
 ) -> Iterator[UsdStage]:
     """Yield a stage with its up axis, length unit, frame rate (time code = frame) and a root prim."""
     path = Path(path)
@@ -203,7 +203,7 @@ def new_stage(
         try:
             layer = Sdf.Layer.CreateNew(str(temporary), {"format": "usdc"})
             stage = Usd.Stage.Open(layer)
-            UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y if up is UpAxis.Y else UsdGeom.Tokens.z)
+            UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y if up is MeshUpAxis.Y else UsdGeom.Tokens.z)
             UsdGeom.SetStageMetersPerUnit(stage, metres_per_unit)
             stage.SetTimeCodesPerSecond(frame_rate_hz)
             stage.SetFramesPerSecond(frame_rate_hz)
@@ -215,7 +215,7 @@ def new_stage(
             raise CannotWrite(f"cannot write {path}: {' '.join(str(error).split())[:300]}") from error
 
 
-def vec3f_from_camera(vectors: npt.NDArray[Any], up: UpAxis = UpAxis.Y) -> Any:
+def vec3f_from_camera(vectors: npt.NDArray[Any], up: MeshUpAxis = MeshUpAxis.Y) -> Any:
     """Return a USD array of (n, 3) vectors turned from the camera frame to y or z up."""
     from pxr import Vt
 

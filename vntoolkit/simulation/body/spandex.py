@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from vntoolkit.arrays import FloatArray, Points
 from vntoolkit.simulation.body.implicit import ImplicitBody, both_sides, capsule, ellipsoid
 from vntoolkit.simulation.body.surface_nets import mesh_from_implicit
-from vntoolkit.simulation.scene import Scene, SceneOptions, Surface
+from vntoolkit.simulation.scene import Scene, SceneOptions, SceneSurface
 from vntoolkit.simulation.studio import studio_camera, studio_centre, studio_lights
 
 _FRAMES = 240
@@ -33,7 +33,7 @@ def build_spandex(options: SceneOptions) -> Scene:
     uv = np.stack([4.0 * azimuth, legs.rest[:, 1] / 40.0], axis=1)[legs.faces]
     wrapped = uv[..., 0].max(axis=1) - uv[..., 0].min(axis=1) > 2.0
     uv[wrapped, :, 0] += np.where(uv[wrapped, :, 0] < 0.0, 4.0, 0.0)
-    surface = Surface(
+    surface = SceneSurface(
         faces=legs.faces,
         reference_weights=0.98 * _FABRIC,
         vertex_weights=np.tile(_FABRIC, (len(legs.rest), 1)),

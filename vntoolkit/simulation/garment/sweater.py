@@ -14,7 +14,7 @@ from vntoolkit.simulation.body.capsules import Capsules
 from vntoolkit.simulation.body.dancer import Pose, body_from_pose, pose_at
 from vntoolkit.simulation.garment.pattern import Garment, SweaterOptions, knit_coordinates, sew_sweater
 from vntoolkit.simulation.garment.solver import ClothOptions, ClothSolver
-from vntoolkit.simulation.scene import Detail, Scene, SceneOptions, Surface
+from vntoolkit.simulation.scene import Detail, Scene, SceneOptions, SceneSurface
 from vntoolkit.simulation.studio import studio_camera, studio_centre, studio_lights
 
 _FRAMES = 1000
@@ -46,7 +46,7 @@ def build_sweater(options: SceneOptions) -> Scene:
     relief = knit_relief(knit_coordinates(flat, sweater), gather)
     uv = flat[faces]
     stitches = 1.0 / np.array(STITCH_M)
-    surface = Surface(
+    surface = SceneSurface(
         faces=faces,
         reference_weights=0.95 * _WOOL,
         vertex_weights=np.tile(_WOOL, (len(flat), 1)),

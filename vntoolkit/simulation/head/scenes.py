@@ -17,7 +17,7 @@ from vntoolkit.simulation.head.rig import (
     performance_pose,
     turning_pose,
 )
-from vntoolkit.simulation.scene import Detail, Scene, SceneOptions, Surface
+from vntoolkit.simulation.scene import Detail, Scene, SceneOptions, SceneSurface
 from vntoolkit.simulation.studio import studio_camera, studio_centre, studio_lights
 
 _TURN_FRAMES, _WIDEST_TURN_DEG = 90, 68.0
@@ -73,7 +73,7 @@ def _scene(
     head = build_head()
     rng = np.random.default_rng(options.seed + 1)
     soft = np.isin(head.part, (anatomy.SKIN, anatomy.CAVITY, anatomy.LID_RIM))
-    surface = Surface(
+    surface = SceneSurface(
         faces=head.faces,
         reference_weights=paint.skin_reflectance(makeup),
         vertex_weights=paint.vertex_colours(head, makeup),

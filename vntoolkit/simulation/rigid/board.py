@@ -14,7 +14,7 @@ from vntoolkit.simulation.grids import grid_faces
 from vntoolkit.simulation.relief import plain_weave
 from vntoolkit.simulation.rigid.cylinder import FIELD_WIDTH_M, build_cylinder
 from vntoolkit.simulation.rigid.motion import Sway
-from vntoolkit.simulation.scene import Detail, Scene, SceneOptions, Surface, sample_weights
+from vntoolkit.simulation.scene import Detail, Scene, SceneOptions, SceneSurface, sample_weights
 from vntoolkit.simulation.studio import studio_camera, studio_lights
 
 FRAME_COUNT = 240
@@ -66,7 +66,7 @@ def build_board(options: SceneOptions) -> Scene:
 
 def board_mesh(
     layout: BoardLayout, scale: float = 1.0, sample: FloatArray = _CLOTH
-) -> tuple[Points, Surface]:
+) -> tuple[Points, SceneSurface]:
     """Return vertices (n, 3) in the board frame, metres, and the printed surface with the sample.
 
     scale: how much larger than the A4 board it is: its margin, its thickness and the print's texels grow with
@@ -96,7 +96,7 @@ def board_mesh(
     faces = np.concatenate([board_faces, cloth_faces]).astype(np.int32)
     is_cloth = np.arange(len(uv)) >= len(board)
     weave = plain_weave(8, 16)
-    surface = Surface(
+    surface = SceneSurface(
         faces=faces,
         reference_weights=sample,
         vertex_weights=np.where(is_cloth[:, None], sample, _PAPER),

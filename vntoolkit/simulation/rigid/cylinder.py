@@ -9,7 +9,7 @@ from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.simulation.grids import closed_columns, grid_faces, grid_uv
 from vntoolkit.simulation.relief import paper_fibres, tiling_noise
 from vntoolkit.simulation.rigid.motion import Sway
-from vntoolkit.simulation.scene import Detail, Scene, SceneOptions, Surface
+from vntoolkit.simulation.scene import Detail, Scene, SceneOptions, SceneSurface
 from vntoolkit.simulation.studio import studio_camera, studio_lights
 
 RADIUS_M, LENGTH_M = 0.12, 0.42
@@ -38,7 +38,7 @@ def build_cylinder(options: SceneOptions) -> Scene:
             options.width, options.height, field_width_m=options.field_width_m or FIELD_WIDTH_M
         ),
         lights=studio_lights(),
-        surface=Surface(
+        surface=SceneSurface(
             faces=faces,
             reference_weights=_PAPER,
             texture=_paper_texture(fibres, generator),

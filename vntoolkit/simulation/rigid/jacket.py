@@ -12,7 +12,7 @@ from vntoolkit.geometry.mesh import vertex_normals
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.simulation.grids import closed_columns, grid_faces, grid_uv
 from vntoolkit.simulation.relief import twill_weave
-from vntoolkit.simulation.scene import Detail, Scene, SceneOptions, Surface
+from vntoolkit.simulation.scene import Detail, Scene, SceneOptions, SceneSurface
 from vntoolkit.simulation.studio import studio_camera, studio_centre, studio_lights
 
 _COTTON = np.array([0.47, 0.43, 0.35])
@@ -46,14 +46,14 @@ def build_jacket(options: SceneOptions) -> Scene:
     )
 
 
-def _joined(parts: list[Part]) -> tuple[Points, Surface]:
+def _joined(parts: list[Part]) -> tuple[Points, SceneSurface]:
     """Return all vertices and one surface; the parts' texture coordinates become tiles of the weave."""
     starts = np.cumsum([0] + [len(part.vertices) for part in parts])
     faces = [part.faces + start for part, start in zip(parts, starts, strict=False)]
     tile_m = _THREADS * _THREAD_M
     uv = [_whole_tiles(part, tile_m) for part in parts]
     weights = np.concatenate([part.shade for part in parts])[:, None] * _COTTON
-    surface = Surface(
+    surface = SceneSurface(
         faces=np.concatenate(faces),
         reference_weights=_COTTON,
         vertex_weights=weights,

@@ -7,7 +7,7 @@ import numpy as np
 from vntoolkit.arrays import Faces, Points
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.simulation.grids import closed_columns, grid_faces
-from vntoolkit.simulation.scene import Scene, SceneOptions, Surface
+from vntoolkit.simulation.scene import Scene, SceneOptions, SceneSurface
 from vntoolkit.simulation.studio import studio_camera, studio_centre, studio_lights
 
 RADIUS_M = 0.3
@@ -28,7 +28,7 @@ def build_sphere(options: SceneOptions) -> Scene:
         name="sphere",
         camera=studio_camera(options.width, options.height, field_width_m=options.field_width_m or 1.0),
         lights=studio_lights(),
-        surface=Surface(faces=faces, reference_weights=np.array(_PAINT), vertex_weights=_even(ball)),
+        surface=SceneSurface(faces=faces, reference_weights=np.array(_PAINT), vertex_weights=_even(ball)),
         vertices=lambda frame: pose(frame).apply(ball),
         frame_count=60,
         camera_from_object=pose,
