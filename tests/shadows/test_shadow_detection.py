@@ -6,6 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import maximum_flow
 
 from vntoolkit.errors import BadInput
 from vntoolkit.photometry.frame import LinearFrame, lit_from_labels
@@ -115,6 +117,38 @@ def test_cut_is_the_cheapest_labelling() -> None:
     every = [price(np.array([(i >> k) & 1 == 1 for k in range(9)]).reshape(3, 3)) for i in range(512)]
     found = lit_by_cut(evidence, (east, south), np.ones((3, 3), bool))
     assert price(found) == pytest.approx(min(every))
+
+
+@pytest.mark.parametrize(("strength", "seed"), [(0.1, 0), (1.0, 1), (10.0, 2)])
+def test_cut_costs_what_the_maximum_flow_carries(strength, seed) -> None:
+    """The two are equal, whatever the graph; SciPy's flow knows no grid, but whole numbers only."""
+    generator = np.random.default_rng(seed)
+    h, w = 37, 29
+    evidence = generator.integers(-50, 51, (h, w))
+    east, south = (generator.integers(0, int(20 * strength) + 1, (h, w)) for _ in range(2))
+    east[:, -1] = south[-1] = 0
+    lit = lit_by_cut(evidence.astype(float), (east.astype(float), south.astype(float)), np.ones((h, w), bool))
+    price = np.abs(evidence)[lit != (evidence > 0)].sum()
+    price += east[:, :-1][lit[:, 1:] != lit[:, :-1]].sum() + south[:-1][lit[1:] != lit[:-1]].sum()
+
+    number = np.arange(h * w).reshape(h, w)
+    source, sink = h * w, h * w + 1
+    arcs = [(np.full(h * w, source), number.ravel(), np.maximum(evidence, 0).ravel())]
+    arcs += [(number.ravel(), np.full(h * w, sink), np.maximum(-evidence, 0).ravel())]
+    for a, b, room in ((number[:, :-1], number[:, 1:], east[:, :-1]), (number[:-1], number[1:], south[:-1])):
+        arcs += [(a.ravel(), b.ravel(), room.ravel()), (b.ravel(), a.ravel(), room.ravel())]
+    rows, columns, rooms = (np.concatenate(part) for part in zip(*arcs, strict=True))
+    graph = csr_array((rooms.astype(np.int32), (rows, columns)), shape=(h * w + 2, h * w + 2))
+    assert price == maximum_flow(graph, source, sink).flow_value
+    assert 0 < np.count_nonzero(lit) < h * w or strength > 1
+
+
+def test_of_equally_cheap_cuts_the_one_with_the_most_light_is_taken() -> None:
+    bonds = np.array([[1.0, 1.0, 0.0]]), np.zeros((1, 3))
+    assert lit_by_cut(np.array([[1.0, 0.0, -1.0]]), bonds, np.ones((1, 3), bool)).all()
+    apart = np.array([[0.5, 0.5, 0.0]]), np.zeros((1, 3))
+    found = lit_by_cut(np.array([[1.0, 0.0, -1.0]]), apart, np.ones((1, 3), bool))
+    assert found.tolist() == [[True, True, False]]
 
 
 def test_bonds_give_way_to_one_light_alone() -> None:

@@ -17,6 +17,7 @@ from vntoolkit.geometry.mesh_sequence import MeshSequence
 from vntoolkit.geometry.motion import Motion, Skeleton
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
+from vntoolkit.io.motion.bvh import write_bvh
 from vntoolkit.io.results.sequences import write_mesh_sequence
 from vntoolkit.pipeline.dress import DressedFigure, DressOptions, MotionUpAxis, dress, read_motion
 from vntoolkit.skinning.anatomy import anatomy_of, facing_of, shoulders_of
@@ -82,6 +83,23 @@ def test_steps_of_the_performer_are_taken_out(moving_jumper: MeshSequence) -> No
     for frame in (10, 29):
         np.testing.assert_allclose(held.frame(frame), plain.frame(frame), atol=1e-6)
         assert np.abs(free.frame(frame) - plain.frame(frame)).max() > 0.05
+
+
+def test_the_walk_that_the_package_ships_is_found_anywhere(tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    walk = read_motion("data/walk.bvh")
+    assert np.array_equal(walk.root_positions, read_motion(WALK).root_positions)
+    write_bvh(Path("data/walk.bvh"), replace(walking_motion(), frame_rate_hz=50.0))
+    assert read_motion("data/walk.bvh").frame_rate_hz == pytest.approx(50.0)  # a file of one's own wins
+    with pytest.raises(BadInput, match=r"data/run.bvh"):
+        read_motion("data/run.bvh")
+
+
+def test_an_installed_package_holds_the_walk_in_itself(tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_bvh(Path("site/vntoolkit/data/walk.bvh"), walking_motion())
+    monkeypatch.setattr("vntoolkit.__file__", str(tmp_path / "site/vntoolkit/__init__.py"))
+    assert len(read_motion("data/walk.bvh").root_positions) == len(walking_motion().root_positions)
 
 
 def test_real_motions_are_understood(real_data: Path, moving_jumper: MeshSequence) -> None:

@@ -44,7 +44,6 @@ _LIBRARIES = (
     ("open3d", "open3d", "meshes, ray casting"),
     ("pymeshlab", "pymeshlab", "mesh cleaning, distance"),
     ("pycolmap", "pycolmap", "camera poses"),
-    ("PyMaxflow", "maxflow", "edges of shadows"),
     ("usd-core", "pxr.UsdSkel", "animated meshes"),
     ("pybvh", "pybvh", "recorded motion"),
     ("viser", "viser", "the viewer"),
@@ -56,6 +55,7 @@ _LIBRARIES = (
     ("rich", "rich", "tables"),
 )
 _LONGEST_S = 180.0  # to import one library; from a cold disk Open3D takes twenty seconds
+_TRY_VIDEO = f"from {__name__} import try_video; try_video()"
 _COLOURS = {"note": "cyan", "warning": "yellow", "fatal": "red"}
 
 
@@ -113,7 +113,7 @@ def _check_libraries(console: Console) -> int:
     for heading in ("library", "version", "for", "works"):
         table.add_column(heading, no_wrap=True)
     programs = [f"import {module}" for _, module, _ in _LIBRARIES]
-    programs.append(f"from {__name__} import try_video; try_video()")
+    programs.append(_TRY_VIDEO)
     with console.status("importing every library"), ThreadPoolExecutor(max_workers=2) as pool:
         trials = list(pool.map(_try, programs))
     lines = []

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+import vntoolkit
 from vntoolkit.arrays import FloatArray, Points
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.garment_fit import GarmentFit
@@ -235,8 +236,11 @@ def _write_files(dressed: DressedFigure, pattern: Path) -> int:
 
 
 def read_motion(path: Path | str, skeleton: Path | str | None = None) -> Motion:
-    """Read `.bvh`, or `.amc` with its `.asf` (by default the one of the same name, or the only one there)."""
-    path = Path(path)
+    """Read `.bvh`, or `.amc` with its `.asf` (by default the one of the same name, or the only one there).
+
+    `data/walk.bvh`, where no such file is, is the walk that the package ships.
+    """
+    path = _given_or_shipped(Path(path))
     match path.suffix.lower():
         case ".bvh":
             return read_bvh(path)
@@ -244,6 +248,16 @@ def read_motion(path: Path | str, skeleton: Path | str | None = None) -> Motion:
             return read_asf_amc(Path(skeleton) if skeleton else _skeleton_beside(path), path, AmcOptions())
         case suffix:
             raise BadInput(f"{path}: expected a motion in .bvh or .amc, got {suffix or 'no suffix'}")
+
+
+def _given_or_shipped(path: Path) -> Path:
+    """Return the file, or the one of that name that an installed package, or its repository, holds in data/."""
+    package = Path(vntoolkit.__file__).parent
+    if not path.exists() and len(path.parts) == 2 and path.parts[0] == "data":
+        for shipped in (package / path, package.parent / path):
+            if shipped.is_file():
+                return shipped
+    return path
 
 
 def _skeleton_beside(path: Path) -> Path:

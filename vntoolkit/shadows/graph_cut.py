@@ -10,8 +10,6 @@ from vntoolkit.arrays import FloatArray, Mask
 
 _WEAKEST_BOND = 0.05  # share of the full price that a change of label across a sharp edge still costs
 _DARK_SHARE = 0.03  # added to a share before its logarithm: noise is no edge
-Grid = npt.NDArray[np.float32]
-Signs = npt.NDArray[np.int8]
 
 
 def lit_by_cut(
@@ -20,43 +18,101 @@ def lit_by_cut(
     """Minimise Σ |evidence| over pixels labelled against it plus the bonds cut.
 
     evidence: (h, w), positive speaks for light, negative for shadow. bonds: to the east and to the south
-    neighbour, (h, w) each, the price of a change there. Returns (h, w), True where lit (and outside `mask`).
+    neighbour, (h, w) each, at least 0, the price of a change there; those of the last column and row lead
+    nowhere. Returns (h, w), True where lit (and outside `mask`). Of several cheapest labellings it is the one
+    with the most light.
     """
-    pull = np.where(mask, evidence, 0.0).astype(np.float32)
-    if not (pull < 0).any():
-        return np.ones(mask.shape, dtype=np.bool_)
-    if not (pull > 0).any():
-        return ~mask
-    east, south = (np.ascontiguousarray(bond, dtype=np.float32) for bond in bonds)
-    signs, pull = sure_labels(pull, east, south)
-    lit = signs > 0
-    left = signs == 0
-    if left.any():
-        lit[left] = _lit_of_undecided(left, pull, east, south)
-    return lit | ~mask
+    h, w = mask.shape
+    pull = np.zeros((h + 2, w + 2))  # a border of one pixel, which no bond leads to
+    pull[1:-1, 1:-1] = np.where(mask, evidence, 0.0)
+    room = np.zeros((h + 2, w + 2, 4))
+    east, south = bonds
+    room[1:-1, 1:-2, 0] = room[1:-1, 2:-1, 1] = east[:, :-1]
+    room[1:-2, 1:-1, 2] = room[2:-1, 1:-1, 3] = south[:-1]
+    shadow = _cut(pull.ravel(), room.reshape(-1, 4), w + 2).reshape(pull.shape)
+    return ~shadow[1:-1, 1:-1] | ~mask
 
 
-def _lit_of_undecided(
-    left: Mask, pull: FloatArray, east: FloatArray, south: FloatArray
-) -> npt.NDArray[np.bool_]:
-    """Cut the graph of the pixels of `left` alone; return their labels, row by row."""
-    import maxflow
+@njit(cache=True)
+def _cut(pull: npt.NDArray[np.float64], room: npt.NDArray[np.float64], width: int) -> npt.NDArray[np.bool_]:
+    """Push as much flow as the grid takes; return the pixels that could still pass some on to a sink.
 
-    graph = maxflow.GraphFloat()
-    number = np.full(left.shape, -1, dtype=np.int64)
-    number[left] = graph.add_nodes(int(np.count_nonzero(left)))
-    for bond, axis in ((east, 1), (south, 0)):
-        first, second = (slice(None), slice(-1)), (slice(None), slice(1, None))
-        if axis == 0:
-            first, second = first[::-1], second[::-1]
-        both = left[first] & left[second]
-        price = bond[first][both]
-        graph.add_edges(number[first][both], number[second][both], price, price)
-    own = pull[left]
-    graph.add_grid_tedges(number[left], np.maximum(own, 0.0), np.maximum(-own, 0.0))
-    graph.maxflow()
-    segments: npt.NDArray[np.bool_] = ~graph.get_grid_segments(number[left])
-    return segments
+    Dinic's algorithm (dinic1970): all shortest paths are filled, then all that are longer by one, and so on.
+    Sources are the pixels of positive pull, sinks those of negative: each ends with what it has left. pull:
+    (n,); room: (n, 4), what fits through to the next pixel east, west, south and north. Both are changed.
+    """
+    steps = (1, -1, width, -width)
+    count = pull.size
+    distance = np.full(count, -1, np.int32)  # to the nearest sink that it can reach
+    turn = np.zeros(count, np.int8)  # the way that a pixel tries; those before it lead nowhere
+    queue = np.empty(count, np.int32)
+    path = np.empty(count, np.int32)
+    sinks = np.flatnonzero(pull < 0.0)
+    while True:
+        sinks = sinks[pull[sinks] < 0.0]
+        end = sinks.size
+        queue[:end] = sinks
+        distance[sinks] = 0
+        nearest = count  # distance of the sources that are nearest to a sink
+        head = 0
+        while head < end and distance[queue[head]] < nearest:
+            i = queue[head]
+            head += 1
+            for way in range(4):
+                j = i - steps[way]
+                if distance[j] < 0 and room[j, way] > 0.0:
+                    distance[j] = distance[i] + 1
+                    turn[j] = 0
+                    queue[end] = j
+                    end += 1
+                    if pull[j] > 0.0:
+                        nearest = distance[j]
+        if nearest == count:
+            return distance >= 0
+        for k in range(end):
+            if distance[queue[k]] == nearest:
+                _drain(queue[k], pull, room, steps, distance, turn, path)
+        distance[queue[:end]] = -1
+
+
+@njit(cache=True)
+def _drain(
+    source: int,
+    pull: npt.NDArray[np.float64],
+    room: npt.NDArray[np.float64],
+    steps: tuple[int, int, int, int],
+    distance: npt.NDArray[np.int32],
+    turn: npt.NDArray[np.int8],
+    path: npt.NDArray[np.int32],
+) -> None:
+    """Send what a source has down every way on which each step comes closer to a sink."""
+    length, i = 0, source
+    while pull[source] > 0.0:
+        if distance[i] == 0:
+            flow = min(pull[source], -pull[i])
+            for k in range(length):
+                flow = min(flow, room[path[k], turn[path[k]]])
+            for k in range(length):
+                way = turn[path[k]]
+                room[path[k], way] -= flow
+                room[path[k] + steps[way], way ^ 1] += flow
+            pull[source] -= flow
+            pull[i] += flow
+            length, i = 0, source
+        elif turn[i] < 4:
+            j = i + steps[turn[i]]
+            closer = distance[j] == distance[i] - 1 and (distance[j] > 0 or pull[j] < 0.0)
+            if closer and room[i, turn[i]] > 0.0:
+                path[length] = i
+                length, i = length + 1, j
+            else:
+                turn[i] += 1
+        elif length > 0:
+            length -= 1
+            i = path[length]
+            turn[i] += 1
+        else:
+            return
 
 
 def bonds_of_light(
@@ -78,73 +134,3 @@ def bonds_of_light(
         inside = mask[:, 1:] & mask[:, :-1] if axis == 1 else mask[1:] & mask[:-1]
         bonds.append(np.pad(bond * inside, ((0, 0), (0, 1)) if axis == 1 else ((0, 1), (0, 0))))
     return bonds[0], bonds[1]
-
-
-# Pixels whose label in a minimum cut is known before cutting.
-
-
-def sure_labels(evidence: Grid, east: Grid, south: Grid) -> tuple[Signs, Grid]:
-    """Return (h, w): 1 lit for sure, −1 in shadow for sure, 0 undecided; and the evidence for the undecided.
-
-    evidence: (h, w), positive speaks for light. east, south: (h, w), the price of a change towards the next
-    pixel there; 0 in the last column and row. What settled neighbours ask for is part
-    of the evidence returned.
-    """
-    pull, across, down = (np.pad(values, 1) for values in (evidence, east, south))
-    signs = np.zeros(pull.shape, np.int8)
-    _settle_all(signs, pull, across, down, np.empty((evidence.size, 2), np.int32))
-    return signs[1:-1, 1:-1], pull[1:-1, 1:-1]
-
-
-@njit(cache=True)
-def _settle_all(signs: Signs, pull: Grid, east: Grid, south: Grid, waiting: npt.NDArray[np.int32]) -> None:
-    """Everything has a border of one pixel, so that every pixel has four neighbours."""
-    h, w = signs.shape
-    for v in range(1, h - 1):
-        for u in range(1, w - 1):
-            bonds = east[v, u] + east[v, u - 1] + south[v, u] + south[v - 1, u]
-            if abs(pull[v, u]) >= bonds:
-                signs[v, u] = 1 if pull[v, u] >= 0.0 else -1
-    for v in range(1, h - 1):
-        for u in range(1, w - 1):
-            count = 0
-            if signs[v, u] == 0:
-                count = _settle(signs, pull, east, south, v, u, waiting, count)
-            while count > 0:
-                count -= 1
-                i, j = waiting[count, 0], waiting[count, 1]
-                if signs[i, j - 1] == 0 and j > 1:
-                    count = _settle(signs, pull, east, south, i, j - 1, waiting, count)
-                if signs[i, j + 1] == 0 and j < w - 2:
-                    count = _settle(signs, pull, east, south, i, j + 1, waiting, count)
-                if signs[i - 1, j] == 0 and i > 1:
-                    count = _settle(signs, pull, east, south, i - 1, j, waiting, count)
-                if signs[i + 1, j] == 0 and i < h - 2:
-                    count = _settle(signs, pull, east, south, i + 1, j, waiting, count)
-    for v in range(1, h - 1):
-        for u in range(1, w - 1):
-            if signs[v, u] == 0:
-                pull[v, u] = _asked(signs, pull, east, south, v, u)[0]
-
-
-@njit(cache=True, inline="always")
-def _settle(
-    signs: Signs, pull: Grid, east: Grid, south: Grid, v: int, u: int,
-    waiting: npt.NDArray[np.int32], count: int,
-) -> int:  # fmt: skip
-    """Label a pixel if it is sure, and put it on the stack `waiting`; return the stack's height."""
-    asked, open_bonds = _asked(signs, pull, east, south, v, u)
-    if abs(asked) < open_bonds:
-        return count
-    signs[v, u] = 1 if asked >= 0.0 else -1
-    waiting[count, 0], waiting[count, 1] = v, u
-    return count + 1
-
-
-@njit(cache=True, inline="always")
-def _asked(signs: Signs, pull: Grid, east: Grid, south: Grid, v: int, u: int) -> tuple[float, float]:
-    """What evidence and settled neighbours ask of a pixel, and the bonds to its undecided ones."""
-    b0, b1, b2, b3 = east[v, u - 1], east[v, u], south[v - 1, u], south[v, u]
-    s0, s1, s2, s3 = signs[v, u - 1], signs[v, u + 1], signs[v - 1, u], signs[v + 1, u]
-    asked = pull[v, u] + b0 * s0 + b1 * s1 + b2 * s2 + b3 * s3
-    return asked, b0 * (1 - abs(s0)) + b1 * (1 - abs(s1)) + b2 * (1 - abs(s2)) + b3 * (1 - abs(s3))
