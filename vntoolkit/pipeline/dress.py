@@ -251,7 +251,7 @@ def read_motion(path: Path | str, skeleton: Path | str | None = None) -> Motion:
 
 
 def _given_or_shipped(path: Path) -> Path:
-    """Return the file, or the one of that name that an installed package, or its repository, holds in data/."""
+    """Return the file, or the one of that name that the package, or its repository, holds in data/."""
     package = Path(vntoolkit.__file__).parent
     if not path.exists() and len(path.parts) == 2 and path.parts[0] == "data":
         for shipped in (package / path, package.parent / path):
