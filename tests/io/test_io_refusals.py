@@ -110,9 +110,12 @@ def test_exr_headers_that_cannot_be(tmp_path):
     good = path.read_bytes()
     at = good.index(b"dataWindow\0box2i\0") + len(b"dataWindow\0box2i\0") + 4
     for spoilt, line in (
-        (good[:at] + struct.pack("<4i", 0, 0, -2, 3) + good[at + 16 :], "an impossible size, -1×4"),
+        (
+            good[:at] + struct.pack("<4i", 0, 0, -2, 3) + good[at + 16 :],
+            "the EXR header is damaged or cut off",
+        ),
         (good[:60], "the EXR header is damaged or cut off"),
-        (good[:-9], "the file is cut off; copy or write it again"),
+        (good[:-9], "the EXR file is damaged or cut off .*; copy it again"),
         (b"no EXR at all", "is not an OpenEXR file"),
     ):
         path.write_bytes(spoilt)

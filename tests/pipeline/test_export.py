@@ -12,6 +12,7 @@ from pxr import Usd, UsdGeom, UsdValidation
 from tests.dome_result import DomeResult, dome_result
 from vntoolkit.errors import BadInput
 from vntoolkit.evaluation.angular_error import angles_between_deg
+from vntoolkit.evaluation.mesh_comparison import mesh_distance
 from vntoolkit.geometry.mesh import face_normals
 from vntoolkit.io.conventions import MeshUpAxis, NormalConvention, graphics_from_camera
 from vntoolkit.io.footage.frame_range import FrameRange
@@ -19,9 +20,10 @@ from vntoolkit.io.footage.images import read_image, read_image_with_alpha
 from vntoolkit.io.light_files import read_lights
 from vntoolkit.io.maps_and_meshes.arrays import StreamedArray, write_npz
 from vntoolkit.io.maps_and_meshes.label_images import read_mask
-from vntoolkit.io.maps_and_meshes.maps import read_normal_map
-from vntoolkit.io.maps_and_meshes.meshes import read_mesh
+from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
+from vntoolkit.io.maps_and_meshes.meshes import read_mesh, read_point_cloud
 from vntoolkit.io.results.sequences import read_mesh_sequence
+from vntoolkit.meshing.clean import CleanOptions
 from vntoolkit.normals.photometric_stereo import normals_from_lights
 from vntoolkit.pipeline.export import (
     ExportedSurface,
@@ -262,3 +264,27 @@ def test_streamed_rows_must_be_as_many_as_promised(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="3 rows came, 4 were promised"):
         write_npz(tmp_path / "a.npz", {"a": StreamedArray(shape=(4, 2), dtype=np.float32, rows=rows)})
     assert list(tmp_path.iterdir()) == []
+
+
+def test_points_are_every_pixel_with_a_depth(dome_result: DomeResult, tmp_path: Path) -> None:
+    out = exported(dome_result, tmp_path, ExportFormat.POINTS, up=UpAxis.Z)
+    assert [p.name for p in sorted(out.glob("*.ply"))] == [f"{n:06d}.ply" for n in range(3)]
+    cloud = read_point_cloud(out / "000001.ply")
+    depth_map = read_depth_map(dome_result.folder / "depth/000001.exr")
+    rows, columns = np.nonzero(depth_map.mask)
+    assert len(cloud.points) == len(rows) == len(cloud.normals) == len(cloud.colours)
+    seen = np.stack([columns, rows, depth_map.depth[rows, columns]], axis=1)  # in pixels, x right, y down
+    in_file = graphics_from_camera(cloud.points)  # undoes what reading did
+    np.testing.assert_allclose(in_file, graphics_from_camera(seen, UpAxis.Z), atol=1e-4)
+
+
+def test_cleaned_meshes_have_the_faces_asked_for(dome_result: DomeResult, tmp_path: Path) -> None:
+    cleaning = CleanOptions(most_faces=300)
+    with pytest.raises(BadInput, match="add --surface frames"):
+        exported(dome_result, tmp_path, ExportFormat.PLY, cleaning=cleaning)
+    with pytest.raises(BadInput, match="cleaning is for meshes, and npz has none"):
+        exported(dome_result, tmp_path, ExportFormat.NPZ, cleaning=cleaning)
+    out = exported(dome_result, tmp_path, ExportFormat.PLY, surface=ExportedSurface.FRAMES, cleaning=cleaning)
+    mesh, whole = read_mesh(out / "000001.ply"), read_mesh(dome_result.folder / "mesh/000001.ply")
+    assert 200 < len(mesh.faces) <= 300 < len(whole.faces)
+    assert mesh_distance(mesh, whole).mean_percent < 0.5

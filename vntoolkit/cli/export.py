@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Annotated, TypeAlias
+
+from cyclopts import Parameter
 
 from vntoolkit.cli.flags import Footage, Frames, Overwrite, flags_from, limits_on
 from vntoolkit.cli.output import ProgressBars
 from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.meshing.clean import CleanOptions
 from vntoolkit.pipeline.export import ExportJob, ExportOptions
 from vntoolkit.pipeline.export import export as run
 
 if TYPE_CHECKING:
     ExportFlags: TypeAlias = ExportOptions
+    CleanFlags: TypeAlias = CleanOptions | None
 else:
-    ExportFlags = flags_from(ExportOptions)
+    ExportFlags = flags_from(ExportOptions, without=("cleaning",))
+    CleanFlags = flags_from(CleanOptions, most_faces="faces")
 
 
 @limits_on("max_megapixels", "max_vertices")
@@ -23,6 +29,8 @@ def export(
     folder: Path,
     *,
     options: ExportFlags,
+    clean: Annotated[bool, Parameter(negative=())] = False,
+    cleaning: CleanFlags = None,
     out: Path | None = None,
     frames: Frames = "::",
     footage: Footage = "",
@@ -38,6 +46,8 @@ def export(
     ----------
     folder
         The folder that `vntoolkit reconstruct` wrote.
+    clean
+        Remove crumbs from the meshes and close small holes (pymeshlab); --faces and the like clean too.
     out
         The file (usd, glb) or folder to write; default FOLDER/export/….
     background
@@ -47,7 +57,7 @@ def export(
     """
     job = ExportJob(
         folder=folder,
-        options=options,
+        options=replace(options, cleaning=cleaning or (CleanOptions() if clean else None)),
         out=out,
         frames=FrameRange.from_text(frames),
         footage=footage,

@@ -13,13 +13,13 @@ from vntoolkit.native import import_pymeshlab
 class CleanOptions:
     """What to clean.
 
-    smallest_piece: connected pieces with fewer triangles are removed (0: none). largest_hole: holes with at
-    most this many boundary edges are closed (0: none). most_faces: decimate to this many triangles by
-    quadric edge collapse (None: keep all).
+    smallest_piece: connected pieces with fewer triangles are removed; 0 for none. largest_hole: holes with at
+    most this many boundary edges are closed; 0 for none. most_faces: reduce to this many triangles by quadric
+    edge collapse; default: keep all.
     """
 
     smallest_piece: int = 100
-    largest_hole: int = 0
+    largest_hole: int = 30
     most_faces: int | None = None
 
     def __post_init__(self) -> None:

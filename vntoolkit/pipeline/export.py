@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray
-from vntoolkit.errors import BadInput
+from vntoolkit.errors import BadInput, VntError
 from vntoolkit.geometry.maps import LengthUnit
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.atomic import require_writable_folder, write_text
@@ -27,8 +27,10 @@ from vntoolkit.io.light_files import write_diligent
 from vntoolkit.io.maps_and_meshes.arrays import StreamedArray, write_npz
 from vntoolkit.io.maps_and_meshes.glb import write_glb
 from vntoolkit.io.maps_and_meshes.maps import write_normal_map
-from vntoolkit.io.maps_and_meshes.meshes import write_mesh
+from vntoolkit.io.maps_and_meshes.meshes import write_mesh, write_point_cloud
 from vntoolkit.io.maps_and_meshes.usd import write_usd_meshes, write_usd_sequence
+from vntoolkit.meshing.clean import CleanOptions, clean_mesh
+from vntoolkit.meshing.surface import point_cloud_from_depth
 from vntoolkit.pipeline.opened_result import OpenedResult, TrackedSurface, open_result
 from vntoolkit.pipeline.options import option_values
 
@@ -86,6 +88,8 @@ def export(
 def _track_of(result: OpenedResult, options: ExportOptions) -> TrackedSurface | None:
     if options.surface is ExportedSurface.FRAMES:
         return None
+    if options.cleaning is not None and result.track is not None:
+        raise BadInput("cleaning gives every frame a topology of its own: add --surface frames")
     if result.track is None and options.surface is ExportedSurface.TRACKED:
         raise BadInput(f"{result.folder.root}: holds no tracked surface; run `vntoolkit track` first")
     return result.track
@@ -113,7 +117,7 @@ def _export_animation(
         return thing
 
     if track is None:
-        own = (passing(n, _scaled(own_mesh(result, n), lengths)) for n in numbers)
+        own = (passing(n, own_mesh(result, n, options, lengths.factor)) for n in numbers)
         count = write_usd_meshes(
             out, own, frame_rate_hz=rate, metres_per_unit=lengths.metres_per_unit, up=options.up
         )
@@ -130,10 +134,6 @@ def _export_animation(
     return ExportSummary(out=out, frames=count, kept=0)
 
 
-def _scaled(mesh: Mesh, lengths: FileLengths) -> Mesh:
-    return replace(mesh, vertices=mesh.vertices * lengths.factor)
-
-
 def _export_folder(
     job: ExportJob,
     result: OpenedResult,
@@ -147,7 +147,9 @@ def _export_folder(
     if out.suffix and out.suffix.lower() == writer.suffix:
         raise BadInput(f"{out}: expected the name of a folder, for one {writer.suffix} a frame")
     numbers = writer.numbers()
-    record = {"version": 1, "options": option_values(job.options), "result_sha256": result.digest}
+    untouched = ("cleaning",) if job.options.cleaning is None else ()
+    values = option_values(job.options, without=untouched)
+    record = {"version": 1, "options": values, "result_sha256": result.digest}
     if not overwrite:
         _require_same(out, record)
     require_writable_folder(out)
@@ -192,6 +194,7 @@ class ExportFormat(Enum):
     OBJ = "obj"  # a mesh a frame
     USD = "usd"  # one animated file
     GLB = "glb"  # one animated file of a registered surface, else one a frame
+    POINTS = "points"  # a point cloud a frame, .ply: one point a pixel that has a depth
     NPZ = "npz"  # arrays: one file a frame, and one of a registered surface
     DILIGENT = "diligent"  # one folder a frame, laid out like the benchmark's
     PNG = "png"  # 16-bit normal maps
@@ -218,18 +221,22 @@ class FileUnit(Enum):
         return {"m": 1.0, "cm": 0.01, "mm": 0.001}[self.value]
 
 
+_OF_MESHES = (ExportFormat.PLY, ExportFormat.OBJ, ExportFormat.USD, ExportFormat.GLB)
+
+
 @dataclass(frozen=True, kw_only=True)
 class ExportOptions:
     """How results are handed on.
 
     to: the format: usd, one animated file (Blender keeps its own frame rate when it opens one: set that of
     its scene to the capture's); glb, one animated file of a registered surface, else one a frame; ply and
-    obj, a mesh a frame; npz, arrays; png, 16-bit normal maps; diligent, a folder a frame, laid out like the
-    benchmark's. normal_convention: axes of normal maps (png, npz, diligent). units: length unit of the files,
-    where the result has a scale; default metres, and lengths as they are where it has none. up: axis that
-    points up in meshes. scale: metres for a length of 1 in the result, where it has no scale of its own
-    (lengths in pixels, or free). surface: which meshes: the registered surface (tracked), those of each frame
-    (frames), or the registered one where there is one (auto).
+    obj, a mesh a frame; points, a point cloud a frame as .ply, of all pixels with a depth; npz, arrays; png,
+    16-bit normal maps; diligent, a folder a frame, laid out like the benchmark's. normal_convention: axes of
+    normal maps (png, npz, diligent). units: length unit of the files, where the result has a scale; default
+    metres, and lengths as they are where it has none. up: axis that points up in meshes. scale: metres for a
+    length of 1 in the result, where it has no scale of its own (lengths in pixels, or free). surface: which
+    meshes: the registered surface (tracked), those of each frame (frames), or the registered one where there
+    is one (auto). cleaning: what is cleaned of the frames' meshes; None for nothing.
     """
 
     to: ExportFormat
@@ -238,6 +245,7 @@ class ExportOptions:
     up: MeshUpAxis = MeshUpAxis.Y
     scale: float | None = None
     surface: ExportedSurface = ExportedSurface.AUTO
+    cleaning: CleanOptions | None = None
 
     def __post_init__(self) -> None:
         if self.scale is not None and not self.scale > 0:
@@ -246,6 +254,8 @@ class ExportOptions:
             self.up is not MeshUpAxis.Y or self.units not in (None, FileUnit.M)
         ):
             raise BadInput("a GLB has metres and y up by its standard: leave out --units and --up")
+        if self.cleaning is not None and self.to not in _OF_MESHES:
+            raise BadInput(f"cleaning is for meshes, and {self.to.value} has none: leave out --clean")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -297,12 +307,14 @@ def numbers_with_mesh(result: OpenedResult, track: TrackedSurface | None) -> tup
     return found
 
 
-def own_mesh(result: OpenedResult, number: int) -> Mesh:
-    """Return a frame's own mesh, which was there a moment ago."""
+def own_mesh(result: OpenedResult, number: int, options: ExportOptions, factor: float) -> Mesh:
+    """Return a frame's own mesh, which was there a moment ago, cleaned if asked for; factor: of lengths."""
     mesh = result.mesh(number)
     if mesh is None:
         raise BadInput(f"frame {number}: its mesh has vanished")
-    return mesh
+    if options.cleaning is not None:
+        mesh = clean_mesh(mesh, options.cleaning)
+    return replace(mesh, vertices=mesh.vertices * factor)
 
 
 class FrameExport(ABC):
@@ -364,14 +376,49 @@ class _Meshes(FrameExport):
         return [self.result.folder.mesh(number)]
 
     def write(self, out: Path, number: int) -> None:
-        mesh = self.track.mesh(number) if self.track is not None else own_mesh(self.result, number)
-        mesh = replace(mesh, vertices=mesh.vertices * self._factor)
+        if self.track is None:
+            mesh = own_mesh(self.result, number, self.options, self._factor)
+        else:
+            mesh = self.track.mesh(number)
+            mesh = replace(mesh, vertices=mesh.vertices * self._factor)
         path = self.place(out, number)
         if self.options.to is ExportFormat.GLB:
             rate = self.result.manifest.input.frame_rate_hz
             write_glb(path, mesh, iter([mesh.vertices]), frame_rate_hz=rate)
         else:
             write_mesh(path, mesh, up=self.options.up)
+
+
+class _PointClouds(FrameExport):
+    """PLY without faces, coloured where the footage is still at hand."""
+
+    suffix = ".ply"
+
+    def __init__(self, result: OpenedResult, track: TrackedSurface | None, options: ExportOptions) -> None:
+        super().__init__(result, track, options)
+        self._factor = file_lengths(options, result.length_unit).factor
+
+    def numbers(self) -> tuple[int, ...]:
+        found = tuple(n for n in self.result.numbers if self.result.folder.depth(n).exists())
+        if not found:
+            root = self.result.folder.root
+            raise BadInput(f"{root}: holds no depth of those frames; run `vntoolkit reconstruct --to depth`")
+        return found
+
+    def sources(self, number: int) -> list[Path]:
+        return [self.result.folder.normals(number), self.result.folder.depth(number)]
+
+    def write(self, out: Path, number: int) -> None:
+        depth_map = self.result.depth(number)
+        assert depth_map is not None
+        try:
+            rgb = self.result.linear(number).rgb
+        except VntError:
+            rgb = None
+        normal_map = self.result.normals(number)
+        cloud = point_cloud_from_depth(depth_map, self.result.camera, rgb=rgb, normal_map=normal_map)
+        cloud = replace(cloud, points=cloud.points * self._factor)
+        write_point_cloud(self.place(out, number), cloud, up=self.options.up)
 
 
 class _NormalMaps(FrameExport):
@@ -447,6 +494,7 @@ class _Diligent(FrameExport):
 def frame_export(result: OpenedResult, track: TrackedSurface | None, options: ExportOptions) -> FrameExport:
     """Return what writes the frames of a format."""
     kinds: dict[ExportFormat, type[FrameExport]] = {
+        ExportFormat.POINTS: _PointClouds,
         ExportFormat.NPZ: _Arrays,
         ExportFormat.PNG: _NormalMaps,
         ExportFormat.DILIGENT: _Diligent,

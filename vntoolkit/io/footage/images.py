@@ -27,9 +27,9 @@ from vntoolkit.native import silenced_native_output
 SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".exr")
 _PNG = b"\x89PNG\r\n\x1a\n"
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-# (sampling factors of luma, number of channels): chroma's own factors are 1 × 1 in practice.
-_JPEG_CHROMA = {(0x22, 3): "4:2:0", (0x21, 3): "4:2:2", (0x12, 3): "4:4:0", (0x41, 3): "4:1:1"}
-_PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
+_BY_PILLOW = {"PNG": _PNG, "JPEG": b"\xff\xd8", "BMP": b"BM"}
+# sampling factors of luma: chroma's own are 1 × 1 in practice
+_JPEG_CHROMA = {(2, 2): "4:2:0", (2, 1): "4:2:2", (1, 2): "4:4:0", (4, 1): "4:1:1"}
 
 
 def read_image(
@@ -235,39 +235,46 @@ class ImageHeader:
 
 
 def read_image_header(data: bytes, name: str, error: type[BadInput] = BadCapture) -> ImageHeader:
-    """Parse the header of a PNG, JPEG, TIFF, BMP or EXR file given as bytes; raise `error` with one line."""
+    """Read the header of a PNG, JPEG, TIFF, BMP or EXR file given as bytes; raise `error` with one line."""
+    if data.startswith(exr.MAGIC):
+        found = exr.read_exr_header(data, name, error)
+        count = len(found.channels)
+        return ImageHeader(
+            format="EXR", width=found.width, height=found.height, channels=count, bits=32, floating=True
+        )
+    if data.startswith(_PNG):
+        _require_sound_chunks(data, name, error)
     try:
-        if data.startswith(_PNG):
-            return _png(data, name, error)
-        if data.startswith(b"\xff\xd8"):
-            return _jpeg(data)
         if data.startswith(_TIFF):
             return _tiff(data, name, error)
-        if data.startswith(b"BM"):
-            width, height, _, bits = struct.unpack_from("<iiHH", data, 18)
-            return ImageHeader(
-                format="BMP", width=width, height=abs(height), channels=max(1, bits // 8), bits=8
-            )
-    except (struct.error, IndexError, ValueError, KeyError) as problem:
+        for format_name, magic in _BY_PILLOW.items():
+            if data.startswith(magic):
+                return _by_pillow(data, format_name)
+    except (struct.error, IndexError, ValueError, KeyError, SyntaxError, OSError) as problem:
         raise error(f"{name}: the image header is damaged or cut off") from problem
-    if data.startswith(exr.MAGIC):
-        header = exr.read_exr_header(data, name, error)
-        return ImageHeader(
-            format="EXR",
-            width=header.width,
-            height=header.height,
-            channels=len(header.channels),
-            bits=32,
-            floating=True,
-        )
     raise error(f"{name}: is not a PNG, TIFF, JPEG, BMP or EXR image")
 
 
-def _png(data: bytes, name: str, error: type[BadInput]) -> ImageHeader:
-    width, height, bits, colour = struct.unpack_from(">IIBB", data, 16)
-    _require_sound_chunks(data, name, error)
+def _by_pillow(data: bytes, format_name: str) -> ImageHeader:
+    from PIL import BmpImagePlugin, JpegImagePlugin, PngImagePlugin
+
+    # the classes themselves: `Image.open` has a limit of its own for the number of pixels
+    readers: dict[str, Any] = {
+        "PNG": PngImagePlugin.PngImageFile,
+        "JPEG": JpegImagePlugin.JpegImageFile,
+        "BMP": BmpImagePlugin.BmpImageFile,
+    }
+    image = readers[format_name](io.BytesIO(data))
+    chroma = "4:4:4"
+    if isinstance(image, JpegImagePlugin.JpegImageFile) and image.layers == 3:
+        chroma = _JPEG_CHROMA.get((image.layer[0][1], image.layer[0][2]), chroma)
     return ImageHeader(
-        format="PNG", width=width, height=height, channels=_PNG_CHANNELS[colour], bits=max(bits, 8)
+        format=format_name,
+        width=image.width,
+        height=image.height,
+        channels=3 if image.mode == "P" else len(image.getbands()),
+        bits=16 if image.tile and "16" in str(image.tile[0][3]) else 8,
+        chroma=chroma,
     )
 
 
@@ -285,25 +292,6 @@ def _require_sound_chunks(data: bytes, name: str, error: type[BadInput]) -> None
             return
         at = end
     raise error(f"{name}: the PNG file is cut off; copy or write it again")
-
-
-def _jpeg(data: bytes) -> ImageHeader:
-    at = 2
-    while True:
-        if data[at] != 0xFF:
-            raise ValueError("no JPEG marker")
-        marker, length = data[at + 1], struct.unpack_from(">H", data, at + 2)[0]
-        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
-            bits, height, width, channels = struct.unpack_from(">BHHB", data, at + 4)
-            return ImageHeader(
-                format="JPEG",
-                width=width,
-                height=height,
-                channels=channels,
-                bits=bits,
-                chroma=_JPEG_CHROMA.get((data[at + 11], channels), "4:4:4"),
-            )
-        at += 1 if marker == 0xFF else 2 + length
 
 
 def _tiff(data: bytes, name: str, error: type[BadInput]) -> ImageHeader:

@@ -69,13 +69,13 @@ def read_mesh(path: Path | str) -> Mesh:
     return _flip(mesh)
 
 
-def write_point_cloud(path: Path | str, cloud: PointCloud) -> None:
-    """Write a point cloud in the camera frame as binary `.ply`."""
+def write_point_cloud(path: Path | str, cloud: PointCloud, *, up: UpAxis = UpAxis.Y) -> None:
+    """Write a point cloud in the camera frame as binary `.ply`, in the axes of files."""
     if Path(path).suffix.lower() != ".ply":
         raise CannotWrite(f"{path}: a point cloud is written as .ply")
     content = PlyContent(
-        vertices=graphics_from_camera(cloud.points),
-        normals=None if cloud.normals is None else graphics_from_camera(cloud.normals),
+        vertices=graphics_from_camera(cloud.points, up),
+        normals=None if cloud.normals is None else graphics_from_camera(cloud.normals, up),
         colours=bytes_from_colours(cloud.colours),
     )
     write_ply(path, content)

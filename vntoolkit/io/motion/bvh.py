@@ -1,4 +1,4 @@
-"""BVH motion capture: read by pybvh behind guards, written by hand.
+"""BVH motion capture: read by pybvh behind guards, and written by it.
 
 pybvh is maintained, computes in float64 and reads a CMU take of a thousand frames in 8 ms. Of the
 others, bvhio loops for ever at the end of a truncated file and computes in single precision, and bvh
@@ -11,12 +11,11 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from vntoolkit.arrays import FloatArray
 from vntoolkit.checks import require_finite
 from vntoolkit.errors import BadMotion
 from vntoolkit.geometry.motion import Motion, Skeleton
@@ -129,53 +128,45 @@ def _skeleton_of(bvh: pybvh.Bvh, names: list[str]) -> Skeleton:
 
 
 def write_bvh(path: Path, motion: Motion) -> None:
-    """Write a motion as BVH with channels Zrotation Xrotation Yrotation, four decimals, y up.
+    """Write a motion as BVH with channels Zrotation Xrotation Yrotation, rounded to four decimals, y up.
 
-    The unit of length is the motion's; BVH has no place to say which that is.
+    The unit of length is the motion's; BVH has no place to say which that is. Raises `BadMotion` where other
+    joints come between a joint and its descendants: the file lists them in that order.
     """
+    import pybvh
+    from pybvh.bvhnode import BvhEndSite, BvhJoint, BvhNode, BvhRoot
+
     turned = motion_with_axes_turned(motion)
+    skeleton = turned.skeleton
+    joints: list[BvhJoint] = []
+    nodes: list[BvhNode] = []
+    line_of_descent: list[int] = []
+    for index, (name, parent) in enumerate(zip(skeleton.names, skeleton.parents.tolist(), strict=True)):
+        if parent >= 0 and parent not in line_of_descent:
+            raise BadMotion("BVH needs a joint's descendants to follow it without interruption")
+        line_of_descent = [*line_of_descent[: line_of_descent.index(parent) + 1 if parent >= 0 else 0], index]
+        offset = skeleton.offsets[index] + 0.0  # no −0
+        if parent < 0:
+            joints.append(BvhRoot(name, offset, list("XYZ"), list(_WRITTEN_ORDER)))
+        else:
+            joints.append(BvhJoint(name, offset, list(_WRITTEN_ORDER), parent=joints[parent]))
+            joints[parent].children.append(joints[-1])
+        nodes.append(joints[-1])
+        for tip in skeleton.tip_offsets[skeleton.tip_joints == index]:
+            nodes.append(BvhEndSite(f"End{name}", tip + 0.0, joints[-1]))
+            joints[-1].children.append(nodes[-1])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about a right angle, where any such pair of others is right
-        angles = np.stack(
-            [
-                Rotation.from_quat(turned.rotations[:, joint]).as_euler(_WRITTEN_ORDER, degrees=True)
-                for joint in range(len(turned.skeleton.names))
-            ],
-            axis=1,
+        angles = [
+            Rotation.from_quat(turned.rotations[:, joint]).as_euler(_WRITTEN_ORDER, degrees=True)
+            for joint in range(len(joints))
+        ]
+        written = pybvh.Bvh(
+            nodes,
+            np.round(turned.root_positions, 4) + 0.0,
+            np.deg2rad(np.round(np.stack(angles, axis=1), 4) + 0.0),
+            frame_time=1 / turned.frame_rate_hz,
+            world_up="+y",
         )
-    rows = np.concatenate([turned.root_positions, angles.reshape(len(turned), -1)], axis=1)
-    rows = np.round(rows, 4) + 0.0  # no −0.0000
-    with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
-        file.write("HIERARCHY\n")
-        _write_joints(file, turned.skeleton)
-        file.write(f"MOTION\nFrames: {len(turned)}\nFrame Time: {1 / turned.frame_rate_hz:.9g}\n")
-        for row in rows:
-            file.write(" ".join(f"{value:.4f}" for value in row) + "\n")
-
-
-def _write_joints(file: TextIO, skeleton: Skeleton) -> None:
-    """Write the tree without recursion: braces close when the next joint hangs higher up."""
-    depths: list[int] = []
-    open_joints: list[int] = []
-    for index, parent in enumerate(skeleton.parents):
-        depth = 0 if parent < 0 else depths[parent] + 1
-        if parent >= 0 and (depth > len(open_joints) or open_joints[depth - 1] != parent):
-            raise BadMotion("BVH needs a joint's descendants to follow it without interruption")
-        open_joints = [*open_joints[:depth], index]
-        for level in range(depths[-1] if depths else -1, depth - 1, -1):
-            file.write("  " * level + "}\n")
-        depths.append(depth)
-        kind = "ROOT" if parent < 0 else "JOINT"
-        position = "Xposition Yposition Zposition " if parent < 0 else ""
-        pad = "  " * depth
-        file.write(f"{pad}{kind} {skeleton.names[index]}\n{pad}{{\n")
-        file.write(f"{pad}  OFFSET {_triple(skeleton.offsets[index])}\n")
-        file.write(f"{pad}  CHANNELS {6 if position else 3} {position}Zrotation Xrotation Yrotation\n")
-        for offset in skeleton.tip_offsets[skeleton.tip_joints == index]:
-            file.write(f"{pad}  End Site\n{pad}  {{\n{pad}    OFFSET {_triple(offset)}\n{pad}  }}\n")
-    for level in range(depths[-1], -1, -1):
-        file.write("  " * level + "}\n")
-
-
-def _triple(vector: FloatArray) -> str:
-    return " ".join(f"{value + 0.0:.6g}" for value in vector)
+    with atomic_path(path) as temporary:
+        written.write(temporary)
