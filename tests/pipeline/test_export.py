@@ -267,7 +267,7 @@ def test_streamed_rows_must_be_as_many_as_promised(tmp_path: Path) -> None:
 
 
 def test_points_are_every_pixel_with_a_depth(dome_result: DomeResult, tmp_path: Path) -> None:
-    out = exported(dome_result, tmp_path, ExportFormat.POINTS, up=UpAxis.Z)
+    out = exported(dome_result, tmp_path, ExportFormat.POINTS, up=MeshUpAxis.Z)
     assert [p.name for p in sorted(out.glob("*.ply"))] == [f"{n:06d}.ply" for n in range(3)]
     cloud = read_point_cloud(out / "000001.ply")
     depth_map = read_depth_map(dome_result.folder / "depth/000001.exr")
@@ -275,7 +275,7 @@ def test_points_are_every_pixel_with_a_depth(dome_result: DomeResult, tmp_path: 
     assert len(cloud.points) == len(rows) == len(cloud.normals) == len(cloud.colours)
     seen = np.stack([columns, rows, depth_map.depth[rows, columns]], axis=1)  # in pixels, x right, y down
     in_file = graphics_from_camera(cloud.points)  # undoes what reading did
-    np.testing.assert_allclose(in_file, graphics_from_camera(seen, UpAxis.Z), atol=1e-4)
+    np.testing.assert_allclose(in_file, graphics_from_camera(seen, MeshUpAxis.Z), atol=1e-4)
 
 
 def test_cleaned_meshes_have_the_faces_asked_for(dome_result: DomeResult, tmp_path: Path) -> None:

@@ -69,7 +69,7 @@ def read_mesh(path: Path | str) -> Mesh:
     return _flip(mesh)
 
 
-def write_point_cloud(path: Path | str, cloud: PointCloud, *, up: UpAxis = UpAxis.Y) -> None:
+def write_point_cloud(path: Path | str, cloud: PointCloud, *, up: MeshUpAxis = MeshUpAxis.Y) -> None:
     """Write a point cloud in the camera frame as binary `.ply`, in the axes of files."""
     if Path(path).suffix.lower() != ".ply":
         raise CannotWrite(f"{path}: a point cloud is written as .ply")
