@@ -1,7 +1,6 @@
-"""Named array types: the shape and the meaning of an array, readable in a signature.
+"""Named array types for signatures: each states shape and meaning.
 
-A type checker sees plain numpy arrays; a reader sees `LinearImage` and knows the rest.
-Frames, axes and units are those of CONVENTIONS.md.
+For a type checker they are plain numpy arrays. Frames, axes and units are those of CONVENTIONS.md.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Checks on arrays at the borders of the library: each raises `BadInput` with one clear line."""
+"""Checks on arrays and numbers that callers pass in; each raises `BadInput` with one line."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def require_shape(
 
 
 def require_mask(mask: npt.NDArray[Any], shape: tuple[int, ...], name: str = "mask") -> None:
-    """Raise unless `mask` holds booleans, which index otherwise than 0 and 255 do, and has `shape`."""
+    """Raise unless `mask` has `shape` and holds booleans: integers 0 and 255 would index differently."""
     if mask.dtype != np.bool_:
         raise BadInput(f"{name}: expected booleans, got {mask.dtype}")
     require_shape(mask, shape, name)

@@ -1,6 +1,6 @@
-"""What can go wrong, by kind. The command line turns each into one line and exit status 1.
+"""The errors of the toolkit, by kind. The command line prints one line and exits with status 1.
 
-A message says what was expected, what came, and what to do.
+A message states what was expected, what came, and what to do.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ LONGEST_MESSAGE = 900
 
 
 def printable_line(text: str) -> str:
-    """Return text as one line of bounded length: what cannot be printed becomes its escape, as in `repr`."""
+    """Return text as one line of limited length; unprintable characters are escaped as in `repr`."""
     line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
     if len(line) <= LONGEST_MESSAGE:
         return line
@@ -19,7 +19,7 @@ def printable_line(text: str) -> str:
 
 
 class VntError(Exception):
-    """Base of every error that a user can cause and mend; its message is one printable line."""
+    """Base of all errors that a user can cause and correct; the message is one printable line."""
 
     def __init__(self, message: str) -> None:
         super().__init__(printable_line(message))
@@ -30,7 +30,7 @@ class BadInput(VntError):
 
 
 class BadCapture(BadInput):
-    """A video, image or sequence cannot serve as a capture."""
+    """A video, an image or a sequence cannot be used as a capture."""
 
 
 class BadRig(BadInput):
@@ -46,7 +46,7 @@ class BadMotion(BadInput):
 
 
 class BadCalibration(VntError):
-    """The footage does not carry a calibration; the message names the stage and what to film."""
+    """The footage does not suffice for a calibration; the message names the stage and what to film."""
 
 
 class SolverFailed(VntError):
@@ -54,8 +54,8 @@ class SolverFailed(VntError):
 
 
 class CannotWrite(VntError):
-    """An output cannot be written; nothing half-written is left."""
+    """An output cannot be written; no partial file remains."""
 
 
 class MissingDependency(VntError):
-    """A system or Python library is absent; the message is the line that installs it."""
+    """A system or Python library is missing; the message contains the command that installs it."""

@@ -1,4 +1,4 @@
-"""The doors to open3d, pymeshlab and OpenCV's threads: check system libraries first, import late.
+"""Import of open3d and pymeshlab, with a check of system libraries; threads and output of C libraries.
 
 Without libGL open3d ends in a traceback, and without libOpenGL pymeshlab imports but cannot save a
 .ply file. Each is turned into one line that names the library and the package that holds it.
@@ -92,7 +92,7 @@ def import_pymeshlab() -> Any:
 
 
 def limit_threads(count: int) -> None:
-    """Keep OpenCV and numba in this process to so many threads, so that worker processes do not fight."""
+    """Limit OpenCV and numba in this process to so many threads, so that worker processes share the cores."""
     import cv2
     import numba
 
@@ -101,7 +101,7 @@ def limit_threads(count: int) -> None:
 
 
 def keep_freed_memory() -> None:
-    """Let this process keep what it frees, since the next frame needs the same arrays again.
+    """Keep freed memory in this process, because the next frame needs arrays of the same sizes.
 
     Dask has its workers give memory back at once (MALLOC_TRIM_THRESHOLD_), which at 1280×720 costs more time
     in the kernel, for fresh pages, than normals and depth together. The heaps of threads, and Dask works in
@@ -119,7 +119,7 @@ def keep_freed_memory() -> None:
 
 @contextlib.contextmanager
 def one_opencv_thread() -> Iterator[None]:
-    """Let OpenCV work in this thread alone while the block runs."""
+    """Run OpenCV in one thread while the block runs."""
     import cv2
 
     before = cv2.getNumThreads()
@@ -153,12 +153,9 @@ def _reinstalling(module: str) -> str:
     return f"pip install --force-reinstall {name}"
 
 
-# Keeps C libraries quiet while they decode: what is wrong with a file is said once, by the error raised.
-
-
 @contextlib.contextmanager
 def silenced_native_output() -> Iterator[None]:
-    """Send file descriptor 2 of this process to nowhere; for libpng, libtiff and OpenEXR, which write to it.
+    """Discard what libpng, libtiff and OpenEXR write to standard error while the block runs.
 
     Takes 20 µs. Descriptors belong to the whole process, so a line that another thread writes in the meantime
     is lost too: keep the body short.

@@ -1,1 +1,1 @@
-"""Floor 2, (colour, normal) pairs from a board, a ball, known lights or a head, and M from them."""
+"""Floor 2, calibration: M from pairs of normal and colour on a board, a ball, presses or a head."""

@@ -1,4 +1,4 @@
-"""Calibration on a planar pattern with a hole that holds the sample (Section III-A, brostow2011).
+"""Calibration on a board with a hole that shows the subject's material (brostow2011, Section III-A).
 
 Every frame gives one normal (the pattern's pose) and one colour (the sample in the hole); the camera's
 intrinsics come from the same footage unless given.
@@ -44,7 +44,7 @@ _NARROWEST_CONE_DEG = 8.0  # half-angle of the views: with less, focal length an
 
 @dataclass(frozen=True, kw_only=True)
 class IntrinsicsOptions:
-    """Which camera is fitted.
+    """Options of the camera fit.
 
     radial_terms: coefficients of radial distortion, 0 to 2; higher ones follow noise where the corners
     do not reach the image's edge. tangential: number of tangential coefficients, 0 or 2. most_views: views
@@ -66,7 +66,7 @@ class IntrinsicsOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class BoardOptions:
-    """How a board calibrates.
+    """Options of the calibration on a board.
 
     largest_error_px: a frame whose corners miss their projection by more than this root mean square is left
     out. degree: degree of the polynomials by which M varies over the image, as near lights make it, 0 (one M
@@ -156,7 +156,7 @@ def _varying(
     camera: Camera,
     options: BoardOptions,
 ) -> ResponseFit:
-    """Let M vary with the pixel at which the sample's middle was seen, in the image without distortion.
+    """Fit M as polynomials of the undistorted pixel at which the sample's centre was seen.
 
     All poses that the three lights reach count, since one M for all places made outliers of good ones.
     """
@@ -201,7 +201,7 @@ def board_pose(sighting: BoardSighting, layout: BoardLayout, camera: Camera) -> 
 
 
 def _log_misfit(rgb: Points, normals: Points, fit: ResponseFit) -> None:
-    """Say so where a good part of the poses does not obey M: sample not matte, lights too near."""
+    """Log a warning if many poses do not fit M: the sample is not matte, or the lights are too near."""
     left_out = 1.0 - float(fit.inliers.mean())
     error = np.linalg.norm(rgb - rgb_from_normals(normals, fit.response), axis=1)
     relative = float(np.median(error[fit.inliers]) / np.median(np.linalg.norm(rgb[fit.inliers], axis=1)))
@@ -214,7 +214,7 @@ def _log_misfit(rgb: Points, normals: Points, fit: ResponseFit) -> None:
         )
 
 
-# Camera intrinsics from the board: Zhang's method by OpenCV, over views that differ.
+# Camera intrinsics by Zhang's method (OpenCV), from the views that differ most.
 
 
 def fit_camera(

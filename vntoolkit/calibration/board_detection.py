@@ -1,4 +1,4 @@
-"""One look at the board: which corners are where, and what colour the sample in the hole has."""
+"""Detection of the board in one frame: its corners, and the colour of the sample in the hole."""
 
 from __future__ import annotations
 

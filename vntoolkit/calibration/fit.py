@@ -1,6 +1,7 @@
-"""The light response from pairs of normal and colour: equation 1 turned round.
+"""The light response fitted to pairs of normal and colour (equation 4), and the quality of the fit.
 
-Every calibration object (ball, board, head) ends here: it knows some normals and has seen their colours.
+Every calibration object (ball, board, head) gives such pairs. Two methods leave out shadow, gloss and wrong
+pairs: trimmed least squares, and MSAC.
 """
 
 from __future__ import annotations
@@ -33,14 +34,14 @@ _SHARE_IN_CONE = 95.0
 
 
 class ResponseModel(Enum):
-    """Which unknowns the fit has."""
+    """Unknowns of the fit."""
 
     LINEAR = "linear"  # 3×3: r = M n
     AMBIENT = "ambient"  # 3×4: r = M n + a
 
 
 class FitMethod(Enum):
-    """How pairs that do not obey the model are kept out."""
+    """How outliers are left out."""
 
     TRIMMED = "trimmed"  # least squares, repeated without shadow and outliers: few bad pairs
     MSAC = "msac"  # minimal samples with a truncated cost: many bad pairs
@@ -48,13 +49,14 @@ class FitMethod(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class ResponseFitOptions:
-    """How a light response is fitted.
+    """Options of the fit of a light response.
 
-    model: with or without ambient light. method: how outliers are kept out. shadow_share: (trimmed) a pair
-    counts as shadowed where a channel's estimated contribution is at most this share of its largest; 0 keeps
-    shadow. outlier_sigmas: (trimmed) pairs whose colour residual exceeds this many robust standard deviations
-    are gloss or cast shadow. rounds: (trimmed) largest number of repetitions. draws: (MSAC) minimal samples
-    tried. inlier_share: (MSAC) largest residual of an inlier as a share of the median colour's length.
+    model: with or without ambient light. method: how outliers are left out. shadow_share: (trimmed) a pair
+    counts as shadowed if a channel's estimated contribution is at most this fraction of its largest; 0
+    keeps shadowed pairs. outlier_sigmas: (trimmed) pairs whose colour residual exceeds this many robust
+    standard deviations are outliers (gloss or cast shadow). rounds: (trimmed) largest number of
+    repetitions. draws: (MSAC) minimal samples tried. inlier_share: (MSAC) largest residual of an inlier,
+    divided by the median length of the colours.
     """
 
     model: ResponseModel = ResponseModel.LINEAR
@@ -76,7 +78,7 @@ class ResponseFitOptions:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ResponseFit:
-    """A fitted light response. inliers: (n,) bool, the pairs it rests on."""
+    """A fitted light response. inliers: (n,) bool, the pairs used."""
 
     response: LightResponse
     quality: FitQuality
@@ -192,13 +194,10 @@ class Design:
         return np.linalg.norm(self.rows @ unknowns - self.colours, axis=1)
 
 
-# Linear fits that leave out shadow, gloss and wrong pairs: trimmed least squares and MSAC.
-
-
 def fit_by_trimming(
     design: Design, usable: Mask, shadow_share: float, outlier_sigmas: float, rounds: int
 ) -> tuple[FloatArray, Mask]:
-    """Repeat least squares without attached shadow and without outliers until the set of pairs rests.
+    """Repeat least squares without attached shadow and without outliers until the set of pairs is stable.
 
     Returns the unknowns (3 or 4, 3) and the pairs used (n,). Robust scale: 1.4826 × median residual.
     """
@@ -275,9 +274,6 @@ def _truncated_costs(design: Design, scored: IntArray, models: FloatArray, thres
         squared = np.square(rows @ unknowns - colours).sum(axis=1)
         costs[i] = np.minimum(squared, threshold * threshold).sum()
     return costs
-
-
-# How well a light response is determined: residual, condition number, cone of normals.
 
 
 def fit_quality(

@@ -1,4 +1,4 @@
-"""The light response of a rig whose lights are known: nothing is fitted."""
+"""The light response from known lights, and M split into its lights by single-light photographs."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _NAMES = ("red", "green", "blue")
 
 
 class LightColours(Enum):
-    """What colour the lights have."""
+    """Which colours the lights have."""
 
     GIVEN = "given"  # each row of intensities is the light's red, green and blue
     CHANNELS = "channels"  # light k alone is seen by channel k: three photographs stacked as one
@@ -76,9 +76,6 @@ def _colours(intensities: Points | None, colours: LightColours) -> FloatArray:
     return np.diag(np.diag(intensities)) if colours is LightColours.CHANNELS else intensities
 
 
-# M taken apart into light colours and directions, from photographs under one light at a time.
-
-
 def fit_light_colours(frames: Sequence[LinearFrame], mask: Mask | None = None) -> Matrix3:
     """Unit colour of each light, one row per frame, from three photographs of one material.
 
@@ -99,7 +96,7 @@ def fit_light_colours(frames: Sequence[LinearFrame], mask: Mask | None = None) -
 
 
 def with_light_colours(response: LightResponse, unit_colours: Matrix3) -> LightResponse:
-    """Return the response with M = Σ c_k l_kᵀ taken apart: c_k along `unit_colours`, so that |l_k| = 1."""
+    """Return the response with M split as Σ c_k l_kᵀ: c_k parallel to `unit_colours`, |l_k| = 1."""
     lights = np.linalg.solve(np.asarray(unit_colours, dtype=np.float64).T, response.matrix)
     strengths = np.linalg.norm(lights, axis=1)
     return replace(response, light_colours=strengths[:, None] * unit_colours)

@@ -1,4 +1,4 @@
-"""Calibration of a tactile sensor: a ball of known radius pressed into its gel, again and again.
+"""Calibration of a tactile sensor on presses of a ball of known radius into its gel.
 
 The camera looks at the gel from behind, so the dent bulges towards it and inside the contact circle it is
 the ball's own surface (Johnson and Adelson, Retrographic sensing for the measurement of surface texture
@@ -56,7 +56,7 @@ _NOTABLE_PX = 1.0
 
 
 class LabelOffset(Enum):
-    """Whether labels are believed as to where the centres are."""
+    """Whether the labelled centres are used as they are, or with a common fitted offset."""
 
     COMMON = "common"  # one offset for all labels is fitted, so that ball and flat gel agree
     NONE = "none"
@@ -64,7 +64,7 @@ class LabelOffset(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class PressOptions:
-    """How presses calibrate.
+    """Options of the calibration on presses.
 
     ball_radius_mm: radius of the ball. pixel_mm: side of a pixel on the gel. contact_share: share of the
     labelled contact radius inside which the gel follows the ball. samples: pixels drawn from a press's
@@ -201,7 +201,7 @@ def pairs_from_samples(
     return PressPairs(normals=normals, rgb=rgb, positions_px=positions_px, touched=touched > 0)
 
 
-# The gel's response from the samples of many presses, and how far all labels lie beside their dents.
+# The fit: the gel's response from the samples of many presses, and the common offset of their labels.
 
 
 def fit_response_to_presses(
@@ -290,7 +290,7 @@ def _fit_varying(pairs: PressPairs, size: tuple[int, int], options: VariationOpt
 
 
 def _fit_highest_degree(pairs: PressPairs, size: tuple[int, int], options: VariationOptions) -> LightResponse:
-    """Lower the degree, and say so, where the presses leave parts of the gel undetermined."""
+    """Lower the degree and log it where the presses leave parts of the gel undetermined."""
     for degree in range(options.degree, -1, -1):
         lowered = replace(options, degree=degree)
         try:

@@ -1,4 +1,4 @@
-"""Calibration on a matte ball of the material: its outline gives every normal on it."""
+"""Calibration on a matte ball: its outline in the image gives the normal at every pixel."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _REACH_PX = 4.0  # beyond the blur and the threshold's error, within the rim
 
 @dataclass(frozen=True, kw_only=True)
 class SphereOptions:
-    """How a ball calibrates.
+    """Options of the calibration on a ball.
 
     rim_share: outer share of the ball's radius that is left out, where a pixel of error in the outline turns
     the normal by tens of degrees. fit: how M is fitted.
@@ -154,7 +154,7 @@ class Circle:
     arc: float
 
 
-# The outline of a ball in an image: found by itself, or taken from a mask.
+# The outline of the ball: detected in the image, or from a mask.
 
 
 def find_ball_outline(frame: LinearFrame) -> Circle:

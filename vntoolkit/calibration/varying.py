@@ -31,7 +31,7 @@ _DARKEST = 1e-3  # length of a recovered normal, which should be 1, below which 
 
 @dataclass(frozen=True, kw_only=True)
 class VariationOptions:
-    """How a response may vary over the image.
+    """Options of a response that varies over the image.
 
     degree: degree of the polynomials by which M varies over the image, 0 (one response for the whole image)
     to 3. softness_deg: angular error in degrees from which a pair counts less and less. length_share: how
@@ -205,7 +205,7 @@ def _response(
 
 
 def _require_spread(monomials: FloatArray) -> None:
-    """Refuse positions that do not tell the monomials apart."""
+    """Raise if the positions do not determine the monomials."""
     terms = monomials.shape[1]
     singular = np.linalg.svd(monomials, compute_uv=False) if len(monomials) >= terms else np.zeros(1)
     if len(monomials) < 3 * _PAIRS_PER_TERM * terms or not singular[-1] > _FLATTEST * singular[0]:
@@ -216,7 +216,7 @@ def _require_spread(monomials: FloatArray) -> None:
 
 
 def _require_regular(response: LightResponse, size: tuple[int, int]) -> None:
-    """Refuse a fit that some part of the image could not invert."""
+    """Raise if the fitted M is singular in some part of the image."""
     u, v = np.meshgrid(np.linspace(0, size[0] - 1, 9), np.linspace(0, size[1] - 1, 9))
     matrices, _ = response.at(np.stack([u, v], axis=-1))
     singular = np.linalg.svd(matrices, compute_uv=False)

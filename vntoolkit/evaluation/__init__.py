@@ -1,1 +1,1 @@
-"""Floor 2, how far a result is from a reference."""
+"""Floor 2, errors of results against references."""

@@ -1,4 +1,4 @@
-"""Angles between two normal maps: the field's measure of photometric accuracy."""
+"""Angular error between normal maps: maps, summaries, histograms."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def compare_normals(measured: NormalMap, reference: NormalMap) -> AngularError:
 
 
 class AngleHistogram:
-    """Counts angles frame by frame; mean and spread are exact, the rest to half a hundredth of a degree."""
+    """Histogram of angles over many frames; mean and deviation are exact, percentiles to 0.005 degrees."""
 
     def __init__(self) -> None:
         self._counts: IntArray = np.zeros(_STEPS + 1, dtype=np.int64)

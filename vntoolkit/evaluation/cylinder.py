@@ -1,4 +1,4 @@
-"""A cylinder seen by a camera: its pose, its normals, and how far silhouette rays miss touching it."""
+"""A cylinder seen by a camera: rays, silhouette distance, and the errors of normals measured on it."""
 
 from __future__ import annotations
 
@@ -91,9 +91,6 @@ class SideAngles:
 
     angles_deg: FloatArray
     side: Mask
-
-
-# Measured normals against those of a fitted cylinder, on its side; and the fit itself against the truth.
 
 
 def side_angles(cylinder: Cylinder, normal_map: NormalMap, camera: Camera, name: str = "frame") -> SideAngles:

@@ -1,4 +1,4 @@
-"""One cylinder through a whole sequence, from normals and silhouettes alone (brostow2011, Figure 7).
+"""Fit of one cylinder to a sequence of normal maps and silhouettes (brostow2011, Figure 7).
 
 Normals find the axis from nothing. Then silhouettes and normals are weighed against each other: outlines are
 sharp, their sides tell the axis in the image and their ends (`cylinder_ends`) its tilt in depth; normals tell
@@ -63,7 +63,7 @@ class CylinderOptions:
     common_deg: float = 4.0
 
     def __post_init__(self) -> None:
-        """Refuse angles and spreads that no observation has."""
+        """Raise `BadInput` for impossible angles and deviations."""
         for name in ("support_deg", "parallel_deg"):
             require_in_range(getattr(self, name), 0.0, 90.0, f"cylinder: {name}")
         finite = max(self.silhouette_px, self.correlated_points, self.common_deg) < np.inf
@@ -254,9 +254,6 @@ def _sign(axis: FloatArray) -> float:
     return float(np.sign(axis[int(np.argmax(np.abs(axis)))]))
 
 
-# A first cylinder from normals alone: the axis that most are perpendicular to, then a linear solve.
-
-
 def start_from_normals(
     normals: Points,
     origins: Points,
@@ -332,7 +329,7 @@ class EndPoints:
     along: float
 
 
-# The two ends of a cylinder's silhouette: how far their arcs bulge tells how far it leans in depth.
+# The ends of the silhouette: how far their arcs bulge gives the tilt of the cylinder in depth.
 
 
 def end_points(

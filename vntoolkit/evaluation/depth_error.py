@@ -1,4 +1,4 @@
-"""Distances between two depth maps, after the scale or offset that normals leave free is removed."""
+"""Depth errors after the free scale or offset is removed, and analytic surfaces to measure them on."""
 
 from __future__ import annotations
 
@@ -74,9 +74,6 @@ def compare_depths(measured: DepthMap, reference: DepthMap, camera: Camera) -> D
     )
 
 
-# Surfaces with known depth and analytic normals, for judging integrators.
-
-
 def peaks(height: int, width: int | None = None) -> tuple[FloatArray, Normals]:
     """Return depth (h, w) in pixels, range a quarter of the height, and normals of Matlab's `peaks`."""
     step = 6.0 / (height - 1)
@@ -93,7 +90,7 @@ def peaks(height: int, width: int | None = None) -> tuple[FloatArray, Normals]:
 
 
 def tear(size: int, steepness: float) -> tuple[FloatArray, Normals]:
-    """Return depth and normals of a flat whose lower right quarter turns into a ramp: the jump grows."""
+    """Return depth and normals of a plane with a ramp in its lower right quarter: a growing depth step."""
     v, u = np.mgrid[:size, :size]
     ramp = (u >= size // 2) & (v > size // 2)
     depth = np.where(ramp, steepness * (v - size // 2), 0.0)

@@ -1,4 +1,4 @@
-"""Distances between surfaces, point clouds too, one laid on the other first; and the quality of a mesh."""
+"""Distances between meshes or point clouds, their alignment, and the quality of a mesh."""
 
 from __future__ import annotations
 
@@ -156,7 +156,7 @@ def positions(surface: Compared) -> Points:
 
 
 def mismatch(mesh: Compared, reference: Compared) -> str:
-    """Say why two surfaces are hardly in one frame and one unit; empty where nothing tells so."""
+    """Return why two surfaces seem to differ in frame or unit; empty if they do not."""
     sizes = (mesh.diagonal, reference.diagonal)
     low, high = (
         np.stack([pick(positions(m), axis=0) for m in (mesh, reference)]) for pick in (np.min, np.max)
@@ -171,7 +171,7 @@ def mismatch(mesh: Compared, reference: Compared) -> str:
 
 
 class Alignment(Enum):
-    """What is free between two meshes."""
+    """Which motion aligns the meshes."""
 
     NONE = "none"
     RIGID = "rigid"
@@ -203,7 +203,7 @@ class AlignmentOptions:
 def align_mesh(
     mesh: S, reference: Compared, rng: np.random.Generator, options: AlignmentOptions | None = None
 ) -> tuple[S, Similarity]:
-    """Move a surface onto the reference, near to which it must lie; the reference stays.
+    """Align a surface to the reference by iterated closest points; they must lie near each other.
 
     Raises `BadMesh` for too few vertices, for a reference without normals, and where the two are far apart or
     of other sizes; `SolverFailed` where the surfaces leave the motion undetermined.
@@ -264,7 +264,7 @@ def _step(points: Points, targets: Points, normals: Points, free: Alignment) -> 
 
 
 def _after(step: Similarity, before: Similarity) -> Similarity:
-    """The motion that does `before` and then `step`."""
+    """Return the motion that applies `before`, then `step`."""
     rigid = RigidTransform(
         rotation=step.rigid.rotation @ before.rigid.rotation,
         translation=step.apply(before.rigid.translation),
@@ -274,7 +274,7 @@ def _after(step: Similarity, before: Similarity) -> Similarity:
 
 @dataclass(frozen=True, kw_only=True)
 class MeshQuality:
-    """Counts and shapes.
+    """Quality of a mesh: counts of faults, and shapes of triangles.
 
     median_aspect, worst_aspect: longest edge over twice √3 times the inscribed circle's radius: 1 for an
     equilateral triangle, infinite for a degenerate one. pieces: connected components. holes: boundary loops.
@@ -291,9 +291,6 @@ class MeshQuality:
     self_intersecting_faces: int
     median_aspect: float
     worst_aspect: float
-
-
-# What a mesh's next user stumbles over: slivers, non-manifold edges, holes, self-intersections.
 
 
 def mesh_quality(mesh: Mesh) -> MeshQuality:

@@ -1,4 +1,4 @@
-"""The outline of a bright subject before a dark background, to a fraction of a pixel."""
+"""The outline of a bright subject before a dark background, with subpixel accuracy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far tracked vertices lie from where they truly are, in pixels of the footage, frame by frame.
+"""End-point errors of tracked vertices in pixels of the footage, frame by frame.
 
 A tracked vertex starts at a pixel of the template frame, on a triangle of the true mesh. Where that point of
 the triangle is in any later frame, it is known; the distance in the image is the end-point error. Every
@@ -22,19 +22,19 @@ from vntoolkit.geometry.camera import Camera
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SurfaceAnchors:
-    """Points fixed to a true mesh. corners: (n, 3) vertex indices; shares: (n, 3) barycentric weights.
+    """Points fixed to a true mesh. corners: (n, 3) vertex indices; weights: (n, 3), barycentric.
 
-    found: (n,) False where no triangle lay under the pixel; its corners and shares mean nothing.
+    found: (n,) False where no triangle lay under the pixel; its corners and weights mean nothing.
     """
 
     corners: npt.NDArray[np.int32]
-    shares: FloatArray
+    weights: FloatArray
     found: npt.NDArray[np.bool_]
 
     def points(self, vertices: Points) -> FloatArray:
         """Return the (n, 3) points on the mesh at `vertices`."""
         corners = np.asarray(vertices, dtype=np.float64)[self.corners]
-        return np.asarray(np.einsum("nc,nck->nk", self.shares, corners))
+        return np.asarray(np.einsum("nc,nck->nk", self.weights, corners))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -71,7 +71,7 @@ class TrackError:
 
 @dataclass(frozen=True, kw_only=True)
 class TrackErrorOptions:
-    """How tracks are judged.
+    """Which vertices count in the error of tracks.
 
     lost_px: a vertex further off than this, in pixels, is astray. hidden_share: a true point further behind
     the frontmost surface than this share of its depth is hidden, and not judged. sure_confidence: below
@@ -83,7 +83,7 @@ class TrackErrorOptions:
     sure_confidence: float = 0.5
 
     def __post_init__(self) -> None:
-        """Refuse limits that mean nothing."""
+        """Raise `BadInput` for impossible limits."""
         if not (0 < self.lost_px < np.inf and 0 < self.hidden_share < np.inf):
             raise BadInput("track error: expected positive lost_px and hidden_share")
         require_in_range(self.sure_confidence, 0.0, 1.0, "track error: sure confidence")
@@ -96,16 +96,16 @@ def anchors_on_mesh(positions_px: Points2, vertices: Points, faces: Faces, camer
         raise BadInput("track error: expected the perspective camera that the truth was filmed with")
     pixels = camera.project(vertices)
     corners = np.zeros((len(positions_px), 3), dtype=np.int32)
-    shares = np.tile([1.0, 0.0, 0.0], (len(positions_px), 1))
+    weights = np.tile([1.0, 0.0, 0.0], (len(positions_px), 1))
     nearest = np.full(len(positions_px), np.inf)
     columns = np.argsort(positions_px[:, 0], kind="stable")
     _cover(
         np.ascontiguousarray(positions_px, dtype=np.float64), columns, positions_px[columns, 0].astype(float),
         pixels, 1.0 / np.asarray(vertices, dtype=np.float64)[:, 2], np.asarray(faces, dtype=np.int32),
-        corners, shares, nearest,
+        corners, weights, nearest,
     )  # fmt: skip
     return SurfaceAnchors(
-        corners=read_only(corners), shares=read_only(shares), found=read_only(np.isfinite(nearest))
+        corners=read_only(corners), weights=read_only(weights), found=read_only(np.isfinite(nearest))
     )
 
 
@@ -165,7 +165,7 @@ def error_of_frame(
 
 
 @njit(cache=True)
-def _cover(positions, columns, sorted_u, pixels, inverse_depth, faces, corners, shares, nearest):  # type: ignore[no-untyped-def]
+def _cover(positions, columns, sorted_u, pixels, inverse_depth, faces, corners, weights, nearest):  # type: ignore[no-untyped-def]
     """For each position the frontmost triangle over it, with perspective-correct weights."""
     for f in range(faces.shape[0]):
         i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
@@ -195,4 +195,4 @@ def _cover(positions, columns, sorted_u, pixels, inverse_depth, faces, corners, 
             if total > 0 and 1.0 / total < nearest[n]:
                 nearest[n] = 1.0 / total
                 corners[n, 0], corners[n, 1], corners[n, 2] = i, j, k
-                shares[n, 0], shares[n, 1], shares[n, 2] = a / total, b / total, c / total
+                weights[n, 0], weights[n, 1], weights[n, 2] = a / total, b / total, c / total

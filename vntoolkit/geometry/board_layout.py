@@ -1,4 +1,4 @@
-"""The calibration board: a chessboard with markers in its white squares and a square hole in its middle.
+"""The calibration board: a chessboard with markers in the white squares and a square hole in the middle.
 
 Section III-A of brostow2011: the plane's pose comes from the pattern, its colour from the sample in the hole.
 Pure geometry; whoever draws or detects the markers takes them from `MARKER_DICTIONARY`.

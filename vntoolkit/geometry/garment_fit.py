@@ -1,4 +1,4 @@
-"""How a person corrects the automatic fit of a garment to a figure."""
+"""Corrections by hand to the automatic fit of a garment to a skeleton."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Laplacians of a triangle mesh, and the edges they live on."""
+"""Laplacians and edges of triangle meshes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The two maps that flow between the stages: one normal, one depth per pixel."""
+"""Normal maps and depth maps: one normal or one depth per pixel."""
 
 from __future__ import annotations
 

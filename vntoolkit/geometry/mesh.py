@@ -1,4 +1,4 @@
-"""Triangle meshes, and their way to and from Open3D and pymeshlab."""
+"""Triangle meshes, and their conversion to and from Open3D and pymeshlab."""
 
 from __future__ import annotations
 
@@ -127,9 +127,6 @@ def vertex_normals(vertices: Points, faces: Faces) -> Points:
                 normals[:, axis] += np.bincount(faces[:, corner], per_face[:, axis], minlength=len(vertices))
         lengths = np.linalg.norm(normals, axis=1, keepdims=True)
         return np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0)
-
-
-# Polygons to triangles, indices checked.
 
 
 def triangles_from_polygons(

@@ -1,4 +1,4 @@
-"""One surface through time: a fixed topology and a position per vertex and frame."""
+"""A moving mesh: one fixed topology, and one position per vertex and frame."""
 
 from __future__ import annotations
 

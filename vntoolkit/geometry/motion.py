@@ -1,4 +1,4 @@
-"""What motion capture delivers: a skeleton, and per frame how its joints are turned."""
+"""Motion capture in memory: a skeleton, and the rotations of its joints in every frame."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class Motion:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Skeleton:
-    """A tree of joints in its rest pose, in which no joint is turned.
+    """A tree of joints in its rest pose, in which no joint is rotated.
 
     names: one unique name a joint. parents: (j,) index of the parent, −1 for the root, which is joint 0;
     a parent comes before its children, so a cycle cannot be expressed. offsets: (j, 3) from the parent to
@@ -150,9 +150,6 @@ class Skeleton:
     def scaled(self, factor: float) -> Skeleton:
         """Return the skeleton with every length multiplied by `factor`."""
         return replace(self, offsets=self.offsets * factor, tip_offsets=self.tip_offsets * factor)
-
-
-# An articulated skeleton: joints, their offsets, and the tips of the last bones.
 
 
 def joint_paths(skeleton: Skeleton) -> list[str]:

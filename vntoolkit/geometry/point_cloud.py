@@ -1,4 +1,4 @@
-"""Point clouds, and their way to and from Open3D and pymeshlab."""
+"""Point clouds, and their conversion to and from Open3D and pymeshlab."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rays against triangle meshes: what they meet first, what blocks them, what lies nearest.
+"""Ray casting on triangle meshes by Open3D: first hits, occlusion, nearest distances.
 
 Embree (wald2014) does the work, through Open3D; it is told float32. Answers do not depend on the threads.
 """

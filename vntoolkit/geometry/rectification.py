@@ -1,4 +1,4 @@
-"""A plane seen at an angle, turned into a map with square pixels of known size: four corners say how."""
+"""Rectification: four corners define how a tilted plane is mapped to square pixels of known size."""
 
 from __future__ import annotations
 

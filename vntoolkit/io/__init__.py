@@ -1,1 +1,1 @@
-"""Floor 2, files in and out: captures, maps, meshes, rigs, motion; the one stage that touches disk."""
+"""Floor 2, reading and writing files: captures, maps, meshes, rigs, motion, results."""

@@ -1,4 +1,4 @@
-"""Writing so that a file is either whole or not there: a temporary beside it, then a rename."""
+"""Atomic writing: a file is written under a temporary name, then renamed; no partial file appears."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def write_text(path: Path | str, content: str) -> None:
 
 
 def require_writable_folder(folder: Path | str) -> Path:
-    """Make `folder` and prove that a file can be written into it, before hours of work depend on it.
+    """Create `folder` and check that a file can be written into it, before a long run begins.
 
     What a run that was killed left half-written there, or one folder below, is removed.
     """
@@ -69,7 +69,7 @@ def require_writable_folder(folder: Path | str) -> Path:
 
 
 def _remove_leftovers(folder: Path) -> None:
-    """Remove the temporaries of `atomic_path` and `require_writable_folder` whose process is no more."""
+    """Remove the temporary files of `atomic_path` and `require_writable_folder` whose process has ended."""
     for pattern in (".*", "*/.*"):
         for path in folder.glob(pattern):
             match = _TEMPORARY.fullmatch(path.name)
@@ -88,7 +88,7 @@ def _is_running(process: int) -> bool:
 
 
 def cannot_write(path: Path | str, error: OSError) -> CannotWrite:
-    """Return the one line for a failed write."""
+    """Return the error for a failed write, as one line."""
     reason = error.strerror or str(error)
     match error.errno:
         case errno.ENOSPC | errno.EDQUOT:

@@ -29,7 +29,7 @@ class PageSize(Enum):
 
 
 def write_board_pdf(path: Path | str, layout: BoardLayout, page: PageSize = PageSize.A4) -> None:
-    """Draw the board in the middle of a page, with a scale bar and what to do with it.
+    """Draw the board in the middle of a page, with a scale bar and instructions.
 
     Raises `BadInput` where the board does not fit on the page, `CannotWrite` where the file cannot be made.
     """

@@ -1,4 +1,4 @@
-"""Normal map conventions on disk, and the one flip between the camera and the graphics frame."""
+"""Axes on disk: conventions of normal maps, and the flip between camera frame and graphics frame."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class MeshUpAxis(Enum):
 
 
 def graphics_from_camera(vectors: FloatArray, up: MeshUpAxis = MeshUpAxis.Y) -> FloatArray:
-    """Turn points or directions (..., 3) about x, by half a turn (y up) or a quarter (z up); windings stay.
+    """Rotate points or directions (..., 3) about x by 180° (y up) or 90° (z up); the winding is unchanged.
 
     With y up it is its own inverse.
     """
@@ -58,9 +58,6 @@ def graphics_from_camera(vectors: FloatArray, up: MeshUpAxis = MeshUpAxis.Y) -> 
     return vectors * np.array([1, -1, -1], dtype=vectors.dtype)
 
 
-# Motion between the axes on disk (y up) and in memory (y down): half a turn about x, its own inverse.
-
-
 def motion_with_axes_turned(motion: Motion) -> Motion:
-    """Return the motion in the other of the two frames."""
+    """Return the motion in the other frame: y up on disk, y down in memory."""
     return motion.turned(graphics_from_camera(np.eye(3)))

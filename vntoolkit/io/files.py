@@ -1,4 +1,4 @@
-"""What every reader asks first: is there a file, and is something in it?"""
+"""Reading whole files: checks, hashes, JSON; every failure is one line."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def read_text(path: Path | str, error: type[BadInput] = BadInput, expected: str 
 
 
 def require_inside(folder: Path, name: str, source: Path | str, error: type[BadInput] = BadInput) -> Path:
-    """Return the path of a file that another file names, or raise where it leads out of `folder`."""
+    """Return the path of a file that another file names; raise if it lies outside `folder`."""
     if len(name) > _LONGEST_NAME:
         raise error(f"{source}: names a file by {len(name)} characters")
     try:
@@ -79,11 +79,8 @@ def source_file(path: Path | str) -> SourceFile:
     return SourceFile(file=Path(path).name, sha256=sha256_of_file(path))
 
 
-# JSON that a person or a program wrote, parsed with every failure on one line.
-
-
 def parse_json(text: str, name: str, error: type[BadInput] = BadInput, expected: str = "a JSON file") -> Any:
-    """Return what a JSON text holds; raise `error` where it is none, as `expected`, or is nested too deeply.
+    """Return the content of a JSON text; raise `error` if it is invalid or nested too deeply.
 
     NaN and infinity pass, as Python has it: the schema, which can name the key, refuses them.
     """

@@ -124,9 +124,6 @@ def _read_rows(path: Path) -> Points:
     return table
 
 
-# A folder laid out like an object of the DiLiGenT benchmark (shi2019), for code that reads those.
-
-
 def write_diligent(
     folder: Path,
     images: list[npt.NDArray[np.uint16]],
@@ -135,7 +132,7 @@ def write_diligent(
     normal_map: NormalMap,
     convention: NormalConvention = NormalConvention.OPENGL,
 ) -> None:
-    """Write one object.
+    """Write one object in the layout of the DiLiGenT benchmark (shi2019).
 
     images: k of (h, w, 3), linear, 65535 = full scale. light_directions: (k, 3) unit vectors towards the
     lights, camera frame. light_intensities: (k, 3) red, green, blue, by which the

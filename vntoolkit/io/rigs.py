@@ -1,4 +1,4 @@
-"""rig.json to `Rig` and back."""
+"""Reading and writing rig.json, and its schema."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def text_from_model(model: BaseModel) -> str:
 
 
 def one_line_from_validation(problem: ValidationError, model: type[BaseModel]) -> str:
-    """Turn pydantic's report into one line about its first error, with the key's path."""
+    """Return pydantic's first error as one line with the path of the key."""
     error = problem.errors(include_url=False)[0]
     key = _clipped(".".join(map(str, error["loc"])), 120) or "the whole file"
     match error["type"]:
@@ -258,7 +258,7 @@ class ResponseEntry(_Entry):
 
 
 class ColourEntry(_Entry):
-    """How stored values become light."""
+    """How stored values are converted to linear light."""
 
     order: Literal["rgb"] = Field(default="rgb", description="Order of the channels in the matrix.")
     transfer: str = Field(default="linear", description="linear, srgb, bt709 or gamma:G.")
@@ -293,7 +293,7 @@ class SourceEntry(_Entry):
 
 
 class RigFile(_Entry):
-    """A vntoolkit rig: the camera, how lights and surface become colour, and how far to trust it."""
+    """A vntoolkit rig: camera, light response, colour encoding, and quality of the calibration."""
 
     version: Literal[1, 2] = Field(default=1, description="Version of this schema.")
     camera: CameraEntry

@@ -1,4 +1,4 @@
-"""Mesh cleaning by pymeshlab: crumbs removed, small holes closed, fewer triangles where asked."""
+"""Mesh cleaning by pymeshlab: removes small pieces, closes small holes, reduces triangles on request."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Depth to a triangle mesh or a point cloud: one vertex a valid pixel."""
+"""A triangle mesh or a point cloud from depth, with one vertex per valid pixel."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Floor 1, light: encoded values to linear ones, the light response M, the forward model."""
+"""Floor 1, light: transfer curves, the light response M, the forward model."""

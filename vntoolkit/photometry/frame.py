@@ -1,4 +1,4 @@
-"""One linear colour frame of a capture: what every later stage starts from."""
+"""A linear colour frame of a capture, and the labels of the lights that reach its pixels."""
 
 from __future__ import annotations
 
@@ -41,9 +41,6 @@ class LinearFrame:
     def shape(self) -> tuple[int, int]:
         """(h, w)."""
         return self.rgb.shape[0], self.rgb.shape[1]
-
-
-# Which of the three lights reach a pixel: one byte per pixel, bit k for light k.
 
 
 def labels_from_lit(lit: npt.NDArray[np.bool_]) -> VisibilityLabels:

@@ -1,4 +1,4 @@
-"""The forward model: the colour of a matte surface under three coloured lights; and its inverse."""
+"""The Lambertian model: the colour of a matte surface under three coloured lights, and its inverse."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ def _positions(positions_px: FloatArray | None, values: FloatArray) -> FloatArra
 
 
 class Leveller:
-    """Takes each pixel from its own response to the central one: r' = M₀ M(u, v)⁻¹ (r − a(u, v)) + a₀.
+    """Converts a frame from M(u, v) to the M₀ of the centre: r' = M₀ M(u, v)⁻¹ (r − a(u, v)) + a₀.
 
-    For stages that reason about lights (shadows) and know one M. Exact where all three lights arrive; where
-    one does not, as good as the lights' directions at the pixel resemble those at the centre: the mixing
-    lends a missing light a little of the others. To see which lights are missing, use `frame_by_strength`.
+    For stages that need one M, such as shadow detection. Exact where all three lights reach the pixel. Where
+    one does not, the mixing adds a little of the other lights to it, less so the more the lights' directions
+    at the pixel resemble those at the centre. To detect missing lights, use `frame_by_strength`.
     """
 
     def __init__(self, response: LightResponse, shape: tuple[int, int]) -> None:
@@ -65,14 +65,14 @@ class Leveller:
         self._scale_offset = (response.ambient - (scale @ ambients[..., None])[..., 0]).astype(np.float32)
 
     def frame(self, frame: LinearFrame) -> LinearFrame:
-        """Return the frame as the central response would have made it."""
+        """Return the frame as the response of the centre would have formed it."""
         rgb = np.einsum("vuij,vuj->vui", self._mix, frame.rgb) + self._offset
         return LinearFrame(rgb=rgb, clipped=frame.clipped, number=frame.number)
 
     def frame_by_strength(self, frame: LinearFrame) -> LinearFrame:
-        """Return the frame with every light as strong as at the centre, a missing one still missing.
+        """Return the frame with every light as strong as at the centre; a missing light stays missing.
 
-        The directions stay the pixel's own, so that normals from it are a little off.
+        The lights' directions remain those of the pixel, so normals computed from it have a small error.
         """
         rgb = np.einsum("vuij,vuj->vui", self._scale, frame.rgb) + self._scale_offset
         return LinearFrame(rgb=rgb, clipped=frame.clipped, number=frame.number)

@@ -1,4 +1,4 @@
-"""The light response: how a surface's normal becomes a colour, r = M n + a."""
+"""The light response, r = M n + a: M and ambient light, constant or varying over the image."""
 
 from __future__ import annotations
 
@@ -79,9 +79,9 @@ class LightResponse:
 
     @property
     def contributions_from_rgb(self) -> Matrix3:
-        """(3, 3) matrix that splits a colour into the shares of the three lights.
+        """(3, 3) matrix that splits a colour into the contributions of the three lights.
 
-        Identity where the light colours are not known: then a channel stands for a light.
+        Identity if the light colours are unknown: then each channel stands for one light.
         """
         if self.light_colours is None:
             return np.eye(3)
@@ -140,9 +140,6 @@ class ResponseVariation:
         """Return x^i y^j, (..., k), at positions (..., 2)."""
         xy = (np.asarray(positions_px, dtype=np.float64) - self.centre_px) / self.scale_px
         return np.asarray((xy[..., None, :] ** self.powers).prod(axis=-1))
-
-
-# How the light response changes over the image: near lights shine from elsewhere at every pixel.
 
 
 def powers_to_degree(degree: int) -> npt.NDArray[np.int64]:

@@ -1,4 +1,4 @@
-"""A rig: the camera, how lights and surface become colour, and how far to trust it."""
+"""A rig: camera, light response, transfer curve, and the quality of its calibration."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class SourceFile:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rig:
-    """Everything that turns footage into normals and depth."""
+    """All calibrated data that normals and depth need."""
 
     camera: Camera
     response: LightResponse

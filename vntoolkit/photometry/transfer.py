@@ -1,4 +1,4 @@
-"""Encoded values to linear light and back: transfer curves, black level, white level.
+"""Conversion between encoded values and linear light: transfer curves, black level, white level.
 
 Decoding 8- and 16-bit integers goes through a table of all values, so the cost of the curve vanishes.
 """

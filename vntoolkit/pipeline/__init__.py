@@ -1,1 +1,1 @@
-"""Floor 3, the stages joined: one file a job, streaming, one worker or many."""
+"""Floor 3, the stages joined to jobs: one file per job, streaming frames, one worker or many."""

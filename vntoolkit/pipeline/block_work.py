@@ -1,4 +1,4 @@
-"""The work on one block of frames, in this process or another: read, process, write, report."""
+"""Work on a block of frames in one process: read ahead, process, write behind, smooth over time."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _FULL = 65535
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReconstructionJob:
-    """Everything that a worker needs, small enough to send to another process or machine.
+    """A reconstruction as sent to workers: source, rig, options and folder.
 
     source: as for `open_capture`. mask, background: files or None. threads: for decoding; with 1, reading,
     processing and writing take turns, so that a worker is one core's. limits: on what any process reads.
@@ -63,7 +63,7 @@ class ReconstructionJob:
 
     @property
     def ties_depth(self) -> bool:
-        """True where depth is made and tied to a reference frame."""
+        """True if depth is computed and its free constant is fixed by a reference frame."""
         return self.options.depth_offset is DepthOffset.REFERENCE and self.options.to is not Product.NORMALS
 
     def open_capture(self) -> Capture:
@@ -156,7 +156,7 @@ def record_of(result: FrameResult, seconds: float) -> FrameEntry:
     )
 
 
-# Reading ahead and writing behind, a thread and a bounded queue each, so that disk and cores overlap.
+# Reading and writing run in threads with bounded queues, so that disk and processor work at the same time.
 
 
 def read_ahead(items: Iterable[Item], depth: int = 2) -> Iterator[Item]:
@@ -240,7 +240,7 @@ class _Failure:
         self.error = error
 
 
-# What frames owe to other frames: the reference that fixes the free depth, and smoothing over time.
+# Smoothing over time: each frame is blended with the captured frames before and after it.
 
 
 def smoothed_frames(capture: Capture, block: range, sameness: float) -> Iterator[EncodedFrame]:
@@ -279,9 +279,6 @@ def _blended(before: EncodedFrame, now: EncodedFrame, after: EncodedFrame, samen
         return now
     values = smoothed_over_time(before.values, now.values, after.values, now.bits, sameness)
     return replace(now, values=values, bits=16)
-
-
-# Noise averaged over a frame and its two neighbours in time, where the picture rests.
 
 
 def smoothed_over_time(

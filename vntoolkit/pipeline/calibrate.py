@@ -1,4 +1,4 @@
-"""Calibration from footage to rig: reading, the calibration object, sources."""
+"""Calibration on a ball, a board or known lights: from footage to rig."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def calibrate_board(
     options: BoardOptions,
     on_frame: Progress = lambda done, total: None,
 ) -> tuple[Rig, BoardCalibration]:
-    """Fit a rig to footage of a board that is tilted this way and that; constant memory."""
+    """Fit a rig to footage of a board that is tilted in all directions, in constant memory."""
     capture = job.open()
     info = capture.info
     numbers = job.frames.numbers(info.frame_count)

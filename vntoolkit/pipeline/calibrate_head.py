@@ -1,4 +1,4 @@
-"""Calibration on a bare head that turns: tracks, poses, hull, stereo, light, joined into a rig."""
+"""Calibration on a bare head that turns: tracks, poses, hull, stereo and light give a rig."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ Progress = Callable[[str, int, int], None]
 
 
 class Features(Enum):
-    """What is recognised from frame to frame."""
+    """What is matched between frames."""
 
     TRACKS = "tracks"  # skin followed by optical flow: video, up to 4 degrees from frame to frame
     SIFT = "sift"  # features matched: photographs, up to 20 degrees apart; slower
@@ -78,7 +78,7 @@ class HeadShape(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class FollowOptions:
-    """How footage is followed. features: skin followed from frame to frame, or features matched."""
+    """How frames are matched. features: tracks of the skin, or SIFT features."""
 
     features: Features = Features.TRACKS
     contrast: ContrastOptions = field(default_factory=ContrastOptions)
@@ -108,7 +108,7 @@ class HeadOptions:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HeadCalibration:
-    """Everything that a calibration found. mesh: in the head frame. light_numbers: frames of the samples.
+    """Result of a calibration. mesh: in the head frame. light_numbers: frames of the samples.
 
     stage_seconds: wall time per stage.
     """
@@ -266,9 +266,6 @@ class HeadFootage:
     numbers: tuple[int, ...]
     silhouettes: tuple[Silhouette, ...]
     contrasts: tuple[npt.NDArray[np.uint8], ...]
-
-
-# Silhouettes and tracks of a turning head, frame by frame.
 
 
 def follow_frames(

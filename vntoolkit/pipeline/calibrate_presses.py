@@ -155,9 +155,6 @@ def _without(frame: LinearFrame, usable: Mask) -> LinearFrame:
     return LinearFrame(rgb=frame.rgb, clipped=frame.clipped | ~usable, number=frame.number)
 
 
-# Labels of ball presses: one text file a frame, `u v contact_radius` in pixels.
-
-
 def read_press_label(path: Path | str) -> tuple[float, float, float]:
     """Read centre u, v and contact radius, pixels, of one press."""
     words = read_text(path).split()

@@ -1,4 +1,4 @@
-"""Blocks of frames on many machines, by Dask: a scheduler, workers, and a folder that all of them see.
+"""Blocks of frames on many machines by Dask; all workers must see the same folders.
 
 A block is one task. Its worker opens the capture once, writes every frame's files itself, atomically, and
 returns only the records; so nothing large travels. A worker that dies costs the block it was at: the
@@ -52,7 +52,7 @@ def run_blocks_on_cluster(
 
 
 def require_scheduler(scheduler: str) -> None:
-    """Raise what `connected` would, without starting anything, so that nothing is written before."""
+    """Raise what `connected` would raise, without starting anything, before files are written."""
     if scheduler != LOCAL:
         with connected(scheduler, workers=0):
             return
@@ -93,7 +93,7 @@ def _import_distributed() -> tuple[Any, Any]:
 
 
 def _let_dask_report_errors_only() -> None:
-    """Dask's loggers tell of every connection on the way to the user's terminal."""
+    """Silence Dask's loggers, which report every connection, but for errors."""
     for name in ("distributed", *logging.root.manager.loggerDict):
         if name.partition(".")[0] == "distributed":
             logger = logging.getLogger(name)

@@ -1,4 +1,4 @@
-"""The whole job on synthetic footage: film a board, calibrate on it, film a garment, reconstruct it.
+"""The whole chain on simulated footage: render a board, calibrate, render a garment, reconstruct it.
 
 What a user does with lamps and a camera of their own, in the same order and by the same functions.
 """

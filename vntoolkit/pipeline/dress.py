@@ -1,4 +1,4 @@
-"""A captured garment on a moving figure: fit, weigh, skin, and write, one frame in memory at a time."""
+"""A captured garment on an animated skeleton: fit, weights, skinning, output, one frame at a time."""
 
 from __future__ import annotations
 
@@ -230,9 +230,6 @@ def _write_files(dressed: DressedFigure, pattern: Path) -> int:
     for count, vertices in enumerate(dressed.frames(), start=1):
         write_mesh(pattern.with_name(pattern.name % (count - 1)), template.with_vertices(vertices))
     return count
-
-
-# What `dress` reads: motion capture by its suffix, and the folder that `track` wrote.
 
 
 def read_motion(path: Path | str, skeleton: Path | str | None = None) -> Motion:

@@ -1,4 +1,4 @@
-"""Figure 7: a whole sequence's normals against one fitted cylinder; the fit against the simulator's truth."""
+"""Figure 7: normals of a sequence against one fitted cylinder, and the fit against the truth."""
 
 from __future__ import annotations
 

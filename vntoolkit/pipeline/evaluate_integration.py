@@ -1,4 +1,4 @@
-"""Every integrator on surfaces whose depth is known: analytic ones, and real objects scanned beside."""
+"""Depth errors of every integrator, on analytic surfaces and on real scanned objects."""
 
 from __future__ import annotations
 

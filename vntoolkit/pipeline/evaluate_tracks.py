@@ -50,7 +50,7 @@ def read_track_truth(folder: Path) -> TrackTruth:
 def evaluate_tracks(
     track_folder: Path, truth_folder: Path, every: int = 1, options: TrackErrorOptions | None = None
 ) -> list[TrackError]:
-    """Judge every `every`-th tracked frame and the last. Raises BadInput where tracks and truth differ."""
+    """Evaluate every `every`-th tracked frame and the last. Raises BadInput where tracks and truth differ."""
     truth, record = read_track_truth(truth_folder), read_track_record(track_folder)
     sequence = read_mesh_sequence(track_folder)
     numbers: list[int] = record["frames"][: len(sequence)]

@@ -1,4 +1,4 @@
-"""Results to files for other programs: one animated file, or one file a frame, whole or not there."""
+"""Export of results to other programs: one animated file, or one file per frame, written atomically."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _HEADROOM = 1.25  # of a light's picture over the brightest that the rig's mater
 
 @dataclass(frozen=True, kw_only=True)
 class ExportJob:
-    """What to hand on. folder: of `reconstruct`. out: file or folder, None for folder/export/….
+    """What to export. folder: of `reconstruct`. out: file or folder, None for folder/export/….
 
     footage, background: for `diligent`, as for `open_result`.
     """
@@ -59,7 +59,7 @@ class ExportJob:
 
 @dataclass(frozen=True, kw_only=True)
 class ExportSummary:
-    """Where it went; frames in it, and how many of them were there already."""
+    """out: file or folder. frames: in it. kept: of these, from an earlier run."""
 
     out: Path
     frames: int
@@ -73,7 +73,7 @@ def export(
     on_start: Callable[[int, int], None] = lambda total, done: None,
     on_frame: Advance = lambda: None,
 ) -> ExportSummary:
-    """Hand a reconstruction on in another format.
+    """Export a reconstruction in another format.
 
     A single file appears when it is whole. In a folder every file does; the same command again goes on where
     it stopped, and writes again what has changed since. Raises `BadInput`.
@@ -167,7 +167,7 @@ def _export_folder(
 
 
 def _require_same(out: Path, record: Mapping[str, Any]) -> None:
-    """Refuse to mix files of other options or of another result into a folder."""
+    """Raise `BadInput` if the folder holds an export of other options or of another result."""
     path = out / _RECORD
     if path.exists() and parse_json(read_text(path), str(path)) != record:
         raise BadInput(
@@ -188,7 +188,7 @@ def _clear(out: Path) -> None:
 
 
 class ExportFormat(Enum):
-    """What results are handed on as."""
+    """Format of an export."""
 
     PLY = "ply"  # a mesh a frame
     OBJ = "obj"  # a mesh a frame
@@ -226,7 +226,7 @@ _OF_MESHES = (ExportFormat.PLY, ExportFormat.OBJ, ExportFormat.USD, ExportFormat
 
 @dataclass(frozen=True, kw_only=True)
 class ExportOptions:
-    """How results are handed on.
+    """Options of an export.
 
     to: the format: usd, one animated file (Blender keeps its own frame rate when it opens one: set that of
     its scene to the capture's); glb, one animated file of a registered surface, else one a frame; ply and
@@ -266,9 +266,6 @@ class FileLengths:
     metres_per_unit: float
 
 
-# What a user may choose about an export, and what lengths become.
-
-
 def file_lengths(options: ExportOptions, unit: LengthUnit | None) -> FileLengths:
     """Return what lengths of a result become; raise `BadInput` for units that it has no scale for."""
     metres = 1.0 if unit is LengthUnit.METRE else options.scale
@@ -291,7 +288,7 @@ def file_lengths(options: ExportOptions, unit: LengthUnit | None) -> FileLengths
     return FileLengths(factor=1.0, metres_per_unit=shown)
 
 
-# One exported file or folder per frame: meshes, arrays, normal maps, DiLiGenT-like objects.
+# The formats with one file or folder per frame: meshes, arrays, normal maps, DiLiGenT objects.
 
 
 def numbers_with_mesh(result: OpenedResult, track: TrackedSurface | None) -> tuple[int, ...]:
@@ -456,7 +453,7 @@ class _Arrays(FrameExport):
 
 
 class _Diligent(FrameExport):
-    """Each light's share of the frame as a picture of its own, as if it had shone alone."""
+    """One picture per light: its contribution to the frame, as if it had shone alone."""
 
     def __init__(self, result: OpenedResult, track: TrackedSurface | None, options: ExportOptions) -> None:
         super().__init__(result, track, options)
@@ -478,8 +475,8 @@ class _Diligent(FrameExport):
         assert normal_map is not None
         response = self.result.rig.response
         rgb = self.result.linear(number).rgb - response.ambient
-        shares = rgb @ response.contributions_from_rgb.T / self._scale
-        stored = np.rint(np.clip(shares, 0, 1) * 65535).astype(np.uint16)
+        contributions = rgb @ response.contributions_from_rgb.T / self._scale
+        stored = np.rint(np.clip(contributions, 0, 1) * 65535).astype(np.uint16)
         images = [np.repeat(stored[..., k : k + 1], 3, axis=2) for k in range(3)]
         write_diligent(
             self.place(out, number),
@@ -502,7 +499,7 @@ def frame_export(result: OpenedResult, track: TrackedSurface | None, options: Ex
     return kinds.get(options.to, _Meshes)(result, track, options)
 
 
-# What `--to npz` holds: the named arrays of a frame, and those of the registered surface.
+# The arrays of `--to npz`: of a frame, and of the registered surface.
 
 
 def arrays_of_frame(

@@ -1,4 +1,4 @@
-"""One frame from its stored samples to normals, depth and a mesh: the paper's Section III-B."""
+"""One frame: from stored samples to normals, depth and a mesh (brostow2011, Section III-B)."""
 
 from __future__ import annotations
 

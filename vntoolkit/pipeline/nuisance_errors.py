@@ -1,4 +1,4 @@
-"""What each nuisance of a real photograph costs: the normal error with it alone, and with all but it."""
+"""Normal error caused by each nuisance of a real camera: with it alone, and with all others."""
 
 from __future__ import annotations
 

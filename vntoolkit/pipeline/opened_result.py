@@ -1,4 +1,4 @@
-"""A result folder opened for looking at and handing on: which frames it holds, and each frame's parts."""
+"""A result folder opened for reading: its frames, and the maps and meshes of each frame."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class TrackedSurface:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class OpenedResult:
-    """A folder that `reconstruct` wrote, and `track` perhaps.
+    """A folder that `reconstruct` wrote, with or without tracks.
 
     numbers: frames with normals on disk, in order. footage: where the capture is now; empty for where it was
     when it was reconstructed. background: as for `open_capture`. Parts that a frame lacks are None.

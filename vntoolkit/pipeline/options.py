@@ -1,4 +1,4 @@
-"""What a user may choose about a reconstruction."""
+"""Options of `reconstruct`, and their values for the manifest."""
 
 from __future__ import annotations
 
@@ -74,9 +74,6 @@ class ReconstructOptions:
             raise BadInput(f"smoothing: expected a share of full scale from 0 to 1, got {self.smoothing:g}")
         if self.reference_frame is not None and self.reference_frame < 0:
             raise BadInput(f"reference frame: expected a frame number, got {self.reference_frame}")
-
-
-# Options as plain values, for a manifest: nested dataclasses become dotted names.
 
 
 def option_values(options: Any, prefix: str = "", without: tuple[str, ...] = ()) -> dict[str, Any]:

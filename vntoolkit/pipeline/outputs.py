@@ -1,4 +1,4 @@
-"""Where a reconstruction's files lie, and the writing of one frame's."""
+"""The files of a reconstruction: their paths, and the writing of one frame."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Footage and a rig in; normals, depth and meshes on disk, frame by frame, resumable."""
+"""Reconstruction of a capture: normals, depth, meshes; resumable, in one process or many."""
 
 from __future__ import annotations
 
@@ -178,7 +178,7 @@ def _frames_on_disk(job: ReconstructionJob, log: FrameLog) -> set[int]:
 
 
 def _warn_of_the_implausible(job: ReconstructionJob, capture: Capture, numbers: range) -> None:
-    """Log what the footage tells of mistakes that ruin normals without failing."""
+    """Log warnings about mistakes in the footage that spoil normals without an error."""
     try:
         findings = findings_from_capture(capture, job.rig, job.read_mask(capture), numbers)
     except VntError as problem:  # a bad frame is reported when its turn comes
@@ -195,13 +195,13 @@ def _finish(root: Path, manifest: Manifest, log: FrameLog, numbers: range, secon
     write_manifest(root, manifest.model_copy(update={"finished": now_utc(), "timings": timings}))
 
 
-# What a run settles before its first frame, once for a whole folder, and the record that it keeps.
+# Before the first frame: options that rig and footage decide, and the manifest.
 
 
 def resolve_options(
     job: ReconstructionJob, capture: Capture, numbers: range, earlier: Mapping[str, Any]
 ) -> ReconstructionJob:
-    """Return the job with the options that rig and footage decide, so that every frame is done alike.
+    """Return the job with the options that depend on rig and footage resolved, once for all frames.
 
     earlier: options of the run that this one goes on with, empty for none; what that run measured and chose
     is kept. Raises `BadInput` for a mask of another size and a reference frame that is not there,
@@ -244,7 +244,7 @@ def _measured_albedo(job: ReconstructionJob, capture: Capture, number: int, mask
 
 
 def manifest_of_run(job: ReconstructionJob, capture: Capture, frames: FrameRange) -> Manifest:
-    """Return the record of a run of a settled job that begins now; all input files are read and hashed."""
+    """Return the manifest of a run that begins now; reads and hashes all input files."""
     info = capture.info
     extra = {
         name: _source_entry(path)
@@ -276,7 +276,7 @@ def _source_entry(path: Path) -> SourceEntry:
     return SourceEntry(file=record.file, sha256=record.sha256)
 
 
-# Blocks of frames on one worker in this process, or on several processes.
+# Blocks of consecutive frames, in this process or on several processes.
 
 
 def run_blocks(
@@ -334,9 +334,6 @@ def _start_worker(job: ReconstructionJob, workers: int) -> None:
 def _run_block(block: range, already_done: frozenset[int]) -> list[FrameEntry]:
     assert _worker is not None
     return list(_worker.run(block, already_done))
-
-
-# The unit of work of a long run: a block of consecutive frames.
 
 
 def blocks_of(numbers: range, size: int = BLOCK_FRAMES) -> list[range]:

@@ -1,4 +1,4 @@
-"""Real one-shot captures with a reference: the same objects' normals from many lights.
+"""Photographs of real objects under coloured light, with reference normals from many lights.
 
 The folder holds `coloured_light/` (three photographs stacked as red, green, blue), `photometric_stereo/`
 (twelve lights of the same statues, a chrome and a grey ball) and `faces/` (sixty-four flashes of the faces).

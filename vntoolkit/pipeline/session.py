@@ -1,4 +1,4 @@
-"""The captures of one session, filmed with one rig: each reconstructed, and tracked if that is asked for.
+"""Reconstruction and tracking of many captures with one rig.
 
 Frames of a capture are independent, so its blocks go to all workers; tracking goes from frame to frame, so a
 sequence is one worker's. While one capture is tracked the next is reconstructed. A capture that fails does
@@ -31,7 +31,7 @@ Submit = Callable[[TrackJob, ReadingLimits, bool], Result]  # the bool: overwrit
 
 @dataclass(frozen=True, kw_only=True)
 class CaptureOutcome:
-    """What became of one capture. tracks: None where none were asked for. failure: "" or one line."""
+    """Result of one capture. tracks: None if not requested. failure: "" or one line."""
 
     name: str
     reconstruction: ReconstructionSummary | None

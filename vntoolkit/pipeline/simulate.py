@@ -1,4 +1,4 @@
-"""Synthetic captures: render in one process or several, write the truth, then the video.
+"""Synthetic captures: render frames in one process or several, write ground truth, then the video.
 
 Frames are independent of each other and of who renders them: the noise of a frame comes from a generator
 of its own, its mesh from the file that the parent wrote. So neither jobs nor an interruption changes a byte.
@@ -287,9 +287,6 @@ class SimulationJob:
         return json.dumps(content, indent=2) + "\n"
 
 
-# One synthetic capture: what is asked for, and where its files go.
-
-
 def read_motion_file(path: Path) -> FloatArray:
     """Map a (frames, n, 3) .npy file of vertices into memory. Raises `BadMotion`."""
     moved: FloatArray = map_npy(path, BadMotion)
@@ -316,7 +313,7 @@ def require_free(folder: SimulationFolder, description: str, overwrite: bool) ->
     return True
 
 
-# The truth of a synthetic capture on disk: the parts that do not change, and each frame's.
+# Ground truth on disk: the parts that do not change, and those of each frame.
 
 
 def write_fixed_truth(job: SimulationJob) -> None:
@@ -400,9 +397,6 @@ def _lights(job: SimulationJob) -> dict[str, object]:
         "wavelengths_nm": WAVELENGTHS_NM.tolist(),
         "lights": lights,
     }
-
-
-# A contact sheet of a simulated capture: film, normals and lights of frames spread over it.
 
 
 def contact_row(

@@ -1,4 +1,4 @@
-"""One surface through time: the frames of a reconstruction in, one registered moving mesh out."""
+"""Registration of all frames of a reconstruction to one moving mesh."""
 
 from __future__ import annotations
 
@@ -164,7 +164,7 @@ def _follow(
 def _go_on(
     tracker: SurfaceTracker, source: TrackSource, done: tuple[int, ...], folder: Path, row: int
 ) -> None:
-    """Put the tracker into the state of the last frame on disk that was there to be tracked.
+    """Restore the tracker's state after the last tracked frame on disk.
 
     row: of done[0], the template, in the folder's arrays; −1 where it is not among them.
     """

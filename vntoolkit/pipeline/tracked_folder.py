@@ -1,4 +1,4 @@
-"""What `track` reads and writes: the reconstruction's frames, and DIR/track beside them."""
+"""The files that `track` reads and writes: the reconstruction's frames and the folder DIR/track."""
 
 from __future__ import annotations
 

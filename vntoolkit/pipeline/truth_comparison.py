@@ -1,4 +1,4 @@
-"""A reconstruction of simulated footage beside what was true: normals, depth, light response."""
+"""Errors of a reconstruction of simulated footage: normals, depth, light response."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Equations 1 to 3, integrated over wavelength: from lamps, pigments and sensor to colours and M."""
+"""Equations 2 and 3 over wavelength: colours and M from the spectra of lamps, pigments and sensor."""
 
 from __future__ import annotations
 
@@ -88,9 +88,6 @@ def true_response(scene: Scene, nuisances: Nuisances) -> LightResponse:
         ambient=scene.surface.reference_weights @ exposure.ambient_colours,
         light_colours=colours if len(colours) == 3 else None,
     )
-
-
-# The true response of near lights as polynomials of the pixel: what a perfect calibration would find.
 
 
 def true_varying_response(scene: Scene, nuisances: Nuisances, degree: int = 2) -> LightResponse:

@@ -1,4 +1,4 @@
-"""The lamps of a scene: where they stand and what they shine."""
+"""The lamps of a scene: positions and spectra."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MOST_LIGHTS = 3  # a visibility label has one bit for each of three lights
 
 
 class Lighting(Enum):
-    """Which lamps burn: the three coloured ones together, or one of the three places alone, in white."""
+    """Which lamps are on: the three coloured ones, or a white lamp at one of the three places."""
 
     COLOURED = "coloured"
     WHITE_1 = "white-1"

@@ -1,4 +1,4 @@
-"""What keeps a real photograph from obeying r = M n: each can be turned off alone."""
+"""Effects of a real camera that violate r = M n; each can be turned off alone."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _ACROSS = np.array(
 
 @dataclass(frozen=True, kw_only=True)
 class Nuisances:
-    """Everything between the surface and the file that equation 1 leaves out.
+    """Effects between surface and file that equation 1 does not model.
 
     near_lights: light spreads from points and weakens with the square of the distance; off, it is parallel
     and of one strength everywhere. shadows: parts of the subject throw shadows on others. ambient: a little
@@ -84,7 +84,7 @@ class Nuisances:
 
     @classmethod
     def none(cls) -> Nuisances:
-        """Return the world of equation 1: every nuisance off (attached shadow remains)."""
+        """Return the model of equation 1: every nuisance off (attached shadow remains)."""
         nuisances = cls()
         for name in _SWITCHES:
             nuisances = nuisances.without(name)
@@ -97,7 +97,7 @@ class Nuisances:
         return replace(self, **{name: _SWITCHES[name]})  # type: ignore[arg-type]
 
     def only(self, name: str) -> Nuisances:
-        """Return the world of equation 1 with this one nuisance as it is here (noise with its levels)."""
+        """Return the model of equation 1 with only this nuisance on (noise with its levels)."""
         alone = replace(
             Nuisances.none(),
             bits=self.bits,
@@ -144,7 +144,7 @@ class Exposed:
     clipped: Mask
 
 
-# From light on the image plane to numbers in a file: lens blur, noise, Bayer mosaic, clipping, bits.
+# The camera: lens blur, noise, Bayer mosaic, clipping, quantisation.
 
 
 def expose(radiance: LinearImage, nuisances: Nuisances, generator: np.random.Generator) -> Exposed:

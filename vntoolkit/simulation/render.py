@@ -1,4 +1,4 @@
-"""Rendering a frame: rays through every pixel, equations 1 to 3 where they meet the mesh, then the sensor."""
+"""Rendering of a frame: rays through every pixel, shading by equations 1 to 3, then the sensor."""
 
 from __future__ import annotations
 
@@ -217,7 +217,7 @@ def frame_generator(seed: int, index: int) -> np.random.Generator:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FrameTruth:
-    """What is true of one frame.
+    """Ground truth of one frame.
 
     normals: the shaded normal, relief included; where a pixel has several samples, their mean's direction.
     depth: metres, of the mesh (without relief), at the pixel's centre. Both masks are True where the ray

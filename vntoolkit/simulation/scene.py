@@ -1,4 +1,4 @@
-"""What a scene is: the interface between those who build scenes and the renderer.
+"""The interface between scenes and the renderer.
 
 A scene is a function `SceneOptions -> Scene`, registered in `SCENES` below as "module:function". All
 lengths are metres, all positions are in the camera frame (x right, y down, z forward, camera at the
@@ -58,7 +58,7 @@ SCENES: dict[str, str] = {
 
 @dataclass(frozen=True, kw_only=True)
 class SceneOptions:
-    """What every scene can be asked for.
+    """Options of every scene.
 
     width, height: image size in pixels. seed: seed of the scene's own randomness (motion, texture). lighting:
     the coloured lamps together, or one place alone with a white lamp. field_width_m: what the camera sees

@@ -123,7 +123,7 @@ def _contiguous(values: FloatArray | None) -> FloatArray | None:
     return None if values is None else np.ascontiguousarray(values)
 
 
-# Loops over surface samples: position, shading normal, shadow ray's origin, material, colour.
+# Compiled loops over surface samples.
 
 
 @njit(cache=True)

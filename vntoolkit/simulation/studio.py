@@ -1,4 +1,4 @@
-"""The room that every scene is filmed in: one camera, three lamps, about the same distance away."""
+"""Camera and lamps of every scene: one camera and three lamps, all about 5 m from the subject."""
 
 from __future__ import annotations
 

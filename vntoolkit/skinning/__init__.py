@@ -1,1 +1,1 @@
-"""Floor 2, the moving mesh on an animated skeleton."""
+"""Floor 2, skinning: a moving mesh attached to an animated skeleton."""

@@ -1,4 +1,4 @@
-"""Which part of a skeleton is the trunk: found by how it branches, since names differ between files."""
+"""Trunk, arms and legs of a skeleton, found by its branching, because names differ between files."""
 
 from __future__ import annotations
 

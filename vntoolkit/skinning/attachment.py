@@ -1,4 +1,4 @@
-"""Attaching a garment to a skeleton, and cutting the web where sleeve and trunk were captured as one."""
+"""Skinning weights of a garment by heat diffusion; removal of triangles that join sleeve and trunk."""
 
 from __future__ import annotations
 
@@ -100,9 +100,6 @@ def _has_torn_edge(faces: Faces, torn: Faces, count: int) -> npt.NDArray[np.bool
     return np.asarray(np.isin(sides @ [count, 1], codes).any(axis=0))
 
 
-# How much each vertex follows each bone: by heat that spreads along the cloth, not through the air.
-
-
 def weights_from_heat(
     garment: Mesh, skeleton: Skeleton, pose: FloatArray, options: WeightOptions
 ) -> SkinWeights:
@@ -157,7 +154,7 @@ def _heaviest(joints: IntArray, weights: FloatArray, count: int) -> SkinWeights:
     return SkinWeights(joints=joints[order].astype(np.int32), weights=kept / kept.sum(axis=1, keepdims=True))
 
 
-# The bone that a vertex covers: the first that a ball meets which grows on the inner side of the cloth.
+# The bone under a vertex: the first one met by a ball that grows on the inner side of the cloth.
 
 
 def covered_bones(

@@ -1,4 +1,4 @@
-"""Equation 8 of brostow2011, and its dual quaternion form, which does not collapse at twisted joints."""
+"""Equation 8 of brostow2011, and dual quaternion skinning, which does not collapse at twisted joints."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One clock for two recordings: the capture at its rate, the motion at its own."""
+"""A common clock for the capture and the motion, which have different frame rates."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _ON_A_FRAME = 1e-6  # frames: as near as this is on it, for seconds times a rate
 
 
 class Loop(Enum):
-    """What happens when the cloth ends before the motion.
+    """What the cloth does after its last frame.
 
     NONE ends there; REPEAT starts again; PING_PONG plays back and forth, so that nothing jumps.
     """
@@ -30,7 +30,7 @@ class Loop(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class ClockOptions:
-    """When the result runs.
+    """Start, end and rate of the result.
 
     start: second of the motion at which the result begins. stop: second of the motion at which it ends
     (default: the motion's end). speed: seconds of motion per second of result. loop: what a cloth shorter
@@ -66,7 +66,7 @@ class Clock:
 
 
 def clock_from_recordings(cloth: MeshSequence, motion: Motion, options: ClockOptions) -> Clock:
-    """Lay the result's frames over both recordings; raises `BadInput` where they do not overlap."""
+    """Return the instants of the result's frames; raises `BadInput` if the recordings do not overlap."""
     stop = motion.duration_s if options.stop is None else min(options.stop, motion.duration_s)
     if stop < options.start:
         raise BadInput(

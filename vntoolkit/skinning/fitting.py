@@ -1,4 +1,4 @@
-"""Bringing garment and skeleton into one pose: by bounding box and up axis, or by landmarks."""
+"""Fit of a garment to a skeleton: placement, arm pose, and the anchor that removes the performer's motion."""
 
 from __future__ import annotations
 
@@ -204,7 +204,7 @@ def _rear(vertices: Points) -> float:
     return float(np.median(rearmost[np.isfinite(rearmost)]))
 
 
-# Turning the figure's arms into the garment's sleeves, since files rest with arms out, aslant or down.
+# Arms: rotated into the garment's sleeves, because rest poses differ between files.
 
 
 def arms_aimed_at_sleeves(
@@ -249,7 +249,7 @@ def _rotation_between(start: Vector3, end: Vector3) -> FloatArray:
 
 
 class Anchor(Enum):
-    """What holds the captured garment in place.
+    """What fixes the captured garment in place.
 
     TRUNK: the rigid motion of what covers the trunk is taken out; folds and sleeves keep moving. NONE: the
     garment moves as captured, performer's steps included.
@@ -275,7 +275,7 @@ class TrunkAnchor:
         return _fit_rigid(now, self._rest, self._weights)
 
 
-# Taking the performer's own steps and turns out of the captured garment, so that it stays on the figure.
+# Anchor: removes the performer's own steps and turns from the captured garment.
 
 
 def _fit_rigid(source: Points, target: Points, weights: FloatArray) -> RigidTransform:

@@ -1,4 +1,4 @@
-"""A figure that walks and swings its arms: the motion that the project generates itself.
+"""A generated walk with swinging arms.
 
 Sines, not captured data: the joints turn with the first two harmonics of the stride, the lower foot
 stands on the floor, and the figure advances by what that foot is swept back.

@@ -1,4 +1,4 @@
-"""Forward kinematics: from the turns of the joints to where every joint is."""
+"""Forward kinematics: poses of all joints from their rotations."""
 
 from __future__ import annotations
 

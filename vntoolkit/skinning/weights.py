@@ -1,4 +1,4 @@
-"""How much each vertex follows each bone: options, and inverse distance to the nearest ones as published."""
+"""Skinning weights: options, and the published weights by inverse distance to the nearest bones."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _NEAREST = 1e-6  # of the skeleton's height: nearer counts as this near, so that
 
 
 class Falloff(Enum):
-    """How a vertex weighs its bones.
+    """How the weights of a vertex are computed.
 
     HEAT: by heat that spreads along the cloth from where each bone lies under it, baran2007: a flank does
     not follow the arm beside it. INVERSE: by 1/distance through the air to the nearest bones, as published;
@@ -38,7 +38,7 @@ _BONES = {Falloff.HEAT: 8, Falloff.INVERSE: 4, Falloff.CONTINUOUS: 4}
 
 @dataclass(frozen=True, kw_only=True)
 class WeightOptions:
-    """How vertices are attached.
+    """Options of the skinning weights.
 
     falloff: how a vertex weighs its bones: by heat along the cloth, by the inverse distance as published,
     or continuous, the same without tears. neighbours: number of bones a vertex follows (default: 8 by heat,

@@ -1,4 +1,4 @@
-"""A first guess of shape and motion by scaled orthography: factorisation, grown frame by frame.
+"""Initialisation of shape and motion: factorisation under scaled orthography, or COLMAP's mapping.
 
 A camera that sees a head from afar is nearly affine, and then two views do not fix the turn between them
 (bas-relief); three and more do. So the first model is not made from a pair of frames but by factorisation
@@ -252,9 +252,6 @@ def _sum_by(index: IntArray, values: FloatArray, count: int) -> FloatArray:
     for place, column in enumerate(flat.T):
         total[:, place] = np.bincount(index, column, minlength=count)
     return total.reshape(count, *values.shape[1:])
-
-
-# A first guess of shape and motion by COLMAP's incremental mapping (schoenberger2016).
 
 
 def map_tracks(tracks: Tracks, camera: Camera, *, refine_focal: bool) -> Guess:

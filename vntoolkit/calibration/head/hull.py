@@ -1,4 +1,4 @@
-"""The visual hull (laurentini1994): what all silhouettes allow, as signed distances and as a mesh."""
+"""The visual hull of all silhouettes (laurentini1994), as signed distances and as a mesh."""
 
 from __future__ import annotations
 
@@ -220,7 +220,7 @@ def box_about_points(points: Points) -> Box:
     )
 
 
-# Views by how far the head is turned in them: an even choice, and neighbours.
+# Choice of views by the turn of the head: evenly spread ones, and neighbours.
 
 
 def spread_over_turn(views: Sequence[SilhouetteView], count: int) -> IntArray:

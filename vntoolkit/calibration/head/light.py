@@ -1,8 +1,8 @@
-"""The light response from skin whose normals are known only about: brostow2011, IV.
+"""The light response from skin with approximate normals (brostow2011, Section IV).
 
-A hypothesis is made from three samples (four with ambient light), the one with the largest support wins, and
-least squares refines it on its inliers. What the lights found leave in shadow is then dropped, and every
-point of the skin gets an albedo of its own, since lips, brows and freckles are no noise.
+Hypotheses come from three samples each (four with ambient light). The one with the largest support is
+refined by least squares on its inliers. Then samples in the shadow of the lights found are dropped, and each
+point of the skin gets its own albedo, because lips, brows and freckles are no noise.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _LEAST_SUPPORT = 0.1  # of the samples
 
 @dataclass(frozen=True, kw_only=True)
 class LightOptions:
-    """How M is fitted to skin.
+    """Options of the fit of M to skin.
 
     light_model: 3×3, or 3×4 with ambient light, for skin of one albedo only: on bare skin, variation of
     albedo passes for ambient light. light_draws: random hypotheses of M that are tried. light_inlier: largest

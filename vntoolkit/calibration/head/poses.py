@@ -25,7 +25,7 @@ _LEAST_KEPT = 0.3  # of the tracks drawn: fewer means that no rigid motion expla
 
 
 class PoseStart(Enum):
-    """Where the first guess of the poses comes from."""
+    """Initialisation of the poses."""
 
     FACTORISATION = "factorisation"  # of tracks over many close frames; a long lens helps
     MAPPING = "mapping"  # frame by frame from pairs; frames may lie 20 degrees apart
@@ -33,7 +33,7 @@ class PoseStart(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class PoseOptions:
-    """How poses are solved.
+    """Options of the poses.
 
     pose_tracks: tracks drawn at random for the solution; more cost time and gain little. least_turn_deg:
     smallest turn from one end to the other that carries a calibration.
@@ -124,7 +124,7 @@ def _factorised(tracks: Tracks, camera: Camera) -> Guess:
 def _seen_in_front(
     tracks: Tracks, known: npt.NDArray[np.bool_], poses: Sequence[RigidTransform | None], points: Points
 ) -> float:
-    """Return how much nearer the points that a frame shows are than all points; the mirror image has < 0."""
+    """Return how much nearer the visible points are than all points; negative for the mirrored solution."""
     nearer = 0.0
     for k, pose in enumerate(poses):
         seen = tracks.point[tracks.frame == k]

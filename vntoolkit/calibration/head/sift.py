@@ -1,4 +1,4 @@
-"""SIFT features (lowe2004) matched between frames, by COLMAP: an alternative to following skin.
+"""SIFT features (lowe2004) matched between frames by COLMAP: the alternative to tracks of the skin.
 
 Far slower than following, but at home with ten and twenty degrees between photographs of a turntable.
 """
@@ -184,9 +184,6 @@ class EpipolarMatches:
     ratio: float
     least: int
     share: float
-
-
-# Matches between two frames that agree on one epipolar geometry.
 
 
 def match_two_views(camera: Any, first: Features, second: Features, limits: EpipolarMatches) -> IntArray:

@@ -1,4 +1,4 @@
-"""The head's silhouette before a dark background, and what makes silhouettes useless."""
+"""The head's silhouette before a dark background, and checks of the footage."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _MOST = 0.2  # share of the frames that may show a fault
 
 @dataclass(frozen=True, kw_only=True)
 class SilhouetteOptions:
-    """How the head is told from the background.
+    """Options of the silhouettes.
 
     threshold: mean of the channels, 0 to 1 of full scale, above which a pixel is subject; default: found from
     the image's border.

@@ -1,4 +1,4 @@
-"""Depth by correlation between neighbouring poses, searched in shells about the hull (hernandez2004).
+"""Stereo by correlation between neighbouring poses, searched near the hull (hernandez2004).
 
 The images are of local contrast, so that the shading, which moves over the turning skin, does not correlate.
 """
@@ -30,7 +30,7 @@ _LONE_STEPS = 1.0  # from the median of its neighbours: further off, a depth is 
 
 @dataclass(frozen=True, kw_only=True)
 class StereoOptions:
-    """How depth is searched.
+    """Options of the search for depth.
 
     references: views that get a depth map, evenly over the turn. neighbour_angles_deg: turn between a
     reference and the views it is compared with, to both sides. stereo_window_px: side of the compared window.
@@ -236,7 +236,7 @@ def points_of_depth(
     step: float,
     smoothing_px: float,
 ) -> OrientedPoints:
-    """Take out lone depths, smooth, and take normals from the slopes of the points.
+    """Remove isolated depths, smooth, and compute normals from the slopes of the points.
 
     step: between two depths that were tried; as much and more may lie between a depth and its neighbours'.
     """

@@ -1,4 +1,4 @@
-"""Points of the skin followed through the frames: corners, pyramidal Lucas–Kanade, there and back."""
+"""Tracks of skin points: corners followed by pyramidal Lucas–Kanade with a forward-backward check."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _WIDEST_VALUE = 4.0  # that becomes black or white in 8 bits
 
 @dataclass(frozen=True, kw_only=True)
 class TrackOptions:
-    """How skin is followed.
+    """Options of the tracks.
 
     corners: most corners followed at a time. corner_quality: weakest corner as a share of the strongest.
     corner_spacing_px: least distance between corners, pixels. window_px: side of the window that is compared,
@@ -178,7 +178,7 @@ def _flow(source: Any, target: Any, start: Any, window_px: int) -> tuple[Any, An
 
 
 def require_tracks(tracks: Tracks) -> None:
-    """Raise `BadCalibration` where the tracks break off half-way or the skin carries too few."""
+    """Raise `BadCalibration` if the tracks end half-way or are too few."""
     shared = pairs_shared(tracks, 1)
     weakest = int(np.argmin(shared)) if len(shared) else 0
     if not len(shared) or np.median(shared) < 60:
@@ -196,7 +196,7 @@ def require_tracks(tracks: Tracks) -> None:
 
 
 def _require_motion(tracks: Tracks) -> None:
-    """Refuse footage in which nothing turns: a still head, an empty room."""
+    """Raise `BadCalibration` if nothing moves: a still head or an empty room."""
     low = np.full((tracks.point_count, 2), np.inf)
     high = -low
     np.minimum.at(low, tracks.point, tracks.positions_px)
@@ -219,7 +219,7 @@ def pairs_shared(tracks: Tracks, apart: int) -> IntArray:
 
 @dataclass(frozen=True, kw_only=True)
 class ContrastOptions:
-    """How shading is taken out of an image.
+    """Options of the local contrast, which removes shading.
 
     contrast_px: standard deviation in pixels of the window whose mean and spread are divided out.
     contrast_floor: spread, in levels of 255, that is taken for noise and not amplified.
@@ -233,7 +233,7 @@ class ContrastOptions:
             raise BadInput("contrast_px, contrast_floor: expected positive numbers")
 
 
-# Local contrast: an image in which skin texture stays and the shading that moves over it does not.
+# Local contrast: an image that keeps the texture of the skin and removes the moving shading.
 
 
 def local_contrast(rgb: LinearImage, options: ContrastOptions) -> FloatArray:

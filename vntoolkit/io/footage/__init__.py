@@ -1,1 +1,1 @@
-"""Captures in: video, images, folders; decoded, linear, frame by frame."""
+"""Reading captures: videos, images and folders become linear frames, one at a time."""

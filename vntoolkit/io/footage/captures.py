@@ -1,4 +1,4 @@
-"""A capture: a video, an image, a folder of images or a pattern; linear colour frames come out."""
+"""Captures: a video, an image, a folder of images or a pattern, read as linear colour frames."""
 
 from __future__ import annotations
 
@@ -230,9 +230,6 @@ class CaptureKind(Enum):
     VIDEO = "video"
     IMAGE = "image"
     SEQUENCE = "image sequence"
-
-
-# From what a person typed to the files of a capture, in the order of their numbers.
 
 
 def find_capture_files(source: Path | str) -> tuple[CaptureKind, tuple[Path, ...]]:

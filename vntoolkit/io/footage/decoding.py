@@ -16,7 +16,7 @@ from vntoolkit.photometry.transfer import Transfer, decoding_table
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EncodedFrame:
-    """One frame as stored: what a kernel that goes straight from bytes to normals starts from.
+    """One frame as stored, for a kernel that computes normals directly from the stored samples.
 
     values: (h, w, 3) RGB, uint8, uint16 or float32 (EXR: linear already). bits: significant bits of an
     integer sample, so that 2**bits - 1 is full scale. number: counted from 0 in the capture. name: the file,

@@ -1,4 +1,4 @@
-"""What a video stores per pixel, and its way to RGB without losing bits."""
+"""Pixel formats of video, and their conversion to RGB at full bit depth."""
 
 from __future__ import annotations
 
@@ -87,9 +87,6 @@ def rgb_from_video_frame(frame: Any, pixel_format: PixelFormat, *, hd: bool) -> 
         if frame.colorspace == _UNSPECIFIED:
             arguments["src_colorspace"] = _SWS_ITU709 if hd else _SWS_ITU601
     return np.ascontiguousarray(frame.reformat(format=target, **arguments).to_ndarray())
-
-
-# YUV of 9 to 16 bits to 16-bit RGB, exact to half a level.
 
 
 def rgb_from_deep_yuv(frame: Any, source: Any, bits: int, *, hd: bool) -> npt.NDArray[np.uint16]:

@@ -1,4 +1,4 @@
-"""Lens distortion taken out of frames, so that every later stage sees a pinhole camera."""
+"""Resampling of frames: undistortion to a pinhole camera, and rectification of a plane."""
 
 from __future__ import annotations
 
@@ -57,9 +57,6 @@ class Undistorter:
             return mask
         moved = cv2.remap(mask.astype(np.uint8), *self._maps, cv2.INTER_NEAREST)
         return (moved > 0) & self.inside
-
-
-# Frames of a plane seen at an angle, resampled onto the plane.
 
 
 def rectify_frame(frame: LinearFrame, rectification: Rectification) -> LinearFrame:

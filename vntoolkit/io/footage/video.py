@@ -283,9 +283,6 @@ class _Packets:
     broken: int = 0
 
 
-# One pass over the packets of a video, undecoded: when each frame is shown, how many, which are damaged.
-
-
 def index_of_stream(container: Any, stream: Any, name: str, *, has_checksums: bool) -> VideoIndex:
     """Index an opened video. has_checksums: the codec is FFV1, whose slices may carry them."""
     packets = _Packets()
@@ -415,9 +412,6 @@ def _remainder(data, tables):  # type: ignore[no-untyped-def]  # pragma: no cove
     for i in range(whole, len(data)):
         crc = np.uint32(crc << np.uint32(8)) ^ tables[0, data[i] ^ (crc >> np.uint32(24))]
     return crc
-
-
-# FFmpeg through PyAV: files opened quietly, by names that are never protocols, with errors on one line.
 
 
 def open_video(path: Path) -> tuple[Any, Any]:

@@ -1,1 +1,1 @@
-"""Maps, meshes and scenes on disk, in the forms that other tools read."""
+"""Reading and writing maps, meshes and scenes in the formats of other tools."""

@@ -1,4 +1,4 @@
-"""Arrays of numpy's own files, mapped or read, without pickles and with every failure on one line."""
+""".npy and .npz files, mapped, read or streamed, without pickles; every failure is one line."""
 
 from __future__ import annotations
 
@@ -57,9 +57,6 @@ class StreamedArray:
     shape: tuple[int, ...]
     dtype: npt.DTypeLike
     rows: Iterator[npt.NDArray[Any]]
-
-
-# Arrays by name in one .npz file, large ones streamed row by row.
 
 
 def write_npz(path: Path | str, arrays: Mapping[str, npt.ArrayLike | StreamedArray]) -> None:

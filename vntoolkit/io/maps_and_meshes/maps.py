@@ -164,9 +164,6 @@ def _normals_from_exr(
         raise BadInput(f"{path}: unknown normal convention '{convention}'") from problem
 
 
-# Normals as half floats, the four planes of an EXR, in one pass over the pixels.
-
-
 def half_planes_from_normals(
     normal_map: NormalMap, signs: tuple[float, float, float]
 ) -> npt.NDArray[np.float16]:

@@ -110,9 +110,6 @@ def _colours(content: PlyContent) -> npt.NDArray[np.float32] | None:
     return None if content.colours is None else content.colours.astype(np.float32) / np.float32(255)
 
 
-# Wavefront OBJ with its material file and texture; positions in the frame of the file.
-
-
 def write_obj(
     path: Path | str,
     mesh: Mesh,

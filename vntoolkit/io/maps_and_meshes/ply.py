@@ -253,9 +253,6 @@ class PlyElement:
         return any(p.count_kind for p in self.properties)
 
 
-# The header of a PLY file: which elements with which properties follow.
-
-
 def parse_ply_header(data: bytes, name: str) -> tuple[str, list[PlyElement], int]:
     """Return the byte order (`<`, `>` or `ascii`), the elements and where their data begins."""
     if not data.startswith(b"ply"):

@@ -1,4 +1,4 @@
-"""Animated USD: one moving surface with its skeleton, or a new mesh every frame; streamed.
+"""Animated USD: a moving mesh with its skeleton, or a new mesh in every frame; written in constant memory.
 
 Vertices come in the camera frame (y down) and leave with y up, as every file, or z up. Houdini, Maya and
 usdview take scale, up axis and frame rate from the file. Blender 5.0.1 takes scale, axis and the range of
@@ -184,9 +184,6 @@ class UsdStage:
         self._pending = 0
 
 
-# A USD stage that is written as it grows: one binary file, constant memory, whole or not there.
-
-
 @contextlib.contextmanager
 def new_stage(
     path: Path | str, *, frame_rate_hz: float, metres_per_unit: float, up: MeshUpAxis = MeshUpAxis.Y
@@ -222,9 +219,6 @@ def vec3f_from_camera(vectors: npt.NDArray[Any], up: MeshUpAxis = MeshUpAxis.Y) 
     return Vt.Vec3fArray.FromNumpy(graphics_from_camera(np.asarray(vectors, dtype=np.float32), up))
 
 
-# A matte material that shows the vertex colours: without one Blender reads the colours and renders grey.
-
-
 def add_colour_material(stage: Any, path: str, surface: Any) -> None:
     """Define at `path` a UsdPreviewSurface whose colour is the primvar `displayColor`; bind the surface."""
     from pxr import Sdf, UsdShade
@@ -241,9 +235,6 @@ def add_colour_material(stage: Any, path: str, surface: Any) -> None:
     shown = shader.CreateOutput("surface", Sdf.ValueTypeNames.Token)
     material.CreateSurfaceOutput().ConnectToSource(shown)
     UsdShade.MaterialBindingAPI.Apply(surface.GetPrim()).Bind(material)
-
-
-# A moving skeleton as UsdSkel: what Blender imports as an armature and Houdini as a rig.
 
 
 def add_skeleton(stage: Any, path: str, motion: Motion) -> None:

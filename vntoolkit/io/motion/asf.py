@@ -185,9 +185,6 @@ class AsfSkeleton:
     degrees: bool
 
 
-# The skeleton half of Acclaim motion capture: ASF files.
-
-
 def read_asf(path: Path) -> AsfSkeleton:
     """Read an ASF skeleton; raises `BadMotion` on anything malformed, cycles included."""
     size = require_file(path, BadMotion).stat().st_size

@@ -1,4 +1,4 @@
-"""BVH motion capture: read by pybvh behind guards, and written by it.
+"""BVH motion capture: checked here, read and written by pybvh.
 
 pybvh is maintained, computes in float64 and reads a CMU take of a thousand frames in 8 ms. Of the
 others, bvhio loops for ever at the end of a truncated file and computes in single precision, and bvh

@@ -1,4 +1,4 @@
-"""The small file in which a person corrects how a garment sits: JSON, metres and degrees, y up."""
+"""The JSON file that corrects the fit of a garment: metres, degrees, y up."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What a result folder holds beside its maps: the manifest, the frame log, moving meshes, seams."""
+"""Files of a result folder beside the maps: manifest, frame log, moving mesh, seams."""

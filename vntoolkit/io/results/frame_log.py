@@ -1,4 +1,4 @@
-"""frames.log: which frames of a result folder are wholly on disk, and what each was like."""
+"""frames.log: the frames of a result folder that are complete on disk, with statistics of each."""
 
 from __future__ import annotations
 

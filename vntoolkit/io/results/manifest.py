@@ -1,4 +1,4 @@
-"""reconstruction.json: what a result folder was made from, with what, and how far it got.
+"""reconstruction.json: inputs, options and versions of a result folder.
 
 The manifest is written when a run starts and when it ends; finished frames are appended to frames.log
 beside it (`frame_log`), one short line each, so that 10,000 frames cost no more each than the first.
@@ -76,7 +76,7 @@ def write_manifest(folder: Path | str, manifest: Manifest) -> None:
 
 
 def has_manifest(folder: Path | str) -> bool:
-    """Tell whether a folder holds results; False where it may not be looked into: writing there will tell."""
+    """Tell whether a folder holds results; False for a folder that cannot be read (writing will raise)."""
     return os.access(Path(folder) / MANIFEST_NAME, os.F_OK)
 
 
@@ -98,7 +98,7 @@ def read_manifest(folder: Path | str) -> Manifest:
 
 
 def changes_between(before: Manifest, now: Manifest) -> list[str]:
-    """Return what makes the results of two runs differ, one phrase each; empty where they may be mixed.
+    """Return the differences of two runs, one phrase each; empty if their results may be mixed.
 
     Frames asked for, folders written, versions and times may differ; inputs, rig and options may not.
     """
@@ -122,7 +122,7 @@ def changes_between(before: Manifest, now: Manifest) -> list[str]:
 
 
 def require_resumable(folder: Path | str, now: Manifest) -> None:
-    """Raise `BadInput` that names what changed, where `folder` holds results of other inputs or options."""
+    """Raise `BadInput` if `folder` holds results of other inputs or options; the message names the change."""
     if not has_manifest(folder):
         return
     changes = changes_between(read_manifest(folder), now)

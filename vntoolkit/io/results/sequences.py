@@ -1,4 +1,4 @@
-"""Moving meshes on disk: a folder written frame by frame, resumed where it stopped, read as a memory map.
+"""Moving meshes on disk: a folder written frame by frame, resumable, and read as a memory map.
 
 The folder holds template.ply (topology, colours, texture coordinates; graphics frame, like every PLY),
 vertices.npy (float32, (frames, n, 3), **camera frame**, so that it can be mapped as it is),

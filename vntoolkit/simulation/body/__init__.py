@@ -1,1 +1,1 @@
-"""Bodies of tapered capsules and implicit surfaces: what a garment hangs on and what a head is made of."""
+"""Bodies of tapered capsules and implicit surfaces, used by the sweater, spandex and head scenes."""

@@ -1,4 +1,4 @@
-"""The scene `spandex`: two legs that step in front of each other and throw shadows (Figures 4, 5)."""
+"""The scene `spandex`: two legs that step in front of each other and cast shadows (Figures 4, 5)."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ class Legs:
         return points + np.array([*pose.sway_cm, 0.0])
 
 
-# Two legs in one skin: an implicit body at rest, bent at hips and knees without pinching.
+# The legs: an implicit body at rest, bent at hips and knees.
 
 
 def _turned(points: Points, centre: FloatArray, rotation: FloatArray, share: FloatArray) -> Points:

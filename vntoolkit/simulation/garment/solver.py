@@ -160,7 +160,7 @@ def _neighbourhood(faces: Faces, count: int, rings: int) -> IntArray:
     return np.sort(pairs.row.astype(np.int64) * count + pairs.col)
 
 
-# The inner loops of the cloth solver: constraints projected one after another (Gauss–Seidel).
+# Compiled constraints, projected one after another (Gauss–Seidel).
 
 
 @njit(cache=True)

@@ -127,7 +127,7 @@ class DancingGarment:
         return solver
 
 
-# The look of the knit: cables and ribs as relief of the mesh, stitches as detail, heathered yarn.
+# The knit: cables and ribs as relief of the mesh, stitches as detail, colour of the yarn.
 
 
 def knit_relief(along_knit: Points2, gather: FloatArray) -> FloatArray:
@@ -165,7 +165,7 @@ def heather_texture(rng: np.random.Generator, size: int = 256) -> FloatArray:
     return np.repeat(factor[..., None], 3, axis=2).astype(np.float32)
 
 
-# Loop subdivision (loop1987) as one sparse matrix, so that a frame is refined by one product.
+# Refinement: Loop subdivision (loop1987) as one sparse matrix.
 
 
 def loop_subdivision(faces: Faces, count: int) -> tuple[sparse.csr_matrix, sparse.csr_matrix, Faces]:

@@ -158,7 +158,7 @@ class Slit:
         return np.concatenate([self.upper, self.lower[-2:0:-1]])
 
 
-# Cutting a mesh open along a curve, as a mouth and an eye are.
+# Slits: the mesh cut open along a curve, for mouth and eyes.
 
 
 def cut_slit(
@@ -240,7 +240,7 @@ def _halve_at_ends(
     return np.array(halved, dtype=np.int64), np.array(halves, dtype=np.int64).reshape(-1, 3)
 
 
-# What lies behind lips and lids: the mouth's pocket, lid rims, eyeballs, teeth, tongue; centimetres.
+# Interior: mouth cavity, lid rims, eyeballs, teeth, tongue; centimetres.
 
 
 def extrude_slit(

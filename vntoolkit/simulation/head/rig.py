@@ -162,7 +162,7 @@ class Muscle(Enum):
     BROWS_KNIT = "brows knit"
 
 
-# Muscles of the face: each shifts the skin round a few places, smoothly, and parts it at the lips.
+# Muscles: each moves the skin around a few places smoothly, and separates the lips.
 
 
 _PULLS: dict[Muscle, tuple[_Pull, ...]] = {
@@ -256,7 +256,7 @@ class HeadPose:
     tilt_deg: float = 0.0
 
 
-# What a face does at one moment, and the performances of the two head scenes.
+# Expressions and poses over time, for the two head scenes.
 
 
 def performance_at(time_s: float, phases: FloatArray) -> Expression:
@@ -307,7 +307,7 @@ def _bell(x: float) -> float:
     return float(np.exp(-0.5 * x * x))
 
 
-# Where lips and lids part, in a frame's image: the truth behind a tracker's file of seams.
+# True seams in the image: where lips and lids separate, for the seams file of `track`.
 
 
 def seam_loops_px(scene: Scene, frame: int) -> dict[str, Points2]:

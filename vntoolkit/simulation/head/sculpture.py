@@ -125,7 +125,7 @@ def _ears() -> list[Part]:
     ]
 
 
-# Where hair grows on the head, and how thick it lies.
+# Hair: where it grows and how thick it is.
 
 
 def azimuth_deg(points: Points) -> FloatArray:

@@ -149,7 +149,7 @@ def _flat_grid(x: FloatArray, y: FloatArray) -> tuple[Points, FloatArray]:
     return np.column_stack([at, np.zeros(len(at))]), share
 
 
-# A board of coarse squares carried through the whole field: it tells how near lights change M over it.
+# The scene `board_sweep`: a board of coarse squares moved through the whole field, to calibrate near lights.
 
 
 def build_board_sweep(options: SceneOptions) -> Scene:

@@ -87,7 +87,7 @@ class Part:
     weave: FloatArray
 
 
-# The parts of the jacket: torso, sleeves and collar, each a tube with relief. y points down, metres.
+# Parts: torso, sleeves and collar, each a tube with relief; y points down, metres.
 
 
 def torso(generator: np.random.Generator) -> Part:
@@ -241,7 +241,7 @@ class Fold:
     lean: float
 
 
-# Folds, seams and pockets of a garment as heights over its unrolled cloth; all in metres.
+# Relief: folds, seams and pockets as heights over the unrolled cloth, metres.
 
 
 def fold_height(s: FloatArray, t: FloatArray, fold: Fold) -> FloatArray:
@@ -334,7 +334,7 @@ class Tube:
         return self.vertices + height[:, None] * vertex_normals(self.vertices, self.faces)
 
 
-# Tubes of cloth about a centre line, with cloth coordinates in metres and relief along the normal.
+# Tubes of cloth about a centre line; cloth coordinates in metres, relief along the normal.
 
 
 def tube_along(

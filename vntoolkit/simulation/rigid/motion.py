@@ -14,7 +14,7 @@ from vntoolkit.simulation.studio import studio_centre
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sway:
-    """Six sines of different periods: a motion that repeats only after a long while.
+    """Motion along and about three axes by six sines of different periods, so that it repeats late.
 
     turns_deg: amplitudes about x, y, z. shifts_m: amplitudes along x, y, z. periods_s: six, rotations first.
     phases: six, radians. rest: object's orientation at the middle of the motion.

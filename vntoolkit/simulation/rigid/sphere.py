@@ -1,4 +1,4 @@
-"""A matte ball that drifts and turns a little: the simplest thing with every normal."""
+"""The scene `sphere`: a matte ball that drifts and turns a little."""
 
 from __future__ import annotations
 
