@@ -1,3 +1,3 @@
-"""Speed, memory and accuracy of every stage, as a user meets them: `python -m benchmarks` runs them all."""
+"""Speed, memory and accuracy of every stage with default options: `python -m benchmarks` runs all."""
 
 import vntoolkit.__main__  # noqa: F401 - tames the thread pools, before numpy is loaded

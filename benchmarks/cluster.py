@@ -2,7 +2,7 @@
 
 python -m benchmarks.cluster [--shadows none] [--frames N] [--rounds 3] [--out FILE.json]   # idle, 10 min
 
-With self-shadows found, as `reconstruct` comes, 64 frames; with --shadows none 480, and half the time.
+With default options 64 frames; with --shadows none 480 frames, in half the time.
 
 Workers are started before the clock, and one block a worker is done first, so that compiling does not count.
 A worker has one thread; decoding takes `threads` of the job, which is 1 here. One and two workers take turns

@@ -1,4 +1,4 @@
-"""How long animated exports take and how large they are: 50 frames of 25,000 vertices.
+"""Time and file size of animated exports: 50 frames of 25,000 vertices.
 
 python -m benchmarks.export      # 10 s
 """

@@ -1,4 +1,4 @@
-"""What is true of a simulated head turn, and how far a calibration is from it."""
+"""Ground truth of a simulated head turn, and the errors of a calibration against it."""
 
 from __future__ import annotations
 

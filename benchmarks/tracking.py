@@ -3,8 +3,8 @@
 python -m benchmarks.tracking [--large]      # 2 min
 
 184,000 vertices within 1280×720, or with --large 307,000 (640×480, every pixel). Prints the minimum and the
-median over the frames, since other work on the machine only ever adds, the least processor time of all
-threads, which it hardly touches, and the peak of memory, early and late.
+median over the frames, the least processor time of all threads (which other work on the machine hardly
+changes), and the peak of memory, early and late.
 """
 
 from __future__ import annotations

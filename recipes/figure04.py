@@ -1,4 +1,4 @@
-"""Figure 4: self-shadows found in every channel, by the published detector and by the robust one.
+"""Figure 4: self-shadows detected in every channel, by the published detector and by ours.
 
     python recipes/figure04.py --out out/figure04 [--scene spandex]        # 15 s
 

@@ -1,4 +1,4 @@
-"""Figure 5: the surface with shadows taken for shading (A) and with shadows found and recovered (B).
+"""Figure 5: the surface with shadows treated as shading (A) and with shadows detected and recovered (B).
 
     python recipes/figure05.py --out out/figure05 [--scene spandex]        # 20 s
 

@@ -2,8 +2,8 @@
 
     python recipes/figure06.py --out out/figure06        # 25 s
 
-A mesh is integrated from each method's normals, where both have them; a rigid motion and a scale lay the
-coloured one on the white one. Both know the lights.
+Integrates a mesh from each method's normals, where both are valid, and aligns the coloured one to the white
+one by a similarity. Both methods know the lights.
 
 figure06.png: both meshes from 30 degrees to the side.
 figure06_curve.svg: their distance, in % of the diagonal of the jacket's box.

@@ -2,9 +2,9 @@
 
     python recipes/figure07.py --out out/figure07 [--quick]        # 15 min on a free machine, --quick 3 min
 
-Films the calibration board all over the field, fits M to it as polynomials of the pixel (near lights), films
-the cylinder (3 s), reconstructs it and measures; then once more with one M for the whole field. The lens is
-given: a board cannot tell the principal point of so long a lens. Nothing else of the truth is used.
+Simulates the calibration board all over the field, fits M as polynomials of the pixel (near lights),
+simulates the cylinder (3 s), reconstructs it and measures; then again with one M for the whole field. Given
+for free: the camera, since a board does not determine the principal point of so long a lens.
 
 figure07.png: mean and standard deviation of the angle to the fitted cylinder, over time.
 """

@@ -2,10 +2,10 @@
 
     python recipes/figure08.py --out out/figure08 [--frames 1000]  # 1000 frames: about 2 h; --quick 4 min
 
-Calibrates, films, reconstructs, tracks by every method.
+Calibrates, simulates, reconstructs, and tracks by every method.
 
 checkerboards.png: moments of the second half, a column for each method.
-errors.svg: median and 95 % error of the vertices in sight, in pixels by frame.
+errors.svg: median and 95th percentile of the error of the visible vertices, in pixels, by frame.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""Figure 9: the sweater from views that the camera never had, a few moments of its dance.
+"""Figure 9: the sweater from new views, at a few moments of its dance.
 
     python recipes/figure09.py --out out/figure09 [--frames 150] [--size 640x480]  # 2 min; --quick 15 s
 

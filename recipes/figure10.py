@@ -5,7 +5,7 @@
 As figure08.py, on the simulated sweater.
 
 checkerboards.png: moments of the second half, a column for each method.
-errors.svg: median and 95 % error of the vertices in sight, in pixels by frame.
+errors.svg: median and 95th percentile of the error of the visible vertices, in pixels, by frame.
 """
 
 import sys

@@ -1,4 +1,4 @@
-"""Figure 11: a captured sweater on a figure that motion capture moves.
+"""Figure 11: a captured sweater on a skeleton animated by motion capture.
 
     python recipes/figure11.py --out out/figure11 [--motion 131_01.bvh lambada.amc] [--track DIR]  # 2 min
 
@@ -6,7 +6,7 @@ Without --track DIR (written by `vntoolkit track`) the moving mesh is that of th
 second of it, played back and forth. Writes a USD, a contact sheet and a turntable for every motion.
 
 walk_published_sheet.png: the walk, weights as published; time runs to the right, a direction a row.
-walk_heat_sheet.png: the same with weights by heat that spreads along the cloth, the toolkit's own choice.
+walk_heat_sheet.png: the same with weights by heat diffusion along the cloth, the default.
 """
 
 import argparse

@@ -4,7 +4,7 @@
 
 Makeup changes the skin's albedo, so each row of the head's M is scaled to come closest to the board's;
 nothing is fitted to the face. Both then give the normals of the made-up face (brostow2011, III-A and IV).
-The true Ms of bare and made-up skin differ too after that: no calibration comes closer.
+The true Ms of bare and made-up skin still differ after this scaling, which bounds the result from below.
 """
 
 import argparse

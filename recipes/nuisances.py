@@ -1,9 +1,9 @@
-"""Table: what each nuisance of a real photograph costs, in degrees of the normals.
+"""Table: error of the normals caused by each nuisance of a real camera, in degrees.
 
     python recipes/nuisances.py --out out/nuisances [--scene cylinder] [--frame 60]        # 2 min
 
-Every nuisance alone in the world of equation 1, and all but that one; M is the true one, once at the scene's
-centre and once following the near lights over the image.
+Each nuisance alone, and all but that one. M is the true one: once that of the scene's centre, once that of
+every pixel (near lights).
 
 nuisances.svg: mean error of the normals with each nuisance alone, and with all but that one.
 """

@@ -1,4 +1,4 @@
-"""What Blender finds in an animated file: run by a Python that has `bpy`, from `check_in_blender.py`.
+"""Report what Blender reads from an animated file; run by `check_in_blender.py`, by a Python with `bpy`.
 
     python scripts/blender_probe.py CLOTH.usdc FRAMES.json FOUND.npz [PICTURE.png]
 

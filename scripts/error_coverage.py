@@ -1,4 +1,4 @@
-"""Which of the package's errors do the tests raise? Prints the share, and every `raise` that no test reaches.
+"""Print the fraction of the package's errors that the tests raise, and every `raise` that no test reaches.
 
     python scripts/error_coverage.py [pytest arguments]
 

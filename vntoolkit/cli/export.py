@@ -47,7 +47,7 @@ def export(
     folder
         The folder that `vntoolkit reconstruct` wrote.
     clean
-        Remove crumbs from the meshes and close small holes (pymeshlab); --faces and the like clean too.
+        Remove small pieces of the meshes and close small holes (pymeshlab). --faces and the like imply it.
     out
         The file (usd, glb) or folder to write; default FOLDER/export/….
     background

@@ -58,7 +58,7 @@ def _spread(values: FloatArray) -> float:
     return float((high - low) / 2 / median)
 
 
-# Is the green axis of an imported normal map flipped? The curl of the slopes tells.
+# The curl of the slopes shows whether the green axis of an imported normal map is flipped.
 
 
 def warn_of_flipped_axes(path: Path | str, normal_map: NormalMap) -> None:

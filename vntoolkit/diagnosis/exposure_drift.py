@@ -1,4 +1,4 @@
-"""Did the camera change its exposure or white balance while it filmed? The static part of the picture tells.
+"""Drift of exposure or white balance during a capture, measured on the static part of the picture.
 
 What surrounds the subject and does not move must look the same in every frame. Pixels whose three channels
 change by one common factor, the same pixels in every frame, are that part; where the subject fills the

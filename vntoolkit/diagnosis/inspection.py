@@ -1,4 +1,4 @@
-"""What in this footage will ruin normals: the findings of `vntoolkit doctor`."""
+"""Faults of footage that spoil normals: the findings of `vntoolkit doctor`."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Severity(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """One thing to know about the footage: what it is and what to do."""
+    """One fault of the footage, with its remedy."""
 
     severity: Severity
     text: str
@@ -178,7 +178,7 @@ def _findings_from_exposure(clipped_share: float, brightest: float) -> list[Find
     return findings
 
 
-# What a user may have got wrong, told by the footage itself: a finding is a line that names the remedy.
+# Mistakes of the user that the footage shows. A finding is one line with the remedy.
 
 
 def findings_from_capture(

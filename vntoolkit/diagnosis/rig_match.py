@@ -1,4 +1,4 @@
-"""Does footage fit a rig? Swapped channels, a wrong curve, other gains give a surface that cannot be.
+"""Whether footage fits a rig: swapped channels, a wrong transfer curve, changed gains.
 
 On a matte surface of one colour, equation 1 gives M⁻¹ (r − a) = albedo · n, whose length is the same
 everywhere, and whose slopes have no curl, whatever the shape. Read with red and blue exchanged or with the
@@ -138,7 +138,7 @@ def _light(picture: _Picture, transfer: Transfer) -> tuple[LinearImage, Mask]:
     return linear.rgb, used
 
 
-# Did exposure of the channels against each other change between calibration and capture?
+# Gains: whether the channels' relative exposure changed between calibration and capture.
 
 
 def fit_gains(

@@ -1,4 +1,4 @@
-"""Integration that lets depth jump: robust, one-sided, iteratively reweighted least squares.
+"""Integration with depth discontinuities: robust, one-sided, iteratively reweighted least squares.
 
 Cao et al. (`cao2022`) showed that normals alone tell where depth is discontinuous if, at every pixel, the
 solution may choose which neighbour it continues to; they reweigh a pixel's two one-sided equations against
@@ -99,7 +99,7 @@ def _reweighted(depth, tail, head, wanted, variance, trust, scale):  # type: ign
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Evidence:
-    """What the wanted differences say about themselves.
+    """Noise and inconsistency measured in the wanted differences themselves.
 
     noise: standard deviation in pixels of the difference along an edge between facing normals, which is
     that of their slopes over √2. variance: (m,) of every edge, in units of noise²: that of the normals plus
@@ -111,7 +111,7 @@ class Evidence:
 
 
 def evidence_from_chords(graph: PixelGraph, chords: ChordField, domain: Mask) -> Evidence:
-    """Measure the noise on the map, and find the edges that its circulation betrays.
+    """Measure the noise of the map, and find the edges with inconsistent circulation.
 
     The differences around 2×2 pixels sum to zero on a surface. Their typical sum gives the noise. Where depth
     jumps by an amount that changes along the way the sum is large on both sides of every edge that crosses

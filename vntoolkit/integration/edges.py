@@ -1,4 +1,4 @@
-"""From slopes at pixel centres to the depth difference along every edge between neighbours.
+"""Wanted depth differences along the edges between neighbouring pixels, and their graph.
 
 The difference of depth between two pixels is the integral of the slope between them. Integrating the cubic
 through the four nearest slopes on the same line (fourth-order Adams quadrature: central inside,
@@ -130,7 +130,7 @@ class ChordField:
     variance: Float64
 
 
-# From normals to the depth difference along an edge, by the chord between its two surface points.
+# Differences by chords: from the normals at the two ends of an edge.
 
 
 def chords_from_normals(
@@ -210,7 +210,7 @@ class PixelGraph:
     edge: Int32
 
 
-# A domain as a graph: one node per pixel, one edge per pair of pixels that share a side.
+# The domain as a graph: one node per pixel, one edge per pair of pixels that share a side.
 
 
 def graph_from_domain(domain: Mask) -> PixelGraph:

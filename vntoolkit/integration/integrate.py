@@ -1,4 +1,4 @@
-"""The door of this package: normal maps in, depth maps out, one camera, frame after frame."""
+"""Integration of the normal maps of one camera to depth maps, frame after frame."""
 
 from __future__ import annotations
 
@@ -224,9 +224,6 @@ class DomainSolver:
     def _keep(self, solution: Float64) -> Float64:
         self._last = self.components.remove_means(solution)
         return self._last
-
-
-# The divergence of the wanted differences on a full rectangle, straight from the slopes.
 
 
 def divergence_from_slopes(p: npt.NDArray[np.float32], q: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:

@@ -203,7 +203,7 @@ def _collapse(row_start, neighbour, weight, parent, following, leader, coarse): 
     return starts, neighbours[:used].copy(), weights[:used].copy()
 
 
-# The K-cycle of an algebraic multigrid hierarchy, and the conjugate gradients around it; compiled.
+# The compiled K-cycle of the hierarchy, and the conjugate gradients that it preconditions.
 
 
 @numba.njit(cache=True, fastmath=True)

@@ -1,4 +1,4 @@
-"""What a user may choose about integration."""
+"""Options of integration."""
 
 from __future__ import annotations
 

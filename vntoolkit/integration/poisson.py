@@ -1,4 +1,4 @@
-"""Poisson's equation on a full rectangle, by cosine transform or by Fourier transform of the mirrored image.
+"""Poisson's equation: by cosine or Fourier transform on a rectangle, by conjugate gradients inside a mask.
 
 Both find the depth whose differences fit the wanted ones best in the least-squares sense, with the border
 free. Mirroring the image about its border makes it periodic without a seam, which is what Frankot and
@@ -173,9 +173,6 @@ class MaskedSolver:
         cropped = image[self._box]
         out[1 : cropped.shape[0] + 1, 1 : cropped.shape[1] + 1] = cropped
         return out
-
-
-# Poisson's equation inside a mask: conjugate gradients preconditioned by the cosine transform.
 
 
 @numba.njit(cache=True, fastmath=True, nogil=True)

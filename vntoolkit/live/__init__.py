@@ -1,1 +1,1 @@
-"""Floor 3, the camera's frames while filming: sources, processing, recorder, server, page."""
+"""Floor 3.7, the live view: sources, processing, recorder, server and page."""

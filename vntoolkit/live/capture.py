@@ -1,4 +1,4 @@
-"""Watching while filming: one thread takes frames, one works on them, and what comes too fast is dropped.
+"""The live run: one thread takes frames, one processes them; frames that come too fast are dropped.
 
 Between the two stands a slot for the newest frames. A frame that finds it full pushes the oldest out, which
 is counted; so the picture on the screen is never more than a few frames old.

@@ -1,4 +1,4 @@
-"""One live frame to normals and depth: crop, rectification, background, inversion, integration."""
+"""Processing of a live frame: crop, rectification, background, normals, depth."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ class LiveProcessor:
         return self._processor.camera
 
     def warm_up(self, frame: EncodedFrame) -> None:
-        """Work on a frame and forget it: what is compiled or loaded at first use costs no live frame then."""
+        """Process a frame and discard it, so that compilation does not delay the first live frame."""
         with contextlib.suppress(VntError):  # a dark one warms up too
             for _ in range(_WARMING):
                 self.process(frame)

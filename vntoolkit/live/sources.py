@@ -1,4 +1,4 @@
-"""Frames as they come: from a camera, or from a file played at the speed at which it was filmed."""
+"""Live sources: a camera, or a file played at its frame rate."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ Array = npt.NDArray[Any]
 
 
 class ClippedPixels(Enum):
-    """What becomes of a pixel with a saturated channel, whose colour is only a bound."""
+    """How pixels with a saturated channel are treated."""
 
     DOWNWEIGHT = "downweight"  # a normal stays, at a tenth of its weight, so that the domain has no hole
     EXCLUDE = "exclude"
@@ -214,7 +214,7 @@ class Outputs(NamedTuple):
     valid: Array
 
 
-# The compiled loops of inversion: one pass over the image, row by row.
+# Compiled loops for one M: one pass over the image, row by row.
 
 
 @njit(cache=True, inline="always", fastmath=FLAGS, error_model="numpy")
@@ -293,7 +293,7 @@ class Field(NamedTuple):
     inverse_scale: np.float32
 
 
-# The loops of inversion for a response that varies over the image: M(u, v) is solved at every pixel.
+# Compiled loops for a response that varies over the image: M(u, v) is inverted at every pixel.
 
 
 @njit(cache=True, inline="always", fastmath=FLAGS, error_model="numpy")

@@ -121,7 +121,7 @@ def _require_images(images: FloatArray, lights: Points) -> npt.NDArray[Any]:
     return stack
 
 
-# The compiled loop of classical photometric stereo: robust least squares at one pixel, over all pixels.
+# Compiled loop: robust least squares at every pixel.
 
 
 @njit(cache=True, error_model="numpy")

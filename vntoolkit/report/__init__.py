@@ -1,1 +1,1 @@
-"""Floor 3, what people look at: figures, tables, pages, the viewer."""
+"""Floor 3.5, output for people: figures, tables, HTML pages, the viewer."""

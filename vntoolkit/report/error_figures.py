@@ -109,7 +109,7 @@ def write_bars(
     write_figure(figure, path)
 
 
-# Trackers side by side: error against frame, one curve each, and the checkerboards that they carry.
+# Comparison of trackers: errors over the frames, and pictures of their checkerboards.
 
 
 def write_error_plot(path: Path, errors: Mapping[str, Sequence[TrackError]], title: str = "") -> None:

@@ -198,7 +198,7 @@ def _plot(draw: Draw, size_in: tuple[float, float], caption: str) -> PageFigure:
     return figure_from_plot(figure, caption, wide=True)
 
 
-# How far footage of a turning head carries its calibration: numbers, and plain words where it is weak.
+# Quality of the calibration: graded numbers, and notices where it is weak.
 
 
 def numbers_of_head(rig: Rig, result: HeadCalibration) -> tuple[PageNumber, ...]:

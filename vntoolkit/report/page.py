@@ -138,9 +138,6 @@ def write_page(
     write_text(path, text)
 
 
-# Matplotlib figures as SVG that stands inside a page.
-
-
 def svg_from_figure(figure: Figure) -> str:
     """Return `<svg …>…</svg>` without prolog, comments, dates or metadata, its ids unlike any other figure's.
 

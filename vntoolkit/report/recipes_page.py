@@ -187,7 +187,7 @@ class RecipeText:
         return self.summary.partition(":")[0]
 
 
-# What a recipe says of itself: the docstring of its script, taken apart.
+# The text of a recipe: the docstring of its script.
 
 
 def read_recipe_text(script: Path) -> RecipeText:
@@ -212,7 +212,7 @@ def read_recipe_text(script: Path) -> RecipeText:
     return RecipeText(summary=summary, paragraphs=tuple(paragraphs), captions=captions)
 
 
-# The numbers that a recipe ends with, ours beside the paper's: on disk for the page, and as text.
+# The numbers of a recipe, ours beside the paper's.
 
 
 def number(what: str, ours: float | str, unit: str, paper: float | str | None = None) -> RecipeNumber:

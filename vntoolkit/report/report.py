@@ -1,4 +1,4 @@
-"""`report.html`: everything that tells whether a reconstruction can be trusted, on one page."""
+"""`report.html`: one page on the quality of a reconstruction."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def _headline(result: OpenedResult) -> tuple[PageNumber, ...]:
     return tuple(numbers)
 
 
-# The report's parts on all frames: shares over time, time spent, sizes of the meshes.
+# Sections on all frames: usable pixels over time, time spent, sizes of the meshes.
 
 
 def shares_section(result: OpenedResult) -> PageSection:

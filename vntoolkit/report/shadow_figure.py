@@ -1,4 +1,4 @@
-"""Pictures of self-shadows: how they were found (like Figure 4 of brostow2011), what they cost (Figure 5)."""
+"""Pictures of self-shadows: detection (as Figure 4 of brostow2011) and errors (Figure 5)."""
 
 from __future__ import annotations
 

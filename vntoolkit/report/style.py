@@ -1,4 +1,4 @@
-"""The look that every figure shares: type, lines, grids, and colours that colour-blind eyes tell apart."""
+"""The common style of all figures, with colours that colour-blind readers can distinguish."""
 
 from __future__ import annotations
 

@@ -157,9 +157,6 @@ def _paint_scale(canvas: Picture, scale: ErrorScale, y: float, zoom: float) -> l
     ]
 
 
-# One frame as a row of tiles: captured, normals, relief, and the error where the truth is known.
-
-
 def row_of_frame(
     frame: LinearFrame,
     normal_map: NormalMap,

@@ -1,4 +1,4 @@
-"""As-rigid-as-possible deformation by Open3D: a comparison, seconds a frame."""
+"""As-rigid-as-possible deformation by Open3D, for comparison; it takes seconds per frame."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A checkerboard printed on the template and drawn in every frame: what slides is seen at a glance."""
+"""A checkerboard fixed to the template and drawn in every frame, which shows drift."""
 
 from __future__ import annotations
 

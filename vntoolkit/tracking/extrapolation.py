@@ -1,4 +1,4 @@
-"""Where unseen parts of the template are: carried along by what is seen around them.
+"""Extrapolation of the hidden parts of the template from the visible parts around them.
 
 Three guesses say how the displacement from the template goes on into what is not seen: it stays, right across
 a seam; it is the motion of one body (`LiftedMotion`), right for a head that turns; lengths stay (`Isometry`),

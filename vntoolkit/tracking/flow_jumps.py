@@ -1,4 +1,4 @@
-"""Edges that do not sit on the surface: where the weight of a normal map jumps.
+"""Steps in the weight of a normal map: edges in the image that are not fixed to the surface.
 
 The weight tells how well a colour fits the material under all three lights. Where a shadow or a gloss ends
 it jumps, and with it the normals, by tens of degrees: the strongest feature of a smooth neck is the edge of

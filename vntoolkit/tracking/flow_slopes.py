@@ -1,4 +1,4 @@
-"""Normal maps as images that flow and registration can read: bytes, pyramids of slopes, smooth normals."""
+"""Images made of normal maps for flow and registration: bytes, slope pyramids, smoothed normals."""
 
 from __future__ import annotations
 

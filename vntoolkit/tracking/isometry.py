@@ -1,4 +1,4 @@
-"""How cloth must be stretched in the image for its own lengths to stay: the Jacobian that normals tell.
+"""The Jacobian of the image motion that preserves lengths on the surface, predicted from normals.
 
 A step dx on the template is |dx|² + (∇z · dx)² long, squared, on the surface: G_t = I + ∇z ∇zᵀ there, and
 G_c alike in the current frame. Cloth and skin keep their lengths, so that the correspondence's Jacobian J

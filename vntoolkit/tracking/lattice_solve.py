@@ -1,4 +1,4 @@
-"""A displacement per lattice node: measured where there is texture, shared with neighbours where not."""
+"""Displacements of lattice nodes: measured where there is texture, interpolated elsewhere."""
 
 from __future__ import annotations
 

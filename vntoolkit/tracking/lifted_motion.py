@@ -1,4 +1,4 @@
-"""What moves as one body: a motion in the image that is affine in the template's points in space.
+"""Motion as one body: an image motion that is affine in the template's points in space.
 
 A rigid body seen from afar moves in the image by an affine map of its points (u, v, depth): that is what a
 turn of a head does to an ear behind the cheek's rim, where any continuation of the image motion of the cheek

@@ -1,4 +1,4 @@
-"""What the user chooses about tracking."""
+"""Options of tracking."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _MOST_LEVELS = 8  # a picture of 8192 pixels is then 32 wide
 
 
 class Regulariser(Enum):
-    """What keeps neighbouring vertices together."""
+    """How the motion of neighbouring vertices is regularised."""
 
     NONE = "none"  # flow alone: equations 5 and 6
     TRANSLATION = "translation"
@@ -35,14 +35,14 @@ class RestShape(Enum):
 
 
 class DriftCorrection(Enum):
-    """What takes back the error that adds up from frame to frame."""
+    """How drift is corrected: the error that accumulates over frames."""
 
     NONE = "none"
     TEMPLATE = "template"  # register the template itself to the current frame
 
 
 class Confidence(Enum):
-    """What is done with vertices where the frame does not match the template."""
+    """How vertices are treated where the frame does not match the template."""
 
     NONE = "none"
     TEMPLATE = "template"  # they weigh less in the data term
@@ -50,7 +50,7 @@ class Confidence(Enum):
 
 
 class Tears(Enum):
-    """Where the template is cut beside the seams that are given."""
+    """Where the template is cut in addition to the given seams."""
 
     NONE = "none"
     NORMALS = "normals"  # where its normals show one surface before another (`tear_pixels`)

@@ -1,4 +1,4 @@
-"""The trackers of the paper and of its time, each under its own name, to compare with."""
+"""Named trackers: the default, those of the paper, and ARAP, for comparison."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the template frame shows one surface before another: the template is torn there.
+"""Occlusion boundaries in the template frame; the template is cut along them.
 
 A surface that hides another turns away from the viewer towards its rim, and beyond the rim the normals face
 the viewer again, all within a few pixels. That is measured across every pixel in eight directions: how

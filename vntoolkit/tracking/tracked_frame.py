@@ -1,4 +1,4 @@
-"""What tracking finds in one frame."""
+"""The result of tracking in one frame."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The tracker: one template through the frames, one step a frame."""
+"""The tracker: it registers one template to every frame, one step per frame."""
 
 from __future__ import annotations
 
