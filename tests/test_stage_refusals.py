@@ -34,7 +34,7 @@ from vntoolkit.simulation.lights import Lighting, Lights
 from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.scene import SceneOptions, build_scene
 from vntoolkit.simulation.spectra import WAVELENGTHS_NM
-from vntoolkit.skinning.fitting import ResponseFitOptions as FittingOptions
+from vntoolkit.skinning.fitting import GarmentFitOptions
 from vntoolkit.skinning.fitting import fit_garment_to_figure
 from vntoolkit.tracking.factor import factor_symmetric
 from vntoolkit.tracking.template import template_from_maps
@@ -134,9 +134,9 @@ def figure() -> Motion:
 def test_garments_that_do_not_fit_the_figure():
     flat = Mesh(vertices=np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1.0]]), faces=TRIANGLE)
     with pytest.raises(BadInput, match="fit: bind_frame 9 is not among the 1 frames"):
-        fit_garment_to_figure(flat, figure(), GarmentFit(bind_frame=9), FittingOptions())
+        fit_garment_to_figure(flat, figure(), GarmentFit(bind_frame=9), GarmentFitOptions())
     with pytest.raises(BadInput, match=r"the garment has no height \(its vertices share one y\)"):
-        fit_garment_to_figure(flat, figure(), GarmentFit(), FittingOptions())
+        fit_garment_to_figure(flat, figure(), GarmentFit(), GarmentFitOptions())
 
 
 def lamps(count: int, power: float = 1.0) -> Lights:
