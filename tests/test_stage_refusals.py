@@ -34,8 +34,7 @@ from vntoolkit.simulation.lights import Lighting, Lights
 from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.scene import SceneOptions, build_scene
 from vntoolkit.simulation.spectra import WAVELENGTHS_NM
-from vntoolkit.skinning.fitting import GarmentFitOptions
-from vntoolkit.skinning.fitting import fit_garment_to_figure
+from vntoolkit.skinning.fitting import GarmentFitOptions, fit_garment_to_figure
 from vntoolkit.tracking.factor import factor_symmetric
 from vntoolkit.tracking.template import template_from_maps
 
