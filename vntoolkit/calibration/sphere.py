@@ -25,13 +25,7 @@ _LEVELS = (
     0.25,
     0.5,
 )  # of the brightest: a dark side needs a low one, a grey wall a high one
-_DRAWS = 400
-_TOLERANCE_SHARE = 0.01  # of the radius: how far an outline point may lie from the circle
-_SMALLEST_RADIUS_PX = 8.0
 _SMALLEST_ARC = 0.4  # of the full circle that must be seen
-_SECTORS = 90
-_RADII = 360
-_REACH_PX = 4.0  # beyond the blur and the threshold's error, within the rim
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,6 +184,10 @@ def outline_from_mask(mask: Mask) -> Circle:
     return best
 
 
+_RADII = 360
+_REACH_PX = 4.0  # beyond the blur and the threshold's error, within the rim
+
+
 def _refine_on_edges(grey: npt.NDArray[np.float32], rough: Circle) -> Circle:
     """Move the outline to where the brightness along each radius is halfway between ball and background.
 
@@ -232,6 +230,11 @@ def _circles_in(region: Mask) -> list[Circle]:
         if circle is not None:
             circles.append(circle)
     return circles
+
+
+_DRAWS = 400
+_TOLERANCE_SHARE = 0.01  # of the radius: how far an outline point may lie from the circle
+_SMALLEST_RADIUS_PX = 8.0
 
 
 def _fit_circle(points: Points2) -> Circle | None:
@@ -284,6 +287,9 @@ def _least_squares_circle(points: Points2) -> tuple[Points2, float]:
     system = np.column_stack([2 * local, np.ones(len(local))])
     (c_u, c_v, d), *_ = np.linalg.lstsq(system, (local**2).sum(axis=1), rcond=None)
     return mean + np.array([c_u, c_v]), float(np.sqrt(d + c_u**2 + c_v**2))
+
+
+_SECTORS = 90
 
 
 def _arc(offsets: npt.NDArray[np.float64]) -> float:

@@ -23,9 +23,6 @@ from vntoolkit.photometry.response import HIGHEST_DEGREE, LightResponse, Respons
 _ROUNDS = 60
 _SETTLED = 1e-5  # relative decrease of the cost at which the fit rests
 _LARGEST_DAMPING = 1e9
-_PAIRS_PER_TERM = 4  # positions that each monomial needs at least, at very least
-_FLATTEST = 0.02  # smallest over largest singular value of the monomials over the positions seen
-_LARGEST_CONDITION = 1e3  # of M anywhere in the image
 _DARKEST = 1e-3  # length of a recovered normal, which should be 1, below which it has no direction
 
 
@@ -204,6 +201,10 @@ def _response(
         raise BadCalibration(f"calibration: {error}") from error
 
 
+_PAIRS_PER_TERM = 4  # positions that each monomial needs at least, at very least
+_FLATTEST = 0.02  # smallest over largest singular value of the monomials over the positions seen
+
+
 def _require_spread(monomials: FloatArray) -> None:
     """Raise if the positions do not determine the monomials."""
     terms = monomials.shape[1]
@@ -213,6 +214,9 @@ def _require_spread(monomials: FloatArray) -> None:
             "calibration: the target was seen in too few places of the image to tell how the light varies; "
             "show it all over the image, or lower the degree of the variation"
         )
+
+
+_LARGEST_CONDITION = 1e3  # of M anywhere in the image
 
 
 def _require_regular(response: LightResponse, size: tuple[int, int]) -> None:

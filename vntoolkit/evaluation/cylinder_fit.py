@@ -32,18 +32,11 @@ from vntoolkit.geometry.rays import pixel_rays
 _MOST_SAMPLES = 20000
 _FEWEST_PIXELS = 200
 _FEWEST_CONTOUR_POINTS = 40
-_ENDS_PERCENT = 10.0  # of the sides' length, at each end, where the ends' arcs round the corner
 _ROUNDS = 8
 _ROUNDS_WITHOUT_ENDS = 3  # the first cylinders are too far off to tell which rim is which
 _GATE = 3  # spreads of one component; beyond it a normal does not count
 _STRIPS = 72  # round the whole cylinder, half of which is seen
 _NARROWEST_SPREAD = 0.01  # radians: normals are never so good that a finer gate would help
-_PAIRS = 300
-_LEAST_SUPPORT = 0.3  # share of the normals that must agree on the axis
-_RIM_POINTS = 180
-_LEAST_FACING = 0.35  # sine of the angle to the sides from which the outline belongs to an end
-_FEWEST_POINTS = 15
-_REACH_SHARE = 0.25  # of the silhouette's length: where an end's rim can lie
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -232,6 +225,9 @@ def _cauchy(residuals: FloatArray) -> FloatArray:
     return np.sign(residuals) * np.sqrt(np.log1p(residuals**2))
 
 
+_ENDS_PERCENT = 10.0  # of the sides' length, at each end, where the ends' arcs round the corner
+
+
 def _side_points(seen: _Observation, start: Cylinder, camera: Camera, tolerance_deg: float) -> Points2:
     """Contour points whose tangent runs along the image of the axis."""
     centre = start.centre if camera.is_perspective else start.centre * [1, 1, 0]
@@ -279,6 +275,10 @@ def start_from_normals(
         return Cylinder(axis=axis, centre=_robust_solve(rows[:, :2], -rows[:, 2]) @ plane)
     *centre, radius = _robust_solve(rows, plane_cross(flat_origins, flat_rays))
     return Cylinder(axis=axis, centre=np.array(centre) @ plane, radius=abs(float(radius)))
+
+
+_PAIRS = 300
+_LEAST_SUPPORT = 0.3  # share of the normals that must agree on the axis
 
 
 def axis_from_normals(normals: Points, limit: float, rng: np.random.Generator, name: str) -> Vector3:
@@ -332,6 +332,11 @@ class EndPoints:
 # The ends of the silhouette: how far their arcs bulge gives the tilt of the cylinder in depth.
 
 
+_LEAST_FACING = 0.35  # sine of the angle to the sides from which the outline belongs to an end
+_FEWEST_POINTS = 15
+_REACH_SHARE = 0.25  # of the silhouette's length: where an end's rim can lie
+
+
 def end_points(
     contour: Points2, outward: FloatArray, cylinder: Cylinder, camera: Camera
 ) -> tuple[EndPoints, ...]:
@@ -381,6 +386,9 @@ def _best_place(cylinder: Cylinder, end: EndPoints, camera: Camera) -> float:
         misfits = [np.median(np.abs(distance_from_rim_px(cylinder, t, end, camera))) for t in tried]
         place, step = float(tried[int(np.argmin(misfits))]), step / 12
     return place
+
+
+_RIM_POINTS = 180
 
 
 def distance_from_rim_px(cylinder: Cylinder, along: float, end: EndPoints, camera: Camera) -> FloatArray:

@@ -18,12 +18,7 @@ from vntoolkit.skinning.anatomy import Anatomy, anatomy_of, facing_of, shoulders
 from vntoolkit.skinning.kinematics import forward_kinematics
 from vntoolkit.skinning.weights import SkinWeights
 
-_LEVELS = 64  # heights at which the garment's depth is looked at
 _COLLAR_RISE = 0.12  # of the way from hips to shoulders: a collar lies above the shoulders' joints
-_OPEN_ABOVE = 0.3  # |Σ area vectors| / Σ areas: 0 for a closed garment, near 1 for a flat sheet
-_CUFF_SHARE = 0.02  # of the vertices on one side: the outermost ones are its cuff
-_LEAST_REACH = 0.4  # of the arm: a garment that ends nearer to the shoulder has no sleeve to aim at
-_MAX_POINTS = 5000  # a rigid motion needs no more, and the fit then takes no time
 
 
 class Region(Enum):
@@ -179,6 +174,9 @@ def _vertical_span(
     return bottom, top
 
 
+_OPEN_ABOVE = 0.3  # |Σ area vectors| / Σ areas: 0 for a closed garment, near 1 for a flat sheet
+
+
 def _anchor_depth(garment: Mesh, options: GarmentFitOptions) -> float:
     placement = options.depth
     if placement is DepthPlacement.AUTO:
@@ -190,6 +188,9 @@ def _anchor_depth(garment: Mesh, options: GarmentFitOptions) -> float:
     if placement is DepthPlacement.REAR:
         return _rear(covered)
     return float(covered[:, 2].min() + covered[:, 2].max()) / 2
+
+
+_LEVELS = 64  # heights at which the garment's depth is looked at
 
 
 def _rear(vertices: Points) -> float:
@@ -205,6 +206,10 @@ def _rear(vertices: Points) -> float:
 
 
 # Arms: rotated into the garment's sleeves, because rest poses differ between files.
+
+
+_CUFF_SHARE = 0.02  # of the vertices on one side: the outermost ones are its cuff
+_LEAST_REACH = 0.4  # of the arm: a garment that ends nearer to the shoulder has no sleeve to aim at
 
 
 def arms_aimed_at_sleeves(
@@ -257,6 +262,9 @@ class Anchor(Enum):
 
     TRUNK = "trunk"
     NONE = "none"
+
+
+_MAX_POINTS = 5000  # a rigid motion needs no more, and the fit then takes no time
 
 
 class TrunkAnchor:

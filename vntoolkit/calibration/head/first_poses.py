@@ -28,9 +28,7 @@ _WIDEST_SEED = 21  # frames
 _LEAST_SHARED = 12  # points that a frame must share with the model to be added
 _RESIDUAL_PX = 1.5  # scale of the Cauchy weights: perspective and drift stay below a few
 _SWEEPS = 30
-_LEAST_SHARED_TRACKS = 15  # tracks of a pair of frames
 _ALL_PAIRS, _APART = 40, 20  # of so many frames all pairs count, of more those at most so far apart
-_LEAST_INLIERS = 8  # points that place a frame
 _START_ANGLE_DEG, _START_INLIERS = 8.0, 40  # of the first pair
 _ERROR_PX, _PLACING_ERROR_PX = 2.0, 4.0
 Guess = tuple[list[RigidTransform | None], Points, npt.NDArray[np.bool_]]
@@ -283,6 +281,10 @@ def map_tracks(tracks: Tracks, camera: Camera, *, refine_focal: bool) -> Guess:
         own = rows[int(model.image(element.image_id).name)][element.point2D_idx]
         points[tracks.point[own]], known[tracks.point[own]] = each.xyz, True
     return poses, points, known
+
+
+_LEAST_SHARED_TRACKS = 15  # tracks of a pair of frames
+_LEAST_INLIERS = 8  # points that place a frame
 
 
 def _pipeline(refine_focal: bool) -> Any:

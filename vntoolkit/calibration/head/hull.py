@@ -20,7 +20,6 @@ from vntoolkit.native import import_open3d
 _COARSE_STEP = 4  # cells of the fine grid per cell of the first one
 _SHARE_OF_VIEWS = 3  # a point that fewer than one view in so many shows was never filmed: it is outside
 _SLICE = 200_000  # points projected at a time
-_ROW = 256  # OpenCV resamples images, no lists: points are laid out in rows
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,6 +167,9 @@ def _carved_points(
         inside = np.where(shown >= least_views, least[-1], -box.diagonal)
         result[start : start + _SLICE] = np.minimum(inside, inside_box)
     return result
+
+
+_ROW = 256  # OpenCV resamples images, no lists: points are laid out in rows
 
 
 def _distance_in_view(view: SilhouetteView, outline: FloatArray, points: Points) -> FloatArray:

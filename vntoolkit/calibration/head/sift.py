@@ -24,9 +24,7 @@ _APART = (1, 2, 3, 4, 6, 8, 12, 16)  # of more: those so many frames apart
 _LEAST_TYPICAL, _LEAST_SHARED = 60, 20  # features of neighbouring frames: usually, and at the least
 _LEAST_FRAMES = 3  # a track over two says nothing that could be wrong
 _BORDER_PX = 12  # about the silhouette's box, for the windows of features
-_LARGEST_ANGLE = 0.7  # between descriptors of one point, radians
 _ESTIMATE_PX, _GUIDE_PX = 2.0, 1.5  # from the epipolar line: while it is sought, and once it is known
-_NEVER = 9.0
 Features = tuple[Points2, FloatArray]  # positions (n, 2) and unit descriptors (n, 128)
 
 
@@ -186,6 +184,9 @@ class EpipolarMatches:
     share: float
 
 
+_NEVER = 9.0
+
+
 def match_two_views(camera: Any, first: Features, second: Features, limits: EpipolarMatches) -> IntArray:
     """Match, find the epipolar geometry by RANSAC, match again along its lines; (m, 2) numbers of features.
 
@@ -214,6 +215,9 @@ def match_two_views(camera: Any, first: Features, second: Features, limits: Epip
         return none
     off = _distance_to_lines(np.asarray(found.F), a, b)
     return _mutual(np.where(off < _GUIDE_PX, angles, _NEVER), limits.ratio)
+
+
+_LARGEST_ANGLE = 0.7  # between descriptors of one point, radians
 
 
 def _mutual(angles: FloatArray, ratio: float) -> IntArray:

@@ -23,9 +23,6 @@ from vntoolkit.geometry.rays import RayScene, pixel_rays
 _BORDER_PX = 12  # beyond the silhouette's box, for windows
 _STEP_PX = 0.6  # that a point moves in the furthest neighbour from shell to shell
 _LEAST_SLANT = 0.25  # cosine between ray and hull below which a window mixes too many depths
-_TINY = 1e-6
-_LEAST_FACING = 0.25  # cosine between ray and surface below which a depth says little
-_LONE_STEPS = 1.0  # from the median of its neighbours: further off, a depth is alone
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,6 +185,9 @@ class _Statistics:
         return np.asarray(shared / (self._spread * np.sqrt(np.maximum(variance, 1.0))))
 
 
+_TINY = 1e-6
+
+
 def _best_shell(scores: FloatArray, shells: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the offset (h, w) of the best shell, refined by a parabola, NaN at the ends; and its score."""
     best = scores.argmax(axis=0)
@@ -224,6 +224,10 @@ class OrientedPoints:
 
 
 # Points of the skin with normals, made from one view's depth map.
+
+
+_LEAST_FACING = 0.25  # cosine between ray and surface below which a depth says little
+_LONE_STEPS = 1.0  # from the median of its neighbours: further off, a depth is alone
 
 
 def points_of_depth(

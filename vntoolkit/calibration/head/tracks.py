@@ -12,10 +12,6 @@ import numpy.typing as npt
 from vntoolkit.arrays import FloatArray, IntArray, LinearImage, Mask, Points2, read_only
 from vntoolkit.errors import BadCalibration, BadInput
 
-_LEAST_FOLLOWED = 0.25  # of the usual number of points: fewer means a cut, even where some match by chance
-_LEAST_MOTION = 0.08  # of the head's diagonal in the picture, over a whole track
-_WIDEST_VALUE = 4.0  # that becomes black or white in 8 bits
-
 
 @dataclass(frozen=True, kw_only=True)
 class TrackOptions:
@@ -177,6 +173,9 @@ def _flow(source: Any, target: Any, start: Any, window_px: int) -> tuple[Any, An
     return there, found
 
 
+_LEAST_FOLLOWED = 0.25  # of the usual number of points: fewer means a cut, even where some match by chance
+
+
 def require_tracks(tracks: Tracks) -> None:
     """Raise `BadCalibration` if the tracks end half-way or are too few."""
     shared = pairs_shared(tracks, 1)
@@ -193,6 +192,9 @@ def require_tracks(tracks: Tracks) -> None:
             "face, at most 4 degrees from frame to frame"
         )
     _require_motion(tracks)
+
+
+_LEAST_MOTION = 0.08  # of the head's diagonal in the picture, over a whole track
 
 
 def _require_motion(tracks: Tracks) -> None:
@@ -247,6 +249,9 @@ def local_contrast(rgb: LinearImage, options: ContrastOptions) -> FloatArray:
     deviation = grey - mean
     spread = np.sqrt(cv2.GaussianBlur(deviation * deviation, (0, 0), options.contrast_px))
     return np.asarray(deviation / (spread + np.float32(options.contrast_floor)))
+
+
+_WIDEST_VALUE = 4.0  # that becomes black or white in 8 bits
 
 
 def contrast_in_8_bits(contrast: FloatArray) -> npt.NDArray[np.uint8]:

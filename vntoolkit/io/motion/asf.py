@@ -28,9 +28,6 @@ _INCH_M = 0.0254
 _MAX_LINE = 65536
 _FRAME = re.compile(r"[0-9]{1,9}")
 MAX_ASF_BYTES = 4 * 2**20  # the CMU skeletons have 7 kB
-_LONGEST_REASON = 200
-_LARGEST = 1e12  # of a length or an angle
-_CHANNELS = ("rx", "ry", "rz", "tx", "ty", "tz")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,6 +182,9 @@ class AsfSkeleton:
     degrees: bool
 
 
+_LONGEST_REASON = 200
+
+
 def read_asf(path: Path) -> AsfSkeleton:
     """Read an ASF skeleton; raises `BadMotion` on anything malformed, cycles included."""
     size = require_file(path, BadMotion).stat().st_size
@@ -258,6 +258,9 @@ def _blocks(lines: list[list[str]]) -> Iterator[dict[str, list[str]]]:
         raise BadMotion("the last bone has no end: the file is truncated")
 
 
+_LARGEST = 1e12  # of a length or an angle
+
+
 def _vector(words: list[str], what: str) -> Vector3:
     vector = np.array([float(word) for word in words[:3]])
     if vector.shape != (3,) or not (np.abs(vector) < _LARGEST).all():
@@ -276,6 +279,9 @@ def _channels(words: list[str], allowed: tuple[str, ...], what: str) -> tuple[st
     if len(set(channels)) != len(channels) or not set(channels) <= set(allowed):
         raise BadMotion(f"{what}: expected channels among {' '.join(allowed)}, got {' '.join(words)!r}")
     return channels
+
+
+_CHANNELS = ("rx", "ry", "rz", "tx", "ty", "tz")
 
 
 def _root(lines: list[list[str]], degrees: bool) -> tuple[AsfBone, Vector3]:

@@ -27,9 +27,6 @@ _CELL_CM = 0.16
 _LEAST_LEVEL = 0.3  # of a cell: no vertex lies nearer to a slit, so no sliver arises
 BoolArray = npt.NDArray[np.bool_]
 IRIS_RADIUS, PUPIL_RADIUS = 0.54, 0.20
-# how far each ring of the pocket opens up and down, and how far it goes in
-_POCKET_RINGS = ((0.02, -0.12), (0.06, -0.45), (0.85, -1.05), (1.05, -4.6))
-_LID_RINGS = (1.02, 0.90)  # in eyeball radii
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -241,6 +238,11 @@ def _halve_at_ends(
 
 
 # Interior: mouth cavity, lid rims, eyeballs, teeth, tongue; centimetres.
+
+
+# how far each ring of the pocket opens up and down, and how far it goes in
+_POCKET_RINGS = ((0.02, -0.12), (0.06, -0.45), (0.85, -1.05), (1.05, -4.6))
+_LID_RINGS = (1.02, 0.90)  # in eyeball radii
 
 
 def extrude_slit(

@@ -23,15 +23,6 @@ _NECK_PIVOT = np.array([0.0, -9.0, -2.0])
 # (place, radius, shift) on the side x > 0, mirrored to the other; side +1 or -1 moves that lip alone
 _Pull = tuple[tuple[float, float, float], float, tuple[float, float, float], int]
 _CORNER = (2.55, -6.8, 8.0)
-_LEAST_SHIFT_CM = 1e-3
-# what happens when, in seconds of a 16.7 s performance; it repeats
-_PERIOD_S = 1000 / 60
-_SMILES = ((1.2, 3.0, 0.9), (12.6, 14.2, 0.6))
-_GRIMACES = ((4.0, 5.4, 1.0), (15.0, 15.9, 0.7))
-_SPEECH = (6.2, 11.8)
-_BLINKS = (0.7, 3.4, 5.8, 8.3, 10.9, 14.6, 16.2)
-_BROWS = ((2.0, 2.9, 0.6), (4.0, 5.4, -0.9), (7.0, 7.6, 0.7), (9.4, 10.0, 0.6), (13.0, 13.8, 0.9))
-_SYLLABLE_HZ = 2.6
 
 
 class HeadRig:
@@ -202,6 +193,9 @@ _PULLS: dict[Muscle, tuple[_Pull, ...]] = {
 }
 
 
+_LEAST_SHIFT_CM = 1e-3
+
+
 def muscle_fields(head: Head, points: Points) -> dict[Muscle, tuple[IntArray, FloatArray]]:
     """Return per muscle the rows it moves and their shift (k, 3) in centimetres at full strength."""
     fields: dict[Muscle, tuple[IntArray, FloatArray]] = {}
@@ -257,6 +251,16 @@ class HeadPose:
 
 
 # Expressions and poses over time, for the two head scenes.
+
+
+# what happens when, in seconds of a 16.7 s performance; it repeats
+_PERIOD_S = 1000 / 60
+_SMILES = ((1.2, 3.0, 0.9), (12.6, 14.2, 0.6))
+_GRIMACES = ((4.0, 5.4, 1.0), (15.0, 15.9, 0.7))
+_SPEECH = (6.2, 11.8)
+_BLINKS = (0.7, 3.4, 5.8, 8.3, 10.9, 14.6, 16.2)
+_BROWS = ((2.0, 2.9, 0.6), (4.0, 5.4, -0.9), (7.0, 7.6, 0.7), (9.4, 10.0, 0.6), (13.0, 13.8, 0.9))
+_SYLLABLE_HZ = 2.6
 
 
 def performance_at(time_s: float, phases: FloatArray) -> Expression:
