@@ -41,6 +41,7 @@ _LIBRARIES = (
     ("opencv-contrib-python-headless", "cv2", "images, boards, flow"),
     ("tifffile", "tifffile", "deep images"),
     ("OpenEXR", "OpenEXR", "normal and depth maps"),
+    ("pillow", "PIL.Image", "image headers"),
     ("open3d", "open3d", "meshes, ray casting"),
     ("pymeshlab", "pymeshlab", "mesh cleaning, distance"),
     ("pycolmap", "pycolmap", "camera poses"),
