@@ -28,7 +28,7 @@ from vntoolkit.live.capture import LatencyMeter, LiveRun
 from vntoolkit.live.frames import LiveProcessor, LiveResult
 from vntoolkit.live.page import LiveViewer
 from vntoolkit.live.sources import FileSource, TimedFrame
-from vntoolkit.report.viewer import ViewerOptions
+from vntoolkit.report.local_server import ViewerOptions
 
 _RATE_HZ = 30.0
 _LEAD_IN_S = 3.0  # a page that draws its first surface takes both cores for a moment, and is not what counts

@@ -23,7 +23,7 @@ ROOT = Path(__file__).parents[1]
 NOT_RUN = ("make", "git", "cd", "pip", "python3", "sudo", "source", ".")
 _FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```\s*$", re.MULTILINE | re.DOTALL)
 _LONGEST_S = 600
-_ADDRESS = re.compile(r"http://[\w.:]+")
+_ADDRESS = re.compile(r"http://\S+")
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -22,14 +23,14 @@ from vntoolkit.geometry.maps import DepthMap
 from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.live.capture import LiveFigures
 from vntoolkit.live.frames import LiveProcessor, LiveResult
-from vntoolkit.live.packet import PacketSizes, Place, camera_block, depth_block, normals_block
-from vntoolkit.live.page import LiveViewer
+from vntoolkit.live.page import LiveViewer, PacketSizes, camera_block
 from vntoolkit.live.recorder import LiveRecorder
 from vntoolkit.live.sources import TimedFrame
 from vntoolkit.meshing.surface import MeshOptions, mesh_from_depth
 from vntoolkit.photometry.lambertian import rgb_from_normals
 from vntoolkit.photometry.rig import Rig
-from vntoolkit.report.viewer import ViewerOptions
+from vntoolkit.report.local_server import ViewerOptions
+from vntoolkit.report.scene import depth_block, depth_box, normals_block, place_of
 
 FIGURES = LiveFigures(arrived=1, processed=1, dropped=0, failed=0, rate_hz=0.0, latency_s=(0.0, 0.0))
 
@@ -63,13 +64,18 @@ def timed(number: int = 0, *, age_s: float = 0.0) -> TimedFrame:
     return TimedFrame(frame=dome_frame(number), arrived_s=time.perf_counter() - age_s)
 
 
+def url_of(viewer: LiveViewer, path: str, query: str = "") -> str:
+    """Where a path of the page is, its token added."""
+    return viewer.address.replace("/?", f"/{path}?") + f"&{query}"
+
+
 class Asked(threading.Thread):
     """A page that asks once, in a thread of its own."""
 
     def __init__(self, viewer: LiveViewer, serial: int = 0, ago_ms: int = 0) -> None:
         super().__init__()
         query = f"id=a&serial={serial}&ago_ms={ago_ms}&grid=20&normals=64&camera=30"
-        self._address, self._viewer = f"{viewer.address}/packet?{query}", viewer
+        self._address = url_of(viewer, "packet", query)
         self.content, self.seconds = b"", 0.0
         self.start()
         time.sleep(0.2)  # it waits for a result by now
@@ -93,10 +99,9 @@ def test_the_grid_carries_the_depth_and_says_where_there_is_none(dome: tuple[Liv
     result, camera = dome
     depth_map = result.depth_map
     assert depth_map is not None
-    facts, steps = depth_block(depth_map, camera, 22)  # every third pixel: 16 × 22
+    facts, steps = depth_block(depth_map, camera, 3)  # every third pixel: 16 × 22
     assert facts["shape"] == (16, 22)
     depth, mask = depth_map.depth[::3, ::3], depth_map.mask[::3, ::3]
-    steps = steps.reshape(16, 22)
     np.testing.assert_array_equal(steps == 65535, ~mask)
     read = facts["low"] + facts["step"] * steps[mask]
     np.testing.assert_allclose(read, depth[mask], atol=0.51 * facts["step"] + 1e-6)
@@ -108,23 +113,20 @@ def test_the_grid_carries_the_depth_and_says_where_there_is_none(dome: tuple[Liv
     made = {tuple(p) for p in np.round([x, y, depth[mask]], 3).T}
     assert len(mesh.vertices) > 50
     assert {tuple(p) for p in np.round(mesh.vertices, 3)} <= made
-    odd, padded = depth_block(depth_map, camera, 8)
-    assert np.prod(odd["shape"]) % 2 == 0 or padded[-1] == 65535
-    assert len(padded) % 2 == 0
-    place = Place.of(depth_map, camera)
+    place = place_of([depth_box(depth_map, camera)])
     coarse = depth_map.depth[::4, ::4][depth_map.mask[::4, ::4]]
-    assert place.size[2] == pytest.approx(np.ptp(coarse), rel=1e-6)
-    assert place.centre[2] == pytest.approx(-(coarse.min() + coarse.max()) / 2, abs=1e-5)
-    assert place.size[0] == pytest.approx(np.ptp(np.nonzero(depth_map.mask[::4, ::4])[1]) * 4, abs=1e-4)
+    assert place["size"][2] == pytest.approx(np.ptp(coarse), rel=1e-6)
+    assert place["centre"][2] == pytest.approx(-(coarse.min() + coarse.max()) / 2, abs=1e-5)
+    assert place["size"][0] == pytest.approx(np.ptp(np.nonzero(depth_map.mask[::4, ::4])[1]) * 4, abs=1e-4)
     speck = DepthMap(depth=np.full((48, 64), 2.0, np.float32), mask=np.arange(48 * 64).reshape(48, 64) == 65)
-    assert Place.of(speck, camera).centre[2] == -2.0
+    assert place_of([depth_box(speck, camera)])["centre"][2] == -2.0
 
 
 def test_pictures_carry_normals_and_mark_what_is_clipped(dome: tuple[LiveResult, Camera]) -> None:
-    block = normals_block(dome[0].normal_map, 64).astype(float)
+    block = normals_block(dome[0].normal_map).astype(float)
     mask = dome[0].normal_map.mask
     np.testing.assert_array_equal(block[..., 3] == 255, mask)
-    np.testing.assert_array_equal(block[~mask], 0)  # the page divides colour by opacity where it blends
+    assert (block[~mask] == (128, 128, 128, 0)).all()  # turns no normal that it is blended with
     read = (block[..., :3] / 127.5 - 1) * (1, -1, -1)
     np.testing.assert_allclose(read[mask], dome[0].normal_map.normals_in_camera[mask], atol=1 / 127)
     values = np.full((6, 8, 3), 70, np.uint8)
@@ -150,9 +152,12 @@ def test_one_packet_per_question_and_always_the_newest(
     viewer.show(dome[0], timed())
     first, rest = opened(page.content) if page.join() is None else ({}, b"")
     assert first["serial"] == 2  # not the old one that was there when it asked
-    assert first["depth"]["shape"] == [12, 16]
-    assert (first["normals"], first["camera"]) == ([48, 64], [16, 22])
-    assert "waiting" not in first["status"]
+    assert first["own"]["shape"] == [12, 16]
+    assert {name: entry["shape"] for name, entry in first["pictures"].items()} == {
+        "camera": [16, 22],
+        "normals": [48, 64],
+    }
+    assert len(first["status"]["cards"]) == 4
     assert len(rest) == 2 * 12 * 16 + 4 * 48 * 64 + 4 * 16 * 22
     assert viewer.meter.count == 0  # sent, but not drawn yet
     for _ in range(3):
@@ -197,33 +202,37 @@ def status_of(address: str, **more: Any) -> int:
 def test_only_the_page_itself_may_record_and_nonsense_is_refused(viewer: LiveViewer) -> None:
     recorder = viewer._recorder
     assert recorder is not None
-    assert status_of(f"{viewer.address}/record", method="POST") == 404
+    record = url_of(viewer, "record")
+    assert status_of(record.partition("?")[0], method="POST") == 403  # no token
+    for elsewhere in ({"Origin": "http://evil.example"}, {"Origin": "null"}, {"Host": "evil.example"}):
+        assert status_of(record, method="POST", headers=elsewhere) == 403
     assert not recorder.is_recording
-    assert status_of(f"{viewer.address}/record", method="POST", headers={"X-Live": "1"}) == 200
+    own = viewer.address.partition("/?")[0]
+    assert status_of(record, method="POST", headers={"Origin": own}) == 200
     assert recorder.is_recording
     recorder.stop()
-    assert status_of(f"{viewer.address}/") == 200
-    assert status_of(f"{viewer.address}/../../etc/passwd") == 404
-    for query in ("", "?id=a&serial=x&ago_ms=0&grid=9&normals=9&camera=9",
-                  "?id=a&serial=0&ago_ms=0&grid=9&normals=9&camera=999999"):  # fmt: skip
-        assert status_of(f"{viewer.address}/packet{query}") == 400
+    assert status_of(viewer.address) == 200
+    assert status_of(url_of(viewer, "../../etc/passwd")) == 404
+    for query in ("", "id=a&serial=x&ago_ms=0&grid=9&normals=9&camera=9",
+                  "id=a&serial=0&ago_ms=0&grid=9&normals=9&camera=999999"):  # fmt: skip
+        assert status_of(url_of(viewer, "packet", query)) == 400
 
 
 def test_a_page_is_told_that_it_is_over(dome: tuple[LiveResult, Camera]) -> None:
     ended = LiveViewer(dome[1], ViewerOptions(port=free_port()), figures=lambda: FIGURES)
-    kept = http.client.HTTPConnection(ended.address.removeprefix("http://"), timeout=10)
-    kept.request("GET", "/")
+    kept = http.client.HTTPConnection(urlsplit(ended.address).netloc, timeout=10)
+    kept.request("GET", ended.address.removeprefix(f"http://{urlsplit(ended.address).netloc}"))
     assert kept.getresponse().read().startswith(b"<!DOCTYPE html>")
     ended.close()
-    kept.request("GET", "/packet?id=a&serial=0&ago_ms=0&grid=9&normals=9&camera=9")
+    kept.request("GET", url_of(ended, "packet", "id=a&serial=0&ago_ms=0&grid=9&normals=9&camera=9"))
     assert kept.getresponse().status == 503  # an empty answer would make it ask again at once
 
 
 def test_a_port_in_use_is_passed_over(viewer: LiveViewer, dome: tuple[LiveResult, Camera]) -> None:
-    port = int(viewer.address.rsplit(":", 1)[1])
+    port = urlsplit(viewer.address).port
     other = LiveViewer(dome[1], ViewerOptions(port=port), figures=lambda: FIGURES)
     try:
-        assert int(other.address.rsplit(":", 1)[1]) > port
-        assert status_of(f"{other.address}/record", method="POST", headers={"X-Live": "1"}) == 404
+        assert urlsplit(other.address).port > port
+        assert status_of(url_of(other, "record"), method="POST") == 404  # there is no recorder
     finally:
         other.close()

@@ -22,7 +22,8 @@ from vntoolkit.pipeline.export import (
     file_lengths,
 )
 from vntoolkit.pipeline.opened_result import open_result
-from vntoolkit.report.viewer import ResultViewer, ViewerOptions
+from vntoolkit.report.local_server import ViewerOptions
+from vntoolkit.report.result_scene import ResultViewer
 
 __all__ = ["dome_result"]
 

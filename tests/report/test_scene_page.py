@@ -1,8 +1,11 @@
 """The offline page: it opens in a browser without a request or a complaint, and what it shows is there."""
 
+import base64
 import json
 import re
 import shutil
+import struct
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +16,10 @@ from tests.browser import visit
 from tests.dome_result import DomeResult
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import Mesh, face_normals
+from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.pipeline.opened_result import open_result
-from vntoolkit.report.scene_page import SceneOptions, thinned_template, write_scene
+from vntoolkit.report.result_scene import SceneOptions, thinned_template, write_scene
 
 GROUND = np.array([32, 38, 47])
 
@@ -83,20 +87,36 @@ def test_a_browser_shows_the_surface(page: Path) -> None:
         assert tab.inner_text("#number") == "frame 5"
         tab.click("#play")
         tab.wait_for_selector("body[data-shown='2']")
-        widths = tab.evaluate("[...document.querySelectorAll('aside img')].map(i => i.naturalWidth)")
+        widths = tab.evaluate("[...document.querySelectorAll('aside canvas')].map(c => c.width)")
         assert widths == [64] * 4
         assert seen.requests == [page.as_uri()]
         assert seen.complaints == []
 
 
 def data_of(page: Path) -> dict[str, Any]:
-    return json.loads(re.search(r'id="scene">(.*?)</script>', page.read_text(), re.DOTALL)[1])
+    return json.loads(re.search(r'id="setup">(.*?)</script>', page.read_text(), re.DOTALL)[1])
+
+
+def opened(text: str) -> tuple[dict[str, Any], bytes]:
+    """Header and blocks of a packet as it lies in the page."""
+    packet = zlib.decompress(base64.b64decode(text))
+    (length,) = struct.unpack_from("<I", packet)
+    return json.loads(packet[4 : 4 + length]), packet[4 + length :]
+
+
+def repacked(text: str, *, only: str) -> str:
+    """The packet without any surface and with one picture only."""
+    header, blocks = opened(text)
+    small = json.dumps({"pictures": {only: header["pictures"][only]}}).encode()
+    small += b" " * (-len(small) % 4)
+    packet = struct.pack("<I", len(small)) + small + blocks
+    return base64.b64encode(zlib.compress(packet)).decode()
 
 
 def altered(page: Path, out: Path, data: dict[str, Any], **more: str) -> Path:
     """Write the page with other data, and with texts of it replaced."""
     text = re.sub(
-        r'(?<=id="scene">).*?(?=</script>)', lambda _: json.dumps(data), page.read_text(), flags=re.S
+        r'(?<=id="setup">).*?(?=</script>)', lambda _: json.dumps(data), page.read_text(), flags=re.S
     )
     for old, new in more.items():
         text = text.replace(old, new)
@@ -105,11 +125,13 @@ def altered(page: Path, out: Path, data: dict[str, Any], **more: str) -> Path:
 
 
 @pytest.mark.slow
-def test_a_browser_copes_with_what_a_result_may_lack(page: Path, tmp_path: Path) -> None:
+def test_a_browser_copes_with_what_a_result_may_lack(
+    page: Path, dome_result: DomeResult, tmp_path: Path
+) -> None:
     whole = data_of(page)
     with visit(altered(page, tmp_path / "no_webgl.html", whole, webgl2="nosuchthing")) as seen:
         seen.page.wait_for_selector("body[data-shown='0']")
-        widths = seen.page.evaluate("[...document.querySelectorAll('aside img')].map(i => i.naturalWidth)")
+        widths = seen.page.evaluate("[...document.querySelectorAll('aside canvas')].map(c => c.width)")
         assert widths == [64] * 4  # as the message promises
         seen.page.get_by_text("This browser shows no WebGL 2").wait_for()
         seen.page.locator("#time").focus()
@@ -117,24 +139,25 @@ def test_a_browser_copes_with_what_a_result_may_lack(page: Path, tmp_path: Path)
         seen.page.wait_for_selector("body[data-shown='4']")
         assert seen.complaints == []
 
-    single = {**whole, "frames": whole["frames"][:1], "registered": None}
-    single["frames"][0]["pictures"].pop("captured")
-    with visit(altered(page, tmp_path / "single.html", single)) as seen:
+    folder = shutil.copytree(dome_result.folder, tmp_path / "single")
+    shutil.rmtree(folder / "track")
+    no_footage = open_result(folder, frames=FrameRange.from_text("0"), footage=str(tmp_path / "nowhere.mkv"))
+    write_scene(tmp_path / "single.html", no_footage)
+    with visit(tmp_path / "single.html") as seen:
         seen.page.wait_for_selector("body[data-shown='0']")
         assert seen.page.evaluate("[...$('look').options].map(o => o.value)") == ["1", "2", "3"]
         assert seen.page.is_disabled("#play")
         assert seen.page.is_disabled("#time")
         assert seen.complaints == []
 
-    gaps = data_of(page)
-    gaps["frames"][0].update(own=None, pictures={"normals": gaps["frames"][0]["pictures"]["normals"]})
+    gaps = {**whole, "frames": [repacked(whole["frames"][0], only="normals"), *whole["frames"][1:]]}
     with visit(altered(page, tmp_path / "gaps.html", gaps)) as seen:
         seen.page.wait_for_selector("body[data-shown='0']")
         assert not covered(seen.picture("#view"))[:-200].any()  # below lie the light and a hint
         seen.page.evaluate("show(1)")
         seen.page.wait_for_selector("body[data-shown='1']")
         assert covered(seen.picture("#view")).mean() > 0.05
-        assert len(seen.page.query_selector_all("aside img")) == 4
+        assert len(seen.page.query_selector_all("aside canvas")) == 4
         assert seen.complaints == []
 
 
@@ -143,8 +166,8 @@ def test_playing_shows_frames_though_each_takes_longer_than_it_lasts(page: Path)
     with visit(page) as seen:
         seen.page.wait_for_selector("body[data-shown='0']")
         seen.page.evaluate(
-            "void (loadSurface = ((real) => async (index) => "
-            "(await new Promise((done) => setTimeout(done, 200)), real(index)))(loadSurface))"
+            "void (frame = ((real) => async (index) => "
+            "(await new Promise((done) => setTimeout(done, 200)), real(index)))(frame))"
         )
         seen.page.click("#play")
         for index in (1, 2, 3):
@@ -160,16 +183,36 @@ def test_nothing_in_it_points_elsewhere(page: Path) -> None:
 
 def test_five_frames_lie_in_it_the_skipped_one_not(page: Path) -> None:
     data = data_of(page)
-    assert [frame["number"] for frame in data["frames"]] == [0, 1, 2, 4, 5]
-    assert data["registered"]["template"] == 0
-    assert len(data["registered"]["frames"]) == 5
+    assert data["numbers"] == [0, 1, 2, 4, 5]
+    assert data["template"] == 0
+    assert len(data["frames"]) == 5
+    assert data["surfaces"] == ["own", "registered"]
+    for text in data["frames"]:
+        header = opened(text)[0]
+        assert {"own", "registered"} <= set(header)
+        assert list(header["pictures"]) == ["captured", "normals", "depth", "shadows"]
+
+
+def test_the_registered_mesh_arrives_as_it_was(page: Path, dome_result: DomeResult) -> None:
+    data, sequence = data_of(page), read_mesh_sequence(dome_result.folder / "track")
+    thin = thinned_template(sequence.template, 300)
+    header, blocks = opened(data["frames"][2])
+    entry, (shared, more) = header["registered"], opened(data["topology"])
+    steps = np.frombuffer(blocks, np.uint16, 3 * len(thin.kept), entry["at"]).reshape(-1, 3)
+    read = np.array(entry["low"]) + steps * np.array(entry["step"])
+    truth = np.array(sequence.vertices[2])[thin.kept] * (1, -1, -1)
+    np.testing.assert_allclose(read, truth, atol=0.51 * max(entry["step"]) + 1e-6)
+    faces = shared["mesh"]["faces"]
+    read_faces = np.frombuffer(more, np.uint32, faces["count"], faces["at"]).reshape(-1, 3)
+    np.testing.assert_array_equal(read_faces, thin.mesh.faces)
 
 
 def test_a_long_capture_is_thinned_evenly_and_keeps_its_pace(dome_result: DomeResult, tmp_path: Path) -> None:
     out = tmp_path / "scene.html"
     write_scene(out, open_result(dome_result.folder), SceneOptions(vertices=100, most_frames=3))
     data = data_of(out)
-    assert [frame["number"] for frame in data["frames"]] == [0, 2, 5]
+    assert data["numbers"] == [0, 2, 5]
+    assert len(data["frames"]) == 3
     assert data["rate"] == pytest.approx(30 * 3 / 5)
 
 

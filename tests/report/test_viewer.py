@@ -1,8 +1,11 @@
 """The viewer in a real browser: the surface is there, moves with time, and hides from the network."""
 
+import shutil
 import socket
 import time
 from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -11,8 +14,8 @@ from tests.browser import Visit, visit
 from tests.dome_result import DomeResult
 from vntoolkit.errors import BadInput
 from vntoolkit.pipeline.opened_result import open_result
-from vntoolkit.report.scene_page import Look, Surface
-from vntoolkit.report.viewer import ResultViewer, ViewerOptions
+from vntoolkit.report.local_server import ViewerOptions
+from vntoolkit.report.result_scene import ResultViewer
 
 
 def free_port() -> int:
@@ -50,27 +53,77 @@ def test_a_browser_shows_the_surface(viewer: ResultViewer) -> None:
         colour = picture[picture.max(axis=2) > 90]
         assert np.abs(colour - colour.mean(axis=1, keepdims=True)).mean() < 25  # plaster, all but grey
 
-        viewer._look.value = Look.NORMALS.value
+        tab = seen.page
+        tab.select_option("#look", "2")
         normals = picture_when(seen, lambda p: (p[..., 2] - p[..., 0] > 60).mean() > 0.02)
         assert (normals[..., 2] - normals[..., 0] > 60).mean() > 0.02
 
-        viewer._surface.value = Surface.REGISTERED.value
-        viewer._look.value = Look.CHECKERBOARD.value
+        tab.select_option("#surface", "registered")
+        tab.select_option("#look", "3")
         checks = picture_when(seen, lambda p: (p[..., 0] - p[..., 2] > 60).mean() > 0.02)
         assert (checks[..., 0] - checks[..., 2] > 60).mean() > 0.02
 
-        viewer._slider.value = 4
-        seen.page.get_by_text("5 of 5").wait_for()
-        images = seen.page.evaluate("[...document.images].filter(i => i.naturalWidth == 64).length")
-        assert images == 4  # captured, normals, depth, shadows
-        here = (viewer.address, viewer.address.replace("http", "ws"), "blob:" + viewer.address)
-        assert seen.strange_requests(*here) == []
+        tab.locator("#time").focus()
+        tab.keyboard.press("End")
+        tab.wait_for_selector("body[data-shown='4']")
+        assert tab.inner_text("#number") == "frame 5"
+        tab.locator("#canvas").click()
+        tab.evaluate("document.activeElement.blur()")
+        tab.keyboard.press("ArrowLeft")
+        tab.wait_for_selector("body[data-shown='3']")
+        tab.keyboard.press(" ")
+        tab.wait_for_selector("body[data-shown='1']")  # it plays
+        tab.keyboard.press(" ")
+        sizes = tab.evaluate(
+            "[...document.querySelectorAll('aside canvas')].map(c => [c.id, c.width, c.height])"
+        )
+        assert sizes == [[name, 64, 48] for name in ("captured", "normals", "depth", "shadows")]
+        assert seen.strange_requests(viewer.address.partition("?")[0]) == []
         assert seen.complaints == []
+
+
+@pytest.mark.slow
+def test_frames_come_whole_and_what_cannot_be_read_is_said(dome_result: DomeResult, tmp_path: Path) -> None:
+    folder = shutil.copytree(dome_result.folder, tmp_path / "result")
+    shown = ResultViewer(open_result(folder), ViewerOptions(port=free_port()))
+    try:
+        with visit(shown.address, width=700, height=700) as seen:
+            seen.page.wait_for_selector("body[data-shown='0']")
+            grid = "frame(0).then((packet) => packet.own.shape)"
+            assert seen.page.evaluate(grid) == [48, 64]  # every pixel
+            seen.page.evaluate("change(3)")  # as a browser does that draws slowly
+            assert seen.page.get_by_text("drawing reduced").is_visible()
+            (folder / "depth" / "000001.exr").write_bytes(b"broken")
+            seen.page.evaluate("show(1)")
+            seen.page.get_by_text("000001.exr").wait_for()
+            seen.page.evaluate("show(2)")
+            seen.page.wait_for_selector("body[data-shown='2']")
+            assert not seen.page.locator("#failed").is_visible()
+            shown.close()
+            seen.page.evaluate("show(4)")
+            seen.page.get_by_text("`vntoolkit view` has ended").wait_for()
+    finally:
+        shown.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("width", "height"), [(360, 640), (500, 700), (740, 360)])
+def test_it_fits_a_small_window(viewer: ResultViewer, width: int, height: int) -> None:
+    with visit(viewer.address, width=width, height=height) as seen:
+        seen.page.wait_for_selector("body[data-shown='0']")
+        for control in ("#look", "#reset", "#light", "#play", "#time", "#captured"):
+            box = seen.page.locator(control).bounding_box()
+            assert 0 <= box["x"] < box["x"] + box["width"] <= width, control
+            assert 0 <= box["y"] < height - 10, control
+        box = seen.page.locator("#canvas").bounding_box()
+        assert box["width"] >= 0.6 * min(width, height)
+        assert box["height"] >= 0.35 * height
+        assert seen.page.evaluate("document.documentElement.scrollWidth") <= width
 
 
 def test_only_this_machine_sees_it(viewer: ResultViewer) -> None:
     assert viewer.address.startswith("http://127.0.0.1:")
-    port = int(viewer.address.rsplit(":", 1)[1])
+    port = urlsplit(viewer.address).port
     with socket.create_connection(("127.0.0.1", port), timeout=5):
         pass
     others = {info[4][0] for info in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)}

@@ -27,7 +27,7 @@ from vntoolkit.live.page import LiveViewer
 from vntoolkit.live.recorder import LiveRecorder
 from vntoolkit.live.sources import CameraOptions, CameraSource, FileSource, LiveSource, TimedFrame
 from vntoolkit.photometry.rig import Rig
-from vntoolkit.report.viewer import ViewerOptions
+from vntoolkit.report.local_server import ViewerOptions
 
 _GREY = 128
 _LATE_FRAMES = 1.5  # intervals between frames; a result that took longer is late

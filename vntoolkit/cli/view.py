@@ -10,8 +10,8 @@ from vntoolkit.cli.flags import Footage, Frames, flags_from, limits_on
 from vntoolkit.cli.output import PAGE, progress_bar, require_output
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.pipeline.opened_result import open_result
-from vntoolkit.report.scene_page import SceneOptions, counted, write_scene
-from vntoolkit.report.viewer import ResultViewer, ViewerOptions
+from vntoolkit.report.local_server import ViewerOptions
+from vntoolkit.report.result_scene import ResultViewer, SceneOptions, counted, write_scene
 
 if TYPE_CHECKING:
     ViewerFlags: TypeAlias = ViewerOptions | None

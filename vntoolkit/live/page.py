@@ -2,44 +2,58 @@
 
 The page asks for the next packet when it has drawn the last, so one is under way at most; it is made in the
 thread that answers, right after a result, when the capture rests until the next frame, and put off while the
-capture is late. A capture without a page open spends nothing on it.
+capture is late. A capture without a page open spends nothing on it. Nothing is compressed: the page mostly
+runs on the machine that films, where compressing costs both sides more than copying.
 """
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from html import escape
 from typing import Any
 
-from vntoolkit.errors import VntError
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.errors import BadInput, VntError
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.live.capture import LatencyMeter, LiveFigures
 from vntoolkit.live.frames import LiveResult, exposure_warnings
-from vntoolkit.live.packet import (
-    PacketSizes,
-    Place,
-    camera_block,
-    depth_block,
-    normals_block,
-    packet,
-)
 from vntoolkit.live.recorder import LiveRecorder
-from vntoolkit.live.server import LiveServer
 from vntoolkit.live.sources import TimedFrame
-from vntoolkit.report.viewer import ViewerOptions
+from vntoolkit.report.local_server import LocalServer, ViewerOptions
+from vntoolkit.report.scene import (
+    Packet,
+    depth_block,
+    depth_box,
+    normals_block,
+    place_of,
+    scene_page,
+    stride_to,
+)
 
 _CAPTION_S = 0.4  # numbers that change faster cannot be read
 _WARNED_S = 1.5  # a warning stays for so long, so that it can be read
 _PUT_OFF_S = 0.5  # a late result is not sent on, but after so long one is
 _ANSWER_S = 1.0  # an empty answer, where no frame comes
 _GONE_S = 3.0  # a page that has not asked for so long is closed
-_WARNING = "background:#4a3300;border-left:4px solid #e69f00;color:#ffe0a3"
-_RECORDING = "background:#4d1f06;border-left:4px solid #d55e00;color:#ffd2ba"
-_BOX = "margin:.35rem .75rem;padding:.4rem .6rem;border-radius:4px;font-size:.86rem"
-_NUMBER = "font-size:1.25rem;font-weight:650;line-height:1.2;font-variant-numeric:tabular-nums"
+_CLIPPED = (255, 0, 255, 255)
+_MOST_PX = 4096
+
+
+@dataclass(frozen=True, kw_only=True)
+class PacketSizes:
+    """Longest sides in pixels of what is sent: the grid of the surface, the normals, the camera's picture."""
+
+    grid: int = 80
+    normals: int = 320
+    camera: int = 240
+
+    def __post_init__(self) -> None:
+        if not all(2 <= side <= _MOST_PX for side in (self.grid, self.normals, self.camera)):
+            raise BadInput(f"live page: expected sizes from 2 to {_MOST_PX} pixels")
 
 
 @dataclass
@@ -68,26 +82,22 @@ class LiveViewer:
 
         late_s: from a frame's arrival to its result; longer, and the next frame waits already.
         """
-        options = options or ViewerOptions()
         self.meter = LatencyMeter()
         self._camera, self._figures, self._recorder = camera, figures, recorder
         self._newest: tuple[LiveResult | None, TimedFrame] | None = None
         self._serial, self._sent_s, self._late_s = 0, 0.0, late_s
         self._changed, self._closed = threading.Condition(), False
         self._pages: dict[str, _Page] = {}
-        self._place: Place | None = None
+        self._place: dict[str, list[float]] | None = None
         self._warned: dict[str, float] = {}
         self._problem = ""
-        self._host = options.host
-        self._server = LiveServer(
-            options.host, options.port, self._answer, None if recorder is None else self._toggle
+        self._server = LocalServer(
+            options or ViewerOptions(),
+            scene_page("vntoolkit live", "live", {"records": recorder is not None}),
+            {"/packet": self._asked},
+            {} if recorder is None else {"/record": self._toggle},
         )
-
-    @property
-    def address(self) -> str:
-        """The address to open in a browser."""
-        host = f"[{self._host}]" if ":" in self._host else self._host
-        return f"http://{host}:{self._server.port}"
+        self.address = self._server.address
 
     @property
     def watchers(self) -> int:
@@ -121,6 +131,10 @@ class LiveViewer:
                 self._sent_s = now
                 self._changed.notify_all()
 
+    def _asked(self, query: Mapping[str, str]) -> bytes | None:
+        sizes = PacketSizes(**{name: int(query[name]) for name in ("grid", "normals", "camera")})
+        return self._answer(query["id"], int(query["serial"]), int(query["ago_ms"]) / 1000, sizes)
+
     def _answer(self, name: str, serial: int, ago_s: float, sizes: PacketSizes) -> bytes | None:
         """Wait for the next result that comes in time, and return it as a packet; empty where none comes.
 
@@ -150,21 +164,20 @@ class LiveViewer:
     def _packet(
         self, page: _Page, serial: int, result: LiveResult | None, timed: TimedFrame, sizes: PacketSizes
     ) -> bytes:
+        packet, pictures = Packet(), {"camera": camera_block(timed, sizes.camera)}
         header: dict[str, Any] = {"serial": serial, "status": self._status(page)}
-        blocks: list[Any] = []
         if self._recorder is not None:
             header["record"] = "stop recording" if self._recorder.is_recording else "record"
-        if result is not None and result.depth_map is not None and result.depth_map.mask.any():
-            self._place = self._place or Place.of(result.depth_map, self._camera)
-            header["place"] = {"centre": self._place.centre, "size": self._place.size}
-            header["depth"], steps = depth_block(result.depth_map, self._camera, sizes.grid)
-            blocks.append(steps)
         if result is not None:
-            blocks.append(normals_block(result.normal_map, sizes.normals))
-            header["normals"] = blocks[-1].shape[:2]
-        blocks.append(camera_block(timed, sizes.camera))
-        header["camera"] = blocks[-1].shape[:2]
-        return packet(header, blocks)
+            depth_map, normal_map = result.depth_map, result.normal_map
+            pictures["normals"] = normals_block(normal_map, stride_to(normal_map.shape, sizes.normals))
+            if depth_map is not None and depth_map.mask.any():
+                self._place = self._place or place_of([depth_box(depth_map, self._camera)])
+                stride = stride_to(depth_map.shape, sizes.grid)
+                facts, steps = depth_block(depth_map, self._camera, stride)
+                header |= {"place": self._place, "own": {"at": packet.add(steps), **facts}}
+        header["pictures"] = {name: packet.raw_picture(picture) for name, picture in pictures.items()}
+        return packet.content(header)
 
     def _toggle(self) -> None:
         assert self._recorder is not None
@@ -177,8 +190,8 @@ class LiveViewer:
             for page in self._pages.values():
                 page.captioned_s = 0.0
 
-    def _status(self, page: _Page) -> str | None:
-        """Return what is to be said as HTML, a few times a second; a warning stays for a while."""
+    def _status(self, page: _Page) -> dict[str, Any] | None:
+        """Return what is to be said, a few times a second; a warning stays for a while."""
         now = time.perf_counter()
         if now - page.captioned_s < _CAPTION_S:
             return None
@@ -195,7 +208,7 @@ class LiveViewer:
             warnings += [problem for problem in (recorder.problem, self._problem) if problem]
         return LiveStatus(
             figures=self._figures(), shown_hz=rate, shown_s=median, warnings=warnings, recording=recording
-        ).html()
+        ).entry()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -212,35 +225,39 @@ class LiveStatus:
     warnings: Sequence[str] = ()
     recording: str = ""
 
-    def html(self) -> str:
-        """Return it as HTML with its own styles; all texts escaped."""
+    def entry(self) -> dict[str, Any]:
+        """Return it as the page shows it: cards of a number, what it is and what stands beside, and texts."""
         figures = self.figures
         median, high = (1000 * seconds for seconds in figures.latency_s)
         lost = f", {figures.failed:,} failed" if figures.failed else ""
         dropped = f"{100 * figures.dropped / max(1, figures.arrived):.1f} %"
-        cards = (
-            (f"{figures.rate_hz:.1f}", "frames a second", f"{figures.processed:,} so far"),
-            (f"{median:.0f} ms", "latency of a frame", f"95 %: {high:.0f} ms"),
-            (f"{figures.dropped:,}", "frames dropped", f"of {figures.arrived:,}, {dropped}{lost}"),
-            (f"{self.shown_hz:.1f}", "a second on this page", f"{1000 * self.shown_s:.0f} ms after arrival"),
-        )
-        boxes = [_box(_RECORDING, f"● recording {self.recording}")] if self.recording else []
-        boxes += [_box(_WARNING, f"▲ {warning}") for warning in self.warnings]
-        grid = "display:grid;grid-template-columns:repeat(2,1fr);gap:.4rem .8rem;padding:.2rem .75rem .4rem"
-        return f'<div style="{grid}">{"".join(_card(*card) for card in cards)}</div>{"".join(boxes)}'
+        return {
+            "cards": (
+                (f"{figures.rate_hz:.1f}", "frames a second", f"{figures.processed:,} so far"),
+                (f"{median:.0f} ms", "latency of a frame", f"95 %: {high:.0f} ms"),
+                (f"{figures.dropped:,}", "frames dropped", f"of {figures.arrived:,}, {dropped}{lost}"),
+                (
+                    f"{self.shown_hz:.1f}",
+                    "a second on this page",
+                    f"{1000 * self.shown_s:.0f} ms after arrival",
+                ),
+            ),
+            "recording": self.recording,
+            "warnings": self.warnings,
+        }
 
 
-# What the live page says of itself: rate, latency, dropped frames, recording, and what to change.
-
-
-def _card(value: str, what: str, beside: str) -> str:
-    small = "font-size:.72rem;line-height:1.3"
-    return (
-        f'<div><div style="{small};opacity:.75">{escape(what)}</div>'
-        f'<div style="{_NUMBER}">{escape(value)}</div>'
-        f'<div style="{small};opacity:.75">{escape(beside)}</div></div>'
-    )
-
-
-def _box(style: str, text: str) -> str:
-    return f'<div role="status" style="{_BOX};{style}">{escape(text)}</div>'
+def camera_block(timed: TimedFrame, longest_px: int) -> npt.NDArray[np.uint8]:
+    """Return the camera's picture (h, w, 4), what is clipped painted over."""
+    values = timed.frame.values
+    stride = stride_to(values.shape, longest_px)
+    small = values[::stride, ::stride]
+    if small.dtype == np.uint16:
+        small = small >> (timed.frame.bits - 8)
+    elif small.dtype != np.uint8:
+        small = 255 * np.clip(small, 0, 1)
+    block = np.full((*small.shape[:2], 4), 255, np.uint8)
+    block[..., :3] = small
+    red, green, blue = (block[..., channel] == 255 for channel in range(3))
+    block[red | green | blue] = _CLIPPED
+    return block

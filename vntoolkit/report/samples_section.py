@@ -21,6 +21,7 @@ from vntoolkit.report.pictures import (
     Picture,
     cropped,
     pictures_of_frame,
+    sampled,
     short_label,
     web_colour,
 )
@@ -30,12 +31,6 @@ from vntoolkit.report.tiles import tiled
 _SHEET_PX = 1600
 _TITLES = {"depth": "relief", "shadows": "lights that arrive"}
 _BESIDE = 205  # grey beside the subject, since white means that all lights arrive
-
-
-def sampled(numbers: tuple[int, ...], count: int) -> tuple[int, ...]:
-    """Return at most `count` of the frame numbers, evenly spread, the first and the last among them."""
-    places = np.linspace(0, len(numbers) - 1, min(count, len(numbers))).round().astype(int)
-    return tuple(numbers[place] for place in dict.fromkeys(places.tolist()))
 
 
 def samples_section(result: OpenedResult, count: int, height_px: int) -> PageSection:

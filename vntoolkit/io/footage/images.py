@@ -89,9 +89,9 @@ def write_png(path: Path | str, pixels: npt.NDArray[Any], *, compression_level: 
 
 
 def encoded_image(pixels: npt.NDArray[np.uint8], suffix: str = ".png", *, quality: int = 88) -> bytes:
-    """Return the bytes of an image file, `.png`, `.jpg` or `.webp`, of (h, w, 3) or (h, w) uint8 RGB pixels.
+    """Return the bytes of an image file, `.png`, `.jpg` or `.webp`, of uint8 pixels.
 
-    quality: 0 to 100, of a JPEG or WebP.
+    pixels: (h, w), (h, w, 3) RGB or (h, w, 4) RGBA. quality: 0 to 100, of a JPEG or WebP.
     """
     flags = {
         ".png": [cv2.IMWRITE_PNG_COMPRESSION, 9],
@@ -102,7 +102,10 @@ def encoded_image(pixels: npt.NDArray[np.uint8], suffix: str = ".png", *, qualit
         raise BadInput(
             f"image: expected 8 bits and one of {', '.join(flags)}, got {pixels.dtype}, '{suffix}'"
         )
-    ordered = cv2.cvtColor(np.ascontiguousarray(pixels), cv2.COLOR_RGB2BGR) if pixels.ndim == 3 else pixels
+    ordered = pixels
+    if pixels.ndim == 3:
+        order = cv2.COLOR_RGBA2BGRA if pixels.shape[2] == 4 else cv2.COLOR_RGB2BGR
+        ordered = cv2.cvtColor(np.ascontiguousarray(pixels), order)
     return _encoded(ordered, suffix, flags[suffix], "image")
 
 
