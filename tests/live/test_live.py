@@ -305,10 +305,18 @@ def test_the_command_plays_a_video_and_says_what_was_dropped(tmp_path: Path, cap
     assert main([*arguments, "--video", str(tmp_path / "a.mkv")]) == 0
     printed = capsys.readouterr().out
     assert "0 of 6 dropped" in printed
-    assert "viser" not in printed
     assert main([*arguments, "--video", str(tmp_path / "a.mkv"), "--camera", "0"]) != 0
     assert "either --camera NUMBER or --video FILE" in capsys.readouterr().err
     assert main([*arguments, "--video", str(tmp_path / "a.mkv"), "--seconds", "0"]) != 0
     assert "seconds: expected more than 0, got 0" in capsys.readouterr().err
     assert main([*arguments, "--video", str(tmp_path / "a.mkv"), "--rate", "5"]) != 0
     assert "a video has its own" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("number", [-1, 100, 99999999999])
+def test_a_camera_number_that_opencv_would_choke_on_is_refused(tmp_path: Path, capsys, number: int) -> None:
+    write_rig(tmp_path / "rig.json", dome_rig())
+    assert main(["live", "--rig", str(tmp_path / "rig.json"), "--camera", str(number)]) == 1
+    said = capsys.readouterr().err
+    assert f"camera: expected a number from 0, the first camera, to 99, got {number}" in said
+    assert said.count("\n") == 1

@@ -101,7 +101,7 @@ def test_frames_come_whole_and_what_cannot_be_read_is_said(dome_result: DomeResu
             assert not seen.page.locator("#failed").is_visible()
             shown.close()
             seen.page.evaluate("show(4)")
-            seen.page.get_by_text("`vntoolkit view` has ended").wait_for()
+            seen.page.get_by_text("has ended").wait_for()
     finally:
         shown.close()
 

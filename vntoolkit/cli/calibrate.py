@@ -248,9 +248,13 @@ def report_rig(out: Path, rig: Rig, seen: str) -> None:
     if rig.response.variation is not None:
         print("  M varies over the image; the condition number is that of the centre")
         return
-    title = "lights" if rig.response.light_colours is not None else "lights (channel by channel)"
     tilts = np.rad2deg(np.arccos(np.clip(-rig.response.light_directions[:, 2], -1, 1)))
-    print(f"  {title}: {', '.join(f'{tilt:.0f}' for tilt in tilts)} degrees from the optical axis")
+    told = f"{', '.join(f'{tilt:.0f}' for tilt in tilts)} degrees from the optical axis"
+    if rig.response.light_colours is not None:
+        print(f"  lights            {told}")
+    else:
+        print(f"  rows of M         {told} (red, green, blue channel;")
+        print("                    the lights lie further out where a channel sees several of them)")
 
 
 @limits_on("max_megapixels")

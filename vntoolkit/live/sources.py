@@ -14,6 +14,7 @@ from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.footage.captures import Capture
 from vntoolkit.io.footage.decoding import EncodedFrame
 
+_MOST_CAMERAS = 100  # OpenCV reads the hundreds of a number as the driver to take; a negative one crashes it
 _FAILED_READS = 30  # in a row: the camera is gone
 _LATEST_FRAMES = 3  # a file's frame that is later than so many is skipped
 
@@ -67,6 +68,10 @@ class CameraSource:
     def __init__(self, number: int, options: CameraOptions | None = None) -> None:
         import cv2
 
+        if not 0 <= number < _MOST_CAMERAS:
+            raise BadInput(
+                f"camera: expected a number from 0, the first camera, to {_MOST_CAMERAS - 1}, got {number}"
+            )
         options = options or CameraOptions()
         self.skipped = 0  # a driver does not tell
         self.name = f"camera {number}"

@@ -88,13 +88,24 @@ class LightResponse:
         return np.linalg.inv(self.light_colours.T)
 
     @property
+    def direction_names(self) -> tuple[str, str, str]:
+        """What the rows of `light_directions` belong to: lights, or channels where these are all we know."""
+        if self.light_colours is None:
+            return ("red channel", "green channel", "blue channel")
+        return ("light 0", "light 1", "light 2")
+
+    @property
     def lights(self) -> Matrix3:
         """(3, 3), row k = direction of light k times its strength, so contribution k is row k · n."""
         return self.contributions_from_rgb @ self.matrix
 
     @property
     def light_directions(self) -> Matrix3:
-        """(3, 3), row k = unit vector from the surface towards light k."""
+        """(3, 3), row k = unit vector from the surface towards light k.
+
+        Where the light colours are not known, the direction of M's row k, of which channel k sees most: a
+        mixture of the lights' directions, hence closer to the other two, as far as the channel sees several.
+        """
         lights = self.lights
         return lights / np.linalg.norm(lights, axis=1, keepdims=True)
 

@@ -101,11 +101,17 @@ def _cone_figure(result: OpenedResult, sample: int) -> PageFigure:
         _draw_lights(axes, result)
         axes.legend(loc="lower center", ncols=4, fontsize=7.5, handletextpad=0.3, columnspacing=0.9)
     fitted = quality is not None and quality.samples > 0
+    points = "Points: the lights."
+    if result.rig.response.light_colours is None:
+        points = (
+            "Points: the rows of M, from where each channel is lit most; they are the lights only where each "
+            "channel sees one light alone, else they lie closer together than the lights do."
+        )
     cone = " Dashed: the size of the cone of calibration normals." if fitted else ""
     return figure_from_plot(
         figure,
         "Directions as the camera sees them, up is up; the rim is 90° from the optical axis. Grey: the "
-        f"normals of frame {sample}. Points: the lights.{cone}",
+        f"normals of frame {sample}. {points}{cone}",
     )
 
 
@@ -128,10 +134,12 @@ def _draw_capture(axes: Axes, result: OpenedResult, sample: int) -> None:
 def _draw_lights(axes: Axes, result: OpenedResult) -> None:
     response = result.rig.response
     colours: FloatArray = np.eye(3) if response.light_colours is None else np.array(response.light_colours)
-    for k, direction in enumerate(response.light_directions):
+    for k, (name, direction) in enumerate(
+        zip(response.direction_names, response.light_directions, strict=True)
+    ):
         hue = np.clip(colours[k] / max(colours[k].max(), 1e-9), 0, 1) * 0.85
         axes.plot(direction[0], -direction[1], "o", ms=9, color=tuple(hue), mec="white", mew=1.2, ls="none",
-                  label=f"light {k}")  # fmt: skip
+                  label=name)  # fmt: skip
 
 
 def _response_figure(result: OpenedResult) -> PageFigure:

@@ -115,7 +115,7 @@ def draw_turn(axis: Any, result: HeadCalibration) -> None:
 
 
 def draw_sphere(axis: Any, result: HeadCalibration) -> None:
-    """Draw the normals seen, seen by the camera, in the colour of their residual, and the lights."""
+    """Draw the normals seen, seen by the camera, in the colour of their residual, and the rows of M."""
     samples, light = result.samples, result.light
     normals = samples.normals_in_camera[light.inliers]
     colours = samples.rgb[light.inliers] / light.albedo[light.inliers] - light.response.ambient
@@ -125,13 +125,13 @@ def draw_sphere(axis: Any, result: HeadCalibration) -> None:
         points, ax=axis, label="residual, °", location="bottom", shrink=0.6, extend="max"
     )
     scale.outline.set_visible(False)
-    names = ("light 0", "light 1", "light 2")
-    for direction, colour, name in zip(light.response.light_directions, _LIGHT_COLOURS, names, strict=True):
+    names, directions = light.response.direction_names, light.response.light_directions
+    for direction, colour, name in zip(directions, _LIGHT_COLOURS, names, strict=True):
         axis.plot(*direction[:2], "*", color=colour, markersize=18, markeredgecolor="white", label=name)
     axis.add_artist(_circle())
     axis.set(aspect="equal", xlim=(-1.05, 1.05), ylim=(1.05, -1.05))
     axis.set(xlabel="x, right", ylabel="y, down")
-    axis.set_title(f"normals seen, and lights; median residual {light.quality.residual_deg:.1f}°")
+    axis.set_title(f"normals seen, and rows of M; median residual {light.quality.residual_deg:.1f}°")
     axis.legend(loc="lower left", bbox_to_anchor=(0.8, -0.02))
 
 

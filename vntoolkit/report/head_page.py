@@ -120,12 +120,12 @@ def _light_section(frames: list[_ShownFrame], rig: Rig, result: HeadCalibration)
     directions = rig.response.light_directions
     rows = tuple(
         (
-            f"light {k}",
+            name,
             ", ".join(f"{value:+.3f}" for value in direction),
             f"{np.rad2deg(np.arccos(np.clip(-direction[2], -1.0, 1.0))):.1f}°",
             f"{np.rad2deg(np.arctan2(-direction[1], direction[0])) % 360.0:.0f}°",
         )
-        for k, direction in enumerate(directions)
+        for name, direction in zip(rig.response.direction_names, directions, strict=True)
     )
     matrix = tuple(
         (name, *(f"{value:+.4f}" for value in row))
@@ -135,13 +135,13 @@ def _light_section(frames: list[_ShownFrame], rig: Rig, result: HeadCalibration)
         title="Light",
         paragraphs=(
             "Every sample is a normal of the shape, in the camera frame, and a colour. The sphere shows "
-            "which normals were seen, in the colour of their residual; stars are the lights. Directions are "
-            "M's, channel by channel: where lamps overlap in colour, these lie closer together than the "
-            "lamps do.",
+            "which normals were seen, in the colour of their residual; stars are the rows of M, from where "
+            "each channel is lit most. They are the lights only where each channel sees one light alone; "
+            "else they lie closer together than the lights do.",
         ),
         figures=(
             _strip(samples, frames, "Samples on the head, by what became of them."),
-            _picture(lambda axis: draw_sphere(axis, result), (620, 600), "Normals seen, and the lights."),
+            _picture(lambda axis: draw_sphere(axis, result), (620, 600), "Normals seen, and the rows of M."),
         ),
         tables=(
             PageTable(

@@ -198,7 +198,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._refuse(HTTPStatus.INTERNAL_SERVER_ERROR, str(error))
         else:
             if content is None:
-                self._refuse(HTTPStatus.SERVICE_UNAVAILABLE, "it is over")
+                self._refuse(HTTPStatus.SERVICE_UNAVAILABLE, "vntoolkit has ended")
             else:
                 self._reply(content, "application/octet-stream")
 

@@ -107,6 +107,7 @@ class ResultViewer:
             )
         setup = self._scene.setup(sampled(result.numbers, _BOXED_FRAMES))
         name = Path(result.manifest.input.source).name
+        self._closed = threading.Event()
         self._reading = threading.Lock()  # one frame at a time, so that memory does not grow with pages
         self._server = LocalServer(
             options or ViewerOptions(),
@@ -114,7 +115,6 @@ class ResultViewer:
             {"/frame": self._frame, "/topology": self._topology},
         )
         self.address = self._server.address
-        self._closed = threading.Event()
 
     def close(self) -> None:
         """Stop serving."""
@@ -126,7 +126,9 @@ class ResultViewer:
         while not self._closed.wait(1.0):
             pass
 
-    def _frame(self, query: Mapping[str, str]) -> bytes:
+    def _frame(self, query: Mapping[str, str]) -> bytes | None:
+        if self._closed.is_set():
+            return None  # a page's connection outlives the listening
         index, grid = int(query["index"]), int(query["grid"])
         if not 0 <= index < len(self._scene.numbers) or grid < 2:
             raise BadInput(

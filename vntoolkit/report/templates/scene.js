@@ -146,7 +146,7 @@ precision highp float;
 in vec3 vNormal, vSeen; in vec2 vUv; out vec4 colour;
 uniform sampler2D captured, normals; uniform mat3 turned; uniform vec3 light; uniform int look; uniform bool measured;
 void main() {
-  if (look == 9) { colour = vec4(0.35, 0.62, 1.0, 0.4); return; }  // wires
+  if (look == 9) { colour = vec4(0.35, 0.62, 1.0, 0.6); return; }  // wires
   vec3 n = vNormal;
   float cover = 1.0;
   if (measured) {
