@@ -24,10 +24,9 @@ import numpy as np
 from benchmarks.pipeline import footage, rig_of, write_h264
 from vntoolkit.io.footage.captures import open_capture
 from vntoolkit.io.footage.video import write_video
-from vntoolkit.live.capture import LatencyMeter, LiveRun
+from vntoolkit.live.capture import FileSource, LatencyMeter, LiveRun, TimedFrame
 from vntoolkit.live.frames import LiveProcessor, LiveResult
 from vntoolkit.live.page import LiveViewer
-from vntoolkit.live.sources import FileSource, TimedFrame
 from vntoolkit.report.local_server import ViewerOptions
 
 _RATE_HZ = 30.0

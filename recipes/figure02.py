@@ -24,8 +24,8 @@ from vntoolkit.io.rigs import write_rig
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.pipeline.calibrate import CalibrationJob, calibrate_board
 from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob, simulate
+from vntoolkit.report.pictures import ErrorScale, row_of_frame, write_tiles
 from vntoolkit.report.recipes_page import number, write_numbers
-from vntoolkit.report.tiles import ErrorScale, row_of_frame, write_tiles
 from vntoolkit.simulation.render import render_frame
 from vntoolkit.simulation.scene import SceneOptions, build_scene
 

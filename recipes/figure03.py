@@ -24,9 +24,9 @@ from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.pipeline.calibrate import CalibrationJob
 from vntoolkit.pipeline.calibrate_head import calibrate_head
 from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob, simulate
-from vntoolkit.report.head_figure import write_head_figure
+from vntoolkit.report.head import write_head_figure
+from vntoolkit.report.pictures import ErrorScale, row_of_frame, write_tiles
 from vntoolkit.report.recipes_page import number, write_numbers
-from vntoolkit.report.tiles import ErrorScale, row_of_frame, write_tiles
 from vntoolkit.simulation.image_formation import true_response
 from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.render import render_frame

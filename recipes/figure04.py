@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from vntoolkit.photometry.frame import lit_from_labels
+from vntoolkit.report.figures import write_detection_figure
 from vntoolkit.report.recipes_page import number, write_numbers
-from vntoolkit.report.shadow_figure import write_detection_figure
 from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
 from vntoolkit.simulation.image_formation import true_response
 from vntoolkit.simulation.nuisances import Nuisances

@@ -18,8 +18,8 @@ from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.photometry.frame import count_lit
+from vntoolkit.report.figures import Recovery, write_recovery_figure
 from vntoolkit.report.recipes_page import number, write_numbers
-from vntoolkit.report.shadow_figure import Recovery, write_recovery_figure
 from vntoolkit.shadows.detector import ShadowDetector
 from vntoolkit.shadows.recovery import recover_normals
 from vntoolkit.simulation.image_formation import true_response

@@ -20,7 +20,7 @@ from vntoolkit.pipeline.checkerboard import write_checkerboard
 from vntoolkit.pipeline.evaluate_tracks import evaluate_tracks, write_track_errors
 from vntoolkit.pipeline.options import Product, ReconstructOptions
 from vntoolkit.pipeline.track import TrackJob, track
-from vntoolkit.report.error_figures import write_error_plot, write_moments
+from vntoolkit.report.figures import write_error_plot, write_moments
 from vntoolkit.report.recipes_page import number, write_numbers
 from vntoolkit.shadows.detector import ShadowMethod
 from vntoolkit.simulation.scene import SceneOptions

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from vntoolkit.io.atomic import write_text
 from vntoolkit.pipeline.nuisance_errors import nuisance_errors
-from vntoolkit.report.error_figures import write_bars
+from vntoolkit.report.figures import write_bars
 from vntoolkit.report.recipes_page import number, write_numbers
 from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.scene import SceneOptions, build_scene

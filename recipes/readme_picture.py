@@ -10,9 +10,8 @@ from pathlib import Path
 from vntoolkit.io.atomic import write_bytes
 from vntoolkit.io.footage.images import encoded_image, resized_image
 from vntoolkit.pipeline.opened_result import open_result
-from vntoolkit.report.pictures import cropped, picture_of_depth, picture_of_normals
+from vntoolkit.report.pictures import cropped, picture_of_depth, picture_of_normals, tiled
 from vntoolkit.report.raycast_view import View, picture_of
-from vntoolkit.report.tiles import tiled
 
 WIDTH_PX = 1600
 TURNED_DEG = 40.0

@@ -18,7 +18,7 @@ from pathlib import Path
 from vntoolkit.io.atomic import write_text
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.pipeline.referenced_captures import CAPTURES, read_capture
-from vntoolkit.report.error_figures import write_bars
+from vntoolkit.report.figures import write_bars
 from vntoolkit.report.recipes_page import number, write_numbers
 from vntoolkit.shadows.detector import ShadowDetector
 from vntoolkit.shadows.recovery import recover_normals

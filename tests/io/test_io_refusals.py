@@ -30,7 +30,7 @@ from vntoolkit.io.maps_and_meshes.meshes import write_mesh, write_point_cloud
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
 from vntoolkit.io.results.manifest import read_manifest
 from vntoolkit.io.rigs import rig_from_text
-from vntoolkit.live.sources import CameraSource
+from vntoolkit.live.capture import CameraSource
 from vntoolkit.pipeline.calibrate_presses import read_press_label
 
 TRIANGLE = Mesh(vertices=np.eye(3), faces=np.array([[0, 1, 2]], dtype=np.int32))

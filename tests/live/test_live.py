@@ -19,7 +19,7 @@ from vntoolkit.io.footage.captures import open_capture
 from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.footage.video import write_video
 from vntoolkit.io.rigs import write_rig
-from vntoolkit.live.capture import LatencyMeter, LiveRun
+from vntoolkit.live.capture import CameraSource, FileSource, LatencyMeter, LiveRecorder, LiveRun, TimedFrame
 from vntoolkit.live.frames import (
     FrameView,
     LiveOptions,
@@ -27,8 +27,6 @@ from vntoolkit.live.frames import (
     LiveResult,
     exposure_warnings,
 )
-from vntoolkit.live.recorder import LiveRecorder
-from vntoolkit.live.sources import CameraSource, FileSource, TimedFrame
 from vntoolkit.photometry.lambertian import rgb_from_normals
 from vntoolkit.photometry.rig import Rig
 
@@ -259,7 +257,7 @@ def test_a_recording_that_fails_is_over_and_the_next_one_is_not_blamed(tmp_path:
 
     recorder = LiveRecorder(tmp_path, 30.0)
     with monkeypatch.context() as failing:
-        failing.setattr("vntoolkit.live.recorder.write_video", full_disk)
+        failing.setattr("vntoolkit.live.capture.write_video", full_disk)
         recorder.start()
         recorder.take(TimedFrame(frame=encoded(dome_picture()), arrived_s=0.0))
         until = time.monotonic() + 10

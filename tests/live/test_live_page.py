@@ -16,11 +16,9 @@ from vntoolkit.errors import VntError
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.footage.captures import open_capture
 from vntoolkit.io.footage.decoding import EncodedFrame
-from vntoolkit.live.capture import LiveFigures, LiveRun
+from vntoolkit.live.capture import LiveFigures, LiveRecorder, LiveRun, TimedFrame
 from vntoolkit.live.frames import LiveProcessor, LiveResult
 from vntoolkit.live.page import LiveStatus, LiveViewer
-from vntoolkit.live.recorder import LiveRecorder
-from vntoolkit.live.sources import TimedFrame
 from vntoolkit.photometry.lambertian import rgb_from_normals
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.report.local_server import ViewerOptions

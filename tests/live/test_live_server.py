@@ -21,11 +21,9 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap
 from vntoolkit.io.footage.decoding import EncodedFrame
-from vntoolkit.live.capture import LiveFigures
+from vntoolkit.live.capture import LiveFigures, LiveRecorder, TimedFrame
 from vntoolkit.live.frames import LiveProcessor, LiveResult
 from vntoolkit.live.page import LiveViewer, PacketSizes, camera_block
-from vntoolkit.live.recorder import LiveRecorder
-from vntoolkit.live.sources import TimedFrame
 from vntoolkit.meshing.surface import MeshOptions, mesh_from_depth
 from vntoolkit.photometry.lambertian import rgb_from_normals
 from vntoolkit.photometry.rig import Rig

@@ -26,7 +26,7 @@ from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.pipeline.calibrate import CalibrationJob
 from vntoolkit.pipeline.calibrate_head import Features, FollowOptions, HeadOptions, HeadShape, calibrate_head
-from vntoolkit.report.head_page import notices_of_head, write_head_page
+from vntoolkit.report.head import notices_of_head, write_head_page
 
 OPTIONS = HeadOptions(  # for a picture of 320 by 240
     following=FollowOptions(

@@ -7,7 +7,7 @@ import pytest
 
 from vntoolkit.errors import BadInput
 from vntoolkit.io.footage.images import read_image
-from vntoolkit.report.tiles import ErrorScale, picture_of_errors, tiled, write_tiles
+from vntoolkit.report.pictures import ErrorScale, picture_of_errors, tiled, write_tiles
 
 
 def plain(height: int, width: int, *colour: int) -> np.ndarray:

@@ -5,7 +5,7 @@ import pytest
 
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.footage.images import read_image
-from vntoolkit.report.error_figures import write_moments
+from vntoolkit.report.figures import write_moments
 from vntoolkit.report.raycast_view import BACKGROUND, View, picture_of
 
 

@@ -346,11 +346,11 @@ def head(
     if mesh is not None:
         write_mesh(mesh, result.mesh)
     if figure is not None:
-        from vntoolkit.report.head_figure import write_head_figure
+        from vntoolkit.report.head import write_head_figure
 
         write_head_figure(figure, job, result)
     if report is not None:
-        from vntoolkit.report.head_page import write_head_page
+        from vntoolkit.report.head import write_head_page
 
         write_head_page(report, job, rig, result)
     motion = result.motion

@@ -40,7 +40,7 @@ from vntoolkit.pipeline.evaluate_integration import objects_in, real_object_erro
 from vntoolkit.pipeline.evaluate_normals import compare_normal_files, pairs_of
 from vntoolkit.pipeline.evaluate_tracks import evaluate_tracks, write_track_errors
 from vntoolkit.pipeline.opened_result import open_result
-from vntoolkit.report.error_figures import (
+from vntoolkit.report.figures import (
     write_cumulative_errors,
     write_error_map,
     write_error_over_time,

@@ -21,11 +21,17 @@ from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.maps_and_meshes.label_images import read_mask
 from vntoolkit.io.rigs import read_rig
-from vntoolkit.live.capture import LiveRun
+from vntoolkit.live.capture import (
+    CameraOptions,
+    CameraSource,
+    FileSource,
+    LiveRecorder,
+    LiveRun,
+    LiveSource,
+    TimedFrame,
+)
 from vntoolkit.live.frames import FrameView, LiveProcessor, LiveResult
 from vntoolkit.live.page import LiveViewer
-from vntoolkit.live.recorder import LiveRecorder
-from vntoolkit.live.sources import CameraOptions, CameraSource, FileSource, LiveSource, TimedFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.report.local_server import ViewerOptions
 

@@ -19,10 +19,8 @@ import numpy.typing as npt
 
 from vntoolkit.errors import BadInput, VntError
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.live.capture import LatencyMeter, LiveFigures
+from vntoolkit.live.capture import LatencyMeter, LiveFigures, LiveRecorder, TimedFrame
 from vntoolkit.live.frames import LiveResult, exposure_warnings
-from vntoolkit.live.recorder import LiveRecorder
-from vntoolkit.live.sources import TimedFrame
 from vntoolkit.report.local_server import LocalServer, ViewerOptions
 from vntoolkit.report.scene import (
     Packet,

@@ -68,6 +68,11 @@ class PageNumber:
     grade: str = ""
 
 
+def graded(value: float, bounds: tuple[float, float]) -> str:
+    """Return good up to the first bound, fair up to the second, else poor."""
+    return "good" if value <= bounds[0] else "fair" if value <= bounds[1] else "poor"
+
+
 @dataclass(frozen=True, kw_only=True)
 class PageNotice:
     """A line that must be seen. severity: note, warning or fatal, as doctor's."""

@@ -1,15 +1,25 @@
-"""Maps as pictures for people: normals in their usual colours, depth as a lit relief, shadows by light."""
+"""Maps as pictures for people, and pictures in rows and columns under headings."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, LinearImage, Mask, VisibilityLabels
+from vntoolkit.errors import BadInput
+from vntoolkit.evaluation.angular_error import angular_error_map
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
+from vntoolkit.io.footage.images import resized_image, write_png
 from vntoolkit.io.maps_and_meshes.label_images import label_colours
+from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.pipeline.opened_result import OpenedResult
+from vntoolkit.report.style import ERROR_COLOURS, INK, report_style
 
 Picture = npt.NDArray[np.uint8]
 GROUND = 255  # grey value where a map is invalid
@@ -108,3 +118,159 @@ def cropped(pictures: list[Picture], mask: Mask, margin_px: int = 6) -> list[Pic
     rows = slice(max(0, v.min() - margin_px), v.max() + 1 + margin_px)
     columns = slice(max(0, u.min() - margin_px), u.max() + 1 + margin_px)
     return [picture[rows, columns] for picture in pictures]
+
+
+_PAGE_PX = 1060  # where a page shows a picture of this width, letters have their size as written
+_LETTER_PX, _LINE_PX, _GAP_PX = 13.0, 24, 8
+_SWATCH_PX, _ENTRY_PX, _SCALE_PX = 13, 170, 260
+_DPI = 100
+
+
+@dataclass(frozen=True, kw_only=True)
+class ErrorScale:
+    """The scale of an error map. most: value of the brightest colour, and of all beyond it. unit: as text."""
+
+    most: float
+    unit: str = "°"
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Text:
+    """A text at x, y, pixels from the upper left. side: which part of it stands at x."""
+
+    x: float
+    y: float
+    text: str
+    side: str = "center"
+
+
+def picture_of_errors(errors: FloatArray, compared: Mask, scale: ErrorScale, ground: int = 255) -> Picture:
+    """Return errors (h, w) as colours (h, w, 3), dark for none, a grey `ground` where none was compared."""
+    from matplotlib import colormaps
+
+    coloured = 255 * colormaps[ERROR_COLOURS](np.clip(errors / scale.most, 0, 1))[..., :3]
+    return np.where(compared[..., None], coloured, ground).astype(np.uint8)
+
+
+def write_tiles(
+    path: Path | str, rows: Sequence[Mapping[str, Picture]], names: Sequence[str] = (), **more: Any
+) -> None:
+    """Write what `tiled` returns, which takes the same arguments, as PNG."""
+    write_png(path, tiled(rows, names, **more))
+
+
+def tiled(
+    rows: Sequence[Mapping[str, Picture]],
+    names: Sequence[str] = (),
+    *,
+    legend: Mapping[str, str] | None = None,
+    scale: ErrorScale | None = None,
+    height_px: int = 420,
+) -> Picture:
+    """Return pictures (h, w, 3) by their headings, row by row, as one picture.
+
+    A row's headings are written where they differ from those of the row above. names: a line over each row,
+    or none. legend: web colour by what it means. scale: of the error maps among them. height_px: of a picture
+    at most; larger ones are shrunk.
+    """
+    if not rows or (names and len(names) != len(rows)):
+        raise BadInput("tiles: expected at least one row, and a name for every row or for none")
+    shrunk = [{title: _shrunk(picture, height_px) for title, picture in row.items()} for row in rows]
+    sizes = [[picture.shape[:2] for picture in row.values()] for row in shrunk]
+    widths = [max(row[k][1] for row in sizes if k < len(row)) for k in range(max(map(len, sizes)))]
+    lefts = np.concatenate([[0], np.cumsum(np.array(widths) + _GAP_PX)[:-1]])
+    zoom = max(1.0, (lefts[-1] + widths[-1]) / _PAGE_PX)
+    line, top = round(_LINE_PX * zoom), 0
+    texts: list[_Text] = []
+    places: list[tuple[int, int, Picture]] = []
+    for i, row in enumerate(shrunk):
+        if names:
+            top += round(_GAP_PX * zoom) if i else 0
+            texts.append(_Text(x=0, y=top + line / 2, text=names[i], side="left"))
+            top += line
+        if i == 0 or list(row) != list(shrunk[i - 1]):
+            middles = [(left + width / 2) for left, width in zip(lefts, widths, strict=True)]
+            texts += [_Text(x=x, y=top + line / 2, text=t) for x, t in zip(middles, row, strict=False)]
+            top += line
+        places += [(top, int(left), picture) for left, picture in zip(lefts, row.values(), strict=False)]
+        top += max(height for height, _ in sizes[i]) + _GAP_PX
+    below = line * (bool(legend) + bool(scale))
+    canvas = np.full((top + below, int(lefts[-1]) + widths[-1], 3), 255, np.uint8)
+    for y, x, picture in places:
+        canvas[y : y + picture.shape[0], x : x + picture.shape[1]] = picture
+    if legend:
+        texts += _paint_legend(canvas, legend, top + line / 2, zoom)
+    if scale is not None:
+        texts += _paint_scale(canvas, scale, top + below - line / 2, zoom)
+    return _lettered(canvas, texts, zoom)
+
+
+def _shrunk(picture: Picture, height_px: int) -> Picture:
+    height, width = picture.shape[:2]
+    return resized_image(picture, max(1, round(max(height, width) * min(1.0, height_px / height))))
+
+
+def _lettered(canvas: Picture, texts: Sequence[_Text], zoom: float) -> Picture:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    height, width = canvas.shape[:2]
+    with report_style():
+        figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI)
+        agg = FigureCanvasAgg(figure)
+        figure.figimage(canvas, 0, 0, origin="upper")
+        style: dict[str, Any] = {"va": "center", "fontsize": _LETTER_PX * zoom * 72 / _DPI, "color": INK}
+        for each in texts:
+            figure.text(each.x / width, 1 - each.y / height, each.text, ha=each.side, **style)
+        agg.draw()
+    return np.ascontiguousarray(np.asarray(agg.buffer_rgba())[..., :3])
+
+
+def _paint_legend(canvas: Picture, legend: Mapping[str, str], y: float, zoom: float) -> list[_Text]:
+    """Paint a swatch for each entry; return the entries' texts."""
+    from matplotlib.colors import to_rgb
+
+    step = min(canvas.shape[1] / len(legend), _ENTRY_PX * zoom)
+    side, top = round(_SWATCH_PX * zoom), round(y - _SWATCH_PX * zoom / 2)
+    texts = []
+    for i, (name, colour) in enumerate(legend.items()):
+        left = round(i * step)
+        canvas[top : top + side, left : left + side] = 130  # a rim, for white on white
+        inner = np.array(to_rgb(colour)) * 255
+        canvas[top + 1 : top + side - 1, left + 1 : left + side - 1] = inner.astype(np.uint8)
+        texts.append(_Text(x=left + 1.5 * side, y=y, text=name, side="left"))
+    return texts
+
+
+def _paint_scale(canvas: Picture, scale: ErrorScale, y: float, zoom: float) -> list[_Text]:
+    """Paint the colours from 0 to the most, at the right; return the texts at either end."""
+    long = round(min(_SCALE_PX * zoom, 0.4 * canvas.shape[1]))
+    thick, right = round(_SWATCH_PX * zoom), round(canvas.shape[1] - 60 * zoom)
+    steps = np.linspace(0, scale.most, long)[None].repeat(thick, axis=0)
+    top = round(y - thick / 2)
+    everywhere = np.ones(steps.shape, dtype=bool)
+    canvas[top : top + thick, right - long : right] = picture_of_errors(steps, everywhere, scale)
+    return [
+        _Text(x=right - long - 6 * zoom, y=y, text=f"error  0{scale.unit}", side="right"),
+        _Text(x=right + 6 * zoom, y=y, text=f"≥ {scale.most:g}{scale.unit}", side="left"),
+    ]
+
+
+def row_of_frame(
+    frame: LinearFrame,
+    normal_map: NormalMap,
+    depth_map: DepthMap,
+    camera: Camera,
+    truth: NormalMap,
+    scale: ErrorScale,
+) -> dict[str, Picture]:
+    """Return the pictures (h, w, 3) by their headings, cut to the mask of the normals; errors in degrees."""
+    errors, compared = angular_error_map(normal_map, truth)
+    pictures = {
+        "captured": displayed(frame.rgb),
+        "normals": picture_of_normals(normal_map),
+        "relief": picture_of_depth(depth_map, camera),
+        "error of the normals": picture_of_errors(errors, compared, scale),
+    }
+    cut = cropped(list(pictures.values()), normal_map.mask)
+    return dict(zip(pictures, cut, strict=True))

@@ -5,33 +5,46 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vntoolkit.arrays import FloatArray
 from vntoolkit.diagnosis.inspection import inspect_capture
 from vntoolkit.errors import BadInput, VntError
+from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.io.footage.captures import CaptureOptions
+from vntoolkit.io.footage.images import read_image, resized_image
+from vntoolkit.io.maps_and_meshes.label_images import LABEL_LEGEND
 from vntoolkit.io.maps_and_meshes.ply import read_ply_counts
 from vntoolkit.io.results.frame_log import FrameEntry
-from vntoolkit.pipeline.opened_result import OpenedResult, open_result
-from vntoolkit.report.calibration_section import calibration_section
+from vntoolkit.io.results.manifest import InputEntry
+from vntoolkit.pipeline.opened_result import OpenedResult, TrackedSurface, open_result
 from vntoolkit.report.page import (
     PageFigure,
     PageNotice,
     PageNumber,
     PageSection,
     PageTable,
+    figure_from_pixels,
     figure_from_plot,
+    graded,
     write_page,
 )
-from vntoolkit.report.samples_section import (
-    samples_section,
-    settings_section,
-    size_and_rate,
-    track_section,
+from vntoolkit.report.pictures import (
+    GROUND,
+    Picture,
+    cropped,
+    pictures_of_frame,
+    sampled,
+    short_label,
+    tiled,
+    web_colour,
 )
-from vntoolkit.report.style import BLUE, GREEN, ORANGE, PURPLE, RED, new_figure, report_style
+from vntoolkit.report.style import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, RED, new_figure, report_style
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _POINTS = 300  # more frames than this are drawn as a line without points
 
@@ -239,3 +252,271 @@ def _curve(values: Mapping[int, float], label: str, caption: str, colour: str) -
 def _marker(count: int) -> dict[str, Any]:
     """Few frames get points, a single one could not be seen without."""
     return {"marker": "o", "ms": 3.5} if count <= _POINTS else {}
+
+
+_SHEET_PX = 1600
+_TITLES = {"depth": "relief", "shadows": "lights that arrive"}
+_BESIDE = 205  # grey beside the subject, since white means that all lights arrive
+
+
+def samples_section(result: OpenedResult, count: int, height_px: int) -> PageSection:
+    """Return a row for each sampled frame: capture, normals, relief, shadows, as far as they are there."""
+    shown = sampled(result.numbers, count)
+    rows = [_parts(result, number) for number in shown]
+    labelled = any("lights that arrive" in row for row in rows)
+    pixels = tiled(
+        rows,
+        [f"frame {number}" for number in shown],
+        legend=_legend() if labelled else None,
+        height_px=height_px,
+    )
+    words = list(dict.fromkeys(name for row in rows for name in row))
+    frames = ", ".join(map(str, shown))
+    caption = f"{', '.join(words).capitalize()} of {'frame' if len(shown) == 1 else 'frames'} {frames}."
+    return PageSection(
+        title="Sample frames",
+        paragraphs=(
+            "Normals in their usual colours (red to the right, green up, blue to the viewer). The relief is "
+            "the integrated depth, lit from the upper left, its slopes taken from the depth itself.",
+        ),
+        figures=(figure_from_pixels(pixels, caption, suffix=".webp", wide=True),),
+    )
+
+
+def _parts(result: OpenedResult, number: int) -> dict[str, Picture]:
+    normal_map = result.normals(number)
+    assert normal_map is not None  # the frame is in result.numbers
+    parts = pictures_of_frame(result, number, ground=GROUND, beside_normals=GROUND, beside_labels=_BESIDE)
+    titles = [_TITLES.get(name, name) for name in parts]
+    return dict(zip(titles, cropped(list(parts.values()), normal_map.mask), strict=True))
+
+
+def _legend() -> dict[str, str]:
+    """The colours of the shadow labels, by short names of what arrives."""
+    return {short_label(int(label)): web_colour(int(label)) for label in LABEL_LEGEND}
+
+
+def track_section(result: OpenedResult, track: TrackedSurface) -> PageSection:
+    """Return the registered surface: its size, its confidence over time, the checkerboard that it carries."""
+    figures = []
+    confidence = track.sequence.confidence
+    if confidence is not None:
+        shares = [float(np.mean(np.asarray(confidence[row]))) for row in range(len(track.sequence))]
+        with report_style():
+            figure = new_figure(9.6, 2.4)
+            axes = figure.subplots()
+            axes.plot(track.numbers, shares, color=BLUE)
+            axes.axvline(track.template, color=FAINT, ls=":", lw=1)
+            axes.set_xlabel("frame")
+            axes.locator_params(axis="x", integer=True)
+            axes.set_ylabel("mean confidence")
+            axes.set_ylim(0, 1.02)
+        caption = "Confidence of the tracked vertices, mean of each frame. Dotted: the template's frame."
+        figures.append(figure_from_plot(figure, caption, wide=True))
+    sheet = result.folder.root / "track" / "checkerboard.png"
+    if sheet.exists():
+        pixels = resized_image(np.asarray(read_image(sheet), dtype=np.uint8), _SHEET_PX)
+        caption = "A checkerboard painted on the template and carried along: it should look printed on."
+        figures.append(figure_from_pixels(pixels, caption, wide=True))
+    return PageSection(
+        title="Registered surface",
+        numbers=(
+            PageNumber(value=f"{len(track.sequence.template.vertices):,}", label="vertices, in every frame"),
+            PageNumber(value=f"{len(track.sequence):,}", label="frames"),
+            PageNumber(value=str(track.template), label="template frame"),
+        ),
+        figures=tuple(figures),
+    )
+
+
+def size_and_rate(source: InputEntry) -> str:
+    """Return frames, size and rate of footage in words; a single image has no rate."""
+    size = f"{source.width} × {source.height} pixels"
+    if source.frame_count == 1:
+        return f"one image of {size}"
+    return f"{source.frame_count} frames of {size}, {source.frame_rate_hz:g} per second"
+
+
+def _camera_in_words(camera: Camera) -> str:
+    if camera.model is CameraModel.ORTHOGRAPHIC:
+        return "orthographic"
+    lens = "pinhole" if camera.model is CameraModel.PINHOLE else "pinhole with distortion"
+    return f"{lens}, focal length {camera.matrix[0, 0]:.1f} px"
+
+
+def settings_section(result: OpenedResult) -> PageSection:
+    """Return what the result was made from and with."""
+    manifest = result.manifest
+    files = manifest.input.files
+    camera = result.rig.camera
+    unit = result.length_unit
+    facts = {
+        "footage": f"{manifest.input.source}: {size_and_rate(manifest.input)}",
+        "SHA-256": files[0].sha256 if len(files) == 1 else f"of {len(files)} files, in reconstruction.json",
+        "camera": _camera_in_words(camera),
+        "transfer curve": result.rig.transfer.to_text(),
+        "lengths": "none"
+        if unit is None
+        else {"px": "pixels", "m": "metres", "free": "free scale"}[unit.value],
+        "run": f"{manifest.started} to {manifest.finished or 'not finished'}",
+        "versions": ", ".join(f"{name} {version}" for name, version in manifest.versions.items()),
+    }
+    options = tuple((name, str(value)) for name, value in sorted(manifest.options.items()))
+    return PageSection(
+        title="Made from",
+        tables=(
+            PageTable(headings=("what", ""), rows=tuple(facts.items())),
+            PageTable(headings=("option", "value"), rows=options, folded=f"{len(options)} options"),
+        ),
+    )
+
+
+# Bounds between good, fair and poor, by experience with simulated captures; they only colour the numbers.
+_RESIDUAL_DEG = (2.0, 5.0)
+_CONDITION = (10.0, 30.0)
+_CONE_DEG = (35.0, 20.0)
+_HISTOGRAM_CELLS = 60
+_LARGEST_SAMPLE = 200_000
+
+
+def calibration_section(result: OpenedResult, sample: int) -> PageSection:
+    """Return the section; `sample`: the frame whose normals are set against the calibrated cone."""
+    return PageSection(
+        title="Calibration",
+        paragraphs=(
+            "Colour is M times the normal plus ambient light. A small residual says that one M explains the "
+            "calibration footage; the condition number, how much a colour error grows on its way to a normal "
+            "(1 is best); the cone, how far the calibration normals leaned to the sides.",
+        ),
+        numbers=_numbers(result),
+        figures=(_cone_figure(result, sample), _response_figure(result)),
+        tables=(_source_table(result),) if result.rig.sources else (),
+    )
+
+
+def _numbers(result: OpenedResult) -> tuple[PageNumber, ...]:
+    quality, response = result.rig.quality, result.rig.response
+    condition = PageNumber(
+        value=f"{response.condition_number:.1f}",
+        label="condition number of M",
+        grade=graded(response.condition_number, _CONDITION),
+        remark="set by the lights' directions and colours",
+    )
+    if quality is None or quality.samples == 0:
+        method = "stated" if quality is None else quality.method
+        known = PageNumber(
+            value="not fitted", label=f"method: {method}", remark="lights known, no residual or cone"
+        )
+        return (condition, known)
+    return (
+        PageNumber(
+            value=f"{quality.residual_deg:.2f}°",
+            label="median residual",
+            grade=graded(quality.residual_deg, _RESIDUAL_DEG),
+            remark=f"over {quality.samples:,} pairs of colour and normal, by {quality.method}",
+        ),
+        condition,
+        PageNumber(
+            value=f"{quality.cone_deg:.0f}°",
+            label="cone of normals",
+            grade=graded(-quality.cone_deg, (-_CONE_DEG[0], -_CONE_DEG[1])),
+            remark="half-angle that holds 95 % of the calibration normals",
+        ),
+    )
+
+
+def _cone_figure(result: OpenedResult, sample: int) -> PageFigure:
+    """The hemisphere of normals seen from the camera: capture's normals, calibrated cone, lights."""
+    quality = result.rig.quality
+    with report_style():
+        figure = new_figure(4.6, 4.3)
+        axes = figure.subplots()
+        axes.set_aspect("equal")
+        axes.set_axis_off()
+        axes.set_xlim(-1.25, 1.25)
+        axes.set_ylim(-1.18, 1.12)
+        _draw_capture(axes, result, sample)
+        turn = np.linspace(0, 2 * np.pi, 181)
+        for angle in (30, 60, 90):
+            radius = np.sin(np.deg2rad(angle))
+            axes.plot(radius * np.cos(turn), radius * np.sin(turn), color=FAINT, lw=0.8, ls="-")
+            axes.annotate(f"{angle}°", (0, -radius), fontsize=7, color=FAINT, ha="center", va="bottom")
+        if quality is not None and quality.samples:
+            radius = np.sin(np.deg2rad(min(quality.cone_deg, 90.0)))
+            line: dict[str, Any] = {"color": BLUE, "lw": 1.8, "ls": (0, (4, 2))}
+            axes.plot(
+                radius * np.cos(turn),
+                radius * np.sin(turn),
+                label=f"calibrated {quality.cone_deg:.0f}°",
+                **line,
+            )
+        _draw_lights(axes, result)
+        axes.legend(loc="lower center", ncols=4, fontsize=7.5, handletextpad=0.3, columnspacing=0.9)
+    fitted = quality is not None and quality.samples > 0
+    points = "Points: the lights."
+    if result.rig.response.light_colours is None:
+        points = (
+            "Points: the rows of M, from where each channel is lit most; they are the lights only where each "
+            "channel sees one light alone, else they lie closer together than the lights do."
+        )
+    cone = " Dashed: the size of the cone of calibration normals." if fitted else ""
+    return figure_from_plot(
+        figure,
+        "Directions as the camera sees them, up is up; the rim is 90° from the optical axis. Grey: the "
+        f"normals of frame {sample}. {points}{cone}",
+    )
+
+
+def _draw_capture(axes: Axes, result: OpenedResult, sample: int) -> None:
+    normal_map = result.normals(sample)
+    if normal_map is None:
+        return
+    normals = normal_map.normals_in_camera[normal_map.mask]
+    normals = normals[:: max(1, len(normals) // _LARGEST_SAMPLE)]
+    counts, x, y = np.histogram2d(
+        normals[:, 0], -normals[:, 1], bins=_HISTOGRAM_CELLS, range=[[-1, 1], [-1, 1]]
+    )
+    shown = np.ma.masked_equal(np.sqrt(counts.T), 0)
+    axes.imshow(
+        shown, extent=(x[0], x[-1], y[0], y[-1]), origin="lower", cmap="Greys", vmin=-0.15 * shown.max(),
+        vmax=1.2 * shown.max(), interpolation="nearest",
+    )  # fmt: skip
+
+
+def _draw_lights(axes: Axes, result: OpenedResult) -> None:
+    response = result.rig.response
+    colours: FloatArray = np.eye(3) if response.light_colours is None else np.array(response.light_colours)
+    for k, (name, direction) in enumerate(
+        zip(response.direction_names, response.light_directions, strict=True)
+    ):
+        hue = np.clip(colours[k] / max(colours[k].max(), 1e-9), 0, 1) * 0.85
+        axes.plot(direction[0], -direction[1], "o", ms=9, color=tuple(hue), mec="white", mew=1.2, ls="none",
+                  label=name)  # fmt: skip
+
+
+def _response_figure(result: OpenedResult) -> PageFigure:
+    """M itself: what a unit of each axis adds to red, green and blue."""
+    matrix = np.array(result.rig.response.matrix)
+    top = np.abs(matrix).max()
+    with report_style():
+        figure = new_figure(4.6, 4.3)
+        axes = figure.subplots()
+        axes.imshow(matrix, cmap="RdBu_r", vmin=-1.3 * top, vmax=1.3 * top)
+        axes.set_xticks(range(3), ["x, right", "y, down", "z, away"])
+        axes.set_yticks(range(3), ["red", "green", "blue"])
+        axes.grid(visible=False)
+        axes.spines[:].set_visible(False)
+        axes.tick_params(length=0)
+        for row, column in np.ndindex(3, 3):
+            ink = "white" if abs(matrix[row, column]) > 0.75 * top else INK
+            axes.text(column, row, f"{matrix[row, column]:+.3f}", ha="center", va="center", color=ink)
+    ambient = ", ".join(f"{value:.3f}" for value in result.rig.response.ambient)
+    return figure_from_plot(
+        figure,
+        f"M: what a unit of a normal's x, y, z adds to each channel, full scale 1. Ambient: {ambient}.",
+    )
+
+
+def _source_table(result: OpenedResult) -> PageTable:
+    rows = tuple((source.file, source.sha256[:16] + "…") for source in result.rig.sources)
+    return PageTable(headings=("calibrated from", "SHA-256"), rows=rows)

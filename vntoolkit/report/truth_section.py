@@ -27,10 +27,17 @@ from vntoolkit.report.page import (
     figure_from_pixels,
     figure_from_plot,
 )
-from vntoolkit.report.pictures import Picture, cropped, picture_of_depth, picture_of_normals
+from vntoolkit.report.pictures import (
+    ErrorScale,
+    Picture,
+    cropped,
+    picture_of_depth,
+    picture_of_errors,
+    picture_of_normals,
+    tiled,
+)
 from vntoolkit.report.raycast_view import View, picture_of
 from vntoolkit.report.style import BLUE, FAINT, new_figure, report_style
-from vntoolkit.report.tiles import ErrorScale, picture_of_errors, tiled
 
 _STRIP_PX = 340
 _SCALE = ErrorScale(most=30.0)

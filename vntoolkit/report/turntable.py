@@ -14,8 +14,8 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.footage.video import write_video
 from vntoolkit.pipeline.dress import DressedFigure
+from vntoolkit.report.pictures import write_tiles
 from vntoolkit.report.raycast_view import View, capsules, picture_of
-from vntoolkit.report.tiles import write_tiles
 from vntoolkit.skinning.kinematics import bone_segments, pose_of_frame
 
 _BONE_COLOUR = (0.18, 0.30, 0.62)

@@ -19,7 +19,7 @@ from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
 from vntoolkit.io.results.manifest import now_utc, read_manifest
 from vntoolkit.io.results.seams import read_seams
 from vntoolkit.io.rigs import read_rig, write_rig
-from vntoolkit.live.sources import CameraOptions
+from vntoolkit.live.capture import CameraOptions
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig, SourceFile
 from vntoolkit.photometry.transfer import Transfer

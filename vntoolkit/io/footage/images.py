@@ -102,7 +102,7 @@ def encoded_image(pixels: npt.NDArray[np.uint8], suffix: str = ".png", *, qualit
         raise BadInput(
             f"image: expected 8 bits and one of {', '.join(flags)}, got {pixels.dtype}, '{suffix}'"
         )
-    ordered = pixels
+    ordered: npt.NDArray[Any] = pixels
     if pixels.ndim == 3:
         order = cv2.COLOR_RGBA2BGRA if pixels.shape[2] == 4 else cv2.COLOR_RGB2BGR
         ordered = cv2.cvtColor(np.ascontiguousarray(pixels), order)
