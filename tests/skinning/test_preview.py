@@ -10,8 +10,14 @@ from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.mesh_sequence import MeshSequence
 from vntoolkit.io.footage.images import read_image
 from vntoolkit.pipeline.dress import dress
-from vntoolkit.report.raycast_view import View, picture_of
-from vntoolkit.report.turntable import PreviewOptions, contact_sheet, turntable, write_preview
+from vntoolkit.report.raycast_view import (
+    PreviewOptions,
+    View,
+    contact_sheet,
+    picture_of,
+    turntable,
+    write_preview,
+)
 from vntoolkit.skinning.gait import walking_motion
 
 

@@ -19,7 +19,7 @@ from vntoolkit.pipeline.dress import (
     require_figure_name,
     write_dressed_figure,
 )
-from vntoolkit.report.turntable import write_preview
+from vntoolkit.report.raycast_view import write_preview
 from vntoolkit.skinning.clock import ClockOptions
 from vntoolkit.skinning.fitting import GarmentFitOptions
 from vntoolkit.skinning.weights import WeightOptions

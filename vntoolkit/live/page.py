@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -204,45 +204,24 @@ class LiveViewer:
             if recorder.lost:
                 warnings.append(f"the recording lost {recorder.lost} frames: the disk is too slow")
             warnings += [problem for problem in (recorder.problem, self._problem) if problem]
-        return LiveStatus(
-            figures=self._figures(), shown_hz=rate, shown_s=median, warnings=warnings, recording=recording
-        ).entry()
+        cards = status_cards(self._figures(), rate, median)
+        return {"cards": cards, "recording": recording, "warnings": warnings}
 
 
-@dataclass(frozen=True, kw_only=True)
-class LiveStatus:
-    """What is to be said. figures: of frames worked on. shown_hz: frames a second that go to the page.
+def status_cards(figures: LiveFigures, shown_hz: float, shown_s: float) -> tuple[tuple[str, str, str], ...]:
+    """Return what the page says of the run: a value, what it is, what stands beside it.
 
-    shown_s: seconds from a frame's arrival until it goes to the page, median. warnings: one line each.
-    recording: name of the file being written, empty where none is.
+    shown_hz: frames a second that the page draws. shown_s: from a frame's arrival until then, median.
     """
-
-    figures: LiveFigures
-    shown_hz: float
-    shown_s: float
-    warnings: Sequence[str] = ()
-    recording: str = ""
-
-    def entry(self) -> dict[str, Any]:
-        """Return it as the page shows it: cards of a number, what it is and what stands beside, and texts."""
-        figures = self.figures
-        median, high = (1000 * seconds for seconds in figures.latency_s)
-        lost = f", {figures.failed:,} failed" if figures.failed else ""
-        dropped = f"{100 * figures.dropped / max(1, figures.arrived):.1f} %"
-        return {
-            "cards": (
-                (f"{figures.rate_hz:.1f}", "frames a second", f"{figures.processed:,} so far"),
-                (f"{median:.0f} ms", "latency of a frame", f"95 %: {high:.0f} ms"),
-                (f"{figures.dropped:,}", "frames dropped", f"of {figures.arrived:,}, {dropped}{lost}"),
-                (
-                    f"{self.shown_hz:.1f}",
-                    "a second on this page",
-                    f"{1000 * self.shown_s:.0f} ms after arrival",
-                ),
-            ),
-            "recording": self.recording,
-            "warnings": self.warnings,
-        }
+    median, high = (1000 * seconds for seconds in figures.latency_s)
+    lost = f", {figures.failed:,} failed" if figures.failed else ""
+    dropped = f"{100 * figures.dropped / max(1, figures.arrived):.1f} %"
+    return (
+        (f"{figures.rate_hz:.1f}", "frames a second", f"{figures.processed:,} so far"),
+        (f"{median:.0f} ms", "latency of a frame", f"95 %: {high:.0f} ms"),
+        (f"{figures.dropped:,}", "frames dropped", f"of {figures.arrived:,}, {dropped}{lost}"),
+        (f"{shown_hz:.1f}", "a second on this page", f"{1000 * shown_s:.0f} ms after arrival"),
+    )
 
 
 def camera_block(timed: TimedFrame, longest_px: int) -> npt.NDArray[np.uint8]:

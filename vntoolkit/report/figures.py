@@ -18,18 +18,24 @@ from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.report.pictures import (
+    BLUE,
+    ERROR_COLOURS,
+    INK,
+    SERIES,
     ErrorScale,
     Picture,
     cropped,
     displayed,
+    new_figure,
     picture_of_errors,
     picture_of_normals,
+    report_style,
     short_label,
     web_colour,
+    write_figure,
     write_tiles,
 )
 from vntoolkit.report.raycast_view import View, picture_of
-from vntoolkit.report.style import BLUE, ERROR_COLOURS, INK, SERIES, new_figure, report_style, write_figure
 
 _CURVE_END_PERCENTILE = 99.0
 _MEDIAN_PERCENT = 50

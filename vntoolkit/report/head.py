@@ -30,9 +30,17 @@ from vntoolkit.report.page import (
     graded,
     write_page,
 )
-from vntoolkit.report.pictures import displayed
+from vntoolkit.report.pictures import (
+    BLUE,
+    ERROR_COLOURS,
+    RED,
+    SKY,
+    displayed,
+    new_figure,
+    report_style,
+    write_figure,
+)
 from vntoolkit.report.raycast_view import View, picture_of
-from vntoolkit.report.style import BLUE, ERROR_COLOURS, RED, SKY, new_figure, report_style, write_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

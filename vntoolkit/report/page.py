@@ -20,7 +20,7 @@ from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import read_bytes
 from vntoolkit.io.footage.images import encoded_image
 from vntoolkit.io.results.manifest import now_utc
-from vntoolkit.report.style import report_style
+from vntoolkit.report.pictures import report_style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -32,16 +32,24 @@ from vntoolkit.report.page import (
     write_page,
 )
 from vntoolkit.report.pictures import (
+    BLUE,
+    FAINT,
+    GREEN,
     GROUND,
+    INK,
+    ORANGE,
+    PURPLE,
+    RED,
     Picture,
     cropped,
+    new_figure,
     pictures_of_frame,
+    report_style,
     sampled,
     short_label,
     tiled,
     web_colour,
 )
-from vntoolkit.report.style import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, RED, new_figure, report_style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -28,16 +28,19 @@ from vntoolkit.report.page import (
     figure_from_plot,
 )
 from vntoolkit.report.pictures import (
+    BLUE,
+    FAINT,
     ErrorScale,
     Picture,
     cropped,
+    new_figure,
     picture_of_depth,
     picture_of_errors,
     picture_of_normals,
+    report_style,
     tiled,
 )
 from vntoolkit.report.raycast_view import View, picture_of
-from vntoolkit.report.style import BLUE, FAINT, new_figure, report_style
 
 _STRIP_PX = 340
 _SCALE = ErrorScale(most=30.0)
