@@ -51,7 +51,6 @@ DOORS = {
     "pxr": ("io/",),
     "pybvh": ("io/motion/bvh",),
     "pydantic": ("io/",),
-    "viser": ("report/",),
     "jinja2": ("report/", "live/"),
     "matplotlib": ("report/",),
     "reportlab": ("io/",),

@@ -47,7 +47,6 @@ _LIBRARIES = (
     ("pycolmap", "pycolmap", "camera poses"),
     ("usd-core", "pxr.UsdSkel", "animated meshes"),
     ("pybvh", "pybvh", "recorded motion"),
-    ("viser", "viser", "the viewer"),
     ("matplotlib", "matplotlib.figure", "figures"),
     ("reportlab", "reportlab.pdfgen.canvas", "the board as PDF"),
     ("jinja2", "jinja2", "pages"),
