@@ -129,7 +129,7 @@ REFUSALS = [
     ("pipeline.options:ReconstructOptions", {"distance_m": 0.0}, "a positive number of metres, got 0"),
     ("pipeline.options:ReconstructOptions", {"smoothing": 2.0}, "a share of full scale from 0 to 1, got 2"),
     ("pipeline.options:ReconstructOptions", {"reference_frame": -1}, "expected a frame number, got -1"),
-    ("report.result_scene:SceneOptions", {"vertices": 3}, "scene: expected at least 4 vertices"),
+    ("report.result_scene:ScenePageOptions", {"vertices": 3}, "scene: expected at least 4 vertices"),
     ("report.raycast_view:PreviewOptions", {"frames": 0}, "preview: expected at least one frame"),
     ("simulation.nuisances:Nuisances", {"bits": 9}, "bits: expected one of 8, .*, got 9"),
     ("simulation.scene:SceneOptions", {"width": 9}, "an image of at least 16×16, got 9×480"),

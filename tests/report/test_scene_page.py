@@ -19,7 +19,7 @@ from vntoolkit.geometry.mesh import Mesh, face_normals
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.pipeline.opened_result import open_result
-from vntoolkit.report.result_scene import SceneOptions, thinned_template, write_scene
+from vntoolkit.report.result_scene import ScenePageOptions, thinned_template, write_scene
 
 GROUND = np.array([32, 38, 47])
 
@@ -34,7 +34,7 @@ def covered(picture: np.ndarray) -> np.ndarray:
 @pytest.fixture(scope="module")
 def page(dome_result: DomeResult, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("scene") / "scene.html"
-    write_scene(out, open_result(dome_result.folder), SceneOptions(vertices=300))
+    write_scene(out, open_result(dome_result.folder), ScenePageOptions(vertices=300))
     return out
 
 
@@ -209,7 +209,7 @@ def test_the_registered_mesh_arrives_as_it_was(page: Path, dome_result: DomeResu
 
 def test_a_long_capture_is_thinned_evenly_and_keeps_its_pace(dome_result: DomeResult, tmp_path: Path) -> None:
     out = tmp_path / "scene.html"
-    write_scene(out, open_result(dome_result.folder), SceneOptions(vertices=100, most_frames=3))
+    write_scene(out, open_result(dome_result.folder), ScenePageOptions(vertices=100, most_frames=3))
     data = data_of(out)
     assert data["numbers"] == [0, 2, 5]
     assert len(data["frames"]) == 3

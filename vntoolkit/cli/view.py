@@ -11,14 +11,14 @@ from vntoolkit.cli.output import PAGE, progress_bar, require_output
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.pipeline.opened_result import open_result
 from vntoolkit.report.local_server import ViewerOptions
-from vntoolkit.report.result_scene import ResultViewer, SceneOptions, counted, write_scene
+from vntoolkit.report.result_scene import ResultViewer, ScenePageOptions, counted, write_scene
 
 if TYPE_CHECKING:
     ViewerFlags: TypeAlias = ViewerOptions | None
-    SceneFlags: TypeAlias = SceneOptions | None
+    SceneFlags: TypeAlias = ScenePageOptions | None
 else:
     ViewerFlags = flags_from(ViewerOptions)
-    SceneFlags = flags_from(SceneOptions)
+    SceneFlags = flags_from(ScenePageOptions)
 
 
 @limits_on("max_megapixels", "max_vertices")
@@ -43,7 +43,7 @@ def view(
     require_output(html, PAGE)
     result = open_result(folder, frames=FrameRange.from_text(frames), footage=footage)
     if html is not None:
-        scene = scene or SceneOptions()
+        scene = scene or ScenePageOptions()
         count = min(len(result.numbers), scene.most_frames)
         with progress_bar("scene", count) as advance:
             write_scene(html, result, scene, on_frame=lambda: advance(1))

@@ -46,7 +46,7 @@ _GROUND = 20
 
 
 @dataclass(frozen=True, kw_only=True)
-class SceneOptions:
+class ScenePageOptions:
     """How much of a reconstruction goes into an offline page.
 
     vertices: most vertices of a frame's mesh on the page of --html; finer ones are thinned. picture_px:
@@ -66,11 +66,11 @@ class SceneOptions:
 def write_scene(
     path: Path,
     result: OpenedResult,
-    options: SceneOptions | None = None,
+    options: ScenePageOptions | None = None,
     on_frame: Callable[[], None] = lambda: None,
 ) -> None:
     """Write the page of the opened frames, atomically. Raises `BadInput` where they have no depth."""
-    options = options or SceneOptions()
+    options = options or ScenePageOptions()
     scene = _ResultScene(result, sampled(result.numbers, options.most_frames), options)
     frames = []
     for index, number in enumerate(scene.numbers):
@@ -146,7 +146,7 @@ class _ResultScene:
     """Packs the frames of a result; options: how far they are thinned, None for not at all."""
 
     def __init__(
-        self, result: OpenedResult, numbers: tuple[int, ...], options: SceneOptions | None = None
+        self, result: OpenedResult, numbers: tuple[int, ...], options: ScenePageOptions | None = None
     ) -> None:
         self._result, self.numbers, self._options = result, numbers, options
         self._largest_step = float(
