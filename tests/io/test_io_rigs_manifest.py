@@ -19,7 +19,7 @@ from vntoolkit.io.results.manifest import (
     require_resumable,
     write_manifest,
 )
-from vntoolkit.io.rigs import entry_from_rig, read_rig, rig_from_text, rig_schema, text_from_rig, write_rig
+from vntoolkit.io.rigs import RigFile, entry_from_rig, read_rig, rig_from_text, text_from_rig, write_rig
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import FitQuality, Rig, SourceFile
 from vntoolkit.photometry.transfer import Transfer, TransferCurve
@@ -112,7 +112,7 @@ def test_what_is_no_rig_is_one_line(tmp_path, text, line):
 
 
 def test_every_number_of_the_schema_has_its_meaning():
-    schema = rig_schema()
+    schema = RigFile.model_json_schema()
     for entry in schema["$defs"].values():
         assert all(len(field["description"]) > 10 for field in entry["properties"].values())
         assert entry["additionalProperties"] is False

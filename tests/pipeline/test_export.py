@@ -273,7 +273,8 @@ def test_points_are_every_pixel_with_a_depth(dome_result: DomeResult, tmp_path: 
     depth_map = read_depth_map(dome_result.folder / "depth/000001.exr")
     rows, columns = np.nonzero(depth_map.mask)
     assert len(cloud.points) == len(rows) == len(cloud.normals) == len(cloud.colours)
-    seen = np.stack([columns, rows, depth_map.depth[rows, columns]], axis=1)  # in pixels, x right, y down
+    # in pixels from the picture's centre, x right, y down
+    seen = np.stack([columns - 31.5, rows - 23.5, depth_map.depth[rows, columns]], axis=1)
     in_file = graphics_from_camera(cloud.points)  # undoes what reading did
     np.testing.assert_allclose(in_file, graphics_from_camera(seen, MeshUpAxis.Z), atol=1e-4)
 

@@ -57,15 +57,6 @@ class PointCloud:
             cloud.colors = o3d.utility.Vector3dVector(np.array(self.colours, dtype=np.float64))
         return cloud
 
-    @classmethod
-    def from_open3d(cls, cloud: o3d.geometry.PointCloud) -> PointCloud:
-        """Copy an Open3D point cloud."""
-        return cls(
-            points=np.array(cloud.points),
-            normals=np.array(cloud.normals) if cloud.has_normals() else None,
-            colours=np.array(cloud.colors, dtype=np.float32) if cloud.has_colors() else None,
-        )
-
     def to_pymeshlab(self) -> pymeshlab.Mesh:
         """Return a copy as a pymeshlab mesh without faces."""
         extra: dict[str, Any] = {}

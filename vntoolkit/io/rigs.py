@@ -34,11 +34,6 @@ def write_rig(path: Path | str, rig: Rig) -> None:
     write_text(path, text_from_rig(rig))
 
 
-def rig_schema() -> dict[str, Any]:
-    """Return the JSON schema of rig.json: every key with its meaning and unit."""
-    return RigFile.model_json_schema()
-
-
 def rig_from_text(text: str, name: str = "rig") -> Rig:
     """Parse the text of a rig.json; `name` stands in the messages."""
     content = parse_json(text, name, BadRig, _EXPECTED)
@@ -100,17 +95,11 @@ def _known_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list
 
 def rig_from_entry(entry: RigFile) -> Rig:
     """Return the rig of a validated rig.json; raise `BadInput` for impossible numbers."""
-    camera, response, colour = entry.camera, entry.response, entry.colour
+    response, colour = entry.response, entry.colour
     curve = Transfer.from_text(colour.transfer)
     quality = None if entry.quality is None else FitQuality(**entry.quality.model_dump())
     return Rig(
-        camera=Camera(
-            model=CameraModel(camera.model),
-            width=camera.width,
-            height=camera.height,
-            matrix=np.array(camera.K),
-            distortion=np.array(camera.distortion),
-        ),
+        camera=camera_from_entry(entry.camera),
         response=LightResponse(
             matrix=np.array(response.matrix),
             ambient=np.array(response.ambient),
@@ -135,13 +124,7 @@ def entry_from_rig(rig: Rig) -> RigFile:
     variation = rig.response.variation
     return RigFile(
         version=1 if variation is None else 2,
-        camera=CameraEntry(
-            model=rig.camera.model.value,
-            width=rig.camera.width,
-            height=rig.camera.height,
-            K=rig.camera.matrix.tolist(),
-            distortion=tuple(rig.camera.distortion.tolist()),
-        ),
+        camera=entry_from_camera(rig.camera),
         response=ResponseEntry(
             matrix=rig.response.matrix.tolist(),
             ambient=tuple(rig.response.ambient.tolist()),
@@ -155,6 +138,36 @@ def entry_from_rig(rig: Rig) -> RigFile:
         ),
         quality=quality,
         sources=[SourceEntry(file=source.file, sha256=source.sha256) for source in rig.sources],
+    )
+
+
+def camera_from_entry(entry: CameraEntry) -> Camera:
+    """Return the camera of a file; raise `BadInput` for impossible numbers."""
+    return Camera(
+        model=CameraModel(entry.model),
+        width=entry.width,
+        height=entry.height,
+        matrix=np.array(entry.K),
+        distortion=np.array(entry.distortion),
+    )
+
+
+def camera_from_content(content: Any) -> Camera:
+    """Return the camera of parsed JSON; raise `BadInput` for what is missing, unknown or impossible."""
+    try:
+        return camera_from_entry(CameraEntry.model_validate(content))
+    except ValidationError as problem:
+        raise BadInput(one_line_from_validation(problem, CameraEntry)) from problem
+
+
+def entry_from_camera(camera: Camera) -> CameraEntry:
+    """Return the camera as rig.json, the manifest and track.json store it."""
+    return CameraEntry(
+        model=camera.model.value,
+        width=camera.width,
+        height=camera.height,
+        K=camera.matrix.tolist(),
+        distortion=tuple(camera.distortion.tolist()),
     )
 
 

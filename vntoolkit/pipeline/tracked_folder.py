@@ -8,17 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from vntoolkit.errors import BadInput
-from vntoolkit.geometry.camera import Camera, CameraModel
+from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import parse_json, read_text
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
 from vntoolkit.io.results.manifest import read_manifest, result_digest
-from vntoolkit.io.rigs import rig_from_entry
+from vntoolkit.io.rigs import camera_from_content, entry_from_camera, rig_from_entry
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 
 _RECORD = "track.json"
@@ -81,27 +79,14 @@ def write_track_record(folder: Path, record: dict[str, Any]) -> None:
 
 def camera_record(camera: Camera) -> dict[str, Any]:
     """Return the camera as track.json holds it, with the keys of rig.json."""
-    return {
-        "model": camera.model.value,
-        "width": camera.width,
-        "height": camera.height,
-        "K": camera.matrix.tolist(),
-        "distortion": camera.distortion.tolist(),
-    }
+    return entry_from_camera(camera).model_dump(mode="json")
 
 
 def recorded_camera(record: dict[str, Any]) -> Camera:
     """Return the camera that track.json names: it takes tracked vertices to pixels of the footage."""
     try:
-        entry = record["camera"]
-        return Camera(
-            model=CameraModel(entry["model"]),
-            width=entry["width"],
-            height=entry["height"],
-            matrix=np.array(entry["K"], dtype=np.float64),
-            distortion=np.array(entry["distortion"], dtype=np.float64),
-        )
-    except (KeyError, TypeError, ValueError) as problem:
+        return camera_from_content(record.get("camera"))
+    except BadInput as problem:
         raise BadInput(
             f"{_RECORD}: names no whole camera ({problem}); run `vntoolkit track` again, with --overwrite"
         ) from problem

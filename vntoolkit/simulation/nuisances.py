@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -120,14 +119,6 @@ _SWITCHES: dict[str, object] = {
 def nuisance_names() -> tuple[str, ...]:
     """Return the names that can be turned off one at a time."""
     return tuple(_SWITCHES)
-
-
-def each_turned_off(nuisances: Nuisances) -> Iterator[tuple[str, Nuisances]]:
-    """Yield ("all", as given), then (name, all but that one) for every nuisance, then ("none", none)."""
-    yield "all", nuisances
-    for name in nuisance_names():
-        yield name, nuisances.without(name)
-    yield "none", Nuisances.none()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -69,11 +69,6 @@ def rgb_pigments() -> FloatArray:
     return np.stack([red, 1.0 - red - blue, blue])
 
 
-def pigment(anchors_nm: FloatArray, reflectance: FloatArray) -> FloatArray:
-    """Return (λ,) a reflectance through the given points, linear between, constant outside."""
-    return np.interp(WAVELENGTHS_NM, anchors_nm, reflectance)
-
-
 def _band(centre_nm: float, below_nm: float, above_nm: float) -> FloatArray:
     """Bell with unequal flanks: standard deviations below and above the centre."""
     width = np.where(centre_nm > WAVELENGTHS_NM, below_nm, above_nm)

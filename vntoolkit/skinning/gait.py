@@ -31,26 +31,26 @@ _TIPS = {"Head": (0, 18, 0), "LeftHand": (6, -6, 2), "RightHand": (-6, -6, 2),
          "LeftFoot": (0, -6, 16), "RightFoot": (0, -6, 16)}  # fmt: skip
 _CAMERA_FROM_FIGURE = np.diag([1.0, -1.0, -1.0])
 _CENTIMETRE_M = 0.01
+_STRIDE_S = 1.2  # of a double step at a comfortable pace
 
 
 @dataclass(frozen=True, kw_only=True)
 class GaitOptions:
-    """strides: number of double steps. stride_s: seconds of one. frame_rate_hz: frames per second."""
+    """strides: number of double steps. frame_rate_hz: frames per second."""
 
     strides: int = 4
-    stride_s: float = 1.2
     frame_rate_hz: float = 60.0
 
     def __post_init__(self) -> None:
-        if self.strides < 1 or not (0 < self.stride_s < np.inf and 0 < self.frame_rate_hz < np.inf):
-            raise BadInput("gait: expected at least one stride, a positive duration and frame rate")
+        if self.strides < 1 or not 0 < self.frame_rate_hz < np.inf:
+            raise BadInput("gait: expected at least one stride and a positive frame rate")
 
 
 def walking_motion(options: GaitOptions | None = None) -> Motion:
     """Return a walk in centimetres (the figure is 1.73 m tall), camera axes, towards the camera."""
     options = options or GaitOptions()
-    count = round(options.strides * options.stride_s * options.frame_rate_hz) + 1
-    phase = 2 * np.pi * np.arange(count) / (options.stride_s * options.frame_rate_hz)
+    count = round(options.strides * _STRIDE_S * options.frame_rate_hz) + 1
+    phase = 2 * np.pi * np.arange(count) / (_STRIDE_S * options.frame_rate_hz)
     skeleton = _figure()
     rotations = np.tile([0.0, 0.0, 0.0, 1.0], (count, len(skeleton.names), 1))
     for name, angles in _angles_deg(phase).items():

@@ -15,33 +15,16 @@ import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, IntArray, Points, Points2, read_only
 from vntoolkit.calibration.head.tracks import Tracks
-from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.rigid import RigidTransform
 
 _PIXEL_CENTRE = 0.5  # COLMAP's centre of the first pixel less ours
 _CAMERA_ID = 1
 _ITERATIONS, _TOLERANCE = 15, 1e-4  # of a round: more of both moves no pose by a hundredth of a degree
+# Per round, pixels: the scale of the Cauchy loss, and the error beyond which an observation is then dropped.
+_ROUNDS_PX = ((1.0, 4.0), (0.3, 1.0), (0.3, 1.0))
+_LEAST_ANGLE_DEG = 1.5  # between a point's rays: below it the depth is noise
 _LEAST_POINTS = 10  # that an image must show for its pose to count
-
-
-@dataclass(frozen=True, kw_only=True)
-class AdjustmentOptions:
-    """How poses and points are adjusted.
-
-    losses_px: scale in pixels of the Cauchy loss of each round. largest_errors_px: reprojection error beyond
-    which an observation is dropped after each round. least_angle_deg: smallest angle between a point's rays.
-    """
-
-    losses_px: tuple[float, ...] = (1.0, 0.3, 0.3)
-    largest_errors_px: tuple[float, ...] = (4.0, 1.0, 1.0)
-    least_angle_deg: float = 1.5
-
-    def __post_init__(self) -> None:
-        if len(self.losses_px) != len(self.largest_errors_px) or not self.losses_px:
-            raise BadInput("poses: expected as many losses as largest errors, at least one")
-        if min(*self.losses_px, *self.largest_errors_px, self.least_angle_deg) <= 0:
-            raise BadInput("poses: expected positive losses, largest errors and least angle")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -70,7 +53,6 @@ def adjust_sparse_model(
     camera_from_head: Sequence[RigidTransform | None],
     points_in_head: Points,
     known: npt.NDArray[np.bool_],
-    options: AdjustmentOptions,
     *,
     refine_focal: bool = False,
 ) -> SparseModel:
@@ -81,7 +63,7 @@ def adjust_sparse_model(
     Tracks that follow shading, highlights, neck or shoulders disagree with the rest and are dropped.
     """
     reconstruction = _reconstruction(tracks, camera, camera_from_head, points_in_head, known)
-    _adjust(reconstruction, options, refine_focal)
+    _adjust(reconstruction, refine_focal)
     return _sparse_model(reconstruction, tracks, camera)
 
 
@@ -118,7 +100,7 @@ def _reconstruction(
     return reconstruction
 
 
-def _adjust(reconstruction: Any, options: AdjustmentOptions, refine_focal: bool) -> None:
+def _adjust(reconstruction: Any, refine_focal: bool) -> None:
     import pycolmap
 
     adjustment = pycolmap.BundleAdjustmentOptions()
@@ -130,7 +112,7 @@ def _adjust(reconstruction: Any, options: AdjustmentOptions, refine_focal: bool)
     adjustment.ceres.solver_options.num_threads = 1  # the same footage gives the same poses
     adjustment.ceres.solver_options.max_num_iterations = _ITERATIONS * (4 if refine_focal else 1)
     adjustment.ceres.solver_options.function_tolerance = _TOLERANCE
-    for loss_px, largest_px in zip(options.losses_px, options.largest_errors_px, strict=True):
+    for loss_px, largest_px in _ROUNDS_PX:
         adjustment.ceres.loss_function_scale = loss_px
         config = pycolmap.BundleAdjustmentConfig()
         for image_id in reconstruction.reg_image_ids():
@@ -140,7 +122,7 @@ def _adjust(reconstruction: Any, options: AdjustmentOptions, refine_focal: bool)
             config.set_constant_cam_intrinsics(_CAMERA_ID)
         pycolmap.create_default_bundle_adjuster(adjustment, config, reconstruction).solve()
         manager = pycolmap.ObservationManager(reconstruction)
-        manager.filter_all_points3D(largest_px, options.least_angle_deg)
+        manager.filter_all_points3D(largest_px, _LEAST_ANGLE_DEG)
 
 
 def _sparse_model(reconstruction: Any, tracks: Tracks, camera: Camera) -> SparseModel:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation, Slerp
 
 from vntoolkit.arrays import Points, read_only
-from vntoolkit.calibration.head.colmap import AdjustmentOptions, SparseModel, adjust_sparse_model
+from vntoolkit.calibration.head.colmap import SparseModel, adjust_sparse_model
 from vntoolkit.calibration.head.first_poses import Guess, fit_affine_model, map_tracks, metric_poses
 from vntoolkit.calibration.head.tracks import Tracks
 from vntoolkit.errors import BadCalibration, BadInput
@@ -41,7 +41,6 @@ class PoseOptions:
 
     pose_tracks: int = 2000
     least_turn_deg: float = 40.0
-    adjustment: AdjustmentOptions = field(default_factory=AdjustmentOptions)
 
     def __post_init__(self) -> None:
         if self.pose_tracks < _LEAST_POINTS or not 0 < self.least_turn_deg < 180:
@@ -100,9 +99,7 @@ def solve_head_motion(
         poses, points, known = map_tracks(kept, camera, refine_focal=refine_focal)
     else:
         poses, points, known = _factorised(kept, camera)
-    model = adjust_sparse_model(
-        kept, camera, poses, points, known, options.adjustment, refine_focal=refine_focal
-    )
+    model = adjust_sparse_model(kept, camera, poses, points, known, refine_focal=refine_focal)
     _require_rigid(model, kept)
     motion = _head_motion(model, np.flatnonzero(drawn))
     if motion.turn_deg < options.least_turn_deg:

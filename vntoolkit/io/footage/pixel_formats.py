@@ -93,7 +93,8 @@ def rgb_from_deep_yuv(frame: Any, source: Any, bits: int, *, hd: bool) -> npt.ND
     """Return (h, w, 3) uint16 RGB, 65535 = full scale, of a planar 4:4:4 frame of `bits` bits.
 
     Matrix and range are taken from `source`, the frame as decoded; where it states no matrix, BT.709 for a
-    picture of 720 lines or more (`hd`), else BT.601.
+    picture of 720 lines or more (`hd`), else BT.601. Exact to half a level; FFmpeg's own conversion, three
+    times as fast, puts the white of 10 bits at 65283 instead of 65535, so clipped pixels would pass as sound.
     """
     colour_space = int(source.colorspace)
     if colour_space == _UNSPECIFIED or colour_space not in _LUMA_WEIGHTS:

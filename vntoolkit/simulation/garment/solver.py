@@ -10,6 +10,7 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from vntoolkit.arrays import Faces, FloatArray, IntArray, Points
+from vntoolkit.geometry.laplacian import edges_from_faces
 from vntoolkit.simulation.body.capsules import Capsules, closest_capsule
 from vntoolkit.simulation.garment.pattern import BACK, Garment
 
@@ -52,7 +53,7 @@ class ClothSolver:
         count = len(garment.flat)
         area = 0.5 * np.abs(_doubled_areas(garment)).sum()
         self.inverse_mass = count / (options.density * area)
-        self.edges = unique_edges(garment.faces)
+        self.edges = edges_from_faces(garment.faces).astype(np.int64)
         cut = np.linalg.norm(np.diff(garment.flat[self.edges], axis=1)[:, 0], axis=1)
         self._cut_lengths, self._gather = cut, garment.gather[self.edges].mean(axis=1)
         self.rest_lengths = cut
@@ -103,12 +104,6 @@ class ClothSolver:
         return np.ascontiguousarray(pairs[apart][order])
 
 
-def unique_edges(faces: Faces) -> IntArray:
-    """Return (e, 2) each edge once, smaller index first, sorted."""
-    corners = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    return np.unique(np.sort(corners, axis=1), axis=0).astype(np.int64)
-
-
 def _drawn_over(garment: Garment, body: Capsules, margin: float) -> Points:
     """Return the two panels lying flat, moved forwards and backwards until they clear the body."""
     side = np.where(garment.panel == BACK, -1.0, 1.0)
@@ -149,7 +144,7 @@ def _cotangent(apex: FloatArray, first: FloatArray, second: FloatArray) -> Float
 
 def _neighbourhood(faces: Faces, count: int, rings: int) -> IntArray:
     """Return the sorted keys low * count + high of all pairs within that many edges of each other."""
-    edges = unique_edges(faces)
+    edges = edges_from_faces(faces).astype(np.int64)
     ones = np.ones(len(edges), dtype=np.int8)
     step = sparse.coo_matrix((ones, (edges[:, 0], edges[:, 1])), shape=(count, count)).tocsr()
     step = ((step + step.T + sparse.eye(count)) > 0).astype(np.int32)
