@@ -146,7 +146,7 @@ precision highp float;
 in vec3 vNormal, vSeen; in vec2 vUv; out vec4 colour;
 uniform sampler2D captured, normals; uniform mat3 turned; uniform vec3 light; uniform int look; uniform bool measured;
 void main() {
-  if (look == 9) { colour = vec4(0.35, 0.62, 1.0, 0.6); return; }  // wires
+  if (look == 9) { colour = vec4(0.1, 0.42, 1.0, 0.7); return; }  // wires
   vec3 n = vNormal;
   float cover = 1.0;
   if (measured) {
@@ -207,7 +207,7 @@ function start() {
   });
   gl.enable(gl.DEPTH_TEST);
   gl.enable(gl.POLYGON_OFFSET_FILL);
-  gl.polygonOffset(2, 2);
+  gl.polygonOffset(2, 2000);  // in depth steps: wires lie before their surface, also where it is level
   gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
   gl.clearColor(0.125, 0.149, 0.184, 1);
   const facts = gl.getExtension("WEBGL_debug_renderer_info");
