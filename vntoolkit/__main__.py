@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import _thread
 import contextlib
+import errno
 import os
 import sys
 
@@ -21,10 +22,20 @@ for _name, _value in {
     "NUMBA_THREADING_LAYER_PRIORITY": "omp tbb workqueue",
 }.items():
     os.environ.setdefault(_name, _value)
+# What a shell may have left there that libraries stumble over: figures are files, and a terminal of no width
+# is as good as none.
+os.environ["MPLBACKEND"] = "agg"
+for _name in ("COLUMNS", "LINES"):
+    if os.environ.get(_name, "80").strip("0") == "" or not os.environ.get(_name, "80").isascii():
+        del os.environ[_name]
 
 INTERRUPTED = 130  # the shell's convention for SIGINT
 OWN_FAULT = 70  # EX_SOFTWARE of sysexits.h
 _OUT_OF_CALLBACK_S = 0.02
+_REFUSALS_OF_THE_SYSTEM = {
+    errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.ENOTDIR,
+    errno.EISDIR, errno.ELOOP, errno.ENAMETOOLONG, errno.EMFILE, errno.ENFILE, errno.ESTALE,
+}  # fmt: skip
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -78,14 +89,16 @@ def _no_interrupt_lost() -> Iterator[None]:
 def _run(arguments: list[str] | None) -> int:
     from cyclopts import CycloptsError
 
-    from vntoolkit.cli import build_app
-    from vntoolkit.cli.messages import line_from_unforeseen, line_from_usage_error
+    from vntoolkit.cli import run_verb
+    from vntoolkit.cli.messages import line_from_refusal, line_from_unforeseen, line_from_usage_error
     from vntoolkit.errors import VntError
 
     _set_up_logging()
+    _print_whatever_comes()
     try:
-        typed = arguments if arguments is not None else sys.argv[1:]
-        result = build_app(typed)(typed)
+        _require_sound_date()
+        result = run_verb(arguments if arguments is not None else sys.argv[1:])
+        sys.stdout.flush()
         return result if isinstance(result, int) else 0
     except CycloptsError as error:
         return _fail(line_from_usage_error(error))
@@ -96,19 +109,44 @@ def _run(arguments: list[str] | None) -> int:
         return 0
     except MemoryError as error:
         return _fail(line_from_unforeseen(error))
+    except OSError as error:
+        if error.errno not in _REFUSALS_OF_THE_SYSTEM:
+            return _fail(line_from_unforeseen(error), OWN_FAULT)
+        if error.filename is None:  # most likely of the standard output: what is held back is lost
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _fail(line_from_refusal(error))
     except Exception as error:  # whatever is left becomes one line and a file with the traceback
         return _fail(line_from_unforeseen(error), OWN_FAULT)
 
 
 def _fail(message: str, status: int = 1) -> int:
-    print(f"vntoolkit: {message}", file=sys.stderr)
+    with contextlib.suppress(OSError):
+        print(f"vntoolkit: {message}", file=sys.stderr)
     return status
+
+
+def _print_whatever_comes() -> None:
+    """Show as its escape what the terminal's encoding, or a name that is no UTF-8, has no character for."""
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(AttributeError, OSError):  # not a text file, or closed
+            stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
+
+
+def _require_sound_date() -> None:
+    if "SOURCE_DATE_EPOCH" in os.environ:
+        from vntoolkit.io.results.manifest import now_utc
+
+        now_utc()
 
 
 def _set_up_logging() -> None:
     import logging
 
     logging.basicConfig(level=logging.WARNING, format="vntoolkit: %(message)s")
+    if not sys.warnoptions:  # numpy's lines about a division tell a user nothing: what came of it is checked
+        import warnings
+
+        warnings.simplefilter("ignore", RuntimeWarning)
 
 
 if __name__ == "__main__":

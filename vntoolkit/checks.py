@@ -2,14 +2,31 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
+import inspect
 import math
-from typing import Any
+import types
+import typing
+from collections.abc import Callable
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.errors import BadInput
 
+_PACKAGE = "vntoolkit."
+_HOW_TO_GET = {  # class -> what makes one
+    "LinearFrame": "open_capture(...).frame(number) gives one",
+    "LightResponse": "read_rig(...).response is one",
+    "Camera": "read_rig(...).camera is one",
+    "NormalMap": "normals_from_frame(...) gives one, or NormalMap(normals_in_camera=..., mask=...)",
+    "DepthMap": "DepthIntegrator(camera).integrate(...) gives one, or DepthMap(depth=..., mask=...)",
+    "Mesh": "mesh_from_depth(...) or read_mesh(...) gives one",
+}
+P = ParamSpec("P")
+R = TypeVar("R")
 _UNIT_LENGTH_TOLERANCE = 1e-3  # half-float normal maps on disk are exact to 5e-4
 
 
@@ -31,6 +48,60 @@ def require_mask(mask: npt.NDArray[Any], shape: tuple[int, ...], name: str = "ma
     if mask.dtype != np.bool_:
         raise BadInput(f"{name}: expected booleans, got {mask.dtype}")
     require_shape(mask, shape, name)
+
+
+def checks_kinds(function: Callable[P, R]) -> Callable[P, R]:
+    """Have a public function refuse, by `BadInput`, an argument of another kind than its annotation says.
+
+    Checked are the package's own classes, which the message says how to come by, and arrays: None, or an
+    object of the package, is none. numpy converts the rest.
+    """
+    signature = inspect.signature(function)
+    kinds: dict[str, tuple[type, bool]] = {}
+
+    @functools.wraps(function)
+    def checked(*given: P.args, **named: P.kwargs) -> R:
+        if not kinds:
+            kinds.update(_kinds_of(function))
+        with contextlib.suppress(TypeError):  # an argument too many or too few: the call tells
+            for name, value in signature.bind(*given, **named).arguments.items():
+                kind, may_be_none = kinds.get(name, (object, True))
+                if not (value is None and may_be_none) and not _is_of_kind(value, kind):
+                    raise BadInput(_wrong_kind(f"{function.__name__}: {name}", kind, value))
+        return function(*given, **named)
+
+    return checked
+
+
+def _kinds_of(function: Callable[..., Any]) -> dict[str, tuple[type, bool]]:
+    found: dict[str, tuple[type, bool]] = {}
+    hints = typing.get_type_hints(function)
+    hints.pop("return", None)
+    for name, hint in hints.items():
+        members = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
+        wanted = [member for member in members if member is not type(None)]
+        kind = typing.get_origin(wanted[0]) or wanted[0]
+        is_ours = isinstance(kind, type) and kind.__module__.startswith(_PACKAGE)
+        if len(wanted) == 1 and (is_ours or kind is np.ndarray):
+            found[name] = (kind, len(wanted) < len(members))
+    return found or {"": (object, True)}
+
+
+def _is_of_kind(value: object, kind: type) -> bool:
+    if kind is np.ndarray:
+        return value is not None and not type(value).__module__.startswith(_PACKAGE)
+    return isinstance(value, kind)
+
+
+def _wrong_kind(name: str, kind: type, value: object) -> str:
+    got = f"an array {value.shape}" if isinstance(value, np.ndarray) else f"{type(value).__name__}"
+    if kind is np.ndarray:
+        return f"{name}: expected an array, got {'None' if value is None else got}"
+    remedy = _HOW_TO_GET.get(kind.__name__, f"{kind.__module__}.{kind.__name__} says what it holds")
+    parts = [n for n in dir(value) if not n.startswith("_") and type(getattr(value, n, None)) is kind]
+    if parts:
+        remedy = f"pass its .{parts[0]}"
+    return f"{name}: expected a {kind.__name__}, got {'None' if value is None else got}; {remedy}"
 
 
 def require_same_size(

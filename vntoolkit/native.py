@@ -1,4 +1,4 @@
-"""Import of open3d and pymeshlab, with a check of system libraries; threads and output of C libraries.
+"""Import of numba, open3d and pymeshlab, with a check of system libraries; threads and output of C libraries.
 
 Without libGL open3d ends in a traceback, and without libOpenGL pymeshlab imports but cannot save a
 .ply file. Each is turned into one line that names the library and the package that holds it.
@@ -11,13 +11,14 @@ import ctypes
 import importlib
 import os
 import re
+import stat
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
-from vntoolkit.errors import MissingDependency
+from vntoolkit.errors import MissingDependency, VntError
 
 # Shared object -> Debian and Ubuntu package. What a wheel brings along, or every system has, is not here.
 OPEN3D_LIBRARIES = {
@@ -100,6 +101,40 @@ def limit_threads(count: int) -> None:
     numba.set_num_threads(min(count, numba.get_num_threads()))
 
 
+def require_address_space(size: int, name: str) -> None:
+    """Raise `VntError` where `ulimit -v` leaves a library less than it takes: it would end the process."""
+    if not sys.platform.startswith("linux"):
+        return
+    import resource
+
+    most = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if most == resource.RLIM_INFINITY:
+        return
+    with open("/proc/self/statm") as file:  # noqa: PTH123
+        left = most - int(file.read().split()[0]) * resource.getpagesize()
+    if left < size:
+        raise VntError(
+            f"{name} needs {size / 2**30:.0f} GiB of address space, {max(0, left) / 2**30:.1f} are left: "
+            "raise `ulimit -v`"
+        )
+
+
+def end_with_parent() -> None:
+    """End this worker process when the one that started it is gone, however that ended."""
+    import multiprocessing
+    from multiprocessing.connection import wait
+
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+
+    def watch() -> None:
+        wait([parent.sentinel])
+        os._exit(1)  # nobody is left to hear of it
+
+    threading.Thread(target=watch, name="end-with-parent", daemon=True).start()
+
+
 def keep_freed_memory() -> None:
     """Keep freed memory in this process, because the next frame needs arrays of the same sizes.
 
@@ -128,6 +163,77 @@ def one_opencv_thread() -> Iterator[None]:
         yield
     finally:
         cv2.setNumThreads(before)
+
+
+# Kernels, whose machine code is kept on disk where that can be, and made again where it cannot.
+
+
+def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """`numba.njit` with options, but for one thing: what goes wrong with its cache never stops a kernel.
+
+    Where neither the package's own folder nor the user's may be written to (another user, no home), machine
+    code is kept in a private temporary folder. A cache that is full or damaged is passed over, and repaired
+    where it can be.
+    """
+    import numba
+
+    is_kept = options.pop("cache", False)
+
+    def compiled(function: Callable[..., Any]) -> Any:
+        kernel = numba.njit(**options)(function)
+        if is_kept:
+            with contextlib.suppress(Exception):
+                kernel._cache = _ForgivingCache(_cache_of(function))  # as `cache=True` sets it
+        return kernel
+
+    return compiled
+
+
+def _cache_of(function: Callable[..., Any]) -> Any:
+    import numba
+    from numba.core.caching import FunctionCache
+
+    try:
+        return FunctionCache(function)
+    except RuntimeError:  # no place that may be written to
+        numba.config.CACHE_DIR = _private_folder()  # type: ignore[attr-defined]
+        return FunctionCache(function)
+
+
+def _private_folder() -> str:
+    """Return this user's temporary folder for machine code; raise `OSError` where others may write to it."""
+    import tempfile
+
+    user = os.getuid() if hasattr(os, "getuid") else 0
+    path = os.path.join(tempfile.gettempdir(), f"vntoolkit-numba-{user}")  # noqa: PTH118 - numba wants text
+    with contextlib.suppress(FileExistsError):
+        os.mkdir(path, 0o700)  # noqa: PTH102
+    found = os.lstat(path)
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != user or found.st_mode & 0o077:
+        raise PermissionError(f"{path} is open to others, and what is read there is run")
+    return path
+
+
+class _ForgivingCache:
+    """numba's cache of one kernel, every failure of which means that there is nothing in it."""
+
+    def __init__(self, cache: Any) -> None:
+        self._cache = cache
+
+    def load_overload(self, *asked: Any) -> Any:
+        try:
+            return self._cache.load_overload(*asked)
+        except Exception:  # truncated, or not to be read
+            with contextlib.suppress(Exception):
+                self._cache.flush()
+            return None
+
+    def save_overload(self, *made: Any) -> None:
+        with contextlib.suppress(Exception):  # a full disk, or a folder that was locked since
+            self._cache.save_overload(*made)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._cache, name)
 
 
 def _import(module: str, libraries: dict[str, str]) -> Any:

@@ -18,7 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from vntoolkit.native import njit
 
 _SMALLEST_SIDE = 4
 Grid = npt.NDArray[np.float32]

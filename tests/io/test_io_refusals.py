@@ -176,7 +176,7 @@ def test_a_manifest_of_another_version(tmp_path):
 
 def test_a_frame_log_that_is_no_file(tmp_path):
     (tmp_path / "frames.log").mkdir()
-    with pytest.raises(BadInput, match=r"frames\.log: cannot be read"):
+    with pytest.raises(BadInput, match=r"frames\.log: is a folder"):
         FrameLog(tmp_path).entries()
     with pytest.raises(CannotWrite, match=r"cannot write .*frames\.log"):
         FrameLog(tmp_path).append(FrameEntry(number=0, seconds=1.0))

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, IntArray, Mask, Points, Points2
-from vntoolkit.checks import require_finite, require_shape
+from vntoolkit.checks import checks_kinds, require_finite, require_shape
 from vntoolkit.errors import BadCalibration, BadInput, BadRig
 from vntoolkit.photometry.lambertian import scaled_normals_from_rgb
 from vntoolkit.photometry.response import LightResponse
@@ -85,6 +85,7 @@ class ResponseFit:
     inliers: npt.NDArray[np.bool_]
 
 
+@checks_kinds
 def fit_response(
     normals_in_camera: Points,
     rgb: Points,

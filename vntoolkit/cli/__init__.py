@@ -13,7 +13,7 @@ from typing import Any
 from cyclopts import App, Parameter
 
 from vntoolkit import __version__
-from vntoolkit.cli.flags import require_finite
+from vntoolkit.cli.flags import require_finite, require_new_outputs
 
 # verb -> (where it lives, the line that `vntoolkit --help` shows)
 VERBS: dict[str, tuple[str, str]] = {
@@ -137,6 +137,14 @@ def build_app(arguments: Sequence[str] = ()) -> App:
             sub.command(target, name=verb, help=None if arguments[:2] == [group, verb] else verb_line)
         app.command(sub)
     return app
+
+
+def run_verb(arguments: Sequence[str]) -> Any:
+    """Run what was typed, once it is sure that no output is an input; return what the verb does."""
+    app = build_app(arguments)
+    verb, bound, _ = app.parse_args(arguments, exit_on_error=False, print_error=False)
+    require_new_outputs(bound)
+    return verb(*bound.args, **bound.kwargs)
 
 
 def _shown_default(value: Any) -> str | None:

@@ -456,6 +456,10 @@ def rectify(
             capture, rectification, out, partial(bars.reach, "rectify"), overwrite=overwrite
         )
     width, height = rectification.size
+    if Path(source).is_dir():
+        left_out = sum(path.is_file() for path in Path(source).iterdir()) - len(capture.info.files)
+        if left_out:
+            print(f"{source}: {left_out} files that are no images were left out")
     print(f"{out}: {count} images of {width}×{height}, {pixel_mm:g} mm a pixel")
 
 

@@ -211,7 +211,12 @@ def _print_quality(qualities: dict[str, MeshQuality]) -> None:
     rows = []
     for field in dataclasses.fields(MeshQuality):
         values = [getattr(quality, field.name) for quality in qualities.values()]
-        rows.append([field.name.replace("_", " "), *(f"{value:.6g}" for value in values)])
+        rows.append(
+            [
+                field.name.replace("_", " "),
+                *("undefined" if value is None else f"{value:.6g}" for value in values),
+            ]
+        )
     print_table("quality", ["", *qualities], rows)
 
 

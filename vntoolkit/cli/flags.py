@@ -6,10 +6,12 @@ A dataclass is the only source of a flag's name, default and help. Its docstring
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import inspect
 import math
+import os
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -17,6 +19,7 @@ from typing import Annotated, Any, ParamSpec, TypeAlias, TypeVar, get_type_hints
 
 from cyclopts import Parameter
 
+from vntoolkit.errors import BadInput
 from vntoolkit.io.limits import ReadingLimits, limited_to
 
 Frames: TypeAlias = Annotated[
@@ -61,6 +64,8 @@ SingleLight: TypeAlias = Annotated[
 P = ParamSpec("P")
 R = TypeVar("R")
 _PARAMETER = "reading_limits"
+_OUTPUTS = ("out", "figure", "mesh", "report", "plot", "html", "record_to")  # where they are keywords
+_PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".exr")
 
 
 def flags_from(options: type[Any], *, without: tuple[str, ...] = (), **renamed: str) -> Any:
@@ -107,6 +112,42 @@ def require_finite(_kind: Any, value: Any) -> None:
     numbers = value if isinstance(value, tuple | list) else (value,)
     if any(isinstance(number, float) and not math.isfinite(number) for number in numbers):
         raise ValueError("Expected a finite number.")
+
+
+def require_new_outputs(bound: inspect.BoundArguments) -> None:
+    """Raise `BadInput` where a verb would write over what it reads, or under a name that cannot be.
+
+    In a folder of footage, only a picture would be taken for one of its frames.
+    """
+    kinds = bound.signature.parameters
+    written = {
+        name: path
+        for name, path in bound.arguments.items()
+        if name in _OUTPUTS and kinds[name].kind is inspect.Parameter.KEYWORD_ONLY and isinstance(path, Path)
+    }
+    read = [
+        (name, str(path))
+        for name, value in bound.arguments.items()
+        for path in (value if isinstance(value, tuple | list) else (value,))
+        if name not in written and isinstance(path, str | Path) and str(path)
+    ]
+    for name, out in written.items():
+        if any("\udc80" <= letter <= "\udcff" for letter in str(out)):
+            raise BadInput(f"{out}: expected a name in UTF-8, which other programs can open")
+        for flag, path in read if os.path.isfile(out) else ():  # noqa: PTH113 - never raises
+            folder = path if os.path.exists(path) else os.path.dirname(path)  # noqa: PTH110, PTH120 - a pattern
+            is_frame = out.suffix.lower() in _PICTURES and _is_same(out.parent, folder)
+            if is_frame or _is_same(out, path):
+                raise BadInput(
+                    f"{out}: would be written over, but {flag} reads it; choose another "
+                    f"--{name.replace('_', '-')}"
+                )
+
+
+def _is_same(one: Path | str, other: Path | str) -> bool:
+    with contextlib.suppress(OSError, ValueError):
+        return os.path.samefile(one, other or ".")  # noqa: PTH121
+    return False
 
 
 def meanings_of_fields(options: type[Any]) -> dict[str, str]:

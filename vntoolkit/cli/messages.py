@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import difflib
 import inspect
+import os
 import re
 import tempfile
 import traceback
@@ -82,6 +83,15 @@ def line_from_unforeseen(error: Exception) -> str:
     with contextlib.suppress(OSError):
         where = f"the traceback is in {_written(error)}"
     return f"internal error, not a fault of your input ({what}); {where}; please report it"
+
+
+def line_from_refusal(error: OSError) -> str:
+    """Return the line for what the system refused: a folder that may not be looked into, a full disk."""
+    reason = (error.strerror or str(error)).lower()
+    if error.filename is None:
+        return f"cannot write what is to be shown: {reason}; print to another place, or free some space"
+    name = os.fsdecode(error.filename) if isinstance(error.filename, str | bytes) else str(error.filename)
+    return printable_line(f"{name}: {reason}; see that you may read and write there, and that there is room")
 
 
 def _written(error: Exception) -> Path:

@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import errno
 import json
+import logging
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
@@ -24,10 +25,13 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
-from vntoolkit.errors import BadInput, CannotWrite
+from vntoolkit.errors import BadInput, CannotWrite, VntError
 from vntoolkit.io.atomic import cannot_write, write_text
+from vntoolkit.io.files import parse_json, read_text
 
 _WIDE = 200
+_SUBJECT = ("measured", "mesh", "reference")  # keys of an evaluation that say of what it is
+_LOGGER = logging.getLogger(__name__)
 JSON, PAGE, PICTURE, MESH = (".json",), (".html",), (".png", ".svg"), (".ply", ".obj")
 Advance = Callable[[int], None]
 
@@ -51,7 +55,19 @@ def plain_console() -> Console:
 
 
 def write_json(path: Path, content: Any) -> None:
-    """Write dataclasses, or lists and dictionaries of them, as indented JSON."""
+    """Write dataclasses, or lists and dictionaries of them, as indented JSON.
+
+    Says so where it takes the place of the evaluation of another subject.
+    """
+    with contextlib.suppress(OSError, VntError):
+        before = parse_json(read_text(path), str(path))
+        subjects = [
+            " against ".join(str(found[key]) for key in _SUBJECT if found.get(key))
+            for found in (before, content)
+            if isinstance(found, dict)
+        ]
+        if len(subjects) == 2 and subjects[0] != subjects[1]:
+            _LOGGER.warning("%s: held the evaluation of %s, replaced", path, subjects[0] or "something else")
     write_text(path, json.dumps(content, indent=1, default=_plain) + "\n")
 
 

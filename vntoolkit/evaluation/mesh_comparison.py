@@ -277,13 +277,14 @@ class MeshQuality:
     """Quality of a mesh: counts of faults, and shapes of triangles.
 
     median_aspect, worst_aspect: longest edge over twice √3 times the inscribed circle's radius: 1 for an
-    equilateral triangle, infinite for a degenerate one. pieces: connected components. holes: boundary loops.
+    equilateral triangle, infinite for a degenerate one. pieces: connected components. holes: boundary loops,
+    None where edges of more than two triangles leave them undefined.
     """
 
     vertices: int
     faces: int
     pieces: int
-    holes: int
+    holes: int | None
     boundary_edges: int
     non_manifold_edges: int
     non_manifold_vertices: int
@@ -306,7 +307,7 @@ def mesh_quality(mesh: Mesh) -> MeshQuality:
         vertices=len(mesh.vertices),
         faces=len(mesh.faces),
         pieces=topology["connected_components_number"],
-        holes=topology["number_holes"],  # -1 where non-manifold edges leave it undefined
+        holes=None if topology["non_two_manifold_edges"] else topology["number_holes"],
         boundary_edges=topology["boundary_edges"],
         non_manifold_edges=topology["non_two_manifold_edges"],
         non_manifold_vertices=topology["non_two_manifold_vertices"],

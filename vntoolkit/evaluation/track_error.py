@@ -12,12 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from vntoolkit.arrays import Faces, FloatArray, Points, Points2, read_only
 from vntoolkit.checks import require_in_range, require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
+from vntoolkit.native import njit
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

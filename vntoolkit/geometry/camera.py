@@ -15,6 +15,7 @@ from vntoolkit.checks import require_finite, require_shape
 from vntoolkit.errors import BadInput
 
 _UNDISTORT_ITERATIONS = 20
+_MOST_PX = 1e9  # no lens has more; squares and inverses of K stay far from overflow
 
 
 class CameraModel(Enum):
@@ -44,6 +45,10 @@ class Camera:
         distortion = np.array(self.distortion, dtype=np.float64)
         require_shape(matrix, (3, 3), "camera matrix K")
         require_finite(matrix, "camera matrix K")
+        if np.abs(matrix).max() > _MOST_PX:
+            raise BadInput(
+                f"camera matrix K: expected numbers up to {_MOST_PX:g}, got {np.abs(matrix).max():g}"
+            )
         require_shape(distortion, (4,), "camera distortion (k1, k2, p1, p2)")
         require_finite(distortion, "camera distortion")
         if self.width < 1 or self.height < 1:

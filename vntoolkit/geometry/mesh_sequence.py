@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vntoolkit.arrays import FloatArray, read_only
-from vntoolkit.checks import require_shape
+from vntoolkit.checks import require_finite, require_shape
 from vntoolkit.errors import BadMesh
 from vntoolkit.geometry.mesh import Mesh
 
@@ -38,6 +38,12 @@ class MeshSequence:
 
     def __len__(self) -> int:
         return int(self.vertices.shape[0])
+
+    def require_finite(self, name: str) -> None:
+        """Raise `BadMesh` for a frame with NaN or infinity; reads them one after the other."""
+        for frame, vertices in enumerate(self.vertices):
+            if not np.isfinite(vertices.sum(dtype=np.float64)):
+                require_finite(vertices, f"{name}: frame {frame}", BadMesh)
 
     def __getitem__(self, frame: int) -> Mesh:
         """Return the mesh of one frame, read into memory."""

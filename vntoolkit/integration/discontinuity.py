@@ -18,13 +18,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, Mask, Weight
 from vntoolkit.integration.edges import ChordField, PixelGraph, divergence_on_graph
 from vntoolkit.integration.multigrid import hierarchy_from_graph, solve_laplacian
+from vntoolkit.native import njit
 
 Float64 = npt.NDArray[np.float64]
 
@@ -84,7 +84,7 @@ def solve_discontinuous(
     return depth
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _reweighted(depth, tail, head, wanted, variance, trust, scale):  # type: ignore[no-untyped-def]
     weight = np.empty(len(tail))
     for e in range(len(tail)):

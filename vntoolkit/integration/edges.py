@@ -12,12 +12,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
 from vntoolkit.arrays import FloatArray, Mask
+from vntoolkit.native import njit
 
 Float32Image = npt.NDArray[np.float32]
 _C = np.float32(1.0 / 24.0)
@@ -58,7 +58,7 @@ def edges_from_slopes(
     return EdgeField(right=right, down=down, right_weight=right_weight, down_weight=down_weight)
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def _difference(a, b, c, d, a_in, d_in):  # type: ignore[no-untyped-def]
     """Integral from the second to the third of four slopes, of which the outer two may be missing."""
     if a_in and d_in:
@@ -70,13 +70,13 @@ def _difference(a, b, c, d, a_in, d_in):  # type: ignore[no-untyped-def]
     return np.float32(0.5) * (b + c)
 
 
-@numba.njit(cache=True, inline="always")
+@njit(cache=True, inline="always")
 def _one_sided(a, b, c, d):  # type: ignore[no-untyped-def]
     """Integral from the first to the second of four slopes."""
     return (np.float32(9.0) * a + np.float32(19.0) * b - np.float32(5.0) * c + d) * _C
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _edges_along_rows(p, weights, difference, weight):  # type: ignore[no-untyped-def]
     height, width = p.shape
     for v in range(height):
@@ -97,7 +97,7 @@ def _edges_along_rows(p, weights, difference, weight):  # type: ignore[no-untype
                 difference[v, u] = _difference(first, p[v, u], p[v, u + 1], last, before, after)
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _edges_along_columns(q, weights, difference, weight):  # type: ignore[no-untyped-def]
     height, width = q.shape
     for v in range(height - 1):
@@ -160,7 +160,7 @@ def chords_from_normals(
     return ChordField(difference=difference, variance=variance)
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _along(nx, ny, nz, x1, y1, x2, y2, perspective, scale, least_facing):  # type: ignore[no-untyped-def]
     """Difference in pixels between two points of one plane, and how much the plane faces the rays."""
     rise = nx * (x2 - x1) + ny * (y2 - y1)
@@ -173,7 +173,7 @@ def _along(nx, ny, nz, x1, y1, x2, y2, perspective, scale, least_facing):  # typ
     return slope * scale, facing
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _chords(n, xy, tail, head, perspective, scale, least_facing):  # type: ignore[no-untyped-def]
     count = len(tail)
     difference, variance = np.empty(count), np.empty(count)
@@ -233,7 +233,7 @@ def graph_from_domain(domain: Mask) -> PixelGraph:
     )
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _adjacency(tail, head, count):  # type: ignore[no-untyped-def]
     row_start = np.zeros(count + 1, np.int32)
     for e in range(len(tail)):
@@ -262,7 +262,7 @@ def divergence_on_graph(
     return load
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _accumulate(tail, head, flow, out):  # type: ignore[no-untyped-def]
     for e in range(len(flow)):
         out[head[e]] += flow[e]

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from vntoolkit.arrays import FloatArray, Mask, Normals, Weight
-from vntoolkit.checks import require_finite, require_same_size, require_some
+from vntoolkit.checks import checks_kinds, require_finite, require_same_size, require_some
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
@@ -33,6 +33,7 @@ from vntoolkit.integration.multigrid import hierarchy_from_graph, solve_laplacia
 from vntoolkit.integration.options import IntegrationOptions, Integrator, Precision
 from vntoolkit.integration.poisson import CosineSolver, FourierSolver, MaskedSolver, RectangleSolver
 from vntoolkit.integration.slopes import Float32Image, RayField, rays_from_camera, slopes_from_normals
+from vntoolkit.native import njit
 
 _RECTANGLE = (Integrator.COSINE, Integrator.FOURIER)
 _LEAST_TRUST = np.float32(1e-4)  # of a pixel in the domain: with none, what lies beyond it would float
@@ -55,6 +56,7 @@ class DepthIntegrator:
     cannot weigh, nor leave pixels out: they refuse a domain that is not the full rectangle.
     """
 
+    @checks_kinds
     def __init__(self, camera: Camera, options: IntegrationOptions | None = None) -> None:
         self._camera = camera
         self._options = options or IntegrationOptions()
@@ -62,6 +64,7 @@ class DepthIntegrator:
         self._rectangle: dict[Integrator, RectangleSolver] = {}
         self._domain: DomainSolver | None = None
 
+    @checks_kinds
     def integrate(self, normal_map: NormalMap) -> DepthMap:
         """Return the depth of `normal_map` (h, w), in the camera frame.
 
@@ -241,7 +244,7 @@ def divergence_from_slopes(p: npt.NDArray[np.float32], q: npt.NDArray[np.float32
     return divergence
 
 
-@numba.njit(cache=True, fastmath=True, parallel=True)
+@njit(cache=True, fastmath=True, parallel=True)
 def _divergence(p, q, out):  # type: ignore[no-untyped-def]
     height, width = p.shape
     k = np.float32(1.0 / 24.0)

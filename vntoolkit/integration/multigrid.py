@@ -13,12 +13,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from scipy.sparse.csgraph import connected_components
 
 from vntoolkit.errors import SolverFailed
+from vntoolkit.native import njit
 
 Float64 = npt.NDArray[np.float64]
 Int32 = npt.NDArray[np.int32]
@@ -126,7 +126,7 @@ def solve_laplacian(
     return x, iterations
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _row_sums(row_start, weight):  # type: ignore[no-untyped-def]
     sums = np.empty(len(row_start) - 1)
     for i in range(len(sums)):
@@ -137,7 +137,7 @@ def _row_sums(row_start, weight):  # type: ignore[no-untyped-def]
     return sums
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _merge_pairs(row_start, neighbour, weight):  # type: ignore[no-untyped-def]
     """Merge nodes along their strongest edges; return the map (n,) and the coarse graph.
 
@@ -175,7 +175,7 @@ def _merge_pairs(row_start, neighbour, weight):  # type: ignore[no-untyped-def]
     return (parent, *_collapse(row_start, neighbour, weight, parent, following, leader, coarse))
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _collapse(row_start, neighbour, weight, parent, following, leader, coarse):  # type: ignore[no-untyped-def]
     """Sum the edges between groups into the graph of the groups."""
     starts = np.zeros(coarse + 1, np.int32)
@@ -206,7 +206,7 @@ def _collapse(row_start, neighbour, weight, parent, following, leader, coarse): 
 # The compiled K-cycle of the hierarchy, and the conjugate gradients that it preconditions.
 
 
-@numba.njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True)
 def _multiply(levels, begin, end, x, out):  # type: ignore[no-untyped-def]
     _, row_start, neighbour, weight, diagonal, _, _ = levels
     for i in range(begin, end):
@@ -216,7 +216,7 @@ def _multiply(levels, begin, end, x, out):  # type: ignore[no-untyped-def]
         out[i] = total
 
 
-@numba.njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True)
 def _smooth_forward(levels, begin, end, b, x):  # type: ignore[no-untyped-def]
     """Gauss-Seidel from zero: later neighbours are still 0."""
     _, row_start, neighbour, weight, diagonal, _, _ = levels
@@ -228,7 +228,7 @@ def _smooth_forward(levels, begin, end, b, x):  # type: ignore[no-untyped-def]
         x[i] = total / diagonal[i]
 
 
-@numba.njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True)
 def _smooth_backward(levels, begin, end, b, x):  # type: ignore[no-untyped-def]
     _, row_start, neighbour, weight, diagonal, _, _ = levels
     for i in range(end - 1, begin - 1, -1):
@@ -238,7 +238,7 @@ def _smooth_backward(levels, begin, end, b, x):  # type: ignore[no-untyped-def]
         x[i] = total / diagonal[i]
 
 
-@numba.njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True)
 def _restrict_residual(levels, level, b, x):  # type: ignore[no-untyped-def]
     """Sum the residual of a level into the load of the next."""
     first, row_start, neighbour, weight, diagonal, parent, _ = levels
@@ -250,7 +250,7 @@ def _restrict_residual(levels, level, b, x):  # type: ignore[no-untyped-def]
         b[parent[i]] += total
 
 
-@numba.njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True)
 def _solve_coarsest(levels, begin, end, b, x):  # type: ignore[no-untyped-def]
     inverse = levels[6]
     for i in range(end - begin):
@@ -260,7 +260,7 @@ def _solve_coarsest(levels, begin, end, b, x):  # type: ignore[no-untyped-def]
         x[begin + i] = total
 
 
-@numba.njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True)
 def _first_step(levels, low, high, b, x, kept, kept_product):  # type: ignore[no-untyped-def]
     """Best multiple of the first correction; return (rho, step) and whether a second one is worth it."""
     _multiply(levels, low, high, x, kept_product)
@@ -280,7 +280,7 @@ def _first_step(levels, low, high, b, x, kept, kept_product):  # type: ignore[no
     return rho, step, left > _GOOD_ENOUGH * size
 
 
-@numba.njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True)
 def _second_step(levels, low, high, rho, step, b, x, kept, kept_product, work):  # type: ignore[no-untyped-def]
     """Best combination of both corrections (two steps of flexible conjugate gradients)."""
     _multiply(levels, low, high, x, work)
@@ -295,7 +295,7 @@ def _second_step(levels, low, high, rho, step, b, x, kept, kept_product, work): 
         x[i] = (step - gamma * second / rho) * kept[i] + second * x[i]
 
 
-@numba.njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True)
 def _finish(levels, level, b, x):  # type: ignore[no-untyped-def]
     """Add the coarse correction to a level and smooth it."""
     first, parent = levels[0], levels[5]
@@ -304,7 +304,7 @@ def _finish(levels, level, b, x):  # type: ignore[no-untyped-def]
     _smooth_backward(levels, first[level], first[level + 1], b, x)
 
 
-@numba.njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True)
 def _cycle(levels, b, x, kept, kept_product, work, state, rho, step):  # type: ignore[no-untyped-def]
     """One K-cycle from the finest level: x = approximate solution with load b."""
     first, inverse = levels[0], levels[6]
@@ -342,7 +342,7 @@ def _cycle(levels, b, x, kept, kept_product, work, state, rho, step):  # type: i
                 level -= 1
 
 
-@numba.njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True)
 def _dot(a, b, count):  # type: ignore[no-untyped-def]
     total = 0.0
     for i in range(count):
@@ -350,7 +350,7 @@ def _dot(a, b, count):  # type: ignore[no-untyped-def]
     return total
 
 
-@numba.njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True)
 def flexible_conjugate_gradients(levels, load, start, tolerance, most):  # type: ignore[no-untyped-def]
     """Solve L x = load; return x, the number of iterations and the relative residual reached."""
     first = levels[0]

@@ -18,6 +18,7 @@ import scipy.fft
 from vntoolkit.arrays import Mask
 from vntoolkit.errors import SolverFailed
 from vntoolkit.integration.edges import EdgeField
+from vntoolkit.native import njit
 
 _MOST_WORKERS = 2  # more wait for each other at this size
 Image = npt.NDArray[np.floating[Any]]
@@ -175,7 +176,7 @@ class MaskedSolver:
         return out
 
 
-@numba.njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True)
 def _load(right, down, right_weight, down_weight, out):  # type: ignore[no-untyped-def]
     """Right-hand side: the weighted divergence of the wanted differences, with the sign of A z = b."""
     height, width = out.shape
@@ -189,7 +190,7 @@ def _load(right, down, right_weight, down_weight, out):  # type: ignore[no-untyp
             )
 
 
-@numba.njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True)
 def _apply(right, down, x, out):  # type: ignore[no-untyped-def]
     """out = A x; return x · A x."""
     height, width = x.shape
@@ -208,7 +209,7 @@ def _apply(right, down, x, out):  # type: ignore[no-untyped-def]
     return total
 
 
-@numba.njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True)
 def _dot(padded, inner):  # type: ignore[no-untyped-def]
     height, width = inner.shape
     total = 0.0
@@ -218,7 +219,7 @@ def _dot(padded, inner):  # type: ignore[no-untyped-def]
     return total
 
 
-@numba.njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True)
 def _advance(direction, correction, factor):  # type: ignore[no-untyped-def]
     height, width = correction.shape
     for v in range(height):
@@ -226,7 +227,7 @@ def _advance(direction, correction, factor):  # type: ignore[no-untyped-def]
             direction[v + 1, u + 1] = factor * direction[v + 1, u + 1] + correction[v, u]
 
 
-@numba.njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True)
 def _update(depth, residual, direction, product, step):  # type: ignore[no-untyped-def]
     height, width = depth.shape
     for v in range(height):

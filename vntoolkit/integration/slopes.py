@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, Normals
 from vntoolkit.geometry.camera import Camera, CameraModel
+from vntoolkit.native import njit
 
 Float32Image = npt.NDArray[np.float32]
 
@@ -89,7 +90,7 @@ def slopes_from_normals(
     return p, q
 
 
-@numba.njit(cache=True, fastmath=True, parallel=True)
+@njit(cache=True, fastmath=True, parallel=True)
 def _slopes_affine(normals, affine, perspective, least_facing, p, q):  # type: ignore[no-untyped-def]
     height, width = p.shape
     x_u, x_v, x_0 = affine[0], affine[1], affine[2]
@@ -107,7 +108,7 @@ def _slopes_affine(normals, affine, perspective, least_facing, p, q):  # type: i
             q[v, u] = (nx * x_v + ny * y_v) * inverse
 
 
-@numba.njit(cache=True, fastmath=True, parallel=True)
+@njit(cache=True, fastmath=True, parallel=True)
 def _slopes_table(normals, table, least_facing, p, q):  # type: ignore[no-untyped-def]
     height, width = p.shape
     one = np.float32(1.0)

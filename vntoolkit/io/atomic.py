@@ -1,17 +1,24 @@
-"""Atomic writing: a file is written under a temporary name, then renamed; no partial file appears."""
+"""Atomic writing: a temporary name, then a rename; and a lock, so that one run at a time writes a folder."""
 
 from __future__ import annotations
 
 import contextlib
 import errno
+import hashlib
+import logging
 import os
 import re
-from collections.abc import Iterator
+import socket
+import sys
+from collections.abc import Container, Iterable, Iterator
 from pathlib import Path
 
-from vntoolkit.errors import CannotWrite
+from vntoolkit.errors import BadInput, CannotWrite
 
+LOCK_NAME = ".vntoolkit.lock"
 _TEMPORARY = re.compile(r"\..*\.([0-9]{1,9})\.part(?:\..*)?|\.probe\.([0-9]{1,9})")
+_LONGEST_NAME = 255  # bytes, of every common file system
+_LOGGER = logging.getLogger(__name__)
 
 
 @contextlib.contextmanager
@@ -23,7 +30,7 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
     cannot leave half a file, a power cut may.
     """
     path = Path(path)
-    temporary = path.parent / f".{path.stem}.{os.getpid()}.part{path.suffix}"
+    temporary = path.parent / _temporary_name(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.is_dir():
@@ -35,6 +42,15 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def _temporary_name(path: Path) -> str:
+    """Return `.STEM.PROCESS.part.SUFFIX`; a digest stands for a stem that would make the name too long."""
+    ending = f".{os.getpid()}.part{path.suffix}"
+    stem = path.stem
+    if len(os.fsencode(f".{stem}{ending}")) > _LONGEST_NAME:
+        stem = hashlib.sha256(os.fsencode(stem)).hexdigest()[:16]
+    return f".{stem}{ending}"
 
 
 def write_bytes(path: Path | str, content: bytes | memoryview) -> None:
@@ -60,8 +76,10 @@ def require_writable_folder(folder: Path | str) -> Path:
     probe = folder / f".probe.{os.getpid()}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        probe.write_bytes(b"0")
-        probe.unlink()
+        try:
+            probe.write_bytes(b"0")
+        finally:
+            probe.unlink(missing_ok=True)
         _remove_leftovers(folder)
     except OSError as error:
         raise cannot_write(folder, error) from error
@@ -100,3 +118,115 @@ def cannot_write(path: Path | str, error: OSError) -> CannotWrite:
         case _:
             advice = "choose another place to write to"
     return CannotWrite(f"cannot write {path}: {reason.lower()}; {advice}")
+
+
+# One run at a time: a lock that the system takes back from a process that has ended, however it ended.
+
+
+@contextlib.contextmanager
+def sole_writer(folder: Path | str) -> Iterator[Path]:
+    """Make `folder`, prove that it can be written to, and keep other runs out of it while the block runs.
+
+    Raises `CannotWrite` that names the process at work there. The lock of a run that was killed is taken over
+    and said so. Folders that the block leaves empty are removed again, if they were made here.
+    """
+    folder = Path(folder)
+    made = [each for each in (folder, *folder.parents) if not os.path.lexists(each)]
+    try:
+        with _locked(require_writable_folder(folder), exclusive=True):
+            yield folder
+    finally:
+        with contextlib.suppress(OSError):
+            for each in made:
+                each.rmdir()
+
+
+@contextlib.contextmanager
+def undisturbed(folder: Path | str) -> Iterator[None]:
+    """Keep runs from writing into a folder while the block reads it; any number may read.
+
+    A folder that this process may not write to is not locked. Raises `CannotWrite` as `sole_writer` does.
+    """
+    folder = Path(folder)
+    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+        yield
+        return
+    with _locked(folder, exclusive=False):
+        yield
+
+
+@contextlib.contextmanager
+def _locked(folder: Path, *, exclusive: bool) -> Iterator[None]:
+    if sys.platform == "win32":  # no flock
+        yield
+        return
+    import fcntl
+
+    kind = (fcntl.LOCK_EX if exclusive else fcntl.LOCK_SH) | fcntl.LOCK_NB
+    path = folder / LOCK_NAME
+    while True:
+        try:
+            lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
+        except OSError as error:
+            raise cannot_write(folder, error) from error
+        try:
+            fcntl.flock(lock, kind)
+        except BlockingIOError as error:
+            holder = _holder(lock)
+            os.close(lock)
+            raise CannotWrite(
+                f"{folder}: process {holder or 'of another run'} is at work there; wait until it has ended, "
+                "or choose another folder"
+            ) from error
+        except OSError as error:  # a network folder without locks
+            _LOGGER.warning(
+                "%s: cannot be locked (%s): start no second run there", folder, (error.strerror or "").lower()
+            )
+        with contextlib.suppress(OSError):
+            if os.path.samestat(os.fstat(lock), path.stat()):
+                break
+        os.close(lock)  # the run before removed it between the two calls
+    try:
+        earlier = _holder(lock)
+        if earlier and exclusive:
+            _LOGGER.warning("%s: process %s was ended before it was done there; taken over", folder, earlier)
+        with contextlib.suppress(OSError):  # of a full disk: what is written there will tell
+            os.ftruncate(lock, 0)
+            os.pwrite(lock, f"{os.getpid()} on {socket.gethostname()}".encode(), 0)
+        yield
+    finally:
+        with contextlib.suppress(OSError):  # other readers keep it
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            path.unlink()
+        os.close(lock)
+
+
+def _holder(lock: int) -> str:
+    with contextlib.suppress(OSError):
+        return os.pread(lock, 200, 0).decode("utf-8", "replace").strip()
+    return ""
+
+
+# What a run must not write over or remove: what it reads.
+
+
+def require_apart(inputs: Iterable[Path | str | None], written: Iterable[Path]) -> None:
+    """Raise `BadInput` where an input is one of the files or lies in one of the folders that are written."""
+    places = [Path(os.path.realpath(place)) for place in written]  # `resolve` raises for a loop of links
+    for path in (Path(each) for each in inputs if each):
+        for place in places:
+            if Path(os.path.realpath(path)).is_relative_to(place):
+                raise BadInput(
+                    f"{path}: is an input, and {place} is what would be written; choose another --out"
+                )
+
+
+def remove_numbered(folder: Path, suffix: str, numbers: Container[int]) -> None:
+    """Remove the files `000012.exr` of a folder that have these numbers, and the folder once it is empty."""
+    if not folder.is_dir():
+        return
+    for path in folder.glob(f"[0-9][0-9][0-9][0-9][0-9][0-9]*{suffix}"):
+        if path.stem.isdigit() and path.name == f"{int(path.stem):06d}{suffix}" and int(path.stem) in numbers:
+            path.unlink()
+    with contextlib.suppress(OSError):  # something of the user's is left
+        folder.rmdir()

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
+import os
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from vntoolkit.errors import BadInput
 from vntoolkit.photometry.rig import SourceFile
 
 _CHUNK_BYTES = 1 << 20
+_MOST_BYTES = 16 << 20  # of a text or JSON; the longest, a manifest of 100,000 images, has 12 MB
+_LONGEST_LINE = 1 << 20  # bytes
 _LONGEST_NAME = 255
 
 
@@ -31,21 +36,55 @@ def require_file(path: Path | str, error: type[BadInput] = BadInput) -> Path:
     return path
 
 
-def read_bytes(path: Path | str, error: type[BadInput] = BadInput) -> bytes:
-    """Read a whole file, or raise `error` with one line."""
+@contextlib.contextmanager
+def opened(path: Path | str, error: type[BadInput] = BadInput) -> Iterator[BinaryIO]:
+    """Open a file to read its bytes; raise `error` with one line, also for what fails while it is read."""
     path = require_file(path, error)
     try:
-        return path.read_bytes()
+        with path.open("rb") as stream:
+            yield stream
     except OSError as problem:
-        raise error(f"{path}: cannot be read ({problem.strerror})") from problem
+        raise error(f"{path}: cannot be read ({problem.strerror or problem})") from problem
+
+
+def read_bytes(path: Path | str, error: type[BadInput] = BadInput, most: int = _MOST_BYTES) -> bytes:
+    """Read a whole file of at most so many bytes, or raise `error` with one line before it is read."""
+    with opened(path, error) as stream:
+        size = os.fstat(stream.fileno()).st_size
+        if size > most:
+            raise error(
+                f"{path}: has {size / 1e6:.0f} MB, expected {most / 1e6:.0f} at most; is it the right file?"
+            )
+        return stream.read()
 
 
 def read_text(path: Path | str, error: type[BadInput] = BadInput, expected: str = "text in UTF-8") -> str:
-    """Read a whole UTF-8 file, or raise `error` with one line that says what was expected there."""
+    """Read a UTF-8 file of 16 MB at most, or raise `error` with one line that says what was expected."""
     try:
         return read_bytes(path, error).decode("utf-8-sig")
     except UnicodeDecodeError as problem:
         raise error(f"{path}: expected {expected}; byte {problem.start} is no text in UTF-8") from problem
+
+
+def text_lines(path: Path | str, error: type[BadInput] = BadInput) -> Iterator[str]:
+    """Yield the lines of a long text one by one; raise `error` for one that no program would write."""
+    with opened(path, error) as stream:
+        number = 0
+        while line := stream.readline(_LONGEST_LINE):
+            number += 1
+            if len(line) == _LONGEST_LINE or b"\0" in line:
+                raise error(f"{path}: line {number} is no line of text")
+            yield line.decode("utf-8-sig" if number == 1 else "utf-8", "replace").rstrip("\r\n")
+
+
+def require_name(name: str, source: Path | str, error: type[BadInput] = BadInput) -> str:
+    """Return a name that is to be a file's or a folder's, or raise where it would be none or lead elsewhere.
+
+    source: what the name was taken from, for the message.
+    """
+    if name.strip(". ") == "" or set(name) & {"/", "\\", "\0"} or len(os.fsencode(name)) > _LONGEST_NAME:
+        raise error(f"{source}: gives the name {name[:80]!r}, which no file can bear; rename it")
+    return name
 
 
 def require_inside(folder: Path, name: str, source: Path | str, error: type[BadInput] = BadInput) -> Path:
@@ -63,14 +102,10 @@ def require_inside(folder: Path, name: str, source: Path | str, error: type[BadI
 
 def sha256_of_file(path: Path | str, error: type[BadInput] = BadInput) -> str:
     """Return the SHA-256 of a file's bytes in hexadecimal."""
-    path = require_file(path, error)
     digest = hashlib.sha256()
-    try:
-        with path.open("rb") as stream:
-            while chunk := stream.read(_CHUNK_BYTES):
-                digest.update(chunk)
-    except OSError as problem:
-        raise error(f"{path}: cannot be read ({problem.strerror})") from problem
+    with opened(path, error) as stream:
+        while chunk := stream.read(_CHUNK_BYTES):
+            digest.update(chunk)
     return digest.hexdigest()
 
 
@@ -85,7 +120,7 @@ def parse_json(text: str, name: str, error: type[BadInput] = BadInput, expected:
     NaN and infinity pass, as Python has it: the schema, which can name the key, refuses them.
     """
     try:
-        return json.loads(text)
+        return json.loads(text, object_pairs_hook=_without_duplicates)
     except json.JSONDecodeError as problem:
         raise error(
             f"{name}: expected {expected}, but this is not JSON: {problem.msg} at line {problem.lineno}, "
@@ -93,7 +128,21 @@ def parse_json(text: str, name: str, error: type[BadInput] = BadInput, expected:
         ) from problem
     except RecursionError as problem:
         raise error(f"{name}: its brackets are nested too deeply for any file of this program") from problem
+    except _DuplicateKeyError as problem:
+        raise error(f"{name}: the key {str(problem)[:80]!r} stands there twice; keep one") from problem
     except ValueError as problem:  # an integer of thousands of digits
         raise error(
             f"{name}: expected {expected}, but this is not JSON: {str(problem).split(';')[0][:200]}"
         ) from problem
+
+
+class _DuplicateKeyError(ValueError):
+    """A JSON object has a key twice."""
+
+
+def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) != len(pairs):
+        keys = [key for key, _ in pairs]
+        raise _DuplicateKeyError(next(key for key in keys if keys.count(key) > 1))
+    return found

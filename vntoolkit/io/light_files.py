@@ -6,6 +6,7 @@ stereo, 2019 (shi2019).
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -155,6 +156,17 @@ def write_diligent(
     with atomic_path(folder / "Normal_est.mat") as temporary:
         savemat(temporary, {"Normal_est": normal_map.normals_in_camera * signs}, appendmat=False)
     write_text(folder / "filenames.txt", "\n".join(names) + "\n")
+
+
+def remove_diligent(folder: Path) -> None:
+    """Remove what `write_diligent` wrote into a folder, and the folder once it is empty."""
+    if not (folder / "light_directions.txt").exists():
+        return
+    texts = ("light_directions.txt", "light_intensities.txt", "filenames.txt")
+    for name in (*texts, "mask.png", "normal.png", "Normal_est.mat", *(f"{k:03d}.png" for k in range(1, 4))):
+        (folder / name).unlink(missing_ok=True)
+    with contextlib.suppress(OSError):  # something of the user's is left
+        folder.rmdir()
 
 
 def _rows(values: FloatArray) -> str:

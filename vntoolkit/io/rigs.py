@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, get_origin
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
+from vntoolkit.checks import checks_kinds
 from vntoolkit.errors import BadInput, BadRig
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.io.atomic import write_text
@@ -29,6 +30,7 @@ def read_rig(path: Path | str) -> Rig:
     return rig_from_text(read_text(path, BadRig, _EXPECTED), str(path))
 
 
+@checks_kinds
 def write_rig(path: Path | str, rig: Rig) -> None:
     """Write rig.json, atomically, with the short arrays on one line each."""
     write_text(path, text_from_rig(rig))
@@ -37,8 +39,9 @@ def write_rig(path: Path | str, rig: Rig) -> None:
 def rig_from_text(text: str, name: str = "rig") -> Rig:
     """Parse the text of a rig.json; `name` stands in the messages."""
     content = parse_json(text, name, BadRig, _EXPECTED)
-    if isinstance(content, dict) and content.get("version", 1) not in range(1, RIG_VERSION + 1):
-        raise BadRig(f"{name}: is of version {content['version']}, this program reads 1 to {RIG_VERSION}")
+    stated = content.get("version", 1) if isinstance(content, dict) else 1
+    if stated not in range(1, RIG_VERSION + 1) or isinstance(stated, bool):
+        raise BadRig(f"{name}: is of version {stated}, this program reads 1 to {RIG_VERSION}")
     try:
         entry = RigFile.model_validate(content)
         return rig_from_entry(entry)

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import Faces, IntArray, LinearImage, Mask, Points
-from vntoolkit.checks import require_same_size, require_some
+from vntoolkit.checks import checks_kinds, require_same_size, require_some
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
@@ -34,6 +34,7 @@ class MeshOptions:
             raise BadInput(f"stride: expected 1 or more, got {self.stride}")
 
 
+@checks_kinds
 def mesh_from_depth(
     depth_map: DepthMap,
     camera: Camera,
@@ -73,6 +74,7 @@ def mesh_from_depth(
     )
 
 
+@checks_kinds
 def point_cloud_from_depth(
     depth_map: DepthMap,
     camera: Camera,

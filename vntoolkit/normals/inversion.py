@@ -13,12 +13,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
+from numba import prange
 
 from vntoolkit.arrays import Mask
-from vntoolkit.checks import require_mask, require_positive, require_shape
+from vntoolkit.checks import checks_kinds, require_mask, require_positive, require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.lambertian import scaled_normals_from_rgb
 from vntoolkit.photometry.response import LightResponse
@@ -66,6 +67,7 @@ class InversionOptions:
         return 0.1 if self.clipped is ClippedPixels.DOWNWEIGHT else 0.0
 
 
+@checks_kinds
 def normals_from_frame(
     frame: LinearFrame,
     response: LightResponse,
@@ -89,6 +91,7 @@ def normals_from_frame(
     return _map_from_outputs(out)
 
 
+@checks_kinds
 def normals_from_encoded(
     encoded: npt.NDArray[Any],
     response: LightResponse,
@@ -113,6 +116,7 @@ def normals_from_encoded(
     return _map_from_outputs(out)
 
 
+@checks_kinds
 def relative_albedo_from_frame(
     frame: LinearFrame, response: LightResponse, mask: Mask | None = None
 ) -> float:

@@ -12,12 +12,13 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
+from numba import prange
 
 from vntoolkit.arrays import FloatArray, Mask, Points, read_only
-from vntoolkit.checks import require_finite, require_mask, require_shape
+from vntoolkit.checks import checks_kinds, require_finite, require_mask, require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.native import njit
 
 _FLATTEST_LIGHTS = 1e-3  # smallest over largest singular value: below it the lights lie in one plane
 fewest_lights = 3
@@ -58,6 +59,7 @@ class StereoResult:
         object.__setattr__(self, "albedo", read_only(self.albedo))
 
 
+@checks_kinds
 def normals_from_lights(
     images: FloatArray,
     lights: Points,

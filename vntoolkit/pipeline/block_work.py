@@ -16,7 +16,6 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from vntoolkit.arrays import Mask
 from vntoolkit.checks import require_positive
@@ -26,6 +25,7 @@ from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.limits import ReadingLimits, reading_limits
 from vntoolkit.io.maps_and_meshes.label_images import read_mask
 from vntoolkit.io.results.frame_log import FrameEntry
+from vntoolkit.native import njit
 from vntoolkit.photometry.frame import ALL_LIT
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.frame_processor import FrameProcessor, FrameResult

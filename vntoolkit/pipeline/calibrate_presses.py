@@ -20,7 +20,7 @@ from vntoolkit.calibration.presses import (
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.rectification import Rectification
-from vntoolkit.io.atomic import require_writable_folder
+from vntoolkit.io.atomic import sole_writer
 from vntoolkit.io.files import read_text, source_file
 from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
 from vntoolkit.io.footage.images import write_png
@@ -104,20 +104,20 @@ def rectify_capture(
     """
     if folder.resolve() in {path.parent.resolve() for path in capture.info.files}:
         raise BadInput(f"{folder}: the footage lies there; choose another --out")
-    earlier = sorted(path for path in folder.glob("*.png") if path.stem.isdigit() and len(path.stem) == 6)
-    if earlier and not overwrite:
-        raise BadInput(
-            f"{folder}: holds images already, such as {earlier[0].name}; add --overwrite to replace them, or "
-            "choose another --out"
-        )
-    require_writable_folder(folder)
-    for path in earlier:
-        path.unlink()
-    for number, frame in enumerate(capture.frames()):
-        rectified = rectify_frame(frame, rectification)
-        encoded = encoded_from_linear(rectified.rgb.astype(np.float64), capture.options.transfer)
-        write_png(folder / f"{number:06d}.png", np.round(encoded * 65535).astype(np.uint16))
-        on_frame(number + 1, len(capture))
+    with sole_writer(folder):
+        earlier = sorted(path for path in folder.glob("*.png") if path.stem.isdigit() and len(path.stem) == 6)
+        if earlier and not overwrite:
+            raise BadInput(
+                f"{folder}: holds images already, such as {earlier[0].name}; add --overwrite to replace "
+                "them, or choose another --out"
+            )
+        for path in earlier:
+            path.unlink()
+        for number, frame in enumerate(capture.frames()):
+            rectified = rectify_frame(frame, rectification)
+            encoded = encoded_from_linear(rectified.rgb.astype(np.float64), capture.options.transfer)
+            write_png(folder / f"{number:06d}.png", np.round(encoded * 65535).astype(np.uint16))
+            on_frame(number + 1, len(capture))
     return len(capture)
 
 

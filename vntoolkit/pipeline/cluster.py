@@ -65,15 +65,19 @@ def connected(scheduler: str, workers: int) -> Iterator[Any]:
     dask, distributed = _import_distributed()
     _let_dask_report_errors_only()
     if scheduler == LOCAL:
-        with (
-            dask.config.set(_RARE_HOUSEKEEPING),
-            distributed.LocalCluster(
-                n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None,
-                silence_logs=logging.CRITICAL,  # a heartbeat that meets the end of the run is called an error
-            ) as cluster,
-            distributed.Client(cluster) as client,
-        ):  # fmt: skip
-            yield client
+        with contextlib.ExitStack() as stack:
+            stack.enter_context(dask.config.set(_RARE_HOUSEKEEPING))
+            try:
+                cluster = distributed.LocalCluster(
+                    n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None,
+                    silence_logs=logging.CRITICAL,  # a heartbeat that meets the run's end is called an error
+                )  # fmt: skip
+                client = distributed.Client(stack.enter_context(cluster))
+            except (RuntimeError, OSError) as error:  # a worker that ended as it began, or no port
+                raise VntError(
+                    f"Dask's workers did not start ({error}); run the same command again, with fewer --jobs"
+                ) from error
+            yield stack.enter_context(client)
         return
     try:
         client = distributed.Client(scheduler, timeout=_SECONDS_TO_CONNECT)

@@ -12,6 +12,7 @@ from pathlib import Path
 from vntoolkit.calibration.board import BoardOptions
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.board_layout import BoardLayout
+from vntoolkit.io.atomic import sole_writer
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.rigs import read_rig, write_rig
 from vntoolkit.photometry.rig import Rig
@@ -93,6 +94,13 @@ def run_demo(
     on_progress is told the stage's name, how many of its frames are done, and of how many.
     """
     options = options or DemoOptions()
+    with sole_writer(folder.root):
+        return _run(folder, options, jobs, overwrite, on_progress)
+
+
+def _run(
+    folder: DemoFolder, options: DemoOptions, jobs: int, overwrite: bool, on_progress: Stage
+) -> ReconstructionSummary:
     _film(_BOARD, "board", folder.board, f"::{_BOARD_STEP}", "sweater", options, jobs, overwrite, on_progress)
     _calibrate(folder, on_progress)
     _film(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import shutil
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -19,11 +18,18 @@ from vntoolkit.arrays import FloatArray
 from vntoolkit.errors import BadInput, VntError
 from vntoolkit.geometry.maps import LengthUnit
 from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.io.atomic import require_writable_folder, write_text
+from vntoolkit.io.atomic import (
+    remove_numbered,
+    require_apart,
+    require_writable_folder,
+    sole_writer,
+    undisturbed,
+    write_text,
+)
 from vntoolkit.io.conventions import MeshUpAxis, NormalConvention, graphics_from_camera
 from vntoolkit.io.files import parse_json, read_text
 from vntoolkit.io.footage.frame_range import FrameRange
-from vntoolkit.io.light_files import write_diligent
+from vntoolkit.io.light_files import remove_diligent, write_diligent
 from vntoolkit.io.maps_and_meshes.arrays import StreamedArray, write_npz
 from vntoolkit.io.maps_and_meshes.glb import write_glb
 from vntoolkit.io.maps_and_meshes.maps import write_normal_map
@@ -35,7 +41,8 @@ from vntoolkit.pipeline.opened_result import OpenedResult, TrackedSurface, open_
 from vntoolkit.pipeline.options import option_values
 
 _RECORD = "export.json"
-_SUFFIXES = ("", ".ply", ".obj", ".glb", ".npz", ".png")  # of a frame's file; none of a frame's folder
+_SUFFIXES = (".ply", ".obj", ".glb", ".npz", ".png")  # of a frame's file
+_MOST_FRAMES = 10**6  # their names have six digits
 Advance = Callable[[], None]
 _LOGGER = logging.getLogger(__name__)
 _METRES_PER_PIXEL = 0.001  # shown, not measured: a 600-pixel subject opens 0.6 m tall in Blender
@@ -78,6 +85,13 @@ def export(
     A single file appears when it is whole. In a folder every file does; the same command again goes on where
     it stopped, and writes again what has changed since. Raises `BadInput`.
     """
+    with undisturbed(job.folder):
+        return _export(job, overwrite, on_start, on_frame)
+
+
+def _export(
+    job: ExportJob, overwrite: bool, on_start: Callable[[int, int], None], on_frame: Advance
+) -> ExportSummary:
     result = open_result(job.folder, frames=job.frames, footage=job.footage, background=job.background)
     track = _track_of(result, job.options)
     if job.options.to is ExportFormat.USD or (job.options.to is ExportFormat.GLB and track is not None):
@@ -146,23 +160,27 @@ def _export_folder(
     writer = frame_export(result, track, job.options)
     if out.suffix and out.suffix.lower() == writer.suffix:
         raise BadInput(f"{out}: expected the name of a folder, for one {writer.suffix} a frame")
+    root = result.folder.root
+    require_apart([out], (root / name for name in ("normals", "depth", "shadows", "mesh", "track")))
+    if out.resolve() == root.resolve():
+        raise BadInput(f"{out}: is the result itself; choose another --out")
     numbers = writer.numbers()
     untouched = ("cleaning",) if job.options.cleaning is None else ()
     values = option_values(job.options, without=untouched)
     record = {"version": 1, "options": values, "result_sha256": result.digest}
-    if not overwrite:
-        _require_same(out, record)
-    require_writable_folder(out)
-    if overwrite:
-        _clear(out)
-    write_text(out / _RECORD, json.dumps(record, indent=2) + "\n")
-    kept = {number for number in numbers if writer.is_current(out, number)}
-    on_start(len(numbers), len(kept))
-    for number in numbers:
-        if number not in kept:
-            writer.write(out, number)
-            on_frame()
-    writer.finish(out)
+    with sole_writer(out):
+        if not overwrite:
+            _require_same(out, record)
+        else:
+            _clear(out)
+        write_text(out / _RECORD, json.dumps(record, indent=2) + "\n")
+        kept = {number for number in numbers if writer.is_current(out, number)}
+        on_start(len(numbers), len(kept))
+        for number in numbers:
+            if number not in kept:
+                writer.write(out, number)
+                on_frame()
+        writer.finish(out)
     return ExportSummary(out=out, frames=len(numbers), kept=len(kept))
 
 
@@ -180,9 +198,10 @@ def _clear(out: Path) -> None:
     """Remove the frames of an earlier export, whatever their format, and nothing else."""
     if not (out / _RECORD).exists():
         return
-    for path in out.iterdir():
-        if path.stem.isdigit() and len(path.stem) == 6 and path.suffix in _SUFFIXES:
-            shutil.rmtree(path) if path.is_dir() else path.unlink()
+    for suffix in _SUFFIXES:
+        remove_numbered(out, suffix, range(_MOST_FRAMES))
+    for folder in out.glob("[0-9][0-9][0-9][0-9][0-9][0-9]"):
+        remove_diligent(folder)
     (out / "track.npz").unlink(missing_ok=True)
     (out / _RECORD).unlink()
 

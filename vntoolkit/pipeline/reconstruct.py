@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import multiprocessing
 import os
-import shutil
 import signal
 import time
 from collections.abc import Callable, Generator, Mapping
@@ -21,7 +21,7 @@ import numpy as np
 from vntoolkit.arrays import Mask
 from vntoolkit.diagnosis.inspection import findings_from_capture
 from vntoolkit.errors import BadCapture, BadInput, VntError
-from vntoolkit.io.atomic import require_writable_folder
+from vntoolkit.io.atomic import remove_numbered, require_apart, sole_writer
 from vntoolkit.io.files import source_file
 from vntoolkit.io.footage.captures import Capture
 from vntoolkit.io.footage.frame_range import FrameRange
@@ -39,7 +39,7 @@ from vntoolkit.io.results.manifest import (
     write_manifest,
 )
 from vntoolkit.io.rigs import SourceEntry, entry_from_rig
-from vntoolkit.native import limit_threads
+from vntoolkit.native import end_with_parent, limit_threads
 from vntoolkit.normals.inversion import relative_albedo_from_frame
 from vntoolkit.pipeline.block_work import BlockWorker, ReconstructionJob
 from vntoolkit.pipeline.cluster import require_scheduler, run_blocks_on_cluster
@@ -54,6 +54,7 @@ DoneFrames = Callable[[range], frozenset[int]]
 Workers = Callable[[ReconstructionJob, list[range], DoneFrames], Generator[FrameEntry]]
 _worker: BlockWorker | None = None  # one per worker process
 BLOCK_FRAMES = 16
+_FOLDERS = {"normals": ".exr", "depth": ".exr", "shadows": ".png", "mesh": ".ply"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +85,7 @@ def reconstruct(
     instead, or "local" for `jobs` workers of one that is started here; the output is the same to the byte.
     on_start is called once with the number of frames and how many are on disk already, on_frame after each
     further one. Raises the kinds of `VntError` that bad input deserves, before anything is written where
-    that can be known.
+    that can be known, and `CannotWrite` while another run is at work in the folder.
     """
     frames, root = frames or FrameRange(), job.folder.root
     if jobs < 1:
@@ -93,24 +94,18 @@ def reconstruct(
     capture = job.open_capture()
     job.rig.require_size(capture.info.width, capture.info.height, job.source)
     numbers = frames.numbers(capture.info.frame_count)
-    resumes = has_manifest(root) and not overwrite
-    job = resolve_options(job, capture, numbers, read_manifest(root).options if resumes else {})
-    manifest = manifest_of_run(job, capture, frames)
-    if resumes:
-        require_resumable(root, manifest)
+    inputs = (*capture.info.files, job.mask, job.background)
+    require_apart(inputs, (root / name for name in _FOLDERS))
     if scheduler is not None:
         require_scheduler(scheduler)
-    require_writable_folder(root)
-    if overwrite:
-        clear(root)
-    log = FrameLog(root)
-    on_disk = _frames_on_disk(job, log)
-    write_manifest(root, manifest)
-    _warn_of_the_implausible(job, capture, numbers)
-    on_start(len(numbers), len(on_disk & set(numbers)))
-    records = _run(job, numbers, on_disk, _workers(jobs, scheduler), log, on_frame)
-    seconds = time.perf_counter() - started
-    _finish(root, manifest, log, numbers, seconds)
+    with sole_writer(root):
+        job, manifest, log = _prepared(job, capture, frames, overwrite)
+        on_disk = _frames_on_disk(job, log)
+        _warn_of_the_implausible(job, capture, numbers)
+        on_start(len(numbers), len(on_disk & set(numbers)))
+        records = _run(job, numbers, on_disk, _workers(jobs, scheduler), log, on_frame)
+        seconds = time.perf_counter() - started
+        _finish(root, manifest, log, numbers, seconds)
     skipped = tuple(record for record in records if record.failure)
     return ReconstructionSummary(
         folder=root,
@@ -122,12 +117,32 @@ def reconstruct(
     )
 
 
+def _prepared(
+    job: ReconstructionJob, capture: Capture, frames: FrameRange, overwrite: bool
+) -> tuple[ReconstructionJob, Manifest, FrameLog]:
+    """Settle what a run does, and write its manifest into a folder that is free for it."""
+    root = job.folder.root
+    numbers = frames.numbers(capture.info.frame_count)
+    resumes = has_manifest(root) and not overwrite
+    job = resolve_options(job, capture, numbers, read_manifest(root).options if resumes else {})
+    manifest = manifest_of_run(job, capture, frames)
+    if resumes:
+        require_resumable(root, manifest)
+    if overwrite:
+        clear(root)
+    write_manifest(root, manifest)
+    return job, manifest, FrameLog(root)
+
+
 def clear(root: Path) -> None:
-    """Remove what `reconstruct` wrote into a folder, and nothing else."""
+    """Remove what the manifest and the log of a folder tell that `reconstruct` wrote, and nothing else."""
     if not has_manifest(root):
         return
-    for name in ("normals", "depth", "shadows", "mesh"):
-        shutil.rmtree(root / name, ignore_errors=True)
+    numbers = set(FrameLog(root).entries())
+    with contextlib.suppress(VntError):  # a manifest that is no longer readable
+        numbers.update(range(read_manifest(root).input.frame_count))
+    for name, suffix in _FOLDERS.items():
+        remove_numbered(root / name, suffix, numbers)
     (root / FRAMES_NAME).unlink(missing_ok=True)
     (root / MANIFEST_NAME).unlink()
 
@@ -326,6 +341,7 @@ def _start_worker(job: ReconstructionJob, workers: int) -> None:
     """Open the capture in a new process; Ctrl-C is the parent's to handle."""
     global _worker  # noqa: PLW0603 - a worker process has exactly one
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_with_parent()
     threads = max(1, (os.cpu_count() or 1) // workers)
     limit_threads(threads)
     _worker = BlockWorker(replace(job, threads=min(job.threads, threads)))

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from vntoolkit.errors import BadInput, VntError
+from vntoolkit.io.files import require_name
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.limits import ReadingLimits, limited_to
 from vntoolkit.io.results.frame_log import FrameEntry
@@ -52,6 +53,7 @@ def names_from_sources(sources: tuple[str, ...]) -> dict[str, str]:
                 f"{source}: no such video or folder of images; a session takes these, not patterns"
             )
         name = path.absolute().name if path.is_dir() else path.stem
+        require_name(name, source)
         if name in named:
             raise BadInput(
                 f"{source} and {named[name]}: both would be written into '{name}'; give one another name"

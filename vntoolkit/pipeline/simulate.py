@@ -10,7 +10,6 @@ import json
 import logging
 import multiprocessing
 import os
-import shutil
 import signal
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -27,7 +26,7 @@ from vntoolkit.arrays import FloatArray, VisibilityLabels
 from vntoolkit.errors import BadInput, BadMotion, BadRig, VntError
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.io.atomic import require_writable_folder, write_text
+from vntoolkit.io.atomic import remove_numbered, require_apart, sole_writer, write_text
 from vntoolkit.io.files import read_text, source_file
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.images import read_image, resized_image, write_png
@@ -37,9 +36,9 @@ from vntoolkit.io.maps_and_meshes.exr import ExrCompression
 from vntoolkit.io.maps_and_meshes.label_images import read_labels, write_labels, write_mask
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map, write_depth_map, write_flow, write_normal_map
 from vntoolkit.io.results.seams import write_seams
-from vntoolkit.io.results.sequences import MeshSequenceWriter
+from vntoolkit.io.results.sequences import MeshSequenceWriter, remove_mesh_sequence
 from vntoolkit.io.rigs import write_rig
-from vntoolkit.native import limit_threads
+from vntoolkit.native import end_with_parent, limit_threads
 from vntoolkit.photometry.frame import lit_from_labels
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import TransferCurve
@@ -60,6 +59,9 @@ from vntoolkit.simulation.spectra import WAVELENGTHS_NM
 _SHEET_FRAMES, _SHEET_WIDTH = 8, 320
 _worker: FrameWorker | None = None  # one per worker process
 _VERSION = 1
+_FIXED_TRUTH = ("rig.json", "lights.json", "scene.json", "seams.json", "poses.json")
+_TRUE_MAPS = {"normals": ".exr", "depth": ".exr", "mask": ".png", "visibility": ".png", "flow": ".exr"}
+_MOST_FRAMES = 10**6  # their names have six digits
 logger = logging.getLogger(__name__)
 _COMPRESSION = ExrCompression.ZIPS  # maps are mostly empty around the subject: a fifth of the size
 Picture = npt.NDArray[np.uint8]
@@ -87,28 +89,29 @@ def simulate(
 
     A run that was interrupted goes on where it stopped. jobs: worker processes. on_start is told how many
     frames there are and how many are there already; on_frame every finished one. Raises `BadInput` where
-    the folder holds another capture.
+    the folder holds another capture, `CannotWrite` while another run is at work there.
     """
     if jobs < 1:
         raise BadInput(f"jobs: expected at least 1 process, got {jobs}")
     folder, count = job.folder, len(job.numbers)
-    resume = require_free(folder, job.description(), overwrite)
-    if resume and folder.video.exists():
-        return SimulationSummary(folder=folder.root, frames=count, rendered=0)
-    require_writable_folder(folder.root)
-    if not resume:
-        if folder.description.exists():
-            _clear(folder)
-        write_text(folder.description, job.description())
-    write_fixed_truth(job)
-    write_moving_mesh(job, resume)
-    missing = [place for place in range(count) if not folder.staged(place).exists()]
-    on_start(count, count - len(missing))
-    for place in _rendered(job, missing, jobs):
-        on_frame(place)
-    _write_contact_sheet(job)
-    write_video(folder.video, _staged_frames(folder, count), job.built.frame_rate_hz / job.numbers.step)
-    shutil.rmtree(folder.staged(0).parent, ignore_errors=True)
+    require_apart([job.motion], [folder.truth])
+    with sole_writer(folder.root):
+        resume = require_free(folder, job.description(), overwrite)
+        if resume and folder.video.exists():
+            return SimulationSummary(folder=folder.root, frames=count, rendered=0)
+        if not resume:
+            if folder.description.exists():
+                _clear(folder)
+            write_text(folder.description, job.description())
+        write_fixed_truth(job)
+        write_moving_mesh(job, resume)
+        missing = [place for place in range(count) if not folder.staged(place).exists()]
+        on_start(count, count - len(missing))
+        for place in _rendered(job, missing, jobs):
+            on_frame(place)
+        _write_contact_sheet(job)
+        write_video(folder.video, _staged_frames(folder, count), job.built.frame_rate_hz / job.numbers.step)
+        remove_numbered(folder.staged(0).parent, ".png", range(count))
     return SimulationSummary(folder=folder.root, frames=count, rendered=len(missing))
 
 
@@ -174,6 +177,7 @@ def _start_worker(job: SimulationJob) -> None:
     """Build the scene in a new process; Ctrl-C is the parent's to handle."""
     global _worker  # noqa: PLW0603 - a worker process has exactly one
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_with_parent()
     limit_threads(job.rendering.threads)
     _worker = FrameWorker(job)
 
@@ -203,8 +207,12 @@ def _clear(folder: SimulationFolder) -> None:
     """Remove an earlier capture's files, and only those."""
     for path in (folder.video, folder.root / "contact_sheet.png", folder.description):
         path.unlink(missing_ok=True)
-    shutil.rmtree(folder.truth, ignore_errors=True)
-    shutil.rmtree(folder.staged(0).parent, ignore_errors=True)
+    for name in _FIXED_TRUTH:
+        (folder.truth / name).unlink(missing_ok=True)
+    for kind, suffix in _TRUE_MAPS.items():
+        remove_numbered(folder.truth / kind, suffix, range(_MOST_FRAMES))
+    remove_mesh_sequence(folder.truth)
+    remove_numbered(folder.staged(0).parent, ".png", range(_MOST_FRAMES))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import shutil
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -12,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from vntoolkit.arrays import Points2
-from vntoolkit.errors import BadInput
-from vntoolkit.io.atomic import require_writable_folder
-from vntoolkit.io.results.sequences import MeshSequenceWriter, read_mesh_sequence
+from vntoolkit.arrays import FloatArray, Points2
+from vntoolkit.errors import BadInput, BadMesh
+from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.io.atomic import sole_writer, undisturbed
+from vntoolkit.io.results.sequences import MeshSequenceWriter, read_mesh_sequence, remove_mesh_sequence
 from vntoolkit.pipeline.options import option_values
 from vntoolkit.pipeline.tracked_folder import (
     TrackSource,
@@ -76,7 +76,8 @@ def track(
     The template is tracked backwards to the first frame, then forwards to the last. A frame without files
     holds the vertices where they were, with confidence 0; tracking goes on with the next frame that is
     there. A single frame gives a sequence of one. Raises `BadInput` for a template frame that is not there
-    and for a target that holds something else, before anything there is touched.
+    and for a target that holds something else, before anything there is touched; `CannotWrite` while another
+    run is at work in one of the folders.
     """
     started = time.perf_counter()
     source = open_track_source(job.folder)
@@ -87,13 +88,13 @@ def track(
             f"it holds {source.numbers[0]} to {source.numbers[-1]}"
         )
     record = _record(job, source, template)
-    require_free(job.target, record, overwrite=overwrite)
-    tracker = SurfaceTracker(*source.maps(template), source.camera, job.options, job.seams)
-    target = require_writable_folder(job.target)
-    if overwrite:
-        clear_track(target)
-    write_track_record(target, record)
-    resumed = _run(tracker, source, template, target, on_start, on_frame)
+    with undisturbed(job.folder), sole_writer(job.target) as target:
+        require_free(target, record, overwrite=overwrite)
+        tracker = SurfaceTracker(*source.maps(template), source.camera, job.options, job.seams)
+        if overwrite:
+            clear_track(target)
+        write_track_record(target, record)
+        resumed = _run(tracker, source, template, target, on_start, on_frame)
     missing = tuple(n for n in source.numbers if not source.has(n))
     if missing:
         _LOGGER.warning(
@@ -135,7 +136,7 @@ def _run(
             on_start(len(source.numbers), resumed)
         tracker.resume(first, first, source.normals(template), 0)
         _follow(tracker, source, (template, *ahead), writer, on_frame, lead=at + 1)
-    shutil.rmtree(target / "backwards", ignore_errors=True)
+    remove_mesh_sequence(target / "backwards")
     return resumed
 
 
@@ -171,20 +172,28 @@ def _go_on(
     present = [i for i, number in enumerate(done) if i == 0 or source.has(number)]
     if len(present) < 2:
         return
-    sequence = read_mesh_sequence(folder)
-    assert sequence.confidence is not None
+    sequence, confidences = _tracked_before(folder)
     states = [tracker.state]  # of the template
     for i in present[1:][-2:]:
-        vertices, confidence = sequence.vertices[row + i], sequence.confidence[row + i]
+        vertices, confidence = sequence.vertices[row + i], confidences[row + i]
         states.append(tracked_frame(np.array(vertices), np.array(confidence), source.camera))
     tracker.resume(states[-2], states[-1], source.normals(done[present[-1]]), len(present) - 1)
 
 
 def _copy_reversed(folder: Path, writer: MeshSequenceWriter) -> None:
-    vertices = np.load(folder / "vertices.npy", mmap_mode="r")
-    for row in range(len(vertices) - 1, -1, -1):
-        confidence = np.load(folder / "confidence.npy", mmap_mode="r")[row]
-        writer.append(np.array(vertices[row]), np.array(confidence))
+    if read_mesh_sequence(folder).vertices.size == 0:  # the template is the first frame
+        return
+    sequence, confidences = _tracked_before(folder)
+    for row in range(len(sequence) - 1, -1, -1):
+        writer.append(np.array(sequence.vertices[row]), np.array(confidences[row]))
+
+
+def _tracked_before(folder: Path) -> tuple[MeshSequence, FloatArray]:
+    """Return what an earlier run tracked, and its confidence, which nothing but a person removes."""
+    sequence = read_mesh_sequence(folder)
+    if sequence.confidence is None:
+        raise BadMesh(f"{folder}: confidence.npy is missing; add --overwrite to track anew")
+    return sequence, sequence.confidence
 
 
 def _record(job: TrackJob, source: TrackSource, template: int) -> dict[str, Any]:

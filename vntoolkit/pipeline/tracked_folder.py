@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from vntoolkit.io.files import parse_json, read_text
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
 from vntoolkit.io.results.manifest import read_manifest, result_digest
+from vntoolkit.io.results.sequences import remove_mesh_sequence
 from vntoolkit.io.rigs import camera_from_content, entry_from_camera, rig_from_entry
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 
@@ -130,8 +130,7 @@ def clear_track(folder: Path) -> None:
     """Remove what `track` wrote into a folder, and nothing else."""
     if not (folder / _RECORD).exists():
         return
-    for name in ("vertices.npy", "confidence.npy", "template.ply", "sequence.json", _RECORD):
+    for name in (_RECORD, "checkerboard.mkv", "checkerboard.png"):
         (folder / name).unlink(missing_ok=True)
-    for name in ("checkerboard.mkv", "checkerboard.png"):
-        (folder / name).unlink(missing_ok=True)
-    shutil.rmtree(folder / "backwards", ignore_errors=True)
+    remove_mesh_sequence(folder / "backwards")
+    remove_mesh_sequence(folder)

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels
-from vntoolkit.checks import require_mask
+from vntoolkit.checks import checks_kinds, require_mask
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame, labels_from_lit
 from vntoolkit.photometry.response import LightResponse
@@ -32,6 +32,7 @@ class ShadowDetector:
     camera: for perspective; None for orthographic.
     """
 
+    @checks_kinds
     def __init__(
         self,
         response: LightResponse,
@@ -48,6 +49,7 @@ class ShadowDetector:
         """Drop what the previous frame left, so that a sequence may start anywhere."""
         self._memory = None
 
+    @checks_kinds
     def labels(self, frame: LinearFrame, mask: Mask | None = None) -> VisibilityLabels:
         """Return (h, w) labels, bit k set where light k arrives; 7 outside `mask`, where nobody may look."""
         inside = np.ones(frame.shape, dtype=np.bool_) if mask is None else np.asarray(mask)

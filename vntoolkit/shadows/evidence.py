@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numba import njit
 
 from vntoolkit.arrays import FloatArray, Mask, Matrix3
+from vntoolkit.native import njit
 from vntoolkit.shadows.shares import LightShares
 
 _SMALLEST_ALBEDO = 0.02

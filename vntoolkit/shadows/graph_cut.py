@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from vntoolkit.arrays import FloatArray, Mask
+from vntoolkit.native import njit
 
 _WEAKEST_BOND = 0.05  # share of the full price that a change of label across a sharp edge still costs
 _DARK_SHARE = 0.03  # added to a share before its logarithm: noise is no edge

@@ -13,10 +13,10 @@ from functools import partial
 import cv2
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from vntoolkit.arrays import FloatArray, Mask, Normals, VisibilityLabels, Weight
 from vntoolkit.geometry.camera import Camera
+from vntoolkit.native import njit
 from vntoolkit.photometry.frame import ALL_LIT, count_lit
 from vntoolkit.shadows.shares import TOWARDS_VIEWER, LightShares, lengths_of
 from vntoolkit.shadows.surface import Surface, SurfaceOptions, solve_surface

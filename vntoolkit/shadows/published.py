@@ -11,9 +11,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from vntoolkit.arrays import FloatArray, Mask
+from vntoolkit.native import njit
 
 _DIRECTIONS = np.array(
     [[1, 0], [1, 1], [0, 1], [-1, 1], [-1, 0], [-1, -1], [0, -1], [1, -1]], dtype=np.int64

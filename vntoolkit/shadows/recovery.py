@@ -8,7 +8,7 @@ from enum import Enum
 import numpy as np
 
 from vntoolkit.arrays import FloatArray, Mask, Normals, VisibilityLabels, Weight
-from vntoolkit.checks import require_mask, require_shape
+from vntoolkit.checks import checks_kinds, require_mask, require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
@@ -57,6 +57,7 @@ class RecoveredSurface:
     depth_map: DepthMap | None
 
 
+@checks_kinds
 def recover_normals(
     frame: LinearFrame,
     labels: VisibilityLabels,
@@ -72,6 +73,7 @@ def recover_normals(
     return recover_surface(frame, labels, response, mask, camera, method).normal_map
 
 
+@checks_kinds
 def recover_surface(
     frame: LinearFrame,
     labels: VisibilityLabels,

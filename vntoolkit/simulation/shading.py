@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from vntoolkit.arrays import FloatArray, Points
 from vntoolkit.geometry.rays import Hits, RayScene
+from vntoolkit.native import njit
 from vntoolkit.simulation.image_formation import exposure_of_scene
 from vntoolkit.simulation.lights import MOST_LIGHTS
 from vntoolkit.simulation.nuisances import Nuisances

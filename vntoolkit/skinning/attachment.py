@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
@@ -12,6 +11,7 @@ from vntoolkit.arrays import Faces, FloatArray, IntArray, Points
 from vntoolkit.geometry.laplacian import edge_cotangents, edges_from_faces, graph_laplacian
 from vntoolkit.geometry.mesh import Mesh, face_normals, vertex_normals
 from vntoolkit.geometry.motion import Skeleton
+from vntoolkit.native import njit
 from vntoolkit.skinning.blending import skinned_vertices
 from vntoolkit.skinning.weights import (
     Falloff,
@@ -175,7 +175,7 @@ def covered_bones(
     )
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _first_met(vertices, normals, joints, starts, ends):  # type: ignore[no-untyped-def]
     covered = np.full(len(vertices), -1, np.int32)
     distances = np.full(len(vertices), np.inf)
@@ -194,7 +194,7 @@ def _first_met(vertices, normals, joints, starts, ends):  # type: ignore[no-unty
     return covered, distances
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _ball_radius(vertex, normal, start, end):  # type: ignore[no-untyped-def]
     """Minimise (A t² + 2 B t + C) / (2 (D + E t)) over 0 ≤ t ≤ 1; convex where D + E t > 0."""
     a = b = c = d = e = 0.0

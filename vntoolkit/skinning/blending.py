@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from vntoolkit.arrays import FloatArray, Points
 from vntoolkit.checks import require_shape
 from vntoolkit.geometry.rigid import RigidTransform
+from vntoolkit.native import njit
 from vntoolkit.skinning.weights import SkinWeights
 
 
@@ -54,7 +55,7 @@ def dual_quaternions(transforms: FloatArray) -> FloatArray:
     return np.concatenate([real, dual_axis, dual_w], axis=1)
 
 
-@numba.njit(cache=True, parallel=True)
+@njit(cache=True, parallel=True)
 def _linear(vertices, joints, weights, transforms):  # type: ignore[no-untyped-def]
     skinned = np.empty_like(vertices)
     for v in numba.prange(len(vertices)):
@@ -68,7 +69,7 @@ def _linear(vertices, joints, weights, transforms):  # type: ignore[no-untyped-d
     return skinned
 
 
-@numba.njit(cache=True, parallel=True)
+@njit(cache=True, parallel=True)
 def _dual(vertices, joints, weights, quaternions):  # type: ignore[no-untyped-def]
     skinned = np.empty_like(vertices)
     for v in numba.prange(len(vertices)):

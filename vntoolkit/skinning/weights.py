@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from enum import Enum
 from fnmatch import fnmatch
 
-import numba
 import numpy as np
 
 from vntoolkit.arrays import FloatArray, IntArray, Points, read_only
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.motion import Skeleton
+from vntoolkit.native import njit
 from vntoolkit.skinning.kinematics import bone_segments
 
 _NEAREST = 1e-6  # of the skeleton's height: nearer counts as this near, so that 1/distance stays finite
@@ -126,7 +126,7 @@ def nearest_joints(
     return _nearest_joints(np.ascontiguousarray(vertices, dtype=np.float64), joints, starts, ends, count)
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _nearest_joints(vertices, joints, starts, ends, count):  # type: ignore[no-untyped-def]
     """Insert each joint's distance into a vertex's sorted list of `count`; bones of a joint are adjacent."""
     n = len(vertices)

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from vntoolkit.arrays import FloatArray, Points2
+from vntoolkit.native import njit
 from vntoolkit.tracking.jacobians import LocalJacobians
 from vntoolkit.tracking.lattice import TemplateLattice
 from vntoolkit.tracking.lattice_solve import solve_on_lattice

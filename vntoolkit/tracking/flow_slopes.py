@@ -5,10 +5,10 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from vntoolkit.arrays import Mask
 from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.native import njit
 from vntoolkit.tracking.flow_jumps import jump_pixels
 
 Relief = npt.NDArray[np.uint8]  # (h, w, 3)

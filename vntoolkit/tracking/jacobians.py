@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from vntoolkit.arrays import Points2
+from vntoolkit.native import njit
 from vntoolkit.tracking.lattice import TemplateLattice
 
 _PASSES = 1  # of lattice smoothing

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from vntoolkit.arrays import Points2
 from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.native import njit
 from vntoolkit.tracking.flow_slopes import smooth_normals
 from vntoolkit.tracking.lattice import TemplateLattice
 from vntoolkit.tracking.template import TrackingTemplate

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from vntoolkit.arrays import FloatArray, Mask, Points2
+from vntoolkit.native import njit
 
 
 def sample_image(image: FloatArray, positions_px: Points2) -> npt.NDArray[np.float64]:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 import scipy.sparse as sp
 
 from vntoolkit.arrays import Flow, Points, Points2
-from vntoolkit.checks import require_same_size
+from vntoolkit.checks import checks_kinds, require_same_size
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.laplacian import cotangent_laplacian, graph_laplacian
 from vntoolkit.geometry.maps import DepthMap, NormalMap
@@ -46,6 +46,7 @@ _CARRIES = 2  # the second reads lengths and normals where the first has put wha
 class SurfaceTracker:
     """Follows one template, frame by frame, forwards or backwards: `step` takes the next frame."""
 
+    @checks_kinds
     def __init__(
         self,
         template: NormalMap,
@@ -85,6 +86,7 @@ class SurfaceTracker:
         """The template as a mesh."""
         return Mesh(vertices=self.template.vertices_in_camera, faces=self.template.faces)
 
+    @checks_kinds
     def step(self, normal_map: NormalMap, depth_map: DepthMap) -> TrackedFrame:
         """Follow the surface into the next frame."""
         require_same_size(normal_map.mask, "normals", self._previous.mask, "the frame before")

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
-from numba import njit
 
 from vntoolkit.arrays import FloatArray
 from vntoolkit.geometry.laplacian import graph_laplacian
+from vntoolkit.native import njit
 
 _RELATIVE_TOLERANCE = 1e-5
 

@@ -16,10 +16,10 @@ import numpy.typing as npt
 from vntoolkit.arrays import LinearImage
 from vntoolkit.checks import require_in_range, require_positive, require_shape
 from vntoolkit.errors import BadCapture
-from vntoolkit.io.files import read_bytes, require_file
+from vntoolkit.io.files import opened, require_file
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
 from vntoolkit.io.footage.frame_range import FrameRange
-from vntoolkit.io.footage.images import SUFFIXES, read_image, read_image_header
+from vntoolkit.io.footage.images import SUFFIXES, header_of_stream, read_image
 from vntoolkit.io.footage.video import VideoReader
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.transfer import Transfer
@@ -197,7 +197,8 @@ def _info_of_video(reader: VideoReader) -> CaptureInfo:
 
 def _info_of_images(kind: CaptureKind, files: tuple[Path, ...], options: CaptureOptions) -> CaptureInfo:
     first = read_image(files[0], max_megapixels=options.max_megapixels)
-    header = read_image_header(read_bytes(files[0], BadCapture), str(files[0]))
+    with opened(files[0], BadCapture) as stream:
+        header = header_of_stream(stream, str(files[0]))
     return CaptureInfo(
         kind=kind,
         width=first.shape[1],

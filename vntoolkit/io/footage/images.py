@@ -5,11 +5,12 @@ from __future__ import annotations
 import io
 import logging
 import math
+import os
 import struct
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import cv2
 import numpy as np
@@ -18,13 +19,15 @@ import numpy.typing as npt
 from vntoolkit.arrays import Mask
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.atomic import write_bytes
-from vntoolkit.io.files import read_bytes
+from vntoolkit.io.files import opened
 from vntoolkit.io.limits import require_pixels
 from vntoolkit.io.maps_and_meshes import exr
 from vntoolkit.io.maps_and_meshes.exr import read_exr
 from vntoolkit.native import silenced_native_output
 
 SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".exr")
+_LONGEST_HEADER = 32 << 20  # bytes; colour profiles and previews stand before the size in some files
+_PIECE_BYTES = 1 << 20
 _PNG = b"\x89PNG\r\n\x1a\n"
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _BY_PILLOW = {"PNG": _PNG, "JPEG": b"\xff\xd8", "BMP": b"BM"}
@@ -136,11 +139,13 @@ def _decode(
     path: Path | str, max_megapixels: float | None, error: type[BadInput]
 ) -> tuple[npt.NDArray[Any], npt.NDArray[Any] | None]:
     """Return the colours (h, w, 1) or (h, w, 3) in RGB order, and alpha (h, w) or None."""
-    data = read_bytes(path, error)
-    header = read_image_header(data, str(path), error)
-    require_pixels(header.width, header.height, max_megapixels, str(path), error)
-    if data[:4] == exr.MAGIC:
-        return _pixels_from_exr(path, max_megapixels, error)
+    with opened(path, error) as stream:
+        header = header_of_stream(stream, str(path), error)
+        require_pixels(header.width, header.height, max_megapixels, str(path), error)
+        if header.format == "EXR":
+            return _pixels_from_exr(path, max_megapixels, error)
+        stream.seek(0)
+        data = stream.read()
     cv2.utils.logging.setLogLevel(
         cv2.utils.logging.LOG_LEVEL_SILENT
     )  # a damaged file is reported by the one line below, not by OpenCV on stderr
@@ -237,19 +242,42 @@ class ImageHeader:
 # Size and sample depth of an image from its first bytes, before any pixel is decoded.
 
 
-def read_image_header(data: bytes, name: str, error: type[BadInput] = BadCapture) -> ImageHeader:
-    """Read the header of a PNG, JPEG, TIFF, BMP or EXR file given as bytes; raise `error` with one line."""
+def header_of_stream(stream: BinaryIO, name: str, error: type[BadInput] = BadCapture) -> ImageHeader:
+    """Parse the header of an image file; raise `error` for one far longer than its image can be.
+
+    Nothing but the header is read of a long file.
+    """
+    size = stream.seek(0, os.SEEK_END)
+    stream.seek(0)
+    data = stream.read(_LONGEST_HEADER)
+    if data.startswith(_PNG):
+        _require_sound_chunks(stream, name, error)
+    header = read_image_header(data, name, error, stream if size > len(data) else None)
+    raw = header.width * header.height * header.channels * max(1, header.bits // 8)
+    if size > 2 * raw + _LONGEST_HEADER:
+        size_px = f"{header.width}×{header.height}"
+        raise error(
+            f"{name}: {size / 1e6:.0f} MB are more than one {header.format} of {size_px} pixels takes"
+        )
+    return header
+
+
+def read_image_header(
+    data: bytes, name: str, error: type[BadInput] = BadCapture, stream: BinaryIO | None = None
+) -> ImageHeader:
+    """Read the header of a PNG, JPEG, TIFF, BMP or EXR file given as bytes; raise `error` with one line.
+
+    stream: the file, where `data` is only its beginning: a TIFF may have its header at the end.
+    """
     if data.startswith(exr.MAGIC):
         found = exr.read_exr_header(data, name, error)
         count = len(found.channels)
         return ImageHeader(
             format="EXR", width=found.width, height=found.height, channels=count, bits=32, floating=True
         )
-    if data.startswith(_PNG):
-        _require_sound_chunks(data, name, error)
     try:
         if data.startswith(_TIFF):
-            return _tiff(data, name, error)
+            return _tiff(stream or io.BytesIO(data), name, error)
         for format_name, magic in _BY_PILLOW.items():
             if data.startswith(magic):
                 return _by_pillow(data, format_name)
@@ -281,28 +309,33 @@ def _by_pillow(data: bytes, format_name: str) -> ImageHeader:
     )
 
 
-def _require_sound_chunks(data: bytes, name: str, error: type[BadInput]) -> None:
+def _require_sound_chunks(stream: BinaryIO, name: str, error: type[BadInput]) -> None:
     """Check every chunk's length and CRC: libpng prints of its own what it finds, and lets some pass."""
-    at, view = 8, memoryview(data)
-    while at + 12 <= len(data):
-        length, kind = struct.unpack_from(">I4s", data, at)
-        end = at + 12 + length
-        if end > len(data):
+    at, size = 8, stream.seek(0, os.SEEK_END)
+    stream.seek(at)
+    while at + 12 <= size:
+        length, kind = struct.unpack(">I4s", stream.read(8))
+        if at + 12 + length > size:
             break
-        if zlib.crc32(view[at + 4 : end - 4]) != struct.unpack_from(">I", data, end - 4)[0]:
+        crc, left = zlib.crc32(kind), length
+        while left:
+            piece = stream.read(min(left, _PIECE_BYTES))
+            crc, left = zlib.crc32(piece, crc), left - len(piece)
+        if crc != struct.unpack(">I", stream.read(4))[0]:
             raise error(f"{name}: the PNG file is damaged: the checksum at byte {at} is wrong; copy it again")
         if kind == b"IEND":
             return
-        at = end
+        at += 12 + length
     raise error(f"{name}: the PNG file is cut off; copy or write it again")
 
 
-def _tiff(data: bytes, name: str, error: type[BadInput]) -> ImageHeader:
+def _tiff(stream: BinaryIO, name: str, error: type[BadInput]) -> ImageHeader:
     import tifffile
 
     logging.getLogger("tifffile").setLevel(logging.CRITICAL + 1)  # of a damaged file the caller tells
     try:
-        with tifffile.TiffFile(io.BytesIO(data)) as tiff:
+        stream.seek(0)
+        with tifffile.TiffFile(stream) as tiff:
             page: Any = tiff.pages[0]
             bits = page.bitspersample
             if page.samplesperpixel > 1 and page.planarconfig != 1:  # OpenCV takes them as interleaved

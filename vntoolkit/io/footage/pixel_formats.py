@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from vntoolkit.arrays import Matrix3, Vector3
+from vntoolkit.native import njit
 
 _UNSPECIFIED = 2  # AVCOL_SPC_UNSPECIFIED
 _SWS_ITU709, _SWS_ITU601 = 1, 5

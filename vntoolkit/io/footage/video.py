@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from vntoolkit.checks import require_in_range
 from vntoolkit.errors import BadCapture, CannotWrite
@@ -24,6 +23,7 @@ from vntoolkit.io.atomic import atomic_path
 from vntoolkit.io.files import require_file
 from vntoolkit.io.footage.pixel_formats import PixelFormat, rgb_from_video_frame
 from vntoolkit.io.limits import require_pixels
+from vntoolkit.native import njit
 
 _HD_HEIGHT = 720
 _INDICES: dict[tuple[str, int, int], VideoIndex] = {}  # of files by path, size and time of change, in ns

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tokenize
 import zipfile
 from collections.abc import Iterator, Mapping
@@ -16,8 +17,10 @@ from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.io.atomic import atomic_path
 from vntoolkit.io.files import require_file
+from vntoolkit.io.limits import reading_limits
 
 _LONGEST_REASON = 200
+_BYTES_PER_PIXEL = 8  # a depth in double precision
 _DAMAGES = (
     ValueError, OSError, EOFError, SyntaxError, OverflowError, tokenize.TokenError, zipfile.BadZipFile,
     MemoryError, NotImplementedError, RuntimeError,
@@ -39,11 +42,30 @@ def read_npz(path: Path | str, key: str, error: type[BadInput] = BadInput) -> np
     path = require_file(path, error)
     try:
         with np.load(path, allow_pickle=False) as archive:
+            _require_size(archive, key, path, error)
             return np.asarray(archive[key])
     except KeyError as problem:
         raise error(f"{path}: holds no array '{key}'") from problem
     except (*_DAMAGES, AttributeError, TypeError) as problem:  # of a .npy file that bears this name
         raise error(f"{path}: is not a whole .npz archive ({_reason(problem)})") from problem
+
+
+def _require_size(archive: Any, key: str, path: Path, error: type[BadInput]) -> None:
+    """Refuse an array that unpacks to more than an image of four floats a pixel, before it is unpacked."""
+    name = next(member for member in (f"{key}.npy", key) if member in archive.zip.namelist() or member == key)
+    size, most = archive.zip.getinfo(name).file_size, reading_limits().max_megapixels * 1e6 * _BYTES_PER_PIXEL
+    with archive.zip.open(name) as member:
+        version = np.lib.format.read_magic(member)
+        read = (
+            np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        )
+        shape, _, dtype = read(member)
+    promised = math.prod(shape) * dtype.itemsize
+    if max(size, promised) > most:
+        raise error(
+            f"{path}: the array '{key}' unpacks to {max(size, promised) / 1e6:.0f} MB, more than the limit "
+            f"of {most / 1e6:.0f}; raise --max-megapixels if that is meant"
+        )
 
 
 def _reason(problem: BaseException) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
@@ -17,11 +18,14 @@ import numpy.typing as npt
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.atomic import write_bytes
-from vntoolkit.io.files import read_bytes
+from vntoolkit.io.files import opened
 from vntoolkit.io.limits import require_pixels
 from vntoolkit.native import silenced_native_output
 
 MAGIC = b"\x76\x2f\x31\x01"
+_LONGEST_HEADER = 32 << 20  # bytes
+_MOST_CHANNELS = 16
+_CHANNELS_OF_A_PIXEL = 4  # that the limit in megapixels counts with
 
 
 class ExrCompression(Enum):
@@ -76,11 +80,25 @@ def read_exr(
     """
     import OpenEXR
 
-    data = read_bytes(path, error)
-    if data[:4] != MAGIC:
-        raise error(f"{path}: is not an OpenEXR file")
-    header = read_exr_header(data, str(path), error)
-    require_pixels(header.width, header.height, max_megapixels, str(path), error)
+    with opened(path, error) as stream:
+        data = stream.read(_LONGEST_HEADER)
+        if data[:4] != MAGIC:
+            raise error(f"{path}: is not an OpenEXR file")
+        header = read_exr_header(data, str(path), error)
+        if len(header.channels) > _MOST_CHANNELS:
+            raise error(
+                f"{path}: has {len(header.channels)} channels, at most {_MOST_CHANNELS} are read; save the "
+                "layer that is meant"
+            )
+        layers = -(-len(header.channels) // _CHANNELS_OF_A_PIXEL)
+        require_pixels(header.width * layers, header.height, max_megapixels, str(path), error)
+        size = os.fstat(stream.fileno()).st_size
+        if size > len(data):
+            if size > 8 * header.width * header.height * len(header.channels) + _LONGEST_HEADER:
+                raise error(
+                    f"{path}: {size / 1e6:.0f} MB are more than its {header.width}×{header.height} take"
+                )
+            data += stream.read()
     said = io.StringIO()
     try:
         with (

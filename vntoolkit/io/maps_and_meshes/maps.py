@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from vntoolkit.arrays import FloatArray, Flow, Mask
 from vntoolkit.checks import require_shape
@@ -16,6 +15,7 @@ from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.io.conventions import NormalConvention
 from vntoolkit.io.footage.images import read_image_with_alpha, write_png
 from vntoolkit.io.maps_and_meshes.exr import ExrCompression, read_exr, write_exr
+from vntoolkit.native import njit
 
 _UNIT_ATTRIBUTE = "vntoolkit.lengthUnit"
 _CONVENTION_ATTRIBUTE = "vntoolkit.normalConvention"

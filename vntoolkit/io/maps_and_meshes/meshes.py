@@ -9,17 +9,19 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from vntoolkit.checks import checks_kinds
 from vntoolkit.errors import BadMesh, CannotWrite
 from vntoolkit.geometry.mesh import Mesh, triangles_from_polygons
 from vntoolkit.geometry.point_cloud import PointCloud
 from vntoolkit.io.atomic import write_text
 from vntoolkit.io.conventions import MeshUpAxis, graphics_from_camera
-from vntoolkit.io.files import read_text
+from vntoolkit.io.files import text_lines
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.limits import require_mesh_file, require_vertices
 from vntoolkit.io.maps_and_meshes.ply import PlyContent, bytes_from_colours, read_ply, write_ply
 
 
+@checks_kinds
 def write_mesh(
     path: Path | str,
     mesh: Mesh,
@@ -149,7 +151,7 @@ def read_obj(path: Path | str) -> Mesh:
     """
     tables: dict[str, list[list[float]]] = {"v": [], "vt": [], "vn": []}
     polygons: list[list[tuple[int, int, int]]] = []
-    for number, line in enumerate(read_text(path, BadMesh).splitlines(), start=1):
+    for number, line in enumerate(text_lines(path, BadMesh), start=1):
         key, *words = line.split() or [""]
         try:
             if key in tables:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from vntoolkit.arrays import Faces, FloatArray
 from vntoolkit.errors import BadMesh
 from vntoolkit.geometry.mesh import triangles_from_polygons
 from vntoolkit.io.atomic import write_bytes
-from vntoolkit.io.files import read_bytes, require_file
+from vntoolkit.io.files import opened, require_file
 from vntoolkit.io.limits import require_vertices
 
 _KINDS = {
@@ -24,6 +25,8 @@ _KINDS = {
 }  # fmt: skip
 _ORDERS = {"ascii": "ascii", "binary_little_endian": "<", "binary_big_endian": ">"}
 _LONGEST_HEADER = 1 << 16
+_MOST_BYTES_OF_A_NUMBER = 32
+_MOST_BYTES_OF_A_LIST = 1 << 12  # a polygon of hundreds of corners
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,8 +76,13 @@ def write_ply(
 
 def read_ply(path: Path | str) -> PlyContent:
     """Read a PLY file; raise `BadMesh` with one line for a malformed one."""
-    data = read_bytes(path, BadMesh)
-    order, elements, at = parse_ply_header(data, str(path))
+    with opened(path, BadMesh) as stream:
+        data = stream.read(_LONGEST_HEADER)
+        size = os.fstat(stream.fileno()).st_size
+        order, elements, at = parse_ply_header(data, str(path), size)
+        if size > _LONGEST_HEADER + sum(element.most_bytes for element in elements):
+            raise BadMesh(f"{path}: {size / 1e6:.0f} MB are more than the rows that its header promises take")
+        data += stream.read()
     tables: dict[str, Any] = {}
     try:
         lines = iter(data[at:].splitlines()) if order == "ascii" else iter(())
@@ -252,9 +260,18 @@ class PlyElement:
         """True if a property is a list."""
         return any(p.count_kind for p in self.properties)
 
+    @property
+    def most_bytes(self) -> int:
+        """More bytes than its rows take, as text or binary."""
+        row = sum(_MOST_BYTES_OF_A_LIST if p.count_kind else _MOST_BYTES_OF_A_NUMBER for p in self.properties)
+        return self.count * row
 
-def parse_ply_header(data: bytes, name: str) -> tuple[str, list[PlyElement], int]:
-    """Return the byte order (`<`, `>` or `ascii`), the elements and where their data begins."""
+
+def parse_ply_header(data: bytes, name: str, size: int) -> tuple[str, list[PlyElement], int]:
+    """Return the byte order (`<`, `>` or `ascii`), the elements and where their data begins.
+
+    data: the beginning of the file. size: of the file, bytes.
+    """
     if not data.startswith(b"ply"):
         raise BadMesh(f"{name}: is not a PLY file")
     end = data.find(b"end_header", 0, _LONGEST_HEADER)
@@ -286,10 +303,8 @@ def parse_ply_header(data: bytes, name: str) -> tuple[str, list[PlyElement], int
     if not order:
         raise BadMesh(f"{name}: the PLY header names no format")
     least = sum(e.count for e in elements if e.properties)  # every row takes a byte at least
-    if least > len(data) - newline:
-        raise BadMesh(
-            f"{name}: the header promises {least} rows, but only {len(data) - newline} bytes follow"
-        )
+    if least > size - newline:
+        raise BadMesh(f"{name}: the header promises {least} rows, but only {size - newline} bytes follow")
     require_vertices(max((e.count for e in elements if e.name == "vertex"), default=0), name)
     return order, elements, newline + 1
 

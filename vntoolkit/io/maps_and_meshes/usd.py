@@ -25,6 +25,7 @@ from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.motion import Motion, Skeleton, joint_paths, rest_pose
 from vntoolkit.io.atomic import atomic_path
 from vntoolkit.io.conventions import MeshUpAxis, graphics_from_camera, motion_with_axes_turned
+from vntoolkit.native import require_address_space
 
 ROOT = "/World"
 SURFACE = f"{ROOT}/Surface"
@@ -32,6 +33,7 @@ FIGURE = f"{ROOT}/Figure"
 CLOTH = f"{ROOT}/Cloth"
 SUFFIXES = (".usdc", ".usd")
 _FLUSH_BYTES = 16 * 2**20
+_ADDRESS_SPACE = 2 << 30  # bytes, mostly its threads' stacks and heaps; with less it ends the process
 
 
 def write_usd_sequence(
@@ -194,6 +196,7 @@ def new_stage(
         raise BadInput(f"{path}: expected a name that ends in .usdc or .usd (binary USD)")
     if not 0 < frame_rate_hz < np.inf or not 0 < metres_per_unit < np.inf:
         raise BadInput(f"{path}: expected a positive frame rate and length unit")
+    require_address_space(_ADDRESS_SPACE, "USD")
     from pxr import Sdf, Tf, Usd, UsdGeom
 
     with atomic_path(path) as temporary:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 MAX_MOTION_BYTES = 256 * 2**20  # ten minutes at 120 Hz of 31 joints are 50 MB
 MAX_JOINTS = 4096
+MAX_DEPTH = 256  # of joints one below the other; pybvh's time grows with the square of it
 _MAX_HEADER_LINE = 4096
 _LONGEST_REASON = 200
 _WRITTEN_ORDER = "ZXY"
@@ -97,6 +98,8 @@ def _require_sound_hierarchy(path: Path) -> list[str]:
             elif words and words[0] == "MOTION":
                 break
             depth += words.count("{") - words.count("}")
+            if depth > MAX_DEPTH:
+                raise BadMotion(f"{path.name}: a chain of more than {MAX_DEPTH} joints: this is no figure")
             if len(names) > MAX_JOINTS:
                 raise BadMotion(f"{path.name}: more than {MAX_JOINTS} joints: this is no figure")
         else:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from vntoolkit.errors import BadInput
 from vntoolkit.io.atomic import cannot_write
+from vntoolkit.io.files import opened
 
 FRAMES_NAME = "frames.log"
 _SKIPPED = "skipped"
+_LONGEST_LINE = 1 << 16
 _NUMBER = re.compile(r"[0-9]{1,9}")
 
 
@@ -73,13 +75,15 @@ class FrameLog:
 
     def entries(self) -> dict[int, FrameEntry]:
         """Return the last entry of every frame, skipped ones too, in order of their numbers."""
-        if not self.path.exists():
+        if not self.path.exists() or (self.path.is_file() and self.path.stat().st_size == 0):
             return {}
-        try:
-            *lines, _torn = self.path.read_text("utf-8", "replace").split("\n")
-        except OSError as problem:
-            raise BadInput(f"{self.path}: cannot be read ({problem.strerror})") from problem
-        found = {entry.number: entry for line in lines if (entry := FrameEntry.from_line(line))}
+        found: dict[int, FrameEntry] = {}
+        with opened(self.path) as stream:
+            while line := stream.readline(_LONGEST_LINE):
+                if line.endswith(b"\n") and (
+                    entry := FrameEntry.from_line(line.decode("utf-8", "replace")[:-1])
+                ):
+                    found[entry.number] = entry
         return dict(sorted(found.items()))
 
     def done(self) -> dict[int, float]:
@@ -90,7 +94,7 @@ class FrameLog:
         """Record a frame whose files are all in place, or which was skipped."""
         try:
             if self._stream is None:
-                torn = self.path.exists() and self.path.read_bytes()[-1:] not in (b"", b"\n")
+                torn = self.path.exists() and self._is_torn()
                 self._stream = self.path.open("a", encoding="utf-8", errors="backslashreplace")
                 if torn:
                     self._stream.write("\n")
@@ -99,6 +103,13 @@ class FrameLog:
         except OSError as error:
             self.close()
             raise cannot_write(self.path, error) from error
+
+    def _is_torn(self) -> bool:
+        with self.path.open("rb") as stream:
+            if stream.seek(0, os.SEEK_END) == 0:
+                return False
+            stream.seek(-1, os.SEEK_END)
+            return stream.read() != b"\n"
 
     def clear(self) -> None:
         """Forget all frames."""

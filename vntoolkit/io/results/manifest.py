@@ -88,10 +88,9 @@ def read_manifest(folder: Path | str) -> Manifest:
         raise BadInput(f"{folder}: {found}; give a folder that `vntoolkit reconstruct` wrote")
     content = parse_json(read_text(path), str(path))
     try:
-        if isinstance(content, dict) and content.get("version") != MANIFEST_VERSION:
-            raise BadInput(
-                f"{path}: is of version {content.get('version')}, this program reads {MANIFEST_VERSION}"
-            )
+        stated = content.get("version") if isinstance(content, dict) else MANIFEST_VERSION
+        if stated != MANIFEST_VERSION or isinstance(stated, bool):
+            raise BadInput(f"{path}: is of version {stated}, this program reads {MANIFEST_VERSION}")
         return Manifest.model_validate(content)
     except ValidationError as problem:
         raise BadInput(f"{path}: {one_line_from_validation(problem, Manifest)}") from problem

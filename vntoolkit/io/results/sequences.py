@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO
@@ -127,7 +127,17 @@ def read_mesh_sequence(folder: Path | str) -> MeshSequence:
         confidence = np.atleast_1d(map_npy(folder / "confidence.npy", BadMesh))
         whole = min(len(vertices), len(confidence))
         vertices, confidence = vertices[:whole], confidence[:whole]
-    return MeshSequence(template=template, vertices=vertices, frame_rate_hz=rate, confidence=confidence)
+    sequence = MeshSequence(template=template, vertices=vertices, frame_rate_hz=rate, confidence=confidence)
+    sequence.require_finite(str(folder / "vertices.npy"))
+    return sequence
+
+
+def remove_mesh_sequence(folder: Path) -> None:
+    """Remove the files of a moving mesh, and the folder once it is empty."""
+    for name in ("template.ply", "vertices.npy", "confidence.npy", "sequence.json"):
+        (folder / name).unlink(missing_ok=True)
+    with suppress(OSError):  # something else is left
+        folder.rmdir()
 
 
 class _GrowingArray:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from vntoolkit.arrays import FloatArray, Points, Vectors
+from vntoolkit.native import njit
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

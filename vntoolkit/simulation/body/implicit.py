@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from scipy.spatial.transform import Rotation
 
 from vntoolkit.arrays import FloatArray, IntArray, Points
+from vntoolkit.native import njit
 
 _ELLIPSOID, _CAPSULE = 0, 1
 _SKIP_SHARE = 0.6  # an ellipsoid's approximate distance may fall below the true one by this much

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from scipy import sparse
 from scipy.spatial import cKDTree
 
 from vntoolkit.arrays import Faces, FloatArray, IntArray, Points
 from vntoolkit.geometry.laplacian import edges_from_faces
+from vntoolkit.native import njit
 from vntoolkit.simulation.body.capsules import Capsules, closest_capsule
 from vntoolkit.simulation.garment.pattern import BACK, Garment
 

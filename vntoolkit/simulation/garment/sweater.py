@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numba import njit
 from scipy import sparse
 from scipy.ndimage import gaussian_filter
 
 from vntoolkit.arrays import Faces, FloatArray, IntArray, Points, Points2
+from vntoolkit.native import njit
 from vntoolkit.simulation.body.capsules import Capsules
 from vntoolkit.simulation.body.dancer import Pose, body_from_pose, pose_at
 from vntoolkit.simulation.garment.pattern import Garment, SweaterOptions, knit_coordinates, sew_sweater
