@@ -132,7 +132,8 @@ wheel='
     vntoolkit doctor
     vntoolkit demo --out demo
     vntoolkit recipe run figure02 --quick
-    vntoolkit dress demo/result/track --motion data/walk.bvh --out cloth.usdc
+    vntoolkit track demo/reconstruction
+    vntoolkit dress demo/reconstruction/track --motion data/walk.bvh --out cloth.usdc
 '
 version=$(within 'python3 --version')
 for step in "$@"; do
