@@ -5,7 +5,8 @@
 #
 # SUITE is bookworm, trixie, noble, resolute or their like. Steps: demo and test are what `make` calls so; wheel
 # installs the wheel with pip alone and works in an empty folder. Without any: demo test. Packages come from
-# where this machine's own apt and pip fetch theirs. Needs root; leaves nothing behind.
+# where this machine's own apt and pip fetch theirs. Needs root; leaves nothing behind. The steps are stopped
+# after LIMIT_S seconds, by default two hours.
 # Exit status: 0 all well, 1 a step failed, 77 it cannot be tried here (the reason is the last line).
 set -eu
 cd "$(dirname "$0")/.."
@@ -61,7 +62,8 @@ if [ "${1:-}" != inside ]; then
         tar --extract --directory="$root/checkout" --no-same-owner
     # What is mounted goes with the last process of these name spaces, so that `rm` cannot reach through it.
     [ $# -gt 0 ] || set -- demo test
-    unshare --mount --pid --fork --kill-child sh scripts/bare_machine.sh inside "$suite" "$root" "$@"
+    # The first process of a name space hears no TERM: KILL it is.
+    timeout --signal=KILL "${LIMIT_S:-7200}" unshare --mount --pid --fork --kill-child sh scripts/bare_machine.sh inside "$suite" "$root" "$@"
     exit
 fi
 
