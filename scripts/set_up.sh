@@ -12,11 +12,12 @@ has_library() { { /sbin/ldconfig -p 2>/dev/null || ldconfig -p; } | grep -q "$1"
 command -v "$python" >/dev/null 2>&1 || wanted="$wanted python3"
 "$python" -c 'import venv, ensurepip' >/dev/null 2>&1 || wanted="$wanted python3-venv"
 # open3d needs the first four, pymeshlab the last three; without libOpenGL it cannot save a .ply file.
-# vntoolkit/native.py holds the same list.
+# numba's parallel loops need libgomp. vntoolkit/native.py holds the same list.
 has_library libGL.so.1 || wanted="$wanted libgl1"
 has_library libEGL.so.1 || wanted="$wanted libegl1"
 has_library libusb-1.0.so.0 || wanted="$wanted libusb-1.0-0"
 has_library libidn2.so.0 || wanted="$wanted libidn2-0"
+has_library libgomp.so.1 || wanted="$wanted libgomp1"
 has_library libOpenGL.so.0 || wanted="$wanted libopengl0"
 has_library libcom_err.so.2 || wanted="$wanted libcom-err2"
 has_library libp11-kit.so.0 || wanted="$wanted libp11-kit0"
@@ -47,6 +48,6 @@ if ! "$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))'; then
 fi
 
 [ -x .venv/bin/python ] || "$python" -m venv .venv
-echo "set-up: installing the locked Python packages into .venv (about 2 GB, once)"
+echo "set-up: installing the locked Python packages into .venv (about 2.3 GB, once)"
 .venv/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .

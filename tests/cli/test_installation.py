@@ -9,10 +9,10 @@ import pytest
 
 from vntoolkit.__main__ import main
 from vntoolkit.cli import doctor
-from vntoolkit.native import OPEN3D_LIBRARIES, PYMESHLAB_LIBRARIES
+from vntoolkit.native import NUMBA_LIBRARIES, OPEN3D_LIBRARIES, PYMESHLAB_LIBRARIES
 
 ROOT = Path(__file__).resolve().parents[2]
-SYSTEM_LIBRARIES = {**OPEN3D_LIBRARIES, **PYMESHLAB_LIBRARIES}
+SYSTEM_LIBRARIES = {**OPEN3D_LIBRARIES, **PYMESHLAB_LIBRARIES, **NUMBA_LIBRARIES}
 
 
 @pytest.fixture

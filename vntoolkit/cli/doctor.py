@@ -21,6 +21,7 @@ from vntoolkit import __version__
 from vntoolkit.cli.flags import limits_on
 from vntoolkit.errors import BadCapture
 from vntoolkit.native import (
+    NUMBA_LIBRARIES,
     OPEN3D_LIBRARIES,
     PYMESHLAB_LIBRARIES,
     libraries_named_in,
@@ -117,7 +118,7 @@ def _check_libraries(console: Console) -> int:
     with console.status("importing every library"), ThreadPoolExecutor(max_workers=2) as pool:
         trials = list(pool.map(_try, programs))
     lines = []
-    missing = missing_libraries({**OPEN3D_LIBRARIES, **PYMESHLAB_LIBRARIES})
+    missing = missing_libraries({**OPEN3D_LIBRARIES, **PYMESHLAB_LIBRARIES, **NUMBA_LIBRARIES})
     for (name, _, purpose), trial in zip(_LIBRARIES, trials, strict=False):
         shown, its_version = _installed(name)
         table.add_row(shown, its_version, purpose, "[red]no" if trial.fault else "yes")
