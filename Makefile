@@ -17,6 +17,7 @@ test-slow: $(READY)
 # Ten thousand damaged files of every kind that is read, then every interrupted run; prints its seed.
 fuzz: $(READY)
 	$(PYTHON) tests/faults/fuzz.py --count 10000
+	$(PYTHON) tests/faults/system_cases.py --count 300
 	VNTOOLKIT_KILLS=50 $(PYTHON) -m pytest tests/faults -m slow
 
 # Which of the package's errors the tests raise: the share, and every `raise` that none of them reaches.
