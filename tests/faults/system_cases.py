@@ -73,10 +73,15 @@ def draw(good: Path, out: Path, rng: np.random.Generator) -> Case:
 
 
 def _another_user(case: Case, _rng: np.random.Generator) -> None:
+    """Needs root, and a Python that others may start; else only the home is missing."""
     case.environment["HOME"] = "/nonexistent"
-    if os.geteuid() == 0:
-        case.out.parent.chmod(0o777)
-        case.prepare = lambda: os.setuid(_NOBODY)
+    try:
+        subprocess.run([sys.executable, "-c", ""], check=True, user=_NOBODY)
+    except (OSError, subprocess.CalledProcessError):
+        case.what = "no home"
+        return
+    case.out.parent.chmod(0o777)
+    case.prepare = lambda: os.setuid(_NOBODY)
 
 
 def _no_home(case: Case, _rng: np.random.Generator) -> None:
