@@ -22,7 +22,7 @@ def read_usd_sequence(path: Path) -> MeshSequence:
     vertices = graphics_from_camera(np.stack([np.array(points.Get(t)) for t in points.GetTimeSamples()]))
     primvars = UsdGeom.PrimvarsAPI(mesh)
     colours, uv = (
-        np.array(primvars.GetPrimvar(name).Get()) if primvars.HasPrimvar(name) else None
+        np.array(primvars.GetPrimvar(name).Get()) if primvars.GetPrimvar(name).HasValue() else None
         for name in ("displayColor", "st")
     )
     template = Mesh(
