@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from cyclopts import App
 
+from tests.result_files import write_mesh_sequence
 from vntoolkit.__main__ import main
 from vntoolkit.cli import GROUPS, VERBS, build_app
 from vntoolkit.errors import BadCapture, BadInput, BadMesh
@@ -16,7 +17,6 @@ from vntoolkit.geometry.mesh_sequence import MeshSequence
 from vntoolkit.io.footage.images import read_image, write_png
 from vntoolkit.io.limits import ReadingLimits, limited_to, reading_limits
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh, read_point_cloud, write_mesh
-from vntoolkit.io.results.sequences import write_mesh_sequence
 from vntoolkit.io.rigs import read_rig, write_rig
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig

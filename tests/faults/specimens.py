@@ -13,6 +13,7 @@ import numpy as np
 import tifffile
 from specimen_texts import write_motion, write_texts
 
+from tests.result_files import write_mesh_sequence
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.geometry.mesh import Mesh
@@ -25,10 +26,8 @@ from vntoolkit.io.maps_and_meshes.exr import ExrCompression, write_exr
 from vntoolkit.io.maps_and_meshes.label_images import read_labels, read_mask, write_labels, write_mask
 from vntoolkit.io.maps_and_meshes.maps import (
     read_depth_map,
-    read_flow,
     read_normal_map,
     write_depth_map,
-    write_flow,
     write_normal_map,
 )
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh, read_point_cloud, write_mesh
@@ -38,7 +37,7 @@ from vntoolkit.io.motion.garment_fits import read_garment_fit
 from vntoolkit.io.results.frame_log import FrameLog
 from vntoolkit.io.results.manifest import read_manifest
 from vntoolkit.io.results.seams import read_seams
-from vntoolkit.io.results.sequences import read_mesh_sequence, write_mesh_sequence
+from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import FitQuality, Rig, SourceFile
@@ -88,7 +87,6 @@ KINDS: dict[str, Kind] = {
         judge=lambda n: np.allclose(np.linalg.norm(n.normals_in_camera[n.mask], axis=-1), 1, atol=1e-3),
     ),
     "depth": Kind(read=read_depth_map, judge=lambda d: _finite(d.depth)),
-    "flow": Kind(read=read_flow),
     "mesh": Kind(read=read_mesh, judge=_judge_mesh),
     "textured": Kind(read=read_mesh, judge=_judge_mesh),
     "points": Kind(read=read_point_cloud, judge=lambda cloud: _finite(cloud.points, cloud.normals)),
@@ -193,12 +191,11 @@ def _write_maps(folder: Path, rng: np.random.Generator) -> list[tuple[str, Path]
     write_normal_map(folder / "zip.exr", normal_map, compression=ExrCompression.ZIP)
     write_depth_map(folder / "d.exr", depth_map)
     write_depth_map(folder / "piz.exr", depth_map, compression=ExrCompression.PIZ)
-    write_flow(folder / "flow.exr", rng.normal(size=(H, W, 2)).astype(np.float32))
     write_mask(folder / "mask.png", mask)
     write_labels(folder / "labels.png", rng.integers(0, 8, (H, W), dtype=np.uint8))
     return [
         *(("normals", folder / name) for name in ("n.exr", "n.png", "n8.png", "zip.exr")),
-        ("depth", folder / "d.exr"), ("depth", folder / "piz.exr"), ("flow", folder / "flow.exr"),
+        ("depth", folder / "d.exr"), ("depth", folder / "piz.exr"),
         ("mask", folder / "mask.png"), ("labels", folder / "labels.png"),
     ]  # fmt: skip
 

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from interruptions import Verb, content_of, interrupt_often, lines_of, run_until
 
+from tests.result_files import write_mesh_sequence
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.footage.images import write_png
-from vntoolkit.io.results.sequences import write_mesh_sequence
 from vntoolkit.io.rigs import write_rig
 from vntoolkit.photometry.lambertian import rgb_from_normals
 from vntoolkit.photometry.response import LightResponse

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.result_files import read_flow, write_mesh_sequence
 from vntoolkit.errors import BadInput, BadMesh, CannotWrite
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
@@ -14,7 +15,6 @@ from vntoolkit.io.footage.images import read_image
 from vntoolkit.io.maps_and_meshes.exr import write_exr
 from vntoolkit.io.maps_and_meshes.maps import (
     read_depth_map,
-    read_flow,
     read_normal_map,
     write_depth_map,
     write_flow,
@@ -26,7 +26,7 @@ from vntoolkit.io.maps_and_meshes.meshes import (
     write_mesh,
     write_point_cloud,
 )
-from vntoolkit.io.results.sequences import MeshSequenceWriter, read_mesh_sequence, write_mesh_sequence
+from vntoolkit.io.results.sequences import MeshSequenceWriter, read_mesh_sequence
 
 
 @pytest.fixture

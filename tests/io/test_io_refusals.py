@@ -21,7 +21,6 @@ from vntoolkit.io.maps_and_meshes.exr import read_exr, write_exr
 from vntoolkit.io.maps_and_meshes.label_images import read_labels, write_labels
 from vntoolkit.io.maps_and_meshes.maps import (
     read_depth_map,
-    read_flow,
     read_normal_map,
     write_depth_map,
     write_normal_map,
@@ -85,7 +84,6 @@ def test_exr_files_of_other_channels_units_and_conventions(tmp_path):
         (read_image, r"expected the channels R, G, B \(or Y\), found P, Q"),
         (read_normal_map, "expected the channels R, G, B or X, Y, Z, found P, Q"),
         (read_depth_map, "expected a channel Z, found P, Q"),
-        (read_flow, "expected the channels du and dv, found P, Q"),
     ):
         with pytest.raises(BadInput, match=line):
             read(path)

@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
+from tests.result_files import write_mesh_sequence
 from vntoolkit.errors import BadMesh, BadMotion, CannotWrite
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.mesh_sequence import MeshSequence
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
 from vntoolkit.io.motion.asf import read_asf_amc
 from vntoolkit.io.motion.bvh import read_bvh
-from vntoolkit.io.results.sequences import MeshSequenceWriter, read_mesh_sequence, write_mesh_sequence
+from vntoolkit.io.results.sequences import MeshSequenceWriter, read_mesh_sequence
 
 TRIANGLE = Mesh(vertices=np.eye(3), faces=np.array([[0, 1, 2]], dtype=np.int32))
 

@@ -13,6 +13,7 @@ import pytest
 
 from tests.dome_result import DomeResult, dome_result
 from tests.pipeline.conftest import SIZE, DomeCapture
+from tests.result_files import write_mesh_sequence
 from vntoolkit.__main__ import main
 from vntoolkit.calibration.lights import LightColours
 from vntoolkit.calibration.presses import PressOptions
@@ -23,7 +24,6 @@ from vntoolkit.geometry.mesh_sequence import MeshSequence
 from vntoolkit.geometry.motion import Motion, Skeleton
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.images import write_png
-from vntoolkit.io.results.sequences import write_mesh_sequence
 from vntoolkit.io.rigs import write_rig
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline import reconstruct as reconstruction

@@ -5,7 +5,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import vertex_normals
 from vntoolkit.simulation.body.spandex import build_spandex
 from vntoolkit.simulation.head import anatomy, paint
@@ -17,7 +16,6 @@ from vntoolkit.simulation.head.rig import (
     HeadRig,
     performance_at,
     seam_lines_px,
-    seam_loops_px,
     turning_pose,
 )
 from vntoolkit.simulation.head.scenes import build_face_makeup
@@ -98,9 +96,7 @@ def test_seams_are_loops_along_edges_of_the_mesh(head: Head) -> None:
     directed = np.concatenate([head.faces[:, [0, 1]], head.faces[:, [1, 2]], head.faces[:, [2, 0]]])
     weights = np.array([len(head.vertices), 1])
     edges = np.sort(directed, axis=1).astype(np.int64) @ weights
-    seams = head.seams()
-    assert set(seams) == {"mouth", "eye_left_in_image", "eye_right_in_image"}
-    for loop in seams.values():
+    for loop in (slit.loop for slit in (head.mouth, *head.eyes)):
         assert len(np.unique(loop)) == len(loop)
         pairs = np.sort(np.stack([loop, np.roll(loop, -1)], axis=1), axis=1)
         assert np.isin(pairs @ weights, edges).all()
@@ -212,27 +208,27 @@ def test_a_slit_in_a_grid_parts_into_two_sides() -> None:
     assert np.count_nonzero(uses == 1) == 28 + 2 * (len(slit.upper) - 1)  # the grid's border and the slit
 
 
+def loops_px(frame: int) -> list[np.ndarray]:
+    """Return the closed loops of mouth, left eye and right eye of `face_makeup`, each (k, 2) pixels."""
+    head, scene = build_head(), build_face_makeup(SceneOptions())
+    vertices = scene.vertices(frame)
+    return [scene.camera.project(vertices[slit.loop]) for slit in (head.mouth, *head.eyes)]
+
+
 def test_seams_lie_in_the_picture_and_open_with_the_mouth() -> None:
-    scene = build_face_makeup(SceneOptions())
-    loops = seam_loops_px(scene, 0)
-    assert loops["eye_left_in_image"][:, 0].max() < loops["eye_right_in_image"][:, 0].min()
-    assert loops["mouth"][:, 1].min() > loops["eye_left_in_image"][:, 1].max()  # v grows downwards
-    for loop in loops.values():
+    mouth, left, right = loops_px(0)
+    assert left[:, 0].max() < right[:, 0].min()
+    assert mouth[:, 1].min() > left[:, 1].max()  # v grows downwards
+    for loop in (mouth, left, right):
         assert loop.min() > 0
         assert np.all(loop.max(axis=0) < [640, 480])
-    heights = [np.ptp(seam_loops_px(scene, frame)["mouth"][:, 1]) for frame in range(380, 500, 10)]
+    heights = [np.ptp(loops_px(frame)[0][:, 1]) for frame in range(380, 500, 10)]
     assert max(heights) > 2.0 * min(heights)
 
 
 def test_seam_lines_are_the_two_edges_of_each_loop() -> None:
-    scene = build_face_makeup(SceneOptions())
-    loops, lines = seam_loops_px(scene, 0), seam_lines_px(scene, 0)
+    lines = seam_lines_px(build_face_makeup(SceneOptions()), 0)
     assert len(lines) == 6
-    for loop, upper, lower in zip(loops.values(), lines[::2], lines[1::2], strict=True):
+    for loop, upper, lower in zip(loops_px(0), lines[::2], lines[1::2], strict=True):
         np.testing.assert_array_equal(np.concatenate([upper, lower[-2:0:-1]]), loop)
     assert seam_lines_px(build_spandex(SceneOptions()), 0) == ()
-
-
-def test_seams_of_another_scene_are_refused() -> None:
-    with pytest.raises(BadInput, match="expected a scene of the head"):
-        seam_loops_px(build_spandex(SceneOptions()), 0)

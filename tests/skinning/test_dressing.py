@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.result_files import write_mesh_sequence
 from tests.usd_reading import read_usd_sequence
 from vntoolkit.__main__ import main
 from vntoolkit.errors import BadInput, BadMotion
@@ -18,7 +19,6 @@ from vntoolkit.geometry.motion import Motion, Skeleton
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
 from vntoolkit.io.motion.bvh import write_bvh
-from vntoolkit.io.results.sequences import write_mesh_sequence
 from vntoolkit.pipeline.dress import DressedFigure, DressOptions, MotionUpAxis, dress, read_motion
 from vntoolkit.skinning.anatomy import anatomy_of, facing_of, shoulders_of
 from vntoolkit.skinning.blending import Blend

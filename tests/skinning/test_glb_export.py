@@ -92,15 +92,6 @@ def test_one_frame_is_a_still_mesh(tmp_path: Path, jumper: Mesh) -> None:
     assert "targets" not in document["meshes"][0]["primitives"][0]
 
 
-def test_colours_that_carry_their_light_are_not_shaded_again(jumper: Mesh) -> None:
-    for shaded, used in ((True, None), (False, ["KHR_materials_unlit"])):
-        content = glb.glb_bytes(jumper, iter([jumper.vertices]), frame_rate_hz=30.0, shaded=shaded)
-        size = struct.unpack("<I", content[12:16])[0]
-        document = json.loads(content[20 : 20 + size])
-        assert document.get("extensionsUsed") == used
-        assert list(document["materials"][0].get("extensions", {})) == (used or [])
-
-
 def test_a_long_clip_is_sent_to_usd(tmp_path: Path, jumper: Mesh, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(glb, "MAX_BYTES", 10**6)
     with pytest.raises(CannotWrite, match=r"write \.usdc"):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.result_files import write_mesh_sequence
 from tests.skinning.conftest import tube
 from vntoolkit.__main__ import main
 from vntoolkit.errors import BadInput
@@ -18,7 +19,6 @@ from vntoolkit.geometry.mesh_sequence import MeshSequence
 from vntoolkit.geometry.motion import Motion, Skeleton, rest_pose
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.io.motion.bvh import write_bvh
-from vntoolkit.io.results.sequences import write_mesh_sequence
 from vntoolkit.pipeline.dress import DressedFigure, DressOptions, dress, read_motion
 from vntoolkit.skinning.attachment import covered_bones, weights_of_garment
 from vntoolkit.skinning.blending import Blend, skinned_vertices

@@ -35,8 +35,6 @@ _MATTE = {
     "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0},
 }
 
-_UNLIT = "KHR_materials_unlit"
-
 
 class _Binary:
     """The binary chunk as it grows, with the accessors that describe it."""
@@ -85,15 +83,8 @@ def write_glb(path: Path | str, template: Mesh, frames: Iterable[Points], *, fra
     return count
 
 
-def glb_bytes(
-    template: Mesh, frames: Iterable[Points], *, frame_rate_hz: float, shaded: bool = True
-) -> bytes:
-    """Return what `write_glb` writes. shaded: False shows the colours as they are, under any light."""
-    return b"".join(_content(template, frames, frame_rate_hz, "GLB", shaded)[1])
-
-
 def _content(
-    template: Mesh, frames: Iterable[Points], frame_rate_hz: float, name: str, shaded: bool = True
+    template: Mesh, frames: Iterable[Points], frame_rate_hz: float, name: str
 ) -> tuple[int, list[bytes]]:
     """Return the number of frames, and the file's bytes in pieces."""
     require_positive(frame_rate_hz, f"{name}: frame rate")
@@ -122,10 +113,8 @@ def _content(
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0, "name": "Surface"}],
         "meshes": [mesh],
-        "materials": [_MATTE if shaded else {**_MATTE, "extensions": {_UNLIT: {}}}],
+        "materials": [_MATTE],
     }
-    if not shaded:
-        document["extensionsUsed"] = [_UNLIT]
     if targets:
         primitive["targets"] = targets
         mesh["weights"] = [0.0] * len(targets)

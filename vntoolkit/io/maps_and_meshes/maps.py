@@ -123,14 +123,6 @@ def write_flow(path: Path | str, flow_px: Flow, *, compression: ExrCompression =
     write_exr(path, {"du": flow_px[..., 0], "dv": flow_px[..., 1]}, compression=compression)
 
 
-def read_flow(path: Path | str, *, max_megapixels: float | None = None) -> Flow:
-    """Read optical flow (h, w, 2) in pixels from the channels du, dv of an EXR."""
-    channels, _ = read_exr(path, max_megapixels=max_megapixels, error=BadInput)
-    if not {"du", "dv"} <= set(channels):
-        raise BadInput(f"{path}: expected the channels du and dv, found {', '.join(channels)}")
-    return np.stack([channels["du"], channels["dv"]], axis=-1).astype(np.float32)
-
-
 def _png_from_normals(stored: FloatArray, mask: Mask, bits: int) -> npt.NDArray[Any]:
     if bits not in (8, 16):
         raise BadInput(f"normal map: a PNG has 8 or 16 bits, not {bits}")

@@ -102,14 +102,6 @@ class MeshSequenceWriter:
         self.close()
 
 
-def write_mesh_sequence(folder: Path | str, sequence: MeshSequence) -> None:
-    """Write a whole moving mesh, one frame in memory at a time."""
-    with MeshSequenceWriter(folder, sequence.template, frame_rate_hz=sequence.frame_rate_hz) as writer:
-        for frame in range(len(sequence)):
-            confidence = None if sequence.confidence is None else sequence.confidence[frame]
-            writer.append(sequence.vertices[frame], confidence)
-
-
 def read_mesh_sequence(folder: Path | str) -> MeshSequence:
     """Open a moving mesh; vertices and confidence stay on disk as memory maps. Raises `BadMesh`.
 

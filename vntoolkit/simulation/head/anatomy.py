@@ -47,11 +47,6 @@ class Head:
     mouth: Slit
     eyes: tuple[Slit, Slit]
 
-    def seams(self) -> dict[str, IntArray]:
-        """Return the edges of lips and lids: closed loops of vertex numbers from the corner of least x."""
-        slits = {"mouth": self.mouth, "eye_left_in_image": self.eyes[0], "eye_right_in_image": self.eyes[1]}
-        return {name: slit.loop for name, slit in slits.items()}
-
 
 def lip_line(x: FloatArray) -> FloatArray:
     """Return the height where the closed lips meet."""

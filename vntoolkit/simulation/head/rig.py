@@ -9,7 +9,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from vntoolkit.arrays import FloatArray, IntArray, Points, Points2
-from vntoolkit.errors import BadInput
 from vntoolkit.simulation.head import anatomy
 from vntoolkit.simulation.head.anatomy import Head, build_head, lid_line, lip_line
 from vntoolkit.simulation.head.sculpture import EYE_CENTRE, EYE_RADIUS, MOUTH_HALF_WIDTH
@@ -312,18 +311,6 @@ def _bell(x: float) -> float:
 
 
 # True seams in the image: where lips and lids separate, for the seams file of `track`.
-
-
-def seam_loops_px(scene: Scene, frame: int) -> dict[str, Points2]:
-    """Return the closed loops (k, 2) in pixels of "mouth", "eye_left_in_image", "eye_right_in_image".
-
-    Each starts at its corner of least x at rest, runs along the upper edge and back along the lower; the rows
-    are those of `Head.seams()`. Hidden parts are not left out. Raises `BadInput` for a scene without a head.
-    """
-    head, vertices = build_head(), scene.vertices(frame)
-    if len(vertices) != len(head.vertices):
-        raise BadInput(f"scene {scene.name}: expected a scene of the head (head_turn, face, face_makeup)")
-    return {name: scene.camera.project(vertices[loop]) for name, loop in head.seams().items()}
 
 
 def seam_lines_px(scene: Scene, frame: int) -> tuple[Points2, ...]:

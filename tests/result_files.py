@@ -1,0 +1,26 @@
+"""Whole moving meshes written, and true flow read, for the tests of what a run writes frame by frame."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from vntoolkit.arrays import Flow
+from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.io.maps_and_meshes.exr import read_exr
+from vntoolkit.io.results.sequences import MeshSequenceWriter
+
+
+def write_mesh_sequence(folder: Path | str, sequence: MeshSequence) -> None:
+    """Write a whole moving mesh."""
+    with MeshSequenceWriter(folder, sequence.template, frame_rate_hz=sequence.frame_rate_hz) as writer:
+        for frame in range(len(sequence)):
+            confidence = None if sequence.confidence is None else sequence.confidence[frame]
+            writer.append(sequence.vertices[frame], confidence)
+
+
+def read_flow(path: Path | str) -> Flow:
+    """Read optical flow (h, w, 2) in pixels from the channels du, dv of an EXR."""
+    channels, _ = read_exr(path)
+    return np.stack([channels["du"], channels["dv"]], axis=-1).astype(np.float32)
