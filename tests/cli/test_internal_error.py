@@ -23,7 +23,7 @@ def failing(monkeypatch, tmp_path):
         def app(_):
             raise error
 
-        monkeypatch.setattr(cli, "build_app", lambda _: app)
+        monkeypatch.setattr(cli, "run_verb", app)
 
     return fail_with
 
@@ -63,7 +63,7 @@ def test_an_interrupt_that_strikes_in_a_callback_is_heard(monkeypatch, capsys):
             time.sleep(0.01)
         return 0
 
-    monkeypatch.setattr(cli, "build_app", lambda _: app)
+    monkeypatch.setattr(cli, "run_verb", app)
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it
     try:
         assert entry.main(["doctor"]) == entry.INTERRUPTED

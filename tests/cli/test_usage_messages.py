@@ -106,8 +106,8 @@ def test_a_misspelt_command_is_answered_by_what_to_type(command, line, place, ca
         ("calibrate sphere frame.png --out text.txt/rig.json", "a file stands where a folder is needed"),
         ("calibrate board frame.png --out rig", "rig: expected a name that ends in .json"),
         ("calibrate lights text.txt --out empty", "empty: expected a name that ends in .json"),
-        ("calibrate presses empty --out frame.png --background frame.png --labels empty --ball-radius-mm 3 "
-         "--pixel-mm 0.1", "frame.png: expected a name that ends in .json"),
+        ("calibrate presses empty --out rig.png --background frame.png --labels empty --ball-radius-mm 3 "
+         "--pixel-mm 0.1", "rig.png: expected a name that ends in .json"),
         ("calibrate head frame.png --out r.json --mesh m.stl", "m.stl: expected a name that ends in .ply or"),
         ("calibrate head frame.png --out r.json --figure f.jpg", "f.jpg: expected a name that ends in .png"),
         ("calibrate head frame.png --out r.json --report r.pdf", "r.pdf: expected a name that ends in .html"),
