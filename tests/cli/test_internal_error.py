@@ -33,7 +33,7 @@ def test_an_unforeseen_exception_is_one_line_and_its_trace_a_file(failing, capsy
     assert entry.main(["doctor"]) == entry.OWN_FAULT
     said = capsys.readouterr().err
     assert said.count("\n") == 1
-    assert r"not of your input (ZeroDivisionError: division\nby zero)" in said
+    assert r"not a fault of your input (ZeroDivisionError: division\nby zero)" in said
     trace = Path(re.search(r"the traceback is in (\S+);", said)[1]).read_text()
     assert trace.startswith("Traceback")
     assert "in app" in trace
