@@ -179,11 +179,13 @@ def _only_small_files() -> None:
 
 
 def test_missing_double_and_odd_frames_of_a_sequence(good, tmp_path, capfd):
-    """A gap in the numbers is closed up as elsewhere; a frame of another size or no image is named."""
+    """A gap in the numbers is refused unless told; a frame of another size or no image is named."""
     frames = tmp_path / "frames"
     shutil.copytree(good / "captures/sequence", frames)
     (frames / "f1.png").unlink()
-    assert main(reconstruct(good, tmp_path / "a", source=frames)) == 0
+    error = fails_in_one_line(reconstruct(good, tmp_path / "a", source=frames), capfd)
+    assert "are missing: f1.png; copy them too" in error
+    assert main([*reconstruct(good, tmp_path / "a", source=frames), "--gaps", "skip"]) == 0
     shutil.copy(good / "captures/alpha.png", frames / "f7.png")
     shutil.copy(good / "maps/n.png", frames / "f8.png")
     error = fails_in_one_line(reconstruct(good, tmp_path / "b", source=frames), capfd)

@@ -86,12 +86,15 @@ def doctor(
         return _check_libraries(Console())
     from vntoolkit.diagnosis.inspection import Severity, inspect_capture
     from vntoolkit.io.footage.captures import CaptureOptions
+    from vntoolkit.io.footage.frame_range import Gaps
     from vntoolkit.io.maps_and_meshes.label_images import read_mask
     from vntoolkit.io.rigs import read_rig
     from vntoolkit.photometry.transfer import Transfer
 
     the_rig = None if rig is None else read_rig(rig)
-    options = CaptureOptions() if the_rig is None else CaptureOptions(transfer=the_rig.transfer)
+    options = CaptureOptions(gaps=Gaps.SKIP)
+    if the_rig is not None:
+        options = replace(options, transfer=the_rig.transfer)
     if transfer is not None:
         options = replace(options, transfer=Transfer.from_text(transfer))
     the_mask = None if mask is None else read_mask(mask)
@@ -189,9 +192,10 @@ def _print_report(console: Console, source: str, report: CaptureReport) -> None:
     table = Table(title=escape(source), show_header=False, title_justify="left")
     table.add_column(style="bold")
     table.add_column()
-    rate = f", {info.frame_rate_hz:g} per second" if info.kind.value == "video" else ""
+    rate = "" if info.frame_rate_hz is None else f", {info.frame_rate_hz:g} per second"
     table.add_row("kind", info.kind.value)
-    table.add_row("frames", f"{info.frame_count}{rate}")
+    missing = f", of which {len(info.missing)} are missing" if info.missing else ""
+    table.add_row("frames", f"{info.frame_count}{missing}{rate}")
     table.add_row("size", f"{info.width} × {info.height} pixels")
     bits = "float" if info.bits == 32 else f"{info.bits} bits per channel as read"
     table.add_row("stored as", f"{info.codec}, {info.pixel_format}, chroma {info.chroma}, {bits}")

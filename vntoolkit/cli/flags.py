@@ -20,6 +20,7 @@ from typing import Annotated, Any, ParamSpec, TypeAlias, TypeVar, get_type_hints
 from cyclopts import Parameter
 
 from vntoolkit.errors import BadInput
+from vntoolkit.io.footage.frame_range import Gaps
 from vntoolkit.io.limits import ReadingLimits, limited_to
 
 Frames: TypeAlias = Annotated[
@@ -39,6 +40,13 @@ Scheduler: TypeAlias = Annotated[
     ),
 ]
 Overwrite: TypeAlias = Annotated[bool, Parameter(negative=())]
+Missing: TypeAlias = Annotated[
+    Gaps,
+    Parameter(
+        help="What to do where numbers of an image sequence are missing: refuse the sequence, or skip these "
+        "frames. The other frames keep their numbers."
+    ),
+]
 Footage: TypeAlias = Annotated[
     str, Parameter(help="Where the footage is now, if it was moved after the reconstruction.")
 ]

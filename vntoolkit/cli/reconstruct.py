@@ -7,10 +7,20 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
-from vntoolkit.cli.flags import AmbientImage, Frames, Jobs, Overwrite, Scheduler, flags_from, limits_on
+from vntoolkit.cli.flags import (
+    AmbientImage,
+    Frames,
+    Jobs,
+    Missing,
+    Overwrite,
+    Scheduler,
+    flags_from,
+    limits_on,
+)
 from vntoolkit.cli.output import ProgressBars
+from vntoolkit.errors import BadCapture
 from vntoolkit.integration.options import IntegrationOptions
-from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.footage.frame_range import FrameRange, Gaps
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.meshing.surface import MeshOptions
 from vntoolkit.normals.inversion import InversionOptions
@@ -47,6 +57,7 @@ def reconstruct(
     jobs: Jobs = 1,
     scheduler: Scheduler = None,
     overwrite: Overwrite = False,
+    gaps: Missing = Gaps.REFUSE,
     pipeline: PipelineFlags = None,
     inversion: InversionFlags = None,
     integration: IntegrationFlags = None,
@@ -78,6 +89,7 @@ def reconstruct(
         folder=ReconstructionFolder(root=out),
         mask=mask,
         background=background,
+        gaps=gaps,
     )
     with ProgressBars() as bars:
         summary = run(
@@ -89,7 +101,7 @@ def reconstruct(
             on_start=partial(bars.begin, "reconstruct"),
             on_frame=bars.step,
         )
-    _report(summary)
+    _report(source, summary)
 
 
 def joined_options(
@@ -114,9 +126,12 @@ def _with_transfer(rig: Rig, transfer: str | None) -> Rig:
     return replace(rig, transfer=replace(rig.transfer, curve=curve.curve, gamma=curve.gamma))
 
 
-def _report(summary: ReconstructionSummary) -> None:
+def _report(source: str, summary: ReconstructionSummary) -> None:
     for record in summary.skipped:
         print(f"skipped frame {record.number}: {record.failure}")
     resumed = f", {summary.resumed} from before" if summary.resumed else ""
     rate = f" ({summary.done / summary.seconds:.1f} frames/s)" if summary.done > 1 else ""
-    print(f"{summary.folder}: {summary.done} of {summary.frames} frames done{resumed}{rate}")
+    total = summary.frames + summary.lost
+    print(f"{summary.folder}: {summary.done} of {total} frames done{resumed}{rate}")
+    if summary.loss:
+        raise BadCapture(f"{source}: {summary.loss}")

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from vntoolkit.cli.flags import Frames, Jobs, Overwrite, Scheduler, limits_on
+from vntoolkit.cli.flags import Frames, Jobs, Missing, Overwrite, Scheduler, limits_on
 from vntoolkit.cli.output import ProgressBars
 from vntoolkit.cli.reconstruct import (
     IntegrationFlags,
@@ -17,7 +17,7 @@ from vntoolkit.cli.reconstruct import (
     joined_options,
 )
 from vntoolkit.errors import BadInput, VntError
-from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.footage.frame_range import FrameRange, Gaps
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.options import Product
@@ -37,6 +37,7 @@ def session(
     jobs: Jobs = 1,
     scheduler: Scheduler = None,
     overwrite: Overwrite = False,
+    gaps: Missing = Gaps.REFUSE,
     pipeline: PipelineFlags = None,
     inversion: InversionFlags = None,
     integration: IntegrationFlags = None,
@@ -73,7 +74,11 @@ def session(
     lit_by = read_rig(rig)
     captures = {
         name: ReconstructionJob(
-            source=source, rig=lit_by, options=options, folder=ReconstructionFolder(root=out / name)
+            source=source,
+            rig=lit_by,
+            options=options,
+            folder=ReconstructionFolder(root=out / name),
+            gaps=gaps,
         )
         for name, source in names_from_sources(sources).items()
     }
@@ -95,18 +100,23 @@ def _report(out: Path, outcomes: list[CaptureOutcome]) -> None:
     """Print a line for each capture; raise `VntError` where one failed."""
     for outcome in outcomes:
         print(f"{out / outcome.name}: {_line(outcome)}")
-    failed = [outcome.name for outcome in outcomes if outcome.failure]
+    failed = [outcome.name for outcome in outcomes if outcome.failure or _loss(outcome)]
     if failed:
         raise VntError(f"{len(failed)} of {len(outcomes)} captures failed: {', '.join(failed)}")
+
+
+def _loss(outcome: CaptureOutcome) -> str:
+    return "" if outcome.reconstruction is None else outcome.reconstruction.loss
 
 
 def _line(outcome: CaptureOutcome) -> str:
     made = outcome.reconstruction
     if made is None:
         return f"failed: {outcome.failure}"
-    text = f"{made.done} of {made.frames} frames done"
+    text = f"{made.done} of {made.frames + made.lost} frames done"
     text += f", {made.resumed} from before" if made.resumed else ""
     text += "".join(f"; skipped frame {record.number}: {record.failure}" for record in made.skipped)
+    text += f"; {_loss(outcome)}" if _loss(outcome) else ""
     if outcome.failure:
         return f"{text}; failed: {outcome.failure}"
     return text if outcome.tracks is None else f"{text}; {outcome.tracks.vertices} vertices tracked"

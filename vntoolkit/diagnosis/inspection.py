@@ -16,6 +16,7 @@ from vntoolkit.errors import BadCapture
 from vntoolkit.io.footage.captures import Capture, CaptureInfo, CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import linear_frame_from_encoded
 from vntoolkit.io.footage.pixel_formats import LOSSLESS_CODECS
+from vntoolkit.io.footage.sequence import text_of_names
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve
@@ -83,7 +84,8 @@ def inspect_capture(
         options = CaptureOptions() if rig is None else CaptureOptions(transfer=rig.transfer)
     capture = open_capture(source, options)
     info = capture.info
-    numbers = sorted({round(n) for n in np.linspace(0, info.frame_count - 1, samples)})
+    there = capture.present
+    numbers = sorted({there[round(k)] for k in np.linspace(0, len(there) - 1, samples)})
     findings = [*_findings_from_info(info), *_findings_from_transfer(info, options.transfer)]
     clipped, dark, bright = [], [], []
     for number in numbers:
@@ -133,9 +135,19 @@ def _findings_from_info(info: CaptureInfo) -> list[Finding]:
     if info.promised_frame_count > info.frame_count:
         add(
             Severity.FATAL,
-            f"the file is cut off: {info.frame_count} of {info.promised_frame_count} frames are there; "
-            f"--frames 0:{info.frame_count} uses them",
+            f"the video is cut off: it declares {info.promised_frame_count} frames, {info.frame_count} came; "
+            f"copy the file again, or use what came with --frames 0:{info.frame_count}",
         )
+    if info.missing:
+        names = text_of_names(list(info.missing.values()))
+        add(
+            Severity.FATAL,
+            f"{len(info.missing)} of {info.frame_count} files of the sequence are missing: {names}; copy "
+            "them too, or leave these frames out with --gaps skip",
+        )
+    if info.left_out:
+        names = text_of_names([path.name for path in info.left_out])
+        add(Severity.WARNING, f"left out, since the frames are named otherwise: {names}")
     if info.chroma == "grey":
         add(Severity.FATAL, "the footage is grey: three coloured lights need a colour camera")
     elif info.chroma in _CHROMA_COST_DEG:

@@ -29,6 +29,7 @@ from vntoolkit.live.frames import LiveProcessor, LiveResult
 
 _MOST_CAMERAS = 100  # OpenCV reads the hundreds of a number as the driver to take; a negative one crashes it
 _FAILED_READS = 30  # in a row: the camera is gone
+_STILLS_RATE_HZ = 30.0  # what a sequence of stills is played at
 _LATEST_FRAMES = 3  # a file's frame that is later than so many is skipped
 
 
@@ -134,7 +135,7 @@ class FileSource:
         info = capture.info
         self.name = capture.name
         self.width, self.height = info.width, info.height
-        self.frame_rate_hz = info.frame_rate_hz
+        self.frame_rate_hz = info.frame_rate_hz or _STILLS_RATE_HZ
         self.realtime = realtime
         self.skipped = 0
         self._capture = capture

@@ -22,6 +22,7 @@ from vntoolkit.checks import require_positive
 from vntoolkit.errors import VntError
 from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import EncodedFrame
+from vntoolkit.io.footage.frame_range import Gaps
 from vntoolkit.io.limits import ReadingLimits, reading_limits
 from vntoolkit.io.maps_and_meshes.label_images import read_mask
 from vntoolkit.io.results.frame_log import FrameEntry
@@ -43,8 +44,9 @@ _FULL = 65535
 class ReconstructionJob:
     """A reconstruction as sent to workers: source, rig, options and folder.
 
-    source: as for `open_capture`. mask, background: files or None. threads: for decoding; with 1, reading,
-    processing and writing take turns, so that a worker is one core's. limits: on what any process reads.
+    source, gaps: as for `open_capture`. mask, background: files or None. threads: for decoding; with 1,
+    reading, processing and writing take turns, so that a worker is one core's. limits: on what any process
+    reads.
     """
 
     source: str
@@ -53,6 +55,7 @@ class ReconstructionJob:
     folder: ReconstructionFolder
     mask: Path | None = None
     background: Path | None = None
+    gaps: Gaps = Gaps.REFUSE
     threads: int = 2
     limits: ReadingLimits = field(default_factory=reading_limits)
 
@@ -72,6 +75,7 @@ class ReconstructionJob:
             transfer=self.rig.transfer,
             background=self.background,
             max_megapixels=self.limits.max_megapixels,
+            gaps=self.gaps,
             threads=self.threads,
         )
         return open_capture(self.source, options)
@@ -253,7 +257,7 @@ def smoothed_frames(capture: Capture, block: range, sameness: float) -> Iterator
         yield from capture.encoded_frames(block.start, block.stop, block.step)
         return
     last = capture.info.frame_count - 1
-    if block.step == 1:
+    if block.step == 1 and not capture.info.missing:
         start, stop = max(0, block.start - 1), min(last + 1, block.stop + 1)
         window: list[EncodedFrame] = []
         for frame in capture.encoded_frames(start, stop):
@@ -267,8 +271,10 @@ def smoothed_frames(capture: Capture, block: range, sameness: float) -> Iterator
             yield _blended(window[-2] if len(window) > 1 else window[-1], window[-1], window[-1], sameness)
         return
     for number in block:
+        if number in capture.info.missing:
+            continue
         frames = list(capture.encoded_frames(max(0, number - 1), min(last, number + 1) + 1))
-        here = number - frames[0].number
+        here = [frame.number for frame in frames].index(number)
         yield _blended(
             frames[max(0, here - 1)], frames[here], frames[min(here + 1, len(frames) - 1)], sameness
         )

@@ -23,7 +23,7 @@ from vntoolkit.geometry.board_layout import BoardLayout
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.files import source_file
 from vntoolkit.io.footage.captures import Capture, CaptureInfo, CaptureOptions, open_capture
-from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.footage.frame_range import FrameRange, Gaps
 from vntoolkit.io.light_files import read_lights
 from vntoolkit.io.maps_and_meshes.label_images import read_mask
 from vntoolkit.io.rigs import read_rig
@@ -60,9 +60,12 @@ class CalibrationJob:
         if self.camera is not None and self.focal_px is not None:
             raise BadInput("calibrate: expected --camera or --focal-px, got both")
 
-    def open(self, source: str | Path | None = None) -> Capture:
-        """Open the footage, or another source, with the job's transfer curve and background."""
-        options = CaptureOptions(transfer=self.transfer, background=self.background)
+    def open(self, source: str | Path | None = None, gaps: Gaps = Gaps.SKIP) -> Capture:
+        """Open the footage, or another source, with the job's transfer curve and background.
+
+        gaps: photographs of a ball or board need no order, and bad ones are often thrown away.
+        """
+        options = CaptureOptions(transfer=self.transfer, background=self.background, gaps=gaps)
         return open_capture(source or self.source, options)
 
     def camera_for(self, info: CaptureInfo) -> Camera | None:

@@ -44,6 +44,7 @@ from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.files import source_file
+from vntoolkit.io.footage.frame_range import Gaps
 from vntoolkit.io.footage.resampling import Undistorter
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
@@ -206,7 +207,7 @@ def calibrate_head(
 def _follow(
     job: CalibrationJob, undistorter: Undistorter, options: HeadOptions, on_progress: Progress
 ) -> tuple[HeadFootage, Tracks]:
-    capture = job.open()
+    capture = job.open(gaps=Gaps.REFUSE)  # points are followed from frame to frame
     numbers = job.frames.numbers(capture.info.frame_count)
     if not _LEAST_FRAMES <= len(numbers) <= _MOST_FRAMES:
         more = len(numbers) > _MOST_FRAMES

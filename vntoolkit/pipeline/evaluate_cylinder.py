@@ -138,7 +138,7 @@ def evaluate_cylinder(
     mean = total[1] / total[0]
     return CylinderEvaluation(
         radius=fits[0].radius,
-        frame_rate_hz=result.manifest.input.frame_rate_hz,
+        frame_rate_hz=result.manifest.input.playing_rate_hz,
         mean_deg=float(mean),
         std_deg=float(np.sqrt(max(total[2] / total[0] - mean**2, 0.0))),
         frames=tuple(frames),

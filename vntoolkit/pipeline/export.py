@@ -116,7 +116,7 @@ def _export_animation(
     on_start: Callable[[int, int], None],
     on_frame: Advance,
 ) -> ExportSummary:
-    options, rate = job.options, result.manifest.input.frame_rate_hz
+    options, rate = job.options, result.manifest.input.playing_rate_hz
     suffix = ".glb" if options.to is ExportFormat.GLB else ".usdc"
     out = job.out or result.folder.root / "export" / f"surface{suffix}"
     if out.suffix.lower() not in ((".glb",) if suffix == ".glb" else (".usdc", ".usd")):
@@ -399,7 +399,7 @@ class _Meshes(FrameExport):
             mesh = replace(mesh, vertices=mesh.vertices * self._factor)
         path = self.place(out, number)
         if self.options.to is ExportFormat.GLB:
-            rate = self.result.manifest.input.frame_rate_hz
+            rate = self.result.manifest.input.playing_rate_hz
             write_glb(path, mesh, iter([mesh.vertices]), frame_rate_hz=rate)
         else:
             write_mesh(path, mesh, up=self.options.up)

@@ -18,7 +18,7 @@ from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.mesh_sequence import MeshSequence
 from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import linear_frame_from_encoded
-from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.footage.frame_range import FrameRange, Gaps
 from vntoolkit.io.footage.resampling import Undistorter
 from vntoolkit.io.maps_and_meshes.label_images import read_labels
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
@@ -136,7 +136,7 @@ class OpenedResult:
     def linear(self, number: int) -> LinearFrame:
         """Return the captured frame in linear light, background removed and undistorted."""
         capture = self.capture
-        encoded = next(capture.encoded_frames(number, number + 1))
+        encoded = capture.encoded(number)
         frame = linear_frame_from_encoded(encoded, self.rig.transfer, capture.background)
         return Undistorter(self.rig.camera).frame(frame)
 
@@ -163,7 +163,7 @@ class OpenedResult:
     def capture(self) -> Capture:
         """The footage; raise `BadInput` where it is not to be found, or is of another size or length."""
         source = self.source
-        options = CaptureOptions(transfer=self.rig.transfer, background=self.background)
+        options = CaptureOptions(transfer=self.rig.transfer, background=self.background, gaps=Gaps.SKIP)
         try:
             capture = open_capture(source, options)
         except BadCapture as error:

@@ -23,8 +23,9 @@ from vntoolkit.diagnosis.inspection import findings_from_capture
 from vntoolkit.errors import BadCapture, BadInput, VntError
 from vntoolkit.io.atomic import remove_numbered, require_apart, sole_writer
 from vntoolkit.io.files import source_file
-from vntoolkit.io.footage.captures import Capture
+from vntoolkit.io.footage.captures import Capture, CaptureInfo
 from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.footage.sequence import text_of_names
 from vntoolkit.io.results.frame_log import FRAMES_NAME, FrameEntry, FrameLog
 from vntoolkit.io.results.manifest import (
     MANIFEST_NAME,
@@ -59,7 +60,11 @@ _FOLDERS = {"normals": ".exr", "depth": ".exr", "shadows": ".png", "mesh": ".ply
 
 @dataclass(frozen=True, kw_only=True)
 class ReconstructionSummary:
-    """What a run did: frames asked for, found on disk already, newly done, and skipped with their reasons."""
+    """What a run did: frames asked for, found on disk already, newly done, and skipped with their reasons.
+
+    lost: frames asked for that the video declares but does not hold. declared, came: frames that it
+    declares, and that can be read.
+    """
 
     folder: Path
     frames: int
@@ -67,6 +72,19 @@ class ReconstructionSummary:
     done: int
     skipped: tuple[FrameEntry, ...]
     seconds: float
+    lost: int = 0
+    declared: int = 0
+    came: int = 0
+
+    @property
+    def loss(self) -> str:
+        """What a video that is cut off lost, in one line; empty where nothing is lost."""
+        if not self.lost:
+            return ""
+        return (
+            f"the video is cut off: it declares {self.declared} frames, {self.came} came; what came is kept: "
+            f"copy the file again, or accept it with --frames 0:{self.came}"
+        )
 
 
 def reconstruct(
@@ -94,26 +112,38 @@ def reconstruct(
     capture = job.open_capture()
     job.rig.require_size(capture.info.width, capture.info.height, job.source)
     numbers = frames.numbers(capture.info.frame_count)
+    asked = frames.numbers(capture.info.promised_frame_count)
     inputs = (*capture.info.files, job.mask, job.background)
     require_apart(inputs, (root / name for name in _FOLDERS))
     if scheduler is not None:
         require_scheduler(scheduler)
+    if capture.info.left_out:
+        names = text_of_names([path.name for path in capture.info.left_out])
+        logger.warning("%s: left out, since the frames are named otherwise: %s", job.source, names)
+    missing = _missing_frames(capture, numbers)
     with sole_writer(root):
         job, manifest, log = _prepared(job, capture, frames, overwrite)
         on_disk = _frames_on_disk(job, log)
         _warn_of_the_implausible(job, capture, numbers)
         on_start(len(numbers), len(on_disk & set(numbers)))
+        for record in missing:
+            log.append(record)
+            on_frame(record)
         records = _run(job, numbers, on_disk, _workers(jobs, scheduler), log, on_frame)
         seconds = time.perf_counter() - started
         _finish(root, manifest, log, numbers, seconds)
-    skipped = tuple(record for record in records if record.failure)
+    failed = [record for record in records if record.failure]
+    skipped = tuple(sorted([*missing, *failed], key=lambda record: record.number))
     return ReconstructionSummary(
         folder=root,
         frames=len(numbers),
         resumed=len(on_disk & set(numbers)),
-        done=len(records) - len(skipped),
+        done=len(records) - len(failed),
         skipped=skipped,
         seconds=seconds,
+        lost=len(asked) - len(numbers),
+        declared=capture.info.promised_frame_count,
+        came=capture.info.frame_count,
     )
 
 
@@ -132,6 +162,14 @@ def _prepared(
         clear(root)
     write_manifest(root, manifest)
     return job, manifest, FrameLog(root)
+
+
+def _missing_frames(capture: Capture, numbers: range) -> list[FrameEntry]:
+    return [
+        FrameEntry(number=number, failure=f"no file {name}")
+        for number, name in sorted(capture.info.missing.items())
+        if number in numbers
+    ]
 
 
 def clear(root: Path) -> None:
@@ -224,12 +262,15 @@ def resolve_options(
     """
     mask = job.read_mask(capture)
     options = job.options
+    first = next((number for number in capture.present if number in numbers), None)
+    if first is None:
+        raise BadInput(f"{job.source}: the files of all frames {numbers[0]} to {numbers[-1]} are missing")
     if _was_pressed(job):  # a gel was calibrated itself, and nothing throws a shadow on it
         options = replace(options, match_albedo=False, shadows=ShadowMethod.NONE)
     reference = options.reference_frame
     if reference is None:
         stored = earlier.get("reference_frame")
-        reference = stored if isinstance(stored, int) else numbers[0]
+        reference = stored if isinstance(stored, int) else first
     elif reference >= capture.info.frame_count:
         raise BadInput(f"reference frame: the capture has only {capture.info.frame_count} frames")
     job = replace(job, options=replace(options, reference_frame=reference))
@@ -237,7 +278,7 @@ def resolve_options(
         return job
     albedo = earlier.get("inversion.relative_albedo")
     if not isinstance(albedo, float):
-        albedo = _measured_albedo(job, capture, numbers[0], mask)
+        albedo = _measured_albedo(job, capture, first, mask)
     return replace(
         job, options=replace(job.options, inversion=replace(options.inversion, relative_albedo=albedo))
     )
@@ -250,7 +291,7 @@ def _was_pressed(job: ReconstructionJob) -> bool:
 def _measured_albedo(job: ReconstructionJob, capture: Capture, number: int, mask: Mask | None) -> float:
     """Measure how bright the subject is against the calibration material."""
     processor = FrameProcessor(job.rig, job.options, mask, capture.background)
-    first = next(capture.encoded_frames(number, number + 1))
+    first = capture.encoded(number)
     try:
         albedo = relative_albedo_from_frame(processor.linear(first), job.rig.response, mask)
     except BadInput as error:
@@ -275,6 +316,8 @@ def manifest_of_run(job: ReconstructionJob, capture: Capture, frames: FrameRange
             height=info.height,
             frame_count=info.frame_count,
             frame_rate_hz=info.frame_rate_hz,
+            numbers=list(info.numbers),
+            declared_frame_count=_declared(info),
         ),
         extra_files=extra,
         rig=entry_from_rig(job.rig),
@@ -284,6 +327,10 @@ def manifest_of_run(job: ReconstructionJob, capture: Capture, frames: FrameRange
         versions=library_versions(),
         started=now_utc(),
     )
+
+
+def _declared(info: CaptureInfo) -> int | None:
+    return info.promised_frame_count if info.promised_frame_count > info.frame_count else None
 
 
 def _source_entry(path: Path) -> SourceEntry:

@@ -67,7 +67,7 @@ def open_track_source(root: Path) -> TrackSource:
         camera=camera.without_distortion(),
         filmed_by=camera,
         numbers=numbers[: numbers.index(present[-1]) + 1],
-        frame_rate_hz=manifest.input.frame_rate_hz,
+        frame_rate_hz=manifest.input.playing_rate_hz,
         digest=result_digest(manifest),
     )
 

@@ -338,11 +338,12 @@ def track_section(result: OpenedResult, track: TrackedSurface) -> PageSection:
 
 
 def size_and_rate(source: InputEntry) -> str:
-    """Return frames, size and rate of footage in words; a single image has no rate."""
+    """Return frames, size and rate of footage in words; stills have no rate."""
     size = f"{source.width} × {source.height} pixels"
     if source.frame_count == 1:
         return f"one image of {size}"
-    return f"{source.frame_count} frames of {size}, {source.frame_rate_hz:g} per second"
+    rate = "" if source.frame_rate_hz is None else f", {source.frame_rate_hz:g} per second"
+    return f"{source.frame_count} frames of {size}{rate}"
 
 
 def _camera_in_words(camera: Camera) -> str:
@@ -370,11 +371,14 @@ def settings_section(result: OpenedResult) -> PageSection:
         "versions": ", ".join(f"{name} {version}" for name, version in manifest.versions.items()),
     }
     options = tuple((name, str(value)) for name, value in sorted(manifest.options.items()))
+    names = tuple((str(k), file.file) for k, file in zip(manifest.input.numbers, files, strict=False))
+    named = PageTable(headings=("frame", "file"), rows=names, folded=f"{len(names)} files")
     return PageSection(
         title="Made from",
         tables=(
             PageTable(headings=("what", ""), rows=tuple(facts.items())),
             PageTable(headings=("option", "value"), rows=options, folded=f"{len(options)} options"),
+            *((named,) if names else ()),
         ),
     )
 

@@ -13,8 +13,9 @@ from vntoolkit.diagnosis.consistency import curl_share
 from vntoolkit.errors import BadCapture, BadInput, CannotWrite
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io.atomic import write_bytes
-from vntoolkit.io.footage.captures import find_capture_files, open_capture
+from vntoolkit.io.footage.captures import open_capture
 from vntoolkit.io.footage.images import read_grey, read_image, read_image_with_alpha, write_png
+from vntoolkit.io.footage.sequence import find_capture_files
 from vntoolkit.io.maps_and_meshes.exr import read_exr, write_exr
 from vntoolkit.io.maps_and_meshes.label_images import read_mask
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map, write_normal_map
@@ -77,7 +78,9 @@ def test_a_folder_is_no_file_to_write(path):
 def test_file_names_with_digits_of_other_kinds_sort(tmp_path):
     for name in ("f10.png", "f9²4.png", "f٣.png"):
         (tmp_path / name).write_bytes(b"x")
-    assert [path.name for path in find_capture_files(tmp_path)[1]] == ["f٣.png", "f9²4.png", "f10.png"]
+    found = find_capture_files(tmp_path / "f*.png")
+    assert [path.name for path in found.files] == ["f٣.png", "f9²4.png", "f10.png"]
+    assert [path.name for path in find_capture_files(tmp_path).left_out] == ["f9²4.png"]
 
 
 def test_a_name_too_long_for_any_file_is_one_line():

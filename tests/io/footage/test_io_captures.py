@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from vntoolkit.errors import BadCapture, BadInput, CannotWrite
-from vntoolkit.io.footage.captures import CaptureKind, CaptureOptions, find_capture_files, open_capture
+from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.sequence import CaptureKind, find_capture_files
 from vntoolkit.io.footage.video import VideoReader, write_video
 from vntoolkit.io.maps_and_meshes.exr import write_exr
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
@@ -166,15 +167,16 @@ def test_what_is_no_video_is_refused_in_one_line(tmp_path, rng):
 
 
 def test_sequences_sort_by_number_and_take_patterns(tmp_path, rng):
-    for number in (10, 9, 100, 1):
+    for number in (10, 9, 12, 11):
         write_png(tmp_path / f"f{number}.png", np.full((3, 4, 3), number, np.uint8))
         write_png(tmp_path / f"g{number:04d}.png", np.full((3, 4, 3), number, np.uint8))
     (tmp_path / ".hidden.png").touch()
     (tmp_path / "notes.txt").write_text("no image")
     for pattern in ("f%d.png", "f*.png", "g%04d.png", "g*.png"):
         capture = open_capture(tmp_path / pattern)
-        assert [int(frame.values[0, 0, 0]) for frame in capture.encoded_frames()] == [1, 9, 10, 100]
-    assert len(find_capture_files(tmp_path)[1]) == 8
+        assert [int(frame.values[0, 0, 0]) for frame in capture.encoded_frames()] == [9, 10, 11, 12]
+    with pytest.raises(BadCapture, match=r"4 images each of more than one pattern of names, such as f9.png"):
+        find_capture_files(tmp_path)
     assert [frame.number for frame in open_capture(tmp_path / "f%d.png").frames(1, None, 2)] == [1, 3]
 
 

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import glob
-import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import Enum
 from pathlib import Path
 from typing import Any
 
@@ -16,17 +13,14 @@ import numpy.typing as npt
 from vntoolkit.arrays import LinearImage
 from vntoolkit.checks import require_in_range, require_positive, require_shape
 from vntoolkit.errors import BadCapture
-from vntoolkit.io.files import opened, require_file
+from vntoolkit.io.files import opened
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
-from vntoolkit.io.footage.frame_range import FrameRange
-from vntoolkit.io.footage.images import SUFFIXES, header_of_stream, read_image
+from vntoolkit.io.footage.frame_range import FrameRange, Gaps
+from vntoolkit.io.footage.images import header_of_stream, read_image
+from vntoolkit.io.footage.sequence import CaptureFiles, CaptureKind, find_capture_files, text_of_names
 from vntoolkit.io.footage.video import VideoReader
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.transfer import Transfer
-
-_VIDEO_SUFFIXES = (".mkv", ".mp4", ".mov", ".avi", ".webm", ".mxf", ".m4v")
-_EXPECTED = "expected a video, an image, a folder of images, or a pattern such as frame_%04d.png"
-_PRINTF = re.compile(r"%(0?)(\d*)d")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -37,19 +31,22 @@ class CaptureOptions:
     only (path, or linear (h, w, 3) array), subtracted from every frame; None for none. max_megapixels: refuse
     larger frames before memory is asked for; None for the limit of `reading_limits`. bits: significant bits
     of an integer sample where the file does not tell (12 for 12-bit values stored in 16-bit PNG); None for
-    all. frame_rate_hz: rate of an image sequence, frames per second (a video brings its own). threads:
-    decoding threads.
+    all. frame_rate_hz: rate of an image sequence, frames per second, if it is known (a video brings its own).
+    gaps: what to do where numbers of an image sequence are missing; frames after a gap keep their numbers.
+    threads: decoding threads.
     """
 
     transfer: Transfer = field(default_factory=Transfer)
     background: Path | str | LinearImage | None = None
     max_megapixels: float | None = None
     bits: int | None = None
-    frame_rate_hz: float = 30.0
+    frame_rate_hz: float | None = None
+    gaps: Gaps = Gaps.REFUSE
     threads: int = 2
 
     def __post_init__(self) -> None:
-        require_positive(self.frame_rate_hz, "capture: frame rate")
+        if self.frame_rate_hz is not None:
+            require_positive(self.frame_rate_hz, "capture: frame rate")
         require_positive(self.threads, "capture: threads")
         if self.max_megapixels is not None:
             require_positive(self.max_megapixels, "capture: max_megapixels")
@@ -61,18 +58,21 @@ class CaptureOptions:
 class CaptureInfo:
     """What a capture holds.
 
-    width, height: pixels. frame_count: frames that can be read. frame_rate_hz: per second. pixel_format:
+    width, height: pixels. frame_count: frames that can be read, and gaps in an image sequence. frame_rate_hz:
+    per second, None for stills. pixel_format:
     FFmpeg's name, or such as `PNG 16-bit`. bits: significant bits of an integer sample (32: float). codec:
     of the video, or the image format. chroma: `4:4:4`, `4:2:2`, `4:2:0`, `grey`. files: what it consists of.
-    promised_frame_count: what the header promises; more than frame_count means that the video is cut off.
-    stated_transfer: the transfer curve that a video states, empty for none.
+    numbers: of the frame that each file of a sequence is. missing: names of missing files by frame number.
+    left_out: images of the folder that are no frames. promised_frame_count: what the header declares; more
+    than frame_count means that the video is cut off. stated_transfer: the transfer curve that a video states,
+    empty for none.
     """
 
     kind: CaptureKind
     width: int
     height: int
     frame_count: int
-    frame_rate_hz: float
+    frame_rate_hz: float | None
     pixel_format: str
     bits: int
     codec: str
@@ -80,6 +80,9 @@ class CaptureInfo:
     files: tuple[Path, ...]
     promised_frame_count: int
     stated_transfer: str = ""
+    numbers: tuple[int, ...] = ()
+    missing: Mapping[int, str] = field(default_factory=dict)
+    left_out: tuple[Path, ...] = ()
 
 
 class Capture:
@@ -108,13 +111,27 @@ class Capture:
             yield linear_frame_from_encoded(frame, self.options.transfer, self._background)
 
     def frame(self, number: int) -> LinearFrame:
-        """Return one linear frame."""
-        return next(self.frames(number, number + 1))
+        """Return one linear frame; raise `BadCapture` where its file is missing."""
+        return linear_frame_from_encoded(self.encoded(number), self.options.transfer, self._background)
+
+    def encoded(self, number: int) -> EncodedFrame:
+        """Return one frame as stored; raise `BadCapture` where its file is missing."""
+        if number in self.info.missing:
+            raise BadCapture(f"{self.name}: frame {number} is missing: no file {self.info.missing[number]}")
+        return next(self.encoded_frames(number, number + 1))
+
+    @property
+    def present(self) -> Sequence[int]:
+        """Numbers of the frames that are there, ascending."""
+        return range(len(self)) if self._reader is not None else self.info.numbers
 
     def encoded_frames(
         self, start: int = 0, stop: int | None = None, step: int = 1
     ) -> Iterator[EncodedFrame]:
-        """Yield the frames as stored, background included, for a kernel that decodes them itself."""
+        """Yield the frames as stored, background included, for a kernel that decodes them itself.
+
+        A frame whose file is missing is left out.
+        """
         FrameRange(start=start, stop=stop, step=step).numbers(self.info.frame_count)
         if self._reader is None:
             yield from self._images(start, stop, step)
@@ -125,15 +142,20 @@ class Capture:
             )
 
     def readable_alone(self, number: int, within: int) -> int:
-        """Return the nearest frame, at most `within` away, that needs no other to be decoded, or `number`."""
+        """Return the nearest frame, at most `within` away, that needs no other to be decoded, or `number`.
+
+        For a frame whose file is missing, the nearest one that is there.
+        """
         if self._reader is None:
-            return number
+            return min(self.info.numbers, key=lambda there: abs(there - number))
         nearest = self._reader.index.nearest_key_frame(number)
         return nearest if abs(nearest - number) <= within else number
 
     def _images(self, start: int, stop: int | None, step: int) -> Iterator[EncodedFrame]:
-        for number in range(len(self.info.files))[start:stop:step]:
-            path = self.info.files[number]
+        wanted = range(self.info.frame_count)[start:stop:step]
+        for number, path in zip(self.info.numbers, self.info.files, strict=True):
+            if number not in wanted:
+                continue
             values = read_image(path, max_megapixels=self.options.max_megapixels)
             height, width = values.shape[:2]
             if (width, height) != (self.info.width, self.info.height):
@@ -171,11 +193,17 @@ def open_capture(source: Path | str, options: CaptureOptions | None = None) -> C
     Images are ordered by the numbers in their names. Raises `BadCapture` with one line.
     """
     options = options or CaptureOptions()
-    kind, files = find_capture_files(source)
-    if kind is CaptureKind.VIDEO:
-        reader = VideoReader(files[0], max_megapixels=options.max_megapixels, threads=options.threads)
+    found = find_capture_files(source)
+    if found.kind is CaptureKind.VIDEO:
+        reader = VideoReader(found.files[0], max_megapixels=options.max_megapixels, threads=options.threads)
         return Capture(_info_of_video(reader), options, reader, str(source))
-    return Capture(_info_of_images(kind, files, options), options, None, str(source))
+    if found.missing and options.gaps is Gaps.REFUSE:
+        raise BadCapture(
+            f"{source}: {len(found.missing)} of {found.numbers[-1] + 1} files of the sequence are missing: "
+            f"{text_of_names(list(found.missing.values()))}; copy them too; `reconstruct` and `session` go "
+            "on without them by --gaps skip, and the other frames keep their numbers"
+        )
+    return Capture(_info_of_images(found, options), options, None, str(source))
 
 
 def _info_of_video(reader: VideoReader) -> CaptureInfo:
@@ -195,22 +223,26 @@ def _info_of_video(reader: VideoReader) -> CaptureInfo:
     )
 
 
-def _info_of_images(kind: CaptureKind, files: tuple[Path, ...], options: CaptureOptions) -> CaptureInfo:
+def _info_of_images(found: CaptureFiles, options: CaptureOptions) -> CaptureInfo:
+    files = found.files
     first = read_image(files[0], max_megapixels=options.max_megapixels)
     with opened(files[0], BadCapture) as stream:
         header = header_of_stream(stream, str(files[0]))
     return CaptureInfo(
-        kind=kind,
+        kind=found.kind,
         width=first.shape[1],
         height=first.shape[0],
-        frame_count=len(files),
+        frame_count=found.numbers[-1] + 1,
         frame_rate_hz=options.frame_rate_hz,
         pixel_format=f"{header.format} {header.bits}-bit{' float' if header.floating else ''}",
         bits=_bits(first, options, files[0]),
         codec=header.format,
         chroma="grey" if header.channels < 3 else header.chroma,
         files=files,
-        promised_frame_count=len(files),
+        promised_frame_count=found.numbers[-1] + 1,
+        numbers=found.numbers,
+        missing=found.missing,
+        left_out=found.left_out,
     )
 
 
@@ -223,74 +255,3 @@ def _bits(values: npt.NDArray[Any], options: CaptureOptions, path: Path | str) -
             f"{path}: samples of {stored} bits cannot hold {options.bits}; give bits up to {stored}"
         )
     return options.bits or stored
-
-
-class CaptureKind(Enum):
-    """What a capture consists of."""
-
-    VIDEO = "video"
-    IMAGE = "image"
-    SEQUENCE = "image sequence"
-
-
-def find_capture_files(source: Path | str) -> tuple[CaptureKind, tuple[Path, ...]]:
-    """Return the kind and the files of a video, an image, a folder of images or a pattern.
-
-    A name that exists is taken as it is, even if it holds `%` or `*`. Raises `BadCapture`.
-    """
-    try:
-        return _find(str(source))
-    except OSError as problem:  # of a name that is too long, or a folder that may not be looked into
-        raise BadCapture(f"{source}: cannot be read ({problem.strerror})") from problem
-
-
-def _find(text: str) -> tuple[CaptureKind, tuple[Path, ...]]:
-    path = Path(text)
-    if path.is_dir():
-        return CaptureKind.SEQUENCE, _in_folder(path)
-    if not path.exists() and _PRINTF.search(path.name):
-        return CaptureKind.SEQUENCE, _by_printf(path)
-    if not path.exists() and glob.has_magic(text):
-        found = tuple(sorted(map(Path, glob.glob(text)), key=natural_key))  # noqa: PTH207
-        if not found:
-            raise BadCapture(f"{text}: no file matches this pattern; is the folder right?")
-        return CaptureKind.SEQUENCE, found
-    require_file(path, BadCapture)
-    if path.suffix.lower() in SUFFIXES:
-        return CaptureKind.IMAGE, (path,)
-    return CaptureKind.VIDEO, (path,)
-
-
-def natural_key(path: Path) -> tuple[tuple[int, int, str], ...]:
-    """Sort key by which `f2.png` comes before `f10.png`."""
-    parts = re.split(r"(\d+)", path.name)
-    return tuple((0, int(part), "") if part.isdecimal() else (1, 0, part.lower()) for part in parts if part)
-
-
-def _in_folder(folder: Path) -> tuple[Path, ...]:
-    files = [
-        path
-        for path in folder.iterdir()
-        if path.suffix.lower() in SUFFIXES and not path.name.startswith(".") and path.is_file()
-    ]
-    if not files:
-        videos = [path.name for path in sorted(folder.iterdir()) if path.suffix.lower() in _VIDEO_SUFFIXES]
-        instead = f"name the video, {folder / videos[0]}" if videos else _EXPECTED
-        raise BadCapture(f"{folder}: holds no image ({', '.join(SUFFIXES)}); {instead}")
-    return tuple(sorted(files, key=natural_key))
-
-
-def _by_printf(pattern: Path) -> tuple[Path, ...]:
-    match = _PRINTF.search(pattern.name)
-    assert match is not None
-    before, after = pattern.name[: match.start()], pattern.name[match.end() :]
-    width = int(match[2] or 1)
-    wanted = re.compile(re.escape(before) + r"(\d+)" + re.escape(after))
-    found = []
-    for path in pattern.parent.iterdir() if pattern.parent.is_dir() else ():
-        hit = wanted.fullmatch(path.name)
-        if hit and len(hit[1]) == max(width, len(str(int(hit[1])))):
-            found.append((int(hit[1]), path))
-    if not found:
-        raise BadCapture(f"{pattern}: no file matches this pattern; is the folder right?")
-    return tuple(path for _, path in sorted(found))

@@ -1,8 +1,9 @@
-"""Which frames of a capture: `a:b:c`, as in Python."""
+"""Which frames of a capture: `a:b:c`, as in Python, and what is done about missing ones."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 
 from vntoolkit.errors import BadInput
 
@@ -47,3 +48,10 @@ class FrameRange:
                 f"frames {self.to_text()}: the capture has only {frame_count} frames (0 to {frame_count - 1})"
             )
         return numbers
+
+
+class Gaps(Enum):
+    """What is done where numbers of an image sequence are missing."""
+
+    REFUSE = "refuse"
+    SKIP = "skip"

@@ -27,6 +27,7 @@ from vntoolkit.native import open3d_distribution
 
 MANIFEST_NAME = "reconstruction.json"
 MANIFEST_VERSION = 1
+_STILLS_RATE_HZ = 30.0
 _LIBRARIES = ("numpy", "scipy", "numba", "opencv-contrib-python-headless", "av", "OpenEXR")
 
 
@@ -40,7 +41,20 @@ class InputEntry(BaseModel):
     width: int = Field(gt=0, description="Frame width in pixels.")
     height: int = Field(gt=0, description="Frame height in pixels.")
     frame_count: int = Field(ge=0, description="Frames in the capture.")
-    frame_rate_hz: float = Field(gt=0, allow_inf_nan=False, description="Frames per second.")
+    frame_rate_hz: float | None = Field(
+        default=None, gt=0, allow_inf_nan=False, description="Frames per second; null for stills."
+    )
+    numbers: list[int] = Field(
+        default_factory=list, description="Number of the frame that each file of an image sequence is."
+    )
+    declared_frame_count: int | None = Field(
+        default=None, ge=0, description="Frames that a video declares, where fewer came."
+    )
+
+    @property
+    def playing_rate_hz(self) -> float:
+        """Frames per second to play the result at: the footage's, or a usual rate for stills."""
+        return self.frame_rate_hz or _STILLS_RATE_HZ
 
 
 class Manifest(BaseModel):

@@ -1,0 +1,176 @@
+"""Which files are the frames of a capture, and which number each has."""
+
+from __future__ import annotations
+
+import glob
+import re
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from itertools import pairwise
+from pathlib import Path
+
+from vntoolkit.errors import BadCapture
+from vntoolkit.io.files import require_file
+from vntoolkit.io.footage.images import SUFFIXES
+
+_VIDEO_SUFFIXES = (".mkv", ".mp4", ".mov", ".avi", ".webm", ".mxf", ".m4v")
+_EXPECTED = "expected a video, an image, a folder of images, or a pattern such as frame_%04d.png"
+_PRINTF = re.compile(r"%(0?)(\d*)d")
+_LARGEST_NUMBER = 10**6  # a number beyond is a moment or a serial number, not a count of frames
+_NAMED = 5  # files named in one message
+
+
+class CaptureKind(Enum):
+    """What a capture consists of."""
+
+    VIDEO = "video"
+    IMAGE = "image"
+    SEQUENCE = "image sequence"
+
+
+@dataclass(frozen=True, kw_only=True)
+class CaptureFiles:
+    """The files of a capture, in order.
+
+    numbers: of the frame that each file is, from 0; a file that is missing leaves its number free. missing:
+    name of the missing file by frame number. left_out: images of a folder whose names do not follow the
+    frames' pattern.
+    """
+
+    kind: CaptureKind
+    files: tuple[Path, ...]
+    numbers: tuple[int, ...] = (0,)
+    missing: Mapping[int, str] = field(default_factory=dict)
+    left_out: tuple[Path, ...] = ()
+
+
+def find_capture_files(source: Path | str) -> CaptureFiles:
+    """Return the files of a video, an image, a folder of images or a pattern.
+
+    A name that exists is taken as it is, even if it holds `%` or `*`. The frames of a folder are the images
+    whose names differ by their numbers only, where there are such. Raises `BadCapture`.
+    """
+    try:
+        return _find(str(source))
+    except OSError as problem:  # of a name that is too long, or a folder that may not be looked into
+        raise BadCapture(f"{source}: cannot be read ({problem.strerror})") from problem
+
+
+def text_of_names(names: list[str]) -> str:
+    """Return names as a phrase; of many, the first few and how many more."""
+    text = ", ".join(names[:_NAMED])
+    return text if len(names) <= _NAMED else f"{text} and {len(names) - _NAMED} more"
+
+
+def _find(text: str) -> CaptureFiles:
+    path = Path(text)
+    if path.is_dir():
+        files, left_out = _in_folder(path)
+        return _sequence(files, left_out)
+    if not path.exists() and _PRINTF.search(path.name):
+        return _sequence(_by_printf(path))
+    if not path.exists() and glob.has_magic(text):
+        found = tuple(map(Path, glob.glob(text)))  # noqa: PTH207
+        if not found:
+            raise BadCapture(f"{text}: no file matches this pattern; is the folder right?")
+        return _sequence(found)
+    require_file(path, BadCapture)
+    kind = CaptureKind.IMAGE if path.suffix.lower() in SUFFIXES else CaptureKind.VIDEO
+    return CaptureFiles(kind=kind, files=(path,))
+
+
+def _sequence(files: tuple[Path, ...], left_out: tuple[Path, ...] = ()) -> CaptureFiles:
+    files = tuple(sorted(files, key=natural_key))
+    stated = _stated_numbers(files)
+    numbers = tuple(range(len(files)))
+    missing: dict[int, str] = {}
+    steps = {after - before for before, after in pairwise(stated)}
+    # numbers without a common step, such as the milliseconds of a clock, count no frames
+    if steps and all(step % min(steps) == 0 for step in steps):
+        numbers = tuple((number - stated[0]) // min(steps) for number in stated)
+        if numbers[-1] > _LARGEST_NUMBER:
+            raise BadCapture(
+                f"{files[-1]}: is number {numbers[-1]} of its sequence, expected at most {_LARGEST_NUMBER}; "
+                "number the frames one after the other"
+            )
+        for k, (before, after) in enumerate(pairwise(numbers)):
+            for number in range(before + 1, after):
+                missing[number] = _name_with_number(files[k].name, stated, stated[0] + number * min(steps), k)
+    return CaptureFiles(
+        kind=CaptureKind.SEQUENCE, files=files, numbers=numbers, missing=missing, left_out=left_out
+    )
+
+
+def _stated_numbers(files: tuple[Path, ...]) -> tuple[int, ...]:
+    """Return the number in each name, ascending, if the names differ in one number alone; else nothing."""
+    if len({pattern_of(path) for path in files}) > 1:
+        return ()
+    parts = [re.findall(r"\d+", path.name) for path in files]
+    changing = [column for column in zip(*parts, strict=True) if len(set(map(int, column))) > 1]
+    numbers = tuple(map(int, changing[0])) if len(changing) == 1 else ()
+    return numbers if len(set(numbers)) == len(numbers) else ()
+
+
+def _name_with_number(name: str, stated: tuple[int, ...], number: int, place: int) -> str:
+    """Return the name with its counting number replaced, as wide as it was."""
+    pieces = re.split(r"(\d+)", name)
+    for k in range(1, len(pieces), 2):
+        if int(pieces[k]) == stated[place]:
+            pieces[k] = str(number).zfill(len(pieces[k]))
+            break
+    return "".join(pieces)
+
+
+def pattern_of(path: Path) -> str:
+    """Return a file's name with `#` for each number in it: frames of one sequence have one pattern."""
+    return re.sub(r"\d+", "#", path.name.lower())
+
+
+def natural_key(path: Path) -> tuple[tuple[int, int, str], ...]:
+    """Sort key by which `f2.png` comes before `f10.png`."""
+    parts = re.split(r"(\d+)", path.name)
+    return tuple((0, int(part), "") if part.isdecimal() else (1, 0, part.lower()) for part in parts if part)
+
+
+def _in_folder(folder: Path) -> tuple[tuple[Path, ...], tuple[Path, ...]]:
+    """Return the frames of a folder, and the images in it that are none."""
+    files = [
+        path
+        for path in folder.iterdir()
+        if path.suffix.lower() in SUFFIXES and not path.name.startswith(".") and path.is_file()
+    ]
+    if not files:
+        videos = [path.name for path in sorted(folder.iterdir()) if path.suffix.lower() in _VIDEO_SUFFIXES]
+        instead = f"name the video, {folder / videos[0]}" if videos else _EXPECTED
+        raise BadCapture(f"{folder}: holds no image ({', '.join(SUFFIXES)}); {instead}")
+    by_pattern: dict[str, list[Path]] = defaultdict(list)
+    for path in sorted(files, key=natural_key):
+        by_pattern[pattern_of(path)].append(path)
+    groups = sorted(by_pattern.values(), key=len, reverse=True)
+    if len(groups) == 1 or len(groups[0]) == 1:  # one sequence, or stills that are each named on their own
+        return tuple(files), ()
+    if len(groups[0]) == len(groups[1]):
+        ways = " or ".join(f"'{folder / re.sub(r'[0-9]+', '*', group[0].name)}'" for group in groups[:2])
+        raise BadCapture(
+            f"{folder}: holds {len(groups[0])} images each of more than one pattern of names, "
+            f"such as {groups[0][0].name} and {groups[1][0].name}; name the frames: {ways}"
+        )
+    return tuple(groups[0]), tuple(path for group in groups[1:] for path in group)
+
+
+def _by_printf(pattern: Path) -> tuple[Path, ...]:
+    match = _PRINTF.search(pattern.name)
+    assert match is not None
+    before, after = pattern.name[: match.start()], pattern.name[match.end() :]
+    width = int(match[2] or 1)
+    wanted = re.compile(re.escape(before) + r"(\d+)" + re.escape(after))
+    found = []
+    for path in pattern.parent.iterdir() if pattern.parent.is_dir() else ():
+        hit = wanted.fullmatch(path.name)
+        if hit and len(hit[1]) == max(width, len(str(int(hit[1])))):
+            found.append(path)
+    if not found:
+        raise BadCapture(f"{pattern}: no file matches this pattern; is the folder right?")
+    return tuple(found)
