@@ -186,12 +186,13 @@ def test_missing_double_and_odd_frames_of_a_sequence(good, tmp_path, capfd):
     error = fails_in_one_line(reconstruct(good, tmp_path / "a", source=frames), capfd)
     assert "are missing: f1.png; copy them too" in error
     assert main([*reconstruct(good, tmp_path / "a", source=frames), "--gaps", "skip"]) == 0
-    shutil.copy(good / "captures/alpha.png", frames / "f7.png")
-    shutil.copy(good / "maps/n.png", frames / "f8.png")
+    shutil.copy(good / "captures/sequence/f1.png", frames)
+    shutil.copy(good / "captures/alpha.png", frames / "f4.png")
+    shutil.copy(good / "maps/n.png", frames / "f5.png")
     error = fails_in_one_line(reconstruct(good, tmp_path / "b", source=frames), capfd)
-    assert "f8.png" in error
-    (frames / "f8.png").write_bytes((frames / "f0.png").read_bytes()[:-40])
-    assert "f8.png" in fails_in_one_line(reconstruct(good, tmp_path / "c", source=frames), capfd)
+    assert "f5.png" in error
+    (frames / "f5.png").write_bytes((frames / "f0.png").read_bytes()[:-40])
+    assert "f5.png" in fails_in_one_line(reconstruct(good, tmp_path / "c", source=frames), capfd)
 
 
 def test_a_manifest_of_other_input_or_options_is_named_not_mixed(good, tmp_path, capfd):
