@@ -18,8 +18,8 @@ from vntoolkit.arrays import FloatArray, Mask, Normals, VisibilityLabels, Weight
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import ALL_LIT, count_lit
-from vntoolkit.shadows.shares import TOWARDS_VIEWER, LightShares, lengths_of
-from vntoolkit.shadows.surface import Surface, SurfaceOptions, solve_surface
+from vntoolkit.shadows.shares import TOWARDS_VIEWER, LightShares, lengths_of, shrinking
+from vntoolkit.shadows.surface import Surface, SurfaceOptions, refine_surface, solve_surface
 
 _LARGEST_MISFIT = 25.0  # χ² of one pixel beyond which it says no more about its region
 _FLATTEST_FACING = 0.12  # |n_z| below which a slope is held
@@ -57,7 +57,28 @@ def solve_from_best_initialisation(
     by_lights = np.asarray(_TRUST_BY_LIGHTS, dtype=np.float32)[count_lit(labels)]
     measured = replace(measured, trust=(measured.trust * trust * by_lights).astype(np.float32))
     options = _with_measured_noise(measured, mask & (labels == ALL_LIT))
-    return _coarse_to_fine(measured, labels, albedo, mask, camera, options, _LARGE_ITERATIONS)
+    factor = shrinking(mask)
+    if factor == 1:
+        return _coarse_to_fine(measured, labels, albedo, mask, camera, options, _LARGE_ITERATIONS)
+    small, small_mask, small_labels, small_albedo = _shrunk(measured, labels, albedo, mask, factor)
+    small_camera = None if camera is None else camera.scaled(1.0 / factor)
+    solved = _coarse_to_fine(
+        small, small_labels, small_albedo, small_mask, small_camera, options, _LARGE_ITERATIONS
+    )
+    own = np.where(mask & (labels == ALL_LIT), measured.length, albedo)
+    return refine_surface(
+        measured.relative_to(own), labels, measured.lights, mask, first_normals=measured.normals,
+        weight=measured.trust, camera=camera, options=options, start=_enlarged(solved, mask, factor),
+    )  # fmt: skip
+
+
+def _shrunk(
+    measured: LightShares, labels: VisibilityLabels, albedo: FloatArray, mask: Mask, factor: int
+) -> tuple[LightShares, Mask, VisibilityLabels, FloatArray]:
+    small, small_mask = measured.shrunk(mask, factor)
+    size = small_mask.shape[::-1]
+    small_labels = cv2.resize(labels, size, interpolation=cv2.INTER_NEAREST).astype(np.uint8)
+    return small, small_mask, small_labels, np.asarray(cv2.resize(albedo, size, interpolation=cv2.INTER_AREA))
 
 
 def _coarse_to_fine(
@@ -72,11 +93,9 @@ def _coarse_to_fine(
     """Compare the starts on a small image; go on from the better one at twice the size, and so on."""
     if mask.size <= _START_PIXELS:
         return _better_start(measured, labels, albedo, mask, camera, options)
-    small, small_mask = measured.shrunk(mask, 2)
-    size = small_mask.shape[::-1]
+    small, small_mask, small_labels, small_albedo = _shrunk(measured, labels, albedo, mask, 2)
     start = _coarse_to_fine(
-        small, cv2.resize(labels, size, interpolation=cv2.INTER_NEAREST).astype(np.uint8),
-        np.asarray(cv2.resize(albedo, size, interpolation=cv2.INTER_AREA)), small_mask,
+        small, small_labels, small_albedo, small_mask,
         None if camera is None else camera.scaled(0.5), options, _MIDDLE_ITERATIONS,
     )  # fmt: skip
     return _solver(measured, labels, albedo, mask, camera)(

@@ -26,7 +26,7 @@ from vntoolkit.shadows.shadow_edges import (
     lit_beyond_half,
     turned_from_lights,
 )
-from vntoolkit.shadows.shares import LightShares, all_of_three, largest_of_three, median_of_three
+from vntoolkit.shadows.shares import LightShares, all_of_three, largest_of_three, median_of_three, shrinking
 from vntoolkit.shadows.surface import SurfaceOptions, solve_surface
 
 _STRONGEST_EVIDENCE = 4.0
@@ -41,7 +41,6 @@ _TOLERANCE_BRIGHT = 0.05  # what each unit of predicted share adds to that
 _SMOOTHNESS = 0.5  # price of a change of label between neighbours, in units of evidence
 _CONTRAST = 0.6  # see `bonds_of_light`
 _ROUNDS = 3  # alternations of surface and labels; most of the change comes in the first
-_WORKING_PIXELS = 100_000  # larger frames are shrunk towards this size for the alternation
 _PERSISTENCE = 0.25  # weight of the previous frame's evidence
 # Of a surface whose labels may still be wrong.
 _SURFACE = SurfaceOptions(iterations=3, noise=0.08, smoothness=1.5)
@@ -54,7 +53,7 @@ def lit_by_surface(
     memory: FloatArray | None = None,
 ) -> tuple[npt.NDArray[np.bool_], FloatArray]:
     """Return (h, w, 3) which lights arrive, and the (h, w, 3) evidence that the next frame may remember."""
-    factor = _shrinking(mask)
+    factor = shrinking(mask)
     small, small_mask = (measured, mask) if factor == 1 else measured.shrunk(mask, factor)
     small_camera = None if camera is None else camera.scaled(1.0 / factor)
     normals, albedo = _surface_by_rounds(small, small_mask, small_camera)
@@ -101,10 +100,6 @@ def _cut(evidence: FloatArray, shares: FloatArray, mask: Mask) -> npt.NDArray[np
         bonds = bonds_of_light(shares, k, mask, _SMOOTHNESS, _CONTRAST)
         lit[..., k] = lit_by_cut(evidence[..., k], bonds, mask)
     return lit
-
-
-def _shrinking(mask: Mask) -> int:
-    return max(1, round(float(np.sqrt(mask.size / _WORKING_PIXELS))))
 
 
 def _enlarged(image: FloatArray, shape: tuple[int, ...]) -> FloatArray:

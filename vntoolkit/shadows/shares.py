@@ -13,6 +13,7 @@ from vntoolkit.arrays import FloatArray, Mask, Matrix3, Vector3, Weight
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 
+_WORKING_PIXELS = 100_000  # surfaces are solved on images of about this size: more show no other shadows
 _CLIPPED_TRUST = 0.05  # a saturated channel is a bound, not a value
 _SMALLEST_ALBEDO = 1e-3
 _SMALLEST_REST = 0.05  # 1 − |M⁻¹a|²: an ambient light as strong as the lamps leaves no root
@@ -71,6 +72,11 @@ class LightShares:
             trust=mean(self.trust),
         )
         return small, cover > 0.5
+
+
+def shrinking(mask: Mask) -> int:
+    """Return by what whole factor a surface is solved smaller than the image of `mask`."""
+    return max(1, round(float(np.sqrt(mask.size / _WORKING_PIXELS))))
 
 
 def shares_from_frame(frame: LinearFrame, response: LightResponse) -> LightShares:

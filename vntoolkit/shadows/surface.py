@@ -12,12 +12,13 @@ Under a perspective camera the unknown is f · log z, whose gradient takes the p
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
+from numba import prange
 
 from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels, Weight
 from vntoolkit.geometry.camera import Camera
@@ -41,6 +42,7 @@ _MISSING_LIGHT_WEIGHT = 0.3  # of a light labelled missing where the surface wou
 _MISSING_LIGHT_CUTOFF = 0.2  # … and the difference of shares at which that weight ends
 _DAMPING = 1.0  # holds the slope back where nothing else is known
 _STEEPEST = 8.0  # largest slope: the tangent of the angle from the viewing ray
+_HELD = 600.0  # of the slope from the smaller image: about what four neighbours know together
 _CYCLES, _TOLERANCE = 5, 3e-3  # multigrid cycles a step, at most; relative residual that ends one early
 
 
@@ -106,10 +108,7 @@ def solve_surface(
     weights = np.empty((*mask.shape, 4), np.float32)
     agreement = np.zeros(mask.shape, np.float32)
     quadratics = np.empty((*mask.shape, 6), np.float32)
-    model = Model(
-        options.noise, _ALBEDO_SPREAD, _OWN_ALBEDO_SPREAD, options.smoothness, _DAMPING,
-        _MISSING_LIGHT_WEIGHT, _MISSING_LIGHT_CUTOFF,
-    )  # fmt: skip
+    model = _model(options)
     shares_of_prior = _prior_shares(mask, known)
     softness = 0.0  # the first depth must hold together before it may show steps
     for _ in range(options.iterations):
@@ -132,6 +131,42 @@ def solve_surface(
         agreement=agreement,
         misfit=misfit,
     )
+
+
+def refine_surface(
+    shares: FloatArray,
+    labels: VisibilityLabels,
+    lights: FloatArray,
+    mask: Mask,
+    *,
+    first_normals: FloatArray,
+    weight: Weight,
+    camera: Camera | None,
+    options: SurfaceOptions,
+    start: Surface,
+) -> Surface:
+    """Bring a surface that was solved on a smaller image, enlarged, to the detail of this one.
+
+    Arguments as for `solve_surface`. What pixels owe to each other the smaller image has settled: here every
+    pixel takes what its own light says beyond it, for a pass over the image instead of a linear system.
+    """
+    rays = _ray_grid(camera)
+    trust = np.where(mask, np.maximum(weight, 1e-3), 0.0).astype(np.float32)
+    known = mask & (labels == ALL_LIT)
+    slopes, _ = _first_guess(first_normals, known, rays, start)
+    refine_kernel(
+        np.nan_to_num(np.asarray(shares)).astype(np.float32), labels, trust,
+        np.ascontiguousarray(lights, dtype=np.float64), rays, _model(options), _HELD, _STEEPEST, slopes,
+    )  # fmt: skip
+    normals = _blend(normals_from_slopes(slopes, rays), first_normals, known, start.agreement)
+    return replace(start, normals=np.where(mask[..., None], normals, 0.0))
+
+
+def _model(options: SurfaceOptions) -> Model:
+    return Model(
+        options.noise, _ALBEDO_SPREAD, _OWN_ALBEDO_SPREAD, options.smoothness, _DAMPING,
+        _MISSING_LIGHT_WEIGHT, _MISSING_LIGHT_CUTOFF,
+    )  # fmt: skip
 
 
 def normals_from_slopes(slopes: FloatArray, rays: RayGrid) -> FloatArray:
@@ -254,67 +289,107 @@ def _trust_of_missing(light: float, share: float, model: Model) -> float:
     return model.missing_weight * (1.0 - away * away) ** 2
 
 
+@njit(cache=True, fastmath=True, inline="always")
+def _local_quadratic(
+    v: int, u: int, p: float, q: float, towards_p: float, towards_q: float,
+    shares: Grid, label: int, trust: float, lights: npt.NDArray[np.float64], rays: RayGrid, model: Model,
+) -> tuple[float, float, float, float, float, float]:  # fmt: skip
+    """Return A00, A01, A11, b0, b1, c of one pixel at the slope (p, q), drawn towards another slope.
+
+    The covariance of r is noise² I plus the albedo's uncertainty squared times f fᵀ, inverted by the
+    Sherman–Morrison formula.
+    """
+    inverse_variance = 1.0 / (model.noise * model.noise)
+    x, y = _ray(rays, v, u)
+    nz = -1.0 - x * p - y * q
+    scale = 1.0 / np.sqrt(p * p + q * q + nz * nz)
+    n0, n1, n2 = p * scale, q * scale, nz * scale
+    along_p, along_q = n0 - x * n2, n1 - y * n2
+    ff, fr, f0, f1, a00, a01, a11, b0, b1, c = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(3):
+        l0, l1, l2 = lights[k, 0], lights[k, 1], lights[k, 2]
+        light = l0 * n0 + l1 * n1 + l2 * n2
+        count = 1.0
+        if (label >> k) & 1 == 0:
+            count = _trust_of_missing(light, shares[v, u, k], model)
+            if count == 0.0:
+                continue
+        rest = shares[v, u, k] - light
+        j0 = (l0 - x * l2 - light * along_p) * scale
+        j1 = (l1 - y * l2 - light * along_q) * scale
+        seen0, seen1, seen = count * j0, count * j1, count * light
+        a00 += seen0 * j0
+        a01 += seen0 * j1
+        a11 += seen1 * j1
+        b0 += seen0 * rest
+        b1 += seen1 * rest
+        c += count * rest * rest
+        ff += seen * light
+        fr += seen * rest
+        f0 += seen * j0
+        f1 += seen * j1
+    spread = model.albedo_own if label == 7 else model.albedo_known
+    unsure = spread * spread * inverse_variance
+    shrink = unsure / (1.0 + unsure * ff)
+    scaled = inverse_variance * trust
+    toward = model.prior if label != 7 else 0.0
+    extra = toward + model.damping
+    return (
+        scaled * (a00 - shrink * f0 * f0) + extra,
+        scaled * (a01 - shrink * f0 * f1),
+        scaled * (a11 - shrink * f1 * f1) + extra,
+        scaled * (b0 - shrink * f0 * fr) + toward * (towards_p - p),
+        scaled * (b1 - shrink * f1 * fr) + toward * (towards_q - q),
+        scaled * (c - shrink * fr * fr),
+    )
+
+
 @njit(cache=True, fastmath=True)
 def local_quadratics_kernel(
     shares: Grid, labels: Labels, weight: Grid, slopes: Grid, prior: Grid,
     lights: npt.NDArray[np.float64], rays: RayGrid, model: Model, out: Grid,
 ) -> None:  # fmt: skip
-    """Fill out (h, w, 6) = A00, A01, A11, b0, b1, c at every pixel.
+    """Fill out (h, w, 6) = A00, A01, A11, b0, b1, c at every pixel; 0 where there is no weight.
 
-    shares: (h, w, 3) contribution of each light over the albedo. The covariance of r is noise² I plus the
-    albedo's uncertainty squared times f fᵀ, inverted by the Sherman–Morrison formula.
+    shares: (h, w, 3) contribution of each light over the albedo.
     """
     h, w = labels.shape
-    inverse_variance = 1.0 / (model.noise * model.noise)
     for v in range(h):
         for u in range(w):
-            trust = weight[v, u]
-            if trust <= 0.0:
+            if weight[v, u] <= 0.0:
                 for i in range(6):
                     out[v, u, i] = 0.0
                 continue
-            label = labels[v, u]
-            x, y = _ray(rays, v, u)
+            a00, a01, a11, b0, b1, c = _local_quadratic(
+                v, u, float(slopes[v, u, 0]), float(slopes[v, u, 1]), prior[v, u, 0], prior[v, u, 1],
+                shares, labels[v, u], weight[v, u], lights, rays, model,
+            )  # fmt: skip
+            out[v, u, 0], out[v, u, 1], out[v, u, 2] = a00, a01, a11
+            out[v, u, 3], out[v, u, 4], out[v, u, 5] = b0, b1, c
+
+
+@njit(cache=True, fastmath=True, parallel=True)
+def refine_kernel(
+    shares: Grid, labels: Labels, weight: Grid, lights: npt.NDArray[np.float64], rays: RayGrid, model: Model,
+    held: float, steepest: float, slopes: Grid,
+) -> None:  # fmt: skip
+    """Move each slope (h, w, 2) to what its own light asks, held where it is by the weight `held`."""
+    h, w = labels.shape
+    for v in prange(h):
+        for u in range(w):
+            if weight[v, u] <= 0.0:
+                continue
             p, q = float(slopes[v, u, 0]), float(slopes[v, u, 1])
-            nz = -1.0 - x * p - y * q
-            scale = 1.0 / np.sqrt(p * p + q * q + nz * nz)
-            n0, n1, n2 = p * scale, q * scale, nz * scale
-            along_p, along_q = n0 - x * n2, n1 - y * n2
-            ff, fr, f0, f1, a00, a01, a11, b0, b1, c = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            for k in range(3):
-                l0, l1, l2 = lights[k, 0], lights[k, 1], lights[k, 2]
-                light = l0 * n0 + l1 * n1 + l2 * n2
-                count = 1.0
-                if (label >> k) & 1 == 0:
-                    count = _trust_of_missing(light, shares[v, u, k], model)
-                    if count == 0.0:
-                        continue
-                rest = shares[v, u, k] - light
-                j0 = (l0 - x * l2 - light * along_p) * scale
-                j1 = (l1 - y * l2 - light * along_q) * scale
-                seen0, seen1, seen = count * j0, count * j1, count * light
-                a00 += seen0 * j0
-                a01 += seen0 * j1
-                a11 += seen1 * j1
-                b0 += seen0 * rest
-                b1 += seen1 * rest
-                c += count * rest * rest
-                ff += seen * light
-                fr += seen * rest
-                f0 += seen * j0
-                f1 += seen * j1
-            spread = model.albedo_own if label == 7 else model.albedo_known
-            unsure = spread * spread * inverse_variance
-            shrink = unsure / (1.0 + unsure * ff)
-            scaled = inverse_variance * trust
-            toward = model.prior if label != 7 else 0.0
-            extra = toward + model.damping
-            out[v, u, 0] = scaled * (a00 - shrink * f0 * f0) + extra
-            out[v, u, 1] = scaled * (a01 - shrink * f0 * f1)
-            out[v, u, 2] = scaled * (a11 - shrink * f1 * f1) + extra
-            out[v, u, 3] = scaled * (b0 - shrink * f0 * fr) + toward * (prior[v, u, 0] - p)
-            out[v, u, 4] = scaled * (b1 - shrink * f1 * fr) + toward * (prior[v, u, 1] - q)
-            out[v, u, 5] = scaled * (c - shrink * fr * fr)
+            a00, a01, a11, b0, b1, _ = _local_quadratic(
+                v, u, p, q, p, q, shares, labels[v, u], weight[v, u], lights, rays, model
+            )
+            a00 += held
+            a11 += held
+            inverse = 1.0 / (a00 * a11 - a01 * a01)
+            p += (a11 * b0 - a01 * b1) * inverse
+            q += (a00 * b1 - a01 * b0) * inverse
+            hold = min(1.0, steepest / max(np.sqrt(p * p + q * q), 1e-12))
+            slopes[v, u, 0], slopes[v, u, 1] = p * hold, q * hold
 
 
 @njit(cache=True, inline="always")
