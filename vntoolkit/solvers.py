@@ -64,7 +64,7 @@ def solve_grid(
     for _ in range(most_iterations):
         if float(np.linalg.norm(residual)) <= target:
             break
-        cleaned = _cycle(levels, 0, residual)
+        cleaned = multigrid_cycle(levels, residual)
         now = _dot(residual, cleaned)
         if not now > 0.0:
             break
@@ -84,8 +84,8 @@ def _dot(first: Grid, second: Grid) -> float:
     return float(np.vdot(first, second))
 
 
-def _cycle(levels: list[GridLevel], depth: int, right: Grid) -> Grid:
-    """One symmetric V cycle: a forward sweep, the coarse correction, a backward sweep."""
+def multigrid_cycle(levels: list[GridLevel], right: Grid, depth: int = 0) -> Grid:
+    """Approximate the x of L x = right by one symmetric V cycle."""
     level = levels[depth]
     x = np.zeros_like(right)
     sweeps = 1 if depth + 1 < len(levels) else 20
@@ -93,7 +93,7 @@ def _cycle(levels: list[GridLevel], depth: int, right: Grid) -> Grid:
         sweep_kernel(level.edges, level.inverse, right, x, True)
     if depth + 1 < len(levels):
         coarse_right = restrict_kernel(right - apply_kernel(level.edges, x))
-        prolong_add_kernel(_cycle(levels, depth + 1, coarse_right), level.inverse, x)
+        prolong_add_kernel(multigrid_cycle(levels, coarse_right, depth + 1), level.inverse, x)
     for _ in range(sweeps):
         sweep_kernel(level.edges, level.inverse, right, x, False)
     return x

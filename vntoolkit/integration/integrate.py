@@ -25,11 +25,9 @@ from vntoolkit.integration.edges import (
     Components,
     PixelGraph,
     chords_from_normals,
-    divergence_on_graph,
     edges_from_slopes,
     graph_from_domain,
 )
-from vntoolkit.integration.multigrid import hierarchy_from_graph, solve_laplacian
 from vntoolkit.integration.options import IntegrationOptions, Integrator, Precision
 from vntoolkit.integration.poisson import CosineSolver, FourierSolver, MaskedSolver, RectangleSolver
 from vntoolkit.integration.slopes import Float32Image, RayField, rays_from_camera, slopes_from_normals
@@ -172,28 +170,13 @@ class DomainSolver:
     def poisson(self, normals: Normals, weight: Weight | None) -> Float64:
         """Least squares over all edges of the domain.
 
-        Without weights by the cosine transform as preconditioner, with weights by algebraic multigrid.
+        Conjugate gradients: the cosine transform is the preconditioner without weights, multigrid with them.
         """
         p, q = slopes_from_normals(normals, self._rays, self._options.steepest_slope_deg)
         edges = edges_from_slopes(p, q, self.domain, weight)
-        if weight is None:
-            solution = self._masked.solve(edges, self._last)
-            self.iterations = self._masked.iterations
-            return self._keep(solution)
-        graph = self._graph
-        tail = graph.pixels[graph.tail]
-        across, down = tail[: graph.across], tail[graph.across :]
-        difference = np.concatenate([edges.right.ravel()[across], edges.down.ravel()[down]])
-        trust = np.concatenate([edges.right_weight.ravel()[across], edges.down_weight.ravel()[down]])
-        trust = trust.astype(np.float64)
-        nodes, self.iterations = solve_laplacian(
-            hierarchy_from_graph(graph.row_start, graph.neighbour, trust[graph.edge]),
-            divergence_on_graph(graph, trust, difference),
-            self._start(),
-            tolerance=self._options.tolerance,
-            most_iterations=self._options.most_iterations,
-        )
-        return self._keep(self._image(nodes))
+        solution = self._masked.solve(edges, self._last, weighted=weight is not None)
+        self.iterations = self._masked.iterations
+        return self._keep(solution)
 
     def discontinuity(self, normals: Normals, weight: Weight | None) -> Float64:
         """Robust least squares that cuts edges across depth discontinuities."""

@@ -19,6 +19,7 @@ from vntoolkit.arrays import Mask
 from vntoolkit.errors import SolverFailed
 from vntoolkit.integration.edges import EdgeField
 from vntoolkit.native import njit
+from vntoolkit.solvers import GridLevel, grid_hierarchy, multigrid_cycle
 
 _MOST_WORKERS = 2  # more wait for each other at this size
 Image = npt.NDArray[np.floating[Any]]
@@ -103,15 +104,19 @@ class MaskedSolver:
         self._inside = np.zeros((height, width), dtype=bool)
         self._inside[: inside.shape[0], : inside.shape[1]] = inside
         self._cosine = CosineSolver(height, width)
+        self._levels: list[GridLevel] | None = None
         self.iterations = 0
 
-    def solve(self, edges: EdgeField, start: npt.NDArray[np.floating[Any]] | None = None) -> Float64Image:
+    def solve(
+        self, edges: EdgeField, start: npt.NDArray[np.floating[Any]] | None = None, *, weighted: bool = False
+    ) -> Float64Image:
         """Return the depth (h, w) whose differences fit `edges` best; offsets per component are arbitrary.
 
-        start: a first guess (h, w), for example the frame before. Raises `SolverFailed` if the iterations
-        do not suffice.
+        weighted: whether the weights differ between edges of the domain. start: a first guess (h, w), for
+        example the frame before. Raises `SolverFailed` if the iterations do not suffice.
         """
         right, down = self._padded(edges.right_weight), self._padded(edges.down_weight)
+        self._levels = _levels_of(right, down) if weighted else None
         residual = np.zeros(right.shape)
         _load(self._padded(edges.right), self._padded(edges.down), right, down, residual)
         depth = np.zeros(right.shape)
@@ -156,9 +161,13 @@ class MaskedSolver:
         )
 
     def _precondition(self, residual: Float64Image) -> npt.NDArray[np.float32]:
-        """Solve on the rectangle; the preconditioner may be rounded, the operator may not."""
+        """Solve on the rectangle, or by one multigrid cycle: this may be rounded, the operator may not."""
         inner = residual[1:-1, 1:-1]
         largest = float(np.abs(inner).max(initial=0.0)) or 1.0
+        if self._levels is not None:
+            solution = multigrid_cycle(self._levels, (inner / largest).astype(np.float32))
+            solution *= np.float32(largest)
+            return solution
         solution = self._cosine.solve(-(inner / largest).astype(np.float32))
         solution *= np.float32(largest)
         solution *= self._inside
@@ -174,6 +183,13 @@ class MaskedSolver:
         cropped = image[self._box]
         out[1 : cropped.shape[0] + 1, 1 : cropped.shape[1] + 1] = cropped
         return out
+
+
+def _levels_of(right: npt.NDArray[Any], down: npt.NDArray[Any]) -> list[GridLevel]:
+    """The grids of the weights (h + 2, w + 2) inside their rim."""
+    edges = np.zeros((4, right.shape[0] - 2, right.shape[1] - 2), np.float32)
+    edges[0], edges[1] = right[1:-1, 1:-1], down[1:-1, 1:-1]
+    return grid_hierarchy(edges)
 
 
 @njit(cache=True, fastmath=True, nogil=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from numba import prange
 
 from vntoolkit.arrays import FloatArray, Mask, Matrix3
 from vntoolkit.native import njit
@@ -51,27 +52,68 @@ def largest_dark_share(
 
     shares, predicted: (h, w, 3), measured and to be expected where the light arrives. albedo: (h, w).
     """
-    grain = CONTRIBUTION_NOISE / np.maximum(albedo, _SMALLEST_ALBEDO)[..., None]
-    missing = mask[..., None] & (predicted > _SURELY_PREDICTED) & (shares < _MISSING_RATIO * predicted)
-    typical, spread = _typical_share(shares - grain, missing, _FEWEST_MISSING)
-    least = typical + _LEAST_MARGIN + grain
-    most = _MOST_TIMES * typical + _MOST_MARGIN + _MOST_SPREADS * spread + grain
-    part = _MISSING_RATIO * np.clip(predicted / max(_TURNING_SHARE, _SMALLEST_SHARE), 0.0, 1.0)
-    return np.clip(part * predicted, least, np.maximum(least, most)), grain
+    typical, spread = _typical_share(shares, predicted, albedo, mask)
+    level: FloatArray = np.empty(shares.shape, np.float32)
+    grain: FloatArray = np.empty((*mask.shape, 1), np.float32)
+    _level_kernel(np.asarray(predicted), np.asarray(albedo), typical, spread, level, grain)
+    return level, grain
 
 
-def _typical_share(shares: FloatArray, missing: Mask, fewest: int) -> tuple[float, float]:
+@njit(cache=True, parallel=True)
+def _level_kernel(
+    predicted: FloatArray,
+    albedo: FloatArray,
+    typical: float,
+    spread: float,
+    level: FloatArray,
+    grain: FloatArray,
+) -> None:
+    h, w = albedo.shape
+    for v in prange(h):
+        for u in range(w):
+            noise = CONTRIBUTION_NOISE / max(albedo[v, u], _SMALLEST_ALBEDO)
+            least = typical + _LEAST_MARGIN + noise
+            most = max(_MOST_TIMES * typical + _MOST_MARGIN + _MOST_SPREADS * spread + noise, least)
+            for k in range(3):
+                expected = predicted[v, u, k]
+                part = _MISSING_RATIO * min(max(expected / _TURNING_SHARE, 0.0), 1.0)
+                level[v, u, k] = min(max(part * expected, least), most)
+            grain[v, u, 0] = noise
+
+
+def _typical_share(
+    shares: FloatArray, predicted: FloatArray, albedo: FloatArray, mask: Mask
+) -> tuple[float, float]:
     """The median share of a missing light, and its spread: the least of the three lights'.
 
     Stray light favours none. A part whose surface is predicted wrongly makes one light look missing there
     that is not, and would raise the level for itself; it seldom does so for all three.
     """
-    found = [shares[..., k][missing[..., k]] for k in range(3)]
-    levels = [np.percentile(values, (10, 50)) for values in found if len(values) >= fewest]
+    found = [
+        _missing_shares(np.asarray(shares), np.asarray(predicted), np.asarray(albedo), mask, k)
+        for k in range(3)
+    ]
+    levels = [np.percentile(values, (10, 50)) for values in found if len(values) >= _FEWEST_MISSING]
     if not levels:
         return 0.0, _UNKNOWN_SPREAD
     typical = max(0.0, float(min(level[1] for level in levels)))
     return typical, float(min(level[1] - level[0] for level in levels))
+
+
+@njit(cache=True)
+def _missing_shares(
+    shares: FloatArray, predicted: FloatArray, albedo: FloatArray, mask: Mask, k: int
+) -> FloatArray:
+    """What is left of light k, less the noise, wherever it is surely predicted and all but missing."""
+    h, w = mask.shape
+    found, count = np.empty(h * w, np.float32), 0
+    for v in range(h):
+        for u in range(w):
+            expected = predicted[v, u, k]
+            if mask[v, u] and expected > _SURELY_PREDICTED and shares[v, u, k] < _MISSING_RATIO * expected:
+                found[count] = shares[v, u, k] - CONTRIBUTION_NOISE / max(albedo[v, u], _SMALLEST_ALBEDO)
+                count += 1
+    return found[:count]
 
 
 # What the albedo says about a weak light: missing, or only fading where the surface turns from it.
@@ -93,14 +135,14 @@ def evidence_from_albedo(
     return evidence
 
 
-@njit(cache=True)
+@njit(cache=True, parallel=True)
 def _evidence_kernel(
     length: FloatArray, albedo: FloatArray, mask: Mask, shares: FloatArray, predicted: FloatArray,
     duals: Matrix3, comparison: float, departure: float, most: float, weak_share: float, out: FloatArray,
 ) -> None:  # fmt: skip
     """Fill out (h, w, 3) at each pixel's weakest light. duals: (3, 3), a normal is duals times its shares."""
     h, w = mask.shape
-    for v in range(h):
+    for v in prange(h):
         for u in range(w):
             k = 0
             for i in range(1, 3):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+from numba import prange
 
 from vntoolkit.arrays import FloatArray, Mask
 from vntoolkit.native import njit
@@ -123,14 +124,46 @@ def bonds_of_light(
     shares: (h, w, 3). strength: full price. contrast: difference of log shares, between this light and the
     more similar of the other two, at which a bond falls to 1/e.
     """
-    logarithm = np.log(np.maximum(shares, 0.0) + _DARK_SHARE)
-    others = [k for k in range(3) if k != light]
-    bonds = []
-    for axis in (1, 0):
-        change = np.diff(logarithm, axis=axis)
-        own = change[..., light]
-        alone = np.minimum(np.abs(own - change[..., others[0]]), np.abs(own - change[..., others[1]]))
-        bond = strength * (_WEAKEST_BOND + (1 - _WEAKEST_BOND) * np.exp(-((alone / contrast) ** 2)))
-        inside = mask[:, 1:] & mask[:, :-1] if axis == 1 else mask[1:] & mask[:-1]
-        bonds.append(np.pad(bond * inside, ((0, 0), (0, 1)) if axis == 1 else ((0, 1), (0, 0))))
-    return bonds[0], bonds[1]
+    given = np.ascontiguousarray(shares, dtype=np.float32)
+    logarithm, east, south = (
+        np.empty_like(given),
+        np.zeros(mask.shape, np.float32),
+        np.zeros(mask.shape, np.float32),
+    )
+    _bonds_kernel(given, light, np.asarray(mask), strength, 1.0 / contrast, logarithm, east, south)
+    return east, south
+
+
+@njit(cache=True, parallel=True, fastmath=True)
+def _bonds_kernel(
+    shares: FloatArray, light: int, mask: Mask, strength: float, sharpness: float,
+    logarithm: FloatArray, east: FloatArray, south: FloatArray,
+) -> None:  # fmt: skip
+    h, w = mask.shape
+    second, third = (light + 1) % 3, (light + 2) % 3
+    for v in prange(h):
+        for u in range(w):
+            if mask[v, u]:
+                for k in range(3):
+                    logarithm[v, u, k] = np.log(
+                        max(shares[v, u, k], np.float32(0.0)) + np.float32(_DARK_SHARE)
+                    )
+    for v in prange(h):
+        for u in range(w):
+            if not mask[v, u]:
+                continue
+            for j in range(2):
+                i, n = v + j, u + 1 - j
+                if i >= h or n >= w or not mask[i, n]:
+                    continue
+                own = logarithm[i, n, light] - logarithm[v, u, light]
+                alone = min(
+                    abs(own - logarithm[i, n, second] + logarithm[v, u, second]),
+                    abs(own - logarithm[i, n, third] + logarithm[v, u, third]),
+                )
+                sharp = alone * np.float32(sharpness)
+                bond = strength * (_WEAKEST_BOND + (1.0 - _WEAKEST_BOND) * np.exp(-sharp * sharp))
+                if j == 0:
+                    east[v, u] = bond
+                else:
+                    south[v, u] = bond

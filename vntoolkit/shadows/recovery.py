@@ -6,12 +6,14 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
+from numba import prange
 
 from vntoolkit.arrays import FloatArray, Mask, Normals, VisibilityLabels, Weight
 from vntoolkit.checks import checks_kinds, require_mask, require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
+from vntoolkit.native import njit
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame, count_lit
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.shadows.albedo import albedo_from_lit, fill_smoothly
@@ -205,10 +207,26 @@ def normals_by_grazing_incidence(
 
     solved: with the depth. inverted: from colour alone. directions: (3, 3), a unit row per light.
     """
-    most_grazing = np.full(lit.shape, np.inf, dtype=np.float32)
-    for direction in directions.astype(np.float32):
-        most_grazing = np.minimum(most_grazing, inverted @ direction)
-    share = np.clip((most_grazing - _GRAZING) / (_STEEP - _GRAZING), 0.0, 1.0)
-    share = np.where(lit, share, 0.0)[..., None]
-    mixed = share * inverted + (1.0 - share) * solved
-    return mixed / np.maximum(lengths_of(mixed), np.float32(1e-6))
+    out = np.array(solved, dtype=np.float32)
+    _grazing_kernel(out, np.asarray(inverted, np.float32), directions.astype(np.float32), np.asarray(lit))
+    return out
+
+
+@njit(cache=True, parallel=True)
+def _grazing_kernel(out: Normals, inverted: Normals, directions: FloatArray, lit: Mask) -> None:
+    h, w = lit.shape
+    for v in prange(h):
+        for u in range(w):
+            if not lit[v, u]:
+                continue
+            x, y, z = inverted[v, u, 0], inverted[v, u, 1], inverted[v, u, 2]
+            cosine = np.float32(1.0)
+            for k in range(3):
+                cosine = min(cosine, x * directions[k, 0] + y * directions[k, 1] + z * directions[k, 2])
+            share = float((cosine - np.float32(_GRAZING)) / np.float32(_STEEP - _GRAZING))
+            share = min(max(share, 0.0), 1.0)
+            x = share * x + (1.0 - share) * out[v, u, 0]
+            y = share * y + (1.0 - share) * out[v, u, 1]
+            z = share * z + (1.0 - share) * out[v, u, 2]
+            length = max(np.sqrt(x * x + y * y + z * z), 1e-6)
+            out[v, u, 0], out[v, u, 1], out[v, u, 2] = x / length, y / length, z / length

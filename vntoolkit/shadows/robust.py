@@ -11,9 +11,11 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import numpy.typing as npt
+from numba import prange
 
 from vntoolkit.arrays import FloatArray, Mask
 from vntoolkit.geometry.camera import Camera
+from vntoolkit.native import njit
 from vntoolkit.photometry.frame import labels_from_lit
 from vntoolkit.shadows.albedo import albedo_from_lit
 from vntoolkit.shadows.evidence import (
@@ -26,7 +28,7 @@ from vntoolkit.shadows.shadow_edges import (
     lit_beyond_half,
     turned_from_lights,
 )
-from vntoolkit.shadows.shares import LightShares, all_of_three, largest_of_three, median_of_three, shrinking
+from vntoolkit.shadows.shares import LightShares, all_of_three, largest_of_three, shrinking
 from vntoolkit.shadows.surface import SurfaceOptions, solve_surface
 
 _STRONGEST_EVIDENCE = 4.0
@@ -125,14 +127,41 @@ def _first_doubts(measured: LightShares, mask: Mask) -> npt.NDArray[np.bool_]:
 
 def _without_paint(shares: FloatArray, predicted: FloatArray) -> FloatArray:
     """Undo dark paint: where all three lights are missing alike, it is the albedo that is off."""
-    part = shares / np.maximum(predicted, _TOLERANCE_DARK)
-    typical = median_of_three(part)
-    paint = all_of_three(part < _PAINT_PART) & (typical > _PAINT_SHARE)
-    return shares / np.where(paint, np.maximum(typical, _SMALLEST_ALBEDO), 1.0)[..., None]
+    out: FloatArray = np.empty(shares.shape, np.float32)
+    _paint_kernel(np.asarray(shares, np.float32), np.asarray(predicted, np.float32), out)
+    return out
+
+
+@njit(cache=True, parallel=True)
+def _paint_kernel(shares: FloatArray, predicted: FloatArray, out: FloatArray) -> None:
+    h, w, _ = shares.shape
+    for v in prange(h):
+        for u in range(w):
+            a = shares[v, u, 0] / max(predicted[v, u, 0], np.float32(_TOLERANCE_DARK))
+            b = shares[v, u, 1] / max(predicted[v, u, 1], np.float32(_TOLERANCE_DARK))
+            c = shares[v, u, 2] / max(predicted[v, u, 2], np.float32(_TOLERANCE_DARK))
+            typical = max(min(a, b), min(max(a, b), c))
+            paint = max(a, b, c) < _PAINT_PART and typical > _PAINT_SHARE
+            scale = np.float32(1.0) / max(typical, np.float32(_SMALLEST_ALBEDO)) if paint else np.float32(1.0)
+            for k in range(3):
+                out[v, u, k] = shares[v, u, k] * scale
 
 
 def _evidence(shares: FloatArray, predicted: FloatArray, albedo: FloatArray, mask: Mask) -> FloatArray:
     """(h, w, 3), positive where more is measured than a shadow returns."""
     level, grain = largest_dark_share(shares, predicted, albedo, mask)
-    unit = np.hypot(_TOLERANCE_DARK + _TOLERANCE_BRIGHT * np.maximum(predicted, 0.0), grain)
-    return np.clip((shares - level) / unit, -_STRONGEST_EVIDENCE, _STRONGEST_EVIDENCE)
+    _evidence_kernel(shares, predicted, grain, level)
+    return level
+
+
+@njit(cache=True, parallel=True)
+def _evidence_kernel(shares: FloatArray, predicted: FloatArray, grain: FloatArray, level: FloatArray) -> None:
+    """Put the evidence in the place of the level."""
+    h, w, _ = shares.shape
+    for v in prange(h):
+        for u in range(w):
+            noise = grain[v, u, 0]
+            for k in range(3):
+                unit = _TOLERANCE_DARK + _TOLERANCE_BRIGHT * max(predicted[v, u, k], 0.0)
+                found = (shares[v, u, k] - level[v, u, k]) / np.sqrt(unit * unit + noise * noise)
+                level[v, u, k] = min(max(found, -_STRONGEST_EVIDENCE), _STRONGEST_EVIDENCE)

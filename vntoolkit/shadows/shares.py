@@ -8,8 +8,10 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
+from numba import prange
 
 from vntoolkit.arrays import FloatArray, Mask, Matrix3, Vector3, Weight
+from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 
@@ -81,9 +83,15 @@ def shrinking(mask: Mask) -> int:
 
 def shares_from_frame(frame: LinearFrame, response: LightResponse) -> LightShares:
     """Split a frame by light; values that are not finite count as black."""
-    rgb = np.nan_to_num(frame.rgb, posinf=1.0, neginf=0.0)
-    contributions = rgb @ response.contributions_from_rgb.T.astype(np.float32)
-    length, normals = _albedo_and_normal(rgb, response)
+    rgb = np.ascontiguousarray(frame.rgb, dtype=np.float32)
+    contributions, normals = np.empty_like(rgb), np.empty_like(rgb)
+    length = np.empty(frame.shape, np.float32)
+    haze = (response.inverse @ response.ambient).astype(np.float32)
+    rest = max(1.0 - float(haze @ haze), _SMALLEST_REST)
+    _split_kernel(
+        rgb, response.contributions_from_rgb.astype(np.float32), response.inverse.astype(np.float32), haze,
+        rest, contributions, length, normals,
+    )  # fmt: skip
     return LightShares(
         contributions=contributions,
         ambient=response.contributions_from_rgb @ response.ambient,
@@ -91,23 +99,44 @@ def shares_from_frame(frame: LinearFrame, response: LightResponse) -> LightShare
         directions=response.light_directions,
         length=length,
         normals=normals,
-        trust=np.where(frame.clipped, _CLIPPED_TRUST, 1.0).astype(np.float32),
+        trust=np.where(frame.clipped, np.float32(_CLIPPED_TRUST), np.float32(1.0)),
     )
 
 
-def _albedo_and_normal(rgb: FloatArray, response: LightResponse) -> tuple[FloatArray, FloatArray]:
-    """Solve r = ρ (M n + a), |n| = 1, for the albedo ρ (h, w) and the normal n (h, w, 3).
+@njit(cache=True, parallel=True)
+def _split_kernel(
+    rgb: FloatArray, split: FloatArray, inverse: FloatArray, haze: FloatArray, rest: float,
+    contributions: FloatArray, length: FloatArray, normals: FloatArray,
+) -> None:  # fmt: skip
+    """Fill the contributions, and solve r = ρ (M n + a), |n| = 1, for the albedo ρ and the normal n.
 
-    With v = M⁻¹r and w = M⁻¹a, |v − ρ w| = ρ is a quadratic in ρ with one positive root as long as the
-    ambient light is weaker than the lamps.
+    With s = M⁻¹r and w = M⁻¹a (haze), |s − ρ w| = ρ is a quadratic in ρ with one positive root as long as the
+    ambient light is weaker than the lamps. rest: 1 − |w|². Where there is no light the normal faces the
+    viewer.
     """
-    scaled = rgb @ response.inverse.T.astype(np.float32)
-    haze = (response.inverse @ response.ambient).astype(np.float32)
-    rest = max(1.0 - float(haze @ haze), _SMALLEST_REST)
-    along = scaled @ haze
-    albedo = (np.sqrt(along**2 + rest * np.einsum("...i,...i->...", scaled, scaled)) - along) / rest
-    _, normals = _length_and_direction(scaled - albedo[..., None] * haze)
-    return albedo, normals
+    h, w, _ = rgb.shape
+    for v in prange(h):
+        colour = np.empty(3, np.float32)
+        for u in range(w):
+            for i in range(3):
+                value = rgb[v, u, i]
+                colour[i] = value if np.isfinite(value) else np.float32(value > 0)
+            r, g, b = colour[0], colour[1], colour[2]
+            for i in range(3):
+                contributions[v, u, i] = split[i, 0] * r + split[i, 1] * g + split[i, 2] * b
+            x = inverse[0, 0] * r + inverse[0, 1] * g + inverse[0, 2] * b
+            y = inverse[1, 0] * r + inverse[1, 1] * g + inverse[1, 2] * b
+            z = inverse[2, 0] * r + inverse[2, 1] * g + inverse[2, 2] * b
+            along = x * haze[0] + y * haze[1] + z * haze[2]
+            squared = x * x + y * y + z * z
+            albedo = np.float32((np.sqrt(along * along + rest * squared) - along) / rest)
+            length[v, u] = albedo
+            x, y, z = x - albedo * haze[0], y - albedo * haze[1], z - albedo * haze[2]
+            long = np.sqrt(x * x + y * y + z * z)
+            if long > np.float32(1e-6):
+                normals[v, u, 0], normals[v, u, 1], normals[v, u, 2] = x / long, y / long, z / long
+            else:
+                normals[v, u, 0], normals[v, u, 1], normals[v, u, 2] = 0.0, 0.0, -1.0
 
 
 def _length_and_direction(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -161,13 +190,6 @@ def lengths_of(vectors: FloatArray) -> FloatArray:
 def largest_of_three(values: FloatArray) -> FloatArray:
     """Return the largest (...) of values (..., 3)."""
     return np.maximum(np.maximum(values[..., 0], values[..., 1]), values[..., 2])
-
-
-def median_of_three(values: FloatArray) -> FloatArray:
-    """Return the median (...) of values (..., 3)."""
-    first, second, third = values[..., 0], values[..., 1], values[..., 2]
-    low, high = np.minimum(first, second), np.maximum(first, second)
-    return np.maximum(low, np.minimum(high, third))
 
 
 def all_of_three(values: Mask) -> Mask:

@@ -150,16 +150,13 @@ def refine_surface(
     Arguments as for `solve_surface`. What pixels owe to each other the smaller image has settled: here every
     pixel takes what its own light says beyond it, for a pass over the image instead of a linear system.
     """
-    rays = _ray_grid(camera)
     trust = np.where(mask, np.maximum(weight, 1e-3), 0.0).astype(np.float32)
-    known = mask & (labels == ALL_LIT)
-    slopes, _ = _first_guess(first_normals, known, rays, start)
+    normals = np.ascontiguousarray(start.normals, dtype=np.float32)
     refine_kernel(
-        np.nan_to_num(np.asarray(shares)).astype(np.float32), labels, trust,
-        np.ascontiguousarray(lights, dtype=np.float64), rays, _model(options), _HELD, _STEEPEST, slopes,
+        np.asarray(shares, np.float32), labels, trust, np.ascontiguousarray(lights, dtype=np.float64),
+        _ray_grid(camera), _model(options), _HELD, _STEEPEST, first_normals, start.agreement, normals,
     )  # fmt: skip
-    normals = _blend(normals_from_slopes(slopes, rays), first_normals, known, start.agreement)
-    return replace(start, normals=np.where(mask[..., None], normals, 0.0))
+    return replace(start, normals=normals)
 
 
 def _model(options: SurfaceOptions) -> Model:
@@ -368,18 +365,26 @@ def local_quadratics_kernel(
             out[v, u, 3], out[v, u, 4], out[v, u, 5] = b0, b1, c
 
 
-@njit(cache=True, fastmath=True, parallel=True)
+@njit(cache=True, parallel=True)
 def refine_kernel(
     shares: Grid, labels: Labels, weight: Grid, lights: npt.NDArray[np.float64], rays: RayGrid, model: Model,
-    held: float, steepest: float, slopes: Grid,
+    held: float, steepest: float, first_normals: Grid, agreement: Grid, normals: Grid,
 ) -> None:  # fmt: skip
-    """Move each slope (h, w, 2) to what its own light asks, held where it is by the weight `held`."""
+    """Turn each of the normals (h, w, 3) to what its own light asks, held where it is by the weight `held`.
+
+    Where all lights arrive and depth and colour disagree, the normal from colour alone, `first_normals`,
+    stays. Outside, where nothing has weight, the normal is 0.
+    """
     h, w = labels.shape
     for v in prange(h):
         for u in range(w):
             if weight[v, u] <= 0.0:
+                normals[v, u, 0], normals[v, u, 1], normals[v, u, 2] = 0.0, 0.0, 0.0
                 continue
-            p, q = float(slopes[v, u, 0]), float(slopes[v, u, 1])
+            x, y = _ray(rays, v, u)
+            n0, n1, n2 = float(normals[v, u, 0]), float(normals[v, u, 1]), float(normals[v, u, 2])
+            along = min(n2 + x * n0 + y * n1, -_FLATTEST_Z)
+            p, q = -n0 / along, -n1 / along
             a00, a01, a11, b0, b1, _ = _local_quadratic(
                 v, u, p, q, p, q, shares, labels[v, u], weight[v, u], lights, rays, model
             )
@@ -389,7 +394,18 @@ def refine_kernel(
             p += (a11 * b0 - a01 * b1) * inverse
             q += (a00 * b1 - a01 * b0) * inverse
             hold = min(1.0, steepest / max(np.sqrt(p * p + q * q), 1e-12))
-            slopes[v, u, 0], slopes[v, u, 1] = p * hold, q * hold
+            p, q = p * hold, q * hold
+            n0, n1, n2 = p, q, -1.0 - x * p - y * q
+            share = 1.0 / np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+            n0, n1, n2 = n0 * share, n1 * share, n2 * share
+            if labels[v, u] == 7:
+                share = agreement[v, u]
+                n0 = share * n0 + (1.0 - share) * first_normals[v, u, 0]
+                n1 = share * n1 + (1.0 - share) * first_normals[v, u, 1]
+                n2 = share * n2 + (1.0 - share) * first_normals[v, u, 2]
+                length = max(np.sqrt(n0 * n0 + n1 * n1 + n2 * n2), 1e-6)
+                n0, n1, n2 = n0 / length, n1 / length, n2 / length
+            normals[v, u, 0], normals[v, u, 1], normals[v, u, 2] = n0, n1, n2
 
 
 @njit(cache=True, inline="always")
