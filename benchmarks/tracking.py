@@ -12,14 +12,12 @@ from __future__ import annotations
 import argparse
 import resource
 import time
-from dataclasses import replace
 
 import numpy as np
 
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
-from vntoolkit.tracking.options import Confidence, TrackingOptions
-from vntoolkit.tracking.published import Tracker, options_of
+from vntoolkit.tracking.options import Tracker, TrackingOptions
 from vntoolkit.tracking.tracker import SurfaceTracker
 
 
@@ -45,15 +43,8 @@ def main() -> None:
         mask[:] = False
         mask[180:540, 384:896] = True  # 184,320 vertices
     camera = Camera.orthographic(width=width, height=height)
-    default = TrackingOptions()
-    cases = {
-        "default": default,
-        "confidence weights": replace(default, confidence=Confidence.TEMPLATE),
-        "unweighted": replace(default, confidence=Confidence.NONE),
-        "published, translation": options_of(Tracker.TRANSLATION),
-        "published, Laplacian": options_of(Tracker.LAPLACIAN_PREVIOUS),
-        "flow alone": options_of(Tracker.FLOW),
-    }
+    methods = (Tracker.DEFAULT, Tracker.TRANSLATION, Tracker.LAPLACIAN_PREVIOUS, Tracker.FLOW)
+    cases = {method.value: TrackingOptions(method=method) for method in methods}
     for name, options in cases.items():
         first = sheet(width, height, mask, 0)
         start = time.perf_counter()

@@ -20,9 +20,8 @@ from vntoolkit.skinning.blending import skinned_vertices
 from vntoolkit.skinning.gait import walking_motion
 from vntoolkit.skinning.kinematics import pose_of_frame
 from vntoolkit.skinning.weights import Falloff, WeightOptions, weights_from_distances
-from vntoolkit.tracking.advection import advected_positions, targets_on_surface
-from vntoolkit.tracking.flow import flow_between
-from vntoolkit.tracking.laplacian_coordinates import LaplacianRegulariser
+from vntoolkit.tracking.flow import advected_positions, flow_between, targets_on_surface
+from vntoolkit.tracking.regularisers import LaplacianRegulariser
 from vntoolkit.tracking.template import template_from_maps
 
 

@@ -24,9 +24,9 @@ from vntoolkit.report.figures import write_error_plot, write_moments
 from vntoolkit.report.recipes_page import number, write_numbers
 from vntoolkit.shadows.detector import ShadowMethod
 from vntoolkit.simulation.scene import SceneOptions
-from vntoolkit.tracking.published import Tracker, options_of
+from vntoolkit.tracking.options import Tracker, TrackingOptions
 
-COMPARED = ("no-registration", "flow", "translation", "laplacian-previous", "default")
+COMPARED = ("no-registration", "flow", "translation", "laplacian", "arap", "default")
 FIELD_WIDTH_M = {"face": 0.355, "sweater": 1.42}  # the scenes' own; the board is filmed at the same zoom
 
 
@@ -49,7 +49,9 @@ def compare(folder: Path, out: Path) -> dict[str, list[TrackError]]:
     errors, moments = {}, {}
     for method in COMPARED:
         target = out / method
-        track(TrackJob(folder=folder, options=options_of(Tracker(method)), seams=seams, out=target))
+        track(
+            TrackJob(folder=folder, options=TrackingOptions(method=Tracker(method)), seams=seams, out=target)
+        )
         moments[method] = write_checkerboard(folder, target).moments
         errors[method] = evaluate_tracks(target, out / "capture", every=10)
         write_track_errors(out / f"{method}.tsv", errors[method])

@@ -41,7 +41,7 @@ DOORS = {
         "diagnosis/",
         "live/",
         "calibration/",
-        "tracking/flow",
+        "tracking/",
         "shadows/",
         "simulation/",
         "native.py",

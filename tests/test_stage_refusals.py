@@ -35,7 +35,7 @@ from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.scene import SceneOptions, build_scene
 from vntoolkit.simulation.spectra import WAVELENGTHS_NM
 from vntoolkit.skinning.fitting import GarmentFitOptions, fit_garment_to_figure
-from vntoolkit.tracking.factor import factor_symmetric
+from vntoolkit.tracking.sparse_factor import factor_symmetric
 from vntoolkit.tracking.template import template_from_maps
 
 MATRIX = np.array([[0.35, -0.02, -0.5], [-0.17, 0.3, -0.48], [-0.15, -0.28, -0.52]])

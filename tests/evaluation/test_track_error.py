@@ -29,8 +29,8 @@ def test_anchors_give_back_their_pixels_and_move_with_the_mesh() -> None:
     np.testing.assert_allclose(anchors.points(CORNERS + shift), anchors.points(CORNERS) + shift, atol=1e-12)
 
 
-def tracked(frame: int, points: np.ndarray, confidence: np.ndarray | None = None) -> TrackedPixels:
-    return TrackedPixels(frame=frame, positions_px=CAMERA.project(points), confidence=confidence)
+def tracked(frame: int, points: np.ndarray, uncertainty_px: np.ndarray | None = None) -> TrackedPixels:
+    return TrackedPixels(frame=frame, positions_px=CAMERA.project(points), uncertainty_px=uncertainty_px)
 
 
 def test_the_error_is_the_one_put_in() -> None:
@@ -54,7 +54,7 @@ def test_lost_vertices_are_judged_all_the_same_and_told_apart() -> None:
     true = anchors.points(CORNERS)
     left = PIXELS[:, 0] < 25
     pixels = CAMERA.project(true) + np.where(left[:, None], [8.0, 0.0], [0.0, 1.0])
-    unsure = TrackedPixels(frame=0, positions_px=pixels, confidence=np.where(left, 0.2, 0.9))
+    unsure = TrackedPixels(frame=0, positions_px=pixels, uncertainty_px=np.where(left, 9.0, 0.5))
     error = next(iter(track_errors([unsure], [(0, CORNERS)], anchors, FACES, CAMERA)))
     assert error.vertices == len(PIXELS)
     assert error.astray == pytest.approx(left.mean())
@@ -67,7 +67,7 @@ def test_lost_vertices_are_judged_all_the_same_and_told_apart() -> None:
 def test_a_tracker_that_declares_all_lost_gains_nothing() -> None:
     anchors = anchors_on_mesh(PIXELS, CORNERS, FACES, CAMERA)
     pixels = CAMERA.project(anchors.points(CORNERS)) + np.array([8.0, 0.0])
-    nothing = TrackedPixels(frame=0, positions_px=pixels, confidence=np.zeros(len(pixels)))
+    nothing = TrackedPixels(frame=0, positions_px=pixels, uncertainty_px=np.full(len(pixels), np.inf))
     error = next(iter(track_errors([nothing], [(0, CORNERS)], anchors, FACES, CAMERA)))
     assert (error.lost, error.astray, error.vertices) == (1.0, 1.0, len(PIXELS))
     assert error.median_px == pytest.approx(8.0)

@@ -238,7 +238,7 @@ def _write_meshes(folder: Path) -> list[tuple[str, Path]]:
     (folder / "big.ply").write_bytes(mixed)
     frames = np.stack([mesh.vertices + k for k in range(3)]).astype(np.float32)
     confidence = np.ones(frames.shape[:2], dtype=np.float32)
-    moving = MeshSequence(template=mesh, vertices=frames, frame_rate_hz=30, confidence=confidence)
+    moving = MeshSequence(template=mesh, vertices=frames, frame_rate_hz=30, uncertainty_px=confidence)
     write_mesh_sequence(folder / "moving", moving)
     return [
         *(("mesh", folder / name) for name in ("a.ply", "ascii.ply", "big.ply")),

@@ -269,7 +269,7 @@ def test_moving_meshes_stay_on_disk_and_resume(tmp_path, patch, rng):
     sequence = read_mesh_sequence(tmp_path / "s")
     assert isinstance(sequence.vertices.base, np.memmap)
     np.testing.assert_allclose(sequence.vertices, frames, rtol=1e-6)
-    np.testing.assert_array_equal(sequence.confidence, confidence)
+    np.testing.assert_array_equal(sequence.uncertainty_px, confidence)
     assert sequence.frame_rate_hz == 25
     np.testing.assert_array_equal(sequence.template.faces, patch.faces)
 

@@ -118,7 +118,7 @@ def test_a_moving_mesh_ends_with_the_last_whole_frame(tmp_path):
             writer.append(np.eye(3) + frame, np.full(3, 0.5))
         writer._vertices.truncate(2)
     sequence = read_mesh_sequence(tmp_path)
-    assert (sequence.vertices.shape, sequence.confidence.shape) == ((2, 3, 3), (2, 3))
+    assert (sequence.vertices.shape, sequence.uncertainty_px.shape) == ((2, 3, 3), (2, 3))
     (tmp_path / "sequence.json").write_text('{"frame_rate_hz": 1' + "0" * 400 + "}")
     with pytest.raises(BadMesh, match="expected JSON with frame_rate_hz"):
         read_mesh_sequence(tmp_path)

@@ -151,7 +151,7 @@ def test_arrays_are_those_of_the_result(dome_result: DomeResult, tmp_path: Path)
         np.testing.assert_allclose(
             arrays["vertices"], graphics_from_camera(sequence.vertices[:3]) * 2, rtol=1e-6
         )
-        np.testing.assert_array_equal(arrays["confidence"], sequence.confidence[:3])
+        np.testing.assert_array_equal(arrays["uncertainty_px"], sequence.uncertainty_px[:3])
 
 
 def test_a_diligent_folder_gives_the_normals_by_classical_stereo(

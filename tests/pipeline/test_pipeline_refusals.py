@@ -134,8 +134,8 @@ def test_evaluate_tracks_refuses_what_it_cannot_draw(
         (["live", "--rig", "R", "--video", "F", "--size-mm", "3", "4", "--pixel-mm", "1"], "both --corners"),
         (["reconstruct", "F", "--rig", "R", "--out", "o", "--scheduler", "nowhere"], "nowhere: no Dask"),
         (["session", "F", "--rig", "R", "--out", "o", "--method", "flow"], "--method needs --track"),
-        (["track", "o", "--method", "arap", "--drift-every", "5"], "--method arap corrects no drift"),
-        (["track", "o", "--method", "no-registration", "--flow", "dis"], "uses no flow"),
+        (["track", "o", "--method", "arap", "--smoothing-length", "5"], "method `arap` has none"),
+        (["track", "o", "--data-share", "0.5"], "method `default` has none"),
     ],
 )  # fmt: skip
 def test_flags_that_need_each_other(

@@ -20,7 +20,7 @@ from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.checkerboard import write_checkerboard
 from vntoolkit.pipeline.track import TrackJob, track
-from vntoolkit.tracking.options import TrackingOptions
+from vntoolkit.tracking.options import Tracker, TrackingOptions
 
 FRAMES = 8
 
@@ -73,7 +73,7 @@ def test_an_interrupted_run_ends_in_the_same_bytes(folder: Path, stop_after: int
         track(job(folder, template=3, out=folder / "parts"), on_frame=interrupt)
     summary = track(job(folder, template=3, out=folder / "parts"))
     assert summary.resumed > 0
-    for name in ("vertices.npy", "confidence.npy"):
+    for name in ("vertices.npy", "uncertainty_px.npy"):
         assert (folder / "parts" / name).read_bytes() == (folder / "whole" / name).read_bytes()
     assert not (folder / "parts" / "backwards").exists()
 
@@ -84,8 +84,8 @@ def test_a_missing_frame_is_held_and_tracking_goes_on(folder: Path, video: Wrink
     sequence = read_mesh_sequence(folder / "track")
     assert summary.missing == (4,)
     np.testing.assert_array_equal(sequence.vertices[4], sequence.vertices[3])
-    assert not np.any(sequence.confidence[4])
-    assert np.median(sequence.confidence[7]) > 0.9
+    assert np.isinf(sequence.uncertainty_px[4]).all()
+    assert np.median(sequence.uncertainty_px[7]) < 1.0
 
 
 def test_a_single_frame_gives_a_sequence_of_one(folder: Path) -> None:
@@ -97,7 +97,7 @@ def test_a_single_frame_gives_a_sequence_of_one(folder: Path) -> None:
 
 def test_other_options_are_not_mixed_in(folder: Path) -> None:
     track(job(folder))
-    other = TrackJob(folder=folder, options=TrackingOptions(smoothing_length=3.0))
+    other = TrackJob(folder=folder, options=TrackingOptions(method=Tracker.FLOW))
     with pytest.raises(BadInput, match="tracks made with other options; add --overwrite"):
         track(other)
     assert track(other, overwrite=True).resumed == 0

@@ -13,11 +13,15 @@ from vntoolkit.geometry.laplacian import (
     edges_from_faces,
     graph_laplacian,
 )
-from vntoolkit.tracking.dissection import nested_dissection_order
-from vntoolkit.tracking.laplacian_coordinates import LaplacianRegulariser, beta_from_smoothing_length
 from vntoolkit.tracking.lattice import lattice_on_template
+from vntoolkit.tracking.regularisers import (
+    LaplacianRegulariser,
+    TranslationRegulariser,
+    beta_from_smoothing_length,
+)
+from vntoolkit.tracking.sparse_factor import nested_dissection_order
+from vntoolkit.tracking.surface_fit import LatticeSystem
 from vntoolkit.tracking.template import template_from_maps
-from vntoolkit.tracking.translation import TranslationRegulariser
 
 
 @pytest.fixture(scope="module")
@@ -73,17 +77,47 @@ def test_a_factored_solve_equals_a_dense_one(template, rng: np.random.Generator)
     np.testing.assert_allclose(rest + solver.solve(data - rest), dense, atol=4e-4)
 
 
-def test_a_weighted_solve_equals_a_dense_one(template, rng: np.random.Generator) -> None:
-    count = len(template.pixels)
-    laplacian = graph_laplacian(template.edges, count)
-    beta = beta_from_smoothing_length(4.0)
-    solver = LaplacianRegulariser(laplacian, template.edges, template.positions_px, beta)
-    weights = np.clip(rng.normal(1.0, 0.3, count), 0.0, 1.0)
-    weights[template.pixels[:, 0] < 6] = 0.0
-    offsets = np.column_stack([template.positions_px @ [0.02, 0.01], np.sin(template.positions_px[:, 0] / 9)])
-    normal = (laplacian @ laplacian).toarray() + np.diag((beta * weights) ** 2)
-    dense = np.linalg.solve(normal, (beta * weights)[:, None] ** 2 * offsets)
-    assert np.abs(solver.solve_weighted(offsets, weights) - dense).max() < 0.02 * np.abs(dense).max()
+def lattice_problem(template, rng: np.random.Generator):
+    lattice = lattice_on_template(template, 4)
+    rows = np.repeat(np.arange(lattice.count), np.diff(lattice.starts))
+    once = rows < lattice.neighbours
+    links = np.stack([rows[once], lattice.neighbours[once]], axis=1)
+    centres = lattice.sums(template.positions_px) / np.bincount(lattice.node_of_vertex)[:, None]
+    roots = np.tril(rng.normal(size=(lattice.count, 2, 2)))
+    blocks = roots @ np.swapaxes(roots, 1, 2)
+    weight = rng.uniform(0.1, 2.0, len(links))
+    matrix = sp.block_diag(list(blocks)).toarray()
+    for (a, b), w in zip(links, weight, strict=True):
+        for k in range(2):
+            matrix[[2 * a + k, 2 * b + k], [2 * a + k, 2 * b + k]] += w
+            matrix[2 * a + k, 2 * b + k] -= w
+            matrix[2 * b + k, 2 * a + k] -= w
+    information = np.stack([blocks[:, 0, 0], blocks[:, 0, 1], blocks[:, 1, 1]], axis=1)
+    return lattice, links, LatticeSystem(links, centres), information, weight, matrix
+
+
+def test_the_lattice_s_system_equals_a_dense_one(template, rng: np.random.Generator) -> None:
+    lattice, links, system, information, weight, matrix = lattice_problem(template, rng)
+    pull, steps = rng.normal(size=(lattice.count, 2)), rng.normal(size=(len(links), 2))
+    right = pull.copy()
+    np.add.at(right, links[:, 1], weight[:, None] * steps)
+    np.subtract.at(right, links[:, 0], weight[:, None] * steps)
+    dense = np.linalg.solve(matrix, right.ravel()).reshape(-1, 2)
+    found = system.solve(information, pull, weight, steps).displacement
+    np.testing.assert_allclose(found, dense, atol=1e-3 * np.abs(dense).max())
+
+
+def test_drawn_errors_have_the_covariance_of_the_problem_where_measurements_decide(
+    template, rng: np.random.Generator
+) -> None:
+    """Links so weak that they tell nothing: what is left is the inverse of each node's own information."""
+    lattice, links, system, information, weight, _ = lattice_problem(template, rng)
+    along = np.ones((len(links), 2))
+    information = np.tile([4.0, 1.0, 2.0], (lattice.count, 1))
+    solution = system.solve(information, np.zeros((lattice.count, 2)), 1e-9 * weight, along)
+    square = np.square(solution.errors(rng, lattice, along)).mean(axis=(0, 2))
+    expected = np.diag(np.linalg.inv([[4.0, 1.0], [1.0, 2.0]]))
+    np.testing.assert_allclose(square, expected, rtol=0.25)  # of some 70 nodes with 16 samples each
 
 
 def test_half_of_a_wave_passes_at_the_stated_wavelength() -> None:

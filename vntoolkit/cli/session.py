@@ -23,7 +23,7 @@ from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.options import Product
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.session import CaptureOutcome, names_from_sources, run_session
-from vntoolkit.tracking.published import Tracker, options_of
+from vntoolkit.tracking.options import Tracker, TrackingOptions
 
 
 @limits_on("max_megapixels")
@@ -85,7 +85,7 @@ def session(
     with ProgressBars() as bars:
         outcomes = run_session(
             captures,
-            tracking=options_of(method) if track else None,
+            tracking=TrackingOptions(method=method) if track else None,
             frames=FrameRange.from_text(frames),
             workers=jobs,
             scheduler=scheduler,

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import Faces, FloatArray, Points, Points2, read_only
-from vntoolkit.checks import require_in_range, require_shape
+from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.native import njit
@@ -41,12 +41,13 @@ class SurfaceAnchors:
 class TrackedPixels:
     """Where a tracker puts its vertices in one frame.
 
-    positions_px: (n, 2) in pixels of the footage. confidence: (n,) from 0 to 1, or None where it has none.
+    positions_px: (n, 2) in pixels of the footage. uncertainty_px: (n,) the error that the tracker expects, or
+    None where it expects none.
     """
 
     frame: int
     positions_px: Points2
-    confidence: FloatArray | None = None
+    uncertainty_px: FloatArray | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,8 +55,8 @@ class TrackError:
     """End-point error of one frame, over the vertices whose true point is seen in it.
 
     median_px, p95_px: of all of them, lost or not. astray: share that is off by more than
-    `TrackErrorOptions.lost_px`. vertices: how many were judged. lost: share that the tracker itself declares
-    lost. found_median_px, found_p95_px: of the others alone; they say nothing without the share lost beside
+    `TrackErrorOptions.outlier_px`. vertices: how many were judged. lost: share that the tracker itself
+    declares lost. found_median_px, found_p95_px: of the others alone; they say nothing without the share lost beside
     them, since a tracker may declare lost what it likes. NaN where there is none.
     """
 
@@ -73,20 +74,19 @@ class TrackError:
 class TrackErrorOptions:
     """Which vertices count in the error of tracks.
 
-    lost_px: a vertex further off than this, in pixels, is astray. hidden_share: a true point further behind
-    the frontmost surface than this share of its depth is hidden, and not judged. sure_confidence: below
-    this confidence the tracker declares a vertex lost.
+    outlier_px: a vertex further off than this, in pixels, is astray. hidden_share: a true point further
+    behind the frontmost surface than this share of its depth is hidden, and not judged. lost_px: a vertex of
+    which the tracker expects a greater error than this, in pixels, is declared lost.
     """
 
-    lost_px: float = 4.0
+    outlier_px: float = 4.0
     hidden_share: float = 0.002
-    sure_confidence: float = 0.5
+    lost_px: float = 4.0
 
     def __post_init__(self) -> None:
         """Raise `BadInput` for impossible limits."""
-        if not (0 < self.lost_px < np.inf and 0 < self.hidden_share < np.inf):
-            raise BadInput("track error: expected positive lost_px and hidden_share")
-        require_in_range(self.sure_confidence, 0.0, 1.0, "track error: sure confidence")
+        if not all(0 < limit < np.inf for limit in (self.outlier_px, self.hidden_share, self.lost_px)):
+            raise BadInput("track error: expected positive outlier_px, hidden_share and lost_px")
 
 
 def anchors_on_mesh(positions_px: Points2, vertices: Points, faces: Faces, camera: Camera) -> SurfaceAnchors:
@@ -139,8 +139,8 @@ def track_errors(
         points = anchors.points(true_vertices)
         judged = anchors.found & visible(points, true_vertices, faces, camera, options)
         distance = np.linalg.norm(pixels.positions_px[judged] - camera.project(points[judged]), axis=1)
-        confidence = np.ones(len(points)) if pixels.confidence is None else np.asarray(pixels.confidence)
-        yield error_of_frame(number, distance, confidence[judged] >= options.sure_confidence, options)
+        told = np.zeros(len(points)) if pixels.uncertainty_px is None else np.asarray(pixels.uncertainty_px)
+        yield error_of_frame(number, distance, told[judged] <= options.lost_px, options)
 
 
 def error_of_frame(
@@ -156,7 +156,7 @@ def error_of_frame(
         frame=number,
         median_px=float(median),
         p95_px=float(p95),
-        astray=float(np.mean(distance_px > options.lost_px)),
+        astray=float(np.mean(distance_px > options.outlier_px)),
         vertices=len(distance_px),
         lost=float(1 - np.mean(found)),
         found_median_px=float(found_median),

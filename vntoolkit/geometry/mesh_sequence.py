@@ -18,23 +18,23 @@ class MeshSequence:
     """A moving mesh.
 
     template: topology, colours and texture coordinates. vertices: (frames, n, 3), possibly a memory map,
-    so that a long sequence is read in slices. confidence: (frames, n) from 0 to 1 or None.
-    frame_rate_hz: frames per second.
+    so that a long sequence is read in slices. uncertainty_px: (frames, n) the error to expect of a
+    vertex in the image, pixels, or None. frame_rate_hz: frames per second.
     """
 
     template: Mesh
     vertices: FloatArray
     frame_rate_hz: float = 60.0
-    confidence: FloatArray | None = None
+    uncertainty_px: FloatArray | None = None
 
     def __post_init__(self) -> None:
         require_shape(self.vertices, (None, len(self.template.vertices), 3), "moving vertices", BadMesh)
         if not 0 < self.frame_rate_hz < np.inf:
             raise BadMesh(f"frame rate: expected a positive number, got {self.frame_rate_hz}")
         object.__setattr__(self, "vertices", read_only(self.vertices))
-        if self.confidence is not None:
-            require_shape(self.confidence, self.vertices.shape[:2], "confidence", BadMesh)
-            object.__setattr__(self, "confidence", read_only(self.confidence))
+        if self.uncertainty_px is not None:
+            require_shape(self.uncertainty_px, self.vertices.shape[:2], "uncertainty in pixels", BadMesh)
+            object.__setattr__(self, "uncertainty_px", read_only(self.uncertainty_px))
 
     def __len__(self) -> int:
         return int(self.vertices.shape[0])

@@ -60,6 +60,7 @@ def evaluate_tracks(
         )
     if record["template"] not in numbers:
         raise BadInput(f"{track_folder}: the template frame {record['template']} is not tracked yet")
+    options = options or TrackErrorOptions(lost_px=record.get("lost_px", TrackErrorOptions.lost_px))
     believed = recorded_camera(record)
     template = believed.project(sequence.vertices[numbers.index(record["template"])])
     anchors = anchors_on_mesh(
@@ -76,9 +77,9 @@ def evaluate_tracks(
 
 
 def _pixels(sequence: MeshSequence, row: int, number: int, camera: Camera) -> TrackedPixels:
-    confidence = None if sequence.confidence is None else np.array(sequence.confidence[row])
+    uncertainty = None if sequence.uncertainty_px is None else np.array(sequence.uncertainty_px[row])
     positions = camera.project(sequence.vertices[row])
-    return TrackedPixels(frame=number, positions_px=positions, confidence=confidence)
+    return TrackedPixels(frame=number, positions_px=positions, uncertainty_px=uncertainty)
 
 
 def write_track_errors(path: Path, errors: list[TrackError]) -> None:

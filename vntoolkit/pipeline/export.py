@@ -564,7 +564,8 @@ def _mesh_arrays(mesh: Mesh, factor: float, options: ExportOptions) -> dict[str,
 def write_tracked_npz(
     path: Path, track: TrackedSurface, numbers: tuple[int, ...], options: ExportOptions, factor: float
 ) -> None:
-    """Write the registered surface: vertices (frames, n, 3), faces, uv, confidence, frames, frame_rate_hz."""
+    """Write the registered surface: vertices (frames, n, 3), faces, uv, uncertainty_px, frames,
+    frame_rate_hz."""
     wanted = set(numbers)
     rows = [row for row, number in enumerate(track.numbers) if number in wanted]
     sequence, template = track.sequence, track.sequence.template
@@ -579,9 +580,9 @@ def write_tracked_npz(
         "up": np.array(options.up.value),
     }
     arrays |= {name: v for name, v in (("uv", template.uv), ("colours", template.colours)) if v is not None}
-    confidence = sequence.confidence
-    if confidence is not None:
-        arrays["confidence"] = StreamedArray(
-            shape=(len(rows), len(template.vertices)), dtype=np.float32, rows=(confidence[r] for r in rows)
+    uncertainty = sequence.uncertainty_px
+    if uncertainty is not None:
+        arrays["uncertainty_px"] = StreamedArray(
+            shape=(len(rows), len(template.vertices)), dtype=np.float32, rows=(uncertainty[r] for r in rows)
         )
     write_npz(path, arrays)

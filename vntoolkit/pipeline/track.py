@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from vntoolkit.arrays import FloatArray, Points2
+from vntoolkit.arrays import Points2
+from vntoolkit.checks import require_positive
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.geometry.mesh_sequence import MeshSequence
 from vntoolkit.io.atomic import sole_writer, undisturbed
@@ -26,8 +27,7 @@ from vntoolkit.pipeline.tracked_folder import (
     write_track_record,
 )
 from vntoolkit.tracking.options import TrackingOptions
-from vntoolkit.tracking.tracked_frame import tracked_frame
-from vntoolkit.tracking.tracker import SurfaceTracker
+from vntoolkit.tracking.tracker import SurfaceTracker, tracked_frame
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -37,7 +37,8 @@ class TrackJob:
     """What to track and how.
 
     folder: written by `reconstruct`. template: number of the template frame, None for the first one there.
-    seams: polylines on the template image. out: None for folder/track.
+    seams: polylines on the template image. out: None for folder/track. lost_px: a vertex is called lost
+    where its expected error is above this.
     """
 
     folder: Path
@@ -45,6 +46,10 @@ class TrackJob:
     template: int | None = None
     seams: Sequence[Points2] = ()
     out: Path | None = None
+    lost_px: float = 4.0
+
+    def __post_init__(self) -> None:
+        require_positive(self.lost_px, "expected error from which a vertex is lost, in pixels")
 
     @property
     def target(self) -> Path:
@@ -74,10 +79,10 @@ def track(
     """Track the template through all frames into `job.target`; go on where an earlier run stopped.
 
     The template is tracked backwards to the first frame, then forwards to the last. A frame without files
-    holds the vertices where they were, with confidence 0; tracking goes on with the next frame that is
-    there. A single frame gives a sequence of one. Raises `BadInput` for a template frame that is not there
-    and for a target that holds something else, before anything there is touched; `CannotWrite` while another
-    run is at work in one of the folders.
+    holds the vertices where they were, with an infinite expected error; tracking goes on with the next frame
+    that is there. A single frame gives a sequence of one. Raises `BadInput` for a template frame that is
+    not there and for a target that holds something else, before anything there is touched; `CannotWrite`
+    while another run is at work in one of the folders.
     """
     started = time.perf_counter()
     source = open_track_source(job.folder)
@@ -129,12 +134,12 @@ def _run(
                 resumed = backwards.frame_count
                 on_start(len(source.numbers), resumed)
                 _follow(tracker, source, (template, *back), backwards, on_frame, lead=0)
-            _copy_reversed(target / "backwards", writer)
-            writer.append(first.vertices_in_camera, first.confidence)
+            _copy_reversed(target / "backwards", writer, tracker)
+            writer.append(first.vertices_in_camera, first.uncertainty_px)
             on_frame()
         else:
             on_start(len(source.numbers), resumed)
-        tracker.resume(first, first, source.normals(template), 0)
+        tracker.resume(first, first, source.normals(template))
         _follow(tracker, source, (template, *ahead), writer, on_frame, lead=at + 1)
     remove_mesh_sequence(target / "backwards")
     return resumed
@@ -155,10 +160,10 @@ def _follow(
     for number in numbers[done + 1 :]:
         if source.has(number):
             tracked = tracker.step(*source.maps(number))
-            writer.append(tracked.vertices_in_camera, tracked.confidence)
+            writer.append(tracked.vertices_in_camera, tracked.uncertainty_px)
         else:
-            held = tracker.state.vertices_in_camera
-            writer.append(held, np.zeros(len(held), dtype=np.float32))
+            held, told = tracker.state.vertices_in_camera, tracker.state.uncertainty_px
+            writer.append(held, None if told is None else np.full(len(held), np.inf, dtype=np.float32))
         on_frame()
 
 
@@ -172,28 +177,29 @@ def _go_on(
     present = [i for i, number in enumerate(done) if i == 0 or source.has(number)]
     if len(present) < 2:
         return
-    sequence, confidences = _tracked_before(folder)
+    sequence = _tracked_before(folder, tracker)
     states = [tracker.state]  # of the template
     for i in present[1:][-2:]:
-        vertices, confidence = sequence.vertices[row + i], confidences[row + i]
-        states.append(tracked_frame(np.array(vertices), np.array(confidence), source.camera))
-    tracker.resume(states[-2], states[-1], source.normals(done[present[-1]]), len(present) - 1)
+        told = None if sequence.uncertainty_px is None else np.array(sequence.uncertainty_px[row + i])
+        states.append(tracked_frame(np.array(sequence.vertices[row + i]), told, source.camera))
+    tracker.resume(states[-2], states[-1], source.normals(done[present[-1]]))
 
 
-def _copy_reversed(folder: Path, writer: MeshSequenceWriter) -> None:
+def _copy_reversed(folder: Path, writer: MeshSequenceWriter, tracker: SurfaceTracker) -> None:
     if read_mesh_sequence(folder).vertices.size == 0:  # the template is the first frame
         return
-    sequence, confidences = _tracked_before(folder)
+    sequence = _tracked_before(folder, tracker)
     for row in range(len(sequence) - 1, -1, -1):
-        writer.append(np.array(sequence.vertices[row]), np.array(confidences[row]))
+        told = None if sequence.uncertainty_px is None else np.array(sequence.uncertainty_px[row])
+        writer.append(np.array(sequence.vertices[row]), told)
 
 
-def _tracked_before(folder: Path) -> tuple[MeshSequence, FloatArray]:
-    """Return what an earlier run tracked, and its confidence, which nothing but a person removes."""
+def _tracked_before(folder: Path, tracker: SurfaceTracker) -> MeshSequence:
+    """Return what an earlier run tracked, with its expected errors, which nothing but a person removes."""
     sequence = read_mesh_sequence(folder)
-    if sequence.confidence is None:
-        raise BadMesh(f"{folder}: confidence.npy is missing; add --overwrite to track anew")
-    return sequence, sequence.confidence
+    if sequence.uncertainty_px is None and tracker.state.uncertainty_px is not None:
+        raise BadMesh(f"{folder}: uncertainty_px.npy is missing; add --overwrite to track anew")
+    return sequence
 
 
 def _record(job: TrackJob, source: TrackSource, template: int) -> dict[str, Any]:
@@ -201,6 +207,7 @@ def _record(job: TrackJob, source: TrackSource, template: int) -> dict[str, Any]
         "result_sha256": source.digest,
         "template": template,
         "options": option_values(job.options),
+        "lost_px": job.lost_px,
         "seams": [np.asarray(seam).tolist() for seam in job.seams],
         "frame_rate_hz": source.frame_rate_hz,
         "camera": camera_record(source.filmed_by),

@@ -120,7 +120,8 @@ def require_free(folder: Path, record: dict[str, Any], *, overwrite: bool) -> No
     unnamed = {"result_sha256": now["result_sha256"]}  # a record of before this was kept
     before = unnamed | read_track_record(folder)
     grown = now["frames"][: len(before["frames"])] == before["frames"]
-    changed = [key for key in now if key != "frames" and before.get(key) != now[key]]
+    free = ("frames", "lost_px")
+    changed = [key for key in now if key not in free and before.get(key) != now[key]]
     if changed or not grown:
         names = ", ".join(_IN_WORDS.get(key, key) for key in changed or ["frames"])
         raise BadInput(f"{folder}: holds tracks made with other {names}; add --overwrite to replace them")

@@ -305,21 +305,25 @@ def _legend() -> dict[str, str]:
 
 
 def track_section(result: OpenedResult, track: TrackedSurface) -> PageSection:
-    """Return the registered surface: its size, its confidence over time, the checkerboard that it carries."""
+    """Return the registered surface: its size, its expected error over time, the checkerboard on it."""
     figures = []
-    confidence = track.sequence.confidence
-    if confidence is not None:
-        shares = [float(np.mean(np.asarray(confidence[row]))) for row in range(len(track.sequence))]
+    uncertainty = track.sequence.uncertainty_px
+    if uncertainty is not None:
+        rows = [np.asarray(uncertainty[row]) for row in range(len(track.sequence))]
+        levels = np.array([np.percentile(row, [50, 95]) for row in rows])
+        levels[~np.isfinite(levels)] = np.nan  # of frames that are missing
         with report_style():
             figure = new_figure(9.6, 2.4)
             axes = figure.subplots()
-            axes.plot(track.numbers, shares, color=BLUE)
+            axes.plot(track.numbers, levels[:, 1], color=FAINT, label="95th percentile")
+            axes.plot(track.numbers, levels[:, 0], color=BLUE, label="median")
             axes.axvline(track.template, color=FAINT, ls=":", lw=1)
             axes.set_xlabel("frame")
             axes.locator_params(axis="x", integer=True)
-            axes.set_ylabel("mean confidence")
-            axes.set_ylim(0, 1.02)
-        caption = "Confidence of the tracked vertices, mean of each frame. Dotted: the template's frame."
+            axes.set_ylabel("expected error, px")
+            axes.set_ylim(0, None)
+            axes.legend(frameon=False)
+        caption = "Expected error of the tracked vertices in each frame. Dotted: the template's frame."
         figures.append(figure_from_plot(figure, caption, wide=True))
     sheet = result.folder.root / "track" / "checkerboard.png"
     if sheet.exists():

@@ -1,7 +1,7 @@
-"""Optical flow between consecutive normal maps: Lucas and Kanade on a lattice, from two starts.
+"""Equations 5 and 6 of `brostow2011`: optical flow between normal maps, and the surface where it leads.
 
-Pyramidal Lucas–Kanade (`bouguet2001`) on all three components of the normal follows the points of a
-lattice, and Gaussian interpolation gives the rest. It starts from the motion of the frame before, and from
+Lucas–Kanade (`bouguet2001`) on all three components of the normal follows the points of a lattice from two
+starts, and Gaussian interpolation gives the rest. It starts from the motion of the frame before, and from
 DIS (`kroeger2016`) only where that fits far better: DIS finds large motions, but on cloth whose knit repeats
 it locks on to the wrong stitch, and its bias adds up.
 """
@@ -11,25 +11,31 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
-from vntoolkit.arrays import Flow, Mask, Points2
+from vntoolkit.arrays import Flow, Mask, Points, Points2
 from vntoolkit.checks import require_same_size
-from vntoolkit.geometry.maps import NormalMap
-from vntoolkit.tracking.flow_slopes import Relief, bytes_from_normals
-from vntoolkit.tracking.options import FlowMethod, FlowOptions
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.maps import DepthMap, NormalMap
+from vntoolkit.tracking.slopes import sample_depth, sample_image
 
+_SPACING_PX = 8  # of the points that Lucas–Kanade follows
+_WINDOW_PX = 21  # side of the window around such a point
 _OUTLIER_PX = 1.5  # a lattice vector this far from the median of its 5×5 neighbours is not believed
 _FAR_CELLS = 8.0  # reach of the extrapolation beyond the mask, lattice spacings
 _DIS_MUST_BEAT = 0.6  # share of the other start's residual below which DIS's is believed
 _DOUBTFUL = 2.0  # times the median residual, above which a point tries DIS's start too
 _FEW = 0.01  # share of doubtful points below which DIS is not worth its time
 _SMALLEST_DIS_SIDE = 32  # OpenCV's DIS fails below
+_RELIEF_SIGMA_PX = 4.0  # of the mean that is taken off the normals
+_RELIEF_GAIN = 400.0  # steps of a byte per unit of normal
+
+Relief = npt.NDArray[np.uint8]  # (h, w, 3)
 
 
 def flow_between(
     first: NormalMap,
     second: NormalMap,
-    options: FlowOptions | None = None,
     expected: Flow | None = None,
     relief: tuple[Relief, Relief] | None = None,
 ) -> Flow:
@@ -39,16 +45,52 @@ def flow_between(
     `bytes_from_normals`, where it is known already. Outside the mask of `first` the flow is extrapolated from
     the nearest surface.
     """
-    options = options or FlowOptions()
     require_same_size(first.mask, "first normal map", second.mask, "second normal map")
     height, width = first.shape
-    if options.method is FlowMethod.NONE or not (first.mask.any() and second.mask.any()):
+    if not (first.mask.any() and second.mask.any()):
         return np.zeros((height, width, 2), dtype=np.float32)
     before, after = relief or (bytes_from_normals(first), bytes_from_normals(second))
-    if options.method is FlowMethod.DIS:
-        return _dis(before, after)
     start = np.zeros((height, width, 2), dtype=np.float32) if expected is None else expected
-    return _lattice_flow(before, after, start, first.mask, options)
+    return _lattice_flow(before, after, start, first.mask)
+
+
+def bytes_from_normals(normal_map: NormalMap) -> Relief:
+    """Return (h, w, 3) bytes of the fine relief of a normal map, as OpenCV's DIS and LK need; 128 outside.
+
+    The mean over the surroundings is taken off, and what is left is stretched: a surface that turns changes
+    all of its normals, which LK would take for motion, and a byte of the normal itself has too few steps for
+    a knit. On the simulated sweater this halves the error of 30 chained frames.
+    """
+    bytes_ = np.full((*normal_map.shape, 3), 128, dtype=np.uint8)
+    box = _box(normal_map.mask, _RELIEF_SIGMA_PX)
+    mask = normal_map.mask[box]
+    weight = mask.astype(np.float32)
+    normals = normal_map.normals_in_camera[box] * weight[..., None]
+    mean = cv2.GaussianBlur(normals, (0, 0), _RELIEF_SIGMA_PX)
+    share = cv2.GaussianBlur(weight, (0, 0), _RELIEF_SIGMA_PX)
+    bytes_[box] = _encode(normals, mean, share, mask)
+    return bytes_
+
+
+def advected_positions(positions_px: Points2, flow_px: Flow) -> npt.NDArray[np.float64]:
+    """Equation 5: u^j = u^(j−1) + d(u^(j−1)), d looked up bilinearly; positions (n, 2) in pixels."""
+    return np.asarray(positions_px + sample_image(flow_px, positions_px))
+
+
+def targets_on_surface(
+    positions_px: Points2, depth_map: DepthMap, camera: Camera, fallback_depth: npt.NDArray[np.floating]
+) -> tuple[Points, Mask]:
+    """Equation 6: the points y (n, 3) in the camera frame at positions (n, 2), with the depth found there.
+
+    Where the depth map has none, fallback_depth (n,) stands in. Also returns where depth was found, (n,).
+    """
+    depth, found = sample_depth(depth_map.depth, depth_map.mask, positions_px)
+    return camera.unproject(positions_px, np.where(found, depth, fallback_depth)), found
+
+
+def dense_flow(first: NormalMap, second: NormalMap) -> Flow:
+    """Return the flow (h, w, 2) in pixels of DIS on the fine relief of two normal maps: far, and coarse."""
+    return _dis(bytes_from_normals(first), bytes_from_normals(second))
 
 
 def _dis(before: npt.NDArray[np.uint8], after: npt.NDArray[np.uint8]) -> Flow:
@@ -67,31 +109,28 @@ def _lattice_flow(
     after: npt.NDArray[np.uint8],
     start: Flow,
     mask: Mask,
-    options: FlowOptions,
 ) -> Flow:
     height, width = mask.shape
-    step = options.lattice_px
+    step = _SPACING_PX
     u, v = np.arange(step // 2, width, step), np.arange(step // 2, height, step)
     points = np.stack(np.meshgrid(u, v), axis=-1).astype(np.float32)
-    inside = _share_inside(mask, options.window_px)[v][:, u] * mask[v][:, u]
+    inside = _share_inside(mask, _WINDOW_PX)[v][:, u] * mask[v][:, u]
     follow = inside > 0
     vectors = np.zeros(points.shape, dtype=np.float32)
     weights = np.zeros(points.shape[:2], dtype=np.float32)
     if not follow.any():
         return start
-    ended, found = _followed(before, after, points[follow], start, options)
+    ended, found = _followed(before, after, points[follow], start)
     vectors[follow] = ended - points[follow]
     weights[follow] = inside[follow] * found
     weights *= _near_median(vectors, weights)
     return _dense(_interpolated(vectors, weights), step, width, height)
 
 
-def flow_from_tracks(
-    before_px: Points2, now_px: Points2, shape: tuple[int, int], options: FlowOptions
-) -> Flow:
+def flow_from_tracks(before_px: Points2, now_px: Points2, shape: tuple[int, int]) -> Flow:
     """Return the (h, w, 2) flow that goes on as the tracks (n, 2) went: the guess for the next frame."""
     height, width = shape
-    step = options.lattice_px
+    step = _SPACING_PX
     rows, columns = len(range(step // 2, height, step)), len(range(step // 2, width, step))
     cell = np.floor(now_px / step).astype(np.int64)
     inside = np.all((cell >= 0) & (cell < [columns, rows]), axis=1)
@@ -119,18 +158,17 @@ def _followed(
     after: npt.NDArray[np.uint8],
     points: Points2,
     start: Flow,
-    options: FlowOptions,
 ) -> tuple[Points2, npt.NDArray[np.float32]]:
     """Where the points (n, 2) end up, and 1 where they were found; each from the start that fits better."""
     u, v = points.astype(int).T
-    ended, found, residual = _lucas_kanade(before, after, points, points + start[v, u], options)
+    ended, found, residual = _lucas_kanade(before, after, points, points + start[v, u])
     usual = np.median(residual[found > 0]) if found.any() else 0.0
     doubtful = (found == 0) | (residual > _DOUBTFUL * usual)
     if np.mean(doubtful) < _FEW:
         return ended, found
     u, v = u[doubtful], v[doubtful]
     guess = points[doubtful] + _dis(before, after)[v, u]
-    other, other_found, other_residual = _lucas_kanade(before, after, points[doubtful], guess, options)
+    other, other_found, other_residual = _lucas_kanade(before, after, points[doubtful], guess)
     better = (other_found > 0) & (
         (found[doubtful] == 0) | (other_residual < _DIS_MUST_BEAT * residual[doubtful])
     )
@@ -144,12 +182,11 @@ def _lucas_kanade(
     after: npt.NDArray[np.uint8],
     points: Points2,
     guess: Points2,
-    options: FlowOptions,
 ) -> tuple[Points2, npt.NDArray[np.float32], npt.NDArray[np.float32]]:
     """Where points (n, 2) end up, 1 where found, and the residual (n,), undefined where not found."""
     ended, status, residual = cv2.calcOpticalFlowPyrLK(
         before, after, points.reshape(-1, 1, 2), guess.reshape(-1, 1, 2).astype(np.float32),
-        winSize=(options.window_px, options.window_px), maxLevel=options.levels,
+        winSize=(_WINDOW_PX, _WINDOW_PX), maxLevel=0,
         criteria=(cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 10, 0.01),
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW, minEigThreshold=1e-5,
     )  # fmt: skip
@@ -180,3 +217,27 @@ def _interpolated(vectors: Flow, weights: npt.NDArray[np.float32]) -> npt.NDArra
     total[..., :2] += 1e-12 * stacked[..., :2].sum(axis=(0, 1))
     total[..., 2] += 1e-12 * stacked[..., 2].sum()
     return np.asarray(total[..., :2] / np.maximum(total[..., 2:], 1e-30), dtype=np.float32)
+
+
+def _box(mask: Mask, sigma_px: float) -> tuple[slice, slice]:
+    """Rows and columns of the mask and of what a Gaussian reaches around it: elsewhere there is nothing."""
+    reach = int(5 * sigma_px)
+    sides = []
+    for axis, length in enumerate(mask.shape):
+        used = np.flatnonzero(mask.any(axis=1 - axis))
+        first, last = (used[0], used[-1]) if used.size else (0, 0)
+        sides.append(slice(max(0, int(first) - reach), min(length, int(last) + 1 + reach)))
+    return sides[0], sides[1]
+
+
+@njit(cache=True)
+def _encode(normals, mean, share, mask):  # type: ignore[no-untyped-def]
+    h, w = mask.shape
+    out = np.full((h, w, 3), 128, dtype=np.uint8)
+    for v in range(h):
+        for u in range(w):
+            if mask[v, u]:
+                for c in range(3):
+                    relief = normals[v, u, c] - mean[v, u, c] / share[v, u]
+                    out[v, u, c] = np.uint8(min(max(128.5 + _RELIEF_GAIN * relief, 0.0), 255.0))
+    return out

@@ -2,7 +2,7 @@
 
 The folder holds template.ply (topology, colours, texture coordinates; graphics frame, like every PLY),
 vertices.npy (float32, (frames, n, 3), **camera frame**, so that it can be mapped as it is),
-confidence.npy (float32, (frames, n)) where there is any, and sequence.json.
+uncertainty_px.npy (float32, (frames, n)) where there is any, and sequence.json.
 """
 
 from __future__ import annotations
@@ -46,15 +46,15 @@ class MeshSequenceWriter:
         if going_on:
             _require_same_template(self.folder, self._vertex_count)
         self._vertices = _GrowingArray(self.folder / "vertices.npy", (self._vertex_count, 3), keep=going_on)
-        self._confidence: _GrowingArray | None = None
+        self._uncertainty_px: _GrowingArray | None = None
         if going_on:
-            if (self.folder / "confidence.npy").exists():
-                self._confidence = _GrowingArray(
-                    self.folder / "confidence.npy", (self._vertex_count,), keep=True
+            if (self.folder / "uncertainty_px.npy").exists():
+                self._uncertainty_px = _GrowingArray(
+                    self.folder / "uncertainty_px.npy", (self._vertex_count,), keep=True
                 )
-                self.truncate(min(self._vertices.count, self._confidence.count))
+                self.truncate(min(self._vertices.count, self._uncertainty_px.count))
             return
-        (self.folder / "confidence.npy").unlink(missing_ok=True)
+        (self.folder / "uncertainty_px.npy").unlink(missing_ok=True)
         write_mesh(self.folder / "template.ply", template)
         meaning = {"version": _VERSION, "frame_rate_hz": frame_rate_hz, "vertices": self._vertex_count}
         text = {**meaning, "frame": "camera: x right, y down, z forward", "arrays": "(frame, vertex, xyz)"}
@@ -65,33 +65,33 @@ class MeshSequenceWriter:
         """Frames written so far."""
         return self._vertices.count
 
-    def append(self, vertices_in_camera: FloatArray, confidence: FloatArray | None = None) -> None:
-        """Write one frame: (n, 3) vertices, and (n,) confidence for all frames or for none."""
+    def append(self, vertices_in_camera: FloatArray, uncertainty_px: FloatArray | None = None) -> None:
+        """Write one frame: (n, 3) vertices, and (n,) expected errors in pixels for all frames or for none."""
         require_shape(vertices_in_camera, (self._vertex_count, 3), "moving vertices", BadMesh)
         require_finite(vertices_in_camera, f"vertices of frame {self.frame_count}", BadMesh)
-        if confidence is not None:
-            require_shape(confidence, (self._vertex_count,), "confidence", BadMesh)
-            if self._confidence is None and self.frame_count == 0:
-                self._confidence = _GrowingArray(
-                    self.folder / "confidence.npy", (self._vertex_count,), keep=False
+        if uncertainty_px is not None:
+            require_shape(uncertainty_px, (self._vertex_count,), "uncertainty in pixels", BadMesh)
+            if self._uncertainty_px is None and self.frame_count == 0:
+                self._uncertainty_px = _GrowingArray(
+                    self.folder / "uncertainty_px.npy", (self._vertex_count,), keep=False
                 )
-        if (self._confidence is None) != (confidence is None):
-            raise BadMesh("moving mesh: confidence must come with every frame or with none")
-        if self._confidence is not None and confidence is not None:
-            self._confidence.append(confidence)
+        if (self._uncertainty_px is None) != (uncertainty_px is None):
+            raise BadMesh("moving mesh: uncertainty must come with every frame or with none")
+        if self._uncertainty_px is not None and uncertainty_px is not None:
+            self._uncertainty_px.append(uncertainty_px)
         self._vertices.append(vertices_in_camera)
 
     def truncate(self, frame_count: int) -> None:
         """Forget the frames from `frame_count` on."""
         self._vertices.truncate(frame_count)
-        if self._confidence is not None:
-            self._confidence.truncate(frame_count)
+        if self._uncertainty_px is not None:
+            self._uncertainty_px.truncate(frame_count)
 
     def close(self) -> None:
         """Close the files."""
         self._vertices.close()
-        if self._confidence is not None:
-            self._confidence.close()
+        if self._uncertainty_px is not None:
+            self._uncertainty_px.close()
 
     def __enter__(self) -> MeshSequenceWriter:
         return self
@@ -103,7 +103,7 @@ class MeshSequenceWriter:
 
 
 def read_mesh_sequence(folder: Path | str) -> MeshSequence:
-    """Open a moving mesh; vertices and confidence stay on disk as memory maps. Raises `BadMesh`.
+    """Open a moving mesh; vertices and uncertainty stay on disk as memory maps. Raises `BadMesh`.
 
     Where a run was killed between writing the one and the other, the frames that both have are read.
     """
@@ -114,19 +114,21 @@ def read_mesh_sequence(folder: Path | str) -> MeshSequence:
         rate = float(meaning["frame_rate_hz"])
     except (ValueError, KeyError, TypeError, OverflowError) as problem:
         raise BadMesh(f"{folder / 'sequence.json'}: expected JSON with frame_rate_hz") from problem
-    vertices, confidence = np.atleast_1d(map_npy(folder / "vertices.npy", BadMesh)), None
-    if (folder / "confidence.npy").exists():
-        confidence = np.atleast_1d(map_npy(folder / "confidence.npy", BadMesh))
-        whole = min(len(vertices), len(confidence))
-        vertices, confidence = vertices[:whole], confidence[:whole]
-    sequence = MeshSequence(template=template, vertices=vertices, frame_rate_hz=rate, confidence=confidence)
+    vertices, uncertainty_px = np.atleast_1d(map_npy(folder / "vertices.npy", BadMesh)), None
+    if (folder / "uncertainty_px.npy").exists():
+        uncertainty_px = np.atleast_1d(map_npy(folder / "uncertainty_px.npy", BadMesh))
+        whole = min(len(vertices), len(uncertainty_px))
+        vertices, uncertainty_px = vertices[:whole], uncertainty_px[:whole]
+    sequence = MeshSequence(
+        template=template, vertices=vertices, frame_rate_hz=rate, uncertainty_px=uncertainty_px
+    )
     sequence.require_finite(str(folder / "vertices.npy"))
     return sequence
 
 
 def remove_mesh_sequence(folder: Path) -> None:
     """Remove the files of a moving mesh, and the folder once it is empty."""
-    for name in ("template.ply", "vertices.npy", "confidence.npy", "sequence.json"):
+    for name in ("template.ply", "vertices.npy", "uncertainty_px.npy", "confidence.npy", "sequence.json"):
         (folder / name).unlink(missing_ok=True)
     with suppress(OSError):  # something else is left
         folder.rmdir()

@@ -1,0 +1,161 @@
+"""Every measurement tells as much as it can and no more; what nothing tells is carried, and said to be."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.tracking.wrinkled_video import WrinkledVideo
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.maps import DepthMap, NormalMap
+from vntoolkit.tracking.lattice import LocalJacobians, lattice_on_template
+from vntoolkit.tracking.outline import Outline, signed_distance
+from vntoolkit.tracking.registration import Measurement, TemplateRegistration
+from vntoolkit.tracking.slopes import jump_pixels, slopes_from_normals
+from vntoolkit.tracking.template import template_from_maps
+from vntoolkit.tracking.tracker import SurfaceTracker
+
+WIDTH, HEIGHT = 128, 96
+CAMERA = Camera.orthographic(width=WIDTH, height=HEIGHT)
+GRID = CAMERA.pixel_grid()
+
+
+def normals(p: np.ndarray, q: np.ndarray, mask: np.ndarray | None = None) -> NormalMap:
+    """A map of slopes p, q."""
+    n = np.stack([p, q, -np.ones_like(p)], axis=-1)
+    n /= np.linalg.norm(n, axis=-1, keepdims=True)
+    whole = np.ones(p.shape, dtype=bool) if mask is None else mask
+    return NormalMap(normals_in_camera=n.astype(np.float32), mask=whole)
+
+
+def flat_depth(mask: np.ndarray) -> DepthMap:
+    return DepthMap(depth=np.full(mask.shape, 100.0), mask=mask)
+
+
+def measured(first: NormalMap, second: NormalMap, shift=(0.0, 0.0)) -> Measurement:
+    template = template_from_maps(first, flat_depth(first.mask), CAMERA)
+    lattice = lattice_on_template(template, 8)
+    registration = TemplateRegistration(template, lattice, slopes_from_normals(first, CAMERA))
+    positions = template.positions_px + np.asarray(shift)
+    jacobians = LocalJacobians(lattice, template.positions_px).of(positions)
+    return registration.measure(positions, jacobians, slopes_from_normals(second, CAMERA))
+
+
+def test_noise_tells_nothing(rng: np.random.Generator) -> None:
+    frames = [normals(*rng.normal(0, 0.02, (2, HEIGHT, WIDTH))) for _ in range(2)]
+    told = measured(*frames)
+    assert np.mean(told.information[:, 0] + told.information[:, 2] > 0) < 0.1
+    assert np.median(told.expected) < 0.4  # nor is a match of it expected
+
+
+def test_a_fold_tells_across_and_not_along(rng: np.random.Generator) -> None:
+    ridges = 0.2 * np.sin(GRID[..., 0] / 2.0)
+    noise = rng.normal(0, 0.01, (4, HEIGHT, WIDTH))
+    told = measured(normals(ridges + noise[0], noise[1]), normals(ridges + noise[2], noise[3]))
+    inner = told.information[:, 0] > 0
+    assert inner.mean() > 0.8
+    assert np.median(told.information[inner, 2]) < 1e-2 * np.median(told.information[inner, 0])
+
+
+@pytest.mark.parametrize("shift", [(0.4, -0.3), (0.0, 0.5)])
+def test_relief_tells_a_shift(shift: tuple[float, float], rng: np.random.Generator) -> None:
+    video = WrinkledVideo(width=WIDTH, height=HEIGHT)
+    frame = video.maps(0)[0]
+    told = measured(frame, frame, shift)
+    matrices = told.information[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+    known = np.linalg.det(matrices) > 1e-3
+    step = np.linalg.solve(matrices[known], told.pull[known, :, None])[:, :, 0]
+    np.testing.assert_allclose(np.median(step, axis=0), -np.asarray(shift), atol=0.1)
+
+
+def test_the_border_of_an_open_sheet_is_followed_and_a_contour_that_turns_away_is_not() -> None:
+    mask = np.zeros((HEIGHT, WIDTH), dtype=bool)
+    mask[20:76, 24:104] = True
+    moved = np.roll(mask, 3, axis=1)
+    angle = np.arcsin(np.clip((GRID[..., 0] - 63.5) / 40.0, -0.999, 0.999))
+    for surface, followed in (((0 * angle, 0 * angle), True), ((np.tan(angle), 0 * angle), False)):
+        first, second = normals(*surface, mask), normals(*surface, moved)
+        slopes = slopes_from_normals(first, CAMERA)
+        template = template_from_maps(first, flat_depth(mask), CAMERA)
+        lattice = lattice_on_template(template, 8)
+        outline = Outline(template, lattice, mask, slopes)
+        figure = outline.figure(second.mask, slopes_from_normals(second, CAMERA))
+        information, pull = outline.measure(template.positions_px, figure)
+        right = (lattice.cells[:, 0] == lattice.cells[:, 0].max()) & (information[:, 0] > 1.0)
+        if followed:
+            assert right.sum() >= 5
+            np.testing.assert_allclose(
+                pull[right, 0] / information[right, 0], 3.0, atol=0.6
+            )  # corners are round
+        else:
+            assert not right.any()
+
+
+def test_the_distance_to_an_outline_has_its_sign_and_size() -> None:
+    mask = np.zeros((20, 30), dtype=bool)
+    mask[5:15, 10:20] = True
+    mask[9, 14] = False  # a hole of a pixel is none
+    distance = signed_distance(mask)
+    assert distance[10, 10] == pytest.approx(-0.5)
+    assert distance[10, 9] == pytest.approx(0.5)
+    assert distance[10, 25] == pytest.approx(5.5, abs=0.1)
+    assert distance[9, 14] < -3
+
+
+class SmoothSheet:
+    """A sheet without relief that stretches by 4 % while wrinkles travel over it, 2 px a frame."""
+
+    def at(self, x: np.ndarray, frame: int) -> np.ndarray:
+        stretch = 1 + 0.04 * np.sin(frame / 12)
+        return (x - [63.5, 47.5]) * [stretch, 1.0] + [63.5, 47.5] + [1.5 * np.sin(frame / 9), 0.0]
+
+    def maps(self, frame: int) -> tuple[NormalMap, DepthMap]:
+        k = 2 * np.pi / 50
+        p = 0.2 * np.cos(k * (GRID[..., 0] - 2 * frame)) + 0.1 * np.cos(k * (GRID[..., 1] + 2 * frame))
+        noise = np.random.default_rng(frame).normal(0, 0.01, (2, HEIGHT, WIDTH))
+        low, high = self.at(np.array([20.0, 16.0]), frame), self.at(np.array([107.0, 79.0]), frame)
+        mask = np.all((low <= GRID) & (high >= GRID), axis=-1)
+        return normals(p + noise[0], 0.5 * p + noise[1], mask), flat_depth(mask)
+
+
+def test_a_smooth_sheet_is_held_by_its_outline_while_wrinkles_travel_over_it() -> None:
+    sheet = SmoothSheet()
+    tracker = SurfaceTracker(*sheet.maps(0), CAMERA)
+    for frame in range(1, 25):
+        tracked = tracker.step(*sheet.maps(frame))
+    error = np.linalg.norm(tracked.positions_px - sheet.at(tracker.template.positions_px, 24), axis=1)
+    assert np.median(error) < 1.0  # the wrinkles have travelled 48 px
+    assert np.percentile(error, 95) < 2.5
+    assert np.mean(error < tracked.uncertainty_px) > 0.7
+
+
+def test_nine_in_ten_errors_are_below_the_expected_one_where_relief_fades() -> None:
+    """Left the relief that registers, right none: it is carried, and its expected error grows."""
+    video = WrinkledVideo(width=WIDTH, height=HEIGHT, sway_px=2.0, noise=0.02)
+    plain = normals(*np.zeros((2, HEIGHT, WIDTH)))
+    fade = (GRID[..., 0] > 64)[..., None]
+
+    def maps(frame: int) -> tuple[NormalMap, DepthMap]:
+        relief, depth = video.maps(frame)
+        mixed = np.where(fade, plain.normals_in_camera, relief.normals_in_camera)
+        return NormalMap(normals_in_camera=mixed, mask=relief.mask), depth
+
+    tracker = SurfaceTracker(*maps(0), video.camera)
+    for frame in range(1, 9):
+        tracked = tracker.step(*maps(frame))
+    truth = video.warp(tracker.template.positions_px, 8)
+    error = np.linalg.norm(tracked.positions_px - truth, axis=1)
+    left, right = tracker.template.pixels[:, 0] < 48, tracker.template.pixels[:, 0] > 96
+    assert np.median(tracked.uncertainty_px[right]) > 3 * np.median(tracked.uncertainty_px[left])
+    assert np.mean(error < tracked.uncertainty_px) > 0.8
+
+
+def test_the_edge_of_a_shadow_is_not_registered_by() -> None:
+    flat = normals(*np.zeros((2, HEIGHT, WIDTH)))
+    weight = np.where(GRID[..., 0] < 60, 1.0, 0.2).astype(np.float32)
+    shaded = NormalMap(normals_in_camera=flat.normals_in_camera, mask=flat.mask, weight=weight)
+    jumps = jump_pixels(shaded)
+    assert jumps[:, 58:62].all()
+    assert not jumps[:, :50].any()
+    assert not jumps[:, 70:].any()
+    assert not jump_pixels(flat).any()

@@ -1,0 +1,218 @@
+"""How far apart neighbouring nodes of the template must lie in a frame, and how surely.
+
+Two guesses, each by how well it does where the nodes around are measured:
+
+- Lengths on the surface stay. A step dx on the template is dxᵀ G_t dx long, squared, and dxᵀ Jᵀ G_c J dx in
+  the frame, G the metrics that the normals give, so Jᵀ G_c J = G_t. That leaves a turn R open, which is
+  that of the surroundings: J = G_c^(−1/2) R G_t^(1/2). At grazing angles, and where the surface is hidden,
+  it says little.
+- The whole moves as one body: seen from afar, by an affine map of its points (u, v, depth), fitted robustly,
+  and on it every piece that hangs together by its own. It is right for an ear behind the cheek's rim.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
+
+from vntoolkit.arrays import FloatArray, Points2
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.maps import DepthMap
+from vntoolkit.tracking.lattice import TemplateLattice
+from vntoolkit.tracking.slopes import Slopes, metric_sums, sample_depth
+from vntoolkit.tracking.template import TrackingTemplate
+
+_STRAIN = 0.07  # standard deviation of stretch, where none is measured: cloth has 0.03 to 0.1, skin up to 0.3
+_BODY_STRAIN = 0.15  # the same, of a surface that is taken for one body
+_PRIOR_LINKS = 0.2  # measured links nearby that the two count for
+_NEAR_PASSES = 8  # of lattice smoothing: how far around a guess's success counts
+_NORMAL_ERROR = 0.05  # radians: shading that departs from the model turns normals by 3°
+_TURN_PASSES = 2  # of lattice smoothing: the turn in the image is that of the surroundings
+_WHOLE = 0.5  # mean weight of the slopes in a cell from which they are fully trusted
+_LEAST_RELIABLE = 1e-4  # of a node that is not measured, in the fit of one body
+_ROUNDS = 8  # of reweighting in that fit
+_RIDGE = np.array([0.1, 0.1, 0.1, 1e-3])  # in measured nodes, by unit coordinates: of the whole
+_PIECE_RIDGE = np.array([0.3, 0.3, 3.0, 0.03])  # of a piece's own motion beside the whole's
+_PIECE_LEAST = 4.0  # measured nodes that show a motion of their own
+_LEAST_SCALE_PX = 1.0  # of the fit's residuals; closer fits are not worth more
+_SIGMAS = 1.5  # of a normal distribution in the median of its size
+
+
+class LinkLengths:
+    """Guesses the links of one template's lattice in any frame."""
+
+    def __init__(
+        self, lattice: TemplateLattice, template: TrackingTemplate, camera: Camera, slopes: Slopes
+    ) -> None:
+        """Measure the template; slopes: of its frame."""
+        self._lattice, self._camera = lattice, camera
+        self._counts = np.bincount(lattice.node_of_vertex, minlength=lattice.count)
+        self.centres = lattice.sums(template.positions_px) / self._counts[:, None]
+        rows = np.repeat(np.arange(lattice.count), np.diff(lattice.starts))
+        once = rows < lattice.neighbours
+        self.links = np.stack([rows[once], lattice.neighbours[once]], axis=1).astype(np.int64)
+        self.along = self.centres[self.links[:, 1]] - self.centres[self.links[:, 0]]
+        self._depth = template.vertices_in_camera[:, 2]
+        metric, self._seen = self._metric(slopes, template.positions_px, np.ones(len(template.pixels)))
+        self._root = _square_root(metric)
+        self._inverse_root = np.linalg.inv(self._root)
+        self._steepness = _steepness(metric)
+        self._motion = _BodyMotion(lattice, template, camera)
+
+    def nodes(self, positions_px: Points2) -> npt.NDArray[np.float64]:
+        """Return (nodes, 2) the means of positions (n, 2)."""
+        return self._lattice.sums(positions_px) / self._counts[:, None]
+
+    def guessed(
+        self,
+        positions_px: Points2,
+        around: FloatArray,
+        slopes: Slopes,
+        depth_map: DepthMap,
+        hidden: FloatArray,
+        measured: FloatArray,
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Return (links, 2) the steps from node to node, and (links,) their variance by direction, px².
+
+        around: (nodes, 4) Jacobians of positions (n, 2). hidden: (nodes,) share that is not seen. measured:
+        (nodes,) from 0 to 1, how far a node's place is known.
+        """
+        a, b = self.links.T
+        by_lengths, steepness, seen = self._by_lengths(positions_px, around, slopes, depth_map)
+        trust = np.clip(np.minimum(seen, self._seen) / (_WHOLE * np.maximum(self._counts, 1)), 0.0, 1.0)
+        trust = trust * (1.0 - hidden)
+        trusted = np.minimum(trust[a], trust[b])
+        now = self.nodes(positions_px)
+        reliable = (1.0 - hidden) * measured + _LEAST_RELIABLE
+        body = self._motion.fitted(now - self.centres, reliable)
+        by_body = self.along + body[b] - body[a]
+        steps = now[b] - now[a]
+        square = np.sum(self.along**2, axis=1)
+        tested = np.minimum(reliable[a], reliable[b])
+        grazing = _NORMAL_ERROR**2 * np.maximum(steepness[a], steepness[b])
+        variances = [
+            self._near_mean(_strain(steps - by_lengths, square), tested * trusted, _STRAIN**2)
+            + grazing
+            + 1
+            - trusted,
+            self._near_mean(_strain(steps - by_body, square), tested, _BODY_STRAIN**2),
+        ]
+        shares = [1.0 / variance for variance in variances]
+        mean = (shares[0][:, None] * by_lengths + shares[1][:, None] * by_body) / sum(shares)[:, None]
+        return mean, square * np.minimum(*variances)
+
+    def _by_lengths(
+        self, positions_px: Points2, around: FloatArray, slopes: Slopes, depth_map: DepthMap
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        scale = np.ones(len(positions_px))
+        if self._camera.is_perspective:
+            depth, found = sample_depth(depth_map.depth, depth_map.mask, positions_px)
+            scale = np.where(found, depth / self._depth, 1.0)
+        metric, seen = self._metric(slopes, positions_px, scale)
+        root = _square_root(metric)
+        sums = self._lattice.smoothed(np.hstack([around, np.ones((len(around), 1))]), _TURN_PASSES)
+        mean = (sums[:, :4] / sums[:, 4:]).reshape(-1, 2, 2)
+        wanted = np.linalg.inv(root) @ _nearest_turn(root @ mean @ self._inverse_root) @ self._root
+        a, b = self.links.T
+        steps = np.einsum("eab,eb->ea", 0.5 * (wanted[a] + wanted[b]), self.along)
+        return steps, _steepness(metric) + self._steepness, seen
+
+    def _metric(
+        self, slopes: Slopes, positions_px: Points2, scale: FloatArray
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """(nodes, 2, 2) weighted mean of the metric over each node, and the sum of the weights."""
+        lattice = self._lattice
+        sums = metric_sums(slopes, self._camera, positions_px, scale, lattice.node_of_vertex, lattice.count)
+        known = sums[:, 3] > 1e-6
+        means = np.where(
+            known[:, None], sums[:, [0, 1, 1, 2]] / np.maximum(sums[:, 3:], 1e-6), [1.0, 0, 0, 1.0]
+        )
+        return means.reshape(-1, 2, 2), sums[:, 3]
+
+    def _near_mean(self, value: FloatArray, weight: FloatArray, prior: float) -> npt.NDArray[np.float64]:
+        """(links,) weighted mean of a value of the links around each, beside the prior's few."""
+        count = self._lattice.count
+        sums = np.zeros((count, 2))
+        for end in self.links.T:
+            sums[:, 0] += np.bincount(end, weight * value, minlength=count)
+            sums[:, 1] += np.bincount(end, weight, minlength=count)
+        sums = self._lattice.smoothed(sums, _NEAR_PASSES) / 3.0**_NEAR_PASSES
+        mean = (sums[:, 0] + _PRIOR_LINKS * prior) / (sums[:, 1] + _PRIOR_LINKS)
+        return np.asarray(0.5 * (mean[self.links[:, 0]] + mean[self.links[:, 1]]))
+
+
+class _BodyMotion:
+    """Fits a motion in the image that is affine in (u, v, depth): of the whole, and on it of every piece."""
+
+    def __init__(self, lattice: TemplateLattice, template: TrackingTemplate, camera: Camera) -> None:
+        depth = template.vertices_in_camera[:, 2]
+        relief_px = template.pixels_per_length(camera) * (depth - np.median(depth))
+        points = np.column_stack([template.positions_px, relief_px])
+        points -= points.mean(axis=0)
+        points /= max(float(points[:, :2].std()), 1e-9)
+        counts = np.bincount(lattice.node_of_vertex, minlength=lattice.count)
+        self._nodes = lattice.sums(np.column_stack([points, np.ones(len(points))])) / counts[:, None]
+        links = sp.csr_array(
+            (np.ones(len(lattice.neighbours), dtype=np.int8), lattice.neighbours, lattice.starts),
+            shape=(lattice.count, lattice.count),
+        )
+        self._pieces, self._piece = connected_components(links, directed=False)
+
+    def fitted(self, displacements: FloatArray, weight: FloatArray) -> npt.NDArray[np.float64]:
+        """Return the motion (nodes, 2) of measured displacements (nodes, 2), weights (nodes,) from 0 to 1."""
+        motion: npt.NDArray[np.float64] = self._nodes @ _robust_fit(
+            self._nodes, displacements, weight, _RIDGE
+        )
+        if self._pieces == 1:
+            return motion
+        seen = np.bincount(self._piece, weight, minlength=self._pieces)
+        for piece in np.flatnonzero(seen >= _PIECE_LEAST):
+            inside = self._piece == piece
+            own = displacements[inside] - motion[inside]
+            motion[inside] += self._nodes[inside] @ _robust_fit(
+                self._nodes[inside], own, weight[inside], _PIECE_RIDGE
+            )
+        return motion
+
+
+def _robust_fit(
+    points: FloatArray, values: FloatArray, weight: FloatArray, ridge: FloatArray
+) -> npt.NDArray[np.float64]:
+    """Return the (4, k) map of points (m, 4) to values (m, k) by reweighted least squares (Cauchy)."""
+    trust = np.asarray(weight, dtype=np.float64)
+    counted = weight > 0.3 * float(weight.max(initial=0.0))
+    motion: npt.NDArray[np.floating] = np.zeros((points.shape[1], values.shape[1]))
+    for _ in range(_ROUNDS):
+        weighted = trust[:, None] * points
+        motion = np.linalg.solve(points.T @ weighted + np.diag(ridge), weighted.T @ values)
+        residual = np.linalg.norm(values - points @ motion, axis=1)
+        usual = float(np.median(residual[counted])) if counted.any() else 0.0
+        trust = weight / (1.0 + (residual / max(_LEAST_SCALE_PX, _SIGMAS * usual)) ** 2)
+    return np.asarray(motion)
+
+
+def _strain(difference: FloatArray, square: FloatArray) -> npt.NDArray[np.float64]:
+    """Squared departure of a link by its squared length, by direction, bounded: beyond, it is just wrong."""
+    return np.asarray(np.minimum(np.sum(difference**2, axis=1) / square, 1.0))
+
+
+def _steepness(metric: FloatArray) -> npt.NDArray[np.float64]:
+    """Squared slope (m,) of a surface with metric (m, 2, 2)."""
+    return np.maximum(np.trace(metric, axis1=1, axis2=2) - 2.0, 0.0)
+
+
+def _square_root(metric: FloatArray) -> npt.NDArray[np.float64]:
+    """Return the symmetric root of positive definite (m, 2, 2), by Cayley and Hamilton."""
+    determinant = np.sqrt(np.linalg.det(metric))
+    trace = np.sqrt(metric[:, 0, 0] + metric[:, 1, 1] + 2 * determinant)
+    return np.asarray((metric + determinant[:, None, None] * np.eye(2)) / trace[:, None, None])
+
+
+def _nearest_turn(matrix: FloatArray) -> npt.NDArray[np.float64]:
+    """Return the rotation (m, 2, 2) nearest to each matrix."""
+    cosine, sine = matrix[:, 0, 0] + matrix[:, 1, 1], matrix[:, 1, 0] - matrix[:, 0, 1]
+    length = np.maximum(np.hypot(cosine, sine), 1e-9)
+    cosine, sine = cosine / length, sine / length
+    return np.stack([cosine, -sine, sine, cosine], axis=1).reshape(-1, 2, 2)

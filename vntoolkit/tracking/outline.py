@@ -1,0 +1,142 @@
+"""The outline of the figure: where an open surface ends, and beyond which nothing of it is in sight."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+from scipy import ndimage
+
+from vntoolkit.arrays import Mask, Points2
+from vntoolkit.tracking.lattice import TemplateLattice
+from vntoolkit.tracking.slopes import Slopes, sample_image
+from vntoolkit.tracking.template import TrackingTemplate
+
+_SIGMA_PX = 0.25  # of the outline at one node: pixels are whole
+_OPEN_FACING = (
+    0.35,
+    0.6,
+)  # cosine to the viewing ray at the outline: from an occluding contour, which slides, to a border
+_BORDER_PX = 4  # beside the image's own border there is no outline
+_SMALL_HOLE_PX = 200  # area of holes that are no part of the outline
+_INSIDE_SIGMA_PX = 2.0  # of a node whose vertices lie off the figure
+_HUBER_PX = 6.0
+
+
+class Outline:
+    """Compares the border of one template with the outline of a figure."""
+
+    def __init__(
+        self, template: TrackingTemplate, lattice: TemplateLattice, mask: Mask, slopes: Slopes
+    ) -> None:
+        self._lattice, self._pixels = lattice, template.positions_px
+        figure = self.figure(mask, slopes)
+        at = sample_image(figure, self._pixels)
+        border = np.flatnonzero(at[:, 0] > -2.0)
+        h, w = mask.shape
+        p = self._pixels[border]
+        inside = np.all((p >= _BORDER_PX) & (p <= [w - 1 - _BORDER_PX, h - 1 - _BORDER_PX]), axis=1)
+        self._border = border[inside]
+        self._own = at[self._border, 0]
+        self._node = lattice.node_of_vertex[self._border]
+        self._open = at[self._border, 3]
+
+    def figure(self, mask: Mask, slopes: Slopes) -> npt.NDArray[np.float32]:
+        """(h, w, 4): signed distance, its gradient, and openness, of one frame."""
+        field = _with_gradient(signed_distance(mask))
+        mean = cv2.blur(slopes, (7, 7))
+        weight = np.maximum(mean[..., 2], np.float32(1e-3))
+        facing = 1 / np.sqrt(1 + (mean[..., 0] / weight) ** 2 + (mean[..., 1] / weight) ** 2)
+        low, high = _OPEN_FACING
+        openness = np.clip((facing - low) / (high - low), 0.0, 1.0) * (mean[..., 2] > 0.05)
+        return np.dstack([field, openness.astype(np.float32)])
+
+    def measure(
+        self, positions_px: Points2, field: npt.NDArray[np.float32]
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Return information (m, 3), pull (m, 2), in pixels of the frame."""
+        h, w = field.shape[:2]
+        position = positions_px[self._border]
+        at = sample_image(field, position)
+        in_image = np.all(
+            (position >= _BORDER_PX) & (position <= [w - 1 - _BORDER_PX, h - 1 - _BORDER_PX]), axis=1
+        )
+        openness = self._open * in_image
+        foot = position - at[:, :1] * at[:, 1:3]
+        openness = openness * sample_image(field, foot)[:, 3]
+        openness = openness * np.all(
+            (foot >= _BORDER_PX) & (foot <= [w - 1 - _BORDER_PX, h - 1 - _BORDER_PX]), axis=1
+        )
+        residual = self._own - at[:, 0]
+        information, pull = self._gathered(self._node, at[:, 1:3], residual, openness, _SIGMA_PX)
+        off = np.flatnonzero(_outside(field, positions_px))
+        at = sample_image(field, positions_px[off])
+        node, whole = self._lattice.node_of_vertex[off], np.ones(len(off))
+        more, more_pull = self._gathered(node, at[:, 1:3], 0.5 - at[:, 0], whole, _INSIDE_SIGMA_PX)
+        return information + more, pull + more_pull
+
+    def _gathered(self, node, normal, residual, weight, sigma):  # type: ignore[no-untyped-def]
+        count = self._lattice.count
+        robust = weight / np.maximum(1.0, np.abs(residual) / _HUBER_PX)
+        terms = (
+            np.column_stack(
+                [
+                    normal[:, 0] ** 2,
+                    normal[:, 0] * normal[:, 1],
+                    normal[:, 1] ** 2,
+                    normal[:, 0] * residual,
+                    normal[:, 1] * residual,
+                ]
+            )
+            * robust[:, None]
+        )
+        number = np.maximum(np.bincount(node, minlength=count), 8.0)
+        sums = np.stack([np.bincount(node, terms[:, k], minlength=count) for k in range(5)], axis=1)
+        sums = sums / (number[:, None] * sigma**2)
+        return sums[:, :3], sums[:, 3:]
+
+
+@njit(cache=True)
+def _outside(field, positions):  # type: ignore[no-untyped-def]
+    """(n,) True where a position lies in the image and off the figure."""
+    h, w = field.shape[:2]
+    out = np.zeros(len(positions), dtype=np.bool_)
+    for i in range(len(positions)):
+        u, v = int(np.floor(positions[i, 0] + 0.5)), int(np.floor(positions[i, 1] + 0.5))
+        out[i] = 0 <= u < w and 0 <= v < h and field[v, u, 0] > 0.5
+    return out
+
+
+def signed_distance(mask: Mask) -> npt.NDArray[np.float32]:
+    """Return (h, w) distance in pixels from the outline: positive outside, negative inside."""
+    filled = _without_small_holes(mask).astype(np.uint8)
+    outside = (
+        cv2.distanceTransform(1 - filled, cv2.DIST_L2, 5)
+        if not filled.all()
+        else np.zeros(mask.shape, np.float32)
+    )
+    if filled.all():
+        return np.full(mask.shape, -1e3, dtype=np.float32)
+    inside = cv2.distanceTransform(filled, cv2.DIST_L2, 5)
+    return np.asarray(np.where(filled, 0.5 - inside, outside - 0.5), dtype=np.float32)
+
+
+def _without_small_holes(mask: Mask) -> Mask:
+    labels, count = ndimage.label(~mask)
+    if count == 0:
+        return mask
+    sizes = np.bincount(labels.ravel())
+    small = sizes < _SMALL_HOLE_PX
+    small[0] = False
+    return np.asarray(mask | small[labels])
+
+
+def _with_gradient(distance: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    smooth = cv2.GaussianBlur(distance, (0, 0), 2.0)
+    gu, gv = (
+        cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=0.125),
+        cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=0.125),
+    )
+    length = np.maximum(np.hypot(gu, gv), 1e-6)
+    return np.dstack([cv2.GaussianBlur(distance, (0, 0), 1.0), gu / length, gv / length])

@@ -1,0 +1,312 @@
+"""What a frame tells about where the template is, with the information that it really has.
+
+The frame's slopes are sampled at the vertices, pulled back into the template by the transposed Jacobian (they
+are the gradient of log Z) and compared with the template's, band by band: what is left of them after a
+Gaussian is taken off three times, at full resolution and at halvings. A fine band is relief that sits on the
+surface. A coarse one is its shape, which may bend: its residual then is large, and it tells little.
+
+Template f and frame g differ by noise and by the displacement d: g − f = F d + noise. Over a window, with
+F = ½(∇f + ∇g), the moments b = −Σ Fᵀ(g − f), H = Σ FᵀF and A = Σ ∇fᵀ∇g give d = A⁻¹ b. A is made of what both
+have in common: noise is not, and raises H alone. So along an eigenvector of A, d has the variance σ² H / A²,
+with σ² that of the residual; and where A is no larger than chance makes it, nothing is told.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from vntoolkit.arrays import FloatArray, Points2
+from vntoolkit.tracking.lattice import TemplateLattice
+from vntoolkit.tracking.slopes import Slopes
+from vntoolkit.tracking.template import TrackingTemplate
+
+_SIGMA_PX = 2.5  # of the Gaussian that is taken off
+_TIMES = 3  # that it is: relief up to 16 px long passes, of a fold of 60 px a ten-thousandth is left
+_WINDOW_PASSES = (
+    2,
+    5,
+    8,
+)  # of lattice smoothing; under narrower windows errors of a cell's size feed themselves
+_CHANCE = 2.5  # standard deviations of A without a common signal, below which nothing is told
+_CORRELATED_PX = 12.0  # pixels that agree by chance count as one, by H: so measured on white noise
+_LONGEST_STEP_PX = 2.0  # in pixels of the band: about what one linearisation reaches
+_LEAST_NOISE = 1e-3  # slope: what interpolation leaves
+_ACCURACY_PX = (
+    0.1  # of a window's step at best, in pixels of the band: lattice and linearisation are no better
+)
+_NOISE_GRADIENT = 0.57  # gradient power of white noise by the power of the residual it leaves, measured too
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Band:
+    """One band of the template, on its raster.
+
+    halvings: of the resolution. node: (h, w) int32, −1 outside. features: (h, w, 2). gradients: (h, w, 4)
+    ∂f/∂u, ∂f/∂v of both. weight: (h, w).
+    """
+
+    halvings: int
+    node: npt.NDArray[np.int32]
+    features: npt.NDArray[np.float32]
+    gradients: npt.NDArray[np.float32]
+    weight: npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Measurement:
+    """information: (nodes, 3) I_uu, I_uv, I_vv in 1/px² of the template. pull: (nodes, 2) I d.
+
+    match: (nodes,) the share of the finest band's gradients that template and frame have in common, 0 to 1;
+    expected: (nodes,) the share they would have if only noise told them apart. found: (nodes,) the
+    greatest share of any band.
+    """
+
+    information: npt.NDArray[np.float64]
+    pull: npt.NDArray[np.float64]
+    match: npt.NDArray[np.float64]
+    expected: npt.NDArray[np.float64]
+    found: npt.NDArray[np.float64]
+
+
+class TemplateRegistration:
+    """Measures the displacement of one template in any frame."""
+
+    def __init__(self, template: TrackingTemplate, lattice: TemplateLattice, slopes: Slopes) -> None:
+        """Prepare the template's bands; slopes: of its frame."""
+        self._lattice = lattice
+        pixels = template.pixels
+        low, high = pixels.min(axis=0), pixels.max(axis=0) + 1
+        self._shape = (int(high[1] - low[1]), int(high[0] - low[0]))
+        self._at = (pixels[:, 1] - low[1], pixels[:, 0] - low[0])
+        self._node = np.full(self._shape, -1, dtype=np.int32)
+        self._node[self._at] = lattice.node_of_vertex
+        identity = np.tile([1.0, 0.0, 0.0, 1.0], (lattice.count, 1))
+        here = _pulled_back(slopes, template.positions_px, identity, lattice.taps, lattice.shares)
+        self._multiplicity = {
+            p: lattice.smoothed(np.ones((lattice.count, 1)), p)[:, 0] for p in _WINDOW_PASSES
+        }
+        self._bands = self._banded(here)
+        fine = self._bands[0]
+        own = _moments(
+            fine.node,
+            lattice.count,
+            fine.features,
+            fine.gradients,
+            fine.weight,
+            fine.features,
+            fine.gradients,
+            fine.weight,
+        )
+        own = lattice.smoothed(own, _WINDOW_PASSES[0])
+        self._power = own[:, 10] / np.maximum(own[:, 9], 1e-9)
+
+    def measure(self, positions_px: Points2, jacobians: FloatArray, slopes: Slopes) -> Measurement:
+        """Measure in the frame with these slopes.
+
+        jacobians: (nodes, 4) ∂u/∂x, ∂u/∂y, ∂v/∂x, ∂v/∂y of positions (n, 2) by the template's pixels.
+        """
+        lattice, count = self._lattice, self._lattice.count
+        information, pull = np.zeros((count, 3)), np.zeros((count, 2))
+        match, expected, found = np.zeros(count), np.zeros(count), np.zeros(count)
+        pulled = _pulled_back(slopes, positions_px, jacobians, lattice.taps, lattice.shares)
+        for mine, theirs in zip(self._bands, self._banded(pulled), strict=True):
+            terms = _moments(
+                mine.node, count, mine.features, mine.gradients, mine.weight,
+                theirs.features, theirs.gradients, theirs.weight,
+            )  # fmt: skip
+            passes = _WINDOW_PASSES[mine.halvings]
+            terms = self._lattice.smoothed(terms, passes)
+            multiplicity = self._multiplicity[passes]
+            pixels = 4.2 * passes / 3.0**passes  # of the window, by the sum of its weights
+            told, step, ratio = _told(terms, 2.0**mine.halvings, pixels)
+            found = np.maximum(found, ratio)
+            if mine.halvings == 0:
+                match = ratio
+                expected = self._expected_match(terms)
+            told /= multiplicity[:, None]
+            information += told
+            pull += np.einsum("nij,nj->ni", told[:, [0, 1, 1, 2]].reshape(-1, 2, 2), step)
+        return Measurement(information=information, pull=pull, match=match, expected=expected, found=found)
+
+    def _expected_match(self, terms: FloatArray) -> npt.NDArray[np.float64]:
+        """Return (nodes,) the share of gradients in common if only this frame's noise told them apart."""
+        seen = terms[:, 9] > 0
+        if not seen.any():
+            return np.zeros(len(terms))
+        noise = float(np.percentile(terms[seen, 8] / terms[seen, 9], 20))
+        return np.asarray(np.maximum(0.0, 1.0 - _NOISE_GRADIENT * noise / np.maximum(self._power, 1e-12)))
+
+    def _banded(self, pulled: npt.NDArray[np.float32]) -> list[Band]:
+        image = np.zeros((*self._shape, 3), dtype=np.float32)
+        image[self._at] = pulled
+        node, out = self._node, []
+        for halvings in range(len(_WINDOW_PASSES)):
+            if min(node.shape) < 8:
+                break
+            features, weight = _high_passed(image)
+            gradients, weight = _gradients(features, weight, np.float32(0.5 / 2.0**halvings))
+            out.append(
+                Band(
+                    halvings=halvings,
+                    node=np.ascontiguousarray(node),
+                    features=features,
+                    gradients=gradients,
+                    weight=weight,
+                )
+            )
+            image = np.asarray(cv2.pyrDown(image), dtype=np.float32)
+            node = node[::2, ::2]
+        return out
+
+
+def _high_passed(
+    weighted: npt.NDArray[np.float32],
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    """(h, w, 2) values of a weighted image with its Gaussian mean taken off, thrice, and their weight."""
+    weight = np.ascontiguousarray(weighted[..., 2])
+    share = cv2.GaussianBlur(weight, (0, 0), _SIGMA_PX)
+    values = np.ascontiguousarray(weighted[..., :2])
+    for _ in range(_TIMES):
+        _take_off(values, weight, share, cv2.GaussianBlur(values, (0, 0), _SIGMA_PX))
+    _divide(values, weight)
+    return values, weight
+
+
+@njit(cache=True)
+def _take_off(values, weight, share, mean):  # type: ignore[no-untyped-def]
+    for v in range(weight.shape[0]):
+        for u in range(weight.shape[1]):
+            if weight[v, u] > 0:
+                factor = weight[v, u] / share[v, u]
+                values[v, u, 0] -= factor * mean[v, u, 0]
+                values[v, u, 1] -= factor * mean[v, u, 1]
+
+
+@njit(cache=True)
+def _divide(values, weight):  # type: ignore[no-untyped-def]
+    for v in range(weight.shape[0]):
+        for u in range(weight.shape[1]):
+            factor = np.float32(1.0) / max(weight[v, u], np.float32(1e-3))
+            values[v, u, 0] *= factor
+            values[v, u, 1] *= factor
+
+
+@njit(cache=True)
+def _gradients(values, weight, scale):  # type: ignore[no-untyped-def]
+    """Central differences (h, w, 4), and the weight where all four neighbours are there."""
+    h, w = weight.shape
+    out = np.zeros((h, w, 4), dtype=np.float32)
+    kept = np.zeros((h, w), dtype=np.float32)
+    for v in range(1, h - 1):
+        for u in range(1, w - 1):
+            least = min(weight[v, u], weight[v, u - 1], weight[v, u + 1], weight[v - 1, u], weight[v + 1, u])
+            if least > 0.05:
+                kept[v, u] = least
+                for c in range(2):
+                    out[v, u, c] = scale * (values[v, u + 1, c] - values[v, u - 1, c])
+                    out[v, u, 2 + c] = scale * (values[v + 1, u, c] - values[v - 1, u, c])
+    return out, kept
+
+
+@njit(cache=True)
+def _pulled_back(slopes, positions, jacobians, taps, shares):  # type: ignore[no-untyped-def]
+    """(n, 3): w Jᵀ a at the positions, and w (0 where under a tenth is surface).
+
+    Within half a pixel beyond the outermost centres, which is still the picture, the outermost pixels count.
+    """
+    h, w = slopes.shape[:2]
+    n = positions.shape[0]
+    out = np.zeros((n, 3), dtype=np.float32)
+    jacobian = np.empty(4)
+    for i in range(n):
+        x, y = positions[i, 0], positions[i, 1]
+        if not (x > -0.5 and y > -0.5 and x < w - 0.5 and y < h - 0.5):
+            continue
+        x, y = min(max(x, 0.0), w - 1.0), min(max(y, 0.0), h - 1.0)
+        u, v = min(int(x), w - 2), min(int(y), h - 2)
+        a, b = x - u, y - v
+        p = q = weight = 0.0
+        for dv in range(2):
+            for du in range(2):
+                share = (a if du else 1 - a) * (b if dv else 1 - b)
+                p += share * slopes[v + dv, u + du, 0]
+                q += share * slopes[v + dv, u + du, 1]
+                weight += share * slopes[v + dv, u + du, 2]
+        if weight > 0.1:
+            jacobian[:] = 0.0
+            for corner in range(4):
+                for c in range(4):
+                    jacobian[c] += shares[i, corner] * jacobians[taps[i, corner], c]
+            out[i, 0] = jacobian[0] * p + jacobian[2] * q
+            out[i, 1] = jacobian[1] * p + jacobian[3] * q
+            out[i, 2] = weight
+    return out
+
+
+@njit(cache=True)
+def _moments(node, count, f, df, wf, g, dg, wg):  # type: ignore[no-untyped-def]
+    """(nodes, 12): A (3), H (3), b (2), Σ w |g − f|², Σ w, Σ w |∇f|², pixels."""
+    h, w = node.shape
+    out = np.zeros((count, 12))
+    for v in range(h):
+        for u in range(w):
+            j = node[v, u]
+            weight = min(wf[v, u], wg[v, u])
+            if j < 0 or weight <= 0:
+                continue
+            for c in range(2):
+                r = g[v, u, c] - f[v, u, c]
+                fx, fy, gx, gy = df[v, u, c], df[v, u, 2 + c], dg[v, u, c], dg[v, u, 2 + c]
+                mx, my = 0.5 * (fx + gx), 0.5 * (fy + gy)
+                out[j, 0] += weight * fx * gx
+                out[j, 1] += weight * 0.5 * (fx * gy + fy * gx)
+                out[j, 2] += weight * fy * gy
+                out[j, 3] += weight * mx * mx
+                out[j, 4] += weight * mx * my
+                out[j, 5] += weight * my * my
+                out[j, 6] -= weight * mx * r
+                out[j, 7] -= weight * my * r
+                out[j, 8] += weight * r * r
+                out[j, 9] += weight
+                out[j, 10] += weight * (fx * fx + fy * fy + gx * gx + gy * gy) * 0.5
+            out[j, 11] += 1.0
+    return out
+
+
+@njit(cache=True)
+def _told(terms, pixel, pixels):  # type: ignore[no-untyped-def]
+    """Information (nodes, 3), the step measured (nodes, 2), and the gradients' common share (nodes,)."""
+    m = terms.shape[0]
+    told, steps, ratio = np.zeros((m, 3)), np.zeros((m, 2)), np.zeros(m)
+    for j in range(m):
+        if terms[j, 9] <= 0:
+            continue
+        variance = terms[j, 8] / terms[j, 9] + _LEAST_NOISE**2
+        a, b, c = terms[j, 0], terms[j, 1], terms[j, 2]
+        mean, half = 0.5 * (a + c), np.sqrt(0.25 * (a - c) ** 2 + b * b)
+        angle = 0.5 * np.arctan2(2 * b, a - c)
+        chance = _CHANCE * np.sqrt(_CORRELATED_PX / (2.0 * max(pixels * terms[j, 11], 1.0)))
+        ratio[j] = max(0.0, 2 * mean / max(terms[j, 10], 1e-30))
+        for k in range(2):
+            value = mean + half if k == 0 else mean - half
+            x, y = np.cos(angle), np.sin(angle)
+            if k == 1:
+                x, y = -y, x
+            power = terms[j, 3] * x * x + 2 * terms[j, 4] * x * y + terms[j, 5] * y * y
+            sure = value - chance * power
+            if sure <= 0 or power <= 0:
+                continue
+            info = 1.0 / (power * variance / (sure * sure) + (_ACCURACY_PX * pixel) ** 2)
+            step = (terms[j, 6] * x + terms[j, 7] * y) / value
+            step = min(max(step, -_LONGEST_STEP_PX * pixel), _LONGEST_STEP_PX * pixel)
+            told[j, 0] += info * x * x
+            told[j, 1] += info * x * y
+            told[j, 2] += info * y * y
+            steps[j, 0] += step * x
+            steps[j, 1] += step * y
+    return told, steps, ratio

@@ -1,0 +1,215 @@
+"""Normals as the slopes that registration reads, and the metric that they give the image.
+
+With the surface X(u) = Z(u) r(u), r the ray of pixel u, the normal n gives the gradient of log Z:
+a_i = −(n · r_i) / (n · r), r_i = ∂r/∂u_i. Under any warp of the image it transforms as a gradient, and the
+metric of the surface, in pixels, is G_ij = r_i·r_j + a_i r_j·r + a_j r_i·r + a_i a_j r·r, up to Z². For an
+orthographic camera a is the slope and G = I + a aᵀ.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from vntoolkit.arrays import FloatArray, Mask, Points2
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.maps import NormalMap
+
+_STEEPEST = 0.15  # cosine to the viewing ray below which a slope is clamped, 81°
+_GRAZING = 0.3  # cosine below which a slope weighs less, 73°: there it is mostly noise
+_AT_JUMPS = np.float32(0.02)  # share of the weight that is left at jumps
+
+_JUMP_SMOOTHING_PX = 1.5
+_JUMP_WINDOW_PX = 5
+_JUMP_RATIO = 1.8  # of the greatest weight in the window to the least
+_DARK = 0.05  # added to both: below it all weights mean the same
+_RELIEF_PX, _AROUND_PX = 9, 17  # windows: what counts as relief, and over how far it is averaged
+_STRONG_RELIEF = 0.1  # root mean square, in units of the normal: a knit has 0.12 to 0.17, skin 0.03 to 0.1
+
+Slopes = npt.NDArray[np.float32]  # (h, w, 3): w a_u, w a_v, w
+
+
+def slopes_from_normals(normal_map: NormalMap, camera: Camera) -> Slopes:
+    """Return (h, w, 3) float32: w a_u, w a_v, w, with a in focal lengths and w the pixel's weight.
+
+    w: mask, normal map's weight, less at grazing angles, next to nothing around the weight's jumps.
+    Premultiplied, so that smoothing mixes only what is valid; smoothed over 3×3 pixels, so that
+    interpolation blurs no more at half pixels than at whole ones.
+    """
+    weight = np.ones((1, 1), dtype=np.float32)
+    if normal_map.weight is not None:
+        weight = np.where(jump_pixels(normal_map), _AT_JUMPS * normal_map.weight, normal_map.weight)
+    slopes = _slopes(normal_map.normals_in_camera, normal_map.mask, weight, _ray_terms(camera))
+    return np.asarray(cv2.GaussianBlur(slopes, (3, 3), 0.7))
+
+
+def metric_sums(
+    slopes: Slopes,
+    camera: Camera,
+    positions_px: Points2,
+    scale: FloatArray,
+    node: npt.NDArray[np.int32],
+    count: int,
+) -> npt.NDArray[np.float64]:
+    """Return (count, 4) sums over nodes of w G_uu, w G_uv, w G_vv and w at positions (n, 2).
+
+    G is in pixels, unit where the surface faces the axis at the distance that the scale (n,) is 1 for.
+    """
+    positions = np.ascontiguousarray(positions_px, dtype=np.float64)
+    return _metric_sums(slopes, positions, scale, node, count, _ray_terms(camera))
+
+
+def sample_image(image: FloatArray, positions_px: Points2) -> npt.NDArray[np.float64]:
+    """Return (n, k) bilinear values of an image (h, w, k) at positions (n, 2), clamped to its border."""
+    return _sample(np.ascontiguousarray(image), np.ascontiguousarray(positions_px, dtype=np.float64))
+
+
+def sample_depth(depth: FloatArray, mask: Mask, positions_px: Points2) -> tuple[FloatArray, Mask]:
+    """Return the depth (n,) at positions (n, 2), and where it is valid (n,).
+
+    Bilinear over the valid ones of the four pixels around, whose weights are scaled up to sum to 1; invalid
+    where those share less than half of the weight, or the position is not in the image.
+    """
+    value = np.ascontiguousarray(depth)
+    return _sample_masked(
+        value, np.ascontiguousarray(mask), np.ascontiguousarray(positions_px, dtype=np.float64)
+    )
+
+
+def jump_pixels(normal_map: NormalMap) -> Mask:
+    """Return (h, w) True around jumps of the weight; nowhere for a map without weights.
+
+    The weight tells how well a colour fits the material under all three lights. Where a shadow or a gloss
+    ends it jumps, and with it the normals, by tens of degrees: the strongest feature of a smooth neck is the
+    edge of the chin's shadow, which moves with the chin. Where the surface around has strong relief of its
+    own, such as a knit, a jump is left in: it is the edge of a fold as often as that of a shadow.
+    """
+    mask = normal_map.mask
+    if normal_map.weight is None:
+        return np.zeros_like(mask)
+    inside = mask.astype(np.float32)
+    size = (0, 0)
+    total = cv2.GaussianBlur(normal_map.weight.astype(np.float32) * inside, size, _JUMP_SMOOTHING_PX)
+    weight = _DARK + total / np.maximum(cv2.GaussianBlur(inside, size, _JUMP_SMOOTHING_PX), 1e-3)
+    window = np.ones((_JUMP_WINDOW_PX, _JUMP_WINDOW_PX), dtype=np.uint8)
+    greatest = cv2.dilate(np.where(mask, weight, np.float32(0)), window)
+    least = cv2.erode(np.where(mask, weight, weight.max()), window)
+    jumps = np.asarray(mask & (greatest > _JUMP_RATIO * least))
+    return jumps & ~_strong_relief(normal_map, mask & ~jumps)
+
+
+def _strong_relief(normal_map: NormalMap, even: Mask) -> Mask:
+    """Where the surface around, as far as its weight is `even`, has relief enough to be registered by."""
+    inside = even.astype(np.float32)
+    normals = normal_map.normals_in_camera * inside[..., None]
+    share = np.maximum(_mean(inside, _RELIEF_PX), 1e-3)
+    relief = np.square(normals - (_mean(normals, _RELIEF_PX) / share[..., None]) * inside[..., None]).sum(
+        axis=2
+    )
+    power = _mean(relief, _AROUND_PX) / np.maximum(_mean(inside, _AROUND_PX), 1e-3)
+    return np.asarray(power > _STRONG_RELIEF**2)
+
+
+def _mean(image: FloatArray, window_px: int) -> FloatArray:
+    return np.asarray(cv2.blur(image, (window_px, window_px)))
+
+
+def _ray_terms(camera: Camera) -> npt.NDArray[np.float64]:
+    """1 / focal length in u and v (0 for an orthographic camera), and the principal point."""
+    k = camera.matrix
+    scale = (1 / k[0, 0], 1 / k[1, 1]) if camera.is_perspective else (0.0, 0.0)
+    return np.array([*scale, k[0, 2], k[1, 2]], dtype=np.float64)
+
+
+@njit(cache=True)
+def _slopes(normals, mask, weight, rays):  # type: ignore[no-untyped-def]
+    h, w = mask.shape
+    weighted = weight.shape[0] == h and weight.shape[1] == w
+    out = np.zeros((h, w, 3), dtype=np.float32)
+    for v in range(h):
+        y = (v - rays[3]) * rays[1]
+        for u in range(w):
+            if mask[v, u]:
+                x = (u - rays[2]) * rays[0]
+                n0, n1 = normals[v, u, 0], normals[v, u, 1]
+                towards = -(n0 * x + n1 * y + normals[v, u, 2])
+                facing = max(towards, _STEEPEST)
+                share = min(1.0, (facing / _GRAZING) ** 2)
+                if weighted:
+                    share *= weight[v, u]
+                out[v, u, 0] = share * n0 / facing
+                out[v, u, 1] = share * n1 / facing
+                out[v, u, 2] = share
+    return out
+
+
+@njit(cache=True)
+def _metric_sums(slopes, positions, scale, node, count, rays):  # type: ignore[no-untyped-def]
+    h, w = slopes.shape[:2]
+    n = positions.shape[0]
+    out = np.zeros((count, 4))
+    for i in range(n):
+        x = min(max(positions[i, 0], 0.0), w - 1.0)
+        y = min(max(positions[i, 1], 0.0), h - 1.0)
+        u, v = min(int(x), w - 2), min(int(y), h - 2)
+        a, b = x - u, y - v
+        p = q = weight = 0.0
+        for dv in range(2):
+            for du in range(2):
+                share = (a if du else 1 - a) * (b if dv else 1 - b)
+                p += share * slopes[v + dv, u + du, 0]
+                q += share * slopes[v + dv, u + du, 1]
+                weight += share * slopes[v + dv, u + du, 2]
+        p, q = p / max(weight, 0.02), q / max(weight, 0.02)
+        rx, ry = (x - rays[2]) * rays[0], (y - rays[3]) * rays[1]
+        square = 1.0 + rx * rx + ry * ry
+        factor = weight * scale[i] ** 2
+        j = node[i]
+        out[j, 0] += factor * (1.0 + 2 * p * rx + p * p * square)
+        out[j, 1] += factor * (p * ry + q * rx + p * q * square)
+        out[j, 2] += factor * (1.0 + 2 * q * ry + q * q * square)
+        out[j, 3] += weight
+    return out
+
+
+@njit(cache=True)
+def _sample(image, positions):  # type: ignore[no-untyped-def]
+    h, w, channels = image.shape
+    out = np.empty((positions.shape[0], channels))
+    for i in range(positions.shape[0]):
+        x = min(max(positions[i, 0], 0.0), w - 1.0)
+        y = min(max(positions[i, 1], 0.0), h - 1.0)
+        u, v = min(int(x), max(w - 2, 0)), min(int(y), max(h - 2, 0))
+        right, below = min(u + 1, w - 1), min(v + 1, h - 1)
+        a, b = x - u, y - v
+        for c in range(channels):
+            top = (1 - a) * image[v, u, c] + a * image[v, right, c]
+            bottom = (1 - a) * image[below, u, c] + a * image[below, right, c]
+            out[i, c] = (1 - b) * top + b * bottom
+    return out
+
+
+@njit(cache=True)
+def _sample_masked(image, mask, positions):  # type: ignore[no-untyped-def]
+    h, w = image.shape
+    n = positions.shape[0]
+    out, valid = np.zeros(n), np.zeros(n, dtype=np.bool_)
+    for i in range(n):
+        x, y = positions[i, 0], positions[i, 1]
+        if not (x > -0.5 and y > -0.5 and x < w - 0.5 and y < h - 0.5):
+            continue
+        u, v = int(np.floor(x)), int(np.floor(y))
+        a, b = x - u, y - v
+        total = weight = 0.0
+        for dv in range(2):
+            for du in range(2):
+                row, column = v + dv, u + du
+                if 0 <= row < h and 0 <= column < w and mask[row, column]:
+                    share = (a if du else 1 - a) * (b if dv else 1 - b)
+                    total += share * image[row, column]
+                    weight += share
+        if weight >= 0.5:
+            out[i], valid[i] = total / weight, True
+    return out, valid
