@@ -141,18 +141,7 @@ REFUSALS = [
     ("skinning.weights:WeightOptions", {"neighbours": 0}, "neighbours: expected at least 1, got 0"),
     ("skinning.weights:WeightOptions", {"distance_power": 0.0}, "distance power: expected a positive number"),
     ("tracking.checkerboard:CheckerboardOptions", {"square_px": 0}, "square of the checkerboard in pixels"),
-    ("tracking.options:DriftOptions", {"every": 0}, "frames from one drift correction to the next"),
-    ("tracking.options:DriftOptions", {"cell_px": 1}, "lattice cell in pixels: expected a value from 4"),
-    ("tracking.options:DriftOptions", {"iterations": 0}, "iterations of the drift correction"),
-    ("tracking.options:DriftOptions", {"levels": -1}, "pyramid levels of the drift correction"),
-    ("tracking.options:DriftOptions", {"noise_slope": 0.0}, "noise of a slope"),
-    ("tracking.options:DriftOptions", {"stiffness": float("nan")}, "stiffness of the drift correction"),
-    ("tracking.options:FlowOptions", {"lattice_px": 0}, "flow lattice in pixels: expected a value from 1"),
-    ("tracking.options:FlowOptions", {"levels": 99}, "pyramid levels of the flow"),
-    ("tracking.options:FlowOptions", {"window_px": 20}, "flow window in pixels: expected an odd number"),
-    ("tracking.options:FlowOptions", {"window_px": 3}, "flow window in pixels: expected a value from 5"),
     ("tracking.options:TrackingOptions", {"data_share": 0.0}, "data share α: expected a value"),
-    ("tracking.options:TrackingOptions", {"handle_spacing_px": 0}, "handle spacing in pixels"),
     ("tracking.options:TrackingOptions", {"smoothing_length": INFINITE}, "smoothing length in edges"),
 ]  # fmt: skip
 

@@ -56,8 +56,8 @@ class TrackError:
 
     median_px, p95_px: of all of them, lost or not. astray: share that is off by more than
     `TrackErrorOptions.outlier_px`. vertices: how many were judged. lost: share that the tracker itself
-    declares lost. found_median_px, found_p95_px: of the others alone; they say nothing without the share lost beside
-    them, since a tracker may declare lost what it likes. NaN where there is none.
+    declares lost. found_median_px, found_p95_px: of the others alone; they say nothing without the share
+    lost beside them, since a tracker may declare lost what it likes. NaN where there is none.
     """
 
     frame: int
