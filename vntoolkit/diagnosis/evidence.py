@@ -1,0 +1,150 @@
+"""What the checks look at: a few frames of a capture, averaged down, and the rig they are read with."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.arrays import FloatArray, Mask, Matrix3
+from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.rig import Rig
+from vntoolkit.photometry.transfer import Transfer
+
+Single = npt.NDArray[np.float32]
+_PIXELS = 50_000  # of an averaged frame: enough for every statistic here, and a run starts within a second
+_LIT = 0.3  # of the length that the brightest twentieth exceeds: what is darker is backdrop or in shadow
+_LEAST_CHANNEL = 0.01  # of full scale; below it noise and the black level decide the colour
+_BLOCKS = 6  # along each side: standard errors come from leaving out one of 36 blocks
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Evidence:
+    """A few frames of a capture, averaged down, and the rig that they are read with.
+
+    rig: camera and response as calibrated. transfer: the curve that the footage was read with. light:
+    (k, h, w, 3) linear, background removed. clipped: (k, h, w), True where any pixel under it is. inside:
+    (k, h, w), True where the mask covers all of it; all True without a mask. masked: whether there is a mask.
+    scale: averaged pixels per pixel of the footage, 0 to 1.
+    """
+
+    rig: Rig
+    transfer: Transfer
+    light: Single
+    clipped: npt.NDArray[np.bool_]
+    inside: npt.NDArray[np.bool_]
+    masked: bool
+    scale: float
+
+    @cached_property
+    def directions(self) -> Single:
+        """(h, w, 3) viewing rays with z = 1; (0, 0, 1) everywhere for an orthographic camera."""
+        height, width = self.light.shape[1:3]
+        rays = np.zeros((height, width, 3), np.float32)
+        rays[..., 2] = 1.0
+        if self.rig.camera.is_perspective:
+            k = self.rig.camera.matrix
+            rays[..., 0] = (self._columns - k[0, 2]) / k[0, 0]
+            rays[..., 1] = (self._rows - k[1, 2])[:, None] / k[1, 1]
+        return rays
+
+    @cached_property
+    def inverse(self) -> Single:
+        """M⁻¹, (3, 3), or (h, w, 3, 3) where it varies over the image."""
+        return self.inverse_of(self.rig.response.matrix)
+
+    def inverse_of(self, matrix: Matrix3) -> Single:
+        """Return the inverse of another central matrix, with the rig's variation on top."""
+        response = self.rig.response
+        if response.variation is None:
+            return np.linalg.inv(matrix).astype(np.float32)
+        matrices, _ = response.at(self.positions_px)
+        return np.linalg.inv(matrices - response.matrix + matrix).astype(np.float32)
+
+    @cached_property
+    def positions_px(self) -> FloatArray:
+        """(h, w, 2), where in the footage an averaged pixel lies."""
+        u, v = np.meshgrid(self._columns, self._rows)
+        return np.stack([u, v], axis=-1)
+
+    @cached_property
+    def ambient(self) -> Single:
+        """(3,) or (h, w, 3) ambient light."""
+        response = self.rig.response
+        if response.variation is None:
+            return response.ambient.astype(np.float32)
+        return response.at(self.positions_px)[1].astype(np.float32)
+
+    @cached_property
+    def surface(self) -> npt.NDArray[np.bool_]:
+        """(k, h, w): lit, unclipped and inside the mask; the rig's normals play no part in it."""
+        brightest = self.light.max(axis=3)
+        chosen = self.inside & ~self.clipped & (self.light.min(axis=3) > _LEAST_CHANNEL)
+        if not chosen.any():
+            return chosen
+        chosen &= brightest > _LIT * np.percentile(brightest[chosen], 95)
+        return np.asarray(chosen)
+
+    @cached_property
+    def blocks(self) -> npt.NDArray[np.int64]:
+        """(h, w) number of the block that a pixel lies in; a block is the same place in every frame."""
+        height, width = self.light.shape[1:3]
+        rows = np.arange(height) * _BLOCKS // height
+        columns = np.arange(width) * _BLOCKS // width
+        return np.asarray(rows[:, None] * _BLOCKS + columns)
+
+    @property
+    def _columns(self) -> FloatArray:
+        return (np.arange(self.light.shape[2]) + 0.5) / self.scale - 0.5
+
+    @property
+    def _rows(self) -> FloatArray:
+        return (np.arange(self.light.shape[1]) + 0.5) / self.scale - 0.5
+
+
+def evidence_from_frames(
+    frames: Sequence[LinearFrame], rig: Rig, transfer: Transfer, mask: Mask | None = None
+) -> Evidence:
+    """Average frames down. mask: (h, w) where the surface is, or None."""
+    height, width = frames[0].shape
+    scale = min(1.0, math.sqrt(_PIXELS / (height * width)))
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+
+    def smaller(image: npt.NDArray[np.float32]) -> Single:
+        if size == (width, height):
+            return image
+        return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32)
+
+    inside = np.ones((size[1], size[0]), np.bool_)
+    if mask is not None:
+        inside = smaller(mask.astype(np.float32)) > 0.999
+    return Evidence(
+        rig=rig,
+        transfer=transfer,
+        light=np.stack([smaller(np.asarray(frame.rgb)) for frame in frames]),
+        clipped=np.stack([smaller(frame.clipped.astype(np.float32)) > 0 for frame in frames]),
+        inside=np.broadcast_to(inside, (len(frames), *inside.shape)),
+        masked=mask is not None,
+        scale=scale,
+    )
+
+
+def scaled_normals(
+    evidence: Evidence,
+    light: Single,
+    mix: Matrix3 | None = None,
+    inverse: Single | None = None,
+) -> Single:
+    """M⁻¹ (K r − a), (h, w, 3): the normals times albedo. mix: K, or None for r as it is."""
+    inverse = evidence.inverse if inverse is None else inverse
+    if mix is not None:
+        light = light @ mix.T.astype(np.float32)
+    lit = light - evidence.ambient
+    if inverse.ndim == 2:
+        return np.asarray(lit @ inverse.T)
+    return np.asarray(np.einsum("vuij,vuj->vui", inverse, lit))

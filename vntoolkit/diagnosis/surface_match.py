@@ -1,0 +1,408 @@
+"""Do the normals that a rig gives make a surface? If not, which mistake about M would explain the footage?
+
+The slopes (p, q) of a surface are a gradient, so that their mixed derivatives agree, ∂p/∂v = ∂q/∂u. As one
+complex number per pixel, α = (∂p/∂u + ∂q/∂v) + i (∂p/∂v − ∂q/∂u) is real on every surface. Lamps that stand
+turned by θ about the optical axis multiply α by exp(iθ); mirrored lamps put β = (∂q/∂v − ∂p/∂u) −
+i (∂p/∂v + ∂q/∂u) in its place. The mean of α² over the subject, over that of |α|², is the agreement: 1 for a
+surface, 0 for noise, −1 for lamps turned by 90 degrees. Convex and concave agree alike: see `outline`.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.arrays import FloatArray, Matrix3
+from vntoolkit.diagnosis.evidence import Evidence, Single, scaled_normals
+from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
+from vntoolkit.diagnosis.outline import outline
+
+_BLUR_PX = 1.5  # of averaged pixels: calms noise before differences are taken
+_STEEPEST = 0.15  # least cosine between normal and viewing ray
+_FEWEST_PIXELS = 400
+_EXPECTED = "0.5 to 1 on a surface"
+# A relative of M is named where it agrees better by this many standard errors, and where the product of
+# disagreement and spread of lengths falls by this factor. Sound photographs of faces and statues stay below.
+_Z = 3.0
+_LOG_FACTOR = 0.4
+_CERTAIN = 0.75  # an agreement above it that no mirror image comes near needs no relatives tried
+_FATAL_GAIN = 0.2  # of agreement
+_NOTED_TURN_DEG = 12.0  # photographs with lamps measured on a chrome ball show up to 7
+_LAG_PX = 4
+_LEAST_COHERENCE = 0.25
+_FLATTEST_DEG = 2.5
+_CHANNELS = ("red", "green", "blue")
+
+
+def check_structure(evidence: Evidence) -> list[Finding]:
+    """Find footage that shows no surface: noise, or a plane that fills the mask.
+
+    Normals four averaged pixels apart are compared: their covariance is the surface's own, without noise.
+    """
+    seen = structure(evidence)
+    if seen.pixels < _FEWEST_PIXELS or not seen.faces_camera:
+        return []
+    if seen.is_noise:
+        return [
+            Finding(
+                check="noise",
+                level=Level.FATAL,
+                problem="the footage shows noise, no surface",
+                measured=f"a correlation of {seen.coherence:.2f} between normals {_LAG_PX} pixels apart",
+                expected="0.5 to 1",
+                remedy="are the lamps on, the lens cap off and the mask on the subject?",
+                certainty=certainty_from_z((1.0 - seen.coherence) * math.sqrt(seen.pixels) / 10.0),
+            )
+        ]
+    if seen.is_flat:
+        return [
+            Finding(
+                check="flat",
+                level=Level.WARNING,
+                problem="the subject is flat: nothing but noise changes its normals",
+                measured=f"a spread of {seen.own_deg:.1f} degrees",
+                expected=f"more than {_FLATTEST_DEG:g}",
+                remedy="is this the backdrop or a wall? give --mask, or film the subject",
+            )
+        ]
+    return []
+
+
+@dataclass(frozen=True, kw_only=True)
+class Structure:
+    """How the rig's normals vary over the subject.
+
+    coherence: correlation of normals four pixels apart. spread_deg: of all normals about their mean. pixels:
+    how many. faces_camera: whether most normals do.
+    """
+
+    coherence: float
+    spread_deg: float
+    pixels: int
+    faces_camera: bool
+
+    @property
+    def own_deg(self) -> float:
+        """The spread without noise."""
+        return self.spread_deg * math.sqrt(max(0.0, self.coherence))
+
+    @property
+    def is_noise(self) -> bool:
+        noise_deg = self.spread_deg * math.sqrt(max(0.0, 1.0 - self.coherence))
+        return self.coherence < _LEAST_COHERENCE and noise_deg > 2 * _FLATTEST_DEG
+
+    @property
+    def is_flat(self) -> bool:
+        return self.own_deg < _FLATTEST_DEG
+
+
+@lru_cache(maxsize=2)  # two checks ask
+def structure(evidence: Evidence) -> Structure:
+    """Return how the rig's normals vary over the subject."""
+    products = total = 0.0
+    pairs = count = facing = 0
+    for light, used in zip(evidence.light, evidence.surface, strict=True):
+        scaled = scaled_normals(evidence, light)
+        length = np.linalg.norm(scaled, axis=2)
+        inside = used & (length > 0)
+        if not inside.any():
+            continue
+        normals = scaled / np.maximum(length, 1e-12)[..., None]
+        facing += int((normals[..., 2][inside] < 0).sum())
+        normals = normals - normals[inside].mean(axis=0)
+        total += float((normals[inside] ** 2).sum())
+        count += int(inside.sum())
+        for axis in (0, 1):
+            near, far = [slice(None)] * 2, [slice(None)] * 2
+            near[axis], far[axis] = slice(None, -_LAG_PX), slice(_LAG_PX, None)
+            both = inside[tuple(near)] & inside[tuple(far)]
+            products += float((normals[tuple(near)] * normals[tuple(far)]).sum(axis=2)[both].sum())
+            pairs += int(both.sum())
+    if not count or not pairs or not total:
+        return Structure(coherence=1.0, spread_deg=90.0, pixels=0, faces_camera=True)
+    variance = total / count
+    return Structure(
+        coherence=products / pairs / variance,
+        spread_deg=math.degrees(math.sqrt(variance)),
+        pixels=count,
+        faces_camera=facing > 0.5 * count,
+    )
+
+
+def check_relatives(evidence: Evidence) -> list[Finding]:
+    """Find the mistake about M that explains the footage clearly better than M does."""
+    seen = structure(evidence)
+    if seen.pixels < _FEWEST_PIXELS or (seen.faces_camera and (seen.is_noise or seen.is_flat)):
+        return []
+    own = _Sums.of(evidence)
+    as_calibrated = _Reading.of("as calibrated", "", own)
+    if as_calibrated.leaves_no_doubt(own):
+        return []
+    better = [r for r in _relatives(evidence, own) if r.explains_better(as_calibrated)]
+    if better:
+        return [_finding(as_calibrated, sorted(better, key=lambda reading: reading.misfit))]
+    if own.front_share < 0.5:
+        return [
+            Finding(
+                check="relatives",
+                level=Level.FATAL,
+                problem="the rig's normals face away from the camera",
+                measured=f"{1 - own.front_share:.0%} of the lit pixels",
+                expected="less than 10 %",
+                remedy="this rig is not of this footage: calibrate again with these lamps and this camera",
+            )
+        ]
+    return []
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Sums:
+    """Sums over blocks (b, 10): α² (2), |α|², β² (2), |β|², facing, all, departure of log length, its count."""
+
+    blocks: FloatArray
+
+    @classmethod
+    def of(cls, evidence: Evidence, mix: Matrix3 | None = None, inverse: Single | None = None) -> _Sums:
+        total = np.zeros((int(evidence.blocks.max()) + 1, 10))
+        for light, used in zip(evidence.light, evidence.surface, strict=True):
+            if used.any():
+                total += _block_sums(evidence, scaled_normals(evidence, light, mix, inverse), used)
+        return cls(blocks=total[total[:, 7] > 0])
+
+    @property
+    def total(self) -> FloatArray:
+        """(1, 10)."""
+        return self.blocks.sum(axis=0, keepdims=True)
+
+    @property
+    def left_out(self) -> FloatArray:
+        """(b, 10), each without one block."""
+        return self.total - self.blocks
+
+    @property
+    def front_share(self) -> float:
+        total = self.total[0]
+        return float(total[6] / total[7]) if total[7] else 1.0
+
+
+def _block_sums(evidence: Evidence, scaled: Single, used: npt.NDArray[np.bool_]) -> FloatArray:
+    whole = used.astype(np.float32)
+    smooth = cv2.GaussianBlur(scaled * whole[..., None], (0, 0), _BLUR_PX)
+    covered = cv2.GaussianBlur(whole, (0, 0), _BLUR_PX) > 0.98
+    length = np.linalg.norm(smooth, axis=2)
+    normals = smooth / np.maximum(length, 1e-12)[..., None]
+    facing = np.einsum("vui,vui->vu", normals, evidence.directions)
+    front = covered & (facing < -_STEEPEST)
+    depth = np.minimum(facing, -_STEEPEST)
+    p_u, p_v = _gradient(normals[..., 0] / depth)
+    q_u, q_v = _gradient(normals[..., 1] / depth)
+    valid = cv2.erode(front.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0) > 0
+    div, curl = p_u + q_v, p_v - q_u  # α
+    shear, twist = q_v - p_u, -(p_v + q_u)  # β
+    # the root of the energy, not the energy: creases and edges of paint shall not outvote the rest
+    weight = facing**2 / np.sqrt(div**2 + curl**2 + shear**2 + twist**2 + 1e-12)
+    logs = np.log(np.maximum(length, 1e-9))
+    centre = np.median(logs[front]) if front.any() else np.float32(0)
+    count = int(evidence.blocks.max()) + 1
+    sums = np.zeros((count, 10))
+    blocks = evidence.blocks[valid]
+    weight, div, curl, shear, twist = (x[valid] for x in (weight, div, curl, shear, twist))
+    columns = (
+        weight * (div**2 - curl**2),
+        weight * 2 * div * curl,
+        weight * (div**2 + curl**2),
+        weight * (shear**2 - twist**2),
+        weight * 2 * shear * twist,
+        weight * (shear**2 + twist**2),
+    )
+    for k, column in enumerate(columns):
+        sums[:, k] = np.bincount(blocks, column, count)
+    sums[:, 6] = sums[:, 9] = np.bincount(evidence.blocks[front], minlength=count)
+    sums[:, 7] = np.bincount(evidence.blocks[covered], minlength=count)
+    departure = np.minimum(np.abs(logs[front] - centre), 1.0)
+    sums[:, 8] = np.bincount(evidence.blocks[front], departure, count)
+    return sums
+
+
+def _gradient(values: Single) -> tuple[Single, Single]:
+    along_u, along_v = np.zeros_like(values), np.zeros_like(values)
+    along_u[:, 1:-1] = (values[:, 2:] - values[:, :-2]) / 2
+    along_v[1:-1] = (values[2:] - values[:-2]) / 2
+    return along_u, along_v
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Reading:
+    """The footage under one idea of M: agreement and misfit on the whole, and without each block."""
+
+    name: str
+    remedy: str
+    agreements: FloatArray  # (1 + b,)
+    misfits: FloatArray  # (1 + b,)
+    front_share: float
+
+    @classmethod
+    def of(cls, name: str, remedy: str, sums: _Sums, *, mirrored: bool = False, turned: bool = False) -> _Reading:
+        """mirrored: as if the lamps were mirrored. turned: as if they stood turned by the angle that fits best."""
+        rows = np.concatenate([sums.total, sums.left_out])
+        squares, powers = (rows[:, 3], rows[:, 5]) if mirrored else (rows[:, 0], rows[:, 2])
+        if turned:
+            squares = np.hypot(rows[:, 0], rows[:, 1])
+        agreements = squares / np.maximum(powers, 1e-12)
+        spread = rows[:, 8] / np.maximum(rows[:, 9], 1.0)
+        facing = rows[:, 6] / np.maximum(rows[:, 7], 1.0)
+        misfits = np.log(1.05 - agreements) + np.log(spread + 0.03) - np.log(facing + 0.01)
+        return cls(
+            name=name,
+            remedy=remedy,
+            agreements=agreements,
+            misfits=misfits,
+            front_share=float(facing[0]),
+        )
+
+    def leaves_no_doubt(self, sums: _Sums) -> bool:
+        """True where no relative of M could agree better: each is near a mirror image or a third of a turn."""
+        turn_deg, _ = _turn_deg(sums)
+        mirrored = _Reading.of("", "", sums, mirrored=True).agreement
+        return (
+            self.agreement > _CERTAIN
+            and abs(turn_deg) < _NOTED_TURN_DEG
+            and mirrored < self.agreement - _FATAL_GAIN
+            and self.front_share > 0.7
+        )
+
+    @property
+    def agreement(self) -> float:
+        return float(self.agreements[0])
+
+    @property
+    def misfit(self) -> float:
+        return float(self.misfits[0])
+
+    @property
+    def standard_error(self) -> float:
+        return _jackknife_error(self.agreements[1:])
+
+    def z_above(self, other: _Reading) -> float:
+        """By how many standard errors this agreement lies above another's."""
+        gain = self.agreement - other.agreement
+        if len(self.agreements) != len(other.agreements):  # other pixels, as where nothing faced the camera
+            return gain / max(1e-3, math.hypot(self.standard_error, other.standard_error))
+        return gain / max(1e-3, _jackknife_error(self.agreements[1:] - other.agreements[1:]))
+
+    def explains_better(self, other: _Reading) -> bool:
+        if self.front_share < 0.7 or self.agreement < 0.25:
+            return False
+        if other.front_share < 0.5:
+            return True
+        return self.misfit < other.misfit - _LOG_FACTOR and self.z_above(other) > _Z
+
+
+def _jackknife_error(left_out: FloatArray) -> float:
+    count = len(left_out)
+    return math.sqrt((count - 1) / count * float(((left_out - left_out.mean()) ** 2).sum())) if count else 1.0
+
+
+def _relatives(evidence: Evidence, own: _Sums) -> Iterator[_Reading]:
+    """Yield what the footage looks like under every single mistake about M."""
+    seen = outline(evidence)
+
+    def likelier(*changes: FloatArray) -> list[int]:
+        """Of changes of (x, y) that agree alike, those under which the outline turns outwards."""
+        if seen is None:
+            return list(range(len(changes)))
+        outward = [seen.outward(change) for change in changes]
+        return [k for k, (mean, error) in enumerate(outward) if mean > -_Z * error] or [0]
+
+    axes = likelier(np.diag([-1.0, 1.0]), np.diag([1.0, -1.0]))
+    yield _Reading.of(
+        f"with its {' or its '.join(('x', 'y')[k] for k in axes)} axis mirrored",
+        "give the lamps and normals with x right, y down, z forward in rig.json (lamp files: x right, y up, z "
+        "towards the viewer), or calibrate again",
+        own,
+        mirrored=True,
+    )
+    turn, error = _turn_deg(own)
+    if abs(turn) > max(_NOTED_TURN_DEG, _Z * error):
+        turns = [turn, turn - math.copysign(180, turn)]
+        likely = " or ".join(f"{turns[k]:+.0f}" for k in likelier(*map(_rotation, turns)))
+        yield _Reading.of(
+            f"with the lamps turned about the camera's axis by {likely} ± {error:.0f} degrees, clockwise in the "
+            "picture",
+            "were lamps or camera turned since calibration? calibrate again",
+            own,
+            turned=True,
+        )
+    saved = "was the footage saved in another channel order, such as BGR? save it as RGB"
+    for order in _orders():
+        mix = np.eye(3)[list(order)]
+        yield _Reading.of(f"with {_exchanged(order, _CHANNELS)}", saved, _Sums.of(evidence, mix))
+    transposed = evidence.rig.response.matrix.T
+    yield _Reading.of(
+        "with M transposed",
+        "write M with a row per channel and a column per axis",
+        _Sums.of(evidence, inverse=evidence.inverse_of(transposed)),
+    )
+    colours = evidence.rig.response.light_colours
+    if colours is not None:
+        lamps = ("the first lamp", "the second lamp", "the third lamp")
+        for order in _orders():
+            mix = colours.T @ np.eye(3)[list(order)] @ np.linalg.inv(colours.T)
+            yield _Reading.of(
+                f"with {_exchanged(order, lamps)}",
+                "list the lamps' directions and colours in one order",
+                _Sums.of(evidence, mix),
+            )
+
+
+def _rotation(degrees: float) -> FloatArray:
+    cosine, sine = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    return np.array([[cosine, -sine], [sine, cosine]])
+
+
+def _orders() -> Iterator[tuple[int, ...]]:
+    return (order for order in itertools.permutations(range(3)) if order != (0, 1, 2))
+
+
+def _exchanged(order: tuple[int, ...], names: tuple[str, ...]) -> str:
+    moved = [k for k in range(3) if order[k] != k]
+    if len(moved) == 2:
+        return f"{names[moved[0]]} and {names[moved[1]]} exchanged"
+    return f"{names[0]}, {names[1]} and {names[2]} taken for {', '.join(names[k] for k in order)}"
+
+
+def _finding(own: _Reading, better: list[_Reading]) -> Finding:
+    best = better[0]
+    named = [best, *(r for r in better[1:3] if r.misfit < best.misfit + _LOG_FACTOR)]
+    alone = own.front_share < 0.5
+    z = _Z * 2 if alone else best.z_above(own)
+    fatal = alone or best.agreement - own.agreement > _FATAL_GAIN
+    fits = "; or ".join(f"it is {r.agreement:.2f} {r.name}: {r.remedy}" for r in named)
+    measured = (
+        f"{1 - own.front_share:.0%} of the lit pixels facing away"
+        if alone
+        else f"an agreement of mixed derivatives of {own.agreement:.2f} ± {own.standard_error:.2f}"
+    )
+    return Finding(
+        check="relatives",
+        level=Level.FATAL if fatal else Level.WARNING,
+        problem=f"the normals make no surface; the rig fits better {best.name}",
+        measured=measured,
+        expected=_EXPECTED,
+        remedy=fits,
+        certainty=certainty_from_z(z),
+    )
+
+
+def _turn_deg(sums: _Sums) -> tuple[float, float]:
+    """Return by how much the lamps stand turned, clockwise in the picture, and its standard error, degrees."""
+    rows = np.concatenate([sums.total, sums.left_out])
+    angles = np.degrees(np.unwrap(np.arctan2(rows[:, 1], rows[:, 0]))) / 2
+    return float(angles[0]), max(0.1, _jackknife_error(angles[1:]))
