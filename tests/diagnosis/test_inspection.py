@@ -5,7 +5,8 @@ import pytest
 
 from vntoolkit.__main__ import main
 from vntoolkit.cli.output import print_table
-from vntoolkit.diagnosis.inspection import Severity, inspect_capture
+from vntoolkit.diagnosis.finding import Level
+from vntoolkit.diagnosis.inspection import inspect_capture
 from vntoolkit.errors import BadCapture
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.footage.images import read_image, write_png
@@ -46,7 +47,7 @@ def _store(path, linear, transfer="linear"):
 
 
 def _texts(report, *severities):
-    return [finding.text for finding in report.findings if finding.severity in severities]
+    return [finding.text for finding in report.findings if finding.level in severities]
 
 
 def test_good_footage_has_no_finding(tmp_path, picture, rig):
@@ -67,36 +68,35 @@ def test_names_are_shown_as_they_are(tmp_path, picture, capsys):
 
 def test_swapped_channels_are_found(tmp_path, picture, rig):
     report = inspect_capture(_store(tmp_path / "a.png", picture[..., ::-1]), rig=rig)
-    assert ["red and blue look exchanged" in text for text in _texts(report, Severity.WARNING)] == [True]
+    assert ["red and blue exchanged" in text for text in _texts(report, Level.FATAL)] == [True]
 
 
 @pytest.mark.parametrize("curve", ["srgb", "bt709", "gamma:2.2"])
 def test_a_curve_read_as_linear_is_found(tmp_path, picture, rig, curve):
     report = inspect_capture(_store(tmp_path / "a.png", picture, curve), rig=rig)
-    (text,) = _texts(report, Severity.WARNING)
-    assert "the transfer curve looks like" in text
-    assert "not linear" in text
+    (text,) = _texts(report, Level.WARNING, Level.FATAL)
+    assert "the transfer curve looks like srgb, not linear" in text
 
 
 def test_linear_footage_read_with_a_curve_is_found(tmp_path, picture, rig):
     wrong = Rig(camera=rig.camera, response=rig.response, transfer=Transfer.from_text("srgb"))
     report = inspect_capture(_store(tmp_path / "a.png", picture), rig=wrong)
-    assert "looks like linear, not srgb" in _texts(report, Severity.WARNING)[0]
+    assert "looks like linear, not srgb" in _texts(report, Level.WARNING, Level.FATAL)[0]
 
 
 def test_another_size_than_the_rigs_is_found(tmp_path, picture, rig):
     report = inspect_capture(_store(tmp_path / "a.png", picture[:50]), rig=rig)
-    assert "the frames are 120×50, the rig's camera is 120×100" in _texts(report, Severity.WARNING)[0]
+    assert "the frames are 120×50, the rig's camera is 120×100" in _texts(report, Level.FATAL)[0]
 
 
 def test_clipping_black_and_white_frames_are_found(tmp_path, picture):
     bright = np.clip(picture * 1.8, 0, 1)
     report = inspect_capture(_store(tmp_path / "a.png", bright))
     assert report.clipped_share == pytest.approx((bright == 1).any(axis=2).mean(), abs=1e-3)
-    assert "of the pixels are clipped" in _texts(report, Severity.WARNING)[0]
+    assert any("of the pixels are clipped" in text for text in _texts(report, Level.FATAL))
     for value, line in ((0.0, "frame 0 is black"), (1.0, "frame 0 is clipped at 100%")):
         report = inspect_capture(_store(tmp_path / "a.png", np.full_like(picture, value)))
-        assert line in _texts(report, Severity.FATAL)[0]
+        assert any(line in text for text in _texts(report, Level.FATAL))
 
 
 def test_lossless_rgb_video_is_praised_and_a_cut_one_named(tmp_path, picture):
@@ -105,16 +105,14 @@ def test_lossless_rgb_video_is_praised_and_a_cut_one_named(tmp_path, picture):
     assert inspect_capture(tmp_path / "a.mkv").findings == ()
     content = (tmp_path / "a.mkv").read_bytes()
     (tmp_path / "a.mkv").write_bytes(content[: len(content) * 3 // 4])
-    assert (
-        "the file is cut off: 3 of 5 frames" in _texts(inspect_capture(tmp_path / "a.mkv"), Severity.FATAL)[0]
-    )
+    assert "it declares 5 frames, 3 came" in _texts(inspect_capture(tmp_path / "a.mkv"), Level.FATAL)[0]
 
 
 def test_the_verb_prints_findings_and_sets_its_status(tmp_path, picture, rig, capsys):
     write_rig(tmp_path / "rig.json", rig)
     _store(tmp_path / "a.png", picture[..., ::-1])
-    assert main(["doctor", str(tmp_path / "a.png"), "--rig", str(tmp_path / "rig.json")]) == 0
-    assert "red and blue look exchanged" in capsys.readouterr().out
+    assert main(["doctor", str(tmp_path / "a.png"), "--rig", str(tmp_path / "rig.json")]) == 1
+    assert "red and blue exchanged" in capsys.readouterr().out
     _store(tmp_path / "a.png", np.zeros_like(picture))
     assert main(["doctor", str(tmp_path / "a.png")]) == 1
     assert main(["doctor"]) == 0
@@ -141,16 +139,16 @@ def test_the_real_statues_are_right_as_they_are_and_found_when_swapped(tmp_path,
     for name in ("gray_sphere", "buddha", "cat"):
         surface = read_mask(folder / f"{name}.mask.png")
         right = inspect_capture(folder / f"{name}.png", rig=rig, mask=surface)
-        assert _texts(right, Severity.WARNING, Severity.FATAL) == []
+        assert _texts(right, Level.WARNING, Level.FATAL) == []
         write_png(tmp_path / "swapped.png", read_image(folder / f"{name}.png")[..., ::-1])
         swapped = inspect_capture(tmp_path / "swapped.png", rig=rig, mask=surface)
-        assert "red and blue look exchanged" in _texts(swapped, Severity.WARNING)[0]
+        assert "red and blue exchanged" in _texts(swapped, Level.FATAL)[0]
 
 
 def test_the_real_gel_is_warned_about(real_data):
     report = inspect_capture(real_data / "gelsight" / "sequence")
     assert report.info.frame_count == 150
-    assert "chroma subsampling 4:2:0 costs about 7 degrees" in _texts(report, Severity.WARNING)[0]
+    assert "chroma subsampling 4:2:0 costs about 7 degrees" in _texts(report, Level.WARNING)[0]
 
 
 def test_a_missing_file_is_one_line(tmp_path):

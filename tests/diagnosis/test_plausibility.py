@@ -9,7 +9,8 @@ from tests.faults.simulated_captures import H, W, simulate_capture
 from vntoolkit.__main__ import main
 from vntoolkit.calibration.fit import fit_response
 from vntoolkit.diagnosis.consistency import finding_from_axes, warn_of_flipped_axes
-from vntoolkit.diagnosis.inspection import findings_from_capture, findings_from_quality
+from vntoolkit.diagnosis.inspection import findings_from_capture
+from vntoolkit.diagnosis.rig_checks import check_coverage
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.images import write_png
@@ -50,13 +51,13 @@ def _found(tmp_path, spoil, text, **simulation):
         capture = simulate_capture(seed, **simulation)
         frames, curve = spoil(capture.frames, np.random.default_rng(seed))
         findings = _findings(_stored(tmp_path / str(seed), frames, curve), capture.rig, capture.subject)
-        hits += len(findings) == 1 and text in findings[0]
+        hits += len(findings) == 1 and text in findings[0].text
     return hits
 
 
 @pytest.mark.slow
 def test_swapped_red_and_blue_are_found(tmp_path):
-    assert _found(tmp_path, lambda f, _: (f[..., ::-1], "linear"), "red and blue look exchanged") >= 9
+    assert _found(tmp_path, lambda f, _: (f[..., ::-1], "linear"), "red and blue exchanged") >= 9
 
 
 @pytest.mark.slow
@@ -88,7 +89,7 @@ def test_drift_while_filming_is_found_on_the_static_part(tmp_path, what):
         capture = simulate_capture(seed, count=6, backdrop=True)
         frames, curve = spoil(capture.frames, np.random.default_rng(seed))
         folder = _stored(tmp_path / str(seed), frames, curve)
-        hits += any(text in finding for finding in _findings(folder, capture.rig, capture.subject))
+        hits += any(text in finding.text for finding in _findings(folder, capture.rig, capture.subject))
     assert hits >= 9
 
 
@@ -109,7 +110,7 @@ def test_a_rig_fitted_on_a_narrow_cone_is_found_and_a_wide_one_is_not(rng, caplo
         caplog.clear()
         fit = fit_response(*_pairs_in_cone(rng, cone, response))
         rig = Rig(camera=simulate_capture(seed).rig.camera, response=fit.response, quality=fit.quality)
-        assert bool(findings_from_quality(rig)) == narrow
+        assert bool(check_coverage(rig)) == narrow
         assert any("tilt the target further" in record.message for record in caplog.records) == narrow
 
 
@@ -160,12 +161,18 @@ def test_the_commands_say_it(tmp_path, capsys, caplog):
     write_mask(tmp_path / "mask.png", np.ones((H, W), dtype=bool))
     source = str(_stored(tmp_path / "swapped", capture.frames[..., ::-1]))
     common = [source, "--rig", str(tmp_path / "rig.json"), "--mask", str(tmp_path / "mask.png")]
+    out = str(tmp_path / "out")
     with caplog.at_level(logging.WARNING):
-        assert main(["reconstruct", *common, "--out", str(tmp_path / "out"), "--to", "normals"]) == 0
-    for text in ("red and blue look exchanged", "the rig was fitted on normals within 8 degrees"):
+        assert main(["reconstruct", *common, "--out", out, "--to", "normals"]) == 1
+        assert "red and blue exchanged" in capsys.readouterr().err
+        assert not (tmp_path / "out").exists()
+        assert main(["reconstruct", *common, "--out", out, "--to", "normals", "--allow", "relatives"]) == 0
+    for text in ("red and blue exchanged", "the rig was fitted on normals within 8 degrees"):
         assert text in caplog.text
-    assert main(["doctor", *common]) == 0
-    assert "red and blue look exchanged" in capsys.readouterr().out
+    assert main(["reconstruct", *common, "--out", out, "--allow", "rumours"]) == 1
+    assert "--allow rumours: expected a check's name" in capsys.readouterr().err
+    assert main(["doctor", *common]) == 1
+    assert "red and blue exchanged" in capsys.readouterr().out
 
 
 @pytest.mark.slow

@@ -51,7 +51,8 @@ def reconstruct(good: Path, out: Path, **changed: Path | str) -> list[str]:
         {name.replace("_", "--") if name != "source" else name: v for name, v in changed.items()}
     )
     source = arguments.pop("source")
-    return ["reconstruct", str(source), *(str(word) for pair in arguments.items() for word in pair)]
+    words = [str(word) for pair in arguments.items() for word in pair]
+    return ["reconstruct", str(source), *words, "--allow", "noise"]  # the specimens are noise
 
 
 def huge_png(path: Path, width: int, height: int) -> Path:

@@ -175,7 +175,7 @@ def _varying(
         fit_ambient=options.fit.model is ResponseModel.AMBIENT,
     )
     quality = fit_quality(normals[lit], rgb[lit], response, fit.quality.method, positions_px)
-    return ResponseFit(response=response, quality=quality, inliers=lit)
+    return ResponseFit(response=response, quality=quality, inliers=lit, normals=normals, rgb=rgb)
 
 
 def board_pose(sighting: BoardSighting, layout: BoardLayout, camera: Camera) -> BoardPose | None:

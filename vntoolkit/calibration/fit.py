@@ -78,11 +78,13 @@ class ResponseFitOptions:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ResponseFit:
-    """A fitted light response. inliers: (n,) bool, the pairs used."""
+    """A fitted light response. inliers: (n,) bool, the pairs it rests on; normals, rgb: (n, 3), all pairs."""
 
     response: LightResponse
     quality: FitQuality
     inliers: npt.NDArray[np.bool_]
+    normals: Points
+    rgb: Points
 
 
 @checks_kinds
@@ -124,7 +126,7 @@ def fit_response(
     response = response_from_unknowns(unknowns)
     quality = fit_quality(normals[inliers], colours[inliers], response, verb)
     warn_of_weak_fit(quality)
-    return ResponseFit(response=response, quality=quality, inliers=inliers)
+    return ResponseFit(response=response, quality=quality, inliers=inliers, normals=normals, rgb=colours)
 
 
 def response_from_unknowns(unknowns: FloatArray) -> LightResponse:

@@ -225,7 +225,7 @@ def fit_response_to_presses(
     response = response_from_unknowns(np.vstack([unknowns, -level, -level]))
     quality = fit_quality(normals[inliers], rgb[inliers], response, "presses")
     warn_of_weak_fit(quality)
-    return ResponseFit(response=response, quality=quality, inliers=inliers)
+    return ResponseFit(response=response, quality=quality, inliers=inliers, normals=normals, rgb=rgb)
 
 
 def fit_label_offset(samples: list[PressSamples], size: tuple[int, int], options: PressOptions) -> FloatArray:
@@ -286,7 +286,9 @@ def _fit_varying(pairs: PressPairs, size: tuple[int, int], options: VariationOpt
         pairs.normals[touched], pairs.rgb[touched], response, "presses", pairs.positions_px[touched]
     )
     warn_of_weak_fit(quality)
-    return ResponseFit(response=response, quality=quality, inliers=touched)
+    return ResponseFit(
+        response=response, quality=quality, inliers=touched, normals=pairs.normals, rgb=pairs.rgb
+    )
 
 
 def _fit_highest_degree(pairs: PressPairs, size: tuple[int, int], options: VariationOptions) -> LightResponse:

@@ -11,7 +11,7 @@ import numpy as np
 from cyclopts import Parameter
 
 from vntoolkit.calibration.board import BoardOptions, IntrinsicsOptions
-from vntoolkit.calibration.fit import ResponseFitOptions
+from vntoolkit.calibration.fit import ResponseFit, ResponseFitOptions
 from vntoolkit.calibration.head.hull import HullOptions
 from vntoolkit.calibration.head.light import LightOptions
 from vntoolkit.calibration.head.poses import PoseOptions, PoseStart
@@ -26,6 +26,7 @@ from vntoolkit.calibration.presses import PressOptions
 from vntoolkit.calibration.sphere import SphereOptions
 from vntoolkit.calibration.varying import VariationOptions
 from vntoolkit.cli.flags import (
+    Allow,
     AmbientImage,
     Curve,
     FocalPx,
@@ -36,6 +37,10 @@ from vntoolkit.cli.flags import (
     limits_on,
 )
 from vntoolkit.cli.output import JSON, MESH, PAGE, PICTURE, ProgressBars, require_output
+from vntoolkit.diagnosis.checks import CHECK_NAMES
+from vntoolkit.diagnosis.finding import judge, require_known_checks
+from vntoolkit.diagnosis.rig_checks import check_lamps, check_residual
+from vntoolkit.diagnosis.transfer_match import check_transfer_of_samples
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.board_layout import BoardLayout
 from vntoolkit.geometry.rectification import Rectification
@@ -105,6 +110,7 @@ def sphere(
     focal_px: FocalPx = None,
     single_light: SingleLight = None,
     frames: Frames = "::",
+    allow: Allow = (),
     options: SphereFlags = None,
     fit: FitFlags = None,
 ) -> None:
@@ -121,10 +127,12 @@ def sphere(
     camera
         A rig.json whose camera is taken; default: orthographic.
     """
+    require_known_checks(allow, CHECK_NAMES)
     require_output(out, JSON)
     job = _job(source, mask, background, transfer, camera, focal_px, single_light, frames)
     sphere_options = replace(options or SphereOptions(), fit=fit or ResponseFitOptions())
     rig, result = calibrate.calibrate_sphere(job, sphere_options)
+    _accept(rig, allow, result.fit)
     write_rig(out, rig)
     (u, v), radius = result.outline.centre_px, result.outline.radius_px
     report_rig(out, rig, f"ball at ({u:.1f}, {v:.1f}), radius {radius:.1f} px")
@@ -142,6 +150,7 @@ def board(
     focal_px: FocalPx = None,
     single_light: SingleLight = None,
     frames: Frames = "::",
+    allow: Allow = (),
     layout: LayoutFlags = None,
     options: BoardFlags = None,
     intrinsics: IntrinsicsFlags = None,
@@ -158,6 +167,7 @@ def board(
     camera
         A rig.json with the camera to use. Default: the camera is fitted to the same footage.
     """
+    require_known_checks(allow, CHECK_NAMES)
     require_output(out, JSON)
     job = _job(source, None, background, transfer, camera, focal_px, single_light, frames)
     board_options = replace(
@@ -169,6 +179,7 @@ def board(
         rig, result = calibrate.calibrate_board(
             job, layout or BoardLayout(), board_options, partial(bars.reach, "find the board")
         )
+    _accept(rig, allow, result.fit)
     write_rig(out, rig)
     error = np.median([pose.error_px for pose in result.poses])
     focal = result.camera.matrix[0, 0]
@@ -187,6 +198,7 @@ def lights(
     transfer: Curve = "linear",
     camera: Path | None = None,
     focal_px: FocalPx = None,
+    allow: Allow = (),
 ) -> None:
     """Compute a rig from known light directions and strengths.
 
@@ -206,9 +218,11 @@ def lights(
     camera
         A rig.json whose camera is taken; default: orthographic.
     """
+    require_known_checks(allow, CHECK_NAMES)
     require_output(out, JSON)
     job = _job(str(source), None, None, transfer, camera, focal_px, None, "::")
     rig = calibrate.calibrate_lights(source, like, lights, light_colours, job)
+    _accept(rig, allow)
     write_rig(out, rig)
     report_rig(out, rig, f"lights {lights[0]}, {lights[1]}, {lights[2]} of {source}")
 
@@ -233,6 +247,14 @@ def _job(
         single_light=single_light or (),
         frames=FrameRange.from_text(frames),
     )
+
+
+def _accept(rig: Rig, allow: tuple[str, ...], fit: ResponseFit | None = None) -> None:
+    """Raise `FatalFinding` for a rig that its own lamps or samples contradict."""
+    findings = [*check_lamps(rig), *check_residual(rig)]
+    if fit is not None:
+        findings += check_transfer_of_samples(fit.normals, fit.rgb, rig.transfer)
+    judge(findings, allow)
 
 
 def report_rig(out: Path, rig: Rig, seen: str) -> None:

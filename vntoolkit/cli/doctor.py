@@ -76,7 +76,7 @@ def doctor(
     source
         A video, an image, a folder of images, or a pattern. Without it, the libraries are checked.
     rig
-        Check the size, the channel order and the transfer curve against this rig.json.
+        Check size, M, channel order, lamps and transfer curve of this rig.json against the footage.
     mask
         Image that is white where the subject is. Used together with --rig.
     transfer
@@ -84,7 +84,8 @@ def doctor(
     """
     if source is None:
         return _check_libraries(Console())
-    from vntoolkit.diagnosis.inspection import Severity, inspect_capture
+    from vntoolkit.diagnosis.finding import Level
+    from vntoolkit.diagnosis.inspection import inspect_capture
     from vntoolkit.io.footage.captures import CaptureOptions
     from vntoolkit.io.footage.frame_range import Gaps
     from vntoolkit.io.maps_and_meshes.label_images import read_mask
@@ -100,7 +101,7 @@ def doctor(
     the_mask = None if mask is None else read_mask(mask)
     report = inspect_capture(source, options, rig=the_rig, mask=the_mask)
     _print_report(Console(emoji=False), source, report)
-    return int(any(finding.severity is Severity.FATAL for finding in report.findings))
+    return int(any(finding.level is Level.FATAL for finding in report.findings))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,9 +206,9 @@ def _print_report(console: Console, source: str, report: CaptureReport) -> None:
     table.add_row("brightest", f"{report.brightest:.0%} of full scale (99th percentile)")
     console.print(table)
     for finding in report.findings:
-        colour = _COLOURS[finding.severity.value]
+        colour = _COLOURS[finding.level.value]
         console.print(
-            f"[{colour}]{finding.severity.value:>8}[/]  {escape(finding.text)}",
+            f"[{colour}]{finding.level.value:>8}[/]  {escape(finding.text)}",
             highlight=False,
             soft_wrap=True,
         )

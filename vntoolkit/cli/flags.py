@@ -57,6 +57,14 @@ AmbientImage: TypeAlias = Annotated[
     Path | None,
     Parameter(help="Image of the scene under ambient light only. It is subtracted from every frame."),
 ]
+Allow: TypeAlias = Annotated[
+    tuple[str, ...],
+    Parameter(
+        consume_multiple=True,
+        negative=(),
+        help="Checks whose fatal findings do not stop the run, by the name that ends the finding's line.",
+    ),
+]
 FocalPx: TypeAlias = Annotated[
     float | None,
     Parameter(help="Focal length in pixels. Gives a pinhole camera; use it instead of --camera."),

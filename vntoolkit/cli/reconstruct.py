@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from vntoolkit.cli.flags import (
+    Allow,
     AmbientImage,
     Frames,
     Jobs,
@@ -18,6 +19,8 @@ from vntoolkit.cli.flags import (
     limits_on,
 )
 from vntoolkit.cli.output import ProgressBars
+from vntoolkit.diagnosis.checks import CHECK_NAMES
+from vntoolkit.diagnosis.finding import require_known_checks
 from vntoolkit.errors import BadCapture
 from vntoolkit.integration.options import IntegrationOptions
 from vntoolkit.io.footage.frame_range import FrameRange, Gaps
@@ -58,6 +61,7 @@ def reconstruct(
     scheduler: Scheduler = None,
     overwrite: Overwrite = False,
     gaps: Missing = Gaps.REFUSE,
+    allow: Allow = (),
     pipeline: PipelineFlags = None,
     inversion: InversionFlags = None,
     integration: IntegrationFlags = None,
@@ -82,9 +86,13 @@ def reconstruct(
     overwrite
         Replace the results that the folder holds.
     """
+    require_known_checks(allow, CHECK_NAMES)
+    calibrated = read_rig(rig)
     job = ReconstructionJob(
         source=source,
-        rig=_with_transfer(read_rig(rig), transfer),
+        rig=_with_transfer(calibrated, transfer),
+        calibrated=calibrated.transfer,
+        allow=allow,
         options=joined_options(pipeline, inversion, integration, meshing),
         folder=ReconstructionFolder(root=out),
         mask=mask,

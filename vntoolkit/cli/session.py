@@ -7,7 +7,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from vntoolkit.cli.flags import Frames, Jobs, Missing, Overwrite, Scheduler, limits_on
+from vntoolkit.cli.flags import Allow, Frames, Jobs, Missing, Overwrite, Scheduler, limits_on
 from vntoolkit.cli.output import ProgressBars
 from vntoolkit.cli.reconstruct import (
     IntegrationFlags,
@@ -16,6 +16,8 @@ from vntoolkit.cli.reconstruct import (
     PipelineFlags,
     joined_options,
 )
+from vntoolkit.diagnosis.checks import CHECK_NAMES
+from vntoolkit.diagnosis.finding import require_known_checks
 from vntoolkit.errors import BadInput, VntError
 from vntoolkit.io.footage.frame_range import FrameRange, Gaps
 from vntoolkit.io.rigs import read_rig
@@ -38,6 +40,7 @@ def session(
     scheduler: Scheduler = None,
     overwrite: Overwrite = False,
     gaps: Missing = Gaps.REFUSE,
+    allow: Allow = (),
     pipeline: PipelineFlags = None,
     inversion: InversionFlags = None,
     integration: IntegrationFlags = None,
@@ -66,6 +69,7 @@ def session(
     """
     if not sources:
         raise BadInput("session: expected at least one video or folder of images, got none")
+    require_known_checks(allow, CHECK_NAMES)
     options = joined_options(pipeline, inversion, integration, meshing)
     if track and options.to is Product.NORMALS:
         raise BadInput("--track needs depth: give --to depth or mesh, not normals")
@@ -79,6 +83,7 @@ def session(
             options=options,
             folder=ReconstructionFolder(root=out / name),
             gaps=gaps,
+            allow=allow,
         )
         for name, source in names_from_sources(sources).items()
     }

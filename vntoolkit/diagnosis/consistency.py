@@ -1,7 +1,4 @@
-"""Two things that hold for a matte surface of one colour, whatever its shape: see `rig_match`.
-
-M⁻¹ (r − a) has the same length everywhere, and the slopes of its direction have no curl.
-"""
+"""Is the green axis of an imported normal map flipped? The curl of the slopes tells."""
 
 from __future__ import annotations
 
@@ -17,20 +14,9 @@ from vntoolkit.geometry.maps import NormalMap
 logger = logging.getLogger(__name__)
 _SMOOTHING_PX = 5
 _STEEPEST = 0.2  # least |n_z| of a slope that counts
-_LARGEST_SAMPLE = 200_000
 _MARGIN = 0.6  # the other reading must leave this share of the curl
 _WORST_AS_FLIPPED = 0.5  # and be nearly free of curl itself: noise has 0.6 either way
 _FEWEST_PIXELS = 400
-
-
-def albedo_variation(rgb: FloatArray, scaled_normals: FloatArray) -> float:
-    """Return the spread of the lengths of (n, 3) albedo-scaled normals over that of the channels (n, 3).
-
-    A spread is half the distance between the 16th and 84th percentile, over the median: robust against
-    highlights and against pixels that not all three lights reach.
-    """
-    of_channels = sum(_spread(rgb[:, channel]) for channel in range(3)) / 3.0
-    return _spread(np.linalg.norm(scaled_normals, axis=1)) / max(of_channels, 1e-6)
 
 
 def curl_share(scaled_normals: FloatArray, used: Mask) -> float:
@@ -51,14 +37,6 @@ def curl_share(scaled_normals: FloatArray, used: Mask) -> float:
     q_along_u = np.gradient(slopes[..., 1], axis=1)[inside]
     total = float((np.abs(p_along_v) + np.abs(q_along_u)).sum())
     return float(np.abs(p_along_v - q_along_u).sum()) / total if total > 0 else float("nan")
-
-
-def _spread(values: FloatArray) -> float:
-    low, median, high = np.percentile(values[:: max(1, len(values) // _LARGEST_SAMPLE)], [16, 50, 84])
-    return float((high - low) / 2 / median)
-
-
-# The curl of the slopes shows whether the green axis of an imported normal map is flipped.
 
 
 def warn_of_flipped_axes(path: Path | str, normal_map: NormalMap) -> None:

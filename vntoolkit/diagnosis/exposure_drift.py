@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from vntoolkit.arrays import FloatArray, Mask
+from vntoolkit.diagnosis.finding import Finding, Level
 from vntoolkit.photometry.frame import LinearFrame
 
 _LARGEST_SIDE_PX = 240  # frames are averaged down to it: less noise, less work
@@ -42,13 +43,18 @@ class Drift:
         """True where the three channels changed alike."""
         return bool(np.ptp(np.log(self.gain)) < _SAME_COLOUR)
 
-    def to_text(self) -> str:
+    def to_finding(self) -> Finding:
         """Return the warning with its remedy."""
         red, green, blue = (f"{100 * (gain - 1):+.0f} %" for gain in self.gain)
         what = "exposure" if self.is_exposure else "white balance"
-        return (
-            f"the camera's {what} drifts: from frame {self.first} to {self.worst} what does not move changed "
-            f"by {red} red, {green} green, {blue} blue; lock exposure and white balance, and film again"
+        return Finding(
+            check="drift",
+            level=Level.WARNING,
+            problem=f"the camera's {what} drifts from frame {self.first} to {self.worst}: what does not move "
+            "changes",
+            measured=f"{red} red, {green} green, {blue} blue",
+            expected=f"less than {_LARGEST_DRIFT:.0%}",
+            remedy="lock exposure and white balance, and film again",
         )
 
 

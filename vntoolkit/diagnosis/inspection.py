@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import Enum
 from pathlib import Path
 
 import numpy as np
 
 from vntoolkit.arrays import Mask
 from vntoolkit.checks import require_positive
+from vntoolkit.diagnosis.checks import findings_from_evidence, findings_from_rig
+from vntoolkit.diagnosis.evidence import evidence_from_frames
 from vntoolkit.diagnosis.exposure_drift import drift_of_static_part
-from vntoolkit.diagnosis.rig_match import findings_from_rig
+from vntoolkit.diagnosis.finding import Finding, Level
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.footage.captures import Capture, CaptureInfo, CaptureOptions, open_capture
-from vntoolkit.io.footage.decoding import linear_frame_from_encoded
 from vntoolkit.io.footage.pixel_formats import LOSSLESS_CODECS
 from vntoolkit.io.footage.sequence import text_of_names
 from vntoolkit.photometry.frame import LinearFrame
@@ -26,27 +27,11 @@ _CAMERA_CODECS = frozenset({"JPEG", "h264", "hevc", "mjpeg", "prores", "av1", "v
 _BLACK = 0.01  # of full scale: a frame in which nothing is brighter shows nothing
 _CLIPPED_WHOLLY = 0.98
 _CLIPPED_TOO_MUCH = 0.001
+_CLIPPED_FATALLY = 0.1
 _DIM = 0.25  # a brightest percentile below it wastes two bits
 # Degrees that subsampled chroma costs on fine detail, measured on rendered captures.
 _CHROMA_COST_DEG = {"4:2:0": 7, "4:2:2": 5, "4:4:0": 5, "4:1:1": 7}
 _FRAMES_COMPARED = 6
-_NARROW_CONE_DEG = 20.0  # as calibration warns
-
-
-class Severity(Enum):
-    """How much a finding matters."""
-
-    NOTE = "note"
-    WARNING = "warning"
-    FATAL = "fatal"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Finding:
-    """One fault of the footage, with its remedy."""
-
-    severity: Severity
-    text: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,8 +61,8 @@ def inspect_capture(
 ) -> CaptureReport:
     """Look at `samples` frames, evenly spaced, and at what the headers say.
 
-    With a rig its transfer curve is used, and the order of the channels and the curve are checked against it,
-    inside `mask` (h, w) where given: a background of another material would hide what the surface shows.
+    With a rig its transfer curve is used by default, and the footage is checked against it, inside `mask`
+    (h, w) where given: a background of another material would hide what the surface shows.
     """
     require_positive(samples, "samples")
     if options is None:
@@ -89,20 +74,14 @@ def inspect_capture(
     findings = [*_findings_from_info(info), *_findings_from_transfer(info, options.transfer)]
     clipped, dark, bright = [], [], []
     for number in numbers:
-        encoded = next(capture.encoded_frames(number, number + 1))
-        frame = linear_frame_from_encoded(encoded, options.transfer)
+        frame = capture.frame(number)
         largest = frame.rgb.max(axis=2)
         clipped.append(float(frame.clipped.mean()))
         dark.append(float((largest < _BLACK).mean()))
         bright.append(float(np.percentile(largest, 99)))
-        try:
-            require_exposed(frame, f"frame {number}")
-        except BadCapture as problem:
-            findings.append(Finding(severity=Severity.FATAL, text=str(problem)))
-    findings += _findings_from_exposure(float(np.mean(clipped)), max(bright))
-    if rig is not None:
-        texts = findings_from_capture(capture, rig, mask)
-        findings += [Finding(severity=Severity.WARNING, text=text) for text in texts]
+        findings += _findings_from_frame(frame, f"frame {number}")
+    findings += _findings_from_range(max(bright))
+    findings += findings_from_capture(capture, rig, mask)
     return CaptureReport(
         info=info,
         examined=tuple(numbers),
@@ -111,6 +90,26 @@ def inspect_capture(
         brightest=max(bright),
         findings=tuple(findings),
     )
+
+
+def _findings_from_frame(frame: LinearFrame, name: str) -> list[Finding]:
+    """Find a frame that shows nothing."""
+    try:
+        require_exposed(frame, name)
+    except BadCapture as problem:
+        brightest = float(frame.rgb.max(initial=0.0))
+        what, _, remedy = str(problem).partition(": ")
+        return [
+            Finding(
+                check="black" if brightest < _BLACK else "clipping",
+                level=Level.FATAL,
+                problem=what,
+                measured=f"a brightest value of {brightest:.1%}",
+                expected=f"{_BLACK:.0%} to 100 %",
+                remedy=remedy,
+            )
+        ]
+    return []
 
 
 def require_exposed(frame: LinearFrame, name: str) -> None:
@@ -128,42 +127,88 @@ def require_exposed(frame: LinearFrame, name: str) -> None:
 
 def _findings_from_info(info: CaptureInfo) -> list[Finding]:
     findings = []
-
-    def add(severity: Severity, text: str) -> None:
-        findings.append(Finding(severity=severity, text=text))
-
     if info.promised_frame_count > info.frame_count:
-        add(
-            Severity.FATAL,
-            f"the video is cut off: it declares {info.promised_frame_count} frames, {info.frame_count} came; "
-            f"copy the file again, or use what came with --frames 0:{info.frame_count}",
+        findings.append(
+            Finding(
+                check="cut-off",
+                level=Level.FATAL,
+                problem=f"the video is cut off: it declares {info.promised_frame_count} frames, "
+                f"{info.frame_count} came",
+                measured=f"{info.frame_count} frames",
+                expected=f"{info.promised_frame_count}",
+                remedy=f"copy the file again, or use what came with --frames 0:{info.frame_count}",
+            )
         )
     if info.missing:
         names = text_of_names(list(info.missing.values()))
-        add(
-            Severity.FATAL,
-            f"{len(info.missing)} of {info.frame_count} files of the sequence are missing: {names}; copy "
-            "them too, or leave these frames out with --gaps skip",
+        findings.append(
+            Finding(
+                check="gaps",
+                level=Level.FATAL,
+                problem=f"{len(info.missing)} of {info.frame_count} files of the sequence are missing: "
+                f"{names}",
+                measured=f"{info.frame_count - len(info.missing)} files",
+                expected=f"{info.frame_count}",
+                remedy="copy them too, or leave these frames out with --gaps skip",
+            )
         )
     if info.left_out:
         names = text_of_names([path.name for path in info.left_out])
-        add(Severity.WARNING, f"left out, since the frames are named otherwise: {names}")
+        findings.append(
+            Finding(
+                check="stray",
+                level=Level.WARNING,
+                problem=f"left out, since the frames are named otherwise: {names}",
+                measured=f"{len(info.left_out)} files",
+                expected="none",
+                remedy="keep masks and thumbnails in another folder",
+            )
+        )
     if info.chroma == "grey":
-        add(Severity.FATAL, "the footage is grey: three coloured lights need a colour camera")
+        findings.append(
+            Finding(
+                check="grey",
+                level=Level.FATAL,
+                problem="the footage is grey",
+                measured="one channel",
+                expected="three",
+                remedy="three coloured lights need a colour camera",
+            )
+        )
     elif info.chroma in _CHROMA_COST_DEG:
-        add(
-            Severity.WARNING,
-            f"chroma subsampling {info.chroma} costs about {_CHROMA_COST_DEG[info.chroma]} degrees on fine "
-            "detail; record RGB or 4:4:4 (8-bit RGB costs 0.3), or halve the picture size",
+        cost = _CHROMA_COST_DEG[info.chroma]
+        findings.append(
+            Finding(
+                check="chroma",
+                level=Level.WARNING,
+                problem=f"chroma subsampling {info.chroma} costs about {cost} degrees on fine detail",
+                measured=f"chroma {info.chroma}",
+                expected="RGB or 4:4:4",
+                remedy="record RGB or 4:4:4 (8-bit RGB costs 0.3), or halve the picture size",
+            )
         )
     if info.codec not in LOSSLESS_CODECS and info.codec not in _LOSSLESS_IMAGES:
-        add(
-            Severity.WARNING,
-            f"{info.codec} is a lossy codec at most settings: its blocks show up as relief; record "
-            "losslessly, or with the highest bit rate",
+        findings.append(
+            Finding(
+                check="codec",
+                level=Level.WARNING,
+                problem=f"{info.codec} is a lossy codec at most settings: its blocks show up as relief",
+                measured=f"codec {info.codec}",
+                expected="a lossless one",
+                remedy="record losslessly, or with the highest bit rate",
+            )
         )
     if info.bits == 8:
-        add(Severity.NOTE, "8 bits per channel cost about 0.3 degrees; 10 or more would not")
+        findings.append(
+            Finding(
+                check="bits",
+                level=Level.NOTE,
+                problem="8 bits per channel cost about 0.3 degrees",
+                measured="8 bits",
+                expected="10 or more",
+                remedy="record 10 or more bits where you can",
+            )
+        )
     return findings
 
 
@@ -171,50 +216,105 @@ def _findings_from_transfer(info: CaptureInfo, transfer: Transfer) -> list[Findi
     if transfer.curve is not TransferCurve.LINEAR:
         return []
     if info.stated_transfer not in ("", "linear"):
-        text = f"the file states the transfer curve {info.stated_transfer} but is read as linear"
-        return [Finding(severity=Severity.WARNING, text=f"{text}; give --transfer {info.stated_transfer}")]
+        return [
+            Finding(
+                check="transfer",
+                level=Level.WARNING,
+                problem=f"the file states the transfer curve {info.stated_transfer} but is read as linear",
+                measured="linear",
+                expected=info.stated_transfer,
+                remedy=f"give --transfer {info.stated_transfer}",
+            )
+        ]
     if info.codec in _CAMERA_CODECS:
-        text = f"{info.codec} files of cameras and telephones are rarely linear; if this one is not, give"
-        return [Finding(severity=Severity.NOTE, text=f"{text} --transfer bt709 (video) or srgb (JPEG)")]
+        return [
+            Finding(
+                check="transfer",
+                level=Level.NOTE,
+                problem=f"{info.codec} files of cameras and telephones are rarely linear",
+                measured="linear",
+                expected="bt709 (video) or srgb (JPEG)",
+                remedy="if this one is not linear, give --transfer bt709 or srgb",
+            )
+        ]
     return []
 
 
-def _findings_from_exposure(clipped_share: float, brightest: float) -> list[Finding]:
-    findings = []
-    if clipped_share > _CLIPPED_TOO_MUCH:
-        text = f"{clipped_share:.1%} of the pixels are clipped: no normal there; lower the exposure"
-        findings.append(Finding(severity=Severity.WARNING, text=text))
-    if _BLACK <= brightest < _DIM:
-        text = f"the picture uses {brightest:.0%} of the range: open the lens, more light means less noise"
-        findings.append(Finding(severity=Severity.NOTE, text=text))
-    return findings
+def _findings_from_clipping(frames: Sequence[LinearFrame], mask: Mask | None) -> list[Finding]:
+    """Find how much of the subject, or of the picture without a mask, is clipped."""
+    share = float(np.mean([(f.clipped if mask is None else f.clipped[mask]).mean() for f in frames]))
+    if not share > _CLIPPED_TOO_MUCH:
+        return []
+    return [
+        Finding(
+            check="clipping",
+            level=Level.FATAL if share > _CLIPPED_FATALLY else Level.WARNING,
+            problem=f"{share:.1%} of the pixels are clipped: no normal there",
+            measured=f"{share:.1%}",
+            expected=f"less than {_CLIPPED_TOO_MUCH:.1%}",
+            remedy="lower the exposure and film again",
+        )
+    ]
 
 
-# Mistakes of the user that the footage shows. A finding is one line with the remedy.
+def _findings_from_range(brightest: float) -> list[Finding]:
+    if not _BLACK <= brightest < _DIM:
+        return []
+    return [
+        Finding(
+            check="dim",
+            level=Level.NOTE,
+            problem=f"the picture uses {brightest:.0%} of the range",
+            measured=f"{brightest:.0%}",
+            expected=f"more than {_DIM:.0%}",
+            remedy="open the lens: more light means less noise",
+        )
+    ]
+
+
+# What a user may have got wrong, told by the footage itself.
 
 
 def findings_from_capture(
-    capture: Capture, rig: Rig, mask: Mask | None = None, numbers: range | None = None
-) -> list[str]:
-    """Check a capture against its rig: calibrated cone, channel order, curve, white balance, drift.
+    capture: Capture,
+    rig: Rig | None,
+    mask: Mask | None = None,
+    numbers: range | None = None,
+) -> list[Finding]:
+    """Check a capture: clipping and drift, and with a rig all that `checks` lists.
 
-    mask: (h, w) where the surface is. numbers: the frames that matter, default all; a few of them are read.
+    rig: its transfer is the one it was calibrated with; the capture's own options say how it is read. mask:
+    (h, w) where the surface is. numbers: the frames that matter, default all; a few of them are read. Raises
+    `BadCapture` for a frame that cannot be read.
     """
     numbers = numbers or range(len(capture))
-    findings = findings_from_quality(rig)
-    transfer = capture.options.transfer
-    chosen = frames_to_compare(capture, numbers)
-    middle = chosen[len(chosen) // 2]
-    compared = []
-    for number in chosen:
-        for encoded in capture.encoded_frames(number, number + 1):
-            compared.append(linear_frame_from_encoded(encoded, transfer))
-            if number == middle:
-                findings += findings_from_rig(encoded, rig, transfer, mask, capture.background)
-    if len(compared) > 1:
-        drift = drift_of_static_part(compared)
-        findings += [] if drift is None else [drift.to_text()]
-    return findings
+    chosen = [n for n in frames_to_compare(capture, numbers) if n not in capture.info.missing]
+    frames = [capture.frame(number) for number in chosen]
+    if not frames:
+        return []
+    findings = _findings_from_clipping(frames, mask)
+    if rig is not None:
+        findings += findings_from_rig(rig)
+        height, width = frames[0].shape
+        if (width, height) != (rig.camera.width, rig.camera.height):
+            return [*findings, _other_size(width, height, rig)]
+        few = [frames[k] for k in sorted({0, len(frames) // 2, len(frames) - 1})]
+        evidence = evidence_from_frames(few, rig, capture.options.transfer, mask)
+        findings += findings_from_evidence(evidence)
+    drift = drift_of_static_part(frames) if len(frames) > 1 else None
+    return findings if drift is None else [*findings, drift.to_finding()]
+
+
+def _other_size(width: int, height: int, rig: Rig) -> Finding:
+    camera = f"{rig.camera.width}×{rig.camera.height}"
+    return Finding(
+        check="size",
+        level=Level.FATAL,
+        problem=f"the frames are {width}×{height}, the rig's camera is {camera}",
+        measured=f"{width}×{height}",
+        expected=camera,
+        remedy="calibrate with footage of this size",
+    )
 
 
 def frames_to_compare(capture: Capture, numbers: range) -> list[int]:
@@ -226,14 +326,3 @@ def frames_to_compare(capture: Capture, numbers: range) -> list[int]:
         quick = capture.readable_alone(numbers[place], within)
         chosen.add(quick if first <= quick <= last else numbers[place])
     return sorted(chosen)
-
-
-def findings_from_quality(rig: Rig) -> list[str]:
-    """Return a line where the rig was fitted on normals that lean too little."""
-    quality = rig.quality
-    if quality is None or quality.samples == 0 or quality.cone_deg >= _NARROW_CONE_DEG:
-        return []
-    return [
-        f"the rig was fitted on normals within {quality.cone_deg:.0f} degrees of their mean: steeper are "
-        f"a guess; calibrate again with the target tilted by {_NARROW_CONE_DEG:.0f} degrees and more"
-    ]

@@ -43,8 +43,8 @@ def check_outline(evidence: Evidence) -> list[Finding]:
             problem="the normals turn inwards along the subject's outline, as if it were hollow",
             measured=f"a mean outward part of {outward:.2f} ± {error:.2f}",
             expected="0 to 1",
-            remedy="x and y of M both look reversed (lamps turned by 180 degrees): give lamps and normals with "
-            "x right, y down, z forward in rig.json, or calibrate again",
+            remedy="x and y of M both look reversed (lamps turned by 180 degrees): give lamps and normals "
+            "with x right, y down, z forward in rig.json, or calibrate again",
             certainty=certainty_from_z(outward / error),
         )
     ]
@@ -58,7 +58,7 @@ class Outline:
     counts: FloatArray
 
     def outward(self, change: FloatArray) -> tuple[float, float]:
-        """Return the mean outward part of normals whose (x, y) are changed by (2, 2), and its standard error."""
+        """Return the mean outward part of normals with (x, y) changed by (2, 2), and its standard error."""
         sums = np.einsum("bij,ij->b", self.products, change)
         total, count = sums.sum(), self.counts.sum()
         left_out = (total - sums) / np.maximum(count - self.counts, 1.0)

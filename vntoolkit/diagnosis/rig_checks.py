@@ -9,7 +9,8 @@ from vntoolkit.photometry.rig import Rig
 
 _NARROW_CONE_DEG = 20.0  # as calibration warns
 _LARGE_CONDITION_NUMBER = 30.0  # noise of one grey level turns a normal by some ten degrees
-# Balls, boards and heads calibrate to 1 to 5 degrees, a gel under near lamps to 11, a jumper taken for a ball 30.
+# Balls, boards and heads calibrate to 1 to 5 degrees, a gel under near lamps to 11, a jumper taken for a
+# ball to 30.
 _NOTED_RESIDUAL_DEG = 8.0
 _FATAL_RESIDUAL_DEG = 15.0
 
@@ -29,28 +30,37 @@ def check_lamps(rig: Rig) -> list[Finding]:
             check="lamps",
             level=Level.FATAL,
             problem=f"{what} shines from behind a surface that faces the camera",
-            measured="light of " + ", ".join(f"{value:.2f}" for value in share) + " in red, green, blue on it",
+            measured="light of "
+            + ", ".join(f"{value:.2f}" for value in share)
+            + " in red, green, blue on it",
             expected="more than 0 in each",
-            remedy="a lamp file has x right, y up, z towards the viewer; M has z forward: check the sign of z",
+            remedy="a lamp file has x right, y up, z towards the viewer; M has z forward and "
+            "a row per channel: check the sign of z, and whether M is transposed",
         )
     ]
 
 
-def check_fit(rig: Rig) -> list[Finding]:
-    """Find a calibration that its own samples contradict, or that saw too little."""
-    quality, findings = rig.quality, []
+def check_residual(rig: Rig) -> list[Finding]:
+    """Find a calibration that its own samples contradict."""
+    quality = rig.quality
     if quality is not None and quality.samples and quality.residual_deg > _NOTED_RESIDUAL_DEG:
         fatal = quality.residual_deg > _FATAL_RESIDUAL_DEG
-        findings.append(
+        return [
             Finding(
                 check="residual",
                 level=Level.FATAL if fatal else Level.WARNING,
                 problem="the calibration contradicts its own samples",
                 measured=f"a median residual of {quality.residual_deg:.0f} degrees",
                 expected=f"less than {_NOTED_RESIDUAL_DEG:g}",
-                remedy="was this the calibration object, matte, of one colour and alone in the mask? film it again",
+                remedy="was this the calibration object, matte, of one colour, alone in the mask?",
             )
-        )
+        ]
+    return []
+
+
+def check_coverage(rig: Rig) -> list[Finding]:
+    """Find a calibration that saw too few directions, and an M that multiplies noise."""
+    quality, findings = rig.quality, []
     if quality is not None and quality.samples and quality.cone_deg < _NARROW_CONE_DEG:
         findings.append(
             Finding(

@@ -95,11 +95,13 @@ class Structure:
 
     @property
     def is_noise(self) -> bool:
+        """True where neighbours' normals have nothing to do with each other."""
         noise_deg = self.spread_deg * math.sqrt(max(0.0, 1.0 - self.coherence))
         return self.coherence < _LEAST_COHERENCE and noise_deg > 2 * _FLATTEST_DEG
 
     @property
     def is_flat(self) -> bool:
+        """True where a surface shows no shape beyond its noise."""
         return self.own_deg < _FLATTEST_DEG
 
 
@@ -164,7 +166,7 @@ def check_relatives(evidence: Evidence) -> list[Finding]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Sums:
-    """Sums over blocks (b, 10): α² (2), |α|², β² (2), |β|², facing, all, departure of log length, its count."""
+    """Sums over blocks (b, 10): α² (2), |α|², β² (2), |β|², facing, all, departure of log length, count."""
 
     blocks: FloatArray
 
@@ -249,8 +251,10 @@ class _Reading:
     front_share: float
 
     @classmethod
-    def of(cls, name: str, remedy: str, sums: _Sums, *, mirrored: bool = False, turned: bool = False) -> _Reading:
-        """mirrored: as if the lamps were mirrored. turned: as if they stood turned by the angle that fits best."""
+    def of(
+        cls, name: str, remedy: str, sums: _Sums, *, mirrored: bool = False, turned: bool = False
+    ) -> _Reading:
+        """mirrored: as if the lamps were mirrored. turned: as if they stood turned as fits best."""
         rows = np.concatenate([sums.total, sums.left_out])
         squares, powers = (rows[:, 3], rows[:, 5]) if mirrored else (rows[:, 0], rows[:, 2])
         if turned:
@@ -268,7 +272,7 @@ class _Reading:
         )
 
     def leaves_no_doubt(self, sums: _Sums) -> bool:
-        """True where no relative of M could agree better: each is near a mirror image or a third of a turn."""
+        """True where no relative of M could agree better: all are near a mirror image or a turn."""
         turn_deg, _ = _turn_deg(sums)
         mirrored = _Reading.of("", "", sums, mirrored=True).agreement
         return (
@@ -324,8 +328,8 @@ def _relatives(evidence: Evidence, own: _Sums) -> Iterator[_Reading]:
     axes = likelier(np.diag([-1.0, 1.0]), np.diag([1.0, -1.0]))
     yield _Reading.of(
         f"with its {' or its '.join(('x', 'y')[k] for k in axes)} axis mirrored",
-        "give the lamps and normals with x right, y down, z forward in rig.json (lamp files: x right, y up, z "
-        "towards the viewer), or calibrate again",
+        "give the lamps with x right, y down, z forward in rig.json (lamp files: x right, y up, z to "
+        "the viewer), or calibrate again",
         own,
         mirrored=True,
     )
@@ -334,8 +338,8 @@ def _relatives(evidence: Evidence, own: _Sums) -> Iterator[_Reading]:
         turns = [turn, turn - math.copysign(180, turn)]
         likely = " or ".join(f"{turns[k]:+.0f}" for k in likelier(*map(_rotation, turns)))
         yield _Reading.of(
-            f"with the lamps turned about the camera's axis by {likely} ± {error:.0f} degrees, clockwise in the "
-            "picture",
+            f"with the lamps turned about the camera's axis by {likely} ± {error:.0f} degrees, clockwise in "
+            "the picture",
             "were lamps or camera turned since calibration? calibrate again",
             own,
             turned=True,
@@ -402,7 +406,7 @@ def _finding(own: _Reading, better: list[_Reading]) -> Finding:
 
 
 def _turn_deg(sums: _Sums) -> tuple[float, float]:
-    """Return by how much the lamps stand turned, clockwise in the picture, and its standard error, degrees."""
+    """Return by how many degrees the lamps stand turned, clockwise in the picture, and its error."""
     rows = np.concatenate([sums.total, sums.left_out])
     angles = np.degrees(np.unwrap(np.arctan2(rows[:, 1], rows[:, 0]))) / 2
     return float(angles[0]), max(0.1, _jackknife_error(angles[1:]))

@@ -3,9 +3,9 @@
 On one material that length is the albedo, whatever the direction. Footage read with another curve c' than it
 was written with has a length that depends on the direction in a way that M and the two curves foretell. The
 logarithms of the lengths are regressed on what is foretold: the slope is 0 where the curve is right and 1
-where the other one is. Paint, gloss and shade scatter the lengths but do not follow the lamps' colours, so that
-they widen the error of the slope and hardly shift it. The spread of the lengths alone tells nothing: a curve
-that compresses light compresses paint too.
+where the other one is. Paint, gloss and shade scatter the lengths but do not follow the lamps' colours: they
+widen the error of the slope and hardly shift it. The spread of the lengths alone tells nothing: a curve that
+compresses light compresses paint too.
 """
 
 from __future__ import annotations
@@ -75,8 +75,13 @@ def check_calibrated_transfer(evidence: Evidence) -> list[Finding]:
     elif back is not None and back.score > _NOTED and back.score > _Z * back.error:
         level, says = Level.FATAL, f"and the footage agrees with {calibrated.to_text()}"
     else:
-        level, says = Level.WARNING, "and the footage does not tell which is right"
-    slope = "no surface to measure on" if back is None else f"a slope of {back.as_read:.2f} ± {back.error:.2f}"
+        quality = evidence.rig.quality
+        measured = quality is not None and quality.samples == 0  # lamps that were measured have no curve
+        level = Level.NOTE if measured else Level.WARNING
+        says = "and the footage does not tell which is right"
+    slope = (
+        "no surface to measure on" if back is None else f"a slope of {back.as_read:.2f} ± {back.error:.2f}"
+    )
     return [
         Finding(
             check="transfer",
@@ -238,3 +243,56 @@ def _regress(x: FloatArray, y: FloatArray, blocks: npt.NDArray[np.int64]) -> tup
     size = len(left_out)
     error = math.sqrt((size - 1) / size * float(((left_out - left_out.mean()) ** 2).sum()))
     return float(slopes[0]), max(error, 0.02)
+
+
+# At calibration the normals are known: the right curve is the one under which one M explains the colours.
+
+_SAMPLES = 20_000
+_CHUNKS = 36
+_LEFT = 0.7  # of the residual that the other curve must leave
+
+
+def check_transfer_of_samples(normals: FloatArray, rgb: FloatArray, transfer: Transfer) -> list[Finding]:
+    """Find calibration footage that was read with another curve than it was written with.
+
+    normals, rgb: (n, 3) pairs in the order of the picture, rgb linear as read with `transfer`.
+    """
+    step = max(1, len(normals) // _SAMPLES)
+    normals, rgb = normals[::step], rgb[::step]
+    if len(normals) < _FEWEST_PIXELS:
+        return []
+    other = Transfer.from_text("srgb" if transfer.curve is TransferCurve.LINEAR else "linear")
+    as_read = _residuals_deg(normals, rgb)
+    under_other = _residuals_deg(normals, _reread(rgb, transfer, other))
+    if not np.median(under_other) < _LEFT * np.median(as_read):
+        return []
+    better = np.array([chunk.mean() for chunk in np.array_split(as_read - under_other, _CHUNKS)])
+    z = float(better.mean() / max(better.std() / math.sqrt(_CHUNKS), 1e-6))
+    if z < _Z:
+        return []
+    return [
+        Finding(
+            check="transfer",
+            level=Level.FATAL,
+            problem=f"the transfer curve looks like {other.to_text()}, not {transfer.to_text()}: one M "
+            "explains the calibration object better",
+            measured=f"a residual of {np.median(as_read):.1f} degrees",
+            expected=f"{np.median(under_other):.1f}, as under {other.to_text()}",
+            remedy=f"give --transfer {other.to_text()} (or bt709 for video)",
+            certainty=certainty_from_z(z),
+        )
+    ]
+
+
+def _residuals_deg(normals: FloatArray, rgb: FloatArray) -> FloatArray:
+    """Fit M and ambient light to pairs, outliers weighed down; return the angles (n,) it leaves, degrees."""
+    design = np.column_stack([normals, np.ones(len(normals))])
+    weight = np.ones(len(normals))
+    for _ in range(2 * _ROUNDS):
+        root = np.sqrt(weight)[:, None]
+        unknowns = np.linalg.lstsq(design * root, rgb * root, rcond=None)[0]
+        left = np.linalg.norm(rgb - design @ unknowns, axis=1)
+        weight = 1.0 / (1.0 + (left / (3.0 * np.median(left) + 1e-9)) ** 2)
+    back = np.linalg.solve(unknowns[:3].T, (rgb - unknowns[3]).T).T
+    cosine = np.einsum("ni,ni->n", back, normals) / np.maximum(np.linalg.norm(back, axis=1), 1e-12)
+    return np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))

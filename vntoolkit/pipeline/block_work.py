@@ -29,6 +29,7 @@ from vntoolkit.io.results.frame_log import FrameEntry
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import ALL_LIT
 from vntoolkit.photometry.rig import Rig
+from vntoolkit.photometry.transfer import Transfer
 from vntoolkit.pipeline.frame_processor import FrameProcessor, FrameResult
 from vntoolkit.pipeline.options import DepthOffset, OnError, Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
@@ -44,9 +45,10 @@ _FULL = 65535
 class ReconstructionJob:
     """A reconstruction as sent to workers: source, rig, options and folder.
 
-    source, gaps: as for `open_capture`. mask, background: files or None. threads: for decoding; with 1,
-    reading, processing and writing take turns, so that a worker is one core's. limits: on what any process
-    reads.
+    source, gaps: as for `open_capture`. rig: its transfer is the footage's. calibrated: the curve that the
+    rig was calibrated with, None for the same. allow: checks whose fatal findings do not stop the run. mask,
+    background: files or None. threads: for decoding; with 1, reading, processing and writing take turns, so
+    that a worker is one core's. limits: on what any process reads.
     """
 
     source: str
@@ -56,6 +58,8 @@ class ReconstructionJob:
     mask: Path | None = None
     background: Path | None = None
     gaps: Gaps = Gaps.REFUSE
+    calibrated: Transfer | None = None
+    allow: tuple[str, ...] = ()
     threads: int = 2
     limits: ReadingLimits = field(default_factory=reading_limits)
 

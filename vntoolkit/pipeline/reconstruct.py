@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from vntoolkit.arrays import Mask
+from vntoolkit.diagnosis.finding import judge
 from vntoolkit.diagnosis.inspection import findings_from_capture
 from vntoolkit.errors import BadCapture, BadInput, VntError
 from vntoolkit.io.atomic import remove_numbered, require_apart, sole_writer
@@ -121,10 +122,10 @@ def reconstruct(
         names = text_of_names([path.name for path in capture.info.left_out])
         logger.warning("%s: left out, since the frames are named otherwise: %s", job.source, names)
     missing = _missing_frames(capture, numbers)
+    _require_plausible(job, capture, numbers)
     with sole_writer(root):
         job, manifest, log = _prepared(job, capture, frames, overwrite)
         on_disk = _frames_on_disk(job, log)
-        _warn_of_the_implausible(job, capture, numbers)
         on_start(len(numbers), len(on_disk & set(numbers)))
         for record in missing:
             log.append(record)
@@ -230,15 +231,15 @@ def _frames_on_disk(job: ReconstructionJob, log: FrameLog) -> set[int]:
     }
 
 
-def _warn_of_the_implausible(job: ReconstructionJob, capture: Capture, numbers: range) -> None:
-    """Log warnings about mistakes in the footage that spoil normals without an error."""
+def _require_plausible(job: ReconstructionJob, capture: Capture, numbers: range) -> None:
+    """Log what the footage tells of mistakes; raise `FatalFinding` for one that ruins normals."""
+    rig = job.rig if job.calibrated is None else replace(job.rig, transfer=job.calibrated)
     try:
-        findings = findings_from_capture(capture, job.rig, job.read_mask(capture), numbers)
-    except VntError as problem:  # a bad frame is reported when its turn comes
+        findings = findings_from_capture(capture, rig, job.read_mask(capture), numbers)
+    except BadCapture as problem:  # a bad frame is reported when its turn comes
         logger.debug("plausibility not checked: %s", problem)
         return
-    for finding in findings:
-        logger.warning("%s", finding)
+    judge(findings, job.allow)
 
 
 def _finish(root: Path, manifest: Manifest, log: FrameLog, numbers: range, seconds: float) -> None:

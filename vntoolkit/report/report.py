@@ -133,7 +133,7 @@ def _findings(result: OpenedResult) -> list[PageNotice]:
     except VntError as error:
         text = f"the footage could not be looked over: {error}"
         return [PageNotice(severity="note", text=text)]
-    return [PageNotice(severity=finding.severity.value, text=finding.text) for finding in report.findings]
+    return [PageNotice(severity=finding.level.value, text=finding.text) for finding in report.findings]
 
 
 def _headline(result: OpenedResult) -> tuple[PageNumber, ...]:

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from vntoolkit.diagnosis.inspection import inspect_capture
-from vntoolkit.diagnosis.rig_match import fit_gains, text_of_gains
 from vntoolkit.errors import BadCapture, BadInput, CannotWrite
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
@@ -78,14 +77,6 @@ def test_a_strip_is_inspected(tmp_path, rng, shape):
     assert [finding.text for finding in report.findings if "exchanged" in finding.text] == []
     with pytest.raises(BadInput, match="samples: expected a positive number"):
         inspect_capture(tmp_path / "a.png", samples=0)
-
-
-def test_scattered_pixels_say_nothing_of_gains(rng):
-    used = np.zeros((400, 400), bool)
-    used[::2] = True  # averaged down, no pixel is wholly of the surface
-    fitted = fit_gains(rng.random((400, 400, 3)), used, RESPONSE, np.zeros((400, 400, 2)))
-    assert fitted[0].tolist() == [1, 1, 1]
-    assert text_of_gains(fitted[0], fitted[1] / fitted[2]) == ""
 
 
 @pytest.mark.parametrize(

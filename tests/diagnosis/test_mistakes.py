@@ -1,0 +1,148 @@
+"""Each mistake that ruins normals without failing is found, its remedy named, and none is invented."""
+
+import numpy as np
+import pytest
+
+from tests.faults.simulated_captures import random_response
+from vntoolkit.diagnosis.checks import findings_from_evidence, findings_from_rig
+from vntoolkit.diagnosis.evidence import evidence_from_frames
+from vntoolkit.diagnosis.finding import FatalFinding, Finding, Level, judge
+from vntoolkit.diagnosis.rig_checks import check_residual
+from vntoolkit.diagnosis.transfer_match import check_transfer_of_samples
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.lambertian import rgb_from_normals
+from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.rig import FitQuality, Rig
+from vntoolkit.photometry.transfer import Transfer, encoded_from_linear, linear_from_encoded
+
+H, W = 150, 200
+SRGB = Transfer.from_text("srgb")
+
+
+def _blob(rng):
+    """Normals (h, w, 3) and mask of a dented ellipsoid, seen whole."""
+    v, u = np.mgrid[:H, :W].astype(float)
+    x, y = (u - W / 2) / (0.36 * W), (v - H / 2) / (0.42 * H)
+    inside = x**2 + y**2 < 0.995
+    depth = -40.0 * np.sqrt(np.maximum(1 - x**2 - y**2, 1e-3))
+    for _ in range(6):
+        angle, length = rng.uniform(0, np.pi), rng.uniform(14, 40)
+        k = 2 * np.pi / length
+        wave = np.cos(k * (u * np.cos(angle) + v * np.sin(angle)) + rng.uniform(0, 6))
+        depth += 0.12 / k * wave
+    slope_v, slope_u = np.gradient(depth)
+    normals = np.stack([slope_u, slope_v, -np.ones_like(depth)], axis=-1)
+    return normals / np.linalg.norm(normals, axis=-1, keepdims=True), inside
+
+
+def _shot(seed):
+    """Return (light (h, w, 3), mask, response) of a blob before a black backdrop."""
+    rng = np.random.default_rng([seed, 18])
+    response = random_response(rng)
+    normals, inside = _blob(rng)
+    light = np.clip(rgb_from_normals(normals, response), 0, None) * inside[..., None]
+    return np.clip(light + rng.normal(0, 0.003, light.shape), 0, 1), inside, response
+
+
+def _findings(light, matrix, read=None, mask=None, calibrated=None):
+    rig = Rig(
+        camera=Camera.orthographic(width=W, height=H),
+        response=LightResponse(matrix=matrix),
+        transfer=calibrated or read or Transfer(),
+    )
+    frame = LinearFrame(rgb=light.astype(np.float32), clipped=(light >= 1).any(axis=-1))
+    evidence = evidence_from_frames([frame], rig, read or Transfer(), mask)
+    return [*findings_from_rig(rig), *findings_from_evidence(evidence)]
+
+
+def _turned(degrees):
+    c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
+    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+
+
+WRONG_M = {
+    "its x axis mirrored": lambda m: m @ np.diag([-1, 1, 1]),
+    "its y axis mirrored": lambda m: m @ np.diag([1, -1, 1]),
+    "x and y of M both look reversed": lambda m: m @ np.diag([-1, -1, 1]),
+    "with M transposed": lambda m: m.T,
+    "red and green exchanged": lambda m: m[[1, 0, 2]],
+    "turned about the camera's axis by +60": lambda m: m @ _turned(60),
+    "from behind a surface": lambda m: m @ np.diag([1, 1, -1]),
+}
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_sound_captures_raise_nothing(seed):
+    light, inside, response = _shot(seed)
+    for mask in (None, inside):
+        assert _findings(light, response.matrix, mask=mask) == []
+    decoded = linear_from_encoded(np.rint(encoded_from_linear(light, SRGB) * 255) / 255, SRGB)
+    assert _findings(decoded, response.matrix, SRGB) == []
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("named", list(WRONG_M))
+def test_wrong_matrices_are_named(named, seed):
+    light, _, response = _shot(seed)
+    findings = _findings(light, WRONG_M[named](response.matrix))
+    assert any(named in finding.text for finding in findings), findings
+    assert any(finding.level is Level.FATAL for finding in findings)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_wrong_curve_is_named_either_way(seed):
+    light, _, response = _shot(seed)
+    (found,) = _findings(encoded_from_linear(light, SRGB), response.matrix)
+    assert "give --transfer srgb" in found.text
+    (found,) = _findings(linear_from_encoded(light, SRGB), response.matrix, SRGB)
+    assert "give --transfer linear" in found.text
+    findings = _findings(linear_from_encoded(light, SRGB), response.matrix, SRGB, calibrated=Transfer())
+    assert "leave --transfer out" in findings[0].text
+    assert findings[0].level is Level.FATAL
+
+
+def test_footage_of_no_surface_and_a_mask_off_it_are_named(rng):
+    light, inside, response = _shot(3)
+    (found,) = _findings(rng.uniform(0, 1, light.shape), response.matrix)
+    assert (found.check, found.level) == ("noise", Level.FATAL)
+    wall = response.matrix @ [0.1, 0.05, -0.99] + rng.normal(0, 0.003, light.shape)
+    (found,) = _findings(wall, response.matrix)
+    assert found.check == "flat"
+    (found,) = _findings(light, response.matrix, mask=~inside)
+    assert (found.check, found.level) == ("mask", Level.FATAL)
+    assert "invert it" in found.text
+
+
+@pytest.mark.parametrize("gains", [(1.2, 1.0, 0.85), (0.85, 1.0, 1.1)])
+def test_other_gains_are_measured(gains):
+    light, _, response = _shot(4)
+    (found,) = _findings(0.8 * light * gains, response.matrix)
+    red, blue = (f"{100 * (gain - 1):+.0f} %" for gain in (gains[0], gains[2]))
+    assert f"red by {red} and blue by {blue}" in found.text
+
+
+def test_calibration_samples_tell_the_curve_and_a_bad_fit(rng):
+    normals, _ = _blob(rng)
+    normals = normals[20:-20:2, 40:-40:2].reshape(-1, 3)
+    response = random_response(rng)
+    rgb = np.clip(rgb_from_normals(normals, response), 0, 1) + rng.normal(0, 0.002, normals.shape)
+    assert check_transfer_of_samples(normals, rgb, Transfer()) == []
+    (found,) = check_transfer_of_samples(normals, encoded_from_linear(rgb, SRGB), Transfer())
+    assert "give --transfer srgb" in found.text
+    assert found.level is Level.FATAL
+    quality = FitQuality(method="sphere", residual_deg=30.0, condition_number=3.0, samples=99, cone_deg=60.0)
+    rig = Rig(camera=Camera.orthographic(width=9, height=9), response=response, quality=quality)
+    (found,) = check_residual(rig)
+    assert "30 degrees" in found.measured
+
+
+def test_the_judge_stops_at_what_is_fatal_and_not_allowed(caplog):
+    finding = Finding(
+        check="noise", level=Level.FATAL, problem="p", measured="m", expected="e", remedy="r", certainty=0.97
+    )
+    assert finding.text == "p: measured m, expected e, 97% sure; r [noise]"
+    with pytest.raises(FatalFinding, match="--allow noise"):
+        judge([finding])
+    judge([finding], allowed=("noise",))
+    assert finding.text in caplog.text

@@ -1,0 +1,72 @@
+"""All checks, one function each, and what they find in a capture read with a rig."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from vntoolkit.diagnosis.evidence import Evidence
+from vntoolkit.diagnosis.finding import Finding
+from vntoolkit.diagnosis.mask_match import check_mask
+from vntoolkit.diagnosis.outline import check_outline
+from vntoolkit.diagnosis.rig_checks import check_coverage, check_lamps, check_residual
+from vntoolkit.diagnosis.surface_match import check_relatives, check_structure
+from vntoolkit.diagnosis.transfer_match import check_calibrated_transfer, check_transfer
+from vntoolkit.diagnosis.white_balance import check_white_balance
+from vntoolkit.photometry.rig import Rig
+
+RIG_CHECKS: tuple[Callable[[Rig], list[Finding]], ...] = (
+    check_lamps,
+    check_residual,
+    check_coverage,
+)
+
+# Each group is asked only where no check of a group before it found anything: a mask on the backdrop explains
+# noise, noise explains a surface that cannot be, and exchanged channels explain lengths that vary.
+CAPTURE_CHECKS: tuple[tuple[Callable[[Evidence], list[Finding]], ...], ...] = (
+    (check_mask,),
+    (check_structure,),
+    (check_relatives,),
+    (check_outline, check_calibrated_transfer, check_transfer),
+    (check_white_balance,),
+)
+
+# What `--allow` takes: every name that a finding of these checks, or one about the footage, can have.
+CHECK_NAMES: dict[str, str] = {
+    "black": "a frame shows nothing",
+    "bits": "few bits per sample",
+    "chroma": "colour at a lower resolution than brightness",
+    "clipping": "pixels at the white level",
+    "codec": "a lossy codec",
+    "condition": "M multiplies noise",
+    "cone": "a calibration that saw few directions",
+    "cut-off": "a file that ends early",
+    "drift": "exposure or white balance that changes while filming",
+    "dim": "footage that uses little of the range",
+    "flat": "a subject without shape",
+    "gaps": "files of a sequence that are missing",
+    "grey": "footage without colour",
+    "lamps": "lamps behind the surface",
+    "mask": "a mask off the subject",
+    "noise": "footage of no surface",
+    "outline": "a surface turned inside out",
+    "relatives": "M mirrored, turned, transposed or with exchanged channels",
+    "residual": "a calibration that contradicts its samples",
+    "size": "frames of another size than the rig's",
+    "stray": "files that are no frames",
+    "transfer": "a transfer curve that is not the footage's",
+    "white-balance": "other gains of the channels than at calibration",
+}
+
+
+def findings_from_rig(rig: Rig) -> list[Finding]:
+    """Return what a rig tells by itself."""
+    return [finding for check in RIG_CHECKS for finding in check(rig)]
+
+
+def findings_from_evidence(evidence: Evidence) -> list[Finding]:
+    """Return what a few frames tell of the rig, the mask and the transfer curve."""
+    for group in CAPTURE_CHECKS:
+        found = [finding for check in group for finding in check(evidence)]
+        if found:
+            return found
+    return []

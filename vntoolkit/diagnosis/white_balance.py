@@ -1,0 +1,143 @@
+"""Did the gains of the channels change between calibration and capture?
+
+Gains on red and blue against green change the length of M⁻¹(r − a) with direction in a way that M foretells.
+The gains that make the lengths of one material equal are found by least squares on their logarithms, step by
+step; they are named where they differ from 1 clearly and even out the lengths.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.arrays import FloatArray
+from vntoolkit.diagnosis.evidence import Evidence, scaled_normals
+from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
+
+_BLUR_PX = 1.0
+_RIM_PX = 2
+_STEEPEST = 0.15
+_FEWEST_PIXELS = 400
+_PIXELS_A_FRAME = 4000
+_STEPS = 10
+_LONGEST_STEP = 0.15
+_LARGEST_LOG_GAIN = 0.7
+_NOTED_LOG_GAIN = 0.07  # 7 % turn a normal by about a degree and a half
+_LEFT = 0.6  # of the spread of the lengths that gains must not leave: two free numbers always mend a little
+_Z = 5.0
+
+
+def check_white_balance(evidence: Evidence) -> list[Finding]:
+    """Find gains of the channels that differ from those at calibration."""
+    found = fit_gains(evidence)
+    if found is None or not found.is_clear:
+        return []
+    red, blue = (f"{100 * (math.exp(log) - 1):+.0f} %" for log in found.logs)
+    return [
+        Finding(
+            check="white-balance",
+            level=Level.WARNING,
+            problem="the white balance looks changed since calibration",
+            measured=f"red by {red} and blue by {blue} against green, which leaves {found.left:.0%} of the "
+            "spread of lengths",
+            expected="0 %",
+            remedy="lock it, and film or calibrate again; on a subject of another colour, calibrate on that "
+            "colour",
+            certainty=certainty_from_z(found.z),
+        )
+    ]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Gains:
+    """logs: (2,) of red's and blue's gain against green's. z: of the larger. left: share of spread left."""
+
+    logs: FloatArray
+    z: float
+    left: float
+
+    @property
+    def is_clear(self) -> bool:
+        """True where the gains are more than chance, more than a degree's worth, and explain the lengths."""
+        largest = float(np.abs(self.logs).max())
+        return _NOTED_LOG_GAIN < largest < _LARGEST_LOG_GAIN and self.z > _Z and self.left < _LEFT
+
+
+def fit_gains(evidence: Evidence) -> Gains | None:
+    """Fit the gains; None where too little of the surface is in sight."""
+    light, places, blocks = _surface_pixels(evidence)
+    if len(light) < _FEWEST_PIXELS:
+        return None
+    inverse = evidence.inverse.astype(np.float64)
+    ambient = evidence.ambient.astype(np.float64)
+    if inverse.ndim == 4:
+        inverse, ambient = inverse.reshape(-1, 3, 3)[places], ambient.reshape(-1, 3)[places]
+    matrix = np.linalg.inv(inverse)
+    logs: FloatArray = np.zeros(2)
+    error: FloatArray = np.ones(2)
+    first = spread = 0.0
+    for step in range(_STEPS):
+        undone = light * np.exp(-np.array([logs[0], 0.0, logs[1]]))
+        scaled = np.einsum("...ij,...j->...i", inverse, undone - ambient)
+        length = np.maximum(np.linalg.norm(scaled, axis=1), 1e-12)
+        direction = scaled / length[:, None]
+        colour = np.einsum("...ij,...j->...i", matrix, direction)
+        # n · M⁻¹ E_k M n: how the log length follows channel k's log gain
+        follow = np.einsum("...i,...ij->...j", direction, inverse) * colour
+        change, error, spread = _regress(follow[:, [0, 2]], np.log(length), blocks)
+        first = spread if step == 0 else first
+        logs = np.clip(logs + np.clip(change, -_LONGEST_STEP, _LONGEST_STEP), -1.0, 1.0)
+    ratio = float(np.max(np.abs(logs) / error))
+    return Gains(logs=logs, z=ratio, left=spread / max(first, 1e-9))
+
+
+def _surface_pixels(
+    evidence: Evidence,
+) -> tuple[FloatArray, npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Return colours (n, 3), places in the frame (n,) and blocks (n,) of pixels well inside the surface."""
+    rgb, index = [], []
+    size = 2 * _RIM_PX + 1
+    for k, frame in enumerate(evidence.light):
+        light = cv2.GaussianBlur(frame, (0, 0), _BLUR_PX)
+        scaled = scaled_normals(evidence, light)
+        facing = scaled[..., 2] < -_STEEPEST * np.linalg.norm(scaled, axis=2)
+        good = (evidence.surface[k] & facing).astype(np.uint8)
+        places = np.flatnonzero(cv2.erode(good, np.ones((size, size), np.uint8), borderValue=0))
+        places = places[:: max(1, len(places) // _PIXELS_A_FRAME)]
+        rgb.append(light.reshape(-1, 3)[places])
+        index.append(places)
+    places = np.concatenate(index)
+    return np.concatenate(rgb).astype(np.float64), places, evidence.blocks.ravel()[places]
+
+
+def _regress(
+    x: FloatArray, y: FloatArray, blocks: npt.NDArray[np.int64]
+) -> tuple[FloatArray, FloatArray, float]:
+    """Fit y = x · slopes + constant, outliers weighed down.
+
+    Returns the slopes (2,), their errors (2,) from leaving out blocks, and the median departure of y from its
+    median.
+    """
+    design = np.column_stack([x, np.ones(len(x))])
+    departure = np.abs(y - np.median(y))
+    weight = 1.0 / (1.0 + (departure / (3.0 * np.median(departure) + 1e-6)) ** 2)
+    count = int(blocks.max()) + 1
+    normal, right = np.zeros((count, 3, 3)), np.zeros((count, 3))
+    for i in range(3):
+        right[:, i] = np.bincount(blocks, weight * design[:, i] * y, count)
+        for j in range(3):
+            normal[:, i, j] = np.bincount(blocks, weight * design[:, i] * design[:, j], count)
+    kept = normal[:, 2, 2] > 0
+    normal, right = normal[kept], right[kept]
+    ridge = 1e-9 * np.eye(3) * len(x)
+    slopes = np.linalg.solve(normal.sum(axis=0) + ridge, right.sum(axis=0))
+    left_out = np.linalg.solve(normal.sum(axis=0) - normal + ridge, (right.sum(axis=0) - right)[..., None])[
+        ..., 0
+    ]
+    size = len(left_out)
+    error = np.sqrt((size - 1) / size * ((left_out - left_out.mean(axis=0)) ** 2).sum(axis=0))
+    return slopes[:2], np.maximum(error[:2], 0.005), float(np.median(departure))
