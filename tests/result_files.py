@@ -16,8 +16,8 @@ def write_mesh_sequence(folder: Path | str, sequence: MeshSequence) -> None:
     """Write a whole moving mesh."""
     with MeshSequenceWriter(folder, sequence.template, frame_rate_hz=sequence.frame_rate_hz) as writer:
         for frame in range(len(sequence)):
-            confidence = None if sequence.confidence is None else sequence.confidence[frame]
-            writer.append(sequence.vertices[frame], confidence)
+            uncertain = None if sequence.uncertainty_px is None else sequence.uncertainty_px[frame]
+            writer.append(sequence.vertices[frame], uncertain)
 
 
 def read_flow(path: Path | str) -> Flow:

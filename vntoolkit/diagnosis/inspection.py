@@ -32,6 +32,7 @@ _DIM = 0.25  # a brightest percentile below it wastes two bits
 # Degrees that subsampled chroma costs on fine detail, measured on rendered captures.
 _CHROMA_COST_DEG = {"4:2:0": 7, "4:2:2": 5, "4:4:0": 5, "4:1:1": 7}
 _FRAMES_COMPARED = 6
+_NARROWEST_PX = 16  # a strip has no slopes to compare
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -300,7 +301,8 @@ def findings_from_capture(
             return [*findings, _other_size(width, height, rig)]
         few = [frames[k] for k in sorted({0, len(frames) // 2, len(frames) - 1})]
         evidence = evidence_from_frames(few, rig, capture.options.transfer, mask)
-        findings += findings_from_evidence(evidence)
+        if min(evidence.light.shape[1:3]) >= _NARROWEST_PX:
+            findings += findings_from_evidence(evidence)
     drift = drift_of_static_part(frames) if len(frames) > 1 else None
     return findings if drift is None else [*findings, drift.to_finding()]
 

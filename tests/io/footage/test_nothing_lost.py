@@ -77,7 +77,8 @@ def _run(tmp_path: Path, verb: str, source: Path, *more: str) -> int:
         Rig(camera=Camera.orthographic(width=SIZE[1], height=SIZE[0]), response=RESPONSE),
     )
     common = ["--rig", str(tmp_path / "rig.json"), "--out", str(tmp_path / "out")]
-    return main([verb, str(source), *common, "--to", "normals", "--shadows", "none", *more])
+    noise = ["--allow", "noise"]  # what these videos show
+    return main([verb, str(source), *common, "--to", "normals", "--shadows", "none", *more, *noise])
 
 
 def test_gaps_and_names_reach_manifest_report_and_doctor(tmp_path, capsys, caplog):
