@@ -82,5 +82,5 @@ def test_a_mesh_is_measured_and_one_without_faces_is_refused(tmp_path: Path) -> 
     evaluate_mesh(tmp_path / "points.ply", tmp_path / "low.ply", out=tmp_path / "out")
     written = json.loads((tmp_path / "out" / "mesh.json").read_text())
     assert (written["distance"]["mean"], list(written["quality"])) == (pytest.approx(0.5), ["low.ply"])
-    with pytest.raises(BadMesh, match=r"points.ply: got 100 vertices and no face"):
+    with pytest.raises(BadMesh, match=r"points.ply: expected a surface, got 100 vertices and no face"):
         evaluate_mesh(tmp_path / "points.ply", out=tmp_path / "out")

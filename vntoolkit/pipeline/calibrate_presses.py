@@ -23,6 +23,7 @@ from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.io.atomic import sole_writer
 from vntoolkit.io.files import read_text, source_file
 from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
+from vntoolkit.io.footage.frame_range import Gaps
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.footage.resampling import rectify_frame
 from vntoolkit.photometry.frame import LinearFrame
@@ -65,7 +66,7 @@ def calibrate_presses(
 ) -> tuple[Rig, ResponseFit]:
     """Fit a rig to presses; frames without a label are passed over."""
     rng = np.random.default_rng(_SEED)
-    capture = open_capture(job.source, CaptureOptions(transfer=job.transfer))
+    capture = open_capture(job.source, CaptureOptions(transfer=job.transfer, gaps=Gaps.SKIP))
     background = job.prepare(open_capture(job.background, CaptureOptions(transfer=job.transfer)).frame(0))
     samples = list(_samples(job, options, capture, background, rng, on_frame))
     if not samples:

@@ -64,6 +64,7 @@ class SurfaceFit:
         self._outline = Outline(template, lattice, normal_map.mask, slopes)
         self._lengths = LinkLengths(lattice, template, camera, slopes)
         self._jacobians = LocalJacobians(lattice, template.positions_px)
+        self._nodes_of_template = self._lengths.nodes(template.positions_px)
         self._system = LatticeSystem(self._lengths.links, self._lengths.centres)
         self._template_depth = template.vertices_in_camera[:, 2]
 
@@ -89,6 +90,11 @@ class SurfaceFit:
             positions = self._restarted(positions, last_px, told, previous, normal_map, slopes)
             around = self._jacobians.of(positions)
             told = self._registration.measure(positions, around, slopes)
+        lost = told.found < _LOST_MATCH * told.expected
+        if lost.any() and not lost.all():
+            positions = self._resumed(positions, told, lost, slopes)
+            around = self._jacobians.of(positions)
+            told = self._registration.measure(positions, around, slopes)
         for number in range(_ITERATIONS):
             if number > 0:
                 around = self._jacobians.of(positions)
@@ -108,7 +114,6 @@ class SurfaceFit:
             positions = positions + step
             if np.abs(step).max() < _CONVERGED_PX:
                 break
-        self.debug = (told, outline, weight, steps, solution)
         return FittedFrame(
             positions_px=positions,
             depth=self._depth(positions, depth_map, hidden),
@@ -131,6 +136,32 @@ class SurfaceFit:
         at_nodes = self._lengths.nodes(flown - positions)
         moved = positions + lattice.at_vertices(at_nodes)
         there = self._registration.measure(moved, self._jacobians.of(moved), slopes)
+        better = there.found > told.found + _BETTER_MATCH
+        return np.asarray(positions + lattice.at_vertices(np.where(better[:, None], at_nodes, 0.0)))
+
+    def _resumed(
+        self,
+        positions: Points2,
+        told: Measurement,
+        lost: npt.NDArray[np.bool_],
+        slopes: Slopes,
+    ) -> npt.NDArray[np.float64]:
+        """Where the motion of what matches goes on to over what is lost, as far as it matches better there.
+
+        What comes back into the mask, or from behind something, may lie farther off than one step reaches.
+        """
+        lattice = self._lattice
+        here = self._lengths.nodes(positions)
+        moved = here - self._nodes_of_template
+        kept = (~lost).astype(np.float64)
+        information = np.column_stack([kept, np.zeros_like(kept), kept])
+        links = self._lengths.links
+        filled = self._system.solve(
+            information, kept[:, None] * moved, np.ones(len(links)), np.zeros((len(links), 2))
+        ).displacement
+        at_nodes = np.where(lost[:, None], filled - moved, 0.0)
+        there_px = positions + lattice.at_vertices(at_nodes)
+        there = self._registration.measure(there_px, self._jacobians.of(there_px), slopes)
         better = there.found > told.found + _BETTER_MATCH
         return np.asarray(positions + lattice.at_vertices(np.where(better[:, None], at_nodes, 0.0)))
 
