@@ -131,13 +131,14 @@ def _samples(
     on_frame: Progress,
 ) -> Iterator[PressSamples]:
     usable = ~background.clipped
-    for frame in capture.frames():
-        path = label_path(job.labels, capture.info.files[min(frame.number, len(capture.info.files) - 1)])
+    file_of = dict(zip(capture.info.numbers, capture.info.files, strict=False))
+    for done, frame in enumerate(capture.frames(), start=1):
+        path = label_path(job.labels, file_of.get(frame.number, capture.info.files[-1]))
         if path.exists():
             prepared = _without(job.prepare(frame), usable)
             press = _press(path, job, prepared)
             yield samples_from_press(prepared, press, background.rgb, options, rng)
-        on_frame(frame.number + 1, len(capture))
+        on_frame(done, len(capture.present))
 
 
 def _press(path: Path, job: PressJob, frame: LinearFrame) -> Press:
