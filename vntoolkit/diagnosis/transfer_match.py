@@ -41,6 +41,7 @@ _LEAST_EFFECT = 0.004  # spread of the foretold logarithms: below it M and the c
 # Slope as read minus slope under the other reading: −1 where the curve is right, +1 where the other one is.
 # Photographs of statues and faces with the right curve reach 0.1, with the wrong one 1.7 and more.
 _NOTED = 0.5
+_CLEAR = 0.8  # below minus this, the footage is believed against the rig
 _Z = 4.0
 
 
@@ -70,15 +71,14 @@ def check_calibrated_transfer(evidence: Evidence) -> list[Finding]:
     if (calibrated.curve, calibrated.gamma) == (given.curve, given.gamma):
         return []
     back = _comparison(evidence, calibrated)
-    if back is not None and back.score < -_NOTED and -back.score > _Z * back.error:
+    quality = evidence.rig.quality
+    measured = quality is not None and quality.samples == 0  # lamps that were measured have no curve
+    if measured and back is not None and back.score < -_CLEAR and -back.score > _Z * back.error:
         level, says = Level.NOTE, f"and the footage agrees with {given.to_text()}"
     elif back is not None and back.score > _NOTED and back.score > _Z * back.error:
         level, says = Level.FATAL, f"and the footage agrees with {calibrated.to_text()}"
     else:
-        quality = evidence.rig.quality
-        measured = quality is not None and quality.samples == 0  # lamps that were measured have no curve
-        level = Level.NOTE if measured else Level.WARNING
-        says = "and the footage does not tell which is right"
+        level, says = Level.WARNING, "and the footage does not tell which is right"
     slope = (
         "no surface to measure on" if back is None else f"a slope of {back.as_read:.2f} ± {back.error:.2f}"
     )
