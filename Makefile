@@ -1,4 +1,4 @@
-# Two commands from a bare Debian 12 or Ubuntu 24.04: `make demo` and `make test`.
+# Two commands from a bare Debian or Ubuntu: `make demo` and `make test`.
 
 PYTHON := .venv/bin/python
 READY := .venv/.ready
