@@ -43,12 +43,16 @@ _LEAST_EFFECT = 0.004  # spread of the foretold logarithms: below it M and the c
 _NOTED = 0.5
 _CLEAR = 0.8  # below minus this, the footage is believed against the rig
 _Z = 4.0
+# Beyond it neither curve explains the slope: another material, such as a backdrop without a mask, makes it.
+_UNEXPLAINED = 4.0
 
 
 def check_transfer(evidence: Evidence) -> list[Finding]:
     """Find footage that was written with another transfer curve than it was read with."""
     written = _against_the_other_kind(evidence)
-    if written is None or written.score < _NOTED or written.score < _Z * written.error:
+    if written is None or not _NOTED <= written.score <= _UNEXPLAINED:
+        return []
+    if written.score < _Z * written.error:
         return []
     stated = evidence.transfer.to_text()
     return [
