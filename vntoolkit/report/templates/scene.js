@@ -370,10 +370,10 @@ async function show(index) {
   try {
     packet = await frame(index);
     if (gl && registered() && packet.registered) moving = await shared();
-    trouble(flat);
+    if (wanted === index) trouble(flat);
   } catch (problem) {
     topology = painted = null;
-    trouble(problem.message === "Failed to fetch" ? "no connection: `vntoolkit view` has ended, or its machine cannot be reached" : problem.message);
+    if (wanted === index) trouble(problem.message === "Failed to fetch" ? "no connection: `vntoolkit view` has ended, or its machine cannot be reached" : problem.message);
     return;
   }
   while (busy) await nextFrame();
