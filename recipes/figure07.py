@@ -19,10 +19,10 @@ from vntoolkit.cli.calibrate import board
 from vntoolkit.cli.evaluate import cylinder
 from vntoolkit.cli.reconstruct import reconstruct
 from vntoolkit.cli.simulate import simulate
-from vntoolkit.pipeline.evaluate_cylinder import CylinderEvaluation
+from vntoolkit.pipeline.evaluate import CylinderEvaluation
 from vntoolkit.pipeline.options import Product, ReconstructOptions
 from vntoolkit.report.recipes_page import number, write_numbers
-from vntoolkit.simulation.rigid.board import SWEPT_LAYOUT
+from vntoolkit.simulation.rigid.board_and_cylinder import SWEPT_LAYOUT
 
 
 def measured(out: Path, name: str, degree: int, frames: str) -> CylinderEvaluation:

@@ -17,7 +17,7 @@ from vntoolkit.cli.simulate import simulate
 from vntoolkit.evaluation.track_error import TrackError
 from vntoolkit.io.results.seams import read_seams
 from vntoolkit.pipeline.checkerboard import write_checkerboard
-from vntoolkit.pipeline.evaluate_tracks import evaluate_tracks, write_track_errors
+from vntoolkit.pipeline.evaluate import evaluate_tracks, write_track_errors
 from vntoolkit.pipeline.options import Product, ReconstructOptions
 from vntoolkit.pipeline.track import TrackJob, track
 from vntoolkit.report.figures import write_error_plot, write_moments

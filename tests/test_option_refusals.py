@@ -39,7 +39,6 @@ VARIATION = {
 REFUSALS = [
     ("calibration.board:IntrinsicsOptions", {"most_views": 1}, "at least [0-9]+ views, got 1"),
     ("calibration.board:IntrinsicsOptions", {"radial_terms": 3}, "0 to 2 radial"),
-    ("calibration.board:IntrinsicsOptions", {"largest_error_px": NAN}, "largest error in pixels: "),
     ("calibration.board:BoardOptions", {"largest_error_px": 0.0}, "a positive number, got 0"),
     ("calibration.board:BoardOptions", {"degree": 4}, "degree of the variation: expected a value"),
     ("calibration.fit:ResponseFitOptions", {"inlier_share": INFINITE}, "outlier sigmas and inlier share"),

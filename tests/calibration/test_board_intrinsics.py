@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from vntoolkit.calibration import board
 from vntoolkit.calibration.board import IntrinsicsOptions, fit_camera
 from vntoolkit.calibration.board_detection import BoardSighting
 from vntoolkit.errors import BadCalibration
@@ -38,15 +39,19 @@ def test_all_four_terms_of_distortion_come_back_in_their_order(rng: np.random.Ge
     np.testing.assert_allclose(camera.distortion, DISTORTION, rtol=0.1)
 
 
-def test_terms_that_are_not_asked_for_stay_zero(rng: np.random.Generator) -> None:
+def test_terms_that_are_not_asked_for_stay_zero(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
     seen = sightings(rng)
     one = fit_camera(seen, LAYOUT, (640, 480), IntrinsicsOptions(radial_terms=1))
     assert one.distortion[0] != 0
     assert not one.distortion[1:].any()
-    none = fit_camera(seen, LAYOUT, (640, 480), IntrinsicsOptions(radial_terms=0, largest_error_px=5.0))
+    monkeypatch.setattr(board, "_LARGEST_FIT_ERROR_PX", 5.0)
+    none = fit_camera(seen, LAYOUT, (640, 480), IntrinsicsOptions(radial_terms=0))
     assert none.model is CameraModel.PINHOLE
+    monkeypatch.setattr(board, "_LARGEST_FIT_ERROR_PX", 0.1)
     with pytest.raises(BadCalibration, match="misses the corners by"):
-        fit_camera(seen, LAYOUT, (640, 480), IntrinsicsOptions(radial_terms=0, largest_error_px=0.1))
+        fit_camera(seen, LAYOUT, (640, 480), IntrinsicsOptions(radial_terms=0))
 
 
 def test_a_single_row_of_corners_tells_no_camera() -> None:

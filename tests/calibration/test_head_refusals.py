@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from vntoolkit.calibration.head.first_poses import fit_affine_model, metric_poses
 from vntoolkit.calibration.head.light import LightOptions, fit_light
+from vntoolkit.calibration.head.poses import fit_affine_model, metric_poses
 from vntoolkit.calibration.head.samples import HeadSamples
 from vntoolkit.calibration.head.silhouettes import Silhouette, SilhouetteOptions, require_head
 from vntoolkit.calibration.head.tracks import Tracks, require_tracks

@@ -9,7 +9,7 @@ from vntoolkit.cli.evaluate import cylinder as evaluate
 from vntoolkit.cli.reconstruct import reconstruct
 from vntoolkit.cli.simulate import simulate
 from vntoolkit.errors import BadInput
-from vntoolkit.pipeline.evaluate_cylinder import evaluate_cylinder
+from vntoolkit.pipeline.evaluate import evaluate_cylinder
 from vntoolkit.pipeline.opened_result import open_result
 from vntoolkit.pipeline.options import Product, ReconstructOptions
 from vntoolkit.shadows.detector import ShadowMethod

@@ -10,7 +10,7 @@ from vntoolkit.evaluation.depth_error import peaks
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io.maps_and_meshes.label_images import write_mask
 from vntoolkit.io.maps_and_meshes.maps import write_normal_map
-from vntoolkit.pipeline.evaluate_integration import objects_in, real_object_errors
+from vntoolkit.pipeline.evaluate import objects_in, real_object_errors
 
 
 def test_every_integrator_is_judged(tmp_path: Path) -> None:

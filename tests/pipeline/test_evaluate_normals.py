@@ -12,7 +12,7 @@ from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.maps_and_meshes.maps import write_normal_map
 from vntoolkit.io.maps_and_meshes.meshes import write_mesh
-from vntoolkit.pipeline.evaluate_normals import compare_normal_files, pairs_of
+from vntoolkit.pipeline.evaluate import compare_normal_files, pairs_of
 
 
 def tilted(degrees: float, size: tuple[int, int] = (20, 30), valid: slice = slice(None)) -> NormalMap:

@@ -32,10 +32,14 @@ from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.calibrate import CalibrationJob, calibrate_lights, mean_frame
 from vntoolkit.pipeline.calibrate_presses import PressJob, calibrate_presses
 from vntoolkit.pipeline.dress import dress
-from vntoolkit.pipeline.evaluate_cylinder import CylinderTruth
-from vntoolkit.pipeline.evaluate_integration import read_object, surface_cases
-from vntoolkit.pipeline.evaluate_normals import compare_normal_files
-from vntoolkit.pipeline.evaluate_tracks import evaluate_tracks, read_track_truth
+from vntoolkit.pipeline.evaluate import (
+    CylinderTruth,
+    compare_normal_files,
+    evaluate_tracks,
+    read_object,
+    read_track_truth,
+    surface_cases,
+)
 from vntoolkit.pipeline.opened_result import open_result
 from vntoolkit.pipeline.options import ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder

@@ -5,19 +5,20 @@ import pytest
 
 from vntoolkit.geometry.laplacian import edges_from_faces
 from vntoolkit.simulation.body.capsules import Capsules
-from vntoolkit.simulation.body.dancer import Pose, body_from_pose
-from vntoolkit.simulation.garment.pattern import SweaterOptions, sew_sweater
-from vntoolkit.simulation.garment.solver import ClothOptions, ClothSolver
+from vntoolkit.simulation.garment.pattern import sew_sweater
+from vntoolkit.simulation.garment.solver import AIR_DRAG, ClothSolver
 from vntoolkit.simulation.garment.sweater import (
     DancingGarment,
+    Pose,
+    body_from_pose,
     build_sweater,
     loop_subdivision,
     raise_along_normals,
 )
 from vntoolkit.simulation.scene import SceneOptions
 
-COARSE = SweaterOptions(edge_length=0.03)
-THICK = ClothOptions(thickness_m=0.02)
+COARSE_M = 0.03
+THICK_M = 0.02
 
 
 def edge_uses(faces: np.ndarray) -> np.ndarray:
@@ -27,7 +28,7 @@ def edge_uses(faces: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("edge_length", [0.0125, 0.02, 0.03])
 def test_a_sewn_sweater_is_a_sphere_with_four_openings(edge_length: float) -> None:
-    garment = sew_sweater(SweaterOptions(edge_length=edge_length))
+    garment = sew_sweater(edge_length)
     uses = edge_uses(garment.faces)
     assert set(uses) == {1, 2}
     assert len(garment.flat) - len(uses) + len(garment.faces) == 2 - 4  # neck, two cuffs, hem
@@ -36,8 +37,8 @@ def test_a_sewn_sweater_is_a_sphere_with_four_openings(edge_length: float) -> No
 
 def test_faces_of_the_dressed_garment_point_away_from_the_body() -> None:
     body = body_from_pose(Pose())
-    garment = sew_sweater(COARSE)
-    solver = ClothSolver(garment, body, THICK)
+    garment = sew_sweater(COARSE_M)
+    solver = ClothSolver(garment, body, THICK_M)
     for _ in range(10):
         solver.settle(body)
     a, b, c = (solver.positions[garment.faces[:, i]] for i in range(3))
@@ -58,8 +59,8 @@ def test_capsule_distance_is_that_of_spheres_and_cylinders() -> None:
 
 def test_flat_cloth_has_no_curvature_and_a_cylinder_has_its_own() -> None:
     far = Capsules(starts=np.full((1, 3), 50.0), ends=np.full((1, 3), 51.0), radii=np.ones((1, 2)))
-    garment = sew_sweater(COARSE)
-    solver = ClothSolver(garment, far, THICK)
+    garment = sew_sweater(COARSE_M)
+    solver = ClothSolver(garment, far, THICK_M)
     uses_front = (garment.panel[solver.hinges] == 0).all(axis=1)
     hinges, stencils = solver.hinges[uses_front], solver.stencils[uses_front]
     middle = garment.flat[hinges].mean(axis=1)
@@ -82,11 +83,10 @@ def test_flat_cloth_has_no_curvature_and_a_cylinder_has_its_own() -> None:
 
 def test_cloth_in_the_air_falls_as_drag_lets_it() -> None:
     far = Capsules(starts=np.full((1, 3), 50.0), ends=np.full((1, 3), 51.0), radii=np.ones((1, 2)))
-    options = ClothOptions(thickness_m=1e-4)
-    solver = ClothSolver(sew_sweater(COARSE), far, options)
+    solver = ClothSolver(sew_sweater(COARSE_M), far, 1e-4)
     solver.positions[:, 2] = 0.0
     before = solver.positions[:, 1].mean()
-    frames, drag = 30, options.air_drag
+    frames, drag = 30, AIR_DRAG
     for _ in range(frames):
         solver.advance(far, far)
     time = frames / 60.0
@@ -96,7 +96,7 @@ def test_cloth_in_the_air_falls_as_drag_lets_it() -> None:
 
 @pytest.fixture(scope="module")
 def danced() -> tuple[DancingGarment, list[np.ndarray], list[float]]:
-    garment = DancingGarment(3, COARSE, THICK)
+    garment = DancingGarment(3, COARSE_M, THICK_M)
     cages, energies = [], []
     for frame in range(60):
         cages.append(garment.cage(frame))
@@ -136,17 +136,17 @@ def test_the_same_seed_dances_the_same_and_another_does_not(
     danced: tuple[DancingGarment, list[np.ndarray], list[float]],
 ) -> None:
     garment, cages, _ = danced
-    again = DancingGarment(3, COARSE, THICK)
+    again = DancingGarment(3, COARSE_M, THICK_M)
     for frame in (4, 6, 5):  # an earlier frame starts again
         assert np.array_equal(again.cage(frame), cages[frame])
-    other = DancingGarment(4, COARSE, THICK)
+    other = DancingGarment(4, COARSE_M, THICK_M)
     assert not np.allclose(garment.body(0).ends, other.body(0).ends)
 
 
 def test_loop_subdivision_reproduces_planes_and_smooths_a_rim_within_itself(
     rng: np.random.Generator,
 ) -> None:
-    garment = sew_sweater(COARSE)
+    garment = sew_sweater(COARSE_M)
     smooth, halve, finer = loop_subdivision(garment.faces, len(garment.flat))
     count = len(garment.flat)
     for matrix in (smooth, halve):

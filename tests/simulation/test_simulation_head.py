@@ -7,9 +7,8 @@ import pytest
 
 from vntoolkit.geometry.mesh import vertex_normals
 from vntoolkit.simulation.body.spandex import build_spandex
-from vntoolkit.simulation.head import anatomy, paint
+from vntoolkit.simulation.head import anatomy, scenes
 from vntoolkit.simulation.head.anatomy import Head, build_head, cut_slit
-from vntoolkit.simulation.head.paint import Makeup
 from vntoolkit.simulation.head.rig import (
     Expression,
     HeadPose,
@@ -18,7 +17,7 @@ from vntoolkit.simulation.head.rig import (
     seam_lines_px,
     turning_pose,
 )
-from vntoolkit.simulation.head.scenes import build_face_makeup
+from vntoolkit.simulation.head.scenes import Makeup, build_face_makeup
 from vntoolkit.simulation.head.sculpture import MOUTH_HEIGHT, NECK_CUT, sculpt_head
 from vntoolkit.simulation.scene import SceneOptions
 
@@ -161,24 +160,24 @@ def test_the_performance_smiles_grimaces_speaks_and_blinks() -> None:
 
 
 def test_freckles_stand_out_most_in_blue(rng: np.random.Generator) -> None:
-    texture = paint.skin_texture(rng, Makeup.NONE)
+    texture = scenes.skin_texture(rng, Makeup.NONE)
     cheek = texture[500:600, 1150:1250].reshape(-1, 3)  # beside the nose
     contrast = cheek.std(axis=0) / cheek.mean(axis=0)
     assert contrast[2] > 1.3 * contrast[1] > 1.3 * contrast[0] > 0.01
 
 
 def test_makeup_is_one_colour_over_the_skin(head: Head, rng: np.random.Generator) -> None:
-    colours = paint.vertex_colours(head, Makeup.UNIFORM)
+    colours = scenes.vertex_colours(head, Makeup.UNIFORM)
     skin = (head.part == anatomy.SKIN) & (head.hair == 0.0)
     np.testing.assert_allclose(colours[skin], np.broadcast_to(colours[skin][0], colours[skin].shape))
-    bare = paint.vertex_colours(head, Makeup.NONE)[skin]
+    bare = scenes.vertex_colours(head, Makeup.NONE)[skin]
     assert bare.std(axis=0).min() > 0.01
-    texture = paint.skin_texture(rng, Makeup.UNIFORM)
+    texture = scenes.skin_texture(rng, Makeup.UNIFORM)
     np.testing.assert_allclose(texture[300:600, 1000:1050], 1.0)  # chin to brow, midline
 
 
 def test_texture_coordinates_do_not_wrap_across_a_face(head: Head) -> None:
-    uv = paint.corner_uv(head)
+    uv = scenes.corner_uv(head)
     skin = (head.part[head.faces] == anatomy.SKIN).all(axis=1)
     away_from_pole = head.vertices[head.faces, 1].max(axis=1) < 10.0
     assert np.ptp(uv[skin & away_from_pole, :, 0], axis=1).max() < 0.1

@@ -38,6 +38,7 @@ logger = logging.getLogger(__name__)
 _FEWEST_POSES = 8
 _FEWEST_VIEWS = 5
 _FEWEST_CORNERS = 16
+_LARGEST_FIT_ERROR_PX = 1.0  # root mean square: corners are found to some tenths of a pixel
 _LARGEST_FOCAL_DEVIATION = 0.05  # relative standard deviation
 _NARROWEST_CONE_DEG = 8.0  # half-angle of the views: with less, focal length and distance are one unknown
 
@@ -48,20 +49,18 @@ class IntrinsicsOptions:
 
     radial_terms: coefficients of radial distortion, 0 to 2; higher ones follow noise where the corners
     do not reach the image's edge. tangential: number of tangential coefficients, 0 or 2. most_views: views
-    used, picked so that they differ most. largest_error_px: root mean square above which the fit is refused.
+    used, picked so that they differ most.
     """
 
     radial_terms: int = 1
     tangential: int = 0
     most_views: int = 40
-    largest_error_px: float = 1.0
 
     def __post_init__(self) -> None:
         if self.radial_terms not in (0, 1, 2) or self.tangential not in (0, 2):
             raise BadInput("intrinsics: expected 0 to 2 radial and 0 or 2 tangential terms")
         if self.most_views < _FEWEST_VIEWS:
             raise BadInput(f"intrinsics: expected at least {_FEWEST_VIEWS} views, got {self.most_views}")
-        require_positive(self.largest_error_px, "intrinsics: largest error in pixels")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -251,7 +250,7 @@ def fit_camera(
     focal_deviation = float(deviations[:2].max()) / float(matrix[0, 0])
     tilts = np.array([cv2.Rodrigues(r)[0][:, 2] for r in rotations])
     cone = cone_of_normals_deg(tilts)
-    fits = np.isfinite(error) and error <= options.largest_error_px
+    fits = np.isfinite(error) and error <= _LARGEST_FIT_ERROR_PX
     if not (fits and focal_deviation < _LARGEST_FOCAL_DEVIATION and cone > _NARROWEST_CONE_DEG):
         raise BadCalibration(
             f"calibrate board: the camera fit misses the corners by {error:.2f} px with a focal length "

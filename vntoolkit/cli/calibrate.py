@@ -78,14 +78,14 @@ else:
     SphereFlags = flags_from(SphereOptions)
     LayoutFlags = flags_from(BoardLayout)
     BoardFlags = flags_from(BoardOptions)
-    IntrinsicsFlags = flags_from(IntrinsicsOptions, without=("largest_error_px",))
+    IntrinsicsFlags = flags_from(IntrinsicsOptions)
     ContrastFlags = flags_from(ContrastOptions)
     SilhouetteFlags = flags_from(SilhouetteOptions)
     TrackFlags = flags_from(TrackOptions)
     SiftFlags = flags_from(SiftOptions)
     PoseFlags = flags_from(PoseOptions)
     HullFlags = flags_from(HullOptions)
-    StereoFlags = flags_from(StereoOptions, without=("neighbour_angles_deg", "closer_angles_deg"))
+    StereoFlags = flags_from(StereoOptions, without=("neighbour_angles_deg",))
     FusionFlags = flags_from(FusionOptions)
     SampleFlags = flags_from(SampleOptions)
     LightFlags = flags_from(LightOptions)
@@ -236,8 +236,8 @@ def _job(
     focal_px: float | None,
     single_light: tuple[Path, ...] | None,
     frames: str,
-) -> calibrate.CalibrationJob:
-    return calibrate.CalibrationJob(
+) -> CalibrationJob:
+    return CalibrationJob(
         source=source,
         mask=mask,
         background=background,
@@ -337,14 +337,7 @@ def head(
     """
     for path, suffixes in ((out, JSON), (mesh, MESH), (figure, PICTURE), (report, PAGE)):
         require_output(path, suffixes)
-    job = CalibrationJob(
-        source=source,
-        background=background,
-        transfer=Transfer.from_text(transfer),
-        camera=camera,
-        focal_px=focal_px,
-        frames=FrameRange.from_text(frames),
-    )
+    job = _job(source, None, background, transfer, camera, focal_px, None, frames)
     options = HeadOptions(
         head_shape=head_shape,
         pose_start=pose_start,

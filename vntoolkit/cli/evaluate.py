@@ -34,11 +34,17 @@ from vntoolkit.geometry.point_cloud import PointCloud
 from vntoolkit.io.conventions import NormalConvention
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
-from vntoolkit.pipeline.evaluate_cylinder import CylinderEvaluation
-from vntoolkit.pipeline.evaluate_cylinder import evaluate_cylinder as run
-from vntoolkit.pipeline.evaluate_integration import objects_in, real_object_errors, surface_cases
-from vntoolkit.pipeline.evaluate_normals import compare_normal_files, pairs_of
-from vntoolkit.pipeline.evaluate_tracks import evaluate_tracks, write_track_errors
+from vntoolkit.pipeline.evaluate import (
+    CylinderEvaluation,
+    compare_normal_files,
+    evaluate_tracks,
+    objects_in,
+    pairs_of,
+    real_object_errors,
+    surface_cases,
+    write_track_errors,
+)
+from vntoolkit.pipeline.evaluate import evaluate_cylinder as run
 from vntoolkit.pipeline.opened_result import open_result
 from vntoolkit.report.figures import (
     write_cumulative_errors,

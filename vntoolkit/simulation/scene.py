@@ -43,9 +43,9 @@ from vntoolkit.simulation.studio import studio_centre
 
 # name -> "module:function" of type SceneFactory; imported only when the scene is asked for
 SCENES: dict[str, str] = {
-    "cylinder": "vntoolkit.simulation.rigid.cylinder:build_cylinder",
-    "board": "vntoolkit.simulation.rigid.board:build_board",
-    "board_sweep": "vntoolkit.simulation.rigid.board:build_board_sweep",
+    "cylinder": "vntoolkit.simulation.rigid.board_and_cylinder:build_cylinder",
+    "board": "vntoolkit.simulation.rigid.board_and_cylinder:build_board",
+    "board_sweep": "vntoolkit.simulation.rigid.board_and_cylinder:build_board_sweep",
     "sphere": "vntoolkit.simulation.rigid.sphere:build_sphere",
     "jacket": "vntoolkit.simulation.rigid.jacket:build_jacket",
     "sweater": "vntoolkit.simulation.garment.sweater:build_sweater",

@@ -20,6 +20,7 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.rays import RayScene, pixel_rays
 
+_CLOSER_ANGLES_DEG = (6.0, 12.0, 18.0)  # of a further pass: from well correlated to precise in depth
 _BORDER_PX = 12  # beyond the silhouette's box, for windows
 _STEP_PX = 0.6  # that a point moves in the furthest neighbour from shell to shell
 _LEAST_SLANT = 0.25  # cosine between ray and hull below which a window mixes too many depths
@@ -40,7 +41,7 @@ class StereoOptions:
     smoothing_px: standard deviation of the smoothing of the depth in a map. passes: 1 searches about the
     hull; every further one closely about the mesh of the one before, whose slant it knows, so that a smaller
     window does. closer: how far a further pass searches to both sides, as a share of the diagonal.
-    closer_angles_deg, closer_window_px: its neighbours and window.
+    closer_window_px: its window.
     """
 
     references: int = 11
@@ -52,15 +53,13 @@ class StereoOptions:
     smoothing_px: float = 2.0
     passes: int = 2
     closer: float = 0.012
-    closer_angles_deg: tuple[float, ...] = (6.0, 12.0, 18.0)
     closer_window_px: int = 9
 
     def __post_init__(self) -> None:
         windows = (self.stereo_window_px, self.closer_window_px)
         if min(self.references, self.passes) < 1 or min(windows) < 5 or any(w % 2 == 0 for w in windows):
             raise BadInput("stereo: expected at least one reference and pass and odd windows of 5 px or more")
-        angles = (self.neighbour_angles_deg, self.closer_angles_deg)
-        if not all(angles) or min(map(min, angles)) <= 0:
+        if not self.neighbour_angles_deg or min(self.neighbour_angles_deg) <= 0:
             raise BadInput("stereo: expected neighbours at positive angles")
         if min(self.before, self.behind, self.closer, self.smoothing_px) <= 0:
             raise BadInput("stereo: expected positive depths and smoothing")
@@ -73,7 +72,7 @@ class StereoOptions:
             self,
             before=self.closer,
             behind=self.closer,
-            neighbour_angles_deg=self.closer_angles_deg,
+            neighbour_angles_deg=_CLOSER_ANGLES_DEG,
             stereo_window_px=self.closer_window_px,
         )
 

@@ -17,27 +17,14 @@ from vntoolkit.arrays import Faces, FloatArray, IntArray, Points2
 BoolArray = npt.NDArray[np.bool_]
 
 FRONT, BACK = 0, 1
+EDGE_LENGTH_M = 0.0125  # of the cage; two subdivisions make 3 mm of it
+# the measures of an adult's loose sweater, metres
 _NECK, _SHOULDER = np.array([0.085, 0.0]), np.array([0.215, -0.035])
-
-
-@dataclass(frozen=True, kw_only=True)
-class SweaterOptions:
-    """Measures of the sweater in metres.
-
-    edge_length: wanted length of the cage's edges. half_width, length: of the body part.
-    sleeve_length: from shoulder to cuff. cuff_width: of the flat cuff. sleeve_drop_deg: angle of the sleeves
-    below the horizontal. rib_height: of the ribbing at hem and cuffs. rib_gather: its rest length as a
-    share of the cut; the cloth above it blouses.
-    """
-
-    edge_length: float = 0.0125
-    half_width: float = 0.305
-    length: float = 0.72
-    sleeve_length: float = 0.47
-    cuff_width: float = 0.150
-    sleeve_drop_deg: float = 25.0
-    rib_height: float = 0.055
-    rib_gather: float = 0.78
+_HALF_WIDTH, _LENGTH = 0.305, 0.72  # of the body part
+_SLEEVE_LENGTH, _CUFF_WIDTH = 0.47, 0.150  # from shoulder to cuff; of the flat cuff
+_SLEEVE_DROP_DEG = 25.0  # below the horizontal
+_RIB_HEIGHT = 0.055  # of the ribbing at hem and cuffs
+_RIB_GATHER = 0.78  # its rest length as a share of the cut; the cloth above it blouses
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,10 +42,10 @@ class Garment:
     faces: Faces
 
 
-def sew_sweater(options: SweaterOptions) -> Garment:
-    """Cut, triangulate and sew the two panels; openings stay at neck, cuffs and hem."""
-    front, front_faces, front_seam = _panel(options, neck_depth=0.085)
-    back, back_faces, back_seam = _panel(options, neck_depth=0.025)
+def sew_sweater(edge_length: float = EDGE_LENGTH_M) -> Garment:
+    """Cut, triangulate and sew the two panels, edges about so long; openings stay at neck, cuffs and hem."""
+    front, front_faces, front_seam = _panel(edge_length, neck_depth=0.085)
+    back, back_faces, back_seam = _panel(edge_length, neck_depth=0.025)
     seam_tree = cKDTree(front[front_seam])
     distance, nearest = seam_tree.query(back)
     sewn = back_seam & (distance < 1e-9)
@@ -68,24 +55,24 @@ def sew_sweater(options: SweaterOptions) -> Garment:
     flat = np.concatenate([front, back[~sewn]])
     return Garment(
         flat=flat,
-        gather=np.where(_in_ribbing(flat, options), options.rib_gather, 1.0),
+        gather=np.where(_in_ribbing(flat), _RIB_GATHER, 1.0),
         panel=np.where(np.arange(len(flat)) < len(front), FRONT, BACK),
         faces=np.concatenate([front_faces, index[back_faces][:, ::-1]]).astype(np.int32),
     )
 
 
-def _in_ribbing(flat: Points2, options: SweaterOptions) -> BoolArray:
+def _in_ribbing(flat: Points2) -> BoolArray:
     """Return which points lie in the bands at hem and cuffs."""
-    drop = np.deg2rad(options.sleeve_drop_deg)
+    drop = np.deg2rad(_SLEEVE_DROP_DEG)
     outwards = np.abs(flat) @ [np.cos(drop), 0.0] - flat @ [0.0, np.sin(drop)]
     start = _SHOULDER @ [np.cos(drop), -np.sin(drop)]
-    in_cuff = outwards - start > options.sleeve_length - options.rib_height
-    return in_cuff | (flat[:, 1] < -options.length + options.rib_height)
+    in_cuff = outwards - start > _SLEEVE_LENGTH - _RIB_HEIGHT
+    return in_cuff | (flat[:, 1] < -_LENGTH + _RIB_HEIGHT)
 
 
-def knit_coordinates(flat: Points2, options: SweaterOptions) -> Points2:
+def knit_coordinates(flat: Points2) -> Points2:
     """Return (n, 2) metres across and along the ribs: upright on the body, lengthwise on the sleeves."""
-    drop = np.deg2rad(options.sleeve_drop_deg)
+    drop = np.deg2rad(_SLEEVE_DROP_DEG)
     folded = np.stack([np.abs(flat[:, 0]), flat[:, 1]], axis=1) - _SHOULDER
     along = folded @ [np.cos(drop), -np.sin(drop)]
     across = folded @ [-np.sin(drop), -np.cos(drop)]
@@ -93,10 +80,9 @@ def knit_coordinates(flat: Points2, options: SweaterOptions) -> Points2:
     return np.where(on_sleeve[:, None], np.stack([across, along], axis=1), flat)
 
 
-def _panel(options: SweaterOptions, neck_depth: float) -> tuple[Points2, Faces, BoolArray]:
+def _panel(step: float, neck_depth: float) -> tuple[Points2, Faces, BoolArray]:
     """Return points, counter-clockwise triangles and which points lie on a seam."""
-    step = options.edge_length
-    outline, on_seam = _outline(options, neck_depth)
+    outline, on_seam = _outline(step, neck_depth)
     tree = cKDTree(outline)
     low, high = outline.min(axis=0), outline.max(axis=0)
     rows = np.arange(low[1], high[1], step * np.sqrt(0.75))
@@ -115,15 +101,14 @@ def _panel(options: SweaterOptions, neck_depth: float) -> tuple[Points2, Faces, 
     return points, faces, np.concatenate([on_seam, np.zeros(np.count_nonzero(keep), dtype=bool)])
 
 
-def _outline(options: SweaterOptions, neck_depth: float) -> tuple[Points2, BoolArray]:
-    """Return the closed outline, resampled at the edge length, and which points are sewn."""
-    o = options
-    drop = np.deg2rad(o.sleeve_drop_deg)
+def _outline(step: float, neck_depth: float) -> tuple[Points2, BoolArray]:
+    """Return the closed outline, resampled at about `step`, and which points are sewn."""
+    drop = np.deg2rad(_SLEEVE_DROP_DEG)
     along, across = np.array([np.cos(drop), -np.sin(drop)]), np.array([-np.sin(drop), -np.cos(drop)])
     neck, shoulder = _NECK, _SHOULDER
-    cuff_top = shoulder + o.sleeve_length * along
-    cuff_low = cuff_top + o.cuff_width * across
-    armpit, hem = np.array([o.half_width, -0.30]), np.array([o.half_width, -o.length])
+    cuff_top = shoulder + _SLEEVE_LENGTH * along
+    cuff_low = cuff_top + _CUFF_WIDTH * across
+    armpit, hem = np.array([_HALF_WIDTH, -0.30]), np.array([_HALF_WIDTH, -_LENGTH])
     turn = np.linspace(0.0, np.pi / 2, 20)[:, None]
     neckline = np.hstack([neck[0] * np.sin(turn), -neck_depth * np.cos(turn)])
     under = _curve(cuff_low, armpit + 0.035 * np.array([1.0, 0.55]), armpit - np.array([0.0, 0.03]))
@@ -134,7 +119,7 @@ def _outline(options: SweaterOptions, neck_depth: float) -> tuple[Points2, BoolA
         (np.concatenate([under, hem[None]]), True),
         (np.stack([hem, np.array([0.0, hem[1]])]), False),
     ]
-    half, sewn = _resample(pieces, o.edge_length)
+    half, sewn = _resample(pieces, step)
     inner = slice(1, -1)  # the two points on the mirror line belong to both halves
     mirrored = (half * [-1.0, 1.0])[inner][::-1]
     return np.concatenate([half, mirrored]), np.concatenate([sewn, sewn[inner][::-1]])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
@@ -15,51 +13,42 @@ from vntoolkit.simulation.body.capsules import Capsules, closest_capsule
 from vntoolkit.simulation.garment.pattern import BACK, Garment
 
 _GRAVITY = 9.81
-
-
-@dataclass(frozen=True, kw_only=True)
-class ClothOptions:
-    """Material and numerics of the cloth.
-
-    density: kg/m². stretch_compliance: m/N of an edge; the edges run in three directions, so they resist
-    shear too. bending_stiffness: N m; the ribbing has `rib_stiffening` times as much. air_drag: 1/s.
-    inner_friction: share of the velocity difference between neighbours that a step takes away. thickness_m:
-    least distance of two layers. body_margin_m: least distance to the body. body_friction: tangential hold
-    per depth of contact. steps_per_frame: small steps per frame, one sweep over the constraints each.
-    """
-
-    density: float = 0.35
-    stretch_compliance: float = 5e-4
-    bending_stiffness: float = 1.5e-5
-    rib_stiffening: float = 12.0
-    air_drag: float = 1.5
-    inner_friction: float = 0.02
-    thickness_m: float = 0.010
-    body_margin_m: float = 0.006
-    body_friction: float = 0.3
-    steps_per_frame: int = 12
+# the material of a heavy knit, and the numerics; tests bound the stretch and the distance to the body
+THICKNESS_M = 0.010  # least distance of two layers
+AIR_DRAG = 1.5  # 1/s
+_DENSITY = 0.35  # kg/m²
+_STRETCH_COMPLIANCE = 5e-4  # m/N of an edge; edges run in three directions, so they resist shear too
+_BENDING_STIFFNESS, _RIB_STIFFENING = 1.5e-5, 12.0  # N m; times as much in the ribbing
+_INNER_FRICTION = 0.02  # share of the velocity difference between neighbours that a step takes away
+_BODY_MARGIN_M = 0.006  # least distance to the body
+_BODY_FRICTION = 0.3  # tangential hold per depth of contact
+_STEPS_PER_FRAME = 12  # small steps, one sweep over the constraints each
 
 
 class ClothSolver:
     """Steps one garment through time; the state is `positions` and `velocities`, (n, 3) float64."""
 
     def __init__(
-        self, garment: Garment, body: Capsules, options: ClothOptions, frame_rate_hz: float = 60.0
+        self,
+        garment: Garment,
+        body: Capsules,
+        thickness_m: float = THICKNESS_M,
+        frame_rate_hz: float = 60.0,
     ) -> None:
-        self.options = options
-        self.positions = _drawn_over(garment, body, options.body_margin_m)
+        self.thickness_m = thickness_m
+        self.positions = _drawn_over(garment, body, _BODY_MARGIN_M)
         self.velocities = np.zeros_like(self.positions)
-        self.step_s = 1.0 / (frame_rate_hz * options.steps_per_frame)
+        self.step_s = 1.0 / (frame_rate_hz * _STEPS_PER_FRAME)
         count = len(garment.flat)
         area = 0.5 * np.abs(_doubled_areas(garment)).sum()
-        self.inverse_mass = count / (options.density * area)
+        self.inverse_mass = count / (_DENSITY * area)
         self.edges = edges_from_faces(garment.faces).astype(np.int64)
         cut = np.linalg.norm(np.diff(garment.flat[self.edges], axis=1)[:, 0], axis=1)
         self._cut_lengths, self._gather = cut, garment.gather[self.edges].mean(axis=1)
         self.rest_lengths = cut
         self.hinges, self.stencils, areas = _hinges(garment)
         in_rib = garment.gather[self.hinges].mean(axis=1) < 1.0
-        stiffness = options.bending_stiffness * np.where(in_rib, options.rib_stiffening, 1.0)
+        stiffness = _BENDING_STIFFNESS * np.where(in_rib, _RIB_STIFFENING, 1.0)
         self.hinge_softness = areas / (6.0 * stiffness * self.step_s**2)
         self._near_in_rest = _neighbourhood(garment.faces, count, rings=3)
 
@@ -74,29 +63,29 @@ class ClothSolver:
 
     def advance(self, body: Capsules, next_body: Capsules, gravity: float = 1.0) -> None:
         """Step one frame while the body moves evenly from one pose to the next."""
-        o, x, v = self.options, self.positions, self.velocities
+        x, v = self.positions, self.velocities
         pairs = self._close_pairs()
-        starts_step = (next_body.starts - body.starts) / o.steps_per_frame
-        ends_step = (next_body.ends - body.ends) / o.steps_per_frame
-        softness = o.stretch_compliance / self.step_s**2
-        for step in range(1, o.steps_per_frame + 1):
-            share = step / o.steps_per_frame
+        starts_step = (next_body.starts - body.starts) / _STEPS_PER_FRAME
+        ends_step = (next_body.ends - body.ends) / _STEPS_PER_FRAME
+        softness = _STRETCH_COMPLIANCE / self.step_s**2
+        for step in range(1, _STEPS_PER_FRAME + 1):
+            share = step / _STEPS_PER_FRAME
             starts, ends = body.starts + step * starts_step, body.ends + step * ends_step
             radii = body.radii + share * (next_body.radii - body.radii)
-            v *= np.exp(-o.air_drag * self.step_s)
+            v *= np.exp(-AIR_DRAG * self.step_s)
             v[:, 1] -= gravity * _GRAVITY * self.step_s
             before = x.copy()
             x += self.step_s * v
             project_edges(x, self.edges, self.rest_lengths, self.inverse_mass, softness)
             project_hinges(x, self.hinges, self.stencils, self.hinge_softness, self.inverse_mass)
-            separate_pairs(x, pairs, o.thickness_m)
-            collide(x, before, starts, ends, radii, starts_step, ends_step, o.body_margin_m, o.body_friction)
+            separate_pairs(x, pairs, self.thickness_m)
+            collide(x, before, starts, ends, radii, starts_step, ends_step, _BODY_MARGIN_M, _BODY_FRICTION)
             v[:] = (x - before) / self.step_s
-            damp_edges(v, self.edges, o.inner_friction)
+            damp_edges(v, self.edges, _INNER_FRICTION)
 
     def _close_pairs(self) -> IntArray:
         """Return (p, 2) the points that may touch within this frame though the cloth does not join them."""
-        pairs = cKDTree(self.positions).query_pairs(1.5 * self.options.thickness_m, output_type="ndarray")
+        pairs = cKDTree(self.positions).query_pairs(1.5 * self.thickness_m, output_type="ndarray")
         keys = pairs.min(axis=1).astype(np.int64) * len(self.positions) + pairs.max(axis=1)
         place = np.minimum(np.searchsorted(self._near_in_rest, keys), len(self._near_in_rest) - 1)
         apart = self._near_in_rest[place] != keys

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from enum import Enum
 
 import numpy as np
+from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
-from vntoolkit.arrays import Points
-from vntoolkit.simulation.head import anatomy, paint
-from vntoolkit.simulation.head.anatomy import Head, build_head
-from vntoolkit.simulation.head.paint import Makeup
+from vntoolkit.arrays import Colours, FloatArray, Points
+from vntoolkit.simulation.head import anatomy
+from vntoolkit.simulation.head.anatomy import IRIS_RADIUS, PUPIL_RADIUS, Head, build_head, lip_line
 from vntoolkit.simulation.head.rig import (
     Expression,
     HeadRig,
@@ -17,6 +18,7 @@ from vntoolkit.simulation.head.rig import (
     performance_pose,
     turning_pose,
 )
+from vntoolkit.simulation.head.sculpture import EYE_CENTRE, MOUTH_HALF_WIDTH, azimuth_deg, hair_share
 from vntoolkit.simulation.scene import Detail, Scene, SceneOptions, SceneSurface
 from vntoolkit.simulation.studio import studio_camera, studio_centre, studio_lights
 
@@ -27,6 +29,19 @@ _FACE_FIELD_WIDTH_M = 0.355
 _MIDDLE_CM = np.array([0.0, -0.6, 0.0])
 _FACE_MIDDLE_CM = np.array([0.0, -0.3, 0.0])
 _SKIN_GLOSS, _EYE_GLOSS = 0.010, 0.015
+ROWS, COLUMNS = 1024, 2048
+_LOW_CM, _HIGH_CM = -20.0, 12.6
+_SKIN_ROWS = 0.97  # the rows above are plain: eyes, teeth, tongue
+# how much a freckle takes from red, green, blue: melanin absorbs most at short wavelengths
+_MELANIN = np.array([0.30, 0.62, 1.15])
+_SKIN, _LIPS = np.array([0.64, 0.43, 0.33]), np.array([0.47, 0.20, 0.185])
+_HAIR, _MAKEUP = np.array([0.115, 0.075, 0.050]), np.array([0.66, 0.62, 0.57])
+_IRIS, _SCLERA = np.array([0.16, 0.24, 0.27]), np.array([0.72, 0.70, 0.68])
+_FLESH, _TOOTH, _RIM = (
+    np.array([0.30, 0.075, 0.07]),
+    np.array([0.74, 0.70, 0.60]),
+    np.array([0.24, 0.13, 0.10]),
+)
 
 
 def build_head_turn(options: SceneOptions) -> Scene:
@@ -75,11 +90,11 @@ def _scene(
     soft = np.isin(head.part, (anatomy.SKIN, anatomy.CAVITY, anatomy.LID_RIM))
     surface = SceneSurface(
         faces=head.faces,
-        reference_weights=paint.skin_reflectance(makeup),
-        vertex_weights=paint.vertex_colours(head, makeup),
-        texture=paint.skin_texture(rng, makeup),
-        uv=paint.corner_uv(head),
-        detail=Detail(height_m=paint.skin_relief(rng), strength=soft.astype(np.float64)),
+        reference_weights=skin_reflectance(makeup),
+        vertex_weights=vertex_colours(head, makeup),
+        texture=skin_texture(rng, makeup),
+        uv=corner_uv(head),
+        detail=Detail(height_m=skin_relief(rng), strength=soft.astype(np.float64)),
         gloss=_gloss(head, makeup),
         gloss_exponent=30.0,
     )
@@ -98,3 +113,156 @@ def _gloss(head: Head, makeup: Makeup) -> Points:
     gloss = np.full(len(head.vertices), _SKIN_GLOSS if makeup is Makeup.NONE else 0.0)
     gloss[np.isin(head.part, (anatomy.EYES, anatomy.UPPER_TEETH, anatomy.LOWER_TEETH))] = _EYE_GLOSS
     return gloss
+
+
+class Makeup(Enum):
+    """Bare skin with freckles, or one uniform colour over the whole skin, lips and brows."""
+
+    NONE = "none"
+    UNIFORM = "uniform"
+
+
+# The head's colours and finest relief: skin with freckles, lips, brows, hair, eyes; or makeup.
+
+
+def skin_reflectance(makeup: Makeup) -> FloatArray:
+    """Return (3,) the RGB weights of most of the skin."""
+    return _SKIN if makeup is Makeup.NONE else _MAKEUP
+
+
+def vertex_colours(head: Head, makeup: Makeup) -> Colours:
+    """Return (n, 3) the weights of the RGB pigments that change slowly over the head."""
+    x, y, z = head.vertices.T
+    skin = np.tile(skin_reflectance(makeup), (len(x), 1))
+    if makeup is Makeup.NONE:
+        half = np.clip(1.0 - (x / (MOUTH_HALF_WIDTH + 0.1)) ** 2, 0.0, 1.0) ** 0.6
+        level = y - lip_line(x)
+        reach = np.where(level > 0, 0.80, 1.05) * half + 1e-6
+        lips = _smooth((1.12 - np.abs(level) / reach) / 0.24) * (z > 6.5) * (half > 0)
+        warm = np.exp(-0.5 * (((np.abs(x) - 4.3) / 1.5) ** 2 + ((y + 3.3) / 1.5) ** 2))
+        warm += 0.8 * np.exp(-0.5 * ((x / 0.9) ** 2 + ((y + 3.5) / 0.9) ** 2))
+        skin *= 1.0 - 0.22 * (warm * (z > 4.0))[:, None] * np.array([0.1, 1.0, 0.9])
+        skin += lips[:, None] * (_LIPS - skin)
+    colours = skin + head.hair[:, None] * (_HAIR - skin)
+    for part, colour in ((anatomy.CAVITY, _FLESH), (anatomy.TONGUE, 1.3 * _FLESH), (anatomy.LID_RIM, _RIM),
+                         (anatomy.UPPER_TEETH, _TOOTH), (anatomy.LOWER_TEETH, _TOOTH)):  # fmt: skip
+        colours[head.part == part] = colour
+    eyes = head.part == anatomy.EYES
+    colours[eyes] = _eye_colours(np.hypot(np.abs(x[eyes]) - EYE_CENTRE[0], y[eyes]), z[eyes] > EYE_CENTRE[2])
+    return colours.astype(np.float32)
+
+
+def _eye_colours(off_axis: FloatArray, in_front: FloatArray) -> Colours:
+    iris = _smooth((IRIS_RADIUS + 0.03 - off_axis) / 0.06) * in_front
+    rim = np.exp(-0.5 * ((off_axis - IRIS_RADIUS + 0.05) / 0.06) ** 2) * in_front
+    pupil = _smooth((PUPIL_RADIUS + 0.03 - off_axis) / 0.06) * in_front
+    colours = _SCLERA + iris[:, None] * (_IRIS - _SCLERA)
+    return np.asarray(colours * (1.0 - 0.6 * rim[:, None]) * (1.0 - 0.95 * pupil[:, None]), dtype=np.float32)
+
+
+def corner_uv(head: Head) -> FloatArray:
+    """Return (m, 3, 2) cylindrical texture coordinates; faces across the back are unwrapped."""
+    u = azimuth_deg(head.vertices) / 360.0 + 0.5
+    v = _SKIN_ROWS * (head.vertices[:, 1] - _LOW_CM) / (_HIGH_CM - _LOW_CM)
+    own = ~np.isin(head.part, (anatomy.SKIN, anatomy.CAVITY, anatomy.LID_RIM))
+    u, v = np.where(own, 0.5, u), np.where(own, 0.985, v)
+    uv = np.stack([u, v], axis=1)[head.faces]
+    wraps = np.ptp(uv[..., 0], axis=1) > 0.5
+    uv[wraps, :, 0] += uv[wraps, :, 0] < 0.5
+    return np.asarray(uv)
+
+
+def skin_texture(rng: np.random.Generator, makeup: Makeup) -> FloatArray:
+    """Return (1024, 2048, 3) float32 factors: freckles, mottle, brows, strands of hair."""
+    azimuth, height = _texel_grid()
+    hair = _hair_on_texels(azimuth, height)
+    optical = np.zeros((ROWS, COLUMNS))
+    brows = np.zeros((ROWS, COLUMNS))
+    if makeup is Makeup.NONE:
+        optical += _freckles(rng) + 0.05 * _noise(rng, 6.0) + 0.03 * _noise(rng, 25.0)
+        brows += _brows(rng, azimuth, height)
+    skin = np.exp(-np.clip(optical, -0.3, 3.0)[..., None] * _MELANIN)
+    skin *= 1.0 - 0.86 * brows[..., None] * np.array([0.9, 0.97, 1.0])
+    strands = np.clip(1.0 + 0.35 * _strands(rng), 0.3, 1.6)[..., None]
+    texture = skin + hair[..., None] * (0.62 * strands - skin)
+    texture[int(_SKIN_ROWS * ROWS) :] = 1.0
+    return np.clip(texture, 0.0, 1.25).astype(np.float32)
+
+
+def skin_relief(rng: np.random.Generator) -> FloatArray:
+    """Return (1024, 2048) metres: pores, lines of the forehead, strands of hair."""
+    azimuth, height = _texel_grid()
+    hair = _hair_on_texels(azimuth, height)
+    pores = 2.2e-5 * np.tanh(_noise(rng, 1.6)) + 2.0e-5 * _noise(rng, 4.0)
+    lines = np.zeros_like(pores)
+    for line in (3.9, 4.7, 5.5):
+        wave = line + 0.12 * np.sin(np.radians(azimuth) * 7.0 + line)
+        lines -= 1.2e-4 * np.exp(-0.5 * ((height - wave) / 0.10) ** 2) * np.exp(-((azimuth / 34.0) ** 4))
+    relief = (pores + lines) * (1.0 - hair) + 1.6e-4 * hair * np.clip(_strands(rng), -2.0, 2.0)
+    relief[int(_SKIN_ROWS * ROWS) - 4 :] = 0.0
+    return np.asarray(relief)
+
+
+def _texel_grid() -> tuple[FloatArray, FloatArray]:
+    """Return azimuth in degrees and height in centimetres of every texel."""
+    azimuth = ((np.arange(COLUMNS) + 0.5) / COLUMNS - 0.5) * 360.0
+    height = _LOW_CM + (np.arange(ROWS) + 0.5) / ROWS / _SKIN_ROWS * (_HIGH_CM - _LOW_CM)
+    grid = np.meshgrid(azimuth, height)
+    return grid[0], grid[1]
+
+
+def _hair_on_texels(azimuth: FloatArray, height: FloatArray) -> FloatArray:
+    angle = np.radians(azimuth)
+    points = np.stack([7.3 * np.sin(angle), height, 7.3 * np.cos(angle)], axis=-1).reshape(-1, 3)
+    return hair_share(points).reshape(height.shape)
+
+
+def _noise(rng: np.random.Generator, blur: float) -> FloatArray:
+    """Return smooth noise of unit variance, wrapping round the head."""
+    noise = gaussian_filter(rng.standard_normal((ROWS, COLUMNS)), blur, mode=("nearest", "wrap"))
+    return np.asarray(noise / noise.std())
+
+
+def _strands(rng: np.random.Generator) -> FloatArray:
+    noise = gaussian_filter1d(rng.standard_normal((ROWS, COLUMNS)), 40.0, axis=0, mode="nearest")
+    noise = gaussian_filter1d(noise, 1.2, axis=1, mode="wrap")
+    return np.asarray(noise / noise.std())
+
+
+def _freckles(rng: np.random.Generator, count: int = 1500) -> FloatArray:
+    """Return the optical density of freckles, thickest over nose and cheeks, none on eyes and lips."""
+    azimuth = rng.normal(0.0, 26.0, count)
+    height = rng.normal(-1.9, 1.9, count)
+    radius = np.clip(rng.lognormal(np.log(0.075), 0.35, count), 0.04, 0.19)
+    depth = np.clip(rng.normal(0.55, 0.22, count), 0.12, 1.2)
+    on_eye = ((np.abs(azimuth) - 22.0) / 11.0) ** 2 + ((height + 0.1) / 1.2) ** 2 < 1.0
+    on_lips = (np.abs(azimuth) < 19.0) & (np.abs(height + 6.8) < 1.2)
+    keep = ~(on_eye | on_lips) & (np.abs(azimuth) < 78.0)
+    density = np.zeros((ROWS, COLUMNS))
+    column_cm, row_cm = 2.0 * np.pi * 8.6 / COLUMNS, (_HIGH_CM - _LOW_CM) / (ROWS * _SKIN_ROWS)
+    for a, h, r, d in zip(azimuth[keep], height[keep], radius[keep], depth[keep], strict=True):
+        u, v = (a / 360.0 + 0.5) * COLUMNS - 0.5, (h - _LOW_CM) / row_cm - 0.5
+        reach = int(3.0 * r / min(column_cm, row_cm)) + 1
+        rows = np.arange(int(v) - reach, int(v) + reach + 1)
+        columns = np.arange(int(u) - reach, int(u) + reach + 1)
+        squared = ((rows[:, None] - v) * row_cm) ** 2 + ((columns[None, :] - u) * column_cm) ** 2
+        density[np.ix_(rows, columns)] += d * np.exp(-((squared / r**2) ** 1.5))
+    return density
+
+
+def _brows(rng: np.random.Generator, azimuth: FloatArray, height: FloatArray) -> FloatArray:
+    """Return from 0 to 1 how much brow hair covers the skin."""
+    away = np.abs(azimuth)
+    along = (away - 6.5) / 33.0
+    middle = 1.85 + 0.95 * np.sin(np.clip(along, 0.0, 1.0) * np.pi * 0.72) - 0.35 * np.clip(along, 0, 1)
+    thickness = 0.46 * np.clip(1.0 - 0.6 * np.clip(along, 0.0, 1.0), 0.1, 1.0)
+    body = (
+        np.exp(-(((height - middle) / thickness) ** 4)) * _smooth(along / 0.12) * _smooth((1.0 - along) / 0.2)
+    )
+    hairs = gaussian_filter(rng.standard_normal((ROWS, COLUMNS)), (2.2, 1.2), mode=("nearest", "wrap"))
+    return np.asarray(body * np.clip(0.86 + 0.18 * hairs / hairs.std(), 0.0, 1.0))
+
+
+def _smooth(x: FloatArray) -> FloatArray:
+    x = np.clip(x, 0.0, 1.0)
+    return np.asarray(x * x * (3.0 - 2.0 * x))

@@ -1,0 +1,540 @@
+"""Normals, cylinders, tracks and depth against references, frame by frame in constant memory."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from vntoolkit.arrays import Faces, FloatArray, Mask, Points, Vector3
+from vntoolkit.checks import require_same_size, require_shape, require_some
+from vntoolkit.diagnosis.consistency import warn_of_flipped_axes
+from vntoolkit.errors import BadInput
+from vntoolkit.evaluation.angular_error import (
+    AngleHistogram,
+    AngularError,
+    angular_error_map,
+    compare_normals,
+    summarise_angles,
+)
+from vntoolkit.evaluation.cylinder import Cylinder, axis_error_deg, radius_from_distance, side_angles
+from vntoolkit.evaluation.cylinder_fit import CylinderOptions, fit_cylinder
+from vntoolkit.evaluation.depth_error import disc_with_hole, peaks, tear
+from vntoolkit.evaluation.silhouette import silhouette_from_image
+from vntoolkit.evaluation.track_error import (
+    TrackedPixels,
+    TrackError,
+    TrackErrorOptions,
+    anchors_on_mesh,
+    track_errors,
+)
+from vntoolkit.geometry.camera import Camera, CameraModel
+from vntoolkit.geometry.maps import DepthMap, NormalMap
+from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.integration.integrate import DepthIntegrator
+from vntoolkit.integration.options import IntegrationOptions, Integrator
+from vntoolkit.io.atomic import write_text
+from vntoolkit.io.conventions import NormalConvention
+from vntoolkit.io.files import parse_json, read_text, require_file
+from vntoolkit.io.maps_and_meshes.arrays import map_npy, read_npz
+from vntoolkit.io.maps_and_meshes.label_images import read_mask
+from vntoolkit.io.maps_and_meshes.maps import read_normal_map
+from vntoolkit.io.maps_and_meshes.meshes import read_mesh
+from vntoolkit.io.results.sequences import read_mesh_sequence
+from vntoolkit.io.rigs import read_rig
+from vntoolkit.pipeline.opened_result import OpenedResult
+from vntoolkit.pipeline.simulate import SimulationFolder
+from vntoolkit.pipeline.tracked_folder import read_track_record, recorded_camera
+
+_SUFFIXES = (".exr", ".png", ".tif", ".tiff")
+logger = logging.getLogger(__name__)
+_SEED = 0  # the same folder gives the same numbers
+TEAR_STEEPNESS = 1.0
+_OBJECT_FILES = ("normal_map.png", "mask.png", "K.txt", "depth_gt.npz")
+
+
+@dataclass(frozen=True, kw_only=True)
+class NormalPair:
+    """Two files of one frame, and its name."""
+
+    name: str
+    measured: Path
+    reference: Path
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NormalsComparison:
+    """All frames. overall: over all pixels of all frames. curve_deg: (1000,) angles by rank. worst: name of
+    the frame with the largest mean, its map of angles (h, w) in degrees and where they are valid.
+    """
+
+    overall: AngularError
+    frames: dict[str, AngularError]
+    curve_deg: FloatArray
+    worst: str
+    worst_deg: FloatArray
+    worst_mask: Mask
+
+
+def pairs_of(measured: Path, reference: Path) -> list[NormalPair]:
+    """Pair two files, or the files of two folders by their names.
+
+    A folder may be that of `reconstruct` or `simulate`; then its normals are taken. Raises `BadInput` where
+    nothing pairs up.
+    """
+    if not measured.is_dir() and not reference.is_dir():
+        return [NormalPair(name=measured.stem, measured=measured, reference=reference)]
+    if not (measured.is_dir() and reference.is_dir()):
+        raise BadInput(f"{measured}, {reference}: give two files or two folders, not one of each")
+    ours, theirs = _maps_in(measured), _maps_in(reference)
+    names = [name for name in ours if name in theirs]
+    if not names:
+        raise BadInput(
+            f"{measured} holds {len(ours)} normal maps and {reference} {len(theirs)}, none of one name: "
+            "files are paired by their names without suffix"
+        )
+    return [NormalPair(name=name, measured=ours[name], reference=theirs[name]) for name in names]
+
+
+def compare_normal_files(
+    pairs: list[NormalPair],
+    conventions: tuple[NormalConvention | None, NormalConvention | None] = (None, None),
+    on_frame: Callable[[str], None] = lambda name: None,
+) -> NormalsComparison:
+    """Compare pairs one at a time. conventions: of the measured and the reference files, None for as stated.
+
+    Raises `BadInput`, with the files, for maps of different size or without a common valid pixel.
+    """
+    histogram, frames = AngleHistogram(), {}
+    worst, worst_mean = None, -1.0
+    for name, angles, both in _angle_maps(pairs, conventions):
+        frames[name] = summarise_angles(angles[both])
+        histogram.add(angles[both])
+        if frames[name].mean_deg > worst_mean:
+            worst, worst_mean = (name, angles, both), frames[name].mean_deg
+        on_frame(name)
+    if worst is None:
+        raise BadInput("evaluate normals: no pair of maps was given")
+    overall = next(iter(frames.values())) if len(frames) == 1 else histogram.summary()
+    return NormalsComparison(
+        overall=overall,
+        frames=frames,
+        curve_deg=histogram.values(),
+        worst=worst[0],
+        worst_deg=worst[1],
+        worst_mask=worst[2],
+    )
+
+
+def _angle_maps(
+    pairs: list[NormalPair], conventions: tuple[NormalConvention | None, NormalConvention | None]
+) -> Iterator[tuple[str, FloatArray, Mask]]:
+    for pair in pairs:
+        measured = read_normal_map(pair.measured, convention=conventions[0])
+        reference = read_normal_map(pair.reference, convention=conventions[1])
+        warn_of_flipped_axes(pair.measured, measured)
+        warn_of_flipped_axes(pair.reference, reference)
+        try:
+            angles, both = angular_error_map(measured, reference)
+        except BadInput as problem:
+            raise BadInput(f"{pair.measured}, {pair.reference}: {problem}") from problem
+        yield pair.name, angles, both
+
+
+def _maps_in(folder: Path) -> dict[str, Path]:
+    inner = next((folder / part for part in ("normals", "truth/normals") if (folder / part).is_dir()), folder)
+    files = sorted(path for path in inner.iterdir() if path.suffix.lower() in _SUFFIXES)
+    return {path.stem: path for path in files}
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrueDeviation:
+    """One frame against the simulator: of the fit's axis, of its radius, and of all normals."""
+
+    axis_deg: float
+    radius_percent: float
+    normals_mean_deg: float
+    normals_std_deg: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class CylinderFrameError:
+    """One frame: angles between its normals and the fitted cylinder's. truth: where it is known."""
+
+    frame: int
+    pixels: int
+    mean_deg: float
+    std_deg: float
+    truth: TrueDeviation | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class CylinderEvaluation:
+    """A sequence: mean and standard deviation over all pixels of all frames; radius as the fit states it."""
+
+    radius: float
+    frame_rate_hz: float
+    mean_deg: float
+    std_deg: float
+    frames: tuple[CylinderFrameError, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CylinderTruth:
+    """The folder that `simulate` wrote for a cylinder whose axis is the object's y axis."""
+
+    folder: SimulationFolder
+
+    @cached_property
+    def poses(self) -> FloatArray:
+        """(frames, 4, 4) camera_from_object."""
+        path = self.folder.truth / "poses.json"
+        content = parse_json(read_text(path), str(path))
+        try:
+            poses = np.array(content["camera_from_object"], dtype=np.float64)
+        except (KeyError, TypeError, ValueError) as error:
+            raise BadInput(f"{path}: expected camera_from_object, a 4 × 4 matrix a frame") from error
+        require_shape(poses, (None, 4, 4), f"{path}: camera_from_object")
+        return poses
+
+    @cached_property
+    def radius_m(self) -> float:
+        """Radius in metres."""
+        path = self.folder.truth / "scene.json"
+        content = parse_json(read_text(path), str(path))
+        try:
+            scene, facts = content["scene"], content["facts"]
+            if scene == "cylinder":
+                return float(facts["radius_m"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise BadInput(f"{path}: expected scene, and facts with the radius_m of a cylinder") from error
+        raise BadInput(f"{self.folder.root}: holds the scene {scene}, not a cylinder")
+
+    def axis(self, number: int) -> tuple[Vector3, Vector3]:
+        """Return direction and a point of the axis in the camera frame, metres."""
+        if number >= len(self.poses):
+            raise BadInput(
+                f"{self.folder.root}: has {len(self.poses)} frames, the reconstruction frame {number}"
+            )
+        return self.poses[number, :3, 1], self.poses[number, :3, 3]
+
+
+# Figure 7: normals of a sequence against one fitted cylinder, and the fit against the truth.
+
+
+def evaluate_cylinder(
+    result: OpenedResult,
+    simulated: Path | None = None,
+    options: CylinderOptions | None = None,
+    on_frame: Callable[[int], None] = lambda number: None,
+) -> CylinderEvaluation:
+    """Fit one cylinder to all frames of a reconstruction and measure their normals against it.
+
+    Measured are the pixels that hold a normal, within the silhouette, on the cylinder's side.
+
+    simulated: folder that `simulate` wrote, for the truth. on_frame: told every frame twice, when it is
+    fitted and when it is measured. Raises `BadInput`, `SolverFailed` with the frame's place.
+    """
+    truth = None if simulated is None else CylinderTruth(folder=SimulationFolder(root=simulated))
+    fits = fit_cylinder(
+        (seen for _, seen in _observations(result, on_frame)),
+        result.camera,
+        np.random.default_rng(_SEED),
+        options,
+    )
+    frames, total = [], np.zeros(3)
+    for cylinder, (number, seen) in zip(fits, _observations(result, on_frame), strict=True):
+        normal_map, silhouette = seen
+        subject = replace(normal_map, mask=normal_map.mask & (silhouette > 0.5))
+        measured = side_angles(cylinder, subject, result.camera, f"frame {number}")
+        angles = measured.angles_deg[measured.side]
+        total += [len(angles), angles.sum(), (angles**2).sum()]
+        frames.append(
+            CylinderFrameError(
+                frame=number,
+                pixels=len(angles),
+                mean_deg=float(angles.mean()),
+                std_deg=float(angles.std()),
+                truth=None if truth is None else _deviation(cylinder, normal_map, truth, result, number),
+            )
+        )
+    mean = total[1] / total[0]
+    return CylinderEvaluation(
+        radius=fits[0].radius,
+        frame_rate_hz=result.manifest.input.playing_rate_hz,
+        mean_deg=float(mean),
+        std_deg=float(np.sqrt(max(total[2] / total[0] - mean**2, 0.0))),
+        frames=tuple(frames),
+    )
+
+
+def _observations(
+    result: OpenedResult, on_frame: Callable[[int], None]
+) -> Iterator[tuple[int, tuple[NormalMap, FloatArray]]]:
+    """Number, normals and silhouette of every frame; without footage the normals' mask is the silhouette."""
+    from_image = True
+    for number in result.numbers:
+        normal_map = _normals(result, number)
+        silhouette: FloatArray = normal_map.mask.astype(np.float64)
+        if from_image:
+            try:
+                linear = result.linear(number)
+            except BadInput as problem:
+                logger.info("the silhouettes are those of the normal maps: %s", problem)
+                from_image = False
+            else:
+                silhouette = silhouette_from_image(linear.rgb)
+        yield number, (normal_map, silhouette)
+        on_frame(number)
+
+
+def _normals(result: OpenedResult, number: int) -> NormalMap:
+    normal_map = result.normals(number)
+    assert normal_map is not None, "a result lists the frames that have normals"
+    return normal_map
+
+
+def _deviation(
+    cylinder: Cylinder, normal_map: NormalMap, truth: CylinderTruth, result: OpenedResult, number: int
+) -> TrueDeviation:
+    direction, point = truth.axis(number)
+    true_map = read_normal_map(require_file(truth.folder.map_file("normals", number, ".exr")))
+    error = compare_normals(normal_map, true_map)
+    radius = radius_from_distance(cylinder, result.camera, point)
+    return TrueDeviation(
+        axis_deg=axis_error_deg(cylinder, direction),
+        radius_percent=100.0 * (radius / truth.radius_m - 1.0),
+        normals_mean_deg=error.mean_deg,
+        normals_std_deg=error.std_deg,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackTruth:
+    """vertices: (frames, n, 3) in the camera frame, mapped from disk; faces: (m, 3); camera: that filmed."""
+
+    vertices: Points
+    faces: Faces
+    camera: Camera
+
+
+# Tracks against the simulator's vertices, frame by frame.
+
+
+def read_track_truth(folder: Path) -> TrackTruth:
+    """Open DIR/truth (or DIR) as `vntoolkit simulate` writes it. Raises `BadInput`."""
+    truth = folder / "truth" if (folder / "truth").is_dir() else folder
+    if not (truth / "vertices.npy").exists():
+        raise BadInput(f"{folder}: holds no truth; give the folder that `vntoolkit simulate` wrote")
+    vertices = map_npy(truth / "vertices.npy")
+    faces = read_mesh(truth / "template.ply").faces
+    if vertices.ndim != 3 or vertices.shape[2] != 3 or int(faces.max(initial=0)) >= vertices.shape[1]:
+        raise BadInput(f"{truth / 'vertices.npy'}: expected (frames, vertices, 3) of the mesh template.ply")
+    return TrackTruth(vertices=vertices, faces=faces, camera=read_rig(truth / "rig.json").camera)
+
+
+def evaluate_tracks(
+    track_folder: Path, truth_folder: Path, every: int = 1, options: TrackErrorOptions | None = None
+) -> list[TrackError]:
+    """Evaluate every `every`-th tracked frame and the last. Raises BadInput where tracks and truth differ."""
+    truth, record = read_track_truth(truth_folder), read_track_record(track_folder)
+    sequence = read_mesh_sequence(track_folder)
+    numbers: list[int] = record["frames"][: len(sequence)]
+    if not numbers or max(numbers) >= len(truth.vertices):
+        raise BadInput(
+            f"{track_folder}: its frames reach {max(numbers, default=0)}, the truth has {len(truth.vertices)}"
+        )
+    if record["template"] not in numbers:
+        raise BadInput(f"{track_folder}: the template frame {record['template']} is not tracked yet")
+    options = options or TrackErrorOptions(lost_px=record.get("lost_px", TrackErrorOptions.lost_px))
+    believed = recorded_camera(record)
+    template = believed.project(sequence.vertices[numbers.index(record["template"])])
+    anchors = anchors_on_mesh(
+        template, np.array(truth.vertices[record["template"]]), truth.faces, truth.camera
+    )
+    rows = sorted({*range(0, len(numbers), every), len(numbers) - 1})
+    return list(
+        track_errors(
+            (_pixels(sequence, row, numbers[row], believed) for row in rows),
+            ((numbers[row], np.array(truth.vertices[numbers[row]])) for row in rows),
+            anchors, truth.faces, truth.camera, options,
+        )
+    )  # fmt: skip
+
+
+def _pixels(sequence: MeshSequence, row: int, number: int, camera: Camera) -> TrackedPixels:
+    uncertainty = None if sequence.uncertainty_px is None else np.array(sequence.uncertainty_px[row])
+    positions = camera.project(sequence.vertices[row])
+    return TrackedPixels(frame=number, positions_px=positions, uncertainty_px=uncertainty)
+
+
+def write_track_errors(path: Path, errors: list[TrackError]) -> None:
+    """Write a table of tab-separated values, one frame a line; its columns are `TrackError`'s."""
+    lines = ["\t".join(field.name for field in fields(TrackError))]
+    for error in errors:
+        cells = (f"{v:.4f}" if isinstance(v, float) else str(v) for v in vars(error).values())
+        lines.append("\t".join(cells))
+    write_text(path, "\n".join(lines) + "\n")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SurfaceError:
+    """Depth errors of one integrator on one surface, in percent of its range, free offset removed.
+
+    numbers: largest and rms after the mean is removed, mean after the median is. distances_percent: (h, w),
+    0 outside mask.
+    """
+
+    surface: str
+    integrator: str
+    numbers: dict[str, float]
+    distances_percent: FloatArray
+    mask: Mask
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SurfaceCase:
+    """A surface to integrate: its name, true depth, normals and mask, and the integrator."""
+
+    surface: str
+    is_torn: bool
+    depth: FloatArray
+    normal_map: NormalMap
+    integrator: Integrator
+
+    def measure(self) -> SurfaceError:
+        """Integrate and compare."""
+        height, width = self.depth.shape
+        camera = Camera.orthographic(width=width, height=height)
+        found = DepthIntegrator(camera, IntegrationOptions(integrator=self.integrator)).integrate(
+            self.normal_map
+        )
+        difference = np.where(found.mask, found.depth.astype(np.float64) - self.depth, 0.0)
+        range_percent = float(np.ptp(self.depth[found.mask])) / 100.0
+        centred = np.abs(difference - np.median(difference[found.mask])) / range_percent
+        return SurfaceError(
+            surface=self.surface,
+            integrator=self.integrator.value,
+            numbers=depth_error_percent(found, self.depth),
+            distances_percent=np.where(found.mask, centred, 0.0),
+            mask=found.mask,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectError:
+    """Absolute depth errors in millimetres on a real object, free scale set by the median."""
+
+    name: str
+    integrator: str
+    pixels: int
+    mean_mm: float
+    median_mm: float
+
+
+# Depth errors of every integrator, on analytic surfaces and on real scanned objects.
+
+
+def surface_cases(size: int) -> list[SurfaceCase]:
+    """Smooth hills, whole and on a disc with a hole, and a torn surface, each by what can integrate it."""
+    if size < 16:
+        raise BadInput(f"evaluate integration: expected surfaces of at least 16 pixels, got {size}")
+    hills, torn = peaks(size), tear(size, TEAR_STEEPNESS)
+    full: Mask = np.ones((size, size), dtype=np.bool_)
+    plans = [
+        (f"hills {size}", False, hills, full, tuple(Integrator)),
+        (
+            f"hills on a disc with a hole {size}",
+            False,
+            hills,
+            disc_with_hole(size),
+            (Integrator.POISSON, Integrator.DISCONTINUITY),
+        ),
+        (f"torn {size}", True, torn, full, tuple(Integrator)),
+    ]
+    return [
+        SurfaceCase(
+            surface=name,
+            is_torn=is_torn,
+            depth=depth,
+            normal_map=NormalMap(normals_in_camera=normals, mask=mask),
+            integrator=integrator,
+        )
+        for name, is_torn, (depth, normals), mask, integrators in plans
+        for integrator in integrators
+    ]
+
+
+def depth_error_percent(found: DepthMap, truth: FloatArray) -> dict[str, float]:
+    """Return mean, rms and largest error over the mask in percent of the range, free offset removed."""
+    difference = (found.depth.astype(np.float64) - truth)[found.mask]
+    range_percent = float(np.ptp(truth[found.mask])) / 100.0
+    centred = difference - difference.mean()
+    return {
+        "mean": float(np.abs(difference - np.median(difference)).mean()) / range_percent,
+        "rms": float(np.sqrt((centred**2).mean())) / range_percent,
+        "largest": float(np.abs(centred).max()) / range_percent,
+    }
+
+
+def objects_in(folder: Path) -> list[Path]:
+    """Return the folders of objects with known depth. Raises `BadInput` where there is none."""
+    found = [
+        path
+        for path in sorted(folder.iterdir() if folder.is_dir() else ())
+        if all((path / name).exists() for name in _OBJECT_FILES)
+    ]
+    if not found:
+        raise BadInput(f"{folder}: holds no folder with {', '.join(_OBJECT_FILES)}")
+    return found
+
+
+def read_object(folder: Path) -> tuple[Camera, NormalMap, FloatArray]:
+    """Read camera, normals and true depth (h, w) in mm, NaN where unknown, of one real object."""
+    mask = read_mask(folder / "mask.png")
+    normal_map = read_normal_map(folder / "normal_map.png", mask=mask)
+    warn_of_flipped_axes(folder / "normal_map.png", normal_map)
+    height, width = mask.shape
+    matrix = _read_matrix(folder / "K.txt")
+    camera = Camera(model=CameraModel.PINHOLE, width=width, height=height, matrix=matrix)
+    truth = read_npz(folder / "depth_gt.npz", "depth_gt").astype(np.float64)
+    require_same_size(truth, f"{folder / 'depth_gt.npz'}", mask, "the mask")
+    return camera, normal_map, truth
+
+
+def _read_matrix(path: Path) -> FloatArray:
+    words = read_text(path).split()
+    try:
+        return np.array([float(word) for word in words]).reshape(3, 3)
+    except ValueError as error:
+        raise BadInput(
+            f"{path}: expected the 9 numbers of a 3 × 3 camera matrix, got {len(words)} words"
+        ) from error
+
+
+def real_object_errors(
+    folder: Path, integrators: tuple[Integrator, ...] = (Integrator.POISSON, Integrator.DISCONTINUITY)
+) -> list[ObjectError]:
+    """Integrate one real object by each integrator and compare with the scanned depth."""
+    camera, normal_map, truth = read_object(folder)
+    seen = normal_map.mask & np.isfinite(truth)
+    require_some(seen, f"{folder}: pixels with normal and depth")
+    errors = []
+    for integrator in integrators:
+        options = IntegrationOptions(integrator=integrator)
+        found = DepthIntegrator(camera, options).integrate(normal_map).depth[seen]
+        distances = np.abs(found * np.median(truth[seen] / found) - truth[seen])
+        errors.append(
+            ObjectError(
+                name=folder.name,
+                integrator=integrator.value,
+                pixels=int(seen.sum()),
+                mean_mm=float(distances.mean()),
+                median_mm=float(np.median(distances)),
+            )
+        )
+    return errors
