@@ -7,10 +7,12 @@ no traceback. `python tests/faults/system_cases.py --seed SEED --only CASE` repe
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import resource
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -22,7 +24,15 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[2])]
+_CHECKOUT = Path(__file__).parents[2]
+sys.path[:0] = [str(Path(__file__).parent), str(_CHECKOUT)]
+
+from specimens import write_specimens  # noqa: E402
+
+from tests.calibration.turning_egg import CAMERA as EGG_CAMERA  # noqa: E402
+from tests.calibration.turning_egg import render_egg, turning_poses, write_frames  # noqa: E402
+from tests.result_files import write_mesh_sequence  # noqa: E402
+from tests.skinning.conftest import rippling, sleeved_tube  # noqa: E402
 
 _LONGEST_S = 300.0
 _NOBODY = 65534
@@ -42,30 +52,72 @@ class Case:
     out: Path
     what: str = ""
     environment: dict[str, str] = field(default_factory=dict)
+    ended: list[int] = field(default_factory=list)
     prepare: Callable[[], None] | None = None
     times: int = 1
+    cleanup: Callable[[], object] = lambda: None
+    strike: signal.Signals | None = None
+    after_s: float = 0.0
+    hostile: list[bytes] = field(default_factory=list)
+
+
+def prepare(folder: Path) -> Path:
+    """Write what the verbs read: specimens, a sphere with its result and track, a garment, a turning egg."""
+    good = folder / "good"
+    good.mkdir()
+    write_specimens(good)
+    sphere, rig = good / "sphere", good / "sphere.json"
+    _run_well("simulate", "sphere", "--frames", "0:4", "--size", "96x72", "--samples", "1", "--out", sphere)
+    _run_well("calibrate", "sphere", sphere / "capture.mkv", "--out", rig)
+    result = ["reconstruct", sphere / "capture.mkv", "--rig", rig, "--to", "mesh", "--shadows", "none"]
+    _run_well(*result, "--out", good / "result")
+    _run_well("track", good / "result", "--template", "1")
+    write_mesh_sequence(good / "cloth" / "track", rippling(sleeved_tube(), 12))
+    (good / "egg").mkdir()
+    write_frames(good / "egg", [render_egg(pose) for pose in turning_poses(13, 40.0)])
+    for path in (folder, good, *good.rglob("*")):
+        path.chmod(0o755 if path.is_dir() else 0o644)
+    return good
+
+
+def _run_well(*arguments: str | Path) -> None:
+    command = [sys.executable, "-m", "vntoolkit", *map(str, arguments)]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, cwd=_CHECKOUT)
 
 
 def verbs(good: Path, out: Path) -> list[list[str]]:
     """Short commands of every sort: that read only, write files or a folder, or start workers."""
-    rig, source = str(good / "texts/rig.json"), str(good / "captures/sequence")
-    normals = str(good / "maps/n.exr")
-    reconstruct = ["reconstruct", source, "--rig", rig, "--out", str(out), "--shadows", "none"]
-    return [
+    rig, source, result = good / "texts/rig.json", good / "captures/sequence", good / "result"
+    normals, mesh = good / "maps/n.exr", next((result / "mesh").glob("*.ply"))
+    reconstruct = ["reconstruct", source, "--rig", rig, "--out", out, "--shadows", "none"]
+    walk = _CHECKOUT / "data" / "walk.bvh"
+    head = ["--focal-px", f"{EGG_CAMERA.matrix[0, 0]:g}"]
+    commands: list[list[str | Path]] = [
         reconstruct,
         [*reconstruct, "--jobs", "2"],
-        ["evaluate", "normals", normals, normals, "--out", str(out)],
+        ["track", result, "--template", "1", "--out", out],
+        ["evaluate", "normals", normals, normals, "--out", out],
+        ["evaluate", "mesh", mesh, mesh, "--out", out],
         ["doctor", source, "--rig", rig],
-        ["export", str(good / "result"), "--to", "npz", "--out", str(out)],
-        ["simulate", "sphere", "--frames", "0:1", "--size", "32x24", "--samples", "1", "--out", str(out)],
+        ["export", result, "--to", "npz", "--out", out],
+        ["export", result, "--to", "usd", "--out", out / "a.usdc"],
+        ["dress", good / "cloth", "--motion", walk, "--out", out / "a_%03d.ply"],
+        ["report", result, "--out", out / "page.html"],
+        ["view", result, "--html", out / "scene.html"],
+        ["calibrate", "head", good / "egg", *head, "--out", out / "head.json"],
+        ["simulate", "sphere", "--frames", "0:1", "--size", "32x24", "--samples", "1", "--out", out],
     ]
+    return [[str(word) for word in command] for command in commands]
 
 
 def draw(good: Path, out: Path, rng: np.random.Generator) -> Case:
     """Return a case; the same generator always gives the same."""
     commands = verbs(good, out)
     case = Case(arguments=commands[int(rng.integers(len(commands)))], out=out)
-    kinds = [_another_user, _no_home, _full_disk, _two_runs, _giant, _odd_shell, _broken_cache, _pipe]
+    kinds = [
+        _another_user, _no_home, _full_disk, _two_runs, _giant, _odd_shell, _broken_cache, _pipe, _killed,
+        _foreign_hosts,
+    ]  # fmt: skip
     kind = kinds[int(rng.integers(len(kinds)))]
     case.what = kind.__name__.strip("_").replace("_", " ")
     kind(case, rng)
@@ -89,13 +141,52 @@ def _no_home(case: Case, _rng: np.random.Generator) -> None:
 
 
 def _full_disk(case: Case, rng: np.random.Generator) -> None:
-    most = int(rng.integers(0, 20_000))
+    """A disk of its own that is full after so many bytes, at whatever write that is; else a limit a file."""
+    case.out.mkdir()
+    most = int(2 ** rng.uniform(12, 22))
+    small = ["mount", "-t", "tmpfs", "-o", f"size={most}", "tmpfs", str(case.out)]
+    if shutil.which("mount") and subprocess.run(small, check=False, capture_output=True).returncode == 0:
+        case.cleanup = lambda: subprocess.run(["umount", str(case.out)], check=True)
+        return
 
     def limit() -> None:
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
 
     case.prepare = limit
+
+
+def _killed(case: Case, rng: np.random.Generator) -> None:
+    """Struck at any moment; then the same command again must end well."""
+    case.strike = [signal.SIGINT, signal.SIGTERM, signal.SIGKILL][int(rng.integers(3))]
+    case.after_s = float(rng.uniform(0.2, 12.0 if case.arguments[0] == "calibrate" else 4.0))
+
+
+def _foreign_hosts(case: Case, rng: np.random.Generator) -> None:
+    """The viewer's server, asked by pages of other sites, strangers without its token, and half a request."""
+    case.arguments = ["view", str(case.out.parent.parent / "good/result"), "--port", str(_free_port())]
+    port = int(case.arguments[-1])
+    hosts = ("evil.example", f"127.0.0.1.evil.example:{port}", "", "[::1", "127.0.0.1:1:2", "\u0130")
+    case.hostile = [
+        _request(
+            str(rng.choice(["GET", "POST", "PUT", "OPTIONS", "\0", "G" * 9000])),
+            str(rng.choice(["/", "/frame?index=0", "/../../etc/passwd", "/topology", "//", "/%00"])),
+            str(rng.choice([*hosts, f"127.0.0.1:{port}"])),
+            str(rng.choice(["", "Origin: http://evil.example", "Content-Length: -1", "A: " + "x" * 70000])),
+        )
+        for _ in range(20)
+    ]
+
+
+def _request(method: str, path: str, host: str, header: str) -> bytes:
+    lines = [f"{method} {path} HTTP/1.1", f"Host: {host}", *filter(None, [header]), "", ""]
+    return "\r\n".join(lines).encode()
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
 
 
 def _two_runs(case: Case, _rng: np.random.Generator) -> None:
@@ -139,39 +230,83 @@ def _pipe(case: Case, rng: np.random.Generator) -> None:
 
 def run_case(case: Case) -> str:
     """Run it; return its fault, empty where it was handled as promised."""
+    try:
+        if case.hostile:
+            return _besieged(case)
+        if case.strike is not None:
+            struck = _start(case)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                struck.wait(case.after_s)
+            struck.send_signal(case.strike)
+            struck.communicate(timeout=_LONGEST_S)
+        faults = _outcome(case, [_start(case) for _ in range(case.times)])
+        if case.strike is not None and faults == [] and case.ended != [0]:
+            faults.append(f"the run after {case.strike.name} ended with {case.ended}")
+        left = [
+            path.name
+            for path in case.out.rglob("*")
+            if ".part" in path.name or path.name.startswith(".probe")
+        ]
+        return "; ".join(faults + [f"left {name}" for name in left])
+    finally:
+        case.cleanup()
+
+
+def _start(case: Case) -> subprocess.Popen[str]:
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", **case.environment}
-    command = [sys.executable, "-m", "vntoolkit", *case.arguments]
-    running = [
-        subprocess.Popen(
-            command, env=environment, preexec_fn=case.prepare,  # noqa: PLW1509 - no thread runs here
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE, text=True, errors="replace", cwd=Path(__file__).parents[2],
-        )
-        for _ in range(case.times)
-    ]  # fmt: skip
-    faults, ended = [], []
+    return subprocess.Popen(
+        [sys.executable, "-m", "vntoolkit", *case.arguments],
+        env=environment, preexec_fn=case.prepare,  # noqa: PLW1509 - no thread runs here
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE, text=True, errors="replace", cwd=_CHECKOUT,
+    )  # fmt: skip
+
+
+def _outcome(case: Case, running: list[subprocess.Popen[str]]) -> list[str]:
+    faults = []
     for process in running:
         try:
-            error = process.communicate(timeout=_LONGEST_S)[1]
+            said, error = process.communicate(timeout=_LONGEST_S)
         except subprocess.TimeoutExpired:
             process.kill()
             process.communicate()
-            return f"did not end within {_LONGEST_S:g} s"
-        ended.append(process.returncode)
+            return [f"did not end within {_LONGEST_S:g} s"]
+        case.ended.append(process.returncode)
         ours = [line for line in error.splitlines() if line.startswith("vntoolkit: ")]
+        if case.arguments[0] == "doctor":
+            ours += said.splitlines()  # its findings are its result
         if process.returncode not in (0, 1) or "Traceback" in error or len(ours) < process.returncode:
             faults.append(f"status {process.returncode}: {error[-600:]!r}")
-    if case.times == 2 and 0 not in ended:
-        faults.append(f"neither of two runs was done: {ended}")
-    left = [
-        path.name for path in case.out.rglob("*") if ".part" in path.name or path.name.startswith(".probe")
-    ]
-    return "; ".join(faults + [f"left {name}" for name in left])
+    if case.times == 2 and 0 not in case.ended:
+        faults.append(f"neither of two runs was done: {case.ended}")
+    return faults
+
+
+def _besieged(case: Case) -> str:
+    """Send every hostile request at once and keep them open; none may be given anything."""
+    server, faults, held = _start(case), [], []
+    assert server.stdout is not None
+    while line := server.stdout.readline():
+        if "http://" in line:
+            break
+    port = int(case.arguments[-1])
+    for request in case.hostile:
+        connection = socket.create_connection(("127.0.0.1", port), timeout=30)
+        with contextlib.suppress(OSError):
+            connection.sendall(request)
+        held.append(connection)
+    for request, connection in zip(case.hostile, held, strict=True):
+        with contextlib.suppress(OSError), connection:
+            if connection.recv(100).startswith((b"HTTP/1.0 200", b"HTTP/1.1 200")):
+                faults.append(f"answered {request[:200]!r}")
+    server.send_signal(signal.SIGINT)
+    error = server.communicate(timeout=_LONGEST_S)[1]
+    if "Traceback" in error or server.returncode not in (0, 130):
+        faults.append(f"status {server.returncode}: {error[-600:]!r}")
+    return "; ".join(faults)
 
 
 def main() -> int:
-    from specimens import write_specimens
-
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=300)
     parser.add_argument("--seed", type=int, default=int(time.time()))
@@ -180,15 +315,7 @@ def main() -> int:
     counts: Counter[str] = Counter()
     faults = []
     with tempfile.TemporaryDirectory(prefix="vntoolkit-system-") as folder:
-        good = Path(folder) / "good"
-        good.mkdir()
-        write_specimens(good)
-        subprocess.run(
-            [sys.executable, "-m", "vntoolkit", *verbs(good, good / "result")[0]], check=True,
-            stdout=subprocess.DEVNULL, cwd=Path(__file__).parents[2],
-        )  # fmt: skip
-        for path in (Path(folder), good, *good.rglob("*")):
-            path.chmod(0o755 if path.is_dir() else 0o644)
+        good = prepare(Path(folder))
         for index in range(options.count) if options.only is None else (options.only,):
             place = Path(folder) / "case"
             place.mkdir()

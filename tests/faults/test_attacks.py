@@ -95,6 +95,15 @@ def test_every_verb_that_writes_a_folder_leaves_a_locked_one_alone(good, tmp_pat
         "export": ["export", str(tmp_path / "r"), "--to", "npz", "--out", str(out)],
         "simulate": ["simulate", "sphere", "--out", str(out), "--frames", "0:1", "--size", "32x24"],
         "rectify": ["rectify", str(good / "captures/8.png"), "--out", str(out), *plane],
+        "evaluate": ["evaluate", "normals", *[str(good / "maps/n.exr")] * 2, "--out", str(out)],
+        "dress": [
+            "dress",
+            str(tmp_path / "r"),
+            "--motion",
+            "data/walk.bvh",
+            "--out",
+            str(out / "a_%03d.ply"),
+        ],
     }
     out.mkdir()
     with sole_writer(out):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
@@ -9,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 from cyclopts import Parameter
 
 from vntoolkit.cli.flags import flags_from, limits_on
-from vntoolkit.cli.output import require_output
+from vntoolkit.cli.output import MESH, require_output
+from vntoolkit.io.atomic import sole_writer, undisturbed
 from vntoolkit.io.motion.garment_fits import read_garment_fit
 from vntoolkit.pipeline.dress import (
     DressOptions,
@@ -77,17 +79,20 @@ def run(
         weights=weights or WeightOptions(),
         clock=clock or ClockOptions(),
     )
-    dressed = dress(
-        read_tracked_cloth(folder),
-        read_motion(motion, skeleton),
-        chosen,
-        None if fit is None else read_garment_fit(fit),
-    )
-    count = write_dressed_figure(dressed, out)
-    cut = f"; {dressed.cut_triangles} triangles cut" if dressed.cut_triangles else ""
-    rate = f"{dressed.clock.frame_rate_hz:g} frames per second"
-    print(f"{out}: {count} frames of {len(dressed.template.vertices)} vertices, {rate}{cut}")
-    if preview:
-        stem = out.stem.split("%")[0].rstrip("_") or "dress"
-        write_preview(out.parent, stem, dressed)
-        print(f"{out.parent / stem}_sheet.png, {stem}_turntable.mkv")
+    several = out.suffix.lower() in MESH
+    alone = sole_writer(out.parent) if several else contextlib.nullcontext()
+    with undisturbed(folder), alone:
+        dressed = dress(
+            read_tracked_cloth(folder),
+            read_motion(motion, skeleton),
+            chosen,
+            None if fit is None else read_garment_fit(fit),
+        )
+        count = write_dressed_figure(dressed, out)
+        cut = f"; {dressed.cut_triangles} triangles cut" if dressed.cut_triangles else ""
+        rate = f"{dressed.clock.frame_rate_hz:g} frames per second"
+        print(f"{out}: {count} frames of {len(dressed.template.vertices)} vertices, {rate}{cut}")
+        if preview:
+            stem = out.stem.split("%")[0].rstrip("_") or "dress"
+            write_preview(out.parent, stem, dressed)
+            print(f"{out.parent / stem}_sheet.png, {stem}_turntable.mkv")

@@ -31,6 +31,7 @@ from vntoolkit.evaluation.mesh_comparison import (
 from vntoolkit.evaluation.track_error import TrackError, TrackErrorOptions
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.point_cloud import PointCloud
+from vntoolkit.io.atomic import sole_writer
 from vntoolkit.io.conventions import NormalConvention
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
@@ -97,23 +98,24 @@ def normals(
         Axes of the reference.
     """
     require_output(out / "normals.json")
-    pairs = pairs_of(measured, reference)
-    with progress_bar("normals", len(pairs)) as advance:
-        found = compare_normal_files(
-            pairs, (measured_convention, reference_convention), lambda _name: advance(1)
-        )
-    content = {"measured": measured, "reference": reference}
-    write_json(out / "normals.json", {**content, "overall": found.overall, "frames": found.frames})
-    title = f"{found.worst}: mean {found.frames[found.worst].mean_deg:.2f}°"
-    write_error_map(out / "normals_map.png", found.worst_deg, found.worst_mask, title, "degrees")
-    title = f"{measured.name} against {reference.name}"
-    write_cumulative_errors(out / "normals_curve.png", {"all frames": found.curve_deg}, title, "degrees")
-    step = max(1, -(-len(found.frames) // _LINES))
-    rows = [error_row(name, error) for name, error in list(found.frames.items())[::step]]
-    if len(found.frames) > 1:
-        rows.append(error_row("all", found.overall))
-    print_table("degrees between the normals", COLUMNS, rows)
-    print(f"{out}: normals.json, normals_map.png, normals_curve.png")
+    with sole_writer(out):
+        pairs = pairs_of(measured, reference)
+        with progress_bar("normals", len(pairs)) as advance:
+            found = compare_normal_files(
+                pairs, (measured_convention, reference_convention), lambda _name: advance(1)
+            )
+        content = {"measured": measured, "reference": reference}
+        write_json(out / "normals.json", {**content, "overall": found.overall, "frames": found.frames})
+        title = f"{found.worst}: mean {found.frames[found.worst].mean_deg:.2f}°"
+        write_error_map(out / "normals_map.png", found.worst_deg, found.worst_mask, title, "degrees")
+        title = f"{measured.name} against {reference.name}"
+        write_cumulative_errors(out / "normals_curve.png", {"all frames": found.curve_deg}, title, "degrees")
+        step = max(1, -(-len(found.frames) // _LINES))
+        rows = [error_row(name, error) for name, error in list(found.frames.items())[::step]]
+        if len(found.frames) > 1:
+            rows.append(error_row("all", found.overall))
+        print_table("degrees between the normals", COLUMNS, rows)
+        print(f"{out}: normals.json, normals_map.png, normals_curve.png")
 
 
 def error_row(name: str, error: AngularError) -> list[str]:
@@ -150,38 +152,39 @@ def mesh(
         Folder to write.
     """
     require_output(out / "mesh.json")
-    options = options or AlignmentOptions()
-    measured = _read(mesh)
-    if reference is None and not isinstance(measured, Mesh):
-        raise BadMesh(f"{mesh}: expected a surface, got {len(measured.points)} vertices and no face")
-    same_name = reference is not None and reference.name == mesh.name  # such as 000000.ply of two folders
-    name = str if same_name else attrgetter("name")
-    surfaces = {name(mesh): measured}
-    content: dict[str, object] = {"mesh": mesh, "reference": reference}
-    if reference is not None:
-        surfaces[name(reference)] = target = _read(reference)
-        if why := mismatch(measured, target):
-            _LOGGER.warning("%s", why)
-        with progress_bar("vertices", len(positions(measured)) + len(positions(target))) as advance:
-            generator = np.random.default_rng(_SEED)
-            aligned, motion = align_mesh(measured, target, generator, options)  # type: ignore[type-var]
-            to_reference = vertex_distances(aligned, target, measured_by, advance)
-            back = vertex_distances(target, aligned, measured_by, advance)
-        distance = MeshDistance.from_vertices(to_reference, back, target.diagonal)
-        content |= {"distance": distance_summary(distance), "scale": motion.scale}
-        percent = 100.0 / distance.diagonal * to_reference
-        write_cumulative_errors(
-            out / "mesh_curve.png", {name(mesh): percent}, f"to {name(reference)}", "% of the diagonal"
-        )
-        _print_distance(distance)
-        if options.free is Alignment.SIMILARITY:
-            print(f"aligned with a scale of {motion.scale:.4f}")
-    qualities = {
-        each: mesh_quality(surface) for each, surface in surfaces.items() if isinstance(surface, Mesh)
-    }
-    write_json(out / "mesh.json", {**content, "quality": qualities})
-    _print_quality(qualities)
-    print(f"{out}: mesh.json" + (", mesh_curve.png" if reference else ""))
+    with sole_writer(out):
+        options = options or AlignmentOptions()
+        measured = _read(mesh)
+        if reference is None and not isinstance(measured, Mesh):
+            raise BadMesh(f"{mesh}: expected a surface, got {len(measured.points)} vertices and no face")
+        same_name = reference is not None and reference.name == mesh.name  # such as 000000.ply of two folders
+        name = str if same_name else attrgetter("name")
+        surfaces = {name(mesh): measured}
+        content: dict[str, object] = {"mesh": mesh, "reference": reference}
+        if reference is not None:
+            surfaces[name(reference)] = target = _read(reference)
+            if why := mismatch(measured, target):
+                _LOGGER.warning("%s", why)
+            with progress_bar("vertices", len(positions(measured)) + len(positions(target))) as advance:
+                generator = np.random.default_rng(_SEED)
+                aligned, motion = align_mesh(measured, target, generator, options)  # type: ignore[type-var]
+                to_reference = vertex_distances(aligned, target, measured_by, advance)
+                back = vertex_distances(target, aligned, measured_by, advance)
+            distance = MeshDistance.from_vertices(to_reference, back, target.diagonal)
+            content |= {"distance": distance_summary(distance), "scale": motion.scale}
+            percent = 100.0 / distance.diagonal * to_reference
+            write_cumulative_errors(
+                out / "mesh_curve.png", {name(mesh): percent}, f"to {name(reference)}", "% of the diagonal"
+            )
+            _print_distance(distance)
+            if options.free is Alignment.SIMILARITY:
+                print(f"aligned with a scale of {motion.scale:.4f}")
+        qualities = {
+            each: mesh_quality(surface) for each, surface in surfaces.items() if isinstance(surface, Mesh)
+        }
+        write_json(out / "mesh.json", {**content, "quality": qualities})
+        _print_quality(qualities)
+        print(f"{out}: mesh.json" + (", mesh_curve.png" if reference else ""))
 
 
 def distance_summary(distance: MeshDistance) -> dict[str, object]:
@@ -251,17 +254,18 @@ def cylinder(
     """
     target = out or folder / "evaluation"
     require_output(target / "cylinder.json")
-    result = open_result(folder, frames=FrameRange.from_text(frames), footage=footage)
-    with progress_bar("cylinder", 2 * len(result.numbers)) as advance:
-        found = run(result, truth, options, lambda _number: advance(1))
-    write_json(target / "cylinder.json", found)
-    times = np.array([error.frame for error in found.frames]) / found.frame_rate_hz
-    mean, std = (np.array([getattr(e, name) for e in found.frames]) for name in ("mean_deg", "std_deg"))
-    title = f"{found.mean_deg:.2f} ± {found.std_deg:.2f} degrees over all frames"
-    write_error_over_time(target / "cylinder.png", times, mean, std, title)
-    _print(found)
-    print(f"{target}: cylinder.json, cylinder.png")
-    return found
+    with sole_writer(target):
+        result = open_result(folder, frames=FrameRange.from_text(frames), footage=footage)
+        with progress_bar("cylinder", 2 * len(result.numbers)) as advance:
+            found = run(result, truth, options, lambda _number: advance(1))
+        write_json(target / "cylinder.json", found)
+        times = np.array([error.frame for error in found.frames]) / found.frame_rate_hz
+        mean, std = (np.array([getattr(e, name) for e in found.frames]) for name in ("mean_deg", "std_deg"))
+        title = f"{found.mean_deg:.2f} ± {found.std_deg:.2f} degrees over all frames"
+        write_error_over_time(target / "cylinder.png", times, mean, std, title)
+        _print(found)
+        print(f"{target}: cylinder.json, cylinder.png")
+        return found
 
 
 def _print(found: CylinderEvaluation) -> None:
@@ -380,37 +384,41 @@ def integration(*, data: Path | None = None, size: int = 256, out: Path = Path("
         Folder to write.
     """
     require_output(out / "integration.json")
-    objects = [] if data is None else objects_in(data)
-    cases = surface_cases(size)
-    rows, curves, last = [], {}, None
-    with progress_bar("integration", len(cases) + len(objects)) as advance:
-        for case in cases:
-            error = case.measure()
-            rows.append(error)
-            if case.is_torn:
-                curves[error.integrator] = error.distances_percent[error.mask]
-                last = error
-            advance(1)
-        real = []
-        for folder in objects:
-            real += real_object_errors(folder)
-            advance(1)
-    plain = [{"surface": r.surface, "integrator": r.integrator, **r.numbers} for r in rows]
-    write_json(out / "integration.json", {"surfaces": plain, "objects": real})
-    columns = ["surface", "integrator", "mean", "rms", "largest"]
-    table = [
-        [r.surface, r.integrator, *(f"{r.numbers[n]:.2e}" for n in ("mean", "rms", "largest"))] for r in rows
-    ]
-    print_table("depth error, % of the surface's range", columns, table, names=2)
-    if real:
-        table = [[e.name, e.integrator, f"{e.mean_mm:.3f}", f"{e.median_mm:.3f}"] for e in real]
-        print_table(
-            "depth error on real objects, mm", ["object", "integrator", "mean", "median"], table, names=2
+    with sole_writer(out):
+        objects = [] if data is None else objects_in(data)
+        cases = surface_cases(size)
+        rows, curves, last = [], {}, None
+        with progress_bar("integration", len(cases) + len(objects)) as advance:
+            for case in cases:
+                error = case.measure()
+                rows.append(error)
+                if case.is_torn:
+                    curves[error.integrator] = error.distances_percent[error.mask]
+                    last = error
+                advance(1)
+            real = []
+            for folder in objects:
+                real += real_object_errors(folder)
+                advance(1)
+        plain = [{"surface": r.surface, "integrator": r.integrator, **r.numbers} for r in rows]
+        write_json(out / "integration.json", {"surfaces": plain, "objects": real})
+        columns = ["surface", "integrator", "mean", "rms", "largest"]
+        table = [
+            [r.surface, r.integrator, *(f"{r.numbers[n]:.2e}" for n in ("mean", "rms", "largest"))]
+            for r in rows
+        ]
+        print_table("depth error, % of the surface's range", columns, table, names=2)
+        if real:
+            table = [[e.name, e.integrator, f"{e.mean_mm:.3f}", f"{e.median_mm:.3f}"] for e in real]
+            print_table(
+                "depth error on real objects, mm", ["object", "integrator", "mean", "median"], table, names=2
+            )
+        write_cumulative_errors(
+            out / "integration_curve.png", curves, "torn surface", "error, % of the range"
         )
-    write_cumulative_errors(out / "integration_curve.png", curves, "torn surface", "error, % of the range")
-    if last is not None:
-        title = f"{last.surface}, {last.integrator}"
-        write_error_map(
-            out / "integration_map.png", last.distances_percent, last.mask, title, "% of the range"
-        )
-    print(f"{out}: integration.json, integration_curve.png, integration_map.png")
+        if last is not None:
+            title = f"{last.surface}, {last.integrator}"
+            write_error_map(
+                out / "integration_map.png", last.distances_percent, last.mask, title, "% of the range"
+            )
+        print(f"{out}: integration.json, integration_curve.png, integration_map.png")
