@@ -9,7 +9,7 @@ demo: $(READY)
 	$(PYTHON) -m vntoolkit demo --out out/demo --overwrite
 
 test: $(READY)
-	$(PYTHON) -m pytest -m "not slow"
+	$(PYTHON) -m pytest -m "not slow" -n 2 --dist loadfile
 
 test-slow: $(READY)
 	$(PYTHON) -m pytest -m slow
