@@ -87,7 +87,7 @@ def _run_well(*arguments: str | Path) -> None:
 
 def verbs(good: Path, out: Path) -> list[list[str]]:
     """Short commands of every sort: that read only, write files or a folder, or start workers."""
-    rig, source, result = good / "texts/rig.json", good / "captures/sequence", good / "result"
+    rig, source, result = good / "sphere.json", good / "sphere/capture.mkv", good / "result"
     normals, mesh = good / "maps/n.exr", next((result / "mesh").glob("*.ply"))
     reconstruct = ["reconstruct", source, "--rig", rig, "--out", out, "--shadows", "none"]
     walk = _CHECKOUT / "data" / "walk.bvh"
