@@ -88,7 +88,7 @@ def _changed(rig, *path, value):
         (("response", "matrix"), [[1, 2, 3], [2, 4, 6], [0, 0, 1]], "M is singular"),
         (("response", "ambient"), [0, 0, float("nan")], r"response\.ambient\.2: input should be a finite"),
         (("response", "frame"), "graphics", r"response\.frame: input should be 'camera'"),
-        (("colour", "transfer"), "log", "expected linear, srgb, bt709 or gamma:G"),
+        (("colour", "transfer"), "log", "expected linear, srgb, bt709, gamma:G"),
         (("colour", "order"), "bgr", r"colour\.order: input should be 'rgb'"),
         (("sources", 0, "sha256"), "12", r"sources\.0\.sha256"),
         (("version",), 3, "is of version 3, this program reads 1 to 2"),

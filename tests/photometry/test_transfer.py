@@ -10,9 +10,10 @@ from vntoolkit.photometry.transfer import (
     linear_from_integers,
 )
 
-CURVES = [Transfer.from_text(text) for text in ("linear", "srgb", "bt709", "gamma:2.2")] + [
-    Transfer(curve=TransferCurve.SRGB, black_level=0.02)
-]
+CURVES = [
+    Transfer.from_text(text)
+    for text in ("linear", "srgb", "bt709", "gamma:2.2", "pq", "hlg", "S-Log3", "v-log", "clog3", "LogC3")
+] + [Transfer(curve=TransferCurve.SRGB, black_level=0.02)]
 
 
 @pytest.mark.parametrize("transfer", CURVES, ids=lambda t: t.to_text())
@@ -28,6 +29,29 @@ def test_published_values() -> None:
     # IEC 61966-2-1: half of full scale in sRGB is 21.4 % of the light; BT.709: 25.96 %.
     assert linear_from_encoded(np.array(0.5), Transfer.from_text("srgb")) == pytest.approx(0.2140, abs=1e-4)
     assert linear_from_encoded(np.array(0.5), Transfer.from_text("bt709")) == pytest.approx(0.2596, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("name", "grey", "black"),
+    [("slog3", 420, 95), ("vlog", 433, 128), ("clog3", 351, 128), ("logc3", 400, 95)],
+)
+def test_camera_logs_meet_their_published_codes(name: str, grey: int, black: int) -> None:
+    """10-bit codes of a grey card of 18 % and of no light, from the makers' papers."""
+    transfer = Transfer.from_text(name)
+    light = np.array([0.18, 0.0]) * transfer.diffuse_white
+    codes = 1023 * encoded_from_linear(light, transfer)
+    np.testing.assert_allclose(codes, [grey, black], atol=0.6)
+    dark = linear_from_encoded(np.linspace(0, 1, 2000), transfer)
+    assert np.all(np.diff(dark) > 0)  # the line and the logarithm meet
+
+
+def test_broadcast_curves_meet_their_published_values() -> None:
+    """BT.2100: HLG meets at E = 1/12, E' = 1/2; PQ's 58 % is 203 cd/m², of BT.2408's white."""
+    hlg, pq = Transfer.from_text("hlg"), Transfer.from_text("pq")
+    assert linear_from_encoded(np.array(0.5), hlg) == pytest.approx(1 / 12)
+    assert hlg.diffuse_white == pytest.approx(0.265, abs=1e-3)
+    display = (203 / 100) ** (1 / 2.4)  # before the display's power of 2.4
+    assert pq.diffuse_white == pytest.approx(((display + 0.099) / 1.099) ** (1 / 0.45) / 59.5208, rel=2e-3)
 
 
 @pytest.mark.parametrize(

@@ -85,7 +85,7 @@ def test_lights_command_makes_a_rig(tmp_path) -> None:
     ("image", "message"),
     [
         (np.zeros((60, 80, 3), np.uint8), "the image is black"),
-        (np.full((60, 80, 3), 255, np.uint8), "every pixel is clipped"),
+        (np.full((60, 80, 3), 255, np.uint8), "100.0% of the pixels are clipped"),
         (np.full((60, 80, 3), 90, np.uint8), "no ball found"),
     ],
 )

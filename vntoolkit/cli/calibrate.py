@@ -33,6 +33,7 @@ from vntoolkit.cli.flags import (
     Frames,
     Overwrite,
     SingleLight,
+    curve_from_text,
     flags_from,
     limits_on,
 )
@@ -49,7 +50,6 @@ from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.maps_and_meshes.meshes import write_mesh
 from vntoolkit.io.rigs import write_rig
 from vntoolkit.photometry.rig import Rig
-from vntoolkit.photometry.transfer import Transfer
 from vntoolkit.pipeline import calibrate
 from vntoolkit.pipeline import calibrate_presses as pipeline
 from vntoolkit.pipeline.calibrate import CalibrationJob
@@ -105,7 +105,7 @@ def sphere(
     out: Path,
     mask: Path | None = None,
     background: AmbientImage = None,
-    transfer: Curve = "linear",
+    transfer: Curve = None,
     camera: Path | None = None,
     focal_px: FocalPx = None,
     single_light: SingleLight = None,
@@ -129,7 +129,7 @@ def sphere(
     """
     require_known_checks(allow, CHECK_NAMES)
     require_output(out, JSON)
-    job = _job(source, mask, background, transfer, camera, focal_px, single_light, frames)
+    job = _job(source, mask, background, transfer, camera, focal_px, single_light, frames, allow)
     sphere_options = replace(options or SphereOptions(), fit=fit or ResponseFitOptions())
     rig, result = calibrate.calibrate_sphere(job, sphere_options)
     _accept(rig, allow, result.fit)
@@ -145,7 +145,7 @@ def board(
     *,
     out: Path,
     background: AmbientImage = None,
-    transfer: Curve = "linear",
+    transfer: Curve = None,
     camera: Path | None = None,
     focal_px: FocalPx = None,
     single_light: SingleLight = None,
@@ -169,7 +169,7 @@ def board(
     """
     require_known_checks(allow, CHECK_NAMES)
     require_output(out, JSON)
-    job = _job(source, None, background, transfer, camera, focal_px, single_light, frames)
+    job = _job(source, None, background, transfer, camera, focal_px, single_light, frames, allow)
     board_options = replace(
         options or BoardOptions(),
         fit=fit or ResponseFitOptions(),
@@ -195,7 +195,7 @@ def lights(
     like: str | None = None,
     lights: Annotated[tuple[int, int, int], Parameter(consume_multiple=True, negative=())] = (0, 1, 2),
     light_colours: LightColours = LightColours.CHANNELS,
-    transfer: Curve = "linear",
+    transfer: Curve = None,
     camera: Path | None = None,
     focal_px: FocalPx = None,
     allow: Allow = (),
@@ -220,7 +220,7 @@ def lights(
     """
     require_known_checks(allow, CHECK_NAMES)
     require_output(out, JSON)
-    job = _job(str(source), None, None, transfer, camera, focal_px, None, "::")
+    job = _job(str(source), None, None, transfer, camera, focal_px, None, "::", allow)
     rig = calibrate.calibrate_lights(source, like, lights, light_colours, job)
     _accept(rig, allow)
     write_rig(out, rig)
@@ -231,21 +231,23 @@ def _job(
     source: str,
     mask: Path | None,
     background: Path | None,
-    transfer: str,
+    transfer: str | None,
     camera: Path | None,
     focal_px: float | None,
     single_light: tuple[Path, ...] | None,
     frames: str,
+    allow: tuple[str, ...],
 ) -> CalibrationJob:
     return CalibrationJob(
         source=source,
         mask=mask,
         background=background,
-        transfer=Transfer.from_text(transfer),
+        transfer=curve_from_text(transfer),
         camera=camera,
         focal_px=focal_px,
         single_light=single_light or (),
         frames=FrameRange.from_text(frames),
+        allow=allow,
     )
 
 
@@ -266,6 +268,7 @@ def report_rig(out: Path, rig: Rig, seen: str) -> None:
             f"  residual          {quality.residual_deg:.2f} degrees, median over {quality.samples} samples"
         )
         print(f"  cone of normals   {quality.cone_deg:.0f} degrees about their mean")
+    print(f"  transfer curve    {rig.transfer.to_text()}")
     print(f"  condition number  {rig.response.condition_number:.1f} (1 is best, below 10 is good)")
     if rig.response.variation is not None:
         print("  M varies over the image; the condition number is that of the centre")
@@ -286,10 +289,11 @@ def head(
     *,
     out: Path,
     background: AmbientImage = None,
-    transfer: Curve = "linear",
+    transfer: Curve = None,
     camera: Path | None = None,
     focal_px: FocalPx = None,
     frames: Frames = "::",
+    allow: Allow = (),
     mesh: Path | None = None,
     figure: Path | None = None,
     report: Path | None = None,
@@ -335,9 +339,10 @@ def head(
     head_shape
         Shape that gives the normals: from silhouettes only, or fused with stereo.
     """
+    require_known_checks(allow, CHECK_NAMES)
     for path, suffixes in ((out, JSON), (mesh, MESH), (figure, PICTURE), (report, PAGE)):
         require_output(path, suffixes)
-    job = _job(source, None, background, transfer, camera, focal_px, None, frames)
+    job = _job(source, None, background, transfer, camera, focal_px, None, frames, allow)
     options = HeadOptions(
         head_shape=head_shape,
         pose_start=pose_start,
@@ -393,7 +398,7 @@ def presses(
     corners: Corners = None,
     size_mm: SizeMm = None,
     label_size: SizePx = None,
-    transfer: Curve = "linear",
+    transfer: Curve = None,
     variation: VariationFlags = None,
 ) -> None:
     """Calibrate a tactile sensor on presses of a ball of known size into its gel.
@@ -424,7 +429,7 @@ def presses(
         source=source,
         background=background,
         labels=labels,
-        transfer=Transfer.from_text(transfer),
+        transfer=curve_from_text(transfer),
         rectification=rectification_from_flags(corners, size_mm, options.pixel_mm),
         label_size=label_size,
     )
@@ -443,7 +448,7 @@ def rectify(
     corners: Corners,
     size_mm: SizeMm,
     pixel_mm: float,
-    transfer: Curve = "linear",
+    transfer: Curve = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Resample footage of a tilted plane to square pixels of known size.
@@ -465,7 +470,7 @@ def rectify(
     """
     rectification = rectification_from_flags(corners, size_mm, pixel_mm)
     assert rectification is not None  # both flags are required
-    capture = open_capture(source, CaptureOptions(transfer=Transfer.from_text(transfer)))
+    capture = open_capture(source, CaptureOptions(transfer=curve_from_text(transfer)))
     with ProgressBars() as bars:
         count = pipeline.rectify_capture(
             capture, rectification, out, partial(bars.reach, "rectify"), overwrite=overwrite

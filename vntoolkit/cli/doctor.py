@@ -8,7 +8,7 @@ import subprocess
 import sys
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,7 +18,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from vntoolkit import __version__
-from vntoolkit.cli.flags import limits_on
+from vntoolkit.cli.flags import curve_from_text, limits_on
 from vntoolkit.errors import BadCapture
 from vntoolkit.native import (
     NUMBA_LIBRARIES,
@@ -80,7 +80,8 @@ def doctor(
     mask
         Image that is white where the subject is. Used together with --rig.
     transfer
-        Curve of the footage: linear, srgb, bt709 or gamma:G. Default: the rig's, else linear.
+        Curve of the footage: linear, srgb, bt709, gamma:G, pq, hlg, slog3, vlog, clog3 or logc3. Default: the
+        rig's, else the one that the file states, else linear.
     """
     if source is None:
         return _check_libraries(Console())
@@ -90,14 +91,9 @@ def doctor(
     from vntoolkit.io.footage.frame_range import Gaps
     from vntoolkit.io.maps_and_meshes.label_images import read_mask
     from vntoolkit.io.rigs import read_rig
-    from vntoolkit.photometry.transfer import Transfer
 
     the_rig = None if rig is None else read_rig(rig)
-    options = CaptureOptions(gaps=Gaps.SKIP)
-    if the_rig is not None:
-        options = replace(options, transfer=the_rig.transfer)
-    if transfer is not None:
-        options = replace(options, transfer=Transfer.from_text(transfer))
+    options = CaptureOptions(gaps=Gaps.SKIP, transfer=curve_from_text(transfer))
     the_mask = None if mask is None else read_mask(mask)
     report = inspect_capture(source, options, rig=the_rig, mask=the_mask)
     _print_report(Console(emoji=False), source, report)

@@ -22,6 +22,7 @@ from cyclopts import Parameter
 from vntoolkit.errors import BadInput
 from vntoolkit.io.footage.frame_range import Gaps
 from vntoolkit.io.limits import ReadingLimits, limited_to
+from vntoolkit.photometry.transfer import Transfer
 
 Frames: TypeAlias = Annotated[
     str,
@@ -51,7 +52,11 @@ Footage: TypeAlias = Annotated[
     str, Parameter(help="Where the footage is now, if it was moved after the reconstruction.")
 ]
 Curve: TypeAlias = Annotated[
-    str, Parameter(help="Transfer curve of the footage: linear, srgb, bt709 or gamma:G.")
+    str | None,
+    Parameter(
+        help="Transfer curve of the footage: linear, srgb, bt709, gamma:G, pq, hlg, slog3, vlog, clog3 or "
+        "logc3. Default: the curve that the file states, else linear."
+    ),
 ]
 AmbientImage: TypeAlias = Annotated[
     Path | None,
@@ -82,6 +87,11 @@ R = TypeVar("R")
 _PARAMETER = "reading_limits"
 _OUTPUTS = ("out", "figure", "mesh", "report", "plot", "html", "record_to")  # where they are keywords
 _PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".exr")
+
+
+def curve_from_text(text: str | None) -> Transfer | None:
+    """Return the curve of --transfer, None where it is not given."""
+    return None if text is None else Transfer.from_text(text)
 
 
 def flags_from(options: type[Any], *, without: tuple[str, ...] = (), **renamed: str) -> Any:

@@ -82,7 +82,8 @@ def reconstruct(
     mask
         Image of the footage's size that is white where the subject is.
     transfer
-        Transfer curve of the footage, linear, srgb, bt709 or gamma:G; default: the rig's.
+        Transfer curve of the footage, linear, srgb, bt709, gamma:G, pq, hlg, slog3, vlog, clog3 or logc3,
+        even where the file states another. Default: the rig's.
     overwrite
         Replace the results that the folder holds.
     """
@@ -92,7 +93,7 @@ def reconstruct(
         source=source,
         rig=_with_transfer(calibrated, transfer),
         calibrated=calibrated.transfer,
-        allow=allow,
+        allow=allow if transfer is None else (*allow, "tag"),
         options=joined_options(pipeline, inversion, integration, meshing),
         folder=ReconstructionFolder(root=out),
         mask=mask,

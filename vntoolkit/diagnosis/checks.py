@@ -53,6 +53,7 @@ CHECK_NAMES: dict[str, str] = {
     "residual": "a calibration that contradicts its samples",
     "size": "frames of another size than the rig's",
     "stray": "files that are no frames",
+    "tag": "a transfer curve that the file states against the one it is read with",
     "transfer": "a transfer curve that is not the footage's",
     "white-balance": "other gains of the channels than at calibration",
 }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -62,26 +62,30 @@ def inspect_capture(
 ) -> CaptureReport:
     """Look at `samples` frames, evenly spaced, and at what the headers say.
 
-    With a rig its transfer curve is used by default, and the footage is checked against it, inside `mask`
+    With a rig its transfer curve is the default, and the footage is checked against it, inside `mask`
     (h, w) where given: a background of another material would hide what the surface shows.
     """
     require_positive(samples, "samples")
-    if options is None:
-        options = CaptureOptions() if rig is None else CaptureOptions(transfer=rig.transfer)
+    options = options or CaptureOptions()
+    if options.transfer is None and rig is not None:
+        options = replace(options, transfer=rig.transfer)
     capture = open_capture(source, options)
     info = capture.info
     there = capture.present
     numbers = sorted({there[round(k)] for k in np.linspace(0, len(there) - 1, samples)})
-    findings = [*_findings_from_info(info), *_findings_from_transfer(info, options.transfer)]
+    findings = [*_findings_from_info(info), *_findings_from_transfer(info, capture.transfer)]
+    if rig is None:
+        findings += _findings_from_tag(info, capture.transfer, Level.WARNING)
+    white = capture.transfer.diffuse_white
     clipped, dark, bright = [], [], []
     for number in numbers:
         frame = capture.frame(number)
         largest = frame.rgb.max(axis=2)
         clipped.append(float(frame.clipped.mean()))
-        dark.append(float((largest < _BLACK).mean()))
+        dark.append(float((largest < _BLACK * white).mean()))
         bright.append(float(np.percentile(largest, 99)))
-        findings += _findings_from_frame(frame, f"frame {number}")
-    findings += _findings_from_range(max(bright))
+        findings += _findings_from_frame(frame, f"frame {number}", white)
+    findings += _findings_from_range(max(bright) / white)
     findings += findings_from_capture(capture, rig, mask)
     return CaptureReport(
         info=info,
@@ -93,12 +97,12 @@ def inspect_capture(
     )
 
 
-def _findings_from_frame(frame: LinearFrame, name: str) -> list[Finding]:
-    """Find a frame that shows nothing."""
+def _findings_from_frame(frame: LinearFrame, name: str, white: float) -> list[Finding]:
+    """Find a frame that shows nothing. white: the light of a diffuse white, a share of full scale."""
     try:
-        require_exposed(frame, name)
+        require_exposed(frame, name, white)
     except BadCapture as problem:
-        brightest = float(frame.rgb.max(initial=0.0))
+        brightest = float(frame.rgb.max(initial=0.0)) / white
         what, _, remedy = str(problem).partition(": ")
         return [
             Finding(
@@ -113,9 +117,12 @@ def _findings_from_frame(frame: LinearFrame, name: str) -> list[Finding]:
     return []
 
 
-def require_exposed(frame: LinearFrame, name: str) -> None:
-    """Raise `BadCapture` for a frame that is black or clipped all over."""
-    brightest = float(frame.rgb.max(initial=0.0))
+def require_exposed(frame: LinearFrame, name: str, white: float = 1.0) -> None:
+    """Raise `BadCapture` for a frame that is black or clipped all over.
+
+    white: the light of a diffuse white, as a share of full scale.
+    """
+    brightest = float(frame.rgb.max(initial=0.0)) / white
     if brightest < _BLACK:
         raise BadCapture(
             f"{name} is black: its brightest value is {brightest:.2%} of full scale; are the lights on and "
@@ -165,18 +172,7 @@ def _findings_from_info(info: CaptureInfo) -> list[Finding]:
                 remedy="keep masks and thumbnails in another folder",
             )
         )
-    if info.chroma == "grey":
-        findings.append(
-            Finding(
-                check="grey",
-                level=Level.FATAL,
-                problem="the footage is grey",
-                measured="one channel",
-                expected="three",
-                remedy="three coloured lights need a colour camera",
-            )
-        )
-    elif info.chroma in _CHROMA_COST_DEG:
+    if info.chroma in _CHROMA_COST_DEG:
         cost = _CHROMA_COST_DEG[info.chroma]
         findings.append(
             Finding(
@@ -213,20 +209,48 @@ def _findings_from_info(info: CaptureInfo) -> list[Finding]:
     return findings
 
 
-def _findings_from_transfer(info: CaptureInfo, transfer: Transfer) -> list[Finding]:
-    if transfer.curve is not TransferCurve.LINEAR:
+def _findings_from_channels(info: CaptureInfo) -> list[Finding]:
+    if info.chroma != "grey":
         return []
-    if info.stated_transfer not in ("", "linear"):
-        return [
-            Finding(
-                check="transfer",
-                level=Level.WARNING,
-                problem=f"the file states the transfer curve {info.stated_transfer} but is read as linear",
-                measured="linear",
-                expected=info.stated_transfer,
-                remedy=f"give --transfer {info.stated_transfer}",
-            )
-        ]
+    return [
+        Finding(
+            check="grey",
+            level=Level.FATAL,
+            problem="the footage is grey",
+            measured="one channel",
+            expected="three",
+            remedy="three coloured lights need a colour camera",
+        )
+    ]
+
+
+def _findings_from_tag(info: CaptureInfo, transfer: Transfer, level: Level) -> list[Finding]:
+    """Find a transfer curve that the file states and that it is not read with.
+
+    No tag can state a camera's own logarithm: such files say bt709, or nothing.
+    """
+    stated, used = info.stated_transfer, transfer.to_text()
+    if not stated or stated == used or transfer.is_camera_log:
+        return []
+    return [
+        Finding(
+            check="tag",
+            level=level,
+            problem=f"the file states the transfer curve {stated}, the rig's is {used}"
+            if level is Level.FATAL
+            else f"the file states the transfer curve {stated} but is read as {used}",
+            measured=stated,
+            expected=used,
+            remedy="film as the rig was calibrated, or calibrate as it was filmed"
+            if level is Level.FATAL
+            else "leave --transfer out, unless the tag is known to be wrong",
+        )
+    ]
+
+
+def _findings_from_transfer(info: CaptureInfo, transfer: Transfer) -> list[Finding]:
+    if transfer.curve is not TransferCurve.LINEAR or info.stated_transfer:
+        return []
     if info.codec in _CAMERA_CODECS:
         return [
             Finding(
@@ -243,6 +267,8 @@ def _findings_from_transfer(info: CaptureInfo, transfer: Transfer) -> list[Findi
 
 def _findings_from_clipping(frames: Sequence[LinearFrame], mask: Mask | None) -> list[Finding]:
     """Find how much of the subject, or of the picture without a mask, is clipped."""
+    if not frames:
+        return []
     share = float(np.mean([(f.clipped if mask is None else f.clipped[mask]).mean() for f in frames]))
     if not share > _CLIPPED_TOO_MUCH:
         return []
@@ -288,23 +314,36 @@ def findings_from_capture(
     (h, w) where the surface is. numbers: the frames that matter, default all; a few of them are read. Raises
     `BadCapture` for a frame that cannot be read.
     """
-    numbers = numbers or range(len(capture))
-    chosen = [n for n in frames_to_compare(capture, numbers) if n not in capture.info.missing]
-    frames = [capture.frame(number) for number in chosen]
-    if not frames:
-        return []
-    findings = _findings_from_clipping(frames, mask)
+    frames = _frames_to_judge(capture, numbers)
+    findings = _findings_from_channels(capture.info) + _findings_from_clipping(frames, mask)
+    if capture.info.chroma == "grey" or not frames:
+        return findings
     if rig is not None:
+        findings += _findings_from_tag(capture.info, capture.transfer, Level.FATAL)
         findings += findings_from_rig(rig)
         height, width = frames[0].shape
         if (width, height) != (rig.camera.width, rig.camera.height):
             return [*findings, _other_size(width, height, rig)]
         few = [frames[k] for k in sorted({0, len(frames) // 2, len(frames) - 1})]
-        evidence = evidence_from_frames(few, rig, capture.options.transfer, mask)
+        evidence = evidence_from_frames(few, rig, capture.transfer, mask)
         if min(evidence.light.shape[1:3]) >= _NARROWEST_PX:
             findings += findings_from_evidence(evidence)
     drift = drift_of_static_part(frames) if len(frames) > 1 else None
     return findings if drift is None else [*findings, drift.to_finding()]
+
+
+def findings_from_calibration_footage(
+    capture: Capture, mask: Mask | None = None, numbers: range | None = None
+) -> list[Finding]:
+    """Check footage to calibrate on: channels, clipping inside `mask` (h, w), and the curve it states."""
+    clipping = _findings_from_clipping(_frames_to_judge(capture, numbers), mask)
+    tag = _findings_from_tag(capture.info, capture.transfer, Level.WARNING)
+    return [*_findings_from_channels(capture.info), *clipping, *tag]
+
+
+def _frames_to_judge(capture: Capture, numbers: range | None) -> list[LinearFrame]:
+    chosen = frames_to_compare(capture, numbers or range(len(capture)))
+    return [capture.frame(number) for number in chosen if number not in capture.info.missing]
 
 
 def _other_size(width: int, height: int, rig: Rig) -> Finding:

@@ -277,7 +277,10 @@ class ColourEntry(_Entry):
     """How stored values are converted to linear light."""
 
     order: Literal["rgb"] = Field(default="rgb", description="Order of the channels in the matrix.")
-    transfer: str = Field(default="linear", description="linear, srgb, bt709 or gamma:G.")
+    transfer: str = Field(
+        default="linear",
+        description="linear, srgb, bt709, gamma:G, pq, hlg, slog3, vlog, clog3 or logc3.",
+    )
     black_level: _Fraction = Field(
         default=0.0, description="Linear value that means no light, 0 to 1 of full scale."
     )

@@ -18,6 +18,8 @@ from vntoolkit.calibration.lights import (
     with_light_colours,
 )
 from vntoolkit.calibration.sphere import SphereCalibration, SphereOptions, fit_response_to_sphere
+from vntoolkit.diagnosis.finding import judge
+from vntoolkit.diagnosis.inspection import findings_from_calibration_footage
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.board_layout import BoardLayout
 from vntoolkit.geometry.camera import Camera
@@ -41,20 +43,22 @@ class CalibrationJob:
     """What a calibration reads.
 
     source: footage of the calibration object. mask: image, white where the object is. background: image under
-    ambient light only. transfer: curve of the footage. camera: a rig.json whose camera is taken. focal_px:
-    focal length in pixels of a pinhole camera instead; with neither the camera is orthographic (ball) or
-    fitted (board). single_light: photographs of one material under the red, the green and the blue light
-    alone, or empty. frames: which frames count.
+    ambient light only. transfer: curve of the footage, None for the one that it states, else linear. camera:
+    a rig.json whose camera is taken. focal_px: focal length in pixels of a pinhole camera instead; with
+    neither the camera is orthographic (ball) or fitted (board). single_light: photographs of one material
+    under the red, the green and the blue light alone, or empty. frames: which frames count. allow: checks
+    whose fatal findings do not stop the calibration.
     """
 
     source: str
     mask: Path | None = None
     background: Path | None = None
-    transfer: Transfer = field(default_factory=Transfer)
+    transfer: Transfer | None = None
     camera: Path | None = None
     focal_px: float | None = None
     single_light: tuple[Path, ...] = ()
     frames: FrameRange = field(default_factory=FrameRange)
+    allow: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.camera is not None and self.focal_px is not None:
@@ -67,6 +71,11 @@ class CalibrationJob:
         """
         options = CaptureOptions(transfer=self.transfer, background=self.background, gaps=gaps)
         return open_capture(source or self.source, options)
+
+    def judge(self, capture: Capture, mask: Mask | None = None) -> None:
+        """Raise `FatalFinding` for footage that no rig can come of. mask: (h, w) of the object."""
+        numbers = self.frames.numbers(capture.info.frame_count)
+        judge(findings_from_calibration_footage(capture, mask, numbers), self.allow)
 
     def camera_for(self, info: CaptureInfo) -> Camera | None:
         """The camera that the user gave, checked against the footage, or None."""
@@ -83,10 +92,11 @@ def calibrate_sphere(job: CalibrationJob, options: SphereOptions) -> tuple[Rig, 
     """Fit a rig to footage of a ball at rest; the frames are averaged."""
     capture = job.open()
     info = capture.info
+    mask = None if job.mask is None else read_mask(job.mask, size=(info.width, info.height))
+    job.judge(capture, mask)
     camera = job.camera_for(info) or Camera.orthographic(width=info.width, height=info.height)
     numbers = job.frames.numbers(info.frame_count)
     frame = mean_frame(capture.frames(numbers.start, numbers.stop, numbers.step))
-    mask = None if job.mask is None else read_mask(job.mask, size=(info.width, info.height))
     result = fit_response_to_sphere(frame, camera, mask, options, np.random.default_rng(_SEED))
     response = _with_single_lights(job, result.fit.response, mask)
     return _rig(job, capture, camera, response, result.fit.quality), result
@@ -100,6 +110,7 @@ def calibrate_board(
 ) -> tuple[Rig, BoardCalibration]:
     """Fit a rig to footage of a board that is tilted in all directions, in constant memory."""
     capture = job.open()
+    job.judge(capture)
     info = capture.info
     numbers = job.frames.numbers(info.frame_count)
     detector = BoardDetector(layout)
@@ -153,7 +164,7 @@ def calibrate_lights(
     return Rig(
         camera=camera,
         response=response,
-        transfer=job.transfer,
+        transfer=capture.transfer,
         quality=quality,
         sources=tuple(source_file(path) for path in lights.files),
     )
@@ -186,4 +197,4 @@ def _rig(
 ) -> Rig:
     extra = [path for path in (job.mask, job.background, *job.single_light) if path is not None]
     sources: tuple[SourceFile, ...] = tuple(source_file(path) for path in (*capture.info.files, *extra))
-    return Rig(camera=camera, response=response, transfer=job.transfer, quality=quality, sources=sources)
+    return Rig(camera=camera, response=response, transfer=capture.transfer, quality=quality, sources=sources)

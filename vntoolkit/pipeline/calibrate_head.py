@@ -139,6 +139,7 @@ def calibrate_head(
     rng = np.random.default_rng(_SEED)
     clock = _Clock()
     capture = job.open()
+    job.judge(capture)
     given = job.camera_for(capture.info)
     size = (capture.info.width, capture.info.height)
     undistorter = Undistorter(
@@ -187,7 +188,7 @@ def calibrate_head(
     rig = Rig(
         camera=motion.camera if given is None else given,
         response=light.response,
-        transfer=job.transfer,
+        transfer=capture.transfer,
         quality=light.quality,
         sources=tuple(source_file(path) for path in (*capture.info.files, *extra)),
     )

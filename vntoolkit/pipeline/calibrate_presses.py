@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +39,8 @@ class PressJob:
     """What a calibration on presses reads.
 
     source: images, one press each. background: image of the untouched gel. labels: folder of `NAME.txt`, one
-    per image. transfer: curve of the footage. rectification: takes the camera's view to the gel; None where
+    per image. transfer: curve of the footage, None for the one
+    that it states, else linear. rectification: takes the camera's view to the gel; None where
     the images are rectified. label_size: (width, height) of the frame that labels refer to; None for that of
     the images, rectified.
     """
@@ -47,7 +48,7 @@ class PressJob:
     source: str
     background: Path
     labels: Path
-    transfer: Transfer = field(default_factory=Transfer)
+    transfer: Transfer | None = None
     rectification: Rectification | None = None
     label_size: tuple[int, int] | None = None
 
@@ -84,7 +85,7 @@ def calibrate_presses(
     rig = Rig(
         camera=camera,
         response=fit.response,
-        transfer=job.transfer,
+        transfer=capture.transfer,
         quality=fit.quality,
         sources=tuple(source_file(path) for path in (*capture.info.files, job.background)),
     )
@@ -116,7 +117,7 @@ def rectify_capture(
             path.unlink()
         for number, frame in enumerate(capture.frames()):
             rectified = rectify_frame(frame, rectification)
-            encoded = encoded_from_linear(rectified.rgb.astype(np.float64), capture.options.transfer)
+            encoded = encoded_from_linear(rectified.rgb.astype(np.float64), capture.transfer)
             write_png(folder / f"{number:06d}.png", np.round(encoded * 65535).astype(np.uint16))
             on_frame(number + 1, len(capture))
     return len(capture)

@@ -319,6 +319,7 @@ def manifest_of_run(job: ReconstructionJob, capture: Capture, frames: FrameRange
             frame_rate_hz=info.frame_rate_hz,
             numbers=list(info.numbers),
             declared_frame_count=_declared(info),
+            times_s=list(info.times_s),
         ),
         extra_files=extra,
         rig=entry_from_rig(job.rig),

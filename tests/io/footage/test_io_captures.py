@@ -13,7 +13,12 @@ from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.footage.sequence import CaptureKind, find_capture_files
 from vntoolkit.io.footage.video import VideoReader, write_video
 from vntoolkit.io.maps_and_meshes.exr import write_exr
-from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
+from vntoolkit.photometry.transfer import (
+    Transfer,
+    TransferCurve,
+    encoded_from_linear,
+    linear_from_encoded,
+)
 
 
 def _frames(rng, count=12, dtype=np.uint8, size=(36, 48)):
@@ -201,8 +206,10 @@ def test_light_comes_back_through_curve_and_levels(tmp_path, rng, bits, curve):
     stored = np.rint(encoded_from_linear(light, transfer) * (2**bits - 1))
     write_png(tmp_path / "a.png", stored.astype(np.uint8 if bits == 8 else np.uint16))
     frame = open_capture(tmp_path / "a.png", CaptureOptions(transfer=transfer, bits=bits)).frame(0)
-    # Half a stored level, times the steepest slope of the four curves on this range (2.2), over 1 − black.
-    assert np.abs(frame.rgb - light).max() < 0.5 / (2**bits - 1) * 2.2 / 0.95 + 1e-6
+    # Half a stored level, times the curve's steepest slope; all grow steeper towards white.
+    steepest = linear_from_encoded(np.array([0.999, 1.0]), transfer)
+    steepest = (steepest[1] - steepest[0]) / 0.001
+    assert np.abs(frame.rgb - light).max() < 0.5 / (2**bits - 1) * steepest + 1e-6
     assert not frame.clipped.any()
 
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from vntoolkit.arrays import LinearImage
 from vntoolkit.checks import require_in_range, require_positive, require_shape
-from vntoolkit.errors import BadCapture
+from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.files import opened
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
 from vntoolkit.io.footage.frame_range import FrameRange, Gaps
@@ -27,16 +27,17 @@ from vntoolkit.photometry.transfer import Transfer
 class CaptureOptions:
     """How the footage is read.
 
-    transfer: curve and levels of the stored values. background: an image of the scene under ambient light
-    only (path, or linear (h, w, 3) array), subtracted from every frame; None for none. max_megapixels: refuse
-    larger frames before memory is asked for; None for the limit of `reading_limits`. bits: significant bits
+    transfer: curve and levels of the stored values; None for the curve that the file states, else linear.
+    background: an image of the scene under ambient light only (path, or linear (h, w, 3) array), subtracted
+    from every frame; None for none. max_megapixels: refuse larger frames before memory is asked for; None for
+    the limit of `reading_limits`. bits: significant bits
     of an integer sample where the file does not tell (12 for 12-bit values stored in 16-bit PNG); None for
     all. frame_rate_hz: rate of an image sequence, frames per second, if it is known (a video brings its own).
     gaps: what to do where numbers of an image sequence are missing; frames after a gap keep their numbers.
     threads: decoding threads.
     """
 
-    transfer: Transfer = field(default_factory=Transfer)
+    transfer: Transfer | None = None
     background: Path | str | LinearImage | None = None
     max_megapixels: float | None = None
     bits: int | None = None
@@ -64,8 +65,10 @@ class CaptureInfo:
     of the video, or the image format. chroma: `4:4:4`, `4:2:2`, `4:2:0`, `grey`. files: what it consists of.
     numbers: of the frame that each file of a sequence is. missing: names of missing files by frame number.
     left_out: images of the folder that are no frames. promised_frame_count: what the header declares; more
-    than frame_count means that the video is cut off. stated_transfer: the transfer curve that a video states,
-    empty for none.
+    than frame_count means that the video is cut off. stated_transfer: the curve that the file states, as
+    `Transfer` reads it where it can be undone; empty for none. orientation: what was done to turn the
+    frames upright, empty for nothing; width and height are those of the upright picture. times_s: when each
+    frame of a video of varying rate is shown, from the first, in seconds; empty for an even rate.
     """
 
     kind: CaptureKind
@@ -80,19 +83,25 @@ class CaptureInfo:
     files: tuple[Path, ...]
     promised_frame_count: int
     stated_transfer: str = ""
+    orientation: str = ""
+    times_s: tuple[float, ...] = ()
     numbers: tuple[int, ...] = ()
     missing: Mapping[int, str] = field(default_factory=dict)
     left_out: tuple[Path, ...] = ()
 
 
 class Capture:
-    """An opened capture. Frames are decoded one at a time, from any frame on."""
+    """An opened capture. Frames are decoded one at a time, from any frame on.
+
+    transfer: curve and levels that its stored values are read with.
+    """
 
     def __init__(
         self, info: CaptureInfo, options: CaptureOptions, reader: VideoReader | None, name: str
     ) -> None:
         self.info = info
         self.options = options
+        self.transfer = options.transfer or _stated_transfer(info, name)
         self.name = name
         self._reader = reader
         self._background = self._read_background()
@@ -108,11 +117,11 @@ class Capture:
     def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Iterator[LinearFrame]:
         """Yield the linear frames start, start + step, … below stop; raise `BadCapture` on a bad one."""
         for frame in self.encoded_frames(start, stop, step):
-            yield linear_frame_from_encoded(frame, self.options.transfer, self._background)
+            yield linear_frame_from_encoded(frame, self.transfer, self._background)
 
     def frame(self, number: int) -> LinearFrame:
         """Return one linear frame; raise `BadCapture` where its file is missing."""
-        return linear_frame_from_encoded(self.encoded(number), self.options.transfer, self._background)
+        return linear_frame_from_encoded(self.encoded(number), self.transfer, self._background)
 
     def encoded(self, number: int) -> EncodedFrame:
         """Return one frame as stored; raise `BadCapture` where its file is missing."""
@@ -176,7 +185,7 @@ class Capture:
             values = read_image(background, max_megapixels=self.options.max_megapixels)
             bits = _bits(values, self.options, background)
             encoded = EncodedFrame(values=values, bits=bits, number=0, name=name)
-            background = linear_frame_from_encoded(encoded, self.options.transfer).rgb
+            background = linear_frame_from_encoded(encoded, self.transfer).rgb
         require_shape(background, (None, None, 3), name, BadCapture)
         height, width = background.shape[:2]
         if (width, height) != (self.info.width, self.info.height):
@@ -195,7 +204,12 @@ def open_capture(source: Path | str, options: CaptureOptions | None = None) -> C
     options = options or CaptureOptions()
     found = find_capture_files(source)
     if found.kind is CaptureKind.VIDEO:
-        reader = VideoReader(found.files[0], max_megapixels=options.max_megapixels, threads=options.threads)
+        reader = VideoReader(
+            found.files[0],
+            max_megapixels=options.max_megapixels,
+            threads=options.threads,
+            takes_codes=options.transfer is not None and options.transfer.takes_codes,
+        )
         return Capture(_info_of_video(reader), options, reader, str(source))
     if found.missing and options.gaps is Gaps.REFUSE:
         raise BadCapture(
@@ -220,7 +234,19 @@ def _info_of_video(reader: VideoReader) -> CaptureInfo:
         files=(reader.path,),
         promised_frame_count=reader.index.promised,
         stated_transfer=reader.stated_transfer,
+        orientation=reader.orientation.text,
+        times_s=reader.uneven_times_s,
     )
+
+
+def _stated_transfer(info: CaptureInfo, name: str) -> Transfer:
+    try:
+        return Transfer.from_text(info.stated_transfer or "linear")
+    except BadInput as problem:
+        raise BadCapture(
+            f"{name}: states the transfer curve {info.stated_transfer}, which is not read; convert the "
+            "footage, or give --transfer with the curve that is meant"
+        ) from problem
 
 
 def _info_of_images(found: CaptureFiles, options: CaptureOptions) -> CaptureInfo:
@@ -240,6 +266,8 @@ def _info_of_images(found: CaptureFiles, options: CaptureOptions) -> CaptureInfo
         chroma="grey" if header.channels < 3 else header.chroma,
         files=files,
         promised_frame_count=found.numbers[-1] + 1,
+        stated_transfer=header.stated_transfer,
+        orientation=header.orientation.text,
         numbers=found.numbers,
         missing=found.missing,
         left_out=found.left_out,

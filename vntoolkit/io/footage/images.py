@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import logging
 import math
 import os
+import shlex
 import struct
 import zlib
 from dataclasses import dataclass
@@ -20,6 +22,7 @@ from vntoolkit.arrays import Mask
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.atomic import write_bytes
 from vntoolkit.io.files import opened
+from vntoolkit.io.footage.orientation import UPRIGHT, Orientation
 from vntoolkit.io.limits import require_pixels
 from vntoolkit.io.maps_and_meshes import exr
 from vntoolkit.io.maps_and_meshes.exr import read_exr
@@ -31,6 +34,14 @@ _PIECE_BYTES = 1 << 20
 _PNG = b"\x89PNG\r\n\x1a\n"
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _BY_PILLOW = {"PNG": _PNG, "JPEG": b"\xff\xd8", "BMP": b"BM"}
+# TIFF and EXIF tags, and values of theirs
+_SUBFILE_TYPE, _REDUCED = 254, 1
+_PHOTOMETRIC, _PHOTOMETRIC_READ = 262, (1, 2, 3)  # black is zero, RGB, palette
+_PHOTOMETRIC_NAMES = {
+    0: "grey with white as zero", 4: "a transparency mask", 5: "CMYK", 6: "YCbCr", 8: "CIELAB", 9: "ICCLAB",
+    10: "ITULAB", 32803: "a Bayer mosaic", 32844: "LogL", 32845: "LogLuv",
+}  # fmt: skip
+_ORIENTATION, _EXIF_IFD, _COLOUR_SPACE, _SRGB = 274, 0x8769, 0xA001, 1
 # sampling factors of luma: chroma's own are 1 × 1 in practice
 _JPEG_CHROMA = {(2, 2): "4:2:0", (2, 1): "4:2:2", (1, 2): "4:4:0", (4, 1): "4:1:1"}
 
@@ -157,6 +168,8 @@ def _decode(
     if pixels is None:
         raise error(f"{path}: the {header.format} file is damaged or cut off")
     pixels = _sound_samples(pixels, header, path, error)
+    if header.format != "TIFF":  # which OpenCV itself turns upright, and no other
+        pixels = header.orientation.upright(pixels)
     if pixels.ndim == 3 and pixels.shape[2] >= 3:
         order = cv2.COLOR_BGR2RGB if pixels.shape[2] == 3 else cv2.COLOR_BGRA2RGBA
         pixels = cv2.cvtColor(pixels, order)
@@ -228,7 +241,12 @@ def _require_opaque(alpha: npt.NDArray[Any], path: Path | str, error: type[BadIn
 
 @dataclass(frozen=True, kw_only=True)
 class ImageHeader:
-    """Format name, size in pixels, channels (alpha included), bits per sample, chroma subsampling (JPEG)."""
+    """What an image file states.
+
+    format: its name. width, height: as stored, pixels. channels: alpha included. bits: per sample. chroma:
+    subsampling (JPEG). orientation: what turns the picture upright. stated_transfer: curve, as `Transfer`
+    reads it, empty for none.
+    """
 
     format: str
     width: int
@@ -237,6 +255,8 @@ class ImageHeader:
     bits: int
     floating: bool = False
     chroma: str = "4:4:4"
+    orientation: Orientation = UPRIGHT
+    stated_transfer: str = ""
 
 
 # Size and sample depth of an image from its first bytes, before any pixel is decoded.
@@ -299,6 +319,7 @@ def _by_pillow(data: bytes, format_name: str) -> ImageHeader:
     chroma = "4:4:4"
     if isinstance(image, JpegImagePlugin.JpegImageFile) and image.layers == 3:
         chroma = _JPEG_CHROMA.get((image.layer[0][1], image.layer[0][2]), chroma)
+    orientation, transfer = _stated_by(image)
     return ImageHeader(
         format=format_name,
         width=image.width,
@@ -306,7 +327,24 @@ def _by_pillow(data: bytes, format_name: str) -> ImageHeader:
         channels=3 if image.mode == "P" else len(image.getbands()),
         bits=16 if image.tile and "16" in str(image.tile[0][3]) else 8,
         chroma=chroma,
+        orientation=orientation,
+        stated_transfer=transfer,
     )
+
+
+def _stated_by(image: Any) -> tuple[Orientation, str]:
+    """Return the orientation and the transfer curve that EXIF data and PNG chunks state."""
+    value, is_srgb = 1, "srgb" in image.info
+    # without this test, Pillow decodes the whole PNG to look for EXIF data behind the picture
+    if "exif" in image.info:
+        with contextlib.suppress(struct.error, ValueError, KeyError, TypeError, SyntaxError, OSError):
+            exif = image.getexif()
+            value = exif.get(_ORIENTATION, 1)
+            is_srgb = is_srgb or exif.get_ifd(_EXIF_IFD).get(_COLOUR_SPACE) == _SRGB
+    gamma = image.info.get("gamma")
+    transfer = "srgb" if is_srgb else f"gamma:{1 / gamma:.3g}" if gamma else ""
+    upright = Orientation.from_exif(value) if isinstance(value, int) else UPRIGHT
+    return upright, "linear" if transfer == "gamma:1" else transfer
 
 
 def _require_sound_chunks(stream: BinaryIO, name: str, error: type[BadInput]) -> None:
@@ -337,6 +375,7 @@ def _tiff(stream: BinaryIO, name: str, error: type[BadInput]) -> ImageHeader:
         stream.seek(0)
         with tifffile.TiffFile(stream) as tiff:
             page: Any = tiff.pages[0]
+            _require_one_colour_picture(tiff, name, error)
             bits = page.bitspersample
             if page.samplesperpixel > 1 and page.planarconfig != 1:  # OpenCV takes them as interleaved
                 raise error(
@@ -349,6 +388,21 @@ def _tiff(stream: BinaryIO, name: str, error: type[BadInput]) -> ImageHeader:
                 channels=int(page.samplesperpixel),
                 bits=int(bits[0] if isinstance(bits, tuple) else bits),
                 floating=page.sampleformat == 3,
+                orientation=Orientation.from_exif(int(page.tags.valueof(_ORIENTATION, 1))),
             )
     except (tifffile.TiffFileError, AttributeError, TypeError, OverflowError) as problem:
         raise ValueError(str(problem)) from problem
+
+
+def _require_one_colour_picture(tiff: Any, name: str, error: type[BadInput]) -> None:
+    """Refuse what would be read as other colours than it holds, and pages that would be passed over."""
+    whole = [page for page in tiff.pages if not int(page.tags.valueof(_SUBFILE_TYPE, 0)) & _REDUCED]
+    if len(whole) > 1:
+        raise error(
+            f"{name}: holds {len(whole)} pages, expected one picture a file; split it, for example: "
+            f"tiffsplit {shlex.quote(Path(name).name)} page_"
+        )
+    stored = int(tiff.pages[0].tags.valueof(_PHOTOMETRIC, 1))
+    if stored not in _PHOTOMETRIC_READ:
+        kind = _PHOTOMETRIC_NAMES.get(stored, f"photometric {stored}")
+        raise error(f"{name}: is stored as {kind}, expected RGB or grey with black as zero; save it so")

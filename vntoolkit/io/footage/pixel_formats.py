@@ -63,12 +63,15 @@ class PixelFormat:
         return self.name.startswith("gbrp") and self.name.endswith("le")
 
 
-def rgb_from_video_frame(frame: Any, pixel_format: PixelFormat, *, hd: bool) -> npt.NDArray[Any]:
+def rgb_from_video_frame(
+    frame: Any, pixel_format: PixelFormat, *, hd: bool, takes_codes: bool = False
+) -> npt.NDArray[Any]:
     """Return (h, w, 3) RGB, uint8 or uint16, of a decoded frame.
 
     The YUV matrix and range are those that the stream states; where it states no matrix, BT.709 for a picture
     of 720 lines or more (`hd`) and BT.601 below, as players do. Rounding is accurate and chroma is
-    interpolated at full resolution, so that 4:4:4 is exact to one level.
+    interpolated at full resolution, so that 4:4:4 is exact to one level. takes_codes: full scale of YUV is
+    the largest code, whatever the range; the samples are uint16.
     """
     from av.video.reformatter import Interpolation
 
@@ -77,9 +80,10 @@ def rgb_from_video_frame(frame: Any, pixel_format: PixelFormat, *, hd: bool) -> 
     is_yuv = not pixel_format.is_rgb and not pixel_format.is_grey
     accurate = Interpolation.BICUBIC | Interpolation.ACCURATE_RND
     accurate |= Interpolation.FULL_CHR_H_INT | Interpolation.FULL_CHR_H_INP
-    if is_yuv and pixel_format.bits > 8:
-        full = frame.reformat(format=f"yuv444p{pixel_format.bits}le", interpolation=accurate, threads=1)
-        return rgb_from_deep_yuv(full, frame, pixel_format.bits, hd=hd)
+    if is_yuv and (pixel_format.bits > 8 or takes_codes):
+        name = f"yuv444p{pixel_format.bits}le" if pixel_format.bits > 8 else "yuv444p"
+        full = frame.reformat(format=name, interpolation=accurate, threads=1)
+        return rgb_from_planar_yuv(full, frame, pixel_format.bits, hd=hd, takes_codes=takes_codes)
     target = "rgb24" if pixel_format.decoded_bits == 8 else "rgb48le"
     arguments: dict[str, Any] = {"threads": 1}
     if is_yuv:
@@ -89,19 +93,25 @@ def rgb_from_video_frame(frame: Any, pixel_format: PixelFormat, *, hd: bool) -> 
     return np.ascontiguousarray(frame.reformat(format=target, **arguments).to_ndarray())
 
 
-def rgb_from_deep_yuv(frame: Any, source: Any, bits: int, *, hd: bool) -> npt.NDArray[np.uint16]:
+def rgb_from_planar_yuv(
+    frame: Any, source: Any, bits: int, *, hd: bool, takes_codes: bool = False
+) -> npt.NDArray[np.uint16]:
     """Return (h, w, 3) uint16 RGB, 65535 = full scale, of a planar 4:4:4 frame of `bits` bits.
 
     Matrix and range are taken from `source`, the frame as decoded; where it states no matrix, BT.709 for a
     picture of 720 lines or more (`hd`), else BT.601. Exact to half a level; FFmpeg's own conversion, three
     times as fast, puts the white of 10 bits at 65283 instead of 65535, so clipped pixels would pass as sound.
+    takes_codes: as for `rgb_from_video_frame`.
     """
     colour_space = int(source.colorspace)
     if colour_space == _UNSPECIFIED or colour_space not in _LUMA_WEIGHTS:
         colour_space = 1 if hd else 5
-    full_range = int(source.color_range) == _FULL_RANGE
+    full_range = int(source.color_range) == _FULL_RANGE or source.format.name.startswith("yuvj")
     matrix, offset = _rgb_from_yuv(*_LUMA_WEIGHTS[colour_space], bits=bits, full_range=full_range)
-    planes = [_plane(frame, i) for i in range(3)]
+    if takes_codes and not full_range:  # black is code 16 and white 235 of 8 bits, and alike of more
+        top = 2**bits - 1
+        matrix, offset = matrix * (219 * 2 ** (bits - 8) / top), (offset * 219 + 16) * (2 ** (bits - 8) / top)
+    planes = [_plane(frame, i, np.dtype(np.uint8 if bits == 8 else np.uint16)) for i in range(3)]
     rgb = np.empty((frame.height, frame.width, 3), dtype=np.uint16)
     _apply(planes[0], planes[1], planes[2], matrix * 65535.0, offset * 65535.0, rgb)
     return rgb
@@ -123,10 +133,10 @@ def _rgb_from_yuv(k_red: float, k_blue: float, *, bits: int, full_range: bool) -
     return matrix, -matrix @ np.array([black, 128 * step, 128 * step], dtype=np.float64)
 
 
-def _plane(frame: Any, index: int) -> npt.NDArray[np.uint16]:
+def _plane(frame: Any, index: int, kind: np.dtype[Any]) -> npt.NDArray[Any]:
     plane = frame.planes[index]
-    rows = np.frombuffer(plane, np.uint16).reshape(-1, plane.line_size // 2)
-    return rows[: frame.height, : frame.width]
+    rows = np.frombuffer(plane, kind).reshape(-1, plane.line_size // kind.itemsize)
+    return rows[: plane.height, : plane.width]
 
 
 @njit(cache=True, nogil=True)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import re
+import shlex
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterable, Iterator
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
@@ -21,6 +23,7 @@ from vntoolkit.checks import require_in_range
 from vntoolkit.errors import BadCapture, CannotWrite
 from vntoolkit.io.atomic import atomic_path
 from vntoolkit.io.files import require_file
+from vntoolkit.io.footage.orientation import UPRIGHT, Orientation
 from vntoolkit.io.footage.pixel_formats import PixelFormat, rgb_from_video_frame
 from vntoolkit.io.limits import require_pixels
 from vntoolkit.native import njit
@@ -30,17 +33,28 @@ _INDICES: dict[tuple[str, int, int], VideoIndex] = {}  # of files by path, size 
 _MOST_INDICES = 8
 _WITHOUT_INDEX = ("mpegts", "mpeg")  # of camcorders: FFmpeg finds a time in them, but no key frame
 _EARLY_S = 1  # more than a key frame is decoded ahead of its time
-# AVCOL_TRC_* that a stream may state, in our words; BT.601 and BT.2020 share BT.709's curve.
+# AVCOL_TRC_* that a stream may state, in our words; BT.601, xvYCC and BT.2020 share BT.709's curve.
 _TRANSFER_NAMES = {
     1: "bt709",
     4: "gamma:2.2",
     5: "gamma:2.8",
     6: "bt709",
+    7: "smpte240m",
     8: "linear",
+    9: "log 100:1",
+    10: "log 316:1",
+    11: "bt709",
+    12: "bt1361",
     13: "srgb",
     14: "bt709",
     15: "bt709",
+    16: "pq",
+    17: "smpte428",
+    18: "hlg",
 }
+_FIRST_INTERLACED = 2  # AVFieldOrder: 0 unknown, 1 progressive, then four orders of fields
+_MOST_REORDERED = 16  # frames that H.264 and HEVC may hold back
+_UNEVEN_S = 0.002  # a clock of milliseconds rounds by less
 _logger = logging.getLogger(__name__)
 _FOOTER_BYTES = 8
 _POLYNOMIAL = 0x04C11DB7
@@ -52,10 +66,18 @@ class VideoReader:
     8-bit sources give uint8; deeper ones uint16, whose full scale is `2**bits - 1`. Frames are counted by
     their packets, so the number of a frame does not depend on a frame rate in the header. A decoder that came
     to the end of what it was asked for waits there, so that going on costs no seek: cameras write a key frame
-    every few seconds, and all frames since then would be decoded again.
+    every few seconds, and all frames since then would be decoded again. Frames come upright, whatever way the
+    camera was held. takes_codes: as for `Transfer`. Raises `BadCapture` for interlaced video.
     """
 
-    def __init__(self, path: Path | str, *, max_megapixels: float | None = None, threads: int = 2) -> None:
+    def __init__(
+        self,
+        path: Path | str,
+        *,
+        max_megapixels: float | None = None,
+        threads: int = 2,
+        takes_codes: bool = False,
+    ) -> None:
         self.path = require_file(path, BadCapture)
         self.threads = threads
         # (number of its next frame, decoder); a deque, whose pop gives it to one thread alone
@@ -68,17 +90,56 @@ class VideoReader:
             require_pixels(context.width, context.height, max_megapixels, str(self.path), BadCapture)
             if not context.pix_fmt:
                 raise BadCapture(f"{self.path}: no frame can be decoded; the file is damaged or cut off")
-            self.width, self.height = int(context.width), int(context.height)
+            self._stored_size = (int(context.width), int(context.height))
             self.codec = str(context.codec.name)
             self.stated_transfer = _TRANSFER_NAMES.get(int(context.color_trc or 0), "")
             self.pixel_format = PixelFormat.from_av(context.format)
+            self.takes_codes = takes_codes and not (self.pixel_format.is_rgb or self.pixel_format.is_grey)
+            self._is_in_order = bool(context.has_b_frames) and container.format.name == "avi"
             rate = stream.average_rate or stream.guessed_rate or Fraction(30)
             self.frame_rate_hz = float(rate)
+            self._time_base_s = float(stream.time_base)
+            self._require_progressive(int(context.field_order or 0) >= _FIRST_INTERLACED)
+            self.orientation = self._stated_orientation(container)
+        turned = -1 if self.orientation.transposed else 1
+        self.width, self.height = self._stored_size[::turned]
 
     @property
     def bits(self) -> int:
         """Significant bits of the samples that `frames` yields."""
-        return self.pixel_format.decoded_bits
+        return 16 if self.takes_codes else self.pixel_format.decoded_bits
+
+    @property
+    def uneven_times_s(self) -> tuple[float, ...]:
+        """When each frame is shown, seconds from the first, where the rate varies; else nothing."""
+        times = np.array(self.index.times, np.float64) * self._time_base_s
+        even = np.linspace(times[0], times[-1], len(times))
+        if np.abs(times - even).max() <= max(_UNEVEN_S, 1.5 * self._time_base_s):
+            return ()
+        return tuple(np.round(times - times[0], 6).tolist())
+
+    def _require_progressive(self, is_interlaced: bool) -> None:
+        if is_interlaced:
+            raise BadCapture(
+                f"{self.path}: is interlaced: odd and even lines were filmed at different moments; "
+                f"deinterlace it first: ffmpeg -i {shlex.quote(str(self.path))} -vf bwdif -c:v ffv1 "
+                f"{shlex.quote(self.path.stem + '_progressive.mkv')}"
+            )
+
+    def _stated_orientation(self, container: Any) -> Orientation:
+        """Return what the first frame states; a frame that cannot be decoded is reported in its turn."""
+        with contextlib.suppress(*av_errors()):
+            frame: Any = next(container.decode(video=0), None)
+            for data in () if frame is None else frame.side_data:
+                if data.type.name == "DISPLAYMATRIX":
+                    found = Orientation.from_display_matrix(bytes(data))
+                    if found is None:
+                        raise BadCapture(
+                            f"{self.path}: is to be shown turned by {frame.rotation}°, expected 0, 90, 180 "
+                            "or 270; turn it in a video editor first"
+                        )
+                    return found
+        return UPRIGHT
 
     @cached_property
     def index(self) -> VideoIndex:
@@ -91,6 +152,8 @@ class VideoReader:
             with container:
                 checked = self.codec == "ffv1"
                 index = index_of_stream(container, stream, str(self.path), has_checksums=checked)
+            if self._is_in_order:  # its times tell when a frame is decoded, not when it is shown
+                index = replace(index, key_frames=(0,))
             if len(_INDICES) >= _MOST_INDICES:
                 _INDICES.clear()
             _INDICES[known] = index
@@ -129,6 +192,8 @@ class VideoReader:
             next_number, decoded = self._waiting.pop()
             if self.index.key_frame_before(start) <= next_number <= start:
                 return decoded
+        if self._is_in_order:
+            return zip(self.index.times, (frame for _, frame in self._decoded(None)), strict=False)
         return self._decoded(self.index.times[self.index.key_frame_before(start)] if start else None)
 
     def _frame_shown_at(self, time: int, number: int, decoded: Iterator[tuple[int | None, Any]]) -> Any:
@@ -165,13 +230,18 @@ class VideoReader:
     def _rgb(self, frame: Any, number: int) -> npt.NDArray[Any]:
         if frame.is_corrupt:
             raise self._damaged(number, "the decoder calls it corrupt")
-        if (frame.width, frame.height) != (self.width, self.height):
+        width, height = self._stored_size
+        if (frame.width, frame.height) != (width, height):
             raise BadCapture(
                 f"{self.path}: frame {number} is {frame.width}×{frame.height}, the first one "
-                f"{self.width}×{self.height}: a capture has one size"
+                f"{width}×{height}: a capture has one size"
             )
+        self._require_progressive(frame.interlaced_frame)
         try:
-            return rgb_from_video_frame(frame, self.pixel_format, hd=self.height >= _HD_HEIGHT)
+            rgb = rgb_from_video_frame(
+                frame, self.pixel_format, hd=height >= _HD_HEIGHT, takes_codes=self.takes_codes
+            )
+            return self.orientation.upright(rgb)
         except av_errors() as error:
             raise self._damaged(number, f"its colours cannot be converted ({reason_of(error)})") from error
 
@@ -286,8 +356,13 @@ class _Packets:
 def index_of_stream(container: Any, stream: Any, name: str, *, has_checksums: bool) -> VideoIndex:
     """Index an opened video. has_checksums: the codec is FFV1, whose slices may carry them."""
     packets = _Packets()
+    latest_s = 0.0  # that any stream reaches
     try:
-        for packet in container.demux(stream):
+        for packet in container.demux():
+            if packet.pts is not None and packet.time_base:
+                latest_s = max(latest_s, float((packet.pts + (packet.duration or 0)) * packet.time_base))
+            if packet.stream_index != stream.index:
+                continue
             if packet.pts is not None and not packet.is_corrupt and not packet.is_discard:
                 check = check_slices(packet) if has_checksums else None
                 packets.frames.append((packet.pts, packet.is_keyframe, check))
@@ -299,7 +374,11 @@ def index_of_stream(container: Any, stream: Any, name: str, *, has_checksums: bo
     times = [time for time, _, _ in packets.frames]
     if not times:
         raise BadCapture(f"{name}: the video holds no frame")
-    missing = _missing_frames(container, stream, times)
+    missing = _missing_frames(container, stream, times, latest_s)
+    if (missing or packets.broken) and stream.codec_context.has_b_frames:
+        whole = _frames_before_gap(times)
+        del packets.frames[whole:], times[whole:]
+        missing = _missing_frames(container, stream, times, latest_s)
     # that a file carries checksums at all is read off the first right one: by chance there is none
     is_checked = any(check is not None and check.sound for _, _, check in packets.frames)
     return VideoIndex(
@@ -322,20 +401,48 @@ def _damaged_frames(packets: _Packets) -> frozenset[int]:
     return frozenset(damaged)
 
 
-def _missing_frames(container: Any, stream: Any, times: list[int]) -> int:
+def _missing_frames(container: Any, stream: Any, times: list[int], latest_s: float) -> int:
     """Return how many frames the header promises beyond those in `times`; 0 where it says nothing.
 
-    Matroska gives no count but a duration; the container's is the longest of its streams', so it counts only
-    for a file with one stream. Time is compared, not rate × duration: the rate may vary.
+    Matroska gives no count but durations: the tags of mkvmerge and FFmpeg give the stream's; the container's
+    is the longest of its streams', so it counts only where no stream reaches it. latest_s: the end of the
+    last packet of any stream. Time is compared, not rate × duration: the rate may vary.
     """
-    if stream.frames:
-        return max(0, int(stream.frames) - len(times))
+    stated = stream.metadata.get("NUMBER_OF_FRAMES", "")
+    declared = int(stream.frames) or (int(stated) if stated.isdecimal() else 0)
+    if declared:
+        return max(0, declared - len(times))
     rate = stream.average_rate or stream.guessed_rate
-    if not (container.duration and rate and times and len(container.streams) == 1):
+    if not (rate and times):
         return 0
-    start_s = max(0, container.start_time or 0) / 1e6
+    start_s, end_s = 0.0, _seconds_from_tag(stream.metadata.get("DURATION", ""))
+    if end_s is None:
+        if not container.duration:
+            return 0
+        start_s = max(0, container.start_time or 0) / 1e6
+        end_s = start_s + container.duration / 1e6
+        if len(container.streams) > 1 and latest_s > end_s - 0.5 / float(rate):
+            return 0
     last_end_s = float(times[-1] * stream.time_base) + 1 / float(rate)
-    return max(0, round((start_s + container.duration / 1e6 - last_end_s) * float(rate)))
+    return max(0, round((end_s - last_end_s) * float(rate)))
+
+
+def _seconds_from_tag(text: str) -> float | None:
+    """Parse Matroska's `00:01:02.345000000`; None for any other text."""
+    found = re.fullmatch(r"(\d+):(\d+):(\d+(?:\.\d+)?)", text.strip())
+    return None if found is None else 3600 * int(found[1]) + 60 * int(found[2]) + float(found[3])
+
+
+def _frames_before_gap(times: list[int]) -> int:
+    """Return how many frames come before a gap in the tail of a cut-off file.
+
+    A frame is stored before those that are shown earlier and build on it: where these are cut off, it came
+    but is not the next one.
+    """
+    steps = np.diff(times)
+    wide = np.flatnonzero(steps > 1.5 * np.median(steps)) if len(steps) else steps
+    tail = wide[wide >= len(times) - _MOST_REORDERED]
+    return int(tail[0]) + 1 if len(tail) else len(times)
 
 
 @dataclass(frozen=True, kw_only=True)

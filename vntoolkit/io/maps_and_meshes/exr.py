@@ -45,12 +45,21 @@ class ExrCompression(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class ExrHeader:
-    """What the header says: size in pixels, channel names and the text attributes."""
+    """What the header says: size in pixels, channel names and the text attributes.
+
+    width, height: of the display window, the whole picture. left, top: where in it the stored pixels begin,
+    below 0 where they begin before it. parts: how many pictures the file holds.
+    """
 
     width: int
     height: int
     channels: tuple[str, ...]
     texts: Mapping[str, str]
+    stored_width: int
+    stored_height: int
+    left: int = 0
+    top: int = 0
+    parts: int = 1
 
 
 def read_exr_header(data: bytes, name: str, error: type[BadInput] = BadInput) -> ExrHeader:
@@ -59,13 +68,20 @@ def read_exr_header(data: bytes, name: str, error: type[BadInput] = BadInput) ->
 
     try:
         with silenced_native_output():
-            header = OpenEXR.File(io.BytesIO(data), header_only=True).header()
+            file = OpenEXR.File(io.BytesIO(data), header_only=True)
+            header = file.header()
     except (RuntimeError, ValueError, TypeError) as problem:
         raise error(f"{name}: the EXR header is damaged or cut off") from problem
     (x0, y0), (x1, y1) = (corner.tolist() for corner in header["dataWindow"])
+    (left, top), (right, bottom) = (corner.tolist() for corner in header["displayWindow"])
     return ExrHeader(
-        width=x1 - x0 + 1,
-        height=y1 - y0 + 1,
+        width=right - left + 1,
+        height=bottom - top + 1,
+        stored_width=x1 - x0 + 1,
+        stored_height=y1 - y0 + 1,
+        left=x0 - left,
+        top=y0 - top,
+        parts=len(file.parts),
         channels=tuple(channel.name for channel in header["channels"]),
         texts={key: value for key, value in header.items() if isinstance(value, str)},
     )
@@ -76,7 +92,8 @@ def read_exr(
 ) -> tuple[dict[str, npt.NDArray[Any]], Mapping[str, str]]:
     """Read all channels as (h, w) arrays of their own type, and the text attributes of the header.
 
-    Values are returned as stored: NaN is the caller's business. Raises `error` with one line.
+    (h, w) is the display window, the whole picture; it is 0 where no pixel is stored. Values are returned as
+    stored: NaN is the caller's business. Raises `error` with one line, also for a file of several parts.
     """
     import OpenEXR
 
@@ -90,11 +107,17 @@ def read_exr(
                 f"{path}: has {len(header.channels)} channels, at most {_MOST_CHANNELS} are read; save the "
                 "layer that is meant"
             )
+        if header.parts > 1:
+            raise error(
+                f"{path}: holds {header.parts} parts, expected one picture; save the part that is meant"
+            )
         layers = -(-len(header.channels) // _CHANNELS_OF_A_PIXEL)
         require_pixels(header.width * layers, header.height, max_megapixels, str(path), error)
+        stored = header.stored_width * layers, header.stored_height
+        require_pixels(*stored, max_megapixels, str(path), error)
         size = os.fstat(stream.fileno()).st_size
         if size > len(data):
-            if size > 8 * header.width * header.height * len(header.channels) + _LONGEST_HEADER:
+            if size > 8 * header.stored_width * header.stored_height * len(header.channels) + _LONGEST_HEADER:
                 raise error(
                     f"{path}: {size / 1e6:.0f} MB are more than its {header.width}×{header.height} take"
                 )
@@ -113,10 +136,25 @@ def read_exr(
         reason = " ".join(str(problem).split())
         raise error(f"{path}: the EXR file is damaged or cut off ({reason}); copy it again") from problem
     for name, values in channels.items():
-        require_shape(values, (header.height, header.width), f"{path}: channel {name}", error)
+        shape = (header.stored_height, header.stored_width)
+        require_shape(values, shape, f"{path}: channel {name}", error)
         if values.dtype == np.object_:
             raise error(f"{path}: channel {name} is deep; expected one value a pixel: flatten it first")
-    return channels, header.texts
+    return {name: _in_display_window(values, header) for name, values in channels.items()}, header.texts
+
+
+def _in_display_window(values: npt.NDArray[Any], header: ExrHeader) -> npt.NDArray[Any]:
+    """Return the stored pixels where they belong in the whole picture, 0 around them."""
+    if (header.left, header.top, *values.shape) == (0, 0, header.height, header.width):
+        return values
+    whole = np.zeros((header.height, header.width), values.dtype)
+    top, left = max(0, header.top), max(0, header.left)
+    bottom = min(header.height, header.top + header.stored_height)
+    right = min(header.width, header.left + header.stored_width)
+    if top < bottom and left < right:
+        inside = values[top - header.top : bottom - header.top, left - header.left : right - header.left]
+        whole[top:bottom, left:right] = inside
+    return whole
 
 
 def write_exr(

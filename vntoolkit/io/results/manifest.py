@@ -51,6 +51,11 @@ class InputEntry(BaseModel):
         default=None, ge=0, description="Frames that a video declares, where fewer came."
     )
 
+    times_s: list[float] = Field(
+        default_factory=list,
+        description="When each frame of a video of varying rate is shown, seconds from the first.",
+    )
+
     @property
     def playing_rate_hz(self) -> float:
         """Frames per second to play the result at: the footage's, or a usual rate for stills."""

@@ -1,0 +1,319 @@
+"""What a file states about itself is obeyed, or refused by name."""
+
+import json
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import numpy as np
+import OpenEXR
+import pytest
+import tifffile
+from PIL import Image
+
+from tests.pipeline.conftest import RESPONSE, SIZE, dome_normals
+from vntoolkit.__main__ import main
+from vntoolkit.errors import BadCapture
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.io.footage.captures import CaptureOptions, open_capture
+from vntoolkit.io.footage.images import read_image
+from vntoolkit.io.footage.orientation import Orientation
+from vntoolkit.io.rigs import read_rig, write_rig
+from vntoolkit.photometry.lambertian import rgb_from_normals
+from vntoolkit.photometry.rig import Rig
+from vntoolkit.photometry.transfer import Transfer, encoded_from_linear
+
+HEIGHT, WIDTH = 32, 48
+
+
+def _film(
+    path, frames, codec="ffv1", pixels="bgr0", *, times=None, rotation=0, context=None, sound=False, **options
+):
+    """Write uint8 RGB frames. times: in milliseconds. context: attributes of the encoder."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(codec, rate=Fraction(25), options=options)
+        stream.height, stream.width = frames[0].shape[:2]
+        stream.pix_fmt = pixels
+        for name, value in (context or {}).items():
+            setattr(stream.codec_context, name, value)
+        if rotation:
+            stream.set_display_rotation(rotation)
+        if times:
+            stream.time_base = stream.codec_context.time_base = Fraction(1, 1000)
+        voice = container.add_stream("flac", rate=8000, layout="mono") if sound else None
+        for number, values in enumerate(frames):
+            picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(values), format="rgb24")
+            if times:
+                picture.pts, picture.time_base = times[number], Fraction(1, 1000)
+            container.mux(stream.encode(picture))
+            if voice is not None:
+                heard = np.random.default_rng(number).integers(-9999, 9999, (1, 320)).astype(np.int16)
+                tone = av.AudioFrame.from_ndarray(heard, format="s16", layout="mono")
+                tone.sample_rate, tone.pts = 8000, 320 * number
+                container.mux(voice.encode(tone))
+        for one in (stream, voice):
+            if one is not None:
+                container.mux(one.encode(None))
+
+
+def _arrow() -> np.ndarray:
+    """A picture that no turn or flip maps to itself."""
+    picture = np.full((HEIGHT, WIDTH, 3), 40, np.uint8)
+    picture[: HEIGHT // 2, : WIDTH // 4] = 200
+    return picture
+
+
+def _levels(count: int) -> list[np.ndarray]:
+    return [np.full((HEIGHT, WIDTH, 3), 20 + 12 * k, np.uint8) for k in range(count)]
+
+
+# How the camera was held.
+
+
+@pytest.mark.parametrize(("rotation", "quarters"), [(90, 1), (180, 2), (270, 3)])
+def test_a_turned_video_comes_upright(tmp_path, rotation, quarters):
+    """FFmpeg states the turn counter-clockwise, as `numpy.rot90` takes it."""
+    _film(tmp_path / "a.mp4", [_arrow()], "libx264", "yuv444p", rotation=rotation, crf="0")
+    capture = open_capture(tmp_path / "a.mp4")
+    upright = np.rot90(_arrow(), quarters)
+    assert (capture.info.height, capture.info.width) == upright.shape[:2]
+    np.testing.assert_allclose(capture.encoded(0).values.astype(int), upright, atol=3)
+    assert "turned by" in capture.info.orientation
+
+
+@pytest.mark.parametrize("kind", ["png", "jpg", "tif"])
+@pytest.mark.parametrize("value", range(1, 9))
+def test_exif_and_tiff_orientation_is_obeyed(tmp_path, kind, value):
+    upright = _arrow()
+    turned = Orientation.from_exif(value)
+    stored = next(
+        picture
+        for quarters in range(4)
+        for picture in (np.rot90(upright, quarters), np.rot90(upright[:, ::-1], quarters))
+        if turned.upright(picture).shape == upright.shape and (turned.upright(picture) == upright).all()
+    )
+    path = tmp_path / f"a.{kind}"
+    if kind == "tif":
+        tag = [(274, "H", 1, value, True)]
+        tifffile.imwrite(path, np.ascontiguousarray(stored), photometric="rgb", extratags=tag)
+    else:
+        exif = Image.Exif()
+        exif[274] = value
+        Image.fromarray(stored).save(path, exif=exif, **({"quality": 99} if kind == "jpg" else {}))
+    np.testing.assert_allclose(read_image(path).astype(int), upright, atol=12)
+    info = open_capture(path).info
+    assert (info.width, info.height, bool(info.orientation)) == (WIDTH, HEIGHT, value != 1)
+
+
+def test_the_eight_exif_values_are_the_eight_turns_and_flips():
+    """6, what telephones write, is shown turned clockwise; 8 counter-clockwise; 5 and 7 are mirrored."""
+    picture = _arrow()
+    expected = {
+        1: picture, 2: picture[:, ::-1], 3: picture[::-1, ::-1], 4: picture[::-1],
+        5: np.swapaxes(picture, 0, 1), 6: np.rot90(picture, 3), 7: np.rot90(picture, 3)[::-1],
+        8: np.rot90(picture),
+    }  # fmt: skip
+    for value, upright in expected.items():
+        np.testing.assert_array_equal(Orientation.from_exif(value).upright(picture), upright)
+
+
+def test_interlaced_video_is_refused_with_the_command_that_helps(tmp_path):
+    options = {"x264-params": "interlaced=1:tff=1"}
+    _film(tmp_path / "a.mp4", _levels(3), "libx264", "yuv420p", **options)
+    with pytest.raises(
+        BadCapture, match=r"is interlaced.*ffmpeg -i .*a\.mp4 -vf bwdif -c:v ffv1 a_progressive"
+    ):
+        open_capture(tmp_path / "a.mp4")
+
+
+# The curve.
+
+
+@pytest.mark.parametrize(
+    ("tag", "curve"),
+    [(1, "bt709"), (4, "gamma:2.2"), (5, "gamma:2.8"), (8, "linear"), (13, "srgb"), (16, "pq"), (18, "hlg")],
+)
+def test_a_stated_curve_is_the_default(tmp_path, tag, curve):
+    _film(tmp_path / "a.mkv", _levels(2), "libx264", "yuv444p", context={"color_trc": tag})
+    capture = open_capture(tmp_path / "a.mkv")
+    assert (capture.info.stated_transfer, capture.transfer) == (curve, Transfer.from_text(curve))
+    assert open_capture(tmp_path / "a.mkv", CaptureOptions(transfer=Transfer())).transfer == Transfer()
+
+
+def test_a_stated_curve_that_is_not_read_is_refused_by_name(tmp_path):
+    _film(tmp_path / "a.mkv", _levels(2), "libx264", "yuv444p", context={"color_trc": 17})
+    with pytest.raises(BadCapture, match="states the transfer curve smpte428, which is not read"):
+        open_capture(tmp_path / "a.mkv")
+
+
+def test_stills_state_curves_too(tmp_path):
+    exif = Image.Exif()
+    exif.get_ifd(0x8769)[0xA001] = 1
+    Image.fromarray(_arrow()).save(tmp_path / "a.jpg", exif=exif)
+    assert open_capture(tmp_path / "a.jpg").transfer == Transfer.from_text("srgb")
+    assert open_capture(_png(tmp_path / "b.png")).info.stated_transfer == ""
+
+
+def _png(path: Path) -> Path:
+    Image.fromarray(_arrow()).save(path)
+    return path
+
+
+def test_camera_logs_read_codes_whatever_the_range(tmp_path):
+    """A grey card in S-Log3 is code 420 of 1023, in a file of limited and in one of full range."""
+    grey = 0.18 * Transfer.from_text("slog3").diffuse_white
+    for name, tag in (("limited", 1), ("full", 2)):
+        with av.open(str(tmp_path / f"{name}.mkv"), "w") as container:
+            stream = container.add_stream("libx264", rate=25, options={"crf": "0"})
+            stream.height, stream.width, stream.pix_fmt = HEIGHT, WIDTH, "yuv444p10le"
+            stream.codec_context.color_range = tag
+            picture = av.VideoFrame(WIDTH, HEIGHT, "yuv444p10le")
+            for plane, code in zip(picture.planes, (420, 512, 512), strict=True):
+                plane.update(np.full(plane.buffer_size // 2, code, np.uint16).tobytes())
+            picture.color_range = tag
+            container.mux(stream.encode(picture))
+            container.mux(stream.encode(None))
+        options = CaptureOptions(transfer=Transfer.from_text("slog3"))
+        frame = open_capture(tmp_path / f"{name}.mkv", options).frame(0)
+        np.testing.assert_allclose(frame.rgb, grey, rtol=3e-3)
+
+
+def _dome(path: Path, curve: str, tag: int) -> None:
+    """A dome under three lights, 4:4:4 without loss, and its tag."""
+    frames = []
+    for k in range(3):
+        normals, mask = dome_normals(31.5 + k)
+        light = np.where(mask[..., None], rgb_from_normals(normals, RESPONSE), 0).clip(0, 1)
+        encoded = encoded_from_linear(light, Transfer.from_text(curve))
+        frames.append(np.rint(255 * encoded).astype(np.uint8))
+    _film(path, frames, "libx264rgb", "rgb24", context={"color_trc": tag}, crf="0")
+
+
+def test_a_tag_against_the_rig_stops_the_run_and_names_both(tmp_path, capsys, caplog):
+    _dome(tmp_path / "a.mkv", "linear", 13)
+    camera = Camera.orthographic(width=SIZE[1], height=SIZE[0])
+    write_rig(tmp_path / "rig.json", Rig(camera=camera, response=RESPONSE))
+    command = ["reconstruct", str(tmp_path / "a.mkv"), "--rig", str(tmp_path / "rig.json"), "--to", "normals"]
+    command += ["--shadows", "none", "--out", str(tmp_path / "out")]
+    assert main(command) == 1
+    said = " ".join(capsys.readouterr().err.split())
+    assert "the file states the transfer curve srgb, the rig's is linear" in said
+    assert "--allow tag" in said
+    assert not (tmp_path / "out").exists()
+    assert main([*command, "--transfer", "linear"]) == 0
+    assert main([*command, "--allow", "tag", "--overwrite"]) == 0
+    assert main(["doctor", str(tmp_path / "a.mkv"), "--rig", str(tmp_path / "rig.json")]) == 1
+
+
+def test_calibration_takes_the_stated_curve_into_the_rig(tmp_path, capsys):
+    v, u = np.mgrid[:96, :96].astype(float)
+    x, y = (u - 47.5) / 40, (v - 47.5) / 40
+    ball = x**2 + y**2 < 1
+    normals = np.stack([x, y, -np.sqrt(np.maximum(1 - x**2 - y**2, 0))], -1)
+    light = np.where(ball[..., None], rgb_from_normals(normals, RESPONSE), 0).clip(0, 1)
+    encoded = np.rint(255 * encoded_from_linear(light, Transfer.from_text("srgb"))).astype(np.uint8)
+    _film(tmp_path / "ball.mkv", [encoded], "libx264rgb", "rgb24", context={"color_trc": 13}, crf="0")
+    out = tmp_path / "rig.json"
+    assert main(["calibrate", "sphere", str(tmp_path / "ball.mkv"), "--out", str(out)]) == 0
+    assert read_rig(out).transfer == Transfer.from_text("srgb")
+    assert "transfer curve    srgb" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("values", "reason"),
+    [
+        (np.full((96, 96), 90, np.uint8), "the footage is grey"),
+        (np.full((96, 96, 3), 255, np.uint8), "clipped"),
+    ],
+)
+def test_calibration_obeys_the_judge(tmp_path, capsys, values, reason):
+    Image.fromarray(values).save(tmp_path / "a.png")
+    assert main(["calibrate", "sphere", str(tmp_path / "a.png"), "--out", str(tmp_path / "rig.json")]) == 1
+    assert reason in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "rig.json").exists()
+
+
+# Windows, parts and pages.
+
+
+@pytest.mark.parametrize(("left", "top"), [(2, 1), (-3, -2), (7, 5)])
+def test_an_exr_is_read_in_its_display_window(tmp_path, left, top):
+    values = {name: np.full((6, 8), 0.25 * k, np.float32) for k, name in enumerate("BGR", start=1)}
+    window = ((left, top), (left + 7, top + 5))
+    header = {"dataWindow": window, "displayWindow": ((0, 0), (9, 7)), "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, values).write(str(tmp_path / "a.exr"))
+    picture = read_image(tmp_path / "a.exr")
+    assert picture.shape == (8, 10, 3)
+    v, u = np.mgrid[:8, :10]
+    inside = (u >= left) & (u < left + 8) & (v >= top) & (v < top + 6)
+    np.testing.assert_array_equal(picture, np.where(inside[..., None], [0.75, 0.5, 0.25], 0))
+
+
+def test_an_exr_of_several_parts_is_refused(tmp_path):
+    part = {name: np.zeros((6, 8), np.float32) for name in "RGB"}
+    header = {"type": OpenEXR.scanlineimage}
+    parts = [OpenEXR.Part(dict(header), dict(part), name=name) for name in ("left", "right")]
+    OpenEXR.File(parts).write(str(tmp_path / "a.exr"))
+    with pytest.raises(BadCapture, match="holds 2 parts, expected one picture"):
+        read_image(tmp_path / "a.exr")
+
+
+@pytest.mark.parametrize(
+    ("values", "photometric", "reason"),
+    [
+        (np.zeros((3, 6, 8), np.uint8), "minisblack", "holds 3 pages, expected one picture a file"),
+        (np.zeros((6, 8), np.uint8), "miniswhite", "is stored as grey with white as zero"),
+        (np.zeros((6, 8, 3), np.uint8), "cielab", "is stored as CIELAB, expected RGB"),
+        (np.zeros((6, 8), np.uint16), "cfa", "is stored as a Bayer mosaic"),
+    ],
+)
+def test_tiff_that_would_be_misread_is_refused(tmp_path, values, photometric, reason):
+    tifffile.imwrite(tmp_path / "a.tif", values, photometric=photometric, metadata=None)
+    with pytest.raises(BadCapture, match=reason):
+        read_image(tmp_path / "a.tif")
+
+
+# Times.
+
+
+def test_times_of_a_varying_rate_reach_the_manifest(tmp_path):
+    times = [0, 33, 66, 150, 183, 250]
+    normals, mask = dome_normals(31.5)
+    light = np.where(mask[..., None], rgb_from_normals(normals, RESPONSE), 0).clip(0, 1)
+    _film(tmp_path / "a.mkv", [np.rint(255 * light).astype(np.uint8)] * 6, times=times)
+    _film(tmp_path / "even.mkv", _levels(6))
+    assert open_capture(tmp_path / "even.mkv").info.times_s == ()
+    camera = Camera.orthographic(width=SIZE[1], height=SIZE[0])
+    write_rig(tmp_path / "rig.json", Rig(camera=camera, response=RESPONSE))
+    command = ["reconstruct", str(tmp_path / "a.mkv"), "--rig", str(tmp_path / "rig.json"), "--to", "normals"]
+    assert main([*command, "--shadows", "none", "--out", str(tmp_path / "out")]) == 0
+    entry = json.loads((tmp_path / "out/reconstruction.json").read_text())["input"]
+    assert entry["times_s"] == [time / 1000 for time in times]
+
+
+def test_b_frames_in_avi_come_in_the_order_they_are_shown(tmp_path):
+    """AVI stores no times; FFmpeg's are those of decoding."""
+    _film(tmp_path / "a.avi", _levels(9), "libx264", "yuv444p", bf="3", **{"b-adapt": "0"})
+    capture = open_capture(tmp_path / "a.avi")
+    shown = [round(float(frame.values.mean())) for frame in capture.encoded_frames()]
+    np.testing.assert_allclose(shown, [20 + 12 * k for k in range(9)], atol=3)
+    for number in (7, 2, 4):
+        assert capture.encoded(number).values.mean() == pytest.approx(20 + 12 * number, abs=3)
+
+
+@pytest.mark.parametrize("sound", [False, True])
+def test_a_frame_that_is_stored_before_lost_ones_does_not_take_their_number(tmp_path, rng, sound):
+    """Cut off among B-frames, a P-frame shown after them has come already."""
+    frames = [values + rng.integers(0, 20, values.shape, dtype=np.uint8) for values in _levels(16)]
+    options = {"bf": "3", "b-adapt": "0", "crf": "10"}
+    _film(tmp_path / "a.mkv", frames, "libx264", "yuv444p", sound=sound, **options)
+    content = (tmp_path / "a.mkv").read_bytes()
+    lengths = set()
+    for share in np.linspace(0.4, 0.9, 6):
+        (tmp_path / "cut.mkv").write_bytes(content[: int(share * len(content))])
+        capture = open_capture(tmp_path / "cut.mkv")
+        assert capture.info.promised_frame_count == 16
+        lengths.add(len(capture))
+        for frame in capture.encoded_frames(0, len(capture)):
+            assert frame.values.mean() == pytest.approx(29.5 + 12 * frame.number, abs=3)
+    assert len(lengths) > 3
