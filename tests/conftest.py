@@ -3,6 +3,9 @@
 import os
 from pathlib import Path
 
+import vntoolkit  # noqa: F401 - sets the threads of libraries, so before them
+
+# isort: split
 import numpy as np
 import pytest
 

@@ -1,4 +1,4 @@
-"""The entry point: sets the threads, prints an error as one line, returns the exit status."""
+"""The entry point: prints an error as one line, returns the exit status."""
 
 from __future__ import annotations
 
@@ -12,16 +12,6 @@ TYPE_CHECKING = False  # importing typing takes time, and a Ctrl-C before `main`
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-# Thread pools that spin while they wait take the cores from the pool that works: a frame then takes 17 to
-# 22 ms instead of 7. numba would try TBB first and warn of an old one. Set before numpy is imported.
-for _name, _value in {
-    "OPENBLAS_NUM_THREADS": "1",
-    "OMP_WAIT_POLICY": "PASSIVE",
-    "GOMP_SPINCOUNT": "0",
-    "KMP_BLOCKTIME": "0",
-    "NUMBA_THREADING_LAYER_PRIORITY": "omp tbb workqueue",
-}.items():
-    os.environ.setdefault(_name, _value)
 # What a shell may have left there that libraries stumble over: figures are files, and a terminal of no width
 # is as good as none.
 os.environ["MPLBACKEND"] = "agg"
