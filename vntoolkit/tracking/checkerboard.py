@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from vntoolkit.arrays import Faces, Points, Points2
 from vntoolkit.checks import require_in_range
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.native import njit
 
 _LIGHT_IN_CAMERA = np.array([-0.35, -0.35, -0.87])  # towards the viewer, from above on the left
 _LONGEST_EDGE_PX = 12.0  # a triangle stretched over more spans a fold or a gap and is not drawn

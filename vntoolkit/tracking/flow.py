@@ -11,12 +11,12 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from vntoolkit.arrays import Flow, Mask, Points, Points2
 from vntoolkit.checks import require_same_size
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
+from vntoolkit.native import njit
 from vntoolkit.tracking.slopes import sample_depth, sample_image
 
 _SPACING_PX = 8  # of the points that Lucas–Kanade follows

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
-from numba import njit
 from scipy.sparse.csgraph import connected_components
 
 from vntoolkit.arrays import FloatArray, Points2
+from vntoolkit.native import njit
 from vntoolkit.tracking.template import TrackingTemplate
 
 _JACOBIAN_PASSES = 1  # of smoothing: over a cell and its neighbours

@@ -5,10 +5,10 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 from scipy import ndimage
 
 from vntoolkit.arrays import Mask, Points2
+from vntoolkit.native import njit
 from vntoolkit.tracking.lattice import TemplateLattice
 from vntoolkit.tracking.slopes import Slopes, sample_image
 from vntoolkit.tracking.template import TrackingTemplate

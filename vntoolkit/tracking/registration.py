@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from vntoolkit.arrays import FloatArray, Points2
+from vntoolkit.native import njit
 from vntoolkit.tracking.lattice import TemplateLattice
 from vntoolkit.tracking.slopes import Slopes
 from vntoolkit.tracking.template import TrackingTemplate

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
-from numba import njit
 from scipy.sparse.csgraph import connected_components
 
 from vntoolkit.arrays import FloatArray, IntArray, Points, Points2
 from vntoolkit.geometry.laplacian import graph_laplacian
 from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.native import import_open3d
+from vntoolkit.native import import_open3d, njit
 from vntoolkit.tracking.sparse_factor import factor_symmetric, nested_dissection_order
 from vntoolkit.tracking.template import TrackingTemplate
 

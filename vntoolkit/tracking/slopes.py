@@ -11,11 +11,11 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from vntoolkit.arrays import FloatArray, Mask, Points2
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.native import njit
 
 _STEEPEST = 0.15  # cosine to the viewing ray below which a slope is clamped, 81°
 _GRAZING = 0.3  # cosine below which a slope weighs less, 73°: there it is mostly noise

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
-from numba import njit
 from scipy.sparse.linalg import splu
 
 from vntoolkit.arrays import IntArray, Points2
 from vntoolkit.errors import SolverFailed
+from vntoolkit.native import njit
 
 _NEGLIGIBLE = 1e-7  # what single precision does not see beside 1
 _LEAF_SIZE = 24
