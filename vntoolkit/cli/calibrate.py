@@ -47,6 +47,7 @@ from vntoolkit.geometry.board_layout import BoardLayout
 from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.io.maps_and_meshes.meshes import write_mesh
 from vntoolkit.io.rigs import write_rig
 from vntoolkit.photometry.rig import Rig
@@ -57,6 +58,7 @@ from vntoolkit.pipeline.calibrate_head import Features, FollowOptions, HeadOptio
 
 if TYPE_CHECKING:
     FitFlags: TypeAlias = ResponseFitOptions | None
+    SensorFlags: TypeAlias = SensorOptions | None
     SphereFlags: TypeAlias = SphereOptions | None
     LayoutFlags: TypeAlias = BoardLayout | None
     BoardFlags: TypeAlias = BoardOptions | None
@@ -75,6 +77,7 @@ if TYPE_CHECKING:
     VariationFlags: TypeAlias = VariationOptions | None
 else:
     FitFlags = flags_from(ResponseFitOptions, method="fit-method")
+    SensorFlags = flags_from(SensorOptions)
     SphereFlags = flags_from(SphereOptions)
     LayoutFlags = flags_from(BoardLayout)
     BoardFlags = flags_from(BoardOptions)
@@ -106,6 +109,7 @@ def sphere(
     mask: Path | None = None,
     background: AmbientImage = None,
     transfer: Curve = None,
+    sensor: SensorFlags = None,
     camera: Path | None = None,
     focal_px: FocalPx = None,
     single_light: SingleLight = None,
@@ -129,7 +133,7 @@ def sphere(
     """
     require_known_checks(allow, CHECK_NAMES)
     require_output(out, JSON)
-    job = _job(source, mask, background, transfer, camera, focal_px, single_light, frames, allow)
+    job = _job(source, mask, background, transfer, camera, focal_px, single_light, frames, allow, sensor)
     sphere_options = replace(options or SphereOptions(), fit=fit or ResponseFitOptions())
     rig, result = calibrate.calibrate_sphere(job, sphere_options)
     _accept(rig, allow, result.fit)
@@ -146,6 +150,7 @@ def board(
     out: Path,
     background: AmbientImage = None,
     transfer: Curve = None,
+    sensor: SensorFlags = None,
     camera: Path | None = None,
     focal_px: FocalPx = None,
     single_light: SingleLight = None,
@@ -169,7 +174,7 @@ def board(
     """
     require_known_checks(allow, CHECK_NAMES)
     require_output(out, JSON)
-    job = _job(source, None, background, transfer, camera, focal_px, single_light, frames, allow)
+    job = _job(source, None, background, transfer, camera, focal_px, single_light, frames, allow, sensor)
     board_options = replace(
         options or BoardOptions(),
         fit=fit or ResponseFitOptions(),
@@ -196,6 +201,7 @@ def lights(
     lights: Annotated[tuple[int, int, int], Parameter(consume_multiple=True, negative=())] = (0, 1, 2),
     light_colours: LightColours = LightColours.CHANNELS,
     transfer: Curve = None,
+    sensor: SensorFlags = None,
     camera: Path | None = None,
     focal_px: FocalPx = None,
     allow: Allow = (),
@@ -220,7 +226,7 @@ def lights(
     """
     require_known_checks(allow, CHECK_NAMES)
     require_output(out, JSON)
-    job = _job(str(source), None, None, transfer, camera, focal_px, None, "::", allow)
+    job = _job(str(source), None, None, transfer, camera, focal_px, None, "::", allow, sensor)
     rig = calibrate.calibrate_lights(source, like, lights, light_colours, job)
     _accept(rig, allow)
     write_rig(out, rig)
@@ -237,6 +243,7 @@ def _job(
     single_light: tuple[Path, ...] | None,
     frames: str,
     allow: tuple[str, ...],
+    sensor: SensorOptions | None,
 ) -> CalibrationJob:
     return CalibrationJob(
         source=source,
@@ -248,6 +255,7 @@ def _job(
         single_light=single_light or (),
         frames=FrameRange.from_text(frames),
         allow=allow,
+        sensor=sensor or SensorOptions(),
     )
 
 
@@ -290,6 +298,7 @@ def head(
     out: Path,
     background: AmbientImage = None,
     transfer: Curve = None,
+    sensor: SensorFlags = None,
     camera: Path | None = None,
     focal_px: FocalPx = None,
     frames: Frames = "::",
@@ -342,7 +351,7 @@ def head(
     require_known_checks(allow, CHECK_NAMES)
     for path, suffixes in ((out, JSON), (mesh, MESH), (figure, PICTURE), (report, PAGE)):
         require_output(path, suffixes)
-    job = _job(source, None, background, transfer, camera, focal_px, None, frames, allow)
+    job = _job(source, None, background, transfer, camera, focal_px, None, frames, allow, sensor)
     options = HeadOptions(
         head_shape=head_shape,
         pose_start=pose_start,
@@ -399,6 +408,7 @@ def presses(
     size_mm: SizeMm = None,
     label_size: SizePx = None,
     transfer: Curve = None,
+    sensor: SensorFlags = None,
     variation: VariationFlags = None,
 ) -> None:
     """Calibrate a tactile sensor on presses of a ball of known size into its gel.
@@ -430,6 +440,7 @@ def presses(
         background=background,
         labels=labels,
         transfer=curve_from_text(transfer),
+        sensor=sensor or SensorOptions(),
         rectification=rectification_from_flags(corners, size_mm, options.pixel_mm),
         label_size=label_size,
     )
@@ -449,6 +460,7 @@ def rectify(
     size_mm: SizeMm,
     pixel_mm: float,
     transfer: Curve = None,
+    sensor: SensorFlags = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Resample footage of a tilted plane to square pixels of known size.
@@ -470,7 +482,9 @@ def rectify(
     """
     rectification = rectification_from_flags(corners, size_mm, pixel_mm)
     assert rectification is not None  # both flags are required
-    capture = open_capture(source, CaptureOptions(transfer=curve_from_text(transfer)))
+    capture = open_capture(
+        source, CaptureOptions(transfer=curve_from_text(transfer), sensor=sensor or SensorOptions())
+    )
     with ProgressBars() as bars:
         count = pipeline.rectify_capture(
             capture, rectification, out, partial(bars.reach, "rectify"), overwrite=overwrite

@@ -11,15 +11,16 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from vntoolkit import __version__
-from vntoolkit.cli.flags import curve_from_text, limits_on
+from vntoolkit.cli.flags import curve_from_text, flags_from, limits_on
 from vntoolkit.errors import BadCapture
+from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.native import (
     NUMBA_LIBRARIES,
     OPEN3D_LIBRARIES,
@@ -33,6 +34,10 @@ from vntoolkit.native import (
 if TYPE_CHECKING:
     from vntoolkit.diagnosis.inspection import CaptureReport
 
+    SensorFlags: TypeAlias = SensorOptions | None
+else:
+    SensorFlags = flags_from(SensorOptions)
+
 # (distribution, module that is imported, what it does here): every dependency of the package
 _LIBRARIES = (
     ("numpy", "numpy", "arrays"),
@@ -41,6 +46,7 @@ _LIBRARIES = (
     ("av", "av", "video in and out"),
     ("opencv-contrib-python-headless", "cv2", "images, boards, flow"),
     ("tifffile", "tifffile", "deep images"),
+    ("rawpy", "rawpy", "camera raw files"),
     ("OpenEXR", "OpenEXR", "normal and depth maps"),
     ("pillow", "PIL.Image", "image headers"),
     ("open3d", "open3d", "meshes, ray casting"),
@@ -68,6 +74,7 @@ def doctor(
     rig: Path | None = None,
     mask: Path | None = None,
     transfer: str | None = None,
+    sensor: SensorFlags = None,
 ) -> int:
     """Check the installation, or check footage for faults that spoil normals.
 
@@ -93,7 +100,9 @@ def doctor(
     from vntoolkit.io.rigs import read_rig
 
     the_rig = None if rig is None else read_rig(rig)
-    options = CaptureOptions(gaps=Gaps.SKIP, transfer=curve_from_text(transfer))
+    options = CaptureOptions(
+        gaps=Gaps.SKIP, transfer=curve_from_text(transfer), sensor=sensor or SensorOptions()
+    )
     the_mask = None if mask is None else read_mask(mask)
     report = inspect_capture(source, options, rig=the_rig, mask=the_mask)
     _print_report(Console(emoji=False), source, report)

@@ -24,6 +24,7 @@ from vntoolkit.diagnosis.finding import require_known_checks
 from vntoolkit.errors import BadCapture
 from vntoolkit.integration.options import IntegrationOptions
 from vntoolkit.io.footage.frame_range import FrameRange, Gaps
+from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.meshing.surface import MeshOptions
 from vntoolkit.normals.inversion import InversionOptions
@@ -36,11 +37,13 @@ from vntoolkit.pipeline.reconstruct import ReconstructionSummary
 from vntoolkit.pipeline.reconstruct import reconstruct as run
 
 if TYPE_CHECKING:
+    SensorFlags: TypeAlias = SensorOptions | None
     PipelineFlags: TypeAlias = ReconstructOptions | None
     InversionFlags: TypeAlias = InversionOptions | None
     IntegrationFlags: TypeAlias = IntegrationOptions | None
     MeshFlags: TypeAlias = MeshOptions | None
 else:
+    SensorFlags = flags_from(SensorOptions)
     PipelineFlags = flags_from(ReconstructOptions, distance_m="distance")
     InversionFlags = flags_from(InversionOptions, without=("relative_albedo",))
     IntegrationFlags = flags_from(IntegrationOptions)
@@ -62,6 +65,7 @@ def reconstruct(
     overwrite: Overwrite = False,
     gaps: Missing = Gaps.REFUSE,
     allow: Allow = (),
+    sensor: SensorFlags = None,
     pipeline: PipelineFlags = None,
     inversion: InversionFlags = None,
     integration: IntegrationFlags = None,
@@ -99,6 +103,7 @@ def reconstruct(
         mask=mask,
         background=background,
         gaps=gaps,
+        sensor=sensor or SensorOptions(),
     )
     with ProgressBars() as bars:
         summary = run(

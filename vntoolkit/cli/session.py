@@ -14,12 +14,14 @@ from vntoolkit.cli.reconstruct import (
     InversionFlags,
     MeshFlags,
     PipelineFlags,
+    SensorFlags,
     joined_options,
 )
 from vntoolkit.diagnosis.checks import CHECK_NAMES
 from vntoolkit.diagnosis.finding import require_known_checks
 from vntoolkit.errors import BadInput, VntError
 from vntoolkit.io.footage.frame_range import FrameRange, Gaps
+from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.options import Product
@@ -41,6 +43,7 @@ def session(
     overwrite: Overwrite = False,
     gaps: Missing = Gaps.REFUSE,
     allow: Allow = (),
+    sensor: SensorFlags = None,
     pipeline: PipelineFlags = None,
     inversion: InversionFlags = None,
     integration: IntegrationFlags = None,
@@ -84,6 +87,7 @@ def session(
             folder=ReconstructionFolder(root=out / name),
             gaps=gaps,
             allow=allow,
+            sensor=sensor or SensorOptions(),
         )
         for name, source in names_from_sources(sources).items()
     }

@@ -22,7 +22,7 @@ from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve
 
-_LOSSLESS_IMAGES = frozenset({"PNG", "TIFF", "BMP", "EXR"})
+_LOSSLESS_IMAGES = frozenset({"PNG", "TIFF", "BMP", "EXR", "raw"})
 _CAMERA_CODECS = frozenset({"JPEG", "h264", "hevc", "mjpeg", "prores", "av1", "vp9"})
 _BLACK = 0.01  # of full scale: a frame in which nothing is brighter shows nothing
 _CLIPPED_WHOLLY = 0.98

@@ -23,6 +23,7 @@ from vntoolkit.errors import VntError
 from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.footage.frame_range import Gaps
+from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.io.limits import ReadingLimits, reading_limits
 from vntoolkit.io.maps_and_meshes.label_images import read_mask
 from vntoolkit.io.results.frame_log import FrameEntry
@@ -48,7 +49,8 @@ class ReconstructionJob:
     source, gaps: as for `open_capture`. rig: its transfer is the footage's. calibrated: the curve that the
     rig was calibrated with, None for the same. allow: checks whose fatal findings do not stop the run. mask,
     background: files or None. threads: for decoding; with 1, reading, processing and writing take turns, so
-    that a worker is one core's. limits: on what any process reads.
+    that a worker is one core's. sensor: how samples of the sensor itself are read. limits: on what any
+    process reads.
     """
 
     source: str
@@ -60,6 +62,7 @@ class ReconstructionJob:
     gaps: Gaps = Gaps.REFUSE
     calibrated: Transfer | None = None
     allow: tuple[str, ...] = ()
+    sensor: SensorOptions = field(default_factory=SensorOptions)
     threads: int = 2
     limits: ReadingLimits = field(default_factory=reading_limits)
 
@@ -80,6 +83,7 @@ class ReconstructionJob:
             background=self.background,
             max_megapixels=self.limits.max_megapixels,
             gaps=self.gaps,
+            sensor=self.sensor,
             threads=self.threads,
         )
         return open_capture(self.source, options)

@@ -26,6 +26,7 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.files import source_file
 from vntoolkit.io.footage.captures import Capture, CaptureInfo, CaptureOptions, open_capture
 from vntoolkit.io.footage.frame_range import FrameRange, Gaps
+from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.io.light_files import read_lights
 from vntoolkit.io.maps_and_meshes.label_images import read_mask
 from vntoolkit.io.rigs import read_rig
@@ -47,7 +48,7 @@ class CalibrationJob:
     a rig.json whose camera is taken. focal_px: focal length in pixels of a pinhole camera instead; with
     neither the camera is orthographic (ball) or fitted (board). single_light: photographs of one material
     under the red, the green and the blue light alone, or empty. frames: which frames count. allow: checks
-    whose fatal findings do not stop the calibration.
+    whose fatal findings do not stop the calibration. sensor: how samples of the sensor itself are read.
     """
 
     source: str
@@ -59,6 +60,7 @@ class CalibrationJob:
     single_light: tuple[Path, ...] = ()
     frames: FrameRange = field(default_factory=FrameRange)
     allow: tuple[str, ...] = ()
+    sensor: SensorOptions = field(default_factory=SensorOptions)
 
     def __post_init__(self) -> None:
         if self.camera is not None and self.focal_px is not None:
@@ -69,7 +71,9 @@ class CalibrationJob:
 
         gaps: photographs of a ball or board need no order, and bad ones are often thrown away.
         """
-        options = CaptureOptions(transfer=self.transfer, background=self.background, gaps=gaps)
+        options = CaptureOptions(
+            transfer=self.transfer, background=self.background, gaps=gaps, sensor=self.sensor
+        )
         return open_capture(source or self.source, options)
 
     def judge(self, capture: Capture, mask: Mask | None = None) -> None:

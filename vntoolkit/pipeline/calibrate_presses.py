@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +25,7 @@ from vntoolkit.io.files import read_text, source_file
 from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
 from vntoolkit.io.footage.frame_range import Gaps
 from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.io.footage.resampling import rectify_frame
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
@@ -40,7 +41,7 @@ class PressJob:
 
     source: images, one press each. background: image of the untouched gel. labels: folder of `NAME.txt`, one
     per image. transfer: curve of the footage, None for the one
-    that it states, else linear. rectification: takes the camera's view to the gel; None where
+    that it states, else linear. sensor: how samples of the sensor itself are read. rectification: takes the camera's view to the gel; None where
     the images are rectified. label_size: (width, height) of the frame that labels refer to; None for that of
     the images, rectified.
     """
@@ -49,6 +50,7 @@ class PressJob:
     background: Path
     labels: Path
     transfer: Transfer | None = None
+    sensor: SensorOptions = field(default_factory=SensorOptions)
     rectification: Rectification | None = None
     label_size: tuple[int, int] | None = None
 
@@ -67,8 +69,9 @@ def calibrate_presses(
 ) -> tuple[Rig, ResponseFit]:
     """Fit a rig to presses; frames without a label are passed over."""
     rng = np.random.default_rng(_SEED)
-    capture = open_capture(job.source, CaptureOptions(transfer=job.transfer, gaps=Gaps.SKIP))
-    background = job.prepare(open_capture(job.background, CaptureOptions(transfer=job.transfer)).frame(0))
+    options_of_images = CaptureOptions(transfer=job.transfer, gaps=Gaps.SKIP, sensor=job.sensor)
+    capture = open_capture(job.source, options_of_images)
+    background = job.prepare(open_capture(job.background, options_of_images).frame(0))
     samples = list(_samples(job, options, capture, background, rng, on_frame))
     if not samples:
         raise BadCalibration(

@@ -30,6 +30,7 @@ from vntoolkit.io.rigs import rig_from_entry
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
+from vntoolkit.pipeline.options import sensor_from_values
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.tracked_folder import read_track_record
 
@@ -163,7 +164,12 @@ class OpenedResult:
     def capture(self) -> Capture:
         """The footage; raise `BadInput` where it is not to be found, or is of another size or length."""
         source = self.source
-        options = CaptureOptions(transfer=self.rig.transfer, background=self.background, gaps=Gaps.SKIP)
+        options = CaptureOptions(
+            transfer=self.rig.transfer,
+            background=self.background,
+            gaps=Gaps.SKIP,
+            sensor=sensor_from_values(self.manifest.options),
+        )
         try:
             capture = open_capture(source, options)
         except BadCapture as error:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
 from vntoolkit.errors import BadInput
 from vntoolkit.integration.options import IntegrationOptions
+from vntoolkit.io.footage.mosaics import Bayer, Demosaic, SensorOptions
 from vntoolkit.meshing.surface import MeshOptions
 from vntoolkit.normals.inversion import InversionOptions
 from vntoolkit.shadows.detector import ShadowMethod
@@ -74,6 +76,24 @@ class ReconstructOptions:
             raise BadInput(f"smoothing: expected a share of full scale from 0 to 1, got {self.smoothing:g}")
         if self.reference_frame is not None and self.reference_frame < 0:
             raise BadInput(f"reference frame: expected a frame number, got {self.reference_frame}")
+
+
+SENSOR_PREFIX = "sensor."  # of the manifest's options that say how the footage's samples are read
+
+
+def sensor_from_values(values: Mapping[str, Any]) -> SensorOptions:
+    """Return how the footage of a result was read, of its manifest's options; raise `BadInput`."""
+    given = {
+        field.name: values.get(SENSOR_PREFIX + field.name) for field in dataclasses.fields(SensorOptions)
+    }
+    try:
+        return SensorOptions(
+            bayer=None if given["bayer"] is None else Bayer(given["bayer"]),
+            demosaic=Demosaic(given["demosaic"] or Demosaic.BILINEAR),
+            bits=given["bits"],
+        )
+    except ValueError as problem:
+        raise BadInput(f"reconstruction.json: {problem}") from problem
 
 
 def option_values(options: Any, prefix: str = "", without: tuple[str, ...] = ()) -> dict[str, Any]:

@@ -26,6 +26,7 @@ from vntoolkit.io.atomic import remove_numbered, require_apart, sole_writer
 from vntoolkit.io.files import source_file
 from vntoolkit.io.footage.captures import Capture, CaptureInfo
 from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.io.footage.sequence import text_of_names
 from vntoolkit.io.results.frame_log import FRAMES_NAME, FrameEntry, FrameLog
 from vntoolkit.io.results.manifest import (
@@ -46,7 +47,7 @@ from vntoolkit.normals.inversion import relative_albedo_from_frame
 from vntoolkit.pipeline.block_work import BlockWorker, ReconstructionJob
 from vntoolkit.pipeline.cluster import require_scheduler, run_blocks_on_cluster
 from vntoolkit.pipeline.frame_processor import FrameProcessor
-from vntoolkit.pipeline.options import option_values
+from vntoolkit.pipeline.options import SENSOR_PREFIX, option_values
 from vntoolkit.shadows.detector import ShadowMethod
 
 logger = logging.getLogger(__name__)
@@ -323,12 +324,18 @@ def manifest_of_run(job: ReconstructionJob, capture: Capture, frames: FrameRange
         ),
         extra_files=extra,
         rig=entry_from_rig(job.rig),
-        options=option_values(job.options, without=("to", "on_error")),  # they shape no value
+        options=_options_that_shape(job),
         frames=frames.to_text(),
         outputs=outputs[job.options.to.value] + (["shadows"] if job.has_labels else []),
         versions=library_versions(),
         started=now_utc(),
     )
+
+
+def _options_that_shape(job: ReconstructionJob) -> dict[str, Any]:
+    """Return what results depend on: not how far to go, nor what is said for footage of no raw sensor."""
+    sensor = {} if job.sensor == SensorOptions() else option_values(job.sensor, SENSOR_PREFIX)
+    return {**option_values(job.options, without=("to", "on_error")), **sensor}
 
 
 def _declared(info: CaptureInfo) -> int | None:

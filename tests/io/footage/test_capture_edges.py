@@ -13,6 +13,7 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import EncodedFrame, clipped_pixel_share, linear_frame_from_encoded
 from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.io.light_files import read_lights
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
 from vntoolkit.io.results.manifest import now_utc, read_manifest
@@ -34,8 +35,6 @@ RESPONSE = LightResponse(matrix=np.array([[0.5, 0.1, -0.5], [-0.3, 0.4, -0.5], [
         ({"max_megapixels": -1.0}, "capture: max_megapixels: expected a positive number, got -1"),
         ({"frame_rate_hz": NAN}, "capture: frame rate: expected a positive number, got nan"),
         ({"frame_rate_hz": 0.0}, "capture: frame rate: expected a positive number, got 0"),
-        ({"bits": 0}, "capture: bits: expected a value from 1 to 16, got 0"),
-        ({"bits": 17}, "capture: bits: expected a value from 1 to 16, got 17"),
         ({"threads": 0}, "capture: threads: expected a positive number, got 0"),
     ],
 )
@@ -52,9 +51,12 @@ def test_a_camera_needs_a_rate(rate):
 
 
 def test_a_sample_holds_no_more_bits_than_its_bytes(tmp_path):
+    for bits in (0, 17):
+        with pytest.raises(BadInput, match=f"capture: bits: expected a value from 1 to 16, got {bits}"):
+            SensorOptions(bits=bits)
     write_png(tmp_path / "a.png", np.full((4, 4, 3), 200, np.uint8))
     with pytest.raises(BadCapture, match=r"a\.png: samples of 8 bits cannot hold 12"):
-        open_capture(tmp_path / "a.png", CaptureOptions(bits=12))
+        open_capture(tmp_path / "a.png", CaptureOptions(sensor=SensorOptions(bits=12)))
 
 
 @pytest.mark.parametrize("curve", ["linear", "srgb", "gamma:2.2"])

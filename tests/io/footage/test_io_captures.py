@@ -10,6 +10,7 @@ from vntoolkit.errors import BadCapture, BadInput, CannotWrite
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.io.footage.sequence import CaptureKind, find_capture_files
 from vntoolkit.io.footage.video import VideoReader, write_video
 from vntoolkit.io.maps_and_meshes.exr import write_exr
@@ -205,7 +206,9 @@ def test_light_comes_back_through_curve_and_levels(tmp_path, rng, bits, curve):
     light = rng.uniform(0.1, 0.8, (20, 30, 3))
     stored = np.rint(encoded_from_linear(light, transfer) * (2**bits - 1))
     write_png(tmp_path / "a.png", stored.astype(np.uint8 if bits == 8 else np.uint16))
-    frame = open_capture(tmp_path / "a.png", CaptureOptions(transfer=transfer, bits=bits)).frame(0)
+    frame = open_capture(
+        tmp_path / "a.png", CaptureOptions(transfer=transfer, sensor=SensorOptions(bits=bits))
+    ).frame(0)
     # Half a stored level, times the curve's steepest slope; all grow steeper towards white.
     steepest = linear_from_encoded(np.array([0.999, 1.0]), transfer)
     steepest = (steepest[1] - steepest[0]) / 0.001

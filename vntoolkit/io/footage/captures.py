@@ -11,12 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import LinearImage
-from vntoolkit.checks import require_in_range, require_positive, require_shape
+from vntoolkit.checks import require_positive, require_shape
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.files import opened
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
 from vntoolkit.io.footage.frame_range import FrameRange, Gaps
 from vntoolkit.io.footage.images import header_of_stream, read_image
+from vntoolkit.io.footage.mosaics import SensorOptions, is_raw, read_raw
 from vntoolkit.io.footage.sequence import CaptureFiles, CaptureKind, find_capture_files, text_of_names
 from vntoolkit.io.footage.video import VideoReader
 from vntoolkit.photometry.frame import LinearFrame
@@ -30,17 +31,15 @@ class CaptureOptions:
     transfer: curve and levels of the stored values; None for the curve that the file states, else linear.
     background: an image of the scene under ambient light only (path, or linear (h, w, 3) array), subtracted
     from every frame; None for none. max_megapixels: refuse larger frames before memory is asked for; None for
-    the limit of `reading_limits`. bits: significant bits
-    of an integer sample where the file does not tell (12 for 12-bit values stored in 16-bit PNG); None for
-    all. frame_rate_hz: rate of an image sequence, frames per second, if it is known (a video brings its own).
-    gaps: what to do where numbers of an image sequence are missing; frames after a gap keep their numbers.
-    threads: decoding threads.
+    the limit of `reading_limits`. sensor: how samples of the sensor itself are read. frame_rate_hz: rate of
+    an image sequence, frames per second, if it is known (a video brings its own). gaps: what to do where
+    numbers of an image sequence are missing; frames after a gap keep their numbers. threads: for decoding.
     """
 
     transfer: Transfer | None = None
     background: Path | str | LinearImage | None = None
     max_megapixels: float | None = None
-    bits: int | None = None
+    sensor: SensorOptions = field(default_factory=SensorOptions)
     frame_rate_hz: float | None = None
     gaps: Gaps = Gaps.REFUSE
     threads: int = 2
@@ -51,8 +50,6 @@ class CaptureOptions:
         require_positive(self.threads, "capture: threads")
         if self.max_megapixels is not None:
             require_positive(self.max_megapixels, "capture: max_megapixels")
-        if self.bits is not None:
-            require_in_range(self.bits, 1, 16, "capture: bits")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +59,7 @@ class CaptureInfo:
     width, height: pixels. frame_count: frames that can be read, and gaps in an image sequence. frame_rate_hz:
     per second, None for stills. pixel_format:
     FFmpeg's name, or such as `PNG 16-bit`. bits: significant bits of an integer sample (32: float). codec:
-    of the video, or the image format. chroma: `4:4:4`, `4:2:2`, `4:2:0`, `grey`. files: what it consists of.
+    of the video, or the image format. chroma: `4:4:4`, `4:2:2`, `4:2:0`, `grey`, `Bayer`. files: all of it.
     numbers: of the frame that each file of a sequence is. missing: names of missing files by frame number.
     left_out: images of the folder that are no frames. promised_frame_count: what the header declares; more
     than frame_count means that the video is cut off. stated_transfer: the curve that the file states, as
@@ -165,7 +162,7 @@ class Capture:
         for number, path in zip(self.info.numbers, self.info.files, strict=True):
             if number not in wanted:
                 continue
-            values = read_image(path, max_megapixels=self.options.max_megapixels)
+            values = self._read(path)
             height, width = values.shape[:2]
             if (width, height) != (self.info.width, self.info.height):
                 raise BadCapture(
@@ -175,6 +172,9 @@ class Capture:
             bits = _bits(values, self.options, path)
             yield EncodedFrame(values=values, bits=bits, number=number, name=str(path))
 
+    def _read(self, path: Path | str) -> npt.NDArray[Any]:
+        return read_image(path, max_megapixels=self.options.max_megapixels, sensor=self.options.sensor)
+
     def _read_background(self) -> LinearImage | None:
         background = self.options.background
         if background is None:
@@ -182,7 +182,7 @@ class Capture:
         name = "background"
         if isinstance(background, (str, Path)):
             name = str(background)
-            values = read_image(background, max_megapixels=self.options.max_megapixels)
+            values = self._read(background)
             bits = _bits(values, self.options, background)
             encoded = EncodedFrame(values=values, bits=bits, number=0, name=name)
             background = linear_frame_from_encoded(encoded, self.transfer).rgb
@@ -209,6 +209,7 @@ def open_capture(source: Path | str, options: CaptureOptions | None = None) -> C
             max_megapixels=options.max_megapixels,
             threads=options.threads,
             takes_codes=options.transfer is not None and options.transfer.takes_codes,
+            sensor=options.sensor,
         )
         return Capture(_info_of_video(reader), options, reader, str(source))
     if found.missing and options.gaps is Gaps.REFUSE:
@@ -230,7 +231,7 @@ def _info_of_video(reader: VideoReader) -> CaptureInfo:
         pixel_format=reader.pixel_format.name,
         bits=reader.bits,
         codec=reader.codec,
-        chroma=reader.pixel_format.chroma,
+        chroma=reader.chroma,
         files=(reader.path,),
         promised_frame_count=reader.index.promised,
         stated_transfer=reader.stated_transfer,
@@ -251,9 +252,12 @@ def _stated_transfer(info: CaptureInfo, name: str) -> Transfer:
 
 def _info_of_images(found: CaptureFiles, options: CaptureOptions) -> CaptureInfo:
     files = found.files
-    first = read_image(files[0], max_megapixels=options.max_megapixels)
+    if is_raw(files[0]):
+        return _info_of_raw(found, options)
+    first = read_image(files[0], max_megapixels=options.max_megapixels, sensor=options.sensor)
     with opened(files[0], BadCapture) as stream:
         header = header_of_stream(stream, str(files[0]))
+    grey = "Bayer" if options.sensor.bayer or header.bayer else "grey"
     return CaptureInfo(
         kind=found.kind,
         width=first.shape[1],
@@ -263,7 +267,7 @@ def _info_of_images(found: CaptureFiles, options: CaptureOptions) -> CaptureInfo
         pixel_format=f"{header.format} {header.bits}-bit{' float' if header.floating else ''}",
         bits=_bits(first, options, files[0]),
         codec=header.format,
-        chroma="grey" if header.channels < 3 else header.chroma,
+        chroma=grey if header.channels < 3 else header.chroma,
         files=files,
         promised_frame_count=found.numbers[-1] + 1,
         stated_transfer=header.stated_transfer,
@@ -274,12 +278,34 @@ def _info_of_images(found: CaptureFiles, options: CaptureOptions) -> CaptureInfo
     )
 
 
+def _info_of_raw(found: CaptureFiles, options: CaptureOptions) -> CaptureInfo:
+    limit = options.max_megapixels
+    _, header = read_raw(found.files[0], options.sensor.demosaic, max_megapixels=limit)
+    return CaptureInfo(
+        kind=found.kind,
+        width=header.width,
+        height=header.height,
+        frame_count=found.numbers[-1] + 1,
+        frame_rate_hz=options.frame_rate_hz,
+        pixel_format=f"{header.kind}, saturation {header.saturation}",
+        bits=16,
+        codec="raw",
+        chroma="Bayer",
+        files=found.files,
+        promised_frame_count=found.numbers[-1] + 1,
+        stated_transfer="linear",
+        orientation=header.orientation,
+        numbers=found.numbers,
+        missing=found.missing,
+        left_out=found.left_out,
+    )
+
+
 def _bits(values: npt.NDArray[Any], options: CaptureOptions, path: Path | str) -> int:
     if values.dtype == np.float32:
         return 32
     stored = values.dtype.itemsize * 8
-    if options.bits is not None and options.bits > stored:
-        raise BadCapture(
-            f"{path}: samples of {stored} bits cannot hold {options.bits}; give bits up to {stored}"
-        )
-    return options.bits or stored
+    bits = options.sensor.bits
+    if bits is not None and bits > stored:
+        raise BadCapture(f"{path}: samples of {stored} bits cannot hold {bits}; give bits up to {stored}")
+    return bits or stored

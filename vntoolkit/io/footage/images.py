@@ -1,4 +1,4 @@
-"""Single images: PNG, TIFF, JPEG, BMP by OpenCV, EXR by OpenEXR; RGB, sizes checked before decoding."""
+"""Single images: PNG, TIFF, JPEG, BMP by OpenCV, EXR by OpenEXR, raw by LibRaw; sizes checked first."""
 
 from __future__ import annotations
 
@@ -22,13 +22,21 @@ from vntoolkit.arrays import Mask
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.atomic import write_bytes
 from vntoolkit.io.files import opened
+from vntoolkit.io.footage.mosaics import (
+    RAW_SUFFIXES,
+    Bayer,
+    SensorOptions,
+    is_raw,
+    read_raw,
+    rgb_from_mosaic,
+)
 from vntoolkit.io.footage.orientation import UPRIGHT, Orientation
 from vntoolkit.io.limits import require_pixels
 from vntoolkit.io.maps_and_meshes import exr
 from vntoolkit.io.maps_and_meshes.exr import read_exr
 from vntoolkit.native import silenced_native_output
 
-SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".exr")
+SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".exr", *RAW_SUFFIXES)
 _LONGEST_HEADER = 32 << 20  # bytes; colour profiles and previews stand before the size in some files
 _PIECE_BYTES = 1 << 20
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -36,10 +44,13 @@ _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _BY_PILLOW = {"PNG": _PNG, "JPEG": b"\xff\xd8", "BMP": b"BM"}
 # TIFF and EXIF tags, and values of theirs
 _SUBFILE_TYPE, _REDUCED = 254, 1
-_PHOTOMETRIC, _PHOTOMETRIC_READ = 262, (1, 2, 3)  # black is zero, RGB, palette
+_PHOTOMETRIC, _BLACK_IS_ZERO, _MOSAIC = 262, 1, 32803
+_PHOTOMETRIC_READ = (_BLACK_IS_ZERO, 2, 3, _MOSAIC)  # 2: RGB, 3: palette
+_CFA_PATTERN = 33422
+_BAYER_BY_CODES = {bytes("rgb".index(colour) for colour in bayer.value): bayer for bayer in Bayer}
 _PHOTOMETRIC_NAMES = {
     0: "grey with white as zero", 4: "a transparency mask", 5: "CMYK", 6: "YCbCr", 8: "CIELAB", 9: "ICCLAB",
-    10: "ITULAB", 32803: "a Bayer mosaic", 32844: "LogL", 32845: "LogLuv",
+    10: "ITULAB", 32844: "LogL", 32845: "LogLuv",
 }  # fmt: skip
 _ORIENTATION, _EXIF_IFD, _COLOUR_SPACE, _SRGB = 274, 0x8769, 0xA001, 1
 # sampling factors of luma: chroma's own are 1 × 1 in practice
@@ -50,16 +61,20 @@ def read_image(
     path: Path | str,
     *,
     max_megapixels: float | None = None,
+    sensor: SensorOptions | None = None,
     error: type[BadInput] = BadCapture,
 ) -> npt.NDArray[Any]:
     """Read an image as (h, w, 3) RGB, encoded values as stored: uint8, uint16 or float32 (EXR, float TIFF).
 
     Grey is repeated in the three channels. An alpha channel is dropped where it is opaque everywhere and
     refused where it is not, since the colour beneath it is undefined. max_megapixels: None for the limit of
-    `reading_limits`. Raises `error` with one line for a file that is missing, empty, damaged, too large, or
-    holds NaN.
+    `reading_limits`. sensor: how camera raw files and Bayer mosaics are read. Raises `error` with one line
+    for a file that is missing, empty, damaged, too large, or holds NaN.
     """
-    colours, alpha = _decode(path, max_megapixels, error)
+    sensor = sensor or SensorOptions()
+    if is_raw(path):
+        return read_raw(path, sensor.demosaic, max_megapixels=max_megapixels, error=error)[0]
+    colours, alpha = _decode(path, max_megapixels, error, sensor)
     if alpha is not None:
         _require_opaque(alpha, path, error)
     return _in_three_channels(colours)
@@ -147,9 +162,15 @@ def resized_image(
 
 
 def _decode(
-    path: Path | str, max_megapixels: float | None, error: type[BadInput]
+    path: Path | str,
+    max_megapixels: float | None,
+    error: type[BadInput],
+    sensor: SensorOptions | None = None,
 ) -> tuple[npt.NDArray[Any], npt.NDArray[Any] | None]:
-    """Return the colours (h, w, 1) or (h, w, 3) in RGB order, and alpha (h, w) or None."""
+    """Return the colours (h, w, 1) or (h, w, 3) in RGB order, and alpha (h, w) or None.
+
+    sensor: how a Bayer mosaic is read; None where none is expected.
+    """
     with opened(path, error) as stream:
         header = header_of_stream(stream, str(path), error)
         require_pixels(header.width, header.height, max_megapixels, str(path), error)
@@ -157,6 +178,12 @@ def _decode(
             return _pixels_from_exr(path, max_megapixels, error)
         stream.seek(0)
         data = stream.read()
+    bayer = None if sensor is None else sensor.bayer or header.bayer
+    if header.mosaic_at:
+        if bayer is None:
+            raise error(f"{path}: is stored as a Bayer mosaic; give --bayer with its pattern, such as rggb")
+        grey = struct.pack("<H" if data[:2] == b"II" else ">H", _BLACK_IS_ZERO)  # which OpenCV reads
+        data = data[: header.mosaic_at] + grey + data[header.mosaic_at + 2 :]
     cv2.utils.logging.setLogLevel(
         cv2.utils.logging.LOG_LEVEL_SILENT
     )  # a damaged file is reported by the one line below, not by OpenCV on stderr
@@ -168,6 +195,13 @@ def _decode(
     if pixels is None:
         raise error(f"{path}: the {header.format} file is damaged or cut off")
     pixels = _sound_samples(pixels, header, path, error)
+    if bayer is not None and sensor is not None:
+        if pixels.ndim != 2:
+            raise error(f"{path}: --bayer needs one sample a pixel, got {pixels.shape[2]}; leave it out")
+        if header.format == "TIFF" and header.orientation != UPRIGHT:  # the pattern would be turned with it
+            raise error(f"{path}: is a Bayer mosaic that is to be shown turned; save it upright")
+        rgb = rgb_from_mosaic(pixels, bayer, sensor.demosaic, str(path))
+        return header.orientation.upright(rgb), None
     if header.format != "TIFF":  # which OpenCV itself turns upright, and no other
         pixels = header.orientation.upright(pixels)
     if pixels.ndim == 3 and pixels.shape[2] >= 3:
@@ -245,7 +279,8 @@ class ImageHeader:
 
     format: its name. width, height: as stored, pixels. channels: alpha included. bits: per sample. chroma:
     subsampling (JPEG). orientation: what turns the picture upright. stated_transfer: curve, as `Transfer`
-    reads it, empty for none.
+    reads it, empty for none. mosaic_at: byte of a TIFF that states a Bayer mosaic, 0 for none. bayer: its
+    pattern, None for none or one that is not stated.
     """
 
     format: str
@@ -257,6 +292,8 @@ class ImageHeader:
     chroma: str = "4:4:4"
     orientation: Orientation = UPRIGHT
     stated_transfer: str = ""
+    mosaic_at: int = 0
+    bayer: Bayer | None = None
 
 
 # Size and sample depth of an image from its first bytes, before any pixel is decoded.
@@ -389,6 +426,8 @@ def _tiff(stream: BinaryIO, name: str, error: type[BadInput]) -> ImageHeader:
                 bits=int(bits[0] if isinstance(bits, tuple) else bits),
                 floating=page.sampleformat == 3,
                 orientation=Orientation.from_exif(int(page.tags.valueof(_ORIENTATION, 1))),
+                mosaic_at=page.tags[_PHOTOMETRIC].valueoffset if page.photometric == _MOSAIC else 0,
+                bayer=_BAYER_BY_CODES.get(bytes(page.tags.valueof(_CFA_PATTERN, b""))),
             )
     except (tifffile.TiffFileError, AttributeError, TypeError, OverflowError) as problem:
         raise ValueError(str(problem)) from problem

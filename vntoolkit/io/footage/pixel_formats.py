@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import Matrix3, Vector3
+from vntoolkit.io.footage.mosaics import Bayer
 from vntoolkit.native import njit
 
 _UNSPECIFIED = 2  # AVCOL_SPC_UNSPECIFIED
@@ -25,22 +26,31 @@ _LUMA_WEIGHTS = {
 
 @dataclass(frozen=True, kw_only=True)
 class PixelFormat:
-    """FFmpeg's name, bits per sample, chroma subsampling (`4:4:4` for RGB), and whether it is RGB or grey."""
+    """FFmpeg's name, bits per sample, chroma subsampling (`4:4:4` for RGB), and whether it is RGB or grey.
+
+    bayer: pattern of a mosaic, whose samples are one a pixel, as grey is.
+    """
 
     name: str
     bits: int
     chroma: str
     is_rgb: bool
     is_grey: bool = False
+    bayer: Bayer | None = None
 
     @classmethod
     def from_av(cls, video_format: Any) -> PixelFormat:
         """Read it off an `av.VideoFormat`."""
+        name = str(video_format.name)
+        if name.startswith("bayer_"):
+            bits = 16 if name.endswith(("16le", "16be")) else 8
+            bayer = Bayer(name[len("bayer_") : len("bayer_") + 4])
+            return cls(name=name, bits=bits, chroma="Bayer", is_rgb=False, is_grey=True, bayer=bayer)
         grey = len(video_format.components) < 3 and not video_format.is_rgb
         chroma = {(16, 16): "4:4:4", (8, 16): "4:2:2", (8, 8): "4:2:0", (4, 16): "4:1:1", (16, 8): "4:4:0"}
         width, height = video_format.chroma_width(16), video_format.chroma_height(16)
         return cls(
-            name=str(video_format.name),
+            name=name,
             bits=max(int(component.bits) for component in video_format.components),
             chroma="grey" if grey else chroma.get((width, height), f"{width}/16 × {height}/16"),
             is_rgb=bool(video_format.is_rgb),
@@ -91,6 +101,13 @@ def rgb_from_video_frame(
         if frame.colorspace == _UNSPECIFIED:
             arguments["src_colorspace"] = _SWS_ITU709 if hd else _SWS_ITU601
     return np.ascontiguousarray(frame.reformat(format=target, **arguments).to_ndarray())
+
+
+def mosaic_from_video_frame(frame: Any, pixel_format: PixelFormat) -> npt.NDArray[Any]:
+    """Return the (h, w) samples of a grey frame or a Bayer mosaic, uint8 or uint16, as stored."""
+    order = ">" if pixel_format.name.endswith("be") else "<"
+    samples = _plane(frame, 0, np.dtype(np.uint8 if pixel_format.bits == 8 else f"{order}u2"))
+    return samples.astype(samples.dtype.newbyteorder("="))
 
 
 def rgb_from_planar_yuv(

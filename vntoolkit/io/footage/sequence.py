@@ -144,7 +144,7 @@ def _in_folder(folder: Path) -> tuple[tuple[Path, ...], tuple[Path, ...]]:
     if not files:
         videos = [path.name for path in sorted(folder.iterdir()) if path.suffix.lower() in _VIDEO_SUFFIXES]
         instead = f"name the video, {folder / videos[0]}" if videos else _EXPECTED
-        raise BadCapture(f"{folder}: holds no image ({', '.join(SUFFIXES)}); {instead}")
+        raise BadCapture(f"{folder}: holds no image ({', '.join(SUFFIXES[:9])}, …); {instead}")
     by_pattern: dict[str, list[Path]] = defaultdict(list)
     for path in sorted(files, key=natural_key):
         by_pattern[pattern_of(path)].append(path)

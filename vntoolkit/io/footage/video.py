@@ -23,8 +23,9 @@ from vntoolkit.checks import require_in_range
 from vntoolkit.errors import BadCapture, CannotWrite
 from vntoolkit.io.atomic import atomic_path
 from vntoolkit.io.files import require_file
+from vntoolkit.io.footage.mosaics import Bayer, Demosaic, SensorOptions, rgb_from_mosaic
 from vntoolkit.io.footage.orientation import UPRIGHT, Orientation
-from vntoolkit.io.footage.pixel_formats import PixelFormat, rgb_from_video_frame
+from vntoolkit.io.footage.pixel_formats import PixelFormat, mosaic_from_video_frame, rgb_from_video_frame
 from vntoolkit.io.limits import require_pixels
 from vntoolkit.native import njit
 
@@ -67,7 +68,8 @@ class VideoReader:
     their packets, so the number of a frame does not depend on a frame rate in the header. A decoder that came
     to the end of what it was asked for waits there, so that going on costs no seek: cameras write a key frame
     every few seconds, and all frames since then would be decoded again. Frames come upright, whatever way the
-    camera was held. takes_codes: as for `Transfer`. Raises `BadCapture` for interlaced video.
+    camera was held. takes_codes: as for `Transfer`. sensor: how Bayer mosaics are read. Raises `BadCapture`
+    for interlaced video.
     """
 
     def __init__(
@@ -77,6 +79,7 @@ class VideoReader:
         max_megapixels: float | None = None,
         threads: int = 2,
         takes_codes: bool = False,
+        sensor: SensorOptions | None = None,
     ) -> None:
         self.path = require_file(path, BadCapture)
         self.threads = threads
@@ -94,6 +97,8 @@ class VideoReader:
             self.codec = str(context.codec.name)
             self.stated_transfer = _TRANSFER_NAMES.get(int(context.color_trc or 0), "")
             self.pixel_format = PixelFormat.from_av(context.format)
+            self._demosaic = (sensor or SensorOptions()).demosaic
+            self._bayer = self._pattern((sensor or SensorOptions()).bayer)
             self.takes_codes = takes_codes and not (self.pixel_format.is_rgb or self.pixel_format.is_grey)
             self._is_in_order = bool(context.has_b_frames) and container.format.name == "avi"
             rate = stream.average_rate or stream.guessed_rate or Fraction(30)
@@ -102,12 +107,29 @@ class VideoReader:
             self._require_progressive(int(context.field_order or 0) >= _FIRST_INTERLACED)
             self.orientation = self._stated_orientation(container)
         turned = -1 if self.orientation.transposed else 1
-        self.width, self.height = self._stored_size[::turned]
+        width, height = self._stored_size[::turned]
+        smaller = 2 if self._bayer is not None and self._demosaic is Demosaic.HALF else 1
+        self.width, self.height = width // smaller, height // smaller
 
     @property
     def bits(self) -> int:
         """Significant bits of the samples that `frames` yields."""
+        if self._bayer is not None:
+            return self.pixel_format.bits
         return 16 if self.takes_codes else self.pixel_format.decoded_bits
+
+    @property
+    def chroma(self) -> str:
+        """Chroma subsampling, as `CaptureInfo` has it."""
+        return "Bayer" if self._bayer is not None else self.pixel_format.chroma
+
+    def _pattern(self, given: Bayer | None) -> Bayer | None:
+        """Return the pattern of the mosaic that the video is, None for none."""
+        if given is not None and not self.pixel_format.is_grey:
+            raise BadCapture(
+                f"{self.path}: --bayer needs one sample a pixel, got {self.pixel_format.name}; leave it out"
+            )
+        return given or self.pixel_format.bayer
 
     @property
     def uneven_times_s(self) -> tuple[float, ...]:
@@ -238,6 +260,9 @@ class VideoReader:
             )
         self._require_progressive(frame.interlaced_frame)
         try:
+            if self._bayer is not None:
+                mosaic = mosaic_from_video_frame(frame, self.pixel_format)
+                return self.orientation.upright(rgb_from_mosaic(mosaic, self._bayer, self._demosaic))
             rgb = rgb_from_video_frame(
                 frame, self.pixel_format, hd=height >= _HD_HEIGHT, takes_codes=self.takes_codes
             )

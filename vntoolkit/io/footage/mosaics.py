@@ -1,0 +1,162 @@
+"""Frames as the sensor recorded them: camera raw files, and Bayer mosaics that are stored as grey."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.checks import require_in_range
+from vntoolkit.errors import BadCapture, BadInput
+from vntoolkit.io.files import opened
+from vntoolkit.io.limits import require_pixels
+
+# Camera raw files that LibRaw reads.
+RAW_SUFFIXES = (
+    ".dng", ".cr2", ".cr3", ".crw", ".nef", ".nrw", ".arw", ".sr2", ".raf", ".orf", ".rw2", ".pef", ".srw",
+    ".3fr", ".fff", ".iiq", ".kdc", ".dcr", ".erf", ".mef", ".mos", ".mrw", ".rwl", ".x3f",
+)  # fmt: skip
+_FULL = 65535
+_TURNS = {3: "turned by 180°", 5: "turned by 270°", 6: "turned by 90°"}  # LibRaw's flip
+
+
+class Bayer(Enum):
+    """The colours of the top left 2×2 pixels, row by row; GenICam's BayerRG is rggb, and so on."""
+
+    RGGB = "rggb"
+    BGGR = "bggr"
+    GRBG = "grbg"
+    GBRG = "gbrg"
+
+
+# OpenCV names a pattern by the pixels from the second row and column on.
+_OPENCV_NAMES = {Bayer.RGGB: "BG", Bayer.BGGR: "RG", Bayer.GRBG: "GB", Bayer.GBRG: "GR"}
+
+
+class Demosaic(Enum):
+    """How the two missing colours of a pixel are found."""
+
+    # Assumes nothing about how the channels go together; under lamps of three colours they do not.
+    BILINEAR = "bilinear"
+    EDGE = "edge"  # along edges: sharper where all channels share them
+    HALF = "half"  # not at all: 2×2 pixels become one
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorOptions:
+    """How a sensor's own samples are read.
+
+    bayer: colours of the top left 2×2 pixels, row by row, of frames stored as grey. Camera raw files, and
+    files that state it, need none. demosaic: how the missing colours of a Bayer mosaic are found: bilinear,
+    edge (along edges), or half (2×2 pixels become one of half the picture's size). bits: significant bits of
+    an integer sample where the file does not tell, such as 12 for 12-bit values stored in 16-bit PNG.
+    """
+
+    bayer: Bayer | None = None
+    demosaic: Demosaic = Demosaic.BILINEAR
+    bits: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.bits is not None:
+            require_in_range(self.bits, 1, 16, "capture: bits")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RawHeader:
+    """Kind of raw file, size of the picture as read, the sensor's saturation, and what turns it upright."""
+
+    kind: str
+    width: int
+    height: int
+    saturation: int
+    orientation: str
+
+
+def is_raw(path: Path | str) -> bool:
+    """Tell whether a file's name is that of a camera raw file."""
+    return Path(path).suffix.lower() in RAW_SUFFIXES
+
+
+def read_raw(
+    path: Path | str,
+    demosaic: Demosaic = Demosaic.BILINEAR,
+    *,
+    max_megapixels: float | None = None,
+    error: type[BadInput] = BadCapture,
+) -> tuple[npt.NDArray[np.uint16], RawHeader]:
+    """Read a camera raw file as linear, upright (h, w, 3) RGB of the sensor, 65535 = its saturation.
+
+    Black level and saturation are the file's; there is no white balance, no camera matrix and no curve.
+    Raises `error` with one line.
+    """
+    rawpy = _rawpy(error)
+    algorithms = rawpy.DemosaicAlgorithm
+    with opened(path, error) as stream:
+        try:
+            with rawpy.RawPy() as raw:
+                raw.open_buffer(stream)
+                sizes = raw.sizes
+                require_pixels(sizes.width, sizes.height, max_megapixels, str(path), error)
+                raw.unpack()
+                picture = raw.postprocess(
+                    demosaic_algorithm=algorithms.AHD if demosaic is Demosaic.EDGE else algorithms.LINEAR,
+                    half_size=demosaic is Demosaic.HALF,
+                    gamma=(1, 1),
+                    no_auto_bright=True,
+                    adjust_maximum_thr=0.0,  # else full scale would follow the picture
+                    user_wb=[1, 1, 1, 1],
+                    output_color=rawpy.ColorSpace.raw,
+                    output_bps=16,
+                )
+                saturation = int(raw.white_level or 0)
+        except (rawpy.LibRawError, ValueError, OSError) as problem:
+            reason = " ".join(str(problem).replace("b'", "").strip("'").split()).lower()
+            raise error(
+                f"{path}: cannot be read as a camera raw file ({reason}); it is damaged or unknown"
+            ) from problem
+    if picture.ndim != 3 or picture.shape[2] != 3:
+        raise error(f"{path}: holds {picture.shape[-1]} colours a pixel, expected red, green and blue")
+    header = RawHeader(
+        kind=Path(path).suffix[1:].upper(),
+        width=picture.shape[1],
+        height=picture.shape[0],
+        saturation=saturation,
+        orientation=_TURNS.get(sizes.flip, ""),
+    )
+    return np.ascontiguousarray(picture), header
+
+
+def rgb_from_mosaic(
+    mosaic: npt.NDArray[Any], bayer: Bayer, demosaic: Demosaic = Demosaic.BILINEAR, name: str = "mosaic"
+) -> npt.NDArray[Any]:
+    """Return (h, w, 3) RGB of an (h, w) mosaic, uint8 or uint16; by `HALF` (h // 2, w // 2, 3)."""
+    if mosaic.ndim != 2 or mosaic.dtype not in (np.uint8, np.uint16) or min(mosaic.shape) < 2:
+        kind = f"{mosaic.shape} {mosaic.dtype}"
+        raise BadCapture(f"{name}: expected a Bayer mosaic of 8 or 16 bits, 2×2 pixels or more, got {kind}")
+    if demosaic is Demosaic.HALF:
+        height, width = mosaic.shape[0] // 2 * 2, mosaic.shape[1] // 2 * 2
+        cells = [mosaic[row:height:2, column:width:2] for row in (0, 1) for column in (0, 1)]
+        by_colour = {colour: [cells[k] for k in range(4) if bayer.value[k] == colour] for colour in "rgb"}
+        first, second = by_colour["g"]
+        green = (first.astype(np.uint32) + second + 1) // 2
+        planes = (by_colour["r"][0], green.astype(mosaic.dtype), by_colour["b"][0])
+        return np.stack(planes, axis=-1)
+    import cv2  # here, so that options can be read where OpenCV is broken
+
+    ending = "_EA" if demosaic is Demosaic.EDGE else ""
+    code = getattr(cv2, f"COLOR_Bayer{_OPENCV_NAMES[bayer]}2RGB{ending}")
+    return np.asarray(cv2.cvtColor(np.ascontiguousarray(mosaic), code))
+
+
+def _rawpy(error: type[BadInput]) -> Any:
+    try:
+        import rawpy
+    except ImportError as problem:  # of a Mac with an Intel processor, for which there is no wheel
+        raise error(
+            "camera raw files need the library rawpy: pip install rawpy, or convert them to linear TIFF"
+        ) from problem
+    return rawpy
