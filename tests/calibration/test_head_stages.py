@@ -25,7 +25,7 @@ from vntoolkit.calibration.head.light import LightOptions, fit_light
 from vntoolkit.calibration.head.samples import HeadRays, HeadSamples, spread_over_orientations
 from vntoolkit.calibration.head.sift import joined_matches
 from vntoolkit.calibration.head.silhouettes import SilhouetteOptions, find_silhouette
-from vntoolkit.calibration.head.tracks import ContrastOptions, TrackBuilder, TrackOptions, local_contrast
+from vntoolkit.calibration.head.tracks import TrackBuilder, TrackOptions, local_contrast
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 
@@ -39,10 +39,9 @@ def relative_error(matrix):
 
 def test_smooth_light_leaves_local_contrast_as_it_is():
     image = render_egg(POSES[6])
-    options = ContrastOptions()
     slope = np.linspace(0.7, 1.3, CAMERA.width, dtype=np.float32)[None, :, None]
     inner = np.s_[90:150, 120:200]
-    before, after = (local_contrast(each, options)[inner] for each in (image, image * slope))
+    before, after = (local_contrast(each)[inner] for each in (image, image * slope))
     assert before.std() > 0.5
     assert np.abs(after - before).mean() < 0.1 * before.std()
 

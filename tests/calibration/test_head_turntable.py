@@ -8,9 +8,9 @@ from scipy.spatial.transform import Rotation
 from vntoolkit.calibration.head.hull import Box, HullOptions, SilhouetteView, fit_hull, mesh_of_grid
 from vntoolkit.calibration.head.poses import PoseOptions, PoseStart, solve_head_motion
 from vntoolkit.calibration.head.shape import FusionOptions, fuse_points
-from vntoolkit.calibration.head.sift import SiftBuilder, SiftOptions, require_features
+from vntoolkit.calibration.head.sift import SiftBuilder, require_features
 from vntoolkit.calibration.head.stereo import StereoOptions, hull_depth, stereo_points
-from vntoolkit.calibration.head.tracks import ContrastOptions, local_contrast
+from vntoolkit.calibration.head.tracks import local_contrast
 from vntoolkit.errors import BadCalibration
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.rigid import RigidTransform
@@ -76,10 +76,7 @@ def david(folder):
 )
 def test_the_fused_mesh_fills_the_silhouettes(real_data, name, load, cells, least):
     views, images, box = load(real_data / "turntable" / name)
-    contrasts = [
-        np.clip(127.5 + 32 * local_contrast(image, ContrastOptions()), 0, 255).astype(np.uint8)
-        for image in images
-    ]
+    contrasts = [np.clip(127.5 + 32 * local_contrast(image), 0, 255).astype(np.uint8) for image in images]
     grid = fit_hull(views, box, HullOptions(hull_cells=cells))
     hull = mesh_of_grid(grid)
     maps = [stereo_points(views, contrasts, hull, k, STEREO) for k in range(len(views))]
@@ -102,9 +99,9 @@ def test_twenty_degrees_from_view_to_view_are_too_many_to_follow(real_data, patt
 
 def poses_from_images(views, images):
     """Poses by matched features in the local contrast inside the silhouettes, the camera alone given."""
-    builder = SiftBuilder(camera=views[0].camera, options=SiftOptions())
+    builder = SiftBuilder(camera=views[0].camera)
     for view, image in zip(views, images, strict=True):
-        builder.add(local_contrast(image, ContrastOptions()), view.mask)
+        builder.add(local_contrast(image), view.mask)
     tracks = builder.finish()
     require_features(tracks)
     rng = np.random.default_rng(0)

@@ -1,11 +1,12 @@
 import pickle
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
+from typing import Annotated
 
 import pytest
 from cyclopts import App
 
-from vntoolkit.cli.flags import flags_from, meanings_of_fields
+from vntoolkit.cli.flags import Flags, meanings_of_fields, verb
 from vntoolkit.pipeline.options import Product, ReconstructOptions
 
 
@@ -28,16 +29,29 @@ class Shape:
     second: int = 2
 
 
+@dataclass(frozen=True, kw_only=True)
+class Drawing:
+    """A drawing. title: above it."""
+
+    title: str = ""
+    shape: Shape = field(default_factory=Shape)
+
+
 def test_the_docstring_becomes_the_help_and_the_class_the_value(capsys: pytest.CaptureFixture[str]) -> None:
     app = App(result_action="return_value")
 
-    def draw(*, shape: flags_from(Shape, without=("second",), first="number") = None) -> Shape | None:  # type: ignore[valid-type]
-        return shape
+    @verb()
+    def draw(
+        *, drawing: Annotated[Drawing | None, Flags(without=("second",), renamed={"first": "number"})] = None
+    ) -> Drawing | None:
+        return drawing
 
     app.default(draw)
     made = app(["--size-mm", "3", "--kind", "square", "--number", "7"])
-    assert isinstance(made, Shape)
-    assert (made.size_mm, made.kind, made.first, made.second) == (3.0, Kind.SQUARE, 7, 2)
+    assert isinstance(made, Drawing)
+    shape = made.shape
+    assert (made.title, shape.size_mm, shape.kind, shape.first, shape.second) == ("", 3.0, Kind.SQUARE, 7, 2)
+    assert app(["--title", "A"]).shape.size_mm == 2.0
     assert app([]) is None  # the verb then takes the defaults of the class
     app(["--help"])
     shown = capsys.readouterr().out
@@ -70,8 +84,9 @@ def test_the_options_of_the_pipeline_are_documented() -> None:
 def test_options_from_flags_go_to_another_process_as_the_stages_own() -> None:
     app = App(result_action="return_value")
 
-    def draw(*, shape: flags_from(ReconstructOptions) = None) -> ReconstructOptions | None:  # type: ignore[valid-type]
-        return shape
+    @verb()
+    def draw(*, options: Annotated[ReconstructOptions | None, Flags()] = None) -> ReconstructOptions | None:
+        return options
 
     app.default(draw)
     again = pickle.loads(pickle.dumps(app(["--to", "normals"])))

@@ -22,7 +22,6 @@ from vntoolkit.io.rigs import write_rig
 from vntoolkit.live.capture import CameraSource, FileSource, LatencyMeter, LiveRecorder, LiveRun, TimedFrame
 from vntoolkit.live.frames import (
     FrameView,
-    LiveOptions,
     LiveProcessor,
     LiveResult,
     exposure_warnings,
@@ -169,8 +168,8 @@ def test_results_are_those_of_the_dome_and_depth_keeps_its_offset() -> None:
 
 
 def test_depth_of_half_the_size_is_the_same_surface() -> None:
-    whole = LiveProcessor(dome_rig(), options=LiveOptions(depth_px=64))
-    half = LiveProcessor(dome_rig(), options=LiveOptions(depth_px=32))
+    whole = LiveProcessor(dome_rig(), depth_px=64)
+    half = LiveProcessor(dome_rig(), depth_px=32)
     large, small = (p.process(encoded(dome_picture())) for p in (whole, half))
     assert large.normal_map.shape == small.normal_map.shape == (48, 64)
     assert small.depth_map.shape == (half.depth_camera.height, half.depth_camera.width) == (24, 32)

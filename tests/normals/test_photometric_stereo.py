@@ -5,7 +5,6 @@ import pytest
 
 from vntoolkit.errors import BadInput
 from vntoolkit.normals.photometric_stereo import (
-    PhotometricStereoOptions,
     normals_from_lights,
     solve_photometric_stereo,
 )
@@ -60,14 +59,10 @@ def test_gloss_cast_shadow_and_clipping_are_left_out(rng) -> None:
     spoiled[bad, v, u] = np.where(gloss, np.minimum(images[bad, v, u] + 0.5, 1.0), 0.3 * images[bad, v, u])
     well_lit = inside & ((images > 0.1).sum(axis=0) >= 8)
     robust = normals_from_lights(spoiled, LIGHTS, well_lit)
-    naive = normals_from_lights(
-        spoiled,
-        LIGHTS,
-        well_lit,
-        PhotometricStereoOptions(outlier_share=1e6, saturation=9.0, shadow_share=0.0),
-    )
+    naive = np.linalg.lstsq(LIGHTS, spoiled.reshape(12, -1), rcond=None)[0].T.reshape(SIZE, SIZE, 3)
+    naive /= np.linalg.norm(naive, axis=-1, keepdims=True) + 1e-9
     robust_error = angles_deg(robust.normals_in_camera, normals)[well_lit]
-    naive_error = angles_deg(naive.normals_in_camera, normals)[well_lit]
+    naive_error = angles_deg(naive, normals)[well_lit]
     assert np.percentile(robust_error, 95) < 0.4  # the noise alone: 0.001 / 0.8 over eleven lights is 0.1
     assert np.median(naive_error) > 3
 

@@ -2,9 +2,6 @@
 
 import json
 import shutil
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,16 +14,14 @@ from tests.result_files import write_mesh_sequence
 from vntoolkit.__main__ import main
 from vntoolkit.calibration.lights import LightColours
 from vntoolkit.calibration.presses import PressOptions
-from vntoolkit.errors import BadCalibration, BadCapture, BadInput, BadMotion, VntError
+from vntoolkit.errors import BadCalibration, BadCapture, BadInput, BadMotion
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.mesh_sequence import MeshSequence
 from vntoolkit.geometry.motion import Motion, Skeleton
-from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.rigs import write_rig
 from vntoolkit.photometry.rig import Rig
-from vntoolkit.pipeline import reconstruct as reconstruction
 from vntoolkit.pipeline import simulate
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.calibrate import CalibrationJob, calibrate_lights, mean_frame
@@ -48,7 +43,6 @@ from vntoolkit.pipeline.referenced_captures import read_capture
 from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob, read_motion_file
 from vntoolkit.pipeline.tracked_folder import read_track_record, recorded_camera
 from vntoolkit.pipeline.truth_comparison import compare_with_truth
-from vntoolkit.simulation.scene import SceneOptions
 
 __all__ = ["dome_result"]
 TRIANGLE = Mesh(vertices=np.eye(3), faces=np.array([[0, 1, 2]], dtype=np.int32))
@@ -221,39 +215,6 @@ def test_a_first_frame_that_shows_nothing_is_named(tmp_path: Path, dome_capture:
     )
     with pytest.raises(BadCapture, match=r"dark\.png"):
         reconstruct(job)
-
-
-def _dies(*_: object) -> Iterator[int]:
-    raise BrokenProcessPool
-    yield
-
-
-@pytest.mark.parametrize("module", [reconstruction, simulate])
-def test_a_worker_that_dies_is_named(
-    module: object, tmp_path: Path, dome_capture: DomeCapture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(module, "_collect", _dies)
-    monkeypatch.setattr(module, "ProcessPoolExecutor", ThreadPoolExecutor)  # whose threads start at need
-    job = ReconstructionJob(
-        source=dome_capture.source,
-        rig=dome_capture.rig,
-        options=ReconstructOptions(),
-        folder=ReconstructionFolder(root=tmp_path),
-    )
-    simulation = SimulationJob(
-        scene="sphere",
-        folder=SimulationFolder(root=tmp_path / "s"),
-        options=SceneOptions(width=32, height=24),
-        frames=FrameRange.from_text("0:2"),
-    )
-    runs = {
-        reconstruction: lambda: list(
-            reconstruction.run_blocks(job, [range(1), range(2)], lambda _: frozenset(), 2)
-        ),
-        simulate: lambda: simulate.simulate(simulation, jobs=2),
-    }
-    with pytest.raises(VntError, match=r"ended abruptly .* run the same command again, with fewer --jobs"):
-        runs[module]()
 
 
 def test_simulations_of_what_cannot_be_filmed(tmp_path: Path) -> None:

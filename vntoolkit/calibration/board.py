@@ -38,6 +38,7 @@ logger = logging.getLogger(__name__)
 _FEWEST_POSES = 8
 _FEWEST_VIEWS = 5
 _FEWEST_CORNERS = 16
+_MOST_VIEWS = 40  # for the camera: more views that differ less add time and no knowledge
 _LARGEST_FIT_ERROR_PX = 1.0  # root mean square: corners are found to some tenths of a pixel
 _LARGEST_FOCAL_DEVIATION = 0.05  # relative standard deviation
 _NARROWEST_CONE_DEG = 8.0  # half-angle of the views: with less, focal length and distance are one unknown
@@ -48,19 +49,15 @@ class IntrinsicsOptions:
     """Options of the camera fit.
 
     radial_terms: coefficients of radial distortion, 0 to 2; higher ones follow noise where the corners
-    do not reach the image's edge. tangential: number of tangential coefficients, 0 or 2. most_views: views
-    used, picked so that they differ most.
+    do not reach the image's edge. tangential: number of tangential coefficients, 0 or 2.
     """
 
     radial_terms: int = 1
     tangential: int = 0
-    most_views: int = 40
 
     def __post_init__(self) -> None:
         if self.radial_terms not in (0, 1, 2) or self.tangential not in (0, 2):
             raise BadInput("intrinsics: expected 0 to 2 radial and 0 or 2 tangential terms")
-        if self.most_views < _FEWEST_VIEWS:
-            raise BadInput(f"intrinsics: expected at least {_FEWEST_VIEWS} views, got {self.most_views}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -234,7 +231,7 @@ def fit_camera(
             f"calibrate board: {len(usable)} frames show the board well enough for the camera's intrinsics, "
             f"at least {_FEWEST_VIEWS} are needed; film longer, or give the camera with --camera"
         )
-    views = [usable[i] for i in _most_different(_descriptors(usable, layout), options.most_views)]
+    views = [usable[i] for i in _most_different(_descriptors(usable, layout), _MOST_VIEWS)]
     points = [_in_plane(layout.corners_mm[s.corner_ids]) for s in views]
     images = [s.corners_px.astype(np.float32) for s in views]
     calibrate: Any = cv2.calibrateCameraExtended  # its stubs forbid the None that its manual asks for

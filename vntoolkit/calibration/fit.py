@@ -31,6 +31,7 @@ logger = logging.getLogger(__name__)
 _NARROW_CONE_DEG = 20.0  # half-angle: narrower, a percent of noise in the colours tilts M by degrees
 _LARGE_CONDITION_NUMBER = 30.0
 _SHARE_IN_CONE = 95.0
+_DRAWS = 2000  # minimal samples of MSAC
 
 
 class ResponseModel(Enum):
@@ -54,17 +55,14 @@ class ResponseFitOptions:
     model: with or without ambient light. method: how outliers are left out. shadow_share: (trimmed) a pair
     counts as shadowed if a channel's estimated contribution is at most this fraction of its largest; 0
     keeps shadowed pairs. outlier_sigmas: (trimmed) pairs whose colour residual exceeds this many robust
-    standard deviations are outliers (gloss or cast shadow). rounds: (trimmed) largest number of
-    repetitions. draws: (MSAC) minimal samples tried. inlier_share: (MSAC) largest residual of an inlier,
-    divided by the median length of the colours.
+    standard deviations are outliers (gloss or cast shadow). inlier_share: (MSAC) largest
+    residual of an inlier, divided by the median length of the colours.
     """
 
     model: ResponseModel = ResponseModel.LINEAR
     method: FitMethod = FitMethod.TRIMMED
     shadow_share: float = 0.08
     outlier_sigmas: float = 3.0
-    rounds: int = 30
-    draws: int = 2000
     inlier_share: float = 0.08
 
     def __post_init__(self) -> None:
@@ -72,8 +70,6 @@ class ResponseFitOptions:
             raise BadInput(f"shadow share: expected 0 to 1, got {self.shadow_share:g}")
         if not (0 < self.outlier_sigmas < np.inf and 0 < self.inlier_share < np.inf):
             raise BadInput("outlier sigmas and inlier share: expected positive numbers")
-        if self.rounds < 1 or self.draws < 1:
-            raise BadInput("rounds and draws: expected at least 1")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -118,11 +114,9 @@ def fit_response(
     if options.method is FitMethod.MSAC:
         if rng is None:
             raise BadInput("fit: MSAC draws samples and needs a random generator (rng=...)")
-        unknowns, inliers = fit_by_msac(design, usable, options.draws, options.inlier_share, rng)
+        unknowns, inliers = fit_by_msac(design, usable, _DRAWS, options.inlier_share, rng)
     else:
-        unknowns, inliers = fit_by_trimming(
-            design, usable, options.shadow_share, options.outlier_sigmas, options.rounds
-        )
+        unknowns, inliers = fit_by_trimming(design, usable, options.shadow_share, options.outlier_sigmas)
     response = response_from_unknowns(unknowns)
     quality = fit_quality(normals[inliers], colours[inliers], response, verb)
     warn_of_weak_fit(quality)
@@ -198,7 +192,7 @@ class Design:
 
 
 def fit_by_trimming(
-    design: Design, usable: Mask, shadow_share: float, outlier_sigmas: float, rounds: int
+    design: Design, usable: Mask, shadow_share: float, outlier_sigmas: float, rounds: int = 30
 ) -> tuple[FloatArray, Mask]:
     """Repeat least squares without attached shadow and without outliers until the set of pairs is stable.
 

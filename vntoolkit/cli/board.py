@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import Annotated
 
-from vntoolkit.cli.flags import flags_from
+from vntoolkit.cli.flags import Flags, verb
 from vntoolkit.geometry.board_layout import BoardLayout
 from vntoolkit.io.board_pdf import PageSize, write_board_pdf
 
-if TYPE_CHECKING:
-    LayoutFlags: TypeAlias = BoardLayout | None
-else:
-    LayoutFlags = flags_from(BoardLayout)
 
-
-def board(*, out: Path, page: PageSize = PageSize.A4, layout: LayoutFlags = None) -> None:
+@verb()
+def board(
+    *, out: Path, page: PageSize = PageSize.A4, layout: Annotated[BoardLayout | None, Flags()] = None
+) -> None:
     """Draw the calibration board to scale, with a scale bar and instructions.
 
     Parameters

@@ -2,40 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeAlias
+from typing import Annotated, TypeAlias
 
 import numpy as np
 from cyclopts import Parameter
 
-from vntoolkit.calibration.board import BoardOptions, IntrinsicsOptions
-from vntoolkit.calibration.fit import ResponseFit, ResponseFitOptions
-from vntoolkit.calibration.head.hull import HullOptions
-from vntoolkit.calibration.head.light import LightOptions
-from vntoolkit.calibration.head.poses import PoseOptions, PoseStart
-from vntoolkit.calibration.head.samples import SampleOptions
-from vntoolkit.calibration.head.shape import FusionOptions
-from vntoolkit.calibration.head.sift import SiftOptions
-from vntoolkit.calibration.head.silhouettes import SilhouetteOptions
-from vntoolkit.calibration.head.stereo import StereoOptions
-from vntoolkit.calibration.head.tracks import ContrastOptions, TrackOptions
+from vntoolkit.calibration.board import BoardOptions
+from vntoolkit.calibration.fit import ResponseFit
 from vntoolkit.calibration.lights import LightColours
 from vntoolkit.calibration.presses import PressOptions
 from vntoolkit.calibration.sphere import SphereOptions
-from vntoolkit.calibration.varying import VariationOptions
 from vntoolkit.cli.flags import (
     Allow,
     AmbientImage,
     Curve,
+    Flags,
     FocalPx,
     Frames,
     Overwrite,
+    Sensor,
     SingleLight,
     curve_from_text,
-    flags_from,
-    limits_on,
+    verb,
 )
 from vntoolkit.cli.output import JSON, MESH, PAGE, PICTURE, ProgressBars, require_output
 from vntoolkit.diagnosis.checks import CHECK_NAMES
@@ -54,53 +44,16 @@ from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline import calibrate
 from vntoolkit.pipeline import calibrate_presses as pipeline
 from vntoolkit.pipeline.calibrate import CalibrationJob
-from vntoolkit.pipeline.calibrate_head import Features, FollowOptions, HeadOptions, HeadShape, calibrate_head
+from vntoolkit.pipeline.calibrate_head import HeadOptions, calibrate_head
 
-if TYPE_CHECKING:
-    FitFlags: TypeAlias = ResponseFitOptions | None
-    SensorFlags: TypeAlias = SensorOptions | None
-    SphereFlags: TypeAlias = SphereOptions | None
-    LayoutFlags: TypeAlias = BoardLayout | None
-    BoardFlags: TypeAlias = BoardOptions | None
-    IntrinsicsFlags: TypeAlias = IntrinsicsOptions | None
-    ContrastFlags: TypeAlias = ContrastOptions | None
-    SilhouetteFlags: TypeAlias = SilhouetteOptions | None
-    TrackFlags: TypeAlias = TrackOptions | None
-    SiftFlags: TypeAlias = SiftOptions | None
-    PoseFlags: TypeAlias = PoseOptions | None
-    HullFlags: TypeAlias = HullOptions | None
-    StereoFlags: TypeAlias = StereoOptions | None
-    FusionFlags: TypeAlias = FusionOptions | None
-    SampleFlags: TypeAlias = SampleOptions | None
-    LightFlags: TypeAlias = LightOptions | None
-    PressFlags: TypeAlias = PressOptions
-    VariationFlags: TypeAlias = VariationOptions | None
-else:
-    FitFlags = flags_from(ResponseFitOptions, method="fit-method")
-    SensorFlags = flags_from(SensorOptions)
-    SphereFlags = flags_from(SphereOptions)
-    LayoutFlags = flags_from(BoardLayout)
-    BoardFlags = flags_from(BoardOptions)
-    IntrinsicsFlags = flags_from(IntrinsicsOptions)
-    ContrastFlags = flags_from(ContrastOptions)
-    SilhouetteFlags = flags_from(SilhouetteOptions)
-    TrackFlags = flags_from(TrackOptions)
-    SiftFlags = flags_from(SiftOptions)
-    PoseFlags = flags_from(PoseOptions)
-    HullFlags = flags_from(HullOptions)
-    StereoFlags = flags_from(StereoOptions, without=("neighbour_angles_deg",))
-    FusionFlags = flags_from(FusionOptions)
-    SampleFlags = flags_from(SampleOptions)
-    LightFlags = flags_from(LightOptions)
-    PressFlags = flags_from(PressOptions)
-    VariationFlags = flags_from(VariationOptions)
+_FIT = Flags(renamed={"method": "fit-method"})
 _List = Parameter(consume_multiple=True, negative=())
 Corners: TypeAlias = Annotated[tuple[float, float, float, float, float, float, float, float] | None, _List]
 SizeMm: TypeAlias = Annotated[tuple[float, float] | None, _List]
 SizePx: TypeAlias = Annotated[tuple[int, int] | None, _List]
 
 
-@limits_on("max_megapixels")
+@verb("max_megapixels")
 def sphere(
     source: str,
     /,
@@ -109,14 +62,13 @@ def sphere(
     mask: Path | None = None,
     background: AmbientImage = None,
     transfer: Curve = None,
-    sensor: SensorFlags = None,
+    sensor: Sensor = None,
     camera: Path | None = None,
     focal_px: FocalPx = None,
     single_light: SingleLight = None,
     frames: Frames = "::",
     allow: Allow = (),
-    options: SphereFlags = None,
-    fit: FitFlags = None,
+    options: Annotated[SphereOptions | None, _FIT] = None,
 ) -> None:
     """Calibrate on a matte ball of the subject's material, at rest under all three lights.
 
@@ -134,15 +86,14 @@ def sphere(
     require_known_checks(allow, CHECK_NAMES)
     require_output(out, JSON)
     job = _job(source, mask, background, transfer, camera, focal_px, single_light, frames, allow, sensor)
-    sphere_options = replace(options or SphereOptions(), fit=fit or ResponseFitOptions())
-    rig, result = calibrate.calibrate_sphere(job, sphere_options)
+    rig, result = calibrate.calibrate_sphere(job, options or SphereOptions())
     _accept(rig, allow, result.fit)
     write_rig(out, rig)
     (u, v), radius = result.outline.centre_px, result.outline.radius_px
     report_rig(out, rig, f"ball at ({u:.1f}, {v:.1f}), radius {radius:.1f} px")
 
 
-@limits_on("max_megapixels")
+@verb("max_megapixels")
 def board(
     source: str,
     /,
@@ -150,16 +101,14 @@ def board(
     out: Path,
     background: AmbientImage = None,
     transfer: Curve = None,
-    sensor: SensorFlags = None,
+    sensor: Sensor = None,
     camera: Path | None = None,
     focal_px: FocalPx = None,
     single_light: SingleLight = None,
     frames: Frames = "::",
     allow: Allow = (),
-    layout: LayoutFlags = None,
-    options: BoardFlags = None,
-    intrinsics: IntrinsicsFlags = None,
-    fit: FitFlags = None,
+    layout: Annotated[BoardLayout | None, Flags()] = None,
+    options: Annotated[BoardOptions | None, _FIT] = None,
 ) -> None:
     """Calibrate on the printed board, tilted in all directions, with the subject's material in its hole.
 
@@ -175,14 +124,9 @@ def board(
     require_known_checks(allow, CHECK_NAMES)
     require_output(out, JSON)
     job = _job(source, None, background, transfer, camera, focal_px, single_light, frames, allow, sensor)
-    board_options = replace(
-        options or BoardOptions(),
-        fit=fit or ResponseFitOptions(),
-        intrinsics=intrinsics or IntrinsicsOptions(),
-    )
     with ProgressBars() as bars:
         rig, result = calibrate.calibrate_board(
-            job, layout or BoardLayout(), board_options, partial(bars.reach, "find the board")
+            job, layout or BoardLayout(), options or BoardOptions(), partial(bars.reach, "find the board")
         )
     _accept(rig, allow, result.fit)
     write_rig(out, rig)
@@ -191,7 +135,7 @@ def board(
     report_rig(out, rig, f"{len(result.poses)} poses to {error:.2f} px, focal length {focal:.0f} px")
 
 
-@limits_on("max_megapixels")
+@verb("max_megapixels")
 def lights(
     source: Path,
     /,
@@ -201,7 +145,7 @@ def lights(
     lights: Annotated[tuple[int, int, int], Parameter(consume_multiple=True, negative=())] = (0, 1, 2),
     light_colours: LightColours = LightColours.CHANNELS,
     transfer: Curve = None,
-    sensor: SensorFlags = None,
+    sensor: Sensor = None,
     camera: Path | None = None,
     focal_px: FocalPx = None,
     allow: Allow = (),
@@ -290,7 +234,7 @@ def report_rig(out: Path, rig: Rig, seen: str) -> None:
         print("                    the lights lie further out where a channel sees several of them)")
 
 
-@limits_on("max_megapixels")
+@verb("max_megapixels")
 def head(
     source: str,
     /,
@@ -298,7 +242,7 @@ def head(
     out: Path,
     background: AmbientImage = None,
     transfer: Curve = None,
-    sensor: SensorFlags = None,
+    sensor: Sensor = None,
     camera: Path | None = None,
     focal_px: FocalPx = None,
     frames: Frames = "::",
@@ -306,19 +250,7 @@ def head(
     mesh: Path | None = None,
     figure: Path | None = None,
     report: Path | None = None,
-    features: Features = Features.TRACKS,
-    pose_start: PoseStart | None = None,
-    head_shape: HeadShape = HeadShape.FUSED,
-    contrast: ContrastFlags = None,
-    silhouettes: SilhouetteFlags = None,
-    tracks: TrackFlags = None,
-    sift: SiftFlags = None,
-    poses: PoseFlags = None,
-    hull: HullFlags = None,
-    stereo: StereoFlags = None,
-    fusion: FusionFlags = None,
-    samples: SampleFlags = None,
-    light: LightFlags = None,
+    options: Annotated[HeadOptions | None, Flags(without=("neighbour_angles_deg",))] = None,
 ) -> None:
     """Calibrate on a bare head that turns fully left and right, with a fixed expression, in a dark room.
 
@@ -339,36 +271,11 @@ def head(
         Also write a picture of tracks, shape, samples and lights, .png or .svg.
     report
         Also write a page about tracks, poses, shape, samples and lights, .html.
-    features
-        What is matched between frames: tracks of the skin (video), or SIFT features (photographs up to 20
-        degrees apart).
-    pose_start
-        Initialisation of the poses. Default: factorisation for tracks; mapping for features, or factorisation
-        where mapping fails.
-    head_shape
-        Shape that gives the normals: from silhouettes only, or fused with stereo.
     """
     require_known_checks(allow, CHECK_NAMES)
     for path, suffixes in ((out, JSON), (mesh, MESH), (figure, PICTURE), (report, PAGE)):
         require_output(path, suffixes)
     job = _job(source, None, background, transfer, camera, focal_px, None, frames, allow, sensor)
-    options = HeadOptions(
-        head_shape=head_shape,
-        pose_start=pose_start,
-        following=FollowOptions(
-            features=features,
-            contrast=contrast or ContrastOptions(),
-            silhouettes=silhouettes or SilhouetteOptions(),
-            tracks=tracks or TrackOptions(),
-            sift=sift or SiftOptions(),
-        ),
-        poses=poses or PoseOptions(),
-        hull=hull or HullOptions(),
-        stereo=stereo or StereoOptions(),
-        fusion=fusion or FusionOptions(),
-        samples=samples or SampleOptions(),
-        light=light or LightOptions(),
-    )
     with ProgressBars() as bars:
         rig, result = calibrate_head(job, options, bars.reach)
     write_rig(out, rig)
@@ -395,7 +302,7 @@ def head(
     print("  time              " + ", ".join(f"{k} {s:.0f} s" for k, s in result.stage_seconds.items()))
 
 
-@limits_on("max_megapixels")
+@verb("max_megapixels")
 def presses(
     source: str,
     /,
@@ -403,13 +310,12 @@ def presses(
     out: Path,
     background: Path,
     labels: Path,
-    options: PressFlags,
+    options: Annotated[PressOptions, Flags()],
     corners: Corners = None,
     size_mm: SizeMm = None,
     label_size: SizePx = None,
     transfer: Curve = None,
-    sensor: SensorFlags = None,
-    variation: VariationFlags = None,
+    sensor: Sensor = None,
 ) -> None:
     """Calibrate a tactile sensor on presses of a ball of known size into its gel.
 
@@ -434,7 +340,6 @@ def presses(
         Width and height of the image that the labels refer to; default: the rectified one.
     """
     require_output(out, JSON)
-    press_options = replace(options, variation=variation or VariationOptions())
     job = pipeline.PressJob(
         source=source,
         background=background,
@@ -445,12 +350,12 @@ def presses(
         label_size=label_size,
     )
     with ProgressBars() as bars:
-        rig, _ = pipeline.calibrate_presses(job, press_options, partial(bars.reach, "read presses"))
+        rig, _ = pipeline.calibrate_presses(job, options, partial(bars.reach, "read presses"))
     write_rig(out, rig)
     report_rig(out, rig, f"presses of {source}")
 
 
-@limits_on("max_megapixels")
+@verb("max_megapixels")
 def rectify(
     source: str,
     /,
@@ -460,7 +365,7 @@ def rectify(
     size_mm: SizeMm,
     pixel_mm: float,
     transfer: Curve = None,
-    sensor: SensorFlags = None,
+    sensor: Sensor = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Resample footage of a tilted plane to square pixels of known size.

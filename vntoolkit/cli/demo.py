@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import Annotated
 
-from vntoolkit.cli.flags import Jobs, Overwrite, flags_from
+from vntoolkit.cli.flags import Flags, Jobs, Overwrite, verb
 from vntoolkit.cli.output import ProgressBars
 from vntoolkit.pipeline.demo import DemoFolder, DemoOptions, run_demo
 from vntoolkit.pipeline.opened_result import open_result
@@ -13,18 +13,14 @@ from vntoolkit.pipeline.truth_comparison import compare_with_truth
 from vntoolkit.report.report import write_report
 from vntoolkit.report.truth_section import truth_section
 
-if TYPE_CHECKING:
-    DemoFlags: TypeAlias = DemoOptions | None
-else:
-    DemoFlags = flags_from(DemoOptions)
 
-
+@verb()
 def demo(
     *,
     out: Path = Path("demo"),
     jobs: Jobs = 1,
     overwrite: Overwrite = False,
-    options: DemoFlags = None,
+    options: Annotated[DemoOptions | None, Flags()] = None,
 ) -> None:
     """Simulate a board and a dancer's sweater, calibrate, reconstruct, and compare with the truth.
 

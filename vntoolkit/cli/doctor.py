@@ -11,14 +11,14 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from vntoolkit import __version__
-from vntoolkit.cli.flags import curve_from_text, flags_from, limits_on
+from vntoolkit.cli.flags import Sensor, curve_from_text, verb
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.native import (
@@ -33,10 +33,6 @@ from vntoolkit.native import (
 
 if TYPE_CHECKING:
     from vntoolkit.diagnosis.inspection import CaptureReport
-
-    SensorFlags: TypeAlias = SensorOptions | None
-else:
-    SensorFlags = flags_from(SensorOptions)
 
 # (distribution, module that is imported, what it does here): every dependency of the package
 _LIBRARIES = (
@@ -66,7 +62,7 @@ _TRY_VIDEO = f"from {__name__} import try_video; try_video()"
 _COLOURS = {"note": "cyan", "warning": "yellow", "fatal": "red"}
 
 
-@limits_on("max_megapixels")
+@verb("max_megapixels")
 def doctor(
     source: str | None = None,
     /,
@@ -74,7 +70,7 @@ def doctor(
     rig: Path | None = None,
     mask: Path | None = None,
     transfer: str | None = None,
-    sensor: SensorFlags = None,
+    sensor: Sensor = None,
 ) -> int:
     """Check the installation, or check footage for faults that spoil normals.
 

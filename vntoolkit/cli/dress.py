@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeAlias
+from typing import Annotated
 
 from cyclopts import Parameter
 
-from vntoolkit.cli.flags import flags_from, limits_on
+from vntoolkit.cli.flags import Flags, verb
 from vntoolkit.cli.output import MESH, require_output
 from vntoolkit.io.atomic import sole_writer, undisturbed
 from vntoolkit.io.motion.garment_fits import read_garment_fit
@@ -22,23 +21,9 @@ from vntoolkit.pipeline.dress import (
     write_dressed_figure,
 )
 from vntoolkit.report.raycast_view import write_preview
-from vntoolkit.skinning.clock import ClockOptions
-from vntoolkit.skinning.fitting import GarmentFitOptions
-from vntoolkit.skinning.weights import WeightOptions
-
-if TYPE_CHECKING:
-    DressFlags: TypeAlias = DressOptions | None
-    FitFlags: TypeAlias = GarmentFitOptions | None
-    WeightFlags: TypeAlias = WeightOptions | None
-    ClockFlags: TypeAlias = ClockOptions | None
-else:
-    DressFlags = flags_from(DressOptions)
-    FitFlags = flags_from(GarmentFitOptions)
-    WeightFlags = flags_from(WeightOptions)
-    ClockFlags = flags_from(ClockOptions, frame_rate_hz="frame_rate")
 
 
-@limits_on("max_vertices")
+@verb("max_vertices")
 def run(
     folder: Path,
     *,
@@ -47,10 +32,7 @@ def run(
     skeleton: Path | None = None,
     fit: Path | None = None,
     preview: Annotated[bool, Parameter(negative=())] = False,
-    options: DressFlags = None,
-    fitting: FitFlags = None,
-    weights: WeightFlags = None,
-    clock: ClockFlags = None,
+    options: Annotated[DressOptions | None, Flags(renamed={"frame_rate_hz": "frame-rate"})] = None,
 ) -> None:
     """Attach a mesh registered by `vntoolkit track` to a skeleton animated by motion capture.
 
@@ -73,19 +55,13 @@ def run(
     """
     require_figure_name(out)
     require_output(out)
-    chosen = replace(
-        options or DressOptions(),
-        fitting=fitting or GarmentFitOptions(),
-        weights=weights or WeightOptions(),
-        clock=clock or ClockOptions(),
-    )
     several = out.suffix.lower() in MESH
     alone = sole_writer(out.parent) if several else contextlib.nullcontext()
     with undisturbed(folder), alone:
         dressed = dress(
             read_tracked_cloth(folder),
             read_motion(motion, skeleton),
-            chosen,
+            options,
             None if fit is None else read_garment_fit(fit),
         )
         count = write_dressed_figure(dressed, out)

@@ -6,15 +6,14 @@ import dataclasses
 import logging
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import Annotated
 
 import numpy as np
 
-from vntoolkit.cli.flags import Footage, Frames, flags_from, limits_on
+from vntoolkit.cli.flags import Flags, Footage, Frames, verb
 from vntoolkit.cli.output import PICTURE, print_table, progress_bar, require_output, write_json
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.evaluation.angular_error import AngularError
-from vntoolkit.evaluation.cylinder_fit import CylinderOptions
 from vntoolkit.evaluation.mesh_comparison import (
     Alignment,
     AlignmentOptions,
@@ -57,20 +56,12 @@ from vntoolkit.report.figures import (
 _LOGGER = logging.getLogger(__name__)
 
 COLUMNS = ["", "pixels", "mean", "median", "std", "95 %", "< 5°", "< 10°", "< 20°"]
-if TYPE_CHECKING:
-    AlignmentFlags: TypeAlias = AlignmentOptions | None
-    CylinderFlags: TypeAlias = CylinderOptions | None
-    ErrorFlags: TypeAlias = TrackErrorOptions | None
-else:
-    AlignmentFlags = flags_from(AlignmentOptions, free="align")
-    CylinderFlags = flags_from(CylinderOptions)
-    ErrorFlags = flags_from(TrackErrorOptions)
 
 _SEED = 0  # of the vertices sampled for the alignment
 _LINES, _TRACK_LINES = 10, 12  # of a table on the screen; the file has all frames
 
 
-@limits_on("max_megapixels")
+@verb("max_megapixels")
 def normals(
     measured: Path,
     reference: Path,
@@ -125,14 +116,14 @@ def error_row(name: str, error: AngularError) -> list[str]:
     return [name, str(error.pixels), *(f"{a:.2f}" for a in angles), *(f"{100 * s:.1f}%" for s in shares)]
 
 
-@limits_on("max_vertices")
+@verb("max_vertices")
 def mesh(
     mesh: Path,
     reference: Path | None = None,
     *,
     measured_by: MeasuredBy = MeasuredBy.EMBREE,
     out: Path = Path("evaluation"),
-    options: AlignmentFlags = None,
+    options: Annotated[AlignmentOptions | None, Flags(renamed={"free": "align"})] = None,
 ) -> None:
     """Print the distances between a mesh and a reference, in both directions, and the quality of both.
 
@@ -229,7 +220,7 @@ def _print_quality(qualities: dict[str, MeshQuality]) -> None:
     print_table("quality", ["", *qualities], rows)
 
 
-@limits_on("max_megapixels")
+@verb("max_megapixels")
 def cylinder(
     folder: Path,
     *,
@@ -237,7 +228,6 @@ def cylinder(
     frames: Frames = "::",
     footage: Footage = "",
     out: Path | None = None,
-    options: CylinderFlags = None,
 ) -> CylinderEvaluation:
     """Fit one cylinder to a reconstruction of a moving cylinder; compare the normals with it (Figure 7).
 
@@ -257,7 +247,7 @@ def cylinder(
     with sole_writer(target):
         result = open_result(folder, frames=FrameRange.from_text(frames), footage=footage)
         with progress_bar("cylinder", 2 * len(result.numbers)) as advance:
-            found = run(result, truth, options, lambda _number: advance(1))
+            found = run(result, truth, lambda _number: advance(1))
         write_json(target / "cylinder.json", found)
         times = np.array([error.frame for error in found.frames]) / found.frame_rate_hz
         mean, std = (np.array([getattr(e, name) for e in found.frames]) for name in ("mean_deg", "std_deg"))
@@ -296,7 +286,7 @@ def _print(found: CylinderEvaluation) -> None:
         )
 
 
-@limits_on("max_vertices")
+@verb("max_vertices")
 def tracks(
     folder: Path,
     *others: Path,
@@ -304,7 +294,7 @@ def tracks(
     every: int = 10,
     out: Path | None = None,
     plot: Path | None = None,
-    options: ErrorFlags = None,
+    options: Annotated[TrackErrorOptions | None, Flags()] = None,
 ) -> None:
     """Print the end-point error of each frame in pixels, for all visible vertices and without the lost ones.
 
@@ -367,7 +357,7 @@ def _print_table(name: str, errors: list[TrackError]) -> None:
         )
 
 
-@limits_on("max_megapixels")
+@verb("max_megapixels")
 def integration(*, data: Path | None = None, size: int = 256, out: Path = Path("evaluation")) -> None:
     """Print the depth error of every integrator on analytic surfaces, and on real objects if given.
 

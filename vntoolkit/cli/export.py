@@ -5,32 +5,25 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeAlias
+from typing import Annotated
 
 from cyclopts import Parameter
 
-from vntoolkit.cli.flags import Footage, Frames, Overwrite, flags_from, limits_on
+from vntoolkit.cli.flags import Flags, Footage, Frames, Overwrite, verb
 from vntoolkit.cli.output import ProgressBars
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.meshing.clean import CleanOptions
 from vntoolkit.pipeline.export import ExportJob, ExportOptions
 from vntoolkit.pipeline.export import export as run
 
-if TYPE_CHECKING:
-    ExportFlags: TypeAlias = ExportOptions
-    CleanFlags: TypeAlias = CleanOptions | None
-else:
-    ExportFlags = flags_from(ExportOptions, without=("cleaning",))
-    CleanFlags = flags_from(CleanOptions, most_faces="faces")
 
-
-@limits_on("max_megapixels", "max_vertices")
+@verb("max_megapixels", "max_vertices")
 def export(
     folder: Path,
     *,
-    options: ExportFlags,
+    options: Annotated[ExportOptions, Flags(without=("cleaning",))],
     clean: Annotated[bool, Parameter(negative=())] = False,
-    cleaning: CleanFlags = None,
+    cleaning: Annotated[CleanOptions | None, Flags(renamed={"most_faces": "faces"})] = None,
     out: Path | None = None,
     frames: Frames = "::",
     footage: Footage = "",

@@ -13,14 +13,15 @@ import inspect
 import math
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, ParamSpec, TypeAlias, TypeVar, get_type_hints
+from typing import Annotated, Any, ParamSpec, TypeAlias, TypeVar, get_args, get_type_hints
 
 from cyclopts import Parameter
 
 from vntoolkit.errors import BadInput
 from vntoolkit.io.footage.frame_range import Gaps
+from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.io.limits import ReadingLimits, limited_to
 from vntoolkit.photometry.transfer import Transfer
 
@@ -94,43 +95,63 @@ def curve_from_text(text: str | None) -> Transfer | None:
     return None if text is None else Transfer.from_text(text)
 
 
-def flags_from(options: type[Any], *, without: tuple[str, ...] = (), **renamed: str) -> Any:
-    """Return the annotation of a verb's parameter, default None, that gives every field of `options` a flag.
+@dataclasses.dataclass(frozen=True)
+class Flags:
+    """Marks a verb's parameter, a dataclass of options, whose fields become flags.
+
+    It is written as `Annotated[Options | None, Flags()]`.
 
     without: fields that get no flag and keep their default. renamed: maps a field to its flag's name, where
-    the field's own name would be unclear among the other flags.
+    the field's own name would be unclear among the other flags. Both hold for the dataclasses within too.
     """
-    hints = get_type_hints(options)
-    meanings = meanings_of_fields(options)
-    fields: list[tuple[str, Any, Any]] = []
-    for field in dataclasses.fields(options):
-        hidden = field.name in without or dataclasses.is_dataclass(hints[field.name])
-        flag = Parameter(
-            name=f"--{renamed.get(field.name, field.name).replace('_', '-')}",
-            help=None if hidden else _capitalised(meanings[field.name]),
-            parse=not hidden,
-            negative_iterable=(),  # --exclude A B, and no --empty-exclude
-            validator=require_finite,
+
+    without: tuple[str, ...] = ()
+    renamed: Mapping[str, str] = dataclasses.field(default_factory=dict)
+
+    def spread(self, options: type[Any]) -> type[Any]:
+        """Return a dataclass like `options` whose fields tell cyclopts their flag, default and help."""
+        hints = get_type_hints(options)
+        meanings = meanings_of_fields(options)
+        fields: list[tuple[str, Any, Any]] = []
+        for field in dataclasses.fields(options):
+            kind, hidden = hints[field.name], field.name in self.without
+            within = dataclasses.is_dataclass(kind) and not hidden
+            flag = Parameter(
+                name="*" if within else f"--{self.renamed.get(field.name, field.name).replace('_', '-')}",
+                help=None if hidden or within else _capitalised(meanings[field.name]),
+                parse=not hidden,
+                negative_iterable=(),  # --exclude A B, and no --empty-exclude
+                validator=None if within else require_finite,
+            )
+            kind = self.spread(kind) if within else kind
+            if field.default_factory is dataclasses.MISSING:
+                default = dataclasses.field(default=field.default)
+            else:  # that of options within is their class, which must be the spread one
+                default = dataclasses.field(default_factory=kind if within else field.default_factory)
+            fields.append((field.name, Annotated[kind, flag], default))
+        spread = dataclasses.make_dataclass(
+            options.__name__,
+            fields,
+            bases=(options,),
+            namespace={"__reduce__": lambda given: (_made, (options, _values_of(given)))},
+            frozen=True,
+            kw_only=True,
+            eq=False,
         )
-        default = (
-            dataclasses.field(default_factory=field.default_factory)
-            if field.default_factory is not dataclasses.MISSING
-            else dataclasses.field(default=field.default)
-        )
-        fields.append((field.name, Annotated[hints[field.name], flag], default))
-    spread = dataclasses.make_dataclass(
-        options.__name__,
-        fields,
-        bases=(options,),
-        namespace={"__reduce__": lambda given: (_made, (options, _values_of(given)))},
-        frozen=True,
-        kw_only=True,
-        eq=False,
-    )
-    spread.__module__ = (
-        options.__module__
-    )  # cyclopts takes a class of the standard library for a single value
-    return Annotated[spread | None, Parameter(name="*")]
+        spread.__module__ = options.__module__  # cyclopts takes a class of the standard library for one value
+        return spread
+
+
+Sensor: TypeAlias = Annotated[SensorOptions | None, Flags()]
+
+
+def _with_flags(hint: Any) -> Any:
+    """Return a parameter's type, its options spread into flags where it is marked with `Flags`."""
+    mark = next((each for each in getattr(hint, "__metadata__", ()) if isinstance(each, Flags)), None)
+    if mark is None:
+        return hint
+    kinds = [kind for kind in (get_args(hint.__origin__) or (hint.__origin__,)) if kind is not type(None)]
+    return Annotated[mark.spread(kinds[0]) | None, Parameter(name="*")]
 
 
 def require_finite(_kind: Any, value: Any) -> None:
@@ -212,24 +233,29 @@ def _capitalised(sentence: str) -> str:
     return sentence[:1].upper() + sentence[1:] + "."
 
 
-def limits_on(*fields: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Give a verb the flags of these fields of `ReadingLimits`; all readers obey them while it runs."""
-    others = tuple(field.name for field in dataclasses.fields(ReadingLimits) if field.name not in fields)
-    flags = flags_from(ReadingLimits, without=others)
+def verb(*limits: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Turn a function into a verb: options that are marked with `Flags` become flags.
 
-    def give(verb: Callable[P, R]) -> Callable[P, R]:
-        @functools.wraps(verb)
-        def run(*arguments: Any, **options: Any) -> R:
-            limits = options.pop(_PARAMETER, None) or ReadingLimits()
-            with limited_to(limits):
-                return verb(*arguments, **options)
+    limits: fields of `ReadingLimits` that get flags too; all readers obey them while the verb runs.
+    """
+    others = tuple(field.name for field in dataclasses.fields(ReadingLimits) if field.name not in limits)
 
-        signature = inspect.signature(verb)
-        extra = inspect.Parameter(_PARAMETER, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=flags)
-        run.__annotations__ = {**verb.__annotations__, _PARAMETER: flags}
-        run.__signature__ = signature.replace(  # type: ignore[attr-defined]
-            parameters=[*signature.parameters.values(), extra]
-        )
-        return run
+    def give(run: Callable[P, R]) -> Callable[P, R]:
+        @functools.wraps(run)
+        def limited(*arguments: Any, **options: Any) -> R:
+            with limited_to(options.pop(_PARAMETER, None) or ReadingLimits()):
+                return run(*arguments, **options)
+
+        signature = inspect.signature(run)
+        hints = {name: _with_flags(hint) for name, hint in get_type_hints(run, include_extras=True).items()}
+        parameters = [p.replace(annotation=hints[name]) for name, p in signature.parameters.items()]
+        if limits:
+            hints[_PARAMETER] = _with_flags(Annotated[ReadingLimits | None, Flags(without=others)])
+            kind = inspect.Parameter.KEYWORD_ONLY
+            flags = inspect.Parameter(_PARAMETER, kind, default=None, annotation=hints[_PARAMETER])
+            parameters.append(flags)
+        limited.__annotations__ = hints
+        limited.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+        return limited
 
     return give

@@ -8,13 +8,13 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeAlias
+from typing import Annotated, TypeAlias
 
 import numpy as np
 from cyclopts import Parameter
 
 from vntoolkit.cli.calibrate import Corners, SizeMm, rectification_from_flags
-from vntoolkit.cli.flags import flags_from, limits_on
+from vntoolkit.cli.flags import Flags, verb
 from vntoolkit.errors import BadInput, VntError
 from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
@@ -38,17 +38,11 @@ from vntoolkit.report.local_server import ViewerOptions
 _GREY = 128
 _LATE_FRAMES = 1.5  # intervals between frames; a result that took longer is late
 
-if TYPE_CHECKING:
-    CameraFlags: TypeAlias = CameraOptions | None
-    ViewerFlags: TypeAlias = ViewerOptions | None
-else:
-    CameraFlags = flags_from(CameraOptions)
-    ViewerFlags = flags_from(ViewerOptions)
 
 Crop: TypeAlias = Annotated[tuple[int, int, int, int] | None, Parameter(consume_multiple=True, negative=())]
 
 
-@limits_on("max_megapixels")
+@verb("max_megapixels")
 def live(
     *,
     rig: Path,
@@ -63,8 +57,8 @@ def live(
     pixel_mm: float | None = None,
     record_to: Path = Path(),
     seconds: float | None = None,
-    asked: CameraFlags = None,
-    viewer: ViewerFlags = None,
+    asked: Annotated[CameraOptions | None, Flags()] = None,
+    viewer: Annotated[ViewerOptions | None, Flags()] = None,
 ) -> None:
     """Watch normals and a turning, relit surface in a browser while filming.
 

@@ -5,29 +5,27 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import Annotated, TypeAlias
 
 from vntoolkit.cli.flags import (
     Allow,
     AmbientImage,
+    Flags,
     Frames,
     Jobs,
     Missing,
     Overwrite,
     Scheduler,
-    flags_from,
-    limits_on,
+    Sensor,
+    verb,
 )
 from vntoolkit.cli.output import ProgressBars
 from vntoolkit.diagnosis.checks import CHECK_NAMES
 from vntoolkit.diagnosis.finding import require_known_checks
 from vntoolkit.errors import BadCapture
-from vntoolkit.integration.options import IntegrationOptions
 from vntoolkit.io.footage.frame_range import FrameRange, Gaps
 from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.io.rigs import read_rig
-from vntoolkit.meshing.surface import MeshOptions
-from vntoolkit.normals.inversion import InversionOptions
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer
 from vntoolkit.pipeline.block_work import ReconstructionJob
@@ -36,21 +34,12 @@ from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import ReconstructionSummary
 from vntoolkit.pipeline.reconstruct import reconstruct as run
 
-if TYPE_CHECKING:
-    SensorFlags: TypeAlias = SensorOptions | None
-    PipelineFlags: TypeAlias = ReconstructOptions | None
-    InversionFlags: TypeAlias = InversionOptions | None
-    IntegrationFlags: TypeAlias = IntegrationOptions | None
-    MeshFlags: TypeAlias = MeshOptions | None
-else:
-    SensorFlags = flags_from(SensorOptions)
-    PipelineFlags = flags_from(ReconstructOptions, distance_m="distance")
-    InversionFlags = flags_from(InversionOptions, without=("relative_albedo",))
-    IntegrationFlags = flags_from(IntegrationOptions)
-    MeshFlags = flags_from(MeshOptions)
+ReconstructFlags: TypeAlias = Annotated[
+    ReconstructOptions | None, Flags(without=("relative_albedo",), renamed={"distance_m": "distance"})
+]
 
 
-@limits_on("max_megapixels")
+@verb("max_megapixels")
 def reconstruct(
     source: str,
     *,
@@ -65,11 +54,8 @@ def reconstruct(
     overwrite: Overwrite = False,
     gaps: Missing = Gaps.REFUSE,
     allow: Allow = (),
-    sensor: SensorFlags = None,
-    pipeline: PipelineFlags = None,
-    inversion: InversionFlags = None,
-    integration: IntegrationFlags = None,
-    meshing: MeshFlags = None,
+    sensor: Sensor = None,
+    options: ReconstructFlags = None,
 ) -> None:
     """Compute normals, depth and meshes from footage and a rig, frame by frame.
 
@@ -98,7 +84,7 @@ def reconstruct(
         rig=_with_transfer(calibrated, transfer),
         calibrated=calibrated.transfer,
         allow=allow if transfer is None else (*allow, "tag"),
-        options=joined_options(pipeline, inversion, integration, meshing),
+        options=options or ReconstructOptions(),
         folder=ReconstructionFolder(root=out),
         mask=mask,
         background=background,
@@ -116,21 +102,6 @@ def reconstruct(
             on_frame=bars.step,
         )
     _report(source, summary)
-
-
-def joined_options(
-    pipeline: ReconstructOptions | None,
-    inversion: InversionOptions | None,
-    integration: IntegrationOptions | None,
-    meshing: MeshOptions | None,
-) -> ReconstructOptions:
-    """Join the options of each stage; None means the default options."""
-    return replace(
-        pipeline or ReconstructOptions(),
-        inversion=inversion or InversionOptions(),
-        integration=integration or IntegrationOptions(),
-        meshing=meshing or MeshOptions(),
-    )
 
 
 def _with_transfer(rig: Rig, transfer: str | None) -> Rig:

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import Annotated
 
-from vntoolkit.cli.flags import flags_from, limits_on
+from vntoolkit.cli.flags import Flags, verb
 from vntoolkit.cli.output import PAGE, require_output
 from vntoolkit.report.report import ReportOptions, write_report
 
-if TYPE_CHECKING:
-    ReportFlags: TypeAlias = ReportOptions | None
-else:
-    ReportFlags = flags_from(ReportOptions)
 
-
-@limits_on("max_megapixels", "max_vertices")
-def report(folder: Path, *, out: Path | None = None, options: ReportFlags = None) -> None:
+@verb("max_megapixels", "max_vertices")
+def report(
+    folder: Path, *, out: Path | None = None, options: Annotated[ReportOptions | None, Flags()] = None
+) -> None:
     """Write one self-contained HTML page on a reconstruction: pictures, calibration, statistics, warnings.
 
     Parameters

@@ -7,16 +7,9 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from vntoolkit.cli.flags import Allow, Frames, Jobs, Missing, Overwrite, Scheduler, limits_on
+from vntoolkit.cli.flags import Allow, Frames, Jobs, Missing, Overwrite, Scheduler, Sensor, verb
 from vntoolkit.cli.output import ProgressBars
-from vntoolkit.cli.reconstruct import (
-    IntegrationFlags,
-    InversionFlags,
-    MeshFlags,
-    PipelineFlags,
-    SensorFlags,
-    joined_options,
-)
+from vntoolkit.cli.reconstruct import ReconstructFlags
 from vntoolkit.diagnosis.checks import CHECK_NAMES
 from vntoolkit.diagnosis.finding import require_known_checks
 from vntoolkit.errors import BadInput, VntError
@@ -24,13 +17,13 @@ from vntoolkit.io.footage.frame_range import FrameRange, Gaps
 from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.pipeline.block_work import ReconstructionJob
-from vntoolkit.pipeline.options import Product
+from vntoolkit.pipeline.options import Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.session import CaptureOutcome, names_from_sources, run_session
 from vntoolkit.tracking.options import Tracker, TrackingOptions
 
 
-@limits_on("max_megapixels")
+@verb("max_megapixels")
 def session(
     *sources: str,
     rig: Path,
@@ -43,11 +36,8 @@ def session(
     overwrite: Overwrite = False,
     gaps: Missing = Gaps.REFUSE,
     allow: Allow = (),
-    sensor: SensorFlags = None,
-    pipeline: PipelineFlags = None,
-    inversion: InversionFlags = None,
-    integration: IntegrationFlags = None,
-    meshing: MeshFlags = None,
+    sensor: Sensor = None,
+    options: ReconstructFlags = None,
 ) -> None:
     """Reconstruct all captures of one rig, and track them on request, each into its own folder.
 
@@ -73,7 +63,7 @@ def session(
     if not sources:
         raise BadInput("session: expected at least one video or folder of images, got none")
     require_known_checks(allow, CHECK_NAMES)
-    options = joined_options(pipeline, inversion, integration, meshing)
+    options = options or ReconstructOptions()
     if track and options.to is Product.NORMALS:
         raise BadInput("--track needs depth: give --to depth or mesh, not normals")
     if method is not Tracker.DEFAULT and not track:

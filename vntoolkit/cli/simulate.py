@@ -6,11 +6,11 @@ import re
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeAlias
+from typing import Annotated
 
 from cyclopts import Parameter
 
-from vntoolkit.cli.flags import Frames, Jobs, Overwrite, flags_from
+from vntoolkit.cli.flags import Flags, Frames, Jobs, Overwrite, verb
 from vntoolkit.cli.output import ProgressBars
 from vntoolkit.errors import BadInput
 from vntoolkit.io.footage.frame_range import FrameRange
@@ -20,18 +20,11 @@ from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.render import RenderOptions
 from vntoolkit.simulation.scene import SCENES, SceneOptions
 
+_FLAGS = Flags(without=("width", "height"), renamed={"field_width_m": "field-width"})
 _MOST_MEGAPIXELS = 200  # as readers take by default
 
-if TYPE_CHECKING:
-    SceneFlags: TypeAlias = SceneOptions | None
-    NuisanceFlags: TypeAlias = Nuisances | None
-    RenderFlags: TypeAlias = RenderOptions | None
-else:
-    SceneFlags = flags_from(SceneOptions, without=("width", "height"), field_width_m="field-width")
-    NuisanceFlags = flags_from(Nuisances)
-    RenderFlags = flags_from(RenderOptions, without=("threads",))
 
-
+@verb()
 def simulate(
     scene: Annotated[str, Parameter(help=f"One of {', '.join(SCENES)}.")],
     *,
@@ -41,9 +34,9 @@ def simulate(
     motion: Path | None = None,
     jobs: Jobs = 1,
     overwrite: Overwrite = False,
-    options: SceneFlags = None,
-    nuisances: NuisanceFlags = None,
-    rendering: RenderFlags = None,
+    options: Annotated[SceneOptions | None, _FLAGS] = None,
+    nuisances: Annotated[Nuisances | None, Flags()] = None,
+    rendering: Annotated[RenderOptions | None, Flags(without=("threads",))] = None,
 ) -> None:
     """Render a synthetic scene under three coloured lights, with ground truth beside the video.
 

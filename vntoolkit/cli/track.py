@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import Annotated
 
-from vntoolkit.cli.flags import Overwrite, flags_from, limits_on
+from vntoolkit.cli.flags import Flags, Overwrite, verb
 from vntoolkit.cli.output import ProgressBars
 from vntoolkit.io.results.seams import read_seams
 from vntoolkit.pipeline.checkerboard import write_checkerboard
@@ -15,15 +15,8 @@ from vntoolkit.pipeline.track import track as run
 from vntoolkit.tracking.checkerboard import CheckerboardOptions
 from vntoolkit.tracking.options import TrackingOptions
 
-if TYPE_CHECKING:
-    BoardFlags: TypeAlias = CheckerboardOptions | None
-    TrackingFlags: TypeAlias = TrackingOptions | None
-else:
-    BoardFlags = flags_from(CheckerboardOptions)
-    TrackingFlags = flags_from(TrackingOptions)
 
-
-@limits_on("max_megapixels", "max_vertices")
+@verb("max_megapixels", "max_vertices")
 def track(
     folder: Path,
     *,
@@ -32,8 +25,8 @@ def track(
     out: Path | None = None,
     lost_px: float = 4.0,
     overwrite: Overwrite = False,
-    tracking: TrackingFlags = None,
-    board: BoardFlags = None,
+    tracking: Annotated[TrackingOptions | None, Flags()] = None,
+    board: Annotated[CheckerboardOptions | None, Flags()] = None,
 ) -> None:
     """Register the frames of a reconstruction to one mesh of fixed topology, and draw a checkerboard on it.
 

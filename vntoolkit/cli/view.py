@@ -4,32 +4,25 @@ from __future__ import annotations
 
 import contextlib
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import Annotated
 
-from vntoolkit.cli.flags import Footage, Frames, flags_from, limits_on
+from vntoolkit.cli.flags import Flags, Footage, Frames, verb
 from vntoolkit.cli.output import PAGE, progress_bar, require_output
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.pipeline.opened_result import open_result
 from vntoolkit.report.local_server import ViewerOptions
 from vntoolkit.report.result_scene import ResultViewer, ScenePageOptions, counted, write_scene
 
-if TYPE_CHECKING:
-    ViewerFlags: TypeAlias = ViewerOptions | None
-    SceneFlags: TypeAlias = ScenePageOptions | None
-else:
-    ViewerFlags = flags_from(ViewerOptions)
-    SceneFlags = flags_from(ScenePageOptions)
 
-
-@limits_on("max_megapixels", "max_vertices")
+@verb("max_megapixels", "max_vertices")
 def view(
     folder: Path,
     *,
     frames: Frames = "::",
     footage: Footage = "",
     html: Path | None = None,
-    viewer: ViewerFlags = None,
-    scene: SceneFlags = None,
+    viewer: Annotated[ViewerOptions | None, Flags()] = None,
+    scene: Annotated[ScenePageOptions | None, Flags()] = None,
 ) -> None:
     """Serve a page on which one scrubs through a reconstruction and drags a light; or write one to keep.
 

@@ -14,7 +14,6 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from vntoolkit.arrays import FloatArray, Matrix3, Points, Points2, Vector3
-from vntoolkit.checks import require_in_range
 from vntoolkit.errors import BadInput, SolverFailed
 from vntoolkit.evaluation.cylinder import (
     Cylinder,
@@ -38,30 +37,13 @@ _GATE = 3  # spreads of one component; beyond it a normal does not count
 _STRIPS = 72  # round the whole cylinder, half of which is seen
 _NARROWEST_SPREAD = 0.01  # radians: normals are never so good that a finer gate would help
 
-
-@dataclass(frozen=True, kw_only=True)
-class CylinderOptions:
-    """How a cylinder is fitted.
-
-    support_deg: a normal this close to perpendicular to an axis supports it, degrees. parallel_deg: contour
-    points whose tangent is within this angle of the axis' image belong to the sides, not to the ends,
-    degrees. silhouette_px: spread of contour points, pixels. correlated_points: how many neighbouring contour
-    points err together. common_deg: error that a frame's good normals have in common, degrees.
-    """
-
-    support_deg: float = 8.0
-    parallel_deg: float = 12.0
-    silhouette_px: float = 0.3
-    correlated_points: float = 4.0
-    common_deg: float = 4.0
-
-    def __post_init__(self) -> None:
-        """Raise `BadInput` for impossible angles and deviations."""
-        for name in ("support_deg", "parallel_deg"):
-            require_in_range(getattr(self, name), 0.0, 90.0, f"cylinder: {name}")
-        finite = max(self.silhouette_px, self.correlated_points, self.common_deg) < np.inf
-        if not (finite and self.silhouette_px > 0 and self.correlated_points >= 1 and self.common_deg > 0):
-            raise BadInput("cylinder: expected positive silhouette_px and common_deg, correlated_points >= 1")
+# Degrees: a normal this close to perpendicular to an axis supports it.
+_SUPPORT_DEG = 8.0
+# Degrees: contour points whose tangent is this close to the axis' image lie on the sides, not on the ends.
+_PARALLEL_DEG = 12.0
+_SILHOUETTE_PX = 0.3  # spread of contour points
+_CORRELATED_POINTS = 4.0  # neighbouring contour points that err together
+_COMMON_DEG = 4.0  # error that a frame's good normals have in common
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -79,7 +61,6 @@ def fit_cylinder(
     frames: Iterable[tuple[NormalMap, FloatArray]],
     camera: Camera,
     rng: np.random.Generator,
-    options: CylinderOptions | None = None,
 ) -> tuple[Cylinder, ...]:
     """Fit a common radius and a pose per frame to (normal map, silhouette) pairs.
 
@@ -89,19 +70,18 @@ def fit_cylinder(
     Raises `BadInput` for a frame with too few normals or contour points, `SolverFailed` where a frame's
     normals agree on no axis.
     """
-    options = options or CylinderOptions()
     observations = (
         _observe(normal_map, silhouette, camera, rng, f"frame {number}")
         for number, (normal_map, silhouette) in enumerate(frames)
     )
     if camera.is_perspective:  # a radius of 1 for all: every frame stands alone
-        fits = [_fit_frame(seen, camera, options, rng) for seen in observations]
+        fits = [_fit_frame(seen, camera, rng) for seen in observations]
     else:
         kept = list(observations)
-        free = [_fit_frame(seen, camera, options, rng) for seen in kept]
+        free = [_fit_frame(seen, camera, rng) for seen in kept]
         radius = float(np.median([fit.radius for fit in free])) if free else 1.0
         fits = [
-            _refine(seen, replace(fit, radius=radius), camera, options, radius)
+            _refine(seen, replace(fit, radius=radius), camera, radius)
             for seen, fit in zip(kept, free, strict=True)
         ]
     if not fits:
@@ -109,14 +89,12 @@ def fit_cylinder(
     return tuple(replace(fit, axis=fit.axis * _sign(fit.axis)) for fit in fits)
 
 
-def _fit_frame(
-    seen: _Observation, camera: Camera, options: CylinderOptions, rng: np.random.Generator
-) -> Cylinder:
+def _fit_frame(seen: _Observation, camera: Camera, rng: np.random.Generator) -> Cylinder:
     normals = seen.normals.astype(np.float64)
     start = start_from_normals(
-        normals, *pixel_rays(camera, seen.pixels), options.support_deg, camera.is_perspective, rng, seen.name
+        normals, *pixel_rays(camera, seen.pixels), _SUPPORT_DEG, camera.is_perspective, rng, seen.name
     )
-    return _refine(seen, start, camera, options, 1.0 if camera.is_perspective else None)
+    return _refine(seen, start, camera, 1.0 if camera.is_perspective else None)
 
 
 def _observe(
@@ -141,19 +119,17 @@ def _observe(
     )
 
 
-def _refine(
-    seen: _Observation, start: Cylinder, camera: Camera, options: CylinderOptions, radius: float | None
-) -> Cylinder:
+def _refine(seen: _Observation, start: Cylinder, camera: Camera, radius: float | None) -> Cylinder:
     """Silhouette and normals together; the radius is free where None is given.
 
     Which contour points are sides, and which normals are good, follows from the cylinder: so in rounds.
     """
     for round_ in range(_ROUNDS):
-        tolerance_deg = options.parallel_deg * (2.5 if round_ == 0 else 1.0)
+        tolerance_deg = _PARALLEL_DEG * (2.5 if round_ == 0 else 1.0)
         origins, rays = pixel_rays(camera, _side_points(seen, start, camera, tolerance_deg))
         ends = end_points(seen.contour, seen.outward, start, camera) if round_ >= _ROUNDS_WITHOUT_ENDS else ()
         scatter = _scatter(seen, start, camera)
-        start = _solve(start, origins, rays, ends, scatter, camera, options, radius)
+        start = _solve(start, origins, rays, ends, scatter, camera, radius)
     return start
 
 
@@ -191,13 +167,12 @@ def _solve(
     ends: tuple[EndPoints, ...],
     scatter: Matrix3,
     camera: Camera,
-    options: CylinderOptions,
     radius: float | None,
 ) -> Cylinder:
     """Least squares over axis, centre, the ends' places on the axis and, where it is free, radius."""
     first, second = across_axis(start.axis, least_aligned(start.axis))
     squared, vectors = np.linalg.eigh(scatter)
-    root = np.sqrt(np.maximum(squared, 0))[:, None] * vectors.T / np.deg2rad(options.common_deg)
+    root = np.sqrt(np.maximum(squared, 0))[:, None] * vectors.T / np.deg2rad(_COMMON_DEG)
 
     def cylinder(unknown: FloatArray) -> Cylinder:
         axis = start.axis + unknown[0] * first + unknown[1] * second
@@ -212,8 +187,8 @@ def _solve(
             distance_from_rim_px(now, along, end, camera)
             for along, end in zip(unknown[4:], ends, strict=False)
         ]
-        outline = _cauchy(np.concatenate(missed) / options.silhouette_px)
-        return np.concatenate([outline / np.sqrt(options.correlated_points), root @ now.axis])
+        outline = _cauchy(np.concatenate(missed) / _SILHOUETTE_PX)
+        return np.concatenate([outline / np.sqrt(_CORRELATED_POINTS), root @ now.axis])
 
     begin = [0.0, 0.0, start.centre @ first, start.centre @ second, *(end.along for end in ends)]
     solved = least_squares(residuals, begin + ([start.radius] if radius is None else []), x_scale="jac")

@@ -23,6 +23,8 @@ _FARTHEST = 1000.0  # times the smaller mesh's size: pymeshlab searches in steps
 _OTHER_SCALE = 10.0  # ratio of sizes from which two surfaces are hardly in one unit
 _POINTS_A_STEP = 1 << 14  # between two reports of progress
 _FEWEST_VERTICES = 20
+_KEPT_SHARE = 0.95  # of the nearest pairs; the others have no counterpart
+_MOST_ROUNDS = 60  # of the alignment
 Compared: TypeAlias = Mesh | PointCloud
 S = TypeVar("S", Mesh, PointCloud)
 
@@ -183,21 +185,16 @@ class AlignmentOptions:
     """How meshes are aligned.
 
     free: what may move: nothing, position and orientation (rigid), or the scale too (similarity).
-    kept_share: share of the nearest pairs that count, 0 to 1; the others have no counterpart. rounds: largest
-    number of repetitions. samples: vertices that are paired.
+    samples: vertices that are paired.
     """
 
     free: Alignment = Alignment.NONE
-    kept_share: float = 0.95
-    rounds: int = 60
     samples: int = 20000
 
     def __post_init__(self) -> None:
         """Refuse what leaves nothing to align by."""
-        if not 0 < self.kept_share <= 1:
-            raise BadInput(f"alignment: expected a share of pairs from 0 to 1, got {self.kept_share:g}")
-        if self.rounds < 1 or self.samples < 3:
-            raise BadInput("alignment: expected at least one round and 3 samples")
+        if self.samples < 3:
+            raise BadInput(f"alignment: expected at least 3 samples, got {self.samples}")
 
 
 def align_mesh(
@@ -226,10 +223,10 @@ def align_mesh(
     tree = cKDTree(targets)
     sampled = vertices[rng.permutation(len(vertices))[: options.samples]]
     last = np.inf
-    for _ in range(options.rounds):
+    for _ in range(_MOST_ROUNDS):
         moved = motion.apply(sampled)
         distances, nearest = tree.query(moved)
-        kept = distances <= np.quantile(distances, options.kept_share)
+        kept = distances <= np.quantile(distances, _KEPT_SHARE)
         step = _step(moved[kept], targets[nearest[kept]], normals[nearest[kept]], options.free)
         motion = _after(step, motion)
         cost = float(distances[kept].mean())

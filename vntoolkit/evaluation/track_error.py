@@ -14,10 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import Faces, FloatArray, Points, Points2, read_only
-from vntoolkit.checks import require_shape
+from vntoolkit.checks import require_positive, require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.native import njit
+
+_OUTLIER_PX = 4.0
+_HIDDEN_SHARE = 0.002  # of its depth: a true point further behind the frontmost surface is hidden, not judged
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,7 +58,7 @@ class TrackError:
     """End-point error of one frame, over the vertices whose true point is seen in it.
 
     median_px, p95_px: of all of them, lost or not. astray: share that is off by more than
-    `TrackErrorOptions.outlier_px`. vertices: how many were judged. lost: share that the tracker itself
+    4 pixels. vertices: how many were judged. lost: share that the tracker itself
     declares lost. found_median_px, found_p95_px: of the others alone; they say nothing without the share
     lost beside them, since a tracker may declare lost what it likes. NaN where there is none.
     """
@@ -74,19 +77,14 @@ class TrackError:
 class TrackErrorOptions:
     """Which vertices count in the error of tracks.
 
-    outlier_px: a vertex further off than this, in pixels, is astray. hidden_share: a true point further
-    behind the frontmost surface than this share of its depth is hidden, and not judged. lost_px: a vertex of
-    which the tracker expects a greater error than this, in pixels, is declared lost.
+    lost_px: a vertex of which the tracker expects a greater error than this, in pixels, is declared lost.
     """
 
-    outlier_px: float = 4.0
-    hidden_share: float = 0.002
     lost_px: float = 4.0
 
     def __post_init__(self) -> None:
         """Raise `BadInput` for impossible limits."""
-        if not all(0 < limit < np.inf for limit in (self.outlier_px, self.hidden_share, self.lost_px)):
-            raise BadInput("track error: expected positive outlier_px, hidden_share and lost_px")
+        require_positive(self.lost_px, "track error: lost_px")
 
 
 def anchors_on_mesh(positions_px: Points2, vertices: Points, faces: Faces, camera: Camera) -> SurfaceAnchors:
@@ -117,7 +115,7 @@ def visible(
     front = anchors_on_mesh(pixels, vertices, faces, camera)
     depth = front.points(vertices)[:, 2]
     inside = np.all((pixels > 0) & (pixels < [camera.width - 1, camera.height - 1]), axis=1)
-    return np.asarray(inside & front.found & (points[:, 2] <= depth * (1 + options.hidden_share)))
+    return np.asarray(inside & front.found & (points[:, 2] <= depth * (1 + _HIDDEN_SHARE)))
 
 
 def track_errors(
@@ -156,7 +154,7 @@ def error_of_frame(
         frame=number,
         median_px=float(median),
         p95_px=float(p95),
-        astray=float(np.mean(distance_px > options.outlier_px)),
+        astray=float(np.mean(distance_px > _OUTLIER_PX)),
         vertices=len(distance_px),
         lost=float(1 - np.mean(found)),
         found_median_px=float(found_median),

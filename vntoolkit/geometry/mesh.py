@@ -129,6 +129,21 @@ def vertex_normals(vertices: Points, faces: Faces) -> Points:
         return np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0)
 
 
+def isosurface(values: FloatArray) -> tuple[Points, Faces]:
+    """Return the zero surface of a grid (nx, ny, nz), positive inside, by marching cubes (lorensen1987).
+
+    Vertices (n, 3) in cells, counted from the first value; faces (m, 3) counter-clockwise from outside. The
+    surface is open where it leaves the grid.
+    """
+    o3d = import_open3d()
+    field = o3d.core.Tensor(np.ascontiguousarray(values.transpose(2, 1, 0), dtype=np.float32))
+    surface = o3d.t.geometry.TriangleMesh.create_isosurfaces(field, [0.0]).to_legacy()
+    surface.remove_duplicated_vertices()
+    surface.remove_degenerate_triangles()
+    surface.remove_unreferenced_vertices()
+    return np.asarray(surface.vertices), np.asarray(surface.triangles, dtype=np.int32)
+
+
 def triangles_from_polygons(
     polygons: npt.NDArray[Any] | Sequence[npt.NDArray[Any]], vertex_count: int, name: str
 ) -> Faces:

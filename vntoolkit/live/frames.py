@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -15,10 +15,8 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
-from vntoolkit.integration.options import IntegrationOptions
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
 from vntoolkit.io.footage.resampling import rectify_frame
-from vntoolkit.normals.inversion import InversionOptions
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.pipeline.options import Product, ReconstructOptions
@@ -76,19 +74,6 @@ class LiveResult:
     warnings: tuple[str, ...]
 
 
-@dataclass(frozen=True, kw_only=True)
-class LiveOptions:
-    """Options of the stages in live mode.
-
-    depth_px: longest side at which normals are integrated, pixels; they themselves keep their full size. The
-    masked integration of a whole frame would take longer than a frame lasts.
-    """
-
-    depth_px: int = 320
-    inversion: InversionOptions = field(default_factory=InversionOptions)
-    integration: IntegrationOptions = field(default_factory=IntegrationOptions)
-
-
 class LiveProcessor:
     """Works on the frames of one source; the first one with a depth fixes the free offset of all."""
 
@@ -96,12 +81,16 @@ class LiveProcessor:
         self,
         rig: Rig,
         view: FrameView | None = None,
-        options: LiveOptions | None = None,
         mask: Mask | None = None,
         background: EncodedFrame | None = None,
+        *,
+        depth_px: int = 320,
     ) -> None:
-        """background: the scene under ambient light, or the untouched gel, as the camera sees it."""
-        options = options or LiveOptions()
+        """background: the scene under ambient light, or the untouched gel, as the camera sees it.
+
+        depth_px: longest side at which normals are integrated; they themselves keep their full size. The
+        masked integration of a whole frame would take longer than a frame lasts.
+        """
         self.rig, self.view = rig, view or FrameView()
         self._background: LinearImage | None = None
         if background is not None:
@@ -111,17 +100,15 @@ class LiveProcessor:
             to=Product.NORMALS,
             shadows=ShadowMethod.NONE,
             match_albedo=False,
-            inversion=options.inversion,
-            integration=options.integration,
         )
         rectified = self.view.rectification is not None
         self._processor = FrameProcessor(
             _of_linear_values(rig) if rectified else rig, reconstruction, mask, self._background
         )
-        self._step = max(1, -(-max(self.camera.width, self.camera.height) // options.depth_px))
+        self._step = max(1, -(-max(self.camera.width, self.camera.height) // depth_px))
         height, width = (n // self._step * self._step for n in (self.camera.height, self.camera.width))
         self.depth_camera = self.camera.cropped(slice(0, height), slice(0, width)).scaled(1 / self._step)
-        self._integration = options.integration
+        self._integration = reconstruction.integration
         self._integrator = DepthIntegrator(self.depth_camera, self._integration)
         self._anchor: DepthAnchor | None = None
 

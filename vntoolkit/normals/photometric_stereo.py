@@ -22,30 +22,14 @@ from vntoolkit.native import njit
 
 _FLATTEST_LIGHTS = 1e-3  # smallest over largest singular value: below it the lights lie in one plane
 fewest_lights = 3
+_SHADOW_SHARE = 0.1  # of a pixel's brightest sample: at most that, a sample is shadow
+_SATURATION = 1.0  # linear value from which a sample is clipped
+_OUTLIER_SHARE = (
+    0.05  # of the albedo: a sample further off the fit is gloss or cast shadow; the worst goes first
+)
+_DARKEST = 0.01  # brightest sample, linear, below which a pixel has no normal
 _SMALLEST_DETERMINANT = 1e-6  # of the normal equations over the cube of their trace
 Array = npt.NDArray[Any]
-
-
-@dataclass(frozen=True, kw_only=True)
-class PhotometricStereoOptions:
-    """Which samples of a pixel count.
-
-    shadow_share: a sample is shadow where it is at most this share of the pixel's brightest. saturation:
-    linear value from which a sample is clipped. outlier_share: a sample is gloss or cast shadow where it
-    departs from the fit by more than this share of the pixel's albedo; the worst goes first. darkest:
-    brightest sample, linear, below which a pixel has no normal.
-    """
-
-    shadow_share: float = 0.1
-    saturation: float = 1.0
-    outlier_share: float = 0.05
-    darkest: float = 0.01
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.shadow_share < 1:
-            raise BadInput(f"shadow share: expected 0 to 1, got {self.shadow_share:g}")
-        if not (self.outlier_share > 0 and self.saturation > 0 and self.darkest > 0):
-            raise BadInput("outlier share, saturation and darkest: expected positive numbers")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,22 +44,12 @@ class StereoResult:
 
 
 @checks_kinds
-def normals_from_lights(
-    images: FloatArray,
-    lights: Points,
-    mask: Mask | None = None,
-    options: PhotometricStereoOptions | None = None,
-) -> NormalMap:
+def normals_from_lights(images: FloatArray, lights: Points, mask: Mask | None = None) -> NormalMap:
     """Return only the normals of `solve_photometric_stereo`."""
-    return solve_photometric_stereo(images, lights, mask, options).normal_map
+    return solve_photometric_stereo(images, lights, mask).normal_map
 
 
-def solve_photometric_stereo(
-    images: FloatArray,
-    lights: Points,
-    mask: Mask | None = None,
-    options: PhotometricStereoOptions | None = None,
-) -> StereoResult:
+def solve_photometric_stereo(images: FloatArray, lights: Points, mask: Mask | None = None) -> StereoResult:
     """Solve `images[k] = albedo · max(lights[k] · n, 0)` per pixel.
 
     images: (k, h, w) linear grey. lights: (k, 3), camera frame, direction to light k times its strength.
@@ -83,7 +57,6 @@ def solve_photometric_stereo(
     left, none can be told to be an outlier. Raises `BadInput` for fewer than three lights, coplanar ones, or
     one of no strength.
     """
-    options = options or PhotometricStereoOptions()
     lights = np.ascontiguousarray(lights, dtype=np.float64)
     stack = _require_images(images, lights)
     shape = stack.shape[1:]
@@ -91,14 +64,7 @@ def solve_photometric_stereo(
     require_mask(inside, shape)
     scaled = np.zeros((*shape, 3), np.float32)
     used = np.zeros(shape, np.float32)
-    robust_normals_kernel(
-        stack,
-        lights,
-        inside,
-        np.array([options.shadow_share, options.saturation, options.outlier_share, options.darkest]),
-        scaled,
-        used,
-    )
+    robust_normals_kernel(stack, lights, inside, scaled, used)
     albedo = np.linalg.norm(scaled, axis=-1)
     valid = (albedo > 0) & (scaled[..., 2] < 0)
     normals = np.divide(scaled, albedo[..., None], out=np.zeros_like(scaled), where=valid[..., None])
@@ -154,10 +120,10 @@ def _least_squares(samples: Array, lights: Array, use: Array, solution: Array) -
 
 
 @njit(cache=True, error_model="numpy")
-def _worst_sample(samples: Array, lights: Array, use: Array, solution: Array, outlier_share: float) -> int:
+def _worst_sample(samples: Array, lights: Array, use: Array, solution: Array) -> int:
     """Index of the sample in use that departs most from the fit, or −1 if all agree with it."""
     albedo = np.sqrt(solution[0] ** 2 + solution[1] ** 2 + solution[2] ** 2)
-    worst, largest = -1, outlier_share * albedo
+    worst, largest = -1, _OUTLIER_SHARE * albedo
     for k in range(len(samples)):
         if use[k]:
             strength = np.sqrt(lights[k, 0] ** 2 + lights[k, 1] ** 2 + lights[k, 2] ** 2)
@@ -169,15 +135,12 @@ def _worst_sample(samples: Array, lights: Array, use: Array, solution: Array, ou
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def robust_normals_kernel(
-    images: Array, lights: Array, inside: Array, options: Array, scaled: Array, used: Array
-) -> None:
+def robust_normals_kernel(images: Array, lights: Array, inside: Array, scaled: Array, used: Array) -> None:
     """Fill scaled (h, w, 3) with albedo × normal and used (h, w) with the share of the lights that count.
 
-    images: (k, h, w) float32. lights: (k, 3). options: shadow share, saturation, outlier share, darkest.
+    images: (k, h, w) float32. lights: (k, 3).
     """
     count, height, width = images.shape
-    shadow_share, saturation, outlier_share, darkest = options[0], options[1], options[2], options[3]
     for v in prange(height):
         samples, use, solution = np.empty(count), np.empty(count, np.bool_), np.empty(3)
         for u in range(width):
@@ -185,15 +148,15 @@ def robust_normals_kernel(
                 continue
             samples[:] = images[:, v, u]
             brightest = np.max(samples)
-            if not brightest > darkest:  # NaN ends here too
+            if not brightest > _DARKEST:  # NaN ends here too
                 continue
             left = 0
             for k in range(count):
-                use[k] = shadow_share * brightest < samples[k] < saturation
+                use[k] = _SHADOW_SHARE * brightest < samples[k] < _SATURATION
                 left += use[k]
             solved = left >= fewest_lights and _least_squares(samples, lights, use, solution)
             while solved and left > fewest_lights:
-                worst = _worst_sample(samples, lights, use, solution, outlier_share)
+                worst = _worst_sample(samples, lights, use, solution)
                 if worst < 0:
                     break
                 use[worst] = False

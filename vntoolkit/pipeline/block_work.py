@@ -38,6 +38,7 @@ from vntoolkit.shadows.detector import ShadowMethod
 
 _WAITING = 2  # frames read before the one at work, and results not yet written
 Item = TypeVar("Item")
+Block = tuple[range, frozenset[int]]  # consecutive frames, and those of them that are on disk already
 _END = object()
 _FULL = 65535
 

@@ -24,7 +24,7 @@ from vntoolkit.calibration.head.light import HeadLight, LightOptions, fit_light
 from vntoolkit.calibration.head.poses import HeadMotion, PoseOptions, PoseStart, solve_head_motion
 from vntoolkit.calibration.head.samples import HeadRays, HeadSamples, LightFrame, SampleOptions, sample_head
 from vntoolkit.calibration.head.shape import FusionOptions, fit_shape
-from vntoolkit.calibration.head.sift import SiftBuilder, SiftOptions, require_features
+from vntoolkit.calibration.head.sift import SiftBuilder, require_features
 from vntoolkit.calibration.head.silhouettes import (
     Silhouette,
     SilhouetteOptions,
@@ -33,7 +33,6 @@ from vntoolkit.calibration.head.silhouettes import (
 )
 from vntoolkit.calibration.head.stereo import StereoOptions
 from vntoolkit.calibration.head.tracks import (
-    ContrastOptions,
     TrackBuilder,
     TrackOptions,
     Tracks,
@@ -79,21 +78,24 @@ class HeadShape(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class FollowOptions:
-    """How frames are matched. features: tracks of the skin, or SIFT features."""
+    """How frames are matched.
+
+    features: what is matched between frames: tracks of the skin (video), or SIFT features (photographs up to
+    20 degrees apart).
+    """
 
     features: Features = Features.TRACKS
-    contrast: ContrastOptions = field(default_factory=ContrastOptions)
     silhouettes: SilhouetteOptions = field(default_factory=SilhouetteOptions)
     tracks: TrackOptions = field(default_factory=TrackOptions)
-    sift: SiftOptions = field(default_factory=SiftOptions)
 
 
 @dataclass(frozen=True, kw_only=True)
 class HeadOptions:
     """Options of all stages.
 
-    head_shape: shape that gives the normals. pose_start: where the first guess of the poses comes from;
-    default: factorisation for tracks, mapping for features and, where it fails, factorisation.
+    head_shape: shape that gives the normals: from silhouettes only, or fused with stereo. pose_start:
+    initialisation of the poses; default: factorisation for tracks; mapping for features, or factorisation
+    where mapping fails.
     """
 
     head_shape: HeadShape = HeadShape.FUSED
@@ -275,13 +277,11 @@ def follow_frames(
 ) -> tuple[HeadFootage, Tracks]:
     """Find silhouettes and tracks in undistorted frames; raise `BadCalibration` where either is no use."""
     sift = options.features is Features.SIFT
-    builder = (
-        SiftBuilder(camera=camera, options=options.sift) if sift else TrackBuilder(options=options.tracks)
-    )
+    builder = SiftBuilder(camera=camera) if sift else TrackBuilder(options=options.tracks)
     numbers, silhouettes, contrasts = [], [], []
     for frame in frames:
         silhouette = find_silhouette(frame.rgb, options.silhouettes)
-        builder.add(local_contrast(frame.rgb, options.contrast), silhouette.mask)
+        builder.add(local_contrast(frame.rgb), silhouette.mask)
         numbers.append(frame.number)
         silhouettes.append(silhouette)
         contrasts.append(builder.image)

@@ -40,10 +40,10 @@ class PressJob:
     """What a calibration on presses reads.
 
     source: images, one press each. background: image of the untouched gel. labels: folder of `NAME.txt`, one
-    per image. transfer: curve of the footage, None for the one
-    that it states, else linear. sensor: how samples of the sensor itself are read. rectification: takes the camera's view to the gel; None where
-    the images are rectified. label_size: (width, height) of the frame that labels refer to; None for that of
-    the images, rectified.
+    per image. transfer: curve of the footage, None for the one that it states, else linear. sensor: how
+    samples of the sensor itself are read. rectification: takes the camera's view to the gel; None where the
+    images are rectified. label_size: (width, height) of the frame that labels refer to; None for that of the
+    images, rectified.
     """
 
     source: str

@@ -11,7 +11,7 @@ import contextlib
 import logging
 import os
 import threading
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from typing import Any
 from vntoolkit.errors import BadInput, MissingDependency, VntError
 from vntoolkit.io.results.frame_log import FrameEntry
 from vntoolkit.native import keep_freed_memory, limit_threads
-from vntoolkit.pipeline.block_work import BlockWorker, ReconstructionJob
+from vntoolkit.pipeline.block_work import Block, BlockWorker, ReconstructionJob
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 
 LOCAL = "local"
@@ -37,18 +37,17 @@ _here = threading.local()  # a worker of many threads has one `BlockWorker` for 
 
 def run_blocks_on_cluster(
     job: ReconstructionJob,
-    blocks: list[range],
-    done_frames: Callable[[range], frozenset[int]],
+    blocks: list[Block],
     scheduler: str,
     workers: int,
 ) -> Generator[FrameEntry]:
-    """Yield a record per finished frame, as `run_blocks` does.
+    """Yield a record per finished frame, as `shared_out` does.
 
     scheduler: address such as tcp://host:8786, or "local" for `workers` processes of this machine. Raises
     `MissingDependency` without Dask, `BadInput` where no scheduler answers, and what the frames raise.
     """
     with connected(scheduler, workers) as client:
-        yield from _collect(client, _for_anywhere(job), blocks, done_frames)
+        yield from _collect(client, _for_anywhere(job), blocks)
 
 
 def require_scheduler(scheduler: str) -> None:
@@ -104,12 +103,7 @@ def _let_dask_report_errors_only() -> None:
             logger.setLevel(max(logger.level, logging.ERROR))
 
 
-def _collect(
-    client: Any,
-    job: ReconstructionJob,
-    blocks: list[range],
-    done_frames: Callable[[range], frozenset[int]],
-) -> Generator[FrameEntry]:
+def _collect(client: Any, job: ReconstructionJob, blocks: list[Block]) -> Generator[FrameEntry]:
     """Keep a bounded number of blocks submitted, and hand on what they return."""
     import distributed
 
@@ -120,7 +114,7 @@ def _collect(
         while True:
             most = _BLOCKS_IN_FLIGHT * max(1, sum(client.nthreads().values()))
             while running.count() < most and (block := next(waiting, None)) is not None:
-                running.add(client.submit(_run_block, shared, block, done_frames(block), pure=False))
+                running.add(client.submit(_run_block, shared, block, pure=False))
             if running.count() == 0:
                 return
             future = next(running)
@@ -136,13 +130,13 @@ def _collect(
         client.cancel(list(running.futures), force=True)
 
 
-def _run_block(job: ReconstructionJob, block: range, already_done: frozenset[int]) -> list[FrameEntry]:
+def _run_block(job: ReconstructionJob, block: Block) -> list[FrameEntry]:
     """Run on the cluster: process a block with this thread's worker."""
     if getattr(_here, "job", None) is not job:  # one run sends one object: another rig is another object
         limit_threads(1)
         keep_freed_memory()
         _here.worker, _here.job = BlockWorker(job), job
-    return list(_here.worker.run(block, already_done))
+    return list(_here.worker.run(*block))
 
 
 def _for_anywhere(job: ReconstructionJob) -> ReconstructionJob:

@@ -22,7 +22,7 @@ from vntoolkit.evaluation.angular_error import (
     summarise_angles,
 )
 from vntoolkit.evaluation.cylinder import Cylinder, axis_error_deg, radius_from_distance, side_angles
-from vntoolkit.evaluation.cylinder_fit import CylinderOptions, fit_cylinder
+from vntoolkit.evaluation.cylinder_fit import fit_cylinder
 from vntoolkit.evaluation.depth_error import disc_with_hole, peaks, tear
 from vntoolkit.evaluation.silhouette import silhouette_from_image
 from vntoolkit.evaluation.track_error import (
@@ -229,7 +229,6 @@ class CylinderTruth:
 def evaluate_cylinder(
     result: OpenedResult,
     simulated: Path | None = None,
-    options: CylinderOptions | None = None,
     on_frame: Callable[[int], None] = lambda number: None,
 ) -> CylinderEvaluation:
     """Fit one cylinder to all frames of a reconstruction and measure their normals against it.
@@ -244,7 +243,6 @@ def evaluate_cylinder(
         (seen for _, seen in _observations(result, on_frame)),
         result.camera,
         np.random.default_rng(_SEED),
-        options,
     )
     frames, total = [], np.zeros(3)
     for cylinder, (number, seen) in zip(fits, _observations(result, on_frame), strict=True):

@@ -4,13 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import multiprocessing
-import os
-import signal
 import time
-from collections.abc import Callable, Generator, Mapping
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Generator, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -42,20 +37,18 @@ from vntoolkit.io.results.manifest import (
     write_manifest,
 )
 from vntoolkit.io.rigs import SourceEntry, entry_from_rig
-from vntoolkit.native import end_with_parent, limit_threads
 from vntoolkit.normals.inversion import relative_albedo_from_frame
-from vntoolkit.pipeline.block_work import BlockWorker, ReconstructionJob
+from vntoolkit.pipeline.block_work import Block, BlockWorker, ReconstructionJob
 from vntoolkit.pipeline.cluster import require_scheduler, run_blocks_on_cluster
 from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.pipeline.options import SENSOR_PREFIX, option_values
+from vntoolkit.pipeline.processes import shared_out
 from vntoolkit.shadows.detector import ShadowMethod
 
 logger = logging.getLogger(__name__)
 Started = Callable[[int, int], None]
 Finished = Callable[[FrameEntry], None]
-DoneFrames = Callable[[range], frozenset[int]]
-Workers = Callable[[ReconstructionJob, list[range], DoneFrames], Generator[FrameEntry]]
-_worker: BlockWorker | None = None  # one per worker process
+Workers = Callable[[ReconstructionJob, list[Block]], Generator[FrameEntry]]
 BLOCK_FRAMES = 16
 _FOLDERS = {"normals": ".exr", "depth": ".exr", "shadows": ".png", "mesh": ".ply"}
 
@@ -189,7 +182,7 @@ def clear(root: Path) -> None:
 
 def _workers(jobs: int, scheduler: str | None) -> Workers:
     if scheduler is None:
-        return partial(run_blocks, jobs=jobs)
+        return lambda job, blocks: shared_out(partial(_begin, job), blocks, jobs)
     return partial(run_blocks_on_cluster, scheduler=scheduler, workers=jobs)
 
 
@@ -205,7 +198,7 @@ def _run(
     records: list[FrameEntry] = []
     if not open_blocks:
         return records
-    running = workers(job, open_blocks, lambda block: frozenset(on_disk.intersection(block)))
+    running = workers(job, [(block, frozenset(on_disk.intersection(block))) for block in open_blocks])
     try:
         for record in running:
             log.append(record)
@@ -347,65 +340,12 @@ def _source_entry(path: Path) -> SourceEntry:
     return SourceEntry(file=record.file, sha256=record.sha256)
 
 
-# Blocks of consecutive frames, in this process or on several processes.
+# Blocks of consecutive frames, which go to the processes.
 
 
-def run_blocks(
-    job: ReconstructionJob, blocks: list[range], done_frames: DoneFrames, jobs: int = 1
-) -> Generator[FrameEntry]:
-    """Yield a record per finished frame; frames of one block in order, blocks as they finish.
-
-    done_frames: tells which frames of a block are on disk already. jobs: worker processes; with 1 the work
-    is done here. Closing the iterator ends the workers.
-    """
-    if jobs == 1 or len(blocks) == 1:
-        worker = BlockWorker(job)
-        for block in blocks:
-            yield from worker.run(block, done_frames(block))
-        return
-    context = multiprocessing.get_context("spawn")  # a fork would copy threads that hold locks
-    workers = min(jobs, len(blocks))
-    pool = ProcessPoolExecutor(workers, context, initializer=_start_worker, initargs=(job, workers))
-    try:
-        yield from _collect(pool, blocks, done_frames, workers)
-    except BrokenProcessPool as error:
-        raise VntError(
-            "a worker process ended abruptly (out of memory?); what is finished is on disk: run the same "
-            "command again, with fewer --jobs, to go on"
-        ) from error
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _collect(
-    pool: ProcessPoolExecutor, blocks: list[range], done_frames: DoneFrames, workers: int
-) -> Generator[FrameEntry]:
-    """Keep two blocks per worker submitted, and hand on what they return."""
-    waiting = iter(blocks)
-    running: set[Future[list[FrameEntry]]] = set()
-    while True:
-        while len(running) < 2 * workers and (block := next(waiting, None)) is not None:
-            running.add(pool.submit(_run_block, block, done_frames(block)))
-        if not running:
-            return
-        finished, running = wait(running, return_when=FIRST_COMPLETED)
-        for future in finished:
-            yield from future.result()
-
-
-def _start_worker(job: ReconstructionJob, workers: int) -> None:
-    """Open the capture in a new process; Ctrl-C is the parent's to handle."""
-    global _worker  # noqa: PLW0603 - a worker process has exactly one
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    end_with_parent()
-    threads = max(1, (os.cpu_count() or 1) // workers)
-    limit_threads(threads)
-    _worker = BlockWorker(replace(job, threads=min(job.threads, threads)))
-
-
-def _run_block(block: range, already_done: frozenset[int]) -> list[FrameEntry]:
-    assert _worker is not None
-    return list(_worker.run(block, already_done))
+def _begin(job: ReconstructionJob, threads: int | None) -> Callable[[Block], Iterator[FrameEntry]]:
+    worker = BlockWorker(job if threads is None else replace(job, threads=min(job.threads, threads)))
+    return lambda block: worker.run(*block)
 
 
 def blocks_of(numbers: range, size: int = BLOCK_FRAMES) -> list[range]:

@@ -8,14 +8,9 @@ from __future__ import annotations
 
 import json
 import logging
-import multiprocessing
-import os
-import signal
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, VisibilityLabels
-from vntoolkit.errors import BadInput, BadMotion, BadRig, VntError
+from vntoolkit.errors import BadInput, BadMotion, BadRig
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.atomic import remove_numbered, require_apart, sole_writer, write_text
@@ -38,11 +33,11 @@ from vntoolkit.io.maps_and_meshes.maps import read_normal_map, write_depth_map, 
 from vntoolkit.io.results.seams import write_seams
 from vntoolkit.io.results.sequences import MeshSequenceWriter, remove_mesh_sequence
 from vntoolkit.io.rigs import write_rig
-from vntoolkit.native import end_with_parent, limit_threads
 from vntoolkit.photometry.frame import lit_from_labels
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import TransferCurve
 from vntoolkit.pipeline.options import option_values
+from vntoolkit.pipeline.processes import shared_out
 from vntoolkit.simulation.head.rig import seam_lines_px
 from vntoolkit.simulation.image_formation import exposure_of_scene, light_colours_of, true_response
 from vntoolkit.simulation.nuisances import Nuisances
@@ -57,7 +52,6 @@ from vntoolkit.simulation.scene import Scene, SceneOptions, build_scene
 from vntoolkit.simulation.spectra import WAVELENGTHS_NM
 
 _SHEET_FRAMES, _SHEET_WIDTH = 8, 320
-_worker: FrameWorker | None = None  # one per worker process
 _VERSION = 1
 _FIXED_TRUTH = ("rig.json", "lights.json", "scene.json", "seams.json", "poses.json")
 _TRUE_MAPS = {"normals": ".exr", "depth": ".exr", "mask": ".png", "visibility": ".png", "flow": ".exr"}
@@ -107,7 +101,7 @@ def simulate(
         write_moving_mesh(job, resume)
         missing = [place for place in range(count) if not folder.staged(place).exists()]
         on_start(count, count - len(missing))
-        for place in _rendered(job, missing, jobs):
+        for place in shared_out(partial(_begin, job), missing, jobs):
             on_frame(place)
         _write_contact_sheet(job)
         write_video(folder.video, _staged_frames(folder, count), job.built.frame_rate_hz / job.numbers.step)
@@ -123,8 +117,8 @@ class FrameWorker:
         self._renderer = Renderer(job.built, job.nuisances, job.rendering)
         self._vertices_file = job.folder.truth / "vertices.npy"
 
-    def render(self, place: int) -> int:
-        """Render and write one frame; return its place."""
+    def render(self, place: int) -> Iterator[int]:
+        """Render and write one frame; yield its place."""
         number = self._job.numbers[place]
         # Mapped anew for every frame: a map kept open holds on to every page it ever showed.
         vertices = np.load(self._vertices_file, mmap_mode="r", allow_pickle=False)
@@ -132,59 +126,13 @@ class FrameWorker:
         generator = frame_generator(self._job.options.seed, number)
         frame = self._renderer.render(vertices[place], following, generator, number)
         write_frame(self._job.folder, place, frame)
-        return place
+        yield place
 
 
-def _rendered(job: SimulationJob, places: list[int], jobs: int) -> Iterator[int]:
-    """Yield each place once its files are written."""
-    if jobs == 1 or len(places) < 2:
-        worker = FrameWorker(job) if places else None
-        for place in places:
-            assert worker is not None
-            yield worker.render(place)
-        return
-    workers = min(jobs, len(places))
-    threads = max(1, (os.cpu_count() or 1) // workers)
-    job = replace(job, rendering=replace(job.rendering, threads=threads))
-    context = multiprocessing.get_context("spawn")  # a fork would copy threads that hold locks
-    pool = ProcessPoolExecutor(workers, context, initializer=_start_worker, initargs=(job,))
-    try:
-        yield from _collect(pool, places, 2 * workers)
-    except BrokenProcessPool as error:
-        raise VntError(
-            "a worker process ended abruptly (out of memory?); what is finished is on disk: run the same "
-            "command again, with fewer --jobs, to go on"
-        ) from error
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _collect(pool: ProcessPoolExecutor, places: list[int], ahead: int) -> Iterator[int]:
-    """Keep `ahead` frames submitted and hand on their places as they finish."""
-    waiting = iter(places)
-    running: set[Future[int]] = set()
-    while True:
-        while len(running) < ahead and (place := next(waiting, None)) is not None:
-            running.add(pool.submit(_render_in_worker, place))
-        if not running:
-            return
-        finished, running = wait(running, return_when=FIRST_COMPLETED)
-        for future in finished:
-            yield future.result()
-
-
-def _start_worker(job: SimulationJob) -> None:
-    """Build the scene in a new process; Ctrl-C is the parent's to handle."""
-    global _worker  # noqa: PLW0603 - a worker process has exactly one
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    end_with_parent()
-    limit_threads(job.rendering.threads)
-    _worker = FrameWorker(job)
-
-
-def _render_in_worker(place: int) -> int:
-    assert _worker is not None
-    return _worker.render(place)
+def _begin(job: SimulationJob, threads: int | None) -> Callable[[int], Iterator[int]]:
+    if threads is not None:
+        job = replace(job, rendering=replace(job.rendering, threads=threads))
+    return FrameWorker(job).render
 
 
 def _staged_frames(folder: SimulationFolder, count: int) -> Iterator[npt.NDArray[Any]]:

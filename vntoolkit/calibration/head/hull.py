@@ -9,13 +9,12 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
-from vntoolkit.arrays import Faces, FloatArray, IntArray, Mask, Points, Vector3, read_only
+from vntoolkit.arrays import FloatArray, IntArray, Mask, Points, Vector3, read_only
 from vntoolkit.checks import require_same_size
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.geometry.mesh import Mesh, vertex_normals
+from vntoolkit.geometry.mesh import Mesh, isosurface, vertex_normals
 from vntoolkit.geometry.rigid import RigidTransform
-from vntoolkit.native import import_open3d
 
 _COARSE_STEP = 4  # cells of the fine grid per cell of the first one
 _SHARE_OF_VIEWS = 3  # a point that fewer than one view in so many shows was never filmed: it is outside
@@ -26,16 +25,14 @@ _SLICE = 200_000  # points projected at a time
 class HullOptions:
     """How finely the hull is carved.
 
-    hull_cells: cells along the longest side of the box. outvoted: silhouettes that may be wrong at a point
-    without carving it away.
+    hull_cells: cells along the longest side of the box.
     """
 
     hull_cells: int = 128
-    outvoted: int = 0
 
     def __post_init__(self) -> None:
-        if not 16 <= self.hull_cells <= 512 or self.outvoted < 0:
-            raise BadInput("hull: expected 16 to 512 cells and no negative number of outvoted silhouettes")
+        if not 16 <= self.hull_cells <= 512:
+            raise BadInput(f"hull: expected 16 to 512 cells, got {self.hull_cells}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -95,7 +92,7 @@ def fit_hull(views: Sequence[SilhouetteView], box: Box, options: HullOptions) ->
     counts = np.ceil((np.asarray(box.high) - low) / cell).astype(int) + 2
     outlines = [_signed_distance_px(view.mask) for view in views]
     coarse_axes = [np.arange(0, count + _COARSE_STEP, _COARSE_STEP) for count in counts]
-    coarse = _carved(views, outlines, box, low, cell, coarse_axes, options.outvoted)
+    coarse = _carved(views, outlines, box, low, cell, coarse_axes)
     repeated = coarse
     for axis in range(3):
         repeated = _between(repeated, axis, counts[axis])
@@ -103,23 +100,14 @@ def fit_hull(views: Sequence[SilhouetteView], box: Box, options: HullOptions) ->
     # a distance changes by no more than the way moved: further off, the coarse value has the right sign
     near = np.abs(repeated) < 1.1 * _COARSE_STEP * cell
     points = np.stack(np.nonzero(near), axis=1) * cell + low
-    values[near] = _carved_points(views, outlines, box, points, options.outvoted)
+    values[near] = _carved_points(views, outlines, box, points)
     return DistanceGrid(low=low, cell=cell, values=largest_part(values, cell))
 
 
 def mesh_of_grid(grid: DistanceGrid) -> Mesh:
-    """Return the zero surface by marching cubes (lorensen1987): triangles face outwards, unit normals."""
-    o3d = import_open3d()
-    padded = np.pad(-grid.values, 1, constant_values=grid.cell)
-    field = o3d.core.Tensor(np.ascontiguousarray(padded.transpose(2, 1, 0), dtype=np.float32))
-    surface = o3d.t.geometry.TriangleMesh.create_isosurfaces(field, [0.0]).to_legacy()
-    surface.remove_duplicated_vertices()
-    surface.remove_degenerate_triangles()
-    surface.remove_unreferenced_vertices()
-    vertices = (np.asarray(surface.vertices) - 1.0) * grid.cell + grid.low
-    faces = np.asarray(surface.triangles, dtype=np.int32)
-    if _volume(vertices, faces) < 0:
-        faces = faces[:, ::-1]
+    """Return the zero surface: triangles face outwards, unit normals."""
+    vertices, faces = isosurface(np.pad(grid.values, 1, constant_values=-grid.cell))
+    vertices = (vertices - 1.0) * grid.cell + grid.low
     return Mesh(vertices=vertices, faces=faces, normals=vertex_normals(vertices, faces))
 
 
@@ -142,29 +130,27 @@ def _carved(
     low: FloatArray,
     cell: float,
     axes: Sequence[FloatArray],
-    outvoted: int,
 ) -> FloatArray:
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     points = grid.reshape(-1, 3) * cell + low
-    return _carved_points(views, outlines, box, points, outvoted).reshape(grid.shape[:3])
+    return _carved_points(views, outlines, box, points).reshape(grid.shape[:3])
 
 
 def _carved_points(
-    views: Sequence[SilhouetteView], outlines: Sequence[FloatArray], box: Box, points: Points, outvoted: int
+    views: Sequence[SilhouetteView], outlines: Sequence[FloatArray], box: Box, points: Points
 ) -> FloatArray:
     result = np.empty(len(points))
-    least_views = max(outvoted + 1, len(views) // _SHARE_OF_VIEWS)
+    least_views = max(1, len(views) // _SHARE_OF_VIEWS)
     for start in range(0, len(points), _SLICE):
         own = points[start : start + _SLICE]
-        least = np.full((outvoted + 1, len(own)), np.inf)
+        least = np.full(len(own), np.inf)
         shown = np.zeros(len(own), dtype=np.int64)
         for view, outline in zip(views, outlines, strict=True):
             value = _distance_in_view(view, outline, own)
             shown += np.isfinite(value)
-            for rank in range(outvoted + 1):  # keep the smallest few in order
-                value, least[rank] = np.maximum(value, least[rank]), np.minimum(value, least[rank])
+            np.minimum(value, least, out=least)
         inside_box = np.minimum(own - box.low, np.asarray(box.high) - own).min(axis=1)
-        inside = np.where(shown >= least_views, least[-1], -box.diagonal)
+        inside = np.where(shown >= least_views, least, -box.diagonal)
         result[start : start + _SLICE] = np.minimum(inside, inside_box)
     return result
 
@@ -202,11 +188,6 @@ def _between(values: FloatArray, axis: int, count: int) -> FloatArray:
     shape[axis] = count
     share = (at - lower).reshape(shape)
     return np.take(values, lower, axis) * (1 - share) + np.take(values, lower + 1, axis) * share
-
-
-def _volume(vertices: Points, faces: Faces) -> float:
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
 
 
 def box_about_points(points: Points) -> Box:

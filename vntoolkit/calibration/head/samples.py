@@ -18,6 +18,7 @@ from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.photometry.frame import LinearFrame
 
 _OFF_SURFACE = 0.004  # of the diagonal: rays start so far out, beyond the mesh's own roughness
+_RIM_PX = 4  # closer to the silhouette's edge, colours are not trusted
 _LEAST_FACING = 0.35  # cosine to the viewer below which colour and normal no longer belong together
 
 
@@ -26,16 +27,14 @@ class SampleOptions:
     """Where colours are taken.
 
     light_frames: frames, spread over the turn. light_points: points of the skin, spread over orientations.
-    rim_px: distance to the silhouette's edge below which colours are not trusted.
     """
 
     light_frames: int = 14
     light_points: int = 3000
-    rim_px: int = 4
 
     def __post_init__(self) -> None:
-        if self.light_frames < 3 or self.light_points < 100 or self.rim_px < 0:
-            raise BadInput("light: expected at least 3 frames, 100 points and no negative rim")
+        if self.light_frames < 3 or self.light_points < 100:
+            raise BadInput("light: expected at least 3 frames and 100 points")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -101,7 +100,7 @@ def sample_head(
         towards = -position / np.linalg.norm(position, axis=1, keepdims=True)
         normal = pose.rotate(normals[chosen])
         pixel = camera.project(position)
-        seen = ((normal * towards).sum(axis=1) > _LEAST_FACING) & _within(each, pixel, options.rim_px)
+        seen = ((normal * towards).sum(axis=1) > _LEAST_FACING) & _within(each, pixel)
         seen[seen] = rays.free(chosen[seen], pose.inverse().rotate(towards[seen]))
         colours = _colours_at(each.frame, pixel[seen])
         parts.append((chosen[seen], np.full(seen.sum(), number), normal[seen], colours, pixel[seen]))
@@ -133,10 +132,10 @@ def spread_over_orientations(normals: Points, count: int, rng: np.random.Generat
     return np.sort(order[np.argsort(rank, kind="stable")[:count]])
 
 
-def _within(each: LightFrame, pixel: FloatArray, rim_px: int) -> npt.NDArray[np.bool_]:
+def _within(each: LightFrame, pixel: FloatArray) -> npt.NDArray[np.bool_]:
     """True where a pixel lies well inside the silhouette and is not clipped."""
     usable = (each.mask & ~each.frame.clipped).astype(np.uint8)
-    kernel = np.ones((2 * rim_px + 1, 2 * rim_px + 1), np.uint8)
+    kernel = np.ones((2 * _RIM_PX + 1, 2 * _RIM_PX + 1), np.uint8)
     inner = np.asarray(cv2.erode(each.mask.astype(np.uint8), kernel)) > 0
     inner &= np.asarray(cv2.erode(usable, np.ones((3, 3), np.uint8))) > 0
     column, row = np.round(pixel).astype(int).T

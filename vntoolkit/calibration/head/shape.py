@@ -34,12 +34,12 @@ def fit_shape(
     """
     references = spread_over_turn(views, stereo.references)
     mesh = mesh_of_grid(hull)
-    for number in range(stereo.passes):
+    searches = (stereo, stereo.closely())
+    for number, search in enumerate(searches):
         maps = []
         for done, k in enumerate(references.tolist(), start=1):
-            search = stereo if number == 0 else stereo.closely()
             maps.append(stereo_points(views, contrasts, mesh, k, search))
-            on_progress(number * len(references) + done, stereo.passes * len(references))
+            on_progress(number * len(references) + done, len(searches) * len(references))
         mesh = fuse_points(maps, mesh, hull, fusion)
     return mesh
 

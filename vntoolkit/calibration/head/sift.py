@@ -16,7 +16,7 @@ from vntoolkit.arrays import FloatArray, IntArray, Mask, Points2
 from vntoolkit.calibration.head.colmap import camera_for_colmap, colmap_from_pixels, pixels_from_colmap
 from vntoolkit.calibration.head.silhouettes import box_of_mask
 from vntoolkit.calibration.head.tracks import Tracks, contrast_in_8_bits, pairs_shared
-from vntoolkit.errors import BadCalibration, BadInput
+from vntoolkit.errors import BadCalibration
 from vntoolkit.geometry.camera import Camera
 
 _ALL_PAIRS = 40  # frames: of so many, every one is compared with every other
@@ -25,29 +25,12 @@ _LEAST_TYPICAL, _LEAST_SHARED = 60, 20  # features of neighbouring frames: usual
 _LEAST_FRAMES = 3  # a track over two says nothing that could be wrong
 _BORDER_PX = 12  # about the silhouette's box, for the windows of features
 _ESTIMATE_PX, _GUIDE_PX = 2.0, 1.5  # from the epipolar line: while it is sought, and once it is known
+_PEAK = 0.003  # weakest contrast of a feature, 0 to 1: skin has little
+_MOST_FEATURES = 3000  # of a frame
+_RATIO = 0.85  # of the distance to the best match over that to the second best, at most
+_LEAST_MATCHES = 20  # of a pair of frames that agree on one epipolar geometry,
+_LEAST_AGREEING = 0.4  # and their share of all matches
 Features = tuple[Points2, FloatArray]  # positions (n, 2) and unit descriptors (n, 128)
-
-
-@dataclass(frozen=True, kw_only=True)
-class SiftOptions:
-    """How features are found and matched.
-
-    sift_peak: weakest contrast of a feature, 0 to 1. sift_features: most features of a frame. sift_ratio:
-    largest distance to the best match over that to the second best. sift_matches: fewest matches of a pair
-    of frames that agree on one epipolar geometry. sift_agreement: smallest share of them that must.
-    """
-
-    sift_peak: float = 0.003
-    sift_features: int = 3000
-    sift_ratio: float = 0.85
-    sift_matches: int = 20
-    sift_agreement: float = 0.4
-
-    def __post_init__(self) -> None:
-        if not (0 < self.sift_peak < 1 and 0 < self.sift_ratio < 1 and 0 < self.sift_agreement < 1):
-            raise BadInput("sift: expected peak, ratio and agreement from 0 to 1")
-        if self.sift_features < 50 or self.sift_matches < 8:
-            raise BadInput("sift: expected at least 50 features and 8 matches")
 
 
 @dataclass(kw_only=True, eq=False)
@@ -55,7 +38,6 @@ class SiftBuilder:
     """Finds features frame by frame, and matches them at the end; holds descriptors and positions."""
 
     camera: Camera
-    options: SiftOptions
     _positions: list[Points2] = field(default_factory=list)
     _descriptors: list[FloatArray] = field(default_factory=list)
     _extractor: Any = None
@@ -68,7 +50,7 @@ class SiftBuilder:
         """
         self._image = image = contrast_in_8_bits(contrast)
         if self._extractor is None:
-            self._extractor = _extractor(self.options)
+            self._extractor = _extractor()
         if not mask.any():
             self._positions.append(np.zeros((0, 2)))
             self._descriptors.append(np.zeros((0, 128), np.float32))
@@ -82,7 +64,7 @@ class SiftBuilder:
         inside = cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
         column, row = np.round(positions).astype(int).T
         kept = np.flatnonzero(inside[row.clip(0, len(mask) - 1), column.clip(0, mask.shape[1] - 1)])
-        kept = kept[: self.options.sift_features]
+        kept = kept[:_MOST_FEATURES]
         length = np.maximum(np.linalg.norm(descriptors[kept], axis=1, keepdims=True), 1e-9)
         self._positions.append(positions[kept])
         self._descriptors.append(descriptors[kept] / length)
@@ -96,16 +78,11 @@ class SiftBuilder:
     def finish(self) -> Tracks:
         """Match the pairs of frames and join the matches into tracks over at least three frames."""
         colmap = camera_for_colmap(self.camera)
-        limits = EpipolarMatches(
-            ratio=self.options.sift_ratio,
-            least=self.options.sift_matches,
-            share=self.options.sift_agreement,
-        )
         starts = np.concatenate([[0], np.cumsum([len(each) for each in self._positions])])
         pairs = []
         for i, j in _pairs_of(len(self._positions)):
             first = self._positions[i], self._descriptors[i]
-            found = match_two_views(colmap, first, (self._positions[j], self._descriptors[j]), limits)
+            found = match_two_views(colmap, first, (self._positions[j], self._descriptors[j]))
             pairs.append(found + starts[[i, j]])
         matches = np.concatenate([*pairs, np.zeros((0, 2), np.int64)])
         return joined_matches(matches, self._positions)
@@ -162,7 +139,7 @@ def joined_matches(matches: IntArray, positions: list[Points2]) -> Tracks:
     )
 
 
-def _extractor(options: SiftOptions) -> Any:
+def _extractor() -> Any:
     import pycolmap
 
     pycolmap.logging.minloglevel = pycolmap.logging.ERROR.value
@@ -170,24 +147,15 @@ def _extractor(options: SiftOptions) -> Any:
     extraction.num_threads = 1
     extraction.use_gpu = False
     extraction.sift.upright = True  # the head turns about an upright axis
-    extraction.sift.peak_threshold = options.sift_peak
-    extraction.sift.max_num_features = 2 * options.sift_features
+    extraction.sift.peak_threshold = _PEAK
+    extraction.sift.max_num_features = 2 * _MOST_FEATURES
     return pycolmap.FeatureExtractor.create(extraction, pycolmap.Device.cpu)
-
-
-@dataclass(frozen=True, kw_only=True)
-class EpipolarMatches:
-    """Limits. ratio: of best to second best. least: matches. share: of them, on one geometry."""
-
-    ratio: float
-    least: int
-    share: float
 
 
 _NEVER = 9.0
 
 
-def match_two_views(camera: Any, first: Features, second: Features, limits: EpipolarMatches) -> IntArray:
+def match_two_views(camera: Any, first: Features, second: Features) -> IntArray:
     """Match, find the epipolar geometry by RANSAC, match again along its lines; (m, 2) numbers of features.
 
     camera: pycolmap's. None where too few agree: chance finds such pairs, too.
@@ -195,14 +163,14 @@ def match_two_views(camera: Any, first: Features, second: Features, limits: Epip
     import pycolmap
 
     none = np.zeros((0, 2), np.int64)
-    if min(len(first[0]), len(second[0])) < limits.least:
+    if min(len(first[0]), len(second[0])) < _LEAST_MATCHES:
         return none
     angles = np.arccos(np.clip(first[1] @ second[1].T, -1.0, 1.0))
-    matches = _mutual(angles, limits.ratio)
-    if len(matches) < limits.least:
+    matches = _mutual(angles)
+    if len(matches) < _LEAST_MATCHES:
         return none
     options = pycolmap.TwoViewGeometryOptions()
-    options.min_num_inliers = limits.least
+    options.min_num_inliers = _LEAST_MATCHES
     options.detect_watermark = False
     options.ransac.max_error = _ESTIMATE_PX
     options.ransac.random_seed = 0
@@ -211,23 +179,23 @@ def match_two_views(camera: Any, first: Features, second: Features, limits: Epip
         camera, a, camera, b, matches.astype(np.uint32), options
     )
     agreeing = len(found.inlier_matches)
-    if found.F is None or agreeing < max(limits.least, limits.share * len(matches)):
+    if found.F is None or agreeing < max(_LEAST_MATCHES, _LEAST_AGREEING * len(matches)):
         return none
     off = _distance_to_lines(np.asarray(found.F), a, b)
-    return _mutual(np.where(off < _GUIDE_PX, angles, _NEVER), limits.ratio)
+    return _mutual(np.where(off < _GUIDE_PX, angles, _NEVER))
 
 
 _LARGEST_ANGLE = 0.7  # between descriptors of one point, radians
 
 
-def _mutual(angles: FloatArray, ratio: float) -> IntArray:
+def _mutual(angles: FloatArray) -> IntArray:
     """Return pairs (m, 2) that are each other's nearest, clearly nearer than the second nearest."""
     rows = np.arange(len(angles))
     two = np.argpartition(angles, 1, axis=1)[:, :2]
     near = np.take_along_axis(angles, two, axis=1)
     best = two[rows, near.argmin(axis=1)]
     least, next_least = near.min(axis=1), near.max(axis=1)
-    kept = (angles.argmin(axis=0)[best] == rows) & (least < ratio * next_least) & (least < _LARGEST_ANGLE)
+    kept = (angles.argmin(axis=0)[best] == rows) & (least < _RATIO * next_least) & (least < _LARGEST_ANGLE)
     return np.column_stack([rows[kept], best[kept]])
 
 

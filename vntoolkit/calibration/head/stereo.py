@@ -20,7 +20,9 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.rays import RayScene, pixel_rays
 
-_CLOSER_ANGLES_DEG = (6.0, 12.0, 18.0)  # of a further pass: from well correlated to precise in depth
+_CLOSER_ANGLES_DEG = (6.0, 12.0, 18.0)  # of the second pass: from well correlated to precise in depth
+_CLOSER_WINDOW_PX = 9
+_CLOSE = 0.012  # of the diagonal: how far the second pass searches to both sides
 _BORDER_PX = 12  # beyond the silhouette's box, for windows
 _STEP_PX = 0.6  # that a point moves in the furthest neighbour from shell to shell
 _LEAST_SLANT = 0.25  # cosine between ray and hull below which a window mixes too many depths
@@ -38,10 +40,7 @@ class StereoOptions:
     hollows such as eye sockets come out filled, lower it where dents appear that the head does not have.
     least_correlation: correlation of the compared windows, 0 to 1, below which a pixel gets no depth; lower
     it to 0.5 where smooth or dark skin leaves holes, raise it to 0.7 where wrong points roughen the surface.
-    smoothing_px: standard deviation of the smoothing of the depth in a map. passes: 1 searches about the
-    hull; every further one closely about the mesh of the one before, whose slant it knows, so that a smaller
-    window does. closer: how far a further pass searches to both sides, as a share of the diagonal.
-    closer_window_px: its window.
+    smoothing_px: standard deviation of the smoothing of the depth in a map.
     """
 
     references: int = 11
@@ -51,29 +50,25 @@ class StereoOptions:
     behind: float = 0.070
     least_correlation: float = 0.6
     smoothing_px: float = 2.0
-    passes: int = 2
-    closer: float = 0.012
-    closer_window_px: int = 9
 
     def __post_init__(self) -> None:
-        windows = (self.stereo_window_px, self.closer_window_px)
-        if min(self.references, self.passes) < 1 or min(windows) < 5 or any(w % 2 == 0 for w in windows):
-            raise BadInput("stereo: expected at least one reference and pass and odd windows of 5 px or more")
+        if self.references < 1 or self.stereo_window_px < 5 or self.stereo_window_px % 2 == 0:
+            raise BadInput("stereo: expected at least one reference and an odd window of 5 px or more")
         if not self.neighbour_angles_deg or min(self.neighbour_angles_deg) <= 0:
             raise BadInput("stereo: expected neighbours at positive angles")
-        if min(self.before, self.behind, self.closer, self.smoothing_px) <= 0:
+        if min(self.before, self.behind, self.smoothing_px) <= 0:
             raise BadInput("stereo: expected positive depths and smoothing")
         if not 0 < self.least_correlation < 1:
             raise BadInput("stereo: expected a correlation from 0 to 1")
 
     def closely(self) -> Self:
-        """Return the options of a further pass."""
+        """Return the options of the second pass: about the mesh of the first, whose slant it knows."""
         return replace(
             self,
-            before=self.closer,
-            behind=self.closer,
+            before=_CLOSE,
+            behind=_CLOSE,
             neighbour_angles_deg=_CLOSER_ANGLES_DEG,
-            stereo_window_px=self.closer_window_px,
+            stereo_window_px=_CLOSER_WINDOW_PX,
         )
 
 

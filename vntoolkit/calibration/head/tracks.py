@@ -12,33 +12,28 @@ import numpy.typing as npt
 from vntoolkit.arrays import FloatArray, IntArray, LinearImage, Mask, Points2, read_only
 from vntoolkit.errors import BadCalibration, BadInput
 
+_CORNER_QUALITY = 0.003  # the weakest corner as a share of the strongest
+_THERE_AND_BACK_PX = 0.5  # a point that is followed to the next frame and back lands within this, or is lost
+_LEAST_FRAMES = 4  # shorter tracks are dropped
+
 
 @dataclass(frozen=True, kw_only=True)
 class TrackOptions:
     """Options of the tracks.
 
-    corners: most corners followed at a time. corner_quality: weakest corner as a share of the strongest.
-    corner_spacing_px: least distance between corners, pixels. window_px: side of the window that is compared,
-    pixels. there_and_back_px: largest distance between a point and where it lands when followed to the next
-    frame and back. margin_px: least distance of a corner from the silhouette's edge, pixels. least_frames:
-    shorter tracks are dropped.
+    corners: most corners followed at a time. corner_spacing_px: least distance between corners, pixels.
+    window_px: side of the window that is compared, pixels. margin_px: least distance of a corner from the
+    silhouette's edge, pixels.
     """
 
     corners: int = 2000
-    corner_quality: float = 0.003
     corner_spacing_px: float = 7.0
     window_px: int = 13
-    there_and_back_px: float = 0.5
     margin_px: int = 9
-    least_frames: int = 4
 
     def __post_init__(self) -> None:
-        if self.corners < 50 or self.window_px < 5 or self.least_frames < 2 or self.margin_px < 0:
-            raise BadInput(
-                "tracks: expected at least 50 corners, a window of 5 px, 2 frames and no negative margin"
-            )
-        if not (self.corner_quality > 0 and self.corner_spacing_px >= 1 and self.there_and_back_px > 0):
-            raise BadInput("tracks: expected positive corner quality, spacing and there-and-back distance")
+        if self.corners < 50 or self.window_px < 5 or self.corner_spacing_px < 1 or self.margin_px < 0:
+            raise BadInput("tracks: expected at least 50 corners, a window of 5 px and no negative distance")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -123,7 +118,7 @@ class TrackBuilder:
             frame_count=self._frame,
         )
         lengths = np.bincount(tracks.point, minlength=self._next_point)
-        return tracks.of_points(lengths >= self.options.least_frames)
+        return tracks.of_points(lengths >= _LEAST_FRAMES)
 
     def _allowed(self, mask: Mask) -> npt.NDArray[np.uint8]:
         """Erode the silhouette, where texture is seen at a slant and its border moves; edges count too."""
@@ -144,7 +139,7 @@ class TrackBuilder:
         height, width = allowed.shape
         inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
         inside[inside] = allowed[row[inside], column[inside]] > 0
-        kept = inside & (found.ravel() > 0) & (returned.ravel() > 0) & (gap < self.options.there_and_back_px)
+        kept = inside & (found.ravel() > 0) & (returned.ravel() > 0) & (gap < _THERE_AND_BACK_PX)
         self._positions, self._points = there[kept], self._points[kept]
 
     def _seed(self, image: npt.NDArray[np.uint8], allowed: npt.NDArray[np.uint8]) -> None:
@@ -155,7 +150,7 @@ class TrackBuilder:
         for u, v in np.round(self._positions).astype(int).tolist():
             cv2.circle(free, (u, v), round(self.options.corner_spacing_px), 0, -1)
         corners = cv2.goodFeaturesToTrack(
-            image, room, self.options.corner_quality, self.options.corner_spacing_px, mask=free
+            image, room, _CORNER_QUALITY, self.options.corner_spacing_px, mask=free
         )
         if corners is None:
             return
@@ -219,36 +214,24 @@ def pairs_shared(tracks: Tracks, apart: int) -> IntArray:
     return np.bincount(tracks.frame[both], minlength=tracks.frame_count)[: tracks.frame_count - apart]
 
 
-@dataclass(frozen=True, kw_only=True)
-class ContrastOptions:
-    """Options of the local contrast, which removes shading.
-
-    contrast_px: standard deviation in pixels of the window whose mean and spread are divided out.
-    contrast_floor: spread, in levels of 255, that is taken for noise and not amplified.
-    """
-
-    contrast_px: float = 6.0
-    contrast_floor: float = 3.5
-
-    def __post_init__(self) -> None:
-        if not (self.contrast_px > 0 and self.contrast_floor > 0):
-            raise BadInput("contrast_px, contrast_floor: expected positive numbers")
-
-
 # Local contrast: an image that keeps the texture of the skin and removes the moving shading.
 
 
-def local_contrast(rgb: LinearImage, options: ContrastOptions) -> FloatArray:
+_CONTRAST_PX = 6.0  # standard deviation of the window whose mean and spread are divided out
+_CONTRAST_FLOOR = 3.5  # spread, in levels of 255, that is taken for noise and not amplified
+
+
+def local_contrast(rgb: LinearImage) -> FloatArray:
     """Return (x − mean) / (spread + floor) of the channels' mean x (h, w, 3); float32 (h, w), about −3 to 3.
 
     Multiplying the light by a smooth factor changes it little, so that a moving shading does not pull what
     is followed in it. The mean of the channels is taken since compressed colour is coarse (4:2:0).
     """
     grey = 255.0 * np.asarray(rgb, dtype=np.float32).mean(axis=2)
-    mean = cv2.GaussianBlur(grey, (0, 0), options.contrast_px)
+    mean = cv2.GaussianBlur(grey, (0, 0), _CONTRAST_PX)
     deviation = grey - mean
-    spread = np.sqrt(cv2.GaussianBlur(deviation * deviation, (0, 0), options.contrast_px))
-    return np.asarray(deviation / (spread + np.float32(options.contrast_floor)))
+    spread = np.sqrt(cv2.GaussianBlur(deviation * deviation, (0, 0), _CONTRAST_PX))
+    return np.asarray(deviation / (spread + np.float32(_CONTRAST_FLOOR)))
 
 
 _WIDEST_VALUE = 4.0  # that becomes black or white in 8 bits

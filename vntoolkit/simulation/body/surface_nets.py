@@ -1,10 +1,11 @@
-"""A triangle mesh of an implicit body: naive surface nets (gibson1998), then pulled onto the surface."""
+"""A triangle mesh of an implicit body: an isosurface, smoothed and pulled onto the surface in turns."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from vntoolkit.arrays import Faces, FloatArray, IntArray, Points
+from vntoolkit.geometry.mesh import isosurface
 from vntoolkit.simulation.body.implicit import ImplicitBody
 
 _ROUNDS = 3  # of smoothing and pulling back
@@ -17,8 +18,7 @@ def mesh_from_implicit(
     """Return vertices (n, 3) and outward faces (m, 3) of the surface inside the box, cells of size `cell`."""
     counts = _COARSE * np.ceil((np.asarray(high) - low) / (_COARSE * cell)).astype(int) + 1
     values = _values_near_surface(body, np.asarray(low, dtype=np.float64), counts, cell)
-    vertices, index = _cell_vertices(values)
-    faces = _faces(values, index)
+    vertices, faces = isosurface(-values)
     vertices = low + cell * vertices
     for _ in range(_ROUNDS):
         vertices = _pull_onto_surface(body, _relaxed(vertices, faces), cell)
@@ -70,48 +70,3 @@ def _values_near_surface(body: ImplicitBody, low: FloatArray, counts: IntArray, 
 
 def _grid(counts: IntArray) -> Points:
     return np.stack(np.meshgrid(*[np.arange(n) for n in counts], indexing="ij"), -1).reshape(-1, 3) * 1.0
-
-
-def _cell_vertices(values: FloatArray) -> tuple[Points, IntArray]:
-    """Return a point per cell that changes sign, the mean of its edges' crossings; and their numbers."""
-    inside = values < 0
-    cells = [slice(None, -1), slice(1, None)]
-    count = np.zeros(np.array(values.shape) - 1, dtype=np.int8)
-    for i, j, k in np.ndindex(2, 2, 2):
-        count += inside[cells[i], cells[j], cells[k]]
-    mixed = (count > 0) & (count < 8)
-    place = np.argwhere(mixed)
-    total, hits = np.zeros((len(place), 3)), np.zeros(len(place))
-    for axis in range(3):
-        for i in (0, 1):
-            for j in (0, 1):
-                offset = np.insert([i, j], axis, 0)
-                start = place + offset
-                step = np.eye(3, dtype=int)[axis]
-                a, b = values[tuple(start.T)], values[tuple((start + step).T)]
-                cross = (a < 0) != (b < 0)
-                share = np.where(cross, a / np.where(cross, a - b, 1.0), 0.0)
-                total += np.where(cross[:, None], start + share[:, None] * step, 0.0)
-                hits += cross
-    index = np.full(mixed.shape, -1)
-    index[mixed] = np.arange(len(place))
-    return total / hits[:, None], index
-
-
-def _faces(values: FloatArray, index: IntArray) -> Faces:
-    """Return two triangles for each grid edge that changes sign."""
-    quads = []
-    for axis in range(3):
-        first, second = (axis + 1) % 3, (axis + 2) % 3
-        a = np.moveaxis(values, (axis, first, second), (0, 1, 2))
-        numbers = np.moveaxis(index, (axis, first, second), (0, 1, 2))
-        low, high = a[:-1, 1:-1, 1:-1] < 0, a[1:, 1:-1, 1:-1] < 0
-        i, j, k = np.nonzero(low != high)
-        quad = np.stack(
-            [numbers[i, j, k], numbers[i, j + 1, k], numbers[i, j + 1, k + 1], numbers[i, j, k + 1]], axis=1
-        )
-        leaves = low[i, j, k]  # the axis leaves the body here: the outside lies towards +axis
-        quad[~leaves] = quad[~leaves][:, ::-1]
-        quads.append(quad)
-    quad = np.concatenate(quads)
-    return np.concatenate([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]]).astype(np.int32)

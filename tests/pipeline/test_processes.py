@@ -1,0 +1,37 @@
+"""Work shared out to processes: the same results, and a process that dies is named."""
+
+import os
+from collections.abc import Callable
+
+import pytest
+
+from vntoolkit.errors import BadInput, VntError
+from vntoolkit.pipeline.processes import shared_out
+
+Work = Callable[[int], list[int]]
+
+
+def _begin(threads: int | None) -> Work:
+    def work(item: int) -> list[int]:
+        if item == 9:
+            os._exit(1)
+        if item < 0:
+            raise BadInput(f"item {item}: expected a positive one")
+        return [item, 10 * item]
+
+    return work
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_results_do_not_depend_on_the_processes(jobs: int) -> None:
+    assert sorted(shared_out(_begin, [1, 2, 3], jobs)) == [1, 2, 3, 10, 20, 30]
+
+
+def test_what_the_work_raises_is_raised() -> None:
+    with pytest.raises(BadInput, match="item -1"):
+        list(shared_out(_begin, [1, -1, 2], 2))
+
+
+def test_a_worker_that_dies_is_named() -> None:
+    with pytest.raises(VntError, match=r"ended abruptly .* run the same command again, with fewer --jobs"):
+        list(shared_out(_begin, [1, 9], 2))
