@@ -32,7 +32,7 @@ def measured(out: Path, name: str, degree: int, frames: str) -> CylinderEvaluati
     film, options = str(out / "board" / "capture.mkv"), BoardOptions(degree=degree)
     board(film, out=rig, camera=lens, layout=SWEPT_LAYOUT, options=options)
     normals = ReconstructOptions(to=Product.NORMALS)
-    reconstruct(str(truth / "capture.mkv"), rig=rig, out=result, frames=frames, pipeline=normals)
+    reconstruct(str(truth / "capture.mkv"), rig=rig, out=result, frames=frames, options=normals)
     return cylinder(result, truth=truth, out=out / f"{name}_error")
 
 

@@ -39,7 +39,7 @@ def reconstruction(scene: str, frames: int, out: Path) -> Path:
         board(str(out / "board/capture.mkv"), out=rig)
     simulate(scene, out=out / "capture", frames=f"0:{frames}")
     to_depth = ReconstructOptions(to=Product.DEPTH, shadows=ShadowMethod.NONE)
-    reconstruct(str(out / "capture/capture.mkv"), rig=rig, out=out / "reconstruction", pipeline=to_depth)
+    reconstruct(str(out / "capture/capture.mkv"), rig=rig, out=out / "reconstruction", options=to_depth)
     return out / "reconstruction"
 
 

@@ -19,7 +19,7 @@ from vntoolkit.simulation.head.rig import (
 )
 from vntoolkit.simulation.head.scenes import Makeup, build_face_makeup
 from vntoolkit.simulation.head.sculpture import MOUTH_HEIGHT, NECK_CUT, sculpt_head
-from vntoolkit.simulation.scene import SceneOptions
+from vntoolkit.simulation.scene import Scene, SceneOptions
 
 STILL = HeadPose()
 
@@ -207,27 +207,31 @@ def test_a_slit_in_a_grid_parts_into_two_sides() -> None:
     assert np.count_nonzero(uses == 1) == 28 + 2 * (len(slit.upper) - 1)  # the grid's border and the slit
 
 
-def loops_px(frame: int) -> list[np.ndarray]:
-    """Return the closed loops of mouth, left eye and right eye of `face_makeup`, each (k, 2) pixels."""
-    head, scene = build_head(), build_face_makeup(SceneOptions())
-    vertices = scene.vertices(frame)
-    return [scene.camera.project(vertices[slit.loop]) for slit in (head.mouth, *head.eyes)]
+@pytest.fixture(scope="module")
+def face() -> Scene:
+    return build_face_makeup(SceneOptions())
 
 
-def test_seams_lie_in_the_picture_and_open_with_the_mouth() -> None:
-    mouth, left, right = loops_px(0)
+def loops_px(face: Scene, frame: int) -> list[np.ndarray]:
+    """Return the closed loops of mouth, left eye and right eye, each (k, 2) pixels."""
+    head, vertices = build_head(), face.vertices(frame)
+    return [face.camera.project(vertices[slit.loop]) for slit in (head.mouth, *head.eyes)]
+
+
+def test_seams_lie_in_the_picture_and_open_with_the_mouth(face: Scene) -> None:
+    mouth, left, right = loops_px(face, 0)
     assert left[:, 0].max() < right[:, 0].min()
     assert mouth[:, 1].min() > left[:, 1].max()  # v grows downwards
     for loop in (mouth, left, right):
         assert loop.min() > 0
         assert np.all(loop.max(axis=0) < [640, 480])
-    heights = [np.ptp(loops_px(frame)[0][:, 1]) for frame in range(380, 500, 10)]
+    heights = [np.ptp(loops_px(face, frame)[0][:, 1]) for frame in range(380, 500, 10)]
     assert max(heights) > 2.0 * min(heights)
 
 
-def test_seam_lines_are_the_two_edges_of_each_loop() -> None:
-    lines = seam_lines_px(build_face_makeup(SceneOptions()), 0)
+def test_seam_lines_are_the_two_edges_of_each_loop(face: Scene) -> None:
+    lines = seam_lines_px(face, 0)
     assert len(lines) == 6
-    for loop, upper, lower in zip(loops_px(0), lines[::2], lines[1::2], strict=True):
+    for loop, upper, lower in zip(loops_px(face, 0), lines[::2], lines[1::2], strict=True):
         np.testing.assert_array_equal(np.concatenate([upper, lower[-2:0:-1]]), loop)
     assert seam_lines_px(build_spandex(SceneOptions()), 0) == ()

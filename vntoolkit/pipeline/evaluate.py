@@ -239,6 +239,8 @@ def evaluate_cylinder(
     fitted and when it is measured. Raises `BadInput`, `SolverFailed` with the frame's place.
     """
     truth = None if simulated is None else CylinderTruth(folder=SimulationFolder(root=simulated))
+    if truth is not None:
+        truth.radius_m  # noqa: B018 - another scene is refused before minutes of fitting
     fits = fit_cylinder(
         (seen for _, seen in _observations(result, on_frame)),
         result.camera,

@@ -163,7 +163,8 @@ def _eye_colours(off_axis: FloatArray, in_front: FloatArray) -> Colours:
 def corner_uv(head: Head) -> FloatArray:
     """Return (m, 3, 2) cylindrical texture coordinates; faces across the back are unwrapped."""
     u = azimuth_deg(head.vertices) / 360.0 + 0.5
-    v = _SKIN_ROWS * (head.vertices[:, 1] - _LOW_CM) / (_HIGH_CM - _LOW_CM)
+    above = np.maximum(head.vertices[:, 1] - _LOW_CM, 0.0)  # the rim lies a hair to either side of the cut
+    v = _SKIN_ROWS * above / (_HIGH_CM - _LOW_CM)
     own = ~np.isin(head.part, (anatomy.SKIN, anatomy.CAVITY, anatomy.LID_RIM))
     u, v = np.where(own, 0.5, u), np.where(own, 0.985, v)
     uv = np.stack([u, v], axis=1)[head.faces]
