@@ -27,6 +27,7 @@ from vntoolkit.evaluation.silhouette import contour_of
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.geometry.rays import pixel_rays
+from vntoolkit.native import njit
 
 _MOST_SAMPLES = 20000
 _FEWEST_PIXELS = 200
@@ -379,9 +380,22 @@ def distance_from_rim_px(cylinder: Cylinder, along: float, end: EndPoints, camer
     after = np.roll(rim, -1, axis=0)
     outer = ((rim + after) / 2 - centre) @ end.direction >= 0
     start, step = rim[outer], (after - rim)[outer]
-    offset = end.points[:, None] - start
-    share = np.clip(np.sum(offset * step, axis=2) / np.maximum(np.sum(step**2, axis=1), 1e-12), 0.0, 1.0)
-    apart = offset - share[..., None] * step
-    nearest = np.argmin(np.sum(apart**2, axis=2), axis=1)
-    chosen = apart[np.arange(len(nearest)), nearest]
-    return np.asarray(np.sum(chosen * end.outward, axis=1))
+    return _distance_from_line(end.points, end.outward, start, step)
+
+
+@njit(cache=True)
+def _distance_from_line(points: Points2, outward: Points2, start: Points2, step: Points2) -> FloatArray:
+    """How far each point (n, 2) lies from the nearest of the segments (m, 2), along its outward direction."""
+    found = np.empty(len(points))
+    for i in range(len(points)):
+        least = np.inf
+        for k in range(len(start)):
+            u, v = points[i, 0] - start[k, 0], points[i, 1] - start[k, 1]
+            along = u * step[k, 0] + v * step[k, 1]
+            share = min(max(along / max(step[k, 0] ** 2 + step[k, 1] ** 2, 1e-12), 0.0), 1.0)
+            u -= share * step[k, 0]
+            v -= share * step[k, 1]
+            if u * u + v * v < least:
+                least = u * u + v * v
+                found[i] = u * outward[i, 0] + v * outward[i, 1]
+    return found
