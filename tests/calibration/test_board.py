@@ -48,19 +48,17 @@ def albedo_texture():
     return texture.astype(np.float32)
 
 
-TEXTURE = albedo_texture()
+TEXTURE = cv2.GaussianBlur(albedo_texture(), (0, 0), 1.2)
+RAYS = CAMERA.unproject(CAMERA.pixel_grid(), np.ones((CAMERA.height, CAMERA.width)))
 
 
 def view_of_board(pose: RigidTransform, rng: np.random.Generator, noise: float = 0.004) -> LinearFrame:
     """Look a ray of every pixel up on the board's plane: lens distortion included."""
-    rays = CAMERA.unproject(CAMERA.pixel_grid(), np.ones((CAMERA.height, CAMERA.width)))
     board_from_camera = pose.inverse()
-    directions, origin = board_from_camera.rotate(rays), board_from_camera.translation
+    directions, origin = board_from_camera.rotate(RAYS), board_from_camera.translation
     hit = origin[:2] - directions[..., :2] * (origin[2] / directions[..., 2:])
     at = (hit * (PIXELS_PER_SQUARE / LAYOUT.square_mm) - 0.5).astype(np.float32)
-    albedo = cv2.remap(
-        cv2.GaussianBlur(TEXTURE, (0, 0), 1.2), at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderValue=0.3
-    )
+    albedo = cv2.remap(TEXTURE, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderValue=0.3)
     colour = shaded_rgb_from_normals(pose.rotate(np.array(NORMAL_IN_BOARD)), RESPONSE)
     rgb = albedo[..., None] * colour + rng.normal(0, noise, (*albedo.shape, 3))
     return LinearFrame(rgb=rgb.astype(np.float32), clipped=(rgb >= 1).any(axis=2))

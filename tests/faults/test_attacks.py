@@ -221,8 +221,8 @@ def run(*arguments: str, **changed: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.parametrize(
     ("changed", "status"),
-    [({"COLUMNS": "0"}, 0), ({"PYTHONIOENCODING": "ascii", "LANG": "C"}, 0), ({"MPLBACKEND": "nosuch"}, 0),
-     ({"SOURCE_DATE_EPOCH": "tomorrow"}, 1), ({"HOME": "/nonexistent", "TMPDIR": "/nonexistent"}, 0)],
+    [({"COLUMNS": "0", "PYTHONIOENCODING": "ascii", "LANG": "C", "MPLBACKEND": "nosuch"}, 0),
+     ({"HOME": "/nonexistent", "TMPDIR": "/nonexistent"}, 0), ({"SOURCE_DATE_EPOCH": "tomorrow"}, 1)],
 )  # fmt: skip
 def test_an_odd_environment_is_no_fault_of_ours(good, tmp_path, changed, status):
     maps = good / "maps/n.exr"

@@ -1,6 +1,7 @@
 """The rigid scenes are what they claim: poses, shapes, markers that a detector finds where truth says."""
 
 from dataclasses import replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -14,6 +15,12 @@ from vntoolkit.simulation.render import Renderer, RenderOptions, frame_generator
 from vntoolkit.simulation.scene import SCENES, SceneOptions, build_scene
 
 MINE = ("sphere", "cylinder", "board", "jacket")
+
+
+@cache
+def small(name):
+    """A scene of few pixels; the jacket takes seconds to sew."""
+    return build_scene(name, SceneOptions(width=160, height=120, seed=2))
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +93,7 @@ def test_cylinder_points_lie_at_its_radius_under_every_pose():
 @pytest.mark.parametrize("name", MINE)
 def test_faces_look_outwards(name):
     """Rays from the camera meet faces whose own normal looks at it (the jacket shows some of its inside)."""
-    scene = build_scene(name, SceneOptions(width=160, height=120))
+    scene = small(name)
     frame = render_frame(scene, 0, options=RenderOptions(samples=1))
     vertices, faces = scene.vertices(0), scene.surface.faces
     directions = scene.camera.unproject(scene.camera.pixel_grid(), np.ones((120, 160))).reshape(-1, 3)
@@ -102,7 +109,7 @@ def test_faces_look_outwards(name):
 
 @pytest.mark.parametrize("name", MINE)
 def test_vertices_do_not_depend_on_the_order_of_asking(name):
-    scene = build_scene(name, SceneOptions(seed=2))
+    scene = small(name)
     last = scene.vertices(scene.frame_count - 1)
     scene.vertices(0)
     assert np.array_equal(scene.vertices(scene.frame_count - 1), last)
