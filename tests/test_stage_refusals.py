@@ -150,10 +150,6 @@ def test_lamps_and_nuisances_that_are_not_there():
     single = next(lighting for lighting in Lighting if lighting.value.endswith("3"))
     with pytest.raises(BadInput, match=f"lighting {single.value}: the scene has 1 lights"):
         lamps(1).under(single)
-    with pytest.raises(BadInput, match=r"lights: expected 1 to \d+ of them, got 0"):
-        lamps(0)
-    with pytest.raises(BadInput, match="expected spectra without negative power"):
-        lamps(1, -1.0)
     with pytest.raises(BadInput, match="nuisance 'cheese': expected one of near_lights"):
         Nuisances().only("cheese")
 

@@ -143,5 +143,3 @@ def test_refusals(rng) -> None:
         fit_response(normals, rgb, ResponseFitOptions(method=FitMethod.MSAC))
     with pytest.raises(BadInput, match="colours: expected shape 200 × 3"):
         fit_response(normals, rgb[:100])
-    with pytest.raises(BadInput, match="shadow share"):
-        ResponseFitOptions(shadow_share=1.5)

@@ -147,8 +147,6 @@ def test_one_place_does_not_tell_how_the_light_varies(rng) -> None:
     here = np.array([40.0, 40.0]) + rng.uniform(-1, 1, (400, 2))
     with pytest.raises(BadCalibration, match="too few places"):
         fit_varying_response(normals, rgb, here, SIZE, start)
-    with pytest.raises(BadInput, match="expected 0 to 3"):
-        VariationOptions(degree=4)
 
 
 def test_refusals(rng) -> None:
@@ -156,8 +154,6 @@ def test_refusals(rng) -> None:
         normals_of_press(Press(u_px=45, v_px=60, radius_px=30), OPTIONS, SHAPE)
     with pytest.raises(BadCalibration, match="no press"):
         fit_response_to_presses([], LEVEL, SIZE, OPTIONS)
-    with pytest.raises(BadInput, match="positive ball radius"):
-        PressOptions(ball_radius_mm=-1, pixel_mm=0.1)
     frame, background = pressed_gel(Press(u_px=45, v_px=60, radius_px=15), rng)
     with pytest.raises(BadInput, match="background"):
         samples_from_press(frame, Press(u_px=45, v_px=60, radius_px=15), background[1:], OPTIONS, rng)

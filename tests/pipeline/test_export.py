@@ -243,20 +243,6 @@ def test_refusals(dome_result: DomeResult, tmp_path: Path) -> None:
         exported(dome_result, tmp_path, ExportFormat.PLY, units=FileUnit.CM)
     with pytest.raises(BadInput, match="metres and y up by its standard"):
         ExportOptions(to=ExportFormat.GLB, up=MeshUpAxis.Z)
-    with pytest.raises(BadInput, match=r"ends in \.usdc"):
-        exported(dome_result, tmp_path / "a.fbx", ExportFormat.USD)
-    folder = shutil.copytree(dome_result.folder, tmp_path / "result")
-    shutil.rmtree(folder / "track")
-    job = ExportJob(
-        folder=folder, options=ExportOptions(to=ExportFormat.PLY, surface=ExportedSurface.TRACKED)
-    )
-    with pytest.raises(BadInput, match="holds no tracked surface"):
-        export(job)
-    job = ExportJob(
-        folder=folder, options=ExportOptions(to=ExportFormat.DILIGENT), footage=str(tmp_path / "no.mkv")
-    )
-    with pytest.raises(BadInput, match=r"no\.mkv: no such"):
-        export(job)
 
 
 def test_streamed_rows_must_be_as_many_as_promised(tmp_path: Path) -> None:

@@ -70,14 +70,6 @@ def test_a_result_whose_footage_is_another(result: Path, dome_capture: DomeCaptu
         _ = moved.capture
 
 
-@pytest.mark.parametrize("to", [ExportFormat.PLY, ExportFormat.USD])
-def test_a_result_without_meshes_cannot_be_exported(result: Path, to: ExportFormat) -> None:
-    shutil.rmtree(result / "mesh")
-    shutil.rmtree(result / "track")
-    with pytest.raises(BadInput, match="holds no mesh of those frames; run `vntoolkit reconstruct"):
-        exported(result, to)
-
-
 def test_a_result_with_a_background_needs_it_for_diligent(result: Path) -> None:
     manifest = json.loads((result / "reconstruction.json").read_text())
     manifest["extra_files"] = {"background": {"file": "b.png", "sha256": "0" * 64}}

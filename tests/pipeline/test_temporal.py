@@ -148,10 +148,3 @@ def test_the_reference_stays_when_a_run_goes_further(dome_capture: DomeCapture, 
     assert np.ptp(difference) < 1e-4  # a constant, nothing else
     with pytest.raises(BadInput, match="the capture has only 20 frames"):
         reconstruct(job_of(dome_capture, tmp_path / "none", reference_frame=20))
-
-
-def test_refusals() -> None:
-    with pytest.raises(BadInput, match="smoothing: expected a share"):
-        ReconstructOptions(smoothing=-1)
-    with pytest.raises(BadInput, match="reference frame: expected a frame number"):
-        ReconstructOptions(reference_frame=-3)

@@ -128,8 +128,6 @@ def test_every_nuisance_can_be_turned_off_alone():
 def test_unknown_scene_and_wrong_options_get_one_line():
     with pytest.raises(BadInput, match=r"unknown scene 'sfere': expected one of .*sphere"):
         build_scene("sfere", SceneOptions())
-    with pytest.raises(BadInput, match="at least 16×16"):
-        SceneOptions(width=3)
     with pytest.raises(BadInput, match="read_noise_electrons: expected a value from 0"):
         Nuisances(read_noise_electrons=-1)
     with pytest.raises(BadInput, match="bits: expected one of 8, 10, 12, 16, got 9"):

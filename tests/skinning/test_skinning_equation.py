@@ -171,8 +171,6 @@ def test_excluded_bones_attract_nothing(cloud, motion) -> None:
 
 
 def test_refusals(cloud, motion, weights) -> None:
-    with pytest.raises(BadInput, match="neighbours: expected at least 1"):
-        WeightOptions(neighbours=0)
     with pytest.raises(BadInput, match="vertices to skin: expected shape 5000"):
         skinned_vertices(cloud[:7], weights, rest_pose(motion.skeleton), rest_pose(motion.skeleton))
     with pytest.raises(BadInput, match="sum to 1"):

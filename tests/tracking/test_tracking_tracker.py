@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from tests.tracking.wrinkled_video import WrinkledVideo
-from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.tracking.options import Tracker, TrackingOptions
 from vntoolkit.tracking.tracker import SurfaceTracker
@@ -158,9 +157,3 @@ def test_arap_holds_a_piece_between_its_handles() -> None:
         tracked = tracker.step(*video.maps(k))
     moved = tracked.positions_px - tracker.template.positions_px
     assert np.abs(moved[tracker.template.pixels[:, 0] > 45] - [1.0, 0.0]).max() < 1.0
-
-
-def test_a_template_without_a_pixel_is_refused() -> None:
-    video = WrinkledVideo()
-    with pytest.raises(BadInput, match="template: no valid pixel"):
-        SurfaceTracker(*video.maps(0, np.zeros((144, 192), dtype=bool)), video.camera)
