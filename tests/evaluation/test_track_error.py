@@ -43,10 +43,10 @@ def test_the_error_is_the_one_put_in() -> None:
     assert errors[0].median_px == pytest.approx(0.0, abs=1e-9)
     assert errors[1].median_px == pytest.approx(1.0)
     assert errors[1].p95_px == pytest.approx(1.0)
-    assert errors[1].astray == 0.0
+    assert errors[1].outliers == 0.0
     far = CAMERA.unproject(CAMERA.project(true) + np.array([5.0, 0.0]), true[:, 2])
-    astray = next(iter(track_errors([tracked(0, far)], truth[:1], anchors, FACES, CAMERA)))
-    assert (astray.astray, astray.lost) == (1.0, 0.0)
+    far_off = next(iter(track_errors([tracked(0, far)], truth[:1], anchors, FACES, CAMERA)))
+    assert (far_off.outliers, far_off.lost) == (1.0, 0.0)
 
 
 def test_lost_vertices_are_judged_all_the_same_and_told_apart() -> None:
@@ -57,7 +57,7 @@ def test_lost_vertices_are_judged_all_the_same_and_told_apart() -> None:
     unsure = TrackedPixels(frame=0, positions_px=pixels, uncertainty_px=np.where(left, 9.0, 0.5))
     error = next(iter(track_errors([unsure], [(0, CORNERS)], anchors, FACES, CAMERA)))
     assert error.vertices == len(PIXELS)
-    assert error.astray == pytest.approx(left.mean())
+    assert error.outliers == pytest.approx(left.mean())
     assert error.lost == pytest.approx(left.mean())
     assert error.p95_px == pytest.approx(8.0)
     assert error.found_median_px == pytest.approx(1.0)
@@ -69,7 +69,7 @@ def test_a_tracker_that_declares_all_lost_gains_nothing() -> None:
     pixels = CAMERA.project(anchors.points(CORNERS)) + np.array([8.0, 0.0])
     nothing = TrackedPixels(frame=0, positions_px=pixels, uncertainty_px=np.full(len(pixels), np.inf))
     error = next(iter(track_errors([nothing], [(0, CORNERS)], anchors, FACES, CAMERA)))
-    assert (error.lost, error.astray, error.vertices) == (1.0, 1.0, len(PIXELS))
+    assert (error.lost, error.outliers, error.vertices) == (1.0, 1.0, len(PIXELS))
     assert error.median_px == pytest.approx(8.0)
     assert np.isnan(error.found_p95_px)
 

@@ -298,9 +298,9 @@ def tracks(
 ) -> None:
     """Print the end-point error of each frame in pixels, for all visible vertices and without the lost ones.
 
-    A vertex counts in a frame if its true point is visible there. `astray`: percentage of these vertices with
-    an error above 4 pixels. `lost`: percentage that the tracker reports as lost. The last two columns leave
-    the lost vertices out: read them together with that percentage.
+    A vertex counts in a frame if its true point is visible there. `outliers`: percentage of these vertices
+    with an error above 4 pixels. `lost`: percentage that the tracker reports as lost. The last two columns
+    leave the lost vertices out: read them together with that percentage.
 
     Parameters
     ----------
@@ -348,11 +348,11 @@ def _name(folder: Path) -> str:
 def _print_table(name: str, errors: list[TrackError]) -> None:
     step = max(1, -(-(len(errors) - 1) // _TRACK_LINES))
     print(name)
-    print("       all visible vertices               without those reported lost")
-    print("frame  median px   95 % px  astray    lost  median px   95 % px")
+    print("       all visible vertices                without those reported lost")
+    print("frame  median px   95 % px outliers    lost  median px   95 % px")
     for error in [*errors[:-1:step], errors[-1]]:
         print(
-            f"{error.frame:5d}  {error.median_px:9.2f} {error.p95_px:9.2f} {100 * error.astray:6.1f}% "
+            f"{error.frame:5d}  {error.median_px:9.2f} {error.p95_px:9.2f} {100 * error.outliers:7.1f}% "
             f"{100 * error.lost:6.1f}%  {error.found_median_px:9.2f} {error.found_p95_px:9.2f}"
         )
 

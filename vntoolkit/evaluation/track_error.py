@@ -57,7 +57,7 @@ class TrackedPixels:
 class TrackError:
     """End-point error of one frame, over the vertices whose true point is seen in it.
 
-    median_px, p95_px: of all of them, lost or not. astray: share that is off by more than
+    median_px, p95_px: of all of them, lost or not. outliers: share that is off by more than
     4 pixels. vertices: how many were judged. lost: share that the tracker itself
     declares lost. found_median_px, found_p95_px: of the others alone; they say nothing without the share
     lost beside them, since a tracker may declare lost what it likes. NaN where there is none.
@@ -66,7 +66,7 @@ class TrackError:
     frame: int
     median_px: float
     p95_px: float
-    astray: float
+    outliers: float
     vertices: int
     lost: float = 0.0
     found_median_px: float = np.nan
@@ -147,14 +147,14 @@ def error_of_frame(
     """Summarise end-point errors (n,) in pixels; found: (n,) False where the tracker declares them lost."""
     if not len(distance_px):
         nan = np.nan
-        return TrackError(frame=number, median_px=nan, p95_px=nan, astray=nan, vertices=0, lost=nan)
+        return TrackError(frame=number, median_px=nan, p95_px=nan, outliers=nan, vertices=0, lost=nan)
     median, p95 = np.percentile(distance_px, [50, 95])
     found_median, found_p95 = np.percentile(distance_px[found], [50, 95]) if found.any() else (np.nan, np.nan)
     return TrackError(
         frame=number,
         median_px=float(median),
         p95_px=float(p95),
-        astray=float(np.mean(distance_px > _OUTLIER_PX)),
+        outliers=float(np.mean(distance_px > _OUTLIER_PX)),
         vertices=len(distance_px),
         lost=float(1 - np.mean(found)),
         found_median_px=float(found_median),

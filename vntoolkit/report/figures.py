@@ -146,7 +146,7 @@ def write_error_plot(path: Path, errors: Mapping[str, Sequence[TrackError]], tit
             for one, values in zip(axes, columns, strict=True):
                 one.plot(frames, [max(v, _LOWEST_PX) for v in values], label=name)
         for one, what in zip(axes, ("median", "95th percentile"), strict=True):
-            one.set(yscale="log", xlabel="frame", title=f"{what} of the vertices in sight")
+            one.set(yscale="log", xlabel="frame", title=f"{what} of the visible vertices")
             one.yaxis.set_major_formatter("{x:g}")
             one.margins(x=0.01)
         axes[0].set_ylabel("end-point error, px")
