@@ -24,6 +24,7 @@ from vntoolkit.diagnosis.checks import CHECK_NAMES
 from vntoolkit.diagnosis.finding import require_known_checks
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.footage.frame_range import FrameRange, Gaps
+from vntoolkit.io.footage.mattes import MatteOptions
 from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.photometry.rig import Rig
@@ -46,6 +47,7 @@ def reconstruct(
     rig: Path,
     out: Path,
     mask: Path | None = None,
+    matting: Annotated[MatteOptions | None, Flags()] = None,
     background: AmbientImage = None,
     transfer: str | None = None,
     frames: Frames = "::",
@@ -70,7 +72,8 @@ def reconstruct(
     out
         The folder to write: normals, depth, mesh and reconstruction.json.
     mask
-        Image of the footage's size that is white where the subject is.
+        White where the subject is, of the footage's size: an image, or a video, a folder or a pattern with a
+        matte for each frame.
     transfer
         Transfer curve of the footage, linear, srgb, bt709, gamma:G, pq, hlg, slog3, vlog, clog3 or logc3,
         even where the file states another. Default: the rig's.
@@ -87,6 +90,7 @@ def reconstruct(
         options=options or ReconstructOptions(),
         folder=ReconstructionFolder(root=out),
         mask=mask,
+        matting=matting or MatteOptions(),
         background=background,
         gaps=gaps,
         sensor=sensor or SensorOptions(),

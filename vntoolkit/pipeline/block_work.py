@@ -17,15 +17,14 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from vntoolkit.arrays import Mask
 from vntoolkit.checks import require_positive
 from vntoolkit.errors import VntError
 from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.footage.frame_range import Gaps
+from vntoolkit.io.footage.mattes import MatteOptions, Mattes, open_mattes
 from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.io.limits import ReadingLimits, reading_limits
-from vntoolkit.io.maps_and_meshes.label_images import read_mask
 from vntoolkit.io.results.frame_log import FrameEntry
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import ALL_LIT
@@ -48,8 +47,9 @@ class ReconstructionJob:
     """A reconstruction as sent to workers: source, rig, options and folder.
 
     source, gaps: as for `open_capture`. rig: its transfer is the footage's. calibrated: the curve that the
-    rig was calibrated with, None for the same. allow: checks whose fatal findings do not stop the run. mask,
-    background: files or None. threads: for decoding; with 1, reading, processing and writing take turns, so
+    rig was calibrated with, None for the same. allow: checks whose fatal findings do not stop the run. mask:
+    image, or video, folder or pattern of mattes, or None. matting: how these become masks. background: file
+    or None. threads: for decoding; with 1, reading, processing and writing take turns, so
     that a worker is one core's. sensor: how samples of the sensor itself are read. limits: on what any
     process reads.
     """
@@ -59,6 +59,7 @@ class ReconstructionJob:
     options: ReconstructOptions
     folder: ReconstructionFolder
     mask: Path | None = None
+    matting: MatteOptions = field(default_factory=MatteOptions)
     background: Path | None = None
     gaps: Gaps = Gaps.REFUSE
     calibrated: Transfer | None = None
@@ -81,7 +82,7 @@ class ReconstructionJob:
         """Open the capture with the rig's transfer curve."""
         options = CaptureOptions(
             transfer=self.rig.transfer,
-            background=self.background,
+            background=None if self.matting.key is not None else self.background,
             max_megapixels=self.limits.max_megapixels,
             gaps=self.gaps,
             sensor=self.sensor,
@@ -89,12 +90,9 @@ class ReconstructionJob:
         )
         return open_capture(self.source, options)
 
-    def read_mask(self, capture: Capture) -> Mask | None:
-        """Read the mask, of the capture's size, or None."""
-        if self.mask is None:
-            return None
-        size = (capture.info.width, capture.info.height)
-        return read_mask(self.mask, size=size, max_megapixels=self.limits.max_megapixels)
+    def open_mattes(self, capture: Capture) -> Mattes:
+        """Open the mattes, of the capture's size."""
+        return open_mattes(capture, self.mask, self.matting, self.background)
 
 
 class BlockWorker:
@@ -103,15 +101,15 @@ class BlockWorker:
     def __init__(self, job: ReconstructionJob) -> None:
         self._job = job
         self._capture = job.open_capture()
-        mask = job.read_mask(self._capture)
-        self._processor = FrameProcessor(job.rig, job.options, mask, self._capture.background)
+        self._mattes = job.open_mattes(self._capture)
+        self._processor = FrameProcessor(job.rig, job.options, self._mattes.still, self._capture.background)
         reference = job.options.reference_frame
         if job.ties_depth and reference is not None:
             with contextlib.suppress(VntError):  # where it is met as a frame, it is reported
                 frame = next(
                     smoothed_frames(self._capture, range(reference, reference + 1), job.options.smoothing)
                 )
-                self._processor.anchor_to(frame)
+                self._processor.anchor_to(frame, self._mattes.of(frame))
 
     def run(self, block: range, already_done: frozenset[int] = frozenset()) -> Iterator[FrameEntry]:
         """Process a block and write its frames, but for those already on disk; yield a record per new frame.
@@ -129,6 +127,8 @@ class BlockWorker:
         waiting = _WAITING if self._job.threads > 1 else 0
         with WriteBehind(write, waiting) as writer:
             for frame in read_ahead(frames, waiting):
+                if self._mattes.missing([frame.number]):
+                    continue
                 done = self._process(frame)
                 if frame.number not in already_done:
                     writer.put(done)
@@ -139,7 +139,8 @@ class BlockWorker:
     def _process(self, frame: EncodedFrame) -> tuple[FrameEntry, FrameResult | None]:
         started = time.perf_counter()
         try:
-            result = self._processor.process(frame)
+            matte = self._mattes.of(frame) if self._mattes.changes else None
+            result = self._processor.process(frame, matte)
         except VntError as error:
             if self._job.options.on_error is OnError.STOP:
                 raise

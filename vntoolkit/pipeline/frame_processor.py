@@ -61,7 +61,7 @@ class FrameProcessor:
         if mask is not None:
             require_shape(mask, shape, "mask")
         whole = np.ones(shape, dtype=np.bool_) if mask is None else mask
-        self._mask = self._undistorter.mask(whole)
+        self._mask = self._whole_mask = self._undistorter.mask(whole)
         self._integrator = DepthIntegrator(self.camera, options.integration)
         self._anchor: DepthAnchor | None = None
         self._central = rig.response.central
@@ -70,9 +70,10 @@ class FrameProcessor:
             self._leveller = Leveller(rig.response, shape)
         self._detector = ShadowDetector(self._central, options.shadows, self.camera)
 
-    def anchor_to(self, frame: EncodedFrame) -> None:
+    def anchor_to(self, frame: EncodedFrame, matte: Mask | None = None) -> None:
         """Tie the depth of all later frames to this one's; see `DepthAnchor`. Raises as `process` does."""
         self.forget()
+        self._look_inside(matte)
         normal_map, _, _ = self._normals(frame)
         if normal_map.mask.any():
             self._anchor = DepthAnchor(self._integrator.integrate(normal_map))
@@ -83,11 +84,13 @@ class FrameProcessor:
         self._integrator = DepthIntegrator(self.camera, self._options.integration)
         self._detector.forget()
 
-    def process(self, frame: EncodedFrame) -> FrameResult:
+    def process(self, frame: EncodedFrame, matte: Mask | None = None) -> FrameResult:
         """Invert, integrate and mesh one frame, as far as the options say.
 
-        Raises `BadCapture` where the frame has no usable pixel.
+        matte: (h, w) pixels of interest of this frame, as filmed; None for those of every frame. Raises
+        `BadCapture` where the frame has no usable pixel.
         """
+        self._look_inside(matte)
         normal_map, labels, clipped_share = self._normals(frame)
         if not normal_map.mask.any():
             raise BadCapture(
@@ -112,6 +115,11 @@ class FrameProcessor:
             mesh=mesh,
             clipped_share=clipped_share,
         )
+
+    def _look_inside(self, matte: Mask | None) -> None:
+        self._mask = self._whole_mask
+        if matte is not None:
+            self._mask = self._whole_mask & self._undistorter.mask(matte)
 
     def _normals(self, frame: EncodedFrame) -> tuple[NormalMap, VisibilityLabels | None, float]:
         if self._options.shadows is not ShadowMethod.NONE:

@@ -166,7 +166,7 @@ class OpenedResult:
         source = self.source
         options = CaptureOptions(
             transfer=self.rig.transfer,
-            background=self.background,
+            background=None if "matte.key" in self.manifest.options else self.background,
             gaps=Gaps.SKIP,
             sensor=sensor_from_values(self.manifest.options),
         )

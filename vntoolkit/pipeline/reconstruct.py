@@ -13,14 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from vntoolkit.arrays import Mask
 from vntoolkit.diagnosis.finding import judge
 from vntoolkit.diagnosis.inspection import findings_from_capture
 from vntoolkit.errors import BadCapture, BadInput, VntError
 from vntoolkit.io.atomic import remove_numbered, require_apart, sole_writer
-from vntoolkit.io.files import source_file
 from vntoolkit.io.footage.captures import Capture, CaptureInfo
-from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.footage.frame_range import FrameRange, Gaps
+from vntoolkit.io.footage.mattes import MatteOptions, Mattes, require_mattes
 from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.io.footage.sequence import text_of_names
 from vntoolkit.io.results.frame_log import FRAMES_NAME, FrameEntry, FrameLog
@@ -28,6 +27,7 @@ from vntoolkit.io.results.manifest import (
     MANIFEST_NAME,
     InputEntry,
     Manifest,
+    entry_of_files,
     has_manifest,
     hashed,
     library_versions,
@@ -36,7 +36,7 @@ from vntoolkit.io.results.manifest import (
     require_resumable,
     write_manifest,
 )
-from vntoolkit.io.rigs import SourceEntry, entry_from_rig
+from vntoolkit.io.rigs import entry_from_rig
 from vntoolkit.normals.inversion import relative_albedo_from_frame
 from vntoolkit.pipeline.block_work import Block, BlockWorker, ReconstructionJob
 from vntoolkit.pipeline.cluster import require_scheduler, run_blocks_on_cluster
@@ -108,17 +108,20 @@ def reconstruct(
     job.rig.require_size(capture.info.width, capture.info.height, job.source)
     numbers = frames.numbers(capture.info.frame_count)
     asked = frames.numbers(capture.info.promised_frame_count)
-    inputs = (*capture.info.files, job.mask, job.background)
+    mattes = job.open_mattes(capture)
+    if job.gaps is Gaps.REFUSE:
+        require_mattes(mattes, (n for n in capture.present if n in numbers), job.mask)
+    inputs = (*capture.info.files, *mattes.files, job.background)
     require_apart(inputs, (root / name for name in _FOLDERS))
     if scheduler is not None:
         require_scheduler(scheduler)
     if capture.info.left_out:
         names = text_of_names([path.name for path in capture.info.left_out])
         logger.warning("%s: left out, since the frames are named otherwise: %s", job.source, names)
-    missing = _missing_frames(capture, numbers)
-    _require_plausible(job, capture, numbers)
+    missing = _missing_frames(capture, mattes, numbers)
+    _require_plausible(job, capture, mattes, numbers)
     with sole_writer(root):
-        job, manifest, log = _prepared(job, capture, frames, overwrite)
+        job, manifest, log = _prepared(job, capture, mattes, frames, overwrite)
         on_disk = _frames_on_disk(job, log)
         on_start(len(numbers), len(on_disk & set(numbers)))
         for record in missing:
@@ -143,14 +146,15 @@ def reconstruct(
 
 
 def _prepared(
-    job: ReconstructionJob, capture: Capture, frames: FrameRange, overwrite: bool
+    job: ReconstructionJob, capture: Capture, mattes: Mattes, frames: FrameRange, overwrite: bool
 ) -> tuple[ReconstructionJob, Manifest, FrameLog]:
     """Settle what a run does, and write its manifest into a folder that is free for it."""
     root = job.folder.root
     numbers = frames.numbers(capture.info.frame_count)
     resumes = has_manifest(root) and not overwrite
-    job = resolve_options(job, capture, numbers, read_manifest(root).options if resumes else {})
-    manifest = manifest_of_run(job, capture, frames)
+    earlier = read_manifest(root).options if resumes else {}
+    job = resolve_options(job, capture, mattes, numbers, earlier)
+    manifest = manifest_of_run(job, capture, mattes, frames)
     if resumes:
         require_resumable(root, manifest)
     if overwrite:
@@ -159,12 +163,10 @@ def _prepared(
     return job, manifest, FrameLog(root)
 
 
-def _missing_frames(capture: Capture, numbers: range) -> list[FrameEntry]:
-    return [
-        FrameEntry(number=number, failure=f"no file {name}")
-        for number, name in sorted(capture.info.missing.items())
-        if number in numbers
-    ]
+def _missing_frames(capture: Capture, mattes: Mattes, numbers: range) -> list[FrameEntry]:
+    why = dict.fromkeys(mattes.missing(numbers), "no matte")
+    why.update({number: f"no file {name}" for number, name in capture.info.missing.items()})
+    return [FrameEntry(number=number, failure=why[number]) for number in sorted(why) if number in numbers]
 
 
 def clear(root: Path) -> None:
@@ -225,11 +227,19 @@ def _frames_on_disk(job: ReconstructionJob, log: FrameLog) -> set[int]:
     }
 
 
-def _require_plausible(job: ReconstructionJob, capture: Capture, numbers: range) -> None:
-    """Log what the footage tells of mistakes; raise `FatalFinding` for one that ruins normals."""
+def _require_plausible(job: ReconstructionJob, capture: Capture, mattes: Mattes, numbers: range) -> None:
+    """Log what the footage tells of mistakes; raise `FatalFinding` for one that ruins normals.
+
+    Where every frame has a mask of its own, one frame from the middle is looked at.
+    """
     rig = job.rig if job.calibrated is None else replace(job.rig, transfer=job.calibrated)
     try:
-        findings = findings_from_capture(capture, rig, job.read_mask(capture), numbers)
+        mask = mattes.still
+        if mattes.changes:
+            there = [n for n in capture.present if n in numbers and not mattes.missing([n])]
+            number = there[len(there) // 2]
+            mask, numbers = mattes.of(capture.encoded(number)), range(number, number + 1)
+        findings = findings_from_capture(capture, rig, mask, numbers)
     except BadCapture as problem:  # a bad frame is reported when its turn comes
         logger.debug("plausibility not checked: %s", problem)
         return
@@ -247,7 +257,11 @@ def _finish(root: Path, manifest: Manifest, log: FrameLog, numbers: range, secon
 
 
 def resolve_options(
-    job: ReconstructionJob, capture: Capture, numbers: range, earlier: Mapping[str, Any]
+    job: ReconstructionJob,
+    capture: Capture,
+    mattes: Mattes,
+    numbers: range,
+    earlier: Mapping[str, Any],
 ) -> ReconstructionJob:
     """Return the job with the options that depend on rig and footage resolved, once for all frames.
 
@@ -255,11 +269,13 @@ def resolve_options(
     is kept. Raises `BadInput` for a mask of another size and a reference frame that is not there,
     `BadCapture` for a first frame that shows nothing; nothing is written.
     """
-    mask = job.read_mask(capture)
     options = job.options
-    first = next((number for number in capture.present if number in numbers), None)
+    there = (number for number in capture.present if number in numbers and not mattes.missing([number]))
+    first = next(there, None)
     if first is None:
-        raise BadInput(f"{job.source}: the files of all frames {numbers[0]} to {numbers[-1]} are missing")
+        raise BadInput(
+            f"{job.source}: the files or mattes of all frames {numbers[0]} to {numbers[-1]} are missing"
+        )
     if _was_pressed(job):  # a gel was calibrated itself, and nothing throws a shadow on it
         options = replace(options, match_albedo=False, shadows=ShadowMethod.NONE)
     reference = options.reference_frame
@@ -273,7 +289,7 @@ def resolve_options(
         return job
     albedo = earlier.get("inversion.relative_albedo")
     if not isinstance(albedo, float):
-        albedo = _measured_albedo(job, capture, first, mask)
+        albedo = _measured_albedo(job, capture, mattes, first)
     return replace(
         job, options=replace(job.options, inversion=replace(options.inversion, relative_albedo=albedo))
     )
@@ -283,10 +299,11 @@ def _was_pressed(job: ReconstructionJob) -> bool:
     return job.rig.quality is not None and job.rig.quality.method == "presses"
 
 
-def _measured_albedo(job: ReconstructionJob, capture: Capture, number: int, mask: Mask | None) -> float:
+def _measured_albedo(job: ReconstructionJob, capture: Capture, mattes: Mattes, number: int) -> float:
     """Measure how bright the subject is against the calibration material."""
-    processor = FrameProcessor(job.rig, job.options, mask, capture.background)
     first = capture.encoded(number)
+    mask = mattes.of(first)
+    processor = FrameProcessor(job.rig, job.options, mask, capture.background)
     try:
         albedo = relative_albedo_from_frame(processor.linear(first), job.rig.response, mask)
     except BadInput as error:
@@ -294,14 +311,14 @@ def _measured_albedo(job: ReconstructionJob, capture: Capture, number: int, mask
     return float(np.format_float_positional(albedo, precision=4, fractional=False))
 
 
-def manifest_of_run(job: ReconstructionJob, capture: Capture, frames: FrameRange) -> Manifest:
+def manifest_of_run(job: ReconstructionJob, capture: Capture, mattes: Mattes, frames: FrameRange) -> Manifest:
     """Return the manifest of a run that begins now; reads and hashes all input files."""
     info = capture.info
-    extra = {
-        name: _source_entry(path)
-        for name, path in (("mask", job.mask), ("background", job.background))
-        if path is not None
-    }
+    extra = {}
+    if job.mask is not None:
+        extra["mask"] = entry_of_files(job.mask, mattes.files)
+    if job.background is not None:
+        extra["background"] = entry_of_files(job.background, (job.background,))
     outputs = {"normals": ["normals"], "depth": ["normals", "depth"], "mesh": ["normals", "depth", "mesh"]}
     return Manifest(
         input=InputEntry(
@@ -326,18 +343,17 @@ def manifest_of_run(job: ReconstructionJob, capture: Capture, frames: FrameRange
 
 
 def _options_that_shape(job: ReconstructionJob) -> dict[str, Any]:
-    """Return what results depend on: not how far to go, nor what is said for footage of no raw sensor."""
-    sensor = {} if job.sensor == SensorOptions() else option_values(job.sensor, SENSOR_PREFIX)
-    return {**option_values(job.options, without=("to", "on_error")), **sensor}
+    """Return what results depend on; sensor and mattes only where they are not left at their defaults."""
+    values = option_values(job.options, without=("to", "on_error"))
+    if job.sensor != SensorOptions():
+        values.update(option_values(job.sensor, SENSOR_PREFIX))
+    if job.matting != MatteOptions():
+        values.update(option_values(job.matting, "matte."))
+    return values
 
 
 def _declared(info: CaptureInfo) -> int | None:
     return info.promised_frame_count if info.promised_frame_count > info.frame_count else None
-
-
-def _source_entry(path: Path) -> SourceEntry:
-    record = source_file(path)
-    return SourceEntry(file=record.file, sha256=record.sha256)
 
 
 # Blocks of consecutive frames, which go to the processes.

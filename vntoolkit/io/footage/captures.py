@@ -61,7 +61,8 @@ class CaptureInfo:
     FFmpeg's name, or such as `PNG 16-bit`. bits: significant bits of an integer sample (32: float). codec:
     of the video, or the image format. chroma: `4:4:4`, `4:2:2`, `4:2:0`, `grey`, `Bayer`. files: all of it.
     numbers: of the frame that each file of a sequence is. missing: names of missing files by frame number.
-    left_out: images of the folder that are no frames. promised_frame_count: what the header declares; more
+    stated: number in the name of each file of a sequence, where it counts frames; else empty. left_out:
+    images of the folder that are no frames. promised_frame_count: what the header declares; more
     than frame_count means that the video is cut off. stated_transfer: the curve that the file states, as
     `Transfer` reads it where it can be undone; empty for none. orientation: what was done to turn the
     frames upright, empty for nothing; width and height are those of the upright picture. times_s: when each
@@ -85,6 +86,7 @@ class CaptureInfo:
     numbers: tuple[int, ...] = ()
     missing: Mapping[int, str] = field(default_factory=dict)
     left_out: tuple[Path, ...] = ()
+    stated: tuple[int, ...] = ()
 
 
 class Capture:
@@ -275,6 +277,7 @@ def _info_of_images(found: CaptureFiles, options: CaptureOptions) -> CaptureInfo
         numbers=found.numbers,
         missing=found.missing,
         left_out=found.left_out,
+        stated=found.stated,
     )
 
 
@@ -298,6 +301,7 @@ def _info_of_raw(found: CaptureFiles, options: CaptureOptions) -> CaptureInfo:
         numbers=found.numbers,
         missing=found.missing,
         left_out=found.left_out,
+        stated=found.stated,
     )
 
 

@@ -36,7 +36,7 @@ class CaptureFiles:
 
     numbers: of the frame that each file is, from 0; a file that is missing leaves its number free. missing:
     name of the missing file by frame number. left_out: images of a folder whose names do not follow the
-    frames' pattern.
+    frames' pattern. stated: the number in each file's name, where it counts frames; else empty.
     """
 
     kind: CaptureKind
@@ -44,6 +44,7 @@ class CaptureFiles:
     numbers: tuple[int, ...] = (0,)
     missing: Mapping[int, str] = field(default_factory=dict)
     left_out: tuple[Path, ...] = ()
+    stated: tuple[int, ...] = ()
 
 
 def find_capture_files(source: Path | str) -> CaptureFiles:
@@ -88,7 +89,8 @@ def _sequence(files: tuple[Path, ...], left_out: tuple[Path, ...] = ()) -> Captu
     missing: dict[int, str] = {}
     steps = {after - before for before, after in pairwise(stated)}
     # numbers without a common step, such as the milliseconds of a clock, count no frames
-    if steps and all(step % min(steps) == 0 for step in steps):
+    counts = bool(steps) and all(step % min(steps) == 0 for step in steps)
+    if counts:
         numbers = tuple((number - stated[0]) // min(steps) for number in stated)
         if numbers[-1] > _LARGEST_NUMBER:
             raise BadCapture(
@@ -99,7 +101,12 @@ def _sequence(files: tuple[Path, ...], left_out: tuple[Path, ...] = ()) -> Captu
             for number in range(before + 1, after):
                 missing[number] = _name_with_number(files[k].name, stated, stated[0] + number * min(steps), k)
     return CaptureFiles(
-        kind=CaptureKind.SEQUENCE, files=files, numbers=numbers, missing=missing, left_out=left_out
+        kind=CaptureKind.SEQUENCE,
+        files=files,
+        numbers=numbers,
+        missing=missing,
+        left_out=left_out,
+        stated=stated if counts else (),
     )
 
 

@@ -48,8 +48,9 @@ def read_mask(
     *,
     size: tuple[int, int] | None = None,
     max_megapixels: float | None = None,
+    level: float = 0.5,
 ) -> Mask:
-    """Read an (h, w) mask: True where a pixel is brighter than half of full scale.
+    """Read an (h, w) mask: True where a pixel is brighter than `level`, a share of full scale.
 
     size: (width, height) that it must have. Integers that are only 0 and 1 count 1 as True.
     """
@@ -57,8 +58,8 @@ def read_mask(
     height, width = grey.shape
     if size is not None and (width, height) != size:
         raise BadInput(f"{path}: the mask is {width}×{height}, the capture {size[0]}×{size[1]}")
-    half = 0.5 if grey.dtype == np.float32 else np.iinfo(grey.dtype).max / 2
-    mask: Mask = grey > (0 if grey.dtype != np.float32 and grey.max() == 1 else half)
+    least = level if grey.dtype == np.float32 else level * np.iinfo(grey.dtype).max
+    mask: Mask = grey > (0 if grey.dtype != np.float32 and grey.max() == 1 else least)
     require_some(mask, f"mask {path}")
     return mask
 

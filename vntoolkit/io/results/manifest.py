@@ -156,6 +156,15 @@ def hashed(files: tuple[Path, ...] | list[Path]) -> list[SourceEntry]:
     return [SourceEntry(file=path.name, sha256=sha256_of_file(require_file(path))) for path in files]
 
 
+def entry_of_files(name: Path, files: tuple[Path, ...]) -> SourceEntry:
+    """Return one entry for an input of one file or many: of many, the SHA-256 of their names and SHA-256s."""
+    entries = hashed(files)
+    if len(entries) == 1:
+        return entries[0]
+    listed = "".join(f"{entry.sha256}  {entry.file}\n" for entry in entries)
+    return SourceEntry(file=name.name, sha256=hashlib.sha256(listed.encode()).hexdigest())
+
+
 def library_versions() -> dict[str, str]:
     """Return the versions of the program, Python and the libraries that shape results."""
     versions = {"vntoolkit": vntoolkit.__version__, "python": platform.python_version()}

@@ -1,0 +1,187 @@
+"""Mattes: where the subject is, for the whole capture or frame by frame, from files or from a clean plate."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from vntoolkit.arrays import LinearImage, Mask
+from vntoolkit.checks import require_in_range
+from vntoolkit.errors import BadCapture
+from vntoolkit.io.footage.captures import Capture, CaptureInfo, CaptureOptions, open_capture
+from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
+from vntoolkit.io.footage.frame_range import Gaps
+from vntoolkit.io.footage.sequence import CaptureKind, find_capture_files, text_of_names
+from vntoolkit.io.limits import reading_limits
+from vntoolkit.io.maps_and_meshes.label_images import read_mask
+from vntoolkit.photometry.transfer import Transfer
+
+logger = logging.getLogger(__name__)
+_KEY_WINDOW_PX = 3  # differences are averaged over it, so that one noisy pixel is no subject
+
+
+@dataclass(frozen=True, kw_only=True)
+class MatteOptions:
+    """How a matte becomes a mask.
+
+    mask_level: brightness of the matte, as a share of its full scale, above which a pixel is the subject.
+    key: difference from the background, as a share of full scale, above which a pixel is the subject. With
+    it, the background is a clean plate, the set under the same lamps without the subject, and is not
+    subtracted.
+    """
+
+    mask_level: float = 0.5
+    key: float | None = None
+
+    def __post_init__(self) -> None:
+        require_in_range(self.mask_level, 0.0, 1.0, "mask level")
+        if self.key is not None:
+            require_in_range(self.key, 1e-6, 1.0, "key")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Mattes:
+    """The masks of a capture's frames.
+
+    still: (h, w) mask of all frames, None for all pixels. files: that mattes were read from. numbers: of the
+    frames that have a matte; None for all.
+    """
+
+    still: Mask | None = None
+    files: tuple[Path, ...] = ()
+    numbers: frozenset[int] | None = None
+    _of_frame: Callable[[EncodedFrame], Mask] | None = None
+
+    @property
+    def changes(self) -> bool:
+        """True where each frame has a mask of its own."""
+        return self._of_frame is not None
+
+    def of(self, frame: EncodedFrame) -> Mask | None:
+        """Return the (h, w) mask of a frame, None for all pixels; raise `BadCapture` where it is empty."""
+        if self._of_frame is None:
+            return self.still
+        mask = self._of_frame(frame)
+        if self.still is not None:
+            mask = mask & self.still
+        if not mask.any():
+            raise BadCapture(
+                f"{frame.name}: its matte holds no pixel of the subject; lower --mask-level or --key"
+            )
+        return mask
+
+    def missing(self, numbers: Iterable[int]) -> list[int]:
+        """Return those of the frames that have no matte."""
+        return [] if self.numbers is None else [number for number in numbers if number not in self.numbers]
+
+
+def open_mattes(
+    capture: Capture,
+    mask: Path | str | None,
+    options: MatteOptions | None = None,
+    background: Path | str | None = None,
+) -> Mattes:
+    """Open the mattes of a capture.
+
+    mask: an image for all frames, or a video, a folder or a pattern with one for each; None for none. Files
+    and frames that are both numbered belong together by these numbers, else by their order. background: the
+    clean plate that `options.key` needs. Raises `BadCapture`.
+    """
+    options = options or MatteOptions()
+    made = Mattes() if mask is None else _from_files(capture, mask, options.mask_level)
+    if options.key is None:
+        return made
+    if background is None:
+        raise BadCapture("--key needs --background: an image of the set without the subject, equally lit")
+    if made.changes:
+        raise BadCapture("--key: expected no matte a frame beside it; leave out --mask, or give one image")
+    key = _Key(capture, background, options.key)
+    return Mattes(still=made.still, files=made.files, _of_frame=key)
+
+
+def _from_files(capture: Capture, source: Path | str, level: float) -> Mattes:
+    size = (capture.info.width, capture.info.height)
+    limit = capture.options.max_megapixels or reading_limits().max_megapixels
+    # a matte's curve shifts its soft edge less than the level does
+    how = CaptureOptions(transfer=Transfer(), gaps=Gaps.SKIP, max_megapixels=limit)
+    path = Path(source)
+    if path.is_file() and _is_image(path):
+        return Mattes(still=read_mask(path, size=size, max_megapixels=limit, level=level), files=(path,))
+    mattes = open_capture(source, how)
+    found = (mattes.info.width, mattes.info.height)
+    if found != size:
+        raise BadCapture(f"{source}: the mattes are {found[0]}×{found[1]}, the capture {size[0]}×{size[1]}")
+    place = _places(capture.info, mattes.info, str(source))
+    there = set(mattes.present)
+
+    def matte(frame: EncodedFrame) -> Mask:
+        if frame.number not in place:
+            raise BadCapture(f"{frame.name}: has no matte in {source}")
+        stored = mattes.encoded(place[frame.number])
+        if stored.values.dtype == np.float32:
+            return np.asarray(stored.values.max(axis=2) > level)
+        return np.asarray(stored.values.max(axis=2) > level * (2**stored.bits - 1))
+
+    numbers = frozenset(number for number, k in place.items() if k in there)
+    return Mattes(files=mattes.info.files, numbers=numbers, _of_frame=matte)
+
+
+def _is_image(path: Path) -> bool:
+    return find_capture_files(path).kind is CaptureKind.IMAGE
+
+
+def _places(footage: CaptureInfo, mattes: CaptureInfo, name: str) -> dict[int, int]:
+    """Return which matte, counted from 0, belongs to each frame of the footage."""
+    frames = range(footage.frame_count)
+    if not mattes.stated:
+        return {number: number for number in frames if number < mattes.frame_count}
+    by_stated = dict(zip(mattes.stated, mattes.numbers, strict=True))
+    if footage.stated:
+        stated = dict(zip(footage.numbers, footage.stated, strict=True))
+        found = {n: by_stated[stated[n]] for n in stated if stated[n] in by_stated}
+        if found:
+            return found
+        raise BadCapture(
+            f"{name}: no matte has the number of a frame: the frames are {footage.stated[0]} to "
+            f"{footage.stated[-1]}, the mattes {mattes.stated[0]} to {mattes.stated[-1]}; name them alike"
+        )
+    # The frames of a video are numbered by whoever made the mattes: from 0, or as FFmpeg does from 1.
+    first = mattes.stated[0] if mattes.frame_count == footage.frame_count else min(mattes.stated[0], 1)
+    logger.info("%s: the matte of number %d is that of the first frame", name, first)
+    return {number: by_stated[number + first] for number in frames if number + first in by_stated}
+
+
+class _Key:
+    """A pixel is the subject where it differs from the clean plate."""
+
+    def __init__(self, capture: Capture, background: Path | str, key: float) -> None:
+        how = CaptureOptions(transfer=capture.transfer, sensor=capture.options.sensor)
+        plate = open_capture(background, how)
+        if (plate.info.width, plate.info.height) != (capture.info.width, capture.info.height):
+            raise BadCapture(
+                f"{background}: the background is {plate.info.width}×{plate.info.height}, the footage "
+                f"{capture.info.width}×{capture.info.height}: film both with the same settings"
+            )
+        self._plate: LinearImage = plate.frame(0).rgb
+        self._transfer = capture.transfer
+        self._least = key * capture.transfer.diffuse_white
+
+    def __call__(self, frame: EncodedFrame) -> Mask:
+        difference = linear_frame_from_encoded(frame, self._transfer).rgb - self._plate
+        calm = cv2.blur(difference, (_KEY_WINDOW_PX, _KEY_WINDOW_PX))
+        return np.asarray(np.abs(calm).max(axis=2) > self._least)
+
+
+def require_mattes(mattes: Mattes, numbers: Iterable[int], source: Path | str | None) -> None:
+    """Raise `BadCapture` that names the frames without a matte."""
+    missing = mattes.missing(numbers)
+    if missing:
+        raise BadCapture(
+            f"{source}: {len(missing)} frames have no matte: {text_of_names([str(n) for n in missing])}; add "
+            "them, or leave these frames out with --gaps skip"
+        )
