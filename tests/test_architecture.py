@@ -41,6 +41,7 @@ DOORS = {
         "diagnosis/",
         "live/",
         "calibration/",
+        "normals/expected_error",
         "tracking/",
         "shadows/",
         "simulation/",

@@ -7,7 +7,7 @@ from enum import Enum
 
 import numpy as np
 
-from vntoolkit.arrays import Depth, Mask, Normals, Weight, read_only
+from vntoolkit.arrays import Depth, FloatArray, Mask, Normals, Weight, read_only
 from vntoolkit.checks import require_mask, require_shape
 from vntoolkit.errors import BadInput
 
@@ -26,11 +26,15 @@ class NormalMap:
 
     normals_in_camera: (h, w, 3) float32, unit length, n_z < 0 towards the viewer, 0 where invalid.
     mask: (h, w) bool. weight: (h, w) float32 confidence from 0 to 1, or None for 1 everywhere in the mask.
+    error_deg: (h, w) float32, angle in degrees that nine of ten normals stay within, or None if not known.
+    shared_error_deg: the part of it that neighbours share, which is all but noise; not kept in files.
     """
 
     normals_in_camera: Normals
     mask: Mask
     weight: Weight | None = None
+    error_deg: FloatArray | None = None
+    shared_error_deg: FloatArray | None = None
 
     def __post_init__(self) -> None:
         normals = np.asarray(self.normals_in_camera, dtype=np.float32)
@@ -38,10 +42,11 @@ class NormalMap:
         require_mask(self.mask, normals.shape[:2])
         object.__setattr__(self, "normals_in_camera", read_only(normals))
         object.__setattr__(self, "mask", read_only(np.asarray(self.mask)))
-        if self.weight is not None:
-            weight = np.asarray(self.weight, dtype=np.float32)
-            require_shape(weight, normals.shape[:2], "weight")
-            object.__setattr__(self, "weight", read_only(weight))
+        for name in ("weight", "error_deg", "shared_error_deg"):
+            if getattr(self, name) is not None:
+                values = np.asarray(getattr(self, name), dtype=np.float32)
+                require_shape(values, normals.shape[:2], name)
+                object.__setattr__(self, name, read_only(values))
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -54,11 +59,14 @@ class DepthMap:
     """Depth along the optical axis, growing away from the camera.
 
     depth: (h, w) float32 or float64, 0 where invalid. mask: (h, w) bool. unit: what a length of 1 means.
+    error_percent: (h, w) float32, error in % of the depth's range that nine of ten pixels stay within, or
+    None.
     """
 
     depth: Depth
     mask: Mask
     unit: LengthUnit = LengthUnit.PIXEL
+    error_percent: FloatArray | None = None
 
     def __post_init__(self) -> None:
         depth = np.asarray(self.depth)
@@ -66,6 +74,10 @@ class DepthMap:
             raise BadInput(f"depth: expected floating point, got {depth.dtype}")
         require_shape(depth, (None, None), "depth")
         require_mask(self.mask, depth.shape)
+        if self.error_percent is not None:
+            error = np.asarray(self.error_percent, dtype=np.float32)
+            require_shape(error, depth.shape, "error of the depth")
+            object.__setattr__(self, "error_percent", read_only(error))
         object.__setattr__(self, "depth", read_only(depth))
         object.__setattr__(self, "mask", read_only(np.asarray(self.mask)))
 

@@ -26,7 +26,8 @@ class Mesh:
 
     vertices: (n, 3) in the camera frame unless named otherwise. faces: (m, 3) int32, counter-clockwise
     from outside. normals: (n, 3) unit vertex normals or None. colours: (n, 3) float32 RGB 0 to 1 or None.
-    uv: (n, 2) texture coordinates, (0, 0) at the bottom left of the texture (OBJ's), or None.
+    uv: (n, 2) texture coordinates, (0, 0) at the bottom left of the texture (OBJ's), or None. error_deg: (n,)
+    float32, angle in degrees that nine of ten normals stay within, or None.
     """
 
     vertices: Points
@@ -34,6 +35,7 @@ class Mesh:
     normals: Points | None = None
     colours: Colours | None = None
     uv: FloatArray | None = None
+    error_deg: FloatArray | None = None
 
     def __post_init__(self) -> None:
         vertices = np.asarray(self.vertices)
@@ -45,10 +47,10 @@ class Mesh:
             raise BadMesh(f"faces: an index lies outside the {len(vertices)} vertices")
         object.__setattr__(self, "vertices", read_only(vertices))
         object.__setattr__(self, "faces", read_only(faces.astype(np.int32, copy=False)))
-        for name, width in (("normals", 3), ("colours", 3), ("uv", 2)):
+        for name, width in (("normals", (3,)), ("colours", (3,)), ("uv", (2,)), ("error_deg", ())):
             if getattr(self, name) is not None:
                 values = np.asarray(getattr(self, name))
-                require_shape(values, (len(vertices), width), name, BadMesh)
+                require_shape(values, (len(vertices), *width), name, BadMesh)
                 require_finite(values, name, BadMesh)
                 object.__setattr__(self, name, read_only(values))
 
@@ -93,6 +95,8 @@ class Mesh:
         extra: dict[str, Any] = {}
         if self.colours is not None:
             extra["v_color_matrix"] = rgba_from_rgb(self.colours)
+        if self.error_deg is not None:
+            extra["v_scalar_array"] = self.error_deg.astype(np.float64)  # MeshLab's quality
         vertices = np.array(self.vertices, dtype=np.float64)
         return import_pymeshlab().Mesh(vertex_matrix=vertices, face_matrix=np.array(self.faces), **extra)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from vntoolkit.arrays import Faces, IntArray, LinearImage, Mask, Points
+from vntoolkit.arrays import Faces, FloatArray, IntArray, LinearImage, Mask, Points
 from vntoolkit.checks import checks_kinds, require_same_size, require_some
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.geometry.camera import Camera
@@ -46,9 +46,10 @@ def mesh_from_depth(
     """Join neighbouring valid pixels to triangles that face the camera.
 
     depth_map: (h, w). rgb: (h, w, 3) becomes the vertex colours, clipped to 0 … 1. normal_map: its normals
-    become the vertex normals; without, they are the mesh's own. Returns a mesh in the camera frame with
-    texture coordinates that place the image on it. Raises `BadInput` for maps of different sizes or an
-    empty mask, `BadMesh` where no three neighbouring pixels are valid, or jumps part them all.
+    become the vertex normals, and its errors the vertices'; without, the normals are the mesh's own. Returns
+    a mesh in the camera frame with texture coordinates that place the image on it. Raises `BadInput` for maps
+    of different sizes or an empty mask, `BadMesh` where no three neighbouring pixels are valid, or jumps part
+    them all.
     """
     options = options or MeshOptions()
     _require_match(depth_map, camera, rgb, normal_map)
@@ -70,6 +71,7 @@ def mesh_from_depth(
         faces=faces,
         normals=_normals_at(normal_map, rows, columns, points, faces),
         colours=None if rgb is None else np.clip(rgb[rows, columns], 0.0, 1.0).astype(np.float32),
+        error_deg=_errors_at(normal_map, rows, columns),
         uv=np.stack([(columns + 0.5) / camera.width, 1.0 - (rows + 0.5) / camera.height], axis=-1),
     )
 
@@ -162,3 +164,9 @@ def _normals_at(
         return own
     measured = normal_map.mask[rows, columns]
     return np.where(measured[:, None], normal_map.normals_in_camera[rows, columns], own)
+
+
+def _errors_at(normal_map: NormalMap | None, rows: IntArray, columns: IntArray) -> FloatArray | None:
+    if normal_map is None or normal_map.error_deg is None:
+        return None
+    return normal_map.error_deg[rows, columns]

@@ -526,9 +526,10 @@ def arrays_of_frame(
 ) -> Mapping[str, npt.NDArray[Any]]:
     """Return what `--to npz` holds of a frame.
 
-    normals (h, w, 3) in the asked convention, mask, confidence; depth along the optical axis, depth_mask;
-    labels; vertices, faces, vertex_normals, vertex_colours, uv of the frame's own mesh in the frame of files;
-    camera_matrix. factor: of lengths. Parts that the frame lacks are left out.
+    normals (h, w, 3) in the asked convention, mask, confidence, error_deg; depth along the optical axis,
+    depth_mask, depth_error_percent; labels; vertices, faces, vertex_normals, vertex_colours, uv of the
+    frame's own mesh in the frame of files; camera_matrix. factor: of lengths. Parts that the frame
+    lacks are left out.
     """
     normal_map, depth_map = result.normals(number), result.depth(number)
     assert normal_map is not None
@@ -537,6 +538,7 @@ def arrays_of_frame(
         "normals": normal_map.normals_in_camera * signs,
         "mask": normal_map.mask,
         "confidence": normal_map.weight,
+        "error_deg": normal_map.error_deg,
         "labels": result.labels(number),
         "camera_matrix": result.camera.matrix,
         "normal_convention": np.array(options.normal_convention.value),
@@ -544,6 +546,7 @@ def arrays_of_frame(
     }
     if depth_map is not None:
         arrays |= {"depth": (depth_map.depth * factor).astype(np.float32), "depth_mask": depth_map.mask}
+        arrays["depth_error_percent"] = depth_map.error_percent
     mesh = result.mesh(number)
     if mesh is not None:
         arrays |= _mesh_arrays(mesh, factor, options)

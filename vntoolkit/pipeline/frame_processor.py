@@ -12,11 +12,13 @@ from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadCapture
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.integration.expected_error import with_expected_depth_error
 from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
-from vntoolkit.io.footage.decoding import EncodedFrame, clipped_pixel_share, linear_frame_from_encoded
+from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
 from vntoolkit.io.footage.resampling import Undistorter
 from vntoolkit.meshing.surface import mesh_from_depth
-from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame
+from vntoolkit.normals.expected_error import with_expected_error
+from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.lambertian import Leveller
 from vntoolkit.photometry.rig import Rig
@@ -66,7 +68,7 @@ class FrameProcessor:
         self._anchor: DepthAnchor | None = None
         self._central = rig.response.central
         self._leveller = None
-        if rig.response.variation is not None and options.shadows is not ShadowMethod.NONE:
+        if rig.response.variation is not None:
             self._leveller = Leveller(rig.response, shape)
         self._detector = ShadowDetector(self._central, options.shadows, self.camera)
 
@@ -122,24 +124,27 @@ class FrameProcessor:
             self._mask = self._whole_mask & self._undistorter.mask(matte)
 
     def _normals(self, frame: EncodedFrame) -> tuple[NormalMap, VisibilityLabels | None, float]:
-        if self._options.shadows is not ShadowMethod.NONE:
-            return self._normals_under_shadow(self.linear(frame))
-        if self._is_plain(frame):
-            values, transfer = frame.values, self._rig.transfer
-            normal_map = normals_from_encoded(
-                values, self._rig.response, transfer, self._mask, self._options.inversion, frame.bits
-            )
-            return normal_map, None, clipped_pixel_share(frame, self._rig.transfer)
         linear = self.linear(frame)
-        normal_map = normals_from_frame(linear, self._rig.response, self._mask, self._options.inversion)
-        return normal_map, None, float(linear.clipped.mean())
+        level = linear if self._leveller is None else self._leveller.frame(linear)
+        labels = None
+        if self._options.shadows is ShadowMethod.NONE:
+            normal_map = normals_from_frame(linear, self._rig.response, self._mask, self._options.inversion)
+        else:
+            normal_map, labels = self._normals_under_shadow(linear, level)
+        quality = self._rig.quality
+        residual_deg = quality.residual_deg if quality is not None and quality.samples else 0.0
+        normal_map = with_expected_error(normal_map, level, self._central, labels, self.camera, residual_deg)
+        return normal_map, labels, float(linear.clipped.mean())
 
-    def _normals_under_shadow(self, frame: LinearFrame) -> tuple[NormalMap, VisibilityLabels, float]:
-        """Find the shadows, then normals from whichever lights arrive; black pixels are the backdrop."""
+    def _normals_under_shadow(
+        self, linear: LinearFrame, frame: LinearFrame
+    ) -> tuple[NormalMap, VisibilityLabels]:
+        """Find the shadows, then normals from whichever lights arrive; black pixels are the backdrop.
+
+        frame: `linear` as the central M would have formed it.
+        """
         response, inversion = self._central, self._options.inversion
-        seen = frame
-        if self._leveller is not None:
-            seen, frame = self._leveller.frame_by_strength(frame), self._leveller.frame(frame)
+        seen = linear if self._leveller is None else self._leveller.frame_by_strength(linear)
         scaled = (frame.rgb - response.ambient.astype(np.float32)) @ response.inverse.T.astype(np.float32)
         darkest = inversion.darkest * inversion.relative_albedo
         mask = self._mask & (np.einsum("vui,vui->vu", scaled, scaled) > darkest**2)
@@ -147,22 +152,18 @@ class FrameProcessor:
             mask &= ~frame.clipped
         labels = self._detector.labels(seen, mask)
         normal_map = recover_normals(frame, labels, response, mask, self.camera)
-        return normal_map, labels, float(frame.clipped.mean())
+        return normal_map, labels
 
     def linear(self, frame: EncodedFrame) -> LinearFrame:
         """Decode a frame to linear light, background removed, lens distortion taken out."""
         decoded = linear_frame_from_encoded(frame, self._rig.transfer, self._background)
         return self._undistorter.frame(decoded)
 
-    def _is_plain(self, frame: EncodedFrame) -> bool:
-        """True where the kernel that decodes and inverts in one pass may be used."""
-        integers = frame.values.dtype in (np.uint8, np.uint16)
-        return integers and self._background is None and not self._undistorter.changes_frames
-
     def _depth(self, normal_map: NormalMap) -> DepthMap:
         depth_map = self._integrator.integrate(normal_map)
         if self._anchor is not None:
             depth_map = self._anchor.align(depth_map)
+        depth_map = with_expected_depth_error(depth_map, normal_map, self.camera)
         if depth_map.unit is LengthUnit.FREE and self._options.distance_m is not None:
             scaled = depth_map.depth * self._options.distance_m
             return replace(depth_map, depth=scaled, unit=LengthUnit.METRE)

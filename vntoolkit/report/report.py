@@ -40,9 +40,11 @@ from vntoolkit.report.pictures import (
     ORANGE,
     PURPLE,
     RED,
+    ErrorScale,
     Picture,
     cropped,
     new_figure,
+    picture_of_errors,
     pictures_of_frame,
     report_style,
     sampled,
@@ -264,6 +266,7 @@ def _marker(count: int) -> dict[str, Any]:
 
 _SHEET_PX = 1600
 _TITLES = {"depth": "relief", "shadows": "lights that arrive"}
+_ERRORS = ErrorScale(most=30.0)
 _BESIDE = 205  # grey beside the subject, since white means that all lights arrive
 
 
@@ -276,6 +279,7 @@ def samples_section(result: OpenedResult, count: int, height_px: int) -> PageSec
         rows,
         [f"frame {number}" for number in shown],
         legend=_legend() if labelled else None,
+        scale=_ERRORS if any("expected error" in row for row in rows) else None,
         height_px=height_px,
     )
     words = list(dict.fromkeys(name for row in rows for name in row))
@@ -285,7 +289,8 @@ def samples_section(result: OpenedResult, count: int, height_px: int) -> PageSec
         title="Sample frames",
         paragraphs=(
             "Normals in their usual colours (red to the right, green up, blue to the viewer). The relief is "
-            "the integrated depth, lit from the upper left, its slopes taken from the depth itself.",
+            "the integrated depth, lit from the upper left, its slopes taken from the depth itself. Nine of "
+            "ten normals are within their expected error.",
         ),
         figures=(figure_from_pixels(pixels, caption, suffix=".webp", wide=True),),
     )
@@ -295,6 +300,8 @@ def _parts(result: OpenedResult, number: int) -> dict[str, Picture]:
     normal_map = result.normals(number)
     assert normal_map is not None  # the frame is in result.numbers
     parts = pictures_of_frame(result, number, ground=GROUND, beside_normals=GROUND, beside_labels=_BESIDE)
+    if normal_map.error_deg is not None:
+        parts["expected error"] = picture_of_errors(normal_map.error_deg, normal_map.mask, _ERRORS, GROUND)
     titles = [_TITLES.get(name, name) for name in parts]
     return dict(zip(titles, cropped(list(parts.values()), normal_map.mask), strict=True))
 

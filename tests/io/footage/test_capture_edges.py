@@ -11,7 +11,7 @@ from vntoolkit.diagnosis.inspection import inspect_capture
 from vntoolkit.errors import BadCapture, BadInput, CannotWrite
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
-from vntoolkit.io.footage.decoding import EncodedFrame, clipped_pixel_share, linear_frame_from_encoded
+from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.io.light_files import read_lights
@@ -61,14 +61,15 @@ def test_a_sample_holds_no_more_bits_than_its_bytes(tmp_path):
 
 @pytest.mark.parametrize("curve", ["linear", "srgb", "gamma:2.2"])
 @pytest.mark.parametrize(("dtype", "bits"), [(np.uint8, 8), (np.uint16, 12)])
-def test_clipped_pixels_are_counted_as_they_are_marked(rng, curve, dtype, bits):
+def test_clipped_pixels_are_those_whose_light_reaches_the_white_level(rng, curve, dtype, bits):
     """The white level is one of light, so that a curve moves the stored value that reaches it."""
     transfer = Transfer(curve=Transfer.from_text(curve).curve, gamma=2.2, black_level=0.1, white_level=0.6)
     values = rng.integers(0, 2**bits, (30, 40, 3)).astype(dtype)
     frame = EncodedFrame(values=values, bits=bits, number=0, name="frame")
-    marked = linear_frame_from_encoded(frame, transfer).clipped.mean()
-    assert 0.1 < marked < 0.9
-    assert clipped_pixel_share(frame, transfer) == pytest.approx(marked)
+    linear = linear_frame_from_encoded(frame, transfer)
+    assert 0.1 < linear.clipped.mean() < 0.9
+    white = (transfer.white_level - transfer.black_level) / (1 - transfer.black_level)
+    np.testing.assert_array_equal(linear.clipped, linear.rgb.max(axis=2) >= white - 1e-6)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 600), (600, 1), (20, 4000)])

@@ -53,14 +53,6 @@ def linear_frame_from_encoded(
     return LinearFrame(rgb=rgb, clipped=clipped, number=frame.number)
 
 
-def clipped_pixel_share(frame: EncodedFrame, transfer: Transfer) -> float:
-    """Return the share, 0 to 1, of an integer frame's pixels that are clipped, as `LinearFrame` has it."""
-    values = np.ascontiguousarray(frame.values)
-    table = decoding_table(transfer, frame.bits, values.dtype.itemsize * 8)
-    code = clipping_code(transfer, table, frame.bits)
-    return int(_count_from(values, code)) / (values.shape[0] * values.shape[1])
-
-
 def clipping_code(transfer: Transfer, table: npt.NDArray[np.float32], bits: int) -> int:
     """Return the smallest stored integer that counts as clipped under `table`."""
     saturation = (transfer.white_level - transfer.black_level) / (1.0 - transfer.black_level)
@@ -77,12 +69,3 @@ def _look_up(values, table, clip_code, rgb, clipped):  # type: ignore[no-untyped
             rgb[v, u, 1] = table[g]
             rgb[v, u, 2] = table[b]
             clipped[v, u] = r >= clip_code or g >= clip_code or b >= clip_code
-
-
-@njit(cache=True, nogil=True)
-def _count_from(values, code):  # type: ignore[no-untyped-def]  # pragma: no cover
-    count = 0
-    for v in range(values.shape[0]):
-        for u in range(values.shape[1]):
-            count += max(values[v, u, 0], values[v, u, 1], values[v, u, 2]) >= code
-    return count

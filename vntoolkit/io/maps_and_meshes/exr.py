@@ -25,7 +25,7 @@ from vntoolkit.native import silenced_native_output
 MAGIC = b"\x76\x2f\x31\x01"
 _LONGEST_HEADER = 32 << 20  # bytes
 _MOST_CHANNELS = 16
-_CHANNELS_OF_A_PIXEL = 4  # that the limit in megapixels counts with
+_CHANNELS_OF_A_PIXEL = 5  # of our normals; those that the limit in megapixels counts with
 
 
 class ExrCompression(Enum):

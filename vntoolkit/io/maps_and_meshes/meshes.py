@@ -63,6 +63,7 @@ def read_mesh(path: Path | str) -> Mesh:
                 normals=content.normals,
                 colours=_colours(content),
                 uv=content.uv,
+                error_deg=content.quality,
             )
         case ".obj":
             mesh = read_obj(path)
@@ -105,6 +106,7 @@ def _content(mesh: Mesh) -> PlyContent:
         normals=mesh.normals,
         colours=bytes_from_colours(mesh.colours),
         uv=mesh.uv,
+        quality=mesh.error_deg,
     )
 
 

@@ -34,7 +34,7 @@ class PlyContent:
     """What a PLY file holds, in the frame of the file.
 
     vertices: (n, 3). faces: (m, 3) int32 or None for a point cloud. normals: (n, 3). colours: (n, 3) uint8.
-    uv: (n, 2).
+    uv: (n, 2). quality: (n,) float, MeshLab's name for one number a vertex.
     """
 
     vertices: FloatArray
@@ -42,17 +42,20 @@ class PlyContent:
     normals: FloatArray | None = None
     colours: npt.NDArray[np.uint8] | None = None
     uv: FloatArray | None = None
+    quality: FloatArray | None = None
 
 
 def write_ply(
     path: Path | str, content: PlyContent, comment: str = "x right, y up, z towards the viewer"
 ) -> None:
-    """Write little-endian binary: float32 `x y z nx ny nz s t`, uchar `red green blue`, triangles."""
+    """Write little-endian binary: float32 `x y z nx ny nz s t quality`, uchar `red green blue`, triangles."""
     columns: list[tuple[tuple[str, ...], str, npt.NDArray[Any]]] = [(("x", "y", "z"), "f4", content.vertices)]
     if content.normals is not None:
         columns.append((("nx", "ny", "nz"), "f4", content.normals))
     if content.uv is not None:
         columns.append((("s", "t"), "f4", content.uv))
+    if content.quality is not None:
+        columns.append((("quality",), "f4", content.quality[:, None]))
     if content.colours is not None:
         columns.append((("red", "green", "blue"), "u1", content.colours))
     row = np.dtype([(name, "<" + kind) for names, kind, _ in columns for name in names])
@@ -124,8 +127,14 @@ def _content(name: str, vertex: dict[str, Any], face: dict[str, Any] | None) -> 
         if polygons is None or (isinstance(polygons, np.ndarray) and polygons.ndim == 1):
             raise BadMesh(f"{name}: the faces have no list 'vertex_indices'")
         faces = triangles_from_polygons(polygons, len(vertices), name)
+    quality = gather_floats("quality")
     return PlyContent(
-        vertices=vertices, faces=faces, normals=normals, colours=bytes_from_colours(colours), uv=uv
+        vertices=vertices,
+        faces=faces,
+        normals=normals,
+        colours=bytes_from_colours(colours),
+        uv=uv,
+        quality=None if quality is None or not np.isfinite(quality).all() else quality[:, 0],
     )
 
 

@@ -1,0 +1,101 @@
+"""Nine of ten normals lie within their expected error, whatever the error's cause."""
+
+import numpy as np
+import pytest
+
+from vntoolkit.errors import BadInput
+from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.io.maps_and_meshes.maps import read_normal_map, write_normal_map
+from vntoolkit.normals.expected_error import with_expected_error
+from vntoolkit.normals.inversion import normals_from_frame
+from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.response import LightResponse
+
+MATRIX = np.array([[0.5, 0.06, -0.45], [-0.22, 0.4, -0.5], [-0.2, -0.35, -0.42]])
+RESPONSE = LightResponse(matrix=MATRIX, ambient=np.array([0.02, 0.01, 0.03]))
+
+
+def waves(size=240):
+    """Normals (size, size, 3) of a surface with slopes up to 0.7 in all directions."""
+    v, u = np.mgrid[:size, :size] / 12.0
+    p = 0.35 * np.sin(u + 0.3 * v) + 0.25 * np.cos(0.6 * u - v)
+    q = 0.35 * 0.3 * np.sin(u + 0.3 * v) - 0.25 / 0.6 * np.cos(0.6 * u - v) + 0.2 * np.sin(0.9 * v)
+    normals = np.stack([p, q, -np.ones_like(p)], axis=-1)
+    return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
+
+
+def seen(rgb, response=RESPONSE, truth=None, **more):
+    """Return the map with its expected error, and the true errors in degrees."""
+    frame = LinearFrame(rgb=np.minimum(rgb, 1.0), clipped=(rgb >= 1.0).any(axis=2))
+    normal_map = with_expected_error(normals_from_frame(frame, response), frame, response, **more)
+    cosine = np.einsum("vui,vui->vu", normal_map.normals_in_camera, waves() if truth is None else truth)
+    return normal_map, np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+
+
+def colours(normals=None):
+    return (waves() if normals is None else normals) @ MATRIX.T + RESPONSE.ambient
+
+
+@pytest.mark.parametrize("sigma", [0.01, 0.02, 0.04])
+def test_noise_is_foretold_to_a_tenth(rng, sigma):
+    normal_map, error = seen(colours() + rng.normal(0, sigma, (240, 240, 3)))
+    within = (error <= normal_map.error_deg)[normal_map.mask].mean()
+    assert 0.85 < within < 0.95
+    assert np.median(normal_map.error_deg) == pytest.approx(1.82 * np.median(error), rel=0.25)
+
+
+def test_an_error_of_m_is_seen_without_any_truth(rng):
+    """Four wrong rigs: the bound is neither broken nor ten times too wide."""
+    light = colours() + rng.normal(0, 0.003, (240, 240, 3))
+    for _ in range(4):
+        wrong = LightResponse(matrix=MATRIX * (1 + rng.normal(0, 0.1, (3, 3))), ambient=RESPONSE.ambient)
+        normal_map, error = seen(light, wrong)
+        right, _ = seen(light)
+        assert np.median(normal_map.error_deg) > 3 * np.median(right.error_deg)
+        assert (error <= normal_map.error_deg).mean() > 0.6
+        assert np.median(normal_map.error_deg) < 8 * np.median(error)
+
+
+def test_clipped_painted_and_shadowed_pixels_are_doubted(rng):
+    light = colours() + rng.normal(0, 0.003, (240, 240, 3))
+    painted = light.copy()
+    painted[60:100, 60:100] *= [1.0, 0.7, 0.4]
+    normal_map, error = seen(painted)
+    assert (error <= normal_map.error_deg)[60:100, 60:100].mean() > 0.85
+    assert np.median(normal_map.error_deg[60:100, 60:100]) > 5 * np.median(normal_map.error_deg)
+    clipped, error = seen(1.8 * light)
+    at = (1.8 * light).max(axis=2) > 1.1
+    assert at.mean() > 0.02
+    assert (error <= clipped.error_deg)[at].mean() > 0.85
+    labels = np.full((240, 240), 7, np.uint8)
+    labels[:, :40], labels[:, 40:80], labels[:, 80:120] = 3, 4, 0
+    shadowed, _ = seen(light, labels=labels)
+    bounds = [np.median(shadowed.error_deg[:, k : k + 40]) for k in (120, 0, 40, 80)]
+    assert bounds == sorted(bounds)
+    assert bounds[1] > 25
+
+
+def test_the_residual_of_the_rig_is_part_of_it_and_the_weight_follows():
+    light = colours()
+    plain, _ = seen(light)
+    doubted, _ = seen(light, residual_deg=10.0)
+    assert np.median(plain.error_deg) < 2.5
+    assert np.median(doubted.error_deg) == pytest.approx(11.0, rel=0.1)
+    order = np.argsort(doubted.error_deg, axis=None)
+    assert (np.diff(doubted.weight.ravel()[order]) <= 0).all()
+    assert doubted.weight.min() > 0
+    assert doubted.weight.max() < plain.weight.max() <= 1
+
+
+def test_files_keep_it(tmp_path, rng):
+    normal_map, _ = seen(colours() + rng.normal(0, 0.01, (240, 240, 3)))
+    write_normal_map(tmp_path / "n.exr", normal_map)
+    back = read_normal_map(tmp_path / "n.exr")
+    np.testing.assert_allclose(back.error_deg, normal_map.error_deg, rtol=1e-3)
+
+
+def test_a_frame_of_another_size_is_refused():
+    frame = LinearFrame(rgb=np.ones((4, 5, 3), np.float32), clipped=np.zeros((4, 5), bool))
+    empty = NormalMap(normals_in_camera=np.zeros((5, 4, 3)), mask=np.zeros((5, 4), bool))
+    with pytest.raises(BadInput, match="frame of the normals: expected shape 5 × 4 × 3, got 4 × 5 × 3"):
+        with_expected_error(empty, frame, RESPONSE)
