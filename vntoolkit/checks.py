@@ -80,11 +80,18 @@ def _kinds_of(function: Callable[..., Any]) -> dict[str, tuple[type, bool]]:
     for name, hint in hints.items():
         members = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
         wanted = [member for member in members if member is not type(None)]
-        kind = typing.get_origin(wanted[0]) or wanted[0]
+        kind = _origin(wanted[0])
         is_ours = isinstance(kind, type) and kind.__module__.startswith(_PACKAGE)
         if len(wanted) == 1 and (is_ours or kind is np.ndarray):
             found[name] = (kind, len(wanted) < len(members))
     return found or {"": (object, True)}
+
+
+def _origin(hint: Any) -> Any:
+    """Return the class of an annotation; a named alias, as newer numpy's NDArray is, stands for another."""
+    origin = typing.get_origin(hint) or hint
+    alias_of = getattr(origin, "__value__", None)
+    return origin if alias_of is None else _origin(alias_of)
 
 
 def _is_of_kind(value: object, kind: type) -> bool:

@@ -128,7 +128,9 @@ def test_a_session_writes_nowhere_but_into_its_folder(good, tmp_path, capfd):
     (tmp_path / "...mkv").write_bytes((good / "captures/8.mkv").read_bytes())
     out = tmp_path / "deep/day"
     session = ["session", str(tmp_path / "...mkv"), "--rig", str(good / "texts/rig.json"), "--out", str(out)]
-    assert "gives the name '..'" in fails_in_one_line(session, capfd)
+    line = fails_in_one_line(session, capfd)
+    if Path("...mkv").stem == "..":  # for Python up to 3.13
+        assert "gives the name '..'" in line
     assert not (tmp_path / "deep").exists()
 
 

@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import json
 import os
+import stat
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -23,16 +24,19 @@ def require_file(path: Path | str, error: type[BadInput] = BadInput) -> Path:
     """Return `path`, or raise `error` with one line: missing, a folder, empty or not readable."""
     path = Path(path)
     try:
-        if path.is_dir():
-            raise error(f"{path}: is a folder, expected a file")
-        if not path.exists():
-            raise error(f"{path}: no such file")
-        if not path.is_file():
-            raise error(f"{path}: is a pipe or a device, expected a file")
-        if path.stat().st_size == 0:
-            raise error(f"{path}: the file is empty")
+        found = path.stat()  # `Path.exists` would take what the system refuses for missing
+    except (FileNotFoundError, NotADirectoryError) as problem:
+        raise error(f"{path}: no such file") from problem
+    except ValueError as problem:  # a null byte
+        raise error(f"{path}: no such file ({problem})") from problem
     except OSError as problem:
         raise error(f"{path}: cannot be read ({problem.strerror})") from problem
+    if stat.S_ISDIR(found.st_mode):
+        raise error(f"{path}: is a folder, expected a file")
+    if not stat.S_ISREG(found.st_mode):
+        raise error(f"{path}: is a pipe or a device, expected a file")
+    if found.st_size == 0:
+        raise error(f"{path}: the file is empty")
     return path
 
 
