@@ -5,15 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
+from numba import prange
 
-from vntoolkit.arrays import Faces, FloatArray, IntArray, LinearImage, Mask, Points
+from vntoolkit.arrays import Depth, Faces, FloatArray, IntArray, LinearImage, Mask, Points
 from vntoolkit.checks import checks_kinds, require_same_size, require_some
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.geometry.point_cloud import PointCloud
+from vntoolkit.native import njit
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,24 +54,16 @@ def mesh_from_depth(
     """
     options = options or MeshOptions()
     _require_match(depth_map, camera, rgb, normal_map)
-    rows, columns, index = _vertex_pixels(depth_map.mask, options.stride)
+    rows, columns, faces = _grid_of(depth_map, camera, options)
     points = _points_at(depth_map, camera, rows, columns)
-    faces = _faces_of_grid(index)
-    if not len(faces):
-        raise BadMesh("mesh: no three neighbouring pixels are valid, so there is no triangle")
-    faces = faces[~_spans_jump(faces, points, camera, options)]
-    if not len(faces):
-        raise BadMesh(
-            f"mesh: depth jumps by more than {options.largest_step:g} pixel widths in every triangle; raise "
-            "the largest step"
-        )
-    used, faces = _compact(faces, len(points))
-    rows, columns, points = rows[used], columns[used], points[used]
+    colours = None
+    if rgb is not None:
+        colours = np.clip(rgb[rows, columns], 0.0, 1.0).astype(np.float32, copy=False)
     return Mesh(
         vertices=points,
         faces=faces,
         normals=_normals_at(normal_map, rows, columns, points, faces),
-        colours=None if rgb is None else np.clip(rgb[rows, columns], 0.0, 1.0).astype(np.float32),
+        colours=colours,
         error_deg=_errors_at(normal_map, rows, columns),
         uv=np.stack([(columns + 0.5) / camera.width, 1.0 - (rows + 0.5) / camera.height], axis=-1),
     )
@@ -107,13 +100,31 @@ def _require_match(
         require_same_size(depth_map.depth, "depth map", normal_map.mask, "normal map")
 
 
-def _vertex_pixels(mask: Mask, stride: int) -> tuple[IntArray, IntArray, IntArray]:
-    """Rows and columns of the vertices, and the (h', w') vertex index of each grid node (-1: none)."""
-    coarse = mask[::stride, ::stride]
-    rows, columns = np.nonzero(coarse)
-    index = np.full(coarse.shape, -1, dtype=np.int32)
-    index[rows, columns] = np.arange(len(rows), dtype=np.int32)
-    return rows * stride, columns * stride, index
+def _grid_of(depth_map: DepthMap, camera: Camera, options: MeshOptions) -> tuple[IntArray, IntArray, Faces]:
+    """Return the rows and columns of the pixels that become vertices, and the triangles between them."""
+    step = options.stride
+    mask = np.ascontiguousarray(depth_map.mask[::step, ::step])
+    depth = np.ascontiguousarray(depth_map.depth[::step, ::step])
+    kept = np.zeros(mask.shape, np.uint8)
+    largest = options.largest_step * step / camera.matrix[0, 0]
+    _triangles_kernel(mask, depth, largest, camera.is_perspective, kept)
+    if not kept.any():
+        _triangles_kernel(mask, depth, np.inf, False, kept)
+        if not kept.any():
+            raise BadMesh("mesh: no three neighbouring pixels are valid, so there is no triangle")
+        raise BadMesh(
+            f"mesh: depth jumps by more than {options.largest_step:g} pixel widths in every triangle; raise "
+            "the largest step"
+        )
+    counts = np.empty((2, mask.shape[0]), np.int64)
+    _counts_kernel(kept, counts)
+    first = np.concatenate([np.zeros((2, 1), np.int64), np.cumsum(counts, axis=1)], axis=1)
+    rows, columns = np.empty((2, first[0, -1]), np.int64)
+    faces = np.empty((first[1, -1], 3), np.int32)
+    index = np.empty(mask.shape, np.int32)
+    _vertices_kernel(kept, first[0], step, index, rows, columns)
+    _faces_kernel(kept, first[1], index, faces)
+    return rows, columns, faces
 
 
 def _points_at(depth_map: DepthMap, camera: Camera, rows: IntArray, columns: IntArray) -> Points:
@@ -121,52 +132,106 @@ def _points_at(depth_map: DepthMap, camera: Camera, rows: IntArray, columns: Int
     return camera.unproject(pixels, depth_map.depth[rows, columns].astype(np.float64))
 
 
-def _faces_of_grid(index: IntArray) -> Faces:
-    """Split each quad of four valid nodes into two triangles, a quad of three into one."""
-    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
-    # x right, y down, z away: (top left, bottom left, top right) turns counter-clockwise for the camera
-    corners = [(a, c, b), (b, c, d), (a, c, d), (a, d, b)]
-    whole = (a >= 0) & (b >= 0) & (c >= 0) & (d >= 0)
-    kept = [
-        whole | (d < 0),  # the triangle without d, also when d alone is missing
-        whole | (a < 0),
-        ~whole & (b < 0),
-        ~whole & (c < 0),
-    ]
-    faces = []
-    for nodes, keep in zip(corners, kept, strict=True):
-        triangle = np.stack([node[keep] for node in nodes], axis=-1)
-        faces.append(triangle[(triangle >= 0).all(axis=1)])
-    return np.concatenate(faces).astype(np.int32)
-
-
-def _spans_jump(faces: Faces, points: Points, camera: Camera, options: MeshOptions) -> npt.NDArray[np.bool_]:
-    z = points[:, 2][faces]
-    pixel_width = options.stride / camera.matrix[0, 0]
-    if camera.is_perspective:
-        pixel_width = pixel_width * np.abs(z).mean(axis=1)
-    return np.ptp(z, axis=1) > options.largest_step * pixel_width
-
-
-def _compact(faces: Faces, count: int) -> tuple[IntArray, Faces]:
-    """Drop vertices that no triangle uses: the kept indices, and the faces renumbered."""
-    used = np.zeros(count, dtype=bool)
-    used[faces] = True
-    renumbered = np.cumsum(used, dtype=np.int32) - 1
-    return np.nonzero(used)[0], renumbered[faces].astype(np.int32)
-
-
 def _normals_at(
     normal_map: NormalMap | None, rows: IntArray, columns: IntArray, points: Points, faces: Faces
 ) -> Points:
-    own = vertex_normals(points, faces)
     if normal_map is None:
-        return own
+        return vertex_normals(points, faces)
+    normals = normal_map.normals_in_camera[rows, columns]
     measured = normal_map.mask[rows, columns]
-    return np.where(measured[:, None], normal_map.normals_in_camera[rows, columns], own)
+    if measured.all():
+        return normals
+    return np.where(measured[:, None], normals, vertex_normals(points, faces))
 
 
 def _errors_at(normal_map: NormalMap | None, rows: IntArray, columns: IntArray) -> FloatArray | None:
     if normal_map is None or normal_map.error_deg is None:
         return None
     return normal_map.error_deg[rows, columns]
+
+
+# Compiled loops. A pixel stands for the quad whose upper left corner it is: corners a, b (right), c (below)
+# and d (below right). Four valid corners make two triangles, three make one.
+
+# x right, y down, z away: (top left, bottom left, top right) turns counter-clockwise for the camera
+_CORNERS = ((0, 2, 1), (1, 2, 3), (0, 2, 3), (0, 3, 1))
+
+
+@njit(cache=True, parallel=True)
+def _triangles_kernel(mask: Mask, depth: Depth, largest: float, times_depth: bool, kept: Mask) -> None:
+    """Fill kept (h, w) uint8: bit i is set where triangle i of `_CORNERS` is there and spans no jump.
+
+    largest: step in depth; times_depth: multiplied by the mean depth of the triangle.
+    """
+    h, w = mask.shape
+    for v in prange(h - 1):
+        for u in range(w - 1):
+            valid = (mask[v, u], mask[v, u + 1], mask[v + 1, u], mask[v + 1, u + 1])
+            count = int(valid[0]) + int(valid[1]) + int(valid[2]) + int(valid[3])
+            bits = 0
+            if count >= 3:
+                z = (depth[v, u], depth[v, u + 1], depth[v + 1, u], depth[v + 1, u + 1])
+                for i in range(4):
+                    a, b, c = _CORNERS[i]
+                    if (count == 4 and i > 1) or not (valid[a] and valid[b] and valid[c]):
+                        continue
+                    step = max(z[a], z[b], z[c]) - min(z[a], z[b], z[c])
+                    mean = (abs(z[a]) + abs(z[b]) + abs(z[c])) / 3.0 if times_depth else 1.0
+                    if step <= largest * mean:
+                        bits |= 1 << i
+            kept[v, u] = bits
+
+
+@njit(cache=True, inline="always")
+def _is_used(kept: Mask, v: int, u: int) -> bool:
+    """True where a triangle of the four quads around a pixel has it for a corner."""
+    used = kept[v, u] & 0b1101 != 0
+    if u > 0:
+        used |= kept[v, u - 1] & 0b1011 != 0
+    if v > 0:
+        used |= kept[v - 1, u] & 0b0111 != 0
+        if u > 0:
+            used |= kept[v - 1, u - 1] & 0b1110 != 0
+    return used
+
+
+@njit(cache=True, parallel=True)
+def _counts_kernel(kept: Mask, counts: IntArray) -> None:
+    """Fill counts (2, h): vertices and triangles of each row."""
+    h, w = kept.shape
+    for v in prange(h):
+        vertices, triangles = 0, 0
+        for u in range(w):
+            vertices += _is_used(kept, v, u)
+            for i in range(4):
+                triangles += (kept[v, u] >> i) & 1
+        counts[0, v], counts[1, v] = vertices, triangles
+
+
+@njit(cache=True, parallel=True)
+def _vertices_kernel(
+    kept: Mask, first: IntArray, step: int, index: IntArray, rows: IntArray, columns: IntArray
+) -> None:
+    """Number the vertices, row by row: index (h, w), and the pixel of each, in the image before the stride."""
+    h, w = kept.shape
+    for v in prange(h):
+        number = first[v]
+        for u in range(w):
+            if _is_used(kept, v, u):
+                index[v, u] = number
+                rows[number], columns[number] = v * step, u * step
+                number += 1
+
+
+@njit(cache=True, parallel=True)
+def _faces_kernel(kept: Mask, first: IntArray, index: IntArray, faces: Faces) -> None:
+    h, w = kept.shape
+    for v in prange(h - 1):
+        number = first[v]
+        for u in range(w - 1):
+            for i in range(4):
+                if (kept[v, u] >> i) & 1:
+                    for j in range(3):
+                        corner = _CORNERS[i][j]
+                        faces[number, j] = index[v + (corner >> 1), u + (corner & 1)]
+                    number += 1
