@@ -212,7 +212,7 @@ def _counts_kernel(kept: Mask, counts: IntArray) -> None:
 def _vertices_kernel(
     kept: Mask, first: IntArray, step: int, index: IntArray, rows: IntArray, columns: IntArray
 ) -> None:
-    """Number the vertices, row by row: index (h, w), and the pixel of each, in the image before the stride."""
+    """Number the vertices row by row: index (h, w); rows, columns (n,) in the image before the stride."""
     h, w = kept.shape
     for v in prange(h):
         number = first[v]
