@@ -189,6 +189,30 @@ def try_video() -> None:
         raise BadCapture("a lossless video came back with other values than were written")
 
 
+def _stated_and_done(report: CaptureReport) -> list[tuple[str, str, str]]:
+    """Return (fact, what the file states of it, what is done) of a capture."""
+    info, curve = report.info, report.transfer.to_text()
+    done = "read as linear" if curve == "linear" else f"{curve} is undone"
+    if info.stated_transfer not in ("", curve):
+        done += ", as --transfer or the rig says"
+    rows = [("transfer curve", info.stated_transfer or "nothing", done)]
+    if info.conversion.taken:
+        rows.append(("YUV matrix", info.conversion.stated, f"converted by {info.conversion.taken}"))
+    if info.chroma == "Bayer":
+        rows.append(("mosaic", info.pixel_format, "demosaiced, without white balance or camera matrix"))
+    turned = ("held otherwise", f"{info.orientation}; the rig's size is the upright picture's")
+    rows.append(("camera", *(turned if info.orientation else ("held upright, or nothing", "nothing"))))
+    if info.kind.value == "video":
+        rows.append(("lines", "not interlaced", "nothing"))
+        uneven = ("uneven", "kept in the manifest; export plays at the mean rate")
+        rows.append(("times", *(uneven if info.times_s else ("even", "nothing"))))
+        declared = f"{info.promised_frame_count}"
+        lost = f"{info.frame_count} came; the loss is said, with exit status 1"
+        same = info.promised_frame_count == info.frame_count
+        rows.append(("frames declared", declared, "all came" if same else lost))
+    return rows
+
+
 def _print_report(console: Console, source: str, report: CaptureReport) -> None:
     info = report.info
     table = Table(title=escape(source), show_header=False, title_justify="left")
@@ -206,6 +230,12 @@ def _print_report(console: Console, source: str, report: CaptureReport) -> None:
     table.add_row("dark", f"{report.dark_share:.2%} of the pixels below 1 % of full scale")
     table.add_row("brightest", f"{report.brightest:.0%} of full scale (99th percentile)")
     console.print(table)
+    stated = Table(title="what the file states, and what is done with it", title_justify="left")
+    for heading in ("of", "stated", "done"):
+        stated.add_column(heading)
+    for row in _stated_and_done(report):
+        stated.add_row(*map(escape, row))
+    console.print(stated)
     for finding in report.findings:
         colour = _COLOURS[finding.level.value]
         console.print(

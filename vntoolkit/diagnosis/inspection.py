@@ -29,7 +29,7 @@ _CLIPPED_WHOLLY = 0.98
 _CLIPPED_TOO_MUCH = 0.001
 _CLIPPED_FATALLY = 0.1
 _DIM = 0.25  # a brightest percentile below it wastes two bits
-# Degrees that subsampled chroma costs on fine detail, measured on rendered captures.
+# Degrees that subsampled chroma costs on relief of two pixels, measured on rendered captures.
 _CHROMA_COST_DEG = {"4:2:0": 7, "4:2:2": 5, "4:4:0": 5, "4:1:1": 7}
 _FRAMES_COMPARED = 6
 _NARROWEST_PX = 16  # a strip has no slopes to compare
@@ -39,12 +39,14 @@ _NARROWEST_PX = 16  # a strip has no slopes to compare
 class CaptureReport:
     """What was found in a capture.
 
-    examined: the numbers of the frames looked at. clipped_share, dark_share: of all pixels of these frames,
-    the share with a channel at the white level, and with no channel above 1 % of full scale. brightest: the
-    99th percentile of the largest channel, linear, full scale = 1.
+    transfer: curve that the stored values were read with. examined: the numbers of the frames looked at.
+    clipped_share, dark_share: of all pixels of these frames, the share with a channel at the white level, and
+    with no channel above 1 % of full scale. brightest: the 99th percentile of the largest channel, linear,
+    full scale = 1.
     """
 
     info: CaptureInfo
+    transfer: Transfer
     examined: tuple[int, ...]
     clipped_share: float
     dark_share: float
@@ -89,6 +91,7 @@ def inspect_capture(
     findings += findings_from_capture(capture, rig, mask)
     return CaptureReport(
         info=info,
+        transfer=capture.transfer,
         examined=tuple(numbers),
         clipped_share=float(np.mean(clipped)),
         dark_share=float(np.mean(dark)),
@@ -178,10 +181,11 @@ def _findings_from_info(info: CaptureInfo) -> list[Finding]:
             Finding(
                 check="chroma",
                 level=Level.WARNING,
-                problem=f"chroma subsampling {info.chroma} costs about {cost} degrees on fine detail",
+                problem=f"chroma subsampling {info.chroma} costs nothing on smooth surfaces, and up to "
+                f"{cost} degrees on relief as fine as two pixels, such as a knit",
                 measured=f"chroma {info.chroma}",
                 expected="RGB or 4:4:4",
-                remedy="record RGB or 4:4:4 (8-bit RGB costs 0.3), or halve the picture size",
+                remedy="for such relief record RGB, raw or 4:4:4, or halve the picture size",
             )
         )
     if info.codec not in LOSSLESS_CODECS and info.codec not in _LOSSLESS_IMAGES:

@@ -317,3 +317,24 @@ def test_a_frame_that_is_stored_before_lost_ones_does_not_take_their_number(tmp_
         for frame in capture.encoded_frames(0, len(capture)):
             assert frame.values.mean() == pytest.approx(29.5 + 12 * frame.number, abs=3)
     assert len(lengths) > 3
+
+
+@pytest.mark.parametrize(("space", "name"), [(8, "YCgCo"), (14, "ICtCp")])
+def test_a_matrix_that_is_not_read_is_refused_by_name(tmp_path, space, name):
+    _film(tmp_path / "a.mkv", _levels(1), "libx264", "yuv444p", context={"colorspace": space})
+    with pytest.raises(BadCapture, match=f"a.mkv: stores its colours as {name}, expected RGB, or YUV"):
+        open_capture(tmp_path / "a.mkv")
+
+
+def test_doctor_prints_what_is_stated_and_what_is_done(tmp_path, capsys):
+    context = {"color_trc": 1, "colorspace": 9}
+    options = {"context": context, "times": [0, 40, 95, 120], "rotation": 90}
+    _film(tmp_path / "a.mp4", [_arrow()] * 4, "libx264", "yuv420p", **options)
+    main(["doctor", str(tmp_path / "a.mp4")])
+    said = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    assert "transfer curve bt709 bt709 is undone" in said
+    assert "YUV matrix BT.2020" in said
+    assert "converted by BT.2020" in said
+    assert "turned by 270°" in said
+    assert "uneven" in said
+    assert "frames declared 4 all came" in said

@@ -18,6 +18,7 @@ from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encode
 from vntoolkit.io.footage.frame_range import FrameRange, Gaps
 from vntoolkit.io.footage.images import header_of_stream, read_image
 from vntoolkit.io.footage.mosaics import SensorOptions, is_raw, read_raw
+from vntoolkit.io.footage.pixel_formats import YuvConversion
 from vntoolkit.io.footage.sequence import CaptureFiles, CaptureKind, find_capture_files, text_of_names
 from vntoolkit.io.footage.video import VideoReader
 from vntoolkit.photometry.frame import LinearFrame
@@ -64,9 +65,10 @@ class CaptureInfo:
     stated: number in the name of each file of a sequence, where it counts frames; else empty. left_out:
     images of the folder that are no frames. promised_frame_count: what the header declares; more
     than frame_count means that the video is cut off. stated_transfer: the curve that the file states, as
-    `Transfer` reads it where it can be undone; empty for none. orientation: what was done to turn the
-    frames upright, empty for nothing; width and height are those of the upright picture. times_s: when each
-    frame of a video of varying rate is shown, from the first, in seconds; empty for an even rate.
+    `Transfer` reads it where it can be undone; empty for none. conversion: of YUV to RGB. orientation: what
+    was done to turn the frames upright, empty for nothing; width and height are those of the upright picture.
+    times_s: when each frame of a video of varying rate is shown, seconds from the first; empty for an even
+    rate.
     """
 
     kind: CaptureKind
@@ -81,6 +83,7 @@ class CaptureInfo:
     files: tuple[Path, ...]
     promised_frame_count: int
     stated_transfer: str = ""
+    conversion: YuvConversion = field(default_factory=YuvConversion)
     orientation: str = ""
     times_s: tuple[float, ...] = ()
     numbers: tuple[int, ...] = ()
@@ -237,6 +240,7 @@ def _info_of_video(reader: VideoReader) -> CaptureInfo:
         files=(reader.path,),
         promised_frame_count=reader.index.promised,
         stated_transfer=reader.stated_transfer,
+        conversion=reader.conversion,
         orientation=reader.orientation.text,
         times_s=reader.uneven_times_s,
     )

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import Matrix3, Vector3
+from vntoolkit.errors import BadCapture
 from vntoolkit.io.footage.mosaics import Bayer
 from vntoolkit.native import njit
 
@@ -21,6 +22,19 @@ _FULL_RANGE = 2  # AVCOL_RANGE_JPEG
 _LUMA_WEIGHTS = {
     1: (0.2126, 0.0722), 4: (0.30, 0.11), 5: (0.299, 0.114), 6: (0.299, 0.114), 7: (0.212, 0.087),
     9: (0.2627, 0.0593), 10: (0.2627, 0.0593),
+}  # fmt: skip
+_MATRIX_NAMES = {
+    1: "BT.709",
+    4: "FCC",
+    5: "BT.601",
+    6: "BT.601",
+    7: "SMPTE 240M",
+    9: "BT.2020",
+    10: "BT.2020",
+}
+_OTHER_MATRICES = {
+    8: "YCgCo", 11: "SMPTE 2085", 12: "chromaticity-derived", 13: "chromaticity-derived", 14: "ICtCp",
+    15: "IPT-C2", 16: "YCgCo-Re", 17: "YCgCo-Ro",
 }  # fmt: skip
 
 
@@ -71,6 +85,32 @@ class PixelFormat:
     def is_planar_rgb(self) -> bool:
         """True for the formats whose planes are numpy arrays already, at their own depth."""
         return self.name.startswith("gbrp") and self.name.endswith("le")
+
+
+@dataclass(frozen=True, kw_only=True)
+class YuvConversion:
+    """What a stream states of its YUV matrix and range, and what is taken: both as text, empty for no YUV."""
+
+    stated: str = ""
+    taken: str = ""
+
+
+def yuv_conversion(context: Any, pixel_format: PixelFormat, *, hd: bool) -> YuvConversion:
+    """Return how the colours of an opened stream are converted; raise `BadCapture` for a matrix not read."""
+    if pixel_format.is_rgb or pixel_format.is_grey:
+        return YuvConversion()
+    matrix, stated_range = int(context.colorspace), int(context.color_range)
+    if matrix in _OTHER_MATRICES:
+        raise BadCapture(
+            f"stores its colours as {_OTHER_MATRICES[matrix]}, expected RGB, or YUV of BT.601, BT.709 or "
+            "BT.2020; convert it with FFmpeg"
+        )
+    is_full = stated_range == _FULL_RANGE or pixel_format.name.startswith("yuvj")
+    span = "full" if is_full else "limited"
+    stated = (_MATRIX_NAMES.get(matrix, ""), f"{span} range" if stated_range or is_full else "")
+    taken = _MATRIX_NAMES.get(matrix) or ("BT.709" if hd else "BT.601")
+    text = ", ".join(part for part in stated if part)
+    return YuvConversion(stated=text or "nothing", taken=f"{taken}, {span} range")
 
 
 def rgb_from_video_frame(

@@ -25,7 +25,12 @@ from vntoolkit.io.atomic import atomic_path
 from vntoolkit.io.files import require_file
 from vntoolkit.io.footage.mosaics import Bayer, Demosaic, SensorOptions, rgb_from_mosaic
 from vntoolkit.io.footage.orientation import UPRIGHT, Orientation
-from vntoolkit.io.footage.pixel_formats import PixelFormat, mosaic_from_video_frame, rgb_from_video_frame
+from vntoolkit.io.footage.pixel_formats import (
+    PixelFormat,
+    mosaic_from_video_frame,
+    rgb_from_video_frame,
+    yuv_conversion,
+)
 from vntoolkit.io.limits import require_pixels
 from vntoolkit.native import njit
 
@@ -97,6 +102,11 @@ class VideoReader:
             self.codec = str(context.codec.name)
             self.stated_transfer = _TRANSFER_NAMES.get(int(context.color_trc or 0), "")
             self.pixel_format = PixelFormat.from_av(context.format)
+            try:
+                hd = int(context.height) >= _HD_HEIGHT
+                self.conversion = yuv_conversion(context, self.pixel_format, hd=hd)
+            except BadCapture as problem:
+                raise BadCapture(f"{self.path}: {problem}") from problem
             self._demosaic = (sensor or SensorOptions()).demosaic
             self._bayer = self._pattern((sensor or SensorOptions()).bayer)
             self.takes_codes = takes_codes and not (self.pixel_format.is_rgb or self.pixel_format.is_grey)
