@@ -59,11 +59,11 @@ class DressOptions:
     """Options of `dress`, beyond those of its stages.
 
     blend: how a vertex mixes the motions of its bones. anchor: what holds the captured garment in place
-    although the performer stepped and turned: its trunk, or none, which keeps those steps. figure_height:
-    metres from the toes to the crown, for motion files that carry no unit. up_axis: which axis of the
-    motion file points up. max_stretch: where two bones' parts of the garment meet and the motion would
-    stretch a triangle's edge beyond so many times its length, the triangle is cut: the capture joined what
-    only touched, as a sleeve and a flank; 0 cuts nothing, nor do weights by distance.
+    although the performer stepped and turned: its trunk. none keeps those steps. figure_height: metres from
+    the toes to the crown, for motion files that carry no unit. up_axis: which axis of the motion file points
+    up. max_stretch: largest stretch of a triangle's edge where the parts of two bones meet. A triangle that
+    the motion stretches more is cut: the capture joined what only touched, such as sleeve and flank. 0 cuts
+    nothing; weights by distance cut nothing either.
     """
 
     blend: Blend = Blend.LINEAR

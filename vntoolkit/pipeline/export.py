@@ -247,15 +247,15 @@ _OF_MESHES = (ExportFormat.PLY, ExportFormat.OBJ, ExportFormat.USD, ExportFormat
 class ExportOptions:
     """Options of an export.
 
-    to: the format: usd, one animated file (Blender keeps its own frame rate when it opens one: set that of
-    its scene to the capture's); glb, one animated file of a registered surface, else one a frame; ply and
-    obj, a mesh a frame; points, a point cloud a frame as .ply, of all pixels with a depth; npz, arrays; png,
-    16-bit normal maps; diligent, a folder a frame, laid out like the benchmark's. normal_convention: axes of
-    normal maps (png, npz, diligent). units: length unit of the files, where the result has a scale; default
-    metres, and lengths as they are where it has none. up: axis that points up in meshes. scale: metres for a
-    length of 1 in the result, where it has no scale of its own (lengths in pixels, or free). surface: which
-    meshes: the registered surface (tracked), those of each frame (frames), or the registered one where there
-    is one (auto). cleaning: what is cleaned of the frames' meshes; None for nothing.
+    to: the format. usd: one animated file (set the frame rate of Blender's scene to the capture's, since
+    Blender keeps its own). glb: one animated file of a registered surface, else one a frame. ply, obj: a mesh
+    a frame. points: a point cloud a frame as .ply, of all pixels with a depth. npz: arrays. png: 16-bit
+    normal maps. diligent: a folder a frame, laid out like the benchmark's. normal_convention: axes of normal
+    maps (png, npz, diligent). units: length unit of the files, for a result that has a scale. Default:
+    metres; without a scale, lengths stay as they are. up: axis that points up in meshes. scale: metres for a
+    length of 1 in a result that has no scale of its own (lengths in pixels, or free). surface: which meshes:
+    tracked (the registered surface), frames (those of each frame), or auto (the registered one where there is
+    one). cleaning: what is cleaned of the frames' meshes; None for nothing.
     """
 
     to: ExportFormat

@@ -43,16 +43,16 @@ class ReconstructOptions:
     """Options of `reconstruct`, beyond those of the stages.
 
     to: how far to go; each includes what comes before it. distance_m: distance in metres from a perspective
-    camera to the subject, along the optical axis; fixes the scale that normals alone leave free.
-    match_albedo: measure how much brighter the subject is than the calibration material, on the first frame,
-    instead of taking them for the same. shadows: how self-shadows are found: robust, published (the paper's
-    detector) or none; the surface under them is then recovered, and labels are written. depth_offset: how the
-    constant that normals leave free is fixed: reference ties every frame to one, so that depth rests where
-    the subject does; mean gives every connected part a mean depth of 0 (perspective 1). reference_frame: the
-    frame that depth is tied to; default: the first of the run that makes the folder. smoothing: difference of
-    colour, as a share of full scale, up to which a pixel of the frame before or after counts as the same
-    surface at rest and is averaged in; 0 for none, about 3 times the noise to use it. on_error: what a
-    failing frame does: stop the run, or be skipped and named at the end.
+    camera to the subject, along the optical axis. It fixes the scale that normals alone leave free.
+    match_albedo: measure on the first frame how much brighter the subject is than the calibration material.
+    Off: both count as equally bright. shadows: method that finds where the subject shadows itself: robust,
+    published (the paper's detector) or none. The surface in shadow is then recovered, and visibility labels
+    are written. depth_offset: how the free constant of the depth is fixed. reference ties every frame to one,
+    so that depth rests where the subject does. mean gives every connected part a mean depth of 0
+    (perspective: 1). reference_frame: the frame that depth is tied to. Default: the first of the run that
+    makes the folder. smoothing: average a pixel with the frames before and after where its colour differs by
+    less than this share of full scale. 0 is off; about 3 times the noise is useful. on_error: what a frame
+    that fails does: stop the run, or skip the frame and name it at the end.
 
     A rig fitted to presses on a gel turns match_albedo and shadows off: it is the gel's own.
     """

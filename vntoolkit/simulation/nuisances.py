@@ -32,17 +32,17 @@ _ACROSS = np.array(
 class Nuisances:
     """Effects between surface and file that equation 1 does not model.
 
-    near_lights: light spreads from points and weakens with the square of the distance; off, it is parallel
-    and of one strength everywhere. shadows: parts of the subject throw shadows on others. ambient: a little
-    light comes from everywhere. crosstalk: every lamp is seen by all three channels; off, by its own only.
-    texture: the reflectance varies over the surface; off, it is the reference material's everywhere.
-    gloss: the surface mirrors the lamps a little, where the scene says so. blur_px: standard deviation of
-    the lens's blur in pixels, 0 for none. noise: shot and read noise. full_well_electrons: electrons that
-    a sensor pixel holds at full scale. read_noise_electrons: standard deviation of the read noise.
-    bayer: a pixel measures one colour and the others are interpolated. clipping: light above full scale is
-    lost; matters without quantisation only, since integers clip. quantisation: samples are rounded to
-    integers; off, the file has 16 bits. bits: 8, 10, 12 or 16 per sample. transfer: curve of the stored
-    values, linear, srgb, bt709 or gamma:G. black_level: linear value that means no light, 0 to 0.5.
+    near_lights: the lamps are points, and their light weakens with the square of the distance. Off: light is
+    parallel and of one strength everywhere. shadows: parts of the subject cast shadows on others. ambient: a
+    little light comes from everywhere. crosstalk: every channel sees all three lamps. Off: only its own.
+    texture: the reflectance varies over the surface. Off: it is the reference material's everywhere. gloss:
+    glossy parts of the scene reflect the lamps. blur_px: standard deviation of the lens's blur in pixels, 0
+    for none. noise: shot and read noise. full_well_electrons: electrons that a sensor pixel holds at full
+    scale. read_noise_electrons: standard deviation of the read noise. bayer: a pixel measures one colour and
+    the others are interpolated. clipping: light above full scale is lost. It matters without quantisation
+    only, since integers clip. quantisation: samples are rounded to integers. Off: the file has 16 bits. bits:
+    8, 10, 12 or 16 per sample. transfer: curve of the stored values, linear, srgb, bt709 or gamma:G.
+    black_level: linear value that means no light, 0 to 0.5.
     """
 
     near_lights: bool = True

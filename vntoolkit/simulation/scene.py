@@ -61,10 +61,10 @@ class SceneOptions:
     """Options of every scene.
 
     width, height: image size in pixels. seed: seed of the scene's own randomness (motion, texture). lighting:
-    the coloured lamps together, or one place alone with a white lamp. field_width_m: what the camera sees
-    across at the subject, metres; the scene's own by default. The board is printed in proportion, so that one
-    zoom films both it and another scene. sample: a scene whose material lies in the board's hole; by default
-    a grey cloth or paper.
+    the coloured lamps together, or a white lamp in one of the three places. field_width_m: width of the field
+    of view at the subject, metres. Default: the scene's own. The board is printed in proportion, so that one
+    zoom films the board and another scene. sample: scene whose material lies in the board's hole. Default: a
+    grey cloth or paper.
     """
 
     width: int = 640

@@ -32,10 +32,10 @@ class Loop(Enum):
 class ClockOptions:
     """Start, end and rate of the result.
 
-    start: second of the motion at which the result begins. stop: second of the motion at which it ends
-    (default: the motion's end). speed: seconds of motion per second of result. loop: what a cloth shorter
-    than the motion does. frame_rate_hz: frames per second of the result (default: the cloth's); Blender plays
-    a file at its scene's rate, 24 unless you set it to the file's.
+    start: second of the motion at which the result begins. stop: second of the motion at which it ends.
+    Default: the motion's end. speed: seconds of motion per second of result. loop: what a cloth shorter than
+    the motion does. frame_rate_hz: frames per second of the result. Default: the cloth's. Blender plays a
+    file at its scene's rate, 24 unless you set it to the file's.
     """
 
     start: float = 0.0

@@ -50,9 +50,10 @@ class ArmPose(Enum):
 class GarmentFitOptions:
     """How the garment is brought onto the figure.
 
-    region: the part of the figure that the garment covers, from whose top it hangs. fullness: height of the
-    garment over the height of that part. depth: where the bones lie in the garment's depth. arms: how the
-    arms are held when the garment is attached; a fit file that gives a pose or landmarks decides itself.
+    region: the part of the figure that the garment covers. It hangs from the top of that part. fullness:
+    height of the garment over the height of that part. depth: where the bones lie in the garment's depth.
+    arms: pose of the arms when the garment is attached. A fit file that gives a pose or landmarks overrides
+    it.
     """
 
     region: Region = Region.UPPER_BODY

@@ -40,11 +40,11 @@ _BONES = {Falloff.HEAT: 8, Falloff.INVERSE: 4, Falloff.CONTINUOUS: 4}
 class WeightOptions:
     """Options of the skinning weights.
 
-    falloff: how a vertex weighs its bones: by heat along the cloth, by the inverse distance as published,
-    or continuous, the same without tears. neighbours: number of bones a vertex follows (default: 8 by heat,
-    else the 4 nearest). distance_power: weights fall with distance to this power, not by heat; 1 is the
-    published rule, higher ones let limbs go their own way. exclude: joints whose bones attract nothing, as
-    names or patterns (`*Hand*`).
+    falloff: how a vertex weighs its bones: heat, by heat along the cloth; inverse, by the inverse distance as
+    published; continuous, the same without tears. neighbours: number of bones that a vertex follows. Default:
+    8 by heat, else the 4 nearest. distance_power: exponent of the distance, not for heat. 1 is the published
+    rule; with more, limbs move more independently. exclude: joints whose bones get no weight, as names or
+    patterns (`*Hand*`).
     """
 
     falloff: Falloff = Falloff.HEAT

@@ -51,9 +51,8 @@ class FusionOptions:
     fusion_depth: levels of Poisson's octree; 7 resolves about a 100th of the head. agreement: distance, as a
     share of the hull's diagonal, within which points of another view must confirm a point. confirmations: how
     many other views must confirm a point for it to be kept; raise it to 2 or 3 where single wrong points
-    leave bumps, lower it to 0 where parts that few views saw are missing. hull_gap: distance, as a share of
-    the diagonal, from the places of the hull whose depth stereo corrected, beyond which the hull itself is
-    surface.
+    leave bumps, lower it to 0 where parts that few views saw are missing. hull_gap: the hull itself is
+    surface where no depth of stereo lies within this distance, as a share of the diagonal.
     """
 
     fusion_depth: int = 7
