@@ -156,8 +156,8 @@ def _flat_grid(x: FloatArray, y: FloatArray) -> tuple[Points, FloatArray]:
 
 def build_board_sweep(options: SceneOptions) -> Scene:
     """The board, 25 cm wide, moved ±26 cm across and ±17 cm up and down while it tilts."""
-    cylinder = build_cylinder(options)
-    scale = (options.field_width_m or CYLINDER_FIELD_WIDTH_M) / CYLINDER_FIELD_WIDTH_M
+    field_width_m = options.field_width_m or CYLINDER_FIELD_WIDTH_M
+    scale = field_width_m / CYLINDER_FIELD_WIDTH_M
     layout = replace(SWEPT_LAYOUT, square_mm=SWEPT_LAYOUT.square_mm * scale)
     generator = np.random.default_rng(options.seed)
     middle_m = np.array([layout.width_mm, layout.height_mm]) / 2000
@@ -168,11 +168,10 @@ def build_board_sweep(options: SceneOptions) -> Scene:
         phases=generator.uniform(0, 2 * np.pi, 6),
         rest=RigidTransform(translation=np.array([-middle_m[0], -middle_m[1], 0.0])),
     )
-    sample = sample_weights(options, cylinder.surface.reference_weights)
-    rest, surface = board_mesh(layout, scale, sample)
+    rest, surface = board_mesh(layout, scale, sample_weights(options, _WRAPPING_PAPER))
     return Scene(
         name="board_sweep",
-        camera=cylinder.camera,
+        camera=studio_camera(options.width, options.height, field_width_m=field_width_m),
         lights=studio_lights(),
         surface=surface,
         vertices=lambda frame: sway.camera_from_object(frame).apply(rest),
