@@ -62,7 +62,6 @@ REFUSALS = [
     ("calibration.varying:VariationOptions", {"degree": 99}, "degree of the variation: expected 0 to"),
     ("calibration.varying:VariationOptions", {"softness_deg": INFINITE}, "softness, length share and stiff"),
     ("calibration.varying:VariationOptions", {"softness_deg": 0.0}, "softness, length share and stiffness"),
-    ("evaluation.track_error:TrackErrorOptions", {"lost_px": -1.0}, "lost_px: expected a positive number"),
     ("evaluation.mesh_comparison:AlignmentOptions", {"samples": 2}, "at least 3 samples, got 2"),
     ("geometry.board_layout:BoardLayout", {"columns": 10}, "odd numbers of squares from 3 on, got 10 × 11"),
     ("geometry.board_layout:BoardLayout", {"square_mm": 0.0}, "squares of a positive size in mm, got 0"),

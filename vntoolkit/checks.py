@@ -27,7 +27,6 @@ _HOW_TO_GET = {  # class -> what makes one
 }
 P = ParamSpec("P")
 R = TypeVar("R")
-_UNIT_LENGTH_TOLERANCE = 1e-3  # half-float normal maps on disk are exact to 5e-4
 
 
 def require_shape(

@@ -8,7 +8,6 @@ import pytest
 from vntoolkit.errors import BadInput
 from vntoolkit.evaluation.track_error import (
     TrackedPixels,
-    TrackErrorOptions,
     anchors_on_mesh,
     track_errors,
     visible,
@@ -78,7 +77,7 @@ def test_hidden_points_are_not_judged() -> None:
     anchors = anchors_on_mesh(PIXELS, CORNERS, FACES, CAMERA)
     front = np.array([[-3.0, -3.0, 1.0], [0.0, -3.0, 1.0], [-3.0, 3.0, 1.0], [0.0, 3.0, 1.0]])
     vertices, faces = np.vstack([CORNERS, front]), np.vstack([FACES, FACES + 4]).astype(np.int32)
-    seen = visible(anchors.points(CORNERS), vertices, faces, CAMERA, TrackErrorOptions())
+    seen = visible(anchors.points(CORNERS), vertices, faces, CAMERA)
     left = PIXELS[:, 0] < 31.5
     assert not seen[left].any()
     assert seen[~left].all()
@@ -89,3 +88,5 @@ def test_other_frames_are_refused() -> None:
     points = anchors.points(CORNERS)
     with pytest.raises(BadInput, match="tracked frame 1 met true frame 2"):
         list(track_errors([tracked(1, points)], [(2, CORNERS)], anchors, FACES, CAMERA))
+    with pytest.raises(BadInput, match="lost_px: expected a positive number, got -1"):
+        list(track_errors([], [], anchors, FACES, CAMERA, -1.0))

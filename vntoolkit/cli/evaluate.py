@@ -27,7 +27,7 @@ from vntoolkit.evaluation.mesh_comparison import (
     positions,
     vertex_distances,
 )
-from vntoolkit.evaluation.track_error import TrackError, TrackErrorOptions
+from vntoolkit.evaluation.track_error import TrackError
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.point_cloud import PointCloud
 from vntoolkit.io.atomic import sole_writer
@@ -294,7 +294,7 @@ def tracks(
     every: int = 10,
     out: Path | None = None,
     plot: Path | None = None,
-    options: Annotated[TrackErrorOptions | None, Flags()] = None,
+    lost_px: float | None = None,
 ) -> None:
     """Print the end-point error of each frame in pixels, for all visible vertices and without the lost ones.
 
@@ -317,6 +317,8 @@ def tracks(
         each, NAME.tsv.
     plot
         Also plot the error over the frames, .png or .svg.
+    lost_px
+        A vertex counts as lost where its expected error is above this, in pixels. Default: what `track` used.
     """
     if every < 1:
         raise BadInput(f"every: expected 1 or more, got {every}")
@@ -330,7 +332,7 @@ def tracks(
     results = {}
     for name, each in folders.items():
         target = each / "track" if (each / "track").is_dir() else each
-        results[name] = evaluate_tracks(target, truth, every, options)
+        results[name] = evaluate_tracks(target, truth, every, lost_px)
     for name, errors in results.items():
         if name in tables:
             write_track_errors(tables[name], errors)

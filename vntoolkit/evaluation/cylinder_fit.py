@@ -72,7 +72,7 @@ def fit_cylinder(
     normals agree on no axis.
     """
     observations = (
-        _observe(normal_map, silhouette, camera, rng, f"frame {number}")
+        _observe(normal_map, silhouette, rng, f"frame {number}")
         for number, (normal_map, silhouette) in enumerate(frames)
     )
     if camera.is_perspective:  # a radius of 1 for all: every frame stands alone
@@ -99,7 +99,7 @@ def _fit_frame(seen: _Observation, camera: Camera, rng: np.random.Generator) -> 
 
 
 def _observe(
-    normal_map: NormalMap, silhouette: FloatArray, camera: Camera, rng: np.random.Generator, name: str
+    normal_map: NormalMap, silhouette: FloatArray, rng: np.random.Generator, name: str
 ) -> _Observation:
     rows, columns = np.nonzero(normal_map.mask & (silhouette > 0.5))
     if len(rows) < _FEWEST_PIXELS:

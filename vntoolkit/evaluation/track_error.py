@@ -19,6 +19,7 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.native import njit
 
+LOST_PX = 4.0
 _OUTLIER_PX = 4.0
 _HIDDEN_SHARE = 0.002  # of its depth: a true point further behind the frontmost surface is hidden, not judged
 
@@ -73,20 +74,6 @@ class TrackError:
     found_p95_px: float = np.nan
 
 
-@dataclass(frozen=True, kw_only=True)
-class TrackErrorOptions:
-    """Which vertices count in the error of tracks.
-
-    lost_px: a vertex of which the tracker expects a greater error than this, in pixels, is declared lost.
-    """
-
-    lost_px: float = 4.0
-
-    def __post_init__(self) -> None:
-        """Raise `BadInput` for impossible limits."""
-        require_positive(self.lost_px, "track error: lost_px")
-
-
 def anchors_on_mesh(positions_px: Points2, vertices: Points, faces: Faces, camera: Camera) -> SurfaceAnchors:
     """Fix pixel positions (n, 2) to the frontmost triangle of a mesh that covers each, in its frame."""
     require_shape(vertices, (None, 3), "true vertices")
@@ -107,9 +94,7 @@ def anchors_on_mesh(positions_px: Points2, vertices: Points, faces: Faces, camer
     )
 
 
-def visible(
-    points: FloatArray, vertices: Points, faces: Faces, camera: Camera, options: TrackErrorOptions
-) -> npt.NDArray[np.bool_]:
+def visible(points: FloatArray, vertices: Points, faces: Faces, camera: Camera) -> npt.NDArray[np.bool_]:
     """Return (n,) True where a point (n, 3) on the mesh is in the image and no triangle is before it."""
     pixels = camera.project(points)
     front = anchors_on_mesh(pixels, vertices, faces, camera)
@@ -124,26 +109,25 @@ def track_errors(
     anchors: SurfaceAnchors,
     faces: Faces,
     camera: Camera,
-    options: TrackErrorOptions | None = None,
+    lost_px: float = LOST_PX,
 ) -> Iterator[TrackError]:
     """Yield the error of each frame; truth: (frame number, vertices) in step with tracked.
 
-    camera: the one that truly filmed; the tracker may have believed in another.
+    camera: the one that truly filmed; the tracker may have believed in another. lost_px: a vertex of which
+    the tracker expects a greater error than this is declared lost.
     """
-    options = options or TrackErrorOptions()
+    require_positive(lost_px, "track error: lost_px")
     for pixels, (number, true_vertices) in zip(tracked, truth, strict=True):
         if pixels.frame != number:
             raise BadInput(f"track error: tracked frame {pixels.frame} met true frame {number}")
         points = anchors.points(true_vertices)
-        judged = anchors.found & visible(points, true_vertices, faces, camera, options)
+        judged = anchors.found & visible(points, true_vertices, faces, camera)
         distance = np.linalg.norm(pixels.positions_px[judged] - camera.project(points[judged]), axis=1)
         told = np.zeros(len(points)) if pixels.uncertainty_px is None else np.asarray(pixels.uncertainty_px)
-        yield error_of_frame(number, distance, told[judged] <= options.lost_px, options)
+        yield error_of_frame(number, distance, told[judged] <= lost_px)
 
 
-def error_of_frame(
-    number: int, distance_px: FloatArray, found: npt.NDArray[np.bool_], options: TrackErrorOptions
-) -> TrackError:
+def error_of_frame(number: int, distance_px: FloatArray, found: npt.NDArray[np.bool_]) -> TrackError:
     """Summarise end-point errors (n,) in pixels; found: (n,) False where the tracker declares them lost."""
     if not len(distance_px):
         nan = np.nan

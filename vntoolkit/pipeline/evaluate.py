@@ -26,9 +26,9 @@ from vntoolkit.evaluation.cylinder_fit import fit_cylinder
 from vntoolkit.evaluation.depth_error import disc_with_hole, peaks, tear
 from vntoolkit.evaluation.silhouette import silhouette_from_image
 from vntoolkit.evaluation.track_error import (
+    LOST_PX,
     TrackedPixels,
     TrackError,
-    TrackErrorOptions,
     anchors_on_mesh,
     track_errors,
 )
@@ -338,9 +338,12 @@ def read_track_truth(folder: Path) -> TrackTruth:
 
 
 def evaluate_tracks(
-    track_folder: Path, truth_folder: Path, every: int = 1, options: TrackErrorOptions | None = None
+    track_folder: Path, truth_folder: Path, every: int = 1, lost_px: float | None = None
 ) -> list[TrackError]:
-    """Evaluate every `every`-th tracked frame and the last. Raises BadInput where tracks and truth differ."""
+    """Evaluate every `every`-th tracked frame and the last. Raises `BadInput` where tracks and truth differ.
+
+    lost_px: expected error above which a vertex counts as lost; None for the one that `track` used.
+    """
     truth, record = read_track_truth(truth_folder), read_track_record(track_folder)
     sequence = read_mesh_sequence(track_folder)
     numbers: list[int] = record["frames"][: len(sequence)]
@@ -350,7 +353,7 @@ def evaluate_tracks(
         )
     if record["template"] not in numbers:
         raise BadInput(f"{track_folder}: the template frame {record['template']} is not tracked yet")
-    options = options or TrackErrorOptions(lost_px=record.get("lost_px", TrackErrorOptions.lost_px))
+    lost_px = record.get("lost_px", LOST_PX) if lost_px is None else lost_px
     believed = recorded_camera(record)
     template = believed.project(sequence.vertices[numbers.index(record["template"])])
     anchors = anchors_on_mesh(
@@ -361,7 +364,7 @@ def evaluate_tracks(
         track_errors(
             (_pixels(sequence, row, numbers[row], believed) for row in rows),
             ((numbers[row], np.array(truth.vertices[numbers[row]])) for row in rows),
-            anchors, truth.faces, truth.camera, options,
+            anchors, truth.faces, truth.camera, lost_px,
         )
     )  # fmt: skip
 

@@ -126,18 +126,18 @@ def _export_animation(
     require_writable_folder(out.parent)  # and remove what a killed run left there
     on_start(len(numbers), 0)
 
-    def passing(number: int, thing: Any) -> Any:
+    def passing(thing: Any) -> Any:
         on_frame()
         return thing
 
     if track is None:
-        own = (passing(n, own_mesh(result, n, options, lengths.factor)) for n in numbers)
+        own = (passing(own_mesh(result, n, options, lengths.factor)) for n in numbers)
         count = write_usd_meshes(
             out, own, frame_rate_hz=rate, metres_per_unit=lengths.metres_per_unit, up=options.up
         )
         return ExportSummary(out=out, frames=count, kept=0)
     rows = [track.numbers.index(n) for n in numbers]
-    moving = (passing(n, track.sequence.vertices[n] * lengths.factor) for n in rows)
+    moving = (passing(track.sequence.vertices[n] * lengths.factor) for n in rows)
     template = track.sequence.template
     if options.to is ExportFormat.GLB:
         count = write_glb(out, template, moving, frame_rate_hz=rate)
