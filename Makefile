@@ -3,7 +3,7 @@
 PYTHON := .venv/bin/python
 READY := .venv/.ready
 
-.PHONY: demo test test-slow fuzz error-coverage lint lock clean
+.PHONY: demo test test-slow fuzz error-coverage lint docs lock clean
 
 demo: $(READY)
 	$(PYTHON) -m vntoolkit demo --out out/demo --overwrite
@@ -29,6 +29,15 @@ lint: $(READY)
 	.venv/bin/ruff check .
 	.venv/bin/mypy
 
+# The site, into out/site; a broken link or a warning is an error. Its packages have an environment of their own.
+docs: .venv-docs/.ready
+	.venv-docs/bin/mkdocs build --strict --quiet
+
+.venv-docs/.ready: docs/requirements.lock
+	$${PYTHON3:-python3} -m venv .venv-docs
+	.venv-docs/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r docs/requirements.lock
+	touch .venv-docs/.ready
+
 # System libraries, environment and packages; again only when the lock or the project file changes.
 $(READY): requirements.lock pyproject.toml scripts/set_up.sh
 	sh scripts/set_up.sh
@@ -40,6 +49,9 @@ lock: $(READY)
 	.venv/bin/uv pip compile pyproject.toml --all-extras --universal --python-version 3.11 \
 	    --generate-hashes --no-emit-index-url --upgrade --quiet --custom-compile-command "make lock" \
 	    --output-file requirements.lock
+	.venv/bin/uv pip compile --group docs --universal --python-version 3.11 \
+	    --generate-hashes --no-emit-index-url --upgrade --quiet --custom-compile-command "make lock" \
+	    --output-file docs/requirements.lock
 
 clean:
-	rm -rf .venv out
+	rm -rf .venv .venv-docs out

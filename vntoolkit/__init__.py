@@ -69,6 +69,17 @@ _PUBLIC = {
     "write_mesh": "vntoolkit.io.maps_and_meshes.meshes",
     "SurfaceTracker": "vntoolkit.tracking.tracker",
     "MeshSequence": "vntoolkit.geometry.mesh_sequence",
+    # the verbs of the command line
+    "simulate": "vntoolkit.cli.functions",
+    "calibrate_sphere": "vntoolkit.cli.functions",
+    "calibrate_board": "vntoolkit.cli.functions",
+    "calibrate_head": "vntoolkit.cli.functions",
+    "calibrate_lights": "vntoolkit.cli.functions",
+    "calibrate_presses": "vntoolkit.cli.functions",
+    "reconstruct": "vntoolkit.cli.functions",
+    "track": "vntoolkit.cli.functions",
+    "dress": "vntoolkit.cli.functions",
+    "export": "vntoolkit.cli.functions",
 }
 
 __all__ = [*_PUBLIC, "__version__"]

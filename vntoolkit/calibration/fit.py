@@ -93,7 +93,7 @@ def fit_response(
     verb: str = "fit",
     rng: np.random.Generator | None = None,
 ) -> ResponseFit:
-    """Equation 4: fit the 3×4 M, r = [M a] [n; 1], to pairs of normal and linear colour, both (n, 3).
+    """Equation 4: fit the 3×4 M, `r = [M a] [n; 1]`, to pairs of normal and linear colour, both (n, 3).
 
     Without ambient light (the default) a = 0 and M is 3×3. Sections III-A and IV of brostow2011.
     clipped: (n,) pairs with a saturated channel, left out. verb: goes into the quality's `method`.

@@ -1,0 +1,86 @@
+"""The site: every finding has its section, every public name its place, every command runs as printed.
+
+The pages run in the order of the navigation, in one folder that holds, at 640×480, board.mkv (the calibration
+board), ball.mkv (a matte ball) and capture.mkv (a sweater): what one page makes, the next may read.
+"""
+
+import importlib.util
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+import vntoolkit
+from tests.readme_commands import ROOT, Step, run_step, steps_of
+from vntoolkit.cli import GROUPS, VERBS
+from vntoolkit.diagnosis.checks import CHECK_NAMES
+
+DOCS = ROOT / "docs"
+NAVIGATION = re.findall(r"^ +- .*: (\w+\.md)$", (ROOT / "mkdocs.yml").read_text(), flags=re.MULTILINE)
+FILMED = {"board.mkv": ("board", "::15"), "ball.mkv": ("sphere", "0:1"), "capture.mkv": ("sweater", "0:3")}
+
+
+def findings_hook():
+    spec = importlib.util.spec_from_file_location("findings", DOCS / "findings.py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["findings"] = module  # where its dataclass looks for itself
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_every_finding_has_a_section_with_a_cause_and_what_the_program_prints() -> None:
+    hook, page = findings_hook(), (DOCS / "wrong.md").read_text()
+    assert hook.check_names() == CHECK_NAMES
+    assert sorted(hook.headings(page)) == sorted(CHECK_NAMES)
+    assert set(hook.findings()) == set(CHECK_NAMES)
+    for name in CHECK_NAMES:
+        told = page.split(f"## `{name}`\n", 1)[1].split("\n## ", 1)[0]
+        assert len(told.split()) > 10, f"{name}: no cause"
+
+
+def test_every_public_name_is_in_the_reference() -> None:
+    page = (DOCS / "api.md").read_text()
+    listed = set(re.findall(r"^::: (\S+)$", page, flags=re.MULTILINE))
+    assert listed == {f"{module}.{name}" for name, module in vntoolkit._PUBLIC.items()}
+    examples = "\n".join(step.text for step in steps_of(page) if step.language == "python")
+    for name, module in vntoolkit._PUBLIC.items():
+        assert f"vt.{name}" in examples or module == "vntoolkit.cli.functions", f"vt.{name}: no example"
+
+
+def test_the_navigation_names_every_page() -> None:
+    assert sorted(NAVIGATION) == sorted(path.name for path in DOCS.glob("*.md"))
+
+
+@pytest.mark.parametrize("page", sorted(DOCS.glob("*.md")), ids=lambda page: page.stem)
+def test_every_verb_that_a_page_names_is_there(page: Path) -> None:
+    text = page.read_text()
+    printed = "\n".join(re.findall(r"`(vntoolkit [^`\n]+)`", text) + re.findall(r"(?ms)^```\w+\n(.*?)^```", text))
+    for verb, second in re.findall(r"(?m)^vntoolkit ([a-z]+)(?: ([a-z]+))?", printed):
+        assert verb in VERBS or verb in GROUPS, f"{page.name} names `vntoolkit {verb}`"
+        if verb in GROUPS and second:
+            assert second in GROUPS[verb][1], f"{page.name} names `vntoolkit {verb} {second}`"
+
+
+def test_the_licences_are_those_of_the_lock() -> None:
+    pinned = re.findall(r"(?m)^([a-z0-9][\w.-]*)==", (ROOT / "requirements.lock").read_text())
+    listed = re.findall(r"(?m)^\| ([a-z0-9][\w.-]*) \|", (DOCS / "licences.md").read_text())
+    assert sorted(set(pinned)) == [name for name in listed if name != "package"]
+
+
+@pytest.fixture(scope="module")
+def studio(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("site")
+    for name, (scene, frames) in FILMED.items():
+        film = f"vntoolkit simulate {scene} --out .{scene} --frames {frames} --field-width 1.42"
+        run_step(Step("sh", film, 0), folder)
+        (folder / f".{scene}" / "capture.mkv").rename(folder / name)
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", [p for p in NAVIGATION if any(s.is_run for s in steps_of((DOCS / p).read_text()))])
+def test_every_command_of_a_page_runs(page: str, studio: Path) -> None:
+    for step in steps_of((DOCS / page).read_text()):
+        if step.is_run:
+            run_step(step, studio)
