@@ -1,6 +1,6 @@
 """Draw the pictures of *How it works* from the run of `examples/paper.py`.
 
-python docs/equation_figures.py        # writes docs/img/equation1.png to equation8.png; 15 s of processor time
+python docs/equation_figures.py        # writes docs/img/*.png; 15 s of processor time
 """
 
 import runpy
@@ -64,7 +64,9 @@ def errors(values: list[np.ndarray], titles: tuple[str, ...], unit: str, equatio
 
 figure, (left, right) = pair(("rendered frame", "M n, from the true normals"))
 left.imshow(shown(frame.rgb))
-computed = np.where(truth.normals.mask[..., None], rgb_from_normals(truth.normals.normals_in_camera, response), 0)
+computed = np.where(
+    truth.normals.mask[..., None], rgb_from_normals(truth.normals.normals_in_camera, response), 0
+)
 right.imshow(shown(np.clip(computed, 0, None)))
 save(figure, 1)
 
@@ -99,7 +101,7 @@ axis.imshow(shown(frame.rgb))
 some = slice(None, None, 23)
 u, v = template.positions_px[some].T
 du, dv = (run["moved"] - template.positions_px)[some].T
-axis.quiver(u, v, du, dv, angles="xy", scale_units="xy", scale=0.15, color="white", width=0.004)
+axis.quiver(u, v, du, dv, angles="xy", scale_units="xy", scale=0.15, color="#fd0", width=0.006)
 axis.set_axis_off()
 save(figure, 5)
 
@@ -114,5 +116,5 @@ for axis, points, bones in zip(axes, (run["attached"], run["walked"]), joints, s
     axis.scatter(points[:, 0], points[:, 1], c=points[:, 2], s=1, cmap="cividis")
     axis.plot(bones[:, 0], bones[:, 1], "o", ms=3, color="#d33")
     axis.set_aspect("equal")
+    axis.invert_yaxis()  # y points down, as in the camera frame
 save(figure, 8)
-print(OUT)

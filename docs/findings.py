@@ -68,7 +68,15 @@ def on_page_markdown(markdown: str, page: object, **_: object) -> str:
     meanings, texts = check_names(), findings()
 
     def filled(heading: re.Match[str]) -> str:
-        return "\n".join([heading[0], "", f"*{meanings[heading[1]]}*", "", *[_shown(t) for t in texts[heading[1]] if t.problem != "…"]])
+        return "\n".join(
+            [
+                heading[0],
+                "",
+                f"*{meanings[heading[1]]}*",
+                "",
+                *[_shown(t) for t in texts[heading[1]] if t.problem != "…"],
+            ]
+        )
 
     return _HEADING.sub(filled, markdown)
 
@@ -92,7 +100,11 @@ def _levels(node: ast.expr) -> tuple[str, ...]:
 
 
 def _words(node: ast.expr) -> list[str]:
-    return [part.value for part in ast.walk(node) if isinstance(part, ast.Constant) and isinstance(part.value, str)]
+    return [
+        part.value
+        for part in ast.walk(node)
+        if isinstance(part, ast.Constant) and isinstance(part.value, str)
+    ]
 
 
 def _plain(node: ast.expr, constants: dict[str, object]) -> str:
@@ -103,6 +115,8 @@ def _plain(node: ast.expr, constants: dict[str, object]) -> str:
         return "".join(_plain(part, constants) for part in node.values)
     if isinstance(node, ast.BinOp):
         return _plain(node.left, constants) + _plain(node.right, constants)
+    if isinstance(node, ast.IfExp):
+        return f"{_plain(node.body, constants)}; or: {_plain(node.orelse, constants)}"
     if isinstance(node, ast.FormattedValue):
         name = getattr(node.value, "id", None)
         if name in constants:

@@ -13,27 +13,40 @@ ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "licences.md"
 # Not installed on the machine that wrote the page: looked up in their repositories.
 ELSEWHERE = {
-    "appnope": "BSD-2-Clause", "cffi": "MIT-0", "colorama": "BSD-3-Clause", "open3d": "MIT", "open3d-cpu": "MIT",
-    "pycparser": "BSD-3-Clause", "rawpy": "MIT",
-}  # fmt: skip
+    "appnope": "BSD-2-Clause",
+    "cffi": "MIT-0",
+    "colorama": "BSD-3-Clause",
+    "open3d": "MIT",
+    "open3d-cpu": "MIT",
+    "pycparser": "BSD-3-Clause",
+}
 # Metadata without a word, or with a whole text in its place: read in the package's own licence file.
 READ = {
-    "cycler": "BSD-3-Clause", "jupyterlab-widgets": "BSD-3-Clause", "kiwisolver": "BSD-3-Clause",
-    "matplotlib": "PSF-based (matplotlib)", "openexr": "BSD-3-Clause", "ptyprocess": "ISC",
-    "pymeshlab": "GPL-3.0", "reportlab": "BSD-3-Clause", "scipy": "BSD-3-Clause",
+    "cycler": "BSD-3-Clause",
+    "jupyterlab-widgets": "BSD-3-Clause",
+    "kiwisolver": "BSD-3-Clause",
+    "matplotlib": "PSF-based (matplotlib)",
+    "openexr": "BSD-3-Clause",
+    "ptyprocess": "ISC",
+    "pymeshlab": "GPL-3.0",
+    "rawpy": "MIT, with LibRaw inside: LGPL-2.1 or CDDL-1.0",
+    "reportlab": "BSD-3-Clause",
+    "scipy": "BSD-3-Clause",
     "usd-core": "TOST-1.0 (Apache-2.0 with another trademark clause)",
-}  # fmt: skip
+}
 HEAD = """# Licences
 
 vntoolkit is under the MIT licence. Its dependencies keep their own.
 
 !!! warning "Where a licence binds you"
 
-    **pymeshlab is under the GPL 3.** vntoolkit imports it only where it is used: `export --clean`, `evaluate mesh
-    --measured-by pymeshlab`, and `Mesh.to_pymeshlab`. Nothing else needs it. Whoever ships a program together with
+    **pymeshlab is under the GPL 3.** vntoolkit imports it only where it is used: `export --clean`,
+    `evaluate mesh` and `Mesh.to_pymeshlab`. Nothing else needs it. Whoever ships a program together with
     pymeshlab ships the whole under the GPL. Leave the package out, and no dependency is under the GPL.
-    certifi, hypothesis and pathspec are under the MPL 2.0, which binds their own files only. usd-core is under the
-    Tomorrow Open Source Technology licence: Apache 2.0 with another clause on trademarks.
+
+    certifi, hypothesis and pathspec are under the MPL 2.0, which binds their own files only. usd-core is
+    under the Tomorrow Open Source Technology licence: Apache 2.0 with another clause on trademarks. rawpy brings
+    LibRaw, under the LGPL 2.1 or the CDDL 1.0.
 
 This page is made by `scripts/licences.py` from the metadata of the locked packages.
 
@@ -50,9 +63,8 @@ def locked() -> dict[str, list[str]]:
         if pinned := re.match(r"([a-z0-9][\w.-]*)==", line):
             name = pinned[1]
             found.setdefault(name, [])
-        elif wanted := re.match(r"    #\s+(?:via )?\s*([\w.-]+)", line):
-            if wanted[1] != "via" and wanted[1] not in found[name]:
-                found[name].append(wanted[1])
+        elif (wanted := re.match(r"    #\s+(?:via )?\s*([\w.-]+)", line)) and wanted[1] != "via":
+            found[name] += [wanted[1]] if wanted[1] not in found[name] else []
     return found
 
 
@@ -72,7 +84,9 @@ def licence_of(name: str) -> str:
 
 def page() -> str:
     """Return the page."""
-    rows = [f"| {name} | {licence_of(name)} | {', '.join(users)} |" for name, users in sorted(locked().items())]
+    rows = [
+        f"| {name} | {licence_of(name)} | {', '.join(users)} |" for name, users in sorted(locked().items())
+    ]
     return HEAD + "\n".join(rows) + "\n"
 
 

@@ -55,7 +55,9 @@ def test_the_navigation_names_every_page() -> None:
 @pytest.mark.parametrize("page", sorted(DOCS.glob("*.md")), ids=lambda page: page.stem)
 def test_every_verb_that_a_page_names_is_there(page: Path) -> None:
     text = page.read_text()
-    printed = "\n".join(re.findall(r"`(vntoolkit [^`\n]+)`", text) + re.findall(r"(?ms)^```\w+\n(.*?)^```", text))
+    printed = "\n".join(
+        re.findall(r"`(vntoolkit [^`\n]+)`", text) + re.findall(r"(?ms)^```\w+\n(.*?)^```", text)
+    )
     for verb, second in re.findall(r"(?m)^vntoolkit ([a-z]+)(?: ([a-z]+))?", printed):
         assert verb in VERBS or verb in GROUPS, f"{page.name} names `vntoolkit {verb}`"
         if verb in GROUPS and second:
@@ -79,7 +81,9 @@ def studio(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", [p for p in NAVIGATION if any(s.is_run for s in steps_of((DOCS / p).read_text()))])
+@pytest.mark.parametrize(
+    "page", [p for p in NAVIGATION if any(s.is_run for s in steps_of((DOCS / p).read_text()))]
+)
 def test_every_command_of_a_page_runs(page: str, studio: Path) -> None:
     for step in steps_of((DOCS / page).read_text()):
         if step.is_run:

@@ -1,8 +1,11 @@
 """What `--help` says: the verb's whole docstring, no default that says nothing."""
 
+import shlex
+
 import pytest
 
 from vntoolkit.__main__ import main
+from vntoolkit.cli import EXAMPLES, GROUPS, VERBS, build_app
 
 
 def help_of(verb: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> str:
@@ -53,3 +56,19 @@ def test_no_flag_empties_a_list(capsys: pytest.CaptureFixture[str], monkeypatch:
     text = help_of("dress", capsys, monkeypatch)
     assert "--exclude" in text
     assert "--empty-" not in text
+
+
+@pytest.mark.parametrize(
+    "verb", [*VERBS, *(f"{group} {verb}" for group, (_, verbs) in GROUPS.items() for verb in verbs)]
+)
+def test_every_verb_has_an_example_that_it_takes(verb: str) -> None:
+    _, *words = shlex.split(EXAMPLES[verb])
+    assert words[: len(verb.split())] == verb.split()
+    build_app(words).parse_args(words, exit_on_error=False, print_error=False)
+
+
+def test_help_ends_with_the_example(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert help_of("track", capsys, monkeypatch).rstrip().endswith("Example: vntoolkit track result")
+    assert "Example: " in help_of("calibrate board", capsys, monkeypatch).splitlines()[-1]

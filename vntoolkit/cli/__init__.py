@@ -32,6 +32,7 @@ VERBS: dict[str, tuple[str, str]] = {
         "Check the libraries, or check footage for faults that spoil normals.",
     ),
     "schema": ("vntoolkit.cli.schema:schema", "Print the JSON schema of rig.json or reconstruction.json."),
+    "data": ("vntoolkit.cli.schema:data", "Copy a file that the package ships, such as walk.bvh."),
     "reconstruct": (
         "vntoolkit.cli.reconstruct:reconstruct",
         "Compute normals, depth and meshes from footage and a rig.",
@@ -112,6 +113,40 @@ GROUPS: dict[str, tuple[str, dict[str, tuple[str, str]]]] = {
 }
 
 
+# What `--help` ends with: a call that works on one's own files.
+EXAMPLES: dict[str, str] = {
+    "demo": "vntoolkit demo --out demo",
+    "rectify": "vntoolkit rectify presses --corners 12 9 308 11 4 231 316 229 --size-mm 18.6 14.3 "
+    "--pixel-mm 0.03 --out flat",
+    "board": "vntoolkit board --out board.pdf",
+    "simulate": "vntoolkit simulate sweater --out sweater --frames 0:10",
+    "doctor": "vntoolkit doctor capture.mkv --rig rig.json",
+    "schema": "vntoolkit schema rig",
+    "data": "vntoolkit data walk.bvh",
+    "reconstruct": "vntoolkit reconstruct capture.mkv --rig rig.json --out result --distance 5",
+    "track": "vntoolkit track result",
+    "session": "vntoolkit session take1.mkv take2.mkv --rig rig.json --out day --track",
+    "view": "vntoolkit view result",
+    "export": "vntoolkit export result --to usd --units cm",
+    "report": "vntoolkit report result",
+    "live": "vntoolkit live --camera 0 --rig rig.json",
+    "dress": "vntoolkit dress result/track --motion data/walk.bvh --out cloth.usdc",
+    "calibrate sphere": "vntoolkit calibrate sphere ball.mkv --out rig.json",
+    "calibrate board": "vntoolkit calibrate board board.mkv --square-mm 15.9 --out rig.json",
+    "calibrate head": "vntoolkit calibrate head turn.mkv --out rig.json --report head.html",
+    "calibrate lights": "vntoolkit calibrate lights lamps.txt --like capture.mkv --out rig.json",
+    "calibrate presses": "vntoolkit calibrate presses presses --background gel.png --labels labels "
+    "--ball-radius-mm 2 --pixel-mm 0.03 --out gel.json",
+    "recipe list": "vntoolkit recipe list",
+    "recipe run": "vntoolkit recipe run figure02 --quick",
+    "evaluate normals": "vntoolkit evaluate normals result/normals truth/normals",
+    "evaluate mesh": "vntoolkit evaluate mesh result/mesh/000000.ply scan.ply",
+    "evaluate cylinder": "vntoolkit evaluate cylinder result",
+    "evaluate tracks": "vntoolkit evaluate tracks result --truth sweater",
+    "evaluate integration": "vntoolkit evaluate integration --out evaluation",
+}
+
+
 def build_app(arguments: Sequence[str] = ()) -> App:
     """Register every verb by name; nothing but cyclopts is imported.
 
@@ -130,11 +165,12 @@ def build_app(arguments: Sequence[str] = ()) -> App:
         suppress_keyboard_interrupt=False,  # `main` prints how to continue
     )
     for verb, (target, line) in VERBS.items():
-        app.command(target, name=verb, help=None if arguments[:1] == [verb] else line)
+        app.command(target, name=verb, help=None if arguments[:1] == [verb] else line, **_epilogue(verb))
     for group, (line, verbs) in GROUPS.items():
         sub = App(name=group, help=line, help_format="markdown", version_flags=())
         for verb, (target, verb_line) in verbs.items():
-            sub.command(target, name=verb, help=None if arguments[:2] == [group, verb] else verb_line)
+            told = None if arguments[:2] == [group, verb] else verb_line
+            sub.command(target, name=verb, help=told, **_epilogue(f"{group} {verb}"))
         app.command(sub)
     return app
 
@@ -145,6 +181,10 @@ def run_verb(arguments: Sequence[str]) -> Any:
     verb, bound, _ = app.parse_args(arguments, exit_on_error=False, print_error=False)
     require_new_outputs(bound)
     return verb(*bound.args, **bound.kwargs)
+
+
+def _epilogue(verb: str) -> dict[str, str]:
+    return {"help_epilogue": f"Example: `{EXAMPLES[verb]}`"}
 
 
 def _shown_default(value: Any) -> str | None:

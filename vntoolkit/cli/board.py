@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 from vntoolkit.cli.flags import Flags, verb
+from vntoolkit.cli.output import print_next
 from vntoolkit.geometry.board_layout import BoardLayout
 from vntoolkit.io.board_pdf import PageSize, write_board_pdf
 
@@ -29,3 +30,4 @@ def board(
         f"{out}: {drawn.columns} × {drawn.rows} squares of {drawn.square_mm:g} mm on {page.name}; "
         "print at 100 % and measure the scale bar"
     )
+    print_next("calibrate", "board", "board.mkv", "--square-mm", f"{drawn.square_mm:g}", "--out", "rig.json")

@@ -27,7 +27,7 @@ from vntoolkit.cli.flags import (
     curve_from_text,
     verb,
 )
-from vntoolkit.cli.output import JSON, MESH, PAGE, PICTURE, ProgressBars, require_output
+from vntoolkit.cli.output import JSON, MESH, PAGE, PICTURE, ProgressBars, print_next, require_output
 from vntoolkit.diagnosis.checks import CHECK_NAMES
 from vntoolkit.diagnosis.finding import judge, require_known_checks
 from vntoolkit.diagnosis.rig_checks import check_lamps, check_residual
@@ -91,6 +91,7 @@ def sphere(
     write_rig(out, rig)
     (u, v), radius = result.outline.centre_px, result.outline.radius_px
     report_rig(out, rig, f"ball at ({u:.1f}, {v:.1f}), radius {radius:.1f} px")
+    _print_what_is_next(out)
 
 
 @verb("max_megapixels")
@@ -133,6 +134,7 @@ def board(
     error = np.median([pose.error_px for pose in result.poses])
     focal = result.camera.matrix[0, 0]
     report_rig(out, rig, f"{len(result.poses)} poses to {error:.2f} px, focal length {focal:.0f} px")
+    _print_what_is_next(out)
 
 
 @verb("max_megapixels")
@@ -175,6 +177,7 @@ def lights(
     _accept(rig, allow)
     write_rig(out, rig)
     report_rig(out, rig, f"lights {lights[0]}, {lights[1]}, {lights[2]} of {source}")
+    _print_what_is_next(out)
 
 
 def _job(
@@ -201,6 +204,10 @@ def _job(
         allow=allow,
         sensor=sensor or SensorOptions(),
     )
+
+
+def _print_what_is_next(out: Path) -> None:
+    print_next("reconstruct", "capture.mkv", "--rig", out, "--out", "result")
 
 
 def _accept(rig: Rig, allow: tuple[str, ...], fit: ResponseFit | None = None) -> None:
@@ -300,6 +307,7 @@ def head(
         print(f"  focal length      {motion.camera.matrix[0, 0]:.0f} px, estimated from the turn: rough")
     print(f"  samples agreeing  {result.light.inliers.mean():.0%}")
     print("  time              " + ", ".join(f"{k} {s:.0f} s" for k, s in result.stage_seconds.items()))
+    _print_what_is_next(out)
 
 
 @verb("max_megapixels")
@@ -353,6 +361,7 @@ def presses(
         rig, _ = pipeline.calibrate_presses(job, options, partial(bars.reach, "read presses"))
     write_rig(out, rig)
     report_rig(out, rig, f"presses of {source}")
+    print_next("reconstruct", "touch.mkv", "--rig", out, "--background", background, "--out", "touch")
 
 
 @verb("max_megapixels")

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 from vntoolkit.cli.flags import Flags, Jobs, Overwrite, verb
-from vntoolkit.cli.output import ProgressBars
+from vntoolkit.cli.output import ProgressBars, print_next
 from vntoolkit.pipeline.demo import DemoFolder, DemoOptions, run_demo
 from vntoolkit.pipeline.opened_result import open_result
 from vntoolkit.pipeline.truth_comparison import compare_with_truth
@@ -47,3 +47,4 @@ def demo(
     )
     print(f"meshes, one per frame: {folder.reconstruction / 'mesh'}")
     print(f"report: {page}")
+    print_next("view", folder.reconstruction)

@@ -15,6 +15,7 @@ from cyclopts import Parameter
 
 from vntoolkit.cli.calibrate import Corners, SizeMm, rectification_from_flags
 from vntoolkit.cli.flags import Flags, verb
+from vntoolkit.cli.output import print_next
 from vntoolkit.errors import BadInput, VntError
 from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
@@ -106,7 +107,10 @@ def live(
         background=None if background is None else next(open_capture(background).encoded_frames()),
     )
     processor.warm_up(_first_frame(source, video))
-    _watch(source, processor, LiveRecorder(record_to, source.frame_rate_hz), seconds, viewer, realtime)
+    recorder = LiveRecorder(record_to, source.frame_rate_hz)
+    _watch(source, processor, recorder, seconds, viewer, realtime)
+    if recorder.files:
+        print_next("reconstruct", recorder.files[-1], "--rig", rig, "--out", "result")
 
 
 def _watch(

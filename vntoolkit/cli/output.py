@@ -8,6 +8,7 @@ import errno
 import json
 import logging
 import os
+import shlex
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -52,6 +53,11 @@ def plain_console() -> Console:
     console = Console(**plain)
     # a pipe or a file has no width
     return console if console.is_terminal else Console(**plain, width=_WIDE)
+
+
+def print_next(*words: str | Path) -> None:
+    """Print the command that most often comes next, ready to paste into a shell."""
+    print(f"next: {shlex.join(['vntoolkit', *map(str, words)])}")
 
 
 def write_json(path: Path, content: Any) -> None:
@@ -120,7 +126,8 @@ def progress_bar(title: str, total: int, done: int = 0) -> Iterator[Advance]:
         TimeRemainingColumn(),
     )
     console = Console(stderr=True)
-    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as progress:
+    hidden = not (console.is_terminal or console.is_jupyter)
+    with Progress(*columns, console=console, disable=hidden, transient=True) as progress:
         task = progress.add_task(title, total=total, completed=done)
         yield lambda n: progress.advance(task, n)
 

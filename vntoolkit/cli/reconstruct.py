@@ -19,7 +19,7 @@ from vntoolkit.cli.flags import (
     Sensor,
     verb,
 )
-from vntoolkit.cli.output import ProgressBars
+from vntoolkit.cli.output import ProgressBars, print_next
 from vntoolkit.diagnosis.checks import CHECK_NAMES
 from vntoolkit.diagnosis.finding import require_known_checks
 from vntoolkit.errors import BadCapture
@@ -124,3 +124,4 @@ def _report(source: str, summary: ReconstructionSummary) -> None:
     print(f"{summary.folder}: {summary.done} of {total} frames done{resumed}{rate}")
     if summary.loss:
         raise BadCapture(f"{source}: {summary.loss}")
+    print_next("view", summary.folder)

@@ -1,10 +1,14 @@
-"""`vntoolkit schema`: print the JSON schema of rig.json or reconstruction.json."""
+"""`vntoolkit schema` and `vntoolkit data`: what the package holds for other programs, and for a first try."""
 
 from __future__ import annotations
 
 import json
 import sys
+from pathlib import Path
 from typing import Literal
+
+from vntoolkit.cli.output import print_next
+from vntoolkit.errors import BadInput, CannotWrite
 
 
 def schema(file: Literal["rig", "reconstruction"] = "rig", /) -> int:
@@ -21,3 +25,31 @@ def schema(file: Literal["rig", "reconstruction"] = "rig", /) -> int:
     model = RigFile if file == "rig" else Manifest
     sys.stdout.write(json.dumps(model.model_json_schema(), indent=2) + "\n")
     return 0
+
+
+def data(name: str = "", /, *, out: Path | None = None) -> None:
+    """Copy a file that the package ships into this folder, such as the walk that `dress` plays.
+
+    Parameters
+    ----------
+    name
+        Name of the file, such as walk.bvh. Without it, the names are listed.
+    out
+        The file to write; default: the same name, here. A file that is there is kept.
+    """
+    from vntoolkit.io.atomic import write_bytes
+    from vntoolkit.pipeline.dress import shipped_files
+
+    files = shipped_files()
+    if not name:
+        print("\n".join(files))
+        return
+    if name not in files:
+        raise BadInput(f"data: expected one of {', '.join(files)}, got '{name}'")
+    target = Path(name) if out is None else out
+    content = files[name].read_bytes()
+    if target.exists() and target.read_bytes() != content:
+        raise CannotWrite(f"{target}: is another file; choose another --out")
+    write_bytes(target, content)
+    print(target)
+    print_next("dress", "result/track", "--motion", target, "--out", "cloth.usdc")

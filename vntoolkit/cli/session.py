@@ -8,7 +8,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from vntoolkit.cli.flags import Allow, Frames, Jobs, Missing, Overwrite, Scheduler, Sensor, verb
-from vntoolkit.cli.output import ProgressBars
+from vntoolkit.cli.output import ProgressBars, print_next
 from vntoolkit.cli.reconstruct import ReconstructFlags
 from vntoolkit.diagnosis.checks import CHECK_NAMES
 from vntoolkit.diagnosis.finding import require_known_checks
@@ -102,6 +102,7 @@ def _report(out: Path, outcomes: list[CaptureOutcome]) -> None:
     failed = [outcome.name for outcome in outcomes if outcome.failure or _loss(outcome)]
     if failed:
         raise VntError(f"{len(failed)} of {len(outcomes)} captures failed: {', '.join(failed)}")
+    print_next("view", out / outcomes[0].name)
 
 
 def _loss(outcome: CaptureOutcome) -> str:

@@ -11,7 +11,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from vntoolkit.cli.flags import Flags, Frames, Jobs, Overwrite, verb
-from vntoolkit.cli.output import ProgressBars
+from vntoolkit.cli.output import ProgressBars, print_next
 from vntoolkit.errors import BadInput
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob
@@ -68,6 +68,10 @@ def simulate(
             job, jobs=jobs, overwrite=overwrite, on_start=partial(bars.begin, "simulate"), on_frame=bars.step
         )
     print(f"{out}: {summary.frames} frames of {scene} in capture.mkv, {summary.rendered} rendered now")
+    if scene in ("board", "sphere"):
+        print_next("calibrate", scene, job.folder.video, "--out", "rig.json")
+    else:
+        print_next("reconstruct", job.folder.video, "--rig", "rig.json", "--out", "result")
 
 
 def _size(text: str) -> tuple[int, int]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 from vntoolkit.cli.flags import Flags, Overwrite, verb
-from vntoolkit.cli.output import ProgressBars
+from vntoolkit.cli.output import ProgressBars, print_next
 from vntoolkit.io.results.seams import read_seams
 from vntoolkit.pipeline.checkerboard import write_checkerboard
 from vntoolkit.pipeline.track import TrackJob
@@ -62,3 +62,4 @@ def track(
     resumed = f", {summary.resumed} of them from before" if summary.resumed else ""
     print(f"{summary.folder}: {summary.vertices} vertices, {summary.frames} frames{resumed}{held}")
     print(f"{files.video}, {files.sheet.name}")
+    print_next("dress", job.target, "--motion", "data/walk.bvh", "--out", "cloth.usdc")

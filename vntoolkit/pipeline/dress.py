@@ -248,13 +248,19 @@ def read_motion(path: Path | str, skeleton: Path | str | None = None) -> Motion:
 
 
 def _given_or_shipped(path: Path) -> Path:
-    """Return the file, or the one of that name that the package, or its repository, holds in data/."""
-    package = Path(vntoolkit.__file__).parent
+    """Return the file, or the one of that name that the package ships in data/."""
     if not path.exists() and len(path.parts) == 2 and path.parts[0] == "data":
-        for shipped in (package / path, package.parent / path):
-            if shipped.is_file():
-                return shipped
+        return shipped_files().get(path.name, path)
     return path
+
+
+def shipped_files() -> dict[str, Path]:
+    """Return the files of data/ by name, of the package or of its repository."""
+    package = Path(vntoolkit.__file__).parent
+    found: dict[str, Path] = {}
+    for folder in (package.parent / "data", package / "data"):
+        found |= {path.name: path for path in sorted(folder.glob("*.*")) if path.suffix != ".md"}
+    return found
 
 
 def _skeleton_beside(path: Path) -> Path:
