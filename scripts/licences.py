@@ -45,8 +45,8 @@ vntoolkit is under the MIT licence. Its dependencies keep their own.
     pymeshlab ships the whole under the GPL. Leave the package out, and no dependency is under the GPL.
 
     certifi, hypothesis and pathspec are under the MPL 2.0, which binds their own files only. usd-core is
-    under the Tomorrow Open Source Technology licence: Apache 2.0 with another clause on trademarks. rawpy brings
-    LibRaw, under the LGPL 2.1 or the CDDL 1.0.
+    under the Tomorrow Open Source Technology licence: Apache 2.0 with another clause on trademarks. rawpy
+    brings LibRaw, under the LGPL 2.1 or the CDDL 1.0.
 
 This page is made by `scripts/licences.py` from the metadata of the locked packages.
 

@@ -9,6 +9,15 @@ import numpy as np
 
 from vntoolkit.arrays import Depth, FloatArray, Mask, Normals, Weight, read_only
 from vntoolkit.checks import require_mask, require_shape
+from vntoolkit.display import (
+    Displayed,
+    Facts,
+    Picture,
+    picture_of_depth,
+    picture_of_normals,
+    share_of,
+    size_of,
+)
 from vntoolkit.errors import BadInput
 
 
@@ -20,8 +29,8 @@ class LengthUnit(Enum):
     FREE = "free"  # perspective depth from normals alone: the scale is not observable
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class NormalMap:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class NormalMap(Displayed):
     """Surface normals seen by a camera.
 
     normals_in_camera: (h, w, 3) float32, unit length, n_z < 0 towards the viewer, 0 where invalid.
@@ -53,9 +62,21 @@ class NormalMap:
         """(h, w)."""
         return self.normals_in_camera.shape[0], self.normals_in_camera.shape[1]
 
+    def _facts(self) -> Facts:
+        facts = {"size": size_of(self.shape), "valid": share_of(self.mask)}
+        if self.mask.any():
+            cosines = np.clip(-self.normals_in_camera[..., 2][self.mask], 0, 1)
+            facts["median slant"] = f"{np.degrees(np.arccos(np.median(cosines))):.0f}°"
+            if self.weight is not None:
+                facts["mean weight"] = f"{self.weight[self.mask].mean():.2f}"
+        return facts
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class DepthMap:
+    def _picture(self) -> Picture:
+        return picture_of_normals(self.normals_in_camera, self.mask)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class DepthMap(Displayed):
     """Depth along the optical axis, growing away from the camera.
 
     depth: (h, w) float32 or float64, 0 where invalid. mask: (h, w) bool. unit: what a length of 1 means.
@@ -85,3 +106,13 @@ class DepthMap:
     def shape(self) -> tuple[int, int]:
         """(h, w)."""
         return self.depth.shape[0], self.depth.shape[1]
+
+    def _facts(self) -> Facts:
+        facts = {"size": size_of(self.shape), "valid": share_of(self.mask), "unit": self.unit.value}
+        if self.mask.any():
+            near, far = self.depth[self.mask].min(), self.depth[self.mask].max()
+            facts["from"], facts["to"] = f"{near:.4g}", f"{far:.4g}"
+        return facts
+
+    def _picture(self) -> Picture:
+        return picture_of_depth(self.depth, self.mask)

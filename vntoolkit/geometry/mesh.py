@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from vntoolkit.arrays import Colours, Faces, FloatArray, Points, read_only
 from vntoolkit.checks import require_finite, require_shape
+from vntoolkit.display import Displayed, Facts, Picture, picture_of_points
 from vntoolkit.errors import BadMesh
 from vntoolkit.geometry.point_cloud import rgba_from_rgb
 from vntoolkit.native import import_open3d, import_pymeshlab
@@ -20,8 +21,8 @@ if TYPE_CHECKING:
     import pymeshlab
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Mesh:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Mesh(Displayed):
     """A triangle mesh.
 
     vertices: (n, 3) in the camera frame unless named otherwise. faces: (m, 3) int32, counter-clockwise
@@ -63,6 +64,21 @@ class Mesh:
     def diagonal(self) -> float:
         """Length of the bounding box's diagonal."""
         return float(np.linalg.norm(np.ptp(self.vertices, axis=0))) if len(self.vertices) else 0.0
+
+    def _facts(self) -> Facts:
+        has = [name for name in ("normals", "colours", "uv") if getattr(self, name) is not None]
+        return {
+            "vertices": str(len(self.vertices)),
+            "faces": str(len(self.faces)),
+            "diagonal": f"{self.diagonal:.4g}",
+            "has": " ".join(has) or "no more",
+        }
+
+    def _picture(self) -> Picture:
+        normals = self.normals
+        if normals is None and len(self.faces):
+            normals = vertex_normals(self.vertices, self.faces)
+        return picture_of_points(self.vertices, normals)
 
     def to_open3d(self) -> o3d.geometry.TriangleMesh:
         """Return a copy as an Open3D triangle mesh (without texture coordinates)."""

@@ -9,12 +9,13 @@ import numpy as np
 
 from vntoolkit.arrays import FloatArray, read_only
 from vntoolkit.checks import require_finite, require_shape
+from vntoolkit.display import Displayed, Facts, Picture
 from vntoolkit.errors import BadMesh
 from vntoolkit.geometry.mesh import Mesh
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class MeshSequence:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class MeshSequence(Displayed):
     """A moving mesh.
 
     template: topology, colours and texture coordinates. vertices: (frames, n, 3), possibly a memory map,
@@ -35,6 +36,20 @@ class MeshSequence:
         if self.uncertainty_px is not None:
             require_shape(self.uncertainty_px, self.vertices.shape[:2], "uncertainty in pixels", BadMesh)
             object.__setattr__(self, "uncertainty_px", read_only(self.uncertainty_px))
+
+    def _facts(self) -> Facts:
+        facts = {
+            "frames": str(len(self)),
+            "vertices": str(len(self.template.vertices)),
+            "faces": str(len(self.template.faces)),
+            "rate": f"{self.frame_rate_hz:g} Hz",
+        }
+        if self.uncertainty_px is not None and len(self):
+            facts["expected error, last frame"] = f"{np.median(self.uncertainty_px[-1]):.2f} px"
+        return facts
+
+    def _picture(self) -> Picture | None:
+        return self[0]._picture() if len(self) else None
 
     def __len__(self) -> int:
         return int(self.vertices.shape[0])

@@ -9,6 +9,7 @@ import numpy as np
 
 from vntoolkit.arrays import Colours, Points, read_only
 from vntoolkit.checks import require_finite, require_shape
+from vntoolkit.display import Displayed, Facts, Picture, picture_of_points
 from vntoolkit.errors import BadMesh
 from vntoolkit.native import import_open3d, import_pymeshlab
 
@@ -17,8 +18,8 @@ if TYPE_CHECKING:
     import pymeshlab
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PointCloud:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class PointCloud(Displayed):
     """Points with optional normals and colours.
 
     points: (n, 3) in the camera frame unless named otherwise. normals: (n, 3) unit vectors or None.
@@ -45,6 +46,17 @@ class PointCloud:
     def diagonal(self) -> float:
         """Length of the bounding box's diagonal."""
         return float(np.linalg.norm(np.ptp(self.points, axis=0))) if len(self.points) else 0.0
+
+    def _facts(self) -> Facts:
+        has = [name for name in ("normals", "colours") if getattr(self, name) is not None]
+        return {
+            "points": str(len(self.points)),
+            "diagonal": f"{self.diagonal:.4g}",
+            "has": " ".join(has) or "no more",
+        }
+
+    def _picture(self) -> Picture:
+        return picture_of_points(self.points, self.normals)
 
     def to_open3d(self) -> o3d.geometry.PointCloud:
         """Return a copy as an Open3D point cloud."""

@@ -18,6 +18,7 @@ from numba import prange
 from vntoolkit.arrays import Mask
 from vntoolkit.checks import checks_kinds, require_mask, require_positive, require_shape
 from vntoolkit.errors import BadInput
+from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
@@ -72,11 +73,13 @@ def normals_from_frame(
     frame: LinearFrame,
     response: LightResponse,
     mask: Mask | None = None,
+    camera: Camera | None = None,
     options: InversionOptions | None = None,
 ) -> NormalMap:
     """Equation 1: n = M⁻¹(r − a) / |M⁻¹(r − a)| at every pixel (brostow2011).
 
-    frame: linear colour (h, w, 3). mask: (h, w), pixels of interest; default all. Invalid in the result:
+    frame: linear colour (h, w, 3). mask: (h, w), pixels of interest; default all. camera: tells from where a
+    pixel is seen, so that no normal faces away from there; None for orthographic. Invalid in the result:
     outside the mask, black, turned away from the camera, not finite, or clipped where so chosen. The
     weight is 1 where the albedo is as expected and 1/2 where it is off by `albedo_tolerance`.
     """
@@ -88,7 +91,23 @@ def normals_from_frame(
         normals_from_rgb_kernel(rgb, frame.clipped, inside, c, out)
     else:
         normals_from_rgb_in_field(rgb, frame.clipped, inside, _field(response, options), c, out)
-    return _map_from_outputs(out)
+    found = _map_from_outputs(out)
+    return found if camera is None else _towards(found, camera)
+
+
+def _towards(normal_map: NormalMap, camera: Camera) -> NormalMap:
+    """Drop normals that face away from where a perspective camera sees their pixel."""
+    if not camera.is_perspective:
+        return normal_map
+    if normal_map.shape != (camera.height, camera.width):
+        h, w = normal_map.shape
+        raise BadInput(f"frame is {w}×{h} but the camera is {camera.width}×{camera.height}")
+    rays = camera.points_from_depth(np.ones(normal_map.shape))
+    kept = normal_map.mask & ((normal_map.normals_in_camera * rays).sum(axis=2) < 0)
+    normals = np.where(kept[..., None], normal_map.normals_in_camera, np.float32(0))
+    assert normal_map.weight is not None  # every map of these loops has one
+    weight = np.where(kept, normal_map.weight, np.float32(0))
+    return NormalMap(normals_in_camera=normals, mask=kept, weight=weight)
 
 
 @checks_kinds

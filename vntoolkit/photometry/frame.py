@@ -2,35 +2,43 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import LinearImage, Mask, VisibilityLabels, read_only
 from vntoolkit.checks import require_shape
+from vntoolkit.display import Displayed, Facts, Picture, picture_of_light, share_of, size_of
 from vntoolkit.errors import BadInput
 
 ALL_LIT = 7
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class LinearFrame:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class LinearFrame(Displayed):
     """Light as the camera measured it, in three channels.
 
     rgb: (h, w, 3) float32, linear, black level removed, 1.0 = full scale (slightly negative where noise
-    lies below black). clipped: (h, w) bool, True where any channel reached the white level.
-    number: the frame's number in its capture, counted from 0.
+    lies below black); may be given without its name. clipped: (h, w) bool, True where any channel reached
+    the white level; by default where one reaches 1. number: the frame's number in its capture, counted
+    from 0.
     """
 
-    rgb: LinearImage
-    clipped: Mask
+    rgb: LinearImage = field(kw_only=False)
+    clipped: Mask = field(default=None)  # type: ignore[assignment]  # until __post_init__
     number: int = 0
 
     def __post_init__(self) -> None:
-        rgb = np.asarray(self.rgb, dtype=np.float32)
+        given = np.asarray(self.rgb)
+        if given.dtype.kind in "iu":
+            raise BadInput(
+                f"frame: expected linear light, full scale = 1, got {given.dtype}: divide by the largest "
+                "value that it can hold, and undo the transfer curve"
+            )
+        rgb = given.astype(np.float32, copy=False)
         require_shape(rgb, (None, None, 3), "frame")
-        clipped = np.asarray(self.clipped)
+        clipped = rgb.max(axis=2, initial=0.0) >= 1.0 if self.clipped is None else np.asarray(self.clipped)
         require_shape(clipped, rgb.shape[:2], "clipped mask")
         if clipped.dtype != np.bool_:
             raise BadInput(f"clipped mask: expected booleans, got {clipped.dtype}")
@@ -41,6 +49,18 @@ class LinearFrame:
     def shape(self) -> tuple[int, int]:
         """(h, w)."""
         return self.rgb.shape[0], self.rgb.shape[1]
+
+    def _facts(self) -> Facts:
+        brightest = float(np.percentile(self.rgb, 99)) if self.rgb.size else 0.0
+        return {
+            "size": size_of(self.shape),
+            "number": str(self.number),
+            "brightest": f"{brightest:.2f}",
+            "clipped": share_of(self.clipped),
+        }
+
+    def _picture(self) -> Picture:
+        return picture_of_light(self.rgb)
 
 
 def labels_from_lit(lit: npt.NDArray[np.bool_]) -> VisibilityLabels:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from vntoolkit.display import Displayed, Facts
 from vntoolkit.errors import BadRig
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.photometry.response import LightResponse
@@ -36,8 +37,8 @@ class SourceFile:
     sha256: str
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Rig:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Rig(Displayed):
     """All calibrated data that normals and depth need."""
 
     camera: Camera
@@ -53,3 +54,18 @@ class Rig:
                 f"{name} is {width}×{height} but the rig's camera is {self.camera.width}×"
                 f"{self.camera.height}: calibrate with footage of the same size"
             )
+
+    def _facts(self) -> Facts:
+        quality = self.quality
+        facts = {
+            "camera": f"{self.camera.model.value} {self.camera.width}×{self.camera.height}",
+            "condition": f"{self.response.condition_number:.1f}",
+            "transfer": self.transfer.to_text(),
+        }
+        if self.response.variation is not None:
+            facts["M"] = "varies over the image"
+        if quality is not None:
+            facts["by"] = quality.method
+            if quality.samples:
+                facts["residual"] = f"{quality.residual_deg:.1f}°"
+        return facts

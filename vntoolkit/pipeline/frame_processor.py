@@ -128,7 +128,9 @@ class FrameProcessor:
         level = linear if self._leveller is None else self._leveller.frame(linear)
         labels = None
         if self._options.shadows is ShadowMethod.NONE:
-            normal_map = normals_from_frame(linear, self._rig.response, self._mask, self._options.inversion)
+            normal_map = normals_from_frame(
+                linear, self._rig.response, self._mask, options=self._options.inversion
+            )
         else:
             normal_map, labels = self._normals_under_shadow(linear, level)
         quality = self._rig.quality

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from vntoolkit.arrays import LinearImage
 from vntoolkit.checks import require_positive, require_shape
+from vntoolkit.display import Displayed, Facts, Picture
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.files import opened
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
@@ -92,7 +93,7 @@ class CaptureInfo:
     stated: tuple[int, ...] = ()
 
 
-class Capture:
+class Capture(Displayed):
     """An opened capture. Frames are decoded one at a time, from any frame on.
 
     transfer: curve and levels that its stored values are read with.
@@ -110,6 +111,19 @@ class Capture:
 
     def __len__(self) -> int:
         return self.info.frame_count
+
+    def _facts(self) -> Facts:
+        rate = self.info.frame_rate_hz
+        return {
+            "name": self.name,
+            "size": f"{self.info.width}×{self.info.height}",
+            "frames": str(len(self)) + ("" if rate is None else f" at {rate:g} Hz"),
+            "stored as": f"{self.info.codec} {self.info.chroma} {self.info.bits} bits",
+            "transfer": self.transfer.to_text(),
+        }
+
+    def _picture(self) -> Picture | None:
+        return self.frame(self.present[0])._picture() if len(self.present) else None
 
     @property
     def background(self) -> LinearImage | None:
