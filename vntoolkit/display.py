@@ -78,7 +78,7 @@ def picture_of_depth(depth: npt.NDArray[np.floating], mask: npt.NDArray[np.bool_
 
 
 def picture_of_points(points: npt.NDArray[np.floating], normals: npt.NDArray[np.floating] | None) -> Picture:
-    """Show points (n, 3) in the camera frame from the camera's side, orthographic, lit from the upper left."""
+    """Show points (n, 3) in the camera frame as seen from the camera, lit from the upper left."""
     canvas = np.full((_LARGEST_PX * 2 // 3, _LARGEST_PX * 2 // 3, 3), 255, np.uint8)
     if not len(points):
         return canvas

@@ -50,6 +50,9 @@ def test_one_runs_by_name_with_its_own_arguments(made_up: Path, capsys: pytest.C
     recipe.run("good", "--quick", out=made_up / "out")
     assert json.loads((made_up / "out" / "numbers.json").read_text())[0]["ours"] == 21.0
     assert "answer: 21 (in paper: 40)" in capsys.readouterr().out
+    with pytest.raises(BadInput, match="no footage"):
+        recipe.run("bad", "--quick", out=made_up / "out")
+    assert "bad has no shorter form: it runs in full" in capsys.readouterr().out
     with pytest.raises(BadInput, match="expected all, or one of good, bad"):
         recipe.run("other")
 

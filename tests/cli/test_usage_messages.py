@@ -48,6 +48,12 @@ def line_of(command, place, capsys, monkeypatch):
         ("reconstruct frame.png", "--rig is missing (the rig.json that `vntoolkit calibrate` wrote)"),
         ("reconstruct frame.png --rig rig.json", "--out is missing (the folder to write)"),
         ("reconstruct frame.png --rig rig.json --ot out", "unknown option --ot, perhaps for --out"),
+        ("reconstruct frame.png -r rig.json -o out", "unknown option -r, perhaps for --rig"),
+        (
+            "reconstruct frame.png --rig rig.json --out o -j 2",
+            "unknown option -j: options have no short form",
+        ),
+        ("-v", "unknown option -v: options have no short form"),
         ("reconstruct frame.png --rig rig.json --out", "--out: expected 1 value, got none"),
         ("reconstruct frame.png rig.json --rig rig.json --out o", "one file or folder too many: 'rig.json'"),
         ("reconstruct frame.png --rig rig.json --out o --integratr poisson", "mean --integrator?"),

@@ -29,6 +29,9 @@ def line_from_usage_error(error: CycloptsError) -> str:
         text = f"{verb}: one file or folder too many: '{' '.join(error.unused_tokens or ())}'."
     else:
         text = " ".join(str(error).split())
+        if short := re.match(r'Unknown (?:option: |command ")(-\w+)', text):
+            where = f"{verb}: " if verb else ""
+            text = f"{where}unknown option {short[1]}: options have no short form, such as --out and --help."
     for name, meaning in _TYPES.items():
         text = re.sub(rf': unable to convert "(.*)" into {name}\.', rf': expected {meaning}, got "\1".', text)
     return f"{text} `{' '.join(['vntoolkit', *verb.split(), '--help'])}` explains it"
@@ -43,7 +46,8 @@ def _missing(error: MissingArgumentError) -> str:
         got = len(error.tokens_so_far)
         return f"{name}: expected {count} value{'s' if count > 1 else ''}, got {got or 'none'}"
     typed = [token for token in error.unused_tokens or () if token.startswith("-")]
-    close = difflib.get_close_matches(argument.name, typed, n=1, cutoff=0.6)
+    close = [token for token in typed if re.fullmatch(r"-\w", token) and token[1] == argument.name[2:3]]
+    close = close or difflib.get_close_matches(argument.name, typed, n=1, cutoff=0.6)
     if close:
         return f"unknown option {close[0]}, perhaps for {argument.name}"
     meaning = _meaning(argument, error)

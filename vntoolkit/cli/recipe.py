@@ -39,7 +39,8 @@ def run(
     name
         A name that `vntoolkit recipe list` shows, or all.
     arguments
-        Options of the recipe, such as --quick or --data DIR. `-- --help` lists them.
+        Options of the recipe, such as --data DIR; --quick where there is a shorter form. `-- --help` lists
+        them.
     out
         Folder to write. Default: out/NAME; with all: out.
     """
@@ -49,7 +50,11 @@ def run(
     found = recipes()
     if name not in found:
         raise BadInput(f"recipe '{name}': expected all, or one of {', '.join(found)}")
-    _run(found[name], ["--out", str(out or Path("out") / name), *arguments])
+    understood = list(arguments)
+    if "--quick" in arguments and '"--quick"' not in found[name].read_text("utf-8"):
+        print(f"{name} has no shorter form: it runs in full")
+        understood.remove("--quick")
+    _run(found[name], ["--out", str(out or Path("out") / name), *understood])
 
 
 def recipes() -> dict[str, Path]:
