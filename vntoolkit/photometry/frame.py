@@ -26,7 +26,7 @@ class LinearFrame(Displayed):
     """
 
     rgb: LinearImage = field(kw_only=False)
-    clipped: Mask = field(default=None)  # type: ignore[assignment]  # until __post_init__
+    clipped: Mask = None  # type: ignore[assignment]  # until __post_init__
     number: int = 0
 
     def __post_init__(self) -> None:
