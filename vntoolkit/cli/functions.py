@@ -121,7 +121,7 @@ def _calibrate(kind: str, source: PathLike, out: PathLike, options: Mapping[str,
 def _run(verb: list[str], sources: list[PathLike], options: Mapping[str, Any]) -> None:
     words = [word for name, value in options.items() for word in _words(name, value)]
     try:
-        run_verb([*verb, *words, "--", *map(os.fspath, sources)])
+        run_verb([*verb, *words, "--", *[os.fspath(source) for source in sources]])
     except CycloptsError as error:
         raise BadInput(line_from_usage_error(error)) from error
 

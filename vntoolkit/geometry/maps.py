@@ -69,6 +69,8 @@ class NormalMap(Displayed):
             facts["median slant"] = f"{np.degrees(np.arccos(np.median(cosines))):.0f}°"
             if self.weight is not None:
                 facts["mean weight"] = f"{self.weight[self.mask].mean():.2f}"
+            if self.error_deg is not None:
+                facts["expected error"] = f"{np.median(self.error_deg[self.mask]):.1f}°"
         return facts
 
     def _picture(self) -> Picture:
