@@ -285,6 +285,7 @@ def head(
     job = _job(source, None, background, transfer, camera, focal_px, None, frames, allow, sensor)
     with ProgressBars() as bars:
         rig, result = calibrate_head(job, options, bars.reach)
+    _accept(rig, allow)
     write_rig(out, rig)
     if mesh is not None:
         write_mesh(mesh, result.mesh)
@@ -323,6 +324,7 @@ def presses(
     size_mm: SizeMm = None,
     label_size: SizePx = None,
     transfer: Curve = None,
+    allow: Allow = (),
     sensor: Sensor = None,
 ) -> None:
     """Calibrate a tactile sensor on presses of a ball of known size into its gel.
@@ -347,6 +349,7 @@ def presses(
     label_size
         Width and height of the image that the labels refer to; default: the rectified one.
     """
+    require_known_checks(allow, CHECK_NAMES)
     require_output(out, JSON)
     job = pipeline.PressJob(
         source=source,
@@ -359,6 +362,7 @@ def presses(
     )
     with ProgressBars() as bars:
         rig, _ = pipeline.calibrate_presses(job, options, partial(bars.reach, "read presses"))
+    _accept(rig, allow)
     write_rig(out, rig)
     report_rig(out, rig, f"presses of {source}")
     print_next("reconstruct", "touch.mkv", "--rig", out, "--background", background, "--out", "touch")

@@ -14,8 +14,10 @@ import numpy as np
 from cyclopts import Parameter
 
 from vntoolkit.cli.calibrate import Corners, SizeMm, rectification_from_flags
-from vntoolkit.cli.flags import Flags, verb
+from vntoolkit.cli.flags import Allow, Flags, verb
 from vntoolkit.cli.output import print_next
+from vntoolkit.diagnosis.checks import CHECK_NAMES, findings_from_rig
+from vntoolkit.diagnosis.finding import judge, require_known_checks
 from vntoolkit.errors import BadInput, VntError
 from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
@@ -58,6 +60,7 @@ def live(
     pixel_mm: float | None = None,
     record_to: Path = Path(),
     seconds: float | None = None,
+    allow: Allow = (),
     asked: Annotated[CameraOptions | None, Flags()] = None,
     viewer: Annotated[ViewerOptions | None, Flags()] = None,
 ) -> None:
@@ -93,6 +96,7 @@ def live(
     seconds
         Stop after so many seconds; default: when the video ends, or Ctrl-C.
     """
+    require_known_checks(allow, CHECK_NAMES)
     if seconds is not None and not seconds > 0:
         raise BadInput(f"seconds: expected more than 0, got {seconds:g}")
     read = read_rig(rig)
@@ -100,6 +104,7 @@ def live(
     view = FrameView(crop=crop, rectification=_rectification(corners, size_mm, pixel_mm))
     view.require_inside(source.width, source.height)
     read.require_size(*view.size(source.width, source.height), source.name)
+    judge(findings_from_rig(read), allow)
     processor = LiveProcessor(
         read,
         view,

@@ -103,7 +103,11 @@ class LiveProcessor:
         )
         rectified = self.view.rectification is not None
         self._processor = FrameProcessor(
-            _of_linear_values(rig) if rectified else rig, reconstruction, mask, self._background
+            _of_linear_values(rig) if rectified else rig,
+            reconstruction,
+            mask,
+            self._background,
+            tells_errors=False,
         )
         self._step = max(1, -(-max(self.camera.width, self.camera.height) // depth_px))
         height, width = (n // self._step * self._step for n in (self.camera.height, self.camera.width))

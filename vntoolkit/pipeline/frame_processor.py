@@ -18,7 +18,7 @@ from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encode
 from vntoolkit.io.footage.resampling import Undistorter
 from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.normals.expected_error import with_expected_error
-from vntoolkit.normals.inversion import normals_from_frame
+from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.lambertian import Leveller
 from vntoolkit.photometry.rig import Rig
@@ -53,8 +53,12 @@ class FrameProcessor:
         options: ReconstructOptions,
         mask: Mask | None = None,
         background: LinearImage | None = None,
+        *,
+        tells_errors: bool = True,
     ) -> None:
+        """tells_errors: whether normals and depth carry their expected errors; a live view has no time."""
         self._rig = rig
+        self._tells_errors = tells_errors
         self._options = options
         self._background = background
         self._undistorter = Undistorter(rig.camera)
@@ -124,6 +128,12 @@ class FrameProcessor:
             self._mask = self._whole_mask & self._undistorter.mask(matte)
 
     def _normals(self, frame: EncodedFrame) -> tuple[NormalMap, VisibilityLabels | None, float]:
+        if not self._tells_errors and self._is_plain(frame):
+            values, transfer = frame.values, self._rig.transfer
+            normal_map = normals_from_encoded(
+                values, self._rig.response, transfer, self._mask, self._options.inversion, frame.bits
+            )
+            return normal_map, None, 0.0
         linear = self.linear(frame)
         level = linear if self._leveller is None else self._leveller.frame(linear)
         labels = None
@@ -133,10 +143,13 @@ class FrameProcessor:
             )
         else:
             normal_map, labels = self._normals_under_shadow(linear, level)
+        clipped_share = float(linear.clipped.mean())
+        if not self._tells_errors:
+            return normal_map, labels, clipped_share
         quality = self._rig.quality
         residual_deg = quality.residual_deg if quality is not None and quality.samples else 0.0
         normal_map = with_expected_error(normal_map, level, self._central, labels, self.camera, residual_deg)
-        return normal_map, labels, float(linear.clipped.mean())
+        return normal_map, labels, clipped_share
 
     def _normals_under_shadow(
         self, linear: LinearFrame, frame: LinearFrame
@@ -161,11 +174,18 @@ class FrameProcessor:
         decoded = linear_frame_from_encoded(frame, self._rig.transfer, self._background)
         return self._undistorter.frame(decoded)
 
+    def _is_plain(self, frame: EncodedFrame) -> bool:
+        """True where the kernel that decodes and inverts in one pass may be used."""
+        integers = frame.values.dtype in (np.uint8, np.uint16)
+        plain = self._options.shadows is ShadowMethod.NONE and self._background is None
+        return integers and plain and not self._undistorter.changes_frames
+
     def _depth(self, normal_map: NormalMap) -> DepthMap:
         depth_map = self._integrator.integrate(normal_map)
         if self._anchor is not None:
             depth_map = self._anchor.align(depth_map)
-        depth_map = with_expected_depth_error(depth_map, normal_map, self.camera)
+        if self._tells_errors:
+            depth_map = with_expected_depth_error(depth_map, normal_map, self.camera)
         if depth_map.unit is LengthUnit.FREE and self._options.distance_m is not None:
             scaled = depth_map.depth * self._options.distance_m
             return replace(depth_map, depth=scaled, unit=LengthUnit.METRE)
