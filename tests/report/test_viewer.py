@@ -63,6 +63,11 @@ def test_a_browser_shows_the_surface(viewer: ResultViewer) -> None:
         checks = picture_when(seen, lambda p: (p[..., 0] - p[..., 2] > 60).mean() > 0.02)
         assert (checks[..., 0] - checks[..., 2] > 60).mean() > 0.02
 
+        tab.select_option("#look", "4")  # the template's errors are 0: blue
+        known = picture_when(seen, lambda p: (p[..., 2] - p[..., 0] > 60).mean() > 0.02)
+        assert (known[..., 2] - known[..., 0] > 60).mean() > 0.02
+        assert tab.inner_text("#look option:checked") == "expected error (red: 4 px and more)"
+
         tab.locator("#time").focus()
         tab.keyboard.press("End")
         tab.wait_for_selector("body[data-shown='4']")

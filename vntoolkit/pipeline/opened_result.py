@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from vntoolkit.arrays import VisibilityLabels
 from vntoolkit.errors import BadCapture, BadInput, VntError
+from vntoolkit.evaluation.track_error import LOST_PX
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.geometry.mesh import Mesh
@@ -41,12 +42,14 @@ logger = logging.getLogger(__name__)
 class TrackedSurface:
     """The registered moving mesh of a result, its texture coordinates those of the template's picture.
 
-    numbers: of its frames. template: number of the template's.
+    numbers: of its frames. template: number of the template's. lost_px: expected error above which a vertex
+    is called lost.
     """
 
     sequence: MeshSequence
     numbers: tuple[int, ...]
     template: int
+    lost_px: float
 
     def mesh(self, number: int) -> Mesh:
         """Return the surface in one frame."""
@@ -132,7 +135,8 @@ class OpenedResult:
         u, v = pixels[:, 0], pixels[:, 1]
         uv = np.stack([(u + 0.5) / self.camera.width, 1 - (v + 0.5) / self.camera.height], axis=-1)
         textured = replace(sequence, template=replace(sequence.template, uv=uv))
-        return TrackedSurface(sequence=textured, numbers=numbers, template=template)
+        lost_px = record.get("lost_px", LOST_PX)
+        return TrackedSurface(sequence=textured, numbers=numbers, template=template, lost_px=lost_px)
 
     def linear(self, number: int) -> LinearFrame:
         """Return the captured frame in linear light, background removed and undistorted."""

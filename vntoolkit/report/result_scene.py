@@ -28,6 +28,7 @@ from vntoolkit.report.scene import (
     Packet,
     depth_block,
     depth_box,
+    errors_block,
     mesh_packet,
     normals_block,
     place_of,
@@ -170,7 +171,7 @@ class _ResultScene:
             "template": at,
             "place": place_of(box for number in boxed for box in self._boxes(number)),
             "captured": result.picture(self.numbers[0]) is not None,
-        }
+        } | ({} if track is None or track.sequence.uncertainty_px is None else {"lost_px": track.lost_px})
 
     def has_surface(self, number: int) -> bool:
         """Whether there is anything to show of a frame."""
@@ -183,9 +184,12 @@ class _ResultScene:
         header: dict[str, Any] = {"pictures": self._pictures(packet, number)}
         track = self._track
         if track is not None and surface != "own" and number in track.numbers:
-            vertices = np.asarray(track.sequence.vertices[track.numbers.index(number)])[self._thinned.kept]
-            facts, steps = vertices_block(vertices)
+            row, told = track.numbers.index(number), track.sequence.uncertainty_px
+            facts, steps = vertices_block(np.asarray(track.sequence.vertices[row])[self._thinned.kept])
             header["registered"] = {"at": packet.add(steps), **facts}
+            if told is not None:
+                errors = errors_block(np.asarray(told[row])[self._thinned.kept], track.lost_px)
+                header["registered"]["errors"] = packet.add(errors)
         depth_map = None if surface == "registered" and "registered" in header else self._depth(number)
         if depth_map is not None:
             facts, steps = depth_block(

@@ -108,6 +108,11 @@ def vertices_block(vertices: Points) -> tuple[dict[str, Any], npt.NDArray[np.uin
     return {"low": low.tolist(), "step": step.tolist()}, np.rint((points - low) / step).astype(np.uint16)
 
 
+def errors_block(uncertainty_px: npt.NDArray[np.floating], lost_px: float) -> npt.NDArray[np.uint8]:
+    """Return expected errors (n,) as bytes, of which 255 is lost_px and more."""
+    return np.rint(255 * np.clip(uncertainty_px / lost_px, 0.0, 1.0)).astype(np.uint8)
+
+
 def mesh_packet(mesh: Mesh, wires: Mesh, kept: IntArray) -> bytes:
     """Return what all frames of a registered mesh share.
 
@@ -157,7 +162,8 @@ def scene_page(title: str, mode: str, setup: Mapping[str, Any]) -> str:
     """Return the page as HTML, script and style inside.
 
     mode: `file`, `view` or `live`. setup: what the script must know; `records`: the page has a button for it,
-    `captured`: surfaces can be painted in the captured colours.
+    `captured`: surfaces can be painted in the captured colours; `lost_px`: frames of the registered surface
+    have `errors`, bytes of which 255 is that many pixels and more.
     """
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -173,6 +179,7 @@ def scene_page(title: str, mode: str, setup: Mapping[str, Any]) -> str:
         mode=mode,
         records=setup.get("records", False),
         captured=setup.get("captured", False),
+        lost_px=setup.get("lost_px"),
         setup=data.replace("<", "\\u003c"),  # no end of the script in it
         style=scene_text("scene.css"),
         script=scene_text("scene.js"),

@@ -110,10 +110,11 @@ function wiresOf(depth, rows, columns, jump) {  // a line every few nodes: one a
   return Uint32Array.from(wires);
 }
 function surfaceOfMesh(packet, topology) {  // positions as 16-bit steps of the frame's box
-  const { at, low, step } = packet.registered, count = 3 * topology.mesh.vertices, steps = packet.block(at, Uint16Array, count);
+  const { at, low, step, errors } = packet.registered, count = 3 * topology.mesh.vertices, steps = packet.block(at, Uint16Array, count);
   const positions = new Float32Array(count), unit = 1 / extent();
   for (let i = 0; i < count; i++) positions[i] = (low[i % 3] + step[i % 3] * steps[i] - place.centre[i % 3]) * unit;
-  return { ...topology.mesh, positions, normals: vertexNormals(positions, topology.mesh.faces) };
+  const told = errors === undefined ? null : Float32Array.from(packet.block(errors, Uint8Array, topology.mesh.vertices), (e) => e / 255);
+  return { ...topology.mesh, positions, normals: vertexNormals(positions, topology.mesh.faces), errors: told };
 }
 function withMesh(packet) {  // what all frames of a registered surface share
   const { vertices, faces, uv, wires } = packet.mesh, list = ({ at, count }) => packet.block(at, Uint32Array, count);
@@ -135,15 +136,15 @@ function vertexNormals(p, faces) {
 
 // ---- drawing ----
 const VERTEX = `#version 300 es
-in vec3 position; in vec3 normal; in vec2 uv;
-uniform mat3 turned; uniform vec3 shift; uniform vec2 focal, depths; out vec3 vNormal, vSeen; out vec2 vUv;
+in vec3 position; in vec3 normal; in vec2 uv; in float error;
+uniform mat3 turned; uniform vec3 shift; uniform vec2 focal, depths; out vec3 vNormal, vSeen; out vec2 vUv; out float vError;
 void main() {
-  vNormal = normal; vUv = uv; vSeen = turned * position + shift;
+  vNormal = normal; vUv = uv; vError = error; vSeen = turned * position + shift;
   gl_Position = vec4(focal * vSeen.xy, depths.x * vSeen.z + depths.y, -vSeen.z);
 }`;
 const FRAGMENT = `#version 300 es
 precision highp float;
-in vec3 vNormal, vSeen; in vec2 vUv; out vec4 colour;
+in vec3 vNormal, vSeen; in vec2 vUv; in float vError; out vec4 colour;
 uniform sampler2D captured, normals; uniform mat3 turned; uniform vec3 light; uniform int look; uniform bool measured;
 void main() {
   if (look == 9) { colour = vec4(0.1, 0.42, 1.0, 0.7); return; }  // wires
@@ -168,6 +169,10 @@ void main() {
     vec2 cell = floor(vUv * vec2(32.0, 24.0));
     linear = (mod(cell.x + cell.y, 2.0) < 0.5 ? vec3(0.85, 0.82, 0.78) : vec3(0.62, 0.13, 0.08)) * lit;
   }
+  if (look == 4 && vError >= 0.0) {  // share of the error from which a vertex is lost
+    vec3 half_way = vec3(0.85, 0.8, 0.5);
+    linear = mix(mix(vec3(0.05, 0.2, 0.7), half_way, min(2.0 * vError, 1.0)), vec3(0.7, 0.03, 0.02), max(2.0 * vError - 1.0, 0.0)) * lit;
+  }
   vec3 shown = pow(linear, vec3(1.0 / 2.2));
   if (look == 0) shown = texture(captured, vUv).rgb;
   if (look == 2) shown = n * 0.5 + 0.5;
@@ -190,9 +195,9 @@ function start() {
   gl.useProgram(program);
   for (const name of UNIFORMS) at[name] = gl.getUniformLocation(program, name);
   buffers = { faces: gl.createBuffer(), wires: gl.createBuffer() };
-  for (const [name, width] of [["positions", 3], ["normals", 3], ["uv", 2]]) {
+  for (const [name, width] of [["positions", 3], ["normals", 3], ["uv", 2], ["errors", 1]]) {
     buffers[name] = gl.createBuffer();
-    at[name + "Slot"] = gl.getAttribLocation(program, { positions: "position", normals: "normal" }[name] || name);
+    at[name + "Slot"] = gl.getAttribLocation(program, { positions: "position", normals: "normal", errors: "error" }[name] || name);
     gl.bindBuffer(gl.ARRAY_BUFFER, buffers[name]);
     gl.enableVertexAttribArray(at[name + "Slot"]);
     gl.vertexAttribPointer(at[name + "Slot"], width, gl.FLOAT, false, 0, 0);
@@ -215,13 +220,14 @@ function start() {
   canvas.addEventListener("webglcontextlost", () => setTimeout(() => location.reload(), 1000));
 }
 function upload(surface, images) {
-  for (const name of ["positions", "normals", "uv", "faces", "wires"]) {
+  for (const name of ["positions", "normals", "uv", "errors", "faces", "wires"]) {
     if (!surface[name]) continue;
     const target = name === "faces" || name === "wires" ? gl.ELEMENT_ARRAY_BUFFER : gl.ARRAY_BUFFER;
     gl.bindBuffer(target, buffers[name]);
     gl.bufferData(target, surface[name], gl.DYNAMIC_DRAW);
   }
-  (surface.normals ? gl.enableVertexAttribArray : gl.disableVertexAttribArray).call(gl, at.normalsSlot);
+  for (const name of ["normals", "errors"]) (surface[name] ? gl.enableVertexAttribArray : gl.disableVertexAttribArray).call(gl, at[name + "Slot"]);
+  gl.vertexAttrib1f(at.errorsSlot, -1);  // of a surface that has none
   PICTURED.forEach((name, unit) => {
     if (!images[name]) return;
     gl.activeTexture(gl.TEXTURE0 + unit);
