@@ -129,7 +129,7 @@ def test_limits_that_limit_nothing_are_refused(value):
 
 def test_every_verb_that_reads_images_or_meshes_has_the_flag():
     """A verb without one reads none: it writes, or reads JSON."""
-    without = {"demo", "board", "simulate", "schema", "recipe list", "recipe run"}
+    without = {"demo", "board", "simulate", "schema", "data", "recipe list", "recipe run"}
     names = {*VERBS, *(f"{group} {verb}" for group, (_, verbs) in GROUPS.items() for verb in verbs)}
     assert without <= names
     for name in sorted(names):
