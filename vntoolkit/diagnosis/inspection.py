@@ -182,7 +182,8 @@ def _findings_from_info(info: CaptureInfo) -> list[Finding]:
                 check="chroma",
                 level=Level.WARNING,
                 problem=f"chroma subsampling {info.chroma} costs nothing on smooth surfaces, and up to "
-                f"{cost} degrees on relief as fine as two pixels, such as a knit",
+                f"{cost} degrees on relief as fine as two pixels, such as a knit; `reconstruct` takes part "
+                "of it back",
                 measured=f"chroma {info.chroma}",
                 expected="RGB or 4:4:4",
                 remedy="for such relief record RGB, raw or 4:4:4, or halve the picture size",

@@ -82,6 +82,7 @@ class ReconstructionJob:
         """Open the capture with the rig's transfer curve."""
         options = CaptureOptions(
             transfer=self.rig.transfer,
+            response=self.rig.response,
             background=None if self.matting.key is not None else self.background,
             max_megapixels=self.limits.max_megapixels,
             gaps=self.gaps,

@@ -18,11 +18,13 @@ from vntoolkit.io.files import opened
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
 from vntoolkit.io.footage.frame_range import FrameRange, Gaps
 from vntoolkit.io.footage.images import header_of_stream, read_image
+from vntoolkit.io.footage.luma_detail import LumaDetail
 from vntoolkit.io.footage.mosaics import SensorOptions, is_raw, read_raw
 from vntoolkit.io.footage.pixel_formats import YuvConversion
 from vntoolkit.io.footage.sequence import CaptureFiles, CaptureKind, find_capture_files, text_of_names
 from vntoolkit.io.footage.video import VideoReader
 from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.transfer import Transfer
 
 
@@ -33,8 +35,9 @@ class CaptureOptions:
     transfer: curve and levels of the stored values; None for the curve that the file states, else linear.
     background: an image of the scene under ambient light only (path, or linear (h, w, 3) array), subtracted
     from every frame; None for none. max_megapixels: refuse larger frames before memory is asked for; None for
-    the limit of `reading_limits`. sensor: how samples of the sensor itself are read. frame_rate_hz: rate of
-    an image sequence, frames per second, if it is known (a video brings its own). gaps: what to do where
+    the limit of `reading_limits`. sensor: how samples of the sensor itself are read. response: of the scene's
+    lights; with it, and the transfer, fine detail of video with subsampled chroma is taken from its luma.
+    frame_rate_hz: of an image sequence, if it is known (a video brings its own). gaps: what to do where
     numbers of an image sequence are missing; frames after a gap keep their numbers. threads: for decoding.
     """
 
@@ -42,6 +45,7 @@ class CaptureOptions:
     background: Path | str | LinearImage | None = None
     max_megapixels: float | None = None
     sensor: SensorOptions = field(default_factory=SensorOptions)
+    response: LightResponse | None = None
     frame_rate_hz: float | None = None
     gaps: Gaps = Gaps.REFUSE
     threads: int = 2
@@ -223,12 +227,16 @@ def open_capture(source: Path | str, options: CaptureOptions | None = None) -> C
     options = options or CaptureOptions()
     found = find_capture_files(source)
     if found.kind is CaptureKind.VIDEO:
+        detail = None
+        if options.response is not None and options.transfer is not None:
+            detail = LumaDetail(options.response, options.transfer)
         reader = VideoReader(
             found.files[0],
             max_megapixels=options.max_megapixels,
             threads=options.threads,
             takes_codes=options.transfer is not None and options.transfer.takes_codes,
             sensor=options.sensor,
+            detail=detail,
         )
         return Capture(_info_of_video(reader), options, reader, str(source))
     if found.missing and options.gaps is Gaps.REFUSE:

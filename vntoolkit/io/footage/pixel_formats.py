@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from vntoolkit.arrays import Matrix3, Vector3
 from vntoolkit.errors import BadCapture
+from vntoolkit.io.footage.luma_detail import LumaDetail
 from vntoolkit.io.footage.mosaics import Bayer
 from vntoolkit.native import njit
 
@@ -80,6 +81,14 @@ class PixelFormat:
         if self.bits <= 8:
             return 8
         return self.bits if self.is_planar_rgb else 16
+
+    @property
+    def has_coarse_chroma(self) -> bool:
+        """True for planes of YUV, chroma with fewer pixels than luma, that are numpy arrays already."""
+        suffix = "" if self.bits == 8 else f"{self.bits}le"
+        coarse = self.chroma in ("4:2:0", "4:2:2", "4:4:0", "4:1:1")
+        digits = self.chroma.replace(":", "")
+        return coarse and self.name in (f"yuv{digits}p{suffix}", f"yuvj{digits}p{suffix}")
 
     @property
     def is_planar_rgb(self) -> bool:
@@ -160,6 +169,25 @@ def rgb_from_planar_yuv(
     times as fast, puts the white of 10 bits at 65283 instead of 65535, so clipped pixels would pass as sound.
     takes_codes: as for `rgb_from_video_frame`.
     """
+    matrix, offset = _rgb_from_stored(source, bits, hd=hd, takes_codes=takes_codes)
+    planes = [_plane(frame, i, np.dtype(np.uint8 if bits == 8 else np.uint16)) for i in range(3)]
+    rgb = np.empty((frame.height, frame.width, 3), dtype=np.uint16)
+    _apply(planes[0], planes[1], planes[2], matrix * 65535.0, offset * 65535.0, rgb)
+    return rgb
+
+
+def rgb_with_luma_detail(
+    frame: Any, pixel_format: PixelFormat, detail: LumaDetail, *, hd: bool, takes_codes: bool
+) -> npt.NDArray[np.uint16]:
+    """Return (h, w, 3) uint16 RGB of planar YUV whose chroma has fewer pixels, sharpened by its luma."""
+    bits = pixel_format.bits
+    matrix, offset = _rgb_from_stored(frame, bits, hd=hd, takes_codes=takes_codes)
+    kind = np.dtype(np.uint8 if bits == 8 else np.uint16)
+    return detail.rgb([_plane(frame, i, kind) for i in range(3)], matrix, offset)
+
+
+def _rgb_from_stored(source: Any, bits: int, *, hd: bool, takes_codes: bool) -> tuple[Matrix3, Vector3]:
+    """Return the affine map from a frame's YUV codes to RGB 0 to 1, as the frame states it."""
     colour_space = int(source.colorspace)
     if colour_space == _UNSPECIFIED or colour_space not in _LUMA_WEIGHTS:
         colour_space = 1 if hd else 5
@@ -168,10 +196,7 @@ def rgb_from_planar_yuv(
     if takes_codes and not full_range:  # black is code 16 and white 235 of 8 bits, and alike of more
         top = 2**bits - 1
         matrix, offset = matrix * (219 * 2 ** (bits - 8) / top), (offset * 219 + 16) * (2 ** (bits - 8) / top)
-    planes = [_plane(frame, i, np.dtype(np.uint8 if bits == 8 else np.uint16)) for i in range(3)]
-    rgb = np.empty((frame.height, frame.width, 3), dtype=np.uint16)
-    _apply(planes[0], planes[1], planes[2], matrix * 65535.0, offset * 65535.0, rgb)
-    return rgb
+    return matrix, offset
 
 
 def _rgb_from_yuv(k_red: float, k_blue: float, *, bits: int, full_range: bool) -> tuple[Matrix3, Vector3]:

@@ -23,12 +23,14 @@ from vntoolkit.checks import require_in_range
 from vntoolkit.errors import BadCapture, CannotWrite
 from vntoolkit.io.atomic import atomic_path
 from vntoolkit.io.files import require_file
+from vntoolkit.io.footage.luma_detail import LumaDetail
 from vntoolkit.io.footage.mosaics import Bayer, Demosaic, SensorOptions, rgb_from_mosaic
 from vntoolkit.io.footage.orientation import UPRIGHT, Orientation
 from vntoolkit.io.footage.pixel_formats import (
     PixelFormat,
     mosaic_from_video_frame,
     rgb_from_video_frame,
+    rgb_with_luma_detail,
     yuv_conversion,
 )
 from vntoolkit.io.limits import require_pixels
@@ -73,8 +75,8 @@ class VideoReader:
     their packets, so the number of a frame does not depend on a frame rate in the header. A decoder that came
     to the end of what it was asked for waits there, so that going on costs no seek: cameras write a key frame
     every few seconds, and all frames since then would be decoded again. Frames come upright, whatever way the
-    camera was held. takes_codes: as for `Transfer`. sensor: how Bayer mosaics are read. Raises `BadCapture`
-    for interlaced video.
+    camera was held. takes_codes: as for `Transfer`. sensor: how Bayer mosaics are read. detail:
+    sharpens subsampled chroma; None for plain decoding. Raises `BadCapture` for interlaced video.
     """
 
     def __init__(
@@ -85,6 +87,7 @@ class VideoReader:
         threads: int = 2,
         takes_codes: bool = False,
         sensor: SensorOptions | None = None,
+        detail: LumaDetail | None = None,
     ) -> None:
         self.path = require_file(path, BadCapture)
         self.threads = threads
@@ -110,6 +113,7 @@ class VideoReader:
             self._demosaic = (sensor or SensorOptions()).demosaic
             self._bayer = self._pattern((sensor or SensorOptions()).bayer)
             self.takes_codes = takes_codes and not (self.pixel_format.is_rgb or self.pixel_format.is_grey)
+            self._detail = detail if self.pixel_format.has_coarse_chroma else None
             self._is_in_order = bool(context.has_b_frames) and container.format.name == "avi"
             rate = stream.average_rate or stream.guessed_rate or Fraction(30)
             self.frame_rate_hz = float(rate)
@@ -126,7 +130,9 @@ class VideoReader:
         """Significant bits of the samples that `frames` yields."""
         if self._bayer is not None:
             return self.pixel_format.bits
-        return 16 if self.takes_codes else self.pixel_format.decoded_bits
+        if self.takes_codes or self._detail is not None:
+            return 16
+        return self.pixel_format.decoded_bits
 
     @property
     def chroma(self) -> str:
@@ -273,9 +279,11 @@ class VideoReader:
             if self._bayer is not None:
                 mosaic = mosaic_from_video_frame(frame, self.pixel_format)
                 return self.orientation.upright(rgb_from_mosaic(mosaic, self._bayer, self._demosaic))
-            rgb = rgb_from_video_frame(
-                frame, self.pixel_format, hd=height >= _HD_HEIGHT, takes_codes=self.takes_codes
-            )
+            how: dict[str, bool] = {"hd": height >= _HD_HEIGHT, "takes_codes": self.takes_codes}
+            if self._detail is not None:
+                rgb = rgb_with_luma_detail(frame, self.pixel_format, self._detail, **how)
+            else:
+                rgb = rgb_from_video_frame(frame, self.pixel_format, **how)
             return self.orientation.upright(rgb)
         except av_errors() as error:
             raise self._damaged(number, f"its colours cannot be converted ({reason_of(error)})") from error
