@@ -31,7 +31,7 @@ lint: $(READY)
 
 # The site, into out/site; a broken link or a warning is an error. Its packages have an environment of their own.
 docs: .venv-docs/.ready
-	.venv-docs/bin/mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 .venv-docs/bin/mkdocs build --strict --quiet
 
 .venv-docs/.ready: docs/requirements.lock
 	$${PYTHON3:-python3} -m venv .venv-docs
