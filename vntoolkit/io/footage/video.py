@@ -168,15 +168,16 @@ class VideoReader:
         """Return what the first frame states; a frame that cannot be decoded is reported in its turn."""
         with contextlib.suppress(*av_errors()):
             frame: Any = next(container.decode(video=0), None)
-            for data in () if frame is None else frame.side_data:
-                if data.type.name == "DISPLAYMATRIX":
-                    found = Orientation.from_display_matrix(bytes(data))
-                    if found is None:
-                        raise BadCapture(
-                            f"{self.path}: is to be shown turned by {frame.rotation}°, expected 0, 90, 180 "
-                            "or 270; turn it in a video editor first"
-                        )
-                    return found
+            # by name: PyAV 18 lists the data themselves, PyAV 19 their kinds
+            data = None if frame is None else frame.side_data.get("DISPLAYMATRIX")
+            if data is not None:
+                found = Orientation.from_display_matrix(bytes(data))
+                if found is None:
+                    raise BadCapture(
+                        f"{self.path}: is to be shown turned by {frame.rotation}°, expected 0, 90, 180 "
+                        "or 270; turn it in a video editor first"
+                    )
+                return found
         return UPRIGHT
 
     @cached_property
