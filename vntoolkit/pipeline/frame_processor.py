@@ -166,7 +166,7 @@ class FrameProcessor:
         if inversion.clipped_factor == 0.0:
             mask &= ~frame.clipped
         labels = self._detector.labels(seen, mask)
-        normal_map = recover_normals(frame, labels, response, mask, self.camera)
+        normal_map = recover_normals(frame, labels, response, mask, self.camera, start=self._detector.surface)
         return normal_map, labels
 
     def linear(self, frame: EncodedFrame) -> LinearFrame:

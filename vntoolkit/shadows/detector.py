@@ -15,6 +15,7 @@ from vntoolkit.photometry.response import LightResponse
 from vntoolkit.shadows.published import lit_by_edges
 from vntoolkit.shadows.robust import lit_by_surface
 from vntoolkit.shadows.shares import Window, frame_in_window, in_whole_image, shares_from_frame, window_around
+from vntoolkit.shadows.surface import Surface
 
 
 class ShadowMethod(Enum):
@@ -44,6 +45,7 @@ class ShadowDetector:
         self._camera = camera
         self._memory: FloatArray | None = None
         self._shape = (0, 0)
+        self.surface: Surface | None = None  # of the last frame, for `recover_normals`; None without one
 
     def forget(self) -> None:
         """Drop what the previous frame left, so that a sequence may start anywhere."""
@@ -56,6 +58,7 @@ class ShadowDetector:
         if frame.shape != self._shape:
             self._shape, self._memory = frame.shape, None
         require_mask(inside, frame.shape)
+        self.surface = None
         if self._method is ShadowMethod.NONE or not inside.any():
             return np.full(frame.shape, ALL_LIT, dtype=np.uint8)
         window = window_around(inside)
@@ -69,6 +72,6 @@ class ShadowDetector:
             return lit_by_edges(shares.contributions, mask)
         camera = None if self._camera is None else self._camera.cropped(*window)
         memory = None if self._memory is None else self._memory[window]
-        lit, evidence = lit_by_surface(shares, mask, camera, memory)
+        lit, evidence, self.surface = lit_by_surface(shares, mask, camera, memory)
         self._memory = in_whole_image(evidence, window, self._shape)
         return lit

@@ -18,7 +18,7 @@ from vntoolkit.arrays import FloatArray, Mask, Normals, VisibilityLabels, Weight
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import ALL_LIT, count_lit
-from vntoolkit.shadows.shares import TOWARDS_VIEWER, LightShares, lengths_of, shrinking
+from vntoolkit.shadows.shares import LightShares, lengths_of, shrinking
 from vntoolkit.shadows.surface import Surface, SurfaceOptions, refine_surface, solve_surface
 
 _LARGEST_MISFIT = 25.0  # χ² of one pixel beyond which it says no more about its region
@@ -38,7 +38,10 @@ _NOISE_PER_SLOPE, _LEAST_NOISE = (
     0.01,
 )  # noise of a share per noise of a slope on cleaner frames; its bound
 _START_PIXELS = 15_000  # frames are halved until they are not larger; there the starts are compared
-_MIDDLE_ITERATIONS, _LARGE_ITERATIONS = 4, 3  # steps at every larger size, and at the frame's own
+_CHECKING_ITERATIONS = 4  # steps there of a surface that is given
+_MIDDLE_ITERATIONS, _LARGE_ITERATIONS = 4, 3  # steps at every larger size, and at the largest
+# The roots win a shadow where they leave so much less than the start does, and it has so many pixels there.
+_CLEAR_GAIN, _FEWEST_PIXELS = 0.85, 50
 
 
 def solve_from_best_initialisation(
@@ -49,26 +52,26 @@ def solve_from_best_initialisation(
     *,
     trust: Weight,
     camera: Camera | None,
+    start: Surface | None = None,
 ) -> Surface:
     """Solve the surface of a frame, coarse to fine.
 
-    albedo: (h, w), that of the surroundings. trust: (h, w), beyond that of `measured`.
+    albedo: (h, w), that of the surroundings. trust: (h, w), beyond that of `measured`. start: the surface
+    that the labels came from, on the working size (`shrinking`), or None.
     """
     by_lights = np.asarray(_TRUST_BY_LIGHTS, dtype=np.float32)[count_lit(labels)]
     measured = replace(measured, trust=(measured.trust * trust * by_lights).astype(np.float32))
     options = _with_measured_noise(measured, mask & (labels == ALL_LIT))
     factor = shrinking(mask)
     if factor == 1:
-        return _coarse_to_fine(measured, labels, albedo, mask, camera, options, _LARGE_ITERATIONS)
+        return _coarse_to_fine(measured, labels, albedo, mask, camera, options, start)
     small, small_mask, small_labels, small_albedo = _shrunk(measured, labels, albedo, mask, factor)
     small_camera = None if camera is None else camera.scaled(1.0 / factor)
-    solved = _coarse_to_fine(
-        small, small_labels, small_albedo, small_mask, small_camera, options, _LARGE_ITERATIONS
-    )
+    solved = _coarse_to_fine(small, small_labels, small_albedo, small_mask, small_camera, options, start)
     own = np.where(mask & (labels == ALL_LIT), measured.length, albedo)
     return refine_surface(
         measured.relative_to(own), labels, measured.lights, mask, first_normals=measured.normals,
-        weight=measured.trust, camera=camera, options=options, start=_enlarged(solved, mask, factor),
+        weight=measured.trust, camera=camera, options=options, start=solved.enlarged(mask.shape, factor),
     )  # fmt: skip
 
 
@@ -88,21 +91,38 @@ def _coarse_to_fine(
     mask: Mask,
     camera: Camera | None,
     options: SurfaceOptions,
-    last_iterations: int,
+    start: Surface | None,
 ) -> Surface:
     """Compare the starts on a small image; go on from the better one at twice the size, and so on."""
-    if mask.size <= _START_PIXELS:
-        return _better_start(measured, labels, albedo, mask, camera, options)
-    small, small_mask, small_labels, small_albedo = _shrunk(measured, labels, albedo, mask, 2)
-    start = _coarse_to_fine(
-        small, small_labels, small_albedo, small_mask,
-        None if camera is None else camera.scaled(0.5), options, _MIDDLE_ITERATIONS,
-    )  # fmt: skip
+    found = _better_than(start, measured, labels, albedo, mask, camera, options)
     return _solver(measured, labels, albedo, mask, camera)(
         first_normals=measured.normals,
-        start=_enlarged(start, mask, 2),
-        options=replace(options, iterations=last_iterations),
+        start=start if found is None else found,
+        options=replace(options, iterations=_LARGE_ITERATIONS),
     )
+
+
+def _better_than(
+    start: Surface | None,
+    measured: LightShares,
+    labels: VisibilityLabels,
+    albedo: FloatArray,
+    mask: Mask,
+    camera: Camera | None,
+    options: SurfaceOptions,
+) -> Surface | None:
+    """Return a surface to go on from, found on a smaller image; None where `start` is as good."""
+    if mask.size <= _START_PIXELS:
+        return _by_either_root(start, measured, labels, albedo, mask, camera, options)
+    small, small_mask, small_labels, small_albedo = _shrunk(measured, labels, albedo, mask, 2)
+    half = None if camera is None else camera.scaled(0.5)
+    small_start = None if start is None else start.shrunk(mask, 2)
+    found = _better_than(small_start, small, small_labels, small_albedo, small_mask, half, options)
+    if found is None:
+        return None
+    solve = _solver(small, small_labels, small_albedo, small_mask, half)
+    middle = replace(options, iterations=_MIDDLE_ITERATIONS)
+    return solve(first_normals=small.normals, start=found, options=middle).enlarged(mask.shape, 2)
 
 
 def _with_measured_noise(measured: LightShares, full: Mask) -> SurfaceOptions:
@@ -128,17 +148,22 @@ def _solver(
     )  # fmt: skip
 
 
-def _better_start(
+def _by_either_root(
+    start: Surface | None,
     measured: LightShares,
     labels: VisibilityLabels,
     albedo: FloatArray,
     mask: Mask,
     camera: Camera | None,
     options: SurfaceOptions,
-) -> Surface:
+) -> Surface | None:
+    """Solve from `start`, or a smooth continuation, and from the roots; take every shadow's better one."""
     solve = _solver(measured, labels, albedo, mask, camera)
-    smooth: Surface = solve(first_normals=measured.normals, options=options)
     shadow = mask & (labels != ALL_LIT)
+    if start is not None and not shadow.any():
+        return None
+    few = options if start is None else replace(options, iterations=_CHECKING_ITERATIONS)
+    smooth: Surface = solve(first_normals=measured.normals, start=start, options=few)
     if not shadow.any():
         return smooth
     relative = measured.relative_to(albedo)
@@ -146,36 +171,22 @@ def _better_start(
     rooted: Surface = solve(first_normals=roots, guessed=decided, options=options)
     better = _better_regions(rooted.misfit, smooth.misfit, shadow)
     if not better.any():
-        return smooth
+        return smooth if start is None else None
     base = rooted if 2 * np.count_nonzero(better) > np.count_nonzero(shadow) else smooth
     merged = np.where(better[..., None], rooted.normals, smooth.normals)
     return solve(first_normals=measured.normals, start=replace(base, normals=merged), options=options)
 
 
 def _better_regions(first: FloatArray, second: FloatArray, shadow: Mask) -> Mask:
-    """Connected regions of `shadow` in which `first` sums to less than `second`."""
+    """Connected regions of `shadow` in which `first` sums to clearly less than `second`."""
     _, region = cv2.connectedComponents(shadow.astype(np.uint8), connectivity=4)
-    saved = np.minimum(second, _LARGEST_MISFIT) - np.minimum(first, _LARGEST_MISFIT)
-    gain = np.bincount(region[shadow], weights=saved[shadow], minlength=int(region.max()) + 1)
-    return shadow & (gain > 0)[region]
-
-
-def _enlarged(surface: Surface, mask: Mask, factor: int) -> Surface:
-    """The same surface on a grid `factor` times finer; depth counts pixels, so it grows too."""
-    size = mask.shape[::-1]
-
-    def enlarge(image: FloatArray) -> FloatArray:
-        return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_LINEAR), dtype=np.float32)
-
-    normals = enlarge(surface.normals.astype(np.float32))
-    length = lengths_of(normals)
-    normals = np.where(length > 1e-3, normals / np.maximum(length, 1e-3), TOWARDS_VIEWER)
-    return Surface(
-        normals=normals.astype(np.float32),
-        depth=np.ascontiguousarray(enlarge(surface.depth) * np.float32(factor)),
-        agreement=enlarge(surface.agreement),
-        misfit=enlarge(surface.misfit),
+    count = int(region.max()) + 1
+    first_sum, second_sum, pixels = (
+        np.bincount(region[shadow], weights=values[shadow], minlength=count)
+        for values in (np.minimum(first, _LARGEST_MISFIT), np.minimum(second, _LARGEST_MISFIT), shadow)
     )
+    clear = (first_sum < _CLEAR_GAIN * second_sum) & (pixels >= _FEWEST_PIXELS)
+    return np.asarray(shadow & clear[region])
 
 
 # How noisy the normals of one frame are: as far as no surface has them.

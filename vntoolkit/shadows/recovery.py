@@ -28,7 +28,7 @@ from vntoolkit.shadows.shares import (
     shares_from_frame,
     window_around,
 )
-from vntoolkit.shadows.surface import depth_map_from_surface
+from vntoolkit.shadows.surface import Surface, depth_map_from_surface
 
 _SMALLEST_ALBEDO = 1e-3
 
@@ -67,12 +67,14 @@ def recover_normals(
     mask: Mask | None = None,
     camera: Camera | None = None,
     method: RecoveryMethod = RecoveryMethod.SURFACE,
+    start: Surface | None = None,
 ) -> NormalMap:
     """Return a normal and a weight for every pixel of `mask`, whichever lights reach it.
 
-    labels: (h, w), bit k set where light k arrives. camera: None for orthographic.
+    labels: (h, w), bit k set where light k arrives. camera: None for orthographic. start:
+    `ShadowDetector.surface` where the labels are that detector's, of the same frame and mask; spares a solve.
     """
-    return recover_surface(frame, labels, response, mask, camera, method).normal_map
+    return recover_surface(frame, labels, response, mask, camera, method, start).normal_map
 
 
 @checks_kinds
@@ -83,6 +85,7 @@ def recover_surface(
     mask: Mask | None = None,
     camera: Camera | None = None,
     method: RecoveryMethod = RecoveryMethod.SURFACE,
+    start: Surface | None = None,
 ) -> RecoveredSurface:
     """`recover_normals`, with the depth that the surface method solves for at the same time."""
     inside = np.ones(frame.shape, dtype=np.bool_) if mask is None else np.asarray(mask)
@@ -93,7 +96,7 @@ def recover_surface(
     window = window_around(inside)
     part = _recover(
         frame_in_window(frame, window), labels[window], response, inside[window],
-        None if camera is None else camera.cropped(*window), method,
+        None if camera is None else camera.cropped(*window), method, start,
     )  # fmt: skip
     return part if part.normal_map.shape == frame.shape else _in_whole_image(part, window, frame.shape)
 
@@ -105,6 +108,7 @@ def _recover(
     inside: Mask,
     camera: Camera | None,
     method: RecoveryMethod,
+    start: Surface | None,
 ) -> RecoveredSurface:
     measured = shares_from_frame(frame, response)
     full = inside & (labels == ALL_LIT)
@@ -118,7 +122,7 @@ def _recover(
         labels = labels_without_penumbra(labels, measured.relative_to(albedo), inside)
         full = inside & (labels == ALL_LIT)
         surface = solve_from_best_initialisation(
-            measured, labels, albedo, inside, camera=camera,
+            measured, labels, albedo, inside, camera=camera, start=start,
             trust=gloss_trust(measured.length, albedo, full),
         )  # fmt: skip
         agreement = surface.agreement

@@ -1,8 +1,9 @@
 """Shadow detection against a surface: a light is missing where the surface should return more of it.
 
-Start: lights whose share is too small for the surrounding albedo are doubted. Then alternate: solve the
-surface from the lights that are not doubted (`surface`), predict each light's share on it, compare with the
-share measured, and cut (`graph_cut`). A pixel that is dark in all three lights alike is dark paint; paint
+Start, on a small image: lights whose share is too small for the surrounding albedo are doubted. Then
+alternate: solve the surface from the lights that are not doubted (`surface`), predict each light's share on
+it, compare with the share measured, and cut (`graph_cut`). Go on from that surface at twice the size, and so
+on. A pixel that is dark in all three lights alike is dark paint; paint
 that changes within eight pixels is told from shadow by that.
 """
 
@@ -29,7 +30,7 @@ from vntoolkit.shadows.shadow_edges import (
     turned_from_lights,
 )
 from vntoolkit.shadows.shares import LightShares, all_of_three, largest_of_three, shrinking
-from vntoolkit.shadows.surface import SurfaceOptions, solve_surface
+from vntoolkit.shadows.surface import Surface, SurfaceOptions, solve_surface
 
 _STRONGEST_EVIDENCE = 4.0
 _SMALLEST_ALBEDO = 1e-3
@@ -42,10 +43,13 @@ _TOLERANCE_DARK = 0.04  # change of a share that is one unit of evidence where n
 _TOLERANCE_BRIGHT = 0.05  # what each unit of predicted share adds to that
 _SMOOTHNESS = 0.5  # price of a change of label between neighbours, in units of evidence
 _CONTRAST = 0.6  # see `bonds_of_light`
-_ROUNDS = 3  # alternations of surface and labels; most of the change comes in the first
+_ROUNDS = 3  # alternations of surface and labels on the smallest image; most of the change comes in the first
+_FINER_ROUNDS = 2  # the same on every larger one
+_START_PIXELS = 15_000  # images are halved until they are not larger; there the labels start
 _PERSISTENCE = 0.25  # weight of the previous frame's evidence
 # Of a surface whose labels may still be wrong.
-_SURFACE = SurfaceOptions(iterations=3, noise=0.08, smoothness=1.5)
+_FIRST_SURFACE = SurfaceOptions(iterations=3, noise=0.08, smoothness=1.5)
+_FINER_SURFACE = SurfaceOptions(iterations=2, noise=0.08, smoothness=1.5)
 
 
 def lit_by_surface(
@@ -53,12 +57,17 @@ def lit_by_surface(
     mask: Mask,
     camera: Camera | None = None,
     memory: FloatArray | None = None,
-) -> tuple[npt.NDArray[np.bool_], FloatArray]:
-    """Return (h, w, 3) which lights arrive, and the (h, w, 3) evidence that the next frame may remember."""
+) -> tuple[npt.NDArray[np.bool_], FloatArray, Surface]:
+    """Return (h, w, 3) which lights arrive.
+
+    Also return the (h, w, 3) evidence that the next frame may remember, and the surface, on the working size,
+    that the labels came from.
+    """
     factor = shrinking(mask)
     small, small_mask = (measured, mask) if factor == 1 else measured.shrunk(mask, factor)
     small_camera = None if camera is None else camera.scaled(1.0 / factor)
-    normals, albedo = _surface_by_rounds(small, small_mask, small_camera)
+    surface, albedo = _surface_by_rounds(small, small_mask, small_camera)
+    normals = surface.normals.astype(np.float32)
     normals, albedo = _enlarged(normals, mask.shape), _enlarged(albedo, mask.shape)
     predicted = normals @ measured.directions.T.astype(np.float32)
     raw = measured.shares(albedo)
@@ -71,29 +80,41 @@ def lit_by_surface(
         evidence = (1 - _PERSISTENCE) * evidence + _PERSISTENCE * memory
     turned = turned_from_lights(normals, shares, measured.directions, mask, factor)
     lit = _cut(evidence, shares, mask) & ~turned
-    return lit_beyond_half(lit, shares, predicted, mask), evidence
+    return lit_beyond_half(lit, shares, predicted, mask), evidence, surface
 
 
 def _surface_by_rounds(
     measured: LightShares, mask: Mask, camera: Camera | None
-) -> tuple[FloatArray, FloatArray]:
-    """Alternate between surface and labels; return the normals (h, w, 3) and the albedo."""
-    lit = _first_doubts(measured, mask)
-    normals, albedo = measured.normals, measured.length
-    for i in range(_ROUNDS):
+) -> tuple[Surface, FloatArray]:
+    """Alternate between surface and labels, coarse to fine; return the surface and the albedo (h, w)."""
+    if mask.size <= _START_PIXELS:
+        surface, rounds, options = None, _ROUNDS, _FIRST_SURFACE
+        lit = _first_doubts(measured, mask)
+    else:
+        small, small_mask = measured.shrunk(mask, 2)
+        half = None if camera is None else camera.scaled(0.5)
+        coarse, albedo = _surface_by_rounds(small, small_mask, half)
+        surface, rounds, options = coarse.enlarged(mask.shape, 2), _FINER_ROUNDS, _FINER_SURFACE
+        lit = _lit_on(surface, measured, _enlarged(albedo, mask.shape), mask)
+    for i in range(rounds):
         full = all_of_three(lit) & mask
         albedo = albedo_from_lit(measured.length, full)
         surface = solve_surface(
             measured.relative_to(np.where(full, measured.length, albedo)), labels_from_lit(lit),
             measured.lights, mask, first_normals=measured.normals, weight=measured.trust, camera=camera,
-            options=_SURFACE,
+            options=options, start=surface,
         )  # fmt: skip
-        normals = surface.normals.astype(np.float32)
-        if i + 1 < _ROUNDS:
-            predicted = normals @ measured.directions.T.astype(np.float32)
-            shares = _without_paint(measured.shares(albedo), predicted)
-            lit = _cut(_evidence(shares, predicted, albedo, mask), shares, mask)
-    return normals, albedo
+        if i + 1 < rounds:
+            lit = _lit_on(surface, measured, albedo, mask)
+    assert surface is not None
+    return surface, albedo
+
+
+def _lit_on(surface: Surface, measured: LightShares, albedo: FloatArray, mask: Mask) -> npt.NDArray[np.bool_]:
+    """Label by what the surface would return."""
+    predicted = surface.normals.astype(np.float32) @ measured.directions.T.astype(np.float32)
+    shares = _without_paint(measured.shares(albedo), predicted)
+    return _cut(_evidence(shares, predicted, albedo, mask), shares, mask)
 
 
 def _cut(evidence: FloatArray, shares: FloatArray, mask: Mask) -> npt.NDArray[np.bool_]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -54,14 +55,7 @@ class LightShares:
 
     def shrunk(self, mask: Mask, factor: int) -> tuple[LightShares, Mask]:
         """Return the same frame, and its mask, at 1/factor of the size, averaged over the mask."""
-        size = (max(1, round(mask.shape[1] / factor)), max(1, round(mask.shape[0] / factor)))
-        cover = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA)
-
-        def mean(image: FloatArray) -> FloatArray:
-            inside = image * (mask if image.ndim == 2 else mask[..., None])
-            small = cv2.resize(inside.astype(np.float32), size, interpolation=cv2.INTER_AREA)
-            return small / np.maximum(cover if image.ndim == 2 else cover[..., None], 1e-6)
-
+        mean, cover = mean_inside(mask, factor)
         scaled = mean(self.normals * self.length[..., None])
         length, normals = _length_and_direction(scaled)
         small = LightShares(
@@ -74,6 +68,21 @@ class LightShares:
             trust=mean(self.trust),
         )
         return small, cover > 0.5
+
+
+def mean_inside(mask: Mask, factor: int) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
+    """Return how to average an image over the mask at 1/factor of the size, and how much is mask there."""
+    size = (max(1, round(mask.shape[1] / factor)), max(1, round(mask.shape[0] / factor)))
+    cover: FloatArray = np.asarray(
+        cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA), dtype=np.float32
+    )
+
+    def mean(image: FloatArray) -> FloatArray:
+        inside = image * (mask if image.ndim == 2 else mask[..., None])
+        small = cv2.resize(inside.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+        return small / np.maximum(cover if image.ndim == 2 else cover[..., None], 1e-6)
+
+    return mean, cover
 
 
 def shrinking(mask: Mask) -> int:

@@ -26,7 +26,7 @@ from vntoolkit.geometry.maps import DepthMap, LengthUnit
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import ALL_LIT
 from vntoolkit.shadows.albedo import fill_smoothly
-from vntoolkit.shadows.shares import lengths_of
+from vntoolkit.shadows.shares import TOWARDS_VIEWER, lengths_of, mean_inside
 from vntoolkit.solvers import grid_hierarchy, solve_grid
 
 _FLATTEST_Z = 0.12  # |n_z| below which a first slope is held, so that no pixel starts edge-on
@@ -66,14 +66,43 @@ class Surface:
 
     normals: (h, w, 3) unit, camera frame. depth: (h, w) float32, pixels (orthographic) or f · log z.
     agreement: (h, w), 0 to 1, how far depth and colour agree on a fully lit pixel's slope, 0 at the border.
-    misfit: (h, w), χ² of the light that arrives against the light that the surface would return; 0 where the
-    solution went on from a start.
+    misfit: (h, w), χ² of the light that arrives against the light that the surface would return.
     """
 
     normals: FloatArray
     depth: Grid
     agreement: Grid
     misfit: Grid
+
+    def enlarged(self, shape: tuple[int, ...], factor: int) -> Surface:
+        """Return the same surface on a grid `factor` times finer; depth counts pixels, so it grows too."""
+        size = shape[1::-1]
+
+        def enlarge(image: FloatArray) -> FloatArray:
+            return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_LINEAR), dtype=np.float32)
+
+        return Surface(
+            normals=_unit_or_facing(enlarge(self.normals.astype(np.float32))),
+            depth=np.ascontiguousarray(enlarge(self.depth) * np.float32(factor)),
+            agreement=enlarge(self.agreement),
+            misfit=enlarge(self.misfit),
+        )
+
+    def shrunk(self, mask: Mask, factor: int) -> Surface:
+        """Return the same surface on a grid `factor` times coarser, averaged over the mask."""
+        mean, _ = mean_inside(mask, factor)
+        return Surface(
+            normals=_unit_or_facing(mean(self.normals)),
+            depth=np.ascontiguousarray(mean(self.depth) / np.float32(factor)),
+            agreement=mean(self.agreement),
+            misfit=mean(self.misfit),
+        )
+
+
+def _unit_or_facing(normals: FloatArray) -> FloatArray:
+    length = lengths_of(normals)
+    unit = np.where(length > 1e-3, normals / np.maximum(length, 1e-3), TOWARDS_VIEWER)
+    return np.asarray(unit, dtype=np.float32)
 
 
 def solve_surface(
@@ -120,16 +149,13 @@ def solve_surface(
         depth = _solve_depth(quadratics, slopes, weights, depth)
         slopes_kernel(depth, weights, _STEEPEST, slopes, agreement)
         softness = _STEP_SOFTNESS
-    misfit = np.zeros(mask.shape, np.float32)
-    if start is None:
-        local_quadratics_kernel(data, seen, trust, slopes, prior, rows, rays, model, quadratics)
-        misfit = quadratics[..., 5].copy()
+    local_quadratics_kernel(data, seen, trust, slopes, prior, rows, rays, model, quadratics)
     normals = _blend(normals_from_slopes(slopes, rays), first_normals, known, agreement)
     return Surface(
         normals=np.where(mask[..., None], normals, 0.0),
         depth=depth,
         agreement=agreement,
-        misfit=misfit,
+        misfit=quadratics[..., 5].copy(),
     )
 
 
