@@ -62,9 +62,10 @@ def test_the_same_command_goes_on_and_overwrite_begins_again(films, tmp_path, ca
     (out / "take3/depth/000001.exr").unlink()
     capsys.readouterr()
     assert session(films, out, "--track", takes=takes) == 0
-    first, second = capsys.readouterr().out.splitlines()
+    first, second, then = capsys.readouterr().out.splitlines()
     assert "0 of 6 frames done, 6 from before" in first
     assert "1 of 3 frames done, 2 from before" in second
+    assert "vntoolkit " in then  # the next command
     assert digest(out) == before
     capsys.readouterr()
     assert session(films, out, "--track", "--overwrite", takes=takes) == 0
