@@ -2,25 +2,24 @@
 
 The camera looks at the gel from behind, so the dent bulges towards it and inside the contact circle it is
 the ball's own surface (Johnson and Adelson, Retrographic sensing for the measurement of surface texture
-and shape, 2009, johnson2009). Each frame has the untouched gel's photograph subtracted, which takes most
-of the light's unevenness away and leaves r = M (n − n0), n0 = the flat gel's normal.
+and shape, 2009, johnson2009). Of each frame, its change against the untouched gel is used, the drift of the
+light removed: d = M (n − n0), n0 = the flat gel's normal.
 
-The lights stand beside the gel, so M varies over it, as polynomials of the pixel position with an ambient
-term of its own (`fit_varying_response`); pixels far from the dent, where the gel is flat, are samples too.
-Labels may lie beside the dent by the same few pixels in every frame (a crop, another rectification). One
-offset for all of them shows: with it, ball and flat gel obey one response, without it they contradict each
-other. `LabelOffset.COMMON` fits it.
+M n0 is known, the colour of the untouched gel, so only M's columns of n_x and n_y are fitted. What the lamps'
+nearness adds is a polynomial in M⁻¹ d and the place (`GelResponse`), fitted to all presses together. How
+freely it may bend is chosen by cross-validation: the strength of its ridge is the one that predicts presses
+left out of the fit best. A single press leaves M alone.
 
-With degree 0 one M serves the whole gel; there M n0 is known, the colour of the untouched gel, so only the
-columns of n_x and n_y are fitted and the untouched gel comes out flat exactly. (Fitting all nine there
-follows the ball more closely, but tilts the flat gel by ten degrees.)
+Labels may lie beside the dent by the same few pixels in every frame (a crop, another rectification). The
+middle of a dent is flat and has no change of colour, whatever M is, so that a common offset shows as a common
+tilt. `LabelOffset.COMMON` fits it.
 """
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -29,30 +28,41 @@ import numpy.typing as npt
 from vntoolkit.arrays import FloatArray, LinearImage, Mask, Points, Points2, Vector3
 from vntoolkit.calibration.fit import (
     Design,
-    ResponseFit,
     angles_deg,
+    cone_of_normals_deg,
     fit_by_trimming,
-    fit_quality,
     response_from_unknowns,
     warn_of_weak_fit,
 )
-from vntoolkit.calibration.varying import VariationOptions, fit_varying_response
 from vntoolkit.checks import require_positive, require_shape
 from vntoolkit.errors import BadCalibration, BadInput
-from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.photometry.lambertian import scaled_normals_from_rgb
+from vntoolkit.photometry.gel import (
+    TERMS,
+    GelResponse,
+    correction_terms,
+    first_estimate,
+    normals_from_stereographic,
+    stereographic_from_normals,
+)
 from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.rig import FitQuality
 
 _UNTOUCHED_RADII = 3.3  # of the labelled contact: beyond it the gel lies flat, by half a radius to spare
 _FLAT_RADII = 2.8  # of the contact where it really is, which may be half a radius from its label
 _DRAWN_RADII = 1.25  # of the labelled contact: room for labels that lie beside the dent
 logger = logging.getLogger(__name__)
 _ROUNDS = 30
-_PAIRS_OF_VARIATION = 12_000  # more refine nothing
-_PAIRS_OF_OFFSET = 3_000
-_STEPS_PX = (4.0, 2.0, 1.0, 0.5)
+_PAIRS = 24_000  # more refine nothing
+_PAIRS_OF_OFFSET = 6_000
+_OFFSET_ROUNDS = 20
+_SETTLED_PX = 0.05
 _LARGEST_OFFSET_RADII = 0.5  # of the median contact: beyond it the labels mean something else
 _NOTABLE_PX = 1.0
+_STRENGTHS = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)  # of the ridge, as the share of one press's pairs
+_FOLDS = 10
+_SOFT = np.deg2rad(8.0) / 2  # in s, half an angle: pairs with a larger residual count less and less
+_REWEIGHTINGS = 4
+_REACH_PERCENTILE = 99.5  # of the lengths of m seen
 
 
 class LabelOffset(Enum):
@@ -69,9 +79,9 @@ class PressOptions:
     ball_radius_mm: radius of the ball. pixel_mm: side of a pixel on the gel. contact_share: share of the
     labelled contact radius inside which the gel follows the ball. samples: pixels drawn from a press's
     contact. flat_share: pixels drawn where the gel lies flat, over those of the contact; more make the
-    untouched gel flatter and the ball less round. label_offset: whether one offset common to all labels is
-    fitted. outlier_sigmas: (degree 0) pixels whose colour residual exceeds this many robust standard
-    deviations (dots, creases) are left out. variation: how M varies over the gel.
+    gel around a touch flatter and the ball less round. label_offset: whether one offset common to all labels
+    is fitted. outlier_sigmas: pixels whose colour differs from M's by more than this many robust standard
+    deviations (dots, creases) are left out of M's fit.
     """
 
     ball_radius_mm: float
@@ -81,7 +91,6 @@ class PressOptions:
     flat_share: float = 0.67
     label_offset: LabelOffset = LabelOffset.COMMON
     outlier_sigmas: float = 4.0
-    variation: VariationOptions = field(default_factory=VariationOptions)
 
     def __post_init__(self) -> None:
         if not (0 < self.ball_radius_mm < np.inf and 0 < self.pixel_mm < np.inf):
@@ -108,7 +117,7 @@ class Press:
 class PressSamples:
     """Pixels of one frame, at and around the contact and, far away, on the flat gel.
 
-    rgb: (n, 3) with the background subtracted. positions_px: (n, 2). press: as labelled.
+    rgb: (n, 3) change of colour against the untouched gel. positions_px: (n, 2). press: as labelled.
     """
 
     rgb: Points
@@ -122,12 +131,16 @@ class PressSamples:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PressPairs:
-    """Pairs of normal and colour of many presses: normals, rgb (n, 3), positions_px (n, 2), touched (n,)."""
+    """Pairs of normal and change of colour: normals, rgb (n, 3), positions_px (n, 2), touched (n,) bool.
+
+    presses: (n,) number of the press that a pair is of.
+    """
 
     normals: Points
     rgb: Points
     positions_px: Points2
     touched: npt.NDArray[np.bool_]
+    presses: npt.NDArray[np.int64]
 
     def thinned(self, count: int) -> PressPairs:
         """Every k-th pair, so that about `count` are left."""
@@ -153,24 +166,24 @@ def normals_of_press(press: Press, options: PressOptions, shape: tuple[int, int]
 
 
 def samples_from_press(
-    frame: LinearFrame,
-    press: Press,
-    background: LinearImage,
-    options: PressOptions,
-    rng: np.random.Generator,
+    change: LinearImage, usable: Mask, press: Press, options: PressOptions, rng: np.random.Generator
 ) -> PressSamples:
-    """Draw pixels of the contact and of the flat gel around it. background: (h, w, 3), the untouched gel."""
-    require_shape(background, (*frame.shape, 3), "background")
-    normals_of_press(press, options, frame.shape)  # refuses a contact that the ball cannot have
-    v, u = np.indices(frame.shape)
+    """Draw pixels of the contact and of the flat gel around it.
+
+    change: (h, w, 3), the frame less the untouched gel, its drift removed. usable: (h, w), pixels that count.
+    """
+    shape = usable.shape
+    require_shape(change, (*shape, 3), "change of colour")
+    normals_of_press(press, options, shape)  # refuses a contact that the ball cannot have
+    v, u = np.indices(shape)
     distance = np.hypot(u - press.u_px, v - press.v_px)
-    contact = _draw((distance < _DRAWN_RADII * press.radius_px) & ~frame.clipped, 2 * options.samples, rng)
-    flat = (distance > _UNTOUCHED_RADII * press.radius_px) & ~frame.clipped
+    contact = _draw((distance < _DRAWN_RADII * press.radius_px) & usable, 2 * options.samples, rng)
+    flat = (distance > _UNTOUCHED_RADII * press.radius_px) & usable
     chosen = np.concatenate([contact, _draw(flat, round(options.flat_share * options.samples), rng)])
-    v, u = np.divmod(chosen, frame.shape[1])
+    rows, columns = np.divmod(chosen, shape[1])
     return PressSamples(
-        rgb=(frame.rgb[v, u] - background[v, u]).astype(np.float64),
-        positions_px=np.column_stack([u, v]).astype(np.float64),
+        rgb=change[rows, columns].astype(np.float64),
+        positions_px=np.column_stack([columns, rows]).astype(np.float64),
         press=press,
     )
 
@@ -185,136 +198,169 @@ def pairs_from_samples(
 ) -> PressPairs:
     """Give every sample its normal; those in the crease around the contact are left out."""
     parts: list[tuple[FloatArray, ...]] = []
-    for part in samples:
+    for number, part in enumerate(samples):
         offsets = part.offsets_px(label_offset_px)
         distance = np.linalg.norm(offsets, axis=1)
         touched = distance < options.contact_share * part.press.radius_px
         xy = np.where(touched[:, None], offsets * options.pixel_mm / options.ball_radius_mm, 0.0)
         normals = np.column_stack([xy, -np.sqrt(np.maximum(1.0 - (xy**2).sum(axis=1), 0.0))])
         used = touched | (distance > _FLAT_RADII * part.press.radius_px)
-        parts.append((normals[used], part.rgb[used], part.positions_px[used], touched[used]))
-    if not any(touched.any() for *_, touched in parts):
+        presses = np.full(int(used.sum()), number, dtype=np.int64)
+        parts.append((normals[used], part.rgb[used], part.positions_px[used], touched[used], presses))
+    if not any(touched.any() for *_, touched, _ in parts):
         raise BadCalibration(
             "calibrate presses: no press with a label, or every contact lies outside the gel"
         )
-    normals, rgb, positions_px, touched = (np.concatenate(group) for group in zip(*parts, strict=True))
-    return PressPairs(normals=normals, rgb=rgb, positions_px=positions_px, touched=touched > 0)
+    normals, rgb, positions_px, touched, presses = (
+        np.concatenate(group) for group in zip(*parts, strict=True)
+    )
+    return PressPairs(normals=normals, rgb=rgb, positions_px=positions_px, touched=touched, presses=presses)
 
 
 # The fit: the gel's response from the samples of many presses, and the common offset of their labels.
 
 
-def fit_response_to_presses(
-    samples: Iterable[PressSamples], level: Vector3, size: tuple[int, int], options: PressOptions
-) -> ResponseFit:
-    """Fit the gel's response, for frames with the background subtracted.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GelFit:
+    """A gel's response fitted to presses.
 
-    level: (3,) mean colour of the untouched gel. size: (width, height) of the frames.
+    response: M, with M n0 taken off by its ambient term. gel: what corrects it. quality: on the pairs used.
+    held_back_deg: median angle on presses that a fit did not see, from the cross-validation; NaN for a single
+    press. label_offset_px: (2,), from label to dent. normals, rgb: (n, 3), the pairs inside contacts.
+    """
+
+    response: LightResponse
+    gel: GelResponse
+    quality: FitQuality
+    held_back_deg: float
+    label_offset_px: FloatArray
+    normals: Points
+    rgb: Points
+
+
+def fit_gel_to_presses(
+    samples: Iterable[PressSamples], level: Vector3, size: tuple[int, int], options: PressOptions
+) -> GelFit:
+    """Fit M and its correction to the changes of colour of presses.
+
+    level: (3,) colour of the untouched gel. size: (width, height) of the frames. Raises `BadCalibration`
+    where no press has a label, or the contacts do not determine M.
     """
     samples = list(samples)
     offset: FloatArray = np.zeros(2)
     if options.label_offset is LabelOffset.COMMON and samples:
-        offset = fit_label_offset(samples, size, options)
-    pairs = pairs_from_samples(samples, offset, options)
-    if options.variation.degree > 0:
-        return _fit_varying(pairs.thinned(_PAIRS_OF_VARIATION), size, options.variation)
+        offset = fit_label_offset(samples, level, options)
+    pairs = pairs_from_samples(samples, offset, options).thinned(_PAIRS)
+    response = _fit_matrix(pairs, level, options)
+    scaled = pairs.rgb @ response.inverse.T
+    reach = float(np.percentile(np.linalg.norm(scaled[pairs.touched], axis=1), _REACH_PERCENTILE))
+    centre, scale = (np.array(size) - 1.0) / 2, max(size) / 2.0
+    terms = correction_terms(scaled, (pairs.positions_px - centre) / scale, reach)
+    wanted = stereographic_from_normals(pairs.normals) - first_estimate(scaled)
+    ridge = _Ridge(terms, wanted, pairs)
+    coefficients, held_back = ridge.choose()
+    gel = GelResponse(coefficients=coefficients, centre_px=centre, scale_px=scale, reach=reach)
+    touched = pairs.touched
+    normals, rgb = pairs.normals[touched], pairs.rgb[touched]
+    found = gel.normals_from_change(rgb, pairs.positions_px[touched], response)
+    quality = FitQuality(
+        method="presses",
+        residual_deg=float(np.median(angles_deg(found, normals))),
+        condition_number=response.condition_number,
+        samples=len(normals),
+        cone_deg=cone_of_normals_deg(normals),
+    )
+    warn_of_weak_fit(quality)
+    return GelFit(
+        response=response,
+        gel=gel,
+        quality=quality,
+        held_back_deg=held_back,
+        label_offset_px=offset,
+        normals=normals,
+        rgb=rgb,
+    )
+
+
+class _Ridge:
+    """Robust ridge regression of the correction, and its strength by cross-validation over presses."""
+
+    def __init__(self, terms: FloatArray, wanted: Points2, pairs: PressPairs) -> None:
+        self._terms, self._wanted, self._touched = terms, wanted, pairs.touched
+        numbers, self._presses = np.unique(pairs.presses, return_inverse=True)
+        self._folds = min(len(numbers), _FOLDS)
+        self._unit = len(terms) / len(numbers)  # pairs of one press
+        self._weight = np.ones(len(terms))
+        middle = _STRENGTHS[len(_STRENGTHS) // 2]
+        for _ in range(_REWEIGHTINGS):
+            normal, right = self._equations(np.ones(len(terms), np.bool_))
+            squared = ((terms @ self._solve(normal, right, middle) - wanted) ** 2).sum(axis=1)
+            self._weight = 1.0 / np.sqrt(1.0 + squared / _SOFT**2)
+
+    def choose(self) -> tuple[FloatArray, float]:
+        """The coefficients (46, 2) of the strength that predicts best, and the median angle it leaves."""
+        if self._folds < 2:
+            return np.zeros((TERMS, 2)), float("nan")
+        fold = self._presses % self._folds
+        parts = [self._equations(fold == k) for k in range(self._folds)]
+        normal, right = (np.sum(group, axis=0) for group in zip(*parts, strict=True))
+        residuals = np.empty((len(_STRENGTHS), len(self._terms)))
+        for k, (own_normal, own_right) in enumerate(parts):
+            out = fold == k
+            for row, strength in zip(residuals, _STRENGTHS, strict=True):
+                predicted = self._terms[out] @ self._solve(normal - own_normal, right - own_right, strength)
+                row[out] = np.linalg.norm(predicted - self._wanted[out], axis=1)
+        losses = (np.sqrt(1.0 + (residuals / _SOFT) ** 2) - 1.0).mean(axis=1)
+        best = int(np.argmin(losses))
+        held_back = 2.0 * np.rad2deg(float(np.median(residuals[best, self._touched])))
+        return self._solve(normal, right, _STRENGTHS[best]), held_back
+
+    def _equations(self, chosen: Mask) -> tuple[FloatArray, FloatArray]:
+        weighted = self._terms[chosen] * self._weight[chosen, None]
+        return weighted.T @ self._terms[chosen], weighted.T @ self._wanted[chosen]
+
+    def _solve(self, normal: FloatArray, right: FloatArray, strength: float) -> FloatArray:
+        return np.asarray(np.linalg.solve(normal + strength * self._unit * np.eye(TERMS), right))
+
+
+def _fit_matrix(pairs: PressPairs, level: Vector3, options: PressOptions) -> LightResponse:
+    """One M for the whole gel, from the contacts; its column of n_z is known from the untouched gel."""
     normals, rgb = pairs.normals[pairs.touched], pairs.rgb[pairs.touched]
     design = Design(rows=normals[:, :2], colours=rgb + (1.0 + normals[:, 2:]) * level)
     everything = np.ones(len(rgb), np.bool_)
-    unknowns, inliers = fit_by_trimming(design, everything, 0.0, options.outlier_sigmas, _ROUNDS)
-    response = response_from_unknowns(np.vstack([unknowns, -level, -level]))
-    quality = fit_quality(normals[inliers], rgb[inliers], response, "presses")
-    warn_of_weak_fit(quality)
-    return ResponseFit(response=response, quality=quality, inliers=inliers, normals=normals, rgb=rgb)
+    unknowns, _ = fit_by_trimming(design, everything, 0.0, options.outlier_sigmas, _ROUNDS)
+    return response_from_unknowns(np.vstack([unknowns, -level, -level]))
 
 
-def fit_label_offset(samples: list[PressSamples], size: tuple[int, int], options: PressOptions) -> FloatArray:
-    """The offset (du, dv) in pixels, from label to dent, that lets one M serve balls and flat gel best.
+def fit_label_offset(samples: list[PressSamples], level: Vector3, options: PressOptions) -> FloatArray:
+    """The offset (du, dv) in pixels from label to dent, common to all presses.
 
-    A pattern search to half a pixel over fits of one M with ambient light.
+    Fits M, moves the offset by the median tilt that is left, and repeats.
     """
-    one = replace(options.variation, degree=0)
     thin = [
         replace(part, rgb=part.rgb[::step], positions_px=part.positions_px[::step])
         for part in samples
         for step in [max(1, len(samples) * len(part.rgb) // _PAIRS_OF_OFFSET)]
     ]
     reach = _LARGEST_OFFSET_RADII * float(np.median([part.press.radius_px for part in samples]))
-    tried: dict[tuple[float, float], float] = {}
-
-    def misfit(u: float, v: float) -> float:
-        if (u, v) not in tried:
-            too_far = np.hypot(u, v) > reach
-            tried[u, v] = np.inf if too_far else _misfit(thin, np.array([u, v]), size, options, one)
-        return tried[u, v]
-
-    best = (0.0, 0.0)
-    for step in _STEPS_PX:
-        while True:
-            u, v = best
-            around = [(u + a * step, v + b * step) for a, b in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))]
-            best = min(around, key=lambda offset: misfit(*offset))
-            if best == (u, v):
-                break
-    if np.hypot(*best) > _NOTABLE_PX:
+    offset: FloatArray = np.zeros(2)
+    for _ in range(_OFFSET_ROUNDS):
+        pairs = pairs_from_samples(thin, offset, options)
+        response = _fit_matrix(pairs, level, options)
+        normals, rgb = pairs.normals[pairs.touched], pairs.rgb[pairs.touched]
+        found = normals_from_stereographic(first_estimate(rgb @ response.inverse.T))
+        tilt = np.median(found[:, :2] - normals[:, :2], axis=0)
+        step = -tilt * options.ball_radius_mm / options.pixel_mm
+        offset = offset + step
+        length = float(np.linalg.norm(offset))
+        if length > reach:
+            offset *= reach / length
+        if np.linalg.norm(step) < _SETTLED_PX:
+            break
+    if np.linalg.norm(offset) > _NOTABLE_PX:
         logger.warning(
             "all labels seem to lie beside their dents by (%.1f, %.1f) pixels, which is allowed for; "
             "--label-offset none takes them as they are",
-            *best,
+            *offset,
         )
-    return np.array(best)
-
-
-def _misfit(
-    samples: list[PressSamples],
-    offset: FloatArray,
-    size: tuple[int, int],
-    options: PressOptions,
-    one: VariationOptions,
-) -> float:
-    """Mean angle in degrees that one M leaves, over contacts and flat gel."""
-    pairs = pairs_from_samples(samples, offset, options)
-    response = fit_varying_response(pairs.normals, pairs.rgb, pairs.positions_px, size, _start(pairs), one)
-    return float(angles_deg(scaled_normals_from_rgb(pairs.rgb, response), pairs.normals).mean())
-
-
-def _fit_varying(pairs: PressPairs, size: tuple[int, int], options: VariationOptions) -> ResponseFit:
-    """Fit polynomials of the position, from the linear fit of one M with ambient light to the contacts."""
-    response = _fit_highest_degree(pairs, size, options)
-    touched = pairs.touched
-    quality = fit_quality(
-        pairs.normals[touched], pairs.rgb[touched], response, "presses", pairs.positions_px[touched]
-    )
-    warn_of_weak_fit(quality)
-    return ResponseFit(
-        response=response, quality=quality, inliers=touched, normals=pairs.normals, rgb=pairs.rgb
-    )
-
-
-def _fit_highest_degree(pairs: PressPairs, size: tuple[int, int], options: VariationOptions) -> LightResponse:
-    """Lower the degree and log it where the presses leave parts of the gel undetermined."""
-    for degree in range(options.degree, -1, -1):
-        lowered = replace(options, degree=degree)
-        try:
-            response = fit_varying_response(
-                pairs.normals, pairs.rgb, pairs.positions_px, size, _start(pairs), lowered
-            )
-        except BadCalibration:
-            if degree == 0:
-                raise
-            continue
-        if degree < options.degree:
-            logger.warning(
-                "the presses reach too little of the gel for degree %d, so degree %d is fitted; "
-                "press near the corners too",
-                options.degree,
-                degree,
-            )
-        return response
-    raise AssertionError("a degree is never negative")
-
-
-def _start(pairs: PressPairs) -> LightResponse:
-    normals, rgb = pairs.normals[pairs.touched], pairs.rgb[pairs.touched]
-    design = Design.from_pairs(normals, rgb, with_ambient=True)
-    return response_from_unknowns(design.solve(np.ones(len(rgb), np.bool_)))
+    return offset

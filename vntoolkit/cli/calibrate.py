@@ -17,6 +17,7 @@ from vntoolkit.calibration.sphere import SphereOptions
 from vntoolkit.cli.flags import (
     Allow,
     AmbientImage,
+    Corners,
     Curve,
     Flags,
     FocalPx,
@@ -24,7 +25,9 @@ from vntoolkit.cli.flags import (
     Overwrite,
     Sensor,
     SingleLight,
+    SizeMm,
     curve_from_text,
+    rectification_from_flags,
     verb,
 )
 from vntoolkit.cli.output import JSON, MESH, PAGE, PICTURE, ProgressBars, print_next, require_output
@@ -32,9 +35,7 @@ from vntoolkit.diagnosis.checks import CHECK_NAMES
 from vntoolkit.diagnosis.finding import judge, require_known_checks
 from vntoolkit.diagnosis.rig_checks import check_lamps, check_residual
 from vntoolkit.diagnosis.transfer_match import check_transfer_of_samples
-from vntoolkit.errors import BadInput
 from vntoolkit.geometry.board_layout import BoardLayout
-from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.mosaics import SensorOptions
@@ -47,10 +48,7 @@ from vntoolkit.pipeline.calibrate import CalibrationJob
 from vntoolkit.pipeline.calibrate_head import HeadOptions, calibrate_head
 
 _FIT = Flags(renamed={"method": "fit-method"})
-_List = Parameter(consume_multiple=True, negative=())
-Corners: TypeAlias = Annotated[tuple[float, float, float, float, float, float, float, float] | None, _List]
-SizeMm: TypeAlias = Annotated[tuple[float, float] | None, _List]
-SizePx: TypeAlias = Annotated[tuple[int, int] | None, _List]
+SizePx: TypeAlias = Annotated[tuple[int, int] | None, Parameter(consume_multiple=True, negative=())]
 
 
 @verb("max_megapixels")
@@ -361,10 +359,14 @@ def presses(
         label_size=label_size,
     )
     with ProgressBars() as bars:
-        rig, _ = pipeline.calibrate_presses(job, options, partial(bars.reach, "read presses"))
+        rig, fit = pipeline.calibrate_presses(job, options, partial(bars.reach, "read presses"))
     _accept(rig, allow)
     write_rig(out, rig)
     report_rig(out, rig, f"presses of {source}")
+    if np.isfinite(fit.held_back_deg):
+        print(
+            f"  held back         {fit.held_back_deg:.2f} degrees, median on presses that a fit did not see"
+        )
     print_next("reconstruct", "touch.mkv", "--rig", out, "--background", background, "--out", "touch")
 
 
@@ -413,16 +415,3 @@ def rectify(
         if left_out:
             print(f"{source}: {left_out} files that are no images were left out")
     print(f"{out}: {count} images of {width}×{height}, {pixel_mm:g} mm a pixel")
-
-
-def rectification_from_flags(
-    corners: tuple[float, ...] | None, size_mm: tuple[float, float] | None, pixel_mm: float
-) -> Rectification | None:
-    """Return the rectification of --corners, --size-mm and --pixel-mm, or None without them."""
-    if corners is None and size_mm is None:
-        return None
-    if corners is None or size_mm is None:
-        raise BadInput("rectification: expected both --corners and --size-mm, got one of them")
-    return Rectification(
-        corners_px=tuple(corners), width_mm=size_mm[0], height_mm=size_mm[1], pixel_mm=pixel_mm
-    )

@@ -7,14 +7,22 @@ import os
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, TypeAlias
 
 import numpy as np
 from cyclopts import Parameter
 
-from vntoolkit.cli.calibrate import Corners, SizeMm, rectification_from_flags
-from vntoolkit.cli.flags import Allow, Flags, verb
+from vntoolkit.cli.flags import (
+    Allow,
+    Corners,
+    Flags,
+    SizeMm,
+    rectification_from_flags,
+    rig_with_corners,
+    verb,
+)
 from vntoolkit.cli.output import print_next
 from vntoolkit.diagnosis.checks import CHECK_NAMES, findings_from_rig
 from vntoolkit.diagnosis.finding import judge, require_known_checks
@@ -87,10 +95,11 @@ def live(
         Left, top, width and height in pixels of the part to work on.
     corners
         u v of the gel's top left, top right, bottom left and bottom right corner in the crop, to rectify it.
+        Default: those of the rig.
     size_mm
-        Width and height of the rectangle between these corners in millimetres.
+        Width and height of the rectangle between these corners in millimetres. Default: those of the rig.
     pixel_mm
-        Side of a pixel of the rectified picture in millimetres.
+        Side of a pixel of the rectified picture in millimetres; a gel's rig knows it.
     record_to
         The folder for recordings.
     seconds
@@ -101,8 +110,12 @@ def live(
         raise BadInput(f"seconds: expected more than 0, got {seconds:g}")
     read = read_rig(rig)
     source = _source(camera, video, realtime, asked, read)
-    view = FrameView(crop=crop, rectification=_rectification(corners, size_mm, pixel_mm))
+    view = FrameView(crop=crop)
     view.require_inside(source.width, source.height)
+    if read.gel is not None:
+        read = rig_with_corners(read, corners, size_mm, view.size(source.width, source.height))
+    else:
+        view = replace(view, rectification=_rectification(corners, size_mm, pixel_mm))
     read.require_size(*view.size(source.width, source.height), source.name)
     judge(findings_from_rig(read), allow)
     processor = LiveProcessor(

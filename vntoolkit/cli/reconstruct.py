@@ -10,6 +10,7 @@ from typing import Annotated, TypeAlias
 from vntoolkit.cli.flags import (
     Allow,
     AmbientImage,
+    Corners,
     Flags,
     Frames,
     Jobs,
@@ -17,12 +18,15 @@ from vntoolkit.cli.flags import (
     Overwrite,
     Scheduler,
     Sensor,
+    SizeMm,
+    rig_with_corners,
     verb,
 )
 from vntoolkit.cli.output import ProgressBars, print_next
 from vntoolkit.diagnosis.checks import CHECK_NAMES
 from vntoolkit.diagnosis.finding import require_known_checks
 from vntoolkit.errors import BadCapture
+from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.frame_range import FrameRange, Gaps
 from vntoolkit.io.footage.mattes import MatteOptions
 from vntoolkit.io.footage.mosaics import SensorOptions
@@ -49,6 +53,8 @@ def reconstruct(
     mask: Path | None = None,
     matting: Annotated[MatteOptions | None, Flags()] = None,
     background: AmbientImage = None,
+    corners: Corners = None,
+    size_mm: SizeMm = None,
     transfer: str | None = None,
     frames: Frames = "::",
     jobs: Jobs = 1,
@@ -74,6 +80,11 @@ def reconstruct(
     mask
         White where the subject is, of the footage's size: an image, or a video, a folder or a pattern with a
         matte for each frame.
+    corners
+        u v of a tactile gel's top left, top right, bottom left and bottom right corner in the footage, where
+        the sensor or its camera has moved. Default: those of the rig.
+    size_mm
+        Width and height of the rectangle between these corners in millimetres. Default: those of the rig.
     transfer
         Transfer curve of the footage, linear, srgb, bt709, gamma:G, pq, hlg, slog3, vlog, clog3 or logc3,
         even where the file states another. Default: the rig's.
@@ -82,6 +93,9 @@ def reconstruct(
     """
     require_known_checks(allow, CHECK_NAMES)
     calibrated = read_rig(rig)
+    if corners is not None or size_mm is not None:
+        info = open_capture(source, CaptureOptions(transfer=calibrated.transfer, gaps=gaps)).info
+        calibrated = rig_with_corners(calibrated, corners, size_mm, (info.width, info.height))
     job = ReconstructionJob(
         source=source,
         rig=_with_transfer(calibrated, transfer),

@@ -327,8 +327,10 @@ def findings_from_capture(
         findings += _findings_from_tag(capture.info, capture.transfer, Level.FATAL)
         findings += findings_from_rig(rig)
         height, width = frames[0].shape
-        if (width, height) != (rig.camera.width, rig.camera.height):
+        if (width, height) != rig.footage_size:
             return [*findings, _other_size(width, height, rig)]
+        if rig.gel is not None:  # its response is to changes, which the checks below do not look at
+            return findings
         few = [frames[k] for k in sorted({0, len(frames) // 2, len(frames) - 1})]
         evidence = evidence_from_frames(few, rig, capture.transfer, mask)
         if min(evidence.light.shape[1:3]) >= _NARROWEST_PX:
@@ -352,7 +354,7 @@ def _frames_to_judge(capture: Capture, numbers: range | None) -> list[LinearFram
 
 
 def _other_size(width: int, height: int, rig: Rig) -> Finding:
-    camera = f"{rig.camera.width}×{rig.camera.height}"
+    camera = "×".join(map(str, rig.footage_size))
     return Finding(
         check="size",
         level=Level.FATAL,

@@ -12,14 +12,16 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 from vntoolkit.checks import checks_kinds
 from vntoolkit.errors import BadInput, BadRig
 from vntoolkit.geometry.camera import Camera, CameraModel
+from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import parse_json, read_text
+from vntoolkit.photometry.gel import TERMS, GelResponse
 from vntoolkit.photometry.response import LightResponse, ResponseVariation
 from vntoolkit.photometry.rig import FitQuality, Rig, SourceFile
 from vntoolkit.photometry.transfer import Transfer
 
 _EXPECTED = "a rig.json of `vntoolkit calibrate`"
-RIG_VERSION = 2  # 2 added response.variation; a rig without it is still written as 1
+RIG_VERSION = 3  # 2 added response.variation, 3 gel; a rig without them is still written as 1
 _Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 _Matrix = tuple[_Row, _Row, _Row]
 _Fraction = Annotated[FiniteFloat, Field(ge=0, le=1)]
@@ -117,6 +119,7 @@ def rig_from_entry(entry: RigFile) -> Rig:
         ),
         quality=quality,
         sources=tuple(SourceFile(file=source.file, sha256=source.sha256) for source in entry.sources),
+        gel=None if entry.gel is None else _gel_from_entry(entry.gel),
     )
 
 
@@ -126,7 +129,7 @@ def entry_from_rig(rig: Rig) -> RigFile:
     quality = None if rig.quality is None else QualityEntry(**vars(rig.quality))
     variation = rig.response.variation
     return RigFile(
-        version=1 if variation is None else 2,
+        version=3 if rig.gel is not None else 1 if variation is None else 2,
         camera=entry_from_camera(rig.camera),
         response=ResponseEntry(
             matrix=rig.response.matrix.tolist(),
@@ -141,6 +144,7 @@ def entry_from_rig(rig: Rig) -> RigFile:
         ),
         quality=quality,
         sources=[SourceEntry(file=source.file, sha256=source.sha256) for source in rig.sources],
+        gel=None if rig.gel is None else _entry_from_gel(rig.gel),
     )
 
 
@@ -194,6 +198,32 @@ def _entry_from_variation(variation: ResponseVariation) -> VariationEntry:
             VariationTermEntry(powers=tuple(p.tolist()), matrix=m.tolist(), ambient=tuple(a.tolist()))
             for p, m, a in terms
         ],
+    )
+
+
+def _gel_from_entry(entry: GelEntry) -> GelResponse:
+    view = entry.rectification
+    return GelResponse(
+        coefficients=np.array(entry.coefficients),
+        centre_px=np.array(entry.centre_px),
+        scale_px=entry.scale_px,
+        reach=entry.reach,
+        rectification=None if view is None else Rectification(**view.model_dump(exclude={"filmed_px"})),
+        filmed_px=None if view is None else view.filmed_px,
+    )
+
+
+def _entry_from_gel(gel: GelResponse) -> GelEntry:
+    view = None
+    if gel.rectification is not None and gel.filmed_px is not None:
+        view = RectificationEntry(**vars(gel.rectification), filmed_px=gel.filmed_px)
+    u, v = gel.centre_px.tolist()
+    return GelEntry(
+        centre_px=(u, v),
+        scale_px=gel.scale_px,
+        reach=gel.reach,
+        coefficients=[tuple(pair) for pair in gel.coefficients.tolist()],
+        rectification=view,
     )
 
 
@@ -304,6 +334,44 @@ class QualityEntry(_Entry):
     )
 
 
+class RectificationEntry(_Entry):
+    """Where the gel lies in the picture as filmed."""
+
+    corners_px: Annotated[tuple[FiniteFloat, ...], Field(min_length=8, max_length=8)] = Field(
+        description="u, v of the gel's top left, top right, bottom left and bottom right corner, as filmed."
+    )
+    width_mm: FiniteFloat = Field(gt=0, description="Between the left and the right corners, millimetres.")
+    height_mm: FiniteFloat = Field(gt=0, description="Between the upper and the lower ones, millimetres.")
+    pixel_mm: FiniteFloat = Field(
+        gt=0, description="Side of a pixel of the rectified picture in both directions, millimetres."
+    )
+    filmed_px: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]] = Field(
+        description="Width and height of the picture as filmed."
+    )
+
+
+class GelEntry(_Entry):
+    """How a tactile gel answers beyond M, which then is its response to a change against the untouched gel.
+
+    m = inverse(matrix) · (colour - colour of the untouched gel). x = (u - centre_px[0]) / scale_px and y
+    likewise. The normal in stereographic coordinates, n_xy / (1 - n_z), is that of (0, 0, -1) + m, plus the
+    sum of the coefficients times the products of m's components, x and y.
+    """
+
+    centre_px: tuple[FiniteFloat, FiniteFloat] = Field(description="Pixel (u, v) where x = y = 0.")
+    scale_px: FiniteFloat = Field(gt=0, description="Pixels that x = 1 means.")
+    reach: FiniteFloat = Field(gt=0, description="Length to which a longer m is shortened in the products.")
+    coefficients: Annotated[
+        list[tuple[FiniteFloat, FiniteFloat]], Field(min_length=TERMS, max_length=TERMS)
+    ] = Field(
+        description="Two for every product of one to three factors, at least one of them of m. Order: the "
+        "products of m (m1, m2, m3, m1 m1, m1 m2, …), and for each 1, x, y, x x, x y, y y up to the degree."
+    )
+    rectification: RectificationEntry | None = Field(
+        default=None, description="Left out where the footage shows the gel squarely already."
+    )
+
+
 class SourceEntry(_Entry):
     """A file that the rig was fitted from."""
 
@@ -314,9 +382,10 @@ class SourceEntry(_Entry):
 class RigFile(_Entry):
     """A vntoolkit rig: camera, light response, colour encoding, and quality of the calibration."""
 
-    version: Literal[1, 2] = Field(default=1, description="Version of this schema.")
+    version: Literal[1, 2, 3] = Field(default=1, description="Version of this schema.")
     camera: CameraEntry
     response: ResponseEntry
     colour: ColourEntry = Field(default_factory=ColourEntry)
     quality: QualityEntry | None = Field(default=None, description="Left out where M was not fitted.")
     sources: list[SourceEntry] = Field(default_factory=list, description="Files the rig was fitted from.")
+    gel: GelEntry | None = Field(default=None, description="Of a tactile sensor only (version 3).")

@@ -18,6 +18,7 @@ from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
 from vntoolkit.io.footage.resampling import rectify_frame
 from vntoolkit.photometry.rig import Rig
+from vntoolkit.pipeline.contact import Contact, contact_from_depth, rested
 from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.pipeline.options import Product, ReconstructOptions
 from vntoolkit.shadows.detector import ShadowMethod
@@ -65,13 +66,15 @@ class FrameView:
 class LiveResult:
     """What a live frame became. depth_map: of `LiveProcessor.depth_camera`, smaller where that is.
 
-    warnings: what a person should change about the exposure.
+    warnings: what a person should change about the exposure. contact: what touches a tactile gel; its mask is
+    of `depth_map`'s size.
     """
 
     number: int
     normal_map: NormalMap
     depth_map: DepthMap | None
     warnings: tuple[str, ...]
+    contact: Contact | None = None
 
 
 class LiveProcessor:
@@ -95,7 +98,7 @@ class LiveProcessor:
         self._background: LinearImage | None = None
         if background is not None:
             self._background = self._linear_values(background)
-            require_shape(self._background, (rig.camera.height, rig.camera.width, 3), "background")
+            require_shape(self._background, (*rig.footage_size[::-1], 3), "background")
         reconstruction = ReconstructOptions(
             to=Product.NORMALS,
             shadows=ShadowMethod.NONE,
@@ -137,12 +140,21 @@ class LiveProcessor:
             cut = replace(cut, values=self._linear_values(frame), bits=32)
         result = self._processor.process(cut)
         depth_map = self._integrator.integrate(reduced(result.normal_map, self._step))
-        self._anchor = self._anchor or DepthAnchor(depth_map)
-        depth_map = self._anchor.align(depth_map)
+        contact = None
+        if self.rig.gel is not None:
+            depth_map = rested(depth_map)
+            contact = contact_from_depth(depth_map, self.depth_camera)
+        else:
+            self._anchor = self._anchor or DepthAnchor(depth_map)
+            depth_map = self._anchor.align(depth_map)
         if result.normal_map.mask.mean() < _FEW:
             warnings = (*warnings, "hardly any pixel has a normal")
         return LiveResult(
-            number=result.number, normal_map=result.normal_map, depth_map=depth_map, warnings=warnings
+            number=result.number,
+            normal_map=result.normal_map,
+            depth_map=depth_map,
+            warnings=warnings,
+            contact=contact,
         )
 
     def _linear_values(self, frame: EncodedFrame) -> npt.NDArray[np.float32]:

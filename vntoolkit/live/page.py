@@ -21,6 +21,7 @@ from vntoolkit.errors import BadInput, VntError
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.live.capture import LatencyMeter, LiveFigures, LiveRecorder, TimedFrame
 from vntoolkit.live.frames import LiveResult, exposure_warnings
+from vntoolkit.pipeline.contact import Contact
 from vntoolkit.report.local_server import LocalServer, ViewerOptions
 from vntoolkit.report.scene import (
     Packet,
@@ -163,7 +164,8 @@ class LiveViewer:
         self, page: _Page, serial: int, result: LiveResult | None, timed: TimedFrame, sizes: PacketSizes
     ) -> bytes:
         packet, pictures = Packet(), {"camera": camera_block(timed, sizes.camera)}
-        header: dict[str, Any] = {"serial": serial, "status": self._status(page)}
+        contact = None if result is None else result.contact
+        header: dict[str, Any] = {"serial": serial, "status": self._status(page, contact)}
         if self._recorder is not None:
             header["record"] = "stop recording" if self._recorder.is_recording else "record"
         if result is not None:
@@ -188,7 +190,7 @@ class LiveViewer:
             for page in self._pages.values():
                 page.captioned_s = 0.0
 
-    def _status(self, page: _Page) -> dict[str, Any] | None:
+    def _status(self, page: _Page, contact: Contact | None = None) -> dict[str, Any] | None:
         """Return what is to be said, a few times a second; a warning stays for a while."""
         now = time.perf_counter()
         if now - page.captioned_s < _CAPTION_S:
@@ -205,6 +207,8 @@ class LiveViewer:
                 warnings.append(f"the recording lost {recorder.lost} frames: the disk is too slow")
             warnings += [problem for problem in (recorder.problem, self._problem) if problem]
         cards = status_cards(self._figures(), rate, median)
+        if contact is not None:
+            cards = (*contact_cards(contact), *cards)
         return {"cards": cards, "recording": recording, "warnings": warnings}
 
 
@@ -221,6 +225,15 @@ def status_cards(figures: LiveFigures, shown_hz: float, shown_s: float) -> tuple
         (f"{median:.0f} ms", "latency of a frame", f"95 %: {high:.0f} ms"),
         (f"{figures.dropped:,}", "frames dropped", f"of {figures.arrived:,}, {dropped}{lost}"),
         (f"{shown_hz:.1f}", "a second on this page", f"{1000 * shown_s:.0f} ms after arrival"),
+    )
+
+
+def contact_cards(contact: Contact) -> tuple[tuple[str, str, str], ...]:
+    """Return what the page says of a touch on a tactile gel, as `status_cards` does."""
+    parts = "nothing touches" if not contact.mask.any() else f"{contact.mask.mean():.1%} of the gel"
+    return (
+        (f"{contact.area_mm2:.1f} mm²", "in contact", parts),
+        (f"{contact.depth_mm:.2f} mm", "deepest point", "below the gel at rest"),
     )
 
 

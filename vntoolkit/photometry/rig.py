@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from vntoolkit.display import Displayed, Facts
 from vntoolkit.errors import BadRig
 from vntoolkit.geometry.camera import Camera
+from vntoolkit.photometry.gel import GelResponse
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.transfer import Transfer
 
@@ -39,20 +40,34 @@ class SourceFile:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Rig(Displayed):
-    """All calibrated data that normals and depth need."""
+    """All calibrated data that normals and depth need.
+
+    gel: of a tactile sensor only. Then the response is to a pixel's change against the untouched gel, and
+    camera and response belong to the rectified picture.
+    """
 
     camera: Camera
     response: LightResponse
     transfer: Transfer = field(default_factory=Transfer)
     quality: FitQuality | None = None
     sources: tuple[SourceFile, ...] = ()
+    gel: GelResponse | None = None
+
+    @property
+    def footage_size(self) -> tuple[int, int]:
+        """(width, height) of frames as filmed."""
+        if self.gel is not None and self.gel.filmed_px is not None:
+            return self.gel.filmed_px
+        return self.camera.width, self.camera.height
 
     def require_size(self, width: int, height: int, name: str) -> None:
         """Raise `BadRig` unless frames of this size belong to the rig's camera."""
-        if (width, height) != (self.camera.width, self.camera.height):
+        wanted = self.footage_size
+        if (width, height) != wanted:
+            whose = "rig's camera is" if self.gel is None or self.gel.filmed_px is None else "sensor films"
             raise BadRig(
-                f"{name} is {width}×{height} but the rig's camera is {self.camera.width}×"
-                f"{self.camera.height}: calibrate with footage of the same size"
+                f"{name} is {width}×{height} but the {whose} {wanted[0]}×{wanted[1]}: calibrate with footage "
+                "of the same size"
             )
 
     def _facts(self) -> Facts:

@@ -74,6 +74,11 @@ class ReconstructionJob:
         return self.options.shadows is not ShadowMethod.NONE
 
     @property
+    def has_contact(self) -> bool:
+        """True where contact masks are written: of a tactile gel whose depth is computed."""
+        return self.rig.gel is not None and self.options.to is not Product.NORMALS
+
+    @property
     def ties_depth(self) -> bool:
         """True if depth is computed and its free constant is fixed by a reference frame."""
         return self.options.depth_offset is DepthOffset.REFERENCE and self.options.to is not Product.NORMALS
@@ -168,6 +173,8 @@ def record_of(result: FrameResult, seconds: float) -> FrameEntry:
         valid_share=float(valid.mean()),
         clipped_share=result.clipped_share,
         shadowed_share=shadowed,
+        contact_mm2=None if result.contact is None else result.contact.area_mm2,
+        contact_depth_mm=None if result.contact is None else result.contact.depth_mm,
     )
 
 

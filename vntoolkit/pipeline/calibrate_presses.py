@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from vntoolkit.arrays import Mask
-from vntoolkit.calibration.fit import ResponseFit
 from vntoolkit.calibration.presses import (
+    GelFit,
     Press,
     PressOptions,
     PressSamples,
-    fit_response_to_presses,
+    fit_gel_to_presses,
     samples_from_press,
 )
 from vntoolkit.errors import BadCalibration, BadInput
@@ -24,9 +23,11 @@ from vntoolkit.io.atomic import sole_writer
 from vntoolkit.io.files import read_text, source_file
 from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
 from vntoolkit.io.footage.frame_range import Gaps
+from vntoolkit.io.footage.gel_dots import DotFilter
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.io.footage.resampling import rectify_frame
+from vntoolkit.normals.gel import change_without_drift
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, encoded_from_linear
@@ -66,7 +67,7 @@ class PressJob:
 
 def calibrate_presses(
     job: PressJob, options: PressOptions, on_frame: Progress = lambda done, total: None
-) -> tuple[Rig, ResponseFit]:
+) -> tuple[Rig, GelFit]:
     """Fit a rig to presses; frames without a label are passed over."""
     rng = np.random.default_rng(_SEED)
     options_of_images = CaptureOptions(transfer=job.transfer, gaps=Gaps.SKIP, sensor=job.sensor)
@@ -79,7 +80,11 @@ def calibrate_presses(
         )
     level = np.median(background.rgb[~background.clipped].astype(np.float64), axis=0)
     height, width = background.shape
-    fit = fit_response_to_presses(samples, level, (width, height), options)
+    fit = fit_gel_to_presses(samples, level, (width, height), options)
+    gel = fit.gel
+    if job.rectification is not None:
+        filmed = (capture.info.width, capture.info.height)
+        gel = replace(gel, rectification=job.rectification, filmed_px=filmed)
     camera = (
         job.rectification.camera
         if job.rectification is not None
@@ -91,6 +96,7 @@ def calibrate_presses(
         transfer=capture.transfer,
         quality=fit.quality,
         sources=tuple(source_file(path) for path in (*capture.info.files, job.background)),
+        gel=gel,
     )
     return rig, fit
 
@@ -134,14 +140,18 @@ def _samples(
     rng: np.random.Generator,
     on_frame: Progress,
 ) -> Iterator[PressSamples]:
-    usable = ~background.clipped
+    dots = DotFilter(background.rgb)
     file_of = dict(zip(capture.info.numbers, capture.info.files, strict=False))
     for done, frame in enumerate(capture.frames(), start=1):
         path = label_path(job.labels, file_of.get(frame.number, capture.info.files[-1]))
         if path.exists():
-            prepared = _without(job.prepare(frame), usable)
-            press = _press(path, job, prepared)
-            yield samples_from_press(prepared, press, background.rgb, options, rng)
+            prepared = job.prepare(frame)
+            if prepared.shape != background.shape:
+                raise BadCalibration("calibrate presses: the background has another size than the presses")
+            unknown = prepared.clipped | background.clipped
+            change, filled = dots.filled(prepared.rgb - background.rgb, unknown)
+            change = change_without_drift(change, ~filled)
+            yield samples_from_press(change, ~filled, _press(path, job, prepared), options, rng)
         on_frame(done, len(capture.present))
 
 
@@ -153,12 +163,6 @@ def _press(path: Path, job: PressJob, frame: LinearFrame) -> Press:
     return Press(
         u_px=u * width / label_width, v_px=v * height / label_height, radius_px=radius * width / label_width
     )
-
-
-def _without(frame: LinearFrame, usable: Mask) -> LinearFrame:
-    if frame.shape != usable.shape:
-        raise BadCalibration("calibrate presses: the background has another size than the presses")
-    return LinearFrame(rgb=frame.rgb, clipped=frame.clipped | ~usable, number=frame.number)
 
 
 def read_press_label(path: Path | str) -> tuple[float, float, float]:

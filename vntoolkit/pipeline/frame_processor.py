@@ -9,19 +9,22 @@ import numpy.typing as npt
 
 from vntoolkit.arrays import Colours, LinearImage, Mask, VisibilityLabels
 from vntoolkit.checks import require_shape
-from vntoolkit.errors import BadCapture
+from vntoolkit.errors import BadCapture, BadRig
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.integration.expected_error import with_expected_depth_error
 from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
-from vntoolkit.io.footage.resampling import Undistorter
+from vntoolkit.io.footage.gel_dots import DotFilter
+from vntoolkit.io.footage.resampling import resampler_of
 from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.normals.expected_error import with_expected_error
+from vntoolkit.normals.gel import GelInverter, drift_of_change
 from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.lambertian import Leveller
 from vntoolkit.photometry.rig import Rig
+from vntoolkit.pipeline.contact import Contact, contact_from_depth, rested
 from vntoolkit.pipeline.options import Product, ReconstructOptions
 from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
 from vntoolkit.shadows.recovery import recover_normals
@@ -29,7 +32,10 @@ from vntoolkit.shadows.recovery import recover_normals
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FrameResult:
-    """What one frame became; None for what was not asked for. clipped_share: of all pixels, 0 to 1."""
+    """What one frame became; None for what was not asked for. clipped_share: of all pixels, 0 to 1.
+
+    contact: what touches a tactile gel, where its depth was asked for.
+    """
 
     number: int
     normal_map: NormalMap
@@ -37,14 +43,15 @@ class FrameResult:
     labels: VisibilityLabels | None
     mesh: Mesh | None
     clipped_share: float
+    contact: Contact | None = None
 
 
 class FrameProcessor:
     """Turns the frames of one capture into results; keeps operators and warm starts between frames.
 
     rig: its transfer is taken as the capture's. mask: (h, w) pixels of interest in the footage as filmed, or
-    None for all. background: linear (h, w, 3), subtracted, or None. Results belong to `camera`, the rig's
-    without distortion.
+    None for all. background: linear (h, w, 3) as filmed, subtracted, or None; a gel's rig needs it, the
+    untouched gel. Results belong to `camera`, the rig's without distortion.
     """
 
     def __init__(
@@ -61,13 +68,25 @@ class FrameProcessor:
         self._tells_errors = tells_errors
         self._options = options
         self._background = background
-        self._undistorter = Undistorter(rig.camera)
+        self._resampler = resampler_of(rig)
         self.camera = rig.camera.without_distortion()
         shape = (rig.camera.height, rig.camera.width)
+        filmed = rig.footage_size[::-1]
         if mask is not None:
-            require_shape(mask, shape, "mask")
-        whole = np.ones(shape, dtype=np.bool_) if mask is None else mask
-        self._mask = self._whole_mask = self._undistorter.mask(whole)
+            require_shape(mask, filmed, "mask")
+        self._mask = self._whole_mask = self._resampler.mask(
+            np.ones(filmed, dtype=np.bool_) if mask is None else mask
+        )
+        self._gel = None if rig.gel is None else GelInverter(rig.response, rig.gel)
+        self._dots: DotFilter | None = None
+        if self._gel is not None:
+            if background is None:
+                raise BadRig(
+                    "the rig is that of a tactile gel, which is compared with itself: give the photograph of "
+                    "the untouched gel with --background"
+                )
+            nothing: Mask = np.zeros(filmed, dtype=np.bool_)
+            self._dots = DotFilter(self._resampler.frame(LinearFrame(rgb=background, clipped=nothing)).rgb)
         self._integrator = DepthIntegrator(self.camera, options.integration)
         self._anchor: DepthAnchor | None = None
         self._central = rig.response.central
@@ -104,6 +123,10 @@ class FrameProcessor:
                 "look at exposure, mask and rig"
             )
         depth_map = None if self._options.to is Product.NORMALS else self._depth(normal_map)
+        contact = None
+        if self._gel is not None and depth_map is not None:
+            depth_map = rested(depth_map)
+            contact = contact_from_depth(depth_map, self.camera)
         mesh = None
         if self._options.to is Product.MESH and depth_map is not None:
             mesh = mesh_from_depth(
@@ -120,12 +143,13 @@ class FrameProcessor:
             labels=labels,
             mesh=mesh,
             clipped_share=clipped_share,
+            contact=contact,
         )
 
     def _look_inside(self, matte: Mask | None) -> None:
         self._mask = self._whole_mask
         if matte is not None:
-            self._mask = self._whole_mask & self._undistorter.mask(matte)
+            self._mask = self._whole_mask & self._resampler.mask(matte)
 
     def _normals(self, frame: EncodedFrame) -> tuple[NormalMap, VisibilityLabels | None, float]:
         if not self._tells_errors and self._is_plain(frame):
@@ -135,6 +159,10 @@ class FrameProcessor:
             )
             return normal_map, None, 0.0
         linear = self.linear(frame)
+        if self._gel is not None and self._dots is not None:
+            change, filled = self._dots.filled(linear.rgb, linear.clipped)
+            drift = drift_of_change(change, self._mask & ~filled)
+            return self._gel.normals(change, drift, self._mask), None, float(linear.clipped.mean())
         level = linear if self._leveller is None else self._leveller.frame(linear)
         labels = None
         if self._options.shadows is ShadowMethod.NONE:
@@ -172,7 +200,7 @@ class FrameProcessor:
     def linear(self, frame: EncodedFrame) -> LinearFrame:
         """Decode a frame to linear light, background removed, lens distortion taken out."""
         decoded = linear_frame_from_encoded(frame, self._rig.transfer, self._background)
-        return self._undistorter.frame(decoded)
+        return self._resampler.frame(decoded)
 
     def _is_plain(self, frame: EncodedFrame) -> bool:
         """True where the kernel that decodes and inverts in one pass may be used."""
@@ -182,9 +210,9 @@ class FrameProcessor:
 
     def _depth(self, normal_map: NormalMap) -> DepthMap:
         depth_map = self._integrator.integrate(normal_map)
-        if self._anchor is not None:
+        if self._anchor is not None and self._gel is None:  # a gel rests at 0 in every frame
             depth_map = self._anchor.align(depth_map)
-        if self._tells_errors:
+        if self._tells_errors and normal_map.error_deg is not None:  # a gel's is not known
             depth_map = with_expected_depth_error(depth_map, normal_map, self.camera)
         if depth_map.unit is LengthUnit.FREE and self._options.distance_m is not None:
             scaled = depth_map.depth * self._options.distance_m
@@ -196,7 +224,7 @@ class FrameProcessor:
         shown = np.asarray(frame.values, dtype=np.float32)
         if frame.values.dtype in (np.uint8, np.uint16):
             shown = shown / np.float32(2**frame.bits - 1)
-        if not self._undistorter.changes_frames:
+        if not self._resampler.changes_frames:
             return shown
         nothing: npt.NDArray[np.bool_] = np.zeros(shown.shape[:2], dtype=np.bool_)
-        return self._undistorter.frame(LinearFrame(rgb=shown, clipped=nothing)).rgb
+        return self._resampler.frame(LinearFrame(rgb=shown, clipped=nothing)).rgb

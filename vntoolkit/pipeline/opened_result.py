@@ -20,7 +20,7 @@ from vntoolkit.geometry.mesh_sequence import MeshSequence
 from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import linear_frame_from_encoded
 from vntoolkit.io.footage.frame_range import FrameRange, Gaps
-from vntoolkit.io.footage.resampling import Undistorter
+from vntoolkit.io.footage.resampling import resampler_of
 from vntoolkit.io.maps_and_meshes.label_images import read_labels
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
@@ -143,7 +143,7 @@ class OpenedResult:
         capture = self.capture
         encoded = capture.encoded(number)
         frame = linear_frame_from_encoded(encoded, self.rig.transfer, capture.background)
-        return Undistorter(self.rig.camera).frame(frame)
+        return resampler_of(self.rig).frame(frame)
 
     def picture(self, number: int) -> npt.NDArray[np.uint8] | None:
         """Return the captured frame as a person would see it, (h, w, 3) sRGB; None without the footage."""

@@ -16,7 +16,7 @@ import numpy as np
 from vntoolkit.diagnosis.finding import judge
 from vntoolkit.diagnosis.inspection import findings_from_capture
 from vntoolkit.errors import BadCapture, BadInput, VntError
-from vntoolkit.io.atomic import remove_numbered, require_apart, sole_writer
+from vntoolkit.io.atomic import remove_numbered, require_apart, sole_writer, write_text
 from vntoolkit.io.footage.captures import Capture, CaptureInfo
 from vntoolkit.io.footage.frame_range import FrameRange, Gaps
 from vntoolkit.io.footage.mattes import MatteOptions, Mattes, require_mattes
@@ -50,7 +50,7 @@ Started = Callable[[int, int], None]
 Finished = Callable[[FrameEntry], None]
 Workers = Callable[[ReconstructionJob, list[Block]], Generator[FrameEntry]]
 BLOCK_FRAMES = 16
-_FOLDERS = {"normals": ".exr", "depth": ".exr", "shadows": ".png", "mesh": ".ply"}
+_FOLDERS = {"normals": ".exr", "depth": ".exr", "shadows": ".png", "mesh": ".ply", "contact": ".png"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,6 +179,7 @@ def clear(root: Path) -> None:
     for name, suffix in _FOLDERS.items():
         remove_numbered(root / name, suffix, numbers)
     (root / FRAMES_NAME).unlink(missing_ok=True)
+    (root / "contact.csv").unlink(missing_ok=True)
     (root / MANIFEST_NAME).unlink()
 
 
@@ -223,7 +224,10 @@ def _frames_on_disk(job: ReconstructionJob, log: FrameLog) -> set[int]:
     return {
         number
         for number in log.done()
-        if all(path.exists() for path in job.folder.files(number, job.options.to, job.has_labels))
+        if all(
+            path.exists()
+            for path in job.folder.files(number, job.options.to, job.has_labels, job.has_contact)
+        )
     }
 
 
@@ -249,8 +253,20 @@ def _require_plausible(job: ReconstructionJob, capture: Capture, mattes: Mattes,
 def _finish(root: Path, manifest: Manifest, log: FrameLog, numbers: range, seconds: float) -> None:
     done = log.done()
     spent = [done[number] for number in numbers if number in done]
+    if any(entry.contact_mm2 is not None for entry in log.entries().values()):
+        write_contacts(root, log)
     timings = {"frame_s": float(np.median(spent)) if spent else 0.0, "wall_s": round(seconds, 3)}
     write_manifest(root, manifest.model_copy(update={"finished": now_utc(), "timings": timings}))
+
+
+def write_contacts(root: Path, log: FrameLog) -> None:
+    """Write contact.csv: area and depth of what touches the gel, a line a frame."""
+    rows = [
+        f"{entry.number},{entry.contact_mm2:.3f},{entry.contact_depth_mm:.4f}"
+        for entry in log.entries().values()
+        if entry.contact_mm2 is not None
+    ]
+    write_text(root / "contact.csv", "\n".join(["frame,area_mm2,depth_mm", *rows]) + "\n")
 
 
 # Before the first frame: options that rig and footage decide, and the manifest.
@@ -296,7 +312,8 @@ def resolve_options(
 
 
 def _was_pressed(job: ReconstructionJob) -> bool:
-    return job.rig.quality is not None and job.rig.quality.method == "presses"
+    fitted = job.rig.quality is not None and job.rig.quality.method == "presses"
+    return job.rig.gel is not None or fitted
 
 
 def _measured_albedo(job: ReconstructionJob, capture: Capture, mattes: Mattes, number: int) -> float:
@@ -336,7 +353,9 @@ def manifest_of_run(job: ReconstructionJob, capture: Capture, mattes: Mattes, fr
         rig=entry_from_rig(job.rig),
         options=_options_that_shape(job),
         frames=frames.to_text(),
-        outputs=outputs[job.options.to.value] + (["shadows"] if job.has_labels else []),
+        outputs=outputs[job.options.to.value]
+        + (["shadows"] if job.has_labels else [])
+        + (["contact"] if job.has_contact else []),
         versions=library_versions(),
         started=now_utc(),
     )

@@ -10,6 +10,7 @@ from vntoolkit.arrays import Mask
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.rig import Rig
 
 Single = npt.NDArray[np.float32]
 
@@ -57,6 +58,37 @@ class Undistorter:
             return mask
         moved = cv2.remap(mask.astype(np.uint8), *self._maps, cv2.INTER_NEAREST)
         return (moved > 0) & self.inside
+
+
+class Rectifier:
+    """Resamples frames as filmed to the rectangle of a plane; `Undistorter`'s counterpart for a gel."""
+
+    changes_frames = True
+
+    def __init__(self, rectification: Rectification) -> None:
+        self._rectification = rectification
+
+    @property
+    def camera(self) -> Camera:
+        """The orthographic camera of the rectified frames."""
+        return self._rectification.camera
+
+    def frame(self, frame: LinearFrame) -> LinearFrame:
+        """Return the rectified frame."""
+        return rectify_frame(frame, self._rectification)
+
+    def mask(self, mask: Mask) -> Mask:
+        """Return the rectified mask: True where the nearest pixel was."""
+        matrix, size = self._rectification.homography, self._rectification.size
+        moved = cv2.warpPerspective(mask.astype(np.uint8), matrix, size, flags=cv2.INTER_NEAREST)
+        return np.asarray(moved > 0)
+
+
+def resampler_of(rig: Rig) -> Undistorter | Rectifier:
+    """What takes frames as filmed to those that a rig's response belongs to."""
+    if rig.gel is not None and rig.gel.rectification is not None:
+        return Rectifier(rig.gel.rectification)
+    return Undistorter(rig.camera)
 
 
 def rectify_frame(frame: LinearFrame, rectification: Rectification) -> LinearFrame:

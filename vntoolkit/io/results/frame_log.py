@@ -24,7 +24,8 @@ class FrameEntry:
 
     seconds: spent on it. valid_share: of all pixels, with a normal. clipped_share: of all pixels.
     shadowed_share: of the valid ones, not reached by all three lights. failure: one line that says why the
-    frame was skipped, else empty.
+    frame was skipped, else empty. contact_mm2, contact_depth_mm: area in contact and depth of the deepest
+    point, of a tactile gel; None of anything else.
     """
 
     number: int
@@ -33,13 +34,18 @@ class FrameEntry:
     clipped_share: float = 0.0
     shadowed_share: float = 0.0
     failure: str = ""
+    contact_mm2: float | None = None
+    contact_depth_mm: float | None = None
 
     def to_line(self) -> str:
         """Return the line of frames.log, without its end."""
         if self.failure:
             return f"{self.number} {_SKIPPED} {' '.join(self.failure.split())}"
         shares = (self.valid_share, self.clipped_share, self.shadowed_share)
-        return f"{self.number} {self.seconds:.4f} " + " ".join(f"{share:.5f}" for share in shares)
+        line = f"{self.number} {self.seconds:.4f} " + " ".join(f"{share:.5f}" for share in shares)
+        if self.contact_mm2 is None or self.contact_depth_mm is None:
+            return line
+        return f"{line} {self.contact_mm2:.3f} {self.contact_depth_mm:.4f}"
 
     @classmethod
     def from_line(cls, line: str) -> FrameEntry | None:
@@ -50,8 +56,10 @@ class FrameEntry:
         if rest.startswith(_SKIPPED + " "):
             return cls(number=int(number), failure=rest[len(_SKIPPED) + 1 :])
         try:
-            seconds, valid, clipped, shadowed = map(float, rest.split())
+            seconds, valid, clipped, shadowed, *contact = map(float, rest.split())
         except ValueError:
+            return None
+        if len(contact) not in (0, 2):
             return None
         return cls(
             number=int(number),
@@ -59,11 +67,15 @@ class FrameEntry:
             valid_share=valid,
             clipped_share=clipped,
             shadowed_share=shadowed,
+            contact_mm2=contact[0] if contact else None,
+            contact_depth_mm=contact[1] if contact else None,
         )
 
 
 class FrameLog:
     """Appends a line a frame, `number seconds valid clipped shadowed` or `number skipped why`, and flushes.
+
+    A tactile gel's line goes on with `contact_mm2 contact_depth_mm`.
 
     A line that a crash cut short is not counted, and is closed off by the next append, so that its frame is
     simply done again.

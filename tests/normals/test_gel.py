@@ -1,0 +1,72 @@
+"""The untouched gel is flat exactly; the light's drift goes and a touch stays; the loop is the formula."""
+
+import numpy as np
+import pytest
+
+from vntoolkit.errors import BadRig
+from vntoolkit.geometry.rectification import Rectification
+from vntoolkit.normals.gel import GelInverter, change_without_drift, drift_of_change
+from vntoolkit.photometry.gel import TERMS, GelResponse
+from vntoolkit.photometry.response import LightResponse
+
+MATRIX = np.array([[0.2, 0.1, -0.42], [-0.1, 0.2, -0.45], [-0.1, -0.2, -0.5]])
+RESPONSE = LightResponse(matrix=MATRIX, ambient=MATRIX[:, 2])
+SHAPE = (60, 80)
+EVERYWHERE = np.ones(SHAPE, bool)
+V, U = np.indices(SHAPE)
+
+
+def gel(rng: np.random.Generator) -> GelResponse:
+    return GelResponse(
+        coefficients=rng.normal(0, 0.1, (TERMS, 2)),
+        centre_px=np.array([39.5, 29.5]),
+        scale_px=40.0,
+        reach=0.6,
+    )
+
+
+def quadratic(rng: np.random.Generator) -> np.ndarray:
+    x, y = U / 79 * 2 - 1, V / 59 * 2 - 1
+    terms = np.stack([np.ones(SHAPE), x, y, x * x, x * y, y * y], axis=-1)
+    return terms @ rng.normal(0, 0.02, (6, 3))
+
+
+def test_an_untouched_gel_is_flat_to_the_last_bit(rng) -> None:
+    nothing = np.zeros((*SHAPE, 3), np.float32)
+    drift = drift_of_change(nothing, EVERYWHERE)
+    assert not drift.any()
+    normal_map = GelInverter(RESPONSE, gel(rng)).normals(nothing, drift, EVERYWHERE)
+    assert (normal_map.normals_in_camera == [0, 0, -1]).all()
+
+
+def test_a_touch_survives_the_removal_of_drift(rng) -> None:
+    touched = np.hypot(U - 30, V - 25) < 14
+    change = quadratic(rng) + rng.normal(0, 0.002, (*SHAPE, 3))
+    change[touched] += rng.uniform(-0.3, 0.3, (touched.sum(), 3))
+    rest = change_without_drift(change.astype(np.float32), EVERYWHERE)
+    assert np.abs(rest[~touched]).max() < 0.015  # noise of 0.002
+    assert np.abs(rest[touched]).mean() > 0.1
+
+
+def test_the_loop_is_the_formula(rng) -> None:
+    model, change = gel(rng), rng.normal(0, 0.2, (*SHAPE, 3)).astype(np.float32)
+    drift = rng.normal(0, 0.05, (6, 3))
+    x, y = U / 79 * 2 - 1, V / 59 * 2 - 1
+    rest = change - np.stack([np.ones(SHAPE), x, y, x * x, x * y, y * y], axis=-1) @ drift
+    found = GelInverter(RESPONSE, model).normals(change, drift, EVERYWHERE).normals_in_camera
+    positions = np.stack([U, V], axis=-1).reshape(-1, 2)
+    wanted = model.normals_from_change(rest.reshape(-1, 3), positions, RESPONSE)
+    np.testing.assert_allclose(found.reshape(-1, 3), wanted, atol=2e-5)
+    np.testing.assert_allclose(np.linalg.norm(wanted, axis=1), 1)
+    assert (wanted[:, 2] < 0).all()
+
+
+def test_impossible_gels_are_refused() -> None:
+    parts = {"coefficients": np.zeros((TERMS, 2)), "centre_px": np.zeros(2), "scale_px": 40.0, "reach": 0.5}
+    with pytest.raises(BadRig, match="gel: coefficients"):
+        GelResponse(**parts | {"coefficients": np.zeros((3, 2))})
+    with pytest.raises(BadRig, match="positive scale and reach"):
+        GelResponse(**parts | {"reach": 0.0})
+    view = Rectification(corners_px=(0, 0, 9, 0, 0, 9, 9, 9), width_mm=9, height_mm=9, pixel_mm=1)
+    with pytest.raises(BadRig, match="size as filmed"):
+        GelResponse(**parts, rectification=view)

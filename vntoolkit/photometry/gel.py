@@ -1,0 +1,115 @@
+"""The response of a tactile gel: from a pixel's change of colour to the normal there.
+
+A gel is compared with itself: d is a pixel's colour less the colour of the untouched gel there. One M for the
+whole gel gives M⁻¹ d = n − n₀, n₀ = (0, 0, −1) the normal of the flat gel. Near lamps, light that the gel
+scatters and the camera's colours bend this a little, differently from place to place. A polynomial in
+m = M⁻¹ d and in the place corrects it. Each of its terms holds at least one factor of m, so that no change of
+colour gives the flat normal, exactly.
+
+The correction is added in the normal's stereographic coordinates s = n_xy / (1 − n_z). They keep angles: the
+same step of s is nearly the same angle wherever the normal points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations_with_replacement
+
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.arrays import FloatArray, Points, Points2, read_only
+from vntoolkit.checks import require_finite, require_shape
+from vntoolkit.errors import BadRig
+from vntoolkit.geometry.rectification import Rectification
+from vntoolkit.photometry.response import LightResponse
+
+TOTAL_DEGREE = 3  # of a term, in m and place together; the fourth degree predicts held-back presses no better
+COLOUR_FACTORS = tuple(
+    factors
+    for degree in range(1, TOTAL_DEGREE + 1)
+    for factors in combinations_with_replacement(range(3), degree)
+)  # the components of m that are multiplied, for every monomial of m
+_POWERS = tuple(
+    (k, total - j, j)
+    for k, factors in enumerate(COLOUR_FACTORS)
+    for total in range(TOTAL_DEGREE - len(factors) + 1)
+    for j in range(total + 1)
+)  # of every term: number of its monomial of m, powers of x and y
+TERMS = len(_POWERS)
+STEEPEST = 0.98  # |s|: 1 is a normal across the line of sight, beyond which nothing is seen
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GelResponse:
+    """How a gel answers beyond one M, and where it lies in the picture.
+
+    coefficients: (46, 2), what every term adds to s; the terms are the products of one, two or three of
+    m = M⁻¹ d's components with x^i y^j, at most three factors in all, in the order of `terms`. x = (u −
+    centre_u) / scale, y = (v − centre_v) / scale. reach: length of m up to which the presses determine the
+    terms; a longer m is shortened to it in them. rectification: takes the picture as filmed, of size
+    `filmed_px` (width, height), to the gel; both None where the pictures are of the gel already.
+    """
+
+    coefficients: FloatArray
+    centre_px: FloatArray
+    scale_px: float
+    reach: float
+    rectification: Rectification | None = None
+    filmed_px: tuple[int, int] | None = None
+
+    def __post_init__(self) -> None:
+        for name, shape in (("coefficients", (TERMS, 2)), ("centre_px", (2,))):
+            value = np.array(getattr(self, name), dtype=np.float64)
+            require_shape(value, shape, f"gel: {name}", BadRig)
+            require_finite(value, f"gel: {name}", BadRig)
+            object.__setattr__(self, name, read_only(value))
+        if (self.rectification is None) != (self.filmed_px is None):
+            raise BadRig("gel: expected the rectification and the size as filmed, got one of them")
+        if not (0 < self.scale_px < np.inf and 0 < self.reach < np.inf):
+            raise BadRig(
+                f"gel: expected a positive scale and reach, got {self.scale_px:g} and {self.reach:g}"
+            )
+
+    @property
+    def terms(self) -> npt.NDArray[np.float64]:
+        """(2, 19, 3, 3): for coordinate of s and monomial of m, the coefficient of x^i y^j."""
+        laid_out = np.zeros((2, len(COLOUR_FACTORS), TOTAL_DEGREE, TOTAL_DEGREE))
+        for (k, i, j), pair in zip(_POWERS, self.coefficients, strict=True):
+            laid_out[:, k, i, j] = pair
+        return laid_out
+
+    def normals_from_change(self, change: Points, positions_px: Points2, response: LightResponse) -> Points:
+        """Unit normals (n, 3), camera frame, of changes of colour (n, 3) at pixels (n, 2)."""
+        scaled = change @ response.inverse.T
+        place = (positions_px - self.centre_px) / self.scale_px
+        terms = correction_terms(scaled, place, self.reach)
+        return normals_from_stereographic(first_estimate(scaled) + terms @ self.coefficients)
+
+
+def first_estimate(scaled: Points) -> Points2:
+    """Stereographic coordinates (n, 2) of the normals that M alone gives, n₀ + m for m (n, 3)."""
+    z = scaled[:, 2] - 1.0
+    length = np.sqrt(scaled[:, 0] ** 2 + scaled[:, 1] ** 2 + z**2)
+    return np.asarray(scaled[:, :2] / np.maximum(length - z, 1e-9)[:, None])
+
+
+def correction_terms(scaled: Points, place: Points2, reach: float) -> FloatArray:
+    """The terms of the correction, (n, 46), for m (n, 3) at places (x, y), (n, 2)."""
+    length = np.linalg.norm(scaled, axis=1, keepdims=True)
+    within = scaled * np.minimum(1.0, reach / np.maximum(length, 1e-12))
+    colours = [np.prod(within[:, list(factors)], axis=1) for factors in COLOUR_FACTORS]
+    return np.column_stack([colours[k] * place[:, 0] ** i * place[:, 1] ** j for k, i, j in _POWERS])
+
+
+def normals_from_stereographic(s: Points2) -> Points:
+    """Unit normals (n, 3) that face the camera, of stereographic coordinates (n, 2)."""
+    length = np.linalg.norm(s, axis=1, keepdims=True)
+    s = s * np.minimum(1.0, STEEPEST / np.maximum(length, 1e-12))
+    squared = (s**2).sum(axis=1, keepdims=True)
+    return np.asarray(np.hstack([2.0 * s, squared - 1.0]) / (1.0 + squared))
+
+
+def stereographic_from_normals(normals: Points) -> Points2:
+    """Stereographic coordinates (n, 2) of unit normals (n, 3): 0 for the flat gel, 1 long at right angles."""
+    return np.asarray(normals[:, :2] / (1.0 - normals[:, 2:]))
