@@ -5,11 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from vntoolkit.calibration.contact_circles import find_contact_circle
 from vntoolkit.calibration.fit import angles_deg
 from vntoolkit.calibration.presses import (
     LabelOffset,
     Press,
     PressOptions,
+    PressSamples,
     fit_gel_to_presses,
     fit_label_offset,
     normals_of_press,
@@ -25,7 +27,6 @@ LEVEL = -MATRIX[:, 2]
 SHAPE = (120, 90)
 SIZE = (90, 120)
 OPTIONS = PressOptions(ball_radius_mm=2.4, pixel_mm=0.1, contact_share=0.9, samples=200)
-EVERYWHERE = np.ones(SHAPE, bool)
 
 
 def true_normals(press: Press) -> np.ndarray:
@@ -45,15 +46,18 @@ def pressed_gel(press: Press, rng: np.random.Generator, nearness: float = 0.0) -
     return change.astype(np.float32)
 
 
+def samples_of(change: np.ndarray, press: Press, rng: np.random.Generator) -> PressSamples:
+    untouched = np.broadcast_to(LEVEL, (*SHAPE, 3)).astype(np.float32)
+    return samples_from_press(change, untouched, np.ones(SHAPE, bool), press, OPTIONS, rng)
+
+
 def random_press(rng: np.random.Generator) -> Press:
     return Press(u_px=rng.uniform(20, 70), v_px=rng.uniform(20, 100), radius_px=rng.uniform(12, 19))
 
 
 def test_presses_give_the_response(rng) -> None:
     presses = [random_press(rng) for _ in range(12)]
-    samples = [
-        samples_from_press(pressed_gel(press, rng), EVERYWHERE, press, OPTIONS, rng) for press in presses
-    ]
+    samples = [samples_of(pressed_gel(press, rng), press, rng) for press in presses]
     fit = fit_gel_to_presses(samples, LEVEL, SIZE, OPTIONS)
     np.testing.assert_allclose(fit.response.matrix, MATRIX, atol=0.01)
     assert fit.quality.residual_deg < 0.8  # the noise of 0.004
@@ -65,9 +69,7 @@ def test_presses_give_the_response(rng) -> None:
 
 def test_near_lamps_and_a_bent_answer_are_fitted_on_presses_not_seen(rng) -> None:
     presses = [random_press(rng) for _ in range(24)]
-    samples = [
-        samples_from_press(pressed_gel(press, rng, 0.3), EVERYWHERE, press, OPTIONS, rng) for press in presses
-    ]
+    samples = [samples_of(pressed_gel(press, rng, 0.3), press, rng) for press in presses]
     fit = fit_gel_to_presses(samples, LEVEL, SIZE, OPTIONS)
     press = Press(u_px=30, v_px=40, radius_px=16)
     change = pressed_gel(press, rng, 0.3)
@@ -87,7 +89,7 @@ def test_near_lamps_and_a_bent_answer_are_fitted_on_presses_not_seen(rng) -> Non
 
 def test_a_single_press_leaves_one_matrix(rng) -> None:
     press = Press(u_px=45, v_px=60, radius_px=18)
-    samples = [samples_from_press(pressed_gel(press, rng), EVERYWHERE, press, OPTIONS, rng)]
+    samples = [samples_of(pressed_gel(press, rng), press, rng)]
     fit = fit_gel_to_presses(samples, LEVEL, SIZE, OPTIONS)
     assert not fit.gel.coefficients.any()
     assert np.isnan(fit.held_back_deg)
@@ -99,12 +101,27 @@ def test_labels_that_all_lie_beside_their_dents_are_found_out(rng) -> None:
     for _ in range(12):
         press = random_press(rng)
         wrong = Press(u_px=press.u_px + 3, v_px=press.v_px - 2, radius_px=press.radius_px)
-        samples.append(samples_from_press(pressed_gel(press, rng), EVERYWHERE, wrong, OPTIONS, rng))
+        samples.append(samples_of(pressed_gel(press, rng), wrong, rng))
     np.testing.assert_allclose(fit_label_offset(samples, LEVEL, OPTIONS), [-3, 2], atol=0.3)
     believing = replace(OPTIONS, label_offset=LabelOffset.NONE)
     right, wrong = (fit_gel_to_presses(samples, LEVEL, SIZE, options) for options in (OPTIONS, believing))
     np.testing.assert_allclose(right.response.matrix, MATRIX, atol=0.01)
     assert np.abs(wrong.response.matrix - MATRIX).max() > 0.05
+
+
+def test_the_circle_of_a_dent_is_found_before_any_response_is_known(rng) -> None:
+    for _ in range(5):
+        press = random_press(rng)
+        found = find_contact_circle(pressed_gel(press, rng, 0.3))
+        assert found is not None
+        assert np.hypot(found.press.u_px - press.u_px, found.press.v_px - press.v_px) < 1
+        assert found.press.radius_px == pytest.approx(press.radius_px, rel=0.15)
+    assert find_contact_circle(rng.normal(0, 0.004, (*SHAPE, 3)).astype(np.float32)) is None
+    two = pressed_gel(Press(u_px=25, v_px=30, radius_px=12), rng) + pressed_gel(
+        Press(u_px=60, v_px=90, radius_px=14), rng
+    )
+    one_of_them = find_contact_circle(two)
+    assert one_of_them is None or one_of_them.symmetry < 0.8
 
 
 def test_the_dent_bulges_towards_the_camera() -> None:
@@ -147,4 +164,4 @@ def test_refusals(rng) -> None:
         fit_gel_to_presses([], LEVEL, SIZE, OPTIONS)
     press = Press(u_px=45, v_px=60, radius_px=15)
     with pytest.raises(BadInput, match="change of colour"):
-        samples_from_press(pressed_gel(press, rng)[1:], EVERYWHERE, press, OPTIONS, rng)
+        samples_of(pressed_gel(press, rng)[1:], press, rng)

@@ -196,7 +196,8 @@ def test_the_response_of_the_gel_predicts_presses_not_seen(real_data, tmp_path) 
         label_size=(240, 320),
     )
     options = PressOptions(ball_radius_mm=2.42, pixel_mm=0.1)
-    rig, fit = calibrate_presses(job, options)
+    result = calibrate_presses(job, options)
+    rig, fit = result.rig, result.fit
     background = open_capture(job.background).frame(0).rgb
     processor = FrameProcessor(rig, ReconstructOptions(to=Product.NORMALS), background=background)
     errors = []

@@ -117,10 +117,12 @@ class Press:
 class PressSamples:
     """Pixels of one frame, at and around the contact and, far away, on the flat gel.
 
-    rgb: (n, 3) change of colour against the untouched gel. positions_px: (n, 2). press: as labelled.
+    rgb: (n, 3) change of colour against the untouched gel. untouched: (n, 3), the gel's own colour there.
+    positions_px: (n, 2). press: as labelled.
     """
 
     rgb: Points
+    untouched: Points
     positions_px: Points2
     press: Press
 
@@ -166,14 +168,21 @@ def normals_of_press(press: Press, options: PressOptions, shape: tuple[int, int]
 
 
 def samples_from_press(
-    change: LinearImage, usable: Mask, press: Press, options: PressOptions, rng: np.random.Generator
+    change: LinearImage,
+    background: LinearImage,
+    usable: Mask,
+    press: Press,
+    options: PressOptions,
+    rng: np.random.Generator,
 ) -> PressSamples:
     """Draw pixels of the contact and of the flat gel around it.
 
-    change: (h, w, 3), the frame less the untouched gel, its drift removed. usable: (h, w), pixels that count.
+    change: (h, w, 3), the frame less the untouched gel, its drift removed. background: (h, w, 3), the
+    untouched gel. usable: (h, w), pixels that count.
     """
     shape = usable.shape
     require_shape(change, (*shape, 3), "change of colour")
+    require_shape(background, (*shape, 3), "background")
     normals_of_press(press, options, shape)  # refuses a contact that the ball cannot have
     v, u = np.indices(shape)
     distance = np.hypot(u - press.u_px, v - press.v_px)
@@ -183,6 +192,7 @@ def samples_from_press(
     rows, columns = np.divmod(chosen, shape[1])
     return PressSamples(
         rgb=change[rows, columns].astype(np.float64),
+        untouched=background[rows, columns].astype(np.float64),
         positions_px=np.column_stack([columns, rows]).astype(np.float64),
         press=press,
     )
@@ -332,17 +342,38 @@ def _fit_matrix(pairs: PressPairs, level: Vector3, options: PressOptions) -> Lig
     return response_from_unknowns(np.vstack([unknowns, -level, -level]))
 
 
+def angle_of_one_matrix(
+    samples: Iterable[PressSamples], level: Vector3, offset_px: FloatArray, options: PressOptions
+) -> float:
+    """Median angle in degrees that one M leaves in the contacts: how linear the colours are."""
+    pairs = pairs_from_samples(samples, offset_px, options).thinned(_PAIRS_OF_OFFSET)
+    response = _fit_matrix(pairs, level, options)
+    normals, rgb = pairs.normals[pairs.touched], pairs.rgb[pairs.touched]
+    found = normals_from_stereographic(first_estimate(rgb @ response.inverse.T))
+    return float(np.median(angles_deg(found, normals)))
+
+
+def largest_label_offset(samples: Iterable[PressSamples]) -> float:
+    """Largest common offset that is looked for, pixels."""
+    return _LARGEST_OFFSET_RADII * float(np.median([part.press.radius_px for part in samples]))
+
+
 def fit_label_offset(samples: list[PressSamples], level: Vector3, options: PressOptions) -> FloatArray:
     """The offset (du, dv) in pixels from label to dent, common to all presses.
 
     Fits M, moves the offset by the median tilt that is left, and repeats.
     """
     thin = [
-        replace(part, rgb=part.rgb[::step], positions_px=part.positions_px[::step])
+        replace(
+            part,
+            rgb=part.rgb[::step],
+            untouched=part.untouched[::step],
+            positions_px=part.positions_px[::step],
+        )
         for part in samples
         for step in [max(1, len(samples) * len(part.rgb) // _PAIRS_OF_OFFSET)]
     ]
-    reach = _LARGEST_OFFSET_RADII * float(np.median([part.press.radius_px for part in samples]))
+    reach = largest_label_offset(samples)
     offset: FloatArray = np.zeros(2)
     for _ in range(_OFFSET_ROUNDS):
         pairs = pairs_from_samples(thin, offset, options)

@@ -316,18 +316,21 @@ def presses(
     *,
     out: Path,
     background: Path,
-    labels: Path,
     options: Annotated[PressOptions, Flags()],
+    labels: Path | None = None,
     corners: Corners = None,
     size_mm: SizeMm = None,
     label_size: SizePx = None,
     transfer: Curve = None,
     allow: Allow = (),
     sensor: Sensor = None,
+    allow: Allow = (),
 ) -> None:
     """Calibrate a tactile sensor on presses of a ball of known size into its gel.
 
-    Give `reconstruct` the same --background, which is subtracted.
+    The contact circles are found. The rig keeps --corners, so that `reconstruct` and `live` rectify without
+    being told; give both a --background, the gel untouched. Depth is 0 at the untouched gel and negative in a
+    dent, which is nearer to the camera.
 
     Parameters
     ----------
@@ -339,6 +342,7 @@ def presses(
         Image of the untouched gel.
     labels
         Folder of text files, NAME.txt for NAME.jpg: u v contact_radius in pixels of the rectified image.
+        Default: the contact circles are found.
     corners
         u v of the gel's top left, top right, bottom left and bottom right corner in the image. The image is
         rectified to them.
@@ -359,15 +363,31 @@ def presses(
         label_size=label_size,
     )
     with ProgressBars() as bars:
-        rig, fit = pipeline.calibrate_presses(job, options, partial(bars.reach, "read presses"))
-    _accept(rig, allow)
+        result = pipeline.calibrate_presses(job, options, partial(bars.reach, "read presses"))
+    rig = result.rig
+    judge([*result.findings, *check_lamps(rig), *check_residual(rig)], allow)
     write_rig(out, rig)
     report_rig(out, rig, f"presses of {source}")
-    if np.isfinite(fit.held_back_deg):
-        print(
-            f"  held back         {fit.held_back_deg:.2f} degrees, median on presses that a fit did not see"
-        )
+    _report_presses(result, options, labels)
     print_next("reconstruct", "touch.mkv", "--rig", out, "--background", background, "--out", "touch")
+
+
+def _report_presses(result: pipeline.PressCalibration, options: PressOptions, labels: Path | None) -> None:
+    """Print which circles were taken, the ball, the scale and the sign of depth."""
+    held_back, camera = result.fit.held_back_deg, result.rig.camera
+    if np.isfinite(held_back):
+        print(f"  held back         {held_back:.2f} degrees, median on presses that a fit did not see")
+    took = "found" if labels is None else f"as labelled in {labels}"
+    print(f"  contact circles   {result.used}, {took}")
+    if result.passed_over:
+        names = ", ".join(result.passed_over[:5]) + (" …" if len(result.passed_over) > 5 else "")
+        without = "a dent that is symmetric" if labels is None else "a label"
+        print(f"  passed over       {len(result.passed_over)} images without {without}: {names}")
+    radius = options.ball_radius_mm
+    print(f"  ball              {radius:g} mm in radius, {2 * radius:g} mm across")
+    width, height = camera.width * options.pixel_mm, camera.height * options.pixel_mm
+    scale = f"{options.pixel_mm:g} mm a pixel in u and v, {width:.1f}×{height:.1f} mm"
+    print(f"  scale             {scale}; depth is 0 at rest, negative in a dent")
 
 
 @verb("max_megapixels")

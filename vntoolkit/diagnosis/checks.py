@@ -45,6 +45,7 @@ CHECK_NAMES: dict[str, str] = {
     "flat": "a subject without shape",
     "gaps": "files of a sequence that are missing",
     "grey": "footage without colour",
+    "labels": "labels of presses that do not lie on the dents",
     "lamps": "lamps behind the surface",
     "mask": "a mask off the subject",
     "noise": "footage of no surface",

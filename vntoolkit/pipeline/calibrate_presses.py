@@ -1,4 +1,4 @@
-"""Calibration of a tactile sensor from labelled ball presses, and rectified copies of its footage."""
+"""Calibration of a tactile sensor from ball presses, and rectified copies of its footage."""
 
 from __future__ import annotations
 
@@ -8,14 +8,21 @@ from pathlib import Path
 
 import numpy as np
 
+from vntoolkit.arrays import FloatArray, Vector3
+from vntoolkit.calibration.contact_circles import find_contact_circle
 from vntoolkit.calibration.presses import (
     GelFit,
+    LabelOffset,
     Press,
     PressOptions,
     PressSamples,
+    angle_of_one_matrix,
     fit_gel_to_presses,
+    largest_label_offset,
     samples_from_press,
 )
+from vntoolkit.diagnosis.finding import Finding
+from vntoolkit.diagnosis.press_checks import check_labels, check_offset, check_press_transfer
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.rectification import Rectification
@@ -30,7 +37,12 @@ from vntoolkit.io.footage.resampling import rectify_frame
 from vntoolkit.normals.gel import change_without_drift
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
-from vntoolkit.photometry.transfer import Transfer, encoded_from_linear
+from vntoolkit.photometry.transfer import (
+    Transfer,
+    TransferCurve,
+    encoded_from_linear,
+    linear_from_encoded,
+)
 
 _SEED = 0
 Progress = Callable[[int, int], None]
@@ -41,15 +53,15 @@ class PressJob:
     """What a calibration on presses reads.
 
     source: images, one press each. background: image of the untouched gel. labels: folder of `NAME.txt`, one
-    per image. transfer: curve of the footage, None for the one that it states, else linear. sensor: how
-    samples of the sensor itself are read. rectification: takes the camera's view to the gel; None where the
-    images are rectified. label_size: (width, height) of the frame that labels refer to; None for that of the
-    images, rectified.
+    per image, None to find the contact circles. transfer: curve of the footage, None for the one that it
+    states, else linear. sensor: how samples of the sensor itself are read. rectification: takes the camera's
+    view to the gel; None where the images are rectified. label_size: (width, height) of the frame that labels
+    refer to; None for that of the images, rectified.
     """
 
     source: str
     background: Path
-    labels: Path
+    labels: Path | None = None
     transfer: Transfer | None = None
     sensor: SensorOptions = field(default_factory=SensorOptions)
     rectification: Rectification | None = None
@@ -65,22 +77,58 @@ class PressJob:
         return frame if self.rectification is None else rectify_frame(frame, self.rectification)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PressCalibration:
+    """A tactile sensor's rig and how it came about.
+
+    used: presses fitted. passed_over: names of the images without a label, or without a dent that was found.
+    findings: what labels and colours tell of mistakes, for `judge`.
+    """
+
+    rig: Rig
+    fit: GelFit
+    used: int
+    passed_over: tuple[str, ...]
+    findings: tuple[Finding, ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _ReadPress:
+    """One image: its samples, None where it has no press; the circle found, None where there is none."""
+
+    name: str
+    samples: PressSamples | None
+    found: Press | None
+
+
 def calibrate_presses(
     job: PressJob, options: PressOptions, on_frame: Progress = lambda done, total: None
-) -> tuple[Rig, GelFit]:
-    """Fit a rig to presses; frames without a label are passed over."""
+) -> PressCalibration:
+    """Fit a rig to presses; images without a label, or without a dent where it is sought, are passed over."""
     rng = np.random.default_rng(_SEED)
     options_of_images = CaptureOptions(transfer=job.transfer, gaps=Gaps.SKIP, sensor=job.sensor)
     capture = open_capture(job.source, options_of_images)
     background = job.prepare(open_capture(job.background, options_of_images).frame(0))
-    samples = list(_samples(job, options, capture, background, rng, on_frame))
-    if not samples:
+    read = list(_read(job, options, capture, background, rng, on_frame))
+    samples = [press.samples for press in read if press.samples is not None]
+    if not samples and job.labels is not None:
         raise BadCalibration(
             f"calibrate presses: no image of {job.source} has a label in {job.labels} (NAME.txt for NAME.jpg)"
         )
+    if not samples:
+        raise BadCalibration(
+            f"calibrate presses: no image of {job.source} shows the dent of one ball; is {job.background} "
+            "the untouched gel of this sensor? --labels names the circles by hand"
+        )
     level = np.median(background.rgb[~background.clipped].astype(np.float64), axis=0)
     height, width = background.shape
+    if job.labels is None:  # what was found has no common offset
+        options = replace(options, label_offset=LabelOffset.NONE)
+    findings = _findings_from_labels(job, read, (width, height))
     fit = fit_gel_to_presses(samples, level, (width, height), options)
+    if options.label_offset is LabelOffset.COMMON:
+        findings += check_offset(fit.label_offset_px, largest_label_offset(samples))
+    findings += _findings_from_transfer(samples, level, fit, options, capture.transfer)
     gel = fit.gel
     if job.rectification is not None:
         filmed = (capture.info.width, capture.info.height)
@@ -98,7 +146,46 @@ def calibrate_presses(
         sources=tuple(source_file(path) for path in (*capture.info.files, job.background)),
         gel=gel,
     )
-    return rig, fit
+    return PressCalibration(
+        rig=rig,
+        fit=fit,
+        used=len(samples),
+        passed_over=tuple(press.name for press in read if press.samples is None),
+        findings=tuple(findings),
+    )
+
+
+def _findings_from_labels(job: PressJob, read: list[_ReadPress], size: tuple[int, int]) -> list[Finding]:
+    both = [
+        ((label.u_px, label.v_px, label.radius_px), (found.u_px, found.v_px, found.radius_px))
+        for press in read
+        if press.samples is not None and press.found is not None
+        for label, found in [(press.samples.press, press.found)]
+    ]
+    if job.labels is None or not both:
+        return []
+    labels, found = np.moveaxis(np.array(both), 1, 0)
+    return check_labels(labels, found, size)
+
+
+def _findings_from_transfer(
+    samples: list[PressSamples], level: Vector3, fit: GelFit, options: PressOptions, used: Transfer
+) -> list[Finding]:
+    """Fit one M with other transfer curves too, from the same samples."""
+
+    def angle_under(curve: Transfer) -> float:
+        def moved(rgb: FloatArray) -> FloatArray:
+            return linear_from_encoded(np.clip(encoded_from_linear(rgb, used), 0.0, 1.0), curve)
+
+        others = [
+            replace(part, rgb=moved(part.rgb + part.untouched) - moved(part.untouched)) for part in samples
+        ]
+        return angle_of_one_matrix(others, moved(level), fit.label_offset_px, options)
+
+    angle = angle_of_one_matrix(samples, level, fit.label_offset_px, options)
+    curves = (TransferCurve.LINEAR, TransferCurve.SRGB)
+    others = {curve.value: angle_under(Transfer(curve=curve)) for curve in curves if curve is not used.curve}
+    return check_press_transfer(used.curve.value, angle, others)
 
 
 def rectify_capture(
@@ -132,26 +219,35 @@ def rectify_capture(
     return len(capture)
 
 
-def _samples(
+def _read(
     job: PressJob,
     options: PressOptions,
     capture: Capture,
     background: LinearFrame,
     rng: np.random.Generator,
     on_frame: Progress,
-) -> Iterator[PressSamples]:
+) -> Iterator[_ReadPress]:
     dots = DotFilter(background.rgb)
     file_of = dict(zip(capture.info.numbers, capture.info.files, strict=False))
     for done, frame in enumerate(capture.frames(), start=1):
-        path = label_path(job.labels, file_of.get(frame.number, capture.info.files[-1]))
-        if path.exists():
+        file = file_of.get(frame.number, capture.info.files[-1])
+        label = None if job.labels is None else label_path(job.labels, file)
+        if label is not None and not label.exists():
+            yield _ReadPress(name=file.name, samples=None, found=None)
+        else:
             prepared = job.prepare(frame)
             if prepared.shape != background.shape:
                 raise BadCalibration("calibrate presses: the background has another size than the presses")
             unknown = prepared.clipped | background.clipped
             change, filled = dots.filled(prepared.rgb - background.rgb, unknown)
             change = change_without_drift(change, ~filled)
-            yield samples_from_press(change, ~filled, _press(path, job, prepared), options, rng)
+            circle = find_contact_circle(change)
+            found = None if circle is None else circle.press
+            press = found if label is None else _press(label, job, prepared)
+            samples = None
+            if press is not None:
+                samples = samples_from_press(change, background.rgb, ~filled, press, options, rng)
+            yield _ReadPress(name=file.name, samples=samples, found=found)
         on_frame(done, len(capture.present))
 
 

@@ -206,7 +206,7 @@ class FrameProcessor:
         """True where the kernel that decodes and inverts in one pass may be used."""
         integers = frame.values.dtype in (np.uint8, np.uint16)
         plain = self._options.shadows is ShadowMethod.NONE and self._background is None
-        return integers and plain and not self._undistorter.changes_frames
+        return integers and plain and not self._resampler.changes_frames
 
     def _depth(self, normal_map: NormalMap) -> DepthMap:
         depth_map = self._integrator.integrate(normal_map)

@@ -1,0 +1,148 @@
+"""A tactile sensor from the command line: circles found, corners kept, a flat gel, a contact that is told."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vntoolkit.__main__ import main
+from vntoolkit.diagnosis.press_checks import check_labels, check_offset, check_press_transfer
+from vntoolkit.io.footage.gel_dots import DotFilter
+from vntoolkit.io.footage.images import read_image, write_png
+from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
+from vntoolkit.io.rigs import read_rig
+
+MATRIX = np.array([[0.4, 0.1, -0.42], [-0.2, 0.35, -0.45], [-0.15, -0.35, -0.5]])
+HEIGHT, WIDTH, MARGIN = 180, 140, 20  # of the gel in pixels of 0.1 mm, and what is filmed around it
+RADIUS_PX = 24.0
+V, U = np.indices((HEIGHT, WIDTH))
+DOTS = (U % 20 < 4) & (V % 20 < 4)
+
+
+def picture(
+    rng: np.random.Generator, u: float, v: float, contact_px: float, drift: float = 0.0
+) -> np.ndarray:
+    """The sensor's picture with a ball at (u, v) of the gel; contact 0 for none."""
+    x, y = (U - u) / RADIUS_PX, (V - v) / RADIUS_PX
+    inside = np.hypot(U - u, V - v) < contact_px
+    normals = np.stack([x, y, -np.sqrt(np.maximum(1 - x * x - y * y, 0.01))], axis=-1)
+    rgb = np.where(inside[..., None], normals, [0, 0, -1]) @ MATRIX.T
+    rgb = rgb + drift * np.stack([U / WIDTH, V / HEIGHT, np.ones(U.shape)], axis=-1)
+    rgb[DOTS] *= 0.4
+    whole = np.zeros((HEIGHT + 2 * MARGIN, WIDTH + 2 * MARGIN, 3))
+    whole[MARGIN:-MARGIN, MARGIN:-MARGIN] = rgb
+    whole += rng.normal(0, 0.002, whole.shape)
+    return np.round(255 * np.clip(whole, 0, 1)).astype(np.uint8)
+
+
+@pytest.fixture(scope="module")
+def sensor(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Twelve presses, the untouched gel, and the same with a drift."""
+    folder, rng = tmp_path_factory.mktemp("sensor"), np.random.default_rng(4)
+    for k in range(12):
+        place = rng.uniform(35, WIDTH - 35), rng.uniform(35, HEIGHT - 35)
+        write_png(folder / "presses" / f"press-{k}.png", picture(rng, *place, rng.uniform(15, 19), 0.01))
+        (folder / "labels").mkdir(exist_ok=True)
+        # labels of a picture half as large again
+        text = f"{1.5 * place[0]:.1f} {1.5 * place[1]:.1f} {1.5 * 17}"
+        (folder / "labels" / f"press-{k}.txt").write_text(text)
+    write_png(folder / "background.png", picture(rng, 0, 0, 0))
+    write_png(folder / "touched.png", picture(rng, 60, 90, 18, 0.02))
+    return folder
+
+
+def corners() -> list[str]:
+    left, top, right, bottom = MARGIN, MARGIN, MARGIN + WIDTH, MARGIN + HEIGHT
+    values = [left, top, right, top, left, bottom, right, bottom]
+    return ["--corners", *map(str, values), "--size-mm", str(WIDTH / 10), str(HEIGHT / 10)]
+
+
+def calibrate(sensor: Path, rig: Path, *more: str) -> int:
+    files = [str(sensor / "presses"), "--background", str(sensor / "background.png"), "--out", str(rig)]
+    ball = ["--ball-radius-mm", "2.4", "--pixel-mm", "0.1"]
+    return main(["calibrate", "presses", *files, *ball, *corners(), *more])
+
+
+def test_a_sensor_from_presses_without_labels_to_depth_and_contact(
+    sensor: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig = tmp_path / "rig.json"
+    assert calibrate(sensor, rig) == 0
+    told = capsys.readouterr().out
+    assert "contact circles   12, found" in told
+    assert "4.8 mm across" in told
+    assert "negative in a dent" in told
+    assert read_rig(rig).footage_size == (WIDTH + 2 * MARGIN, HEIGHT + 2 * MARGIN)
+    run = ["--rig", str(rig), "--background", str(sensor / "background.png"), "--to", "depth"]
+    out = tmp_path / "out"
+    assert main(["reconstruct", str(sensor / "touched.png"), *run, "--out", str(out)]) == 0
+    normals = read_normal_map(out / "normals" / "000000.exr").normals_in_camera
+    inside = np.hypot(U - 60, V - 90) < 15
+    truth = np.stack([U - 60, V - 90], axis=-1) / RADIUS_PX
+    assert np.median(np.linalg.norm(normals[..., :2] - truth, axis=2)[inside]) < 0.04
+    depth_mm = 1000 * read_depth_map(out / "depth" / "000000.exr").depth
+    assert abs(np.median(depth_mm[np.hypot(U - 60, V - 90) > 40])) < 0.03
+    assert depth_mm[90, 60] == pytest.approx(-(2.4 - np.sqrt(2.4**2 - 1.8**2)), abs=0.1)  # the cap's height
+    frame, area_mm2, deepest_mm = (out / "contact.csv").read_text().splitlines()[1].split(",")
+    assert frame == "0"
+    assert float(area_mm2) == pytest.approx(np.pi * 1.5**2, rel=0.15)  # where the cap is a third deep
+    assert float(deepest_mm) == pytest.approx(-depth_mm.min(), abs=1e-3)
+    contact = read_image(out / "contact" / "000000.png")
+    assert contact[90, 60].min() == 255
+    assert contact[20, 20].max() == 0
+
+
+def test_an_untouched_gel_is_flat_and_a_missing_background_is_said(
+    sensor: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig = tmp_path / "rig.json"
+    assert calibrate(sensor, rig) == 0
+    background = str(sensor / "background.png")
+    run = ["reconstruct", background, "--rig", str(rig), "--to", "depth", "--out", str(tmp_path / "flat")]
+    assert main(run) == 1
+    assert "give the photograph of the untouched gel with --background" in capsys.readouterr().err
+    assert main([*run, "--background", background]) == 0
+    assert np.ptp(read_depth_map(tmp_path / "flat" / "depth" / "000000.exr").depth) == 0
+    assert (tmp_path / "flat" / "contact.csv").read_text().splitlines()[1] == "0,0.000,0.0000"
+
+
+def test_labels_of_a_picture_of_another_size_are_refused(
+    sensor: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    labels = ["--labels", str(sensor / "labels")]
+    assert calibrate(sensor, tmp_path / "rig.json", *labels) == 1
+    error = capsys.readouterr().err
+    assert "[labels]" in error
+    assert not (tmp_path / "rig.json").exists()
+    size = ["--label-size", str(round(1.5 * WIDTH)), str(round(1.5 * HEIGHT))]
+    assert calibrate(sensor, tmp_path / "rig.json", *labels, *size) == 0
+    assert "as labelled in" in capsys.readouterr().out
+
+
+def test_what_labels_and_colours_tell_of_mistakes(rng: np.random.Generator) -> None:
+    found = np.column_stack([rng.uniform(20, 200, 30), rng.uniform(20, 300, 30), np.full(30, 20.0)])
+    jitter = rng.normal(0, 2, (30, 3))
+    assert not check_labels(found + jitter, found, (240, 320))
+    assert not check_labels(found + jitter + [-4, 2, 0], found, (240, 320))
+    (scaled,) = check_labels((found + jitter) * [1, 1.1, 1], found, (240, 320))
+    assert "about 240 35" in scaled.remedy
+    (beside,) = check_labels(found + jitter + [14, 3, 0], found, (240, 320))
+    assert beside.check == "labels"
+    assert not check_offset(np.array([3.0, 2.0]), 10.0)
+    assert check_offset(np.array([6.0, 8.0]), 10.0)
+    assert not check_press_transfer("linear", 8.9, {"srgb": 10.8})
+    (curve,) = check_press_transfer("srgb", 10.8, {"linear": 8.9})
+    assert "--transfer linear" in curve.remedy
+
+
+def test_dots_are_filled_from_what_is_around_them(rng: np.random.Generator) -> None:
+    untouched = np.full((HEIGHT, WIDTH, 3), 0.5, np.float32)
+    untouched[DOTS] = 0.1
+    moved = np.roll(untouched, 2, axis=1)
+    smooth = np.stack([0.1 * np.sin(U / 25), 0.1 * np.cos(V / 30), 0 * U], axis=-1).astype(np.float32)
+    change, filled = DotFilter(untouched).filled(moved + smooth - untouched, np.zeros(DOTS.shape, bool))
+    assert filled[DOTS].all()
+    assert filled.mean() < 0.25
+    assert np.abs(change - smooth).max() < 0.03
+    plain = np.full((HEIGHT, WIDTH, 3), 0.5, np.float32)
+    assert not DotFilter(plain).filled(smooth, np.zeros(DOTS.shape, bool))[1].any()

@@ -1,0 +1,103 @@
+"""Are presses of a tactile sensor what they are said to be? Labels against dents, and the transfer curve."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vntoolkit.arrays import FloatArray
+from vntoolkit.diagnosis.finding import Finding, Level
+
+_FAR_RADII = 0.6  # of the contact: hands label to a tenth, and a fit still works with a half
+_STRETCH = 0.04  # of 1: a label's scale that is off by less moves no label by more than hands do
+_SURE = 4.0  # standard errors
+_FEWEST = 5  # presses that tell a scale
+_CLEARLY_BETTER = 0.92  # of the angle that a transfer curve leaves; noise and other lamps change it less
+
+
+def check_labels(labels: FloatArray, found: FloatArray, size: tuple[int, int]) -> list[Finding]:
+    """Compare labels with the dents found, both (n, 3): u, v, radius in pixels of frames of `size`."""
+    if not len(labels):
+        return []
+    if len(labels) >= _FEWEST:
+        stretch = [_slope(found[:, axis], labels[:, axis]) for axis in (0, 1)]
+        if any(abs(slope - 1) > max(_STRETCH, _SURE * error) for slope, error in stretch):
+            asked = (round(size[0] * stretch[0][0]), round(size[1] * stretch[1][0]))
+            return [
+                _of_labels(
+                    "the labels are of a picture of another size than the presses",
+                    f"{stretch[0][0]:.2f} times the dents' distances in u, {stretch[1][0]:.2f} times in v",
+                    "1.00",
+                    f"name the labels' picture with --label-size, about {asked[0]} {asked[1]}",
+                )
+            ]
+    offset = labels[:, :2] - found[:, :2]
+    away = np.linalg.norm(offset - np.median(offset, axis=0), axis=1) / found[:, 2]
+    far = float(np.median(np.linalg.norm(offset, axis=1) / found[:, 2]))
+    spread = float(np.median(away))
+    if max(far, spread) > _FAR_RADII:
+        return [
+            _of_labels(
+                "the labels lie beside the dents",
+                f"{max(far, spread):.1f} contact radii, median",
+                f"less than {_FAR_RADII:g}",
+                "are these the labels of these images, and of this rectification? Without --labels the "
+                "contact circles are found",
+            )
+        ]
+    return []
+
+
+def check_offset(offset_px: FloatArray, largest_px: float) -> list[Finding]:
+    """Find a common offset of the labels that was stopped at its largest."""
+    length = float(np.linalg.norm(offset_px))
+    if length < 0.98 * largest_px:
+        return []
+    return [
+        _of_labels(
+            "the labels lie beside the dents by as much as is allowed for, or more",
+            f"an offset of {length:.1f} pixels",
+            f"less than {largest_px:.1f}",
+            "label again, or leave --labels out: the contact circles are then found",
+        )
+    ]
+
+
+def check_press_transfer(used: str, angle_deg: float, others: dict[str, float]) -> list[Finding]:
+    """Compare the angle that one M leaves under the transfer curve with the angles under others."""
+    if not others:
+        return []
+    name, least = min(others.items(), key=lambda item: item[1])
+    if least > _CLEARLY_BETTER * angle_deg:
+        return []
+    return [
+        Finding(
+            check="transfer",
+            level=Level.WARNING,
+            problem=f"the presses fit better with the transfer curve {name} than with {used}",
+            measured=f"{angle_deg:.1f} degrees left by one M",
+            expected=f"{least:.1f}, as with {name}",
+            remedy=f"calibrate with --transfer {name}; tactile sensors mostly store raw values",
+        )
+    ]
+
+
+def _of_labels(problem: str, measured: str, expected: str, remedy: str) -> Finding:
+    return Finding(
+        check="labels",
+        level=Level.FATAL,
+        problem=problem,
+        measured=measured,
+        expected=expected,
+        remedy=remedy,
+    )
+
+
+def _slope(x: FloatArray, y: FloatArray) -> tuple[float, float]:
+    """Slope of y over x and its standard error; 1 and infinity where x does not vary."""
+    deviation = x - x.mean()
+    spread = float((deviation**2).sum())
+    if not spread > 0:
+        return 1.0, np.inf
+    slope = float((deviation * (y - y.mean())).sum() / spread)
+    rest = y - y.mean() - slope * deviation
+    return slope, float(np.sqrt((rest**2).sum() / max(len(x) - 2, 1) / spread))
