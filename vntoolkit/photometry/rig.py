@@ -60,6 +60,14 @@ class Rig(Displayed):
             return self.gel.filmed_px
         return self.camera.width, self.camera.height
 
+    def require_background(self, given: bool) -> None:
+        """Raise `BadRig` where a tactile gel's rig is used without its untouched gel."""
+        if self.gel is not None and not given:
+            raise BadRig(
+                "the rig is that of a tactile gel, which is compared with itself: give the photograph of the "
+                "untouched gel with --background"
+            )
+
     def require_size(self, width: int, height: int, name: str) -> None:
         """Raise `BadRig` unless frames of this size belong to the rig's camera."""
         wanted = self.footage_size

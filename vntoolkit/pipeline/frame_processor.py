@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from vntoolkit.arrays import Colours, LinearImage, Mask, VisibilityLabels
 from vntoolkit.checks import require_shape
-from vntoolkit.errors import BadCapture, BadRig
+from vntoolkit.errors import BadCapture
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.integration.expected_error import with_expected_depth_error
@@ -79,12 +79,8 @@ class FrameProcessor:
         )
         self._gel = None if rig.gel is None else GelInverter(rig.response, rig.gel)
         self._dots: DotFilter | None = None
-        if self._gel is not None:
-            if background is None:
-                raise BadRig(
-                    "the rig is that of a tactile gel, which is compared with itself: give the photograph of "
-                    "the untouched gel with --background"
-                )
+        rig.require_background(background is not None)
+        if self._gel is not None and background is not None:
             nothing: Mask = np.zeros(filmed, dtype=np.bool_)
             self._dots = DotFilter(self._resampler.frame(LinearFrame(rgb=background, clipped=nothing)).rgb)
         self._integrator = DepthIntegrator(self.camera, options.integration)

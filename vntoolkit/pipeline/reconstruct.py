@@ -105,6 +105,7 @@ def reconstruct(
         raise BadInput(f"jobs: expected 1 or more, got {jobs}")
     started = time.perf_counter()
     capture = job.open_capture()
+    job.rig.require_background(job.background is not None)
     job.rig.require_size(capture.info.width, capture.info.height, job.source)
     numbers = frames.numbers(capture.info.frame_count)
     asked = frames.numbers(capture.info.promised_frame_count)
