@@ -19,14 +19,20 @@ V, U = np.indices((HEIGHT, WIDTH))
 DOTS = (U % 20 < 4) & (V % 20 < 4)
 
 
+def sine_of_slope(distance: np.ndarray, contact_px: float) -> np.ndarray:
+    """The ball inside its contact, around it a gel that comes to rest within some pixels."""
+    away = np.maximum(distance - contact_px, 0)
+    return np.minimum(distance, contact_px) / RADIUS_PX * np.exp(-((away / 8) ** 2))
+
+
 def picture(
     rng: np.random.Generator, u: float, v: float, contact_px: float, drift: float = 0.0
 ) -> np.ndarray:
     """The sensor's picture with a ball at (u, v) of the gel; contact 0 for none."""
-    x, y = (U - u) / RADIUS_PX, (V - v) / RADIUS_PX
-    inside = np.hypot(U - u, V - v) < contact_px
-    normals = np.stack([x, y, -np.sqrt(np.maximum(1 - x * x - y * y, 0.01))], axis=-1)
-    rgb = np.where(inside[..., None], normals, [0, 0, -1]) @ MATRIX.T
+    distance = np.hypot(U - u, V - v)
+    sine = sine_of_slope(distance, contact_px)[..., None]
+    outward = np.stack([U - u, V - v], axis=-1) / np.maximum(distance, 1e-9)[..., None]
+    rgb = np.concatenate([sine * outward, -np.sqrt(1 - sine**2)], axis=-1) @ MATRIX.T
     rgb = rgb + drift * np.stack([U / WIDTH, V / HEIGHT, np.ones(U.shape)], axis=-1)
     rgb[DOTS] *= 0.4
     whole = np.zeros((HEIGHT + 2 * MARGIN, WIDTH + 2 * MARGIN, 3))
@@ -82,10 +88,13 @@ def test_a_sensor_from_presses_without_labels_to_depth_and_contact(
     assert np.median(np.linalg.norm(normals[..., :2] - truth, axis=2)[inside]) < 0.04
     depth_mm = 1000 * read_depth_map(out / "depth" / "000000.exr").depth
     assert abs(np.median(depth_mm[np.hypot(U - 60, V - 90) > 40])) < 0.03
-    assert depth_mm[90, 60] == pytest.approx(-(2.4 - np.sqrt(2.4**2 - 1.8**2)), abs=0.1)  # the cap's height
+    sine = sine_of_slope(np.arange(0, 60, 0.1), 18)
+    height_mm = np.cumsum((sine / np.sqrt(1 - sine**2))[::-1])[::-1] * 0.01
+    assert depth_mm[90, 60] == pytest.approx(-height_mm[0], rel=0.08)
     frame, area_mm2, deepest_mm = (out / "contact.csv").read_text().splitlines()[1].split(",")
     assert frame == "0"
-    assert float(area_mm2) == pytest.approx(np.pi * 1.5**2, rel=0.15)  # where the cap is a third deep
+    rim_mm = 0.01 * np.count_nonzero(height_mm > height_mm[0] / 3)
+    assert float(area_mm2) == pytest.approx(np.pi * rim_mm**2, rel=0.15)
     assert float(deepest_mm) == pytest.approx(-depth_mm.min(), abs=1e-3)
     contact = read_image(out / "contact" / "000000.png")
     assert contact[90, 60].min() == 255
