@@ -324,7 +324,6 @@ def presses(
     transfer: Curve = None,
     allow: Allow = (),
     sensor: Sensor = None,
-    allow: Allow = (),
 ) -> None:
     """Calibrate a tactile sensor on presses of a ball of known size into its gel.
 
