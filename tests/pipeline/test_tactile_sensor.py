@@ -7,10 +7,12 @@ import pytest
 
 from vntoolkit.__main__ import main
 from vntoolkit.diagnosis.press_checks import check_labels, check_offset, check_press_transfer
+from vntoolkit.geometry.maps import DepthMap
 from vntoolkit.io.footage.gel_dots import DotFilter
 from vntoolkit.io.footage.images import read_image, write_png
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
 from vntoolkit.io.rigs import read_rig
+from vntoolkit.pipeline.contact import rested
 
 MATRIX = np.array([[0.4, 0.1, -0.42], [-0.2, 0.35, -0.45], [-0.15, -0.35, -0.5]])
 HEIGHT, WIDTH, MARGIN = 180, 140, 20  # of the gel in pixels of 0.1 mm, and what is filmed around it
@@ -19,18 +21,23 @@ V, U = np.indices((HEIGHT, WIDTH))
 DOTS = (U % 20 < 4) & (V % 20 < 4)
 
 
-def sine_of_slope(distance: np.ndarray, contact_px: float) -> np.ndarray:
+def sine_of_slope(distance: np.ndarray, contact_px: float, rest_px: float = 8.0) -> np.ndarray:
     """The ball inside its contact, around it a gel that comes to rest within some pixels."""
     away = np.maximum(distance - contact_px, 0)
-    return np.minimum(distance, contact_px) / RADIUS_PX * np.exp(-((away / 8) ** 2))
+    return np.minimum(distance, contact_px) / RADIUS_PX * np.exp(-((away / rest_px) ** 2))
 
 
 def picture(
-    rng: np.random.Generator, u: float, v: float, contact_px: float, drift: float = 0.0
+    rng: np.random.Generator,
+    u: float,
+    v: float,
+    contact_px: float,
+    drift: float = 0.0,
+    rest_px: float = 8.0,
 ) -> np.ndarray:
     """The sensor's picture with a ball at (u, v) of the gel; contact 0 for none."""
     distance = np.hypot(U - u, V - v)
-    sine = sine_of_slope(distance, contact_px)[..., None]
+    sine = sine_of_slope(distance, contact_px, rest_px)[..., None]
     outward = np.stack([U - u, V - v], axis=-1) / np.maximum(distance, 1e-9)[..., None]
     rgb = np.concatenate([sine * outward, -np.sqrt(1 - sine**2)], axis=-1) @ MATRIX.T
     rgb = rgb + drift * np.stack([U / WIDTH, V / HEIGHT, np.ones(U.shape)], axis=-1)
@@ -54,6 +61,7 @@ def sensor(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (folder / "labels" / f"press-{k}.txt").write_text(text)
     write_png(folder / "background.png", picture(rng, 0, 0, 0))
     write_png(folder / "touched.png", picture(rng, 60, 90, 18, 0.02))
+    write_png(folder / "sharp.png", picture(rng, 60, 90, 18, 0.02, rest_px=0.1))
     return folder
 
 
@@ -99,6 +107,18 @@ def test_a_sensor_from_presses_without_labels_to_depth_and_contact(
     contact = read_image(out / "contact" / "000000.png")
     assert contact[90, 60].min() == 255
     assert contact[20, 20].max() == 0
+
+
+def test_the_dark_flank_of_a_sharp_rim_is_no_dot(sensor: Path, tmp_path: Path) -> None:
+    rig, out = tmp_path / "rig.json", tmp_path / "out"
+    assert calibrate(sensor, rig) == 0
+    run = ["--rig", str(rig), "--background", str(sensor / "background.png"), "--to", "depth"]
+    assert main(["reconstruct", str(sensor / "sharp.png"), *run, "--out", str(out)]) == 0
+    depth_mm = 1000 * read_depth_map(out / "depth" / "000000.exr").depth
+    # The cap's height is known; so is the area within which it is a third deep.
+    assert depth_mm[90, 60] == pytest.approx(-(2.4 - np.sqrt(2.4**2 - 1.8**2)), abs=0.1)
+    area_mm2 = float((out / "contact.csv").read_text().splitlines()[1].split(",")[1])
+    assert area_mm2 == pytest.approx(np.pi * 1.5**2, rel=0.15)
 
 
 def test_an_untouched_gel_is_flat_and_a_missing_background_is_said(
@@ -154,5 +174,22 @@ def test_dots_are_filled_from_what_is_around_them(rng: np.random.Generator) -> N
     assert filled[DOTS].all()
     assert filled.mean() < 0.25
     assert np.abs(change - smooth).max() < 0.03
+    sine = sine_of_slope(np.hypot(U - 60, V - 90), 18, 0.1)
+    outward = np.stack([U - 60, V - 90], axis=-1) / np.maximum(np.hypot(U - 60, V - 90), 1e-9)[..., None]
+    dent = np.concatenate([sine[..., None] * outward, -np.sqrt(1 - sine**2)[..., None]], axis=-1) @ MATRIX.T
+    dent[DOTS] *= 0.2
+    at_rest = np.where(DOTS[..., None], 0.2, 1.0) * -MATRIX[:, 2]
+    steep = DotFilter(at_rest.astype(np.float32))
+    _, filled = steep.filled((dent - at_rest).astype(np.float32), np.zeros(DOTS.shape, bool))
+    assert (filled == steep.dots).all()  # no pixel of the flank
     plain = np.full((HEIGHT, WIDTH, 3), 0.5, np.float32)
     assert not DotFilter(plain).filled(smooth, np.zeros(DOTS.shape, bool))[1].any()
+
+
+def test_the_gel_at_rest_is_the_plane_of_depth_0() -> None:
+    dent_m = -1e-3 * np.exp(-(np.hypot(U - 60, V - 90) ** 2) / 200)
+    tilted = DepthMap(depth=dent_m + 2e-6 * U - 1e-6 * V + 5e-3, mask=np.ones(U.shape, bool))
+    assert np.abs(rested(tilted).depth - dent_m).max() < 2e-5
+    steep = 2e-5 * U  # too little of it is near one plane to tell a tilt: the shape is kept
+    shift = rested(DepthMap(depth=steep, mask=np.ones(U.shape, bool))).depth - steep
+    assert np.ptp(shift) < 1e-9

@@ -21,6 +21,7 @@ import logging
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import Enum
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -207,7 +208,7 @@ def pairs_from_samples(
     samples: Iterable[PressSamples], label_offset_px: FloatArray, options: PressOptions
 ) -> PressPairs:
     """Give every sample its normal; those in the crease around the contact are left out."""
-    parts: list[tuple[FloatArray, ...]] = []
+    parts: list[tuple[npt.NDArray[Any], ...]] = []
     for number, part in enumerate(samples):
         offsets = part.offsets_px(label_offset_px)
         distance = np.linalg.norm(offsets, axis=1)

@@ -21,6 +21,8 @@ from vntoolkit.geometry.maps import DepthMap
 _RIM_SHARE = 1 / 3  # of a dent's depth, at which its contact ends
 _SHALLOWEST_M = 1e-4  # what the drift of lamps leaves of depth on an untouched gel
 _REST_ROUNDS = 4
+_RESTING_SHARE = 1 / 3  # of the gel, to tell a tilt from
+_VOTES = 2000  # pixels that the plane is fitted to, evenly spread
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -37,15 +39,32 @@ class Contact:
 
 
 def rested(depth_map: DepthMap) -> DepthMap:
-    """Return the depth of a gel, in metres, shifted so that the gel at rest has 0 and dents are negative."""
-    values = depth_map.depth[depth_map.mask]
-    level = float(np.median(values))
+    """Return the depth of a gel, in metres, less the plane of the gel at rest; dents are negative.
+
+    The rest is a plane, square to the camera by construction. A colour cast that is left of the lamps' drift
+    tilts every normal by parts of a degree, which adds up across the gel. Where less than a third of the gel
+    rests, its height alone is taken out.
+    """
+    mask = depth_map.mask
+    step = max(1, round(float(np.sqrt(mask.size / _VOTES))))
+    rows, columns = np.nonzero(mask[::step, ::step])
+    values = depth_map.depth[::step, ::step][rows, columns].astype(np.float64)
+    if not len(values):
+        return depth_map
+    height, width = mask.shape
+    y, x = np.linspace(-1, 1, height), np.linspace(-1, 1, width)
+    terms = np.column_stack([np.ones(len(values)), x[::step][columns], y[::step][rows]])
+    plane = np.array([np.median(values), 0.0, 0.0])
     for _ in range(_REST_ROUNDS):  # dents pull the median: left out, it comes to rest
-        flat = values[np.abs(values - level) < 2 * _SHALLOWEST_M]
-        if len(flat) < len(values) / 10:
-            break
-        level = float(np.median(flat))
-    return replace(depth_map, depth=depth_map.depth - level)
+        flat = np.abs(values - terms @ plane) < 2 * _SHALLOWEST_M
+        if flat.mean() > _RESTING_SHARE:
+            plane = np.linalg.lstsq(terms[flat], values[flat], rcond=None)[0]
+        elif flat.mean() > _RESTING_SHARE / 3:
+            plane[0] += np.median((values - terms @ plane)[flat])
+    rest = plane[0] + plane[1] * x + (plane[2] * y)[:, None]
+    depth = (depth_map.depth - rest).astype(depth_map.depth.dtype)
+    depth[~mask] = depth_map.depth[~mask]
+    return replace(depth_map, depth=depth)
 
 
 def contact_from_depth(depth_map: DepthMap, camera: Camera) -> Contact:

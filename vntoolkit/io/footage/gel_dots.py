@@ -1,10 +1,12 @@
 """Dots printed on a tactile gel: found in a frame, and filled in a change of colour.
 
-Dots are small and darker than the gel around them. A closing of the picture removes what is dark and narrower
-than its window; where it lifts the brightness by a good part, there is a dot. A dot moves with the gel: in a
-change against the untouched gel it leaves a dark spot where it is and a bright one where it was. Both are
-filled from the change around them, which is smooth: along the row and along the column, between the nearest
-known pixels on both sides, the shorter gap counting more.
+Dots are small and darker than the gel around them in every channel, since black ink absorbs all light. A
+closing of a channel removes what is dark and narrower than its window; where it lifts all three channels by a
+good part, there is a dot. The steep flank of a dent is dark too, but not in every channel: what turns away
+from one lamp turns towards another. A dot moves with the gel: in a change against the untouched gel it leaves
+a dark spot where it is and a bright one where it was. Both are filled from the change around them, which is
+smooth: along the row and along the column, between the nearest known pixels on both sides, the shorter gap
+counting more.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ _WINDOW_SHARE = 1 / 16  # of the shorter side: sensors print ten dots across and
 _DARKER = 0.15  # of the gel's brightness around it, at least
 _FEWEST = 0.002  # of all pixels: less is dirt, and the gel has no dots
 _MOST = 0.4  # more is a texture or the print of an object
+_LARGEST = 3  # times the area of the median dot: what is larger is the print of an object
 _SEARCHED_PX = 120  # shorter side of the picture that is searched; a dot is still some pixels wide
 
 
@@ -26,14 +29,21 @@ def find_dots(change: LinearImage, background: LinearImage) -> Mask:
     """Mask (h, w) of the dots in change + background, both linear (h, w, 3); nothing where there are none."""
     height, width = change.shape[:2]
     step = max(1, min(height, width) // _SEARCHED_PX)
-    grey = _grey(change, background, step)
-    window = 2 * max(1, round(min(grey.shape) * _WINDOW_SHARE / 2)) + 1
-    closed = cv2.morphologyEx(grey, cv2.MORPH_CLOSE, np.ones((window, window), np.uint8))
-    dark = (cv2.subtract(closed, grey) > _DARKER * closed).astype(np.uint8)
+    small = cv2.resize(
+        cv2.add(change, background), (width // step, height // step), interpolation=cv2.INTER_AREA
+    )
+    window = 2 * max(1, round(min(small.shape[:2]) * _WINDOW_SHARE / 2)) + 1
+    closed = cv2.morphologyEx(small, cv2.MORPH_CLOSE, np.ones((window, window), np.uint8))
+    dark = _darker(small, closed, np.float32(1 - _DARKER))
     if not _FEWEST < dark.mean() < _MOST:
         return np.zeros((height, width), np.bool_)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(dark)
+    areas = stats[:, cv2.CC_STAT_AREA]
+    usual = areas <= _LARGEST * np.median(areas[1:])
+    usual[0] = False
+    dark = usual[labels].astype(np.uint8)
     rims = cv2.dilate(dark, np.ones((3, 3), np.uint8))
-    return np.asarray(np.repeat(np.repeat(rims, step, axis=0), step, axis=1)[:height, :width] > 0)
+    return np.asarray(cv2.resize(rims, (width, height), interpolation=cv2.INTER_NEAREST) > 0)
 
 
 class DotFilter:
@@ -59,21 +69,17 @@ class DotFilter:
 
 
 @njit(cache=True)
-def _grey(change, background, step):  # type: ignore[no-untyped-def]  # pragma: no cover
-    height, width = (change.shape[0] + step - 1) // step, (change.shape[1] + step - 1) // step
-    grey = np.empty((height, width), np.uint8)
-    scale = np.float32(255.0 / (3 * step * step))
+def _darker(small, closed, share):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """1 where all channels are below this share of their closing."""
+    height, width = small.shape[:2]
+    dark = np.zeros((height, width), np.uint8)
     for v in range(height):
         for u in range(width):
-            total = np.float32(0)
-            for dv in range(step):
-                y = min(v * step + dv, change.shape[0] - 1)
-                for du in range(step):
-                    x = min(u * step + du, change.shape[1] - 1)
-                    for c in range(3):
-                        total += change[y, x, c] + background[y, x, c]
-            grey[v, u] = np.uint8(min(max(total * scale, np.float32(0)), np.float32(255)))
-    return grey
+            count = 0
+            for c in range(3):
+                count += small[v, u, c] < share * closed[v, u, c]
+            dark[v, u] = count == 3
+    return dark
 
 
 @njit(cache=True)
