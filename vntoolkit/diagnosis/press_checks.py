@@ -23,11 +23,13 @@ def check_labels(labels: FloatArray, found: FloatArray, size: tuple[int, int]) -
         if any(abs(slope - 1) > max(_STRETCH, _SURE * error) for slope, error in stretch):
             asked = (round(size[0] * stretch[0][0]), round(size[1] * stretch[1][0]))
             return [
-                _of_labels(
-                    "the labels are of a picture of another size than the presses",
-                    f"{stretch[0][0]:.2f} times the dents' distances in u, {stretch[1][0]:.2f} times in v",
-                    "1.00",
-                    f"name the labels' picture with --label-size, about {asked[0]} {asked[1]}",
+                Finding(
+                    check="labels",
+                    level=Level.FATAL,
+                    problem="the labels are of a picture of another size than the presses",
+                    measured=f"{stretch[0][0]:.2f} times the dents' distances in u, {stretch[1][0]:.2f} in v",
+                    expected="1.00",
+                    remedy=f"name the labels' picture with --label-size, about {asked[0]} {asked[1]}",
                 )
             ]
     offset = labels[:, :2] - found[:, :2]
@@ -36,12 +38,16 @@ def check_labels(labels: FloatArray, found: FloatArray, size: tuple[int, int]) -
     spread = float(np.median(away))
     if max(far, spread) > _FAR_RADII:
         return [
-            _of_labels(
-                "the labels lie beside the dents",
-                f"{max(far, spread):.1f} contact radii, median",
-                f"less than {_FAR_RADII:g}",
-                "are these the labels of these images, and of this rectification? Without --labels the "
-                "contact circles are found",
+            Finding(
+                check="labels",
+                level=Level.FATAL,
+                problem="the labels lie beside the dents",
+                measured=f"{max(far, spread):.1f} contact radii, median",
+                expected=f"less than {_FAR_RADII:g}",
+                remedy=(
+                    "are these the labels of these images, and of this rectification? Without --labels the "
+                    "contact circles are found"
+                ),
             )
         ]
     return []
@@ -53,11 +59,13 @@ def check_offset(offset_px: FloatArray, largest_px: float) -> list[Finding]:
     if length < 0.98 * largest_px:
         return []
     return [
-        _of_labels(
-            "the labels lie beside the dents by as much as is allowed for, or more",
-            f"an offset of {length:.1f} pixels",
-            f"less than {largest_px:.1f}",
-            "label again, or leave --labels out: the contact circles are then found",
+        Finding(
+            check="labels",
+            level=Level.FATAL,
+            problem="the labels lie beside the dents by as much as is allowed for, or more",
+            measured=f"an offset of {length:.1f} pixels",
+            expected=f"less than {largest_px:.1f}",
+            remedy="label again, or leave --labels out: the contact circles are then found",
         )
     ]
 
@@ -79,17 +87,6 @@ def check_press_transfer(used: str, angle_deg: float, others: dict[str, float]) 
             remedy=f"calibrate with --transfer {name}; tactile sensors mostly store raw values",
         )
     ]
-
-
-def _of_labels(problem: str, measured: str, expected: str, remedy: str) -> Finding:
-    return Finding(
-        check="labels",
-        level=Level.FATAL,
-        problem=problem,
-        measured=measured,
-        expected=expected,
-        remedy=remedy,
-    )
 
 
 def _slope(x: FloatArray, y: FloatArray) -> tuple[float, float]:
