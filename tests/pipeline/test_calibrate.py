@@ -141,6 +141,7 @@ def test_real_sphere_then_buddha_and_cat(real_data, tmp_path, with_mask) -> None
         assert np.median(error) < 6.5
 
 
+@pytest.mark.slow
 def test_real_ball_presses_make_a_flat_gel_with_one_travelling_dent(real_data, tmp_path) -> None:
     gel = real_data / "gelsight"
     corners = ["--corners", "33", "58", "208", "61", "56", "250", "185", "244", "--size-mm", "24", "34.88"]

@@ -101,7 +101,8 @@ def simulate(
         write_moving_mesh(job, resume)
         missing = [place for place in range(count) if not folder.staged(place).exists()]
         on_start(count, count - len(missing))
-        for place in shared_out(partial(_begin, job), missing, jobs):
+        work = partial(_begin, job if jobs == 1 else replace(job))  # a copy: built scenes cannot be sent
+        for place in shared_out(work, missing, jobs):
             on_frame(place)
         _write_contact_sheet(job)
         write_video(folder.video, _staged_frames(folder, count), job.built.frame_rate_hz / job.numbers.step)
