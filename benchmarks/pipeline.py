@@ -62,8 +62,9 @@ def footage(width: int, height: int, count: int) -> Iterator[npt.NDArray[np.uint
     frames = []
     for k in range(_DISTINCT):
         phase = 2 * np.pi * k / _DISTINCT
-        p = 0.6 * np.cos(9 * u + 4 * v + phase)
-        q = 0.5 * np.cos(7 * v - 3 * u - phase)
+        first, second = np.cos(9 * u + 4 * v + phase), np.cos(7 * v - 3 * u - phase)
+        p = 0.6 * first - 0.15 * second
+        q = 0.6 * 4 / 9 * first + 0.15 * 7 / 3 * second
         normals = np.stack([p, q, -np.ones_like(p)], axis=-1)
         normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
         rgb = 255 * 0.8 * np.clip(normals @ _LIGHTS.T, 0, 1) + rng.normal(0, 1, (height, width, 3))
