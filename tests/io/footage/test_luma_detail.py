@@ -33,7 +33,7 @@ def _film(path: Path, light: np.ndarray, transfer: Transfer, codec: str, pixels:
         stream = container.add_stream(codec, rate=25, options=options)
         stream.height, stream.width, stream.pix_fmt = *SIZE, pixels
         picture = av.VideoFrame.from_ndarray(encoded, format="rgb48le")
-        container.mux(stream.encode(picture.reformat(format=pixels, interpolation="BICUBIC")))
+        container.mux(stream.encode(picture.reformat(format=pixels, interpolation="BICUBIC", threads=1)))
         container.mux(stream.encode(None))
 
 
@@ -75,7 +75,9 @@ def test_every_subsampling_and_odd_sizes_keep_a_flat_colour(tmp_path, pixels, si
         stream = container.add_stream("ffv1", rate=25)
         stream.height, stream.width, stream.pix_fmt = *size, pixels
         flat = np.full((*size, 3), (120, 90, 160), np.uint8)
-        container.mux(stream.encode(av.VideoFrame.from_ndarray(flat, format="rgb24").reformat(format=pixels)))
+        container.mux(
+            stream.encode(av.VideoFrame.from_ndarray(flat, format="rgb24").reformat(format=pixels, threads=1))
+        )
         container.mux(stream.encode(None))
     plain = open_capture(tmp_path / "a.mkv", CaptureOptions(transfer=Transfer())).frame(0).rgb
     options = CaptureOptions(transfer=Transfer(), response=RESPONSE)
