@@ -254,9 +254,15 @@ def run_case(case: Case) -> str:
 
 def _start(case: Case) -> subprocess.Popen[str]:
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", **case.environment}
+
+    def prepare() -> None:
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
+        if case.prepare is not None:
+            case.prepare()
+
     return subprocess.Popen(
         [sys.executable, "-m", "vntoolkit", *case.arguments],
-        env=environment, preexec_fn=case.prepare,  # noqa: PLW1509 - no thread runs here
+        env=environment, preexec_fn=prepare,  # noqa: PLW1509 - no thread runs here
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE, text=True, errors="replace", cwd=_CHECKOUT,
     )  # fmt: skip

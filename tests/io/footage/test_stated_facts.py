@@ -81,6 +81,20 @@ def test_a_turned_video_comes_upright(tmp_path, rotation, quarters):
     assert "turned by" in capture.info.orientation
 
 
+@pytest.mark.parametrize(("value", "quarters"), [(1, 0), (3, 2), (6, 3), (8, 1)])
+def test_a_video_of_pictures_with_exif_comes_upright(tmp_path, value, quarters):
+    """FFmpeg hands EXIF as data of the frame; PyAV 18 does not know its kind and lists none of the others."""
+    exif = Image.Exif()
+    exif[274] = value
+    upright = _arrow()
+    stored = np.ascontiguousarray(np.rot90(upright, -quarters))
+    Image.fromarray(stored).save(tmp_path / "a.jpg", exif=exif, quality=99)
+    (tmp_path / "a.jpg").rename(tmp_path / "a.avi")
+    np.testing.assert_allclose(
+        open_capture(tmp_path / "a.avi").encoded(0).values.astype(int), upright, atol=12
+    )
+
+
 @pytest.mark.parametrize("kind", ["png", "jpg", "tif"])
 @pytest.mark.parametrize("value", range(1, 9))
 def test_exif_and_tiff_orientation_is_obeyed(tmp_path, kind, value):
@@ -247,6 +261,17 @@ def test_an_exr_is_read_in_its_display_window(tmp_path, left, top):
     v, u = np.mgrid[:8, :10]
     inside = (u >= left) & (u < left + 8) & (v >= top) & (v < top + 6)
     np.testing.assert_array_equal(picture, np.where(inside[..., None], [0.75, 0.5, 0.25], 0))
+
+
+def test_a_few_pixels_in_a_vast_exr_window_are_refused(tmp_path):
+    """One flipped bit of a header would else fill the memory with empty pixels."""
+    values = {name: np.zeros((6, 8), np.float32) for name in "BGR"}
+    header = {
+        "dataWindow": ((0, 0), (7, 5)), "displayWindow": ((0, 0), (9999, 5)), "type": OpenEXR.scanlineimage
+    }  # fmt: skip
+    OpenEXR.File(header, values).write(str(tmp_path / "a.exr"))
+    with pytest.raises(BadCapture, match="its 8×6 pixels lie in a picture of 10000×6"):
+        read_image(tmp_path / "a.exr")
 
 
 def test_an_exr_of_several_parts_is_refused(tmp_path):

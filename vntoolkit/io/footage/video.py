@@ -6,6 +6,7 @@ import contextlib
 import logging
 import re
 import shlex
+import struct
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterable, Iterator
@@ -168,10 +169,9 @@ class VideoReader:
         """Return what the first frame states; a frame that cannot be decoded is reported in its turn."""
         with contextlib.suppress(*av_errors()):
             frame: Any = next(container.decode(video=0), None)
-            # by name: PyAV 18 lists the data themselves, PyAV 19 their kinds
-            data = None if frame is None else frame.side_data.get("DISPLAYMATRIX")
+            data = None if frame is None else _display_matrix(frame)
             if data is not None:
-                found = Orientation.from_display_matrix(bytes(data))
+                found = Orientation.from_display_matrix(data)
                 if found is None:
                     raise BadCapture(
                         f"{self.path}: is to be shown turned by {frame.rotation}°, expected 0, 90, 180 "
@@ -563,6 +563,18 @@ def _remainder(data, tables):  # type: ignore[no-untyped-def]  # pragma: no cove
     for i in range(whole, len(data)):
         crc = np.uint32(crc << np.uint32(8)) ^ tables[0, data[i] ^ (crc >> np.uint32(24))]
     return crc
+
+
+def _display_matrix(frame: Any) -> bytes | None:
+    """Return the 36 bytes of the frame's display matrix, where it states one."""
+    try:
+        # by name: PyAV 18 lists the data themselves, PyAV 19 their kinds
+        data = frame.side_data.get("DISPLAYMATRIX")
+    except ValueError:  # PyAV 18 lists none where one is of a kind it does not know, as FFmpeg's EXIF is
+        turn = np.deg2rad(frame.rotation)
+        cosine, sine = (round(65536 * float(value)) for value in (np.cos(turn), np.sin(turn)))
+        return struct.pack("<9i", cosine, -sine, 0, sine, cosine, 0, 0, 0, 1 << 30)
+    return None if data is None else bytes(data)
 
 
 def open_video(path: Path) -> tuple[Any, Any]:

@@ -25,6 +25,7 @@ from vntoolkit.native import silenced_native_output
 MAGIC = b"\x76\x2f\x31\x01"
 _LONGEST_HEADER = 32 << 20  # bytes
 _MOST_CHANNELS = 16
+_MOST_EMPTY = 1000  # times as large a picture as what is stored of it: a few bytes would fill the memory
 _CHANNELS_OF_A_PIXEL = 5  # of our normals; those that the limit in megapixels counts with
 
 
@@ -115,6 +116,11 @@ def read_exr(
         require_pixels(header.width * layers, header.height, max_megapixels, str(path), error)
         stored = header.stored_width * layers, header.stored_height
         require_pixels(*stored, max_megapixels, str(path), error)
+        if header.width * header.height > _MOST_EMPTY * header.stored_width * header.stored_height:
+            raise error(
+                f"{path}: its {header.stored_width}×{header.stored_height} pixels lie in a picture of "
+                f"{header.width}×{header.height}, a display window that can only be damaged; save it again"
+            )
         size = os.fstat(stream.fileno()).st_size
         if size > len(data):
             if size > 8 * header.stored_width * header.stored_height * len(header.channels) + _LONGEST_HEADER:
