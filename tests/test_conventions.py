@@ -29,6 +29,7 @@ def test_every_path_exists(path: str) -> None:
     assert any((ROOT / folder / path).is_file() for folder in ("vntoolkit", "."))
 
 
+@pytest.mark.slow
 def test_the_example_prints_a_figure_for_each_equation(capsys: pytest.CaptureFixture[str]) -> None:
     example = ROOT / "examples" / "paper.py"
     assert len(example.read_text().splitlines()) < 80

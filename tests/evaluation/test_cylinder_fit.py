@@ -106,6 +106,7 @@ def test_pose_and_radius_are_found_under_noise_and_wrong_normals(
             assert pose.radius == pytest.approx(RADIUS, rel=0.01)
 
 
+@pytest.mark.slow
 def test_normals_of_the_fit_are_those_of_the_traced_cylinder(rng: np.random.Generator) -> None:
     axis, centre = poses(3)[1]
     exact = trace(PINHOLE, axis, centre)

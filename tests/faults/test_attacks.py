@@ -84,6 +84,7 @@ def test_the_lock_of_a_killed_run_is_taken_over_and_said_so(tmp_path, caplog):
     assert not (tmp_path / LOCK_NAME).exists()
 
 
+@pytest.mark.slow
 def test_every_verb_that_writes_a_folder_leaves_a_locked_one_alone(good, tmp_path, capfd):
     assert main([*reconstruct(good, tmp_path / "r"), "--to", "mesh"]) == 0
     corners = map(str, (0, 0, 20, 0, 0, 20, 20, 20))

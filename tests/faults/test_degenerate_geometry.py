@@ -89,7 +89,7 @@ def test_a_lone_vertex_has_no_normal_and_survives_the_disk(tmp_path):
         np.testing.assert_allclose(read.vertices, vertices, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["across", "hole", "islands"])
+@pytest.mark.parametrize("name", [pytest.param("across", marks=pytest.mark.slow), "hole", "islands"])
 def test_a_seam_that_cuts_the_surface_in_two_is_tracked(name):
     """Both parts stay where they are on a surface that does not move."""
     depth, normals = _bumps()

@@ -83,7 +83,8 @@ def occluded(normal_map: NormalMap, k: int) -> NormalMap:
     return NormalMap(normals_in_camera=normals.astype(np.float32), mask=normal_map.mask)
 
 
-@pytest.mark.parametrize("method", [Tracker.DEFAULT, pytest.param(Tracker.FLOW, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("method", [Tracker.DEFAULT, Tracker.FLOW])
 def test_what_an_occluder_hides_is_held_and_found_again(method: Tracker) -> None:
     video = WrinkledVideo(sway_px=2.0)
     tracker = SurfaceTracker(*video.maps(0), video.camera, TrackingOptions(method=method))
@@ -111,6 +112,7 @@ def test_what_is_hidden_stays_off_the_surface_before_it() -> None:
     assert np.percentile(np.abs(tracked.vertices_in_camera[:, 2] - true)[hidden], 90) < 10.0  # of 100
 
 
+@pytest.mark.slow
 def test_vertices_that_leave_the_mask_are_held_and_found_again() -> None:
     video = WrinkledVideo(sway_px=2.0)
 
