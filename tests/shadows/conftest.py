@@ -67,9 +67,9 @@ def build(
 ) -> Stage:
     normals = normals_of(depth)
     lit = np.stack([reached(depth, normals, light) for light in DIRECTIONS], axis=-1)
-    shares = np.maximum(normals @ DIRECTIONS.T, 0.0) * lit
+    cosines = np.maximum(normals @ DIRECTIONS.T, 0.0) * lit
     colours = CROSSTALK if crosstalk else np.diag([0.9, 0.85, 0.8])
-    rgb = np.broadcast_to(np.asarray(albedo), depth.shape)[..., None] * (shares @ colours)
+    rgb = np.broadcast_to(np.asarray(albedo), depth.shape)[..., None] * (cosines @ colours)
     rgb = rgb + np.random.default_rng(5).normal(0.0, noise, rgb.shape)
     response = LightResponse(matrix=colours.T @ DIRECTIONS, light_colours=colours if crosstalk else None)
     frame = LinearFrame(rgb=rgb.astype(np.float32), clipped=np.zeros(depth.shape, bool))

@@ -152,10 +152,10 @@ def test_of_equally_cheap_cuts_the_one_with_the_most_light_is_taken() -> None:
 
 
 def test_bonds_give_way_to_one_light_alone() -> None:
-    shares = np.full((1, 3, 3), 0.8)
-    shares[:, 1:] *= 0.5  # all three: paint
-    shares[:, 2:, 0] = 0.02  # light 0 alone: shadow
-    bonds, _ = bonds_of_light(shares, 0, np.ones((1, 3), bool), 1.0, 0.3)
+    cosines = np.full((1, 3, 3), 0.8)
+    cosines[:, 1:] *= 0.5  # all three: paint
+    cosines[:, 2:, 0] = 0.02  # light 0 alone: shadow
+    bonds, _ = bonds_of_light(cosines, 0, np.ones((1, 3), bool), 1.0, 0.3)
     assert bonds[0, 0] > 0.95
     assert bonds[0, 1] < 0.1
 

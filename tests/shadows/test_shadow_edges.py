@@ -50,13 +50,13 @@ def test_a_cut_through_a_plane_is_no_outline() -> None:
 def test_a_blurred_edge_of_a_cast_shadow_lies_at_half_light() -> None:
     mask = np.ones((20, 40), bool)
     step = np.where(np.arange(40) < 20, 0.0, 0.8)[None, :, None] * np.ones((20, 1, 3))
-    shares = cv2.GaussianBlur(step, (0, 0), 1.0)
-    found = shares > 0.07
+    cosines = cv2.GaussianBlur(step, (0, 0), 1.0)
+    found = cosines > 0.07
     assert not found[:, :19].any()
     assert found[:, 19:].all()
-    facing = np.full(shares.shape, 0.8)
-    lit = lit_beyond_half(found, shares, facing, mask)
+    facing = np.full(cosines.shape, 0.8)
+    lit = lit_beyond_half(found, cosines, facing, mask)
     assert not lit[:, :20].any()
     assert lit[:, 20:].all()
     turned = np.where(found, 0.8, 0.0)  # the surface turns away there
-    assert np.array_equal(lit_beyond_half(found, shares, turned, mask), found)
+    assert np.array_equal(lit_beyond_half(found, cosines, turned, mask), found)

@@ -7,12 +7,12 @@ import numpy as np
 
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
+from vntoolkit.shadows.contributions import contributions_from_frame
 from vntoolkit.shadows.evidence import (
-    WEAK_SHARE,
+    WEAK_COSINE,
     evidence_from_albedo,
-    sharpened_shares,
+    sharpened_cosines,
 )
-from vntoolkit.shadows.shares import shares_from_frame
 
 LIGHTS = np.array([[-0.5, 0.2, -0.84], [0.5, 0.2, -0.84], [0.0, -0.55, -0.835]])
 
@@ -24,14 +24,14 @@ def test_a_blurred_line_of_shadow_turns_dark_again(rng: np.random.Generator) -> 
     blurred = cv2.GaussianBlur(true, (0, 0), 0.8) + rng.normal(0.0, 0.01, true.shape)
     mask = np.ones((40, 60), bool)
     mask[:, 55:] = False
-    found = sharpened_shares(blurred, mask)
+    found = sharpened_cosines(blurred, mask)
     assert blurred[:, 29:32].mean() > 0.12
     assert found[5:-5, 29:32].mean() < 0.8 * blurred[5:-5, 29:32].mean()
     assert found[5:-5, 5:20].std() < 1.1 * blurred[5:-5, 5:20].std()
     assert np.array_equal(found[:, 55:], blurred[:, 55:].astype(np.float32))
     narrow = np.zeros((40, 60), bool)
     narrow[:, 26:32] = True  # all of it near the outline, where nothing is sharpened
-    kept = sharpened_shares(blurred, narrow)
+    kept = sharpened_cosines(blurred, narrow)
     assert np.array_equal(kept[:, 26:32], cv2.medianBlur(blurred.astype(np.float32), 3)[:, 26:32])
 
 
@@ -39,20 +39,20 @@ def measured_with_missing(normal: tuple[float, float, float], missing: bool):
     """A wall whose light 0 arrives or not; the surface is known."""
     unit = np.asarray(normal) / np.linalg.norm(normal)
     predicted = np.broadcast_to(unit @ LIGHTS.T, (4, 5, 3)).astype(np.float32)
-    shares = predicted.copy()
+    cosines = predicted.copy()
     if missing:
-        shares[..., 0] = 0.0
-    frame = LinearFrame(rgb=0.5 * shares, clipped=np.zeros((4, 5), bool))
-    return shares_from_frame(frame, LightResponse(matrix=LIGHTS)), predicted
+        cosines[..., 0] = 0.0
+    frame = LinearFrame(rgb=0.5 * cosines, clipped=np.zeros((4, 5), bool))
+    return contributions_from_frame(frame, LightResponse(matrix=LIGHTS)), predicted
 
 
 def test_the_albedo_tells_a_missing_light_from_a_weak_one() -> None:
     mask, albedo = np.ones((4, 5), bool), np.full((4, 5), 0.5, np.float32)
     for normal, missing in (((0.85, 0.0, -0.75), False), ((0.3, 0.3, -0.9), True)):
         measured, predicted = measured_with_missing(normal, missing)
-        shares = measured.shares(albedo)
-        assert shares[..., 0].max() < WEAK_SHARE
-        found = evidence_from_albedo(measured, shares, predicted, albedo, mask)
+        cosines = measured.cosines(albedo)
+        assert cosines[..., 0].max() < WEAK_COSINE
+        found = evidence_from_albedo(measured, cosines, predicted, albedo, mask)
         assert not found[..., 1:].any()
         assert (found[..., 0] < -0.02).all() if missing else (np.abs(found[..., 0]) < 1e-3).all()
-        assert not evidence_from_albedo(measured, shares, predicted, albedo, ~mask).any()
+        assert not evidence_from_albedo(measured, cosines, predicted, albedo, ~mask).any()

@@ -7,10 +7,10 @@ import pytest
 
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
-from vntoolkit.shadows.evidence import CONTRIBUTION_NOISE, largest_dark_share
+from vntoolkit.shadows.contributions import contributions_from_frame
+from vntoolkit.shadows.evidence import CONTRIBUTION_NOISE, largest_dark_cosine
 from vntoolkit.shadows.initialisation import slope_noise
 from vntoolkit.shadows.shadow_edges import labels_without_penumbra
-from vntoolkit.shadows.shares import shares_from_frame
 
 EVERYWHERE = np.ones((20, 30), bool)
 NOISELESS = np.full((20, 30), 1e9)  # an albedo so high that the camera's noise counts for nothing
@@ -23,7 +23,9 @@ def test_ambient_light_scales_with_the_albedo(rng: np.random.Generator) -> None:
     response = LightResponse(matrix=matrix, ambient=np.array([0.03, 0.02, 0.04]))
     albedo = rng.uniform(0.05, 1.5, (20, 30))
     rgb = albedo[..., None] * (normals @ matrix.T + response.ambient)
-    measured = shares_from_frame(LinearFrame(rgb=rgb.astype(np.float32), clipped=~EVERYWHERE), response)
+    measured = contributions_from_frame(
+        LinearFrame(rgb=rgb.astype(np.float32), clipped=~EVERYWHERE), response
+    )
     assert np.abs(measured.length / albedo - 1.0).max() < 1e-4
     assert np.abs(measured.normals - normals).max() < 1e-4
     assert np.abs(measured.relative_to(albedo) - normals @ matrix.T).max() < 1e-4
@@ -35,10 +37,10 @@ def test_the_frame_tells_how_much_light_its_shadows_hold() -> None:
     predicted[15:] = 0.02
     levels = {}
     for glow in (0.0, 0.1):
-        shares = predicted.copy()
-        shares[:15, :10, 1] = glow
-        level, _ = largest_dark_share(shares, predicted, NOISELESS, EVERYWHERE)
-        assert ((shares < level)[:15] == (np.arange(30)[:, None] < 10) & (np.arange(3) == 1)).all()
+        cosines = predicted.copy()
+        cosines[:15, :10, 1] = glow
+        level, _ = largest_dark_cosine(cosines, predicted, NOISELESS, EVERYWHERE)
+        assert ((cosines < level)[:15] == (np.arange(30)[:, None] < 10) & (np.arange(3) == 1)).all()
         levels[glow] = level
     assert levels[0.0][15:].max() == pytest.approx(0.015)
     assert levels[0.1][15:].max() == pytest.approx(0.115)
@@ -51,9 +53,9 @@ def test_shadows_of_uneven_darkness_raise_the_level() -> None:
     predicted = np.full((20, 30, 3), 0.8)
     upper = []
     for spread in (0.0, 0.04):
-        shares = predicted.copy()
-        shares[..., 1] = 0.1 + spread * np.linspace(-1.25, 1.25, 30)
-        level, _ = largest_dark_share(shares, predicted, NOISELESS, EVERYWHERE)
+        cosines = predicted.copy()
+        cosines[..., 1] = 0.1 + spread * np.linspace(-1.25, 1.25, 30)
+        level, _ = largest_dark_cosine(cosines, predicted, NOISELESS, EVERYWHERE)
         upper.append(level.max())
     assert upper[1] - upper[0] == pytest.approx(1.3 * 0.04, abs=0.004)
 
@@ -61,11 +63,11 @@ def test_shadows_of_uneven_darkness_raise_the_level() -> None:
 def test_a_part_predicted_wrongly_does_not_call_itself_shadow() -> None:
     """Two lights have true shadows without glow; a larger part returns less of the third than predicted."""
     predicted = np.full((20, 30, 3), 0.8)
-    shares = predicted.copy()
-    shares[:4, :, 0] = shares[4:8, :, 1] = 0.01
-    shares[8:, :, 2] = 0.25  # lit, at a slant that the surface does not know yet
-    level, _ = largest_dark_share(shares, predicted, NOISELESS, EVERYWHERE)
-    dark = shares < level
+    cosines = predicted.copy()
+    cosines[:4, :, 0] = cosines[4:8, :, 1] = 0.01
+    cosines[8:, :, 2] = 0.25  # lit, at a slant that the surface does not know yet
+    level, _ = largest_dark_cosine(cosines, predicted, NOISELESS, EVERYWHERE)
+    dark = cosines < level
     assert dark[:4, :, 0].all()
     assert dark[4:8, :, 1].all()
     assert not dark[8:].any()
@@ -73,8 +75,8 @@ def test_a_part_predicted_wrongly_does_not_call_itself_shadow() -> None:
 
 def test_noise_counts_for_more_on_dark_paint() -> None:
     predicted = np.full((20, 30, 3), 0.8)
-    dark, grain = largest_dark_share(predicted, predicted, np.full((20, 30), 0.1), EVERYWHERE)
-    white, _ = largest_dark_share(predicted, predicted, np.ones((20, 30)), EVERYWHERE)
+    dark, grain = largest_dark_cosine(predicted, predicted, np.full((20, 30), 0.1), EVERYWHERE)
+    white, _ = largest_dark_cosine(predicted, predicted, np.ones((20, 30)), EVERYWHERE)
     assert grain.max() == pytest.approx(10 * CONTRIBUTION_NOISE)
     assert (dark > white).all()
 

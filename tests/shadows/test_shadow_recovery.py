@@ -234,8 +234,8 @@ def test_a_step_in_depth_does_not_bend_the_surface_beside_it(monkeypatch) -> Non
         -0.714,
     ]  # the front plane's rim turns away: its depth adds up to a step
     lights = np.array([[0.3, 0.1, -0.95], [-0.4, 0.2, -0.89], [0.1, -0.4, -0.91]])
-    shares = normals @ lights.T + np.random.default_rng(2).normal(0.0, 0.005, normals.shape)
-    first = shares @ np.linalg.inv(lights).T
+    cosines = normals @ lights.T + np.random.default_rng(2).normal(0.0, 0.005, normals.shape)
+    first = cosines @ np.linalg.inv(lights).T
     first /= np.linalg.norm(first, axis=-1, keepdims=True)
     labels, mask = np.full((height, width), 7, np.uint8), np.ones((height, width), bool)
     away = np.ones((height, width), bool)
@@ -244,7 +244,7 @@ def test_a_step_in_depth_does_not_bend_the_surface_beside_it(monkeypatch) -> Non
     def error(softness: float) -> float:
         monkeypatch.setattr(surface, "_STEP_SOFTNESS", softness)
         solved = solve_surface(
-            shares, labels, lights, mask, first_normals=first, options=SurfaceOptions(noise=0.01)
+            cosines, labels, lights, mask, first_normals=first, options=SurfaceOptions(noise=0.01)
         )
         return float(degrees(solved.normals, normals)[away].mean())
 

@@ -19,8 +19,8 @@ _MARGIN_PX = 1  # lit pixels this close to a shadow's edge do not count: penumbr
 def albedo_from_lit(length: FloatArray, lit: Mask) -> FloatArray:
     """Spread the albedo of fully lit pixels over the image.
 
-    length: (h, w), `LightShares.length`, which is the albedo where all three lights arrive (`lit`). Returns
-    (h, w), positive everywhere; 1, the calibration material's, where nothing is lit.
+    length: (h, w), `LightContributions.length`, which is the albedo where all three lights arrive
+    (`lit`). Returns (h, w), positive everywhere; 1, the calibration material's, where nothing is lit.
     """
     side = 2 * _MARGIN_PX + 1
     core = cv2.erode(lit.astype(np.uint8), np.ones((side, side), np.uint8)) > 0

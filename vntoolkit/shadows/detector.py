@@ -12,9 +12,15 @@ from vntoolkit.checks import checks_kinds, require_mask
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame, labels_from_lit
 from vntoolkit.photometry.response import LightResponse
+from vntoolkit.shadows.contributions import (
+    Window,
+    contributions_from_frame,
+    frame_in_window,
+    in_whole_image,
+    window_around,
+)
 from vntoolkit.shadows.published import lit_by_edges
 from vntoolkit.shadows.robust import lit_by_surface
-from vntoolkit.shadows.shares import Window, frame_in_window, in_whole_image, shares_from_frame, window_around
 from vntoolkit.shadows.surface import Surface
 
 
@@ -67,11 +73,11 @@ class ShadowDetector:
         return in_whole_image(labels, window, frame.shape, ALL_LIT)
 
     def _lit(self, frame: LinearFrame, mask: Mask, window: Window) -> npt.NDArray[np.bool_]:
-        shares = shares_from_frame(frame, self._response)
+        cosines = contributions_from_frame(frame, self._response)
         if self._method is ShadowMethod.PUBLISHED:
-            return lit_by_edges(shares.contributions, mask)
+            return lit_by_edges(cosines.contributions, mask)
         camera = None if self._camera is None else self._camera.cropped(*window)
         memory = None if self._memory is None else self._memory[window]
-        lit, evidence, self.surface = lit_by_surface(shares, mask, camera, memory)
+        lit, evidence, self.surface = lit_by_surface(cosines, mask, camera, memory)
         self._memory = in_whole_image(evidence, window, self._shape)
         return lit

@@ -9,8 +9,8 @@ from numba import prange
 from vntoolkit.arrays import FloatArray, Mask
 from vntoolkit.native import njit
 
-_WEAKEST_BOND = 0.05  # share of the full price that a change of label across a sharp edge still costs
-_DARK_SHARE = 0.03  # added to a share before its logarithm: noise is no edge
+_WEAKEST_BOND = 0.05  # part of the full price that a change of label across a sharp edge still costs
+_DARK_COSINE = 0.03  # added to a cosine before its logarithm: noise is no edge
 
 
 def lit_by_cut(
@@ -117,14 +117,14 @@ def _drain(
 
 
 def bonds_of_light(
-    shares: FloatArray, light: int, mask: Mask, strength: float, contrast: float
+    cosines: FloatArray, light: int, mask: Mask, strength: float, contrast: float
 ) -> tuple[FloatArray, FloatArray]:
     """Bonds that give way where this light alone changes: paint and folds change the other lights too.
 
-    shares: (h, w, 3). strength: full price. contrast: difference of log shares, between this light and the
+    cosines: (h, w, 3). strength: full price. contrast: difference of log cosines, between this light and the
     more similar of the other two, at which a bond falls to 1/e.
     """
-    given = np.ascontiguousarray(shares, dtype=np.float32)
+    given = np.ascontiguousarray(cosines, dtype=np.float32)
     logarithm, east, south = (
         np.empty_like(given),
         np.zeros(mask.shape, np.float32),
@@ -136,7 +136,7 @@ def bonds_of_light(
 
 @njit(cache=True, parallel=True, fastmath=True)
 def _bonds_kernel(
-    shares: FloatArray, light: int, mask: Mask, strength: float, sharpness: float,
+    cosines: FloatArray, light: int, mask: Mask, strength: float, sharpness: float,
     logarithm: FloatArray, east: FloatArray, south: FloatArray,
 ) -> None:  # fmt: skip
     h, w = mask.shape
@@ -146,7 +146,7 @@ def _bonds_kernel(
             if mask[v, u]:
                 for k in range(3):
                     logarithm[v, u, k] = np.log(
-                        max(shares[v, u, k], np.float32(0.0)) + np.float32(_DARK_SHARE)
+                        max(cosines[v, u, k], np.float32(0.0)) + np.float32(_DARK_COSINE)
                     )
     for v in prange(h):
         for u in range(w):

@@ -18,7 +18,7 @@ from vntoolkit.arrays import FloatArray, Mask, Normals, VisibilityLabels, Weight
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import ALL_LIT, count_lit
-from vntoolkit.shadows.shares import LightShares, lengths_of, shrinking
+from vntoolkit.shadows.contributions import LightContributions, lengths_of, shrinking
 from vntoolkit.shadows.surface import Surface, SurfaceOptions, refine_surface, solve_surface
 
 _LARGEST_MISFIT = 25.0  # χ² of one pixel beyond which it says no more about its region
@@ -36,7 +36,7 @@ _TRUST_BY_LIGHTS = (
 _NOISE_PER_SLOPE, _LEAST_NOISE = (
     1.7,
     0.01,
-)  # noise of a share per noise of a slope on cleaner frames; its bound
+)  # noise of a cosine per noise of a slope on cleaner frames; its bound
 _START_PIXELS = 15_000  # frames are halved until they are not larger; there the starts are compared
 _CHECKING_ITERATIONS = 4  # steps there of a surface that is given
 _MIDDLE_ITERATIONS, _LARGE_ITERATIONS = 4, 3  # steps at every larger size, and at the largest
@@ -45,7 +45,7 @@ _CLEAR_GAIN, _FEWEST_PIXELS = 0.85, 50
 
 
 def solve_from_best_initialisation(
-    measured: LightShares,
+    measured: LightContributions,
     labels: VisibilityLabels,
     albedo: FloatArray,
     mask: Mask,
@@ -76,8 +76,8 @@ def solve_from_best_initialisation(
 
 
 def _shrunk(
-    measured: LightShares, labels: VisibilityLabels, albedo: FloatArray, mask: Mask, factor: int
-) -> tuple[LightShares, Mask, VisibilityLabels, FloatArray]:
+    measured: LightContributions, labels: VisibilityLabels, albedo: FloatArray, mask: Mask, factor: int
+) -> tuple[LightContributions, Mask, VisibilityLabels, FloatArray]:
     small, small_mask = measured.shrunk(mask, factor)
     size = small_mask.shape[::-1]
     small_labels = cv2.resize(labels, size, interpolation=cv2.INTER_NEAREST).astype(np.uint8)
@@ -85,7 +85,7 @@ def _shrunk(
 
 
 def _coarse_to_fine(
-    measured: LightShares,
+    measured: LightContributions,
     labels: VisibilityLabels,
     albedo: FloatArray,
     mask: Mask,
@@ -104,7 +104,7 @@ def _coarse_to_fine(
 
 def _better_than(
     start: Surface | None,
-    measured: LightShares,
+    measured: LightContributions,
     labels: VisibilityLabels,
     albedo: FloatArray,
     mask: Mask,
@@ -125,7 +125,7 @@ def _better_than(
     return solve(first_normals=small.normals, start=found, options=middle).enlarged(mask.shape, 2)
 
 
-def _with_measured_noise(measured: LightShares, full: Mask) -> SurfaceOptions:
+def _with_measured_noise(measured: LightContributions, full: Mask) -> SurfaceOptions:
     found = slope_noise(measured.normals, full)
     options = SurfaceOptions()
     if found is None:
@@ -135,7 +135,7 @@ def _with_measured_noise(measured: LightShares, full: Mask) -> SurfaceOptions:
 
 
 def _solver(
-    measured: LightShares,
+    measured: LightContributions,
     labels: VisibilityLabels,
     albedo: FloatArray,
     mask: Mask,
@@ -150,7 +150,7 @@ def _solver(
 
 def _by_either_root(
     start: Surface | None,
-    measured: LightShares,
+    measured: LightContributions,
     labels: VisibilityLabels,
     albedo: FloatArray,
     mask: Mask,

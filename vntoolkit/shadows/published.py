@@ -18,7 +18,7 @@ from vntoolkit.native import njit
 _DIRECTIONS = np.array(
     [[1, 0], [1, 1], [0, 1], [-1, 1], [-1, 0], [-1, -1], [0, -1], [1, -1]], dtype=np.int64
 )  # (du, dv), counted by eighths of a turn
-_GRADIENT_THRESHOLD = 0.05  # τ: smallest change over the two reaches, as a share of the channel's maximum
+_GRADIENT_THRESHOLD = 0.05  # τ: smallest change over the two reaches, as a part of the channel's maximum
 _REACH_PX = 2  # how far to look to either side of an edge, as published
 _SMALLEST_COMPONENT = 20  # edge components with fewer pixels are rejected
 _DIRECTION_TOLERANCE = 1  # neighbouring edge pixels agree within so many eighths of a turn

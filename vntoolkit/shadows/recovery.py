@@ -17,17 +17,17 @@ from vntoolkit.native import njit
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame, count_lit
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.shadows.albedo import albedo_from_lit, fill_smoothly
-from vntoolkit.shadows.initialisation import continue_with_two_lights, solve_from_best_initialisation
-from vntoolkit.shadows.shadow_edges import labels_without_penumbra
-from vntoolkit.shadows.shares import (
-    LightShares,
+from vntoolkit.shadows.contributions import (
+    LightContributions,
     Window,
+    contributions_from_frame,
     frame_in_window,
     in_whole_image,
     lengths_of,
-    shares_from_frame,
     window_around,
 )
+from vntoolkit.shadows.initialisation import continue_with_two_lights, solve_from_best_initialisation
+from vntoolkit.shadows.shadow_edges import labels_without_penumbra
 from vntoolkit.shadows.surface import Surface, depth_map_from_surface
 
 _SMALLEST_ALBEDO = 1e-3
@@ -110,7 +110,7 @@ def _recover(
     method: RecoveryMethod,
     start: Surface | None,
 ) -> RecoveredSurface:
-    measured = shares_from_frame(frame, response)
+    measured = contributions_from_frame(frame, response)
     full = inside & (labels == ALL_LIT)
     albedo = albedo_from_lit(measured.length, full)
     depth_map, agreement = None, None
@@ -147,7 +147,7 @@ def _in_whole_image(part: RecoveredSurface, window: Window, shape: tuple[int, in
 
 
 def _pixel_by_pixel(
-    measured: LightShares, labels: VisibilityLabels, albedo: FloatArray, mask: Mask
+    measured: LightContributions, labels: VisibilityLabels, albedo: FloatArray, mask: Mask
 ) -> FloatArray:
     relative = measured.relative_to(albedo)
     normals, decided = continue_with_two_lights(measured.normals, relative, labels, measured.lights, mask)
@@ -227,10 +227,10 @@ def _grazing_kernel(out: Normals, inverted: Normals, directions: FloatArray, lit
             cosine = np.float32(1.0)
             for k in range(3):
                 cosine = min(cosine, x * directions[k, 0] + y * directions[k, 1] + z * directions[k, 2])
-            share = float((cosine - np.float32(_GRAZING)) / np.float32(_STEEP - _GRAZING))
-            share = min(max(share, 0.0), 1.0)
-            x = share * x + (1.0 - share) * out[v, u, 0]
-            y = share * y + (1.0 - share) * out[v, u, 1]
-            z = share * z + (1.0 - share) * out[v, u, 2]
+            weight = float((cosine - np.float32(_GRAZING)) / np.float32(_STEEP - _GRAZING))
+            weight = min(max(weight, 0.0), 1.0)
+            x = weight * x + (1.0 - weight) * out[v, u, 0]
+            y = weight * y + (1.0 - weight) * out[v, u, 1]
+            z = weight * z + (1.0 - weight) * out[v, u, 2]
             length = max(np.sqrt(x * x + y * y + z * z), 1e-6)
             out[v, u, 0], out[v, u, 1], out[v, u, 2] = x / length, y / length, z / length

@@ -17,16 +17,16 @@ from vntoolkit.photometry.frame import ALL_LIT, labels_from_lit, lit_from_labels
 Lit = npt.NDArray[np.bool_]
 _OUTWARDS_PX = 1.5  # radius over which the way to the outline is averaged
 
-# The edge of a cast shadow; shares are 1 where a surface faces the light.
+# The edge of a cast shadow; cosines are 1 where a surface faces the light.
 _CAST_PART = (
-    0.45  # below this part of the largest share nearby a pixel beside the shadow joins it: half, less noise
+    0.45  # below this part of the largest cosine nearby a pixel beside the shadow joins it: half, less noise
 )
 _CAST_REACH_PX = 2  # how far nearby is: a blur of 0.9 pixels is over by then
-_CAST_FACING = 0.2  # predicted share from which a shadow counts as cast
-_CAST_FAINTEST = 0.22  # largest share nearby from which there is an edge to judge
+_CAST_FACING = 0.2  # predicted cosine from which a shadow counts as cast
+_CAST_FAINTEST = 0.22  # largest cosine nearby from which there is an edge to judge
 
 # Half-shadow.
-_PENUMBRA_PART = 0.75  # below this part of the largest share nearby the light arrives in part
+_PENUMBRA_PART = 0.75  # below this part of the largest cosine nearby the light arrives in part
 _PENUMBRA_REACH_PX = 2  # how far nearby is
 _PENUMBRA_FAINTEST = 0.4  # with less nearby the surface turns from the light, and less arrives on both sides
 
@@ -35,19 +35,19 @@ _RIM_PX = 2.5  # pixels this close to the outline are judged …
 _NEAR_PX, _FAR_PX = 3.0, 5.0  # … by the surface between these distances from it
 _LEAST_TURN = 0.01  # fall of n_z² per pixel outwards from which the surface turns out of sight
 _AWAY = 0.05  # cosine to the light below which the continued surface has turned from it
-_BRIGHTEST = 0.1  # a larger share of the light is never called shadow
+_BRIGHTEST = 0.1  # a larger cosine is never called shadow
 
 
-def lit_beyond_half(lit: Lit, shares: FloatArray, predicted: FloatArray, mask: Mask) -> Lit:
+def lit_beyond_half(lit: Lit, cosines: FloatArray, predicted: FloatArray, mask: Mask) -> Lit:
     """Return `lit` (h, w, 3) without the pixels beside a cast shadow that less than half the light reaches.
 
-    shares, predicted: (h, w, 3), measured and to be expected where the light arrives.
+    cosines, predicted: (h, w, 3), measured and to be expected where the light arrives.
     """
     out = lit.copy()
     for k in range(3):
         cast = mask & ~lit[..., k] & (predicted[..., k] > _CAST_FACING)
         out[..., k] &= ~partly_lit(
-            lit[..., k] & mask, cast, shares[..., k], _CAST_PART, _CAST_REACH_PX, _CAST_FAINTEST
+            lit[..., k] & mask, cast, cosines[..., k], _CAST_PART, _CAST_REACH_PX, _CAST_FAINTEST
         )
     return out
 
@@ -71,28 +71,28 @@ def labels_without_penumbra(labels: VisibilityLabels, relative: FloatArray, mask
 
 
 def partly_lit(
-    lit: Mask, shadow: Mask, share: FloatArray, part: float, reach_px: int, faintest: float
+    lit: Mask, shadow: Mask, cosine: FloatArray, part: float, reach_px: int, faintest: float
 ) -> Mask:
-    """Return (h, w): pixels of `lit` beside `shadow` with less than `part` of the largest share nearby.
+    """Return (h, w): pixels of `lit` beside `shadow` with less than `part` of the largest cosine nearby.
 
-    share: (h, w), what comes back of one light over the albedo. reach_px: how far nearby is. faintest: the
-    largest share nearby must be more than this.
+    cosine: (h, w), what comes back of one light over the albedo. reach_px: how far nearby is. faintest: the
+    largest cosine nearby must be more than this.
     """
     beside = cv2.dilate(shadow.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    share = np.where(lit, share, 0.0).astype(np.float32)
-    brightest = cv2.dilate(share, np.ones((2 * reach_px + 1,) * 2, np.uint8))
-    return np.asarray(lit & beside & (brightest > faintest) & (share < part * brightest))
+    cosine = np.where(lit, cosine, 0.0).astype(np.float32)
+    brightest = cv2.dilate(cosine, np.ones((2 * reach_px + 1,) * 2, np.uint8))
+    return np.asarray(lit & beside & (brightest > faintest) & (cosine < part * brightest))
 
 
 # The last pixels before a figure's outline, where the surface turns out of sight within a pixel or two.
 
 
 def turned_from_lights(
-    normals: FloatArray, shares: FloatArray, directions: Matrix3, mask: Mask, scale: float = 1.0
+    normals: FloatArray, cosines: FloatArray, directions: Matrix3, mask: Mask, scale: float = 1.0
 ) -> npt.NDArray[np.bool_]:
     """Return (h, w, 3): True beside the outline of `mask` where the surface turns from the light.
 
-    normals: (h, w, 3), predicted. shares: (h, w, 3), measured. directions: (3, 3), one unit row per light.
+    normals: (h, w, 3), predicted. cosines: (h, w, 3), measured. directions: (3, 3), one unit row per light.
     scale: pixels of this image per pixel of the one that the normals were found on.
     """
     turned = np.zeros((*mask.shape, 3), dtype=np.bool_)
@@ -109,7 +109,7 @@ def turned_from_lights(
     sideways = _unit(first[:, :2]) * np.sqrt(1.0 - facing)[:, None]
     continued = np.concatenate([sideways, -np.sqrt(facing)[:, None]], axis=1)
     away = (continued @ directions.T < _AWAY) & (turn > _LEAST_TURN)[:, None]
-    turned[v, u] = away & (shares[v, u] < _BRIGHTEST)
+    turned[v, u] = away & (cosines[v, u] < _BRIGHTEST)
     return turned
 
 

@@ -26,20 +26,20 @@ from vntoolkit.geometry.maps import DepthMap, LengthUnit
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import ALL_LIT
 from vntoolkit.shadows.albedo import fill_smoothly
-from vntoolkit.shadows.shares import TOWARDS_VIEWER, lengths_of, mean_inside
+from vntoolkit.shadows.contributions import TOWARDS_VIEWER, lengths_of, mean_inside
 from vntoolkit.solvers import grid_hierarchy, solve_grid
 
 _FLATTEST_Z = 0.12  # |n_z| below which a first slope is held, so that no pixel starts edge-on
 Grid = npt.NDArray[np.float32]
 Labels = npt.NDArray[np.uint8]
-# The energy; shares are 1 where a surface of the local albedo faces the light.
+# The energy; cosines are 1 where a surface of the local albedo faces the light.
 _ALBEDO_SPREAD = 0.15  # relative standard deviation of the albedo continued into a shadow
 _OWN_ALBEDO_SPREAD = 3.0  # the same where all three lights arrive: there the colour's length is the albedo
 _STEP_SOFTNESS = 10.0  # χ² at which a depth gradient counts a quarter, as it crosses a step in depth
 _SHADOW_STEP_SOFTNESS = 40.0  # the same under two lights, where the slope hangs on the albedo around
 _SMOOTH_PX = 2.0  # standard deviation of the surroundings whose mean slope a shadowed pixel is drawn to
 _MISSING_LIGHT_WEIGHT = 0.3  # of a light labelled missing where the surface would return what is seen …
-_MISSING_LIGHT_CUTOFF = 0.2  # … and the difference of shares at which that weight ends
+_MISSING_LIGHT_CUTOFF = 0.2  # … and the difference of cosines at which that weight ends
 _DAMPING = 1.0  # holds the slope back where nothing else is known
 _STEEPEST = 8.0  # largest slope: the tangent of the angle from the viewing ray
 _HELD = 600.0  # of the slope from the smaller image: about what four neighbours know together
@@ -50,8 +50,8 @@ _CYCLES, _TOLERANCE = 5, 3e-3  # multigrid cycles a step, at most; relative resi
 class SurfaceOptions:
     """What detection and recovery ask differently of the surface.
 
-    noise: standard deviation of a light's share; it stands for camera noise and for what the model leaves out
-    (interreflection, gloss). smoothness: weight of a shadowed pixel's slope being its surroundings' mean.
+    noise: standard deviation of a light's cosine; it stands for camera noise and for what the model leaves
+    out (interreflection, gloss). smoothness: weight of a shadowed pixel's slope being its surroundings' mean.
     iterations: Gauss–Newton steps.
     """
 
@@ -106,7 +106,7 @@ def _unit_or_facing(normals: FloatArray) -> FloatArray:
 
 
 def solve_surface(
-    shares: FloatArray,
+    cosines: FloatArray,
     labels: VisibilityLabels,
     lights: FloatArray,
     mask: Mask,
@@ -118,9 +118,9 @@ def solve_surface(
     options: SurfaceOptions | None = None,
     start: Surface | None = None,
 ) -> Surface:
-    """Find the surface that explains `shares` with the lights that `labels` say arrive.
+    """Find the surface that explains `cosines` with the lights that `labels` say arrive.
 
-    shares: (h, w, 3), contribution of each light over the albedo. lights: (3, 3), row k = direction times
+    cosines: (h, w, 3), contribution of each light over the albedo. lights: (3, 3), row k = direction times
     strength. first_normals: (h, w, 3), from plain inversion where all lights arrive. guessed: pixels
     beyond those whose first normals are worth starting from. weight: (h, w), 0 to 1, trust in a pixel's
     colour. camera: None for orthographic. start: a solution to go on from. Distortion is ignored.
@@ -128,7 +128,7 @@ def solve_surface(
     options = options or SurfaceOptions()
     rays = _ray_grid(camera)
     trust = np.where(mask, 1.0 if weight is None else np.maximum(weight, 1e-3), 0.0).astype(np.float32)
-    data = np.nan_to_num(np.asarray(shares)).astype(np.float32)
+    data = np.nan_to_num(np.asarray(cosines)).astype(np.float32)
     seen = np.where(mask, labels, 0).astype(np.uint8)
     known = mask & (labels == ALL_LIT)
     guess = known if guessed is None else known | (mask & guessed)
@@ -138,10 +138,10 @@ def solve_surface(
     agreement = np.zeros(mask.shape, np.float32)
     quadratics = np.empty((*mask.shape, 6), np.float32)
     model = _model(options)
-    shares_of_prior = _prior_shares(mask, known)
+    prior_weights = _prior_weights(mask, known)
     softness = 0.0  # the first depth must hold together before it may show steps
     for _ in range(options.iterations):
-        prior = _surrounding_slope(slopes, shares_of_prior)
+        prior = _surrounding_slope(slopes, prior_weights)
         local_quadratics_kernel(data, seen, trust, slopes, prior, rows, rays, model, quadratics)
         quadrant_weights_kernel(
             quadratics, seen, mask, slopes, depth, softness, _SHADOW_STEP_SOFTNESS, weights
@@ -160,7 +160,7 @@ def solve_surface(
 
 
 def refine_surface(
-    shares: FloatArray,
+    cosines: FloatArray,
     labels: VisibilityLabels,
     lights: FloatArray,
     mask: Mask,
@@ -179,7 +179,7 @@ def refine_surface(
     trust = np.where(mask, np.maximum(weight, 1e-3), 0.0).astype(np.float32)
     normals = np.ascontiguousarray(start.normals, dtype=np.float32)
     refine_kernel(
-        np.asarray(shares, np.float32), labels, trust, np.ascontiguousarray(lights, dtype=np.float64),
+        np.asarray(cosines, np.float32), labels, trust, np.ascontiguousarray(lights, dtype=np.float64),
         _ray_grid(camera), _model(options), _HELD, _STEEPEST, first_normals, start.agreement, normals,
     )  # fmt: skip
     return replace(start, normals=normals)
@@ -239,18 +239,18 @@ def _first_guess(normals: FloatArray, known: Mask, rays: RayGrid, start: Surface
     return np.ascontiguousarray(slopes), depth
 
 
-def _prior_shares(mask: Mask, known: Mask) -> tuple[Grid, Grid]:
+def _prior_weights(mask: Mask, known: Mask) -> tuple[Grid, Grid]:
     """(h, w) how much each pixel counts in the slope around it, a third in shadow; and 1 over what counts."""
-    share = known.astype(np.float32)
-    share[mask & ~known] = 1 / 3
-    count = cv2.GaussianBlur(share, (0, 0), _SMOOTH_PX)
-    return share, np.asarray(1.0 / np.maximum(count, 1e-6), dtype=np.float32)
+    weight = known.astype(np.float32)
+    weight[mask & ~known] = 1 / 3
+    count = cv2.GaussianBlur(weight, (0, 0), _SMOOTH_PX)
+    return weight, np.asarray(1.0 / np.maximum(count, 1e-6), dtype=np.float32)
 
 
-def _surrounding_slope(slopes: Grid, shares: tuple[Grid, Grid]) -> Grid:
+def _surrounding_slope(slopes: Grid, prior_weights: tuple[Grid, Grid]) -> Grid:
     """Gaussian mean of the slopes around each pixel."""
-    share, inverse_count = shares
-    total = cv2.GaussianBlur(slopes * share[..., None], (0, 0), _SMOOTH_PX)
+    weight, inverse_count = prior_weights
+    total = cv2.GaussianBlur(slopes * weight[..., None], (0, 0), _SMOOTH_PX)
     return np.ascontiguousarray(total * inverse_count[..., None])
 
 
@@ -264,8 +264,8 @@ def _solve_depth(quadratics: Grid, slopes: Grid, weights: Grid, start: Grid) -> 
 
 def _blend(solved: FloatArray, first: FloatArray, known: Mask, agreement: Grid) -> FloatArray:
     """Where colour alone gives a normal, keep it as far as the depth disagrees (a step, a crease)."""
-    share = np.where(known, agreement, 1.0)[..., None]
-    mixed = share * solved + (1.0 - share) * first
+    weight = np.where(known, agreement, 1.0)[..., None]
+    mixed = weight * solved + (1.0 - weight) * first
     length = lengths_of(mixed)
     return np.where(length > 1e-6, mixed / np.maximum(length, np.float32(1e-6)), solved)
 
@@ -300,13 +300,13 @@ def _ray(rays: RayGrid, v: int, u: int) -> tuple[float, float]:
 
 
 @njit(cache=True, inline="always")
-def _trust_of_missing(light: float, share: float, model: Model) -> float:
+def _trust_of_missing(light: float, cosine: float, model: Model) -> float:
     """Weight of a light that is labelled missing: where the surface turns from it, what is seen is right.
 
     0 where the surface faces away (nothing is expected) or, beyond the cutoff, faces a light that
     something else blocks (biweight).
     """
-    away = (share - light) / model.missing_cutoff
+    away = (cosine - light) / model.missing_cutoff
     if light <= 0.0 or away * away >= 1.0:
         return 0.0
     return model.missing_weight * (1.0 - away * away) ** 2
@@ -315,7 +315,7 @@ def _trust_of_missing(light: float, share: float, model: Model) -> float:
 @njit(cache=True, fastmath=True, inline="always")
 def _local_quadratic(
     v: int, u: int, p: float, q: float, towards_p: float, towards_q: float,
-    shares: Grid, label: int, trust: float, lights: npt.NDArray[np.float64], rays: RayGrid, model: Model,
+    cosines: Grid, label: int, trust: float, lights: npt.NDArray[np.float64], rays: RayGrid, model: Model,
 ) -> tuple[float, float, float, float, float, float]:  # fmt: skip
     """Return A00, A01, A11, b0, b1, c of one pixel at the slope (p, q), drawn towards another slope.
 
@@ -334,10 +334,10 @@ def _local_quadratic(
         light = l0 * n0 + l1 * n1 + l2 * n2
         count = 1.0
         if (label >> k) & 1 == 0:
-            count = _trust_of_missing(light, shares[v, u, k], model)
+            count = _trust_of_missing(light, cosines[v, u, k], model)
             if count == 0.0:
                 continue
-        rest = shares[v, u, k] - light
+        rest = cosines[v, u, k] - light
         j0 = (l0 - x * l2 - light * along_p) * scale
         j1 = (l1 - y * l2 - light * along_q) * scale
         seen0, seen1, seen = count * j0, count * j1, count * light
@@ -369,12 +369,12 @@ def _local_quadratic(
 
 @njit(cache=True, fastmath=True)
 def local_quadratics_kernel(
-    shares: Grid, labels: Labels, weight: Grid, slopes: Grid, prior: Grid,
+    cosines: Grid, labels: Labels, weight: Grid, slopes: Grid, prior: Grid,
     lights: npt.NDArray[np.float64], rays: RayGrid, model: Model, out: Grid,
 ) -> None:  # fmt: skip
     """Fill out (h, w, 6) = A00, A01, A11, b0, b1, c at every pixel; 0 where there is no weight.
 
-    shares: (h, w, 3) contribution of each light over the albedo.
+    cosines: (h, w, 3) contribution of each light over the albedo.
     """
     h, w = labels.shape
     for v in range(h):
@@ -385,7 +385,7 @@ def local_quadratics_kernel(
                 continue
             a00, a01, a11, b0, b1, c = _local_quadratic(
                 v, u, float(slopes[v, u, 0]), float(slopes[v, u, 1]), prior[v, u, 0], prior[v, u, 1],
-                shares, labels[v, u], weight[v, u], lights, rays, model,
+                cosines, labels[v, u], weight[v, u], lights, rays, model,
             )  # fmt: skip
             out[v, u, 0], out[v, u, 1], out[v, u, 2] = a00, a01, a11
             out[v, u, 3], out[v, u, 4], out[v, u, 5] = b0, b1, c
@@ -393,7 +393,7 @@ def local_quadratics_kernel(
 
 @njit(cache=True, parallel=True)
 def refine_kernel(
-    shares: Grid, labels: Labels, weight: Grid, lights: npt.NDArray[np.float64], rays: RayGrid, model: Model,
+    cosines: Grid, labels: Labels, weight: Grid, lights: npt.NDArray[np.float64], rays: RayGrid, model: Model,
     held: float, steepest: float, first_normals: Grid, agreement: Grid, normals: Grid,
 ) -> None:  # fmt: skip
     """Turn each of the normals (h, w, 3) to what its own light asks, held where it is by the weight `held`.
@@ -412,7 +412,7 @@ def refine_kernel(
             along = min(n2 + x * n0 + y * n1, -_FLATTEST_Z)
             p, q = -n0 / along, -n1 / along
             a00, a01, a11, b0, b1, _ = _local_quadratic(
-                v, u, p, q, p, q, shares, labels[v, u], weight[v, u], lights, rays, model
+                v, u, p, q, p, q, cosines, labels[v, u], weight[v, u], lights, rays, model
             )
             a00 += held
             a11 += held
@@ -422,13 +422,13 @@ def refine_kernel(
             hold = min(1.0, steepest / max(np.sqrt(p * p + q * q), 1e-12))
             p, q = p * hold, q * hold
             n0, n1, n2 = p, q, -1.0 - x * p - y * q
-            share = 1.0 / np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
-            n0, n1, n2 = n0 * share, n1 * share, n2 * share
+            scale = 1.0 / np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+            n0, n1, n2 = n0 * scale, n1 * scale, n2 * scale
             if labels[v, u] == 7:
-                share = agreement[v, u]
-                n0 = share * n0 + (1.0 - share) * first_normals[v, u, 0]
-                n1 = share * n1 + (1.0 - share) * first_normals[v, u, 1]
-                n2 = share * n2 + (1.0 - share) * first_normals[v, u, 2]
+                kept = agreement[v, u]
+                n0 = kept * n0 + (1.0 - kept) * first_normals[v, u, 0]
+                n1 = kept * n1 + (1.0 - kept) * first_normals[v, u, 1]
+                n2 = kept * n2 + (1.0 - kept) * first_normals[v, u, 2]
                 length = max(np.sqrt(n0 * n0 + n1 * n1 + n2 * n2), 1e-6)
                 n0, n1, n2 = n0 / length, n1 / length, n2 / length
             normals[v, u, 0], normals[v, u, 1], normals[v, u, 2] = n0, n1, n2
@@ -471,8 +471,8 @@ def quadrant_weights_kernel(
                 a = quadratics[v, u]
                 chi = a[5] - 2.0 * (a[3] * d0 + a[4] * d1)
                 chi += a[0] * d0 * d0 + 2.0 * a[1] * d0 * d1 + a[2] * d1 * d1
-                share = soft / (soft + max(chi, 0.0))
-                out[v, u, i] = share * share
+                weight = soft / (soft + max(chi, 0.0))
+                out[v, u, i] = weight * weight
 
 
 @njit(cache=True, fastmath=True)
@@ -547,12 +547,12 @@ def slopes_kernel(depth: Grid, weights: Grid, steepest: float, slopes: Grid, agr
         for u in range(w):
             total, count, p, q = 0.0, 0, 0.0, 0.0
             for i in range(4):
-                share = weights[v, u, i]
-                if share > 0.0:
+                weight = weights[v, u, i]
+                if weight > 0.0:
                     su, sv = _quadrant(i)
-                    p += share * su * (depth[v, u + su] - depth[v, u])
-                    q += share * sv * (depth[v + sv, u] - depth[v, u])
-                    total += share
+                    p += weight * su * (depth[v, u + su] - depth[v, u])
+                    q += weight * sv * (depth[v + sv, u] - depth[v, u])
+                    total += weight
                     count += 1
             agreement[v, u] = total / 4 if count == 4 else 0.0
             if total > 1e-6:

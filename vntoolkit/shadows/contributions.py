@@ -26,7 +26,7 @@ TOWARDS_VIEWER = np.array([0.0, 0.0, -1.0], dtype=np.float32)  # single, so that
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class LightShares:
+class LightContributions:
     """One frame, split by light.
 
     contributions: (h, w, 3), light k's part of the colour (a channel where the light colours are unknown),
@@ -49,16 +49,16 @@ class LightShares:
         relative = self.contributions / np.maximum(albedo, _SMALLEST_ALBEDO)[..., None]
         return relative - self.ambient.astype(np.float32)
 
-    def shares(self, albedo: FloatArray) -> FloatArray:
+    def cosines(self, albedo: FloatArray) -> FloatArray:
         """Contributions over albedo and strength: the cosine to each light where it arrives."""
         return self.relative_to(albedo) / np.linalg.norm(self.lights, axis=1).astype(np.float32)
 
-    def shrunk(self, mask: Mask, factor: int) -> tuple[LightShares, Mask]:
+    def shrunk(self, mask: Mask, factor: int) -> tuple[LightContributions, Mask]:
         """Return the same frame, and its mask, at 1/factor of the size, averaged over the mask."""
         mean, cover = mean_inside(mask, factor)
         scaled = mean(self.normals * self.length[..., None])
         length, normals = _length_and_direction(scaled)
-        small = LightShares(
+        small = LightContributions(
             contributions=mean(self.contributions),
             ambient=self.ambient,
             lights=self.lights,
@@ -90,7 +90,7 @@ def shrinking(mask: Mask) -> int:
     return max(1, round(float(np.sqrt(mask.size / _WORKING_PIXELS))))
 
 
-def shares_from_frame(frame: LinearFrame, response: LightResponse) -> LightShares:
+def contributions_from_frame(frame: LinearFrame, response: LightResponse) -> LightContributions:
     """Split a frame by light; values that are not finite count as black."""
     rgb = np.ascontiguousarray(frame.rgb, dtype=np.float32)
     contributions, normals = np.empty_like(rgb), np.empty_like(rgb)
@@ -101,7 +101,7 @@ def shares_from_frame(frame: LinearFrame, response: LightResponse) -> LightShare
         rgb, response.contributions_from_rgb.astype(np.float32), response.inverse.astype(np.float32), haze,
         rest, contributions, length, normals,
     )  # fmt: skip
-    return LightShares(
+    return LightContributions(
         contributions=contributions,
         ambient=response.contributions_from_rgb @ response.ambient,
         lights=response.lights,
