@@ -66,9 +66,18 @@ def main(out: Path) -> None:
         meshes[name] = mesh_from_depth(depth, scene.camera)
     laid, _ = align_mesh(meshes["coloured"], meshes["white"], np.random.default_rng(0), free)
     distance = mesh_distance(laid, meshes["white"])
+    depth = coloured.truth.depth
+    true = mesh_from_depth(replace(depth, mask=depth.mask & both), scene.camera)
+    off = {}
+    for name, mesh in meshes.items():  # normals leave the distance to the camera free: the true one, to start
+        start = mesh.with_vertices(mesh.vertices * true.vertices[:, 2].mean() / mesh.vertices[:, 2].mean())
+        off[name] = mesh_distance(
+            align_mesh(start, true, np.random.default_rng(0), free)[0], true
+        ).mean_percent
     percent = {"distance": 100 * vertex_distances(laid, meshes["white"]) / distance.diagonal}
     numbers = [
         number("jacket, mean distance", distance.mean_percent, "% of the diagonal", 1.4),
+        *(number(f"{n}: from the true surface", off[n], "% of the diagonal") for n in maps),
         *(number(f"{n}: error", compare_normals(m, truth).mean_deg, "degrees") for n, m in maps.items()),
     ]
     view = View.around(meshes["white"], 525, 420, azimuth_deg=-30)
