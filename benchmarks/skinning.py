@@ -61,7 +61,7 @@ def dress_and_write(frames: int, blend: Blend, folder: Path) -> str:
     start = time.perf_counter()
     dressed = dress(cloth, motion, DressOptions(clock=clock, blend=blend))
     attached = time.perf_counter() - start
-    count = write_dressed_figure(dressed, folder / "cloth.usdc")
+    count = write_dressed_figure(dressed, folder / "cloth.usdc").frames
     seconds = time.perf_counter() - start
     size, peak = (folder / "cloth.usdc").stat().st_size / 1e6, anonymous_peak_mb(reset=False)
     return f"{count:4d} frames: {seconds:6.2f} s (attach {attached:.2f}), {size:.0f} MB, peak {peak:.0f}"

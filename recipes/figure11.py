@@ -59,7 +59,7 @@ def main(out: Path, motions: tuple[Path, ...] = (WALK,), track: Path | None = No
     cloth = simulated_sweater(out / "sweater") if track is None else read_tracked_cloth(track)
     for motion, (style, options) in itertools.product(motions, STYLES.items()):
         dressed, name = dress(cloth, read_motion(motion), options), f"{motion.stem}_{style}"
-        count = write_dressed_figure(dressed, out / f"{name}.usdc")
+        count = write_dressed_figure(dressed, out / f"{name}.usdc").frames
         write_preview(out, name, dressed, PreviewOptions(turn_frames=60))
         numbers.append(number(f"{motion.stem}, {style}: dressed frames written", count, "frames"))
         print(f"{out / name}.usdc; see {name}_sheet.png, {name}_turntable.mkv")

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
 from vntoolkit.cli.flags import Flags, verb
-from vntoolkit.cli.output import MESH, require_output
+from vntoolkit.cli.output import MESH, ProgressBars, require_output
 from vntoolkit.io.atomic import sole_writer, undisturbed
 from vntoolkit.io.motion.garment_fits import read_garment_fit
 from vntoolkit.pipeline.dress import (
@@ -51,7 +52,8 @@ def run(
         JSON file that corrects the automatic fit: scale, rotation_deg, translation_m, landmarks, pose_deg,
         bind_frame.
     preview:
-        Also write a contact sheet and a turntable video beside the result.
+        Also write a contact sheet and a turntable video beside the result. Red shows what the cloth cannot
+        follow: triangles stretched above 2×, and arms outside their sleeves.
     """
     require_figure_name(out)
     require_output(out)
@@ -64,11 +66,17 @@ def run(
             options,
             None if fit is None else read_garment_fit(fit),
         )
-        count = write_dressed_figure(dressed, out)
+        with ProgressBars() as bars:
+            bars.begin("dress", len(dressed), 0)
+            summary = write_dressed_figure(dressed, out, bars.step)
         cut = f"; {dressed.cut_triangles} triangles cut" if dressed.cut_triangles else ""
         rate = f"{dressed.clock.frame_rate_hz:g} frames per second"
-        print(f"{out}: {count} frames of {len(dressed.template.vertices)} vertices, {rate}{cut}")
+        print(f"{out}: {summary.frames} frames of {len(dressed.template.vertices)} vertices, {rate}{cut}")
+        print(summary.findings.sentence)
         if preview:
             stem = out.stem.split("%")[0].rstrip("_") or "dress"
-            write_preview(out.parent, stem, dressed)
+            with ProgressBars() as bars:
+                write_preview(
+                    out.parent, stem, dressed, on_start=partial(bars.begin, "preview"), on_picture=bars.step
+                )
             print(f"{out.parent / stem}_sheet.png, {stem}_turntable.mkv")

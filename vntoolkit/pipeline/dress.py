@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -25,8 +26,9 @@ from vntoolkit.io.maps_and_meshes.usd import write_usd_sequence
 from vntoolkit.io.motion.asf import AmcOptions, read_asf_amc
 from vntoolkit.io.motion.bvh import read_bvh
 from vntoolkit.io.results.sequences import read_mesh_sequence
+from vntoolkit.skinning.alignment import Anchor, CapturedMotion, parts_of
 from vntoolkit.skinning.anatomy import anatomy_of
-from vntoolkit.skinning.attachment import weights_without_web
+from vntoolkit.skinning.attachment import GarmentCover, SleeveCover, weights_without_web
 from vntoolkit.skinning.blending import Blend, skinned_vertices
 from vntoolkit.skinning.clock import (
     Clock,
@@ -35,7 +37,8 @@ from vntoolkit.skinning.clock import (
     resampled_motion,
     resampled_vertices,
 )
-from vntoolkit.skinning.fitting import Anchor, GarmentFitOptions, TrunkAnchor, fit_garment_to_figure
+from vntoolkit.skinning.findings import DressingFindings, DressingMeter
+from vntoolkit.skinning.fitting import Fitting, GarmentFitOptions, fit_garment_to_figure
 from vntoolkit.skinning.kinematics import pose_of_frame
 from vntoolkit.skinning.weights import SkinWeights, WeightOptions
 
@@ -58,19 +61,23 @@ class MotionUpAxis(Enum):
 class DressOptions:
     """Options of `dress`, beyond those of its stages.
 
-    blend: how a vertex mixes the motions of its bones. anchor: what holds the captured garment in place
-    although the performer stepped and turned: its trunk. none keeps those steps. figure_height: metres from
+    blend: how a vertex mixes the motions of its bones. anchor: what of the captured motion is taken out.
+    bones: that of the performer's trunk and arms, so that the sleeves follow the figure's arms alone; folds
+    keep moving. trunk: that of the trunk, so that captured sleeves swing on top of the figure's. none keeps
+    the performer's steps too. figure_height: metres from
     the toes to the crown, for motion files that carry no unit. up_axis: which axis of the motion file points
     up. max_stretch: largest stretch of a triangle's edge where the parts of two bones meet. A triangle that
     the motion stretches more is cut: the capture joined what only touched, such as sleeve and flank. 0 cuts
-    nothing; weights by distance cut nothing either.
+    nothing; weights by distance cut nothing either. map: joints of the arms, where their names and lengths do
+    not tell: left-upper-arm=JOINT, left-forearm, left-hand, right-upper-arm and so on; once for each.
     """
 
     blend: Blend = Blend.LINEAR
-    anchor: Anchor = Anchor.TRUNK
+    anchor: Anchor = Anchor.BONES
     figure_height: float = FIGURE_HEIGHT_M
     up_axis: MotionUpAxis = MotionUpAxis.AUTO
     max_stretch: float = 3.0
+    map: tuple[str, ...] = ()
     fitting: GarmentFitOptions = field(default_factory=GarmentFitOptions)
     weights: WeightOptions = field(default_factory=WeightOptions)
     clock: ClockOptions = field(default_factory=ClockOptions)
@@ -86,51 +93,62 @@ class DressOptions:
 class DressedFigure:
     """The garment on the figure; metres, camera axes, in the world of the motion.
 
-    cloth: as captured, less the web that was cut. cut_triangles: how many those were. rest_from_cloth:
-    brings it into the pose of attachment. rest_from_model: that pose, R of equation 8, (j, 4, 4). motion:
-    the skeleton's, already on the clock. anchor: takes out the performer's steps, or None.
+    cloth: as captured, less the web that was cut. cut_triangles: how many those were. motion: the skeleton's,
+    already on the clock. fitting: how the first captured frame was brought onto the figure, and R of equation
+    8. captured: takes the captured frames into the pose of attachment.
     """
 
     cloth: MeshSequence
     motion: Motion
     clock: Clock
-    rest_from_cloth: Similarity
-    rest_from_model: FloatArray
+    fitting: Fitting
     weights: SkinWeights
     blend: Blend
-    anchor: TrunkAnchor | None
+    captured: CapturedMotion
     cut_triangles: int = 0
 
     def __len__(self) -> int:
         return len(self.clock)
 
     @property
+    def rest_from_cloth(self) -> Similarity:
+        """Puts the garment onto the figure, before its sleeves are fitted to the arms."""
+        return self.fitting.rest_from_cloth
+
+    @property
+    def rest_from_model(self) -> FloatArray:
+        """R of equation 8: the pose of attachment, (j, 4, 4)."""
+        return self.fitting.rest_from_model
+
+    @cached_property
     def template(self) -> Mesh:
-        """Topology, colours and texture coordinates, with the vertices of the pose of attachment."""
-        return self.cloth.template.with_vertices(self.rest_from_cloth.apply(self.cloth.template.vertices))
+        """Topology, colours and texture coordinates, with the first frame in the pose of attachment."""
+        on_figure = self.rest_from_cloth.apply(self.cloth[0].vertices)
+        return self.cloth.template.with_vertices(self.captured.first_at_rest(on_figure))
+
+    def meter(self) -> DressingMeter:
+        """Return what measures posed frames of this garment."""
+        on_figure = self.rest_from_cloth.apply(self.cloth[0].vertices)
+        return DressingMeter(self.template, on_figure, self.fitting.sleeved, self.motion.skeleton)
 
     def frames(self) -> Iterator[Points]:
         """Yield the vertices (n, 3) of each frame of the clock."""
-        for index, captured in enumerate(resampled_vertices(self.cloth, self.clock.cloth_s)):
-            yield self._skinned(captured, index)
+        for index, rest in enumerate(self.rest_frames()):
+            yield self._posed(rest, index)
+
+    def rest_frames(self) -> Iterator[Points]:
+        """Yield the captured cloth (n, 3) of each frame of the clock, in the pose of attachment."""
+        for captured in resampled_vertices(self.cloth, self.clock.cloth_s):
+            yield self.captured.at_rest(self.rest_from_cloth.apply(captured))
 
     def frame(self, index: int) -> Points:
         """Return the vertices (n, 3) of one frame of the clock."""
-        return self._skinned(
-            next(resampled_vertices(self.cloth, self.clock.cloth_s[index : index + 1])), index
-        )
+        captured = next(resampled_vertices(self.cloth, self.clock.cloth_s[index : index + 1]))
+        return self._posed(self.captured.at_rest(self.rest_from_cloth.apply(captured)), index)
 
-    def _skinned(self, captured: Points, index: int) -> Points:
-        vertices = self.rest_from_cloth.apply(captured)
-        if self.anchor is not None:
-            vertices = self.anchor.rest_from_now(vertices).apply(vertices)
-        return skinned_vertices(
-            vertices,
-            self.weights,
-            pose_of_frame(self.motion, index),
-            self.rest_from_model,
-            self.blend,
-        )
+    def _posed(self, rest: Points, index: int) -> Points:
+        pose = pose_of_frame(self.motion, index)
+        return skinned_vertices(rest, self.weights, pose, self.rest_from_model, self.blend)
 
 
 def dress(
@@ -145,44 +163,68 @@ def dress(
     if not len(cloth):
         raise BadInput("the garment has no frame")
     garment = cloth[0]
-    fitting = fit_garment_to_figure(garment, motion, fit, options.fitting)
+    fitting = fit_garment_to_figure(garment, motion, fit, options.fitting, named_joints(options.map))
     attached = garment.with_vertices(fitting.rest_from_cloth.apply(garment.vertices))
     clock = clock_from_recordings(cloth, motion, options.clock)
     played = resampled_motion(motion, clock.motion_s, clock.frame_rate_hz)
+    skeleton = motion.skeleton
     weights, faces = weights_without_web(
         attached,
-        motion.skeleton,
+        skeleton,
         fitting.rest_from_model,
         options.weights,
         poses=_sampled_poses(played),
         max_stretch=options.max_stretch,
+        cover=_cover(fitting),
     )
     cut = len(attached.faces) - len(faces)
     logger.info("%d frames at %g Hz; %d triangles cut", len(clock), clock.frame_rate_hz, cut)
+    parts = parts_of(options.anchor, anatomy_of(skeleton), fitting.sleeved, skeleton)
     return DressedFigure(
         cloth=replace(cloth, template=replace(cloth.template, faces=faces)),
         motion=played,
         clock=clock,
-        rest_from_cloth=fitting.rest_from_cloth,
-        rest_from_model=fitting.rest_from_model,
+        fitting=fitting,
         weights=weights,
         blend=options.blend,
-        anchor=_anchor(attached.vertices, weights, motion, options.anchor),
+        captured=CapturedMotion(attached.vertices, weights, parts, fitting.rest_from_first),
         cut_triangles=cut,
+    )
+
+
+def named_joints(pairs: tuple[str, ...]) -> dict[str, str]:
+    """Return the joints by role of `--map left-upper-arm=Bone7 …`. Raises `BadInput`."""
+    named = {}
+    for pair in pairs:
+        role, equals, joint = pair.partition("=")
+        if not (role and equals and joint):
+            raise BadInput(f"map: expected ROLE=JOINT, such as left-upper-arm=Bone7, got {pair!r}")
+        named[role] = joint
+    return named
+
+
+def _cover(fitting: Fitting) -> GarmentCover:
+    """Tell the weights which cloth covers what; where one arm has a sleeve, one without moves no cloth."""
+    sleeved = {one.arm.side for one in fitting.sleeved}
+    return GarmentCover(
+        sleeves=tuple(
+            SleeveCover(
+                joints=one.arm.joints,
+                own=one.own_cloth,
+                covers=np.isfinite(one.sleeve.along),
+                shoulder=one.shoulder,
+            )
+            for one in fitting.sleeved
+        ),
+        trunk=fitting.regions.trunk,
+        bones_from_pose=np.linalg.inv(fitting.rest_from_first),
+        bare=tuple(joint for arm in fitting.arms if arm.side not in sleeved for joint in arm.joints),
     )
 
 
 def _sampled_poses(motion: Motion) -> FloatArray:
     frames = np.unique(np.linspace(0, len(motion) - 1, _WEB_SAMPLES).round().astype(int))
     return np.stack([pose_of_frame(motion, int(frame)) for frame in frames])
-
-
-def _anchor(vertices: Points, weights: SkinWeights, motion: Motion, anchor: Anchor) -> TrunkAnchor | None:
-    if anchor is Anchor.NONE:
-        return None
-    trunk = anatomy_of(motion.skeleton).trunk
-    on_trunk = np.isin(weights.joints, trunk)
-    return TrunkAnchor(vertices, weights, trunk) if on_trunk.any() else None  # trousers may have none
 
 
 def _upright(motion: Motion, up_axis: MotionUpAxis) -> Motion:
@@ -192,21 +234,39 @@ def _upright(motion: Motion, up_axis: MotionUpAxis) -> Motion:
     return motion.turned(_Z_UP_TO_Y_UP) if is_z else motion
 
 
-def write_dressed_figure(dressed: DressedFigure, out: Path | str) -> int:
+@dataclass(frozen=True, kw_only=True)
+class DressSummary:
+    """frames: how many were written. findings: what was measured of them."""
+
+    frames: int
+    findings: DressingFindings
+
+
+def write_dressed_figure(
+    dressed: DressedFigure, out: Path | str, on_frame: Callable[[], None] = lambda: None
+) -> DressSummary:
     """Write `.usdc`/`.usd` (with skeleton), `.glb`, or one `.ply`/`.obj` a frame (`cloth_%04d.ply`)."""
     out = Path(out)
     require_figure_name(out)
     require_writable_folder(out.parent)
-    rate = dressed.clock.frame_rate_hz
+    rate, meter = dressed.clock.frame_rate_hz, dressed.meter()
+
+    def frames() -> Iterator[Points]:
+        for index, vertices in enumerate(dressed.frames()):
+            meter.add(vertices, pose_of_frame(dressed.motion, index))
+            yield vertices
+            on_frame()
+
     match out.suffix.lower():
         case ".glb":
-            return write_glb(out, dressed.template, dressed.frames(), frame_rate_hz=rate)
+            count = write_glb(out, dressed.template, frames(), frame_rate_hz=rate)
         case suffix if suffix in _SEQUENCE_SUFFIXES:
-            return _write_files(dressed, out)
+            count = _write_files(dressed.template, frames(), out)
         case _:
-            return write_usd_sequence(
-                out, dressed.template, dressed.frames(), frame_rate_hz=rate, motion=dressed.motion
+            count = write_usd_sequence(
+                out, dressed.template, frames(), frame_rate_hz=rate, motion=dressed.motion
             )
+    return DressSummary(frames=count, findings=meter.findings)
 
 
 def require_figure_name(out: Path) -> None:
@@ -224,10 +284,9 @@ def require_figure_name(out: Path) -> None:
         raise BadInput(f"{out.name}: expected one place for the frame number, as in cloth_%04d.ply")
 
 
-def _write_files(dressed: DressedFigure, pattern: Path) -> int:
-    template = dressed.template
+def _write_files(template: Mesh, frames: Iterable[Points], pattern: Path) -> int:
     count = 0
-    for count, vertices in enumerate(dressed.frames(), start=1):
+    for count, vertices in enumerate(frames, start=1):
         write_mesh(pattern.with_name(pattern.name % (count - 1)), template.with_vertices(vertices))
     return count
 

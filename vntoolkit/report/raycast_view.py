@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from vntoolkit.arrays import Colours, FloatArray, IntArray, Points, Vector3
+from vntoolkit.arrays import Colours, Faces, FloatArray, IntArray, Points, Vector3
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.rays import RayScene
 from vntoolkit.io.footage.video import write_video
 from vntoolkit.pipeline.dress import DressedFigure
 from vntoolkit.report.pictures import write_tiles
+from vntoolkit.skinning.findings import STRETCHED
 from vntoolkit.skinning.kinematics import bone_segments, pose_of_frame
 
 BACKGROUND = (0.93, 0.94, 0.96)
@@ -64,7 +65,7 @@ def picture_of(meshes: Sequence[Mesh], view: View) -> npt.NDArray[np.uint8]:
     turned = [(mesh.vertices - view.centre) @ view.view_from_world.T for mesh in meshes]
     scene = RayScene(*((vertices, mesh.faces) for vertices, mesh in zip(turned, meshes, strict=True)))
     finer = replace(view, width_px=_FINER * view.width_px, height_px=_FINER * view.height_px)
-    hits = scene.first_hits(_rays(finer, turned).reshape(-1, 6))
+    hits = scene.first_hits(_rays(finer, turned).reshape(-1, 6), _within(finer, turned))
     picture = np.tile(np.array(BACKGROUND, np.float32), (finer.height_px * finer.width_px, 1))
     for index, mesh in enumerate(meshes):
         seen = hits.surfaces == index
@@ -86,6 +87,21 @@ def _rays(view: View, turned: Sequence[Points]) -> npt.NDArray[np.float32]:
     rays[..., 2] = nearest - view.height
     rays[..., 5] = 1
     return rays
+
+
+def _within(view: View, turned: Sequence[Points]) -> npt.NDArray[np.int64]:
+    """Return which rays pass the box around the meshes: the others meet nothing."""
+    pixel = view.height / view.height_px
+    points = [vertices[:, :2] for vertices in turned if len(vertices)]
+    if not points:
+        return np.zeros(0, dtype=np.int64)
+    low = np.min([corner.min(axis=0) for corner in points], axis=0) / pixel
+    high = np.max([corner.max(axis=0) for corner in points], axis=0) / pixel
+    size = np.array([view.width_px, view.height_px])
+    first = np.clip(np.floor(low + (size - 1) / 2).astype(np.int64), 0, size)
+    last = np.clip(np.ceil(high + (size - 1) / 2).astype(np.int64) + 1, 0, size)
+    rows, columns = np.mgrid[first[1] : last[1], first[0] : last[0]]
+    return np.asarray((rows * view.width_px + columns).ravel())
 
 
 def _colours_at(mesh: Mesh, faces: npt.NDArray[np.int32], shares: FloatArray) -> Colours:
@@ -128,6 +144,8 @@ def capsules(starts: Points, ends: Points, radius: float, colour: tuple[float, f
     )
 
 
+_RED = (0.85, 0.06, 0.05)
+_COARSE_CELLS = 160  # of a figure's height: about two pixels of the turntable
 _BONE_COLOUR = (0.18, 0.30, 0.62)
 _CLOTH_COLOUR = (0.80, 0.45, 0.32)
 _FLOOR_COLOUR = (0.80, 0.82, 0.84)
@@ -156,18 +174,56 @@ class PreviewOptions:
             raise BadInput("preview: expected at least one frame and one pixel")
 
 
-def meshes_of_frame(dressed: DressedFigure, frame: int, floor: float) -> list[Mesh]:
-    """Return the cloth, the bones and a patch of floor, at height y `floor`, of one frame of the clock."""
-    template = dressed.template
-    colours = template.colours
-    if colours is None:
-        colours = np.tile(np.array(_CLOTH_COLOUR, np.float32), (len(template.vertices), 1))
-    cloth = Mesh(vertices=dressed.frame(frame), faces=template.faces, colours=colours)
-    skeleton = dressed.motion.skeleton
-    pose = pose_of_frame(dressed.motion, frame)
-    _, starts, ends = bone_segments(skeleton, pose)
-    bones = capsules(starts, ends, _BONE_RADIUS * skeleton.height, _BONE_COLOUR)
-    return [cloth, bones, _floor(dressed, frame, floor)]
+class _Stage:
+    """Makes what the pictures show of a frame: cloth, bones and a patch of floor.
+
+    Red is what cannot be followed: cloth stretched above 2×, arms outside their sleeves.
+    """
+
+    def __init__(self, dressed: DressedFigure, *, coarse: bool = False) -> None:
+        """coarse: with fewer triangles, for pictures that are seen for a moment."""
+        self._dressed, self._meter, self._floor = dressed, dressed.meter(), floor_height(dressed)
+        template = dressed.template
+        cell = dressed.motion.skeleton.height / _COARSE_CELLS
+        kept, self._faces = (
+            _clustered(template, cell) if coarse else (np.arange(len(template.vertices)), template.faces)
+        )
+        self._kept, self._colours = kept, np.full((len(template.vertices), 3), _CLOTH_COLOUR, np.float32)
+        if template.colours is not None:
+            self._colours = np.array(template.colours)
+
+    def meshes(self, frame: int) -> list[Mesh]:
+        """Return the meshes of one frame of the clock."""
+        dressed, skeleton = self._dressed, self._dressed.motion.skeleton
+        vertices, pose = dressed.frame(frame), pose_of_frame(dressed.motion, frame)
+        colours = np.array(self._colours)
+        stretched = self._meter.stretch(vertices) > STRETCHED
+        colours[np.unique(dressed.template.faces[stretched])] = _RED
+        cloth = Mesh(vertices=vertices[self._kept], faces=self._faces, colours=colours[self._kept])
+        outside = self._meter.off_axis(vertices, pose).max(axis=1) > 1
+        out = [
+            joint
+            for one, is_out in zip(dressed.fitting.sleeved, outside, strict=True)
+            if is_out and not one.is_short
+            for joint in one.arm.joints
+        ]
+        joints, starts, ends = bone_segments(skeleton, pose)
+        red = np.isin(joints, out)
+        radius = _BONE_RADIUS * skeleton.height
+        bones = [
+            capsules(starts[which], ends[which], radius, colour)
+            for which, colour in ((~red, _BONE_COLOUR), (red, _RED))
+        ]
+        return [cloth, *bones, _floor(dressed, frame, self._floor)]
+
+
+def _clustered(mesh: Mesh, cell: float) -> tuple[IntArray, Faces]:
+    """Return the first vertex in each cube of that side, and the triangles between different ones."""
+    cubes = np.floor(mesh.vertices / cell).astype(np.int64)
+    _, first, cluster = np.unique(cubes, axis=0, return_index=True, return_inverse=True)
+    faces = cluster.ravel()[mesh.faces]
+    a, b, c = faces.T
+    return first, faces[(a != b) & (b != c) & (a != c)].astype(np.int32)
 
 
 def floor_height(dressed: DressedFigure) -> float:
@@ -204,21 +260,32 @@ def _view(dressed: DressedFigure, frame: int, azimuth_deg: float, options: Previ
     )
 
 
-def contact_sheet(dressed: DressedFigure, options: PreviewOptions | None = None) -> npt.NDArray[np.uint8]:
+def contact_sheet(
+    dressed: DressedFigure,
+    options: PreviewOptions | None = None,
+    on_picture: Callable[[], None] = lambda: None,
+) -> npt.NDArray[np.uint8]:
     """Return one picture (h, w, 3) uint8: time runs to the right, one direction a row."""
     options = options or PreviewOptions()
-    floor = floor_height(dressed)
+    stage = _Stage(dressed)
     columns = []
     for frame in _moments(dressed, options):
-        meshes = meshes_of_frame(dressed, int(frame), floor)
+        meshes = stage.meshes(int(frame))
         views = (_view(dressed, int(frame), azimuth, options) for azimuth in options.azimuths_deg)
         columns.append(np.concatenate([picture_of(meshes, view) for view in views], axis=0))
+        on_picture()
     return np.concatenate(columns, axis=1)
 
 
-def _write_sheet(path: Path, dressed: DressedFigure, options: PreviewOptions) -> None:
+def _write_sheet(
+    path: Path, dressed: DressedFigure, options: PreviewOptions, on_picture: Callable[[], None]
+) -> None:
     """Write the contact sheet with its times above and its directions beside."""
-    sheet, width, height = contact_sheet(dressed, options), options.picture_width, options.picture_height
+    sheet, width, height = (
+        contact_sheet(dressed, options, on_picture),
+        options.picture_width,
+        options.picture_height,
+    )
     seconds = _moments(dressed, options) / dressed.clock.frame_rate_hz
     rows = [
         {
@@ -240,19 +307,31 @@ def turntable(
 ) -> Iterator[npt.NDArray[np.uint8]]:
     """Yield pictures (h, w, 3) uint8 of the motion, seen by a viewer who goes once around the figure."""
     options = options or PreviewOptions()
-    floor = floor_height(dressed)
+    stage = _Stage(dressed, coarse=True)
     for index in range(options.turn_frames):
         frame = index * len(dressed) // options.turn_frames
         azimuth = 360.0 * index / options.turn_frames
-        yield picture_of(meshes_of_frame(dressed, frame, floor), _view(dressed, frame, azimuth, options))
+        yield picture_of(stage.meshes(frame), _view(dressed, frame, azimuth, options))
 
 
 def write_preview(
-    folder: Path, stem: str, dressed: DressedFigure, options: PreviewOptions | None = None
+    folder: Path,
+    stem: str,
+    dressed: DressedFigure,
+    options: PreviewOptions | None = None,
+    *,
+    on_start: Callable[[int, int], None] = lambda total, done: None,
+    on_picture: Callable[[], None] = lambda: None,
 ) -> None:
     """Write `STEM_sheet.png` and `STEM_turntable.mkv` into a folder."""
     options = options or PreviewOptions()
-    _write_sheet(folder / f"{stem}_sheet.png", dressed, options)
+    on_start(options.frames + options.turn_frames, 0)
+    _write_sheet(folder / f"{stem}_sheet.png", dressed, options, on_picture)
     seconds = max(len(dressed) / dressed.clock.frame_rate_hz, 1e-3)
     rate = float(np.clip(round(options.turn_frames / seconds), 1, 60))
-    write_video(folder / f"{stem}_turntable.mkv", turntable(dressed, options), rate)
+
+    def passing(picture: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+        on_picture()
+        return picture
+
+    write_video(folder / f"{stem}_turntable.mkv", map(passing, turntable(dressed, options)), rate)

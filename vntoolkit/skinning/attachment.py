@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from vntoolkit.arrays import Faces, FloatArray, IntArray, Points
+from vntoolkit.arrays import Faces, FloatArray, IntArray, Mask, Points, Vector3
 from vntoolkit.geometry.laplacian import edge_cotangents, edges_from_faces, graph_laplacian
 from vntoolkit.geometry.mesh import Mesh, face_normals, vertex_normals
 from vntoolkit.geometry.motion import Skeleton
@@ -18,6 +21,7 @@ from vntoolkit.skinning.weights import (
     SkinWeights,
     WeightOptions,
     attracting_bones,
+    attracting_joints,
     nearest_joints,
     weights_from_distances,
 )
@@ -30,13 +34,47 @@ _NEAREST = 1e-2  # of the skeleton's height: nearer counts as this near
 _CLOSER = 1 - 1e-9  # of the ball so far: bones meet at joints, where the first of them is taken
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SleeveCover:
+    """What covers an arm.
+
+    joints: the arm's. covers: (n,) the sleeve. own: (n,) what of it follows the arm alone; the rest follows
+    the trunk too. shoulder: (3,) about which the arm turns.
+    """
+
+    joints: tuple[int, ...]
+    covers: Mask
+    own: Mask
+    shoulder: Vector3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GarmentCover:
+    """Which part of a garment covers what.
+
+    sleeves: of the arms that have one. trunk: (n,) what no arm may move. bones_from_pose: (j, 4, 4), takes
+    the bones of an arm to where its sleeve has them. bare: joints of arms that have none and move no cloth.
+    """
+
+    sleeves: tuple[SleeveCover, ...]
+    trunk: Mask
+    bones_from_pose: FloatArray
+    bare: tuple[int, ...] = ()
+
+
 def weights_of_garment(
-    garment: Mesh, skeleton: Skeleton, pose: FloatArray, options: WeightOptions
+    garment: Mesh,
+    skeleton: Skeleton,
+    pose: FloatArray,
+    options: WeightOptions,
+    cover: GarmentCover | None = None,
 ) -> SkinWeights:
     """Weigh a garment, on the skeleton in the pose (j, 4, 4), by the rule that the options name."""
-    if options.falloff is Falloff.HEAT:
+    if options.falloff is not Falloff.HEAT:
+        return weights_from_distances(garment.vertices, skeleton, pose, options)
+    if cover is None or not cover.sleeves:
         return weights_from_heat(garment, skeleton, pose, options)
-    return weights_from_distances(garment.vertices, skeleton, pose, options)
+    return weights_with_sleeves(garment, skeleton, pose, options, cover)
 
 
 def weights_without_web(
@@ -47,6 +85,7 @@ def weights_without_web(
     *,
     poses: FloatArray,
     max_stretch: float,
+    cover: GarmentCover | None = None,
 ) -> tuple[SkinWeights, Faces]:
     """Weigh a garment, cut where the poses (f, j, 4, 4) overstretch it, and weigh again; return what is left.
 
@@ -54,7 +93,7 @@ def weights_without_web(
     edge of it beyond `max_stretch`: cloth never bears that, so the capture joined what only touched. Weights
     by distance know no triangles: they would stay, web and all, so nothing is cut for them, nor at 0.
     """
-    weights, faces = weights_of_garment(garment, skeleton, pose, options), garment.faces
+    weights, faces = weights_of_garment(garment, skeleton, pose, options, cover), garment.faces
     if options.falloff is not Falloff.HEAT or not max_stretch:
         return weights, faces
     for _ in range(_ROUNDS):
@@ -63,7 +102,7 @@ def weights_without_web(
             break
         faces = faces[~web]
         left = Mesh(vertices=garment.vertices, faces=faces)
-        weights = weights_of_garment(left, skeleton, pose, options)
+        weights = weights_of_garment(left, skeleton, pose, options, cover)
     return weights, faces
 
 
@@ -110,37 +149,121 @@ def weights_from_heat(
     too; a test of visibility would need a closed garment. Few bones are kept as in `Falloff.CONTINUOUS`.
     """
     joints, distances, hold = _own_bones(garment, skeleton, pose, options)
-    used, column = np.unique(joints, return_inverse=True)
+    used, shares = _spread(garment, joints, distances, hold)
+    return _heaviest(used, shares, options.bones)
+
+
+def weights_with_sleeves(
+    garment: Mesh, skeleton: Skeleton, pose: FloatArray, options: WeightOptions, cover: GarmentCover
+) -> SkinWeights:
+    """Weigh a garment whose sleeves are known, so that no arm moves the trunk below the armpits.
+
+    First each vertex's share s of an arm: 0 on the trunk, 1 on the arm's own cloth. Between them it is
+    the one that stretches least when the arm turns: a point at ρ from the shoulder then moves by a length
+    that grows with ρ, so that the cloth stretches by ρ |∇s|, and div(ρ² ∇s) = 0 makes its square least. On
+    the shoulders the trunk takes hold by heat. Within its share each arm, and the rest of the body, weighs
+    its bones by heat.
+    """
+    allowed = set(attracting_joints(skeleton, options.exclude))
+    sleeves = [one for one in cover.sleeves if allowed & set(one.joints)]
+    taken = {joint for one in sleeves for joint in one.joints} | set(cover.bare)
+    body = [joint for joint in range(len(skeleton.names)) if joint not in taken]
+    joints, distances, hold = _own_bones(garment, skeleton, pose, options, body)
+    shares = _arm_shares(garment, cover.trunk, sleeves, distances)
+    parts = [(1.0 - shares.sum(axis=1), *_spread(garment, joints, distances, hold))]
+    for one, share in zip(sleeves, shares.T, strict=True):
+        turning, *ends = attracting_bones(skeleton, pose, options.exclude, one.joints)
+        placed = cover.bones_from_pose[turning]
+        bones = (
+            turning,
+            *(np.einsum("bij,bj->bi", placed[:, :3, :3], end) + placed[:, :3, 3] for end in ends),
+        )
+        nearest, gaps = nearest_joints(garment.vertices, *bones, count=1)
+        gaps = np.maximum(gaps[:, 0], _least_distance(skeleton, bones[1]))
+        parts.append((share, *_spread(garment, nearest[:, 0], gaps, np.ones(len(gaps)))))
+    used = np.concatenate([joints for _, joints, _ in parts])
+    weights = np.concatenate([share[:, None] * within for share, _, within in parts], axis=1)
+    return _heaviest(used, weights, options.bones)
+
+
+def _arm_shares(
+    garment: Mesh, trunk: Mask, sleeves: Sequence[SleeveCover], distances: FloatArray
+) -> FloatArray:
+    """Return (n, arms): how much each vertex follows an arm. distances: (n,) to the bones of the rest."""
+    none = np.zeros((len(distances), 0), dtype=bool)
+    beyond = np.column_stack([none, *(one.own for one in sleeves)])
+    on_sleeve = np.column_stack([none, *(one.covers for one in sleeves)]).any(axis=1)
+    shares = beyond.astype(np.float64)
+    free = ~trunk & ~beyond.any(axis=1)
+    if not free.any() or not sleeves:
+        return shares
+    held = np.where(on_sleeve, 1e-9, _HOLD) * _areas(garment) / distances**2
+    for arm, one in enumerate(sleeves):
+        turning = np.linalg.norm(garment.vertices - one.shoulder, axis=1)
+        matrix = sp.csr_array(_laplacian(garment, turning**2) + sp.diags_array(held * turning**2))
+        factor = splu(
+            sp.csc_array(matrix[free][:, free]),
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+        sources = -(matrix[free][:, ~free] @ shares[~free, arm])
+        shares[free, arm] = np.clip(factor.solve(sources), 0.0, 1.0)
+    return shares / np.maximum(shares.sum(axis=1, keepdims=True), 1.0)
+
+
+def _areas(garment: Mesh) -> FloatArray:
+    """Return (n,): a third of the triangles around each vertex, never 0."""
     area = np.linalg.norm(face_normals(garment.vertices, garment.faces), axis=1) / 6
-    shares = np.bincount(garment.faces.ravel(), np.repeat(area, 3), len(joints))
-    least = 1e-9 * (shares.mean() or 1.0)  # of a vertex without area: it keeps to its bone
-    heat = _HOLD * hold * np.maximum(shares, least) / distances**2
+    shares = np.bincount(garment.faces.ravel(), np.repeat(area, 3), len(garment.vertices))
+    return np.maximum(shares, 1e-9 * (shares.mean() or 1.0))  # a vertex without area keeps to its bone
+
+
+def _spread(
+    garment: Mesh, joints: IntArray, distances: FloatArray, hold: FloatArray
+) -> tuple[IntArray, FloatArray]:
+    """Let heat spread from each vertex's joint, (n,); return the joints and their shares (n, used)."""
+    used, column = np.unique(joints, return_inverse=True)
+    if len(used) == 1:
+        return used, np.ones((len(joints), 1))
+    heat = _HOLD * hold * _areas(garment) / distances**2
     matrix = sp.csc_array(_laplacian(garment) + sp.diags_array(heat))
     factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     sources = np.zeros((len(joints), len(used)))
     sources[np.arange(len(joints)), column] = heat
-    return _heaviest(used, np.maximum(factor.solve(sources), 0.0), options.bones)
+    return used, np.maximum(factor.solve(sources), 0.0)
 
 
 def _own_bones(
-    garment: Mesh, skeleton: Skeleton, pose: FloatArray, options: WeightOptions
+    garment: Mesh,
+    skeleton: Skeleton,
+    pose: FloatArray,
+    options: WeightOptions,
+    among: Collection[int] | None = None,
 ) -> tuple[IntArray, FloatArray, FloatArray]:
     """Return for every vertex its joint, the distance to it, and how sure that is, (n,) each."""
-    bones = attracting_bones(skeleton, pose, options.exclude)
+    bones = attracting_bones(skeleton, pose, options.exclude, among)
     normals = vertex_normals(garment.vertices, garment.faces)
     joints, distances = covered_bones(garment.vertices, normals, *bones)
     lost = joints < 0
     if lost.any():
         guessed, gaps = nearest_joints(garment.vertices[lost], *bones, count=1)
         joints[lost], distances[lost] = guessed[:, 0], gaps[:, 0]
-    floor = _NEAREST * max(skeleton.height, float(np.linalg.norm(np.ptp(bones[1], axis=0))))
+    floor = _least_distance(skeleton, bones[1])
     return joints, np.maximum(distances, floor), np.where(lost, _GUESSED, 1.0)
 
 
-def _laplacian(garment: Mesh) -> sp.csr_array:
+def _least_distance(skeleton: Skeleton, starts: Points) -> float:
+    return _NEAREST * max(skeleton.height, float(np.linalg.norm(np.ptp(starts, axis=0))))
+
+
+def _laplacian(garment: Mesh, stiffness: FloatArray | None = None) -> sp.csr_array:
+    """Return the cotangent Laplacian (n, n); stiffness: (n,), of the cloth about each vertex."""
     pairs, cosines, sines = edge_cotangents(garment.vertices, garment.faces)
     cotangents = cosines / np.maximum(sines, 1e-300)
     weights = 0.5 * np.clip(np.nan_to_num(cotangents), _LEAST_COTANGENT, _MOST_COTANGENT)
+    if stiffness is not None:
+        weights = weights * stiffness[pairs].mean(axis=1)
     return graph_laplacian(pairs, len(garment.vertices), weights)
 
 

@@ -42,6 +42,13 @@ def skinned_vertices(
     return _dual(points, weights.joints, weights.weights, dual_quaternions(posed_from_rest))
 
 
+def blended_vertices(vertices: Points, weights: SkinWeights, transforms: FloatArray) -> Points:
+    """Return (n, 3): each vertex moved by the weighted mean of its bones' transforms, (j, 4, 4) affine."""
+    require_shape(vertices, (len(weights.weights), 3), "vertices to skin")
+    points = np.ascontiguousarray(vertices, dtype=np.float64)
+    return _linear(points, weights.joints, weights.weights, np.ascontiguousarray(transforms[:, :3]))
+
+
 def _rigid_inverses(matrices: FloatArray) -> FloatArray:
     return np.stack([RigidTransform.from_matrix(matrix).inverse().matrix for matrix in matrices])
 

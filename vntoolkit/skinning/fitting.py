@@ -1,7 +1,8 @@
-"""Fit of a garment to a skeleton: placement, arm pose, and the anchor that removes the performer's motion."""
+"""Fit of a garment to a skeleton: where it hangs, how large it is, and how the arms are held."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 
@@ -14,9 +15,15 @@ from vntoolkit.geometry.garment_fit import GarmentFit, fit_similarity
 from vntoolkit.geometry.mesh import Mesh, face_normals
 from vntoolkit.geometry.motion import Motion, Skeleton
 from vntoolkit.geometry.rigid import RigidTransform, Similarity
-from vntoolkit.skinning.anatomy import Anatomy, anatomy_of, facing_of, shoulders_of
+from vntoolkit.skinning.alignment import (
+    SleevedArm,
+    arms_in_sleeves,
+    rotation_between,
+    turned_into_sleeve,
+)
+from vntoolkit.skinning.anatomy import Anatomy, Arm, anatomy_of, arms_of, facing_of, shoulders_of
 from vntoolkit.skinning.kinematics import forward_kinematics
-from vntoolkit.skinning.weights import SkinWeights
+from vntoolkit.skinning.sleeves import GarmentRegions, regions_of_garment
 
 _COLLAR_RISE = 0.12  # of the way from hips to shoulders: a collar lies above the shoulders' joints
 
@@ -68,30 +75,71 @@ class GarmentFitOptions:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fitting:
-    """rest_from_cloth: puts the garment onto the figure. rest_from_model: R of equation 8, (j, 4, 4)."""
+    """A garment on a figure.
+
+    rest_from_cloth: puts the garment onto it. rest_from_model: R of equation 8, (j, 4, 4). regions: of the
+    garment, there. arms: of the figure. sleeved: those that lie in a sleeve. rest_from_first: (j, 4, 4), what
+    then fits the cloth over each joint to the bone's length.
+    """
 
     rest_from_cloth: Similarity
     rest_from_model: FloatArray
+    regions: GarmentRegions
+    arms: tuple[Arm, ...]
+    sleeved: tuple[SleevedArm, ...]
+    rest_from_first: FloatArray
 
 
 def fit_garment_to_figure(
-    garment: Mesh, motion: Motion, fit: GarmentFit, options: GarmentFitOptions
+    garment: Mesh,
+    motion: Motion,
+    fit: GarmentFit,
+    options: GarmentFitOptions,
+    named: Mapping[str, str] | None = None,
 ) -> Fitting:
-    """Bring garment and skeleton into one pose, the pose of attachment, in which the root is not turned."""
+    """Bring garment and skeleton into one pose, the pose of attachment, in which the root is not turned.
+
+    named: joints of the arms by role, where their names do not tell.
+    """
     skeleton = motion.skeleton
     rotations = _binding_rotations(motion, fit)
     pose = forward_kinematics(skeleton, rotations[None], skeleton.offsets[:1])[0]
     rest_from_cloth = fit_garment(garment, skeleton, pose, fit, options)
+    anatomy = anatomy_of(skeleton)
+    arms = arms_of(skeleton, anatomy, named)
+    regions = regions_of_garment(garment, with_sleeves=options.region is not Region.LOWER_BODY)
+    regions = regions.moved(rest_from_cloth)
+    missing = [sleeve.side for sleeve in regions.sleeves if sleeve.side not in {arm.side for arm in arms}]
+    if missing:
+        side = "left" if missing[0] > 0 else "right"
+        raise BadInput(
+            f"the figure has no arm for the garment's {side} sleeve: name its joints, as --map "
+            f"{side}-upper-arm=JOINT --map {side}-forearm=JOINT; there are {', '.join(skeleton.names)}"
+        )
+    sleeved = arms_in_sleeves(arms, regions.sleeves, skeleton, pose)
+    rest_from_first = np.tile(np.eye(4), (len(skeleton.names), 1, 1))
     is_given = bool(fit.pose) or fit.bind_frame is not None or bool(fit.landmarks)
     if options.arms is ArmPose.SLEEVES and not is_given:
-        vertices = rest_from_cloth.apply(garment.vertices)
-        turns = arms_aimed_at_sleeves(vertices, skeleton, pose, anatomy_of(skeleton))
-        for joint, turn in turns.items():
-            above = Rotation.from_matrix(pose[skeleton.parents[joint], :3, :3])
-            own = Rotation.from_quat(rotations[joint])
-            rotations[joint] = (above.inv() * Rotation.from_matrix(turn) * above * own).as_quat()
+        for one in sleeved:
+            rotations = turned_into_sleeve(one, skeleton, rotations, pose)
+            for joint, matrix in one.transforms(skeleton).items():
+                rest_from_first[joint] = matrix
+        if not sleeved:
+            vertices = rest_from_cloth.apply(garment.vertices)
+            turns = arms_aimed_at_sleeves(vertices, skeleton, pose, anatomy)
+            for joint, turn in turns.items():
+                above = Rotation.from_matrix(pose[skeleton.parents[joint], :3, :3])
+                own = Rotation.from_quat(rotations[joint])
+                rotations[joint] = (above.inv() * Rotation.from_matrix(turn) * above * own).as_quat()
         pose = forward_kinematics(skeleton, rotations[None], skeleton.offsets[:1])[0]
-    return Fitting(rest_from_cloth=rest_from_cloth, rest_from_model=pose)
+    return Fitting(
+        rest_from_cloth=rest_from_cloth,
+        rest_from_model=pose,
+        regions=regions,
+        arms=arms,
+        sleeved=sleeved,
+        rest_from_first=rest_from_first,
+    )
 
 
 def _binding_rotations(motion: Motion, fit: GarmentFit) -> FloatArray:
@@ -206,7 +254,7 @@ def _rear(vertices: Points) -> float:
     return float(np.median(rearmost[np.isfinite(rearmost)]))
 
 
-# Arms: rotated into the garment's sleeves, because rest poses differ between files.
+# Arms of a garment whose sleeves do not stand out from its outline: aimed at its outermost cloth.
 
 
 _CUFF_SHARE = 0.02  # of the vertices on one side: the outermost ones are its cuff
@@ -234,7 +282,7 @@ def arms_aimed_at_sleeves(
         threshold = np.quantile(outward[outward > 0], 1 - _CUFF_SHARE)
         cuff = vertices[outward >= threshold].mean(axis=0)
         if side * (cuff - start)[0] > 0 and np.linalg.norm(cuff - start) > _LEAST_REACH * reach:
-            turns[shoulder] = _rotation_between(end - start, cuff - start)
+            turns[shoulder] = rotation_between(end - start, cuff - start)
     return turns
 
 
@@ -242,56 +290,3 @@ def _hand(skeleton: Skeleton, pose: FloatArray, arm: tuple[int, ...]) -> Vector3
     tips = np.flatnonzero(skeleton.tip_joints == arm[-1])
     offset = skeleton.tip_offsets[tips[0]] if len(tips) else np.zeros(3)
     return pose[arm[-1], :3, :3] @ offset + pose[arm[-1], :3, 3]
-
-
-def _rotation_between(start: Vector3, end: Vector3) -> FloatArray:
-    """Return the smallest rotation (3, 3) from one direction to another."""
-    a, b = start / np.linalg.norm(start), end / np.linalg.norm(end)
-    axis = np.cross(a, b)
-    sine = float(np.linalg.norm(axis))
-    if sine < 1e-12:
-        return np.eye(3)
-    return Rotation.from_rotvec(axis / sine * np.arctan2(sine, float(a @ b))).as_matrix()
-
-
-class Anchor(Enum):
-    """What fixes the captured garment in place.
-
-    TRUNK: the rigid motion of what covers the trunk is taken out; folds and sleeves keep moving. NONE: the
-    garment moves as captured, performer's steps included.
-    """
-
-    TRUNK = "trunk"
-    NONE = "none"
-
-
-_MAX_POINTS = 5000  # a rigid motion needs no more, and the fit then takes no time
-
-
-class TrunkAnchor:
-    """Finds, frame by frame, the rigid motion that takes the garment's trunk back to the first frame."""
-
-    def __init__(self, rest_vertices: Points, weights: SkinWeights, trunk: tuple[int, ...]) -> None:
-        on_trunk = np.where(np.isin(weights.joints, trunk), weights.weights, 0).sum(axis=1)
-        chosen = np.flatnonzero(on_trunk > 0.5 * on_trunk.max())
-        self._chosen = chosen[:: max(1, len(chosen) // _MAX_POINTS)]
-        self._weights = on_trunk[self._chosen]
-        self._rest = np.asarray(rest_vertices, dtype=np.float64)[self._chosen]
-
-    def rest_from_now(self, vertices: Points) -> RigidTransform:
-        """Return the rigid motion from the garment now, (n, 3), to its first frame (Kabsch, weighted)."""
-        now = np.asarray(vertices, dtype=np.float64)[self._chosen]
-        return _fit_rigid(now, self._rest, self._weights)
-
-
-# Anchor: removes the performer's own steps and turns from the captured garment.
-
-
-def _fit_rigid(source: Points, target: Points, weights: FloatArray) -> RigidTransform:
-    share = weights / weights.sum()
-    centre_s, centre_t = share @ source, share @ target
-    covariance = (target - centre_t).T @ ((source - centre_s) * share[:, None])
-    u, _, vt = np.linalg.svd(covariance)
-    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u) * np.linalg.det(vt))])
-    rotation = (u * signs) @ vt
-    return RigidTransform(rotation=rotation, translation=centre_t - rotation @ centre_s)

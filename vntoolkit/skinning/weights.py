@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from enum import Enum
 from fnmatch import fnmatch
@@ -106,17 +107,28 @@ def weights_from_distances(
 
 
 def attracting_bones(
-    skeleton: Skeleton, pose: FloatArray, exclude: tuple[str, ...]
+    skeleton: Skeleton, pose: FloatArray, exclude: tuple[str, ...], among: Collection[int] | None = None
 ) -> tuple[IntArray, Points, Points]:
-    """Return `bone_segments` less those of excluded joints, the bones of one joint side by side."""
+    """Return `bone_segments` less those of excluded joints, the bones of one joint side by side.
+
+    among: only the bones of these joints.
+    """
     joints, starts, ends = bone_segments(skeleton, pose)
-    kept = np.array(
-        [not any(fnmatch(skeleton.names[j], pattern) for pattern in exclude) for j in joints], bool
-    )
+    allowed = attracting_joints(skeleton, exclude)
+    kept = np.isin(joints, allowed if among is None else [joint for joint in among if joint in allowed])
     if not kept.any():
         raise BadInput("skin weights: no bone is left: the skeleton is a point, or `exclude` names them all")
     order = np.flatnonzero(kept)[np.argsort(joints[kept], kind="stable")]
     return joints[order], starts[order], ends[order]
+
+
+def attracting_joints(skeleton: Skeleton, exclude: tuple[str, ...]) -> list[int]:
+    """Return the joints that no pattern excludes."""
+    return [
+        joint
+        for joint, name in enumerate(skeleton.names)
+        if not any(fnmatch(name, pattern) for pattern in exclude)
+    ]
 
 
 def nearest_joints(

@@ -1,0 +1,161 @@
+"""Both arms lie in their sleeves, whatever the figure is called and however the performer held them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tests.result_files import write_mesh_sequence
+from tests.skinning.test_heat_weights import of_arms, raised_arms, sheet_seen_from_the_front
+from vntoolkit.__main__ import main
+from vntoolkit.errors import BadInput
+from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.geometry.motion import Motion
+from vntoolkit.pipeline.dress import DressedFigure, DressOptions, dress
+from vntoolkit.skinning.anatomy import anatomy_of, arms_of
+from vntoolkit.skinning.findings import DressingFindings
+from vntoolkit.skinning.gait import walking_motion
+from vntoolkit.skinning.kinematics import pose_of_frame
+from vntoolkit.skinning.sleeves import regions_of_garment
+
+
+@pytest.fixture(scope="module")
+def sheet() -> MeshSequence:
+    return sheet_seen_from_the_front(0.42)
+
+
+def measured(dressed: DressedFigure, frames: tuple[int, ...]) -> DressingFindings:
+    meter = dressed.meter()
+    for frame in frames:
+        meter.add(dressed.frame(frame), pose_of_frame(dressed.motion, frame))
+    return meter.findings
+
+
+def renamed(motion: Motion, names: dict[str, str]) -> Motion:
+    skeleton = motion.skeleton
+    return replace(
+        motion, skeleton=replace(skeleton, names=tuple(names.get(name, name) for name in skeleton.names))
+    )
+
+
+def test_sleeves_are_found_where_they_are(sheet: MeshSequence) -> None:
+    regions = regions_of_garment(sheet.template)
+    x, y, _ = sheet.template.vertices.T
+    assert sorted(sleeve.side for sleeve in regions.sleeves) == [-1, 1]
+    for sleeve in regions.sleeves:
+        assert sleeve.side * sleeve.armpit[0] == pytest.approx(0.18, abs=0.02)
+        start, end = np.array([0.15, 0.07]), np.array([0.42, 0.50])
+        axis = (end - start) / np.linalg.norm(end - start)
+        away = sleeve.axis[4:, :2] * [sleeve.side, 1] - start
+        assert np.abs(away[:, 0] * axis[1] - away[:, 1] * axis[0]).max() < 0.02
+        assert np.median(sleeve.axis[:, 2]) == pytest.approx(5.0, abs=0.02)
+        assert sleeve.radius == pytest.approx(0.065, abs=0.01)
+        np.testing.assert_array_less(0.15, sleeve.side * x[np.isfinite(sleeve.along)])
+    below = (np.abs(x) < 0.17) & (y > max(s.armpit[1] for s in regions.sleeves) + 0.01)
+    assert regions.trunk[below].all()
+    assert y[regions.trunk].min() > min(s.armpit[1] for s in regions.sleeves) - 0.01
+
+
+def test_a_vest_and_trousers_have_no_sleeves() -> None:
+    x, y = np.meshgrid(np.arange(-0.25, 0.25, 0.01), np.arange(0, 0.6, 0.01))
+    index = np.arange(x.size).reshape(x.shape)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+    faces = np.concatenate([np.stack([a, c, b], -1).reshape(-1, 3), np.stack([b, c, d], -1).reshape(-1, 3)])
+    points = np.stack([x, y, 5 + 0 * x], axis=-1).reshape(-1, 3)
+    legs = np.abs(points[:, 0]) > 0.3 * (points[:, 1] - 0.25)
+    for kept in (np.ones(len(points), bool), legs):
+        mesh = Mesh(vertices=points, faces=faces[kept[faces].all(axis=1)])
+        assert regions_of_garment(mesh).sleeves == ()
+
+
+def test_no_arm_moves_the_trunk_and_both_stay_in_their_sleeves(sheet: MeshSequence) -> None:
+    dressed = dress(sheet, raised_arms(90))
+    on_trunk = of_arms(dressed)[dressed.fitting.regions.trunk]
+    assert on_trunk.mean() <= 0.02
+    assert np.quantile(on_trunk, 0.99) <= 0.1
+    findings = measured(dressed, (0, 10, 19))
+    assert findings.off_axis.shape == (3, 2, 3)
+    assert findings.off_axis[:, :, 1:].max() < 1  # forearm and wrist; the elbow bends the axis
+    assert "wrist" in findings.sentence or "elbow" in findings.sentence
+
+
+def test_an_arm_beside_its_sleeve_is_said(sheet: MeshSequence) -> None:
+    findings = measured(dress(sheet, raised_arms(0)), (0,))
+    stray = replace(findings, off_axis=findings.off_axis + np.array([[[0, 0, 3.0], [0, 0, 0]]]))
+    assert not stray.is_followed
+    assert "right arm outside its sleeve (wrist at most 3." in stray.sentence
+
+
+def test_longer_arms_reach_the_cuffs_too(sheet: MeshSequence) -> None:
+    walk = raised_arms(60)
+    longer = np.array(walk.skeleton.offsets)
+    arms = [
+        walk.skeleton.index_of(f"{side}{part}") for side in ("Left", "Right") for part in ("ForeArm", "Hand")
+    ]
+    longer[arms] *= 1.25
+    dressed = dress(sheet, replace(walk, skeleton=replace(walk.skeleton, offsets=longer)))
+    assert measured(dressed, (0, 19)).off_axis[:, :, 2].max() < 0.7
+
+
+def test_the_performers_sleeves_do_not_swing_on_top_of_the_figures(sheet: MeshSequence) -> None:
+    """A sleeve that the capture turned about the shoulder hangs as the one that stayed."""
+    x = sheet.template.vertices[:, 0]
+    sleeve = np.isfinite(next(s for s in regions_of_garment(sheet.template).sleeves if s.side > 0).along)
+    turned, shoulder = np.array(sheet.vertices[:3], np.float64), np.array([0.15, 0.07, 5.0])
+    for frame in range(3):
+        turn = Rotation.from_euler("z", -8.0 * frame, degrees=True)
+        turned[frame, sleeve] = shoulder + turn.apply(turned[frame, sleeve] - shoulder)
+    still = dress(replace(sheet, vertices=sheet.vertices[:3]), raised_arms(0))
+    swung = dress(replace(sheet, vertices=turned), raised_arms(0))
+    cuff = x > 0.36
+    assert cuff.any()
+    assert np.abs(swung.frame(2)[cuff] - still.frame(2)[cuff]).max() < 0.02
+    assert np.abs(turned[2][cuff] - turned[0][cuff]).max() > 0.08
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("mixamorig:{0}Shoulder", "mixamorig:{0}Arm", "mixamorig:{0}ForeArm", "mixamorig:{0}Hand"),
+        ("{1}clavicle", "{1}humerus", "{1}radius", "{1}wrist"),
+        ("{0}Collar", "{0}Shoulder", "{0}Elbow", "{0}Wrist"),
+        ("{2}_collar", "{2}_shoulder", "{2}_elbow", "{2}_wrist"),
+        ("m_avg_{3}_Collar", "m_avg_{3}_Shoulder", "m_avg_{3}_Elbow", "m_avg_{3}_Wrist"),
+        ("clavicle_{1}", "upperarm_{1}", "lowerarm_{1}", "hand_{1}"),
+        ("a{3}", "b{3}", "c{3}", "d{3}"),  # told by their lengths
+    ],
+)
+def test_arms_are_known_by_many_names_and_by_none(names: tuple[str, ...]) -> None:
+    walk = walking_motion()
+    changed = {}
+    for side in ("Left", "Right"):
+        for own, name in zip(("Shoulder", "Arm", "ForeArm", "Hand"), names, strict=True):
+            changed[f"{side}{own}"] = name.format(side, side[0].lower(), side.lower(), side[0])
+    skeleton = renamed(walk, changed).skeleton
+    arms = arms_of(skeleton, anatomy_of(skeleton))
+    assert [arm.side for arm in arms] == [-1, 1]
+    assert [(arm.upper, arm.fore, arm.hand) for arm in arms] == [(10, 11, 12), (6, 7, 8)]
+
+
+def test_an_unknown_arm_is_asked_for_and_named(sheet: MeshSequence, tmp_path: Path, capsys) -> None:
+    walk = walking_motion()
+    lame = np.array(walk.skeleton.offsets)
+    lame[[walk.skeleton.index_of(name) for name in ("LeftForeArm", "LeftHand")]] = 0.0
+    motion = replace(walk, skeleton=replace(walk.skeleton, offsets=lame))
+    with pytest.raises(BadInput, match="no arm for the garment's left sleeve: name its joints, as --map"):
+        dress(sheet, motion)
+    given = ("left-upper-arm=LeftShoulder", "left-forearm=LeftArm", "left-hand=LeftForeArm")
+    assert len(dress(sheet, renamed(walk, {}), DressOptions(map=given)).fitting.sleeved) == 2
+    for wrong, message in (("left-arm=x", "no role 'left-arm'"), ("Bone7", "expected ROLE=JOINT")):
+        with pytest.raises(BadInput, match=message):
+            dress(sheet, walk, DressOptions(map=(wrong,)))
+    write_mesh_sequence(tmp_path / "track", sheet)
+    out = str(tmp_path / "a.usdc")
+    arguments = ["dress", str(tmp_path), "--motion", "data/walk.bvh", "--out", out, "--stop", "0.05"]
+    assert main([*arguments, "--map", "left-upper-arm=LeftArm", "--map", "left-forearm=LeftForeArm"]) == 0
+    assert "arm inside its sleeve" in capsys.readouterr().out

@@ -1,0 +1,173 @@
+"""What a dressed garment cannot follow, in every frame: stretched triangles, arms off their sleeves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from vntoolkit.arrays import Faces, FloatArray, IntArray, Points
+from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.geometry.motion import Skeleton
+from vntoolkit.native import njit
+from vntoolkit.skinning.alignment import SleevedArm, fit_rigid
+
+STRETCHED, TORN = 2.0, 3.0  # a knit bears about the first; the second shows as a web
+_MOST_STRETCHED = 0.005  # of the triangles: more of them in a frame are seen
+_LEAST_VERTICES = 6  # of a sleeve's section, for its motion
+_SIDES = {1: "left", -1: "right"}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DressingFindings:
+    """What was measured of each frame.
+
+    stretched, torn: (frames,) share of triangles of which an edge is longer than 2 and 3 times that of the
+    garment at rest. off_axis: (frames, arms, 3) how far elbow, middle of the forearm and wrist are from the
+    axis of the sleeve, in its radii; the arms are `sides`. short: arms whose sleeve ends before the wrist, of
+    which only the elbow counts, if it reaches so far.
+    """
+
+    stretched: FloatArray
+    torn: FloatArray
+    off_axis: FloatArray
+    sides: tuple[int, ...]
+    short: tuple[bool, ...]
+
+    @property
+    def sentence(self) -> str:
+        """One line: where the arms are, and how much the cloth stretches, each with its worst frame."""
+        parts = []
+        for arm, side in enumerate(self.sides):
+            if self.short[arm]:
+                parts.append(f"the {_SIDES[side]} sleeve is short")
+                continue
+            off = self.off_axis[:, arm]
+            frame, place = np.unravel_index(int(off.argmax()), off.shape)
+            where = ("elbow", "forearm", "wrist")[place]
+            word = "outside" if off.max() > 1 else "inside"
+            parts.append(
+                f"{_SIDES[side]} arm {word} its sleeve ({where} at most {off.max():.1f} radii off its axis, "
+                f"frame {frame})"
+            )
+        if not parts:
+            parts.append("no sleeve found")
+        worst = int(self.stretched.argmax())
+        parts.append(
+            f"{100 * self.stretched.mean():.2f} % of the triangles stretched above {STRETCHED:g}× "
+            f"(at most {100 * self.stretched[worst]:.2f} %, frame {worst})"
+        )
+        return "; ".join(parts)
+
+    @property
+    def is_followed(self) -> bool:
+        """Whether every arm stays in its sleeve and hardly a triangle is overstretched."""
+        inside = all(is_short or self.off_axis[:, arm].max() <= 1 for arm, is_short in enumerate(self.short))
+        return inside and float(self.stretched.max(initial=0.0)) <= _MOST_STRETCHED
+
+
+class DressingMeter:
+    """Measures posed frames of a garment, one after the other."""
+
+    def __init__(
+        self, rest: Mesh, on_figure: Points, sleeved: Sequence[SleevedArm], skeleton: Skeleton
+    ) -> None:
+        """rest: the garment in the pose of attachment. on_figure: (n, 3) before its sleeves were fitted."""
+        self._faces = rest.faces
+        self._lengths = edge_lengths(np.asarray(rest.vertices, dtype=np.float64), rest.faces)
+        self._sleeved, self._skeleton = tuple(sleeved), skeleton
+        on_figure = np.asarray(on_figure, dtype=np.float64)
+        self._sections = [_sections(one, on_figure) for one in sleeved]
+        self._stretched: list[float] = []
+        self._torn: list[float] = []
+        self._off: list[FloatArray] = []
+
+    def stretch(self, vertices: Points) -> FloatArray:
+        """Return (m,): how much the most stretched edge of each triangle has grown since the attachment."""
+        return _greatest_growth(np.ascontiguousarray(vertices, dtype=np.float64), self._faces, self._lengths)
+
+    def off_axis(self, vertices: Points, pose: FloatArray) -> FloatArray:
+        """Return (arms, 3): radii from the axis of the sleeve to elbow, middle of the forearm and wrist."""
+        found = np.zeros((len(self._sleeved), 3))
+        for arm, (one, sections) in enumerate(zip(self._sleeved, self._sections, strict=True)):
+            if len(sections) < 2:
+                continue
+            axis = np.stack(
+                [
+                    fit_rigid(first, vertices[own], np.ones(len(own))).apply(point[None])[0]
+                    for own, first, point, _ in sections
+                ]
+            )
+            radii = np.array([radius for *_, radius in sections])
+            _, elbow, wrist = one.arm.points(self._skeleton, pose)
+            for place, point in enumerate((elbow, (elbow + wrist) / 2, wrist)):
+                found[arm, place] = _off_line(point, axis, radii)
+        return found
+
+    def add(self, vertices: Points, pose: FloatArray) -> None:
+        """Measure a frame: the garment's vertices (n, 3) and the figure's pose (j, 4, 4)."""
+        growth = self.stretch(vertices)
+        self._stretched.append(float((growth > STRETCHED).mean()) if len(growth) else 0.0)
+        self._torn.append(float((growth > TORN).mean()) if len(growth) else 0.0)
+        self._off.append(self.off_axis(vertices, pose))
+
+    @property
+    def findings(self) -> DressingFindings:
+        """What was measured so far."""
+        return DressingFindings(
+            stretched=np.array(self._stretched),
+            torn=np.array(self._torn),
+            off_axis=np.array(self._off).reshape(len(self._off), len(self._sleeved), 3),
+            sides=tuple(one.sleeve.side for one in self._sleeved),
+            short=tuple(one.is_short for one in self._sleeved),
+        )
+
+
+_Section = tuple[IntArray, Points, Points, float]
+
+
+def _sections(one: SleevedArm, on_figure: Points) -> list[_Section]:
+    """Return of each station its vertices, where they are, the axis there, and the radius."""
+    sleeve, stations = one.sleeve, one.sleeve.stations
+    half = sleeve.length / max(len(stations) - 1, 1)
+    sections: list[_Section] = []
+    for station, point, radius in zip(stations, sleeve.axis, sleeve.radii, strict=True):
+        own = np.flatnonzero(np.abs(sleeve.along - station) <= half)
+        if len(own) >= _LEAST_VERTICES:
+            sections.append((own, on_figure[own], point, float(radius)))
+    return sections
+
+
+def _off_line(point: Points, line: Points, radii: FloatArray) -> float:
+    """Return the distance from a point to a polyline, over the radius where it is nearest."""
+    starts, ways = line[:-1], np.diff(line, axis=0)
+    along = np.sum((point - starts) * ways, axis=1) / np.maximum(np.sum(ways**2, axis=1), 1e-300)
+    along = np.clip(along, 0, 1)
+    gaps = np.linalg.norm(point - starts - along[:, None] * ways, axis=1)
+    nearest = int(gaps.argmin())
+    radius = (1 - along[nearest]) * radii[nearest] + along[nearest] * radii[nearest + 1]
+    return float(gaps[nearest] / max(radius, 1e-300))
+
+
+def edge_lengths(vertices: Points, faces: Faces) -> FloatArray:
+    """Return (m, 3): the lengths of each triangle's edges, from each corner to the next."""
+    corners = vertices[faces]
+    return np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
+
+
+@njit(cache=True, parallel=True)
+def _greatest_growth(vertices, faces, lengths):  # type: ignore[no-untyped-def]
+    growth = np.empty(len(faces))
+    for f in numba.prange(len(faces)):
+        most = 0.0
+        for k in range(3):
+            a, b = faces[f, k], faces[f, (k + 1) % 3]
+            squared = 0.0
+            for axis in range(3):
+                squared += (vertices[a, axis] - vertices[b, axis]) ** 2
+            if lengths[f, k] > 0.0:
+                most = max(most, np.sqrt(squared) / lengths[f, k])
+        growth[f] = most
+    return growth
