@@ -30,9 +30,11 @@ def main() -> None:
     """Write the strip."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--demo", type=Path, default=Path("out/demo"))
+    parser.add_argument("--footage", default="", help="where the demo's footage is now, if it was moved")
     parser.add_argument("--out", type=Path, default=Path("docs/pipeline.jpg"))
     arguments = parser.parse_args()
-    result = open_result(arguments.demo / "reconstruction")
+    result = open_result(arguments.demo / "reconstruction", footage=arguments.footage)
+    result.capture  # noqa: B018 - raises, with the remedy, where the footage is not there
     number = result.numbers[len(result.numbers) // 2]
     normal_map, depth_map, mesh = result.normals(number), result.depth(number), result.mesh(number)
     maps = [

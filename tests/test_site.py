@@ -13,6 +13,7 @@ import pytest
 
 import vntoolkit
 from tests.readme_commands import ROOT, Step, run_step, steps_of
+from vntoolkit import errors
 from vntoolkit.cli import GROUPS, VERBS
 from vntoolkit.diagnosis.checks import CHECK_NAMES
 
@@ -37,6 +38,13 @@ def test_every_finding_has_a_section_with_a_cause_and_what_the_program_prints() 
     for name in CHECK_NAMES:
         told = page.split(f"## `{name}`\n", 1)[1].split("\n## ", 1)[0]
         assert len(told.split()) > 10, f"{name}: no cause"
+
+
+def test_every_error_names_a_section_of_the_guide() -> None:
+    headings = set(re.findall(r"(?m)^### .* \{ #([\w-]+) \}$", (DOCS / "wrong.md").read_text()))
+    kinds = [kind for kind in vars(errors).values() if isinstance(kind, type) and kind.__dict__.get("page")]
+    assert {kind.page for kind in kinds} == {f"docs/wrong.md#{name}" for name in headings}
+    assert not errors.BadInput.page  # its message says all
 
 
 def test_every_public_name_is_in_the_reference() -> None:

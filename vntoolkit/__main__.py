@@ -93,7 +93,7 @@ def _run(arguments: list[str] | None) -> int:
     except CycloptsError as error:
         return _fail(line_from_usage_error(error))
     except VntError as error:
-        return _fail(str(error))
+        return _fail(f"{error}; see {error.page}" if error.page else str(error))
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0

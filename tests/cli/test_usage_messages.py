@@ -119,7 +119,7 @@ def test_a_misspelt_command_is_answered_by_what_to_type(command, line, place, ca
         ("calibrate head frame.png --out r.json --report r.pdf", "r.pdf: expected a name that ends in .html"),
         ("evaluate mesh fake.ply --out text.txt", "a file stands where a folder is needed"),
         ("evaluate normals fake.png fake.png --out text.txt", "a file stands where a folder is needed"),
-        ("evaluate tracks empty --truth empty --plot p.gif", "p.gif: expected a name that ends in .png"),
+        ("evaluate tracks empty --truth empty --out text.txt", "a file stands where a folder is needed"),
         ("dress nothere --motion text.txt --out a.fbx", "a.fbx: expected .usdc, .usd, .glb, or a pattern"),
         ("dress nothere --motion text.txt --out a.ply", "a.ply: expected one place for the frame number"),
         ("view empty --html v.txt", "v.txt: expected a name that ends in .html"),

@@ -93,10 +93,18 @@ def _response():
     return RESPONSE
 
 
-def test_tracks_and_a_truth_that_do_not_match(result: Path, tmp_path: Path) -> None:
+def test_tracks_and_a_truth_that_do_not_match(
+    result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     _write_track_truth(tmp_path, 2)
     with pytest.raises(BadInput, match="its frames reach 5, the truth has 2"):
         evaluate_tracks(result / "track", tmp_path)
+    _write_track_truth(tmp_path / "sound", 9)
+    tables = tmp_path / "tables"
+    command = ["evaluate", "tracks", str(result), "--truth", str(tmp_path / "sound"), "--out", str(tables)]
+    assert main(command) == 0
+    assert sorted(path.name for path in tables.iterdir()) == [f"{result.name}.tsv", "tracks.png"]
+    assert f"next: vntoolkit report {result}" in capsys.readouterr().out
     record = json.loads((result / "track" / "track.json").read_text())
     (result / "track" / "track.json").write_text(json.dumps(record | {"template": 77}))
     _write_track_truth(tmp_path / "long", 9)
@@ -111,12 +119,18 @@ def test_tracks_and_a_truth_that_do_not_match(result: Path, tmp_path: Path) -> N
     ("arguments", "line"),
     [
         (["A", "--every", "0"], "every: expected 1 or more, got 0"),
-        (["A", "--plot", "a.gif"], "a.gif: expected a name that ends in .png or .svg"),
+        (["A", "--out", "text.txt"], "a file stands where a folder is needed"),
     ],
 )
-def test_evaluate_tracks_refuses_what_it_cannot_draw(
-    arguments: list[str], line: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_evaluate_tracks_refuses_what_it_cannot_do(
+    arguments: list[str],
+    line: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "text.txt").write_text("")
     assert main(["evaluate", "tracks", *arguments, "--truth", str(tmp_path)]) == 1
     assert line in capsys.readouterr().err
 

@@ -1,5 +1,6 @@
 """The verbs report, view --html and export, from the command line to the file."""
 
+import shlex
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,8 @@ def test_report_names_its_page(
 ) -> None:
     page = tmp_path / "page.html"
     assert main(["report", str(dome_result.folder), "--out", str(page), "--samples", "1"]) == 0
-    assert capsys.readouterr().out.strip() == str(page)
+    after = f"next: vntoolkit export {dome_result.folder} --to usd"
+    assert capsys.readouterr().out.splitlines() == [str(page), after]
     assert page.read_text().startswith("<!DOCTYPE html>")
 
 
@@ -23,7 +25,9 @@ def test_view_writes_the_page_that_it_is_asked_for(
     page = tmp_path / "scene.html"
     flags = ["--html", str(page), "--frames", "1:3", "--vertices", "100", "--picture-px", "32"]
     assert main(["view", str(dome_result.folder), *flags]) == 0
-    assert "2 frames" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "2 frames" in told
+    assert f"next: vntoolkit report {dome_result.folder}" in told
     assert page.stat().st_size < 200_000
 
 
@@ -33,7 +37,11 @@ def test_export_says_where_it_went(
     out = tmp_path / "a.usdc"
     flags = ["--to", "usd", "--units", "mm", "--scale", "0.01", "--up", "z", "--frames", "0:2"]
     assert main(["export", str(dome_result.folder), "--out", str(out), *flags]) == 0
-    assert capsys.readouterr().out.strip() == f"{out}: 2 frames"
+    line, after = capsys.readouterr().out.splitlines()
+    assert line == f"{out}: 2 frames"
+    program, flag, script = shlex.split(after.removeprefix("next: "))
+    assert (program, flag) == ("blender", "--python-expr")
+    assert f"usd_import(filepath='{out}')" in script
     assert out.read_bytes()[:8] == b"PXR-USDC"
 
 

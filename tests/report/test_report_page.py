@@ -1,7 +1,9 @@
 """The report: self-contained, escaped, complete, the same for the same input; and it looks like something."""
 
 import re
+import runpy
 import shutil
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -37,6 +39,7 @@ def test_every_part_is_there(page: Path) -> None:
                  "Registered surface", "mean error"):  # fmt: skip
         assert part in text
     assert f"the first is {SKIPPED}" in text
+    assert f"frame {SKIPPED} (f{SKIPPED})" in text  # stills keep their names
     assert text.count("data:image/webp;base64,") == 1  # the sample frames, in rows
     assert text.count("data:image/jpeg;base64,") == 1  # the checkerboard
 
@@ -92,7 +95,9 @@ def test_ids_of_two_figures_do_not_meet() -> None:
         assert set(re.findall(r"url\(#([^)]+)\)", text)) <= ids
 
 
-def test_it_does_without_footage_and_tracks(dome_result: DomeResult, tmp_path: Path) -> None:
+def test_it_does_without_footage_and_tracks(
+    dome_result: DomeResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder = shutil.copytree(dome_result.folder, tmp_path / "moved")
     shutil.rmtree(folder / "track")
     shutil.rmtree(folder / "mesh")
@@ -102,6 +107,10 @@ def test_it_does_without_footage_and_tracks(dome_result: DomeResult, tmp_path: P
     assert "nowhere.mkv: no such" in text
     assert "Registered surface" not in text
     assert "captured" not in text
+    monkeypatch.setattr(sys, "argv", ["readme_picture", "--demo", str(tmp_path), "--footage", "nowhere.mkv"])
+    folder.rename(tmp_path / "reconstruction")
+    with pytest.raises(BadInput, match=r"nowhere\.mkv: no such"):
+        runpy.run_path(str(Path(__file__).parents[2] / "recipes" / "readme_picture.py"), run_name="__main__")
 
 
 def test_refusals(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from vntoolkit.cli.flags import Flags, verb
-from vntoolkit.cli.output import MESH, ProgressBars, require_output
+from vntoolkit.cli.output import MESH, ProgressBars, print_next_program, require_output
 from vntoolkit.io.atomic import sole_writer, undisturbed
 from vntoolkit.io.motion.garment_fits import read_garment_fit
 from vntoolkit.pipeline.dress import (
@@ -80,3 +80,4 @@ def run(
                     out.parent, stem, dressed, on_start=partial(bars.begin, "preview"), on_picture=bars.step
                 )
             print(f"{out.parent / stem}_sheet.png, {stem}_turntable.mkv")
+    print_next_program(out.with_name(out.name % 0) if several else out)

@@ -11,7 +11,7 @@ from typing import Annotated
 import numpy as np
 
 from vntoolkit.cli.flags import Flags, Footage, Frames, verb
-from vntoolkit.cli.output import PICTURE, print_table, progress_bar, require_output, write_json
+from vntoolkit.cli.output import print_next, print_table, progress_bar, require_output, write_json
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.evaluation.angular_error import AngularError
 from vntoolkit.evaluation.mesh_comparison import (
@@ -107,6 +107,7 @@ def normals(
             rows.append(error_row("all", found.overall))
         print_table("degrees between the normals", COLUMNS, rows)
         print(f"{out}: normals.json, normals_map.png, normals_curve.png")
+    _print_what_is_next(measured)
 
 
 def error_row(name: str, error: AngularError) -> list[str]:
@@ -176,6 +177,10 @@ def mesh(
         write_json(out / "mesh.json", {**content, "quality": qualities})
         _print_quality(qualities)
         print(f"{out}: mesh.json" + (", mesh_curve.png" if reference else ""))
+    if reference is not None and options.free is Alignment.NONE:
+        print_next("evaluate", "mesh", mesh, reference, "--align", "rigid", "--out", out)
+    else:
+        _print_what_is_next(mesh)
 
 
 def distance_summary(distance: MeshDistance) -> dict[str, object]:
@@ -227,7 +232,7 @@ def cylinder(
     truth: Path | None = None,
     frames: Frames = "::",
     footage: Footage = "",
-    out: Path | None = None,
+    out: Path = Path("evaluation"),
 ) -> CylinderEvaluation:
     """Fit one cylinder to a reconstruction of a moving cylinder; compare the normals with it (Figure 7).
 
@@ -240,21 +245,21 @@ def cylinder(
     truth
         The folder that `vntoolkit simulate` wrote. With it, the fit itself is compared with the truth.
     out
-        Folder to write; default: `evaluation` in the given folder.
+        Folder to write.
     """
-    target = out or folder / "evaluation"
-    require_output(target / "cylinder.json")
-    with sole_writer(target):
+    require_output(out / "cylinder.json")
+    with sole_writer(out):
         result = open_result(folder, frames=FrameRange.from_text(frames), footage=footage)
         with progress_bar("cylinder", 2 * len(result.numbers)) as advance:
             found = run(result, truth, lambda _number: advance(1))
-        write_json(target / "cylinder.json", found)
+        write_json(out / "cylinder.json", found)
         times = np.array([error.frame for error in found.frames]) / found.frame_rate_hz
         mean, std = (np.array([getattr(e, name) for e in found.frames]) for name in ("mean_deg", "std_deg"))
         title = f"{found.mean_deg:.2f} ± {found.std_deg:.2f} degrees over all frames"
-        write_error_over_time(target / "cylinder.png", times, mean, std, title)
+        write_error_over_time(out / "cylinder.png", times, mean, std, title)
         _print(found)
-        print(f"{target}: cylinder.json, cylinder.png")
+        print(f"{out}: cylinder.json, cylinder.png")
+        _print_what_is_next(folder)
         return found
 
 
@@ -292,15 +297,15 @@ def tracks(
     *others: Path,
     truth: Path,
     every: int = 10,
-    out: Path | None = None,
-    plot: Path | None = None,
+    out: Path = Path("evaluation"),
     lost_px: float | None = None,
 ) -> None:
     """Print the end-point error of each frame in pixels, for all visible vertices and without the lost ones.
 
     A vertex counts in a frame if its true point is visible there. `outliers`: percentage of these vertices
     with an error above 4 pixels. `lost`: percentage that the tracker reports as lost. The last two columns
-    leave the lost vertices out: read them together with that percentage.
+    leave the lost vertices out: read them together with that percentage. Writes a tab-separated table of all
+    evaluated frames for each folder, NAME.tsv, and the error over the frames, tracks.png.
 
     Parameters
     ----------
@@ -313,10 +318,7 @@ def tracks(
     every
         Evaluate every n-th frame, and the last one.
     out
-        Also write a tab-separated table of all evaluated frames. With several folders: a folder for one table
-        each, NAME.tsv.
-    plot
-        Also plot the error over the frames, .png or .svg.
+        Folder to write.
     lost_px
         A vertex counts as lost where its expected error is above this, in pixels. Default: what `track` used.
     """
@@ -325,21 +327,20 @@ def tracks(
     folders = {_name(each): each for each in (folder, *others)}
     if len(folders) <= len(others):
         raise BadInput("evaluate tracks: expected folders with different names, got two of one name")
-    tables = {} if out is None else {name: out / f"{name}.tsv" if others else out for name in folders}
+    tables = {name: out / f"{name}.tsv" for name in folders}
     for table in tables.values():
         require_output(table)
-    require_output(plot, PICTURE)
     results = {}
     for name, each in folders.items():
         target = each / "track" if (each / "track").is_dir() else each
         results[name] = evaluate_tracks(target, truth, every, lost_px)
-    for name, errors in results.items():
-        if name in tables:
+    with sole_writer(out):
+        for name, errors in results.items():
             write_track_errors(tables[name], errors)
-        _print_table(name, errors)
-    if plot is not None:
-        write_error_plot(plot, results)
-        print(plot)
+            _print_table(name, errors)
+        write_error_plot(out / "tracks.png", results)
+        print(f"{out}: {', '.join(table.name for table in tables.values())}, tracks.png")
+    _print_what_is_next(folder)
 
 
 def _name(folder: Path) -> str:
@@ -414,3 +415,13 @@ def integration(*, data: Path | None = None, size: int = 256, out: Path = Path("
                 out / "integration_map.png", last.distances_percent, last.mask, title, "% of the range"
             )
         print(f"{out}: integration.json, integration_curve.png, integration_map.png")
+    chosen = ("--integrator", "discontinuity", "--out", "result")
+    print_next("reconstruct", "capture.mkv", "--rig", "rig.json", *chosen)
+
+
+def _print_what_is_next(measured: Path) -> None:
+    """Name the report of the reconstruction that a file or folder lies in, where it lies in one."""
+    for folder in (measured, *list(measured.parents)[:2]):
+        if (folder / "reconstruction.json").is_file():
+            print_next("report", folder)
+            return

@@ -10,11 +10,13 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from vntoolkit.cli.flags import Flags, Footage, Frames, Overwrite, verb
-from vntoolkit.cli.output import ProgressBars
+from vntoolkit.cli.output import ProgressBars, print_next, print_next_program
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.meshing.clean import CleanOptions
 from vntoolkit.pipeline.export import ExportJob, ExportOptions
 from vntoolkit.pipeline.export import export as run
+
+_SHAPES = (".ply", ".obj", ".glb", ".usd", ".usdc")  # that other programs open
 
 
 @verb("max_megapixels", "max_vertices")
@@ -60,3 +62,9 @@ def export(
         summary = run(job, overwrite=overwrite, on_start=partial(bars.begin, "export"), on_frame=bars.step)
     kept = f", {summary.kept} of them from before" if summary.kept else ""
     print(f"{summary.out}: {summary.frames} frames{kept}")
+    files = [summary.out] if summary.out.is_file() else sorted(summary.out.iterdir())
+    shapes = [path for path in files if path.suffix.lower() in _SHAPES]
+    if shapes:
+        print_next_program(shapes[0])
+    else:
+        print_next("report", folder)

@@ -60,6 +60,17 @@ def print_next(*words: str | Path) -> None:
     print(f"next: {shlex.join(['vntoolkit', *map(str, words)])}")
 
 
+def print_next_program(written: Path) -> None:
+    """Print the command that opens a mesh or an animation in MeshLab or Blender, ready to paste."""
+    suffix = written.suffix.lower()
+    if suffix in MESH:
+        print(f"next: {shlex.join(['meshlab', str(written)])}")
+        return
+    reader = "import_scene.gltf" if suffix == ".glb" else "wm.usd_import"
+    told = f"import bpy; bpy.ops.{reader}(filepath={str(written)!r})"
+    print(f"next: {shlex.join(['blender', '--python-expr', told])}")
+
+
 def write_json(path: Path, content: Any) -> None:
     """Write dataclasses, or lists and dictionaries of them, as indented JSON.
 

@@ -12,7 +12,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 import vntoolkit
-from vntoolkit.cli.output import print_table
+from vntoolkit.cli.output import print_next, print_table
 from vntoolkit.errors import BadInput, VntError
 from vntoolkit.report.recipes_page import RecipeRun, read_recipe_text, write_recipes_page
 
@@ -24,6 +24,7 @@ def list_() -> None:
     """Print the name and the purpose of every recipe."""
     rows = [[name, summary_of(path)] for name, path in recipes().items()]
     print_table("vntoolkit recipe run NAME", ["recipe", "what"], rows, names=2)
+    print_next("recipe", "run", next(iter(recipes())), "--quick")
 
 
 def run(
@@ -55,6 +56,8 @@ def run(
         print(f"{name} has no shorter form: it runs in full")
         understood.remove("--quick")
     _run(found[name], ["--out", str(out or Path("out") / name), *understood])
+    names = list(found)
+    print_next("recipe", "run", names[(names.index(name) + 1) % len(names)])
 
 
 def recipes() -> dict[str, Path]:
@@ -104,6 +107,7 @@ def _run_all(out: Path, arguments: list[str]) -> None:
     page = write_recipes_page(out / "recipes.html", runs)
     failed = [run.name for run in runs if run.failure]
     print(f"{page}: {len(runs) - len(failed)} recipes" + (f"; failed: {', '.join(failed)}" if failed else ""))
+    print_next("recipe", "list")
 
 
 def _understood(path: Path, arguments: list[str]) -> list[str]:

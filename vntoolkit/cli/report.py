@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Annotated
 
 from vntoolkit.cli.flags import Flags, verb
-from vntoolkit.cli.output import PAGE, require_output
+from vntoolkit.cli.output import PAGE, print_next, require_output
+from vntoolkit.io.results.manifest import read_manifest
 from vntoolkit.report.report import ReportOptions, write_report
 
 
@@ -25,3 +26,9 @@ def report(
     """
     require_output(out, PAGE)
     print(write_report(folder, out, options))
+    if (folder / "track").is_dir():
+        print_next("export", folder, "--to", "usd")
+    elif (folder / "depth").is_dir() and read_manifest(folder).input.frame_count > 1:
+        print_next("track", folder)
+    else:
+        print_next("export", folder, "--to", "obj" if (folder / "depth").is_dir() else "png")

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 from vntoolkit.cli.flags import Flags, Footage, Frames, verb
-from vntoolkit.cli.output import PAGE, progress_bar, require_output
+from vntoolkit.cli.output import PAGE, print_next, progress_bar, require_output
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.pipeline.opened_result import open_result
 from vntoolkit.report.local_server import ViewerOptions
@@ -42,9 +42,11 @@ def view(
             write_scene(html, result, scene, on_frame=lambda: advance(1))
         thinned = f" of {len(result.numbers)}, evenly spread" if count < len(result.numbers) else ""
         print(f"{html}: {counted(count)}{thinned}; {html.stat().st_size / 1e6:.1f} MB")
+        print_next("report", folder)
         return
     shown = ResultViewer(result, viewer)
     print(f"{shown.address} (Ctrl-C ends)", flush=True)
     with contextlib.suppress(KeyboardInterrupt):
         shown.wait()
     shown.close()
+    print_next("report", folder)

@@ -46,8 +46,13 @@ class Finding:
         sure = "" if self.certainty >= 1.0 else f", {self._percent()} sure"
         return (
             f"{self.problem}: measured {self.measured}, expected {self.expected}{sure}; {self.remedy} "
-            f"[{self.check}]"
+            f"[{self.check}], see {self.page}"
         )
+
+    @property
+    def page(self) -> str:
+        """Where the guide tells its cause and its remedy."""
+        return f"docs/wrong.md#{self.check}"
 
     def _percent(self) -> str:
         return f"over {_SUREST:.1%}" if self.certainty >= _SUREST else f"{self.certainty:.0%}"

@@ -158,7 +158,7 @@ def shares_section(result: OpenedResult) -> PageSection:
     """Return how much of each frame was usable, clipped and in shadow, with the skipped frames named."""
     entries = [entry for entry in result.entries.values() if not entry.failure]
     skipped = [entry for entry in result.entries.values() if entry.failure]
-    rows = tuple((str(entry.number), entry.failure) for entry in skipped)
+    rows = tuple((_named(result, entry.number), entry.failure) for entry in skipped)
     return PageSection(
         title="Frames",
         paragraphs=(
@@ -277,14 +277,13 @@ def samples_section(result: OpenedResult, count: int, height_px: int) -> PageSec
     labelled = any("lights that arrive" in row for row in rows)
     pixels = tiled(
         rows,
-        [f"frame {number}" for number in shown],
+        [_named(result, number) for number in shown],
         legend=_legend() if labelled else None,
         scale=_ERRORS if any("expected error" in row for row in rows) else None,
         height_px=height_px,
     )
     words = list(dict.fromkeys(name for row in rows for name in row))
-    frames = ", ".join(map(str, shown))
-    caption = f"{', '.join(words).capitalize()} of {'frame' if len(shown) == 1 else 'frames'} {frames}."
+    caption = f"{', '.join(words).capitalize()} of {', '.join(_named(result, n) for n in shown)}."
     return PageSection(
         title="Sample frames",
         paragraphs=(
@@ -294,6 +293,13 @@ def samples_section(result: OpenedResult, count: int, height_px: int) -> PageSec
         ),
         figures=(figure_from_pixels(pixels, caption, suffix=".webp", wide=True),),
     )
+
+
+def _named(result: OpenedResult, number: int) -> str:
+    """A frame's number and, of a still, the name of its file."""
+    source = result.manifest.input
+    stems = {n: Path(file.file).stem for n, file in zip(source.numbers, source.files, strict=False)}
+    return f"frame {number} ({stems[number]})" if number in stems else f"frame {number}"
 
 
 def _parts(result: OpenedResult, number: int) -> dict[str, Picture]:
