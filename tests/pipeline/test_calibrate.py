@@ -69,6 +69,14 @@ def test_sphere_command_writes_a_rig_that_names_its_sources(tmp_path, capsys) ->
     assert rig.transfer == SRGB
     assert [source.file for source in rig.sources] == ["ball.png", "mask.png", "r.png", "g.png", "b.png"]
     assert "residual" in capsys.readouterr().out
+    (tmp_path / "mattes").mkdir()
+    (tmp_path / "mask.png").rename(tmp_path / "mattes" / "matte.png")
+    options[1] = str(tmp_path / "mattes")
+    assert main([*command, *options]) == 0
+    assert [source.file for source in read_rig(tmp_path / "rig.json").sources][:2] == [
+        "ball.png",
+        "matte.png",
+    ]
 
 
 def test_lights_command_makes_a_rig(tmp_path) -> None:

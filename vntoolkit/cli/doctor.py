@@ -18,7 +18,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from vntoolkit import __version__
-from vntoolkit.cli.flags import Sensor, curve_from_text, verb
+from vntoolkit.cli.flags import AmbientImage, Sensor, curve_from_text, verb
+from vntoolkit.cli.output import print_next
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.native import (
@@ -69,6 +70,9 @@ def doctor(
     *,
     rig: Path | None = None,
     mask: Path | None = None,
+    mask_level: float = 0.5,
+    key: float | None = None,
+    background: AmbientImage = None,
     transfer: str | None = None,
     sensor: Sensor = None,
 ) -> int:
@@ -81,7 +85,13 @@ def doctor(
     rig
         Check size, M, channel order, lamps and transfer curve of this rig.json against the footage.
     mask
-        Image that is white where the subject is. Used together with --rig.
+        White where the subject is: an image, or a video, a folder or a pattern with a matte for each frame.
+        Used together with --rig.
+    mask_level
+        Brightness of the matte, as a share of its full scale, above which a pixel is the subject.
+    key
+        Difference from the background, as a share of full scale, above which a pixel is the subject. With it,
+        the background is a clean plate, and is not subtracted.
     transfer
         Curve of the footage: linear, srgb, bt709, gamma:G, pq, hlg, slog3, vlog, clog3 or logc3. Default: the
         rig's, else the one that the file states, else linear.
@@ -92,17 +102,29 @@ def doctor(
     from vntoolkit.diagnosis.inspection import inspect_capture
     from vntoolkit.io.footage.captures import CaptureOptions
     from vntoolkit.io.footage.frame_range import Gaps
-    from vntoolkit.io.maps_and_meshes.label_images import read_mask
+    from vntoolkit.io.footage.mattes import MatteOptions
     from vntoolkit.io.rigs import read_rig
 
     the_rig = None if rig is None else read_rig(rig)
     options = CaptureOptions(
-        gaps=Gaps.SKIP, transfer=curve_from_text(transfer), sensor=sensor or SensorOptions()
+        gaps=Gaps.SKIP,
+        transfer=curve_from_text(transfer),
+        sensor=sensor or SensorOptions(),
+        background=None if key is not None else background,
     )
-    the_mask = None if mask is None else read_mask(mask)
-    report = inspect_capture(source, options, rig=the_rig, mask=the_mask)
+    report = inspect_capture(
+        source,
+        options,
+        rig=the_rig,
+        mask=mask,
+        matting=MatteOptions(mask_level=mask_level, key=key),
+        plate=background,
+    )
     _print_report(Console(emoji=False), source, report)
-    return int(any(finding.level is Level.FATAL for finding in report.findings))
+    fatal = any(finding.level is Level.FATAL for finding in report.findings)
+    if not fatal:
+        print_next("reconstruct", source, "--rig", rig or "rig.json", "--out", "result")
+    return int(fatal)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,6 +165,7 @@ def _check_libraries(console: Console) -> int:
         console.print(f"[red]broken[/] {escape(line)}", highlight=False, soft_wrap=True)
     if not lines:
         console.print("[green]complete[/]: every library can be imported, and a video opens")
+        print_next("demo")
     return int(bool(lines))
 
 

@@ -63,7 +63,10 @@ Curve: TypeAlias = Annotated[
 ]
 AmbientImage: TypeAlias = Annotated[
     Path | None,
-    Parameter(help="Image of the scene under ambient light only. It is subtracted from every frame."),
+    Parameter(
+        help="Image, or first frame of footage, of the scene under ambient light only. It is subtracted from "
+        "every frame."
+    ),
 ]
 Allow: TypeAlias = Annotated[
     tuple[str, ...],
@@ -91,7 +94,7 @@ SingleLight: TypeAlias = Annotated[
 P = ParamSpec("P")
 R = TypeVar("R")
 _PARAMETER = "reading_limits"
-_OUTPUTS = ("out", "figure", "mesh", "report", "plot", "html", "record_to")  # where they are keywords
+_OUTPUTS = ("out", "figure", "mesh", "report", "html", "record_to")  # where they are keywords
 _PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".exr")
 
 

@@ -30,6 +30,7 @@ from vntoolkit.errors import BadInput, VntError
 from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import EncodedFrame
+from vntoolkit.io.footage.mattes import MatteOptions
 from vntoolkit.io.maps_and_meshes.label_images import read_mask
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.live.capture import (
@@ -62,6 +63,7 @@ def live(
     realtime: Annotated[bool, Parameter(negative=())] = False,
     mask: Path | None = None,
     background: Path | None = None,
+    key: float | None = None,
     crop: Crop = None,
     corners: Corners = None,
     size_mm: SizeMm = None,
@@ -90,7 +92,10 @@ def live(
     mask
         An image, white where the subject is.
     background
-        An image of the scene under ambient light only, or of the untouched gel, as the camera sees it.
+        An image of the scene under ambient light only, or of the untouched gel, as the camera sees it. With
+        --key, of the set under the lamps without the subject.
+    key
+        Difference from the background, as a share of full scale, above which a pixel is the subject.
     crop
         Left, top, width and height in pixels of the part to work on.
     corners
@@ -123,12 +128,15 @@ def live(
         view,
         mask=None if mask is None else read_mask(mask),
         background=None if background is None else next(open_capture(background).encoded_frames()),
+        key=MatteOptions(key=key).key,
     )
     processor.warm_up(_first_frame(source, video))
     recorder = LiveRecorder(record_to, source.frame_rate_hz)
     _watch(source, processor, recorder, seconds, viewer, realtime)
     if recorder.files:
-        print_next("reconstruct", recorder.files[-1], "--rig", rig, "--out", "result")
+        plate: list[str | Path] = [] if background is None else ["--background", background]
+        plate += [] if key is None else ["--key", f"{key:g}"]
+        print_next("reconstruct", recorder.files[-1], "--rig", rig, *plate, "--out", "result")
 
 
 def _watch(

@@ -7,13 +7,25 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from vntoolkit.cli.flags import Allow, Frames, Jobs, Missing, Overwrite, Scheduler, Sensor, verb
+from vntoolkit.cli.flags import (
+    Allow,
+    AmbientImage,
+    Flags,
+    Frames,
+    Jobs,
+    Missing,
+    Overwrite,
+    Scheduler,
+    Sensor,
+    verb,
+)
 from vntoolkit.cli.output import ProgressBars, print_next
 from vntoolkit.cli.reconstruct import ReconstructFlags
 from vntoolkit.diagnosis.checks import CHECK_NAMES
 from vntoolkit.diagnosis.finding import require_known_checks
 from vntoolkit.errors import BadInput, VntError
 from vntoolkit.io.footage.frame_range import FrameRange, Gaps
+from vntoolkit.io.footage.mattes import MatteOptions
 from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.pipeline.block_work import ReconstructionJob
@@ -30,6 +42,9 @@ def session(
     out: Path,
     track: Annotated[bool, Parameter(negative=())] = False,
     method: Tracker = Tracker.DEFAULT,
+    mask: Path | None = None,
+    matting: Annotated[MatteOptions | None, Flags()] = None,
+    background: AmbientImage = None,
     frames: Frames = "::",
     jobs: Jobs = 1,
     scheduler: Scheduler = None,
@@ -57,6 +72,9 @@ def session(
         Also register the frames of each capture to one mesh.
     method
         Tracking method, as for `vntoolkit track`.
+    mask
+        White where the subject is: an image for all captures; or a folder that holds an image, a video or a
+        folder of mattes for each, named as the capture is: take1.png, take1.mkv or take1.
     overwrite
         Replace the reconstructions and tracks that the folders hold.
     """
@@ -75,6 +93,9 @@ def session(
             rig=lit_by,
             options=options,
             folder=ReconstructionFolder(root=out / name),
+            mask=_mask_of(name, mask),
+            matting=matting or MatteOptions(),
+            background=background,
             gaps=gaps,
             allow=allow,
             sensor=sensor or SensorOptions(),
@@ -93,6 +114,17 @@ def session(
             on_frame=bars.step,
         )
     _report(out, outcomes)
+
+
+def _mask_of(name: str, mask: Path | None) -> Path | None:
+    """Return the mask of one capture: the image for all, or what the folder holds under its name."""
+    if mask is None or not mask.is_dir():
+        return mask
+    found = sorted(path for path in mask.iterdir() if name in (path.stem, path.name))
+    if len(found) != 1:
+        got = "none" if not found else " and ".join(path.name for path in found)
+        raise BadInput(f"{mask}: expected one mask, video or folder of mattes named {name}, got {got}")
+    return found[0]
 
 
 def _report(out: Path, outcomes: list[CaptureOutcome]) -> None:

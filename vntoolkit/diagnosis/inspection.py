@@ -16,6 +16,7 @@ from vntoolkit.diagnosis.exposure_drift import drift_of_static_part
 from vntoolkit.diagnosis.finding import Finding, Level
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.footage.captures import Capture, CaptureInfo, CaptureOptions, open_capture
+from vntoolkit.io.footage.mattes import MatteOptions, Mattes, open_mattes
 from vntoolkit.io.footage.pixel_formats import LOSSLESS_CODECS
 from vntoolkit.io.footage.sequence import text_of_names
 from vntoolkit.photometry.frame import LinearFrame
@@ -59,20 +60,27 @@ def inspect_capture(
     options: CaptureOptions | None = None,
     *,
     rig: Rig | None = None,
-    mask: Mask | None = None,
+    mask: Mask | Path | str | None = None,
+    matting: MatteOptions | None = None,
+    plate: Path | None = None,
     samples: int = 7,
 ) -> CaptureReport:
     """Look at `samples` frames, evenly spaced, and at what the headers say.
 
-    With a rig its transfer curve is the default, and the footage is checked against it, inside `mask`
-    (h, w) where given: a background of another material would hide what the surface shows.
+    With a rig its transfer curve is the default, and the footage is checked against it, inside `mask` where
+    given: (h, w), or as `open_mattes` takes it, with `matting` and the clean `plate` that its key needs. A
+    background of another material would hide what the surface shows.
     """
     require_positive(samples, "samples")
     options = options or CaptureOptions()
-    if options.transfer is None and rig is not None:
-        options = replace(options, transfer=rig.transfer)
+    if rig is not None:  # read as `reconstruct` does
+        options = replace(options, transfer=options.transfer or rig.transfer, response=rig.response)
     capture = open_capture(source, options)
     info = capture.info
+    if isinstance(mask, np.ndarray):
+        mattes = Mattes(still=mask)
+    else:
+        mattes = open_mattes(capture, mask, matting, plate)
     there = capture.present
     numbers = sorted({there[round(k)] for k in np.linspace(0, len(there) - 1, samples)})
     findings = [*_findings_from_info(info), *_findings_from_transfer(info, capture.transfer)]
@@ -88,7 +96,7 @@ def inspect_capture(
         bright.append(float(np.percentile(largest, 99)))
         findings += _findings_from_frame(frame, f"frame {number}", white)
     findings += _findings_from_range(max(bright) / white)
-    findings += findings_from_capture(capture, rig, mask)
+    findings += findings_from_capture(capture, rig, *mattes.judged(capture, range(len(capture))))
     return CaptureReport(
         info=info,
         transfer=capture.transfer,
@@ -183,7 +191,7 @@ def _findings_from_info(info: CaptureInfo) -> list[Finding]:
                 level=Level.WARNING,
                 problem=f"chroma subsampling {info.chroma} costs nothing on smooth surfaces, and up to "
                 f"{cost} degrees on relief as fine as two pixels, such as a knit; `reconstruct` takes part "
-                "of it back",
+                "of it back, `live` does not",
                 measured=f"chroma {info.chroma}",
                 expected="RGB or 4:4:4",
                 remedy="for such relief record RGB, raw or 4:4:4, or halve the picture size",

@@ -16,6 +16,7 @@ from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
+from vntoolkit.io.footage.mattes import PlateKey
 from vntoolkit.io.footage.resampling import rectify_frame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.contact import Contact, contact_from_depth, rested
@@ -87,12 +88,14 @@ class LiveProcessor:
         mask: Mask | None = None,
         background: EncodedFrame | None = None,
         *,
+        key: float | None = None,
         depth_px: int = 320,
     ) -> None:
         """background: the scene under ambient light, or the untouched gel, as the camera sees it.
 
-        depth_px: longest side at which normals are integrated; they themselves keep their full size. The
-        masked integration of a whole frame would take longer than a frame lasts.
+        key: as in `MatteOptions`; the background is then a clean plate and is not subtracted. depth_px:
+        longest side at which normals are integrated; they themselves keep their full size. The masked
+        integration of a whole frame would take longer than a frame lasts.
         """
         self.rig, self.view = rig, view or FrameView()
         self._background: LinearImage | None = None
@@ -104,12 +107,17 @@ class LiveProcessor:
             shadows=ShadowMethod.NONE,
             match_albedo=False,
         )
-        rectified = self.view.rectification is not None
+        read = rig if self.view.rectification is None else _of_linear_values(rig)
+        self._key: PlateKey | None = None
+        if key is not None:
+            if self._background is None or rig.gel is not None:
+                raise BadInput("live: --key needs a --background without the subject, and no gel's rig")
+            self._key = PlateKey(self._background, read.transfer, key)
         self._processor = FrameProcessor(
-            _of_linear_values(rig) if rectified else rig,
+            read,
             reconstruction,
             mask,
-            self._background,
+            self._background if key is None else None,
             tells_errors=False,
         )
         self._step = max(1, -(-max(self.camera.width, self.camera.height) // depth_px))
@@ -138,7 +146,7 @@ class LiveProcessor:
         warnings = exposure_warnings(cut)
         if self.view.rectification is not None:
             cut = replace(cut, values=self._linear_values(frame), bits=32)
-        result = self._processor.process(cut)
+        result = self._processor.process(cut, None if self._key is None else self._key(cut))
         depth_map = self._integrator.integrate(reduced(result.normal_map, self._step))
         contact = None
         if self.rig.gel is not None:

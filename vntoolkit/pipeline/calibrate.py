@@ -26,9 +26,9 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.files import source_file
 from vntoolkit.io.footage.captures import Capture, CaptureInfo, CaptureOptions, open_capture
 from vntoolkit.io.footage.frame_range import FrameRange, Gaps
+from vntoolkit.io.footage.mattes import MatteOptions, open_mattes
 from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.io.light_files import read_lights
-from vntoolkit.io.maps_and_meshes.label_images import read_mask
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
@@ -43,16 +43,18 @@ Progress = Callable[[int, int], None]
 class CalibrationJob:
     """What a calibration reads.
 
-    source: footage of the calibration object. mask: image, white where the object is. background: image under
-    ambient light only. transfer: curve of the footage, None for the one that it states, else linear. camera:
-    a rig.json whose camera is taken. focal_px: focal length in pixels of a pinhole camera instead; with
-    neither the camera is orthographic (ball) or fitted (board). single_light: photographs of one material
-    under the red, the green and the blue light alone, or empty. frames: which frames count. allow: checks
-    whose fatal findings do not stop the calibration. sensor: how samples of the sensor itself are read.
+    source: footage of the calibration object. mask: white where the object is, as `open_mattes` takes it.
+    matting: how mattes become masks. background: image under ambient light only. transfer: curve of the
+    footage, None for the one that it states, else linear. camera: a rig.json whose camera is taken. focal_px:
+    focal length in pixels of a pinhole camera instead; with neither the camera is orthographic (ball) or
+    fitted (board). single_light: photographs of one material under the red, the green and the blue light
+    alone, or empty. frames: which frames count. allow: checks whose fatal findings do not stop the
+    calibration. sensor: how samples of the sensor itself are read.
     """
 
     source: str
     mask: Path | None = None
+    matting: MatteOptions = field(default_factory=MatteOptions)
     background: Path | None = None
     transfer: Transfer | None = None
     camera: Path | None = None
@@ -72,7 +74,10 @@ class CalibrationJob:
         gaps: photographs of a ball or board need no order, and bad ones are often thrown away.
         """
         options = CaptureOptions(
-            transfer=self.transfer, background=self.background, gaps=gaps, sensor=self.sensor
+            transfer=self.transfer,
+            background=None if self.matting.key is not None else self.background,
+            gaps=gaps,
+            sensor=self.sensor,
         )
         return open_capture(source or self.source, options)
 
@@ -96,14 +101,19 @@ def calibrate_sphere(job: CalibrationJob, options: SphereOptions) -> tuple[Rig, 
     """Fit a rig to footage of a ball at rest; the frames are averaged."""
     capture = job.open()
     info = capture.info
-    mask = None if job.mask is None else read_mask(job.mask, size=(info.width, info.height))
+    numbers = job.frames.numbers(info.frame_count)
+    mattes = open_mattes(capture, job.mask, job.matting, job.background)
+    mask = mattes.still
+    if mattes.changes:  # the ball is at rest: where every frame has it
+        for frame in capture.encoded_frames(numbers.start, numbers.stop, numbers.step):
+            matte = mattes.of(frame)
+            mask = matte if mask is None or matte is None else mask & matte
     job.judge(capture, mask)
     camera = job.camera_for(info) or Camera.orthographic(width=info.width, height=info.height)
-    numbers = job.frames.numbers(info.frame_count)
     frame = mean_frame(capture.frames(numbers.start, numbers.stop, numbers.step))
     result = fit_response_to_sphere(frame, camera, mask, options, np.random.default_rng(_SEED))
     response = _with_single_lights(job, result.fit.response, mask)
-    return _rig(job, capture, camera, response, result.fit.quality), result
+    return _rig(job, capture, camera, response, result.fit.quality, mattes.files), result
 
 
 def calibrate_board(
@@ -197,8 +207,13 @@ def _with_single_lights(job: CalibrationJob, response: LightResponse, mask: Mask
 
 
 def _rig(
-    job: CalibrationJob, capture: Capture, camera: Camera, response: LightResponse, quality: FitQuality
+    job: CalibrationJob,
+    capture: Capture,
+    camera: Camera,
+    response: LightResponse,
+    quality: FitQuality,
+    mattes: tuple[Path, ...] = (),
 ) -> Rig:
-    extra = [path for path in (job.mask, job.background, *job.single_light) if path is not None]
+    extra = [path for path in (*mattes, job.background, *job.single_light) if path is not None]
     sources: tuple[SourceFile, ...] = tuple(source_file(path) for path in (*capture.info.files, *extra))
     return Rig(camera=camera, response=response, transfer=capture.transfer, quality=quality, sources=sources)

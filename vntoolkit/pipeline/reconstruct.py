@@ -233,17 +233,10 @@ def _frames_on_disk(job: ReconstructionJob, log: FrameLog) -> set[int]:
 
 
 def _require_plausible(job: ReconstructionJob, capture: Capture, mattes: Mattes, numbers: range) -> None:
-    """Log what the footage tells of mistakes; raise `FatalFinding` for one that ruins normals.
-
-    Where every frame has a mask of its own, one frame from the middle is looked at.
-    """
+    """Log what the footage tells of mistakes; raise `FatalFinding` for one that ruins normals."""
     rig = job.rig if job.calibrated is None else replace(job.rig, transfer=job.calibrated)
     try:
-        mask = mattes.still
-        if mattes.changes:
-            there = [n for n in capture.present if n in numbers and not mattes.missing([n])]
-            number = there[len(there) // 2]
-            mask, numbers = mattes.of(capture.encoded(number)), range(number, number + 1)
+        mask, numbers = mattes.judged(capture, numbers)
         findings = findings_from_capture(capture, rig, mask, numbers)
     except BadCapture as problem:  # a bad frame is reported when its turn comes
         logger.debug("plausibility not checked: %s", problem)

@@ -9,7 +9,7 @@ import pytest
 
 from tests.pipeline.conftest import RESPONSE, SIZE, dome_normals, write_dome_capture
 from vntoolkit.__main__ import main
-from vntoolkit.errors import BadCapture
+from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.frame_range import Gaps
@@ -17,7 +17,8 @@ from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.footage.mattes import MatteOptions, open_mattes
 from vntoolkit.io.footage.video import write_video
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map
-from vntoolkit.io.rigs import write_rig
+from vntoolkit.io.rigs import read_rig, write_rig
+from vntoolkit.live.frames import LiveProcessor
 from vntoolkit.photometry.lambertian import rgb_from_normals
 from vntoolkit.photometry.rig import Rig
 
@@ -175,3 +176,38 @@ def test_a_clean_plate_keys_the_subject(tmp_path):
         assert np.rad2deg(np.arccos(cosine)).mean() < 0.5  # the plate is not subtracted
     options = json.loads((tmp_path / "out/reconstruction.json").read_text())["options"]
     assert options["matte.key"] == 0.05
+    rig, *key = str(tmp_path / "rig.json"), *more[:4]
+    capture = open_capture(tmp_path / "take")
+    live = LiveProcessor(read_rig(Path(rig)), background=open_capture(key[1]).encoded(0), key=0.05)
+    np.testing.assert_array_equal(live.process(capture.encoded(0)).normal_map.mask[domes[0][1]], True)
+    with pytest.raises(BadInput, match="--key needs a --background"):
+        LiveProcessor(read_rig(Path(rig)), key=0.05)
+
+
+def test_doctor_judges_inside_the_mattes(tmp_path, capsys):
+    footage = _footage(tmp_path / "take")
+    rig = _command(tmp_path, footage)[3]
+    (tmp_path / "mattes").mkdir()
+    for number in range(COUNT):
+        outside = np.where(dome_normals(31.5)[1], 0, 255).astype(np.uint8)
+        write_png(tmp_path / f"mattes/{number}.png", outside)
+    assert main(["doctor", str(footage), "--rig", rig, "--mask", str(tmp_path / "mattes")]) == 1
+    assert "[mask]" in capsys.readouterr().out
+    assert main(["doctor", str(footage), "--rig", rig, "--key", "0.1"]) == 1
+    assert "--key needs --background" in capsys.readouterr().err
+
+
+def test_a_session_finds_the_mattes_of_each_capture_by_its_name(tmp_path, capsys):
+    takes = [str(_footage(tmp_path / name)) for name in ("one", "two")]
+    (tmp_path / "masks/two").mkdir(parents=True)
+    for number in range(COUNT):
+        write_png(tmp_path / f"masks/two/m{number}.png", _band(number))
+    command = ["session", *takes, *_command(tmp_path, tmp_path)[2:], "--mask", str(tmp_path / "masks")]
+    assert main(command) == 1
+    assert "expected one mask, video or folder of mattes named one, got none" in capsys.readouterr().err
+    write_png(tmp_path / "masks/one.png", _band(1))
+    assert main(command) == 0
+    for name, column in (("one", 20), ("two", 36)):
+        found = read_normal_map(tmp_path / f"out/{name}/normals/000003.exr").mask
+        assert found[:, column : column + 8].any()
+        assert not np.delete(found, np.s_[column : column + 8], axis=1).any()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,12 +33,13 @@ class CaptureOptions:
     """How the footage is read.
 
     transfer: curve and levels of the stored values; None for the curve that the file states, else linear.
-    background: an image of the scene under ambient light only (path, or linear (h, w, 3) array), subtracted
-    from every frame; None for none. max_megapixels: refuse larger frames before memory is asked for; None for
-    the limit of `reading_limits`. sensor: how samples of the sensor itself are read. response: of the scene's
-    lights; with it, and the transfer, fine detail of video with subsampled chroma is taken from its luma.
-    frame_rate_hz: of an image sequence, if it is known (a video brings its own). gaps: what to do where
-    numbers of an image sequence are missing; frames after a gap keep their numbers. threads: for decoding.
+    background: the scene under ambient light only (path of an image, or of footage whose first frame counts,
+    or a linear (h, w, 3) array), subtracted from every frame; None for none. max_megapixels: refuse larger
+    frames before memory is asked for; None for the limit of `reading_limits`. sensor: how samples of the
+    sensor itself are read. response: of the scene's lights; with it, and the transfer, fine detail of video
+    with subsampled chroma is taken from its luma. frame_rate_hz: of an image sequence, if it is known (a
+    video brings its own). gaps: what to do where numbers of an image sequence are missing; frames after a gap
+    keep their numbers. threads: for decoding.
     """
 
     transfer: Transfer | None = None
@@ -205,10 +206,8 @@ class Capture(Displayed):
         name = "background"
         if isinstance(background, (str, Path)):
             name = str(background)
-            values = self._read(background)
-            bits = _bits(values, self.options, background)
-            encoded = EncodedFrame(values=values, bits=bits, number=0, name=name)
-            background = linear_frame_from_encoded(encoded, self.transfer).rgb
+            how = replace(self.options, background=None, transfer=self.transfer, gaps=Gaps.SKIP)
+            background = open_capture(background, how).frame(0).rgb
         require_shape(background, (None, None, 3), name, BadCapture)
         height, width = background.shape[:2]
         if (width, height) != (self.info.width, self.info.height):

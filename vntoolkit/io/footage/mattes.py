@@ -75,6 +75,19 @@ class Mattes:
             )
         return mask
 
+    def judged(self, capture: Capture, numbers: range) -> tuple[Mask | None, range]:
+        """Return a mask to judge footage inside of, and the frames that it is of.
+
+        Where each frame has a mask of its own, that is one frame from the middle.
+        """
+        if not self.changes:
+            return self.still, numbers
+        there = [n for n in capture.present if n in numbers and not self.missing([n])]
+        if not there:
+            raise BadCapture(f"{capture.name}: none of its frames has a matte")
+        number = there[len(there) // 2]
+        return self.of(capture.encoded(number)), range(number, number + 1)
+
     def missing(self, numbers: Iterable[int]) -> list[int]:
         """Return those of the frames that have no matte."""
         return [] if self.numbers is None else [number for number in numbers if number not in self.numbers]
@@ -100,7 +113,14 @@ def open_mattes(
         raise BadCapture("--key needs --background: an image of the set without the subject, equally lit")
     if made.changes:
         raise BadCapture("--key: expected no matte a frame beside it; leave out --mask, or give one image")
-    key = _Key(capture, background, options.key)
+    how = CaptureOptions(transfer=capture.transfer, sensor=capture.options.sensor)
+    plate = open_capture(background, how)
+    if (plate.info.width, plate.info.height) != (capture.info.width, capture.info.height):
+        raise BadCapture(
+            f"{background}: the background is {plate.info.width}×{plate.info.height}, the footage "
+            f"{capture.info.width}×{capture.info.height}: film both with the same settings"
+        )
+    key = PlateKey(plate.frame(0).rgb, capture.transfer, options.key)
     return Mattes(still=made.still, files=made.files, _of_frame=key)
 
 
@@ -156,22 +176,17 @@ def _places(footage: CaptureInfo, mattes: CaptureInfo, name: str) -> dict[int, i
     return {number: by_stated[number + first] for number in frames if number + first in by_stated}
 
 
-class _Key:
+class PlateKey:
     """A pixel is the subject where it differs from the clean plate."""
 
-    def __init__(self, capture: Capture, background: Path | str, key: float) -> None:
-        how = CaptureOptions(transfer=capture.transfer, sensor=capture.options.sensor)
-        plate = open_capture(background, how)
-        if (plate.info.width, plate.info.height) != (capture.info.width, capture.info.height):
-            raise BadCapture(
-                f"{background}: the background is {plate.info.width}×{plate.info.height}, the footage "
-                f"{capture.info.width}×{capture.info.height}: film both with the same settings"
-            )
-        self._plate: LinearImage = plate.frame(0).rgb
-        self._transfer = capture.transfer
-        self._least = key * capture.transfer.diffuse_white
+    def __init__(self, plate: LinearImage, transfer: Transfer, key: float) -> None:
+        """plate: linear (h, w, 3). transfer: of the frames. key: as in `MatteOptions`."""
+        self._plate = plate
+        self._transfer = transfer
+        self._least = key * transfer.diffuse_white
 
     def __call__(self, frame: EncodedFrame) -> Mask:
+        """Return the (h, w) mask of the subject."""
         difference = linear_frame_from_encoded(frame, self._transfer).rgb - self._plate
         calm = cv2.blur(difference, (_KEY_WINDOW_PX, _KEY_WINDOW_PX))
         return np.asarray(np.abs(calm).max(axis=2) > self._least)
