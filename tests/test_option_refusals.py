@@ -117,7 +117,7 @@ REFUSALS = [
     ("report.raycast_view:PreviewOptions", {"frames": 0}, "preview: expected at least one frame"),
     ("simulation.nuisances:Nuisances", {"bits": 9}, "bits: expected one of 8, .*, got 9"),
     ("simulation.scene:SceneOptions", {"width": 9}, "an image of at least 16×16, got 9×480"),
-    ("simulation.scene:SceneOptions", {"field_width_m": 9.0}, r"a field of 0\.05 to 5 m across, got 9 m"),
+    ("simulation.scene:SceneOptions", {"field_width_m": 9.0}, r"a field of 0\.01 to 5 m across, got 9 m"),
     ("simulation.scene:SceneOptions", {"sample": "cheese"}, "no scene 'cheese' to take a sample from"),
     ("skinning.clock:ClockOptions", {"speed": 0.0}, "speed: expected a positive number, got 0"),
     ("skinning.clock:ClockOptions", {"start": -1.0}, "start: expected seconds from 0 on, got -1"),

@@ -5,47 +5,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.drawn_gel import DOTS, HEIGHT, MARGIN, MATRIX, RADIUS_PX, WIDTH, U, V, picture, sine_of_slope
 from vntoolkit.__main__ import main
-from vntoolkit.diagnosis.press_checks import check_labels, check_offset, check_press_transfer
+from vntoolkit.diagnosis.press_checks import (
+    check_contacts,
+    check_labels,
+    check_offset,
+    check_press_transfer,
+)
 from vntoolkit.geometry.maps import DepthMap
 from vntoolkit.io.footage.gel_dots import DotFilter
 from vntoolkit.io.footage.images import read_image, write_png
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.pipeline.contact import rested
-
-MATRIX = np.array([[0.4, 0.1, -0.42], [-0.2, 0.35, -0.45], [-0.15, -0.35, -0.5]])
-HEIGHT, WIDTH, MARGIN = 180, 140, 20  # of the gel in pixels of 0.1 mm, and what is filmed around it
-RADIUS_PX = 24.0
-V, U = np.indices((HEIGHT, WIDTH))
-DOTS = (U % 20 < 4) & (V % 20 < 4)
-
-
-def sine_of_slope(distance: np.ndarray, contact_px: float, rest_px: float = 8.0) -> np.ndarray:
-    """The ball inside its contact, around it a gel that comes to rest within some pixels."""
-    away = np.maximum(distance - contact_px, 0)
-    return np.minimum(distance, contact_px) / RADIUS_PX * np.exp(-((away / rest_px) ** 2))
-
-
-def picture(
-    rng: np.random.Generator,
-    u: float,
-    v: float,
-    contact_px: float,
-    drift: float = 0.0,
-    rest_px: float = 8.0,
-) -> np.ndarray:
-    """The sensor's picture with a ball at (u, v) of the gel; contact 0 for none."""
-    distance = np.hypot(U - u, V - v)
-    sine = sine_of_slope(distance, contact_px, rest_px)[..., None]
-    outward = np.stack([U - u, V - v], axis=-1) / np.maximum(distance, 1e-9)[..., None]
-    rgb = np.concatenate([sine * outward, -np.sqrt(1 - sine**2)], axis=-1) @ MATRIX.T
-    rgb = rgb + drift * np.stack([U / WIDTH, V / HEIGHT, np.ones(U.shape)], axis=-1)
-    rgb[DOTS] *= 0.4
-    whole = np.zeros((HEIGHT + 2 * MARGIN, WIDTH + 2 * MARGIN, 3))
-    whole[MARGIN:-MARGIN, MARGIN:-MARGIN] = rgb
-    whole += rng.normal(0, 0.002, whole.shape)
-    return np.round(255 * np.clip(whole, 0, 1)).astype(np.uint8)
 
 
 @pytest.fixture(scope="module")
@@ -71,9 +44,9 @@ def corners() -> list[str]:
     return ["--corners", *map(str, values), "--size-mm", str(WIDTH / 10), str(HEIGHT / 10)]
 
 
-def calibrate(sensor: Path, rig: Path, *more: str) -> int:
+def calibrate(sensor: Path, rig: Path, *more: str, ball_mm: str = "2.4") -> int:
     files = [str(sensor / "presses"), "--background", str(sensor / "background.png"), "--out", str(rig)]
-    ball = ["--ball-radius-mm", "2.4", "--pixel-mm", "0.1"]
+    ball = ["--ball-radius-mm", ball_mm, "--pixel-mm", "0.1"]
     return main(["calibrate", "presses", *files, *ball, *corners(), *more])
 
 
@@ -87,6 +60,15 @@ def test_a_sensor_from_presses_without_labels_to_depth_and_contact(
     assert "4.8 mm across" in told
     assert "negative in a dent" in told
     assert read_rig(rig).footage_size == (WIDTH + 2 * MARGIN, HEIGHT + 2 * MARGIN)
+    flat = ["rectify", str(sensor / "touched.png"), "--out", str(tmp_path / "flat")]
+    assert main([*flat, "--rig", str(rig)]) == 0
+    assert "next: vntoolkit calibrate presses" in capsys.readouterr().out
+    own = read_image(tmp_path / "flat" / "000000.png")
+    assert own.shape == (HEIGHT, WIDTH, 3)
+    assert main([*flat, "--overwrite", "--pixel-mm", "0.1", *corners()]) == 0
+    np.testing.assert_array_equal(read_image(tmp_path / "flat" / "000000.png"), own)
+    assert main([*flat, "--overwrite"]) == 1
+    assert "or the --rig of a tactile gel" in capsys.readouterr().err
     run = ["--rig", str(rig), "--background", str(sensor / "background.png"), "--to", "depth"]
     out = tmp_path / "out"
     assert main(["reconstruct", str(sensor / "touched.png"), *run, "--out", str(out)]) == 0
@@ -148,6 +130,21 @@ def test_labels_of_a_picture_of_another_size_are_refused(
     assert "as labelled in" in capsys.readouterr().out
 
 
+def test_a_diameter_given_as_the_radius_and_clipped_presses_are_said(
+    sensor: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    assert calibrate(sensor, tmp_path / "rig.json", ball_mm="4.8") == 0
+    assert "diameter given as --ball-radius-mm? [cone]" in caplog.text
+    (tmp_path / "bright").mkdir()
+    for path in sorted((sensor / "presses").iterdir())[:3]:
+        values = read_image(path).astype(int)
+        write_png(tmp_path / "bright" / path.name, np.minimum(3 * values, 255).astype(np.uint8))
+    files = [str(tmp_path / "bright"), "--background", str(sensor / "background.png")]
+    ball = ["--ball-radius-mm", "2.4", "--pixel-mm", "0.1", *corners()]
+    assert main(["calibrate", "presses", *files, *ball, "--out", str(tmp_path / "b.json")]) == 1
+    assert "[clipping]" in capsys.readouterr().err
+
+
 def test_what_labels_and_colours_tell_of_mistakes(rng: np.random.Generator) -> None:
     found = np.column_stack([rng.uniform(20, 200, 30), rng.uniform(20, 300, 30), np.full(30, 20.0)])
     jitter = rng.normal(0, 2, (30, 3))
@@ -161,6 +158,9 @@ def test_what_labels_and_colours_tell_of_mistakes(rng: np.random.Generator) -> N
     assert not check_offset(np.array([3.0, 2.0]), 10.0)
     assert check_offset(np.array([6.0, 8.0]), 10.0)
     assert not check_press_transfer("linear", 8.9, {"srgb": 10.8})
+    assert not check_contacts(np.array([0.5, 0.7, 0.6]))
+    (narrow,) = check_contacts(np.array([0.25, 0.35, 0.3]))
+    assert "diameter given" in narrow.remedy
     (curve,) = check_press_transfer("srgb", 10.8, {"linear": 8.9})
     assert "--transfer linear" in curve.remedy
 

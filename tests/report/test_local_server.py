@@ -21,7 +21,7 @@ def server(free_port: int) -> Iterator[LocalServer]:
         ViewerOptions(port=free_port),
         page,
         {"/packet": lambda query: b"the camera"},
-        {"/record": lambda: None},
+        {"/record": lambda query: None},
     )
     yield served
     served.close()

@@ -12,6 +12,7 @@ from vntoolkit.geometry.board_layout import MARKER_DICTIONARY, BoardLayout
 from vntoolkit.geometry.rays import RayScene
 from vntoolkit.simulation.nuisances import Nuisances, nuisance_names
 from vntoolkit.simulation.render import Renderer, RenderOptions, frame_generator, render_frame
+from vntoolkit.simulation.rigid.gel import BALL_RADIUS_M, dent
 from vntoolkit.simulation.scene import SCENES, SceneOptions, build_scene
 
 MINE = ("sphere", "cylinder", "board", "jacket")
@@ -157,3 +158,26 @@ def test_scene_without_a_frame_is_refused():
 
 def test_registered_scenes_exist():
     assert set(MINE) <= set(SCENES)
+
+
+def test_the_gel_is_the_ball_inside_the_contact_and_comes_to_rest_around_it():
+    scene = build_scene("gel", SceneOptions(width=160, height=120, seed=2))
+    assert np.ptp(scene.vertices(0)[:, 2]) == 0
+    contact_m = 0.5 * BALL_RADIUS_M
+    distance = np.linspace(0, 5 * contact_m, 2001)
+    depth = dent(distance, contact_m)
+    assert depth[0] == pytest.approx(contact_m**2 / BALL_RADIUS_M)  # Hertz
+    inside = distance < contact_m
+    ball = np.sqrt(BALL_RADIUS_M**2 - distance[inside] ** 2)
+    np.testing.assert_allclose(depth[0] - depth[inside], BALL_RADIUS_M - ball, atol=1e-12)
+    assert np.all(np.diff(depth) <= 0)
+    assert np.abs(np.diff(depth)).max() < 1.5 * contact_m / BALL_RADIUS_M * distance[1]  # no step at the rim
+    assert depth[-1] < 1e-3 * depth[0]
+    pressed = scene.vertices(5)
+    assert pressed[:, 2].max() <= scene.centre[2]
+    assert scene.centre[2] - pressed[:, 2].min() > 0.4e-3  # towards the camera
+    seen = scene.camera.project(pressed)
+    assert seen.min() < 0
+    assert np.all(seen.max(axis=0) > [160, 120])  # the gel fills the picture
+    stored = render_frame(scene, 5, options=RenderOptions(samples=1)).stored
+    assert stored.max() < 255

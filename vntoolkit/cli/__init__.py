@@ -22,6 +22,10 @@ VERBS: dict[str, tuple[str, str]] = {
         "vntoolkit.cli.calibrate:rectify",
         "Resample footage of a tilted plane to square pixels.",
     ),
+    "circles": (
+        "vntoolkit.cli.circles:circles",
+        "Find the contact circles of presses of a tactile gel, and correct them.",
+    ),
     "board": ("vntoolkit.cli.board:board", "Write the calibration board as a PDF, to scale."),
     "simulate": (
         "vntoolkit.cli.simulate:simulate",
@@ -118,6 +122,7 @@ EXAMPLES: dict[str, str] = {
     "demo": "vntoolkit demo --out demo",
     "rectify": "vntoolkit rectify presses --corners 12 9 308 11 4 231 316 229 --size-mm 18.6 14.3 "
     "--pixel-mm 0.03 --out flat",
+    "circles": "vntoolkit circles presses --background gel.png --out labels",
     "board": "vntoolkit board --out board.pdf",
     "simulate": "vntoolkit simulate sweater --out sweater --frames 0:10",
     "doctor": "vntoolkit doctor capture.mkv --rig rig.json",

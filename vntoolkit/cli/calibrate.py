@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, TypeAlias
@@ -28,6 +29,7 @@ from vntoolkit.cli.flags import (
     SizeMm,
     curve_from_text,
     rectification_from_flags,
+    rig_with_corners,
     verb,
 )
 from vntoolkit.cli.output import JSON, MESH, PAGE, PICTURE, ProgressBars, print_next, require_output
@@ -35,12 +37,14 @@ from vntoolkit.diagnosis.checks import CHECK_NAMES
 from vntoolkit.diagnosis.finding import judge, require_known_checks
 from vntoolkit.diagnosis.rig_checks import check_lamps, check_residual
 from vntoolkit.diagnosis.transfer_match import check_transfer_of_samples
+from vntoolkit.errors import BadInput
 from vntoolkit.geometry.board_layout import BoardLayout
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.footage.mattes import MatteOptions
 from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.io.maps_and_meshes.meshes import write_mesh
-from vntoolkit.io.rigs import write_rig
+from vntoolkit.io.rigs import read_rig, write_rig
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline import calibrate
 from vntoolkit.pipeline import calibrate_presses as pipeline
@@ -58,6 +62,7 @@ def sphere(
     *,
     out: Path,
     mask: Path | None = None,
+    matting: Annotated[MatteOptions | None, Flags()] = None,
     background: AmbientImage = None,
     transfer: Curve = None,
     sensor: Sensor = None,
@@ -77,13 +82,15 @@ def sphere(
     out
         The rig.json to write.
     mask
-        Image that is white where the ball is. Default: the outline is detected.
+        White where the ball is: an image, or a video, a folder or a pattern with a matte for each frame.
+        Default: the outline is detected.
     camera
         A rig.json whose camera is taken; default: orthographic.
     """
     require_known_checks(allow, CHECK_NAMES)
     require_output(out, JSON)
     job = _job(source, mask, background, transfer, camera, focal_px, single_light, frames, allow, sensor)
+    job = replace(job, matting=matting or MatteOptions())
     rig, result = calibrate.calibrate_sphere(job, options or SphereOptions())
     _accept(rig, allow, result.fit)
     write_rig(out, rig)
@@ -360,6 +367,7 @@ def presses(
         sensor=sensor or SensorOptions(),
         rectification=rectification_from_flags(corners, size_mm, options.pixel_mm),
         label_size=label_size,
+        allow=allow,
     )
     with ProgressBars() as bars:
         result = pipeline.calibrate_presses(job, options, partial(bars.reach, "read presses"))
@@ -395,9 +403,10 @@ def rectify(
     /,
     *,
     out: Path,
-    corners: Corners,
-    size_mm: SizeMm,
-    pixel_mm: float,
+    rig: Path | None = None,
+    corners: Corners = None,
+    size_mm: SizeMm = None,
+    pixel_mm: float | None = None,
     transfer: Curve = None,
     sensor: Sensor = None,
     overwrite: Overwrite = False,
@@ -410,6 +419,9 @@ def rectify(
         A video, an image, a folder of images, or a pattern.
     out
         The folder to write: 16-bit PNG files with the same transfer curve.
+    rig
+        The rig.json of a tactile gel. Its corners, size, pixels and transfer curve are taken where none are
+        given.
     corners
         u v of the rectangle's top left, top right, bottom left and bottom right corner in the image.
     size_mm
@@ -419,11 +431,26 @@ def rectify(
     overwrite
         Replace the images that the folder holds.
     """
-    rectification = rectification_from_flags(corners, size_mm, pixel_mm)
-    assert rectification is not None  # both flags are required
-    capture = open_capture(
-        source, CaptureOptions(transfer=curve_from_text(transfer), sensor=sensor or SensorOptions())
-    )
+    known = None if rig is None else read_rig(rig)
+    curve = curve_from_text(transfer) or (None if known is None else known.transfer)
+    capture = open_capture(source, CaptureOptions(transfer=curve, sensor=sensor or SensorOptions()))
+    filmed = (capture.info.width, capture.info.height)
+    if known is None:
+        if corners is None or size_mm is None or pixel_mm is None:
+            raise BadInput(
+                "rectify: expected --corners, --size-mm and --pixel-mm, or the --rig of a tactile gel"
+            )
+        rectification = rectification_from_flags(corners, size_mm, pixel_mm)
+    else:
+        if pixel_mm is not None:
+            raise BadInput("rectify: --pixel-mm is the rig's; leave it out, or leave out --rig")
+        known = rig_with_corners(known, corners, size_mm, filmed)
+        rectification = None if known.gel is None else known.gel.rectification
+        if rectification is None:
+            raise BadInput(f"{rig}: holds no corners of a gel; give --corners, --size-mm and --pixel-mm")
+        known.require_size(*filmed, source)
+        pixel_mm = rectification.pixel_mm
+    assert rectification is not None  # of corners and a size
     with ProgressBars() as bars:
         count = pipeline.rectify_capture(
             capture, rectification, out, partial(bars.reach, "rectify"), overwrite=overwrite
@@ -434,3 +461,5 @@ def rectify(
         if left_out:
             print(f"{source}: {left_out} files that are no images were left out")
     print(f"{out}: {count} images of {width}×{height}, {pixel_mm:g} mm a pixel")
+    ball = ("--ball-radius-mm", "2", "--pixel-mm", f"{pixel_mm:g}")
+    print_next("calibrate", "presses", out, "--background", "gel.png", *ball, "--out", "gel.json")

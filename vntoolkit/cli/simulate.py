@@ -70,6 +70,16 @@ def simulate(
     print(f"{out}: {summary.frames} frames of {scene} in capture.mkv, {summary.rendered} rendered now")
     if scene in ("board", "sphere"):
         print_next("calibrate", scene, job.folder.video, "--out", "rig.json")
+    elif scene == "gel":
+        radius, pixel = (f"{job.built.facts[name]:g}" for name in ("ball_radius_mm", "pixel_mm"))
+        ball = ("--ball-radius-mm", radius, "--pixel-mm", pixel)
+        rest = out.with_name("rest") / "capture.mkv"
+        if summary.frames == 1:
+            print_next(
+                "simulate", scene, "--out", out.with_name("presses"), "--frames", "1:25", "--size", size
+            )
+            return
+        print_next("calibrate", "presses", job.folder.video, "--background", rest, *ball, "--out", "gel.json")
     else:
         print_next("reconstruct", job.folder.video, "--rig", "rig.json", "--out", "result")
 

@@ -10,6 +10,7 @@ from vntoolkit.diagnosis.finding import Finding, Level
 _FAR_RADII = 0.6  # of the contact: hands label to a tenth, and a fit still works with a half
 _STRETCH = 0.04  # of 1: a label's scale that is off by less moves no label by more than hands do
 _SURE = 4.0  # standard errors
+_NARROW = 0.45  # of the ball's radius, a slope of 27 degrees; presses in real use reach 0.7 to 0.8
 _FEWEST = 5  # presses that tell a scale
 _CLEARLY_BETTER = 0.92  # of the angle that a transfer curve leaves; noise and other lamps change it less
 
@@ -66,6 +67,27 @@ def check_offset(offset_px: FloatArray, largest_px: float) -> list[Finding]:
             measured=f"an offset of {length:.1f} pixels",
             expected=f"less than {largest_px:.1f}",
             remedy="label again, or leave --labels out: the contact circles are then found",
+        )
+    ]
+
+
+def check_contacts(shares: FloatArray) -> list[Finding]:
+    """Compare the contacts' radii, (n,) as shares of the ball's, with what shows steep normals.
+
+    A diameter given as a radius halves them. Nothing else tells of it: with a larger ball M grows, and the
+    fit becomes no worse.
+    """
+    share = float(np.median(shares))
+    if share >= _NARROW:
+        return []
+    return [
+        Finding(
+            check="cone",
+            level=Level.WARNING,
+            problem="the contacts are narrow for this ball, so they show no steep slopes",
+            measured=f"contact radius {share:.2f} of the ball's, {np.rad2deg(np.arcsin(share)):.0f} degrees",
+            expected=f"{_NARROW:g} or more",
+            remedy="press deeper; or was the ball's diameter given as --ball-radius-mm?",
         )
     ]
 

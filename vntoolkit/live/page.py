@@ -179,7 +179,7 @@ class LiveViewer:
         header["pictures"] = {name: packet.raw_picture(picture) for name, picture in pictures.items()}
         return packet.content(header)
 
-    def _toggle(self) -> None:
+    def _toggle(self, _query: Mapping[str, str]) -> None:
         assert self._recorder is not None
         try:
             self._recorder.toggle()

@@ -105,8 +105,8 @@ def calibrate_sphere(job: CalibrationJob, options: SphereOptions) -> tuple[Rig, 
     mattes = open_mattes(capture, job.mask, job.matting, job.background)
     mask = mattes.still
     if mattes.changes:  # the ball is at rest: where every frame has it
-        for frame in capture.encoded_frames(numbers.start, numbers.stop, numbers.step):
-            matte = mattes.of(frame)
+        for shown in capture.encoded_frames(numbers.start, numbers.stop, numbers.step):
+            matte = mattes.of(shown)
             mask = matte if mask is None or matte is None else mask & matte
     job.judge(capture, mask)
     camera = job.camera_for(info) or Camera.orthographic(width=info.width, height=info.height)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vntoolkit.arrays import FloatArray, Vector3
+from vntoolkit.arrays import FloatArray, LinearImage, Mask, Vector3
 from vntoolkit.calibration.contact_circles import find_contact_circle
 from vntoolkit.calibration.presses import (
     GelFit,
@@ -21,8 +21,14 @@ from vntoolkit.calibration.presses import (
     largest_label_offset,
     samples_from_press,
 )
-from vntoolkit.diagnosis.finding import Finding
-from vntoolkit.diagnosis.press_checks import check_labels, check_offset, check_press_transfer
+from vntoolkit.diagnosis.finding import Finding, judge
+from vntoolkit.diagnosis.inspection import findings_from_calibration_footage
+from vntoolkit.diagnosis.press_checks import (
+    check_contacts,
+    check_labels,
+    check_offset,
+    check_press_transfer,
+)
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.rectification import Rectification
@@ -56,7 +62,8 @@ class PressJob:
     per image, None to find the contact circles. transfer: curve of the footage, None for the one that it
     states, else linear. sensor: how samples of the sensor itself are read. rectification: takes the camera's
     view to the gel; None where the images are rectified. label_size: (width, height) of the frame that labels
-    refer to; None for that of the images, rectified.
+    refer to; None for that of the images, rectified. allow: checks whose fatal findings on the footage do not
+    stop the calibration.
     """
 
     source: str
@@ -66,6 +73,7 @@ class PressJob:
     sensor: SensorOptions = field(default_factory=SensorOptions)
     rectification: Rectification | None = None
     label_size: tuple[int, int] | None = None
+    allow: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.label_size is not None and min(self.label_size) < 1:
@@ -106,10 +114,10 @@ def calibrate_presses(
 ) -> PressCalibration:
     """Fit a rig to presses; images without a label, or without a dent where it is sought, are passed over."""
     rng = np.random.default_rng(_SEED)
-    options_of_images = CaptureOptions(transfer=job.transfer, gaps=Gaps.SKIP, sensor=job.sensor)
-    capture = open_capture(job.source, options_of_images)
-    background = job.prepare(open_capture(job.background, options_of_images).frame(0))
-    read = list(_read(job, options, capture, background, rng, on_frame))
+    reader = PressReader(job)
+    capture, background = reader.capture, reader.background
+    judge(findings_from_calibration_footage(capture), job.allow)
+    read = list(_read(reader, options, rng, on_frame))
     samples = [press.samples for press in read if press.samples is not None]
     if not samples and job.labels is not None:
         raise BadCalibration(
@@ -124,7 +132,11 @@ def calibrate_presses(
     height, width = background.shape
     if job.labels is None:  # what was found has no common offset
         options = replace(options, label_offset=LabelOffset.NONE)
-    findings = _findings_from_labels(job, read, (width, height))
+    radii_mm = options.pixel_mm * np.array([part.press.radius_px for part in samples])
+    findings = [
+        *_findings_from_labels(job, read, (width, height)),
+        *check_contacts(radii_mm / options.ball_radius_mm),
+    ]
     fit = fit_gel_to_presses(samples, level, (width, height), options)
     if options.label_offset is LabelOffset.COMMON:
         findings += check_offset(fit.label_offset_px, largest_label_offset(samples))
@@ -219,46 +231,63 @@ def rectify_capture(
     return len(capture)
 
 
+class PressReader:
+    """Reads the presses of a job: the footage, the untouched gel, and the change of colour between them."""
+
+    def __init__(self, job: PressJob) -> None:
+        self.job = job
+        options = CaptureOptions(transfer=job.transfer, gaps=Gaps.SKIP, sensor=job.sensor)
+        self.capture = open_capture(job.source, options)
+        self.untouched = open_capture(job.background, options).frame(0)  # as filmed
+        self.background = job.prepare(self.untouched)
+        self._dots = DotFilter(self.background.rgb)
+        info = self.capture.info
+        self._file_of = dict(zip(info.numbers, info.files, strict=False))
+
+    def file(self, number: int) -> Path:
+        """The file that a frame is in."""
+        return self._file_of.get(number, self.capture.info.files[-1])
+
+    def change(self, prepared: LinearFrame) -> tuple[LinearImage, Mask]:
+        """The change of colour (h, w, 3) against the untouched gel, and the pixels that were filled."""
+        background = self.background
+        if prepared.shape != background.shape:
+            raise BadCalibration("calibrate presses: the background has another size than the presses")
+        unknown = prepared.clipped | background.clipped
+        change, filled = self._dots.filled(prepared.rgb - background.rgb, unknown)
+        return change_without_drift(change, ~filled), filled
+
+    def press(self, label: Path) -> Press:
+        """Read a label and scale it to the frames; the radius counts along the width."""
+        u, v, radius = read_press_label(label)
+        height, width = self.background.shape
+        label_width, label_height = self.job.label_size or (width, height)
+        return Press(
+            u_px=u * width / label_width,
+            v_px=v * height / label_height,
+            radius_px=radius * width / label_width,
+        )
+
+
 def _read(
-    job: PressJob,
-    options: PressOptions,
-    capture: Capture,
-    background: LinearFrame,
-    rng: np.random.Generator,
-    on_frame: Progress,
+    reader: PressReader, options: PressOptions, rng: np.random.Generator, on_frame: Progress
 ) -> Iterator[_ReadPress]:
-    dots = DotFilter(background.rgb)
-    file_of = dict(zip(capture.info.numbers, capture.info.files, strict=False))
+    job, capture = reader.job, reader.capture
     for done, frame in enumerate(capture.frames(), start=1):
-        file = file_of.get(frame.number, capture.info.files[-1])
+        file = reader.file(frame.number)
         label = None if job.labels is None else label_path(job.labels, file)
         if label is not None and not label.exists():
             yield _ReadPress(name=file.name, samples=None, found=None)
         else:
-            prepared = job.prepare(frame)
-            if prepared.shape != background.shape:
-                raise BadCalibration("calibrate presses: the background has another size than the presses")
-            unknown = prepared.clipped | background.clipped
-            change, filled = dots.filled(prepared.rgb - background.rgb, unknown)
-            change = change_without_drift(change, ~filled)
+            change, filled = reader.change(job.prepare(frame))
             circle = find_contact_circle(change)
             found = None if circle is None else circle.press
-            press = found if label is None else _press(label, job, prepared)
+            press = found if label is None else reader.press(label)
             samples = None
             if press is not None:
-                samples = samples_from_press(change, background.rgb, ~filled, press, options, rng)
+                samples = samples_from_press(change, reader.background.rgb, ~filled, press, options, rng)
             yield _ReadPress(name=file.name, samples=samples, found=found)
         on_frame(done, len(capture.present))
-
-
-def _press(path: Path, job: PressJob, frame: LinearFrame) -> Press:
-    """Read a label and scale it to the frame; the radius counts along the width."""
-    u, v, radius = read_press_label(path)
-    height, width = frame.shape
-    label_width, label_height = job.label_size or (width, height)
-    return Press(
-        u_px=u * width / label_width, v_px=v * height / label_height, radius_px=radius * width / label_width
-    )
 
 
 def read_press_label(path: Path | str) -> tuple[float, float, float]:

@@ -36,6 +36,7 @@ _ANSWER_S = 60.0  # for an answer to be taken off
 _TOKEN_BYTES = 16
 
 Answer = Callable[[Mapping[str, str]], bytes | None]
+Post = Callable[[Mapping[str, str]], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,12 +63,15 @@ class LocalServer:
         options: ViewerOptions,
         page: str,
         answers: Mapping[str, Answer],
-        posts: Mapping[str, Callable[[], None]] | None = None,
+        posts: Mapping[str, Post] | None = None,
+        *,
+        script: str = "scene.js",
     ) -> None:
         """Listen at once. Raises `CannotWrite` for an address that is not ours.
 
         answers: by path, such as `/frame`; called with the query, they return what is sent, or None where
-        there never will be anything. posts: what is called on a POST to these paths.
+        there never will be anything. posts: what is called, with the query, on a POST to these paths. script:
+        name of the page's own script, the only one that a browser will run.
         """
         self.token = secrets.token_urlsafe(_TOKEN_BYTES)
         self._host = options.host
@@ -75,7 +79,12 @@ class LocalServer:
 
         class Handler(_Handler):
             site = _Site(
-                page=page.encode(), answers=answers, posts=posts or {}, token=self.token, names=names
+                page=page.encode(),
+                answers=answers,
+                posts=posts or {},
+                token=self.token,
+                names=names,
+                script=script,
             )
 
         self._server = _listening(options.host, options.port, Handler)
@@ -108,9 +117,10 @@ class _Site:
 
     page: bytes
     answers: Mapping[str, Answer]
-    posts: Mapping[str, Callable[[], None]]
+    posts: Mapping[str, Post]
     token: str
     names: frozenset[str | None]
+    script: str
 
 
 def _own_names(host: str) -> frozenset[str | None]:
@@ -180,14 +190,14 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_POST(self) -> None:
         self.close_connection = True  # what a body may hold is not read
-        if self._accepted() is None:
+        query = self._accepted()
+        if query is None:
             return
         post = self.site.posts.get(urlsplit(self.path).path)
         if post is None:
             self._refuse(HTTPStatus.NOT_FOUND, "there is nothing here")
             return
-        post()
-        self._reply(b"")
+        self._answer(lambda query: (post(query), b"")[1], query)
 
     def _answer(self, answer: Answer, query: Mapping[str, str]) -> None:
         try:
@@ -238,7 +248,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def end_headers(self) -> None:
         """Say how the page may be used: by itself, in no frame, kept by nobody."""
-        self.send_header("Content-Security-Policy", _content_policy())
+        self.send_header("Content-Security-Policy", _content_policy(self.site.script))
         self.send_header("X-Frame-Options", "DENY")
         self.send_header("X-Content-Type-Options", "nosniff")
         self.send_header("Referrer-Policy", "no-referrer")
@@ -260,14 +270,14 @@ def _is_address(name: str) -> bool:
 
 
 @cache
-def _content_policy() -> str:
+def _content_policy(script: str) -> str:
     """Return a policy by which only the page's own script and style count, and only this server is asked."""
 
     def digest(name: str) -> str:
         return base64.b64encode(hashlib.sha256(scene_text(name).encode()).digest()).decode()
 
     return (
-        f"default-src 'none'; script-src 'sha256-{digest('scene.js')}'; "
+        f"default-src 'none'; script-src 'sha256-{digest(script)}'; "
         f"style-src 'sha256-{digest('scene.css')}'; img-src data:; connect-src 'self'; "
         "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     )

@@ -165,6 +165,15 @@ def scene_page(title: str, mode: str, setup: Mapping[str, Any]) -> str:
     `captured`: surfaces can be painted in the captured colours; `lost_px`: frames of the registered surface
     have `errors`, bytes of which 255 is that many pixels and more.
     """
+    known = {name: setup.get(name, False) for name in ("records", "captured")}
+    known["lost_px"] = setup.get("lost_px")
+    return page_from_template(
+        "scene.html.j2", script="scene.js", title=title, setup={"mode": mode, **known, **setup}
+    )
+
+
+def page_from_template(template: str, *, script: str, title: str, setup: Mapping[str, Any]) -> str:
+    """Return a page as HTML, script and style inside. setup: what template and script must know."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
@@ -173,20 +182,19 @@ def scene_page(title: str, mode: str, setup: Mapping[str, Any]) -> str:
         undefined=StrictUndefined,
         trim_blocks=True,
     )
-    data = json.dumps({"mode": mode, **setup}, separators=(",", ":"))
-    return environment.get_template("scene.html.j2").render(
-        title=title,
-        mode=mode,
-        records=setup.get("records", False),
-        captured=setup.get("captured", False),
-        lost_px=setup.get("lost_px"),
-        setup=data.replace("<", "\\u003c"),  # no end of the script in it
-        style=scene_text("scene.css"),
-        script=scene_text("scene.js"),
+    data = json.dumps(dict(setup), separators=(",", ":"))
+    return environment.get_template(template).render(
+        **{
+            **setup,
+            "title": title,
+            "setup": data.replace("<", "\\u003c"),  # no end of the script in it
+            "style": scene_text("scene.css"),
+            "script": scene_text(script),
+        }
     )
 
 
 @cache
 def scene_text(name: str) -> str:
-    """Return the page's script or style, `scene.js` or `scene.css`."""
+    """Return a page's script or style, such as `scene.js`."""
     return (files("vntoolkit.report") / "templates" / name).read_text("utf-8")

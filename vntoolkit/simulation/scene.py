@@ -47,6 +47,7 @@ SCENES: dict[str, str] = {
     "board": "vntoolkit.simulation.rigid.board_and_cylinder:build_board",
     "board_sweep": "vntoolkit.simulation.rigid.board_and_cylinder:build_board_sweep",
     "sphere": "vntoolkit.simulation.rigid.sphere:build_sphere",
+    "gel": "vntoolkit.simulation.rigid.gel:build_gel",
     "jacket": "vntoolkit.simulation.rigid.jacket:build_jacket",
     "sweater": "vntoolkit.simulation.garment.sweater:build_sweater",
     "spandex": "vntoolkit.simulation.body.spandex:build_spandex",
@@ -77,8 +78,8 @@ class SceneOptions:
     def __post_init__(self) -> None:
         if self.width < 16 or self.height < 16:
             raise BadInput(f"simulate: expected an image of at least 16×16, got {self.width}×{self.height}")
-        if self.field_width_m is not None and not 0.05 <= self.field_width_m <= 5.0:
-            raise BadInput(f"simulate: expected a field of 0.05 to 5 m across, got {self.field_width_m:g} m")
+        if self.field_width_m is not None and not 0.01 <= self.field_width_m <= 5.0:
+            raise BadInput(f"simulate: expected a field of 0.01 to 5 m across, got {self.field_width_m:g} m")
         if self.sample is not None and self.sample not in SCENES:
             raise BadInput(f"simulate: no scene '{self.sample}' to take a sample from")
 

@@ -1,0 +1,107 @@
+"""`vntoolkit circles`: look at the contact circles of presses, and correct them by hand."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from vntoolkit.cli.flags import (
+    Corners,
+    Curve,
+    Flags,
+    Sensor,
+    SizeMm,
+    curve_from_text,
+    rectification_from_flags,
+    verb,
+)
+from vntoolkit.cli.output import ProgressBars, print_next
+from vntoolkit.errors import BadInput
+from vntoolkit.io.atomic import sole_writer
+from vntoolkit.io.footage.mosaics import SensorOptions
+from vntoolkit.pipeline.calibrate_presses import PressJob
+from vntoolkit.pipeline.press_circles import PressCircles
+from vntoolkit.report.circles_page import CirclesViewer
+from vntoolkit.report.local_server import ViewerOptions
+
+
+@verb("max_megapixels")
+def circles(
+    source: str,
+    /,
+    *,
+    background: Path,
+    out: Path,
+    corners: Corners = None,
+    size_mm: SizeMm = None,
+    pixel_mm: float | None = None,
+    transfer: Curve = None,
+    sensor: Sensor = None,
+    page: Annotated[bool, Parameter(negative="--no-page")] = True,
+    viewer: Annotated[ViewerOptions | None, Flags()] = None,
+) -> None:
+    """Find the contact circles of presses, and correct them, and the gel's corners, on a page in the browser.
+
+    The circles are written as labels for `calibrate presses --labels`. Labels that the folder holds are taken
+    as they are; a picture without one shows no press.
+
+    Parameters
+    ----------
+    source
+        A folder or pattern of images, one for each press.
+    background
+        Image of the untouched gel.
+    out
+        The folder of labels: NAME.txt for NAME.jpg, u v contact_radius in pixels of the rectified image.
+    corners
+        u v of the gel's top left, top right, bottom left and bottom right corner in the image. The page moves
+        them.
+    size_mm
+        Width and height of the rectangle between these corners in millimetres.
+    pixel_mm
+        Side of a pixel of the rectified picture in millimetres; needed with --corners.
+    page
+        Serve the page. With --no-page the circles are found and written only.
+    """
+    if corners is not None and pixel_mm is None:
+        raise BadInput("circles: --corners and --size-mm need --pixel-mm")
+    job = PressJob(
+        source=source,
+        background=background,
+        labels=out,
+        transfer=curve_from_text(transfer),
+        sensor=sensor or SensorOptions(),
+        rectification=rectification_from_flags(corners, size_mm, pixel_mm or 1.0),
+    )
+    with sole_writer(out):
+        with ProgressBars() as bars:
+            found = PressCircles(job, partial(bars.reach, "read presses"))
+        if page:
+            shown = CirclesViewer(found, viewer)
+            print(f"{shown.address} (Ctrl-C ends)", flush=True)
+            with contextlib.suppress(KeyboardInterrupt):
+                threading.Event().wait()
+            shown.close()
+    _report(out, found)
+    view = found.rectification
+    flags: list[str | Path] = ["--background", background, "--labels", out]
+    if view is not None:
+        flags += ["--corners", *(f"{at:g}" for at in view.corners_px)]
+        flags += ["--size-mm", f"{view.width_mm:g}", f"{view.height_mm:g}"]
+    scale = "0.03" if pixel_mm is None else f"{pixel_mm:g}"
+    ball = ["--ball-radius-mm", "2", "--pixel-mm", scale]
+    print_next("calibrate", "presses", source, *flags, *ball, "--out", "gel.json")
+
+
+def _report(out: Path, found: PressCircles) -> None:
+    by_hand = sum(press.by == "hand" for press in found.presses)
+    without = [press.name for press in found.presses if press.circle is None]
+    print(f"{out}: {len(found.presses) - len(without)} circles, {by_hand} corrected by hand")
+    if without:
+        names = ", ".join(without[:5]) + (" …" if len(without) > 5 else "")
+        print(f"  without a circle  {len(without)} images: {names}")
