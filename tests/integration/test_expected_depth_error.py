@@ -28,7 +28,7 @@ def map_of(normals, error_deg, shared_deg):
         normals_in_camera=unit(normals),
         mask=EVERYWHERE,
         error_deg=np.full((SIZE, SIZE), error_deg),
-        shared_error_deg=np.full((SIZE, SIZE), shared_deg),
+        noise_deg=np.full((SIZE // 8, SIZE // 8), np.sqrt(error_deg**2 - shared_deg**2)),
     )
 
 

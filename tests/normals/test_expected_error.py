@@ -4,12 +4,14 @@ import numpy as np
 import pytest
 
 from vntoolkit.errors import BadInput
+from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map, write_normal_map
-from vntoolkit.normals.expected_error import with_expected_error
-from vntoolkit.normals.inversion import normals_from_frame
+from vntoolkit.normals.expected_error import normals_and_errors_from_encoded, with_expected_error
+from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.transfer import Transfer
 
 MATRIX = np.array([[0.5, 0.06, -0.45], [-0.22, 0.4, -0.5], [-0.2, -0.35, -0.42]])
 RESPONSE = LightResponse(matrix=MATRIX, ambient=np.array([0.02, 0.01, 0.03]))
@@ -85,6 +87,25 @@ def test_the_residual_of_the_rig_is_part_of_it_and_the_weight_follows():
     assert (np.diff(doubted.weight.ravel()[order]) <= 0).all()
     assert doubted.weight.min() > 0
     assert doubted.weight.max() < plain.weight.max() <= 1
+
+
+@pytest.mark.parametrize("size", [(240, 240), (37, 91)])
+def test_stored_samples_give_the_same_in_one_pass(rng, size):
+    light = (colours() + rng.normal(0, 0.01, (240, 240, 3)))[: size[0], : size[1]]
+    stored = np.rint(65535 * np.clip(1.3 * light, 0, 1)).astype(np.uint16)
+    mask = rng.random(size) > 0.05
+    camera = Camera.pinhole(width=size[1], height=size[0], focal_px=300.0)
+    found, clipped = normals_and_errors_from_encoded(
+        stored, RESPONSE, Transfer(), mask, camera=camera, residual_deg=2.0
+    )
+    plain = normals_from_encoded(stored, RESPONSE, Transfer(), mask)
+    np.testing.assert_allclose(found.normals_in_camera, plain.normals_in_camera, atol=1e-6)
+    np.testing.assert_array_equal(found.mask, plain.mask)
+    frame = LinearFrame(rgb=(stored / 65535).astype(np.float32))
+    assert clipped == pytest.approx(frame.clipped.mean())
+    apart = with_expected_error(plain, frame, RESPONSE, camera=camera, residual_deg=2.0)
+    for name in ("error_deg", "weight", "noise_deg"):
+        np.testing.assert_allclose(getattr(found, name), getattr(apart, name), rtol=0.02, atol=0.01)
 
 
 def test_files_keep_it(tmp_path, rng):

@@ -20,6 +20,8 @@ from vntoolkit.display import (
 )
 from vntoolkit.errors import BadInput
 
+NOISE_CELL_PX = 8  # side of the squares that noise is told by
+
 
 class LengthUnit(Enum):
     """What a length of 1 means."""
@@ -36,14 +38,15 @@ class NormalMap(Displayed):
     normals_in_camera: (h, w, 3) float32, unit length, n_z < 0 towards the viewer, 0 where invalid.
     mask: (h, w) bool. weight: (h, w) float32 confidence from 0 to 1, or None for 1 everywhere in the mask.
     error_deg: (h, w) float32, angle in degrees that nine of ten normals stay within, or None if not known.
-    shared_error_deg: the part of it that neighbours share, which is all but noise; not kept in files.
+    noise_deg: (⌈h/8⌉, ⌈w/8⌉), the part of it that noise makes and neighbours do not share, by cells of 8×8
+    pixels; not kept in files.
     """
 
     normals_in_camera: Normals
     mask: Mask
     weight: Weight | None = None
     error_deg: FloatArray | None = None
-    shared_error_deg: FloatArray | None = None
+    noise_deg: FloatArray | None = None
 
     def __post_init__(self) -> None:
         normals = np.asarray(self.normals_in_camera, dtype=np.float32)
@@ -51,10 +54,16 @@ class NormalMap(Displayed):
         require_mask(self.mask, normals.shape[:2])
         object.__setattr__(self, "normals_in_camera", read_only(normals))
         object.__setattr__(self, "mask", read_only(np.asarray(self.mask)))
-        for name in ("weight", "error_deg", "shared_error_deg"):
+        height, width = normals.shape[:2]
+        cells = (-(-height // NOISE_CELL_PX), -(-width // NOISE_CELL_PX))
+        for name, shape in (
+            ("weight", (height, width)),
+            ("error_deg", (height, width)),
+            ("noise_deg", cells),
+        ):
             if getattr(self, name) is not None:
                 values = np.asarray(getattr(self, name), dtype=np.float32)
-                require_shape(values, normals.shape[:2], name)
+                require_shape(values, shape, name)
                 object.__setattr__(self, name, read_only(values))
 
     @property

@@ -14,19 +14,19 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-import scipy.sparse as sp
+from numba import prange
 from scipy import ndimage
-from scipy.sparse.linalg import splu
+from scipy.linalg import solveh_banded
 
 from vntoolkit.arrays import FloatArray, Mask
 from vntoolkit.checks import require_same_size
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.geometry.maps import DepthMap, NormalMap
+from vntoolkit.geometry.maps import NOISE_CELL_PX, DepthMap, NormalMap
 from vntoolkit.integration.slopes import RayField, rays_from_camera
+from vntoolkit.native import njit
 
-_LARGEST_SIDE = 32  # of the coarse grid, in blocks, about: shared errors are smooth
+_LARGEST_SIDE = 24  # of the coarse grid, in blocks, about: shared errors are smooth
 _SAMPLES_A_SIDE = 4  # of a block
 _LEAST_COVER = 0.25  # of a block by the depth map
 _LEAST_FACING = 0.15
@@ -47,54 +47,44 @@ def with_expected_depth_error(depth_map: DepthMap, normal_map: NormalMap, camera
     require_same_size(depth_map.depth, "depth map", normal_map.mask, "normal map")
     if normal_map.error_deg is None:
         raise BadInput("normals: their expected error is not known, so that of the depth is not either")
-    shared = normal_map.error_deg if normal_map.shared_error_deg is None else normal_map.shared_error_deg
-    mask = depth_map.mask & normal_map.mask
-    depth = depth_map.depth
-    span = float(depth.max(where=mask, initial=-np.inf) - depth.min(where=mask, initial=np.inf))
+    mask = np.ascontiguousarray(depth_map.mask & normal_map.mask)
+    depth = np.ascontiguousarray(depth_map.depth)
+    lowest, highest = np.empty(len(depth), depth.dtype), np.empty(len(depth), depth.dtype)
+    _ranges(depth, mask, lowest, highest)
+    span = float(highest.max(initial=-np.inf)) - float(lowest.min(initial=np.inf))
     error = np.zeros(depth_map.shape, np.float32)
     if span > 0:
         block = -(-max(mask.shape) // _LARGEST_SIDE)
         block -= block % max(1, block // _SAMPLES_A_SIDE)  # a whole number of samples
-        spread, inside = _coarse_error(normal_map, shared, mask, block, rays_from_camera(camera))
-        error = _enlarged(100.0 * _NINE_OF_TEN / span * spread, inside, block, mask.shape)
-        if camera.is_perspective:
-            error *= depth
-        error *= mask
+        spread, inside = _coarse_error(normal_map, mask, block, rays_from_camera(camera))
+        spread = 100.0 * _NINE_OF_TEN / span * _filled(spread, inside)
+        _enlarge(spread.astype(np.float32), block, mask, depth, camera.is_perspective, error)
     return replace(depth_map, error_percent=error)
 
 
-def _coarse_error(
-    normal_map: NormalMap, shared: FloatArray, mask: Mask, block: int, rays: RayField
-) -> tuple[FloatArray, Mask]:
+def _coarse_error(normal_map: NormalMap, mask: Mask, block: int, rays: RayField) -> tuple[FloatArray, Mask]:
     """Return the standard deviation of depth (perspective: of log depth) by blocks, and where it is known."""
     step = max(1, block // _SAMPLES_A_SIDE)
-    used, side = mask[::step, ::step], block // step
-    height, width = (-(-n // side) for n in used.shape)
-    padding = ((0, height * side - used.shape[0]), (0, width * side - used.shape[1]))
-
-    def mean(samples: npt.NDArray[np.floating[Any]]) -> FloatArray:
-        blocks = np.pad(samples * used, padding).reshape(height, side, width, side)
-        return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float64))
-
-    cover = mean(np.ones(used.shape, np.float32))
-    inside = cover > _LEAST_COVER
-    share = np.maximum(cover, 1e-6)
-    sampled = normal_map.normals_in_camera[::step, ::step]
-    normals = np.stack([mean(sampled[..., k]) for k in range(3)], axis=-1)
-    normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-6)
-    assert normal_map.error_deg is not None
-    of_neighbours = shared[::step, ::step]
-    noise = normal_map.error_deg[::step, ::step] ** 2 - of_neighbours**2
-    sigma = np.radians(_PER_NORMAL * mean(of_neighbours) / share)
-    weight = np.ones_like(noise) if normal_map.weight is None else normal_map.weight[::step, ::step]
-    trust = np.where(inside, np.maximum(mean(weight) / share, _LEAST_WEIGHT) * cover, 0.0)
+    height, width = (-(-n // block) for n in mask.shape)
+    cells = tuple(-(-n // NOISE_CELL_PX) for n in mask.shape)
+    noise_deg = np.zeros(cells, np.float32) if normal_map.noise_deg is None else normal_map.noise_deg
+    weight = normal_map.weight
+    sums = np.zeros((7, height, width))
+    arrays = (normal_map.normals_in_camera, normal_map.error_deg, noise_deg, weight)
+    _sum_blocks(*arrays, mask, block, step, sums)
+    places = (block // step) ** 2
+    cover = sums[0] / places
+    inside: Mask = cover > _LEAST_COVER
+    count = np.maximum(sums[0], 1e-6)
+    normals = np.moveaxis(sums[1:4], 0, -1)
+    normals = normals / np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-6)
+    sigma, noise = np.radians(_PER_NORMAL) * sums[4] / count, sums[5] / count
+    trust = np.where(inside, np.maximum(sums[6] / count, _LEAST_WEIGHT) * cover, 0.0)
     right, down = _turned_slopes(normals, sigma, rays, block)
     depth = _integrated(right, down, trust, inside)
     steepness = np.maximum(-normals[..., 2], _LEAST_FACING) ** -3  # slope along and across the inclination
     growth = math.log(max(mask.shape)) / (2 * math.pi) / rays.pixels_per_unit**2
-    random = (
-        (np.radians(_PER_NORMAL) * _OF_NOISE / _NINE_OF_TEN) ** 2 * growth * steepness * mean(noise) / share
-    )
+    random = (np.radians(_PER_NORMAL) * _OF_NOISE / _NINE_OF_TEN) ** 2 * growth * steepness * noise
     return np.sqrt(np.square(depth).sum(axis=-1) + random), inside
 
 
@@ -125,47 +115,107 @@ def _turned_slopes(
 
 
 def _integrated(right: FloatArray, down: FloatArray, trust: FloatArray, inside: Mask) -> FloatArray:
-    """Return the weighted least-squares depth (h, w, 9) of slopes (h, w, 9); mean 0 over each component."""
-    node = np.full(inside.shape, -1)
-    count = int(inside.sum())
-    node[inside] = np.arange(count)
-    tails, heads, wanted, worth = [], [], [], []
-    for slopes, near, far in (
-        (right, np.s_[:, :-1], np.s_[:, 1:]),
-        (down, np.s_[:-1], np.s_[1:]),
-    ):
-        both = inside[near] & inside[far]
-        tails.append(node[near][both])
-        heads.append(node[far][both])
-        wanted.append(0.5 * (slopes[near] + slopes[far])[both])
-        worth.append(np.minimum(trust[near], trust[far])[both])
-    tail, head, weight = np.concatenate(tails), np.concatenate(heads), np.concatenate(worth)
-    rows = np.arange(len(tail))
-    ones = np.ones(len(tail))
-    difference = sp.csr_matrix(
-        (np.concatenate([ones, -ones]), (np.tile(rows, 2), np.concatenate([head, tail]))), (len(tail), count)
-    )
-    system = (difference.T @ sp.diags(weight) @ difference + _HOLD * sp.identity(count)).tocsc()
-    load = difference.T @ (weight[:, None] * np.concatenate(wanted))
-    solved = splu(system, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve(load)
-    component = ndimage.label(inside)[0][inside] - 1
-    sizes = np.bincount(component)
-    means = np.stack([np.bincount(component, column) / sizes for column in solved.T], axis=1)
-    depth = np.zeros((*inside.shape, solved.shape[1]))
-    depth[inside] = solved - means[component]
-    return depth
+    """Return the weighted least-squares depth (h, w, 9) of slopes (h, w, 9); mean 0 over each component.
+
+    Blocks are numbered along the shorter side, so that the matrix is a narrow band.
+    """
+    if inside.shape[0] > inside.shape[1]:
+        down, right = np.swapaxes(down, 0, 1), np.swapaxes(right, 0, 1)
+        return np.swapaxes(_integrated(down, right, trust.T, inside.T), 0, 1)
+    height, width = inside.shape
+    # (w, h): a column is consecutive
+    across, along = np.zeros((width, height)), np.zeros((width, height))  # weight of the edge after a block
+    across[:-1] = np.minimum(trust[:, :-1], trust[:, 1:]).T
+    along[:, :-1] = np.minimum(trust[:-1], trust[1:]).T
+    load = np.zeros((width, height, right.shape[2]))
+    flow = across[:-1, :, None] * 0.5 * np.swapaxes(right[:, :-1] + right[:, 1:], 0, 1)
+    load[1:] += flow
+    load[:-1] -= flow
+    flow = along[:, :-1, None] * 0.5 * np.swapaxes(down[:-1] + down[1:], 0, 1)
+    load[:, 1:] += flow
+    load[:, :-1] -= flow
+    band = np.zeros((height + 1, width, height))
+    band[0] = _HOLD + across + along
+    band[0, 1:] += across[:-1]
+    band[0, :, 1:] += along[:, :-1]
+    band[min(1, height)] -= along
+    band[height] -= across
+    count = width * height
+    band = band.reshape(height + 1, count)
+    solved = solveh_banded(band, load.reshape(count, -1), lower=True, overwrite_ab=True, check_finite=False)
+    depth = np.swapaxes(solved.reshape(width, height, -1), 0, 1)
+    parts, number = ndimage.label(inside)
+    for part in range(1, number + 1):
+        here = parts == part
+        depth[here] -= depth[here].mean(axis=0)
+    return np.where(inside[..., None], depth, 0.0)
 
 
-def _enlarged(spread: FloatArray, inside: Mask, block: int, shape: tuple[int, int]) -> FloatArray:
-    """Return the blocks' values at every pixel; blocks without one take their nearest neighbour's."""
-    if not inside.any():
-        return np.zeros(shape)
+def _filled(spread: FloatArray, inside: Mask) -> FloatArray:
+    """Return the blocks' values; blocks without one take their nearest neighbour's."""
+    if inside.all() or not inside.any():
+        return np.where(inside, spread, 0.0)
     nearest = ndimage.distance_transform_edt(~inside, return_distances=False, return_indices=True)
-    rows, columns = (_interpolation(n, blocks, block) for n, blocks in zip(shape, spread.shape, strict=True))
-    return np.asarray(rows @ spread[tuple(nearest)].astype(np.float32) @ columns.T)
+    return np.asarray(spread[tuple(nearest)])
 
 
-def _interpolation(pixels: int, blocks: int, block: int) -> npt.NDArray[np.float32]:
-    """Return (pixels, blocks): linear interpolation between the blocks' centres."""
-    place = np.clip((np.arange(pixels) + 0.5) / block - 0.5, 0, blocks - 1)
-    return np.maximum(0, 1 - np.abs(place[:, None] - np.arange(blocks))).astype(np.float32)
+@njit(cache=True, nogil=True, parallel=True)
+def _ranges(depth: Any, mask: Mask, lowest: Any, highest: Any) -> None:
+    """Fill (h,) with the least and the largest depth of every row inside the mask."""
+    height, width = mask.shape
+    for v in prange(height):
+        low, high = depth.dtype.type(np.inf), depth.dtype.type(-np.inf)
+        row, inside = depth[v], mask[v]
+        for u in range(width):
+            low = min(low, row[u]) if inside[u] else low
+            high = max(high, row[u]) if inside[u] else high
+        lowest[v], highest[v] = low, high
+
+
+@njit(cache=True, nogil=True)
+def _sum_blocks(
+    normals: Any, error: Any, noise_deg: Any, weight: Any, mask: Mask, block: int, step: int, sums: Any
+) -> None:
+    """Sum up samples by blocks (7, h, w): 1, normal, error without noise, squared noise, weight; degrees."""
+    for v in range(0, mask.shape[0], step):
+        for u in range(0, mask.shape[1], step):
+            if mask[v, u]:
+                to = sums[:, v // block, u // block]
+                total, random = error[v, u] ** 2, noise_deg[v // NOISE_CELL_PX, u // NOISE_CELL_PX] ** 2
+                random = min(random, total)
+                to[0] += 1.0
+                for k in range(3):
+                    to[1 + k] += normals[v, u, k]
+                to[4] += np.sqrt(total - random)
+                to[5] += random
+                if weight is None:
+                    to[6] += 1.0
+                else:
+                    to[6] += weight[v, u]
+
+
+@njit(cache=True, nogil=True, parallel=True, fastmath={"contract", "arcp", "nsz"}, error_model="numpy")
+def _enlarge(coarse: Any, block: int, mask: Mask, depth: Any, by_depth: bool, out: Any) -> None:
+    """Fill (h, w) between the centres of the blocks by linear interpolation, inside the mask."""
+    height, width = mask.shape
+    rows, columns = coarse.shape
+    half, one = np.float32(0.5), np.float32(1.0)
+    per_pixel = one / np.float32(block)
+    for v in prange(height):
+        y = min(max((np.float32(v) + half) * per_pixel - half, np.float32(0.0)), np.float32(rows - 1))
+        up = int(y)
+        down, t = min(up + 1, rows - 1), y - np.float32(up)
+        to, inside, row = out[v], mask[v], depth[v]
+        for k in range(columns + 1):
+            left, right = max(k - 1, 0), min(k, columns - 1)
+            before = (one - t) * coarse[up, left] + t * coarse[down, left]
+            after = (one - t) * coarse[up, right] + t * coarse[down, right]
+            start = k * block - block // 2
+            beyond = half * np.float32(1 - block % 2)  # from the centre of block k - 1 to the first pixel
+            for u in range(max(start, 0), min(start + block, width)):
+                s = (np.float32(u - start) + beyond) * per_pixel
+                value = before + s * (after - before)
+                to[u] = value if inside[u] else np.float32(0.0)
+        if by_depth:
+            for u in range(width):
+                to[u] *= np.float32(row[u])

@@ -45,8 +45,15 @@ class CosineSolver:
         """Return z, (h, w), of mean 0; a `divergence` of the solver's dtype is overwritten."""
         field = divergence.astype(self._inverse.dtype, copy=False)
         spectrum = scipy.fft.dctn(field, type=2, norm="ortho", workers=_workers(), overwrite_x=True)
-        spectrum *= self._inverse
+        _multiply(spectrum, self._inverse)
         return scipy.fft.idctn(spectrum, type=2, norm="ortho", workers=_workers(), overwrite_x=True)
+
+
+@njit(cache=True, parallel=True)
+def _multiply(spectrum, factors):  # type: ignore[no-untyped-def]
+    for v in numba.prange(spectrum.shape[0]):
+        for u in range(spectrum.shape[1]):
+            spectrum[v, u] *= factors[v, u]
 
 
 class FourierSolver:

@@ -15,20 +15,30 @@ Five independent errors add up in squares. Each is measured where it shows:
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
+import numpy.typing as npt
 from numba import prange
 
 from vntoolkit.arrays import Mask, VisibilityLabels
 from vntoolkit.checks import require_shape
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.geometry.maps import NOISE_CELL_PX, NormalMap
 from vntoolkit.native import njit
+from vntoolkit.normals.inversion import (
+    FLAGS,
+    InversionOptions,
+    coefficients_from_response,
+    decoding_of,
+    require_encoded,
+    require_mask_or_all,
+)
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
 from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.transfer import Transfer
 
 # Nine of ten angles of a two-dimensional normal distribution lie within √(2 ln 10) standard deviations.
 _NINE_OF_TEN = 2.146
@@ -42,17 +52,17 @@ _DARK_CHANNEL = 0.45  # … to 0 at this share of the channel's largest value
 # A sphere shows nine tenths of its image within this angle of the axis: what a guess without data is worth.
 _LARGEST_DEG = np.float32(71.6)
 _HALF_WEIGHT_DEG = 12.0
-_NOISE_WINDOW_PX = 9
+_CELL = NOISE_CELL_PX  # noise changes slowly: one row of every cell tells it
 _LEAST_FACING = np.float32(0.1)
-_SAMPLES = 2000
-_ROUNDS = 6
+_SAMPLES = 1000
+_MOST_PER_KNOWN = 20  # places of the grid that are looked at for a sample
+_ROUNDS = 4
 _ELLIPSOID_SPREAD = 0.05  # prior standard deviation of E's entries …
 _FALLOFF_SPREAD = 0.1  # … and of the slow change of brightness over the image that near lamps make
 _INDEPENDENT = 100  # of the samples: neighbours share their errors
 _SHORTEST, _LONGEST = np.float32(1e-6), np.float32(1e18)  # lengths whose squares float32 holds
 
 # The same, as the loops need it: squared, in degrees.
-_FLAGS = {"contract", "arcp", "nsz"}  # reordering that keeps NaN and infinity meaningful
 _PER_NOISE = np.float32(np.degrees(_NINE_OF_TEN) ** 2)
 _PER_TURN = np.float32(np.degrees(_OF_ELLIPSOID) ** 2)
 _PER_DEPARTURE = np.float32(np.degrees(_OF_LENGTH) ** 2)
@@ -80,23 +90,63 @@ def with_expected_error(
     """
     shape = normal_map.shape
     require_shape(frame.rgb, (*shape, 3), "frame of the normals")
-    lit = np.full(shape, ALL_LIT, np.uint8) if labels is None else np.ascontiguousarray(labels)
-    require_shape(lit, shape, "visibility labels")
-    rgb = np.ascontiguousarray(frame.rgb)
+    if labels is not None:
+        require_shape(labels, shape, "visibility labels")
+        labels = np.ascontiguousarray(labels)
+    light = _Light(np.ascontiguousarray(frame.rgb), None, np.ascontiguousarray(frame.clipped), np.float32(0))
     mask = np.ascontiguousarray(normal_map.mask)
     c = _coefficients(response, camera)
-    curl, inside = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-    slopes = np.empty((3, *shape), np.float32)
-    _slopes_kernel(rgb, mask, c, slopes)
-    _curl_kernel(slopes, curl, inside)
-    window = (_NOISE_WINDOW_PX, _NOISE_WINDOW_PX)
-    noise = cv2.blur(curl, window) / np.maximum(cv2.blur(inside, window), np.float32(1e-3))
-    ellipsoid = _fit_ellipsoid(frame, mask & (lit == ALL_LIT) & ~frame.clipped, c)
-    error, shared, weight = (np.empty(shape, np.float32) for _ in range(3))
-    normals = np.ascontiguousarray(normal_map.normals_in_camera)
-    fixed = np.float32((_OF_RESIDUAL * max(residual_deg, 0.0)) ** 2)
-    _error_kernel(rgb, normals, mask, lit, noise, c, ellipsoid, fixed, (error, shared, weight))
-    return replace(normal_map, error_deg=error, shared_error_deg=shared, weight=weight)
+    noise, constants = _evidence(light, mask, labels, c, residual_deg)
+    error, weight = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    _error_kernel(light.image, mask, labels, noise, constants, error, weight)
+    return replace(normal_map, error_deg=error, noise_deg=_noise_deg(noise), weight=weight)
+
+
+def normals_and_errors_from_encoded(
+    encoded: npt.NDArray[Any],
+    response: LightResponse,
+    transfer: Transfer,
+    mask: Mask | None = None,
+    *,
+    camera: Camera | None = None,
+    options: InversionOptions | None = None,
+    bits: int | None = None,
+    residual_deg: float = 0.0,
+) -> tuple[NormalMap, float]:
+    """Decode, invert and tell the error in one pass; return the map and the share of clipped pixels.
+
+    The normals of `normals_from_encoded`, for one M all over the image, with the errors of
+    `with_expected_error`.
+    """
+    shape = require_encoded(encoded)
+    inside, decoding = require_mask_or_all(mask, shape), decoding_of(encoded, transfer, bits)
+    light = _Light(np.ascontiguousarray(encoded), decoding.table, None, decoding.white)
+    options = options or InversionOptions()
+    c = _coefficients(response, camera, options.relative_albedo, options.darkest)
+    noise, constants = _evidence(light, inside, None, c, residual_deg)
+    inversion = coefficients_from_response(response, options)
+    limits = np.array([inversion.darkest, inversion.clipped_factor, decoding.white], np.float32)
+    normals, valid = np.empty((*shape, 3), np.float32), np.empty(shape, np.bool_)
+    error, weight = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    clipped = np.zeros(shape[0], np.int64)
+    out = (normals, valid, error, weight, clipped)
+    _normals_and_errors_kernel(light.image, decoding.table, inside, noise, constants, limits, out)
+    found = NormalMap(
+        normals_in_camera=normals, mask=valid, weight=weight, error_deg=error, noise_deg=_noise_deg(noise)
+    )
+    return found, float(clipped.sum()) / max(1, shape[0] * shape[1])
+
+
+class _Light(NamedTuple):
+    """Where light is read: linear (h, w, 3), or stored integers with the linear value of each.
+
+    clipped: (h, w) of linear light; stored light is clipped from `white` on.
+    """
+
+    image: Any
+    table: Any
+    clipped: Any
+    white: np.float32
 
 
 class _Coefficients(NamedTuple):
@@ -104,7 +154,7 @@ class _Coefficients(NamedTuple):
 
     inverse: M⁻¹, (3, 3). ambient: (3,). channel: 1 / |row of M|, (3,). rays: (6,), an affine map from a pixel
     to its ray. along: variance of equal noise in all channels along a normal that faces the camera, over that
-    across it.
+    across it. darkest: length of M⁻¹(r − a) below which a pixel is black.
     """
 
     inverse: Any
@@ -112,177 +162,378 @@ class _Coefficients(NamedTuple):
     channel: Any
     rays: Any
     along: np.float32
+    darkest: np.float32
 
 
 class _Ellipsoid(NamedTuple):
     """|M⁻¹(r − a)| = albedo (1 + nᵀE n); E (3, 3), symmetric, without trace."""
 
-    albedo: np.float32
+    albedo: float
     shape: Any
 
 
-def _coefficients(response: LightResponse, camera: Camera | None) -> _Coefficients:
+def _coefficients(
+    response: LightResponse, camera: Camera | None, relative_albedo: float = 1.0, darkest: float = 1e-6
+) -> _Coefficients:
     rays = np.zeros(6)
     if camera is not None and camera.is_perspective:
         inverse = np.linalg.inv(camera.matrix[:2, :2])
         rays = np.column_stack([inverse, -inverse @ camera.matrix[:2, 2]]).ravel()
     spread = response.inverse @ response.inverse.T
     along = 2.0 * spread[2, 2] / max(float(np.trace(spread) - spread[2, 2]), 1e-12)
+    rows = np.maximum(np.linalg.norm(response.matrix, axis=1) * relative_albedo, 1e-9)
     return _Coefficients(
-        inverse=response.inverse.astype(np.float32),
+        inverse=(response.inverse / relative_albedo).astype(np.float32),
         ambient=response.ambient.astype(np.float32),
-        channel=(1.0 / np.maximum(np.linalg.norm(response.matrix, axis=1), 1e-9)).astype(np.float32),
+        channel=(1.0 / rows).astype(np.float32),
         rays=rays.astype(np.float32),
         along=np.float32(along),
+        darkest=np.float32(darkest),
     )
 
 
-def _fit_ellipsoid(frame: LinearFrame, lit: Mask, c: _Coefficients) -> _Ellipsoid:
+def _evidence(
+    light: _Light, mask: Mask, labels: VisibilityLabels | None, c: _Coefficients, residual_deg: float
+) -> tuple[Any, Any]:
+    """Return the frame's noise by cells, (2, ⌈h/8⌉, ⌈w/8⌉), and what holds for all its pixels."""
+    cells = tuple(-(-n // _CELL) for n in mask.shape)
+    found, noise = np.zeros((2, *cells), np.float32), np.empty((2, *cells), np.float32)
+    _curl_kernel(light.image, light.table, mask, c, found)
+    _add_neighbours(found, noise)
+    known = int(found[1].sum()) * _CELL
+    step = math.isqrt(max(known, mask.size // _MOST_PER_KNOWN) // _SAMPLES)
+    ellipsoid = _fit_ellipsoid(light, mask, labels, c, max(1, step))
+    e = ellipsoid.shape
+    fixed = (_OF_RESIDUAL * max(residual_deg, 0.0)) ** 2
+    by_noise = 2.0 * c.along  # of a squared departure: what noise rarely makes
+    shape = [e[0, 0], e[0, 1], e[0, 2], e[1, 1], e[1, 2], e[2, 2]]
+    others = [1.0 / ellipsoid.albedo, fixed, by_noise]
+    constants = np.concatenate([c.inverse.ravel(), c.ambient, c.channel, shape, others])
+    return noise, constants.astype(np.float32)
+
+
+def _noise_deg(noise: Any) -> npt.NDArray[np.float32]:
+    share = noise[0] / np.maximum(noise[1], np.float32(1.0))
+    return np.asarray(np.sqrt(_PER_NOISE * share))
+
+
+def _fit_ellipsoid(
+    light: _Light, mask: Mask, labels: VisibilityLabels | None, c: _Coefficients, step: int
+) -> _Ellipsoid:
     """Regress the log length of M⁻¹(r − a) on the normal's squares, robustly; near lamps fall off besides."""
-    width = frame.shape[1]
-    near = np.array([step_v * width + step_u for step_v in (-2, 0, 2) for step_u in (-2, 0, 2)])
-    inner = lit.copy()
-    inner[:2] = inner[-2:] = inner[:, :2] = inner[:, -2:] = False
-    places = np.flatnonzero(inner)
-    places = places[:: max(1, len(places) // _SAMPLES)]
-    places = places[lit.ravel()[places[:, None] + near].all(axis=1)]
-    light = frame.rgb.reshape(-1, 3)[places[:, None] + near].mean(axis=1, dtype=np.float64)  # less noise
-    scaled = (light - c.ambient) @ c.inverse.T.astype(np.float64)
-    length = np.linalg.norm(scaled, axis=1)
-    usable = np.isfinite(length) & (length > _SHORTEST)
-    if usable.sum() < 2 * _INDEPENDENT:
-        typical = float(np.median(length[usable])) if usable.any() else 1.0
-        return _Ellipsoid(np.float32(typical), np.zeros((3, 3), np.float32))
-    places, length = places[usable], length[usable]
-    x, y, z = (scaled[usable] / length[:, None]).T
-    v, u = np.divmod(places, width)
-    half = max(frame.shape) / 2
+    samples = np.empty((5, -(-mask.shape[0] // step) * -(-mask.shape[1] // step)))
+    count = _samples_kernel(
+        light.image, light.table, light.clipped, light.white, mask, labels, c, step, samples
+    )
+    x, y, z, u, v = samples[:, :count]
+    length = np.sqrt(x * x + y * y + z * z)
+    if count < 2 * _INDEPENDENT:
+        return _Ellipsoid(float(np.median(length)) if count else 1.0, np.zeros((3, 3)))
+    x, y, z = x / length, y / length, z / length
+    half = max(mask.shape) / 2
     s, t = (u - u.mean()) / half, (v - v.mean()) / half
-    falloff = np.stack([s, t, s * s, t * t, s * t], axis=1)
-    design = np.column_stack(
-        [
-            np.ones(len(x)), x * x - z * z, y * y - z * z, 2 * x * y, 2 * x * z, 2 * y * z,
-            falloff - falloff.mean(axis=0),
-        ]
-    )  # fmt: skip
-    prior = np.repeat([0.0, _ELLIPSOID_SPREAD**-2, _FALLOFF_SPREAD**-2], [1, 5, 5])
+    falloff = np.stack([s, t, s * s, t * t, s * t])
+    design = np.empty((11, count))
+    design[0], design[1], design[2] = 1.0, x * x - z * z, y * y - z * z
+    design[3], design[4], design[5] = 2 * x * y, 2 * x * z, 2 * y * z
+    design[6:] = falloff - falloff.mean(axis=1, keepdims=True)
+    prior = np.diag(np.repeat([0.0, _ELLIPSOID_SPREAD**-2, _FALLOFF_SPREAD**-2], [1, 5, 5]))
     logs = np.log(length)
-    weight, spread = np.ones(len(logs)), max(float(logs.std()), 1e-3)
+    weight, spread = np.ones(count), max(float(logs.std()), 1e-3)
     for _ in range(_ROUNDS):
-        worth = weight * (_INDEPENDENT / len(logs) / spread**2)
-        normal_matrix = (design.T * worth) @ design + np.diag(prior)
-        found = np.linalg.solve(normal_matrix, design.T @ (worth * logs))
-        left = np.abs(logs - design @ found)
-        spread = 1.48 * float(np.median(left)) + 1e-3
+        worth = design * (weight * (_INDEPENDENT / count / spread**2))
+        found = np.linalg.solve(worth @ design.T + prior, worth @ logs)
+        left = np.abs(logs - found @ design)
+        spread = 1.48 * float(np.partition(left, count // 2)[count // 2]) + 1e-3
         weight = 1.0 / (1.0 + np.square(left / (2 * spread)))
     e = found[1:6]
     shape = np.array([[e[0], e[2], e[3]], [e[2], e[1], e[4]], [e[3], e[4], -e[0] - e[1]]])
-    return _Ellipsoid(np.float32(np.exp(found[0])), shape.astype(np.float32))
+    return _Ellipsoid(float(np.exp(found[0])), shape)
 
 
-@njit(cache=True, parallel=True, fastmath=_FLAGS, error_model="numpy")
-def _slopes_kernel(rgb: Any, mask: Mask, c: _Coefficients, slopes: Any) -> None:
-    """Fill (3, h, w): the slopes p, q of the colours' own normals, and cos^1.5 of their inclination.
+# Compiled loops. A table of None stands for linear light: numba drops the branches for another.
 
-    A turn by ε moves the slope by ε / cos² along the inclination and ε / cos across. 0 without a normal.
-    """
+
+@njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
+def _read_row(image: Any, table: Any, v: int, first: int, last: int, r: Any, g: Any, b: Any) -> None:
+    for u in range(first, last):
+        if table is None:
+            r[u], g[u], b[u] = image[v, u, 0], image[v, u, 1], image[v, u, 2]
+        else:
+            r[u], g[u], b[u] = table[image[v, u, 0]], table[image[v, u, 1]], table[image[v, u, 2]]
+
+
+@njit(cache=True, nogil=True)
+def _span(inside: Any) -> tuple[int, int]:
+    """Return the first pixel of a row that is inside and the one after the last; (0, 0) for none."""
+    first, last = 0, len(inside)
+    while first < last and not inside[first]:
+        first += 1
+    while last > first and not inside[last - 1]:
+        last -= 1
+    return (first, last) if first < last else (0, 0)
+
+
+@njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
+def _samples_kernel(
+    image: Any, table: Any, clipped: Any, white: Any, mask: Mask, labels: Any, c: _Coefficients, step: int,
+    samples: Any,
+) -> int:  # fmt: skip
+    """Fill (5, n) with M⁻¹(r − a) and the place u, v on a grid; return how many are lit all around."""
     height, width = mask.shape
-    inverse, ambient, rays, one = c.inverse, c.ambient, c.rays, np.float32(1.0)
-    for v in prange(height):
-        p, q, known, inside = slopes[0, v], slopes[1, v], slopes[2, v], mask[v]
-        for u in range(width):
-            p[u], q[u], known[u] = rgb[v, u, 0], rgb[v, u, 1], rgb[v, u, 2]
-        for u in range(width):
-            r, g, b = p[u] - ambient[0], q[u] - ambient[1], known[u] - ambient[2]
+    inverse, ambient = c.inverse, c.ambient
+    count = 0
+    for v in range(step // 2, height, step):
+        for u in range(step // 2, width, step):
+            if v < 2 or u < 2 or v >= height - 2 or u >= width - 2 or not mask[v, u]:
+                continue
+            r, g, b, sound = np.float32(0), np.float32(0), np.float32(0), True
+            for near_v in range(v - 2, v + 3, 2):  # a mean of nine has less noise
+                for near_u in range(u - 2, u + 3, 2):
+                    sound &= mask[near_v, near_u]
+                    if labels is not None:
+                        sound &= labels[near_v, near_u] == ALL_LIT
+                    pixel = image[near_v, near_u]
+                    if table is None:
+                        red, green, blue = pixel[0], pixel[1], pixel[2]
+                    else:
+                        red, green, blue = table[pixel[0]], table[pixel[1]], table[pixel[2]]
+                    if clipped is None:
+                        sound &= max(red, green, blue) < white
+                    else:
+                        sound &= not clipped[near_v, near_u]
+                    r, g, b = r + red, g + green, b + blue
+            ninth = np.float32(1 / 9)
+            r, g, b = r * ninth - ambient[0], g * ninth - ambient[1], b * ninth - ambient[2]
             x = inverse[0, 0] * r + inverse[0, 1] * g + inverse[0, 2] * b
             y = inverse[1, 0] * r + inverse[1, 1] * g + inverse[1, 2] * b
             z = inverse[2, 0] * r + inverse[2, 1] * g + inverse[2, 2] * b
             length = np.sqrt(x * x + y * y + z * z)
-            good = inside[u] & (length > _SHORTEST) & (length < _LONGEST)
-            scale = one / length if good else one
-            ray_x = rays[0] * np.float32(u) + rays[1] * np.float32(v) + rays[2]
-            ray_y = rays[3] * np.float32(u) + rays[4] * np.float32(v) + rays[5]
-            facing = max(-(x * ray_x + y * ray_y + z) * scale, _LEAST_FACING)
-            p[u] = x * scale / facing
-            q[u] = y * scale / facing
-            known[u] = facing * np.sqrt(facing) if good else np.float32(0.0)
+            if sound and z < 0 and length > c.darkest and length < _LONGEST:
+                samples[0, count], samples[1, count], samples[2, count] = x, y, z
+                samples[3, count], samples[4, count] = u, v
+                count += 1
+    return count
 
 
-@njit(cache=True, parallel=True, fastmath=_FLAGS, error_model="numpy")
-def _curl_kernel(slopes: Any, curl: Any, inside: Any) -> None:
-    """Fill (h, w) with the squared curl, as an angle in radians, and 1 where all four neighbours have one."""
-    _, height, width = slopes.shape
-    zero, one = np.float32(0.0), np.float32(1.0)
-    for v in prange(1, height - 1):
-        above, here, below = slopes[:, v - 1], slopes[:, v], slopes[:, v + 1]
-        for u in range(1, width - 1):
-            least = min(here[2, u - 1], here[2, u + 1], above[2, u], below[2, u], here[2, u])
-            turned = (below[0, u] - above[0, u]) - (here[1, u + 1] - here[1, u - 1])
-            angle = np.float32(0.5) * turned * here[2, u]
-            curl[v, u] = min(angle * angle, one) if least > zero else zero
-            inside[v, u] = one if least > zero else zero
-
-
-@njit(cache=True, parallel=True, fastmath=_FLAGS, error_model="numpy")
-def _error_kernel(
-    rgb: Any, normals: Any, mask: Mask, labels: Any, noise: Any, c: _Coefficients, ellipsoid: _Ellipsoid,
-    fixed: Any, out: tuple[Any, Any, Any],
+@njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
+def _slopes_row(
+    image: Any, table: Any, inside: Any, c: _Coefficients, v: int, first: int, last: int, p: Any, q: Any,
+    known: Any,
 ) -> None:  # fmt: skip
-    """Fill (h, w): the bound in degrees, its part without noise, and the weight; 0 outside the mask.
+    """Put in the slopes p, q of the colours' own normals, and cos^1.5 of their inclination; 0 for no normal.
 
-    noise: (h, w) squared radians.
+    A turn by ε moves the slope by ε / cos² along the inclination and ε / cos across.
     """
+    _read_row(image, table, v, first, last, p, q, known)
+    inverse, ambient, rays, one = c.inverse, c.ambient, c.rays, np.float32(1.0)
+    i00, i01, i02 = inverse[0, 0], inverse[0, 1], inverse[0, 2]
+    i10, i11, i12 = inverse[1, 0], inverse[1, 1], inverse[1, 2]
+    i20, i21, i22 = inverse[2, 0], inverse[2, 1], inverse[2, 2]
+    a0, a1, a2 = ambient[0], ambient[1], ambient[2]
+    to_x, to_y = rays[0], rays[3]
+    at_x, at_y = rays[1] * np.float32(v) + rays[2], rays[4] * np.float32(v) + rays[5]
+    for u in range(first, last):
+        r, g, b = p[u] - a0, q[u] - a1, known[u] - a2
+        x, y, z = i00 * r + i01 * g + i02 * b, i10 * r + i11 * g + i12 * b, i20 * r + i21 * g + i22 * b
+        length = np.sqrt(x * x + y * y + z * z)
+        good = inside[u] & (length > c.darkest) & (length < _LONGEST) & (z < np.float32(0.0))
+        scale = one / length if good else one
+        ray_x, ray_y = to_x * np.float32(u) + at_x, to_y * np.float32(u) + at_y
+        facing = max(-(x * ray_x + y * ray_y + z) * scale, _LEAST_FACING)
+        over = scale / facing
+        p[u] = x * over
+        q[u] = y * over
+        known[u] = facing * np.sqrt(facing) if good else np.float32(0.0)
+
+
+@njit(cache=True, nogil=True, parallel=True, fastmath=FLAGS, error_model="numpy")
+def _curl_kernel(image: Any, table: Any, mask: Mask, c: _Coefficients, found: Any) -> None:
+    """Sum up the squared curl, as an angle in radians, and its places, along the middle row of cells."""
     height, width = mask.shape
-    error, shared, weight = out  # numba drops stores through a tuple's field inside prange
-    inverse, ambient, channel = c.inverse, c.ambient, c.channel
-    e, zero, half, one = ellipsoid.shape, np.float32(0.0), np.float32(0.5), np.float32(1.0)
-    inverse_albedo = one / ellipsoid.albedo
-    by_noise = np.float32(2.0) * c.along  # of a squared departure: what noise rarely makes
-    for v in prange(height):
-        red, green, blue = (
+    sums, counts = found[0], found[1]
+    zero, half, one = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+    for cell in prange(sums.shape[0]):
+        v = min(cell * _CELL + _CELL // 2 - 1, height - 2)
+        if v < 1:
+            continue
+        first, last = _span(mask[v])
+        p, q, known = (
             np.empty(width, np.float32),
             np.empty(width, np.float32),
             np.empty(width, np.float32),
         )
-        n0, n1, n2 = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
-        unlit = np.empty(width, np.float32)
+        above, unused, above_known = (
+            np.empty(width, np.float32),
+            np.empty(width, np.float32),
+            np.empty(width, np.float32),
+        )
+        below, below_known = np.empty(width, np.float32), np.empty(width, np.float32)
+        _slopes_row(image, table, mask[v - 1], c, v - 1, first, last, above, unused, above_known)
+        _slopes_row(image, table, mask[v + 1], c, v + 1, first, last, below, unused, below_known)
+        _slopes_row(image, table, mask[v], c, v, first, last, p, q, known)
+        for u in range(first + 1, last - 1):
+            across, along = min(known[u - 1], known[u + 1]), min(above_known[u], below_known[u])
+            good = (across > zero) & (along > zero) & (known[u] > zero)
+            angle = half * ((below[u] - above[u]) - (q[u + 1] - q[u - 1])) * known[u]
+            p[u] = min(angle * angle, one) if good else zero
+            unused[u] = one if good else zero
+        for u in range(first + 1, last - 1):
+            sums[cell, u // _CELL] += p[u]
+            counts[cell, u // _CELL] += unused[u]
+
+
+@njit(cache=True, nogil=True)
+def _add_neighbours(found: Any, noise: Any) -> None:
+    """Fill (2, h, w) with the sums over 3×3 cells."""
+    _, height, width = found.shape
+    column = np.empty(width, np.float32)
+    for k in range(2):
+        for v in range(height):
+            above, below = found[k, max(v - 1, 0)], found[k, min(v + 1, height - 1)]
+            up, down = np.float32(v > 0), np.float32(v < height - 1)
+            for u in range(width):
+                column[u] = up * above[u] + found[k, v, u] + down * below[u]
+            noise[k, v] = column
+            noise[k, v, 1:] += column[:-1]
+            noise[k, v, :-1] += column[1:]
+
+
+@njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
+def _noise_row(noise: Any, v: int, cells: Any, row: Any) -> None:
+    """Fill one row with squared radians, between the centres of cells by linear interpolation.
+
+    cells: a buffer, one longer than a row of cells at each end.
+    """
+    _, height, width = noise.shape
+    y = max((np.float32(v) + np.float32(0.5)) / np.float32(_CELL) - np.float32(0.5), np.float32(0.0))
+    up = min(int(y), height - 1)
+    down = min(up + 1, height - 1)
+    t, one, zero = y - np.float32(up), np.float32(1.0), np.float32(0.0)
+    known = np.float32(-1.0)
+    for k in range(width):
+        count = (one - t) * noise[1, up, k] + t * noise[1, down, k]
+        total = (one - t) * noise[0, up, k] + t * noise[0, down, k]
+        cells[k + 1] = total / count if count > zero else known
+    for k in range(1, width + 1):  # a cell that knows nothing is as the one beside it
+        if cells[k] < zero:
+            before = max(cells[k - 1] if k > 1 else zero, zero)
+            cells[k] = cells[k + 1] if k < width and cells[k + 1] >= zero else before
+    cells[0], cells[width + 1] = cells[1], cells[width]
+    eighth, half = np.float32(1.0 / _CELL), np.float32(0.5)
+    start = -_CELL // 2
+    for k in range(width + 1):
+        base, slope = cells[k], (cells[k + 1] - cells[k]) * eighth
+        if start >= 0 and start + _CELL <= len(row):
+            to = row[start : start + _CELL]
+            for i in range(_CELL):  # of a fixed length: eight pixels at a time
+                to[i] = base + slope * (np.float32(i) + half)
+        else:
+            for i in range(_CELL):
+                if 0 <= start + i < len(row):
+                    row[start + i] = base + slope * (np.float32(i) + half)
+        start += _CELL
+
+
+@njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
+def _bound_row(
+    r: Any, g: Any, b: Any, unlit: Any, noise: Any, inside: Any, k: Any, first: int, last: int, length: Any,
+    bound: Any, weight: Any,
+) -> None:  # fmt: skip
+    """Turn a row of colours into unit normals, in place, and fill their length, their bound and its weight.
+
+    unlit: squared bound of pixels that not all lights reach, else 0.
+    """
+    zero, half, one = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+    i00, i01, i02, i10, i11, i12, i20, i21, i22 = k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7], k[8]
+    a0, a1, a2, c0, c1, c2 = k[9], k[10], k[11], k[12], k[13], k[14]
+    e00, e01, e02, e11, e12, e22 = k[15], k[16], k[17], k[18], k[19], k[20]
+    inverse_albedo, fixed, by_noise = k[21], k[22], k[23]
+    for u in range(first, last):  # without a branch: eight pixels at a time
+        red, green, blue = r[u] - a0, g[u] - a1, b[u] - a2
+        x = i00 * red + i01 * green + i02 * blue
+        y = i10 * red + i11 * green + i12 * blue
+        z = i20 * red + i21 * green + i22 * blue
+        size = np.sqrt(x * x + y * y + z * z)
+        seen = (size > _SHORTEST) & (size < _LONGEST)
+        scale = one / size if seen else one
+        x, y, z = x * scale, y * scale, z * scale
+        darkest = min(red * c0, green * c1)
+        darkest = min(darkest, blue * c2)  # of two at a time: numba makes SIMD of that
+        fall = max(one - max(darkest * scale, zero) * _PER_DARK_CHANNEL, zero)
+        fall = fall * fall
+        t0 = e00 * x + e01 * y + e02 * z
+        t1 = e01 * x + e11 * y + e12 * z
+        t2 = e02 * x + e12 * y + e22 * z
+        along = t0 * x + t1 * y + t2 * z
+        turn = max(t0 * t0 + t1 * t1 + t2 * t2 - along * along, zero)
+        foretold = max(one + along, _LEAST_FACING)
+        measured = max(size * inverse_albedo, _SHORTEST)
+        departure = abs(measured * measured - foretold * foretold) / (measured * foretold) * half
+        departure = min(departure, one)  # sinh of the log length
+        own = max(departure * departure - by_noise * noise[u], zero)
+        local = _PER_DEPARTURE * own + _PER_FALL * fall * fall
+        total = fixed + _PER_TURN * turn + (local if unlit[u] == zero else unlit[u])
+        angle = min(np.sqrt(total + _PER_NOISE * noise[u]), _LARGEST_DEG) if seen else _LARGEST_DEG
+        share = angle * _PER_HALF_WEIGHT
+        bound[u] = angle if inside[u] else zero
+        weight[u] = one / (one + share * share) if inside[u] else zero
+        r[u], g[u], b[u], length[u] = x, y, z, size
+
+
+@njit(cache=True, nogil=True, parallel=True, fastmath=FLAGS, error_model="numpy")
+def _error_kernel(
+    rgb: Any, mask: Mask, labels: Any, noise: Any, constants: Any, error: Any, weight: Any
+) -> None:
+    """Fill (h, w) with the bound in degrees and its weight; 0 outside the mask."""
+    height, width = mask.shape
+    for v in prange(height):
+        error[v, :] = np.float32(0.0)
+        weight[v, :] = np.float32(0.0)
+        first, last = _span(mask[v])
+        if first == last:
+            continue
+        r, g, b = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
+        length, row_noise = np.empty(width, np.float32), np.empty(width, np.float32)
+        unlit = np.zeros(width, np.float32)
+        if labels is not None:
+            for u in range(first, last):
+                unlit[u] = _BY_LABEL[labels[v, u]]
+        _noise_row(noise, v, np.empty(noise.shape[2] + 2, np.float32), row_noise)
+        _read_row(rgb, None, v, first, last, r, g, b)
+        _bound_row(r, g, b, unlit, row_noise, mask[v], constants, first, last, length, error[v], weight[v])
+
+
+@njit(cache=True, nogil=True, parallel=True, fastmath=FLAGS, error_model="numpy")
+def _normals_and_errors_kernel(
+    encoded: Any, table: Any, mask: Mask, noise: Any, constants: Any, limits: Any, out: Any
+) -> None:
+    """Fill normals (h, w, 3), valid, the bound in degrees and its weight (h, w), and clipped pixels a row."""
+    height, width = mask.shape
+    normals, valid, error, weight, clipped = out  # numba drops stores through a tuple's field inside prange
+    darkest, clipped_factor, white, zero = limits[0], limits[1], limits[2], np.float32(0.0)
+    for v in prange(height):
+        r, g, b = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
+        length, row_noise = np.empty(width, np.float32), np.empty(width, np.float32)
+        unlit, good = np.zeros(width, np.float32), np.empty(width, np.bool_)
+        _noise_row(noise, v, np.empty(noise.shape[2] + 2, np.float32), row_noise)
+        _read_row(encoded, table, v, 0, width, r, g, b)
+        count = 0
         for u in range(width):
-            red[u], green[u], blue[u] = rgb[v, u, 0], rgb[v, u, 1], rgb[v, u, 2]
-            n0[u], n1[u], n2[u] = normals[v, u, 0], normals[v, u, 1], normals[v, u, 2]
-            unlit[u] = _BY_LABEL[labels[v, u]]
-        to_error, to_shared, to_weight = error[v], shared[v], weight[v]
-        row_noise, inside = noise[v], mask[v]
-        for u in range(width):  # rows without a branch: eight pixels at a time
-            r, g, b = red[u] - ambient[0], green[u] - ambient[1], blue[u] - ambient[2]
-            x = inverse[0, 0] * r + inverse[0, 1] * g + inverse[0, 2] * b
-            y = inverse[1, 0] * r + inverse[1, 1] * g + inverse[1, 2] * b
-            z = inverse[2, 0] * r + inverse[2, 1] * g + inverse[2, 2] * b
-            length = np.sqrt(x * x + y * y + z * z)
-            seen = (length > _SHORTEST) & (length < _LONGEST)
-            scale = one / length if seen else one
-            x, y, z = x * scale, y * scale, z * scale
-            foretold = one + x * (e[0, 0] * x + e[0, 1] * y + e[0, 2] * z)
-            foretold += y * (e[1, 0] * x + e[1, 1] * y + e[1, 2] * z)
-            foretold += z * (e[2, 0] * x + e[2, 1] * y + e[2, 2] * z)
-            ratio = max(length * inverse_albedo / max(foretold, _LEAST_FACING), _SHORTEST)
-            departure = min(abs(ratio - one / ratio) * half, one)  # sinh of the log length
-            darkest = min(r * channel[0], g * channel[1])
-            darkest = min(darkest, b * channel[2])  # of two at a time: numba makes SIMD of that
-            dark = max(darkest * scale, zero)
-            fall = max(one - dark * _PER_DARK_CHANNEL, zero)
-            fall = fall * fall
-            t0 = e[0, 0] * n0[u] + e[0, 1] * n1[u] + e[0, 2] * n2[u]
-            t1 = e[1, 0] * n0[u] + e[1, 1] * n1[u] + e[1, 2] * n2[u]
-            t2 = e[2, 0] * n0[u] + e[2, 1] * n1[u] + e[2, 2] * n2[u]
-            along = t0 * n0[u] + t1 * n1[u] + t2 * n2[u]
-            turn = max(t0 * t0 + t1 * t1 + t2 * t2 - along * along, zero)
-            own = max(departure * departure - by_noise * row_noise[u], zero)
-            local = _PER_DEPARTURE * own + _PER_FALL * fall * fall
-            total = fixed + _PER_TURN * turn + (local if unlit[u] == zero else unlit[u])
-            of_neighbours = min(np.sqrt(total), _LARGEST_DEG) if seen else _LARGEST_DEG
-            bound = np.sqrt(total + _PER_NOISE * row_noise[u])
-            bound = min(bound, _LARGEST_DEG) if seen else _LARGEST_DEG
-            share = bound * _PER_HALF_WEIGHT
-            to_error[u] = bound if inside[u] else zero
-            to_shared[u] = of_neighbours if inside[u] else zero
-            to_weight[u] = one / (one + share * share) if inside[u] else zero
+            largest = max(r[u], g[u])
+            top = max(largest, b[u]) >= white
+            count += top
+            good[u] = mask[v, u] & ((not top) | (clipped_factor > zero))
+        clipped[v] = count
+        _bound_row(r, g, b, unlit, row_noise, good, constants, 0, width, length, error[v], weight[v])
+        to_error, to_weight, to_valid = error[v], weight[v], valid[v]
+        for u in range(width):
+            kept = good[u] & (length[u] > darkest) & (length[u] < _LONGEST) & (b[u] < zero)
+            to_valid[u] = kept
+            to_error[u] = to_error[u] if kept else zero
+            to_weight[u] = to_weight[u] if kept else zero
+            r[u], g[u], b[u] = r[u] if kept else zero, g[u] if kept else zero, b[u] if kept else zero
+        for u in range(width):
+            normals[v, u, 0] = r[u]
+            normals[v, u, 1] = g[u]
+            normals[v, u, 2] = b[u]

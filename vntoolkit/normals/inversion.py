@@ -83,7 +83,7 @@ def normals_from_frame(
     outside the mask, black, turned away from the camera, not finite, or clipped where so chosen. The
     weight is 1 where the albedo is as expected and 1/2 where it is off by `albedo_tolerance`.
     """
-    inside = _require_mask(mask, frame.shape)
+    inside = require_mask_or_all(mask, frame.shape)
     out = _outputs(frame.shape)
     rgb = np.ascontiguousarray(frame.rgb)
     c = coefficients_from_response(response, options)
@@ -124,10 +124,10 @@ def normals_from_encoded(
     transfer: the capture's curve and levels. bits: significant bits of a sample, default all. A sample at or
     above the white level is clipped.
     """
-    shape = _require_encoded(encoded)
+    shape = require_encoded(encoded)
     out = _outputs(shape)
-    image, decoding = np.ascontiguousarray(encoded), _decoding(encoded, transfer, bits)
-    inside, c = _require_mask(mask, shape), coefficients_from_response(response, options)
+    image, decoding = np.ascontiguousarray(encoded), decoding_of(encoded, transfer, bits)
+    inside, c = require_mask_or_all(mask, shape), coefficients_from_response(response, options)
     if response.variation is None:
         normals_from_integers_kernel(image, decoding, inside, c, out)
     else:
@@ -144,7 +144,7 @@ def relative_albedo_from_frame(
     Lit means: brighter than a tenth of the frame's 99th percentile, and not clipped. Raises `BadInput` where
     no pixel is.
     """
-    inside = _require_mask(mask, frame.shape) & ~frame.clipped
+    inside = require_mask_or_all(mask, frame.shape) & ~frame.clipped
     inside &= (frame.rgb > response.ambient).any(axis=2)
     v, u = np.nonzero(inside)
     scaled = scaled_normals_from_rgb(frame.rgb[inside], response, np.stack([u, v], axis=-1))
@@ -174,21 +174,24 @@ def _field(response: LightResponse, options: InversionOptions | None) -> Field:
     return field_from_response(response, (options or InversionOptions()).relative_albedo)
 
 
-def _decoding(encoded: npt.NDArray[Any], transfer: Transfer, bits: int | None) -> Decoding:
+def decoding_of(encoded: npt.NDArray[Any], transfer: Transfer, bits: int | None) -> Decoding:
+    """Lay out the decoding of stored samples for the loops."""
     storage_bits = encoded.dtype.itemsize * 8
     table = decoding_table(transfer, bits or storage_bits, storage_bits)
     white = (transfer.white_level - transfer.black_level) / (1.0 - transfer.black_level)
     return Decoding(table=table, white=np.float32(white * (1.0 - 1e-6)))
 
 
-def _require_encoded(encoded: npt.NDArray[Any]) -> tuple[int, int]:
+def require_encoded(encoded: npt.NDArray[Any]) -> tuple[int, int]:
+    """Return the (h, w) of stored samples; raise `BadInput` for others than (h, w, 3) uint8 or uint16."""
     if encoded.dtype not in (np.uint8, np.uint16):
         raise BadInput(f"image: expected 8- or 16-bit samples, got {encoded.dtype}")
     require_shape(encoded, (None, None, 3), "image")
     return encoded.shape[0], encoded.shape[1]
 
 
-def _require_mask(mask: Mask | None, shape: tuple[int, int]) -> Mask:
+def require_mask_or_all(mask: Mask | None, shape: tuple[int, int]) -> Mask:
+    """Return the mask, True everywhere for None."""
     if mask is None:
         return np.ones(shape, dtype=np.bool_)
     require_mask(mask, shape)

@@ -18,7 +18,7 @@ from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encode
 from vntoolkit.io.footage.gel_dots import DotFilter
 from vntoolkit.io.footage.resampling import resampler_of
 from vntoolkit.meshing.surface import mesh_from_depth
-from vntoolkit.normals.expected_error import with_expected_error
+from vntoolkit.normals.expected_error import normals_and_errors_from_encoded, with_expected_error
 from vntoolkit.normals.gel import GelInverter, drift_of_change
 from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame
 from vntoolkit.photometry.frame import LinearFrame
@@ -86,6 +86,8 @@ class FrameProcessor:
         self._integrator = DepthIntegrator(self.camera, options.integration)
         self._anchor: DepthAnchor | None = None
         self._central = rig.response.central
+        fitted = rig.quality is not None and rig.quality.samples
+        self._residual_deg = rig.quality.residual_deg if rig.quality is not None and fitted else 0.0
         self._leveller = None
         if rig.response.variation is not None:
             self._leveller = Leveller(rig.response, shape)
@@ -148,10 +150,17 @@ class FrameProcessor:
             self._mask = self._whole_mask & self._resampler.mask(matte)
 
     def _normals(self, frame: EncodedFrame) -> tuple[NormalMap, VisibilityLabels | None, float]:
-        if not self._tells_errors and self._is_plain(frame):
-            values, transfer = frame.values, self._rig.transfer
+        residual_deg = self._residual_deg
+        if self._is_plain(frame):
+            values, transfer, response = frame.values, self._rig.transfer, self._rig.response
+            if self._tells_errors:
+                normal_map, clipped_share = normals_and_errors_from_encoded(
+                    values, response, transfer, self._mask, camera=self.camera,
+                    options=self._options.inversion, bits=frame.bits, residual_deg=residual_deg,
+                )  # fmt: skip
+                return normal_map, None, clipped_share
             normal_map = normals_from_encoded(
-                values, self._rig.response, transfer, self._mask, self._options.inversion, frame.bits
+                values, response, transfer, self._mask, self._options.inversion, frame.bits
             )
             return normal_map, None, 0.0
         linear = self.linear(frame)
@@ -170,8 +179,6 @@ class FrameProcessor:
         clipped_share = float(linear.clipped.mean())
         if not self._tells_errors:
             return normal_map, labels, clipped_share
-        quality = self._rig.quality
-        residual_deg = quality.residual_deg if quality is not None and quality.samples else 0.0
         normal_map = with_expected_error(normal_map, level, self._central, labels, self.camera, residual_deg)
         return normal_map, labels, clipped_share
 
@@ -202,6 +209,7 @@ class FrameProcessor:
         """True where the kernel that decodes and inverts in one pass may be used."""
         integers = frame.values.dtype in (np.uint8, np.uint16)
         plain = self._options.shadows is ShadowMethod.NONE and self._background is None
+        plain = plain and not (self._tells_errors and self._leveller is not None)
         return integers and plain and not self._resampler.changes_frames
 
     def _depth(self, normal_map: NormalMap) -> DepthMap:

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -46,26 +45,73 @@ class LumaDetail:
         planes: Y (h, w), and Cb and Cr of fewer pixels, integers as stored. matrix, offset: from these to RGB
         of 0 to 1.
         """
-        luma, size = planes[0], planes[0].shape[::-1]
-        coarse_size = planes[1].shape[::-1]
-        coarse = np.empty((*planes[1].shape, 3), np.float32)
-        coarse[..., 0] = cv2.resize(luma.astype(np.float32), coarse_size, interpolation=cv2.INTER_AREA)
-        coarse[..., 1], coarse[..., 2] = planes[1], planes[2]
+        luma, blue, red = (np.ascontiguousarray(plane) for plane in planes)
+        steps = [-(-n // m) for n, m in zip(luma.shape, blue.shape, strict=True)]
+        coarse = np.empty((3, *blue.shape), np.float32)
+        _coarse_planes(luma, blue, red, *steps, coarse)
         # the turns change slowly: a fourth of the samples tells them
-        height, width = planes[1].shape
-        fewer = cv2.resize(coarse, (-(-width // 2), -(-height // 2)), interpolation=cv2.INTER_AREA)
-        turns = np.empty((*fewer.shape[:2], 2), np.float32)
+        fewer = np.empty((3, *(-(-n // 2) for n in blue.shape)), np.float32)
+        _halved(coarse, fewer)
+        turns = np.empty((2, *fewer.shape[1:]), np.float32)
         to_rgb, shift = matrix.astype(np.float32), offset.astype(np.float32)
         from_rgb = np.linalg.inv(matrix).astype(np.float32)
         _chroma_per_luma(
             fewer, to_rgb, shift, from_rgb, self._light, self._slope, self._matrix, self._inverse,
             self._ambient, turns,
         )  # fmt: skip
-        smooth = cv2.resize(coarse, size, interpolation=cv2.INTER_CUBIC)
-        turns = cv2.resize(turns, size, interpolation=cv2.INTER_LINEAR)
         rgb = np.empty((*luma.shape, 3), np.uint16)
-        _sharpened(luma, smooth, turns, to_rgb * np.float32(65535), shift * np.float32(65535), rgb)
+        down, across = (_cubic_weights(step) for step in steps)
+        full = np.float32(65535)
+        _sharpened(luma, coarse, turns, down, across, to_rgb * full, shift * full, rgb)
         return rgb
+
+
+def _cubic_weights(step: int) -> npt.NDArray[np.float32]:
+    """Return (step, 5): the weights of five coarse samples, 2 before to 2 after, for each fine one.
+
+    Cubic convolution with a = -0.75 (`keys1981`), as OpenCV's.
+    """
+    distance = np.abs(((np.arange(step) + 0.5) / step - 0.5)[:, None] - np.arange(-2, 3))
+    near = (1.25 * distance - 2.25) * distance**2 + 1
+    far = -0.75 * (((distance - 5) * distance + 8) * distance - 4)
+    return np.where(distance < 1, near, np.where(distance < 2, far, 0.0)).astype(np.float32)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _coarse_planes(luma, blue, red, down, across, coarse):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Fill (3, h, w): the mean of the luma over each sample of the chroma, and the chroma."""
+    height, width = luma.shape
+    total = np.empty(coarse.shape[2] * across, np.float32)
+    for v in range(coarse.shape[1]):
+        total[:] = np.float32(0)
+        last = min((v + 1) * down, height)
+        for row in range(v * down, last):
+            for u in range(width):
+                total[u] += np.float32(luma[row, u])
+        for u in range(width, len(total)):
+            total[u] = total[width - 1]
+        scale = np.float32(1) / np.float32((last - v * down) * across)
+        to = coarse[0, v]
+        if across == 2:
+            for u in range(len(to)):
+                to[u] = (total[2 * u] + total[2 * u + 1]) * scale
+        else:
+            for u in range(len(to)):
+                to[u] = total[across * u : across * (u + 1)].sum() * scale
+        for u in range(len(to)):
+            coarse[1, v, u] = np.float32(blue[v, u])
+            coarse[2, v, u] = np.float32(red[v, u])
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _halved(coarse, fewer):  # type: ignore[no-untyped-def]  # pragma: no cover
+    _, height, width = coarse.shape
+    for k in range(3):
+        for v in range(fewer.shape[1]):
+            one, other = coarse[k, 2 * v], coarse[k, min(2 * v + 1, height - 1)]
+            for u in range(fewer.shape[2]):
+                after = min(2 * u + 1, width - 1)
+                fewer[k, v, u] = np.float32(0.25) * (one[2 * u] + one[after] + other[2 * u] + other[after])
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -93,9 +139,9 @@ def _chroma_per_luma(  # type: ignore[no-untyped-def]  # pragma: no cover
     i20, i21, i22 = inverse[2, 0], inverse[2, 1], inverse[2, 2]
     s0, s1, s2 = shift[0], shift[1], shift[2]
     b0, b1, b2 = ambient[0], ambient[1], ambient[2]
-    for v in range(coarse.shape[0]):
-        for u in range(coarse.shape[1]):
-            y, cb, cr = coarse[v, u, 0], coarse[v, u, 1], coarse[v, u, 2]
+    for v in range(coarse.shape[1]):
+        for u in range(coarse.shape[2]):
+            y, cb, cr = coarse[0, v, u], coarse[1, v, u], coarse[2, v, u]
             e0 = t00 * y + t01 * cb + t02 * cr + s0
             e1 = t10 * y + t11 * cb + t12 * cr + s1
             e2 = t20 * y + t21 * cb + t22 * cr + s2
@@ -108,7 +154,7 @@ def _chroma_per_luma(  # type: ignore[no-untyped-def]  # pragma: no cover
             x2 = i20 * r0 + i21 * r1 + i22 * r2
             squared = x0 * x0 + x1 * x1 + x2 * x2
             if squared < darkest * darkest:
-                turns[v, u, 0] = turns[v, u, 1] = np.float32(0)
+                turns[0, v, u] = turns[1, v, u] = np.float32(0)
                 continue
             # Y's gradient over x, then its part across x: x = rho n, and dY per radian is rho times it
             a0, a1, a2 = w0 * slope[k0], w1 * slope[k1], w2 * slope[k2]
@@ -121,24 +167,86 @@ def _chroma_per_luma(  # type: ignore[no-untyped-def]  # pragma: no cover
             d0 = slope[k0] * (m00 * g0 + m01 * g1 + m02 * g2) * per_dy
             d1 = slope[k1] * (m10 * g0 + m11 * g1 + m12 * g2) * per_dy
             d2 = slope[k2] * (m20 * g0 + m21 * g1 + m22 * g2) * per_dy
-            turns[v, u, 0] = (f10 * d0 + f11 * d1 + f12 * d2) / span
-            turns[v, u, 1] = (f20 * d0 + f21 * d1 + f22 * d2) / span
+            turns[0, v, u] = (f10 * d0 + f11 * d1 + f12 * d2) / span
+            turns[1, v, u] = (f20 * d0 + f21 * d1 + f22 * d2) / span
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _sharpened(luma, smooth, turns, matrix, offset, rgb):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _turns_of_row(turns, v, across, row, to):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Fill one row of the picture with the turns of row v of the chroma, by linear interpolation.
+
+    row: a buffer.
+    """
+    height, width = turns.shape
+    near = v // 2
+    far = min(max(near + (1 if v % 2 else -1), 0), height - 1)
+    mostly, rest = np.float32(0.75), np.float32(0.25)
+    for u in range(width):
+        row[u + 1] = mostly * turns[near, u] + rest * turns[far, u]
+    row[0], row[width + 1] = row[1], row[width]
+    for u in range(len(to) // across):
+        at = u // 2 + 1
+        value = mostly * row[at] + rest * row[at + 1 if u % 2 else at - 1]
+        for k in range(across):
+            to[across * u + k] = value
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _smooth_row(plane, v, down, across, row, to):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Fill one row of the picture from rows v - 2 to v + 2 of the chroma; row: a buffer, 4 wider."""
+    height, width = plane.shape
+    d0, d1, d2, d3, d4 = down[0], down[1], down[2], down[3], down[4]
+    before2, before, here = plane[max(v - 2, 0)], plane[max(v - 1, 0)], plane[v]
+    after, after2 = plane[min(v + 1, height - 1)], plane[min(v + 2, height - 1)]
+    for u in range(width):
+        row[u + 2] = d0 * before2[u] + d1 * before[u] + d2 * here[u] + d3 * after[u] + d4 * after2[u]
+    row[0] = row[1] = row[2]
+    row[width + 2] = row[width + 3] = row[width + 1]
+    step = across.shape[0]
+    if step == 2:
+        a0, a1, a2, a3 = across[0, 0], across[0, 1], across[0, 2], across[0, 3]  # the other one mirrors it
+        for u in range(width):
+            to[2 * u] = a0 * row[u] + a1 * row[u + 1] + a2 * row[u + 2] + a3 * row[u + 3]
+            to[2 * u + 1] = a0 * row[u + 4] + a1 * row[u + 3] + a2 * row[u + 2] + a3 * row[u + 1]
+        return
+    for k in range(step):
+        a0, a1, a2, a3, a4 = across[k, 0], across[k, 1], across[k, 2], across[k, 3], across[k, 4]
+        for u in range(width):
+            to[step * u + k] = (
+                a0 * row[u] + a1 * row[u + 1] + a2 * row[u + 2] + a3 * row[u + 3] + a4 * row[u + 4]
+            )
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _sharpened(  # type: ignore[no-untyped-def]  # pragma: no cover
+    luma, coarse, turns, down, across, matrix, offset, rgb
+):
+    height, width = luma.shape
     m00, m01, m02 = matrix[0, 0], matrix[0, 1], matrix[0, 2]
     m10, m11, m12 = matrix[1, 0], matrix[1, 1], matrix[1, 2]
     m20, m21, m22 = matrix[2, 0], matrix[2, 1], matrix[2, 2]
     half = np.float32(0.5)
     s0, s1, s2 = offset[0] + half, offset[1] + half, offset[2] + half
     least, most = np.float32(0), np.float32(65535)
-    for v in range(rgb.shape[0]):
-        for u in range(rgb.shape[1]):
-            y = np.float32(luma[v, u])
-            detail = y - smooth[v, u, 0]
-            cb = smooth[v, u, 1] + turns[v, u, 0] * detail
-            cr = smooth[v, u, 2] + turns[v, u, 1] * detail
-            rgb[v, u, 0] = np.uint16(min(max(m00 * y + m01 * cb + m02 * cr + s0, least), most))
-            rgb[v, u, 1] = np.uint16(min(max(m10 * y + m11 * cb + m12 * cr + s1, least), most))
-            rgb[v, u, 2] = np.uint16(min(max(m20 * y + m21 * cb + m22 * cr + s2, least), most))
+    step = down.shape[0]
+    whole = coarse.shape[2] * across.shape[0]
+    row = np.empty(coarse.shape[2] + 4, np.float32)
+    smooth, blue, red = np.empty(whole, np.float32), np.empty(whole, np.float32), np.empty(whole, np.float32)
+    turn_blue, turn_red = np.empty(whole, np.float32), np.empty(whole, np.float32)
+    for v in range(height):
+        if v % step == 0:
+            _turns_of_row(turns[0], v // step, across.shape[0], row, turn_blue)
+            _turns_of_row(turns[1], v // step, across.shape[0], row, turn_red)
+        weights = down[v % step]
+        _smooth_row(coarse[0], v // step, weights, across, row, smooth)
+        _smooth_row(coarse[1], v // step, weights, across, row, blue)
+        _smooth_row(coarse[2], v // step, weights, across, row, red)
+        fine, to = luma[v], rgb[v]
+        for u in range(width):
+            y = np.float32(fine[u])
+            detail = y - smooth[u]
+            cb = blue[u] + turn_blue[u] * detail
+            cr = red[u] + turn_red[u] * detail
+            to[u, 0] = np.uint16(min(max(m00 * y + m01 * cb + m02 * cr + s0, least), most))
+            to[u, 1] = np.uint16(min(max(m10 * y + m11 * cb + m12 * cr + s1, least), most))
+            to[u, 2] = np.uint16(min(max(m20 * y + m21 * cb + m22 * cr + s2, least), most))

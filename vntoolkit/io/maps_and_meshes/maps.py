@@ -12,9 +12,10 @@ from vntoolkit.arrays import FloatArray, Flow, Mask
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
+from vntoolkit.io.atomic import write_bytes
 from vntoolkit.io.conventions import NormalConvention
 from vntoolkit.io.footage.images import read_image_with_alpha, write_png
-from vntoolkit.io.maps_and_meshes.exr import ExrCompression, read_exr, write_exr
+from vntoolkit.io.maps_and_meshes.exr import ExrCompression, read_exr, uncompressed_exr, write_exr
 from vntoolkit.native import njit
 
 Plane = npt.NDArray[np.float32]
@@ -47,6 +48,13 @@ def write_normal_map(
     match Path(path).suffix.lower():
         case ".exr":
             attributes = {_CONVENTION_ATTRIBUTE: convention.value}
+            if compression is ExrCompression.NONE:
+                names = [*"RGBA", *([] if normal_map.error_deg is None else [_ERROR_CHANNEL])]
+                exr = uncompressed_exr(normal_map.shape, dict.fromkeys(names, np.float16), attributes)
+                starts = np.array([exr.starts[name] for name in names])
+                _fill_halves(normal_map, convention.signs, exr.scanlines, starts)
+                write_bytes(path, exr.content)
+                return
             planes = half_planes_from_normals(normal_map, convention.signs)
             channels = dict(zip([*"RGBA", _ERROR_CHANNEL], planes, strict=False))
             write_exr(path, channels, attributes=attributes, compression=compression)
@@ -107,12 +115,24 @@ def write_depth_map(
     """
     if Path(path).suffix.lower() != ".exr":
         raise BadInput(f"{path}: a depth map is written as .exr")
-    z = np.full(depth_map.shape, np.nan, dtype=np.float32)
-    np.copyto(z, depth_map.depth, where=depth_map.mask, casting="same_kind")
-    channels: dict[str, npt.NDArray[Any]] = {"Z": z}
-    if depth_map.error_percent is not None:
-        channels[_DEPTH_ERROR_CHANNEL] = np.minimum(depth_map.error_percent, _MOST_PERCENT).astype(np.float16)
     attributes = {_UNIT_ATTRIBUTE: depth_map.unit.value}
+    kinds: dict[str, npt.DTypeLike] = {"Z": np.float32}
+    error = depth_map.error_percent
+    if error is not None:
+        kinds[_DEPTH_ERROR_CHANNEL] = np.float16
+        error = np.ascontiguousarray(error)
+    exr = uncompressed_exr(depth_map.shape, kinds, attributes)
+    depth, mask = np.ascontiguousarray(depth_map.depth), np.ascontiguousarray(depth_map.mask)
+    at, error_at = exr.starts["Z"], exr.starts.get(_DEPTH_ERROR_CHANNEL, 0)
+    _fill_depth(depth, mask, error, exr.scanlines, at, error_at)
+    if compression is ExrCompression.NONE:
+        write_bytes(path, exr.content)
+        return
+    channels: dict[str, npt.NDArray[Any]] = {}
+    for name, kind in kinds.items():
+        width = depth_map.shape[1] * np.dtype(kind).itemsize // 2
+        stored = exr.scanlines[:, exr.starts[name] : exr.starts[name] + width]
+        channels[name] = np.ascontiguousarray(stored).view(kind)
     write_exr(path, channels, attributes=attributes, compression=compression)
 
 
@@ -185,18 +205,32 @@ def half_planes_from_normals(
     """Return (4, h, w) float16: n_x, n_y, n_z, each times its sign (1 or -1); the weight, 0 where invalid.
 
     Of a map with expected errors, (5, h, w): then these, in degrees.
+    """
+    height, width = normal_map.shape
+    count = 4 if normal_map.error_deg is None else 5
+    rows = np.empty((height, count * width), dtype=np.uint16)
+    _fill_halves(normal_map, signs, rows, width * np.arange(count))
+    return rows.view(np.float16).reshape(height, count, width).transpose(1, 0, 2)
+
+
+def _fill_halves(
+    normal_map: NormalMap,
+    signs: tuple[float, float, float],
+    rows: npt.NDArray[np.uint16],
+    starts: npt.NDArray[np.int64],
+) -> None:
+    """Put the planes of a map into rows of halves; starts: where each of them begins in a row.
 
     Writing a 1280×720 map to disk takes 139 ms so, and 242 ms with numpy's conversion (the best of 25 each,
     interleaved, on a busy machine).
     """
-    error = normal_map.error_deg
-    planes = np.empty((4 if error is None else 5, *normal_map.shape), dtype=np.uint16)
     normals = np.ascontiguousarray(normal_map.normals_in_camera, dtype=np.float32)
-    weight = normal_map.mask if normal_map.weight is None else normal_map.weight * normal_map.mask
-    weight = np.ascontiguousarray(weight, dtype=np.float32)
+    mask = np.ascontiguousarray(normal_map.mask)
+    weight, error = normal_map.weight, normal_map.error_deg
+    weight = np.ascontiguousarray(mask if weight is None else weight, dtype=np.float32)
+    error = None if error is None else np.ascontiguousarray(error)
     flips = np.array([0x8000 if sign < 0 else 0 for sign in (*signs, 1, 1)], dtype=np.uint32)
-    _fill(normals, weight, weight if error is None else np.ascontiguousarray(error), flips, planes)
-    return planes.view(np.float16)
+    _fill(normals, mask, weight, error, flips, rows, starts)
 
 
 @njit(cache=True, inline="always")
@@ -212,14 +246,37 @@ def _half_bits(value, bits):  # type: ignore[no-untyped-def]  # pragma: no cover
 
 
 @njit(cache=True, nogil=True)
-def _fill(normals, weight, error, flips, planes):  # type: ignore[no-untyped-def]  # pragma: no cover
-    height, width = weight.shape
+def _fill(normals, mask, weight, error, flips, rows, starts):  # type: ignore[no-untyped-def]  # pragma: no cover
+    height, width = mask.shape
     row = np.empty(width, np.float32)  # contiguous, so that eight pixels are converted at a time
     bits = row.view(np.uint32)
     for v in range(height):
-        for k in range(planes.shape[0]):
+        for k in range(len(starts)):
+            if k < 3:
+                for u in range(width):
+                    row[u] = normals[v, u, k]
+            elif k == 3:
+                for u in range(width):
+                    row[u] = weight[v, u] if mask[v, u] else np.float32(0)
+            elif error is not None:
+                row[:] = error[v]
+            to, flip = rows[v, starts[k] : starts[k] + width], flips[k]
             for u in range(width):
-                row[u] = normals[v, u, k] if k < 3 else (weight[v, u] if k == 3 else error[v, u])
-            plane = planes[k, v]
+                to[u] = _half_bits(row[u], bits[u]) ^ flip
+
+
+@njit(cache=True, nogil=True)
+def _fill_depth(depth, mask, error, rows, start, error_start):  # type: ignore[no-untyped-def]  # pragma: no cover
+    height, width = mask.shape
+    row = np.empty(width, np.float32)
+    bits, halves = row.view(np.uint32), row.view(np.uint16)
+    for v in range(height):
+        for u in range(width):
+            row[u] = np.float32(depth[v, u]) if mask[v, u] else np.float32(np.nan)
+        rows[v, start : start + 2 * width] = halves
+        if error is not None:
             for u in range(width):
-                plane[u] = _half_bits(row[u], bits[u]) ^ flips[k]
+                row[u] = min(error[v, u], _MOST_PERCENT)
+            to = rows[v, error_start : error_start + width]
+            for u in range(width):
+                to[u] = _half_bits(row[u], bits[u])
