@@ -58,28 +58,34 @@ def rested(depth_map: DepthMap) -> DepthMap:
     for _ in range(_REST_ROUNDS):  # dents pull the median: left out, it comes to rest
         flat = np.abs(values - terms @ plane) < 2 * _SHALLOWEST_M
         if flat.mean() > _RESTING_SHARE:
-            plane = np.linalg.lstsq(terms[flat], values[flat], rcond=None)[0]
+            resting = terms[flat]
+            plane = np.linalg.solve(resting.T @ resting, resting.T @ values[flat])
         elif flat.mean() > _RESTING_SHARE / 3:
             plane[0] += np.median((values - terms @ plane)[flat])
-    rest = plane[0] + plane[1] * x + (plane[2] * y)[:, None]
-    depth = (depth_map.depth - rest).astype(depth_map.depth.dtype)
-    depth[~mask] = depth_map.depth[~mask]
+    kind = depth_map.depth.dtype
+    along_x, along_y = (plane[0] + plane[1] * x).astype(kind), (plane[2] * y).astype(kind)
+    depth = np.asarray(depth_map.depth) - along_x
+    depth -= along_y[:, None]
+    if not mask.all():
+        depth[~mask] = depth_map.depth[~mask]
     return replace(depth_map, depth=depth)
 
 
 def contact_from_depth(depth_map: DepthMap, camera: Camera) -> Contact:
     """Find the contacts in the depth of a gel whose rest is 0, metres."""
-    dent = np.where(depth_map.mask, -np.asarray(depth_map.depth), 0.0)
-    labels, count = ndimage.label(dent > _SHALLOWEST_M)
-    mask: Mask = np.zeros(dent.shape, dtype=np.bool_)
-    if count:
-        deepest = np.concatenate([[0.0], ndimage.maximum(dent, labels, np.arange(1, count + 1))])
+    dented = (depth_map.depth < -_SHALLOWEST_M) & depth_map.mask
+    mask: Mask = np.zeros(dented.shape, dtype=np.bool_)
+    rows, columns = np.flatnonzero(dented.any(axis=1)), np.flatnonzero(dented.any(axis=0))
+    depth_mm = 0.0
+    if len(rows):
+        window = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+        labels, count = ndimage.label(dented[window])
+        dent = -np.asarray(depth_map.depth[window])
+        inside = labels > 0
+        deepest = np.zeros(count + 1, dent.dtype)
+        np.maximum.at(deepest, labels[inside], dent[inside])
         deepest[deepest < 2 * _SHALLOWEST_M] = np.inf  # no deeper than what drift leaves
-        mask = (labels > 0) & (dent > _RIM_SHARE * deepest[labels])
+        mask[window] = inside & (dent > _RIM_SHARE * deepest[labels])
+        depth_mm = 1000.0 * float(dent[mask[window]].max(initial=0.0))
     pixel_mm = 1000.0 / float(camera.matrix[0, 0])
-    touched = bool(mask.any())
-    return Contact(
-        mask=mask,
-        area_mm2=float(np.count_nonzero(mask)) * pixel_mm**2,
-        depth_mm=1000.0 * float(dent[mask].max()) if touched else 0.0,
-    )
+    return Contact(mask=mask, area_mm2=float(np.count_nonzero(mask)) * pixel_mm**2, depth_mm=depth_mm)
