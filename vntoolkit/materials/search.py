@@ -104,7 +104,8 @@ def _search(split: SplitFrame, count: int | None) -> tuple[Points, MaterialLabel
         pool = _fit(split, lit, None)[None]
     pool_prices = prices(split, edge, pool)
     own, own_prices = pool, pool_prices
-    logs, labels = np.empty((0, 3)), np.zeros(lit.shape, np.uint8)
+    logs: Points = np.empty((0, 3))
+    labels = np.zeros(lit.shape, np.uint8)
     costs: FloatArray = np.empty((0, *lit.shape))
     current: FloatArray = np.where(lit, _UNEXPLAINED, 0.0)
     best: tuple[float, Points, MaterialLabels, FloatArray] | None = None
