@@ -24,6 +24,7 @@ from vntoolkit.calibration.head.stereo import StereoOptions
 from vntoolkit.calibration.head.tracks import TrackOptions
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.maps_and_meshes.meshes import read_mesh, write_mesh
 from vntoolkit.pipeline.calibrate import CalibrationJob
 from vntoolkit.pipeline.calibrate_head import Features, FollowOptions, HeadOptions, HeadShape, calibrate_head
 from vntoolkit.report.head import notices_of_head, write_head_page
@@ -36,6 +37,7 @@ OPTIONS = HeadOptions(  # for a picture of 320 by 240
     hull=HullOptions(hull_cells=64),
     stereo=StereoOptions(references=5, stereo_window_px=11),
     samples=SampleOptions(light_frames=9, light_points=1500),
+    head_shape=HeadShape.FUSED,
 )
 FOCAL = float(CAMERA.matrix[0, 0])
 
@@ -147,6 +149,26 @@ def test_the_hull_alone_gives_the_light_too(footage):
     rig, result = calibrate_head(CalibrationJob(source=footage[0], focal_px=FOCAL), options)
     assert relative_error(rig.response.matrix) < 0.10
     assert "stereo" not in result.stage_seconds
+
+
+@pytest.mark.slow
+def test_normals_better_shape_and_light(tmp_path, footage, calibrated):
+    job = CalibrationJob(source=footage[0], focal_px=FOCAL)
+    rig, result = calibrate_head(job, replace(OPTIONS, head_shape=HeadShape.REFINED))
+    assert relative_error(rig.response.matrix) < 0.02
+    refined = surface_error(result.mesh, result.motion, footage[1])
+    assert refined < 1.1 * surface_error(result.fused, result.motion, footage[1])
+    assert result.refined.changes[-1] < result.refined.changes[0]
+    require_closed_and_outward(result.mesh)
+    write_mesh(tmp_path / "egg.ply", result.mesh)
+    written = read_mesh(tmp_path / "egg.ply")
+    assert written.normals.shape == written.colours.shape == written.vertices.shape
+    assert (written.error_deg > 0).all()
+    write_head_page(tmp_path / "head.html", job, rig, result)
+    text = (tmp_path / "head.html").read_text()
+    assert "refined by normals" in text
+    assert "last change of M" in text
+    assert "data:image/webp" in text
 
 
 def refused(tmp_path, images, options=OPTIONS):

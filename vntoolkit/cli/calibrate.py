@@ -278,7 +278,9 @@ def head(
         A rig.json with the camera to use (most accurate). Without it and without --focal-px, the focal length
         is estimated from the turn; that estimate is rough.
     mesh
-        Also write the head's mesh, .ply or .obj. Its length unit is the distance to the camera.
+        Also write the head's mesh, .ply or .obj, with normals and the skin's colour. Its length unit
+        is the distance to the camera. In .ply, `quality` is the angle in degrees that nine of ten normals
+        stay within.
     figure
         Also write a picture of tracks, shape, samples and lights, .png or .svg.
     report
@@ -312,6 +314,11 @@ def head(
     if camera is None and focal_px is None:
         print(f"  focal length      {motion.camera.matrix[0, 0]:.0f} px, estimated from the turn: rough")
     print(f"  samples agreeing  {result.light.inliers.mean():.0%}")
+    if result.refined is not None:
+        changes = ", ".join(f"{100 * change:.1f} %" for change in result.refined.changes)
+        print(f"  refined           M moved by {changes}")
+        error = np.median(result.refined.error_percent)
+        print(f"  shape             {error:.2f} % of its diagonal expected error, median")
     print("  time              " + ", ".join(f"{k} {s:.0f} s" for k, s in result.stage_seconds.items()))
     _print_what_is_next(out)
 

@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
+from vntoolkit.arrays import IntArray
 from vntoolkit.calibration.head.hull import (
     HullOptions,
     SilhouetteView,
@@ -22,6 +23,7 @@ from vntoolkit.calibration.head.hull import (
 )
 from vntoolkit.calibration.head.light import HeadLight, LightOptions, fit_light
 from vntoolkit.calibration.head.poses import HeadMotion, PoseOptions, PoseStart, solve_head_motion
+from vntoolkit.calibration.head.refinement import RefinedHead, refine_head
 from vntoolkit.calibration.head.samples import HeadRays, HeadSamples, LightFrame, SampleOptions, sample_head
 from vntoolkit.calibration.head.shape import FusionOptions, fit_shape
 from vntoolkit.calibration.head.sift import SiftBuilder, require_features
@@ -53,6 +55,7 @@ _SEED = 0
 _GUESSED_FOCAL = 3.0  # of the picture's longer side, where nobody knows: a portrait lens
 _LEAST_FRAMES, _MOST_FRAMES = 12, 400
 _HULL_VIEWS = 32
+_NORMAL_FRAMES = 24  # over the turn: each part of the face is seen in ten of them
 Progress = Callable[[str, int, int], None]
 
 
@@ -74,6 +77,7 @@ class HeadShape(Enum):
 
     HULL = "hull"  # silhouettes alone: quick, and enough for M on a well-lit head
     FUSED = "fused"  # silhouettes and stereo
+    REFINED = "refined"  # fused, then corrected by the normals that its colours give, in turns with M
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,12 +97,12 @@ class FollowOptions:
 class HeadOptions:
     """Options of all stages.
 
-    head_shape: shape that gives the normals: from silhouettes only, or fused with stereo. pose_start:
-    initialisation of the poses; default: factorisation for tracks; mapping for features, or factorisation
-    where mapping fails.
+    head_shape: shape that gives the normals: from silhouettes only, fused with stereo, or refined by the
+    normals of all frames. pose_start: initialisation of the poses; default: factorisation for tracks; mapping
+    for features, or factorisation where mapping fails.
     """
 
-    head_shape: HeadShape = HeadShape.FUSED
+    head_shape: HeadShape = HeadShape.REFINED
     pose_start: PoseStart | None = None
     following: FollowOptions = field(default_factory=FollowOptions)
     poses: PoseOptions = field(default_factory=PoseOptions)
@@ -111,8 +115,10 @@ class HeadOptions:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HeadCalibration:
-    """Result of a calibration. mesh: in the head frame. light_numbers: frames of the samples.
+    """Result of a calibration.
 
+    hull, fused, mesh: shapes in the head frame, of silhouettes, with stereo, and the one used.
+    refined: how the shape was refined, None where it was not. light_numbers: frames of the samples.
     stage_seconds: wall time per stage.
     """
 
@@ -120,7 +126,9 @@ class HeadCalibration:
     tracks: Tracks
     motion: HeadMotion
     hull: Mesh
+    fused: Mesh
     mesh: Mesh
+    refined: RefinedHead | None
     light_numbers: tuple[int, ...]
     samples: HeadSamples
     light: HeadLight
@@ -163,10 +171,10 @@ def calibrate_head(
         grid = fit_hull([views[k] for k in spread_over_turn(views, _HULL_VIEWS)], box, options.hull)
         hull = mesh_of_grid(grid)
         on_progress("hull", 1, 1)
-    mesh = hull
-    if options.head_shape is HeadShape.FUSED:
+    fused = hull
+    if options.head_shape is not HeadShape.HULL:
         with clock.stage("stereo"):
-            mesh = fit_shape(
+            fused = fit_shape(
                 views,
                 footage.contrasts,
                 grid,
@@ -174,18 +182,35 @@ def calibrate_head(
                 options.fusion,
                 partial(on_progress, "stereo"),
             )
-    with clock.stage("light"):
-        chosen = spread_over_turn(views, options.samples.light_frames)
-        frames = [
-            LightFrame(
+
+    def light_frames(numbers: IntArray) -> Iterator[LightFrame]:
+        for k in numbers.tolist():
+            yield LightFrame(
                 frame=undistorter.frame(capture.frame(footage.numbers[k])),
                 camera_from_head=motion.camera_from_head[k],
                 mask=footage.silhouettes[k].mask,
             )
-            for k in _each(chosen.tolist(), "light", on_progress)
-        ]
-        samples = sample_head(mesh, motion.camera, frames, options.samples, rng)
-        light = fit_light(samples, HeadRays(mesh), options.light, rng)
+
+    with clock.stage("light"):
+        chosen = spread_over_turn(views, options.samples.light_frames)
+        frames = list(light_frames(chosen))
+        samples = sample_head(fused, motion.camera, frames, options.samples, rng)
+        light = fit_light(samples, HeadRays(fused), options.light, rng)
+        on_progress("light", 1, 1)
+    mesh, refined = fused, None
+    if options.head_shape is HeadShape.REFINED:
+        with clock.stage("refinement"):
+            chosen = spread_over_turn(views, _NORMAL_FRAMES)
+            refined = refine_head(
+                fused,
+                motion.camera,
+                partial(light_frames, chosen),
+                light,
+                options.light,
+                rng,
+                partial(on_progress, "refinement"),
+            )
+            mesh, samples, light = refined.mesh, refined.samples, refined.light
     extra = [path for path in (job.background,) if path is not None]
     rig = Rig(
         camera=motion.camera if given is None else given,
@@ -199,7 +224,9 @@ def calibrate_head(
         tracks=tracks,
         motion=motion,
         hull=hull,
+        fused=fused,
         mesh=mesh,
+        refined=refined,
         light_numbers=tuple(footage.numbers[k] for k in chosen),
         samples=samples,
         light=light,
@@ -244,12 +271,6 @@ def _moved(
             first_fault = first_fault or fault
     assert first_fault is not None  # every list of starts has one
     raise first_fault
-
-
-def _each(items: list[int], stage: str, on_progress: Progress) -> Iterator[int]:
-    for done, item in enumerate(items, start=1):
-        yield item
-        on_progress(stage, done, len(items))
 
 
 class _Clock:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Mask
+from vntoolkit.arrays import FloatArray, Mask, Vector3
 from vntoolkit.calibration.fit import angles_deg
 from vntoolkit.calibration.head.hull import turn_angles_deg
 from vntoolkit.geometry.camera import Camera
@@ -25,6 +26,7 @@ from vntoolkit.report.page import (
     PageNumber,
     PageSection,
     PageTable,
+    data_uri,
     figure_from_pixels,
     figure_from_plot,
     graded,
@@ -53,6 +55,8 @@ _AGREEING = (0.65, 0.4)
 _ERROR_PX = (0.4, 0.7)
 _RESIDUAL_DEG = (4.0, 7.0)
 _CONDITION = (12.0, 30.0)
+_CHANGE = (0.005, 0.02)  # of M in the last round, as a share
+_SHAPE_PERCENT = (0.15, 0.5)
 
 
 class _ShownFrame(NamedTuple):
@@ -111,14 +115,40 @@ def _shape_section(frames: list[_ShownFrame], result: HeadCalibration) -> PageSe
     def shape(axis: Any, shown: _ShownFrame) -> None:
         draw_shape(axis, shown.image, result, shown.used)
 
-    counts = f"{len(result.mesh.vertices):,} vertices, the hull {len(result.hull.vertices):,}."
+    shapes = shapes_of(result)
+    counts = "; ".join(f"{name}: {len(mesh.vertices):,} vertices" for name, mesh in shapes.items()) + "."
+    figures = [
+        _strip(shape, frames, "Shape and hull over the silhouettes; overlap of shape and silhouette."),
+        _picture(lambda axis: draw_meshes(axis, result), (240 * len(shapes), 720), counts, wide=True),
+    ]
+    if result.refined is None:
+        return PageSection(title="Shape", figures=tuple(figures))
+    figures.append(PageFigure(caption="The shape used, from all sides.", image=_turntable(result.mesh)))
     return PageSection(
         title="Shape",
-        figures=(
-            _strip(shape, frames, "Shape and hull over the silhouettes; overlap of shape and silhouette."),
-            _picture(lambda axis: draw_meshes(axis, result), (480, 720), counts, wide=True),
+        paragraphs=(
+            "Stereo places the skin, but blurs and ripples it. The last shape agrees with stereo over long "
+            "distances and with the normals of all frames over short ones. Teeth, hair and eyeglasses are "
+            "not modelled: they gloss, cover or move.",
         ),
+        figures=tuple(figures),
     )
+
+
+def _turntable(mesh: Mesh) -> str:
+    """Return the mesh, turning once, in its own colours beside plain ones, as the URI of an animation."""
+    from PIL import Image
+
+    plain = Mesh(vertices=mesh.vertices, faces=mesh.faces)
+    pictures = []
+    for azimuth in np.arange(0.0, 360.0, 360.0 / _TURNTABLE_FRAMES):
+        view = View.around(mesh, _TURNTABLE_PX, _TURNTABLE_PX, azimuth_deg=float(azimuth))
+        pictures.append(Image.fromarray(np.hstack([picture_of([each], view) for each in (mesh, plain)])))
+    content = io.BytesIO()
+    pictures[0].save(
+        content, "WEBP", save_all=True, append_images=pictures[1:], duration=_TURNTABLE_MS, loop=0
+    )
+    return data_uri(content.getvalue(), ".webp")
 
 
 def _light_section(frames: list[_ShownFrame], rig: Rig, result: HeadCalibration) -> PageSection:
@@ -244,6 +274,29 @@ def numbers_of_head(rig: Rig, result: HeadCalibration) -> tuple[PageNumber, ...]
             grade=graded(rig.response.condition_number, _CONDITION),
             remark="set by the lights' directions and colours",
         ),
+        *_numbers_of_refinement(result),
+    )
+
+
+def _numbers_of_refinement(result: HeadCalibration) -> tuple[PageNumber, ...]:
+    refined = result.refined
+    if refined is None:
+        return ()
+    assert refined.mesh.error_deg is not None
+    return (
+        PageNumber(
+            value=f"{100 * refined.changes[-1]:.1f} %",
+            label="last change of M",
+            grade=graded(refined.changes[-1], _CHANGE),
+            remark="by rounds: " + ", ".join(f"{100 * change:.1f} %" for change in refined.changes),
+        ),
+        PageNumber(
+            value=f"{np.median(refined.error_percent):.2f} %",
+            label="expected error of the shape",
+            grade=graded(float(np.median(refined.error_percent)), _SHAPE_PERCENT),
+            remark="of its diagonal, median; nine of ten normals to "
+            f"{np.median(refined.mesh.error_deg):.1f}°",
+        ),
     )
 
 
@@ -282,6 +335,7 @@ _YELLOW = "#f0e442"  # of the same colours for all kinds of colour vision as the
 _FIGURE_DPI = 100
 _LIGHT_COLOURS = ("#d9261c", "#1fa34a", "#2b62d9")
 _VIEW_HEIGHT = 1.1  # of the mesh's own height
+_TURNTABLE_FRAMES, _TURNTABLE_PX, _TURNTABLE_MS = 20, 260, 140
 
 
 def write_head_figure(path: Path | str, job: CalibrationJob, result: HeadCalibration) -> None:
@@ -390,28 +444,34 @@ def draw_sphere(axis: Any, result: HeadCalibration) -> None:
     axis.legend(loc="lower left", bbox_to_anchor=(0.8, -0.02))
 
 
+def shapes_of(result: HeadCalibration) -> dict[str, Mesh]:
+    """Return the shapes of the stages by their names, the one used last."""
+    shapes = {"hull": result.hull}
+    if result.fused is not result.hull:
+        shapes["with stereo"] = result.fused
+    if result.refined is not None:
+        shapes["refined by normals"] = result.mesh
+    return shapes
+
+
 def draw_meshes(axis: Any, result: HeadCalibration) -> None:
-    """Draw hull and shape from three sides."""
+    """Draw the shapes of all stages from three sides."""
+    shapes = shapes_of(result)
     low, high = result.mesh.vertices.min(axis=0), result.mesh.vertices.max(axis=0)
-    pictures = []
-    for mesh in (result.hull, result.mesh):
-        plain = Mesh(vertices=mesh.vertices, faces=mesh.faces)
-        row = [
-            picture_of(
-                [plain],
-                View(
-                    centre=0.5 * (low + high),
-                    height=_VIEW_HEIGHT * float(high[1] - low[1]),
-                    azimuth_deg=azimuth,
-                    width_px=240,
-                    height_px=240,
-                ),
-            )
-            for azimuth in (-50.0, 0.0, 50.0)
-        ]
-        pictures.append(np.hstack(row))
+    pictures = [
+        _from_three_sides(mesh, 0.5 * (low + high), float(high[1] - low[1])) for mesh in shapes.values()
+    ]
     _show(axis, np.vstack(pictures))
-    axis.set_title("hull (above) and the shape used (below)")
+    axis.set_title("from above: " + ", ".join(shapes))
+
+
+def _from_three_sides(mesh: Mesh, centre: Vector3, height: float) -> npt.NDArray[np.uint8]:
+    plain = Mesh(vertices=mesh.vertices, faces=mesh.faces)
+    views = (
+        View(centre=centre, height=_VIEW_HEIGHT * height, azimuth_deg=azimuth, width_px=240, height_px=240)
+        for azimuth in (-50.0, 0.0, 50.0)
+    )
+    return np.hstack([picture_of([plain], view) for view in views])
 
 
 def _shading(mesh: Mesh, camera: Camera, pose: RigidTransform) -> FloatArray:

@@ -18,8 +18,8 @@ from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.photometry.frame import LinearFrame
 
 _OFF_SURFACE = 0.004  # of the diagonal: rays start so far out, beyond the mesh's own roughness
-_RIM_PX = 4  # closer to the silhouette's edge, colours are not trusted
-_LEAST_FACING = 0.35  # cosine to the viewer below which colour and normal no longer belong together
+RIM_PX = 4  # closer to the silhouette's edge, colours are not trusted
+LEAST_FACING = 0.35  # cosine to the viewer below which colour and normal no longer belong together
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,7 +100,7 @@ def sample_head(
         towards = -position / np.linalg.norm(position, axis=1, keepdims=True)
         normal = pose.rotate(normals[chosen])
         pixel = camera.project(position)
-        seen = ((normal * towards).sum(axis=1) > _LEAST_FACING) & _within(each, pixel)
+        seen = ((normal * towards).sum(axis=1) > LEAST_FACING) & _within(each, pixel)
         seen[seen] = rays.free(chosen[seen], pose.inverse().rotate(towards[seen]))
         colours = _colours_at(each.frame, pixel[seen])
         parts.append((chosen[seen], np.full(seen.sum(), number), normal[seen], colours, pixel[seen]))
@@ -135,7 +135,7 @@ def spread_over_orientations(normals: Points, count: int, rng: np.random.Generat
 def _within(each: LightFrame, pixel: FloatArray) -> npt.NDArray[np.bool_]:
     """True where a pixel lies well inside the silhouette and is not clipped."""
     usable = (each.mask & ~each.frame.clipped).astype(np.uint8)
-    kernel = np.ones((2 * _RIM_PX + 1, 2 * _RIM_PX + 1), np.uint8)
+    kernel = np.ones((2 * RIM_PX + 1, 2 * RIM_PX + 1), np.uint8)
     inner = np.asarray(cv2.erode(each.mask.astype(np.uint8), kernel)) > 0
     inner &= np.asarray(cv2.erode(usable, np.ones((3, 3), np.uint8))) > 0
     column, row = np.round(pixel).astype(int).T

@@ -83,6 +83,7 @@ def fuse_points(
     distance, _ = cKDTree(corrected).query(hull.vertices, workers=1)
     rest = distance > options.hull_gap * hull.diagonal
     normals = vertex_normals(hull.vertices, hull.faces)
+    rest &= normals.any(axis=1)  # vertices of slivers have none
     cloud = PointCloud(
         points=np.concatenate([*(each.points for each in kept), hull.vertices[rest]]),
         normals=np.concatenate([*(each.normals for each in kept), normals[rest]]),

@@ -87,8 +87,10 @@ def stereo_points(
     neighbours = neighbours_of(views, reference, options.neighbour_angles_deg)
     rows, columns = box_of_mask(view.mask, _BORDER_PX)
     depth, facing = hull_depth(view, hull, rows, columns)
-    shells = _shells(view, hull, options, float(np.median(depth[depth > 0])))
-    scores = _scores(views, contrasts, reference, neighbours, (rows, columns), depth, shells, options)
+    typical = float(np.median(depth[depth > 0]))
+    shells = _shells(view, hull, options, typical)
+    searched = np.where(depth > 0, depth, np.float32(typical))  # beside the hull rays meet no plane at 0
+    scores = _scores(views, contrasts, reference, neighbours, (rows, columns), searched, shells, options)
     offset, correlation = _best_shell(scores, shells)
     valid = (
         (depth > 0)

@@ -1,0 +1,100 @@
+"""A rippled egg and a wrong M, refined by the egg's colours in many poses."""
+
+import numpy as np
+import pytest
+from scipy.spatial import ConvexHull
+
+from tests.calibration.turning_egg import AXES, CAMERA, DISTANCE, MATRIX, render_egg, turning_poses
+from vntoolkit.calibration.fit import fit_quality
+from vntoolkit.calibration.head.light import HeadLight, LightOptions
+from vntoolkit.calibration.head.refinement import refine_head
+from vntoolkit.calibration.head.samples import LightFrame
+from vntoolkit.geometry.mesh import Mesh, vertex_normals
+from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.response import LightResponse
+
+SMALL = CAMERA.scaled(0.5)
+PIXEL = DISTANCE / SMALL.matrix[0, 0]
+
+POSES = turning_poses(9, 60.0)
+WRONG = MATRIX * [[1.2, 0.9, 1.0], [1.0, 1.0, 1.06], [0.5, 1.1, 0.95]]
+
+
+def ellipsoid(count=2800):
+    """Points spread evenly over the egg, and the triangles between them."""
+    k = np.arange(count) + 0.5
+    height, around = 1 - 2 * k / count, np.pi * (1 + 5**0.5) * k
+    ring = np.sqrt(1 - height**2)
+    points = np.stack([ring * np.cos(around), height, ring * np.sin(around)], axis=1)
+    faces = ConvexHull(points).simplices
+    a, b, c = (points[faces[:, i]] for i in range(3))
+    inward = np.einsum("ij,ij->i", a, np.cross(b, c)) < 0
+    faces[inward] = faces[inward][:, ::-1]
+    return points * AXES, faces.astype(np.int32)
+
+
+def relative_error(matrix):
+    scale = (matrix * MATRIX).sum() / np.square(matrix).sum()
+    return np.linalg.norm(scale * matrix - MATRIX) / np.linalg.norm(MATRIX)
+
+
+@pytest.fixture(scope="module")
+def rippled():
+    points, faces = ellipsoid()
+    directions = np.random.default_rng(1).standard_normal((6, 3))
+    directions *= 2 * np.pi / (9 * PIXEL) / np.linalg.norm(directions, axis=1, keepdims=True)
+    ripple = np.cos(points @ directions.T + np.arange(6)).mean(axis=1)
+    vertices = points * (1 + 0.03 * ripple[:, None])
+    return Mesh(vertices=vertices, faces=faces, normals=vertex_normals(vertices, faces))
+
+
+@pytest.fixture(scope="module")
+def refined(rippled):
+    rng = np.random.default_rng(0)
+    images = []
+    for pose in POSES:
+        image = render_egg(pose).reshape(SMALL.height, 2, SMALL.width, 2, 3).mean(axis=(1, 3))
+        images.append((image + 0.003 * rng.standard_normal(image.shape)).astype(np.float32))
+
+    def frames():
+        for image, pose in zip(images, POSES, strict=True):
+            mask = image.max(axis=2) > 0.02
+            yield LightFrame(frame=LinearFrame(image), camera_from_head=pose, mask=mask)
+
+    response = LightResponse(matrix=WRONG)
+    nothing = np.zeros(0, np.bool_)
+    quality = fit_quality(np.eye(3), WRONG.T, response, "head")
+    light = HeadLight(
+        response=response, quality=quality, inliers=nothing, shadowed=nothing, albedo=np.zeros((0, 3))
+    )
+    return refine_head(rippled, SMALL, frames, light, LightOptions(), rng)
+
+
+def errors(mesh):
+    """Distance to the egg in pixels, and degrees between the normals, of the vertices that were lit."""
+    lit = mesh.vertices[:, 2] < -0.3 * AXES[2]
+    radii = np.linalg.norm(mesh.vertices[lit] / AXES, axis=1)
+    distance = np.abs(1 - 1 / radii) * np.linalg.norm(mesh.vertices[lit], axis=1) / PIXEL
+    normals = mesh.vertices[lit] / AXES**2
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    cosine = np.clip((mesh.normals[lit] * normals).sum(axis=1), -1, 1)
+    return distance, np.rad2deg(np.arccos(cosine)), lit
+
+
+def test_ripples_go(rippled, refined):
+    before, slant, _ = errors(rippled)
+    after, left, _ = errors(refined.mesh)
+    assert slant.mean() > 6.0
+    assert left.mean() < 1.5
+    assert after.mean() < before.mean() / 2.5
+
+
+def test_m_comes_right_again(refined):
+    assert relative_error(WRONG) > 0.05
+    assert relative_error(refined.light.response.matrix) < 0.02
+    assert refined.changes[-1] < 0.1 * refined.changes[0]
+
+
+def test_nine_of_ten_normals_are_within_their_expected_error(refined):
+    _, off, lit = errors(refined.mesh)
+    assert (off < refined.mesh.error_deg[lit]).mean() > 0.85

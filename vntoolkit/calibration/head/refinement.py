@@ -1,0 +1,314 @@
+"""The head's shape refined by its own normals, and M fitted again (nehab2005; brostow2011, Section IV).
+
+Stereo knows where the skin is, but not its relief: windows of a dozen pixels blur it, and noise ripples it.
+Normals know the relief but not the place: their errors add up with distance. The positions sought agree
+with both, each as far as its own error allows. A vertex moves along its normal, by d. Every edge should be
+at right angles to its mean normal, which tells d_j − d_i, and d should be small: linear in d.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse as sp
+from scipy.sparse.linalg import cg
+
+from vntoolkit.arrays import Faces, FloatArray, IntArray, Points
+from vntoolkit.calibration.head.light import HeadLight, LightOptions, fit_light
+from vntoolkit.calibration.head.samples import HeadRays, HeadSamples, LightFrame
+from vntoolkit.calibration.head.skin import (
+    SkinColours,
+    SkinNormals,
+    skin_colours,
+    skin_normals,
+    without_shadow,
+)
+from vntoolkit.errors import SolverFailed
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.laplacian import edge_cotangents, graph_laplacian
+from vntoolkit.geometry.mesh import Mesh, face_normals, vertex_normals
+from vntoolkit.photometry.response import LightResponse
+
+_ROUNDS = 3
+_SETTLED = 0.002  # change of M, as a share, that ends the rounds
+_STEPS = 3  # of the positions, with one factor: the surface's own normals turn as it moves
+_EDGE_PX = 1.6  # mean length of an edge, about: two samples of a relief of a few pixels
+_MOST_VERTICES = 300_000
+# Normals that are off by 1 degree, as M leaves them, bend positions by half a pixel over half of this
+# wavelength. Stereo's ripples are of a pixel and more, and up to a dozen windows long.
+_CROSSOVER_PX = 200.0
+_LARGEST_CROSSOVER = 1.0 / 3.0  # of the mesh's diagonal: M is fitted to what longer waves say
+_PATCH_PX = 16.0  # side: larger than the windows of stereo blur, smaller than a nose
+_DRAWS, _PATTERNS = 8, 9
+_TINY, _SMALLEST_SINE = 1e-30, 1e-9
+_TOLERANCE, _MOST_ITERATIONS = 1e-4, 2000
+_LEAST_COTANGENT, _MOST_COTANGENT = 0.05, 5.0
+_LEAST_SEEN = 0.5  # of a patch's area, in a frame
+_LEAST_PATCH = 0.1  # of its side squared: less is a sliver
+_LEAST_NOISE = 0.01  # rad, of a normal: what registration and the mesh's resolution leave
+_UNKNOWN_NOISE = 0.2  # rad: of the mesh's own normals, where no light shows the skin's
+_LEAST_AGREEMENT = 0.3  # cosine between a measured normal and the surface's: a wrong visibility below it
+_MEDIAN_OF_ONE, _MEDIAN_OF_TWO = 0.455, 0.693  # of χ² with so many components, over its mean
+_NINE_OF_TEN = 2.146  # standard deviations of a component that hold nine of ten directions
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RefinedHead:
+    """A head whose shape agrees with its normals. mesh: head frame, with normals, colours and `error_deg`.
+
+    light, samples: M fitted to this mesh, and its samples, patches of skin instead of points. changes:
+    relative change of M in every round. error_percent: (n,) standard deviation of the positions, % of the
+    diagonal.
+    """
+
+    mesh: Mesh
+    light: HeadLight
+    samples: HeadSamples
+    changes: tuple[float, ...]
+    error_percent: FloatArray
+
+
+def refine_head(
+    mesh: Mesh,
+    camera: Camera,
+    frames: Callable[[], Iterable[LightFrame]],
+    light: HeadLight,
+    options: LightOptions,
+    rng: np.random.Generator,
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
+) -> RefinedHead:
+    """Alternate normals from colours, positions from normals and stereo, and M from the new shape.
+
+    mesh: of stereo, head frame. frames: reads the frames that normals are taken from, once a round. light:
+    M and what the first fit made of the samples.
+    """
+    pixel = _pixel_size(mesh, camera, frames())
+    surface = divided(mesh, _EDGE_PX * pixel)
+    stereo = surface.vertices
+    crossover = min(_CROSSOVER_PX * pixel, _LARGEST_CROSSOVER * surface.diagonal)
+    changes: list[float] = []
+    for number in range(_ROUNDS):
+        before = light.response
+        colours = without_shadow(skin_colours(surface, camera, frames()), surface, before)
+        skin = skin_normals(colours, before)
+        solver = PositionSolver(stereo, surface.faces, skin, crossover)
+        surface = surface.with_vertices(solver.positions())
+        samples = patch_samples(surface, camera, colours, skin, _PATCH_PX * pixel)
+        light = fit_light(samples, HeadRays(surface), options, rng, start=before)
+        changes.append(_relative_change(before, light.response))
+        on_progress(number + 1, _ROUNDS)
+        if changes[-1] < _SETTLED:
+            break
+    spread = solver.spread(surface, measured_noise(surface, stereo, skin, pixel), rng)
+    return RefinedHead(
+        mesh=replace(
+            surface, colours=_skin_colour(skin, light.response), error_deg=_expected_error_deg(skin)
+        ),
+        light=light,
+        samples=samples,
+        changes=tuple(changes),
+        error_percent=100.0 * spread / surface.diagonal,
+    )
+
+
+def _relative_change(first: LightResponse, second: LightResponse) -> float:
+    """Change of M as a share, but for its scale, which is the skin's albedo."""
+    a, b = first.matrix / np.linalg.norm(first.matrix), second.matrix / np.linalg.norm(second.matrix)
+    return float(np.linalg.norm(a - b))
+
+
+def _pixel_size(mesh: Mesh, camera: Camera, frames: Iterable[LightFrame]) -> float:
+    """Return the width that a pixel covers at the head's median depth."""
+    depth = float(np.median(next(iter(frames)).camera_from_head.apply(mesh.vertices)[:, 2]))
+    return depth / float(camera.matrix[0, 0])
+
+
+def divided(mesh: Mesh, edge: float) -> Mesh:
+    """Divide every triangle in four (loop1987) until edges have this mean length or vertices get too many."""
+    while len(mesh.vertices) * 4 < _MOST_VERTICES and 0.7 * _mean_edge(mesh) > edge:
+        finer = Mesh.from_open3d(replace(mesh, normals=None, colours=None).to_open3d().subdivide_loop(1))
+        mesh = replace(finer, normals=vertex_normals(finer.vertices, finer.faces))
+    return mesh
+
+
+def _mean_edge(mesh: Mesh) -> float:
+    corners = mesh.vertices[mesh.faces]
+    return float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean())
+
+
+class PositionSolver:
+    """Positions that agree with stereo at long wavelengths and with normals at short ones (nehab2005).
+
+    Minimises Σ_ij w_ij (n_ij · (x_j − x_i))² + (2π / λ)² Σ_i a_i |x_i − s_i|² along the normals. w_ij
+    is the cotangent weight, less where normals are noisy, n_ij the mean normal of an edge, a_i a vertex's
+    area, s_i its position by stereo, and λ the crossover, the wavelength at which both count the same.
+    """
+
+    def __init__(self, stereo: Points, faces: Faces, skin: SkinNormals, crossover: float) -> None:
+        self._stereo, self._faces = stereo, faces
+        pairs, cosines, sines = edge_cotangents(stereo, faces)
+        self._from, self._to = pairs.T
+        normals, noise = _normals_and_noise(stereo, faces, skin)
+        cotangents = 0.5 * cosines / np.maximum(sines, _SMALLEST_SINE)
+        variance = 0.5 * (noise[self._from] ** 2 + noise[self._to] ** 2)
+        self._weight = np.clip(cotangents, _LEAST_COTANGENT, _MOST_COTANGENT) * _LEAST_NOISE**2 / variance
+        self._anchor = (2.0 * np.pi / crossover) ** 2 * areas(stereo, faces)
+        laplacian = graph_laplacian(pairs, len(stereo), self._weight)
+        self._system = sp.csr_array(laplacian + sp.diags_array(self._anchor))
+        upright = normals[self._from] + normals[self._to]
+        self._upright = upright / np.linalg.norm(upright, axis=1, keepdims=True)
+
+    def positions(self) -> Points:
+        """Return (n, 3). A few rounds, as the normals that vertices move along turn on the way."""
+        x = np.array(self._stereo)
+        for _ in range(_STEPS):
+            along = vertex_normals(x, self._faces)
+            across = 0.5 * (along[self._from] + along[self._to])
+            slope = np.maximum((self._upright * across).sum(axis=1), _LEAST_AGREEMENT)
+            rise = -((x[self._to] - x[self._from]) * self._upright).sum(axis=1) / slope
+            pull = self._anchor * ((x - self._stereo) * along).sum(axis=1)
+            x += self._solved(self._divergence(rise) - pull)[:, None] * along
+        return x
+
+    def spread(self, surface: Mesh, levels: NoiseLevels, rng: np.random.Generator) -> FloatArray:
+        """Return the standard deviation (n,) of positions, by stereo's noise and shared errors of normals.
+
+        Noise is drawn. Shared errors of unknown pattern turn all normals n by E n, for every entry of E.
+        """
+        assert surface.normals is not None
+        own = np.sqrt(levels.stereo / np.maximum(areas(self._stereo, self._faces), _TINY))
+        variance = np.zeros(len(own))
+        for _ in range(_DRAWS):
+            variance += self._solved(self._anchor * own * rng.standard_normal(len(own))) ** 2 / _DRAWS
+        step = surface.vertices[self._to] - surface.vertices[self._from]
+        for row, column in np.ndindex(3, 3):
+            turned = np.zeros_like(surface.normals)
+            turned[:, row] = surface.normals[:, column]
+            turned -= (turned * surface.normals).sum(axis=1, keepdims=True) * surface.normals
+            turned *= levels.shared / np.sqrt(_PATTERNS)
+            rise = -(step * 0.5 * (turned[self._from] + turned[self._to])).sum(axis=1)
+            variance += self._solved(self._divergence(rise)) ** 2
+        return np.sqrt(variance)
+
+    def _divergence(self, rise: FloatArray) -> FloatArray:
+        count = len(self._stereo)
+        flow = self._weight * rise
+        return np.asarray(np.bincount(self._to, flow, count) - np.bincount(self._from, flow, count), float)
+
+    def _solved(self, right: FloatArray) -> FloatArray:
+        """Solve by conjugate gradients: the anchors bound the condition number by (crossover / edge)²."""
+        scale = sp.diags_array(1.0 / self._system.diagonal())
+        found, failed = cg(self._system, right, rtol=_TOLERANCE, maxiter=_MOST_ITERATIONS, M=scale)
+        if failed:
+            raise SolverFailed("refinement: the positions did not converge; leave it out: --head-shape fused")
+        return np.asarray(found)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoiseLevels:
+    """How sure stereo and normals are.
+
+    stereo: density of stereo's noise, its variance times the area over which it is the same, length units⁴.
+    shared: error in radians that the normals of a region share.
+    """
+
+    stereo: float
+    shared: float
+
+
+def measured_noise(mesh: Mesh, stereo: Points, skin: SkinNormals, pixel: float) -> NoiseLevels:
+    """Measure both on the refined mesh.
+
+    What patches of skin were moved by is stereo's noise. What the mean of their normals still turns from the
+    mesh's is the shared error.
+    """
+    assert mesh.normals is not None
+    area = np.where(np.isfinite(skin.noise), areas(stereo, mesh.faces), 0.0)
+
+    def mean_square(values: FloatArray, side: float) -> float:
+        patch, _ = _patches(mesh, side)
+        total = np.bincount(patch, area)
+        kept = total > _LEAST_SEEN * side**2
+        means = [np.bincount(patch, area * column)[kept] / total[kept] for column in values.T]
+        return float(np.median(np.square(means).sum(axis=0))) if kept.any() else 0.0
+
+    moved = ((mesh.vertices - stereo) * mesh.normals).sum(axis=1)
+    side = _PATCH_PX * pixel
+    density = mean_square(moved[:, None], side) / _MEDIAN_OF_ONE * side**2
+    shared = mean_square(skin.normals - mesh.normals, 3.0 * side) / _MEDIAN_OF_TWO
+    return NoiseLevels(stereo=density, shared=float(np.sqrt(max(shared, _LEAST_NOISE**2))))
+
+
+def _normals_and_noise(stereo: Points, faces: Faces, skin: SkinNormals) -> tuple[Points, FloatArray]:
+    """Return the normals to follow and their noise: measured where they are sure, else the mesh's own."""
+    own = vertex_normals(stereo, faces)
+    known = np.isfinite(skin.noise) & ((skin.normals * own).sum(axis=1) > _LEAST_AGREEMENT)
+    noise = np.where(known, np.maximum(skin.noise, _LEAST_NOISE), _UNKNOWN_NOISE)
+    return np.where(known[:, None], skin.normals, own), noise
+
+
+def areas(vertices: Points, faces: Faces) -> FloatArray:
+    """Return a third of the area of the triangles around each vertex, (n,)."""
+    third = np.linalg.norm(face_normals(vertices, faces), axis=1) / 6.0
+    counted = np.bincount(np.asarray(faces).ravel(), np.repeat(third, 3), minlength=len(vertices))
+    return np.asarray(counted, dtype=np.float64)
+
+
+def patch_samples(
+    mesh: Mesh, camera: Camera, colours: SkinColours, skin: SkinNormals, side: float
+) -> HeadSamples:
+    """Average normals and colours, less albedo, over patches of skin, as samples for the fit of M.
+
+    The mean normal of a patch hangs on its outline alone, so relief that the mesh misses and noise within the
+    patch do not shorten slopes and bend M; the mean colour is M times it. side: of a patch, length units.
+    """
+    assert mesh.normals is not None
+    patch, first = _patches(mesh, side)
+    area = areas(mesh.vertices, mesh.faces)
+    whole = np.bincount(patch, area)
+    columns: list[tuple[npt.NDArray[Any], ...]] = []
+    for number, pose in enumerate(colours.camera_from_head):
+        weight = np.where(skin.agrees[number], area, 0.0)
+        seen = np.bincount(patch, weight)
+        kept = np.flatnonzero((seen > _LEAST_SEEN * whole) & (whole > _LEAST_PATCH * side**2))
+        place, normal, rgb = (
+            np.stack([np.bincount(patch, weight * column)[kept] / seen[kept] for column in values.T], axis=1)
+            for values in (mesh.vertices, mesh.normals, colours.rgb[number] / skin.albedo)
+        )
+        pixel = camera.project(pose.apply(place))
+        columns.append((first[kept], np.full(len(kept), number), pose.rotate(normal), rgb, pixel))
+    point, frame, normals, rgb, pixel = (np.concatenate(each) for each in zip(*columns, strict=True))
+    return HeadSamples(
+        point=point,
+        frame=frame,
+        normals_in_camera=normals,
+        rgb=rgb,
+        position_px=pixel,
+        camera_from_head=colours.camera_from_head,
+    )
+
+
+def _patches(mesh: Mesh, side: float) -> tuple[IntArray, IntArray]:
+    """Return the patch of every vertex (n,), of one cube and one side of the head, and a vertex of each."""
+    assert mesh.normals is not None
+    axis = np.abs(mesh.normals).argmax(axis=1)
+    sign = np.take_along_axis(mesh.normals, axis[:, None], axis=1)[:, 0] > 0
+    cells = np.column_stack([np.round(mesh.vertices / side).astype(np.int64), 2 * axis + sign])
+    _, first, patch = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+    return patch.ravel(), first
+
+
+def _skin_colour(skin: SkinNormals, response: LightResponse) -> FloatArray:
+    """Return the skin's colour (n, 3), 0 to 1, under these lamps: albedo times each channel's light."""
+    brightness = np.linalg.norm(response.matrix, axis=1)
+    colour = skin.albedo * (brightness / brightness.max())
+    return np.clip(colour / np.percentile(colour.max(axis=1), 99), 0.0, 1.0).astype(np.float32)
+
+
+def _expected_error_deg(skin: SkinNormals) -> FloatArray:
+    noise = np.where(np.isfinite(skin.noise), np.hypot(skin.noise, _LEAST_NOISE), _UNKNOWN_NOISE)
+    return np.rad2deg(_NINE_OF_TEN * noise).astype(np.float32)
