@@ -251,7 +251,22 @@ def test_command_line_writes_every_format(tmp_path: Path, moving_jumper: MeshSeq
     fit.write_text('{"version": 1, "scale": 1.05}')
     common = ["dress", str(tmp_path / "capture"), "--motion", str(WALK)]
     out = tmp_path / "out"
-    assert main([*common, "--out", str(out / "a.usdc"), "--fit", str(fit), "--falloff", "continuous"]) == 0
+    assert (
+        main(
+            [
+                *common,
+                "--out",
+                str(out / "a.usdc"),
+                "--fit",
+                str(fit),
+                "--falloff",
+                "continuous",
+                "--carrier",
+                "cache",
+            ]
+        )
+        == 0
+    )
     assert "30 frames of 2304 vertices" in capsys.readouterr().out
     assert main([*common, "--out", str(out / "a.glb"), "--stop", "0.1", "--blend", "dual-quaternion"]) == 0
     assert main([*common, "--out", str(out / "a_%03d.ply"), "--stop", "0.05", "--loop", "ping-pong"]) == 0

@@ -8,15 +8,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from vntoolkit.errors import BadMesh, CannotWrite
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.mesh_sequence import MeshSequence
 from vntoolkit.io.maps_and_meshes import glb
 from vntoolkit.io.maps_and_meshes.glb import write_glb
+from vntoolkit.pipeline.dress import dress, write_dressed_figure
+from vntoolkit.skinning.gait import walking_motion
 
-COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}
-KINDS = {5126: np.float32, 5125: np.uint32}
+COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+KINDS = {5126: np.float32, 5125: np.uint32, 5123: np.uint16}
 
 
 def chunks(path: Path) -> tuple[dict, bytes]:
@@ -99,3 +102,50 @@ def test_a_long_clip_is_sent_to_usd(tmp_path: Path, jumper: Mesh, monkeypatch: p
     with pytest.raises(BadMesh, match="at least one frame"):
         write_glb(tmp_path / "none.glb", jumper, [], frame_rate_hz=60)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_skin_holds_joints_weights_and_folds(tmp_path: Path, moving_jumper: MeshSequence) -> None:
+    """The specification's own sum, joints × inverse bind × (position + shapes), gives the dressed garment."""
+    dressed = dress(moving_jumper, walking_motion())
+    write_dressed_figure(dressed, tmp_path / "skin.glb")
+    document, binary = chunks(tmp_path / "skin.glb")
+    primitive = document["meshes"][0]["primitives"][0]
+    values = {name: accessor(document, binary, i) for name, i in primitive["attributes"].items()}
+    assert {"POSITION", "NORMAL", "COLOR_0", "TEXCOORD_0", "JOINTS_0", "WEIGHTS_0"} <= set(values)
+    np.testing.assert_allclose(np.linalg.norm(values["NORMAL"], axis=1), 1, atol=1e-3)
+    shapes = [accessor(document, binary, target["POSITION"]) for target in primitive["targets"]]
+    animation, frame = document["animations"][0], 17
+    tracks = {}
+    for channel in animation["channels"]:
+        sampler = animation["samplers"][channel["sampler"]]
+        tracks[channel["target"]["node"], channel["target"]["path"]] = accessor(
+            document, binary, sampler["output"]
+        )
+    sliders = tracks[0, "weights"].reshape(len(dressed), len(shapes))
+    assert sliders.min() >= 0
+    assert sliders.max() <= 1
+    points = values["POSITION"] + sum(w * shape for w, shape in zip(sliders[frame], shapes, strict=True))
+    skin, world = document["skins"][0], {}
+    inverse = accessor(document, binary, skin["inverseBindMatrices"]).reshape(-1, 4, 4).transpose(0, 2, 1)
+
+    def place(node: int, above: np.ndarray) -> None:
+        own = np.eye(4)
+        own[:3, :3] = Rotation.from_quat(tracks[node, "rotation"][frame]).as_matrix()
+        own[:3, 3] = document["nodes"][node]["translation"]
+        if (node, "translation") in tracks:
+            own[:3, 3] = tracks[node, "translation"][frame]
+        world[node] = above @ own
+        for child in document["nodes"][node].get("children", ()):
+            place(child, world[node])
+
+    place(skin["skeleton"], np.eye(4))
+    moved = np.stack([world[node] for node in skin["joints"]]) @ inverse
+    shown = np.zeros_like(points)
+    for number in range(2):
+        if f"JOINTS_{number}" in values:
+            joints, weights = values[f"JOINTS_{number}"], values[f"WEIGHTS_{number}"] / 65535
+            for k in range(4):
+                matrices = moved[joints[:, k]]
+                turned = np.einsum("nij,nj->ni", matrices[:, :3, :3], points) + matrices[:, :3, 3]
+                shown += weights[:, k : k + 1] * turned
+    np.testing.assert_allclose(shown * [1, -1, -1], dressed.frame(frame), atol=1e-4)

@@ -73,6 +73,10 @@ def run(
         rate = f"{dressed.clock.frame_rate_hz:g} frames per second"
         print(f"{out}: {summary.frames} frames of {len(dressed.template.vertices)} vertices, {rate}{cut}")
         print(summary.findings.sentence)
+        if summary.fold_error is not None:
+            print(
+                f"skin: folds within {1000 * summary.fold_error:.2g} mm; --carrier cache writes them exactly"
+            )
         if preview:
             stem = out.stem.split("%")[0].rstrip("_") or "dress"
             with ProgressBars() as bars:

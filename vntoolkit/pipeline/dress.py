@@ -15,14 +15,15 @@ import vntoolkit
 from vntoolkit.arrays import FloatArray, Points
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.garment_fit import GarmentFit
-from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.geometry.mesh_sequence import MeshSequence
 from vntoolkit.geometry.motion import Motion
 from vntoolkit.geometry.rigid import Similarity
+from vntoolkit.geometry.skinned_clip import SkinnedClip, blend_shapes
 from vntoolkit.io.atomic import require_writable_folder
-from vntoolkit.io.maps_and_meshes.glb import write_glb
+from vntoolkit.io.maps_and_meshes.glb import write_glb, write_glb_skin
 from vntoolkit.io.maps_and_meshes.meshes import write_mesh
-from vntoolkit.io.maps_and_meshes.usd import write_usd_sequence
+from vntoolkit.io.maps_and_meshes.usd import write_usd_sequence, write_usd_skin
 from vntoolkit.io.motion.asf import AmcOptions, read_asf_amc
 from vntoolkit.io.motion.bvh import read_bvh
 from vntoolkit.io.results.sequences import read_mesh_sequence
@@ -43,10 +44,21 @@ from vntoolkit.skinning.kinematics import pose_of_frame
 from vntoolkit.skinning.weights import SkinWeights, WeightOptions
 
 logger = logging.getLogger(__name__)
+_FOLDS = 16  # blend shapes: what is left out of the folds of a walking jumper is below a millimetre
 _WEB_SAMPLES = 32  # poses of the motion in which web is looked for
 FIGURE_HEIGHT_M = 1.65  # toes to crown of an average adult, as skeletons measure it
 _Z_UP_TO_Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # in camera axes: −z becomes −y
 _FILE_SUFFIXES, _SEQUENCE_SUFFIXES = (".usdc", ".usd", ".glb"), (".ply", ".obj")
+
+
+class Carrier(Enum):
+    """What moves the cloth in a USD or GLB.
+
+    SKIN: joint weights and blend shapes. CACHE: every vertex of every frame, exact and large.
+    """
+
+    SKIN = "skin"
+    CACHE = "cache"
 
 
 class MotionUpAxis(Enum):
@@ -68,7 +80,9 @@ class DressOptions:
     the toes to the crown, for motion files that carry no unit. up_axis: which axis of the motion file points
     up. max_stretch: largest stretch of a triangle's edge where the parts of two bones meet. A triangle that
     the motion stretches more is cut: the capture joined what only touched, such as sleeve and flank. 0 cuts
-    nothing; weights by distance cut nothing either. map: joints of the arms, where their names and lengths do
+    nothing; weights by distance cut nothing either. carrier: what moves the cloth in USD and GLB: a skin
+    (joint weights, and blend shapes for the folds), or a cache of every vertex in every frame, exact and
+    large. Dual quaternions are written as a cache. map: joints of the arms, where their names and lengths do
     not tell: left-upper-arm=JOINT, left-forearm, left-hand, right-upper-arm and so on; once for each.
     """
 
@@ -77,6 +91,7 @@ class DressOptions:
     figure_height: float = FIGURE_HEIGHT_M
     up_axis: MotionUpAxis = MotionUpAxis.AUTO
     max_stretch: float = 3.0
+    carrier: Carrier = Carrier.SKIN
     map: tuple[str, ...] = ()
     fitting: GarmentFitOptions = field(default_factory=GarmentFitOptions)
     weights: WeightOptions = field(default_factory=WeightOptions)
@@ -105,6 +120,7 @@ class DressedFigure:
     weights: SkinWeights
     blend: Blend
     captured: CapturedMotion
+    carrier: Carrier
     cut_triangles: int = 0
 
     def __len__(self) -> int:
@@ -145,6 +161,23 @@ class DressedFigure:
         """Return the vertices (n, 3) of one frame of the clock."""
         captured = next(resampled_vertices(self.cloth, self.clock.cloth_s[index : index + 1]))
         return self._posed(self.captured.at_rest(self.rest_from_cloth.apply(captured)), index)
+
+    def skin(self) -> SkinnedClip:
+        """Return the garment as other programs animate it: joint weights, and blend shapes for its folds."""
+        template = self.template
+        count = min(_FOLDS, len(self.cloth) - 1)
+        base, shapes, weights, error = blend_shapes(template.vertices, self.rest_frames, count)
+        normals = vertex_normals(template.vertices, template.faces)
+        return SkinnedClip(
+            mesh=replace(template, vertices=base, normals=normals),
+            joints=self.weights.joints,
+            weights=self.weights.weights,
+            rest_from_model=self.rest_from_model,
+            motion=self.motion,
+            shapes=shapes,
+            shape_weights=weights,
+            shape_error=error,
+        )
 
     def _posed(self, rest: Points, index: int) -> Points:
         pose = pose_of_frame(self.motion, index)
@@ -187,6 +220,7 @@ def dress(
         fitting=fitting,
         weights=weights,
         blend=options.blend,
+        carrier=options.carrier if options.blend is Blend.LINEAR else Carrier.CACHE,
         captured=CapturedMotion(attached.vertices, weights, parts, fitting.rest_from_first),
         cut_triangles=cut,
     )
@@ -236,10 +270,15 @@ def _upright(motion: Motion, up_axis: MotionUpAxis) -> Motion:
 
 @dataclass(frozen=True, kw_only=True)
 class DressSummary:
-    """frames: how many were written. findings: what was measured of them."""
+    """What was written.
+
+    frames: how many. findings: what was measured of them. fold_error: of a skin, what its blend shapes leave
+    out of the folds, 95th percentile, metres; None for a cache.
+    """
 
     frames: int
     findings: DressingFindings
+    fold_error: float | None = None
 
 
 def write_dressed_figure(
@@ -257,6 +296,13 @@ def write_dressed_figure(
             yield vertices
             on_frame()
 
+    if dressed.carrier is Carrier.SKIN and out.suffix.lower() in _FILE_SUFFIXES:
+        clip = dressed.skin()
+        write = write_glb_skin if out.suffix.lower() == ".glb" else write_usd_skin
+        count = write(out, clip)
+        for _ in frames():
+            pass  # measured
+        return DressSummary(frames=count, findings=meter.findings, fold_error=clip.shape_error)
     match out.suffix.lower():
         case ".glb":
             count = write_glb(out, dressed.template, frames(), frame_rate_hz=rate)

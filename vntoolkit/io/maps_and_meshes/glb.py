@@ -1,7 +1,7 @@
-"""GLB for short clips: one glTF 2.0 mesh whose frames are morph targets, played by an animation.
+"""GLB: one glTF 2.0 surface, moved by a skin with blend shapes, or by one morph target a frame (short clips).
 
-Written by hand: the file is one JSON chunk and one binary chunk. Each frame is a target, so a long clip
-belongs into USD. Bones are not written: the vertices carry the whole motion.
+Written by hand: the file is one JSON chunk and one binary chunk. A clip without skin has every frame as a
+target, so a long one belongs into USD.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +20,20 @@ from vntoolkit import __version__
 from vntoolkit.arrays import Points
 from vntoolkit.checks import require_finite, require_positive, require_shape
 from vntoolkit.errors import BadMesh, CannotWrite
-from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.geometry.mesh import Mesh, vertex_normals
+from vntoolkit.geometry.skinned_clip import SkinnedClip, ViewedFrom
 from vntoolkit.io.atomic import atomic_path
-from vntoolkit.io.conventions import graphics_from_camera
+from vntoolkit.io.conventions import graphics_from_camera, motion_with_axes_turned
 
 MAX_BYTES = 512 * 2**20  # browsers and Blender hold the clip whole, and more than once
-_FLOAT, _UINT = 5126, 5125
+_TYPES = {
+    np.dtype(np.uint8): 5121,
+    np.dtype(np.uint16): 5123,
+    np.dtype(np.uint32): 5125,
+    np.dtype(np.float32): 5126,
+}
+_SKIN_BYTES = 28 * 2**20  # of a clip with skin: the blend shapes take what the surface leaves
+_INFLUENCES = 8  # of joints on a vertex: two sets of four; some viewers read the first set alone
 _ARRAY_BUFFER, _INDEX_BUFFER = 34962, 34963
 _HEADER = struct.Struct("<4sII")
 _CHUNK = struct.Struct("<I4s")
@@ -45,19 +54,23 @@ class _Binary:
         self.views: list[dict[str, Any]] = []
         self.accessors: list[dict[str, Any]] = []
 
-    def add(self, values: npt.NDArray[Any], kind: str, *, target: int | None = None) -> int:
-        """Append an array; return the number of its accessor. Every array here is a multiple of 4 bytes."""
+    def add(
+        self, values: npt.NDArray[Any], kind: str, *, target: int | None = None, normalised: bool = False
+    ) -> int:
+        """Append an array; return the number of its accessor. Rows here are multiples of 4 bytes."""
         content = np.ascontiguousarray(values).tobytes()
         view: dict[str, Any] = {"buffer": 0, "byteOffset": self.size, "byteLength": len(content)}
         if target is not None:
             view["target"] = target
-        accessor = {
+        accessor: dict[str, Any] = {
             "bufferView": len(self.views),
-            "componentType": _UINT if values.dtype == np.uint32 else _FLOAT,
+            "componentType": _TYPES[values.dtype],
             "count": values.size if kind == "SCALAR" else len(values),
             "type": kind,
         }
-        if kind != "VEC2" and target != _INDEX_BUFFER:  # positions and times need their range
+        if normalised:
+            accessor["normalized"] = True
+        if kind in ("VEC3", "SCALAR") and target != _INDEX_BUFFER:  # positions and times need their range
             rows = values.reshape(len(values), -1) if kind != "SCALAR" else values.reshape(-1, 1)
             accessor["min"], accessor["max"] = rows.min(axis=0).tolist(), rows.max(axis=0).tolist()
         self.size += len(content)
@@ -70,21 +83,221 @@ class _Binary:
         self.accessors.append(accessor)
         return len(self.accessors) - 1
 
+    def add_file(self, content: bytes) -> int:
+        """Append a file as it is; return the number of its view."""
+        padded = content + b"\0" * (-len(content) % 4)
+        self.views.append({"buffer": 0, "byteOffset": self.size, "byteLength": len(content)})
+        self.parts.append(padded)
+        self.size += len(padded)
+        return len(self.views) - 1
 
-def write_glb(path: Path | str, template: Mesh, frames: Iterable[Points], *, frame_rate_hz: float) -> int:
+
+@dataclass(frozen=True, kw_only=True)
+class Texture:
+    """Images on a surface's texture coordinates, as PNG files in memory, or None.
+
+    albedo: sRGB. normal: tangent space, x along u, y along v, z outwards.
+    """
+
+    albedo: bytes | None = None
+    normal: bytes | None = None
+
+
+def write_glb(
+    path: Path | str,
+    template: Mesh,
+    frames: Iterable[Points],
+    *,
+    frame_rate_hz: float,
+    camera: ViewedFrom | None = None,
+    texture: Texture | None = None,
+) -> int:
     """Write a moving surface of fixed topology, lengths in metres; return the number of frames.
 
-    frames: vertices (n, 3) in the camera frame. Colours go as COLOR_0, texture coordinates as TEXCOORD_0.
-    The material is matte and two-sided. Raises `CannotWrite` where the clip exceeds 512 MiB.
+    frames: vertices (n, 3) in the camera frame. Normals are those of each frame. Colours go as COLOR_0,
+    texture coordinates as TEXCOORD_0. The material is matte and two-sided. Raises `CannotWrite` where the
+    clip exceeds 512 MiB.
     """
-    count, parts = _content(template, frames, frame_rate_hz, str(path))
-    with atomic_path(path) as temporary, temporary.open("wb") as file:
-        file.writelines(parts)
+    count, parts = _content(template, frames, frame_rate_hz, str(path), camera, texture)
+    _write(path, parts)
     return count
 
 
+def write_glb_skin(
+    path: Path | str,
+    clip: SkinnedClip,
+    *,
+    camera: ViewedFrom | None = None,
+    texture: Texture | None = None,
+) -> int:
+    """Write a skinned surface with its skeleton and animation; return the number of frames.
+
+    Eight joints a vertex, and as many blend shapes as keep the file below 30 MB. Raises `CannotWrite`.
+    """
+    clip, name, count = clip.with_influences(_INFLUENCES), str(path), len(clip.mesh.vertices)
+    surface = 80 * count + 12 * len(clip.mesh.faces)  # bytes of a vertex with all attributes, of a triangle
+    clip = clip.with_shapes(max(0, (_SKIN_BYTES - surface) // (12 * max(count, 1))))
+    require_positive(clip.motion.frame_rate_hz, f"{name}: frame rate")
+    if not len(clip.mesh.faces):
+        raise BadMesh(f"{name}: a GLB needs at least one frame and one triangle")
+    binary = _Binary()
+    primitive: dict[str, Any] = {"attributes": {}, "mode": 4, "material": 0}
+    positions = graphics_from_camera(np.asarray(clip.mesh.vertices)).astype(np.float32)
+    _add_surface(binary, primitive, clip.mesh, positions)
+    joints = np.zeros((len(positions), _INFLUENCES), np.uint16)
+    joints[:, : clip.joints.shape[1]] = clip.joints
+    weights = _whole_weights(clip.weights)
+    joints[weights == 0] = 0  # as the standard asks
+    attributes = primitive["attributes"]
+    for number in range(_INFLUENCES // 4 if weights[:, 4:].any() else 1):
+        four = slice(4 * number, 4 * number + 4)
+        for name, values in ((f"JOINTS_{number}", joints), (f"WEIGHTS_{number}", weights)):
+            attributes[name] = binary.add(
+                values[:, four], "VEC4", target=_ARRAY_BUFFER, normalised=values is weights
+            )
+    shapes = clip.shapes
+    if len(shapes):
+        primitive["targets"] = [
+            {
+                "POSITION": binary.add(
+                    graphics_from_camera(shape).astype(np.float32), "VEC3", target=_ARRAY_BUFFER
+                )
+            }
+            for shape in shapes
+        ]
+    mesh: dict[str, Any] = {"primitives": [primitive], "name": "Cloth"}
+    if len(shapes):
+        mesh["weights"] = clip.shape_weights[0].tolist()
+    motion = motion_with_axes_turned(clip.motion)
+    turn = graphics_from_camera(np.eye(3))
+    skeleton, first = motion.skeleton, 1  # the joints are the nodes from 1 on
+    bind = np.array(clip.rest_from_model)
+    bind[:, :3, :3] = turn @ bind[:, :3, :3] @ turn.T
+    bind[:, :3, 3] = bind[:, :3, 3] @ turn.T
+    inverse = np.linalg.inv(bind)
+    inverse[:, 3] = [0, 0, 0, 1]
+    nodes: list[dict[str, Any]] = [{"mesh": 0, "skin": 0, "name": "Cloth"}]
+    for joint, joint_name in enumerate(skeleton.names):
+        children = (first + np.flatnonzero(skeleton.parents == joint)).tolist()
+        place = motion.root_positions[0] if joint == 0 else skeleton.offsets[joint]
+        node = {
+            "name": joint_name,
+            "translation": place.tolist(),
+            "rotation": (motion.rotations[0, joint] / np.linalg.norm(motion.rotations[0, joint])).tolist(),
+        }
+        nodes.append(node | ({"children": children} if children else {}))
+    document = _document(mesh, nodes, [0, first], camera, texture, binary)
+    document["skins"] = [
+        {
+            "joints": list(range(first, first + len(skeleton.names))),
+            "skeleton": first,
+            "inverseBindMatrices": binary.add(
+                inverse.transpose(0, 2, 1).reshape(-1, 16).astype(np.float32), "MAT4"
+            ),
+        }
+    ]
+    times = binary.add((np.arange(len(motion)) / motion.frame_rate_hz).astype(np.float32), "SCALAR")
+    outputs: list[tuple[int, str, int]] = [
+        (first + joint, "rotation", binary.add(motion.rotations[:, joint].astype(np.float32), "VEC4"))
+        for joint in range(len(skeleton.names))
+    ]
+    outputs.append((first, "translation", binary.add(motion.root_positions.astype(np.float32), "VEC3")))
+    if len(shapes):
+        sliders = clip.shape_weights.astype(np.float32).ravel()
+        outputs.append((0, "weights", binary.add(sliders, "SCALAR")))
+    document["animations"] = [
+        {
+            "name": "Motion",
+            "samplers": [
+                {"input": times, "output": accessor, "interpolation": "LINEAR"} for *_, accessor in outputs
+            ],
+            "channels": [
+                {"sampler": number, "target": {"node": node, "path": way}}
+                for number, (node, way, _) in enumerate(outputs)
+            ],
+        }
+    ]
+    _write(path, _pieces(document, binary))
+    return len(motion)
+
+
+def _whole_weights(weights: npt.NDArray[Any]) -> npt.NDArray[np.uint16]:
+    """Return (n, 4) weights of 65535 in all: the heaviest takes what rounding leaves."""
+    whole = np.zeros((len(weights), _INFLUENCES), np.int64)
+    whole[:, : weights.shape[1]] = np.floor(weights * 65535)
+    whole[:, 0] += 65535 - whole.sum(axis=1)
+    return whole.astype(np.uint16)
+
+
+def _write(path: Path | str, parts: list[bytes]) -> None:
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
+        file.writelines(parts)
+
+
+def _document(
+    mesh: dict[str, Any],
+    nodes: list[dict[str, Any]],
+    roots: list[int],
+    camera: ViewedFrom | None,
+    texture: Texture | None,
+    binary: _Binary,
+) -> dict[str, Any]:
+    """Return the file's description, but for its animations."""
+    material = dict(_MATTE)
+    document: dict[str, Any] = {
+        "asset": {"version": "2.0", "generator": f"vntoolkit {__version__}"},
+        "scene": 0,
+        "nodes": nodes,
+        "meshes": [mesh],
+        "materials": [material],
+    }
+    if texture is not None:
+        document |= _images(texture, material, binary)
+    if camera is not None:
+        document["cameras"] = [
+            {
+                "type": "perspective",
+                "perspective": {
+                    "yfov": camera.vertical_angle_rad,
+                    "aspectRatio": camera.aspect_ratio,
+                    "znear": 0.01,
+                },
+            }
+        ]
+        turned = np.eye(4)
+        turned[:3, :3], turned[:3, 3] = camera.file_axes(), graphics_from_camera(camera.position)
+        nodes.append({"name": "Camera", "camera": 0, "matrix": turned.T.ravel().tolist()})
+        roots = [*roots, len(nodes) - 1]
+    document["scenes"] = [{"nodes": roots}]
+    return document
+
+
+def _images(texture: Texture, material: dict[str, Any], binary: _Binary) -> dict[str, Any]:
+    """Embed the textures, and let the material show them."""
+    images = []
+    for content in (texture.albedo, texture.normal):
+        if content is not None:
+            images.append({"bufferView": binary.add_file(content), "mimeType": "image/png"})
+    looks = dict(material["pbrMetallicRoughness"])
+    if texture.albedo is not None:
+        looks["baseColorTexture"] = {"index": 0}
+    if texture.normal is not None:
+        material["normalTexture"] = {"index": len(images) - 1}
+    material["pbrMetallicRoughness"] = looks
+    return {
+        "images": images,
+        "samplers": [{"wrapS": 33071, "wrapT": 33071}],
+        "textures": [{"source": number, "sampler": 0} for number in range(len(images))],
+    }
+
+
 def _content(
-    template: Mesh, frames: Iterable[Points], frame_rate_hz: float, name: str
+    template: Mesh,
+    frames: Iterable[Points],
+    frame_rate_hz: float,
+    name: str,
+    camera: ViewedFrom | None,
+    texture: Texture | None,
 ) -> tuple[int, list[bytes]]:
     """Return the number of frames, and the file's bytes in pieces."""
     require_positive(frame_rate_hz, f"{name}: frame rate")
@@ -94,27 +307,26 @@ def _content(
     binary = _Binary()
     primitive: dict[str, Any] = {"attributes": {}, "mode": 4, "material": 0}
     first: npt.NDArray[np.float32] | None = None
+    base: npt.NDArray[np.float32] | None = None
     targets: list[dict[str, int]] = []
     for index, vertices in enumerate(frames):
         require_shape(vertices, (len(template.vertices), 3), f"frame {index}", BadMesh)
         require_finite(vertices, f"frame {index}", BadMesh)
         positions = graphics_from_camera(np.asarray(vertices)).astype(np.float32)
-        if first is None:
-            first = positions
-            _add_surface(binary, primitive, template, first)
+        if first is None or base is None:
+            first, base = positions, _normals(positions, template)
+            _add_surface(binary, primitive, replace(template, normals=None), first)
         else:
-            targets.append({"POSITION": binary.add(positions - first, "VEC3", target=_ARRAY_BUFFER)})
+            targets.append(
+                {
+                    "POSITION": binary.add(positions - first, "VEC3", target=_ARRAY_BUFFER),
+                    "NORMAL": binary.add(_normals(positions, template) - base, "VEC3", target=_ARRAY_BUFFER),
+                }
+            )
     if first is None:
         raise nothing
     mesh: dict[str, Any] = {"primitives": [primitive]}
-    document: dict[str, Any] = {
-        "asset": {"version": "2.0", "generator": f"vntoolkit {__version__}"},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "name": "Surface"}],
-        "meshes": [mesh],
-        "materials": [_MATTE],
-    }
+    document = _document(mesh, [{"mesh": 0, "name": "Surface"}], [0], camera, texture, binary)
     if targets:
         primitive["targets"] = targets
         mesh["weights"] = [0.0] * len(targets)
@@ -122,11 +334,23 @@ def _content(
     return len(targets) + 1, _pieces(document, binary)
 
 
+def _normals(positions: npt.NDArray[np.float32], template: Mesh) -> npt.NDArray[np.float32]:
+    """Return (n, 3) unit vertex normals; where a vertex has no triangle, towards the viewer."""
+    normals = vertex_normals(positions, template.faces)
+    normals[np.linalg.norm(normals, axis=1) < 0.5] = [0.0, 0.0, 1.0]
+    return normals.astype(np.float32)
+
+
 def _add_surface(
     binary: _Binary, primitive: dict[str, Any], template: Mesh, positions: npt.NDArray[np.float32]
 ) -> None:
     attributes = primitive["attributes"]
     attributes["POSITION"] = binary.add(positions, "VEC3", target=_ARRAY_BUFFER)
+    normals = _normals(positions, template)
+    if template.normals is not None:
+        given = graphics_from_camera(np.asarray(template.normals)).astype(np.float32)
+        normals = np.where(np.abs(np.linalg.norm(given, axis=1, keepdims=True) - 1) < 1e-3, given, normals)
+    attributes["NORMAL"] = binary.add(normals, "VEC3", target=_ARRAY_BUFFER)
     if template.colours is not None:
         colours = np.clip(np.asarray(template.colours, dtype=np.float32), 0, 1)
         attributes["COLOR_0"] = binary.add(colours, "VEC3", target=_ARRAY_BUFFER)

@@ -1,4 +1,4 @@
-"""Animated USD: a moving mesh with its skeleton, or a new mesh in every frame; written in constant memory.
+"""Animated USD: a skinned mesh, a moving mesh, or a new mesh in every frame, in constant memory.
 
 Vertices come in the camera frame (y down) and leave with y up, as every file, or z up. Houdini, Maya and
 usdview take scale, up axis and frame rate from the file. Blender 5.0.1 takes scale, axis and the range of
@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +21,9 @@ import numpy.typing as npt
 from vntoolkit.arrays import FloatArray, Points
 from vntoolkit.checks import require_finite, require_shape
 from vntoolkit.errors import BadInput, BadMesh, CannotWrite
-from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.geometry.motion import Motion, Skeleton, joint_paths, rest_pose
+from vntoolkit.geometry.skinned_clip import SkinnedClip, ViewedFrom
 from vntoolkit.io.atomic import atomic_path
 from vntoolkit.io.conventions import MeshUpAxis, graphics_from_camera, motion_with_axes_turned
 from vntoolkit.native import require_address_space
@@ -31,6 +32,7 @@ ROOT = "/World"
 SURFACE = f"{ROOT}/Surface"
 FIGURE = f"{ROOT}/Figure"
 CLOTH = f"{ROOT}/Cloth"
+CAMERA = f"{ROOT}/Camera"
 SUFFIXES = (".usdc", ".usd")
 _FLUSH_BYTES = 16 * 2**20
 _ADDRESS_SPACE = 2 << 30  # bytes, mostly its threads' stacks and heaps; with less it ends the process
@@ -45,12 +47,14 @@ def write_usd_sequence(
     metres_per_unit: float = 1.0,
     motion: Motion | None = None,
     up: MeshUpAxis = MeshUpAxis.Y,
+    camera: ViewedFrom | None = None,
+    texture: TextureFiles | None = None,
 ) -> int:
     """Write one surface of fixed topology, its vertices (n, 3) a time sample a frame; return the frames.
 
-    Colours become `displayColor`, texture coordinates `st`. With `motion` (one frame a frame, in the same
-    unit) the file also holds the skeleton as UsdSkel; the surface is not bound to it, its vertices move
-    already. Memory does not grow with the number of frames.
+    Colours become `displayColor`, texture coordinates `st`; normals are those of each frame. With `motion`
+    (one frame a frame, in the same unit) the file also holds the skeleton as UsdSkel; the surface is not
+    bound to it, its vertices move already. Memory does not grow with the number of frames.
     """
     if motion is not None and up is not MeshUpAxis.Y:
         raise BadInput(f"{path}: a skeleton is written with y up only")
@@ -58,15 +62,18 @@ def write_usd_sequence(
     with new_stage(path, frame_rate_hz=frame_rate_hz, metres_per_unit=metres_per_unit, up=up) as stage:
         mesh = _define_mesh(stage.stage)
         _set_topology(mesh, template, None)
-        _set_attributes(mesh, template, None)
-        if template.colours is not None:
-            add_colour_material(stage.stage, CLOTH, mesh)
+        _set_attributes(mesh, template, None, up)
+        add_material(stage.stage, CLOTH, mesh, template, texture)
         if motion is not None:
             add_skeleton(stage.stage, FIGURE, motion)
+        if camera is not None:
+            add_camera(stage.stage, camera, metres_per_unit, up)
         for count, vertices in enumerate(frames, start=1):
             require_shape(vertices, (len(template.vertices), 3), f"frame {count - 1}", BadMesh)
             require_finite(vertices, f"frame {count - 1}", BadMesh)
-            stage.wrote(_set_points(mesh, vertices, float(count - 1), up))
+            time = float(count - 1)
+            size = _set_points(mesh, vertices, time, up)
+            stage.wrote(size + _set_normals(mesh, vertex_normals(vertices, template.faces), time, up))
     return count
 
 
@@ -90,17 +97,62 @@ def write_usd_meshes(
             time = float(count - 1)
             size = _set_points(surface, mesh.vertices, time, up)
             size += _set_topology(surface, mesh, time)
-            size += _set_attributes(surface, mesh, time)
-            if mesh.colours is not None and not stage.stage.GetPrimAtPath(CLOTH):
-                add_colour_material(stage.stage, CLOTH, surface)
+            size += _set_attributes(surface, mesh, time, up)
+            if not stage.stage.GetPrimAtPath(CLOTH):
+                add_material(stage.stage, CLOTH, surface, mesh, None)
             stage.wrote(size)
     return count
 
 
-def _define_mesh(stage: Any) -> Any:
+def write_usd_skin(
+    path: Path | str,
+    clip: SkinnedClip,
+    *,
+    camera: ViewedFrom | None = None,
+    texture: TextureFiles | None = None,
+) -> int:
+    """Write a surface bound to its moving skeleton as UsdSkel, lengths in metres; return the frames.
+
+    Joint indices and weights, blend shapes with their weights in each frame, normals, `st`, `displayColor`
+    and a UsdPreviewSurface, with the textures where there are any.
+    """
+    from pxr import UsdSkel, Vt
+
+    rate = clip.motion.frame_rate_hz
+    with new_stage(path, frame_rate_hz=rate, metres_per_unit=1.0) as stage:
+        names = [f"Fold_{number:02d}" for number in range(len(clip.shapes))]
+        add_skeleton(stage.stage, FIGURE, clip.motion, clip.rest_from_model, names, clip.shape_weights)
+        mesh = _define_mesh(stage.stage, f"{FIGURE}/Cloth")
+        _set_points(mesh, clip.mesh.vertices, None, MeshUpAxis.Y)
+        _set_topology(mesh, clip.mesh, None)
+        _set_attributes(mesh, clip.mesh, None, MeshUpAxis.Y)
+        add_material(stage.stage, CLOTH, mesh, clip.mesh, texture)
+        binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
+        binding.CreateSkeletonRel().SetTargets([f"{FIGURE}/Skeleton"])
+        count = clip.joints.shape[1]
+        joints = Vt.IntArray.FromNumpy(np.ascontiguousarray(clip.joints, dtype=np.int32).ravel())
+        binding.CreateJointIndicesPrimvar(False, count).Set(joints)
+        weights = Vt.FloatArray.FromNumpy(np.ascontiguousarray(clip.weights, dtype=np.float32).ravel())
+        binding.CreateJointWeightsPrimvar(False, count).Set(weights)
+        binding.CreateGeomBindTransformAttr().Set(_matrices(np.eye(4)[None])[0])
+        targets = []
+        for name, shape in zip(names, clip.shapes, strict=True):
+            target = UsdSkel.BlendShape.Define(stage.stage, f"{FIGURE}/Cloth/{name}")
+            target.CreateOffsetsAttr(vec3f_from_camera(shape))
+            targets.append(target.GetPath())
+        if targets:
+            binding.CreateBlendShapesAttr().Set(Vt.TokenArray(names))
+            binding.CreateBlendShapeTargetsRel().SetTargets(targets)
+        if camera is not None:
+            add_camera(stage.stage, camera)
+        stage.frames(len(clip.motion))
+    return len(clip.motion)
+
+
+def _define_mesh(stage: Any, path: str = SURFACE) -> Any:
     from pxr import UsdGeom
 
-    mesh = UsdGeom.Mesh.Define(stage, SURFACE)
+    mesh = UsdGeom.Mesh.Define(stage, path)
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)  # else viewers smooth the capture away
     mesh.CreateDoubleSidedAttr(True)  # captured cloth is one layer, seen from both sides
     return mesh
@@ -112,19 +164,19 @@ def _time(time: float | None) -> Any:
     return Usd.TimeCode.Default() if time is None else Usd.TimeCode(time)
 
 
-def _set_points(mesh: Any, vertices: Points, time: float, up: MeshUpAxis) -> int:
+def _set_points(mesh: Any, vertices: Points, time: float | None, up: MeshUpAxis) -> int:
     """Author positions and their bounding box; return the bytes."""
     from pxr import Vt
 
     points = vec3f_from_camera(vertices, up)
-    mesh.CreatePointsAttr().Set(points, time)
+    mesh.CreatePointsAttr().Set(points, _time(time))
     box = np.zeros((2, 3))
     if len(vertices):
         columns = [vertices[:, axis] for axis in range(3)]  # numpy is ten times slower along the first axis
         ends = [[column.min() for column in columns], [column.max() for column in columns]]
         turned = graphics_from_camera(np.array(ends), up)
         box = np.stack([turned.min(axis=0), turned.max(axis=0)])  # turning swaps least and greatest
-    mesh.CreateExtentAttr().Set(Vt.Vec3fArray.FromNumpy(box.astype(np.float32)), time)
+    mesh.CreateExtentAttr().Set(Vt.Vec3fArray.FromNumpy(box.astype(np.float32)), _time(time))
     return len(vertices) * 12
 
 
@@ -138,11 +190,21 @@ def _set_topology(surface: Any, mesh: Mesh, time: float | None) -> int:
     return counts.nbytes + indices.nbytes
 
 
-def _set_attributes(surface: Any, mesh: Mesh, time: float | None) -> int:
-    """Author colours and texture coordinates where there are any; return the bytes."""
+def _set_normals(surface: Any, normals: Points, time: float | None, up: MeshUpAxis) -> int:
+    """Author vertex normals; return the bytes."""
+    from pxr import UsdGeom
+
+    surface.CreateNormalsAttr().Set(vec3f_from_camera(normals, up), _time(time))
+    surface.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+    return len(normals) * 12
+
+
+def _set_attributes(surface: Any, mesh: Mesh, time: float | None, up: MeshUpAxis) -> int:
+    """Author normals, and colours and texture coordinates where there are any; return the bytes."""
     from pxr import Sdf, UsdGeom, Vt
 
-    size = 0
+    normals = vertex_normals(mesh.vertices, mesh.faces) if mesh.normals is None else mesh.normals
+    size = _set_normals(surface, normals, time, up)
     primvars = UsdGeom.PrimvarsAPI(surface)
     if mesh.colours is not None:
         colours = np.ascontiguousarray(mesh.colours, dtype=np.float32)
@@ -177,6 +239,10 @@ class UsdStage:
         self._pending += size
         if self._pending >= _FLUSH_BYTES:
             self.save()
+
+    def frames(self, count: int) -> None:
+        """Count frames whose samples are all there."""
+        self._frames = count
 
     def save(self) -> None:
         """Append what is in memory to the file, with the time range so far."""
@@ -222,26 +288,98 @@ def vec3f_from_camera(vectors: npt.NDArray[Any], up: MeshUpAxis = MeshUpAxis.Y) 
     return Vt.Vec3fArray.FromNumpy(graphics_from_camera(np.asarray(vectors, dtype=np.float32), up))
 
 
-def add_colour_material(stage: Any, path: str, surface: Any) -> None:
-    """Define at `path` a UsdPreviewSurface whose colour is the primvar `displayColor`; bind the surface."""
-    from pxr import Sdf, UsdShade
+@dataclass(frozen=True, kw_only=True)
+class TextureFiles:
+    """Names of images beside the file, or None. albedo: sRGB. normal: tangent space, y along v."""
 
+    albedo: str | None = None
+    normal: str | None = None
+
+
+def add_material(stage: Any, path: str, surface: Any, mesh: Mesh, texture: TextureFiles | None) -> None:
+    """Define at `path` a matte UsdPreviewSurface and bind the surface to it.
+
+    Its colour is the texture's, else that of the primvar `displayColor`, else a plain grey.
+    """
+    from pxr import Gf, Sdf, UsdShade
+
+    kinds = Sdf.ValueTypeNames
     material = UsdShade.Material.Define(stage, path)
-    reader = UsdShade.Shader.Define(stage, f"{path}/Colour")
-    reader.CreateIdAttr("UsdPrimvarReader_float3")
-    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("displayColor")
-    shader = UsdShade.Shader.Define(stage, f"{path}/Matte")
-    shader.CreateIdAttr("UsdPreviewSurface")
-    colour = shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
-    colour.ConnectToSource(reader.CreateOutput("result", Sdf.ValueTypeNames.Float3))
-    shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(1.0)
-    shown = shader.CreateOutput("surface", Sdf.ValueTypeNames.Token)
+
+    def node(name: str, kind: str) -> Any:
+        shader = UsdShade.Shader.Define(stage, f"{path}/{name}")
+        shader.CreateIdAttr(kind)
+        return shader
+
+    shader = node("Matte", "UsdPreviewSurface")
+    colour = shader.CreateInput("diffuseColor", kinds.Color3f)
+    shader.CreateInput("roughness", kinds.Float).Set(1.0)
+    if texture is not None and mesh.uv is not None:
+        places = node("Places", "UsdPrimvarReader_float2")
+        places.CreateInput("varname", kinds.String).Set("st")
+        st = places.CreateOutput("result", kinds.Float2)
+        for name, file, space in (("Albedo", texture.albedo, "sRGB"), ("Normal", texture.normal, "raw")):
+            if file is None:
+                continue
+            image = node(name, "UsdUVTexture")
+            image.CreateInput("file", kinds.Asset).Set(Sdf.AssetPath(f"./{file}"))
+            image.CreateInput("sourceColorSpace", kinds.Token).Set(space)
+            for wrap in ("wrapS", "wrapT"):
+                image.CreateInput(wrap, kinds.Token).Set("clamp")
+            image.CreateInput("st", kinds.Float2).ConnectToSource(st)
+            output = image.CreateOutput("rgb", kinds.Float3)
+            if name == "Albedo":
+                colour.ConnectToSource(output)
+            else:
+                image.CreateInput("scale", kinds.Float4).Set(Gf.Vec4f(2, 2, 2, 1))
+                image.CreateInput("bias", kinds.Float4).Set(Gf.Vec4f(-1, -1, -1, 0))
+                shader.CreateInput("normal", kinds.Normal3f).ConnectToSource(output)
+    elif mesh.colours is not None:
+        reader = node("Colour", "UsdPrimvarReader_float3")
+        reader.CreateInput("varname", kinds.String).Set("displayColor")
+        colour.ConnectToSource(reader.CreateOutput("result", kinds.Float3))
+    else:
+        colour.Set(Gf.Vec3f(0.5, 0.5, 0.5))
+    shown = shader.CreateOutput("surface", kinds.Token)
     material.CreateSurfaceOutput().ConnectToSource(shown)
     UsdShade.MaterialBindingAPI.Apply(surface.GetPrim()).Bind(material)
 
 
-def add_skeleton(stage: Any, path: str, motion: Motion) -> None:
-    """Define a SkelRoot at `path` with the skeleton, its rest pose and one time sample a frame."""
+_APERTURE_MM = 36.0
+
+
+def add_camera(
+    stage: Any, camera: ViewedFrom, metres_per_unit: float = 1.0, up: MeshUpAxis = MeshUpAxis.Y
+) -> None:
+    """Define the camera that filmed; its position is in the file's lengths."""
+    from pxr import Gf, UsdGeom
+
+    prim = UsdGeom.Camera.Define(stage, CAMERA)
+    turn = graphics_from_camera(np.eye(3), up).T
+    matrix = np.eye(4)
+    matrix[:3, :3] = turn @ camera.rotation @ np.diag([1.0, -1.0, -1.0])
+    matrix[:3, 3] = turn @ camera.position
+    prim.AddTransformOp().Set(Gf.Matrix4d(matrix.T.tolist()))
+    width = 10 * _APERTURE_MM * 0.001 / metres_per_unit  # USD counts apertures in tenths of its unit
+    prim.CreateHorizontalApertureAttr(width)
+    prim.CreateVerticalApertureAttr(width / camera.aspect_ratio)
+    prim.CreateFocalLengthAttr(width * camera.focal_px[0] / camera.size_px[0])
+    prim.CreateClippingRangeAttr(Gf.Vec2f(0.01 / metres_per_unit, 1000 / metres_per_unit))
+
+
+def add_skeleton(
+    stage: Any,
+    path: str,
+    motion: Motion,
+    bind: FloatArray | None = None,
+    shapes: Sequence[str] = (),
+    shape_weights: FloatArray | None = None,
+) -> None:
+    """Define a SkelRoot at `path` with the skeleton, its rest pose and one time sample a frame.
+
+    bind: (j, 4, 4) the pose of attachment in camera axes, else the rest pose. shapes: names of blend shapes.
+    shape_weights: (frames, shapes).
+    """
     from pxr import UsdSkel, Vt
 
     turned = motion_with_axes_turned(motion)
@@ -250,7 +388,8 @@ def add_skeleton(stage: Any, path: str, motion: Motion) -> None:
     root = UsdSkel.Root.Define(stage, path)
     skeleton = UsdSkel.Skeleton.Define(stage, f"{path}/Skeleton")
     skeleton.CreateJointsAttr(paths)
-    skeleton.CreateBindTransformsAttr(_matrices(rest_pose(turned.skeleton)))
+    bound = rest_pose(turned.skeleton) if bind is None else _turned_poses(bind)
+    skeleton.CreateBindTransformsAttr(_matrices(bound))
     skeleton.CreateRestTransformsAttr(_matrices(_local_rest(turned.skeleton)))
     _author_extents(root, skeleton, turned)
     animation = UsdSkel.Animation.Define(stage, f"{path}/Skeleton/Motion")
@@ -260,11 +399,22 @@ def add_skeleton(stage: Any, path: str, motion: Motion) -> None:
     translations, rotations = animation.CreateTranslationsAttr(), animation.CreateRotationsAttr()
     # Quatf.FromNumpy takes (x, y, z, w), the order in memory of USD's quaternions.
     quaternions = np.ascontiguousarray(turned.rotations, dtype=np.float32)
+    if shapes and shape_weights is not None:
+        animation.CreateBlendShapesAttr(Vt.TokenArray(list(shapes)))
+        sliders = animation.CreateBlendShapeWeightsAttr()
+        for frame, weights in enumerate(np.asarray(shape_weights, dtype=np.float32)):
+            sliders.Set(Vt.FloatArray.FromNumpy(np.ascontiguousarray(weights)), float(frame))
     for frame, root_position in enumerate(motion.root_positions):
         offsets = np.array(motion.skeleton.offsets)
         offsets[0] = root_position
         translations.Set(vec3f_from_camera(offsets), float(frame))
         rotations.Set(Vt.QuatfArray.FromNumpy(quaternions[frame]), float(frame))
+
+
+def _turned_poses(poses: FloatArray) -> FloatArray:
+    """Return poses (j, 4, 4) in the axes of files."""
+    turn = np.diag([1.0, -1.0, -1.0, 1.0])
+    return np.asarray(turn @ poses @ turn)
 
 
 def _author_extents(root: Any, skeleton: Any, turned: Motion) -> None:
