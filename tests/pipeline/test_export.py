@@ -60,7 +60,7 @@ def test_usd_is_valid_and_holds_the_surface(
     dome_result: DomeResult, tmp_path: Path, surface: ExportedSurface, up: MeshUpAxis
 ) -> None:
     path = exported(
-        dome_result, tmp_path / "a.usdc", ExportFormat.USD, surface=surface, up=up, scale=0.002,
+        dome_result, tmp_path / "a.usdc", ExportFormat.USD, mesh=surface, up=up, scale=0.002, centre=False,
         units=FileUnit.CM,
     )  # fmt: skip
     assert complaints(path) == []
@@ -84,7 +84,7 @@ def test_usd_is_valid_and_holds_the_surface(
 def test_registered_usd_has_one_topology_and_the_other_many(dome_result: DomeResult, tmp_path: Path) -> None:
     counts = {}
     for surface in (ExportedSurface.TRACKED, ExportedSurface.FRAMES):
-        path = exported(dome_result, tmp_path / f"{surface.value}.usdc", ExportFormat.USD, surface=surface)
+        path = exported(dome_result, tmp_path / f"{surface.value}.usdc", ExportFormat.USD, mesh=surface)
         stage = Usd.Stage.Open(str(path))
         mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/World/Surface"))
         counts[surface] = mesh.GetFaceVertexIndicesAttr().GetNumTimeSamples()
@@ -103,19 +103,19 @@ def test_glb_is_metres_and_whole(dome_result: DomeResult, tmp_path: Path) -> Non
     position = document["accessors"][document["meshes"][0]["primitives"][0]["attributes"]["POSITION"]]
     np.testing.assert_allclose(np.subtract(position["max"], position["min"]), extent, rtol=1e-5)
     assert len(document["meshes"][0]["primitives"][0]["targets"]) == 2
-    folder = exported(dome_result, tmp_path / "own", ExportFormat.GLB, surface=ExportedSurface.FRAMES)
+    folder = exported(dome_result, tmp_path / "own", ExportFormat.GLB, mesh=ExportedSurface.FRAMES)
     assert [p.name for p in sorted(folder.glob("*.glb"))] == [f"{n:06d}.glb" for n in range(3)]
 
 
 @pytest.mark.parametrize("kind", [ExportFormat.PLY, ExportFormat.OBJ])
 def test_meshes_come_back(dome_result: DomeResult, tmp_path: Path, kind: ExportFormat) -> None:
-    out = exported(dome_result, tmp_path, kind, surface=ExportedSurface.FRAMES)
+    out = exported(dome_result, tmp_path, kind, mesh=ExportedSurface.FRAMES)
     mesh, truth = (
         read_mesh(path) for path in (out / f"000002.{kind.value}", dome_result.folder / "mesh/000002.ply")
     )
     np.testing.assert_allclose(mesh.vertices, truth.vertices, rtol=1e-5, atol=1e-5)
     assert np.array_equal(mesh.faces, truth.faces)
-    tall = exported(dome_result, tmp_path / "z", kind, surface=ExportedSurface.FRAMES, up=MeshUpAxis.Z)
+    tall = exported(dome_result, tmp_path / "z", kind, mesh=ExportedSurface.FRAMES, up=MeshUpAxis.Z)
     standing = read_mesh(tall / f"000002.{kind.value}")  # as if y were up: so undo the half turn
     as_stored = graphics_from_camera(standing.vertices)
     np.testing.assert_allclose(as_stored[:, 2], -truth.vertices[:, 1], rtol=1e-5, atol=1e-5)
@@ -205,7 +205,7 @@ def test_overwriting_leaves_no_frame_of_another_format(dome_result: DomeResult, 
 def test_a_refused_export_writes_nothing(dome_result: DomeResult, tmp_path: Path) -> None:
     folder = shutil.copytree(dome_result.folder, tmp_path / "result")
     shutil.rmtree(folder / "mesh")
-    options = {"surface": ExportedSurface.FRAMES}
+    options = {"mesh": ExportedSurface.FRAMES}
     with pytest.raises(BadInput, match="holds no mesh of those frames"):
         exported(DomeResult(folder, folder), tmp_path / "out", ExportFormat.PLY, **options)
     with pytest.raises(BadInput, match=r"a\.glb: expected the name of a folder, for one \.glb a frame"):
@@ -232,7 +232,7 @@ def test_an_animation_that_fails_leaves_nothing(dome_result: DomeResult, tmp_pat
     folder = shutil.copytree(dome_result.folder, tmp_path / "result")
     (folder / "mesh/000002.ply").write_bytes(b"ply\n")
     out = tmp_path / "out"
-    options = ExportOptions(to=ExportFormat.USD, surface=ExportedSurface.FRAMES)
+    options = ExportOptions(to=ExportFormat.USD, mesh=ExportedSurface.FRAMES)
     with pytest.raises(BadInput, match=r"000002\.ply"):
         export(ExportJob(folder=folder, options=options, out=out / "a.usdc"))
     assert list(out.iterdir()) == []
@@ -267,11 +267,11 @@ def test_points_are_every_pixel_with_a_depth(dome_result: DomeResult, tmp_path: 
 
 def test_cleaned_meshes_have_the_faces_asked_for(dome_result: DomeResult, tmp_path: Path) -> None:
     cleaning = CleanOptions(most_faces=300)
-    with pytest.raises(BadInput, match="add --surface frames"):
+    with pytest.raises(BadInput, match="add --mesh frames"):
         exported(dome_result, tmp_path, ExportFormat.PLY, cleaning=cleaning)
     with pytest.raises(BadInput, match="cleaning is for meshes, and npz has none"):
         exported(dome_result, tmp_path, ExportFormat.NPZ, cleaning=cleaning)
-    out = exported(dome_result, tmp_path, ExportFormat.PLY, surface=ExportedSurface.FRAMES, cleaning=cleaning)
+    out = exported(dome_result, tmp_path, ExportFormat.PLY, mesh=ExportedSurface.FRAMES, cleaning=cleaning)
     mesh, whole = read_mesh(out / "000001.ply"), read_mesh(dome_result.folder / "mesh/000001.ply")
     assert 200 < len(mesh.faces) <= 300 < len(whole.faces)
     assert mesh_distance(mesh, whole).mean_percent < 0.5

@@ -54,7 +54,7 @@ def test_tracks_of_an_earlier_reconstruction_are_left_out(
     assert opened.track is None
     assert f"run `vntoolkit track {result} --overwrite`" in caplog.text
     with pytest.raises(BadInput, match="holds no tracked surface; run `vntoolkit track` first"):
-        exported(result, ExportFormat.PLY, surface=ExportedSurface.TRACKED)
+        exported(result, ExportFormat.PLY, mesh=ExportedSurface.TRACKED)
 
 
 def test_a_result_whose_footage_is_another(result: Path, dome_capture: DomeCapture) -> None:

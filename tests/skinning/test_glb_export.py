@@ -148,4 +148,4 @@ def test_a_skin_holds_joints_weights_and_folds(tmp_path: Path, moving_jumper: Me
                 matrices = moved[joints[:, k]]
                 turned = np.einsum("nij,nj->ni", matrices[:, :3, :3], points) + matrices[:, :3, 3]
                 shown += weights[:, k : k + 1] * turned
-    np.testing.assert_allclose(shown * [1, -1, -1], dressed.frame(frame), atol=1e-4)
+    np.testing.assert_allclose(shown * [1, -1, -1], dressed.frame(frame) + dressed.offset, atol=1e-4)

@@ -61,7 +61,8 @@ def export(
     with ProgressBars() as bars:
         summary = run(job, overwrite=overwrite, on_start=partial(bars.begin, "export"), on_frame=bars.step)
     kept = f", {summary.kept} of them from before" if summary.kept else ""
-    print(f"{summary.out}: {summary.frames} frames{kept}")
+    which = {True: " of the tracked mesh", False: " of each frame's own mesh", None: ""}[summary.is_tracked]
+    print(f"{summary.out}: {summary.frames} frames{which}{kept}")
     files = [summary.out] if summary.out.is_file() else sorted(summary.out.iterdir())
     shapes = [path for path in files if path.suffix.lower() in _SHAPES]
     if shapes:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 import vntoolkit
-from vntoolkit.arrays import FloatArray, Points
+from vntoolkit.arrays import FloatArray, Points, Vector3
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.garment_fit import GarmentFit
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
@@ -22,11 +22,13 @@ from vntoolkit.geometry.rigid import Similarity
 from vntoolkit.geometry.skinned_clip import SkinnedClip, blend_shapes
 from vntoolkit.io.atomic import require_writable_folder
 from vntoolkit.io.maps_and_meshes.glb import write_glb, write_glb_skin
-from vntoolkit.io.maps_and_meshes.meshes import write_mesh
+from vntoolkit.io.maps_and_meshes.meshes import read_mesh, write_mesh
 from vntoolkit.io.maps_and_meshes.usd import write_usd_sequence, write_usd_skin
 from vntoolkit.io.motion.asf import AmcOptions, read_asf_amc
 from vntoolkit.io.motion.bvh import read_bvh
 from vntoolkit.io.results.sequences import read_mesh_sequence
+from vntoolkit.pipeline.outputs import ReconstructionFolder
+from vntoolkit.pipeline.tracked_folder import colours_at, read_track_record, recorded_camera, uv_in_picture
 from vntoolkit.skinning.alignment import Anchor, CapturedMotion, parts_of
 from vntoolkit.skinning.anatomy import anatomy_of
 from vntoolkit.skinning.attachment import GarmentCover, SleeveCover, weights_without_web
@@ -40,10 +42,11 @@ from vntoolkit.skinning.clock import (
 )
 from vntoolkit.skinning.findings import DressingFindings, DressingMeter
 from vntoolkit.skinning.fitting import Fitting, GarmentFitOptions, fit_garment_to_figure
-from vntoolkit.skinning.kinematics import pose_of_frame
+from vntoolkit.skinning.kinematics import bone_segments, pose_of_frame
 from vntoolkit.skinning.weights import SkinWeights, WeightOptions
 
 logger = logging.getLogger(__name__)
+_FLOOR_SAMPLES = 50
 _FOLDS = 16  # blend shapes: what is left out of the folds of a walking jumper is below a millimetre
 _WEB_SAMPLES = 32  # poses of the motion in which web is looked for
 FIGURE_HEIGHT_M = 1.65  # toes to crown of an average adult, as skeletons measure it
@@ -82,7 +85,8 @@ class DressOptions:
     the motion stretches more is cut: the capture joined what only touched, such as sleeve and flank. 0 cuts
     nothing; weights by distance cut nothing either. carrier: what moves the cloth in USD and GLB: a skin
     (joint weights, and blend shapes for the folds), or a cache of every vertex in every frame, exact and
-    large. Dual quaternions are written as a cache. map: joints of the arms, where their names and lengths do
+    large. Dual quaternions are written as a cache. centre: the figure begins above the origin of the file and
+    stands on its floor. map: joints of the arms, where their names and lengths do
     not tell: left-upper-arm=JOINT, left-forearm, left-hand, right-upper-arm and so on; once for each.
     """
 
@@ -92,6 +96,7 @@ class DressOptions:
     up_axis: MotionUpAxis = MotionUpAxis.AUTO
     max_stretch: float = 3.0
     carrier: Carrier = Carrier.SKIN
+    centre: bool = True
     map: tuple[str, ...] = ()
     fitting: GarmentFitOptions = field(default_factory=GarmentFitOptions)
     weights: WeightOptions = field(default_factory=WeightOptions)
@@ -121,6 +126,7 @@ class DressedFigure:
     blend: Blend
     captured: CapturedMotion
     carrier: Carrier
+    is_centred: bool = False
     cut_triangles: int = 0
 
     def __len__(self) -> int:
@@ -161,6 +167,14 @@ class DressedFigure:
         """Return the vertices (n, 3) of one frame of the clock."""
         captured = next(resampled_vertices(self.cloth, self.clock.cloth_s[index : index + 1]))
         return self._posed(self.captured.at_rest(self.rest_from_cloth.apply(captured)), index)
+
+    @cached_property
+    def offset(self) -> Vector3:
+        """(3,) by which files hold it moved: the root begins above the origin, the feet are on the floor."""
+        if not self.is_centred:
+            return np.zeros(3)
+        x, _, z = self.motion.root_positions[0]
+        return -np.array([x, floor_height(self.motion), z])
 
     def skin(self) -> SkinnedClip:
         """Return the garment as other programs animate it: joint weights, and blend shapes for its folds."""
@@ -222,6 +236,7 @@ def dress(
         blend=options.blend,
         carrier=options.carrier if options.blend is Blend.LINEAR else Carrier.CACHE,
         captured=CapturedMotion(attached.vertices, weights, parts, fitting.rest_from_first),
+        is_centred=options.centre,
         cut_triangles=cut,
     )
 
@@ -256,6 +271,13 @@ def _cover(fitting: Fitting) -> GarmentCover:
     )
 
 
+def floor_height(motion: Motion) -> float:
+    """Return y of the lowest bone over the whole motion, sampled: that is where the figure stands."""
+    moments = np.unique(np.linspace(0, len(motion) - 1, _FLOOR_SAMPLES).round().astype(int))
+    poses = (pose_of_frame(motion, int(moment)) for moment in moments)
+    return max(float(bone_segments(motion.skeleton, pose)[2][:, 1].max()) for pose in poses)
+
+
 def _sampled_poses(motion: Motion) -> FloatArray:
     frames = np.unique(np.linspace(0, len(motion) - 1, _WEB_SAMPLES).round().astype(int))
     return np.stack([pose_of_frame(motion, int(frame)) for frame in frames])
@@ -288,16 +310,16 @@ def write_dressed_figure(
     out = Path(out)
     require_figure_name(out)
     require_writable_folder(out.parent)
-    rate, meter = dressed.clock.frame_rate_hz, dressed.meter()
+    rate, meter, offset = dressed.clock.frame_rate_hz, dressed.meter(), dressed.offset
 
     def frames() -> Iterator[Points]:
         for index, vertices in enumerate(dressed.frames()):
             meter.add(vertices, pose_of_frame(dressed.motion, index))
-            yield vertices
+            yield vertices + offset
             on_frame()
 
     if dressed.carrier is Carrier.SKIN and out.suffix.lower() in _FILE_SUFFIXES:
-        clip = dressed.skin()
+        clip = dressed.skin().moved(offset)
         write = write_glb_skin if out.suffix.lower() == ".glb" else write_usd_skin
         count = write(out, clip)
         for _ in frames():
@@ -309,9 +331,9 @@ def write_dressed_figure(
         case suffix if suffix in _SEQUENCE_SUFFIXES:
             count = _write_files(dressed.template, frames(), out)
         case _:
-            count = write_usd_sequence(
-                out, dressed.template, frames(), frame_rate_hz=rate, motion=dressed.motion
-            )
+            played = dressed.motion
+            played = replace(played, root_positions=played.root_positions + offset)
+            count = write_usd_sequence(out, dressed.template, frames(), frame_rate_hz=rate, motion=played)
     return DressSummary(frames=count, findings=meter.findings)
 
 
@@ -333,7 +355,9 @@ def require_figure_name(out: Path) -> None:
 def _write_files(template: Mesh, frames: Iterable[Points], pattern: Path) -> int:
     count = 0
     for count, vertices in enumerate(frames, start=1):
-        write_mesh(pattern.with_name(pattern.name % (count - 1)), template.with_vertices(vertices))
+        normals = vertex_normals(vertices, template.faces)
+        mesh = replace(template, vertices=vertices, normals=normals)
+        write_mesh(pattern.with_name(pattern.name % (count - 1)), mesh)
     return count
 
 
@@ -388,4 +412,24 @@ def read_tracked_cloth(folder: Path | str) -> MeshSequence:
     inside = folder / "track"
     if not inside.is_dir() and not (folder / "sequence.json").exists():
         raise BadInput(f"{folder}: holds no registered mesh: run `vntoolkit track {folder}` first")
-    return read_mesh_sequence(inside if inside.is_dir() else folder)
+    track = inside if inside.is_dir() else folder
+    return _as_captured(read_mesh_sequence(track), track)
+
+
+def _as_captured(cloth: MeshSequence, track: Path) -> MeshSequence:
+    """Give the template the colours of its frame's own mesh, and the texture coordinates of its picture."""
+    if not (track / "track.json").exists():
+        return cloth
+    record = read_track_record(track)
+    template, row = cloth.template, record["frames"].index(record["template"])
+    if row >= len(cloth):
+        return cloth
+    vertices = np.array(cloth.vertices[row])
+    own = ReconstructionFolder(root=track.parent).mesh(record["template"])
+    if template.colours is None and own.exists():
+        mesh = read_mesh(own)
+        if mesh.colours is not None:
+            template = replace(template, colours=colours_at(vertices, mesh))
+    if template.uv is None and "camera" in record:
+        template = replace(template, uv=uv_in_picture(recorded_camera(record).without_distortion(), vertices))
+    return replace(cloth, template=template)

@@ -6,7 +6,7 @@ import json
 import logging
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
 from typing import Any
@@ -14,10 +14,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray
+from vntoolkit.arrays import FloatArray, Vector3
 from vntoolkit.errors import BadInput, VntError
+from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import LengthUnit
-from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.geometry.mesh import Mesh, vertex_normals
+from vntoolkit.geometry.skinned_clip import ViewedFrom
 from vntoolkit.io.atomic import (
     remove_numbered,
     require_apart,
@@ -39,6 +41,7 @@ from vntoolkit.meshing.clean import CleanOptions, clean_mesh
 from vntoolkit.meshing.surface import point_cloud_from_depth
 from vntoolkit.pipeline.opened_result import OpenedResult, TrackedSurface, open_result
 from vntoolkit.pipeline.options import option_values
+from vntoolkit.pipeline.tracked_folder import colours_at
 
 _RECORD = "export.json"
 _SUFFIXES = (".ply", ".obj", ".glb", ".npz", ".png")  # of a frame's file
@@ -66,11 +69,18 @@ class ExportJob:
 
 @dataclass(frozen=True, kw_only=True)
 class ExportSummary:
-    """out: file or folder. frames: in it. kept: of these, from an earlier run."""
+    """What was exported.
+
+    out: file or folder. frames: in it. kept: of these, from an earlier run. is_tracked: the registered
+    surface; None where no mesh is written. offset: (3,) by which it was moved, camera axes, lengths of the
+    file.
+    """
 
     out: Path
     frames: int
     kept: int
+    is_tracked: bool | None = None
+    offset: Vector3 = field(default_factory=lambda: np.zeros(3))
 
 
 def export(
@@ -100,11 +110,11 @@ def _export(
 
 
 def _track_of(result: OpenedResult, options: ExportOptions) -> TrackedSurface | None:
-    if options.surface is ExportedSurface.FRAMES:
+    if options.mesh is ExportedSurface.FRAMES:
         return None
     if options.cleaning is not None and result.track is not None:
-        raise BadInput("cleaning gives every frame a topology of its own: add --surface frames")
-    if result.track is None and options.surface is ExportedSurface.TRACKED:
+        raise BadInput("cleaning gives every frame a topology of its own: add --mesh frames")
+    if result.track is None and options.mesh is ExportedSurface.TRACKED:
         raise BadInput(f"{result.folder.root}: holds no tracked surface; run `vntoolkit track` first")
     return result.track
 
@@ -135,17 +145,54 @@ def _export_animation(
         count = write_usd_meshes(
             out, own, frame_rate_hz=rate, metres_per_unit=lengths.metres_per_unit, up=options.up
         )
-        return ExportSummary(out=out, frames=count, kept=0)
+        return ExportSummary(out=out, frames=count, kept=0, is_tracked=False)
     rows = [track.numbers.index(n) for n in numbers]
-    moving = (passing(track.sequence.vertices[n] * lengths.factor) for n in rows)
-    template = track.sequence.template
+    offset = offset_of(track, options, lengths.factor)
+    moving = (passing(track.sequence.vertices[n] * lengths.factor + offset) for n in rows)
+    template, camera = with_captured_colours(track, result), viewed_from(result.camera, offset)
     if options.to is ExportFormat.GLB:
-        count = write_glb(out, template, moving, frame_rate_hz=rate)
+        count = write_glb(out, template, moving, frame_rate_hz=rate, camera=camera)
     else:
         count = write_usd_sequence(
-            out, template, moving, frame_rate_hz=rate, metres_per_unit=lengths.metres_per_unit, up=options.up
+            out,
+            template,
+            moving,
+            frame_rate_hz=rate,
+            metres_per_unit=lengths.metres_per_unit,
+            up=options.up,
+            camera=camera,
         )
-    return ExportSummary(out=out, frames=count, kept=0)
+    return ExportSummary(out=out, frames=count, kept=0, is_tracked=True, offset=offset)
+
+
+def offset_of(track: TrackedSurface, options: ExportOptions, factor: float) -> Vector3:
+    """Return (3,): what puts the template's middle above the origin and its lowest point on the floor."""
+    if not options.centre:
+        return np.zeros(3)
+    vertices = np.asarray(track.mesh(track.template).vertices, dtype=np.float64) * factor
+    middle = vertices.mean(axis=0)
+    return -np.array([middle[0], vertices[:, 1].max(), middle[2]])
+
+
+def with_captured_colours(track: TrackedSurface, result: OpenedResult) -> Mesh:
+    """Return the template with the colours that the template's own frame has at the same places."""
+    template, own = track.sequence.template, result.mesh(track.template)
+    if template.colours is not None or own is None or own.colours is None:
+        return template
+    return replace(template, colours=colours_at(track.mesh(track.template).vertices, own))
+
+
+def viewed_from(camera: Camera, offset: Vector3) -> ViewedFrom | None:
+    """Return the camera of the capture in a scene that was moved by the offset; None without perspective."""
+    if not camera.is_perspective:
+        return None
+    focal = (float(camera.matrix[0, 0]), float(camera.matrix[1, 1]))
+    return ViewedFrom(
+        position=np.asarray(offset, dtype=np.float64),
+        rotation=np.eye(3),
+        focal_px=focal,
+        size_px=(camera.width, camera.height),
+    )
 
 
 def _export_folder(
@@ -167,7 +214,7 @@ def _export_folder(
     numbers = writer.numbers()
     untouched = ("cleaning",) if job.options.cleaning is None else ()
     values = option_values(job.options, without=untouched)
-    record = {"version": 1, "options": values, "result_sha256": result.digest}
+    record = {"version": 1, "options": values, "result_sha256": result.digest, **writer.facts}
     with sole_writer(out):
         if not overwrite:
             _require_same(out, record)
@@ -181,7 +228,9 @@ def _export_folder(
                 writer.write(out, number)
                 on_frame()
         writer.finish(out)
-    return ExportSummary(out=out, frames=len(numbers), kept=len(kept))
+    return ExportSummary(
+        out=out, frames=len(numbers), kept=len(kept), is_tracked=writer.is_tracked, offset=writer.offset
+    )
 
 
 def _require_same(out: Path, record: Mapping[str, Any]) -> None:
@@ -253,9 +302,11 @@ class ExportOptions:
     normal maps. diligent: a folder a frame, laid out like the benchmark's. normal_convention: axes of normal
     maps (png, npz, diligent). units: length unit of the files, for a result that has a scale. Default:
     metres; without a scale, lengths stay as they are. up: axis that points up in meshes. scale: metres for a
-    length of 1 in a result that has no scale of its own (lengths in pixels, or free). surface: which meshes:
+    length of 1 in a result that has no scale of its own (lengths in pixels, or free). mesh: which meshes:
     tracked (the registered surface), frames (those of each frame), or auto (the registered one where there is
-    one). cleaning: what is cleaned of the frames' meshes; None for nothing.
+    one). centre: move the registered surface so that its template stands above the origin, its hem on the
+    floor; the file's camera is where it was, seen from there. cleaning: what is cleaned of the frames'
+    meshes; None for nothing.
     """
 
     to: ExportFormat
@@ -263,7 +314,8 @@ class ExportOptions:
     units: FileUnit | None = None
     up: MeshUpAxis = MeshUpAxis.Y
     scale: float | None = None
-    surface: ExportedSurface = ExportedSurface.AUTO
+    mesh: ExportedSurface = ExportedSurface.AUTO
+    centre: bool = True
     cleaning: CleanOptions | None = None
 
     def __post_init__(self) -> None:
@@ -337,6 +389,13 @@ class FrameExport(ABC):
     """Writes one frame at a time; `suffix` of its files, empty for a folder a frame."""
 
     suffix = ""
+    is_tracked: bool | None = None  # of meshes
+    offset: Vector3 = np.zeros(3)
+
+    @property
+    def facts(self) -> Mapping[str, Any]:
+        """What else the record of the export says."""
+        return {}
 
     def __init__(self, result: OpenedResult, track: TrackedSurface | None, options: ExportOptions) -> None:
         self.result = result
@@ -382,6 +441,17 @@ class _Meshes(FrameExport):
         super().__init__(result, track, options)
         self.suffix = f".{options.to.value}"
         self._factor = file_lengths(options, result.length_unit).factor
+        self.is_tracked = track is not None
+        if track is not None:
+            self.offset = offset_of(track, options, self._factor)
+            self._template = with_captured_colours(track, result)
+
+    @property
+    def facts(self) -> Mapping[str, Any]:
+        """By how much the files' meshes were moved, and hence where the camera is in them."""
+        if self.track is None or not self.options.centre:
+            return {}
+        return {"camera_position": graphics_from_camera(self.offset, self.options.up).round(9).tolist()}
 
     def numbers(self) -> tuple[int, ...]:
         return numbers_with_mesh(self.result, self.track)
@@ -395,12 +465,14 @@ class _Meshes(FrameExport):
         if self.track is None:
             mesh = own_mesh(self.result, number, self.options, self._factor)
         else:
-            mesh = self.track.mesh(number)
-            mesh = replace(mesh, vertices=mesh.vertices * self._factor)
+            vertices = self.track.mesh(number).vertices * self._factor + self.offset
+            normals = vertex_normals(vertices, self._template.faces)
+            mesh = replace(self._template, vertices=vertices, normals=normals)
         path = self.place(out, number)
         if self.options.to is ExportFormat.GLB:
             rate = self.result.manifest.input.playing_rate_hz
-            write_glb(path, mesh, iter([mesh.vertices]), frame_rate_hz=rate)
+            camera = viewed_from(self.result.camera, self.offset)
+            write_glb(path, mesh, iter([mesh.vertices]), frame_rate_hz=rate, camera=camera)
         else:
             write_mesh(path, mesh, up=self.options.up)
 

@@ -33,7 +33,7 @@ from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
 from vntoolkit.pipeline.options import sensor_from_values
 from vntoolkit.pipeline.outputs import ReconstructionFolder
-from vntoolkit.pipeline.tracked_folder import read_track_record
+from vntoolkit.pipeline.tracked_folder import read_track_record, uv_in_picture
 
 logger = logging.getLogger(__name__)
 
@@ -131,9 +131,7 @@ class OpenedResult:
         if template not in numbers:
             return None
         # the template's own picture is its texture
-        pixels = self.camera.project(np.array(sequence.vertices[numbers.index(template)]))
-        u, v = pixels[:, 0], pixels[:, 1]
-        uv = np.stack([(u + 0.5) / self.camera.width, 1 - (v + 0.5) / self.camera.height], axis=-1)
+        uv = uv_in_picture(self.camera, np.array(sequence.vertices[numbers.index(template)]))
         textured = replace(sequence, template=replace(sequence.template, uv=uv))
         lost_px = record.get("lost_px", LOST_PX)
         return TrackedSurface(sequence=textured, numbers=numbers, template=template, lost_px=lost_px)

@@ -7,9 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from scipy.spatial import cKDTree
+
+from vntoolkit.arrays import Colours, FloatArray, Points
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
+from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import parse_json, read_text
 from vntoolkit.io.footage.frame_range import FrameRange
@@ -135,3 +140,16 @@ def clear_track(folder: Path) -> None:
         (folder / name).unlink(missing_ok=True)
     remove_mesh_sequence(folder / "backwards")
     remove_mesh_sequence(folder)
+
+
+def colours_at(vertices: Points, coloured: Mesh) -> Colours:
+    """Return (n, 3): for each vertex the colour of the nearest vertex of a coloured mesh."""
+    _, nearest = cKDTree(coloured.vertices).query(np.asarray(vertices), workers=-1)
+    colours: Colours = np.asarray(coloured.colours)[nearest]
+    return colours
+
+
+def uv_in_picture(camera: Camera, vertices: Points) -> FloatArray:
+    """Return (n, 2): where vertices are in the camera's picture, (0, 0) at its bottom left."""
+    u, v = camera.project(np.asarray(vertices)).T
+    return np.stack([(u + 0.5) / camera.width, 1 - (v + 0.5) / camera.height], axis=-1)

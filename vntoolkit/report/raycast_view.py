@@ -14,7 +14,7 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.rays import RayScene
 from vntoolkit.io.footage.video import write_video
-from vntoolkit.pipeline.dress import DressedFigure
+from vntoolkit.pipeline.dress import DressedFigure, floor_height
 from vntoolkit.report.pictures import write_tiles
 from vntoolkit.skinning.findings import STRETCHED
 from vntoolkit.skinning.kinematics import bone_segments, pose_of_frame
@@ -150,7 +150,6 @@ _BONE_COLOUR = (0.18, 0.30, 0.62)
 _CLOTH_COLOUR = (0.80, 0.45, 0.32)
 _FLOOR_COLOUR = (0.80, 0.82, 0.84)
 _BONE_RADIUS = 0.013  # of the figure's height
-_FLOOR_SAMPLES = 50
 _MARGIN = 1.25  # height of the picture over the figure's
 
 
@@ -182,7 +181,7 @@ class _Stage:
 
     def __init__(self, dressed: DressedFigure, *, coarse: bool = False) -> None:
         """coarse: with fewer triangles, for pictures that are seen for a moment."""
-        self._dressed, self._meter, self._floor = dressed, dressed.meter(), floor_height(dressed)
+        self._dressed, self._meter, self._floor = dressed, dressed.meter(), floor_height(dressed.motion)
         template = dressed.template
         cell = dressed.motion.skeleton.height / _COARSE_CELLS
         kept, self._faces = (
@@ -224,14 +223,6 @@ def _clustered(mesh: Mesh, cell: float) -> tuple[IntArray, Faces]:
     faces = cluster.ravel()[mesh.faces]
     a, b, c = faces.T
     return first, faces[(a != b) & (b != c) & (a != c)].astype(np.int32)
-
-
-def floor_height(dressed: DressedFigure) -> float:
-    """Return y of the lowest bone over the whole motion, sampled: that is where the figure stands."""
-    moments = np.linspace(0, len(dressed) - 1, _FLOOR_SAMPLES).round().astype(int)
-    skeleton = dressed.motion.skeleton
-    poses = (pose_of_frame(dressed.motion, int(moment)) for moment in moments)
-    return max(float(bone_segments(skeleton, pose)[2][:, 1].max()) for pose in poses)
 
 
 def _floor(dressed: DressedFigure, frame: int, y: float) -> Mesh:

@@ -299,10 +299,12 @@ class TextureFiles:
 def add_material(stage: Any, path: str, surface: Any, mesh: Mesh, texture: TextureFiles | None) -> None:
     """Define at `path` a matte UsdPreviewSurface and bind the surface to it.
 
-    Its colour is the texture's, else that of the primvar `displayColor`, else a plain grey.
+    Its colour is the texture's, else that of the primvar `displayColor`; without either there is none.
     """
     from pxr import Gf, Sdf, UsdShade
 
+    if mesh.colours is None and texture is None:
+        return
     kinds = Sdf.ValueTypeNames
     material = UsdShade.Material.Define(stage, path)
 
@@ -338,8 +340,6 @@ def add_material(stage: Any, path: str, surface: Any, mesh: Mesh, texture: Textu
         reader = node("Colour", "UsdPrimvarReader_float3")
         reader.CreateInput("varname", kinds.String).Set("displayColor")
         colour.ConnectToSource(reader.CreateOutput("result", kinds.Float3))
-    else:
-        colour.Set(Gf.Vec3f(0.5, 0.5, 0.5))
     shown = shader.CreateOutput("surface", kinds.Token)
     material.CreateSurfaceOutput().ConnectToSource(shown)
     UsdShade.MaterialBindingAPI.Apply(surface.GetPrim()).Bind(material)
