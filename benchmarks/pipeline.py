@@ -30,7 +30,7 @@ from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.frame_processor import FrameProcessor
-from vntoolkit.pipeline.options import Product, ReconstructOptions
+from vntoolkit.pipeline.options import MaterialSearch, Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import reconstruct
 from vntoolkit.shadows.detector import ShadowMethod
@@ -84,7 +84,7 @@ def write_h264(
 
 
 def options_of(shadows: ShadowMethod = ShadowMethod.NONE) -> ReconstructOptions:
-    return ReconstructOptions(to=Product.DEPTH, shadows=shadows, match_albedo=False)
+    return ReconstructOptions(to=Product.DEPTH, shadows=shadows, materials=MaterialSearch.CALIBRATED)
 
 
 def milliseconds_in_memory(video: Path, rig: Rig, shadows: ShadowMethod, frames: int) -> float:

@@ -4,8 +4,8 @@ The floors, from the ground up; imports go strictly down:
 
     0    arrays, errors, checks, native    foundations
     1    geometry, photometry              the objects that flow between the stages
-    2    io, calibration, simulation, normals, shadows, integration,
-         meshing, tracking, skinning, evaluation      stages; none imports another
+    2    io, calibration, materials, simulation, normals, shadows,
+         integration, meshing, tracking, skinning, evaluation      stages; none imports another
     2.5  diagnosis                         whether footage, rig and result can be trusted
     3    pipeline                          stages joined, one file a job
     3.5  report                            figures, HTML pages, the viewer

@@ -78,7 +78,7 @@ def test_an_undocumented_field_is_refused() -> None:
 
 
 def test_the_options_of_the_pipeline_are_documented() -> None:
-    assert {"to", "distance_m", "match_albedo", "on_error"} <= set(meanings_of_fields(ReconstructOptions))
+    assert {"to", "distance_m", "materials", "on_error"} <= set(meanings_of_fields(ReconstructOptions))
 
 
 def test_options_from_flags_go_to_another_process_as_the_stages_own() -> None:

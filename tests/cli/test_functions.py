@@ -26,11 +26,17 @@ def studio(tmp_path, monkeypatch):
 
 def test_reconstruct_returns_the_opened_result(studio, capsys) -> None:
     allowed = ("flat", "noise", "relatives", "outline")
-    options = {"shadows": "none", "to": "normals", "match_albedo": False, "allow": allowed, "frames": None}
+    options = {
+        "shadows": "none",
+        "to": "normals",
+        "materials": "calibrated",
+        "allow": allowed,
+        "frames": None,
+    }
     result = vt.reconstruct("-frame.png", rig=studio / "rig.json", out="out", **options)
     assert result.numbers == (0,)
     assert result.normals(0).mask.all()
-    assert result.manifest.options["match_albedo"] is False
+    assert result.manifest.options["materials"] == "calibrated"
     assert "next: vntoolkit view out" in capsys.readouterr().out
 
 
@@ -50,7 +56,7 @@ def test_what_the_command_line_refuses_is_an_error_of_one_line(studio) -> None:
 
 
 def test_values_become_the_words_that_would_be_typed() -> None:
-    assert _words("match_albedo", False) == ["--match-albedo=false"]
+    assert _words("preview", False) == ["--preview=false"]
     assert _words("shadows", ShadowMethod.NONE) == ["--shadows=none"]
     assert _words("size_mm", (18.6, 14.3)) == ["--size-mm", "18.6", "14.3"]
     assert _words("offset", -3) == ["--offset=-3"]

@@ -141,7 +141,7 @@ def test_a_refused_command_leaves_the_old_result_and_makes_no_folder(
     write_mask(tmp_path / "small.png", np.ones((5, 5), bool))
     write_png(tmp_path / "dark.png", np.zeros((48, 64, 3), np.uint8))
     wrong = {
-        "mask": replace(job_of(dome_capture, out, match_albedo=False), mask=tmp_path / "small.png"),
+        "mask": replace(job_of(dome_capture, out), mask=tmp_path / "small.png"),
         "reference": job_of(dome_capture, out, reference_frame=99),
         "dark": replace(job_of(dome_capture, out), source=str(tmp_path / "dark.png")),
     }[mistake]
@@ -207,5 +207,5 @@ def test_a_gel_is_neither_matched_nor_searched_for_shadows(dome_capture: DomeCap
     reconstruct(replace(job, rig=replace(job.rig, quality=quality)), frames=FrameRange.from_text("0"))
     manifest = read_manifest(tmp_path / "gel")
     assert manifest.options["shadows"] == "none"
-    assert manifest.options["match_albedo"] is False
+    assert manifest.options["materials"] == "calibrated"
     assert not (tmp_path / "gel" / "shadows").exists()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -320,11 +320,13 @@ def findings_from_capture(
     rig: Rig | None,
     mask: Mask | None = None,
     numbers: range | None = None,
+    in_one_material: Callable[[LinearFrame], LinearFrame] | None = None,
 ) -> list[Finding]:
     """Check a capture: clipping and drift, and with a rig all that `checks` lists.
 
     rig: its transfer is the one it was calibrated with; the capture's own options say how it is read. mask:
-    (h, w) where the surface is. numbers: the frames that matter, default all; a few of them are read. Raises
+    (h, w) where the surface is. numbers: the frames that matter, default all; a few of them are read.
+    in_one_material: makes a frame of several materials look as if it were of the rig's alone. Raises
     `BadCapture` for a frame that cannot be read.
     """
     frames = _frames_to_judge(capture, numbers)
@@ -340,6 +342,8 @@ def findings_from_capture(
         if rig.gel is not None:  # its response is to changes, which the checks below do not look at
             return findings
         few = [frames[k] for k in sorted({0, len(frames) // 2, len(frames) - 1})]
+        if in_one_material is not None:
+            few = [in_one_material(frame) for frame in few]
         evidence = evidence_from_frames(few, rig, capture.transfer, mask)
         if min(evidence.light.shape[1:3]) >= _NARROWEST_PX:
             findings += findings_from_evidence(evidence)

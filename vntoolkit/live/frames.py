@@ -21,7 +21,7 @@ from vntoolkit.io.footage.resampling import rectify_frame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.contact import Contact, contact_from_depth, rested
 from vntoolkit.pipeline.frame_processor import FrameProcessor
-from vntoolkit.pipeline.options import Product, ReconstructOptions
+from vntoolkit.pipeline.options import MaterialSearch, Product, ReconstructOptions
 from vntoolkit.shadows.detector import ShadowMethod
 
 _CLIPPED_SHARE = 0.01  # of all pixels: more ruins normals
@@ -105,7 +105,7 @@ class LiveProcessor:
         reconstruction = ReconstructOptions(
             to=Product.NORMALS,
             shadows=ShadowMethod.NONE,
-            match_albedo=False,
+            materials=MaterialSearch.CALIBRATED,
         )
         read = rig if self.view.rectification is None else _of_linear_values(rig)
         self._key: PlateKey | None = None

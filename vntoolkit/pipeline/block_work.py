@@ -49,9 +49,9 @@ class ReconstructionJob:
     source, gaps: as for `open_capture`. rig: its transfer is the footage's. calibrated: the curve that the
     rig was calibrated with, None for the same. allow: checks whose fatal findings do not stop the run. mask:
     image, or video, folder or pattern of mattes, or None. matting: how these become masks. background: file
-    or None. threads: for decoding; with 1, reading, processing and writing take turns, so
-    that a worker is one core's. sensor: how samples of the sensor itself are read. limits: on what any
-    process reads.
+    or None. sensor: how samples of the sensor itself are read. reflectances: (m, 3), of materials relative
+    to the rig's; empty for the rig's alone. threads: for decoding; with 1, reading, processing and writing
+    take turns, so that a worker is one core's. limits: on what any process reads.
     """
 
     source: str
@@ -65,6 +65,7 @@ class ReconstructionJob:
     calibrated: Transfer | None = None
     allow: tuple[str, ...] = ()
     sensor: SensorOptions = field(default_factory=SensorOptions)
+    reflectances: tuple[tuple[float, float, float], ...] = ()
     threads: int = 2
     limits: ReadingLimits = field(default_factory=reading_limits)
 
@@ -72,6 +73,11 @@ class ReconstructionJob:
     def has_labels(self) -> bool:
         """True where visibility labels are written beside the normals."""
         return self.options.shadows is not ShadowMethod.NONE
+
+    @property
+    def has_materials(self) -> bool:
+        """True where labels of materials are written beside the normals."""
+        return bool(self.reflectances)
 
     @property
     def has_contact(self) -> bool:
@@ -108,7 +114,13 @@ class BlockWorker:
         self._job = job
         self._capture = job.open_capture()
         self._mattes = job.open_mattes(self._capture)
-        self._processor = FrameProcessor(job.rig, job.options, self._mattes.still, self._capture.background)
+        self._processor = FrameProcessor(
+            job.rig,
+            job.options,
+            self._mattes.still,
+            self._capture.background,
+            reflectances=job.reflectances,
+        )
         reference = job.options.reference_frame
         if job.ties_depth and reference is not None:
             with contextlib.suppress(VntError):  # where it is met as a frame, it is reported

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
 from vntoolkit.io.footage.gel_dots import DotFilter
 from vntoolkit.io.footage.resampling import resampler_of
+from vntoolkit.materials.labelling import MaterialLabeller, MaterialLabels, colours_of, relit
 from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.normals.expected_error import normals_and_errors_from_encoded, with_expected_error
 from vntoolkit.normals.gel import GelInverter, drift_of_change
@@ -24,6 +26,7 @@ from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.lambertian import Leveller
 from vntoolkit.photometry.rig import Rig
+from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
 from vntoolkit.pipeline.contact import Contact, contact_from_depth, rested
 from vntoolkit.pipeline.options import Product, ReconstructOptions
 from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
@@ -34,7 +37,8 @@ from vntoolkit.shadows.recovery import recover_normals
 class FrameResult:
     """What one frame became; None for what was not asked for. clipped_share: of all pixels, 0 to 1.
 
-    contact: what touches a tactile gel, where its depth was asked for.
+    contact: what touches a tactile gel, where its depth was asked for. materials: (h, w) numbers of
+    materials, where there are others than the rig's.
     """
 
     number: int
@@ -44,6 +48,7 @@ class FrameResult:
     mesh: Mesh | None
     clipped_share: float
     contact: Contact | None = None
+    materials: MaterialLabels | None = None
 
 
 class FrameProcessor:
@@ -62,8 +67,11 @@ class FrameProcessor:
         background: LinearImage | None = None,
         *,
         tells_errors: bool = True,
+        reflectances: Sequence[Sequence[float]] = (),
     ) -> None:
-        """tells_errors: whether normals and depth carry their expected errors; a live view has no time."""
+        """reflectances: (m, 3), of the subject's materials relative to the rig's; empty for the rig's alone.
+
+        tells_errors: whether normals and depth carry their expected errors; a live view has no time."""
         self._rig = rig
         self._tells_errors = tells_errors
         self._options = options
@@ -92,6 +100,14 @@ class FrameProcessor:
         if rig.response.variation is not None:
             self._leveller = Leveller(rig.response, shape)
         self._detector = ShadowDetector(self._central, options.shadows, self.camera)
+        self._reflectances = np.array(reflectances, dtype=np.float64).reshape(-1, 3)
+        self._materials: MaterialLabels | None = None
+        self._labeller: MaterialLabeller | None = None
+        if len(self._reflectances):
+            self._labeller = MaterialLabeller(self._central, self._reflectances)
+            self._paints = encoded_from_linear(
+                colours_of(self._reflectances, self._central), Transfer(curve=TransferCurve.SRGB)
+            )
 
     def anchor_to(self, frame: EncodedFrame, matte: Mask | None = None) -> None:
         """Tie the depth of all later frames to this one's; see `DepthAnchor`. Raises as `process` does."""
@@ -106,6 +122,8 @@ class FrameProcessor:
         """Drop everything that one frame hands to the next, so that a run may start at any block."""
         self._integrator = DepthIntegrator(self.camera, self._options.integration)
         self._detector.forget()
+        if self._labeller is not None:
+            self._labeller.forget()
 
     def process(self, frame: EncodedFrame, matte: Mask | None = None) -> FrameResult:
         """Invert, integrate and mesh one frame, as far as the options say.
@@ -142,6 +160,7 @@ class FrameProcessor:
             mesh=mesh,
             clipped_share=clipped_share,
             contact=contact,
+            materials=self._materials,
         )
 
     def _look_inside(self, matte: Mask | None) -> None:
@@ -168,6 +187,9 @@ class FrameProcessor:
             change, filled = self._dots.filled(linear.rgb, linear.clipped)
             drift = drift_of_change(change, self._mask & ~filled)
             return self._gel.normals(change, drift, self._mask), None, float(linear.clipped.mean())
+        if self._labeller is not None:
+            self._materials = self._labeller.labels(self.by_strength(linear), self._mask)
+            linear = relit(linear, self._central, self._materials, self._reflectances)
         level = linear if self._leveller is None else self._leveller.frame(linear)
         labels = None
         if self._options.shadows is ShadowMethod.NONE:
@@ -190,7 +212,7 @@ class FrameProcessor:
         frame: `linear` as the central M would have formed it.
         """
         response, inversion = self._central, self._options.inversion
-        seen = linear if self._leveller is None else self._leveller.frame_by_strength(linear)
+        seen = self.by_strength(linear)
         scaled = (frame.rgb - response.ambient.astype(np.float32)) @ response.inverse.T.astype(np.float32)
         darkest = inversion.darkest * inversion.relative_albedo
         mask = self._mask & (np.einsum("vui,vui->vu", scaled, scaled) > darkest**2)
@@ -199,6 +221,15 @@ class FrameProcessor:
         labels = self._detector.labels(seen, mask)
         normal_map = recover_normals(frame, labels, response, mask, self.camera, start=self._detector.surface)
         return normal_map, labels
+
+    def by_strength(self, linear: LinearFrame) -> LinearFrame:
+        """Return a linear frame with every lamp as strong as at the image's centre."""
+        return linear if self._leveller is None else self._leveller.frame_by_strength(linear)
+
+    @property
+    def mask(self) -> Mask:
+        """(h, w), pixels of interest of the last frame."""
+        return self._mask
 
     def linear(self, frame: EncodedFrame) -> LinearFrame:
         """Decode a frame to linear light, background removed, lens distortion taken out."""
@@ -210,6 +241,7 @@ class FrameProcessor:
         integers = frame.values.dtype in (np.uint8, np.uint16)
         plain = self._options.shadows is ShadowMethod.NONE and self._background is None
         plain = plain and not (self._tells_errors and self._leveller is not None)
+        plain = plain and self._labeller is None
         return integers and plain and not self._resampler.changes_frames
 
     def _depth(self, normal_map: NormalMap) -> DepthMap:
@@ -224,7 +256,9 @@ class FrameProcessor:
         return depth_map
 
     def _displayed(self, frame: EncodedFrame) -> Colours:
-        """The frame as a person sees it, 0 to 1: what becomes the mesh's colour."""
+        """The mesh's colour, 0 to 1: of its materials where known, else the frame as a person sees it."""
+        if self._materials is not None:
+            return np.asarray(self._paints[self._materials], dtype=np.float32)
         shown = np.asarray(frame.values, dtype=np.float32)
         if frame.values.dtype in (np.uint8, np.uint16):
             shown = shown / np.float32(2**frame.bits - 1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from vntoolkit.io.maps_and_meshes.label_images import write_labels, write_mask
+from vntoolkit.io.maps_and_meshes.label_images import write_labels, write_mask, write_materials
 from vntoolkit.io.maps_and_meshes.maps import write_depth_map, write_normal_map
 from vntoolkit.io.maps_and_meshes.meshes import write_mesh
 from vntoolkit.pipeline.frame_processor import FrameResult
@@ -34,11 +34,22 @@ class ReconstructionFolder:
         """Return the file of a frame's contact mask, of a tactile gel."""
         return self.root / "contact" / f"{number:06d}.png"
 
+    def materials(self, number: int) -> Path:
+        """Return the file of a frame's material labels."""
+        return self.root / "materials" / f"{number:06d}.png"
+
     def mesh(self, number: int) -> Path:
         """Return the file of a frame's mesh."""
         return self.root / "mesh" / f"{number:06d}.ply"
 
-    def files(self, number: int, product: Product, has_labels: bool, has_contact: bool = False) -> list[Path]:
+    def files(
+        self,
+        number: int,
+        product: Product,
+        has_labels: bool,
+        has_contact: bool = False,
+        has_materials: bool = False,
+    ) -> list[Path]:
         """Return the files that a finished frame has."""
         files = [self.normals(number)]
         if product is not Product.NORMALS:
@@ -49,6 +60,8 @@ class ReconstructionFolder:
             files.append(self.shadows(number))
         if has_contact:
             files.append(self.contact(number))
+        if has_materials:
+            files.append(self.materials(number))
         return files
 
     def write(self, result: FrameResult) -> None:
@@ -60,5 +73,7 @@ class ReconstructionFolder:
             write_labels(self.shadows(result.number), result.labels)
         if result.contact is not None:
             write_mask(self.contact(result.number), result.contact.mask)
+        if result.materials is not None:
+            write_materials(self.materials(result.number), result.materials)
         if result.mesh is not None:
             write_mesh(self.mesh(result.number), result.mesh)

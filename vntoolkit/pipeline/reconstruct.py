@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import time
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from vntoolkit.arrays import Mask
 from vntoolkit.diagnosis.finding import judge
 from vntoolkit.diagnosis.inspection import findings_from_capture
 from vntoolkit.errors import BadCapture, BadInput, VntError
@@ -27,6 +28,7 @@ from vntoolkit.io.results.manifest import (
     MANIFEST_NAME,
     InputEntry,
     Manifest,
+    MaterialEntry,
     entry_of_files,
     has_manifest,
     hashed,
@@ -37,11 +39,13 @@ from vntoolkit.io.results.manifest import (
     write_manifest,
 )
 from vntoolkit.io.rigs import entry_from_rig
-from vntoolkit.normals.inversion import relative_albedo_from_frame
+from vntoolkit.materials.labelling import MaterialLabeller, relit
+from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.lambertian import Leveller
 from vntoolkit.pipeline.block_work import Block, BlockWorker, ReconstructionJob
 from vntoolkit.pipeline.cluster import require_scheduler, run_blocks_on_cluster
-from vntoolkit.pipeline.frame_processor import FrameProcessor
-from vntoolkit.pipeline.options import SENSOR_PREFIX, option_values
+from vntoolkit.pipeline.measured_materials import measured_materials, seeks_materials
+from vntoolkit.pipeline.options import SENSOR_PREFIX, MaterialSearch, option_values
 from vntoolkit.pipeline.processes import shared_out
 from vntoolkit.shadows.detector import ShadowMethod
 
@@ -50,7 +54,14 @@ Started = Callable[[int, int], None]
 Finished = Callable[[FrameEntry], None]
 Workers = Callable[[ReconstructionJob, list[Block]], Generator[FrameEntry]]
 BLOCK_FRAMES = 16
-_FOLDERS = {"normals": ".exr", "depth": ".exr", "shadows": ".png", "mesh": ".ply", "contact": ".png"}
+_FOLDERS = {
+    "normals": ".exr",
+    "depth": ".exr",
+    "shadows": ".png",
+    "mesh": ".ply",
+    "contact": ".png",
+    "materials": ".png",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,7 +131,8 @@ def reconstruct(
         names = text_of_names([path.name for path in capture.info.left_out])
         logger.warning("%s: left out, since the frames are named otherwise: %s", job.source, names)
     missing = _missing_frames(capture, mattes, numbers)
-    _require_plausible(job, capture, mattes, numbers)
+    if not seeks_materials(job):
+        _require_plausible(job, capture, mattes, numbers)
     with sole_writer(root):
         job, manifest, log = _prepared(job, capture, mattes, frames, overwrite)
         on_disk = _frames_on_disk(job, log)
@@ -153,9 +165,11 @@ def _prepared(
     root = job.folder.root
     numbers = frames.numbers(capture.info.frame_count)
     resumes = has_manifest(root) and not overwrite
-    earlier = read_manifest(root).options if resumes else {}
-    job = resolve_options(job, capture, mattes, numbers, earlier)
-    manifest = manifest_of_run(job, capture, mattes, frames)
+    earlier = read_manifest(root) if resumes else None
+    job, materials = resolve_options(job, capture, mattes, numbers, earlier)
+    if seeks_materials(job):
+        _require_plausible(job, capture, mattes, numbers)
+    manifest = manifest_of_run(job, capture, mattes, frames, materials)
     if resumes:
         require_resumable(root, manifest)
     if overwrite:
@@ -227,7 +241,9 @@ def _frames_on_disk(job: ReconstructionJob, log: FrameLog) -> set[int]:
         for number in log.done()
         if all(
             path.exists()
-            for path in job.folder.files(number, job.options.to, job.has_labels, job.has_contact)
+            for path in job.folder.files(
+                number, job.options.to, job.has_labels, job.has_contact, job.has_materials
+            )
         )
     }
 
@@ -237,11 +253,31 @@ def _require_plausible(job: ReconstructionJob, capture: Capture, mattes: Mattes,
     rig = job.rig if job.calibrated is None else replace(job.rig, transfer=job.calibrated)
     try:
         mask, numbers = mattes.judged(capture, numbers)
-        findings = findings_from_capture(capture, rig, mask, numbers)
+        findings = findings_from_capture(capture, rig, mask, numbers, _in_one_material(job, mask))
     except BadCapture as problem:  # a bad frame is reported when its turn comes
         logger.debug("plausibility not checked: %s", problem)
         return
     judge(findings, job.allow)
+
+
+def _in_one_material(
+    job: ReconstructionJob, mask: Mask | None
+) -> Callable[[LinearFrame], LinearFrame] | None:
+    """Return what makes a frame look as if its subject were of the rig's material; None where it is."""
+    if not job.reflectances:
+        return None
+    response, reflectances = job.rig.response, np.array(job.reflectances)
+    labeller = MaterialLabeller(response.central, reflectances)
+
+    def seen(frame: LinearFrame) -> LinearFrame:
+        level = frame
+        if response.variation is not None:
+            level = Leveller(response, frame.shape).frame_by_strength(frame)
+        labeller.forget()
+        inside = np.ones(frame.shape, np.bool_) if mask is None else mask
+        return relit(frame, response.central, labeller.labels(level, inside), reflectances)
+
+    return seen
 
 
 def _finish(root: Path, manifest: Manifest, log: FrameLog, numbers: range, seconds: float) -> None:
@@ -271,11 +307,11 @@ def resolve_options(
     capture: Capture,
     mattes: Mattes,
     numbers: range,
-    earlier: Mapping[str, Any],
-) -> ReconstructionJob:
-    """Return the job with the options that depend on rig and footage resolved, once for all frames.
+    earlier: Manifest | None,
+) -> tuple[ReconstructionJob, list[MaterialEntry]]:
+    """Return the job with the options that depend on rig and footage resolved, and the materials.
 
-    earlier: options of the run that this one goes on with, empty for none; what that run measured and chose
+    earlier: manifest of the run that this one goes on with, None for none; what that run measured and chose
     is kept. Raises `BadInput` for a mask of another size and a reference frame that is not there,
     `BadCapture` for a first frame that shows nothing; nothing is written.
     """
@@ -286,23 +322,27 @@ def resolve_options(
         raise BadInput(
             f"{job.source}: the files or mattes of all frames {numbers[0]} to {numbers[-1]} are missing"
         )
-    if _was_pressed(job):  # a gel was calibrated itself, and nothing throws a shadow on it
-        options = replace(options, match_albedo=False, shadows=ShadowMethod.NONE)
+    pressed = _was_pressed(job)
+    if pressed:  # a gel was calibrated itself, and nothing throws a shadow on it
+        options = replace(options, materials=MaterialSearch.CALIBRATED, shadows=ShadowMethod.NONE)
     reference = options.reference_frame
     if reference is None:
-        stored = earlier.get("reference_frame")
+        stored = None if earlier is None else earlier.options.get("reference_frame")
         reference = stored if isinstance(stored, int) else first
     elif reference >= capture.info.frame_count:
         raise BadInput(f"reference frame: the capture has only {capture.info.frame_count} frames")
     job = replace(job, options=replace(options, reference_frame=reference))
-    if not options.match_albedo:
-        return job
-    albedo = earlier.get("inversion.relative_albedo")
-    if not isinstance(albedo, float):
-        albedo = _measured_albedo(job, capture, mattes, first)
-    return replace(
-        job, options=replace(job.options, inversion=replace(options.inversion, relative_albedo=albedo))
-    )
+    if pressed:
+        return job, []
+    if earlier is not None and earlier.options.get("materials") == option_values(job.options)["materials"]:
+        materials = earlier.materials
+        albedo = earlier.options.get("inversion.relative_albedo")
+    else:
+        materials, albedo = measured_materials(job, capture, mattes, numbers)
+    if isinstance(albedo, float):
+        options = replace(job.options, inversion=replace(options.inversion, relative_albedo=albedo))
+        job = replace(job, options=options)
+    return replace(job, reflectances=tuple(entry.reflectance for entry in materials)), list(materials)
 
 
 def _was_pressed(job: ReconstructionJob) -> bool:
@@ -310,19 +350,13 @@ def _was_pressed(job: ReconstructionJob) -> bool:
     return job.rig.gel is not None or fitted
 
 
-def _measured_albedo(job: ReconstructionJob, capture: Capture, mattes: Mattes, number: int) -> float:
-    """Measure how bright the subject is against the calibration material."""
-    first = capture.encoded(number)
-    mask = mattes.of(first)
-    processor = FrameProcessor(job.rig, job.options, mask, capture.background)
-    try:
-        albedo = relative_albedo_from_frame(processor.linear(first), job.rig.response, mask)
-    except BadInput as error:
-        raise BadCapture(f"{first.name}: {error}") from error
-    return float(np.format_float_positional(albedo, precision=4, fractional=False))
-
-
-def manifest_of_run(job: ReconstructionJob, capture: Capture, mattes: Mattes, frames: FrameRange) -> Manifest:
+def manifest_of_run(
+    job: ReconstructionJob,
+    capture: Capture,
+    mattes: Mattes,
+    frames: FrameRange,
+    materials: list[MaterialEntry],
+) -> Manifest:
     """Return the manifest of a run that begins now; reads and hashes all input files."""
     info = capture.info
     extra = {}
@@ -346,10 +380,12 @@ def manifest_of_run(job: ReconstructionJob, capture: Capture, mattes: Mattes, fr
         extra_files=extra,
         rig=entry_from_rig(job.rig),
         options=_options_that_shape(job),
+        materials=materials,
         frames=frames.to_text(),
         outputs=outputs[job.options.to.value]
         + (["shadows"] if job.has_labels else [])
-        + (["contact"] if job.has_contact else []),
+        + (["contact"] if job.has_contact else [])
+        + (["materials"] if job.has_materials else []),
         versions=library_versions(),
         started=now_utc(),
     )

@@ -15,6 +15,15 @@ from vntoolkit.errors import BadInput
 from vntoolkit.io.atomic import write_bytes
 from vntoolkit.io.footage.images import read_grey, read_image, write_png
 
+# Colour of material k in materials/*.png: told apart easily, and no claim about the material's own colour.
+MATERIAL_PALETTE = np.array(
+    [
+        [230, 225, 215], [200, 70, 60], [70, 120, 200], [240, 190, 60], [90, 160, 90], [150, 90, 170],
+        [90, 190, 200], [240, 140, 80], [110, 85, 70], [230, 150, 190], [130, 140, 60], [60, 70, 90],
+    ],
+    dtype=np.uint8,
+)  # fmt: skip
+
 # Colour of label k: red, green, blue where light 0, 1, 2 arrives, white where all do, dark grey where none.
 _PALETTE = np.array(
     [
@@ -64,32 +73,55 @@ def read_mask(
     return mask
 
 
+def write_materials(path: Path | str, labels: npt.NDArray[np.uint8]) -> None:
+    """Write (h, w) numbers of materials as indexed PNG, each in a colour of its own."""
+    require_shape(labels, (None, None), "material labels")
+    write_bytes(
+        path, _indexed(labels, MATERIAL_PALETTE, "Legend\0number of the material in reconstruction.json")
+    )
+
+
+def read_materials(path: Path | str, *, max_megapixels: float | None = None) -> npt.NDArray[np.uint8]:
+    """Read (h, w) numbers of materials from an indexed PNG of `write_materials`."""
+    return _numbers(path, MATERIAL_PALETTE, "material labels", max_megapixels)
+
+
 def write_labels(path: Path | str, labels: VisibilityLabels) -> None:
     """Write (h, w) labels 0 to 7 as indexed PNG; a viewer shows the colours of the lights that arrive."""
     require_shape(labels, (None, None), "visibility labels")
     if labels.dtype != np.uint8 or labels.max(initial=0) > 7:
         raise BadInput(f"{path}: visibility labels are bytes from 0 to 7")
-    height, width = labels.shape
-    rows = np.zeros((height, width + 1), dtype=np.uint8)  # column 0: PNG's filter 0, none
-    rows[:, 1:] = labels
-    content = b"\x89PNG\r\n\x1a\n" + _chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 3, 0, 0, 0))
-    content += _chunk(b"PLTE", _PALETTE.tobytes())
-    content += _chunk(b"tEXt", b"Legend\0" + "; ".join(f"{k}: {v}" for k, v in LABEL_LEGEND.items()).encode())
-    content += _chunk(b"IDAT", zlib.compress(rows.tobytes(), 1)) + _chunk(b"IEND", b"")
-    write_bytes(path, content)
+    legend = "Legend\0" + "; ".join(f"{k}: {v}" for k, v in LABEL_LEGEND.items())
+    write_bytes(path, _indexed(labels, _PALETTE, legend))
 
 
 def read_labels(path: Path | str, *, max_megapixels: float | None = None) -> VisibilityLabels:
     """Read (h, w) labels from an indexed PNG of `write_labels`, or from grey values 0 to 7."""
+    return _numbers(path, _PALETTE, "visibility labels", max_megapixels)
+
+
+def _indexed(labels: npt.NDArray[np.uint8], palette: npt.NDArray[np.uint8], text: str) -> bytes:
+    height, width = labels.shape
+    rows = np.zeros((height, width + 1), dtype=np.uint8)  # column 0: PNG's filter 0, none
+    rows[:, 1:] = labels
+    content = b"\x89PNG\r\n\x1a\n" + _chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 3, 0, 0, 0))
+    content += _chunk(b"PLTE", palette.tobytes()) + _chunk(b"tEXt", text.encode())
+    return content + _chunk(b"IDAT", zlib.compress(rows.tobytes(), 1)) + _chunk(b"IEND", b"")
+
+
+def _numbers(
+    path: Path | str, palette: npt.NDArray[np.uint8], what: str, max_megapixels: float | None
+) -> npt.NDArray[np.uint8]:
     rgb = read_image(path, max_megapixels=max_megapixels, error=BadInput)
     if rgb.dtype != np.uint8:
-        raise BadInput(f"{path}: visibility labels are 8-bit, got {rgb.dtype}")
-    if rgb.max(initial=0) <= 7:
+        raise BadInput(f"{path}: {what} are 8-bit, got {rgb.dtype}")
+    last = len(palette) - 1
+    if rgb.max(initial=0) <= last:
         return rgb[..., 0].copy()
     keys = rgb.astype(np.int32) @ np.array([65536, 256, 1], dtype=np.int32)
-    known = _PALETTE.astype(np.int32) @ np.array([65536, 256, 1], dtype=np.int32)
+    known = palette.astype(np.int32) @ np.array([65536, 256, 1], dtype=np.int32)
     order = np.argsort(known)
-    place = np.clip(np.searchsorted(known[order], keys), 0, 7)
+    place = np.clip(np.searchsorted(known[order], keys), 0, last)
     labels = order[place].astype(np.uint8)
     strange = known[labels] != keys
     if strange.any():

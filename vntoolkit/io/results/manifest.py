@@ -62,6 +62,23 @@ class InputEntry(BaseModel):
         return self.frame_rate_hz or _STILLS_RATE_HZ
 
 
+class MaterialEntry(BaseModel):
+    """A material of the subject; its place in the list is its value in materials/*.png."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    reflectance: tuple[float, float, float] = Field(
+        description="What it returns of lamps 0, 1, 2, relative to the calibration material."
+    )
+    error_deg: float = Field(
+        description="Angle by which what the normals leave open of the reflectance turns normals."
+    )
+    residual: float = Field(
+        description="Robust standard deviation of the normals' lengths, which should be 1."
+    )
+    share: float = Field(description="Share of the lit pixels of the first frames.")
+
+
 class Manifest(BaseModel):
     """What a result folder holds."""
 
@@ -75,6 +92,9 @@ class Manifest(BaseModel):
     rig: RigFile = Field(description="The rig that was used, whole.")
     options: dict[str, Any] = Field(
         default_factory=dict, description="Every option that shapes the result, by its name."
+    )
+    materials: list[MaterialEntry] = Field(
+        default_factory=list, description="Materials that were found; empty for the rig's alone."
     )
     frames: str = Field(default="0::1", description="Frames asked for, start:stop:step.")
     outputs: list[str] = Field(default_factory=list, description="Folders written: normals, depth, …")

@@ -1,0 +1,137 @@
+"""Reflectances from the unit length of normals: exact without noise, bounded with it, or refused."""
+
+import numpy as np
+import pytest
+
+from vntoolkit.errors import BadInput
+from vntoolkit.materials.labelling import MaterialLabeller, colours_of, relit
+from vntoolkit.materials.reflectance import fit_reflectance, lamps_from_response
+from vntoolkit.materials.search import WORST_ERROR_DEG, find_materials
+from vntoolkit.normals.inversion import normals_from_frame
+from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.lambertian import rgb_from_normals
+from vntoolkit.photometry.response import LightResponse
+
+DIRECTIONS = np.array([[0.5, 0.0, -0.866], [-0.25, 0.433, -0.866], [-0.25, -0.433, -0.866]])
+COLOURS = np.array([[0.7, 0.1, 0.02], [0.08, 0.6, 0.1], [0.02, 0.12, 0.65]])
+RESPONSE = LightResponse(matrix=COLOURS.T @ DIRECTIONS, light_colours=COLOURS)
+PAINTS = np.array([[0.9, 0.5, 0.3], [0.4, 0.8, 0.9], [0.8, 0.75, 0.3]])
+LEVEL = 1 / 255
+
+
+def dome(size: int = 120) -> tuple[np.ndarray, np.ndarray]:
+    """Normals (size, size, 3) of a sphere's cap that faces the camera within 50 degrees, and its mask."""
+    v, u = (np.indices((size, size)) - (size - 1) / 2) / (size / 2)
+    radius = u * u + v * v
+    mask = radius < 1.0
+    x, y = 0.75 * u, 0.75 * v
+    z = -np.sqrt(np.maximum(1.0 - x * x - y * y, 0.0))
+    return np.stack([x, y, z], axis=-1), mask
+
+
+def painted(
+    labels: np.ndarray, noise: float = LEVEL, seed: int = 0
+) -> tuple[LinearFrame, np.ndarray, np.ndarray]:
+    normals, mask = dome(len(labels))
+    light = np.maximum(normals @ DIRECTIONS.T, 0.0) * PAINTS[labels] @ COLOURS
+    light += np.random.default_rng(seed).normal(0.0, noise, light.shape)
+    return LinearFrame((light * mask[..., None]).astype(np.float32)), normals, mask
+
+
+def sectors(size: int = 120) -> np.ndarray:
+    """Eight sectors in three paints."""
+    v, u = np.indices((size, size)) - (size - 1) / 2
+    return np.array([0, 1, 2, 0, 2, 1, 0, 1])[((np.arctan2(v, u) / np.pi + 1) * 3.999).astype(int)]
+
+
+def angles_deg(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    return np.degrees(np.arccos(np.clip((one * other).sum(axis=-1), -1.0, 1.0)))
+
+
+def test_one_paint_is_exact_without_noise() -> None:
+    normals, mask = dome(60)
+    shares = normals[mask] @ DIRECTIONS.T
+    lit = (shares > 0.05).all(axis=1)
+    found = fit_reflectance(shares[lit] * PAINTS[0], lamps_from_response(RESPONSE, np.full(3, 1e-6)), 1e-4)
+    assert np.allclose(found.values, PAINTS[0], rtol=1e-4)
+    assert found.error_deg < 0.01
+
+
+def test_the_error_of_a_reflectance_is_that_of_its_normal_equations() -> None:
+    normals, mask = dome(40)
+    shares = normals[mask] @ DIRECTIONS.T
+    shares = shares[(shares > 0.2).all(axis=1)]
+    lamps = lamps_from_response(RESPONSE, np.full(3, LEVEL))
+    departures = []
+    for seed in range(12):
+        noise = np.random.default_rng(seed).normal(0.0, LEVEL, shares.shape) @ lamps.split.T
+        found = fit_reflectance(shares * PAINTS[1] + noise, lamps, 1e-4)
+        step = np.log(found.values / PAINTS[1])
+        departures.append(step @ np.linalg.solve(found.covariance, step) / 3.0)
+    assert 0.4 < np.mean(departures) < 2.5  # χ² of three numbers, over its mean
+
+
+def test_three_paints_are_found_and_leave_no_seam_in_the_normals() -> None:
+    labels = sectors()
+    frame, normals, mask = painted(labels)
+    found = find_materials([frame], [mask], RESPONSE)
+    assert len(found) == 3
+    values = np.array([material.reflectance.values for material in found])
+    nearest = np.abs(np.log(values[:, None] / PAINTS)).max(axis=2)
+    assert nearest.min(axis=0).max() < 0.03
+    given = MaterialLabeller(RESPONSE, values).labels(frame, mask)
+    assert np.mean(nearest.argmin(axis=1)[given][mask] == labels[mask]) > 0.98
+    map_of_one = normals_from_frame(relit(frame, RESPONSE, given, values), RESPONSE, mask)
+    truth = normals_from_frame(
+        painted(np.zeros_like(labels))[0], RESPONSE, mask
+    )  # as if one paint were known
+    inside = map_of_one.mask & truth.mask
+    error = angles_deg(map_of_one.normals_in_camera, normals)[inside].mean()
+    unpainted = angles_deg(normals_from_frame(frame, RESPONSE, mask).normals_in_camera, normals)[
+        inside
+    ].mean()
+    assert error < 2.0 < 8.0 < unpainted
+
+
+def test_one_paint_is_one_material_and_a_number_is_kept() -> None:
+    frame, _, mask = painted(np.full((120, 120), 2))
+    assert len(find_materials([frame], [mask], RESPONSE)) == 1
+    assert len(find_materials([frame], [mask], RESPONSE, count=2)) == 2
+
+
+def test_frames_are_searched_together_and_again_with_the_same_result() -> None:
+    frame, _, mask = painted(sectors(), seed=1)
+    other, _, _ = painted(sectors()[::-1], seed=2)
+    found = [find_materials([frame, other], [mask, mask], RESPONSE) for _ in range(2)]
+    assert len(found[0]) == 3
+    assert np.array_equal(found[0][0].reflectance.values, found[1][0].reflectance.values)
+
+
+def test_a_shadow_is_no_material() -> None:
+    normals, mask = dome()
+    shares = np.maximum(normals @ DIRECTIONS.T, 0.0) * PAINTS[0]
+    shares[40:60, 30:70, 1] = 0.0  # something keeps lamp 1 away
+    noise = np.random.default_rng(0).normal(0.0, LEVEL, shares.shape)
+    frame = LinearFrame(((shares @ COLOURS + noise) * mask[..., None]).astype(np.float32))
+    assert len(find_materials([frame], [mask], RESPONSE)) == 1
+
+
+def test_a_flat_patch_tells_that_it_tells_nothing() -> None:
+    normal = np.array([0.2, -0.1, -0.97]) / np.linalg.norm([0.2, -0.1, -0.97])
+    flat = rgb_from_normals(np.broadcast_to(normal, (60, 60, 3)), RESPONSE) * 0.5
+    noisy = flat + np.random.default_rng(0).normal(0.0, LEVEL, flat.shape)
+    mask = np.ones((60, 60), np.bool_)
+    found = find_materials([LinearFrame(noisy.astype(np.float32))], [mask], RESPONSE)
+    assert found[0].reflectance.error_deg > WORST_ERROR_DEG
+
+
+def test_relighting_the_calibration_material_changes_nothing() -> None:
+    frame, _, _ = painted(np.zeros((40, 40), int))
+    same = relit(frame, RESPONSE, np.zeros((40, 40), np.uint8), np.ones((1, 3)))
+    assert np.allclose(same.rgb, frame.rgb, atol=1e-6)
+    assert np.allclose(colours_of(np.ones((1, 3)), RESPONSE), 1.0)
+
+
+def test_lamps_of_unknown_colours_are_refused() -> None:
+    with pytest.raises(BadInput, match="does not hold the colours of its lamps"):
+        lamps_from_response(LightResponse(matrix=RESPONSE.matrix), np.full(3, LEVEL))

@@ -1,0 +1,135 @@
+"""Footage of several paints: found once, carried through the frames, the same bytes whatever the workers."""
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.pipeline.test_reconstruct import digest
+from vntoolkit.errors import BadInput
+from vntoolkit.evaluation.angular_error import angles_between_deg
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.maps_and_meshes.label_images import read_materials, write_mask
+from vntoolkit.io.maps_and_meshes.maps import read_normal_map
+from vntoolkit.io.maps_and_meshes.meshes import read_mesh
+from vntoolkit.io.results.manifest import read_manifest
+from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.rig import Rig
+from vntoolkit.pipeline.block_work import ReconstructionJob
+from vntoolkit.pipeline.options import MaterialSearch, Product, ReconstructOptions
+from vntoolkit.pipeline.outputs import ReconstructionFolder
+from vntoolkit.pipeline.reconstruct import reconstruct
+from vntoolkit.shadows.detector import ShadowMethod
+
+DIRECTIONS = np.array([[0.5, 0.0, -0.866], [-0.25, 0.433, -0.866], [-0.25, -0.433, -0.866]])
+COLOURS = np.array([[0.7, 0.1, 0.02], [0.08, 0.6, 0.1], [0.02, 0.12, 0.65]])
+RESPONSE = LightResponse(matrix=COLOURS.T @ DIRECTIONS, light_colours=COLOURS)
+SIZE, FRAMES = 96, 18
+PAINTS = np.array([[0.9, 0.5, 0.3], [0.4, 0.8, 0.9]])
+
+
+def dome() -> tuple[np.ndarray, np.ndarray]:
+    v, u = (np.indices((SIZE, SIZE)) - (SIZE - 1) / 2) / (SIZE / 2)
+    x, y = 0.75 * u, 0.75 * v
+    return np.stack([x, y, -np.sqrt(np.maximum(1 - x * x - y * y, 0))], axis=-1), u * u + v * v < 1
+
+
+def stripes(number: int) -> np.ndarray:
+    """Stripes that move a pixel a frame."""
+    return np.broadcast_to((np.arange(SIZE) + number) // 24 % 2, (SIZE, SIZE))
+
+
+def filmed(folder: Path, paints: np.ndarray, frames: int) -> ReconstructionJob:
+    normals, mask = dome()
+    for number in range(frames):
+        light = np.maximum(normals @ DIRECTIONS.T, 0) * paints[stripes(number)] @ COLOURS * mask[..., None]
+        noisy = 255 * light + np.random.default_rng(number).normal(0, 0.7, light.shape)
+        write_png(folder / f"frame_{number:02d}.png", np.clip(np.round(noisy), 0, 255).astype(np.uint8))
+    write_mask(folder / "mask.png", mask)
+    return ReconstructionJob(
+        source=str(folder / "frame_*.png"),
+        rig=Rig(camera=Camera.orthographic(width=SIZE, height=SIZE), response=RESPONSE),
+        options=ReconstructOptions(to=Product.NORMALS, shadows=ShadowMethod.NONE),
+        folder=ReconstructionFolder(root=folder / "out"),
+        mask=folder / "mask.png",
+    )
+
+
+def into(job: ReconstructionJob, name: str, **options: object) -> ReconstructionJob:
+    folder = ReconstructionFolder(root=job.folder.root.parent / name)
+    return replace(job, folder=folder, options=replace(job.options, **options))
+
+
+@pytest.fixture(scope="module")
+def striped(tmp_path_factory: pytest.TempPathFactory) -> ReconstructionJob:
+    job = filmed(tmp_path_factory.mktemp("striped"), PAINTS, FRAMES)
+    reconstruct(job)
+    return job
+
+
+def test_moving_stripes_leave_no_seam(striped: ReconstructionJob) -> None:
+    manifest = read_manifest(striped.folder.root)
+    assert manifest.outputs == ["normals", "materials"]
+    values = np.array([entry.reflectance for entry in manifest.materials])
+    nearest = np.abs(np.log(values[:, None] / PAINTS)).max(axis=2)
+    assert nearest.shape == (2, 2)
+    assert nearest.min(axis=1).max() < 0.04
+    normals, mask = dome()
+    for number in (0, FRAMES - 1):
+        found = read_normal_map(striped.folder.normals(number))
+        labels = nearest.argmin(axis=1)[read_materials(striped.folder.materials(number))]
+        assert np.mean(labels[mask] == stripes(number)[mask]) > 0.98
+        assert angles_between_deg(found.normals_in_camera[mask], normals[mask]).mean() < 2.5
+
+
+def test_a_run_goes_on_with_the_materials_that_it_found(striped: ReconstructionJob) -> None:
+    before = digest(striped.folder.root)
+    striped.folder.materials(3).unlink()
+    assert reconstruct(striped).done == 1
+    assert digest(striped.folder.root) == before
+
+
+@pytest.mark.slow
+def test_workers_do_not_change_a_byte(striped: ReconstructionJob) -> None:
+    shared = into(striped, "shared")
+    reconstruct(shared, jobs=2)
+    assert digest(shared.folder.root) == digest(striped.folder.root)
+
+
+def test_the_rigs_own_material_gives_the_bytes_of_calibrated(tmp_path: Path) -> None:
+    job = filmed(tmp_path, np.full((2, 3), 0.8), 1)
+    reconstruct(job)
+    calibrated = into(job, "calibrated", materials=MaterialSearch.CALIBRATED)
+    reconstruct(calibrated)
+    assert read_manifest(job.folder.root).materials == []
+    assert digest(job.folder.root) == digest(calibrated.folder.root)
+
+
+def test_meshes_have_the_colour_of_their_material(striped: ReconstructionJob) -> None:
+    job = into(filmed(striped.folder.root.parent, PAINTS, 1), "mesh", to=Product.MESH)
+    reconstruct(replace(job, source=str(job.folder.root.parent / "frame_00.png")))
+    colours = read_mesh(job.folder.mesh(0)).colours
+    assert colours is not None
+    assert len(np.unique(np.round(colours, 2), axis=0)) == 2
+
+
+def test_another_material_under_calibrated_is_told(
+    striped: ReconstructionJob, caplog: pytest.LogCaptureFixture
+) -> None:
+    job = into(striped, "warned", materials=MaterialSearch.CALIBRATED)
+    with caplog.at_level(logging.WARNING):
+        reconstruct(job)
+    assert "does not look like the calibration material" in caplog.text
+
+
+def test_a_number_is_refused_where_the_lamps_colours_are_not_known(striped: ReconstructionJob) -> None:
+    job = into(striped, "refused", materials=2)
+    rig = replace(job.rig, response=LightResponse(matrix=RESPONSE.matrix))
+    with pytest.raises(BadInput, match="does not hold the colours of its lamps"):
+        reconstruct(replace(job, rig=rig))
+    assert not job.folder.root.exists()
+    with pytest.raises(BadInput, match="expected auto, calibrated or a number from 1 to 12, got 0"):
+        ReconstructOptions(materials=0)

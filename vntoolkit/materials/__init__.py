@@ -1,0 +1,1 @@
+"""Materials: how much each one returns of every lamp, and which pixels are of it."""

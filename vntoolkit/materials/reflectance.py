@@ -1,0 +1,209 @@
+"""The reflectance of one material from the unit length of its normals.
+
+Lamp k of direction l_k reaches a normal n with l_k · n. A material returns ρ_k of it, relative to the
+material that the rig was calibrated on. Split by lamp, its colour is s_k = ρ_k (l_k · n + w_k), with the
+ambient light's share w. L is the matrix of the rows l_k. Every pixel of one material then obeys
+
+    |L⁻¹ (s ∘ 1/ρ − w)| = 1,
+
+a quadric in 1/ρ with three unknowns (chakrabarti2016). It determines ρ as far as the normals spread.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from vntoolkit.arrays import Matrix3, Points, Vector3
+from vntoolkit.checks import require_shape
+from vntoolkit.errors import BadInput
+from vntoolkit.native import njit
+from vntoolkit.photometry.response import LightResponse
+
+CAP = 3.0  # standard deviations at which a residual stops to count more
+# Spread of log ρ before anything is seen: paints return 0.1 to 1 of the light.
+_PRIOR_SPREAD = 0.6
+_ROUNDS = 14
+_FIRST_TOLERANCE = 0.3  # of the first round; halved every round, so that a poor start is no outlier
+_LARGEST_STEP = 0.5
+_STARTS = np.vstack([np.zeros(3), 0.7 * np.eye(3), -0.7 * np.eye(3)])
+
+
+class Lamps(NamedTuple):
+    """What the kernels need of a response.
+
+    split: (3, 3), colour to contributions of the lamps. haze: (3,), those of the ambient light. inverse:
+    (3, 3), L⁻¹. noise: (3,), standard deviation of each contribution. mixing: (3, 3), split times the
+    standard deviation of the channels.
+    """
+
+    split: Matrix3
+    haze: Vector3
+    inverse: Matrix3
+    noise: Vector3
+    mixing: Matrix3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Reflectance:
+    """What a material returns of each lamp, relative to the calibration material.
+
+    values: (3,). covariance: (3, 3), of log values. error_deg: root mean square angle by which this turns the
+    normals that it was fitted on. residual: robust standard deviation of their lengths.
+    """
+
+    values: Vector3
+    covariance: Matrix3
+    error_deg: float
+    residual: float
+
+
+def lamps_from_response(response: LightResponse, noise: Vector3) -> Lamps:
+    """Return what the kernels need. noise: (3,), standard deviation of the channels R, G, B.
+
+    Raises `BadInput` where the response does not hold the colours of its lamps.
+    """
+    if response.light_colours is None:
+        raise BadInput(
+            "materials: the rig does not hold the colours of its lamps, so that nothing tells a material's "
+            "colour from its shape: calibrate with one photograph per lamp (--single-light), or use "
+            "--materials calibrated"
+        )
+    split = response.contributions_from_rgb
+    mixing = split * noise
+    return Lamps(
+        split=split,
+        haze=split @ response.ambient,
+        inverse=np.linalg.inv(response.lights),
+        noise=np.linalg.norm(mixing, axis=1),
+        mixing=mixing,
+    )
+
+
+def fit_reflectance(
+    contributions: Points,
+    lamps: Lamps,
+    tolerance: float,
+    independent: float = 1.0,
+    start: Vector3 | None = None,
+) -> Reflectance:
+    """Fit 1/ρ so that the normals of all pixels have unit length, robustly.
+
+    contributions: (n, 3), split by lamp. tolerance: standard deviation of lengths beyond noise.
+    independent: share of the pixels whose errors are independent. start: (3,), log ρ to start from.
+    """
+    require_shape(contributions, (None, 3), "contributions of the lamps")
+    s = np.ascontiguousarray(contributions, dtype=np.float64)
+    found, normal_matrix, _ = best_fit(s, lamps, tolerance, None if start is None else start[None])
+    values = np.exp(found)
+    normals = (s / values - lamps.haze) @ lamps.inverse.T
+    lengths = np.maximum(np.linalg.norm(normals, axis=1), 1e-9)
+    covariance = np.linalg.inv(independent * normal_matrix + np.eye(3) * 1e-12)
+    return Reflectance(
+        values=values,
+        covariance=covariance,
+        error_deg=_error_deg(normals / lengths[:, None], s / values, lamps.inverse, covariance),
+        residual=1.4826 * float(np.median(np.abs(lengths - 1.0))),
+    )
+
+
+def best_fit(
+    s: Points, lamps: Lamps, tolerance: float, starts: Points | None = None
+) -> tuple[Vector3, Matrix3, float]:
+    """Return log ρ (3,), its normal matrix (3, 3) without the prior, and the mean cost, of the best start."""
+    centre = _scale_of(s, lamps)
+    if starts is None:
+        starts = centre + _STARTS
+    prior = np.eye(3) / _PRIOR_SPREAD**2
+    best: tuple[Vector3, Matrix3, float] | None = None
+    for start in starts:
+        found = fit_kernel(s, *lamps[1:3], lamps.mixing, tolerance, start, centre, prior)
+        if best is None or found[2] < best[2]:
+            best = found
+    assert best is not None
+    return best
+
+
+def _scale_of(s: Points, lamps: Lamps) -> Vector3:
+    """(3,), log of the one reflectance in all bands that gives normals unit length in the median."""
+    length = np.median(np.linalg.norm(s @ lamps.inverse.T, axis=1))
+    return np.full(3, np.log(max(float(length), 1e-6)))
+
+
+def _error_deg(normals: Points, shares: Points, inverse: Matrix3, covariance: Matrix3) -> float:
+    """Root mean square turn of the normals under errors of log ρ."""
+    turns = -inverse[None] * shares[:, None, :]  # (n, 3 of normal, 3 of log ρ)
+    turns -= normals[:, :, None] * np.einsum("ni,nij->nj", normals, turns)[:, None, :]
+    squares = np.einsum("nij,jk,nik->n", turns, covariance, turns)
+    return float(np.degrees(np.sqrt(np.mean(squares))))
+
+
+@njit(cache=True, error_model="numpy")
+def fit_kernel(
+    s: Any, haze: Any, inverse: Any, mixing: Any, tolerance: float, start: Any, centre: Any, prior: Any
+) -> Any:
+    """Gauss–Newton in log ρ with Geman and McClure's weights, from rough to fine."""
+    z = start.copy()
+    normal_matrix = np.zeros((3, 3))
+    cost = 0.0
+    for i in range(_ROUNDS):
+        rough = max(tolerance, _FIRST_TOLERANCE * 0.5**i)
+        normal_matrix[:] = 0.0
+        gradient = prior @ (centre - z)
+        cost = 0.0
+        q = np.exp(-z)
+        j = np.empty(3)
+        bias = bias_of_noise(q, inverse, mixing)
+        for p in range(s.shape[0]):
+            e, variance = length_and_variance(s[p], q, haze, inverse, mixing, bias, j)
+            variance += rough * rough
+            t = e * e / variance
+            falling = 1.0 / (1.0 + t / (CAP * CAP))
+            cost += 0.5 * t * falling
+            weight = falling * falling / variance
+            for a in range(3):
+                gradient[a] -= weight * j[a] * e
+                for b in range(3):
+                    normal_matrix[a, b] += weight * j[a] * j[b]
+        if i + 1 < _ROUNDS:
+            step = np.linalg.solve(normal_matrix + prior, gradient)
+            for a in range(3):
+                z[a] += min(max(step[a], -_LARGEST_STEP), _LARGEST_STEP)
+    return z, normal_matrix, cost / max(s.shape[0], 1)
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def length_and_variance(s: Any, q: Any, haze: Any, inverse: Any, mixing: Any, bias: float, j: Any) -> Any:
+    """Return |n| − 1, its variance by noise, and fill j (3,) with its derivative by log ρ.
+
+    bias: what noise adds to |n|² on average; see `bias_of_noise`.
+    """
+    x0, x1, x2 = s[0] * q[0] - haze[0], s[1] * q[1] - haze[1], s[2] * q[2] - haze[2]
+    n0 = inverse[0, 0] * x0 + inverse[0, 1] * x1 + inverse[0, 2] * x2
+    n1 = inverse[1, 0] * x0 + inverse[1, 1] * x1 + inverse[1, 2] * x2
+    n2 = inverse[2, 0] * x0 + inverse[2, 1] * x1 + inverse[2, 2] * x2
+    length = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2) + 1e-12
+    h0 = (n0 * inverse[0, 0] + n1 * inverse[1, 0] + n2 * inverse[2, 0]) / length * q[0]
+    h1 = (n0 * inverse[0, 1] + n1 * inverse[1, 1] + n2 * inverse[2, 1]) / length * q[1]
+    h2 = (n0 * inverse[0, 2] + n1 * inverse[1, 2] + n2 * inverse[2, 2]) / length * q[2]
+    j[0], j[1], j[2] = -h0 * s[0], -h1 * s[1], -h2 * s[2]
+    variance = 0.0
+    for c in range(3):
+        along = h0 * mixing[0, c] + h1 * mixing[1, c] + h2 * mixing[2, c]
+        variance += along * along
+    return (length * length - bias - 1.0) / (length + 1.0), variance
+
+
+@njit(cache=True, error_model="numpy")
+def bias_of_noise(q: Any, inverse: Any, mixing: Any) -> float:
+    """Trace of the covariance of n: noise across a normal makes it longer."""
+    total = 0.0
+    for i in range(3):
+        for c in range(3):
+            along = 0.0
+            for k in range(3):
+                along += inverse[i, k] * q[k] * mixing[k, c]
+            total += along * along
+    return total

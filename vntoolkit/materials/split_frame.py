@@ -1,0 +1,91 @@
+"""One frame split by lamp, at the size that materials are told apart on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import prange
+
+from vntoolkit.arrays import FloatArray, Mask, Vector3
+from vntoolkit.materials.reflectance import Lamps, lamps_from_response
+from vntoolkit.native import njit
+from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.response import LightResponse
+
+WORKING_PIXELS = 30_000  # of the subject; more cost time and tell no other materials
+_LEAST_SIGNAL = 4.0  # standard deviations of noise that a lamp's contribution must exceed …
+_LEAST_SHARE = 0.06  # … and share of the strongest: the rest may be shadow
+_OF_INNER_HALF = 0.3777  # root mean square of the inner half of a normal distribution, in standard deviations
+_LEAST_NOISE = 1e-4
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SplitFrame:
+    """Contributions of the lamps to blocks of factor × factor pixels.
+
+    contributions: (h, w, 3) float64, means over the mask. inside: (h, w), half of the block or more is
+    subject. lit: (h, w), all three lamps reach it. lamps: with the noise of these means. factor: pixels.
+    """
+
+    contributions: FloatArray
+    inside: Mask
+    lit: Mask
+    lamps: Lamps
+    factor: int
+
+
+def split_frame(
+    frame: LinearFrame, response: LightResponse, mask: Mask, most_pixels: int = WORKING_PIXELS
+) -> SplitFrame:
+    """Split a frame by lamp, averaged over blocks until the subject has about `most_pixels`.
+
+    mask: (h, w). Clipped pixels are left out. Raises `BadInput` where the lamps' colours are not known.
+    """
+    factor = max(1, round(float(np.sqrt(mask.sum() / most_pixels))))
+    rgb, inside = _blocks(np.ascontiguousarray(frame.rgb), mask & ~frame.clipped, factor)
+    lamps = lamps_from_response(response, noise_of(rgb, inside))
+    contributions = rgb @ lamps.split.T
+    least = np.maximum(_LEAST_SIGNAL * lamps.noise, _LEAST_SHARE * contributions.max(axis=2, keepdims=True))
+    lit = inside & (contributions > least).all(axis=2)
+    return SplitFrame(contributions=contributions, inside=inside, lit=lit, lamps=lamps, factor=factor)
+
+
+def noise_of(rgb: FloatArray, inside: Mask) -> Vector3:
+    """(3,), standard deviation of noise of each channel.
+
+    From the difference of second differences along rows and columns (immerkaer1996), which curved shading
+    leaves alone; of its values the inner half counts, since edges are larger.
+    """
+    along = rgb[:, :-2] - 2.0 * rgb[:, 1:-1] + rgb[:, 2:]
+    both = np.abs(along[:-2] - 2.0 * along[1:-1] + along[2:])
+    whole = inside[:, :-2] & inside[:, 1:-1] & inside[:, 2:]
+    whole = whole[:-2] & whole[1:-1] & whole[2:]
+    if not whole.any():
+        return np.full(3, _LEAST_NOISE)
+    found = np.sort(both[whole], axis=0)[: max(1, int(whole.sum()) // 2)]
+    return np.maximum(np.sqrt(np.mean(found**2, axis=0)) / _OF_INNER_HALF / 6.0, _LEAST_NOISE)
+
+
+@njit(cache=True, parallel=True)
+def _blocks(rgb: Any, mask: Any, factor: int) -> Any:
+    """Return the mean colour over the mask of each block, and whether half of the block is in it."""
+    h, w = mask.shape
+    height, width = (h + factor - 1) // factor, (w + factor - 1) // factor
+    mean = np.zeros((height, width, 3))
+    inside = np.zeros((height, width), np.bool_)
+    for i in prange(height):
+        for j in range(width):
+            count = 0
+            for v in range(i * factor, min((i + 1) * factor, h)):
+                for u in range(j * factor, min((j + 1) * factor, w)):
+                    if mask[v, u]:
+                        count += 1
+                        for c in range(3):
+                            mean[i, j, c] += rgb[v, u, c]
+            if count > 0:
+                for c in range(3):
+                    mean[i, j, c] /= count
+            inside[i, j] = 2 * count >= factor * factor and count > 0
+    return mean, inside

@@ -1,0 +1,144 @@
+"""The subject's materials, measured once on the first frames of a run."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+
+from vntoolkit.arrays import Mask
+from vntoolkit.errors import BadCapture, BadInput
+from vntoolkit.io.footage.captures import Capture
+from vntoolkit.io.footage.mattes import Mattes
+from vntoolkit.io.results.manifest import MaterialEntry
+from vntoolkit.materials.search import WORST_ERROR_DEG, Material, find_materials
+from vntoolkit.normals.inversion import relative_albedo_from_frame
+from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.lambertian import scaled_normals_from_rgb
+from vntoolkit.pipeline.block_work import ReconstructionJob
+from vntoolkit.pipeline.frame_processor import FrameProcessor
+from vntoolkit.pipeline.options import MaterialSearch
+
+logger = logging.getLogger(__name__)
+_LOOKED_AT = 3  # frames …
+_APART = 8  # … this far from each other: the subject has moved and shows other normals
+_SAME_DEG = 1.5  # mean turn of normals below which a material is the rig's own
+_WORST_RESIDUAL = 0.12  # of normals' lengths; shading of one real material stays below 0.08
+_REMEDY = "film the subject while it turns, or calibrate on its own material"
+
+
+def measured_materials(
+    job: ReconstructionJob, capture: Capture, mattes: Mattes, numbers: range
+) -> tuple[list[MaterialEntry], float | None]:
+    """Return the materials, empty for the rig's alone, and then how bright the subject is against the rig's.
+
+    Logs a warning where the footage cannot tell, or is not of the calibration material though it counts as
+    such. Raises `BadInput` where a number of materials is asked for that cannot be told, `BadCapture` where
+    the first frame shows nothing.
+    """
+    there = [n for n in capture.present if n in numbers and not mattes.missing([n])]
+    frames, masks = [], []
+    for number in there[: _APART * _LOOKED_AT : _APART]:
+        encoded = capture.encoded(number)
+        processor = FrameProcessor(job.rig, job.options, mattes.of(encoded), capture.background)
+        frames.append(processor.linear(encoded))
+        masks.append(processor.mask)
+    response, choice = job.rig.response, job.options.materials
+    if not seeks_materials(job):
+        found: list[Material] = []
+    else:
+        levelled = [processor.by_strength(frame) for frame in frames]
+        count = None if isinstance(choice, MaterialSearch) else choice
+        found = _told(find_materials(levelled, masks, response.central, count), choice)
+        if (
+            choice is MaterialSearch.AUTO
+            and len(found) == 1
+            and _is_of_rig(found[0], job, levelled[0], masks[0])
+        ):
+            found = []
+    if found:
+        return [_entry(material) for material in found], None
+    try:
+        albedo = relative_albedo_from_frame(frames[0], response, masks[0])
+    except BadInput as error:
+        raise BadCapture(f"{capture.encoded(there[0]).name}: {error}") from error
+    _warn_of_other_material(job, frames[0], masks[0], albedo)
+    return [], float(np.format_float_positional(albedo, precision=4, fractional=False))
+
+
+def seeks_materials(job: ReconstructionJob) -> bool:
+    """True where the footage is asked for its materials, and the rig can tell them."""
+    choice = job.options.materials
+    if choice is MaterialSearch.AUTO:
+        return job.rig.response.light_colours is not None and job.rig.gel is None
+    return choice is not MaterialSearch.CALIBRATED
+
+
+def _told(found: list[Material], choice: MaterialSearch | int) -> list[Material]:
+    """Return the materials, none where nothing can be told; say which are uncertain."""
+    worst = max(material.reflectance.error_deg for material in found)
+    if worst <= WORST_ERROR_DEG:
+        return found
+    spread = "the normals spread too little, or two lamps are too alike in colour"
+    if len(found) == 1:
+        message = (
+            f"materials: the subject's reflectance cannot be told (its error turns normals by {worst:.0f} "
+            f"degrees): {spread}; {_REMEDY}"
+        )
+        if choice is not MaterialSearch.AUTO:
+            raise BadInput(message)
+        logger.warning("%s; the rig's material is taken", message)
+        return []
+    for number, material in enumerate(found):
+        if material.reflectance.error_deg > WORST_ERROR_DEG:
+            logger.warning(
+                "materials: the reflectance of material %d (%.0f %% of the subject) may turn normals by %.0f "
+                "degrees: %s; %s",
+                number, 100 * material.share, material.reflectance.error_deg, spread, _REMEDY,
+            )  # fmt: skip
+    return found
+
+
+def _is_of_rig(material: Material, job: ReconstructionJob, frame: LinearFrame, mask: Mask) -> bool:
+    """True where the material's hue hardly turns normals against those of the rig's."""
+    response = job.rig.response.central
+    lit = mask & ~frame.clipped & (frame.rgb.max(axis=2) > 0.1 * np.percentile(frame.rgb[mask], 99))
+    plain = scaled_normals_from_rgb(frame.rgb[lit], response) + response.inverse @ response.ambient
+    split, values = response.contributions_from_rgb, material.reflectance.values
+    own = frame.rgb[lit] @ (np.linalg.inv(response.lights) @ np.diag(1.0 / values) @ split).T
+    cosines = (plain * own).sum(axis=1) / np.linalg.norm(plain, axis=1) / np.linalg.norm(own, axis=1)
+    turn_deg = float(np.degrees(np.median(np.arccos(np.clip(cosines, -1.0, 1.0)))))
+    return turn_deg < max(_SAME_DEG, 2.0 * material.reflectance.error_deg)
+
+
+def _warn_of_other_material(job: ReconstructionJob, frame: LinearFrame, mask: Mask, albedo: float) -> None:
+    lit = mask & ~frame.clipped
+    v, u = np.nonzero(lit)
+    scaled = scaled_normals_from_rgb(frame.rgb[lit], job.rig.response, np.stack([u, v], axis=-1))
+    length = np.linalg.norm(scaled, axis=1) / albedo
+    length = length[length > 0.3]  # the rest is in shadow
+    if not length.size:
+        return
+    residual = 1.4826 * float(np.median(np.abs(length - np.median(length))))
+    if residual > _WORST_RESIDUAL:
+        remedy = (
+            "calibrate with one photograph per lamp (--single-light), so that --materials auto can tell them"
+            if job.rig.response.light_colours is None
+            else "try --materials auto"
+        )
+        logger.warning(
+            "materials: the subject does not look like the calibration material: the lengths of its normals, "
+            "which should be equal, spread by %.0f %% (expected below %.0f); %s",
+            100 * residual, 100 * _WORST_RESIDUAL, remedy,
+        )  # fmt: skip
+
+
+def _entry(material: Material) -> MaterialEntry:
+    fitted = material.reflectance
+    first, second, third = (float(f"{value:.4g}") for value in fitted.values)
+    return MaterialEntry(
+        reflectance=(first, second, third),
+        error_deg=round(fitted.error_deg, 2),
+        residual=round(fitted.residual, 4),
+        share=round(material.share, 4),
+    )
