@@ -7,12 +7,14 @@ from tests.faults.simulated_captures import random_response
 from vntoolkit.diagnosis.checks import findings_from_evidence, findings_from_rig
 from vntoolkit.diagnosis.evidence import evidence_from_frames
 from vntoolkit.diagnosis.finding import FatalFinding, Finding, Level, judge
+from vntoolkit.diagnosis.frame_to_frame import check_flicker, findings_from_motion
 from vntoolkit.diagnosis.rig_checks import check_residual
 from vntoolkit.diagnosis.transfer_match import check_transfer_of_samples
+from vntoolkit.diagnosis.zoom import check_stated_focal, check_zoom
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.lambertian import rgb_from_normals
-from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.response import LightResponse, ResponseVariation
 from vntoolkit.photometry.rig import FitQuality, Rig
 from vntoolkit.photometry.transfer import Transfer, encoded_from_linear, linear_from_encoded
 
@@ -135,6 +137,67 @@ def test_calibration_samples_tell_the_curve_and_a_bad_fit(rng):
     rig = Rig(camera=Camera.orthographic(width=9, height=9), response=response, quality=quality)
     (found,) = check_residual(rig)
     assert "30 degrees" in found.measured
+
+
+def _in_a_row(shift_px=2.0, gains=(1, 1, 1, 1, 1)):
+    """Five frames of a blob that moves to the right, under light of these gains, and its rig."""
+    light, _, response = _shot(1)
+    rng = np.random.default_rng(5)
+    frames = []
+    for k, gain in enumerate(gains):
+        moved = np.roll(light, round(k * shift_px), axis=1) * gain + rng.normal(0, 0.003, light.shape)
+        frames.append(LinearFrame(rgb=np.clip(moved, 0, 1).astype(np.float32), number=k))
+    return frames, Rig(camera=Camera.orthographic(width=W, height=H), response=response)
+
+
+def test_light_that_flickers_is_found_and_a_steady_one_or_a_slow_change_is_not():
+    for gains, expected in (
+        ((1, 1, 1, 1, 1), 0),
+        ((1, 1.01, 1.02, 1.03, 1.04), 0),
+        ((1, 0.94, 1, 0.94, 1), 1),
+    ):
+        frames, rig = _in_a_row(gains=gains)
+        found = check_flicker(evidence_from_frames(frames, rig, Transfer()))
+        assert len(found) == expected, gains
+    assert "shutter time" in found[0].text
+
+
+def test_a_subject_that_jumps_is_found_and_one_that_moves_is_not():
+    assert findings_from_motion(_in_a_row(shift_px=3.0)[0]) == []
+    jumped = _in_a_row()[0]
+    jumped[3] = LinearFrame(rgb=np.roll(jumped[3].rgb[::-1], 90, axis=1).copy(), number=3)
+    (found,) = findings_from_motion(jumped)
+    assert "jumps from frame" in found.text
+
+
+@pytest.mark.parametrize("zoom", [1.0, 1.6, 0.6])
+def test_another_zoom_is_found_where_the_light_falls_off(zoom):
+    response = _shot(2)[2]
+    powers = np.array([[1, 0], [0, 1], [2, 0], [0, 2]])
+    steps = np.stack([f * response.matrix for f in (0.35, -0.2, -0.3, -0.25)])
+    variation = ResponseVariation(
+        powers=powers,
+        matrices=steps,
+        ambients=np.zeros((4, 3)),
+        centre_px=np.array([W / 2, H / 2]),
+        scale_px=W / 2,
+    )
+    response = LightResponse(matrix=response.matrix, variation=variation)
+    u, v = np.meshgrid(np.arange(W), np.arange(H))
+    place = (np.stack([u, v], axis=-1) - variation.centre_px) / zoom + variation.centre_px
+    matrices, _ = response.at(place)
+    normals, inside = _blob(np.random.default_rng([2, 18]))
+    seen = np.einsum("vuij,vuj->vui", matrices, normals) * inside[..., None]
+    seen = np.clip(seen + np.random.default_rng(0).normal(0, 0.003, seen.shape), 0, None).astype(np.float32)
+    seen /= 1.05 * seen.max()
+    camera = Camera.pinhole(width=W, height=H, focal_px=3.0 * W)
+    rig = Rig(camera=camera, response=response)
+    found = check_zoom(evidence_from_frames([LinearFrame(rgb=seen)], rig, Transfer()))
+    assert len(found) == (zoom != 1.0)
+    if found:
+        assert float(found[0].measured.split()[0]) == pytest.approx(zoom, rel=0.12)
+    assert check_stated_focal(rig, 3.1 * W) == []
+    assert "1.50 times" in check_stated_focal(rig, 4.5 * W)[0].text
 
 
 def test_the_judge_stops_at_what_is_fatal_and_not_allowed(caplog):

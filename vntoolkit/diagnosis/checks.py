@@ -12,6 +12,7 @@ from vntoolkit.diagnosis.rig_checks import check_coverage, check_lamps, check_re
 from vntoolkit.diagnosis.surface_match import check_relatives, check_structure
 from vntoolkit.diagnosis.transfer_match import check_calibrated_transfer, check_transfer
 from vntoolkit.diagnosis.white_balance import check_white_balance
+from vntoolkit.diagnosis.zoom import check_zoom
 from vntoolkit.photometry.rig import Rig
 
 RIG_CHECKS: tuple[Callable[[Rig], list[Finding]], ...] = (
@@ -26,9 +27,14 @@ CAPTURE_CHECKS: tuple[tuple[Callable[[Evidence], list[Finding]], ...], ...] = (
     (check_mask,),
     (check_structure,),
     (check_relatives,),
+    (check_zoom,),
     (check_outline, check_calibrated_transfer, check_transfer),
     (check_white_balance,),
 )
+
+# They compare lengths of M⁻¹(r − a), which clipping cuts.
+_OF_LENGTHS = (check_zoom, check_transfer, check_white_balance)
+_MOST_CLIPPED = 0.05  # of the subject
 
 # What `--allow` takes: every name that a finding of these checks, or one about the footage, can have.
 CHECK_NAMES: dict[str, str] = {
@@ -43,8 +49,10 @@ CHECK_NAMES: dict[str, str] = {
     "drift": "exposure or white balance that changes while filming",
     "dim": "footage that uses little of the range",
     "flat": "a subject without shape",
+    "flicker": "light that goes up and down from frame to frame",
     "gaps": "files of a sequence that are missing",
     "grey": "footage without colour",
+    "jump": "a subject that moves too far between two frames",
     "labels": "labels of presses that do not lie on the dents",
     "lamps": "lamps behind the surface",
     "mask": "a mask off the subject",
@@ -57,6 +65,7 @@ CHECK_NAMES: dict[str, str] = {
     "tag": "a transfer curve that the file states against the one it is read with",
     "transfer": "a transfer curve that is not the footage's",
     "white-balance": "other gains of the channels than at calibration",
+    "zoom": "another focal length than at calibration",
 }
 
 
@@ -67,8 +76,10 @@ def findings_from_rig(rig: Rig) -> list[Finding]:
 
 def findings_from_evidence(evidence: Evidence) -> list[Finding]:
     """Return what a few frames tell of the rig, the mask and the transfer curve."""
+    asks_lengths = evidence.clipped_share < _MOST_CLIPPED
     for group in CAPTURE_CHECKS:
-        found = [finding for check in group for finding in check(evidence)]
+        asked = [check for check in group if asks_lengths or check not in _OF_LENGTHS]
+        found = [finding for check in asked for finding in check(evidence)]
         if found:
             return found
     return []

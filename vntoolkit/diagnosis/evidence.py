@@ -90,6 +90,12 @@ class Evidence:
         chosen &= brightest > _LIT * np.percentile(brightest[chosen], 95)
         return np.asarray(chosen)
 
+    @property
+    def clipped_share(self) -> float:
+        """Of the subject's pixels, the share that is clipped; 0 to 1."""
+        clipped = int((self.clipped & self.inside).sum())
+        return clipped / max(1, clipped + int(self.surface.sum()))
+
     @cached_property
     def blocks(self) -> npt.NDArray[np.int64]:
         """(h, w) number of the block that a pixel lies in; a block is the same place in every frame."""
@@ -110,28 +116,41 @@ class Evidence:
 def evidence_from_frames(
     frames: Sequence[LinearFrame], rig: Rig, transfer: Transfer, mask: Mask | None = None
 ) -> Evidence:
-    """Average frames down. mask: (h, w) where the surface is, or None."""
-    height, width = frames[0].shape
-    scale = min(1.0, math.sqrt(_PIXELS / (height * width)))
-    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+    """Average frames of the rig's size down. mask: (h, w) where the surface is, or None.
 
-    def smaller(image: npt.NDArray[np.float32]) -> Single:
-        if size == (width, height):
-            return image
-        return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32)
-
-    inside = np.ones((size[1], size[0]), np.bool_)
+    Frames that are averaged down already are taken as they are.
+    """
+    small = [averaged_down(frame) for frame in frames]
+    height, width = small[0].shape
+    inside = np.ones((height, width), np.bool_)
     if mask is not None:
-        inside = smaller(mask.astype(np.float32)) > 0.999
+        inside = _resized(mask.astype(np.float32), (width, height)) > 0.999
     return Evidence(
         rig=rig,
         transfer=transfer,
-        light=np.stack([smaller(np.asarray(frame.rgb)) for frame in frames]),
-        clipped=np.stack([smaller(frame.clipped.astype(np.float32)) > 0 for frame in frames]),
-        inside=np.broadcast_to(inside, (len(frames), *inside.shape)),
+        light=np.stack([np.asarray(frame.rgb) for frame in small]),
+        clipped=np.stack([frame.clipped for frame in small]),
+        inside=np.broadcast_to(inside, (len(small), *inside.shape)),
         masked=mask is not None,
-        scale=scale,
+        scale=width / rig.camera.width,
     )
+
+
+def averaged_down(frame: LinearFrame) -> LinearFrame:
+    """Return a frame of at most 50,000 pixels; clipped is where any pixel under it is."""
+    height, width = frame.shape
+    scale = math.sqrt(_PIXELS / (height * width))
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+    if size[0] >= width:
+        return frame
+    clipped = _resized(frame.clipped.astype(np.float32), size) > 0
+    return LinearFrame(rgb=_resized(np.asarray(frame.rgb), size), clipped=clipped, number=frame.number)
+
+
+def _resized(image: npt.NDArray[np.float32], size: tuple[int, int]) -> Single:
+    if size == image.shape[1::-1]:
+        return image
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32)
 
 
 def scaled_normals(

@@ -11,9 +11,11 @@ import numpy as np
 from vntoolkit.arrays import Mask
 from vntoolkit.checks import require_positive
 from vntoolkit.diagnosis.checks import findings_from_evidence, findings_from_rig
-from vntoolkit.diagnosis.evidence import evidence_from_frames
+from vntoolkit.diagnosis.evidence import averaged_down, evidence_from_frames
 from vntoolkit.diagnosis.exposure_drift import drift_of_static_part
 from vntoolkit.diagnosis.finding import Finding, Level
+from vntoolkit.diagnosis.frame_to_frame import FRAMES_IN_A_ROW, check_flicker, findings_from_motion
+from vntoolkit.diagnosis.zoom import check_stated_focal
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.footage.captures import Capture, CaptureInfo, CaptureOptions, open_capture
 from vntoolkit.io.footage.mattes import MatteOptions, Mattes, open_mattes
@@ -329,13 +331,14 @@ def findings_from_capture(
     in_one_material: makes a frame of several materials look as if it were of the rig's alone. Raises
     `BadCapture` for a frame that cannot be read.
     """
-    frames = _frames_to_judge(capture, numbers)
+    frames, in_a_row = _frames_to_judge(capture, numbers, FRAMES_IN_A_ROW)
     findings = _findings_from_channels(capture.info) + _findings_from_clipping(frames, mask)
     if capture.info.chroma == "grey" or not frames:
         return findings
     if rig is not None:
         findings += _findings_from_tag(capture.info, capture.transfer, Level.FATAL)
         findings += findings_from_rig(rig)
+        findings += check_stated_focal(rig, capture.info.stated_focal_px)
         height, width = frames[0].shape
         if (width, height) != rig.footage_size:
             return [*findings, _other_size(width, height, rig)]
@@ -348,21 +351,52 @@ def findings_from_capture(
         if min(evidence.light.shape[1:3]) >= _NARROWEST_PX:
             findings += findings_from_evidence(evidence)
     drift = drift_of_static_part(frames) if len(frames) > 1 else None
-    return findings if drift is None else [*findings, drift.to_finding()]
+    if drift is not None:
+        findings.append(drift.to_finding())
+    if any(finding.level is Level.FATAL for finding in findings):
+        return findings
+    return [*findings, *_findings_over_time(in_a_row, rig, capture.transfer, mask)]
+
+
+def _findings_over_time(
+    in_a_row: Sequence[LinearFrame], rig: Rig | None, transfer: Transfer, mask: Mask | None
+) -> list[Finding]:
+    """Compare consecutive frames, averaged down, with each other."""
+    if len(in_a_row) < 2:
+        return []
+    findings = findings_from_motion(in_a_row, mask)
+    if rig is None or findings:
+        return findings
+    evidence = evidence_from_frames(in_a_row, rig, transfer, mask)
+    return check_flicker(evidence) if min(evidence.light.shape[1:3]) >= _NARROWEST_PX else []
 
 
 def findings_from_calibration_footage(
     capture: Capture, mask: Mask | None = None, numbers: range | None = None
 ) -> list[Finding]:
     """Check footage to calibrate on: channels, clipping inside `mask` (h, w), and the curve it states."""
-    clipping = _findings_from_clipping(_frames_to_judge(capture, numbers), mask)
+    clipping = _findings_from_clipping(_frames_to_judge(capture, numbers)[0], mask)
     tag = _findings_from_tag(capture.info, capture.transfer, Level.WARNING)
     return [*_findings_from_channels(capture.info), *clipping, *tag]
 
 
-def _frames_to_judge(capture: Capture, numbers: range | None) -> list[LinearFrame]:
-    chosen = frames_to_compare(capture, numbers or range(len(capture)))
-    return [capture.frame(number) for number in chosen if number not in capture.info.missing]
+def _frames_to_judge(
+    capture: Capture, numbers: range | None, in_a_row: int = 0
+) -> tuple[list[LinearFrame], list[LinearFrame]]:
+    """Read a few frames from all over, and the first ones in a row, averaged down, in one pass."""
+    numbers = numbers or range(len(capture))
+    first = numbers[:in_a_row]
+    if not set(capture.present).issuperset(first):
+        first = first[:0]
+    spread = set(frames_to_compare(capture, numbers)).difference(capture.info.missing)
+    over_all, consecutive = [], []
+    for number in sorted(spread.union(first)):
+        frame = capture.frame(number)
+        if number in spread:
+            over_all.append(frame)
+        if number in first:
+            consecutive.append(averaged_down(frame))
+    return over_all, consecutive
 
 
 def _other_size(width: int, height: int, rig: Rig) -> Finding:

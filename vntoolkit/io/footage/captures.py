@@ -74,7 +74,8 @@ class CaptureInfo:
     `Transfer` reads it where it can be undone; empty for none. conversion: of YUV to RGB. orientation: what
     was done to turn the frames upright, empty for nothing; width and height are those of the upright picture.
     times_s: when each frame of a video of varying rate is shown, seconds from the first; empty for an even
-    rate.
+    rate. stated_focal_px: focal length that a photograph states, as that of a picture of 24×36 mm with the
+    same diagonal; None for none.
     """
 
     kind: CaptureKind
@@ -96,6 +97,7 @@ class CaptureInfo:
     missing: Mapping[int, str] = field(default_factory=dict)
     left_out: tuple[Path, ...] = ()
     stated: tuple[int, ...] = ()
+    stated_focal_px: float | None = None
 
 
 class Capture(Displayed):
@@ -298,6 +300,7 @@ def _info_of_images(found: CaptureFiles, options: CaptureOptions) -> CaptureInfo
         files=files,
         promised_frame_count=found.numbers[-1] + 1,
         stated_transfer=header.stated_transfer,
+        stated_focal_px=header.stated_focal_px,
         orientation=header.orientation.text,
         numbers=found.numbers,
         missing=found.missing,

@@ -52,7 +52,8 @@ _PHOTOMETRIC_NAMES = {
     0: "grey with white as zero", 4: "a transparency mask", 5: "CMYK", 6: "YCbCr", 8: "CIELAB", 9: "ICCLAB",
     10: "ITULAB", 32844: "LogL", 32845: "LogLuv",
 }  # fmt: skip
-_ORIENTATION, _EXIF_IFD, _COLOUR_SPACE, _SRGB = 274, 0x8769, 0xA001, 1
+_ORIENTATION, _EXIF_IFD, _COLOUR_SPACE, _SRGB, _FOCAL_35MM = 274, 0x8769, 0xA001, 1, 0xA405
+_DIAGONAL_MM = 43.27  # of 24×36 mm
 # sampling factors of luma: chroma's own are 1 × 1 in practice
 _JPEG_CHROMA = {(2, 2): "4:2:0", (2, 1): "4:2:2", (1, 2): "4:4:0", (4, 1): "4:1:1"}
 
@@ -280,7 +281,7 @@ class ImageHeader:
     format: its name. width, height: as stored, pixels. channels: alpha included. bits: per sample. chroma:
     subsampling (JPEG). orientation: what turns the picture upright. stated_transfer: curve, as `Transfer`
     reads it, empty for none. mosaic_at: byte of a TIFF that states a Bayer mosaic, 0 for none. bayer: its
-    pattern, None for none or one that is not stated.
+    pattern, None for none or one that is not stated. stated_focal_px: focal length, None for none.
     """
 
     format: str
@@ -294,6 +295,7 @@ class ImageHeader:
     stated_transfer: str = ""
     mosaic_at: int = 0
     bayer: Bayer | None = None
+    stated_focal_px: float | None = None
 
 
 # Size and sample depth of an image from its first bytes, before any pixel is decoded.
@@ -356,7 +358,8 @@ def _by_pillow(data: bytes, format_name: str) -> ImageHeader:
     chroma = "4:4:4"
     if isinstance(image, JpegImagePlugin.JpegImageFile) and image.layers == 3:
         chroma = _JPEG_CHROMA.get((image.layer[0][1], image.layer[0][2]), chroma)
-    orientation, transfer = _stated_by(image)
+    orientation, transfer, focal_mm = _stated_by(image)
+    focal_px = focal_mm / _DIAGONAL_MM * math.hypot(image.width, image.height)
     return ImageHeader(
         format=format_name,
         width=image.width,
@@ -366,22 +369,28 @@ def _by_pillow(data: bytes, format_name: str) -> ImageHeader:
         chroma=chroma,
         orientation=orientation,
         stated_transfer=transfer,
+        stated_focal_px=focal_px or None,
     )
 
 
-def _stated_by(image: Any) -> tuple[Orientation, str]:
-    """Return the orientation and the transfer curve that EXIF data and PNG chunks state."""
-    value, is_srgb = 1, "srgb" in image.info
+def _stated_by(image: Any) -> tuple[Orientation, str, float]:
+    """Return what EXIF data and PNG chunks state: orientation, transfer curve, focal length as of 35 mm film.
+
+    0 for no focal length.
+    """
+    value, is_srgb, focal_mm = 1, "srgb" in image.info, 0.0
     # without this test, Pillow decodes the whole PNG to look for EXIF data behind the picture
     if "exif" in image.info:
         with contextlib.suppress(struct.error, ValueError, KeyError, TypeError, SyntaxError, OSError):
             exif = image.getexif()
             value = exif.get(_ORIENTATION, 1)
-            is_srgb = is_srgb or exif.get_ifd(_EXIF_IFD).get(_COLOUR_SPACE) == _SRGB
+            more = exif.get_ifd(_EXIF_IFD)
+            is_srgb = is_srgb or more.get(_COLOUR_SPACE) == _SRGB
+            focal_mm = float(more.get(_FOCAL_35MM, 0))
     gamma = image.info.get("gamma")
     transfer = "srgb" if is_srgb else f"gamma:{1 / gamma:.3g}" if gamma else ""
     upright = Orientation.from_exif(value) if isinstance(value, int) else UPRIGHT
-    return upright, "linear" if transfer == "gamma:1" else transfer
+    return upright, "linear" if transfer == "gamma:1" else transfer, focal_mm
 
 
 def _require_sound_chunks(stream: BinaryIO, name: str, error: type[BadInput]) -> None:

@@ -1,0 +1,129 @@
+"""What changes from one frame to the next that no surface does: lamps that flicker, a subject that jumps.
+
+On one material |M⁻¹(r − a)| is the albedo, whatever the pose, so that its median over the subject is the same
+in every frame unless light or exposure change. A lamp on the mains beats with the shutter: the median goes up
+and down from frame to frame, which shows in how far a frame lies from the mean of its two neighbours. A
+subject that moves farther than flow can follow is one whose pixels do not come back: forwards along the flow
+and backwards along the reverse flow ends elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.arrays import FloatArray, Mask
+from vntoolkit.diagnosis.evidence import Evidence, Single, scaled_normals
+from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
+from vntoolkit.photometry.frame import LinearFrame
+
+FRAMES_IN_A_ROW = 5
+_FEWEST_PIXELS = 400
+_LARGEST_FLICKER = 0.02  # 2 % in one channel turn a normal by about half a degree
+_Z = 4.0
+_SIDE_PX = 240  # the larger side of the frames that flow is found on
+_LIT = 0.15  # of the brightest hundredth
+_RETURN_PX = 1.5
+_RETURN_SHARE = 0.1  # of the motion
+_LOST = 0.5  # of the subject
+_LEAST_SUBJECT = 0.005  # of the picture
+
+
+def check_flicker(evidence: Evidence) -> list[Finding]:
+    """Find light that goes up and down from frame to frame. evidence: of consecutive frames."""
+    if len(evidence.light) < 3:
+        return []
+    seen = evidence.surface.all(axis=0)
+    if int(seen.sum()) < _FEWEST_PIXELS:
+        return []
+    logs = np.log(np.maximum(np.stack([_lengths(evidence, light)[seen] for light in evidence.light]), 1e-9))
+    # of a pixel, from its neighbours in time: what moves over it in one direction cancels
+    beats = logs[1:-1] - 0.5 * (logs[:-2] + logs[2:])
+    medians = np.median(beats, axis=1)
+    error = _largest_error(beats, medians, evidence.blocks[seen])
+    largest = float(np.abs(medians).max())
+    if largest < _LARGEST_FLICKER or largest < _Z * error:
+        return []
+    return [
+        Finding(
+            check="flicker",
+            level=Level.WARNING,
+            problem="the light flickers: the subject's brightness goes up and down from frame to frame",
+            measured=f"{largest:.1%} ± {error:.1%} against the mean of the frames before and after",
+            expected=f"less than {_LARGEST_FLICKER:.0%}",
+            remedy="film with a shutter time of a whole number of the mains' half periods (1/50 or 1/100 s "
+            "at 50 Hz, 1/60 or 1/120 s at 60 Hz), or feed the lamps with direct current",
+            certainty=certainty_from_z(largest / max(error, 1e-6)),
+        )
+    ]
+
+
+def _lengths(evidence: Evidence, light: Single) -> Single:
+    return np.asarray(np.linalg.norm(scaled_normals(evidence, light), axis=2))
+
+
+def _largest_error(beats: FloatArray, medians: FloatArray, blocks: npt.NDArray[np.int64]) -> float:
+    """Return the standard error of the medians: how those of the blocks scatter about them."""
+    names = np.unique(blocks)
+    if len(names) < 2:
+        return 1.0
+    scattered = np.array([np.median(beats[:, blocks == name], axis=1) - medians for name in names])
+    return float(1.48 * np.median(np.abs(scattered), axis=0).max() / np.sqrt(len(names)))
+
+
+def findings_from_motion(frames: Sequence[LinearFrame], mask: Mask | None = None) -> list[Finding]:
+    """Find a subject that jumps. frames: consecutive ones. mask: (h, w) where the subject is, or None."""
+    pictures = [_picture(frame) for frame in frames]
+    flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    shares: list[float] = []
+    for now, then in pairwise(pictures):
+        subject = now > _LIT * np.percentile(now, 99)
+        if mask is not None:
+            size = (now.shape[1], now.shape[0])
+            subject &= cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_AREA) > 0
+        seen = subject.mean() >= _LEAST_SUBJECT
+        shares.append(_lost_share(flow, now, then, subject) if seen else 0.0)
+    where = int(np.argmax(shares))
+    worst = shares[where]
+    if worst < _LOST:
+        return []
+    others = shares[:where] + shares[where + 1 :]
+    stands_out = len(others) > 1 and worst > 2 * float(np.median(others))
+    return [
+        Finding(
+            check="jump",
+            level=Level.WARNING if stands_out else Level.NOTE,  # ripples all over look alike
+            problem=f"the subject jumps from frame {frames[where].number} to {frames[where + 1].number}: it "
+            "cannot be followed there, so that no mesh can be tracked through",
+            measured=f"{worst:.0%} of its pixels not found again",
+            expected=f"less than {_LOST:.0%}",
+            remedy="film at a higher frame rate, or reconstruct every frame (--frames without a step) and "
+            "track the parts before and after a cut by themselves",
+        )
+    ]
+
+
+def _lost_share(flow: cv2.DISOpticalFlow, now: Single, then: Single, subject: Mask) -> float:
+    top = 255.0 / max(float(np.percentile(now, 99.5)), float(np.percentile(then, 99.5)), 1e-6)
+    first, second = (np.clip(top * picture, 0, 255).astype(np.uint8) for picture in (now, then))
+    onwards = np.asarray(flow.calc(first, second, None))  # type: ignore[call-overload]
+    back = np.asarray(flow.calc(second, first, None))  # type: ignore[call-overload]
+    height, width = now.shape
+    u, v = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
+    to_u, to_v = u + onwards[..., 0], v + onwards[..., 1]
+    returned = cv2.remap(back, to_u, to_v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    missed = np.linalg.norm(onwards + returned, axis=2)
+    allowed = _RETURN_PX + _RETURN_SHARE * np.linalg.norm(onwards, axis=2)
+    return float((missed > allowed)[subject].mean())
+
+
+def _picture(frame: LinearFrame) -> Single:
+    """Return one brightness, (h, w), averaged down; roots even out what is lit well and what is not."""
+    factor = min(1.0, _SIDE_PX / max(frame.shape))
+    size = (max(8, round(frame.shape[1] * factor)), max(8, round(frame.shape[0] * factor)))
+    small = cv2.resize(np.asarray(frame.rgb), size, interpolation=cv2.INTER_AREA)
+    return np.sqrt(np.maximum(small.mean(axis=2), 0)).astype(np.float32)
