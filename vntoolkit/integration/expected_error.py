@@ -28,6 +28,7 @@ from vntoolkit.native import njit
 
 _LARGEST_SIDE = 24  # of the coarse grid, in blocks, about: shared errors are smooth
 _SAMPLES_A_SIDE = 4  # of a block
+_ROWS = 180  # that tell the range of the depth
 _LEAST_COVER = 0.25  # of a block by the depth map
 _LEAST_FACING = 0.15
 _LEAST_WEIGHT = 1e-3
@@ -49,8 +50,9 @@ def with_expected_depth_error(depth_map: DepthMap, normal_map: NormalMap, camera
         raise BadInput("normals: their expected error is not known, so that of the depth is not either")
     mask = np.ascontiguousarray(depth_map.mask & normal_map.mask)
     depth = np.ascontiguousarray(depth_map.depth)
-    lowest, highest = np.empty(len(depth), depth.dtype), np.empty(len(depth), depth.dtype)
-    _ranges(depth, mask, lowest, highest)
+    step = max(1, len(depth) // _ROWS)
+    lowest, highest = np.empty((2, -(-len(depth) // step)), depth.dtype)
+    _ranges(depth, mask, step, lowest, highest)
     span = float(highest.max(initial=-np.inf)) - float(lowest.min(initial=np.inf))
     error = np.zeros(depth_map.shape, np.float32)
     if span > 0:
@@ -160,16 +162,15 @@ def _filled(spread: FloatArray, inside: Mask) -> FloatArray:
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _ranges(depth: Any, mask: Mask, lowest: Any, highest: Any) -> None:
-    """Fill (h,) with the least and the largest depth of every row inside the mask."""
-    height, width = mask.shape
-    for v in prange(height):
+def _ranges(depth: Any, mask: Mask, step: int, lowest: Any, highest: Any) -> None:
+    """Fill (n,) with the least and the largest depth inside the mask in each of the rows 0, step, …"""
+    for k in prange(len(lowest)):
         low, high = depth.dtype.type(np.inf), depth.dtype.type(-np.inf)
-        row, inside = depth[v], mask[v]
-        for u in range(width):
-            low = min(low, row[u]) if inside[u] else low
-            high = max(high, row[u]) if inside[u] else high
-        lowest[v], highest[v] = low, high
+        row, inside = depth[k * step], mask[k * step]
+        for u in range(len(row)):
+            if inside[u]:
+                low, high = min(low, row[u]), max(high, row[u])
+        lowest[k], highest[k] = low, high
 
 
 @njit(cache=True, nogil=True)
