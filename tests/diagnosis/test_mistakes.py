@@ -204,7 +204,7 @@ def test_the_judge_stops_at_what_is_fatal_and_not_allowed(caplog):
     finding = Finding(
         check="noise", level=Level.FATAL, problem="p", measured="m", expected="e", remedy="r", certainty=0.97
     )
-    assert finding.text == "p: measured m, expected e, 97% sure; r [noise]"
+    assert finding.text == "p: measured m, expected e, 97% sure; r [noise], see docs/wrong.md#noise"
     with pytest.raises(FatalFinding, match="--allow noise"):
         judge([finding])
     judge([finding], allowed=("noise",))
