@@ -19,7 +19,8 @@ def main(path: str, frames: list[float], found: str, picture: str | None) -> Non
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     (bpy.ops.import_scene.gltf if path.endswith(".glb") else bpy.ops.wm.usd_import)(filepath=path)
-    surface = next(thing for thing in bpy.data.objects if thing.type == "MESH")
+    meshes = [thing for thing in bpy.data.objects if thing.type == "MESH"]
+    surface = max(meshes, key=lambda thing: len(thing.data.vertices))  # not the shape of a bone
     figure = next((thing for thing in bpy.data.objects if thing.type == "ARMATURE"), None)
     result = {
         "version": bpy.app.version_string,
@@ -33,6 +34,9 @@ def main(path: str, frames: list[float], found: str, picture: str | None) -> Non
             for material in bpy.data.materials
             for link in material.node_tree.links
         ),
+        "is_smooth": all(polygon.use_smooth for polygon in surface.data.polygons),
+        "groups": len(surface.vertex_groups),
+        "has_armature": any(modifier.type == "ARMATURE" for modifier in surface.modifiers),
         **corners_of(surface.data),
     }
     if figure is not None:
