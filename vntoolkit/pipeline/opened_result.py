@@ -21,7 +21,7 @@ from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import linear_frame_from_encoded
 from vntoolkit.io.footage.frame_range import FrameRange, Gaps
 from vntoolkit.io.footage.resampling import resampler_of
-from vntoolkit.io.maps_and_meshes.label_images import read_labels
+from vntoolkit.io.maps_and_meshes.label_images import read_labels, read_materials
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
 from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
@@ -100,6 +100,11 @@ class OpenedResult:
         """Read a frame's visibility labels."""
         path = self.folder.shadows(number)
         return read_labels(path) if path.exists() else None
+
+    def materials(self, number: int) -> npt.NDArray[np.uint8] | None:
+        """Read the number of the material of each pixel; None where the subject is of the rig's alone."""
+        path = self.folder.materials(number)
+        return read_materials(path) if path.exists() else None
 
     def mesh(self, number: int) -> Mesh | None:
         """Read a frame's own mesh, before registration."""

@@ -20,7 +20,7 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.io.atomic import atomic_path
 from vntoolkit.io.footage.images import resized_image, write_png
-from vntoolkit.io.maps_and_meshes.label_images import label_colours
+from vntoolkit.io.maps_and_meshes.label_images import MATERIAL_PALETTE, label_colours
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.pipeline.opened_result import OpenedResult
 
@@ -110,7 +110,7 @@ def sampled(numbers: tuple[int, ...], count: int) -> tuple[int, ...]:
 def pictures_of_frame(
     result: OpenedResult, number: int, *, ground: int, beside_normals: int, beside_labels: int | None = None
 ) -> dict[str, Picture]:
-    """Return what there is of a frame: captured, normals, depth (as relief) and shadows, by these names.
+    """Return what there is of a frame: captured, normals, depth (as relief), shadows and materials, so named.
 
     ground: grey value where a map is invalid; beside_normals, beside_labels: for those, default as for all.
     """
@@ -125,6 +125,10 @@ def pictures_of_frame(
         mask = None if normal_map is None else normal_map.mask
         beside = ground if beside_labels is None else beside_labels
         pictures["shadows"] = picture_of_labels(labels, mask, ground=beside)
+    materials = result.materials(number)
+    if materials is not None and normal_map is not None:
+        coloured = MATERIAL_PALETTE[materials]
+        pictures["materials"] = np.where(normal_map.mask[..., None], coloured, np.uint8(ground))
     return pictures
 
 

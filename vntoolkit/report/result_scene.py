@@ -245,7 +245,7 @@ class _ResultScene:
             if name == "normals" and options is None:
                 entries[name] = packet.raw_picture(whole)  # measured normals light the surface: nothing lost
                 continue
-            kind = "png" if name == "shadows" else "jpg" if options is None else "webp"
+            kind = "png" if name in ("shadows", "materials") else "jpg" if options is None else "webp"
             small = (
                 whole if options is None else resized_image(whole, options.picture_px, smooth=kind != "png")
             )
