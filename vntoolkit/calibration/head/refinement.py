@@ -50,6 +50,7 @@ _LEAST_COTANGENT, _MOST_COTANGENT = 0.05, 5.0
 _LEAST_SEEN = 0.5  # of a patch's area, in a frame
 _LEAST_PATCH = 0.1  # of its side squared: less is a sliver
 _LEAST_NOISE = 0.01  # rad, of a normal: what registration and the mesh's resolution leave
+_SHARED_NOISE = 0.03  # rad, of all normals: what errors of M and of poses left on a scanned head
 _UNKNOWN_NOISE = 0.2  # rad: of the mesh's own normals, where no light shows the skin's
 _LEAST_AGREEMENT = 0.3  # cosine between a measured normal and the surface's: a wrong visibility below it
 _MEDIAN_OF_ONE, _MEDIAN_OF_TWO = 0.455, 0.693  # of χ² with so many components, over its mean
@@ -240,7 +241,7 @@ def measured_noise(mesh: Mesh, stereo: Points, skin: SkinNormals, pixel: float) 
     side = _PATCH_PX * pixel
     density = mean_square(moved[:, None], side) / _MEDIAN_OF_ONE * side**2
     shared = mean_square(skin.normals - mesh.normals, 3.0 * side) / _MEDIAN_OF_TWO
-    return NoiseLevels(stereo=density, shared=float(np.sqrt(max(shared, _LEAST_NOISE**2))))
+    return NoiseLevels(stereo=density, shared=float(np.sqrt(max(shared, _SHARED_NOISE**2))))
 
 
 def _normals_and_noise(stereo: Points, faces: Faces, skin: SkinNormals) -> tuple[Points, FloatArray]:
@@ -310,5 +311,5 @@ def _skin_colour(skin: SkinNormals, response: LightResponse) -> FloatArray:
 
 
 def _expected_error_deg(skin: SkinNormals) -> FloatArray:
-    noise = np.where(np.isfinite(skin.noise), np.hypot(skin.noise, _LEAST_NOISE), _UNKNOWN_NOISE)
+    noise = np.where(np.isfinite(skin.noise), np.hypot(skin.noise, _SHARED_NOISE), _UNKNOWN_NOISE)
     return np.rad2deg(_NINE_OF_TEN * noise).astype(np.float32)
