@@ -38,7 +38,7 @@ def test_export_says_where_it_went(
     flags = ["--to", "usd", "--units", "mm", "--scale", "0.01", "--up", "z", "--frames", "0:2"]
     assert main(["export", str(dome_result.folder), "--out", str(out), *flags]) == 0
     line, after = capsys.readouterr().out.splitlines()
-    assert line == f"{out}: 2 frames"
+    assert line == f"{out}: 2 frames of the tracked mesh"
     program, flag, script = shlex.split(after.removeprefix("next: "))
     assert (program, flag) == ("blender", "--python-expr")
     assert f"usd_import(filepath='{out}')" in script

@@ -121,7 +121,7 @@ def blend_shapes(
     shapes = np.zeros((len(order), len(rest), 3), np.float32)
     for row, frame in zip(directions, frames(), strict=True):
         shapes += np.multiply.outer(row, frame - rest).astype(np.float32)
-    left = rows - directions.astype(np.float32) @ shapes[:, chosen].reshape(len(order), -1)
+    left = rows - directions.astype(np.float32) @ shapes[:, chosen].reshape(len(order), rows.shape[1])
     error = np.linalg.norm(left.reshape(len(rows), -1, 3), axis=2)
     least, span = directions.min(axis=0), np.maximum(np.ptp(directions, axis=0), 1e-12)
     base = rest + np.einsum("m,mnc->nc", least, shapes)

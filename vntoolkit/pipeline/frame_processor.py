@@ -32,6 +32,8 @@ from vntoolkit.pipeline.options import Product, ReconstructOptions
 from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
 from vntoolkit.shadows.recovery import recover_normals
 
+_SAMPLED = 4  # every fourth pixel of every fourth row tells how bright a subject is
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FrameResult:
@@ -188,6 +190,7 @@ class FrameProcessor:
             drift = drift_of_change(change, self._mask & ~filled)
             return self._gel.normals(change, drift, self._mask), None, float(linear.clipped.mean())
         if self._labeller is not None:
+            self._mask = self.lit_subject(linear)
             self._materials = self._labeller.labels(self.by_strength(linear), self._mask)
             linear = relit(linear, self._central, self._materials, self._reflectances)
         level = linear if self._leveller is None else self._leveller.frame(linear)
@@ -225,6 +228,14 @@ class FrameProcessor:
     def by_strength(self, linear: LinearFrame) -> LinearFrame:
         """Return a linear frame with every lamp as strong as at the image's centre."""
         return linear if self._leveller is None else self._leveller.frame_by_strength(linear)
+
+    def lit_subject(self, linear: LinearFrame) -> Mask:
+        """Return (h, w), the pixels of interest without the backdrop, whose noise is like dark paint."""
+        brightness = (linear.rgb - self._central.ambient.astype(np.float32)).max(axis=2)
+        sampled = brightness[::_SAMPLED, ::_SAMPLED][self._mask[::_SAMPLED, ::_SAMPLED]]
+        if not sampled.size:
+            return self._mask
+        return self._mask & (brightness > self._options.inversion.darkest * np.percentile(sampled, 99))
 
     @property
     def mask(self) -> Mask:

@@ -37,23 +37,24 @@ def measured_materials(
     the first frame shows nothing.
     """
     there = [n for n in capture.present if n in numbers and not mattes.missing([n])]
-    frames, masks = [], []
+    frames, masks, subjects = [], [], []
     for number in there[: _APART * _LOOKED_AT : _APART]:
         encoded = capture.encoded(number)
         processor = FrameProcessor(job.rig, job.options, mattes.of(encoded), capture.background)
         frames.append(processor.linear(encoded))
         masks.append(processor.mask)
+        subjects.append(processor.lit_subject(frames[-1]))
     response, choice = job.rig.response, job.options.materials
     if not seeks_materials(job):
         found: list[Material] = []
     else:
         levelled = [processor.by_strength(frame) for frame in frames]
         count = None if isinstance(choice, MaterialSearch) else choice
-        found = _told(find_materials(levelled, masks, response.central, count), choice)
+        found = _told(find_materials(levelled, subjects, response.central, count), choice)
         if (
             choice is MaterialSearch.AUTO
             and len(found) == 1
-            and _is_of_rig(found[0], job, levelled[0], masks[0])
+            and _is_of_rig(found[0], job, levelled[0], subjects[0])
         ):
             found = []
     if found:

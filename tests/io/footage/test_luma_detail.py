@@ -33,6 +33,7 @@ def _film(path: Path, light: np.ndarray, transfer: Transfer, codec: str, pixels:
         stream = container.add_stream(codec, rate=25, options=options)
         stream.height, stream.width, stream.pix_fmt = *SIZE, pixels
         picture = av.VideoFrame.from_ndarray(encoded, format="rgb48le")
+        picture.pts = 0  # without a time the encoder makes up one, and the file may refuse it
         container.mux(stream.encode(picture.reformat(format=pixels, interpolation="BICUBIC", threads=1)))
         container.mux(stream.encode(None))
 
