@@ -11,7 +11,7 @@ from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.tracking.lattice import LocalJacobians, lattice_on_template
 from vntoolkit.tracking.outline import Outline, signed_distance
 from vntoolkit.tracking.registration import Measurement, TemplateRegistration
-from vntoolkit.tracking.slopes import jump_pixels, slopes_from_normals
+from vntoolkit.tracking.slopes import jump_pixels, label_edges, slopes_from_normals
 from vntoolkit.tracking.template import template_from_maps
 from vntoolkit.tracking.tracker import SurfaceTracker
 
@@ -66,6 +66,29 @@ def test_relief_tells_a_shift(shift: tuple[float, float], rng: np.random.Generat
     known = np.linalg.det(matrices) > 1e-3
     step = np.linalg.solve(matrices[known], told.pull[known, :, None])[:, :, 0]
     np.testing.assert_allclose(np.median(step, axis=0), -np.asarray(shift), atol=0.1)
+
+
+def test_a_window_whose_parts_move_apart_tells_less_than_one_that_moves_as_one() -> None:
+    frame = WrinkledVideo(width=WIDTH, height=HEIGHT).maps(0)[0]
+    apart = np.where((GRID // 8).sum(axis=-1) % 2, 0.4, -0.4).reshape(-1, 1)
+    one = measured(frame, frame, (0.4, 0.4)).bands[0].information
+    parts = measured(frame, frame, apart).bands[0].information
+    assert np.median(parts[:, 0] + parts[:, 2]) < 0.3 * np.median(one[:, 0] + one[:, 2])
+
+
+def test_an_error_that_all_normals_share_takes_nothing_off_their_weight() -> None:
+    flat = normals(*np.zeros((2, HEIGHT, WIDTH)))
+    left = GRID[..., 0] < 20
+
+    def weights(shared_deg: float, left_deg: float) -> np.ndarray:
+        square = shared_deg**2 + np.where(left, left_deg, 0.0) ** 2
+        weight = (1.0 / (1.0 + square / 12.0**2)).astype(np.float32)
+        with_weight = NormalMap(normals_in_camera=flat.normals_in_camera, mask=flat.mask, weight=weight)
+        return slopes_from_normals(with_weight, CAMERA)[..., 2]
+
+    np.testing.assert_allclose(weights(50.0, 0.0), 1.0, atol=1e-5)
+    np.testing.assert_allclose(weights(40.0, 34.0), weights(2.0, 34.0), atol=1e-3)
+    assert weights(2.0, 34.0)[:, :10].max() < 0.15
 
 
 def test_the_border_of_an_open_sheet_is_followed_and_a_contour_that_turns_away_is_not() -> None:
@@ -159,3 +182,12 @@ def test_the_edge_of_a_shadow_is_not_registered_by() -> None:
     assert not jumps[:, :50].any()
     assert not jumps[:, 70:].any()
     assert not jump_pixels(flat).any()
+
+
+def test_the_edge_of_a_labelled_shadow_is_not_registered_by_and_its_inside_is() -> None:
+    lit = np.where(GRID[..., 0] < 60, 7, 3).astype(np.uint8)  # one light ends
+    edges = label_edges(lit, np.ones((HEIGHT, WIDTH), dtype=bool))
+    assert edges[:, 52:68].all()
+    assert not edges[:, :50].any()
+    assert not edges[:, 70:].any()
+    assert not label_edges(np.full_like(lit, 5), edges).any()  # a light that is nowhere has no edge

@@ -95,7 +95,9 @@ def track(
     record = _record(job, source, template)
     with undisturbed(job.folder), sole_writer(job.target) as target:
         require_free(target, record, overwrite=overwrite)
-        tracker = SurfaceTracker(*source.maps(template), source.camera, job.options, job.seams)
+        tracker = SurfaceTracker(
+            *source.maps(template), source.camera, job.options, job.seams, source.labels(template)
+        )
         if overwrite:
             clear_track(target)
         write_track_record(target, record)
@@ -159,7 +161,7 @@ def _follow(
         _go_on(tracker, source, numbers[: done + 1], writer.folder, writer.frame_count - 1 - done)
     for number in numbers[done + 1 :]:
         if source.has(number):
-            tracked = tracker.step(*source.maps(number))
+            tracked = tracker.step(*source.maps(number), source.labels(number))
             writer.append(tracked.vertices_in_camera, tracked.uncertainty_px)
         else:
             held, told = tracker.state.vertices_in_camera, tracker.state.uncertainty_px

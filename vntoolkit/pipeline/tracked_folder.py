@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from vntoolkit.arrays import Colours, FloatArray, Points
+from vntoolkit.arrays import Colours, FloatArray, Points, VisibilityLabels
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
@@ -18,6 +18,7 @@ from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import parse_json, read_text
 from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.maps_and_meshes.label_images import read_labels
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
 from vntoolkit.io.results.manifest import read_manifest, result_digest
 from vntoolkit.io.results.sequences import remove_mesh_sequence
@@ -52,6 +53,11 @@ class TrackSource:
     def maps(self, number: int) -> tuple[NormalMap, DepthMap]:
         """Read one frame."""
         return self.normals(number), read_depth_map(self.folder.depth(number))
+
+    def labels(self, number: int) -> VisibilityLabels | None:
+        """Read which lights reach the pixels of one frame; None where `reconstruct` looked for no shadows."""
+        path = self.folder.shadows(number)
+        return read_labels(path) if path.exists() else None
 
     def normals(self, number: int) -> NormalMap:
         """Read one frame's normals."""

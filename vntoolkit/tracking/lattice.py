@@ -17,6 +17,7 @@ from vntoolkit.arrays import FloatArray, Points2
 from vntoolkit.native import njit
 from vntoolkit.tracking.template import TrackingTemplate
 
+NODES_BY_PASS = 4.2  # that smoothing averages: 4π σ², with σ² a third of a squared cell by pass
 _JACOBIAN_PASSES = 1  # of smoothing: over a cell and its neighbours
 
 

@@ -20,10 +20,14 @@ from scipy.sparse.csgraph import connected_components
 from vntoolkit.arrays import FloatArray, Points2
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap
-from vntoolkit.tracking.lattice import TemplateLattice
+from vntoolkit.tracking.lattice import NODES_BY_PASS, TemplateLattice
 from vntoolkit.tracking.slopes import Slopes, metric_sums, sample_depth
 from vntoolkit.tracking.template import TrackingTemplate
 
+STRAIN_PASSES = 4  # of lattice smoothing: strain that is not foreseen goes on over some cells
+LINKS_ALIKE = NODES_BY_PASS * STRAIN_PASSES  # that err together: in a fit, so many tell one thing
+_RIM_STRAIN = 0.5  # where a surface turns out of sight: more may lie between two nodes than is seen …
+_RIM_STEEPNESS = 20.0  # … from this squared slope on, 77°
 _STRAIN = 0.07  # standard deviation of stretch, where none is measured: cloth has 0.03 to 0.1, skin up to 0.3
 _BODY_STRAIN = 0.15  # the same, of a surface that is taken for one body
 _PRIOR_LINKS = 0.2  # measured links nearby that the two count for
@@ -73,8 +77,11 @@ class LinkLengths:
         depth_map: DepthMap,
         hidden: FloatArray,
         measured: FloatArray,
-    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Return (links, 2) the steps from node to node, and (links,) their variance by direction, px².
+
+        The third: (links,) what may be added to the variance where the surface turns out of sight. The best
+        guess is still that it hangs together.
 
         around: (nodes, 4) Jacobians of positions (n, 2). hidden: (nodes,) share that is not seen. measured:
         (nodes,) from 0 to 1, how far a node's place is known.
@@ -101,7 +108,9 @@ class LinkLengths:
         ]
         shares = [1.0 / variance for variance in variances]
         mean = (shares[0][:, None] * by_lengths + shares[1][:, None] * by_body) / sum(shares)[:, None]
-        return mean, square * np.minimum(*variances)
+        variance = square * np.minimum(*variances)
+        rim = np.minimum(np.maximum(steepness[a], steepness[b]) / _RIM_STEEPNESS, 1.0)
+        return mean, variance, square * (_RIM_STRAIN * rim) ** 2
 
     def _by_lengths(
         self, positions_px: Points2, around: FloatArray, slopes: Slopes, depth_map: DepthMap

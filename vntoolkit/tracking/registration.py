@@ -7,8 +7,10 @@ surface. A coarse one is its shape, which may bend: its residual then is large, 
 
 Template f and frame g differ by noise and by the displacement d: g − f = F d + noise. Over a window, with
 F = ½(∇f + ∇g), the moments b = −Σ Fᵀ(g − f), H = Σ FᵀF and A = Σ ∇fᵀ∇g give d = A⁻¹ b. A is made of what both
-have in common: noise is not, and raises H alone. So along an eigenvector of A, d has the variance σ² H / A²,
-with σ² that of the residual; and where A is no larger than chance makes it, nothing is told.
+have in common: noise is not, and raises H alone. Where A is no larger than chance makes it, nothing is told.
+Else, along an eigenvector of A, d has the variance S / A², with S = Σ s² over the nodes of the window, s what
+the pixels of one still pull by at d (the sandwich of `white1980`, clustered): it counts noise, and whatever
+moves otherwise than the rest. White noise alone, of the residual's σ², makes S = σ² H, the least it can be.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, Points2
 from vntoolkit.native import njit
-from vntoolkit.tracking.lattice import TemplateLattice
+from vntoolkit.tracking.lattice import NODES_BY_PASS, TemplateLattice
 from vntoolkit.tracking.slopes import Slopes
 from vntoolkit.tracking.template import TrackingTemplate
 
@@ -36,9 +38,8 @@ _CHANCE = 2.5  # standard deviations of A without a common signal, below which n
 _CORRELATED_PX = 12.0  # pixels that agree by chance count as one, by H: so measured on white noise
 _LONGEST_STEP_PX = 2.0  # in pixels of the band: about what one linearisation reaches
 _LEAST_NOISE = 1e-3  # slope: what interpolation leaves
-_ACCURACY_PX = (
-    0.1  # of a window's step at best, in pixels of the band: lattice and linearisation are no better
-)
+_ACCURACY_PX = (0.1, 0.9, 5.4)  # of a node's own pixels at best, by band: relief stays in place, folds travel
+_FEW_NODES = 3.0  # variance of a step over that of its nodes' pulls, which are few: so on three scenes
 _NOISE_GRADIENT = 0.57  # gradient power of white noise by the power of the residual it leaves, measured too
 
 
@@ -58,12 +59,25 @@ class Band:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class WindowSteps:
+    """What one band's windows around the nodes measured.
+
+    information: (nodes, 3) of the share of its window that is a node's own, in 1/px² of the template. step:
+    (nodes, 2). halvings: the band's.
+    """
+
+    halvings: int
+    information: npt.NDArray[np.float64]
+    step: npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Measurement:
     """information: (nodes, 3) I_uu, I_uv, I_vv in 1/px² of the template. pull: (nodes, 2) I d.
 
     match: (nodes,) the share of the finest band's gradients that template and frame have in common, 0 to 1;
     expected: (nodes,) the share they would have if only noise told them apart. found: (nodes,) the
-    greatest share of any band.
+    greatest share of any band. bands: what each of them measured.
     """
 
     information: npt.NDArray[np.float64]
@@ -71,6 +85,7 @@ class Measurement:
     match: npt.NDArray[np.float64]
     expected: npt.NDArray[np.float64]
     found: npt.NDArray[np.float64]
+    bands: tuple[WindowSteps, ...]
 
 
 class TemplateRegistration:
@@ -87,9 +102,6 @@ class TemplateRegistration:
         self._node[self._at] = lattice.node_of_vertex
         identity = np.tile([1.0, 0.0, 0.0, 1.0], (lattice.count, 1))
         here = _pulled_back(slopes, template.positions_px, identity, lattice.taps, lattice.shares)
-        self._multiplicity = {
-            p: lattice.smoothed(np.ones((lattice.count, 1)), p)[:, 0] for p in _WINDOW_PASSES
-        }
         self._bands = self._banded(here)
         fine = self._bands[0]
         own = _moments(
@@ -113,25 +125,48 @@ class TemplateRegistration:
         lattice, count = self._lattice, self._lattice.count
         information, pull = np.zeros((count, 3)), np.zeros((count, 2))
         match, expected, found = np.zeros(count), np.zeros(count), np.zeros(count)
+        bands = []
         pulled = _pulled_back(slopes, positions_px, jacobians, lattice.taps, lattice.shares)
         for mine, theirs in zip(self._bands, self._banded(pulled), strict=True):
-            terms = _moments(
+            own = _moments(
                 mine.node, count, mine.features, mine.gradients, mine.weight,
                 theirs.features, theirs.gradients, theirs.weight,
             )  # fmt: skip
             passes = _WINDOW_PASSES[mine.halvings]
-            terms = self._lattice.smoothed(terms, passes)
-            multiplicity = self._multiplicity[passes]
-            pixels = 4.2 * passes / 3.0**passes  # of the window, by the sum of its weights
-            told, step, ratio = _told(terms, 2.0**mine.halvings, pixels)
+            whole = 3.0**passes  # of the weights of a window
+            terms = self._lattice.smoothed(own, passes) / whole
+            pixels = NODES_BY_PASS * passes  # of the window, by the mean over its nodes
+            step, ratio, sure, axis = _steps(terms, 2.0**mine.halvings, pixels)
+            spread = self._lattice.smoothed(_scores(own, step), passes) / whole
+            told = _informed(terms, spread, sure, axis, _ACCURACY_PX[mine.halvings])
             found = np.maximum(found, ratio)
             if mine.halvings == 0:
                 match = ratio
                 expected = self._expected_match(terms)
-            told /= multiplicity[:, None]
+            bands.append(WindowSteps(halvings=mine.halvings, information=told, step=step))
             information += told
             pull += np.einsum("nij,nj->ni", told[:, [0, 1, 1, 2]].reshape(-1, 2, 2), step)
-        return Measurement(information=information, pull=pull, match=match, expected=expected, found=found)
+        return Measurement(
+            information=information,
+            pull=pull,
+            match=match,
+            expected=expected,
+            found=found,
+            bands=tuple(bands),
+        )
+
+    @property
+    def band_count(self) -> int:
+        """How many bands the template is large enough for."""
+        return len(self._bands)
+
+    def nodes_of_window(self, halvings: int) -> float:
+        """How many nodes' worth of pixels the window around each holds, of one band."""
+        return NODES_BY_PASS * _WINDOW_PASSES[halvings]
+
+    def spread(self, values: FloatArray, halvings: int) -> npt.NDArray[np.float64]:
+        """Return (nodes, k) sums of values over the windows of one band."""
+        return self._lattice.smoothed(values, _WINDOW_PASSES[halvings])
 
     def _expected_match(self, terms: FloatArray) -> npt.NDArray[np.float64]:
         """Return (nodes,) the share of gradients in common if only this frame's noise told them apart."""
@@ -279,34 +314,70 @@ def _moments(node, count, f, df, wf, g, dg, wg):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _told(terms, pixel, pixels):  # type: ignore[no-untyped-def]
-    """Information (nodes, 3), the step measured (nodes, 2), and the gradients' common share (nodes,)."""
+def _steps(terms, pixel, pixels):  # type: ignore[no-untyped-def]
+    """Step measured (nodes, 2), gradients' common share (nodes,), what is sure of A's eigenvalues, its axis.
+
+    Those two (nodes, 2): 0 where chance makes as much; and the cosine and sine of the first eigenvector.
+    """
     m = terms.shape[0]
-    told, steps, ratio = np.zeros((m, 3)), np.zeros((m, 2)), np.zeros(m)
+    steps, ratio, kept, axis = np.zeros((m, 2)), np.zeros(m), np.zeros((m, 2)), np.zeros((m, 2))
     for j in range(m):
         if terms[j, 9] <= 0:
             continue
-        variance = terms[j, 8] / terms[j, 9] + _LEAST_NOISE**2
         a, b, c = terms[j, 0], terms[j, 1], terms[j, 2]
         mean, half = 0.5 * (a + c), np.sqrt(0.25 * (a - c) ** 2 + b * b)
         angle = 0.5 * np.arctan2(2 * b, a - c)
         chance = _CHANCE * np.sqrt(_CORRELATED_PX / (2.0 * max(pixels * terms[j, 11], 1.0)))
         ratio[j] = max(0.0, 2 * mean / max(terms[j, 10], 1e-30))
+        axis[j, 0], axis[j, 1] = np.cos(angle), np.sin(angle)
         for k in range(2):
             value = mean + half if k == 0 else mean - half
-            x, y = np.cos(angle), np.sin(angle)
+            x, y = axis[j, 0], axis[j, 1]
             if k == 1:
                 x, y = -y, x
             power = terms[j, 3] * x * x + 2 * terms[j, 4] * x * y + terms[j, 5] * y * y
             sure = value - chance * power
             if sure <= 0 or power <= 0:
                 continue
-            info = 1.0 / (power * variance / (sure * sure) + (_ACCURACY_PX * pixel) ** 2)
+            kept[j, k] = sure
             step = (terms[j, 6] * x + terms[j, 7] * y) / value
             step = min(max(step, -_LONGEST_STEP_PX * pixel), _LONGEST_STEP_PX * pixel)
+            steps[j, 0] += step * x
+            steps[j, 1] += step * y
+    return steps, ratio, kept, axis
+
+
+@njit(cache=True)
+def _scores(terms, steps):  # type: ignore[no-untyped-def]
+    """(nodes, 3) products of what a node's own pixels still pull by at the step of its window."""
+    m = terms.shape[0]
+    out = np.empty((m, 3))
+    for j in range(m):
+        x, y = steps[j, 0], steps[j, 1]
+        p = terms[j, 6] - terms[j, 0] * x - terms[j, 1] * y
+        q = terms[j, 7] - terms[j, 1] * x - terms[j, 2] * y
+        out[j, 0], out[j, 1], out[j, 2] = p * p, p * q, q * q
+    return out
+
+
+@njit(cache=True)
+def _informed(terms, spread, kept, axis, accuracy):  # type: ignore[no-untyped-def]
+    """Information (nodes, 3) of one node's share of its window."""
+    m = terms.shape[0]
+    told = np.zeros((m, 3))
+    for j in range(m):
+        for k in range(2):
+            sure = kept[j, k]
+            if sure <= 0:
+                continue
+            x, y = axis[j, 0], axis[j, 1]
+            if k == 1:
+                x, y = -y, x
+            power = terms[j, 3] * x * x + 2 * terms[j, 4] * x * y + terms[j, 5] * y * y
+            pull = spread[j, 0] * x * x + 2 * spread[j, 1] * x * y + spread[j, 2] * y * y
+            noise = terms[j, 8] / terms[j, 9] + _LEAST_NOISE**2
+            info = 1.0 / (max(_FEW_NODES * pull, power * noise) / (sure * sure) + accuracy**2)
             told[j, 0] += info * x * x
             told[j, 1] += info * x * y
             told[j, 2] += info * y * y
-            steps[j, 0] += step * x
-            steps[j, 1] += step * y
-    return told, steps, ratio
+    return told

@@ -8,11 +8,13 @@ orthographic camera a is the slope and G = I + a aᵀ.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Mask, Points2
+from vntoolkit.arrays import FloatArray, Mask, Points2, VisibilityLabels
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.native import njit
@@ -21,6 +23,8 @@ _STEEPEST = 0.15  # cosine to the viewing ray below which a slope is clamped, 81
 _GRAZING = 0.3  # cosine below which a slope weighs less, 73°: there it is mostly noise
 _AT_JUMPS = np.float32(0.02)  # share of the weight that is left at jumps
 
+_EDGE_REACH_PX = 8
+_LEAST_WEIGHT = np.float32(1e-3)  # a weight is divided by
 _JUMP_SMOOTHING_PX = 1.5
 _JUMP_WINDOW_PX = 5
 _JUMP_RATIO = 1.8  # of the greatest weight in the window to the least
@@ -31,16 +35,21 @@ _STRONG_RELIEF = 0.1  # root mean square, in units of the normal: a knit has 0.1
 Slopes = npt.NDArray[np.float32]  # (h, w, 3): w a_u, w a_v, w
 
 
-def slopes_from_normals(normal_map: NormalMap, camera: Camera) -> Slopes:
+def slopes_from_normals(
+    normal_map: NormalMap, camera: Camera, labels: VisibilityLabels | None = None
+) -> Slopes:
     """Return (h, w, 3) float32: w a_u, w a_v, w, with a in focal lengths and w the pixel's weight.
 
-    w: mask, normal map's weight, less at grazing angles, next to nothing around the weight's jumps.
-    Premultiplied, so that smoothing mixes only what is valid; smoothed over 3×3 pixels, so that
-    interpolation blurs no more at half pixels than at whole ones.
+    w: mask, normal map's weight beside its median (`beside_the_usual`), less at grazing angles, next to
+    nothing around the edges of shadows. Those are where labels (h, w) change, or else the weight jumps.
+    Premultiplied, so that smoothing mixes only what is valid; smoothed over 3×3 pixels, so that interpolation
+    blurs no more at half pixels than at whole ones.
     """
     weight = np.ones((1, 1), dtype=np.float32)
-    if normal_map.weight is not None:
-        weight = np.where(jump_pixels(normal_map), _AT_JUMPS * normal_map.weight, normal_map.weight)
+    if normal_map.weight is not None and normal_map.mask.any():
+        usual = beside_the_usual(normal_map)
+        edges = jump_pixels(usual) if labels is None else label_edges(labels, normal_map.mask)
+        weight = np.where(edges, _AT_JUMPS * usual.weight, usual.weight)
     slopes = _slopes(normal_map.normals_in_camera, normal_map.mask, weight, _ray_terms(camera))
     return np.asarray(cv2.GaussianBlur(slopes, (3, 3), 0.7))
 
@@ -76,6 +85,32 @@ def sample_depth(depth: FloatArray, mask: Mask, positions_px: Points2) -> tuple[
     return _sample_masked(
         value, np.ascontiguousarray(mask), np.ascontiguousarray(positions_px, dtype=np.float64)
     )
+
+
+def beside_the_usual(normal_map: NormalMap) -> NormalMap:
+    """Return the map with weights that are 1 where its weight is at least the median.
+
+    A normal's weight is 1 / (1 + (error / 12°)²). An error that all share, as of another rig's M, moves with
+    the surface and is no harm here: only what a square exceeds that of the median by counts.
+    """
+    weight = np.maximum(normal_map.weight, _LEAST_WEIGHT)
+    excess = 1.0 / weight - 1.0 / np.median(weight[normal_map.mask])
+    return replace(normal_map, weight=(1.0 / (1.0 + np.maximum(excess, 0.0))).astype(np.float32))
+
+
+def label_edges(labels: VisibilityLabels, mask: Mask) -> Mask:
+    """Return (h, w) True within reach of pixels where a light ends.
+
+    The edge of a shadow moves with what casts it. The Gaussian that registration takes off mixes its two
+    sides over that reach.
+    """
+    window = np.ones((2 * _EDGE_REACH_PX + 1,) * 2, dtype=np.uint8)
+    edges = np.zeros_like(mask)
+    for light in range(3):
+        lit = (labels >> light) & 1
+        ends = cv2.dilate(np.where(mask, lit, 0).astype(np.uint8), window)
+        edges |= (ends & cv2.dilate(np.where(mask, 1 - lit, 0).astype(np.uint8), window)).astype(bool)
+    return np.asarray(edges & mask)
 
 
 def jump_pixels(normal_map: NormalMap) -> Mask:

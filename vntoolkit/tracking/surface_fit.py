@@ -3,7 +3,7 @@
 The unknowns are the displacements of the nodes of a lattice. Relief and shape (`registration`), the outline
 (`outline`) and lengths on the surface (`lengths`) enter one linear least-squares problem a step, each
 with the inverse of its covariance, so that none acts where or in what direction it knows nothing. The
-expected error is that of the same problem: errors are drawn for every term and solved with.
+expected error is that of the same problem (`fit_errors`).
 """
 
 from __future__ import annotations
@@ -12,19 +12,18 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse as sp
-from scipy.sparse.linalg import splu
 
-from vntoolkit.arrays import FloatArray, IntArray, Points2
+from vntoolkit.arrays import FloatArray, Points2, VisibilityLabels
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
+from vntoolkit.tracking.fit_errors import FitErrors
 from vntoolkit.tracking.flow import dense_flow
-from vntoolkit.tracking.lattice import LocalJacobians, TemplateLattice, lattice_on_template
-from vntoolkit.tracking.lengths import LinkLengths
+from vntoolkit.tracking.lattice import LocalJacobians, lattice_on_template
+from vntoolkit.tracking.lattice_system import LatticeSystem
+from vntoolkit.tracking.lengths import LINKS_ALIKE, LinkLengths
 from vntoolkit.tracking.outline import Outline
-from vntoolkit.tracking.registration import Measurement, TemplateRegistration
+from vntoolkit.tracking.registration import Measurement, TemplateRegistration, WindowSteps
 from vntoolkit.tracking.slopes import Slopes, sample_depth, sample_image, slopes_from_normals
-from vntoolkit.tracking.sparse_factor import nested_dissection_order
 from vntoolkit.tracking.template import TrackingTemplate
 
 _CELL_PX = 8  # of the lattice
@@ -32,9 +31,6 @@ _ITERATIONS = 3
 _CONVERGED_PX = 0.03  # largest step after which no other follows
 _TORN_SIGMAS = 3.0  # departure of a link from its length at which it holds half as much
 _LEAST_SINGULAR = 0.2  # of a Jacobian: steps are not taken through a surface seen more nearly edge-on
-_LEAST_INFORMATION = 1e-6  # 1/px²: holds pieces of which nothing is known
-_SAMPLES = 16  # of the error
-_CORRELATED_PASSES = 8  # of lattice smoothing: strain that is not foreseen goes on over some cells
 _COVERAGE = 1.5  # expected error over its root mean square: about nine in ten errors are then below it
 _ERROR_PASSES = 1  # of lattice smoothing of the samples' variance
 _LOST_MATCH = 0.5  # share of the expected match under which another start is tried
@@ -55,10 +51,16 @@ class FittedFrame:
 class SurfaceFit:
     """Fits one template to any frame, from where it was in the frame before."""
 
-    def __init__(self, template: TrackingTemplate, normal_map: NormalMap, camera: Camera) -> None:
-        """Prepare what hangs on the template alone; normal_map: of its frame."""
+    def __init__(
+        self,
+        template: TrackingTemplate,
+        normal_map: NormalMap,
+        camera: Camera,
+        labels: VisibilityLabels | None = None,
+    ) -> None:
+        """Prepare what hangs on the template alone; normal_map, labels: of its frame."""
         lattice = lattice_on_template(template, _CELL_PX)
-        slopes = slopes_from_normals(normal_map, camera)
+        slopes = slopes_from_normals(normal_map, camera, labels)
         self._lattice, self._camera = lattice, camera
         self._registration = TemplateRegistration(template, lattice, slopes)
         self._outline = Outline(template, lattice, normal_map.mask, slopes)
@@ -66,6 +68,7 @@ class SurfaceFit:
         self._jacobians = LocalJacobians(lattice, template.positions_px)
         self._nodes_of_template = self._lengths.nodes(template.positions_px)
         self._system = LatticeSystem(self._lengths.links, self._lengths.centres)
+        self._errors = FitErrors(lattice, self._registration, self._lengths)
         self._template_depth = template.vertices_in_camera[:, 2]
 
     def fit(
@@ -75,13 +78,14 @@ class SurfaceFit:
         previous: NormalMap,
         normal_map: NormalMap,
         depth_map: DepthMap,
+        labels: VisibilityLabels | None = None,
     ) -> FittedFrame:
         """Fit to a frame, first from where the motion goes on to.
 
         before_px, last_px: (n, 2) in the last two frames. previous: the last one's normals.
         """
         lattice, lengths = self._lattice, self._lengths
-        slopes = slopes_from_normals(normal_map, self._camera)
+        slopes = slopes_from_normals(normal_map, self._camera, labels)
         figure = self._outline.figure(normal_map.mask, slopes)
         positions: Points2 = 2.0 * np.asarray(last_px, dtype=np.float64) - before_px
         around = self._jacobians.of(positions)
@@ -105,19 +109,22 @@ class SurfaceFit:
             pull = np.einsum("nji,nj->ni", inverse, told.pull)
             outline, outline_pull = self._outline.measure(positions, figure)
             measured = np.minimum(1.0, information[:, 0] + information[:, 2])
-            guess, variance = lengths.guessed(positions, around, slopes, depth_map, hidden, measured)
+            guess, variance, slip = lengths.guessed(positions, around, slopes, depth_map, hidden, measured)
             now = lengths.nodes(positions)
             steps = guess - (now[lengths.links[:, 1]] - now[lengths.links[:, 0]])
-            weight = 1.0 / (variance + np.sum(steps**2, axis=1) / _TORN_SIGMAS**2)
+            variance = variance + np.sum(steps**2, axis=1) / (LINKS_ALIKE * _TORN_SIGMAS**2)
+            weight = 1.0 / (LINKS_ALIKE * variance)
             solution = self._system.solve(information + outline, pull + outline_pull, weight, steps)
             step = lattice.at_vertices(solution.displacement)
             positions = positions + step
             if np.abs(step).max() < _CONVERGED_PX:
                 break
+        bands = _in_frame(told.bands, inverse)
+        square = self._errors.square(solution, bands, outline, weight, steps, np.sqrt(variance + slip))
         return FittedFrame(
             positions_px=positions,
             depth=self._depth(positions, depth_map, hidden),
-            uncertainty_px=self._uncertainty(solution),
+            uncertainty_px=self._uncertainty(square),
         )
 
     def _restarted(
@@ -189,105 +196,24 @@ class SurfaceFit:
             + (1.0 - seen) * self._lattice.at_vertices(filled[:, None])[:, 0]
         )
 
-    def _uncertainty(self, solution: LatticeSolution) -> npt.NDArray[np.float64]:
-        """(n,) what about nine in ten errors are below."""
-        errors = solution.errors(np.random.default_rng(0), self._lattice, self._lengths.along)
-        square = np.square(errors).sum(axis=1).mean(axis=1)
+    def _uncertainty(self, square: FloatArray) -> npt.NDArray[np.float64]:
+        """(n,) what about nine in ten errors are below, of nodes' expected squares (m,)."""
         sums = self._lattice.smoothed(np.column_stack([square, np.ones(len(square))]), _ERROR_PASSES)
         root = _COVERAGE * np.sqrt(sums[:, :1] / sums[:, 1:])
         return self._lattice.at_vertices(root)[:, 0]
 
 
-class LatticeSystem:
-    """Σ_nodes (d_i − m_i)ᵀ I_i (d_i − m_i) + Σ_links w_e |d_b − d_a − r_e|², laid out once."""
-
-    def __init__(self, links: IntArray, centres: Points2) -> None:
-        """Order the unknowns; links (e, 2) between the nodes at centres (m, 2)."""
-        m, (a, b) = len(centres), links.T
-        self.links, self.count = links, m
-        order = nested_dissection_order(links, centres)
-        self.order = (2 * order[:, None] + [0, 1]).ravel()
-        rank = np.empty(2 * m, dtype=np.int64)
-        rank[self.order] = np.arange(2 * m)
-        i = np.arange(m)
-        rows = [2 * i, 2 * i, 2 * i + 1, 2 * i + 1, 2 * a, 2 * b, 2 * a + 1, 2 * b + 1]
-        columns = [2 * i, 2 * i + 1, 2 * i, 2 * i + 1, 2 * b, 2 * a, 2 * b + 1, 2 * a + 1]
-        where = rank[np.concatenate(rows)], rank[np.concatenate(columns)]
-        pattern = sp.csc_array(sp.coo_array((np.arange(1.0, len(where[0]) + 1), where)))
-        pattern.sort_indices()
-        self._place, self._pattern = pattern.data.astype(np.int64) - 1, pattern
-
-    def solve(
-        self, information: FloatArray, pull: FloatArray, weight: FloatArray, steps: FloatArray
-    ) -> LatticeSolution:
-        """Return the minimum; information I (m, 3), pull (m, 2) = I m, weight (e,), steps (e, 2) = r."""
-        degree = _LEAST_INFORMATION + self._at_nodes(weight, weight)
-        diagonal = [
-            information[:, 0] + degree,
-            information[:, 1],
-            information[:, 1],
-            information[:, 2] + degree,
-        ]
-        data = np.concatenate([*diagonal, *[-weight] * 4])
-        pattern = self._pattern
-        matrix = sp.csc_array((data[self._place], pattern.indices, pattern.indptr), shape=pattern.shape)
-        factor = splu(matrix, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-        right = np.array(pull, dtype=np.float64)
-        for k in range(2):
-            right[:, k] += self._at_nodes(-weight * steps[:, k], weight * steps[:, k])
-        solution = LatticeSolution(self, factor, information, weight)
-        solution.displacement = solution.solved(right[:, :, None])[:, :, 0]
-        return solution
-
-    def filled(self, weight: FloatArray, weighted: FloatArray) -> npt.NDArray[np.float64]:
-        """Return (m,) a value known as weighted / weight, harmonic where the weight (m,) is small."""
-        information = np.column_stack([weight, np.zeros_like(weight), weight])
-        ones, none = np.ones(len(self.links)), np.zeros((len(self.links), 2))
-        return self.solve(information, np.column_stack([weighted, weighted]), ones, none).displacement[:, 0]
-
-    def _at_nodes(self, first: FloatArray, second: FloatArray) -> npt.NDArray[np.float64]:
-        a, b = self.links.T
-        count = self.count
-        return np.asarray(np.bincount(a, first, count) + np.bincount(b, second, count), dtype=np.float64)
-
-
-class LatticeSolution:
-    """displacement: (m, 2)."""
-
-    displacement: npt.NDArray[np.float64]
-
-    def __init__(self, system: LatticeSystem, factor, information: FloatArray, weight: FloatArray) -> None:  # type: ignore[no-untyped-def]
-        self._system, self._factor, self._information, self._weight = system, factor, information, weight
-
-    def solved(self, right: FloatArray) -> npt.NDArray[np.float64]:
-        """Return (m, 2, k) for right-hand sides (m, 2, k)."""
-        order = self._system.order
-        flat = np.empty((2 * self._system.count, right.shape[2]))
-        flat[order] = self._factor.solve(np.ascontiguousarray(right.reshape(len(flat), -1)[order]))
-        return flat.reshape(right.shape)
-
-    def errors(
-        self, rng: np.random.Generator, lattice: TemplateLattice, along: Points2
-    ) -> npt.NDArray[np.float64]:
-        """Return (m, 2, k) samples of the error: every term is given its own at random, and solved with.
-
-        That of the links is a strain that goes on over some cells. along: (e, 2) the links on the template.
-        """
-        system = self._system
-        m, (a, b) = system.count, system.links.T
-        right = np.einsum("nij,njk->nik", _cholesky(self._information), rng.standard_normal((m, 2, _SAMPLES)))
-        strain = lattice.smoothed(rng.standard_normal((m, 4 * _SAMPLES)), _CORRELATED_PASSES)
-        strain = (strain / strain.std()).reshape(m, 2, 2, _SAMPLES)
-        along = along / np.linalg.norm(along, axis=1, keepdims=True)
-        on_links = np.einsum("eijk,ej->eik", 0.5 * (strain[a] + strain[b]), along)
-        on_links = (np.sqrt(self._weight)[:, None, None] * on_links).reshape(len(a), -1)
-        incidence = sp.csr_array(
-            (np.repeat([1.0, -1.0], len(a)), (np.concatenate([b, a]), np.tile(np.arange(len(a)), 2))),
-            shape=(m, len(a)),
+def _in_frame(bands: tuple[WindowSteps, ...], inverse: FloatArray) -> list[WindowSteps]:
+    """Return what the bands measured, in pixels of the frame; inverse: (m, 2, 2) J⁻¹."""
+    jacobian = np.linalg.inv(inverse)
+    return [
+        WindowSteps(
+            halvings=band.halvings,
+            information=_congruent(band.information, inverse),
+            step=np.einsum("nij,nj->ni", jacobian, band.step),
         )
-        right += (incidence @ on_links).reshape(m, 2, _SAMPLES)
-        right += np.sqrt(_LEAST_INFORMATION) * rng.standard_normal(right.shape)
-        return self.solved(right)
+        for band in bands
+    ]
 
 
 def _inverse(around: FloatArray) -> npt.NDArray[np.float64]:
@@ -303,11 +229,3 @@ def _congruent(information: FloatArray, inverse: FloatArray) -> npt.NDArray[np.f
     full = information[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
     full = np.swapaxes(inverse, 1, 2) @ full @ inverse
     return np.stack([full[:, 0, 0], full[:, 0, 1], full[:, 1, 1]], axis=1)
-
-
-def _cholesky(information: FloatArray) -> npt.NDArray[np.float64]:
-    """Lower roots (m, 2, 2) of information (m, 3)."""
-    a = np.sqrt(np.maximum(information[:, 0], 1e-30))
-    b = information[:, 1] / a
-    c = np.sqrt(np.maximum(information[:, 2] - b * b, 0.0))
-    return np.stack([a, np.zeros_like(a), b, c], axis=1).reshape(-1, 2, 2)

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
 
-from vntoolkit.arrays import Points, Points2, read_only
+from vntoolkit.arrays import Points, Points2, VisibilityLabels, read_only
 from vntoolkit.checks import require_same_size
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.laplacian import cotangent_laplacian, graph_laplacian
@@ -76,11 +76,13 @@ class SurfaceTracker:
         camera: Camera,
         options: TrackingOptions | None = None,
         seams: Sequence[Points2] = (),
+        labels: VisibilityLabels | None = None,
     ) -> None:
         """Cut the template along the seams and prepare what every frame solves.
 
-        template, depth: maps of the template frame. seams: polylines (k, 2) in its pixels. Raises BadInput
-        where no pixel is valid or a seam leaves the mask.
+        template, depth: maps of the template frame. seams: polylines (k, 2) in its pixels. labels: (h, w),
+        bit k set where light k arrives; None where not known. Raises BadInput where no pixel is valid or a
+        seam leaves the mask.
         """
         self.options = options or TrackingOptions()
         self.camera = camera
@@ -89,7 +91,7 @@ class SurfaceTracker:
         self._solver: Solver | None = None
         told = None
         if self.options.method is Tracker.DEFAULT:
-            self._fit = SurfaceFit(self.template, template, camera)
+            self._fit = SurfaceFit(self.template, template, camera, labels)
             told = np.zeros(len(self.template.pixels))
         else:
             self._solver = _solver(self.template, self.options)
@@ -102,13 +104,20 @@ class SurfaceTracker:
         """The template as a mesh."""
         return Mesh(vertices=self.template.vertices_in_camera, faces=self.template.faces)
 
-    def step(self, normal_map: NormalMap, depth_map: DepthMap) -> TrackedFrame:
-        """Follow the surface into the next frame."""
+    def step(
+        self, normal_map: NormalMap, depth_map: DepthMap, labels: VisibilityLabels | None = None
+    ) -> TrackedFrame:
+        """Follow the surface into the next frame; labels: as of the template."""
         require_same_size(normal_map.mask, "normals", self._previous.mask, "the frame before")
         require_same_size(depth_map.mask, "depth", normal_map.mask, "normals")
         if self._fit is not None:
             fitted = self._fit.fit(
-                self._before.positions_px, self.state.positions_px, self._previous, normal_map, depth_map
+                self._before.positions_px,
+                self.state.positions_px,
+                self._previous,
+                normal_map,
+                depth_map,
+                labels,
             )
             vertices, told = self.camera.unproject(fitted.positions_px, fitted.depth), fitted.uncertainty_px
         else:
