@@ -91,14 +91,11 @@ class SurfaceFit:
         around = self._jacobians.of(positions)
         told = self._registration.measure(positions, around, slopes)
         if np.sum(told.found) < _LOST_MATCH * np.sum(told.expected):
-            positions = self._restarted(positions, last_px, told, previous, normal_map, slopes)
-            around = self._jacobians.of(positions)
-            told = self._registration.measure(positions, around, slopes)
+            positions, told = self._restarted(positions, last_px, told, previous, normal_map, slopes)
         lost = told.found < _LOST_MATCH * told.expected
         if lost.any() and not lost.all():
-            positions = self._resumed(positions, told, lost, slopes)
-            around = self._jacobians.of(positions)
-            told = self._registration.measure(positions, around, slopes)
+            positions, told = self._resumed(positions, told, lost, slopes)
+        around = self._jacobians.of(positions)
         for number in range(_ITERATIONS):
             if number > 0:
                 around = self._jacobians.of(positions)
@@ -135,16 +132,11 @@ class SurfaceFit:
         previous: NormalMap,
         normal_map: NormalMap,
         slopes: Slopes,
-    ) -> npt.NDArray[np.float64]:
+    ) -> tuple[npt.NDArray[np.float64], Measurement]:
         """Where DIS flow (`kroeger2016`) leads, as far as the template matches better there."""
-        lattice = self._lattice
         flow = dense_flow(previous, normal_map)
         flown = last_px + sample_image(flow, last_px)
-        at_nodes = self._lengths.nodes(flown - positions)
-        moved = positions + lattice.at_vertices(at_nodes)
-        there = self._registration.measure(moved, self._jacobians.of(moved), slopes)
-        better = there.found > told.found + _BETTER_MATCH
-        return np.asarray(positions + lattice.at_vertices(np.where(better[:, None], at_nodes, 0.0)))
+        return self._where_better(positions, self._lengths.nodes(flown - positions), told, slopes)
 
     def _resumed(
         self,
@@ -152,12 +144,11 @@ class SurfaceFit:
         told: Measurement,
         lost: npt.NDArray[np.bool_],
         slopes: Slopes,
-    ) -> npt.NDArray[np.float64]:
+    ) -> tuple[npt.NDArray[np.float64], Measurement]:
         """Where the motion of what matches goes on to over what is lost, as far as it matches better there.
 
         What comes back into the mask, or from behind something, may lie farther off than one step reaches.
         """
-        lattice = self._lattice
         here = self._lengths.nodes(positions)
         moved = here - self._nodes_of_template
         kept = (~lost).astype(np.float64)
@@ -166,11 +157,20 @@ class SurfaceFit:
         filled = self._system.solve(
             information, kept[:, None] * moved, np.ones(len(links)), np.zeros((len(links), 2))
         ).displacement
-        at_nodes = np.where(lost[:, None], filled - moved, 0.0)
-        there_px = positions + lattice.at_vertices(at_nodes)
-        there = self._registration.measure(there_px, self._jacobians.of(there_px), slopes)
+        return self._where_better(positions, np.where(lost[:, None], filled - moved, 0.0), told, slopes)
+
+    def _where_better(
+        self, positions: Points2, at_nodes: FloatArray, told: Measurement, slopes: Slopes
+    ) -> tuple[npt.NDArray[np.float64], Measurement]:
+        """Positions moved by at_nodes (m, 2) where that matches better, and what is measured there."""
+        lattice = self._lattice
+        moved = positions + lattice.at_vertices(at_nodes)
+        there = self._registration.measure(moved, self._jacobians.of(moved), slopes)
         better = there.found > told.found + _BETTER_MATCH
-        return np.asarray(positions + lattice.at_vertices(np.where(better[:, None], at_nodes, 0.0)))
+        if not better.any():
+            return np.asarray(positions), told
+        moved = positions + lattice.at_vertices(np.where(better[:, None], at_nodes, 0.0))
+        return moved, self._registration.measure(moved, self._jacobians.of(moved), slopes)
 
     def _hidden(self, told: Measurement) -> npt.NDArray[np.float64]:
         """(nodes,) from 0 to 1: relief that should match and does not."""
