@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Mask, Points2, VisibilityLabels
+from vntoolkit.arrays import FloatArray, Mask, Points2, VisibilityLabels, Weight
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.native import njit
@@ -47,9 +47,10 @@ def slopes_from_normals(
     """
     weight = np.ones((1, 1), dtype=np.float32)
     if normal_map.weight is not None and normal_map.mask.any():
-        usual = beside_the_usual(normal_map)
+        weight = beside_the_usual(normal_map.weight, normal_map.mask)
+        usual = replace(normal_map, weight=weight)
         edges = jump_pixels(usual) if labels is None else label_edges(labels, normal_map.mask)
-        weight = np.where(edges, _AT_JUMPS * usual.weight, usual.weight)
+        weight = np.where(edges, _AT_JUMPS * weight, weight)
     slopes = _slopes(normal_map.normals_in_camera, normal_map.mask, weight, _ray_terms(camera))
     return np.asarray(cv2.GaussianBlur(slopes, (3, 3), 0.7))
 
@@ -87,15 +88,15 @@ def sample_depth(depth: FloatArray, mask: Mask, positions_px: Points2) -> tuple[
     )
 
 
-def beside_the_usual(normal_map: NormalMap) -> NormalMap:
-    """Return the map with weights that are 1 where its weight is at least the median.
+def beside_the_usual(weight: Weight, mask: Mask) -> Weight:
+    """Return (h, w) weights that are 1 where a normal map's weight is at least its median.
 
     A normal's weight is 1 / (1 + (error / 12°)²). An error that all share, as of another rig's M, moves with
     the surface and is no harm here: only what a square exceeds that of the median by counts.
     """
-    weight = np.maximum(normal_map.weight, _LEAST_WEIGHT)
-    excess = 1.0 / weight - 1.0 / np.median(weight[normal_map.mask])
-    return replace(normal_map, weight=(1.0 / (1.0 + np.maximum(excess, 0.0))).astype(np.float32))
+    inverse = 1.0 / np.maximum(weight, _LEAST_WEIGHT)
+    excess = np.maximum(inverse - np.median(inverse[mask]), 0.0)
+    return np.asarray(1.0 / (1.0 + excess), dtype=np.float32)
 
 
 def label_edges(labels: VisibilityLabels, mask: Mask) -> Mask:
@@ -107,9 +108,9 @@ def label_edges(labels: VisibilityLabels, mask: Mask) -> Mask:
     window = np.ones((2 * _EDGE_REACH_PX + 1,) * 2, dtype=np.uint8)
     edges = np.zeros_like(mask)
     for light in range(3):
-        lit = (labels >> light) & 1
-        ends = cv2.dilate(np.where(mask, lit, 0).astype(np.uint8), window)
-        edges |= (ends & cv2.dilate(np.where(mask, 1 - lit, 0).astype(np.uint8), window)).astype(bool)
+        lit = mask & ((labels >> light) & 1 > 0)
+        ends = [cv2.dilate(side.astype(np.uint8), window) > 0 for side in (lit, mask & ~lit)]
+        edges |= ends[0] & ends[1]
     return np.asarray(edges & mask)
 
 
