@@ -25,7 +25,7 @@ from vntoolkit.tracking.slopes import Slopes, metric_sums, sample_depth
 from vntoolkit.tracking.template import TrackingTemplate
 
 STRAIN_PASSES = 4  # of lattice smoothing: strain that is not foreseen goes on over some cells
-LINKS_ALIKE = NODES_BY_PASS * STRAIN_PASSES  # that err together: in a fit, so many tell one thing
+LINKS_ALIKE = NODES_BY_PASS  # a link and its neighbours err together: in a fit, so many tell one thing
 _RIM_STRAIN = 0.5  # where a surface turns out of sight: more may lie between two nodes than is seen …
 _RIM_STEEPNESS = 20.0  # … from this squared slope on, 77°
 _STRAIN = 0.07  # standard deviation of stretch, where none is measured: cloth has 0.03 to 0.1, skin up to 0.3

@@ -38,12 +38,8 @@ _CHANCE = 2.5  # standard deviations of A without a common signal, below which n
 _CORRELATED_PX = 12.0  # pixels that agree by chance count as one, by H: so measured on white noise
 _LONGEST_STEP_PX = 2.0  # in pixels of the band: about what one linearisation reaches
 _LEAST_NOISE = 1e-3  # slope: what interpolation leaves
-_ACCURACY_PX = (
-    0.1,
-    3.0,
-    30.0,
-)  # of a node's own pixels at best, by band: relief stays in place, folds travel
-_FEW_NODES = 3.0  # variance of a step over that of its nodes' pulls, which are few: so on three scenes
+_ACCURACY_PX = (0.3, 3.0, 30.0)  # of a node's pixels at best, by band: relief stays in place, folds travel
+_FEW_NODES = 10.0  # variance of a step over that of its nodes' pulls: few, and not all of them move alike
 _NOISE_GRADIENT = 0.57  # gradient power of white noise by the power of the residual it leaves, measured too
 
 
