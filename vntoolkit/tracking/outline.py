@@ -22,6 +22,7 @@ _BORDER_PX = 4  # beside the image's own border there is no outline
 _SMALL_HOLE_PX = 200  # area of holes that are no part of the outline
 _INSIDE_SIGMA_PX = 2.0  # of a node whose vertices lie off the figure
 _HUBER_PX = 6.0
+_LEAST_WEIGHT = np.float32(1e-4)  # mean of the slopes' around a pixel: by less it has no slope
 
 
 class Outline:
@@ -46,10 +47,10 @@ class Outline:
         """(h, w, 4): signed distance, its gradient, and openness, of one frame."""
         field = _with_gradient(signed_distance(mask))
         mean = cv2.blur(slopes, (7, 7))
-        weight = np.maximum(mean[..., 2], np.float32(1e-3))
+        weight = np.maximum(mean[..., 2], _LEAST_WEIGHT)
         facing = 1 / np.sqrt(1 + (mean[..., 0] / weight) ** 2 + (mean[..., 1] / weight) ** 2)
         low, high = _OPEN_FACING
-        openness = np.clip((facing - low) / (high - low), 0.0, 1.0) * (mean[..., 2] > 0.05)
+        openness = np.clip((facing - low) / (high - low), 0.0, 1.0) * (mean[..., 2] > _LEAST_WEIGHT)
         return np.dstack([field, openness.astype(np.float32)])
 
     def measure(
