@@ -79,12 +79,14 @@ class FitErrors:
         expected = ((fixed + by_strain)[b] - (fixed + by_strain)[a]) / sd[:, None, None] - self._strain
         found = np.square(self._slow @ left).sum()
         foreseen = np.square(self._slow @ expected.reshape(e, -1)).sum() / _SAMPLES
-        factor = np.sqrt(_PRIOR + (1.0 - _PRIOR) * found / foreseen)
+        factor = np.sqrt(_PRIOR + (1.0 - _PRIOR) * (found / foreseen if foreseen > 0 else 1.0))
         return np.asarray(np.square(fixed + factor * by_strain).sum(axis=1).mean(axis=1))
 
 
 def _slow(lengths: LinkLengths) -> npt.NDArray[np.float64]:
     """(k, links) orthonormal polynomials of the place, of links across and of links along apart."""
+    if len(lengths.links) == 0:
+        return np.zeros((1, 0))
     centre = 0.5 * (lengths.centres[lengths.links[:, 0]] + lengths.centres[lengths.links[:, 1]])
     x, y = ((centre - centre.mean(axis=0)) / np.maximum(centre.std(axis=0), 1.0)).T
     across = np.abs(lengths.along[:, 0]) > np.abs(lengths.along[:, 1])
