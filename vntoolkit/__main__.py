@@ -7,6 +7,7 @@ import contextlib
 import errno
 import os
 import sys
+import time
 
 TYPE_CHECKING = False  # importing typing takes time, and a Ctrl-C before `main` leaves a traceback
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ for _name in ("COLUMNS", "LINES"):
 
 INTERRUPTED = 130  # the shell's convention for SIGINT
 OWN_FAULT = 70  # EX_SOFTWARE of sysexits.h
-_OUT_OF_CALLBACK_S = 0.02
+_OUT_OF_CALLBACK_S = 0.1  # Python has left the hook by then, on a busy machine too
 _REFUSALS_OF_THE_SYSTEM = {
     errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.ENOTDIR,
     errno.EISDIR, errno.ELOOP, errno.ENAMETOOLONG, errno.EMFILE, errno.ENFILE, errno.ESTALE,
@@ -61,11 +62,8 @@ def _no_interrupt_lost() -> Iterator[None]:
 
     def hook(unraisable: sys.UnraisableHookArgs) -> None:
         if issubclass(unraisable.exc_type, KeyboardInterrupt):
-            import threading
-
-            again = threading.Timer(_OUT_OF_CALLBACK_S, _thread.interrupt_main)
-            again.daemon = True
-            again.start()
+            # Not threading.Timer: its start waits, on a busy machine until the interrupt strikes in here.
+            _thread.start_new_thread(_interrupt_soon, ())
         else:
             before(unraisable)
 
@@ -74,6 +72,11 @@ def _no_interrupt_lost() -> Iterator[None]:
         yield
     finally:
         sys.unraisablehook = before
+
+
+def _interrupt_soon() -> None:
+    time.sleep(_OUT_OF_CALLBACK_S)
+    _thread.interrupt_main()
 
 
 def _run(arguments: list[str] | None) -> int:
