@@ -119,7 +119,7 @@ def best_fit(
     prior = np.eye(3) / _PRIOR_SPREAD**2
     best: tuple[Vector3, Matrix3, float] | None = None
     for start in starts:
-        found = fit_kernel(s, *lamps[1:3], lamps.mixing, tolerance, start, centre, prior)
+        found = _fit(s, lamps, tolerance, start, centre, prior)
         if best is None or found[2] < best[2]:
             best = found
     assert best is not None
@@ -140,38 +140,42 @@ def _error_deg(normals: Points, shares: Points, inverse: Matrix3, covariance: Ma
     return float(np.degrees(np.sqrt(np.mean(squares))))
 
 
-@njit(cache=True, error_model="numpy")
-def fit_kernel(
-    s: Any, haze: Any, inverse: Any, mixing: Any, tolerance: float, start: Any, centre: Any, prior: Any
-) -> Any:
+def _fit(
+    s: Points, lamps: Lamps, tolerance: float, start: Vector3, centre: Vector3, prior: Matrix3
+) -> tuple[Vector3, Matrix3, float]:
     """Gauss–Newton in log ρ with Geman and McClure's weights, from rough to fine."""
-    z = start.copy()
-    normal_matrix = np.zeros((3, 3))
+    z, normal_matrix, gradient = start.copy(), np.zeros((3, 3)), np.zeros(3)
     cost = 0.0
     for i in range(_ROUNDS):
         rough = max(tolerance, _FIRST_TOLERANCE * 0.5**i)
-        normal_matrix[:] = 0.0
-        gradient = prior @ (centre - z)
-        cost = 0.0
-        q = np.exp(-z)
-        j = np.empty(3)
-        bias = bias_of_noise(q, inverse, mixing)
-        for p in range(s.shape[0]):
-            e, variance = length_and_variance(s[p], q, haze, inverse, mixing, bias, j)
-            variance += rough * rough
-            t = e * e / variance
-            falling = 1.0 / (1.0 + t / (CAP * CAP))
-            cost += 0.5 * t * falling
-            weight = falling * falling / variance
-            for a in range(3):
-                gradient[a] -= weight * j[a] * e
-                for b in range(3):
-                    normal_matrix[a, b] += weight * j[a] * j[b]
-        if i + 1 < _ROUNDS:
-            step = np.linalg.solve(normal_matrix + prior, gradient)
-            for a in range(3):
-                z[a] += min(max(step[a], -_LARGEST_STEP), _LARGEST_STEP)
+        normal_matrix[:], gradient[:] = 0.0, 0.0
+        cost = _gather(s, np.exp(-z), *lamps[1:3], lamps.mixing, rough, normal_matrix, gradient)
+        if i + 1 < _ROUNDS:  # solved outside the kernel, where a solver would take ten seconds to compile
+            step = np.linalg.solve(normal_matrix + prior, gradient + prior @ (centre - z))
+            z = z + step.clip(-_LARGEST_STEP, _LARGEST_STEP)
     return z, normal_matrix, cost / max(s.shape[0], 1)
+
+
+@njit(cache=True, error_model="numpy")
+def _gather(
+    s: Any, q: Any, haze: Any, inverse: Any, mixing: Any, rough: float, normal_matrix: Any, gradient: Any
+) -> float:
+    """Add up the normal matrix (3, 3) and the gradient (3,) over all pixels; return the cost."""
+    cost = 0.0
+    j = np.empty(3)
+    bias = bias_of_noise(q, inverse, mixing)
+    for p in range(s.shape[0]):
+        e, variance = length_and_variance(s[p], q, haze, inverse, mixing, bias, j)
+        variance += rough * rough
+        t = e * e / variance
+        falling = 1.0 / (1.0 + t / (CAP * CAP))
+        cost += 0.5 * t * falling
+        weight = falling * falling / variance
+        for a in range(3):
+            gradient[a] -= weight * j[a] * e
+            for b in range(3):
+                normal_matrix[a, b] += weight * j[a] * j[b]
+    return cost
 
 
 @njit(cache=True, inline="always", error_model="numpy")

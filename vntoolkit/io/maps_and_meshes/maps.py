@@ -259,7 +259,8 @@ def _fill(normals, mask, weight, error, flips, rows, starts):  # type: ignore[no
                 for u in range(width):
                     row[u] = weight[v, u] if mask[v, u] else np.float32(0)
             elif error is not None:
-                row[:] = error[v]
+                for u in range(width):  # a slice would take ten seconds to compile
+                    row[u] = error[v, u]
             to, flip = rows[v, starts[k] : starts[k] + width], flips[k]
             for u in range(width):
                 to[u] = _half_bits(row[u], bits[u]) ^ flip
@@ -273,7 +274,8 @@ def _fill_depth(depth, mask, error, rows, start, error_start):  # type: ignore[n
     for v in range(height):
         for u in range(width):
             row[u] = np.float32(depth[v, u]) if mask[v, u] else np.float32(np.nan)
-        rows[v, start : start + 2 * width] = halves
+        for u in range(2 * width):
+            rows[v, start + u] = halves[u]
         if error is not None:
             for u in range(width):
                 row[u] = min(error[v, u], _MOST_PERCENT)
