@@ -75,8 +75,11 @@ class Asked(threading.Thread):
         query = f"id=a&serial={serial}&ago_ms={ago_ms}&grid=20&normals=64&camera=30"
         self._address = url_of(viewer, "packet", query)
         self.content, self.seconds = b"", 0.0
+        started = time.perf_counter()
         self.start()
-        time.sleep(0.2)  # it waits for a result by now
+        while not any(page.asked_s >= started for page in list(viewer._pages.values())):
+            assert time.perf_counter() - started < 30, "the question never came"
+            time.sleep(0.01)
 
     def run(self) -> None:
         started = time.perf_counter()
