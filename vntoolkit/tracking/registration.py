@@ -38,8 +38,8 @@ _CHANCE = 2.5  # standard deviations of A without a common signal, below which n
 _CORRELATED_PX = 12.0  # pixels that agree by chance count as one, by H: so measured on white noise
 _LONGEST_STEP_PX = 2.0  # in pixels of the band: about what one linearisation reaches
 _LEAST_NOISE = 1e-3  # slope: what interpolation leaves
-_ACCURACY_PX = (0.3, 3.0, 30.0)  # of a node's pixels at best, by band: relief stays in place, folds travel
-_FEW_NODES = 10.0  # variance of a step over that of its nodes' pulls: few, and not all of them move alike
+_ACCURACY_PX = (0.2, 2.0, 15.0)  # of a node's pixels at best, by band: relief stays in place, folds travel
+_FEW_NODES = 5.0  # variance of a step over that of its nodes' pulls: not all of them move alike
 _NOISE_GRADIENT = 0.57  # gradient power of white noise by the power of the residual it leaves, measured too
 
 
@@ -138,7 +138,7 @@ class TemplateRegistration:
             pixels = NODES_BY_PASS * passes  # of the window, by the mean over its nodes
             step, ratio, sure, axis = _steps(terms, 2.0**mine.halvings, pixels)
             spread = self._lattice.smoothed(_scores(own, step), passes) / whole
-            told = _informed(terms, spread, sure, axis, _ACCURACY_PX[mine.halvings])
+            told = _informed(terms, spread, sure, axis, NODES_BY_PASS * passes, _ACCURACY_PX[mine.halvings])
             found = np.maximum(found, ratio)
             if mine.halvings == 0:
                 match = ratio
@@ -349,23 +349,26 @@ def _steps(terms, pixel, pixels):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _scores(terms, steps):  # type: ignore[no-untyped-def]
-    """(nodes, 3) products of what a node's own pixels still pull by at the step of its window."""
+    """(nodes, 4) products of what a node's own pixels still pull by at the step of its window; A's square."""
     m = terms.shape[0]
-    out = np.empty((m, 3))
+    out = np.empty((m, 4))
     for j in range(m):
         x, y = steps[j, 0], steps[j, 1]
         p = terms[j, 6] - terms[j, 0] * x - terms[j, 1] * y
         q = terms[j, 7] - terms[j, 1] * x - terms[j, 2] * y
         out[j, 0], out[j, 1], out[j, 2] = p * p, p * q, q * q
+        out[j, 3] = (terms[j, 0] + terms[j, 2]) ** 2
     return out
 
 
 @njit(cache=True)
-def _informed(terms, spread, kept, axis, accuracy):  # type: ignore[no-untyped-def]
+def _informed(terms, spread, kept, axis, nodes, accuracy):  # type: ignore[no-untyped-def]
     """Information (nodes, 3) of one node's share of its window."""
     m = terms.shape[0]
     told = np.zeros((m, 3))
     for j in range(m):
+        telling = nodes * (terms[j, 0] + terms[j, 2]) ** 2 / max(spread[j, 3], 1e-30)  # nodes of the window
+        few = _FEW_NODES * telling / max(telling - 1.0, 0.1)  # one fits the step exactly
         for k in range(2):
             sure = kept[j, k]
             if sure <= 0:
@@ -376,7 +379,7 @@ def _informed(terms, spread, kept, axis, accuracy):  # type: ignore[no-untyped-d
             power = terms[j, 3] * x * x + 2 * terms[j, 4] * x * y + terms[j, 5] * y * y
             pull = spread[j, 0] * x * x + 2 * spread[j, 1] * x * y + spread[j, 2] * y * y
             noise = terms[j, 8] / terms[j, 9] + _LEAST_NOISE**2
-            info = 1.0 / (max(_FEW_NODES * pull, power * noise) / (sure * sure) + accuracy**2)
+            info = 1.0 / (max(few * pull, power * noise) / (sure * sure) + accuracy**2)
             told[j, 0] += info * x * x
             told[j, 1] += info * x * y
             told[j, 2] += info * y * y

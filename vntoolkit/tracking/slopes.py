@@ -35,24 +35,34 @@ _STRONG_RELIEF = 0.1  # root mean square, in units of the normal: a knit has 0.1
 Slopes = npt.NDArray[np.float32]  # (h, w, 3): w a_u, w a_v, w
 
 
-def slopes_from_normals(
-    normal_map: NormalMap, camera: Camera, labels: VisibilityLabels | None = None
-) -> Slopes:
+def slopes_from_normals(normal_map: NormalMap, camera: Camera) -> Slopes:
     """Return (h, w, 3) float32: w a_u, w a_v, w, with a in focal lengths and w the pixel's weight.
 
-    w: mask, normal map's weight beside its median (`beside_the_usual`), less at grazing angles, next to
-    nothing around the edges of shadows. Those are where labels (h, w) change, or else the weight jumps.
+    w: mask, normal map's weight beside its median (`beside_the_usual`), less at grazing angles.
     Premultiplied, so that smoothing mixes only what is valid; smoothed over 3×3 pixels, so that interpolation
     blurs no more at half pixels than at whole ones.
     """
     weight = np.ones((1, 1), dtype=np.float32)
-    if normal_map.weight is not None and normal_map.mask.any():
+    if normal_map.weight is not None:
         weight = beside_the_usual(normal_map.weight, normal_map.mask)
-        usual = replace(normal_map, weight=weight)
-        edges = jump_pixels(usual) if labels is None else label_edges(labels, normal_map.mask)
-        weight = np.where(edges, _AT_JUMPS * weight, weight)
     slopes = _slopes(normal_map.normals_in_camera, normal_map.mask, weight, _ray_terms(camera))
     return np.asarray(cv2.GaussianBlur(slopes, (3, 3), 0.7))
+
+
+def relief_slopes(slopes: Slopes, normal_map: NormalMap, labels: VisibilityLabels | None = None) -> Slopes:
+    """Return the slopes of a normal map with next to no weight around the edges of shadows.
+
+    Those are where labels (h, w) change, or else the weight jumps. Lengths and facing hold there; relief does
+    not.
+    """
+    if labels is not None:
+        edges = label_edges(labels, normal_map.mask)
+    elif normal_map.weight is None:
+        return slopes
+    else:
+        weight = beside_the_usual(normal_map.weight, normal_map.mask)
+        edges = jump_pixels(replace(normal_map, weight=weight))
+    return np.where(edges[..., None], _AT_JUMPS * slopes, slopes)
 
 
 def metric_sums(
@@ -94,6 +104,8 @@ def beside_the_usual(weight: Weight, mask: Mask) -> Weight:
     A normal's weight is 1 / (1 + (error / 12°)²). An error that all share, as of another rig's M, moves with
     the surface and is no harm here: only what a square exceeds that of the median by counts.
     """
+    if not mask.any():
+        return weight
     inverse = 1.0 / np.maximum(weight, _LEAST_WEIGHT)
     excess = np.maximum(inverse - np.median(inverse[mask]), 0.0)
     return np.asarray(1.0 / (1.0 + excess), dtype=np.float32)

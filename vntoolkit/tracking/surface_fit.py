@@ -23,7 +23,7 @@ from vntoolkit.tracking.lattice_system import LatticeSystem
 from vntoolkit.tracking.lengths import LINKS_ALIKE, LinkLengths
 from vntoolkit.tracking.outline import Outline
 from vntoolkit.tracking.registration import Measurement, TemplateRegistration, WindowSteps
-from vntoolkit.tracking.slopes import Slopes, sample_depth, sample_image, slopes_from_normals
+from vntoolkit.tracking.slopes import Slopes, relief_slopes, sample_depth, sample_image, slopes_from_normals
 from vntoolkit.tracking.template import TrackingTemplate
 
 _CELL_PX = 8  # of the lattice
@@ -60,9 +60,10 @@ class SurfaceFit:
     ) -> None:
         """Prepare what hangs on the template alone; normal_map, labels: of its frame."""
         lattice = lattice_on_template(template, _CELL_PX)
-        slopes = slopes_from_normals(normal_map, camera, labels)
+        slopes = slopes_from_normals(normal_map, camera)
+        relief = relief_slopes(slopes, normal_map, labels)
         self._lattice, self._camera = lattice, camera
-        self._registration = TemplateRegistration(template, lattice, slopes)
+        self._registration = TemplateRegistration(template, lattice, relief)
         self._outline = Outline(template, lattice, normal_map.mask, slopes)
         self._lengths = LinkLengths(lattice, template, camera, slopes)
         self._jacobians = LocalJacobians(lattice, template.positions_px)
@@ -85,21 +86,22 @@ class SurfaceFit:
         before_px, last_px: (n, 2) in the last two frames. previous: the last one's normals.
         """
         lattice, lengths = self._lattice, self._lengths
-        slopes = slopes_from_normals(normal_map, self._camera, labels)
+        slopes = slopes_from_normals(normal_map, self._camera)
+        relief = relief_slopes(slopes, normal_map, labels)
         figure = self._outline.figure(normal_map.mask, slopes)
         positions: Points2 = 2.0 * np.asarray(last_px, dtype=np.float64) - before_px
         around = self._jacobians.of(positions)
-        told = self._registration.measure(positions, around, slopes)
+        told = self._registration.measure(positions, around, relief)
         if np.sum(told.found) < _LOST_MATCH * np.sum(told.expected):
-            positions, told = self._restarted(positions, last_px, told, previous, normal_map, slopes)
+            positions, told = self._restarted(positions, last_px, told, previous, normal_map, relief)
         lost = told.found < _LOST_MATCH * told.expected
         if lost.any() and not lost.all():
-            positions, told = self._resumed(positions, told, lost, slopes)
+            positions, told = self._resumed(positions, told, lost, relief)
         around = self._jacobians.of(positions)
         for number in range(_ITERATIONS):
             if number > 0:
                 around = self._jacobians.of(positions)
-                told = self._registration.measure(positions, around, slopes)
+                told = self._registration.measure(positions, around, relief)
             hidden = self._hidden(told)
             inverse = _inverse(around)
             information = _congruent(told.information, inverse)
@@ -131,19 +133,19 @@ class SurfaceFit:
         told: Measurement,
         previous: NormalMap,
         normal_map: NormalMap,
-        slopes: Slopes,
+        relief: Slopes,
     ) -> tuple[npt.NDArray[np.float64], Measurement]:
         """Where DIS flow (`kroeger2016`) leads, as far as the template matches better there."""
         flow = dense_flow(previous, normal_map)
         flown = last_px + sample_image(flow, last_px)
-        return self._where_better(positions, self._lengths.nodes(flown - positions), told, slopes)
+        return self._where_better(positions, self._lengths.nodes(flown - positions), told, relief)
 
     def _resumed(
         self,
         positions: Points2,
         told: Measurement,
         lost: npt.NDArray[np.bool_],
-        slopes: Slopes,
+        relief: Slopes,
     ) -> tuple[npt.NDArray[np.float64], Measurement]:
         """Where the motion of what matches goes on to over what is lost, as far as it matches better there.
 
@@ -157,20 +159,20 @@ class SurfaceFit:
         filled = self._system.solve(
             information, kept[:, None] * moved, np.ones(len(links)), np.zeros((len(links), 2))
         ).displacement
-        return self._where_better(positions, np.where(lost[:, None], filled - moved, 0.0), told, slopes)
+        return self._where_better(positions, np.where(lost[:, None], filled - moved, 0.0), told, relief)
 
     def _where_better(
-        self, positions: Points2, at_nodes: FloatArray, told: Measurement, slopes: Slopes
+        self, positions: Points2, at_nodes: FloatArray, told: Measurement, relief: Slopes
     ) -> tuple[npt.NDArray[np.float64], Measurement]:
         """Positions moved by at_nodes (m, 2) where that matches better, and what is measured there."""
         lattice = self._lattice
         moved = positions + lattice.at_vertices(at_nodes)
-        there = self._registration.measure(moved, self._jacobians.of(moved), slopes)
+        there = self._registration.measure(moved, self._jacobians.of(moved), relief)
         better = there.found > told.found + _BETTER_MATCH
         if not better.any():
             return np.asarray(positions), told
         moved = positions + lattice.at_vertices(np.where(better[:, None], at_nodes, 0.0))
-        return moved, self._registration.measure(moved, self._jacobians.of(moved), slopes)
+        return moved, self._registration.measure(moved, self._jacobians.of(moved), relief)
 
     def _hidden(self, told: Measurement) -> npt.NDArray[np.float64]:
         """(nodes,) from 0 to 1: relief that should match and does not."""
