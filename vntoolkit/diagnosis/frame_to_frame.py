@@ -30,6 +30,7 @@ _LIT = 0.15  # of the brightest hundredth
 _RETURN_PX = 1.5
 _RETURN_SHARE = 0.1  # of the motion
 _LOST = 0.5  # of the subject
+_FOLLOWED = 0.1  # … where less is lost between most frames: ripples all over are lost everywhere
 _LEAST_SUBJECT = 0.005  # of the picture
 
 
@@ -89,14 +90,13 @@ def findings_from_motion(frames: Sequence[LinearFrame], mask: Mask | None = None
         shares.append(_lost_share(flow, now, then, subject) if seen else 0.0)
     where = int(np.argmax(shares))
     worst = shares[where]
-    if worst < _LOST:
-        return []
     others = shares[:where] + shares[where + 1 :]
-    stands_out = len(others) > 1 and worst > 2 * float(np.median(others))
+    if worst < _LOST or len(others) < 2 or np.median(others) > _FOLLOWED:
+        return []
     return [
         Finding(
             check="jump",
-            level=Level.WARNING if stands_out else Level.NOTE,  # ripples all over look alike
+            level=Level.WARNING,
             problem=f"the subject jumps from frame {frames[where].number} to {frames[where + 1].number}: it "
             "cannot be followed there, so that no mesh can be tracked through",
             measured=f"{worst:.0%} of its pixels not found again",
