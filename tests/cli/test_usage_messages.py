@@ -59,6 +59,10 @@ def line_of(command, place, capsys, monkeypatch):
         ("reconstruct frame.png --rig rig.json --out o --integratr poisson", "mean --integrator?"),
         ("reconstruct frame.png --rig rig.json --out o --integrator poison", 'mean "poisson"?'),
         ("reconstruct frame.png --rig rig.json --out o --jobs two", 'expected a whole number, got "two"'),
+        (
+            "reconstruct frame.png --rig rig.json --out o --materials blue",
+            'expected auto, calibrated or a whole number, got "blue"',
+        ),
         ("reconstruct frame.png --rig rig.json --out o --distance far", 'expected a number, got "far"'),
         ("calibrate lights text.txt --out r.json --lights 1 2", "--lights: expected 3 values, got 2"),
         ("export empty", "--to is missing (one of ply, obj, usd, glb, points, npz, diligent, png)"),

@@ -7,7 +7,7 @@ from tests.faults.simulated_captures import random_response
 from vntoolkit.diagnosis.checks import findings_from_evidence, findings_from_rig
 from vntoolkit.diagnosis.evidence import evidence_from_frames
 from vntoolkit.diagnosis.finding import FatalFinding, Finding, Level, judge
-from vntoolkit.diagnosis.frame_to_frame import check_flicker, findings_from_motion
+from vntoolkit.diagnosis.over_time import check_flicker, findings_from_motion
 from vntoolkit.diagnosis.rig_checks import check_residual
 from vntoolkit.diagnosis.transfer_match import check_transfer_of_samples
 from vntoolkit.diagnosis.zoom import check_stated_focal, check_zoom

@@ -17,7 +17,10 @@ from cyclopts.exceptions import ConsumeMultipleError, MissingArgumentError, Unus
 
 from vntoolkit.errors import printable_line
 
-_TYPES = {"int": "a whole number", "float": "a number", "bool": "true or false"}
+_TYPES = {
+    "int": "a whole number", "float": "a number", "bool": "true or false",
+    "MaterialSearch|int": "auto, calibrated or a whole number",
+}  # fmt: skip
 
 
 def line_from_usage_error(error: CycloptsError) -> str:
@@ -33,7 +36,8 @@ def line_from_usage_error(error: CycloptsError) -> str:
             where = f"{verb}: " if verb else ""
             text = f"{where}unknown option {short[1]}: options have no short form, such as --out and --help."
     for name, meaning in _TYPES.items():
-        text = re.sub(rf': unable to convert "(.*)" into {name}\.', rf': expected {meaning}, got "\1".', text)
+        refused = rf': unable to convert "(.*)" into {re.escape(name)}\.'
+        text = re.sub(refused, rf': expected {meaning}, got "\1".', text)
     return f"{text} `{' '.join(['vntoolkit', *verb.split(), '--help'])}` explains it"
 
 

@@ -12,9 +12,13 @@ from vntoolkit.arrays import Mask
 from vntoolkit.checks import require_positive
 from vntoolkit.diagnosis.checks import findings_from_evidence, findings_from_rig
 from vntoolkit.diagnosis.evidence import averaged_down, evidence_from_frames
-from vntoolkit.diagnosis.exposure_drift import drift_of_static_part
 from vntoolkit.diagnosis.finding import Finding, Level
-from vntoolkit.diagnosis.frame_to_frame import FRAMES_IN_A_ROW, check_flicker, findings_from_motion
+from vntoolkit.diagnosis.over_time import (
+    FRAMES_IN_A_ROW,
+    check_flicker,
+    findings_from_drift,
+    findings_from_motion,
+)
 from vntoolkit.diagnosis.zoom import check_stated_focal
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.footage.captures import Capture, CaptureInfo, CaptureOptions, open_capture
@@ -350,9 +354,7 @@ def findings_from_capture(
         evidence = evidence_from_frames(few, rig, capture.transfer, mask)
         if min(evidence.light.shape[1:3]) >= _NARROWEST_PX:
             findings += findings_from_evidence(evidence)
-    drift = drift_of_static_part(frames) if len(frames) > 1 else None
-    if drift is not None:
-        findings.append(drift.to_finding())
+    findings += findings_from_drift(frames)
     if any(finding.level is Level.FATAL for finding in findings):
         return findings
     return [*findings, *_findings_over_time(in_a_row, rig, capture.transfer, mask)]

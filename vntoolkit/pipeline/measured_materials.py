@@ -37,8 +37,9 @@ def measured_materials(
     the first frame shows nothing.
     """
     there = [n for n in capture.present if n in numbers and not mattes.missing([n])]
+    looked_at = _LOOKED_AT if seeks_materials(job) else 1
     frames, masks, subjects = [], [], []
-    for number in there[: _APART * _LOOKED_AT : _APART]:
+    for number in there[: _APART * looked_at : _APART]:
         encoded = capture.encoded(number)
         processor = FrameProcessor(job.rig, job.options, mattes.of(encoded), capture.background)
         frames.append(processor.linear(encoded))

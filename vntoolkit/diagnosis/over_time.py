@@ -1,10 +1,17 @@
-"""What changes from one frame to the next that no surface does: lamps that flicker, a subject that jumps.
+"""What no surface does from frame to frame: exposure that drifts, lamps that flicker, a subject that jumps.
 
-On one material |M⁻¹(r − a)| is the albedo, whatever the pose, so that its median over the subject is the same
-in every frame unless light or exposure change. A lamp on the mains beats with the shutter: the median goes up
-and down from frame to frame, which shows in how far a frame lies from the mean of its two neighbours. A
-subject that moves farther than flow can follow is one whose pixels do not come back: forwards along the flow
-and backwards along the reverse flow ends elsewhere.
+Drift is measured on the static part of the picture. What surrounds the subject and does not move must look
+the same in every frame. Pixels whose three channels change by one common factor, the same pixels in every
+frame, are that part; where the subject fills the picture, or the surroundings are black, there is none, and
+nothing is said.
+
+Flicker: on one material |M⁻¹(r − a)| is the albedo, whatever the pose, so that its median over the subject
+is the same in every frame unless light or exposure change. A lamp on the mains beats with the shutter: the
+median goes up and down from frame to frame, which shows in how far a frame lies from the mean of its two
+neighbours.
+
+A subject that moves farther than flow can follow is one whose pixels do not come back: forwards along the
+flow and backwards along the reverse flow ends elsewhere.
 """
 
 from __future__ import annotations
@@ -21,17 +28,94 @@ from vntoolkit.diagnosis.evidence import Evidence, Single, scaled_normals
 from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
 from vntoolkit.photometry.frame import LinearFrame
 
+_SIDE_PX = 240  # frames are averaged down to it: less noise, less work
+_LARGEST_CHANGE = 0.02  # of the light; 2 % in one channel turn a normal by about half a degree
+
+# Drift.
+_BLUR_PX = 5  # one level of 8 bits in the dark is more than the window below
+_DARKEST = 0.02  # of full scale, linear; below it noise decides
+_WINDOW = 0.02  # in log light: pixels this close to the common factor belong to the static part
+_SEARCH = 0.7  # in log light: half of the range of factors looked at
+_BIN = 0.005
+_ROUNDS = 6
+_LEAST_SHARE = 0.03  # of the picture
+_LEAST_OF_BORDER = 0.3  # the static part surrounds the subject; a plane that tilts does not
+_SAME_COLOUR = 0.01
+
+# Flicker and jumps.
 FRAMES_IN_A_ROW = 5
 _FEWEST_PIXELS = 400
-_LARGEST_FLICKER = 0.02  # 2 % in one channel turn a normal by about half a degree
 _Z = 4.0
-_SIDE_PX = 240  # the larger side of the frames that flow is found on
 _LIT = 0.15  # of the brightest hundredth
 _RETURN_PX = 1.5
 _RETURN_SHARE = 0.1  # of the motion
 _LOST = 0.5  # of the subject
 _FOLLOWED = 0.1  # … where less is lost between most frames: ripples all over are lost everywhere
 _LEAST_SUBJECT = 0.005  # of the picture
+
+
+def findings_from_drift(frames: Sequence[LinearFrame]) -> list[Finding]:
+    """Find exposure or white balance that changes, against the first frame; at least one frame."""
+    small = [_reduced(frame) for frame in frames]
+    reference, static = small[0]
+    gains: list[FloatArray] = []
+    for light, usable in small[1:]:
+        both = static & usable & (np.abs(light - reference).max(axis=2) < _SEARCH)
+        change = light - reference
+        factor = _common_factor(change[both])
+        static = both & (np.abs(change - factor).max(axis=2) < _WINDOW)
+        gains.append(change)
+    if not gains or not _surrounds(static):
+        return []
+    medians = np.array([np.median(change[static], axis=0) for change in gains])
+    worst = int(np.abs(medians).max(axis=1).argmax())
+    if np.abs(medians[worst]).max() < _LARGEST_CHANGE:
+        return []
+    first, last = frames[0].number, frames[worst + 1].number
+    red, green, blue = (f"{100 * (gain - 1):+.0f} %" for gain in np.exp(medians[worst]).tolist())
+    what = "exposure" if np.ptp(medians[worst]) < _SAME_COLOUR else "white balance"
+    return [
+        Finding(
+            check="drift",
+            level=Level.WARNING,
+            problem=f"the camera's {what} drifts from frame {first} to {last}: what does not move changes",
+            measured=f"{red} red, {green} green, {blue} blue",
+            expected=f"less than {_LARGEST_CHANGE:.0%}",
+            remedy="lock exposure and white balance, and film again",
+        )
+    ]
+
+
+def _reduced(frame: LinearFrame) -> tuple[FloatArray, Mask]:
+    """Return log light (h, w, 3), averaged down, and where all that went into a pixel can be trusted."""
+    factor = min(1.0, _SIDE_PX / max(frame.shape))
+    size = tuple(max(1, round(n * factor)) for n in frame.shape[::-1])
+    rgb = cv2.blur(cv2.resize(np.array(frame.rgb), size, interpolation=cv2.INTER_AREA), (_BLUR_PX, _BLUR_PX))
+    clipped = cv2.resize(frame.clipped.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    clipped = cv2.blur(clipped, (_BLUR_PX, _BLUR_PX))
+    usable: Mask = np.asarray((rgb.min(axis=2) > _DARKEST) & (clipped == 0))
+    return np.log(np.maximum(rgb, 1e-6)).astype(np.float64), usable
+
+
+def _common_factor(change: FloatArray) -> FloatArray:
+    """Return the log factor (3,) that most of the changes (n, 3) share, by histogram, then by medians."""
+    edges = np.arange(-_SEARCH, _SEARCH + _BIN, _BIN)
+    if not len(change):
+        return np.zeros(3)
+    counts = np.convolve(np.histogram(change[:, 1], edges)[0], np.ones(5), mode="same")
+    near = np.abs(change[:, 1] - (edges[int(counts.argmax())] + _BIN / 2)) < _WINDOW
+    centre = np.median(change[near], axis=0) if near.any() else np.zeros(3)
+    for _ in range(_ROUNDS):
+        near = np.abs(change - centre).max(axis=1) < _WINDOW
+        if not near.any():
+            break
+        centre = np.median(change[near], axis=0)
+    return np.asarray(centre)
+
+
+def _surrounds(static: Mask) -> bool:
+    border = np.concatenate([static[0], static[-1], static[:, 0], static[:, -1]])
+    return bool(static.mean() > _LEAST_SHARE and border.mean() > _LEAST_OF_BORDER)
 
 
 def check_flicker(evidence: Evidence) -> list[Finding]:
@@ -47,7 +131,7 @@ def check_flicker(evidence: Evidence) -> list[Finding]:
     medians = np.median(beats, axis=1)
     error = _largest_error(beats, medians, evidence.blocks[seen])
     largest = float(np.abs(medians).max())
-    if largest < _LARGEST_FLICKER or largest < _Z * error:
+    if largest < _LARGEST_CHANGE or largest < _Z * error:
         return []
     return [
         Finding(
@@ -55,7 +139,7 @@ def check_flicker(evidence: Evidence) -> list[Finding]:
             level=Level.WARNING,
             problem="the light flickers: the subject's brightness goes up and down from frame to frame",
             measured=f"{largest:.1%} ± {error:.1%} against the mean of the frames before and after",
-            expected=f"less than {_LARGEST_FLICKER:.0%}",
+            expected=f"less than {_LARGEST_CHANGE:.0%}",
             remedy="film with a shutter time of a whole number of the mains' half periods (1/50 or 1/100 s "
             "at 50 Hz, 1/60 or 1/120 s at 60 Hz), or feed the lamps with direct current",
             certainty=certainty_from_z(largest / max(error, 1e-6)),
