@@ -1,6 +1,7 @@
 """The board: layout against OpenCV, detection and calibration on drawn views, the printed page."""
 
 import logging
+from dataclasses import replace
 from types import SimpleNamespace
 
 import cv2
@@ -131,6 +132,23 @@ def test_a_mistaken_corner_at_the_edge_of_the_image_is_left_out(rng) -> None:
     assert not np.isin(sighting.corner_ids, corner_ids[outside]).any()
 
 
+def test_poses_under_one_lamp_are_told_from_those_under_all(views) -> None:
+    sightings, poses = views
+    rng = np.random.default_rng(3)
+    lamp = rng.permuted(np.repeat([-1, 0, 1, 2], [len(poses) - 15, 5, 5, 5]))
+    switched = []
+    for k, sighting, pose in zip(lamp, sightings, poses, strict=True):
+        normal = pose.rotate(np.array(NORMAL_IN_BOARD))
+        rgb = sighting.rgb if k < 0 else COLOURS[k] * (DIRECTIONS[k] @ normal) + rng.normal(0, 1e-3, 3)
+        switched.append(replace(sighting, rgb=rgb))
+    result = fit_response_to_board(switched, LAYOUT, (640, 480), CAMERA)
+    assert result.frames_alone == (5, 5, 5)
+    assert len(result.poses) == len(poses) - 15
+    unit = COLOURS / np.linalg.norm(COLOURS, axis=1, keepdims=True)
+    np.testing.assert_allclose(result.light_colours, unit, atol=0.005)
+    np.testing.assert_allclose(result.fit.response.matrix, RESPONSE.matrix, atol=0.02)
+
+
 def test_board_gives_camera_poses_and_response(views) -> None:
     sightings, poses = views
     result = fit_response_to_board(sightings, LAYOUT, (640, 480))
@@ -146,6 +164,7 @@ def test_board_gives_camera_poses_and_response(views) -> None:
     np.testing.assert_allclose(result.fit.response.matrix, RESPONSE.matrix, atol=0.01)
     assert result.fit.quality.residual_deg < 0.3
     assert result.fit.quality.method == "board"
+    assert result.light_colours is None
     assert 20 < result.fit.quality.cone_deg < 45
 
 

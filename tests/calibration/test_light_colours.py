@@ -5,6 +5,8 @@ import pytest
 
 from vntoolkit.calibration.lights import (
     LightColours,
+    colour_of_frame,
+    find_switched_lamps,
     fit_light_colours,
     response_from_lights,
     with_light_colours,
@@ -36,6 +38,48 @@ def test_single_light_photographs_take_m_apart(rng) -> None:
     np.testing.assert_allclose(
         response.light_colours.T @ response.light_directions, response.matrix, atol=1e-12
     )
+
+
+def switched(rng, script: str) -> list:
+    """Frames of a ball: r, g, b under one lamp, w under all, y red and half the green, - none."""
+    v, u = (np.indices((40, 40)) - 19.5) / 20
+    normals = np.stack([u, v, -np.sqrt(np.maximum(1 - u * u - v * v, 0))], axis=-1)
+    light = np.maximum(normals @ DIRECTIONS.T, 0) * (u * u + v * v < 1)[..., None]
+    on = {"r": (1, 0, 0), "g": (0, 1, 0), "b": (0, 0, 1), "w": (1, 1, 1), "y": (1, 0.5, 0), "-": (0, 0, 0)}
+    frames = []
+    for number, letter in enumerate(script):
+        rgb = light * on[letter] @ COLOURS + 0.004 + rng.normal(0, 0.003, light.shape)
+        clipped = np.zeros((40, 40), bool)
+        frames.append(LinearFrame(rgb=rgb.astype(np.float32), clipped=clipped, number=number))
+    return [colour_of_frame(frame) for frame in frames]
+
+
+@pytest.mark.parametrize(
+    ("script", "alone", "dark"),
+    [
+        ("gbr", ([2], [0], [1]), []),
+        ("wwww--bbbbyrrrrggg-", ([11, 12, 13, 14], [15, 16, 17], [6, 7, 8, 9]), [4, 5, 18]),
+    ],
+)
+def test_frames_under_one_lamp_are_found_whatever_their_order(rng, script, alone, dark) -> None:
+    found = find_switched_lamps(switched(rng, script))
+    assert found is not None
+    assert found.alone == alone
+    assert found.dark == dark
+
+
+def test_ordinary_footage_has_no_lamp_alone_and_a_missing_lamp_is_told(rng) -> None:
+    assert find_switched_lamps(switched(rng, "wwwwww")) is None
+    with pytest.raises(BadCalibration, match="in 6 of 10 frames one lamp is on alone, but not each"):
+        find_switched_lamps(switched(rng, "wwwwrrrggg"))
+
+
+def test_colours_that_are_not_of_the_lamps_are_refused() -> None:
+    colours = COLOURS / np.linalg.norm(COLOURS, axis=1, keepdims=True)
+    white = COLOURS.T @ DIRECTIONS @ [0, 0, -1]
+    colours[2] = white / np.linalg.norm(white)  # all lamps on in the blue lamp's photograph
+    with pytest.raises(BadCalibration, match="is each photograph lit by one lamp alone"):
+        with_light_colours(LightResponse(matrix=COLOURS.T @ DIRECTIONS), colours)
 
 
 def test_known_lights_make_m() -> None:

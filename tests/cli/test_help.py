@@ -27,7 +27,10 @@ def test_the_list_gives_each_verb_a_line(
     [
         ("live", "Frames that come too fast are dropped and counted."),
         ("live", "a video plays at its own with --realtime"),
-        ("simulate", "board_sweep, sphere, gel, jacket, sweater, spandex, head_turn, face, face_makeup"),
+        (
+            "simulate",
+            "board_sweep, sphere, gel, jacket, sweater, sweater_stripes, sweater_logo",
+        ),
         ("calibrate head", "raise it where hollows such as eye sockets come out filled"),
         ("export", "The same command again continues an interrupted run"),
         ("evaluate tracks", "A vertex counts in a frame if its true point is visible there"),

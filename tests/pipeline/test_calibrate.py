@@ -79,6 +79,28 @@ def test_sphere_command_writes_a_rig_that_names_its_sources(tmp_path, capsys) ->
     ]
 
 
+def test_a_ball_under_one_lamp_at_a_time_gives_m_and_the_lamps(tmp_path, capsys) -> None:
+    out = tmp_path / "rig.json"
+    for k, name in enumerate("cab"):  # in no order
+        write_ball(tmp_path / f"{name}.png", single_light(k))
+    command = ["calibrate", "sphere", str(tmp_path / "[abc].png"), "--transfer", "srgb", "--out", str(out)]
+    assert main(command) == 0
+    rig = read_rig(out)
+    np.testing.assert_allclose(rig.response.matrix, RESPONSE.matrix, atol=0.01)
+    np.testing.assert_allclose(rig.response.light_colours, COLOURS, atol=0.01)
+    assert rig.material == "the ball"
+    assert "material          the ball\n" in capsys.readouterr().out
+    (tmp_path / "ball").mkdir()
+    write_ball(tmp_path / "ball" / "ball.png")
+    command[2] = str(tmp_path / "ball" / "ball.png")
+    assert main(command) == 0
+    assert "others need the lamps' colours" in capsys.readouterr().out
+    assert main([*command, "--single-light", str(tmp_path / "[abc].png")]) == 0
+    np.testing.assert_allclose(read_rig(out).response.light_colours, COLOURS, atol=0.01)
+    assert main([*command, "--single-light", *[str(tmp_path / "a.png")] * 2]) == 1
+    assert "--single-light: expected three photographs" in capsys.readouterr().err
+
+
 def test_lights_command_makes_a_rig(tmp_path) -> None:
     write_ball(tmp_path / "ball.png")
     rows = np.column_stack([DIRECTIONS * [1, -1, -1], COLOURS])

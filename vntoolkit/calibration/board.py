@@ -14,16 +14,19 @@ from typing import Any
 import cv2
 import numpy as np
 
-from vntoolkit.arrays import FloatArray, Points
+from vntoolkit.arrays import FloatArray, IntArray, Matrix3, Points
 from vntoolkit.calibration.board_detection import BoardSighting
 from vntoolkit.calibration.fit import (
+    Design,
     ResponseFit,
     ResponseFitOptions,
     ResponseModel,
     cone_of_normals_deg,
+    fit_by_trimming,
     fit_quality,
     fit_response,
 )
+from vntoolkit.calibration.lights import line_colour, three_lamps
 from vntoolkit.calibration.varying import VariationOptions, fit_varying_response
 from vntoolkit.checks import require_in_range, require_positive
 from vntoolkit.errors import BadCalibration, BadInput
@@ -41,6 +44,9 @@ _FEWEST_CORNERS = 16
 _MOST_VIEWS = 40  # for the camera: more views that differ less add time and no knowledge
 _LARGEST_FIT_ERROR_PX = 1.0  # root mean square: corners are found to some tenths of a pixel
 _LARGEST_FOCAL_DEVIATION = 0.05  # relative standard deviation
+_DARK_SAMPLE = 0.05  # of the usual colour: no lamp is on
+_CONTRADICTS = 0.25  # of a colour: how far it is from M n where lamps are missing
+_MOST_OF = 0.8  # of the poses
 _NARROWEST_CONE_DEG = 8.0  # half-angle of the views: with less, focal length and distance are one unknown
 
 
@@ -91,11 +97,17 @@ class BoardPose:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BoardCalibration:
-    """fit: M and its quality. camera: given or fitted. poses: one per frame used in the fit, in its order."""
+    """fit: M and its quality. camera: given or fitted. poses: one per frame used in the fit, in its order.
+
+    light_colours: (3, 3), unit colour of each lamp, where frames show every lamp alone, else None.
+    frames_alone: how many they are, of the red, the green and the blue lamp.
+    """
 
     fit: ResponseFit
     camera: Camera
     poses: tuple[BoardPose, ...]
+    light_colours: Matrix3 | None = None
+    frames_alone: tuple[int, ...] = ()
 
 
 def fit_response_to_board(
@@ -134,12 +146,48 @@ def fit_response_to_board(
         )
     rgb = np.array([s.rgb for s, _ in kept])
     normals = np.array([p.camera_from_board.rotate(np.array(NORMAL_IN_BOARD)) for _, p in kept])
+    lamps = _lamps_alone(normals, rgb, options)
+    colours = None
+    if lamps is not None:
+        colours = np.array([line_colour(rgb[lamps == k]) for k in range(3)])
+        kept = [pair for pair, lamp in zip(kept, lamps, strict=True) if lamp < 0]
+        rgb, normals = rgb[lamps < 0], normals[lamps < 0]
     fit = fit_response(normals, rgb, options.fit, verb="board", rng=rng)
     if options.degree:
         fit = _varying(fit, rgb, normals, [p for _, p in kept], layout, size, camera, options)
     else:
         _log_misfit(rgb, normals, fit)
-    return BoardCalibration(fit=fit, camera=camera, poses=tuple(p for _, p in kept))
+    return BoardCalibration(
+        fit=fit,
+        camera=camera,
+        poses=tuple(p for _, p in kept),
+        light_colours=colours,
+        frames_alone=() if lamps is None else tuple(int((lamps == k).sum()) for k in range(3)),
+    )
+
+
+def _lamps_alone(normals: Points, rgb: Points, options: BoardOptions) -> IntArray | None:
+    """(n,) the lamp that lights a pose alone, −1 where all do; None where no pose is lit so.
+
+    The colours of a board that only tilts reach far too. But then its extreme poses obey the M of the others.
+    """
+    lengths = np.linalg.norm(rgb, axis=1)
+    seen = lengths > _DARK_SAMPLE * float(np.median(lengths))
+    found = three_lamps(rgb[seen] / lengths[seen, None])
+    if found is None:
+        return None
+    lamps = np.full(len(rgb), -1)
+    lamps[seen] = found
+    others = lamps < 0
+    if others.sum() < _FEWEST_POSES:
+        return None
+    design = Design.from_pairs(normals, rgb, with_ambient=options.fit.model is ResponseModel.AMBIENT)
+    try:
+        unknowns, _ = fit_by_trimming(design, others, options.fit.shadow_share, options.fit.outlier_sigmas)
+    except BadCalibration:
+        return None
+    contradicts = design.residuals(unknowns) > _CONTRADICTS * lengths
+    return lamps if all(contradicts[lamps == k].mean() > _MOST_OF for k in range(3)) else None
 
 
 def _varying(

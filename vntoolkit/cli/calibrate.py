@@ -192,7 +192,7 @@ def _job(
     transfer: str | None,
     camera: Path | None,
     focal_px: float | None,
-    single_light: tuple[Path, ...] | None,
+    single_light: tuple[str, ...] | None,
     frames: str,
     allow: tuple[str, ...],
     sensor: SensorOptions | None,
@@ -233,6 +233,11 @@ def report_rig(out: Path, rig: Rig, seen: str) -> None:
         )
         print(f"  cone of normals   {quality.cone_deg:.0f} degrees about their mean")
     print(f"  transfer curve    {rig.transfer.to_text()}")
+    if rig.material:
+        print(f"  material          {rig.material}")
+        if rig.response.light_colours is None:
+            print("                    (others need the lamps' colours: each lamp alone for a while, or")
+            print("                    --single-light, with calibrate sphere or board)")
     print(f"  condition number  {rig.response.condition_number:.1f} (1 is best, below 10 is good)")
     if rig.response.variation is not None:
         print("  M varies over the image; the condition number is that of the centre")

@@ -84,11 +84,12 @@ FocalPx: TypeAlias = Annotated[
     Parameter(help="Focal length in pixels. Gives a pinhole camera; use it instead of --camera."),
 ]
 SingleLight: TypeAlias = Annotated[
-    tuple[Path, Path, Path] | None,
+    tuple[str, ...] | None,
     Parameter(
         consume_multiple=True,
         negative=(),
-        help="Three photographs, each under one light alone: red, green, blue. They split M into its lights.",
+        help="Three photographs, each under one light alone: red, green, blue. Or one video, folder or "
+        "pattern in which each light is on alone for a while. They split M into its lights.",
     ),
 ]
 P = ParamSpec("P")

@@ -21,7 +21,7 @@ from vntoolkit.photometry.rig import FitQuality, Rig, SourceFile
 from vntoolkit.photometry.transfer import Transfer
 
 _EXPECTED = "a rig.json of `vntoolkit calibrate`"
-RIG_VERSION = 3  # 2 added response.variation, 3 gel; a rig without them is still written as 1
+RIG_VERSION = 4  # 2 added response.variation, 3 gel, 4 response.material; one without is written as before
 _Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 _Matrix = tuple[_Row, _Row, _Row]
 _Fraction = Annotated[FiniteFloat, Field(ge=0, le=1)]
@@ -120,6 +120,7 @@ def rig_from_entry(entry: RigFile) -> Rig:
         quality=quality,
         sources=tuple(SourceFile(file=source.file, sha256=source.sha256) for source in entry.sources),
         gel=None if entry.gel is None else _gel_from_entry(entry.gel),
+        material=response.material or "",
     )
 
 
@@ -129,12 +130,13 @@ def entry_from_rig(rig: Rig) -> RigFile:
     quality = None if rig.quality is None else QualityEntry(**vars(rig.quality))
     variation = rig.response.variation
     return RigFile(
-        version=3 if rig.gel is not None else 1 if variation is None else 2,
+        version=4 if rig.material else 3 if rig.gel is not None else 1 if variation is None else 2,
         camera=entry_from_camera(rig.camera),
         response=ResponseEntry(
             matrix=rig.response.matrix.tolist(),
             ambient=tuple(rig.response.ambient.tolist()),
             light_colours=None if colours is None else colours.tolist(),
+            material=rig.material or None,
             variation=None if variation is None else _entry_from_variation(variation),
         ),
         colour=ColourEntry(
@@ -295,6 +297,12 @@ class ResponseEntry(_Entry):
         default=None,
         description="Row k is the colour R, G, B of light k, full scale; left out where it is not known.",
     )
+    material: str | None = Field(
+        default=None,
+        max_length=200,
+        description="What M was measured on. M holds for this material; with light_colours, others are told "
+        "relative to it (version 4).",
+    )
     variation: VariationEntry | None = Field(
         default=None, description="Left out where one response serves the whole image (version 2)."
     )
@@ -382,7 +390,7 @@ class SourceEntry(_Entry):
 class RigFile(_Entry):
     """A vntoolkit rig: camera, light response, colour encoding, and quality of the calibration."""
 
-    version: Literal[1, 2, 3] = Field(default=1, description="Version of this schema.")
+    version: Literal[1, 2, 3, 4] = Field(default=1, description="Version of this schema.")
     camera: CameraEntry
     response: ResponseEntry
     colour: ColourEntry = Field(default_factory=ColourEntry)

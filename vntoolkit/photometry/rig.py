@@ -42,6 +42,7 @@ class SourceFile:
 class Rig(Displayed):
     """All calibrated data that normals and depth need.
 
+    material: what M was measured on, in words, and holds for; empty where it is not known.
     gel: of a tactile sensor only. Then the response is to a pixel's change against the untouched gel, and
     camera and response belong to the rectified picture.
     """
@@ -52,6 +53,7 @@ class Rig(Displayed):
     quality: FitQuality | None = None
     sources: tuple[SourceFile, ...] = ()
     gel: GelResponse | None = None
+    material: str = ""
 
     @property
     def footage_size(self) -> tuple[int, int]:

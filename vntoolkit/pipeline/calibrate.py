@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+import logging
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,7 +13,11 @@ from vntoolkit.arrays import Mask
 from vntoolkit.calibration.board import BoardCalibration, BoardOptions, fit_response_to_board
 from vntoolkit.calibration.board_detection import BoardDetector, BoardSighting
 from vntoolkit.calibration.lights import (
+    FrameColour,
     LightColours,
+    SwitchedLamps,
+    colour_of_frame,
+    find_switched_lamps,
     fit_light_colours,
     response_from_lights,
     with_light_colours,
@@ -32,9 +37,10 @@ from vntoolkit.io.light_files import read_lights
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
-from vntoolkit.photometry.rig import FitQuality, Rig, SourceFile
+from vntoolkit.photometry.rig import FitQuality, Rig
 from vntoolkit.photometry.transfer import Transfer
 
+logger = logging.getLogger(__name__)
 _SEED = 0  # calibrating the same footage twice gives the same rig
 Progress = Callable[[int, int], None]
 
@@ -45,11 +51,12 @@ class CalibrationJob:
 
     source: footage of the calibration object. mask: white where the object is, as `open_mattes` takes it.
     matting: how mattes become masks. background: image under ambient light only. transfer: curve of the
-    footage, None for the one that it states, else linear. camera: a rig.json whose camera is taken. focal_px:
-    focal length in pixels of a pinhole camera instead; with neither the camera is orthographic (ball) or
-    fitted (board). single_light: photographs of one material under the red, the green and the blue light
-    alone, or empty. frames: which frames count. allow: checks whose fatal findings do not stop the
-    calibration. sensor: how samples of the sensor itself are read.
+    footage, None for the one that it states, else linear. camera: a rig.json whose camera is taken.
+    focal_px: focal length in pixels of a pinhole camera instead; with neither the camera is orthographic
+    (ball) or fitted (board). single_light: photographs of one material under the red, the green and the
+    blue light alone, or one source in which each lamp is on alone for a while, or empty. frames: which
+    frames count. allow: checks whose fatal findings do not stop the calibration. sensor: how samples of
+    the sensor itself are read.
     """
 
     source: str
@@ -59,7 +66,7 @@ class CalibrationJob:
     transfer: Transfer | None = None
     camera: Path | None = None
     focal_px: float | None = None
-    single_light: tuple[Path, ...] = ()
+    single_light: tuple[str, ...] = ()
     frames: FrameRange = field(default_factory=FrameRange)
     allow: tuple[str, ...] = ()
     sensor: SensorOptions = field(default_factory=SensorOptions)
@@ -67,6 +74,11 @@ class CalibrationJob:
     def __post_init__(self) -> None:
         if self.camera is not None and self.focal_px is not None:
             raise BadInput("calibrate: expected --camera or --focal-px, got both")
+        if len(self.single_light) not in (0, 1, 3):
+            raise BadInput(
+                "--single-light: expected three photographs (red, green, blue), or one video, folder or "
+                f"pattern in which each lamp is on alone for a while, got {len(self.single_light)} sources"
+            )
 
     def open(self, source: str | Path | None = None, gaps: Gaps = Gaps.SKIP) -> Capture:
         """Open the footage, or another source, with the job's transfer curve and background.
@@ -98,7 +110,10 @@ class CalibrationJob:
 
 
 def calibrate_sphere(job: CalibrationJob, options: SphereOptions) -> tuple[Rig, SphereCalibration]:
-    """Fit a rig to footage of a ball at rest; the frames are averaged."""
+    """Fit a rig to footage of a ball at rest; the frames are averaged.
+
+    Where each lamp is on alone in some frames, M is that of the three together, and their colours are known.
+    """
     capture = job.open()
     info = capture.info
     numbers = job.frames.numbers(info.frame_count)
@@ -110,10 +125,54 @@ def calibrate_sphere(job: CalibrationJob, options: SphereOptions) -> tuple[Rig, 
             mask = matte if mask is None or matte is None else mask & matte
     job.judge(capture, mask)
     camera = job.camera_for(info) or Camera.orthographic(width=info.width, height=info.height)
-    frame = mean_frame(capture.frames(numbers.start, numbers.stop, numbers.step))
+    colours: list[FrameColour] = []
+    frame = mean_frame(noted(capture.frames(numbers.start, numbers.stop, numbers.step), mask, colours))
+    switched = find_switched_lamps(colours)
+    alone: list[LinearFrame] = []
+    if switched is not None:
+        alone = _alone(capture, switched)
+        frame = _all_together(alone, capture, switched)
     result = fit_response_to_sphere(frame, camera, mask, options, np.random.default_rng(_SEED))
-    response = _with_single_lights(job, result.fit.response, mask)
-    return _rig(job, capture, camera, response, result.fit.quality, mattes.files), result
+    response = result.fit.response
+    if alone and not job.single_light:
+        response = with_light_colours(response, fit_light_colours(alone, result.normal_map.mask))
+    response = _with_single_lights(job, response, mask)
+    return _rig(job, capture, camera, response, result.fit.quality, "the ball", mattes.files), result
+
+
+def noted(
+    frames: Iterable[LinearFrame], mask: Mask | None, colours: list[FrameColour]
+) -> Iterator[LinearFrame]:
+    """Yield frames as they come; add the colours of each to a list."""
+    for frame in frames:
+        colours.append(colour_of_frame(frame, mask))
+        yield frame
+
+
+def _alone(capture: Capture, switched: SwitchedLamps) -> list[LinearFrame]:
+    """The mean frame under each lamp."""
+    logger.info(
+        "each lamp is on alone in %d (red), %d (green), %d (blue) frames, none in %d",
+        *map(len, switched.alone),
+        len(switched.dark),
+    )
+    return [mean_frame(_numbered(capture, numbers)) for numbers in switched.alone]
+
+
+def _numbered(capture: Capture, numbers: Sequence[int]) -> Iterator[LinearFrame]:
+    chosen = set(numbers)
+    for frame in capture.frames(min(chosen), max(chosen) + 1):
+        if frame.number in chosen:
+            yield frame
+
+
+def _all_together(alone: list[LinearFrame], capture: Capture, switched: SwitchedLamps) -> LinearFrame:
+    """The picture under all lamps. Each of `alone` has the light of the room once."""
+    rgb = np.sum([frame.rgb for frame in alone], axis=0, dtype=np.float64)
+    if switched.dark:
+        rgb -= 2.0 * mean_frame(_numbered(capture, switched.dark)).rgb
+    clipped = np.any([frame.clipped for frame in alone], axis=0)
+    return LinearFrame(rgb=rgb.astype(np.float32), clipped=clipped)
 
 
 def calibrate_board(
@@ -142,8 +201,11 @@ def calibrate_board(
         options,
         np.random.default_rng(_SEED),
     )
-    response = _with_single_lights(job, result.fit.response, None)
-    return _rig(job, capture, result.camera, response, result.fit.quality), result
+    response = result.fit.response
+    if result.light_colours is not None and not job.single_light:
+        response = with_light_colours(response, result.light_colours)
+    response = _with_single_lights(job, response, None)
+    return _rig(job, capture, result.camera, response, result.fit.quality, "the sample in the board"), result
 
 
 def calibrate_lights(
@@ -181,6 +243,7 @@ def calibrate_lights(
         transfer=capture.transfer,
         quality=quality,
         sources=tuple(source_file(path) for path in lights.files),
+        material="a white surface",
     )
 
 
@@ -202,8 +265,17 @@ def mean_frame(frames: Iterable[LinearFrame]) -> LinearFrame:
 def _with_single_lights(job: CalibrationJob, response: LightResponse, mask: Mask | None) -> LightResponse:
     if not job.single_light:
         return response
-    frames = [next(job.open(path).frames()) for path in job.single_light]
-    return with_light_colours(response, fit_light_colours(frames, mask))
+    if len(job.single_light) == 3:
+        frames = [next(job.open(path).frames()) for path in job.single_light]
+        return with_light_colours(response, fit_light_colours(frames, mask))
+    capture = job.open(job.single_light[0])
+    colours = [colour_of_frame(frame, mask) for frame in capture.frames()]
+    switched = find_switched_lamps(colours)
+    if switched is None:
+        raise BadCalibration(
+            f"{job.single_light[0]}: no frame is lit by one lamp alone; show each lamp alone for a moment"
+        )
+    return with_light_colours(response, fit_light_colours(_alone(capture, switched), mask))
 
 
 def _rig(
@@ -212,8 +284,16 @@ def _rig(
     camera: Camera,
     response: LightResponse,
     quality: FitQuality,
+    material: str,
     mattes: tuple[Path, ...] = (),
 ) -> Rig:
-    extra = [path for path in (*mattes, job.background, *job.single_light) if path is not None]
-    sources: tuple[SourceFile, ...] = tuple(source_file(path) for path in (*capture.info.files, *extra))
-    return Rig(camera=camera, response=response, transfer=capture.transfer, quality=quality, sources=sources)
+    lamps = [path for source in job.single_light for path in job.open(source).info.files]
+    extra = [path for path in (*mattes, job.background, *lamps) if path is not None]
+    return Rig(
+        camera=camera,
+        response=response,
+        transfer=capture.transfer,
+        quality=quality,
+        sources=tuple(source_file(path) for path in (*capture.info.files, *extra)),
+        material=material,
+    )

@@ -218,6 +218,7 @@ def calibrate_head(
         transfer=capture.transfer,
         quality=light.quality,
         sources=tuple(source_file(path) for path in (*capture.info.files, *extra)),
+        material="the skin of the head",
     )
     return rig, HeadCalibration(
         footage=footage,

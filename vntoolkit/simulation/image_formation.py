@@ -54,7 +54,10 @@ def exposure_of_scene(scene: Scene, nuisances: Nuisances) -> Exposure:
     towards = lights.positions - scene.centre
     distances = np.linalg.norm(towards, axis=1)
     directions = towards / distances[:, None]
-    reference = np.einsum("kbi,b->ki", colours, scene.surface.reference_weights)
+    full = colours
+    if scene.exposed_for is not None:
+        full = np.array([[light_colour(s, p, sensor) for p in pigments] for s in scene.exposed_for.spectra])
+    reference = np.einsum("kbi,b->ki", full, scene.surface.reference_weights)
     brightest = np.linalg.norm(response_matrix(reference, directions), axis=1).max()
     if not brightest > 0:
         raise BadInput(f"scene {scene.name}: its reference material reflects none of the light")

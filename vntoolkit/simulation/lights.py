@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -16,12 +16,18 @@ MOST_LIGHTS = 3  # a visibility label has one bit for each of three lights
 
 
 class Lighting(Enum):
-    """Which lamps are on: the three coloured ones, or a white lamp at one of the three places."""
+    """Which lamps are on: the coloured ones, all or one alone, or a white lamp at one of the three places."""
 
     COLOURED = "coloured"
+    RED = "red"
+    GREEN = "green"
+    BLUE = "blue"
     WHITE_1 = "white-1"
     WHITE_2 = "white-2"
     WHITE_3 = "white-3"
+
+
+_ALONE = (Lighting.RED, Lighting.GREEN, Lighting.BLUE)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,9 +66,12 @@ class Lights:
         return len(self.positions)
 
     def under(self, lighting: Lighting) -> Lights:
-        """Return these lights, or one of their places alone with a white lamp (Figure 6)."""
+        """Return these lights, one of them alone, or one of their places with a white lamp (Figure 6)."""
         if lighting is Lighting.COLOURED:
             return self
+        if lighting in _ALONE:
+            on = np.arange(len(self)) == _ALONE.index(lighting)
+            return replace(self, spectra=self.spectra * on[:, None])
         place = int(lighting.value[-1]) - 1
         if place >= len(self):
             raise BadInput(f"lighting {lighting.value}: the scene has {len(self)} lights")

@@ -50,6 +50,9 @@ SCENES: dict[str, str] = {
     "gel": "vntoolkit.simulation.rigid.gel:build_gel",
     "jacket": "vntoolkit.simulation.rigid.jacket:build_jacket",
     "sweater": "vntoolkit.simulation.garment.sweater:build_sweater",
+    "sweater_stripes": "vntoolkit.simulation.garment.sweater:build_striped_sweater",
+    "sweater_logo": "vntoolkit.simulation.garment.sweater:build_sweater_with_logo",
+    "sweater_tartan": "vntoolkit.simulation.garment.sweater:build_tartan_sweater",
     "spandex": "vntoolkit.simulation.body.spandex:build_spandex",
     "head_turn": "vntoolkit.simulation.head.scenes:build_head_turn",
     "face": "vntoolkit.simulation.head.scenes:build_face",
@@ -144,7 +147,8 @@ class Scene:
 
     vertices: frame number -> (n, 3). centre: (3,) where M is stated; there every lamp has its nominal power.
     sensitivities: (3, λ) ν_i(λ). background_rgb: linear colour where no surface is, 1 = full scale.
-    exposure_level: the brightest channel of the reference material at its best orientation, matte part.
+    exposure_level: the brightest channel of the reference material at its best orientation, matte part,
+    under the lamps `exposed_for`, or the scene's own where None.
     camera_from_object: frame number -> pose of the rigid object, or None where the surface deforms or has
     several parts that move apart. facts: what else is exactly known, by name with its unit, such as
     {"radius_m": 0.1}; written beside the truth.
@@ -161,6 +165,7 @@ class Scene:
     sensitivities: FloatArray = field(default_factory=camera_sensitivities)
     background_rgb: float = 0.003
     exposure_level: float = 0.8
+    exposed_for: Lights | None = None
     camera_from_object: Callable[[int], RigidTransform] | None = None
     facts: Mapping[str, float] = field(default_factory=dict)
 
@@ -194,4 +199,6 @@ def build_scene(name: str, options: SceneOptions) -> Scene:
         raise BadInput(f"unknown scene '{name}': expected one of {', '.join(sorted(SCENES))}")
     module, function = SCENES[name].split(":")
     scene: Scene = getattr(importlib.import_module(module), function)(options)
-    return replace(scene, lights=scene.lights.under(options.lighting))
+    lights = scene.lights.under(options.lighting)
+    alone = lights is not scene.lights and len(lights) == len(scene.lights)
+    return replace(scene, lights=lights, exposed_for=scene.lights if alone else None)

@@ -1,4 +1,7 @@
-"""The scene `sweater`: a knitted sweater on a dancer, folds that open and close (Figures 9, 10)."""
+"""The scene `sweater`: a knitted sweater on a dancer, folds that open and close (Figures 9, 10).
+
+`sweater_stripes`, `sweater_logo` and `sweater_tartan` are the same sweater in several colours.
+"""
 
 from __future__ import annotations
 
@@ -23,6 +26,12 @@ _FIELD_WIDTH_M = 1.42
 _MIDDLE_M = np.array([0.0, -0.36, 0.0])  # of the sweater, below the throat: what the camera looks at
 _LEVELS = 2
 _WOOL = np.array([0.66, 0.63, 0.58])
+_NAVY, _RED = np.array([0.20, 0.25, 0.46]), np.array([0.60, 0.19, 0.17])
+_YELLOW, _GREEN = np.array([0.66, 0.53, 0.16]), np.array([0.20, 0.42, 0.24])
+_STRIPE_M = 0.07
+_LOGO_MIDDLE_M, _LOGO_RADIUS_M = np.array([0.0, -0.27]), 0.14
+_SETT_M = np.array([0.065, 0.05, 0.025])  # widths of the tartan's bands: red, green, navy
+_PRINT_TEXEL_M = 0.001
 _SETTLE_FRAMES, _HANG_FRAMES, _FADE_FRAMES = 30, 30, 75
 STITCH_M = (0.011, 0.0095)  # width and height of one stitch
 _CABLE_SPACING_M, _CABLE_TWIST_M = 0.066, 0.070
@@ -45,6 +54,27 @@ _TEMPO = 0.85  # slows the whole dance; the frequencies below are those at 1
 
 def build_sweater(options: SceneOptions) -> Scene:
     """Return 1000 frames of the dancing sweater; frames are simulated as they are asked for."""
+    return _dancing("sweater", options, None)
+
+
+def build_striped_sweater(options: SceneOptions) -> Scene:
+    """Return the same sweater with stripes of navy."""
+    return _dancing("sweater_stripes", options, _stripes)
+
+
+def build_sweater_with_logo(options: SceneOptions) -> Scene:
+    """Return the same sweater with a round logo of four colours on the chest."""
+    return _dancing("sweater_logo", options, _logo)
+
+
+def build_tartan_sweater(options: SceneOptions) -> Scene:
+    """Return the same sweater in a tartan of three yarns; where two cross, their colours mix."""
+    return _dancing("sweater_tartan", options, _tartan)
+
+
+def _dancing(
+    name: str, options: SceneOptions, print_at: Callable[[FloatArray, FloatArray], FloatArray] | None
+) -> Scene:
     rng = np.random.default_rng(options.seed + 1)
     garment = DancingGarment(options.seed)
     sewn = garment.garment
@@ -55,24 +85,61 @@ def build_sweater(options: SceneOptions) -> Scene:
         flat, gather = halve @ flat, halve @ gather
         refine = smooth if refine is None else smooth @ refine
     relief = knit_relief(knit_coordinates(flat), gather)
-    uv = flat[faces]
     stitches = 1.0 / np.array(STITCH_M)
+    texture, uv, uv_per_m = heather_texture(rng), 4.0 * flat, np.full(2, 4.0)
+    if print_at is not None:
+        low, extent = flat.min(axis=0), np.ptp(flat, axis=0)
+        texture, uv, uv_per_m = _printed(texture, print_at, low, extent), (flat - low) / extent, 1.0 / extent
     surface = SceneSurface(
         faces=faces,
         reference_weights=0.95 * _WOOL,
-        vertex_weights=np.tile(_WOOL, (len(flat), 1)),
-        texture=heather_texture(rng),
-        uv=4.0 * uv,
-        detail=Detail(height_m=stitch_tile(), repeats=(stitches[0] / 4.0, stitches[1] / 4.0)),
+        vertex_weights=np.tile(_WOOL, (len(flat), 1)) if print_at is None else None,
+        texture=texture,
+        uv=uv[faces],
+        detail=Detail(height_m=stitch_tile(), repeats=(stitches[0] / uv_per_m[0], stitches[1] / uv_per_m[1])),
     )
     return Scene(
-        name="sweater",
+        name=name,
         camera=studio_camera(options.width, options.height, options.field_width_m or _FIELD_WIDTH_M),
         lights=studio_lights(),
         surface=surface,
         vertices=_refined(garment, refine, faces, relief),
         frame_count=_FRAMES,
     )
+
+
+def _printed(
+    heather: FloatArray,
+    print_at: Callable[[FloatArray, FloatArray], FloatArray],
+    low: FloatArray,
+    extent: FloatArray,
+) -> FloatArray:
+    """Return (th, tw, 3), the print over the whole pattern times the yarn's uneven dye."""
+    columns, rows = np.ceil(extent / _PRINT_TEXEL_M).astype(int)
+    x = low[0] + (np.arange(columns) + 0.5) * extent[0] / columns
+    y = low[1] + (np.arange(rows) + 0.5) * extent[1] / rows
+    size = len(heather)
+    u = np.floor(4.0 * size * x).astype(int) % size
+    v = np.floor(4.0 * size * y).astype(int) % size
+    return np.asarray(print_at(*np.meshgrid(x, y)) * heather[np.ix_(v, u)], dtype=np.float32)
+
+
+def _stripes(x: FloatArray, y: FloatArray) -> FloatArray:
+    return np.where((np.floor(y / _STRIPE_M) % 2 == 0)[..., None], _WOOL, _NAVY)
+
+
+def _logo(x: FloatArray, y: FloatArray) -> FloatArray:
+    across, up = x - _LOGO_MIDDLE_M[0], y - _LOGO_MIDDLE_M[1]
+    quarter = 2 * (across > 0) + (up > 0)
+    inside = np.hypot(across, up) < _LOGO_RADIUS_M
+    return np.where(inside[..., None], np.stack([_RED, _YELLOW, _GREEN, _NAVY])[quarter], _WOOL)
+
+
+def _tartan(x: FloatArray, y: FloatArray) -> FloatArray:
+    yarns = np.stack([_RED, _GREEN, _NAVY])
+    ends = np.cumsum(_SETT_M)
+    warp, weft = (yarns[np.searchsorted(ends, at % ends[-1], side="right")] for at in (x, y))
+    return np.asarray(0.5 * (warp + weft))
 
 
 def _refined(
