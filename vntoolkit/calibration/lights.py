@@ -187,7 +187,7 @@ def three_lamps(directions: Points) -> IntArray | None:
     some = directions[:: 1 + len(directions) // _MOST_FRAMES]
     near = some @ some.T > np.cos(np.radians(_SAME_DEG))
     free = np.ones(len(some), np.bool_)
-    centres = []
+    centres: list[Vector3] = []
     while free.any() and len(centres) < _MOST_CLUSTERS:
         first = int(np.argmax((near & free).sum(axis=1) * free))
         if (near[first] & free).sum() < 1 + len(some) // 50:

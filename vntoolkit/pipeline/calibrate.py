@@ -168,11 +168,11 @@ def _numbered(capture: Capture, numbers: Sequence[int]) -> Iterator[LinearFrame]
 
 def _all_together(alone: list[LinearFrame], capture: Capture, switched: SwitchedLamps) -> LinearFrame:
     """The picture under all lamps. Each of `alone` has the light of the room once."""
-    rgb = np.sum([frame.rgb for frame in alone], axis=0, dtype=np.float64)
+    total = mean_frame(alone)
+    rgb = np.float32(len(alone)) * total.rgb
     if switched.dark:
-        rgb -= 2.0 * mean_frame(_numbered(capture, switched.dark)).rgb
-    clipped = np.any([frame.clipped for frame in alone], axis=0)
-    return LinearFrame(rgb=rgb.astype(np.float32), clipped=clipped)
+        rgb -= np.float32(len(alone) - 1) * mean_frame(_numbered(capture, switched.dark)).rgb
+    return LinearFrame(rgb=rgb, clipped=total.clipped)
 
 
 def calibrate_board(
