@@ -14,6 +14,7 @@ from vntoolkit.pipeline.checkerboard import write_checkerboard
 from vntoolkit.pipeline.options import OnError, ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import reconstruct
+from vntoolkit.pipeline.texture import write_texture
 from vntoolkit.pipeline.track import TrackJob, track
 from vntoolkit.shadows.detector import ShadowMethod
 from vntoolkit.tracking.options import TrackingOptions
@@ -45,4 +46,5 @@ def dome_result(tmp_path_factory: pytest.TempPathFactory) -> DomeResult:
     reconstruct(job)
     track(TrackJob(folder=root / "out", options=TrackingOptions()))
     write_checkerboard(root / "out")
+    write_texture(root / "out")
     return DomeResult(folder=root / "out", footage=footage)

@@ -15,6 +15,7 @@ from vntoolkit.io.atomic import sole_writer, undisturbed
 from vntoolkit.io.motion.garment_fits import read_garment_fit
 from vntoolkit.pipeline.dress import (
     DressOptions,
+    captured_look,
     dress,
     read_motion,
     read_tracked_cloth,
@@ -68,7 +69,7 @@ def run(
         )
         with ProgressBars() as bars:
             bars.begin("dress", len(dressed), 0)
-            summary = write_dressed_figure(dressed, out, bars.step)
+            summary = write_dressed_figure(dressed, out, bars.step, captured_look(folder))
         cut = f"; {dressed.cut_triangles} triangles cut" if dressed.cut_triangles else ""
         rate = f"{dressed.clock.frame_rate_hz:g} frames per second"
         print(f"{out}: {summary.frames} frames of {len(dressed.template.vertices)} vertices, {rate}{cut}")

@@ -6,10 +6,11 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated
 
-from vntoolkit.cli.flags import Flags, Overwrite, verb
+from vntoolkit.cli.flags import Flags, Footage, Overwrite, verb
 from vntoolkit.cli.output import ProgressBars, print_next
 from vntoolkit.io.results.seams import read_seams
 from vntoolkit.pipeline.checkerboard import write_checkerboard
+from vntoolkit.pipeline.texture import write_texture
 from vntoolkit.pipeline.track import TrackJob
 from vntoolkit.pipeline.track import track as run
 from vntoolkit.tracking.checkerboard import CheckerboardOptions
@@ -24,13 +25,16 @@ def track(
     template: int | None = None,
     out: Path | None = None,
     lost_px: float = 4.0,
+    footage: Footage = "",
+    background: Path | None = None,
     overwrite: Overwrite = False,
     tracking: Annotated[TrackingOptions | None, Flags()] = None,
     board: Annotated[CheckerboardOptions | None, Flags()] = None,
 ) -> None:
     """Register the frames of a reconstruction to one mesh of fixed topology, and draw a checkerboard on it.
 
-    The same command again continues an interrupted run.
+    Its texture is gathered from the footage, which is read again for that. The same command again continues
+    an interrupted run.
 
     Parameters
     ----------
@@ -44,6 +48,8 @@ def track(
         The folder to write; default FOLDER/track.
     lost_px
         A vertex is called lost where its expected error is above this, in pixels.
+    background
+        The background image that the reconstruction subtracted, for the colours of the texture.
     overwrite
         Replace the tracks that the folder holds.
     """
@@ -62,4 +68,7 @@ def track(
     resumed = f", {summary.resumed} of them from before" if summary.resumed else ""
     print(f"{summary.folder}: {summary.vertices} vertices, {summary.frames} frames{resumed}{held}")
     print(f"{files.video}, {files.sheet.name}")
+    made = write_texture(folder, job.target, footage=footage, background=background)
+    shown = made.texture.albedo or made.texture.normal
+    print(f"{shown}: {made.covered:.1%} of the surface from {made.frames} frames, the rest filled")
     print_next("dress", job.target, "--motion", "data/walk.bvh", "--out", "cloth.usdc")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -75,13 +75,14 @@ class ViewedFrom:
     """Where the scene was filmed from, in camera axes.
 
     position: (3,). rotation: (3, 3) scene_from_camera. focal_px: in x and y. size_px: width and height of the
-    pictures.
+    pictures. offset: (3,) by which the whole scene was moved on its way into the file.
     """
 
     position: Vector3
     rotation: FloatArray
     focal_px: tuple[float, float]
     size_px: tuple[int, int]
+    offset: Vector3 = field(default_factory=lambda: np.zeros(3))
 
     @property
     def vertical_angle_rad(self) -> float:
@@ -97,10 +98,6 @@ class ViewedFrom:
         """Return (3, 3): the camera's axes in a file with y up, where a camera looks along −z with y up."""
         turn = np.diag([1.0, -1.0, -1.0])
         return turn @ self.rotation @ turn
-
-    def moved(self, offset: Vector3) -> ViewedFrom:
-        """Return it in a scene that was moved by an offset (3,)."""
-        return replace(self, position=self.position + offset)
 
 
 def blend_shapes(

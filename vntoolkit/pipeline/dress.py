@@ -10,24 +10,27 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 import vntoolkit
 from vntoolkit.arrays import FloatArray, Points, Vector3
 from vntoolkit.errors import BadInput
+from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.garment_fit import GarmentFit
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.geometry.mesh_sequence import MeshSequence
 from vntoolkit.geometry.motion import Motion
 from vntoolkit.geometry.rigid import Similarity
-from vntoolkit.geometry.skinned_clip import SkinnedClip, blend_shapes
+from vntoolkit.geometry.skinned_clip import SkinnedClip, ViewedFrom, blend_shapes
 from vntoolkit.io.atomic import require_writable_folder
 from vntoolkit.io.maps_and_meshes.glb import write_glb, write_glb_skin
-from vntoolkit.io.maps_and_meshes.meshes import read_mesh, write_mesh
+from vntoolkit.io.maps_and_meshes.meshes import read_mesh, write_material, write_mesh
 from vntoolkit.io.maps_and_meshes.usd import write_usd_sequence, write_usd_skin
 from vntoolkit.io.motion.asf import AmcOptions, read_asf_amc
 from vntoolkit.io.motion.bvh import read_bvh
 from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.pipeline.outputs import ReconstructionFolder
+from vntoolkit.pipeline.texture import SurfaceTexture, read_texture, texture_of_tracks
 from vntoolkit.pipeline.tracked_folder import colours_at, read_track_record, recorded_camera, uv_in_picture
 from vntoolkit.skinning.alignment import Anchor, CapturedMotion, parts_of
 from vntoolkit.skinning.anatomy import anatomy_of
@@ -176,6 +179,24 @@ class DressedFigure:
         x, _, z = self.motion.root_positions[0]
         return -np.array([x, floor_height(self.motion), z])
 
+    def viewed_from(self, camera: Camera) -> ViewedFrom | None:
+        """Return the camera of the capture before the figure of the first frame; None without perspective."""
+        if not camera.is_perspective:
+            return None
+        attached, first = self.rest_from_model[0], pose_of_frame(self.motion, 0)[0]
+        ahead = first[:3, :3] @ attached[:3, :3].T @ np.array([0.0, 0.0, 1.0])
+        turn = np.eye(3)
+        if np.hypot(ahead[0], ahead[2]) > 1e-6:  # else the figure lies down
+            turn = Rotation.from_rotvec([0.0, np.arctan2(ahead[0], ahead[2]), 0.0]).as_matrix()
+        placed = self.rest_from_cloth.rigid
+        return ViewedFrom(
+            position=turn @ (placed.translation - attached[:3, 3]) + first[:3, 3] + self.offset,
+            rotation=turn @ placed.rotation,
+            focal_px=(float(camera.matrix[0, 0]), float(camera.matrix[1, 1])),
+            size_px=(camera.width, camera.height),
+            offset=self.offset,
+        )
+
     def skin(self) -> SkinnedClip:
         """Return the garment as other programs animate it: joint weights, and blend shapes for its folds."""
         template = self.template
@@ -303,14 +324,34 @@ class DressSummary:
     fold_error: float | None = None
 
 
+@dataclass(frozen=True, kw_only=True)
+class CapturedLook:
+    """What a file holds of the capture beside the cloth. camera: that filmed it. texture: of the cloth."""
+
+    camera: Camera | None = None
+    texture: SurfaceTexture | None = None
+
+
 def write_dressed_figure(
-    dressed: DressedFigure, out: Path | str, on_frame: Callable[[], None] = lambda: None
+    dressed: DressedFigure,
+    out: Path | str,
+    on_frame: Callable[[], None] = lambda: None,
+    look: CapturedLook | None = None,
 ) -> DressSummary:
-    """Write `.usdc`/`.usd` (with skeleton), `.glb`, or one `.ply`/`.obj` a frame (`cloth_%04d.ply`)."""
+    """Write `.usdc`/`.usd` (with skeleton), `.glb`, or one `.ply`/`.obj` a frame (`cloth_%04d.ply`).
+
+    look: texture and camera for the file, as `captured_look` finds them beside the tracks.
+    """
     out = Path(out)
     require_figure_name(out)
     require_writable_folder(out.parent)
     rate, meter, offset = dressed.clock.frame_rate_hz, dressed.meter(), dressed.offset
+    look = look or CapturedLook()
+    camera = None if look.camera is None else dressed.viewed_from(look.camera)
+    texture = look.texture if dressed.template.uv is not None else None
+    is_glb, is_file = out.suffix.lower() == ".glb", out.suffix.lower() in _FILE_SUFFIXES
+    embedded = texture.content if texture is not None and is_glb else None
+    named = texture.beside(out).names if texture is not None and is_file and not is_glb else None
 
     def frames() -> Iterator[Points]:
         for index, vertices in enumerate(dressed.frames()):
@@ -318,22 +359,34 @@ def write_dressed_figure(
             yield vertices + offset
             on_frame()
 
-    if dressed.carrier is Carrier.SKIN and out.suffix.lower() in _FILE_SUFFIXES:
+    if dressed.carrier is Carrier.SKIN and is_file:
         clip = dressed.skin().moved(offset)
-        write = write_glb_skin if out.suffix.lower() == ".glb" else write_usd_skin
-        count = write(out, clip)
+        if is_glb:
+            count = write_glb_skin(out, clip, camera=camera, texture=embedded)
+        else:
+            count = write_usd_skin(out, clip, camera=camera, texture=named)
         for _ in frames():
             pass  # measured
         return DressSummary(frames=count, findings=meter.findings, fold_error=clip.shape_error)
     match out.suffix.lower():
         case ".glb":
-            count = write_glb(out, dressed.template, frames(), frame_rate_hz=rate)
+            count = write_glb(
+                out, dressed.template, frames(), frame_rate_hz=rate, camera=camera, texture=embedded
+            )
         case suffix if suffix in _SEQUENCE_SUFFIXES:
-            count = _write_files(dressed.template, frames(), out)
+            count = _write_files(dressed.template, frames(), out, texture)
         case _:
             played = dressed.motion
             played = replace(played, root_positions=played.root_positions + offset)
-            count = write_usd_sequence(out, dressed.template, frames(), frame_rate_hz=rate, motion=played)
+            count = write_usd_sequence(
+                out,
+                dressed.template,
+                frames(),
+                frame_rate_hz=rate,
+                motion=played,
+                camera=camera,
+                texture=named,
+            )
     return DressSummary(frames=count, findings=meter.findings)
 
 
@@ -352,12 +405,18 @@ def require_figure_name(out: Path) -> None:
         raise BadInput(f"{out.name}: expected one place for the frame number, as in cloth_%04d.ply")
 
 
-def _write_files(template: Mesh, frames: Iterable[Points], pattern: Path) -> int:
-    count = 0
+def _write_files(
+    template: Mesh, frames: Iterable[Points], pattern: Path, texture: SurfaceTexture | None
+) -> int:
+    count, material = 0, None
+    if texture is not None and pattern.suffix.lower() == ".obj":
+        shared = pattern.with_name(f"{pattern.stem.split('%')[0].rstrip('_') or 'cloth'}.mtl")
+        names, material = texture.beside(shared).names, shared.name
+        write_material(shared, names.albedo, names.normal)
     for count, vertices in enumerate(frames, start=1):
         normals = vertex_normals(vertices, template.faces)
         mesh = replace(template, vertices=vertices, normals=normals)
-        write_mesh(pattern.with_name(pattern.name % (count - 1)), mesh)
+        write_mesh(pattern.with_name(pattern.name % (count - 1)), mesh, material=material)
     return count
 
 
@@ -404,20 +463,35 @@ def _skeleton_beside(path: Path) -> Path:
     return max(candidates, key=lambda file: len(file.stem))
 
 
+def captured_look(folder: Path | str) -> CapturedLook:
+    """Return the texture and the camera of tracks, as far as the folder of `read_tracked_cloth` has them."""
+    track = _track_folder(Path(folder))
+    if not (track / "track.json").exists():
+        return CapturedLook()
+    record = read_track_record(track)
+    camera = recorded_camera(record).without_distortion() if "camera" in record else None
+    return CapturedLook(camera=camera, texture=texture_of_tracks(track))
+
+
 def read_tracked_cloth(folder: Path | str) -> MeshSequence:
     """Open the registered mesh that `track` left in a folder (or the folder `track` itself)."""
-    folder = Path(folder)
+    track = _track_folder(Path(folder))
+    return _as_captured(read_mesh_sequence(track), track)
+
+
+def _track_folder(folder: Path) -> Path:
     if not folder.is_dir():
         raise BadInput(f"{folder}: expected a folder written by `vntoolkit track`")
     inside = folder / "track"
     if not inside.is_dir() and not (folder / "sequence.json").exists():
         raise BadInput(f"{folder}: holds no registered mesh: run `vntoolkit track {folder}` first")
-    track = inside if inside.is_dir() else folder
-    return _as_captured(read_mesh_sequence(track), track)
+    return inside if inside.is_dir() else folder
 
 
 def _as_captured(cloth: MeshSequence, track: Path) -> MeshSequence:
-    """Give the template the colours of its frame's own mesh, and the texture coordinates of its picture."""
+    """Give the template the texture coordinates of its frame's picture, and the colours of its texture, else
+    those of its frame's own mesh.
+    """
     if not (track / "track.json").exists():
         return cloth
     record = read_track_record(track)
@@ -425,11 +499,15 @@ def _as_captured(cloth: MeshSequence, track: Path) -> MeshSequence:
     if row >= len(cloth):
         return cloth
     vertices = np.array(cloth.vertices[row])
+    if "camera" in record:
+        template = replace(template, uv=uv_in_picture(recorded_camera(record).without_distortion(), vertices))
+    texture = read_texture(track)
+    albedo = None if texture is None else texture.colours(template)
     own = ReconstructionFolder(root=track.parent).mesh(record["template"])
-    if template.colours is None and own.exists():
+    if albedo is not None:
+        template = replace(template, colours=albedo)
+    elif template.colours is None and own.exists():
         mesh = read_mesh(own)
         if mesh.colours is not None:
             template = replace(template, colours=colours_at(vertices, mesh))
-    if template.uv is None and "camera" in record:
-        template = replace(template, uv=uv_in_picture(recorded_camera(record).without_distortion(), vertices))
     return replace(cloth, template=template)

@@ -35,15 +35,17 @@ from vntoolkit.io.light_files import remove_diligent, write_diligent
 from vntoolkit.io.maps_and_meshes.arrays import StreamedArray, write_npz
 from vntoolkit.io.maps_and_meshes.glb import write_glb
 from vntoolkit.io.maps_and_meshes.maps import write_normal_map
-from vntoolkit.io.maps_and_meshes.meshes import write_mesh, write_point_cloud
+from vntoolkit.io.maps_and_meshes.meshes import write_material, write_mesh, write_point_cloud
 from vntoolkit.io.maps_and_meshes.usd import write_usd_meshes, write_usd_sequence
 from vntoolkit.meshing.clean import CleanOptions, clean_mesh
 from vntoolkit.meshing.surface import point_cloud_from_depth
 from vntoolkit.pipeline.opened_result import OpenedResult, TrackedSurface, open_result
 from vntoolkit.pipeline.options import option_values
+from vntoolkit.pipeline.texture import SurfaceTexture, texture_of_tracks
 from vntoolkit.pipeline.tracked_folder import colours_at
 
 _RECORD = "export.json"
+_MATERIAL = "surface.mtl"  # of all frames in a folder of OBJ files
 _SUFFIXES = (".ply", ".obj", ".glb", ".npz", ".png")  # of a frame's file
 _MOST_FRAMES = 10**6  # their names have six digits
 Advance = Callable[[], None]
@@ -149,9 +151,12 @@ def _export_animation(
     rows = [track.numbers.index(n) for n in numbers]
     offset = offset_of(track, options, lengths.factor)
     moving = (passing(track.sequence.vertices[n] * lengths.factor + offset) for n in rows)
-    template, camera = with_captured_colours(track, result), viewed_from(result.camera, offset)
+    texture = texture_of_tracks(result.folder.root / "track")
+    template = with_captured_colours(track, result, texture)
+    camera = viewed_from(result.camera, offset)
     if options.to is ExportFormat.GLB:
-        count = write_glb(out, template, moving, frame_rate_hz=rate, camera=camera)
+        embedded = None if texture is None else texture.content
+        count = write_glb(out, template, moving, frame_rate_hz=rate, camera=camera, texture=embedded)
     else:
         count = write_usd_sequence(
             out,
@@ -161,6 +166,7 @@ def _export_animation(
             metres_per_unit=lengths.metres_per_unit,
             up=options.up,
             camera=camera,
+            texture=None if texture is None else texture.beside(out).names,
         )
     return ExportSummary(out=out, frames=count, kept=0, is_tracked=True, offset=offset)
 
@@ -174,9 +180,15 @@ def offset_of(track: TrackedSurface, options: ExportOptions, factor: float) -> V
     return -np.array([middle[0], vertices[:, 1].max(), middle[2]])
 
 
-def with_captured_colours(track: TrackedSurface, result: OpenedResult) -> Mesh:
-    """Return the template with the colours that the template's own frame has at the same places."""
-    template, own = track.sequence.template, result.mesh(track.template)
+def with_captured_colours(
+    track: TrackedSurface, result: OpenedResult, texture: SurfaceTexture | None
+) -> Mesh:
+    """Return the template with the colours of its texture, else those that its own frame has there."""
+    template = track.sequence.template
+    albedo = None if texture is None else texture.colours(template)
+    if albedo is not None:
+        return replace(template, colours=albedo)
+    own = result.mesh(track.template)
     if template.colours is not None or own is None or own.colours is None:
         return template
     return replace(template, colours=colours_at(track.mesh(track.template).vertices, own))
@@ -192,6 +204,7 @@ def viewed_from(camera: Camera, offset: Vector3) -> ViewedFrom | None:
         rotation=np.eye(3),
         focal_px=focal,
         size_px=(camera.width, camera.height),
+        offset=np.asarray(offset, dtype=np.float64),
     )
 
 
@@ -251,7 +264,8 @@ def _clear(out: Path) -> None:
         remove_numbered(out, suffix, range(_MOST_FRAMES))
     for folder in out.glob("[0-9][0-9][0-9][0-9][0-9][0-9]"):
         remove_diligent(folder)
-    (out / "track.npz").unlink(missing_ok=True)
+    for name in ("track.npz", _MATERIAL, "surface_albedo.png", "surface_normal.png"):
+        (out / name).unlink(missing_ok=True)
     (out / _RECORD).unlink()
 
 
@@ -442,9 +456,12 @@ class _Meshes(FrameExport):
         self.suffix = f".{options.to.value}"
         self._factor = file_lengths(options, result.length_unit).factor
         self.is_tracked = track is not None
+        self._texture: SurfaceTexture | None = None
+        self._has_material = False
         if track is not None:
             self.offset = offset_of(track, options, self._factor)
-            self._template = with_captured_colours(track, result)
+            self._texture = texture_of_tracks(result.folder.root / "track")
+            self._template = with_captured_colours(track, result, self._texture)
 
     @property
     def facts(self) -> Mapping[str, Any]:
@@ -468,13 +485,24 @@ class _Meshes(FrameExport):
             vertices = self.track.mesh(number).vertices * self._factor + self.offset
             normals = vertex_normals(vertices, self._template.faces)
             mesh = replace(self._template, vertices=vertices, normals=normals)
-        path = self.place(out, number)
+        path, material = self.place(out, number), None
+        if self._texture is not None and self.options.to is ExportFormat.OBJ:
+            material = self._material(out)
         if self.options.to is ExportFormat.GLB:
             rate = self.result.manifest.input.playing_rate_hz
             camera = viewed_from(self.result.camera, self.offset)
             write_glb(path, mesh, iter([mesh.vertices]), frame_rate_hz=rate, camera=camera)
         else:
-            write_mesh(path, mesh, up=self.options.up)
+            write_mesh(path, mesh, up=self.options.up, material=material)
+
+    def _material(self, out: Path) -> str:
+        """Write the material that all frames share, once; return its name."""
+        path = out / _MATERIAL
+        if self._texture is not None and not self._has_material:
+            names = self._texture.beside(path).names
+            write_material(path, names.albedo, names.normal)
+            self._has_material = True
+        return path.name
 
 
 class _PointClouds(FrameExport):

@@ -23,6 +23,7 @@ from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.checkerboard import write_checkerboard
 from vntoolkit.pipeline.cluster import connected
 from vntoolkit.pipeline.reconstruct import ReconstructionSummary, reconstruct
+from vntoolkit.pipeline.texture import write_texture
 from vntoolkit.pipeline.track import TrackJob, TrackSummary, track
 from vntoolkit.tracking.options import TrackingOptions
 
@@ -157,4 +158,5 @@ def _track(job: TrackJob, limits: ReadingLimits, overwrite: bool) -> TrackSummar
     with limited_to(limits):
         done = track(job, overwrite=overwrite)
         write_checkerboard(job.folder, job.target)
+        write_texture(job.folder, job.target)
     return done

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -142,8 +143,11 @@ def clear_track(folder: Path) -> None:
     """Remove what `track` wrote into a folder, and nothing else."""
     if not (folder / _RECORD).exists():
         return
-    for name in (_RECORD, "checkerboard.mkv", "checkerboard.png"):
+    made = ("albedo.png", "normal.png", "texture.json")
+    for name in (_RECORD, "checkerboard.mkv", "checkerboard.png", *(f"texture/{name}" for name in made)):
         (folder / name).unlink(missing_ok=True)
+    with suppress(OSError):  # something else is left
+        (folder / "texture").rmdir()
     remove_mesh_sequence(folder / "backwards")
     remove_mesh_sequence(folder)
 

@@ -114,10 +114,12 @@ def write_glb(
 ) -> int:
     """Write a moving surface of fixed topology, lengths in metres; return the number of frames.
 
-    frames: vertices (n, 3) in the camera frame. Normals are those of each frame. Colours go as COLOR_0,
-    texture coordinates as TEXCOORD_0. The material is matte and two-sided. Raises `CannotWrite` where the
-    clip exceeds 512 MiB.
+    frames: vertices (n, 3) in the camera frame. Normals are those of each frame. Colours go as COLOR_0, or as
+    the texture where there is one, since programs multiply the two. Texture coordinates go as TEXCOORD_0. The
+    material is matte and two-sided. Raises `CannotWrite` where the clip exceeds 512 MiB.
     """
+    if texture is not None and texture.albedo is not None:
+        template = replace(template, colours=None)
     count, parts = _content(template, frames, frame_rate_hz, str(path), camera, texture)
     _write(path, parts)
     return count
@@ -136,6 +138,10 @@ def write_glb_skin(
     """
     clip, name, count = clip.with_influences(_INFLUENCES), str(path), len(clip.mesh.vertices)
     surface = 80 * count + 12 * len(clip.mesh.faces)  # bytes of a vertex with all attributes, of a triangle
+    if texture is not None:
+        surface += len(texture.albedo or b"") + len(texture.normal or b"")
+        if texture.albedo is not None:
+            clip = replace(clip, mesh=replace(clip.mesh, colours=None))
     clip = clip.with_shapes(max(0, (_SKIN_BYTES - surface) // (12 * max(count, 1))))
     require_positive(clip.motion.frame_rate_hz, f"{name}: frame rate")
     if not len(clip.mesh.faces):
@@ -269,6 +275,9 @@ def _document(
         nodes.append({"name": "Camera", "camera": 0, "matrix": turned.T.ravel().tolist()})
         roots = [*roots, len(nodes) - 1]
     document["scenes"] = [{"nodes": roots}]
+    if camera is not None:  # where the origin of the capture is in this file
+        offset = graphics_from_camera(camera.offset).round(9).tolist()
+        document["scenes"][0]["extras"] = {"vntoolkit_offset": offset}
     return document
 
 

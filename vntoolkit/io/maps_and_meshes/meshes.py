@@ -28,20 +28,22 @@ def write_mesh(
     *,
     texture: npt.NDArray[np.uint8] | None = None,
     up: MeshUpAxis = MeshUpAxis.Y,
+    material: str | None = None,
 ) -> None:
     """Write a mesh in the camera frame as `.ply` (binary, float32) or `.obj` (with `.mtl`, texture `.png`).
 
     texture: (h, w, 3) uint8 RGB for an OBJ whose mesh has texture coordinates. Colours are stored as
-    value·255, without a curve. up: the axis that points up in the file; `read_mesh` expects y.
+    value·255, without a curve. up: the axis that points up in the file; `read_mesh` expects y. material: of
+    an OBJ, the name of an .mtl beside it that `write_material` wrote, instead of a texture.
     """
     flipped = _flip(mesh, up)
     match Path(path).suffix.lower():
         case ".ply":
-            if texture is not None:
+            if texture is not None or material is not None:
                 raise CannotWrite(f"{path}: a PLY carries no texture; write .obj, or give vertex colours")
             write_ply(path, _content(flipped), up.meaning)
         case ".obj":
-            write_obj(path, flipped, texture, up.meaning)
+            write_obj(path, flipped, texture, up.meaning, material)
         case suffix:
             raise CannotWrite(f"{path}: a mesh is written as .ply or .obj, not '{suffix}'")
 
@@ -119,6 +121,7 @@ def write_obj(
     mesh: Mesh,
     texture: npt.NDArray[np.uint8] | None = None,
     comment: str = "x right, y up, z towards the viewer",
+    material: str | None = None,
 ) -> None:
     """Write `v` (colours behind, as MeshLab does), `vt`, `vn`, `f`; NAME.mtl and NAME.png for a texture."""
     path = Path(path)
@@ -127,9 +130,10 @@ def write_obj(
         if mesh.uv is None:
             raise BadMesh(f"{path}: a texture needs texture coordinates (uv) in the mesh")
         write_png(path.with_suffix(".png"), texture)
-        material = "newmtl surface\nKa 0 0 0\nKd 1 1 1\nKs 0 0 0\nillum 1\n"
-        write_text(path.with_suffix(".mtl"), f"{material}map_Kd {path.stem}.png\n")
-        lines += [f"mtllib {path.stem}.mtl", "usemtl surface"]
+        material = f"{path.stem}.mtl"
+        write_material(path.with_name(material), f"{path.stem}.png")
+    if material is not None:
+        lines += [f"mtllib {material}", "usemtl surface"]
     vertices = np.asarray(mesh.vertices, dtype=np.float64)
     if mesh.colours is not None:
         vertices = np.column_stack([vertices, mesh.colours])
@@ -143,6 +147,17 @@ def write_obj(
     )
     names = [corner.format(i) for i in range(1, len(vertices) + 1)]
     lines += [f"f {names[a]} {names[b]} {names[c]}" for a, b, c in mesh.faces.tolist()]
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def write_material(path: Path | str, albedo: str | None, normal: str | None = None) -> None:
+    """Write the `.mtl` of a matte surface with its textures, names of images beside it.
+
+    normal: in tangent space, as `norm`, and as `map_Bump`, which is what Blender reads.
+    """
+    lines = ["newmtl surface", "Ka 0 0 0", "Kd 1 1 1", "Ks 0 0 0", "illum 1"]
+    lines += [] if albedo is None else [f"map_Kd {albedo}"]
+    lines += [] if normal is None else [f"norm {normal}", f"map_Bump -bm 1 {normal}"]
     write_text(path, "\n".join(lines) + "\n")
 
 

@@ -313,6 +313,11 @@ def add_material(stage: Any, path: str, surface: Any, mesh: Mesh, texture: Textu
         shader.CreateIdAttr(kind)
         return shader
 
+    def vertex_colours() -> Any:
+        reader = node("Colour", "UsdPrimvarReader_float3")
+        reader.CreateInput("varname", kinds.String).Set("displayColor")
+        return reader.CreateOutput("result", kinds.Float3)
+
     shader = node("Matte", "UsdPreviewSurface")
     colour = shader.CreateInput("diffuseColor", kinds.Color3f)
     shader.CreateInput("roughness", kinds.Float).Set(1.0)
@@ -320,6 +325,8 @@ def add_material(stage: Any, path: str, surface: Any, mesh: Mesh, texture: Textu
         places = node("Places", "UsdPrimvarReader_float2")
         places.CreateInput("varname", kinds.String).Set("st")
         st = places.CreateOutput("result", kinds.Float2)
+        if texture.albedo is None and mesh.colours is not None:
+            colour.ConnectToSource(vertex_colours())
         for name, file, space in (("Albedo", texture.albedo, "sRGB"), ("Normal", texture.normal, "raw")):
             if file is None:
                 continue
@@ -337,9 +344,7 @@ def add_material(stage: Any, path: str, surface: Any, mesh: Mesh, texture: Textu
                 image.CreateInput("bias", kinds.Float4).Set(Gf.Vec4f(-1, -1, -1, 0))
                 shader.CreateInput("normal", kinds.Normal3f).ConnectToSource(output)
     elif mesh.colours is not None:
-        reader = node("Colour", "UsdPrimvarReader_float3")
-        reader.CreateInput("varname", kinds.String).Set("displayColor")
-        colour.ConnectToSource(reader.CreateOutput("result", kinds.Float3))
+        colour.ConnectToSource(vertex_colours())
     shown = shader.CreateOutput("surface", kinds.Token)
     material.CreateSurfaceOutput().ConnectToSource(shown)
     UsdShade.MaterialBindingAPI.Apply(surface.GetPrim()).Bind(material)
@@ -351,8 +356,8 @@ _APERTURE_MM = 36.0
 def add_camera(
     stage: Any, camera: ViewedFrom, metres_per_unit: float = 1.0, up: MeshUpAxis = MeshUpAxis.Y
 ) -> None:
-    """Define the camera that filmed; its position is in the file's lengths."""
-    from pxr import Gf, UsdGeom
+    """Define the camera that filmed; its position is in the file's lengths, and so is the scene's offset."""
+    from pxr import Gf, Sdf, UsdGeom
 
     prim = UsdGeom.Camera.Define(stage, CAMERA)
     turn = graphics_from_camera(np.eye(3), up).T
@@ -360,6 +365,8 @@ def add_camera(
     matrix[:3, :3] = turn @ camera.rotation @ np.diag([1.0, -1.0, -1.0])
     matrix[:3, 3] = turn @ camera.position
     prim.AddTransformOp().Set(Gf.Matrix4d(matrix.T.tolist()))
+    offset = prim.GetPrim().CreateAttribute("userProperties:vntoolkit_offset", Sdf.ValueTypeNames.Double3)
+    offset.Set(Gf.Vec3d(*(turn @ camera.offset).tolist()))
     width = 10 * _APERTURE_MM * 0.001 / metres_per_unit  # USD counts apertures in tenths of its unit
     prim.CreateHorizontalApertureAttr(width)
     prim.CreateVerticalApertureAttr(width / camera.aspect_ratio)

@@ -1,0 +1,420 @@
+"""The texture of a registered surface: its colour without the lamps' shading, and relief finer than its mesh.
+
+Both lie on the template's texture coordinates, its own picture: one texel a pixel. Every texel takes the
+mean over the frames that see it, each weighed by how well it does. Noise grows with the slant. A texel is
+looked up beside its place by the expected error of the track and by what moves while the shutter is open.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+from vntoolkit.arrays import Colours, Faces, FloatArray, IntArray, Mask, Points, Points2
+from vntoolkit.errors import VntError
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.mesh import Mesh, face_normals, vertex_normals
+from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.io.atomic import require_writable_folder, write_bytes, write_text
+from vntoolkit.io.footage.images import read_image, write_png
+from vntoolkit.io.maps_and_meshes.glb import Texture
+from vntoolkit.io.maps_and_meshes.usd import TextureFiles
+from vntoolkit.io.results.sequences import read_mesh_sequence
+from vntoolkit.materials.labelling import relit
+from vntoolkit.native import njit
+from vntoolkit.photometry.frame import count_lit
+from vntoolkit.photometry.lambertian import scaled_normals_from_rgb
+from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
+from vntoolkit.pipeline.opened_result import OpenedResult, open_result
+from vntoolkit.pipeline.tracked_folder import read_track_record
+
+_LOGGER = logging.getLogger(__name__)
+_FRAMES = 24  # evenly spread: more of them change a texel by less than a grey level
+_LEAST_COSINE = 0.25  # of the slant: beyond 75° a pixel covers four texels
+_AGREES_PX = 4.0  # depth of the track and of the frame, over the size of a pixel: apart by more, it is hidden
+_SAMPLED_PX = 0.5  # by which a texel is looked up beside its place even where all is known
+_MIXED_PX = 2  # at the outline, where lens and shutter mix the subject with what is behind
+_FEATHER = 9  # texels over which a frame's part fades in, so that no seam shows
+_BRIGHTEST = 0.995  # quantile of the colours: if it is above full scale, all are lowered
+_SRGB = Transfer(curve=TransferCurve.SRGB)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurfaceTexture:
+    """Files of a texture. albedo: sRGB, or None where the footage was not at hand. normal: tangent space."""
+
+    albedo: Path | None
+    normal: Path
+
+    def beside(self, path: Path) -> SurfaceTexture:
+        """Copy the files beside another, as STEM_albedo.png and STEM_normal.png, and return the copies."""
+        copies = [
+            None if source is None else path.with_name(f"{path.stem}_{source.name}")
+            for source in (self.albedo, self.normal)
+        ]
+        for source, copy in zip((self.albedo, self.normal), copies, strict=True):
+            if source is not None and copy is not None:
+                write_bytes(copy, source.read_bytes())
+        assert copies[1] is not None
+        return SurfaceTexture(albedo=copies[0], normal=copies[1])
+
+    @property
+    def names(self) -> TextureFiles:
+        """Names of the files, for a USD beside them."""
+        return TextureFiles(albedo=None if self.albedo is None else self.albedo.name, normal=self.normal.name)
+
+    @property
+    def content(self) -> Texture:
+        """The files in memory, for a GLB."""
+        albedo = None if self.albedo is None else self.albedo.read_bytes()
+        return Texture(albedo=albedo, normal=self.normal.read_bytes())
+
+    def colours(self, mesh: Mesh) -> Colours | None:
+        """Return (n, 3), the colour of each vertex as the albedo has it; None without one."""
+        if self.albedo is None or mesh.uv is None:
+            return None
+        picture = read_image(self.albedo)
+        pixels = picture.astype(np.float32) / np.float32(np.iinfo(picture.dtype).max)
+        height, width = pixels.shape[:2]
+        places = np.column_stack([mesh.uv[:, 0] * width - 0.5, (1 - mesh.uv[:, 1]) * height - 0.5])
+        return _sampled(pixels, places).astype(np.float32)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TextureSummary:
+    """texture: the files. covered: share of the surface's texels that a frame shows. frames: looked at."""
+
+    texture: SurfaceTexture
+    covered: float
+    frames: int
+
+
+def write_texture(
+    folder: Path, track_folder: Path | None = None, *, footage: str = "", background: Path | None = None
+) -> TextureSummary:
+    """Write texture/albedo.png (8 bits, sRGB) and texture/normal.png into the track folder.
+
+    Albedo: the frame's colour over its shading, so what the camera would see if each lamp met the surface
+    square on. Normal: measured normals in the tangent space of the mesh, x along u, y along v, z outwards.
+    What no frame shows is filled from around it. Without the footage only normal.png is written, which is
+    said.
+    """
+    target = track_folder or folder / "track"
+    result = open_result(folder, footage=footage, background=background)
+    record, sequence = read_track_record(target), read_mesh_sequence(target)
+    numbers = record["frames"][: len(sequence)]
+    at = numbers.index(record["template"])
+    camera, shape = result.camera, (result.camera.height, result.camera.width)
+    faces = sequence.template.faces
+    places = camera.project(np.array(sequence.vertices[at]))
+    texels = texels_of(places, faces, shape)
+    colours = _Colours(result)
+    kept = [row for row, number in enumerate(numbers) if _has_maps(result, number)]
+    evenly = np.unique(np.linspace(0, len(kept) - 1, min(_FRAMES, len(kept))).round().astype(int))
+    rows = sorted({kept[place] for place in evenly} | ({at} & set(kept)))
+    colour, relief = _Mean(len(texels.faces), 3), _Mean(len(texels.faces), 3)
+    for row in rows:
+        number = numbers[row]
+        seen = _look(result, sequence, row, number, texels, places)
+        if seen is None:
+            continue
+        relief.add(seen.in_tangents, seen.weight)
+        albedo = colours.at(number, seen.pixels)
+        if albedo is not None:
+            colour.add(albedo[:, :3], seen.weight * albedo[:, 3])
+    return _write(target, texels, colour, relief, len(rows))
+
+
+def read_texture(track_folder: Path) -> SurfaceTexture | None:
+    """Return the files of the texture that `track` left; None where they are missing or older than it."""
+    folder, tracks = track_folder / "texture", track_folder / "vertices.npy"
+    albedo, normal = folder / "albedo.png", folder / "normal.png"
+    if not normal.exists() or normal.stat().st_mtime < tracks.stat().st_mtime:
+        return None
+    return SurfaceTexture(albedo=albedo if albedo.exists() else None, normal=normal)
+
+
+def texture_of_tracks(track_folder: Path) -> SurfaceTexture | None:
+    """Return the files of the texture, and say where there is none of the tracks that are there now."""
+    texture = read_texture(track_folder)
+    if texture is None and (track_folder / "track.json").exists():
+        _LOGGER.warning(
+            "%s: no texture of these tracks; run `vntoolkit track %s` again to make it",
+            track_folder,
+            track_folder.parent,
+        )
+    return texture
+
+
+def _has_maps(result: OpenedResult, number: int) -> bool:
+    return result.folder.normals(number).exists() and result.folder.depth(number).exists()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Texels:
+    """The texels that a surface covers. places: (t,) in the flattened picture. faces: (t,) the triangle under
+    each. shares: (t, 3) of its corners. shape: of the picture.
+    """
+
+    places: IntArray
+    faces: IntArray
+    shares: FloatArray
+    shape: tuple[int, int]
+
+    def of_vertices(self, values: FloatArray, faces: Faces) -> FloatArray:
+        """Return values of vertices (n, …) at the texels (t, …)."""
+        corners = values[faces[self.faces]]
+        return np.einsum("tk,tk...->t...", self.shares, corners)
+
+
+def texels_of(pixels: Points2, faces: Faces, shape: tuple[int, int]) -> Texels:
+    """Return the texels whose centres triangles cover; pixels: (n, 2), centres are integers."""
+    face = np.full(shape, -1, np.int32)
+    shares = np.zeros((*shape, 3))
+    _cover(np.ascontiguousarray(pixels), faces, face, shares)
+    places = np.flatnonzero(face >= 0)
+    return Texels(
+        places=places, faces=face.ravel()[places], shares=shares.reshape(-1, 3)[places], shape=shape
+    )
+
+
+@njit(cache=True)
+def _cover(pixels, faces, face, shares):  # type: ignore[no-untyped-def]
+    height, width = face.shape
+    for f in range(len(faces)):
+        ax, ay = pixels[faces[f, 0]]
+        bx, by = pixels[faces[f, 1]]
+        cx, cy = pixels[faces[f, 2]]
+        area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
+        if area == 0.0:
+            continue
+        first = max(int(np.ceil(min(ay, by, cy))), 0)
+        for row in range(first, min(int(np.floor(max(ay, by, cy))), height - 1) + 1):
+            left = max(int(np.ceil(min(ax, bx, cx))), 0)
+            for column in range(left, min(int(np.floor(max(ax, bx, cx))), width - 1) + 1):
+                b = ((column - ax) * (cy - ay) - (cx - ax) * (row - ay)) / area
+                c = ((bx - ax) * (row - ay) - (column - ax) * (by - ay)) / area
+                if b >= 0.0 and c >= 0.0 and b + c <= 1.0:
+                    face[row, column] = f
+                    shares[row, column, 0], shares[row, column, 1], shares[row, column, 2] = 1 - b - c, b, c
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """Texels in a frame. pixels: (t, 2). weight: (t,), 0 where hidden. in_tangents: (t, 3) unit normals."""
+
+    pixels: Points2
+    weight: FloatArray
+    in_tangents: Points
+
+
+def _look(
+    result: OpenedResult, sequence: MeshSequence, row: int, number: int, texels: Texels, places: Points2
+) -> _Seen | None:
+    """Find the texels in a frame; None where it has no maps. places: (n, 2), of vertices in the texture."""
+    normal_map, depth_map = result.normals(number), result.depth(number)
+    if normal_map is None or depth_map is None:
+        return None
+    camera, faces = result.camera, sequence.template.faces
+    vertices = np.array(sequence.vertices[row], dtype=np.float64)
+    points = texels.of_vertices(vertices, faces)
+    pixels = camera.project(points)
+    along_u, along_v, outward = (
+        _unit(texels.of_vertices(axes, faces)) for axes in tangent_frames(vertices, faces, places)
+    )
+    towards = -_unit(points) if camera.is_perspective else np.array([0.0, 0.0, -1.0])
+    cosine = np.maximum(np.sum(outward * towards, axis=1), 0.0)
+    pixel = (points[:, 2] if camera.is_perspective else 1.0) / camera.matrix[0, 0]
+    gap = np.abs(_sampled(depth_map.depth[..., None], pixels)[:, 0] - points[:, 2])
+    off = _off_px(sequence, row, texels, camera)
+    subject = ndimage.binary_erosion(depth_map.mask & normal_map.mask, iterations=_MIXED_PX)
+    is_seen = _inside(subject, pixels) & (cosine > _LEAST_COSINE)
+    is_seen &= np.isfinite(off) & (gap * cosine < _AGREES_PX * pixel)
+    faded = np.zeros(texels.shape, np.float32)
+    faded.ravel()[texels.places] = is_seen
+    faded = ndimage.uniform_filter(faded, _FEATHER).ravel()[texels.places]
+    measured = _unit(_sampled(normal_map.normals_in_camera, pixels))
+    return _Seen(
+        pixels=pixels,
+        weight=np.where(is_seen, faded * (cosine / off) ** 2, 0.0),
+        in_tangents=np.stack([np.sum(a * measured, axis=1) for a in (along_u, along_v, outward)], axis=1),
+    )
+
+
+def _off_px(sequence: MeshSequence, row: int, texels: Texels, camera: Camera) -> FloatArray:
+    """Return (t,) how far beside its place a texel is looked up, one standard deviation in pixels."""
+    before, after = max(row - 1, 0), min(row + 1, len(sequence) - 1)
+    first, last = (camera.project(np.array(sequence.vertices[at])) for at in (before, after))
+    speed = np.linalg.norm(last - first, axis=1) / max(after - before, 1)
+    told = sequence.uncertainty_px
+    doubt = np.zeros(len(speed)) if told is None else np.array(told[row], dtype=np.float64)
+    variance = speed**2 / 12 + doubt**2  # of a shutter that is open throughout, and of the track
+    with np.errstate(invalid="ignore"):  # lost vertices have an infinite one
+        return np.sqrt(texels.of_vertices(variance, sequence.template.faces) + _SAMPLED_PX**2)
+
+
+def tangent_frames(vertices: Points, faces: Faces, places: Points2) -> tuple[Points, Points, Points]:
+    """Return for each vertex the directions along u, along v and outwards, (n, 3) each, not of unit length.
+
+    places: (n, 2) of the vertices in the texture, x right and y down. The one along u is square to the
+    normal, and the one along v to both, as programs rebuild them from normals and texture coordinates.
+    """
+    edges = [vertices[faces[:, k]] - vertices[faces[:, 0]] for k in (1, 2)]
+    (du, dv), (eu, ev) = ((places[faces[:, k]] - places[faces[:, 0]]).T for k in (1, 2))
+    turned = np.sign(du * ev - eu * dv)
+    along = (edges[0] * ev[:, None] - edges[1] * dv[:, None]) * turned[:, None]
+    along *= np.linalg.norm(face_normals(vertices, faces), axis=1, keepdims=True)
+    normals = vertex_normals(vertices, faces)
+    u = np.zeros_like(normals)
+    for corner in range(3):
+        for axis in range(3):
+            u[:, axis] += np.bincount(faces[:, corner], along[:, axis], minlength=len(vertices))
+    u = _unit(u - np.sum(u * normals, axis=1, keepdims=True) * normals)
+    return u, np.cross(normals, u), normals
+
+
+class _Colours:
+    """Albedo of the frames, where the footage tells."""
+
+    def __init__(self, result: OpenedResult) -> None:
+        self._result = result
+        self._reflectances = np.array([entry.reflectance for entry in result.manifest.materials])
+        self.is_there = result.rig.gel is None and self._has_background()
+        response = result.rig.response.central
+        self._response = response
+        strengths = np.linalg.norm(response.lights, axis=1)
+        paints = self._reflectances if len(self._reflectances) else np.ones((1, 3))
+        self._paints = (paints * strengths) @ np.linalg.inv(response.contributions_from_rgb).T
+
+    def _has_background(self) -> bool:
+        if "background" not in self._result.manifest.extra_files or self._result.background is not None:
+            return True
+        _LOGGER.warning(
+            "texture: no colours, for the reconstruction subtracted a background; give it as --background"
+        )
+        return False
+
+    def at(self, number: int, pixels: Points2) -> FloatArray | None:
+        """Return (t, 4): linear colour, and 1 where all lamps arrive, unclipped; None without footage."""
+        if not self.is_there:
+            return None
+        try:
+            linear = self._result.linear(number)
+        except VntError as error:
+            _LOGGER.warning("texture: no colours: %s", error)
+            self.is_there = False
+            return None
+        labels, lit = self._result.materials(number), self._result.labels(number)
+        if labels is not None and len(self._reflectances):
+            linear = relit(linear, self._response, labels, self._reflectances)
+        length = np.linalg.norm(scaled_normals_from_rgb(linear.rgb, self._result.rig.response), axis=2)
+        is_good = np.isfinite(length) & ~linear.clipped
+        if lit is not None:
+            is_good &= count_lit(lit) == 3
+        paints = self._paints[0 if labels is None or not len(self._reflectances) else labels]
+        colour = np.where(is_good, length, 0.0)[..., None] * np.maximum(paints, 0.0)
+        sampled = _sampled(np.concatenate([colour, is_good[..., None]], axis=2), pixels)
+        sampled[:, 3] *= _inside(is_good, pixels)
+        return sampled
+
+
+class _Mean:
+    """Weighted mean of (t, c) values, one set after the other."""
+
+    def __init__(self, count: int, channels: int) -> None:
+        self._sum, self.weight = np.zeros((count, channels)), np.zeros(count)
+
+    def add(self, values: FloatArray, weight: FloatArray) -> None:
+        used = weight > 0
+        self._sum[used] += weight[used, None] * values[used]
+        self.weight += weight
+
+    @property
+    def mean(self) -> FloatArray:
+        """(t, c); 0 where nothing was added."""
+        return self._sum / np.where(self.weight > 0, self.weight, 1.0)[:, None]
+
+
+def _write(target: Path, texels: Texels, colour: _Mean, relief: _Mean, frames: int) -> TextureSummary:
+    folder = require_writable_folder(target / "texture")
+    shown, albedo, scale = colour.weight > 0, None, 1.0
+    if shown.any():
+        values = colour.mean
+        scale = min(1.0, 1.0 / float(np.quantile(values[shown].max(axis=1), _BRIGHTEST)))
+        picture = filled(_spread(texels, np.clip(scale * values, 0, 1), shown))
+        albedo = folder / "albedo.png"
+        write_png(albedo, np.rint(255 * encoded_from_linear(picture, _SRGB)).astype(np.uint8))
+    else:
+        (folder / "albedo.png").unlink(missing_ok=True)
+    flat = np.broadcast_to([0.0, 0.0, 1.0], (*texels.shape, 3)).copy()
+    flat.reshape(-1, 3)[texels.places] = np.where(relief.weight[:, None] > 0, _unit(relief.mean), [0, 0, 1.0])
+    write_png(folder / "normal.png", np.rint(127.5 + 127.5 * flat).astype(np.uint8), compression_level=9)
+    covered = float((colour if albedo else relief).weight.astype(bool).mean()) if len(texels.faces) else 0.0
+    facts = {"version": 1, "frames": frames, "covered": round(covered, 4), "colour_scale": round(scale, 6)}
+    write_text(folder / "texture.json", json.dumps(facts, indent=2) + "\n")
+    texture = SurfaceTexture(albedo=albedo, normal=folder / "normal.png")
+    return TextureSummary(texture=texture, covered=covered, frames=frames)
+
+
+def _spread(texels: Texels, values: FloatArray, shown: Mask) -> FloatArray:
+    """Return the picture (h, w, c + 1) of values (t, c) at the texels; its last channel is 1 where shown."""
+    picture = np.zeros((*texels.shape, values.shape[1] + 1))
+    picture.reshape(-1, picture.shape[2])[texels.places[shown]] = np.column_stack(
+        [values[shown], np.ones(int(shown.sum()))]
+    )
+    return picture
+
+
+def filled(picture: FloatArray) -> FloatArray:
+    """Return (h, w, c) of a picture (h, w, c + 1) whose last channel is 0 at holes: these continue smoothly.
+
+    Holes take the mean of what is known in ever larger squares around them (pull and push, gortler1996).
+    """
+    values, known = picture[..., :-1] * picture[..., -1:], picture[..., -1]
+    if min(known.shape) > 1 and not (known > 0).all():
+        height, width = known.shape
+        even = np.pad(
+            np.concatenate([values, known[..., None]], axis=2), ((0, height % 2), (0, width % 2), (0, 0))
+        )
+        sums = even.reshape(even.shape[0] // 2, 2, even.shape[1] // 2, 2, -1).sum(axis=(1, 3))
+        weight = sums[..., -1:]
+        means = np.divide(sums[..., :-1], weight, out=np.zeros_like(sums[..., :-1]), where=weight > 0)
+        coarse = filled(np.concatenate([means, np.minimum(weight, 1.0)], axis=2))
+        v, u = (np.arange(size) / 2 - 0.25 for size in known.shape)
+        grid = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+        finer = _sampled(coarse, grid).reshape(values.shape)
+        return np.where(known[..., None] > 0, values / np.maximum(known, 1e-12)[..., None], finer)
+    mean = values.sum(axis=(0, 1)) / max(float(known.sum()), 1e-12)
+    return np.where(known[..., None] > 0, values / np.maximum(known, 1e-12)[..., None], mean)
+
+
+def _sampled(picture: npt.NDArray[Any], pixels: Points2) -> FloatArray:
+    """Return (t, c) of a picture (h, w, c) at pixels (t, 2), bilinear; beyond its edges, those."""
+    height, width = picture.shape[:2]
+    u, v = np.clip(pixels[:, 0], 0, width - 1), np.clip(pixels[:, 1], 0, height - 1)
+    left, top = np.minimum(u.astype(int), max(width - 2, 0)), np.minimum(v.astype(int), max(height - 2, 0))
+    right, below = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
+    a, b = (u - left)[:, None], (v - top)[:, None]
+    upper = (1 - a) * picture[top, left] + a * picture[top, right]
+    return np.asarray((1 - b) * upper + b * ((1 - a) * picture[below, left] + a * picture[below, right]))
+
+
+def _inside(mask: Mask, pixels: Points2) -> Mask:
+    """Return (t,): whether all four pixels around a place are in the mask."""
+    height, width = mask.shape
+    left, top = np.floor(pixels).astype(np.int64).T
+    inside = (left >= 0) & (top >= 0) & (left < width - 1) & (top < height - 1)
+    left, top = np.where(inside, left, 0), np.where(inside, top, 0)
+    right, below = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
+    return inside & mask[top, left] & mask[top, right] & mask[below, left] & mask[below, right]
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300)
