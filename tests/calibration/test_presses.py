@@ -109,6 +109,20 @@ def test_labels_that_all_lie_beside_their_dents_are_found_out(rng) -> None:
     assert np.abs(wrong.response.matrix - MATRIX).max() > 0.05
 
 
+def test_labels_that_scatter_move_to_their_dents(rng) -> None:
+    samples, slips = [], rng.normal(0, 2, (12, 2))
+    for slip in slips:
+        press = random_press(rng)
+        label = Press(u_px=press.u_px + slip[0], v_px=press.v_px + slip[1], radius_px=press.radius_px)
+        samples.append(samples_of(pressed_gel(press, rng), label, rng))
+    moved = fit_gel_to_presses(samples, LEVEL, SIZE, OPTIONS)
+    believed = fit_gel_to_presses(samples, LEVEL, SIZE, replace(OPTIONS, label_offset=LabelOffset.NONE))
+    scatter = np.median(np.linalg.norm(slips - np.median(slips, axis=0), axis=1))
+    assert moved.label_scatter_px == pytest.approx(scatter, abs=0.5)
+    assert believed.label_scatter_px == 0
+    assert 2 * moved.quality.residual_deg < believed.quality.residual_deg
+
+
 def test_the_circle_of_a_dent_is_found_before_any_response_is_known(rng) -> None:
     for _ in range(5):
         press = random_press(rng)

@@ -10,9 +10,10 @@ nearness adds is a polynomial in M⁻¹ d and the place (`GelResponse`), fitted 
 freely it may bend is chosen by cross-validation: the strength of its ridge is the one that predicts presses
 left out of the fit best. A single press leaves M alone.
 
-Labels may lie beside the dent by the same few pixels in every frame (a crop, another rectification). The
-middle of a dent is flat and has no change of colour, whatever M is, so that a common offset shows as a common
-tilt. `LabelOffset.COMMON` fits it.
+Labels may lie beside the dent by the same few pixels in every frame (a crop, another rectification), and
+each by a few more (a hand, a circle fit). The middle of a dent is flat and has no change of colour, whatever
+M is, so that an offset shows as a tilt. `LabelOffset.COMMON` fits the common one; then each circle moves to
+where the response sees its ball, and the response is fitted again.
 """
 
 from __future__ import annotations
@@ -57,6 +58,8 @@ _PAIRS = 24_000  # more refine nothing
 _PAIRS_OF_OFFSET = 6_000
 _OFFSET_ROUNDS = 20
 _SETTLED_PX = 0.05
+_FEWEST_OF_CENTRE = 20  # pixels of a contact, or its circle stays where it is
+_CENTRE_ROUNDS = 2  # fits of the response, each after the circles have moved; a third moves them no more
 _LARGEST_OFFSET_RADII = 0.5  # of the median contact: beyond it the labels mean something else
 _NOTABLE_PX = 1.0
 _STRENGTHS = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)  # of the ridge, as the share of one press's pairs
@@ -67,9 +70,10 @@ _REACH_PERCENTILE = 99.5  # of the lengths of m seen
 
 
 class LabelOffset(Enum):
-    """Whether the labelled centres are used as they are, or with a common fitted offset."""
+    """Whether the circles are used as they are, or moved so that ball and flat gel agree."""
 
-    COMMON = "common"  # one offset for all labels is fitted, so that ball and flat gel agree
+    COMMON = "common"  # by one offset for all, then each by its own
+    OWN = "own"  # each by its own, as for circles that were found in the pictures
     NONE = "none"
 
 
@@ -80,8 +84,8 @@ class PressOptions:
     ball_radius_mm: radius of the ball. pixel_mm: side of a pixel on the gel. contact_share: share of the
     labelled contact radius inside which the gel follows the ball. samples: pixels drawn from a press's
     contact. flat_share: pixels drawn where the gel lies flat, over those of the contact; more make the
-    gel around a touch flatter and the ball less round. label_offset: whether one offset common to all labels
-    is fitted. outlier_sigmas: pixels whose colour differs from M's by more than this many robust standard
+    gel around a touch flatter and the ball less round. label_offset: whether the circles move to their dents.
+    outlier_sigmas: pixels whose colour differs from M's by more than this many robust standard
     deviations (dots, creases) are left out of M's fit.
     """
 
@@ -127,8 +131,8 @@ class PressSamples:
     positions_px: Points2
     press: Press
 
-    def offsets_px(self, label_offset_px: Points2) -> Points2:
-        """From the centre of the ball, (n, 2), where the label is off by `label_offset_px`."""
+    def offsets_px(self, label_offset_px: FloatArray) -> Points2:
+        """From the centre of the ball, (n, 2), where the label is off by `label_offset_px`, (2,)."""
         return self.positions_px - (self.press.u_px, self.press.v_px) - label_offset_px
 
 
@@ -207,10 +211,15 @@ def _draw(mask: Mask, count: int, rng: np.random.Generator) -> npt.NDArray[np.in
 def pairs_from_samples(
     samples: Iterable[PressSamples], label_offset_px: FloatArray, options: PressOptions
 ) -> PressPairs:
-    """Give every sample its normal; those in the crease around the contact are left out."""
+    """Give every sample its normal; those in the crease around the contact are left out.
+
+    label_offset_px: from label to dent, (2,) of all presses or (presses, 2) of each.
+    """
+    samples = list(samples)
+    own = np.broadcast_to(label_offset_px, (len(samples), 2))
     parts: list[tuple[npt.NDArray[Any], ...]] = []
     for number, part in enumerate(samples):
-        offsets = part.offsets_px(label_offset_px)
+        offsets = part.offsets_px(own[number])
         distance = np.linalg.norm(offsets, axis=1)
         touched = distance < options.contact_share * part.press.radius_px
         xy = np.where(touched[:, None], offsets * options.pixel_mm / options.ball_radius_mm, 0.0)
@@ -237,7 +246,8 @@ class GelFit:
 
     response: M, with M n0 taken off by its ambient term. gel: what corrects it. quality: on the pairs used.
     held_back_deg: median angle on presses that a fit did not see, from the cross-validation; NaN for a single
-    press. label_offset_px: (2,), from label to dent. normals, rgb: (n, 3), the pairs inside contacts.
+    press. label_offset_px: (2,), from label to dent, common to all. label_scatter_px: median distance of the
+    dents from the labels so moved. normals, rgb: (n, 3), the pairs inside contacts.
     """
 
     response: LightResponse
@@ -245,6 +255,7 @@ class GelFit:
     quality: FitQuality
     held_back_deg: float
     label_offset_px: FloatArray
+    label_scatter_px: float
     normals: Points
     rgb: Points
 
@@ -258,18 +269,56 @@ def fit_gel_to_presses(
     where no press has a label, or the contacts do not determine M.
     """
     samples = list(samples)
-    offset: FloatArray = np.zeros(2)
+    common: FloatArray = np.zeros(2)
     if options.label_offset is LabelOffset.COMMON and samples:
-        offset = fit_label_offset(samples, level, options)
-    pairs = pairs_from_samples(samples, offset, options).thinned(_PAIRS)
+        common = fit_label_offset(samples, level, options)
+    own = np.tile(common, (len(samples), 1))
+    fit = _fit_response(samples, own, level, size, options)
+    moves = options.label_offset is not LabelOffset.NONE and len(samples) > 1
+    for _ in range(_CENTRE_ROUNDS if moves else 0):
+        reach = largest_label_offset(samples)
+        own = np.array(
+            [_moved_to_dent(*pair, fit, options, reach) for pair in zip(samples, own, strict=True)]
+        )
+        fit = _fit_response(samples, own, level, size, options)
+    if options.label_offset is LabelOffset.COMMON and len(samples) > 1:
+        common = np.median(own, axis=0)
+    scatter = float(np.median(np.linalg.norm(own - common, axis=1))) if samples else 0.0
+    warn_of_weak_fit(fit.quality)
+    return replace(fit, label_offset_px=common, label_scatter_px=scatter)
+
+
+def _moved_to_dent(
+    part: PressSamples, offset_px: FloatArray, fit: GelFit, options: PressOptions, reach_px: float
+) -> FloatArray:
+    """Where the response sees the ball of a press, as an offset (2,) from its label."""
+    offsets = part.offsets_px(offset_px)
+    touched = np.linalg.norm(offsets, axis=1) < options.contact_share * part.press.radius_px
+    if np.count_nonzero(touched) < _FEWEST_OF_CENTRE:
+        return offset_px
+    found = fit.gel.normals_from_change(part.rgb[touched], part.positions_px[touched], fit.response)
+    ball_px = options.ball_radius_mm / options.pixel_mm
+    step = np.median(offsets[touched] - ball_px * found[:, :2], axis=0)
+    length = float(np.linalg.norm(step))
+    return np.asarray(offset_px + step * min(1.0, reach_px / max(length, 1e-9)))
+
+
+def _fit_response(
+    samples: list[PressSamples],
+    offsets_px: FloatArray,
+    level: Vector3,
+    size: tuple[int, int],
+    options: PressOptions,
+) -> GelFit:
+    """Fit M and its correction to presses whose dents lie at given offsets (presses, 2) from the labels."""
+    pairs = pairs_from_samples(samples, offsets_px, options).thinned(_PAIRS)
     response = _fit_matrix(pairs, level, options)
     scaled = pairs.rgb @ response.inverse.T
     reach = float(np.percentile(np.linalg.norm(scaled[pairs.touched], axis=1), _REACH_PERCENTILE))
     centre, scale = (np.array(size) - 1.0) / 2, max(size) / 2.0
     terms = correction_terms(scaled, (pairs.positions_px - centre) / scale, reach)
     wanted = stereographic_from_normals(pairs.normals) - first_estimate(scaled)
-    ridge = _Ridge(terms, wanted, pairs)
-    coefficients, held_back = ridge.choose()
+    coefficients, held_back = _Ridge(terms, wanted, pairs).choose()
     gel = GelResponse(coefficients=coefficients, centre_px=centre, scale_px=scale, reach=reach)
     touched = pairs.touched
     normals, rgb = pairs.normals[touched], pairs.rgb[touched]
@@ -281,16 +330,10 @@ def fit_gel_to_presses(
         samples=len(normals),
         cone_deg=cone_of_normals_deg(normals),
     )
-    warn_of_weak_fit(quality)
     return GelFit(
-        response=response,
-        gel=gel,
-        quality=quality,
-        held_back_deg=held_back,
-        label_offset_px=offset,
-        normals=normals,
-        rgb=rgb,
-    )
+        response=response, gel=gel, quality=quality, held_back_deg=held_back,
+        label_offset_px=np.zeros(2), label_scatter_px=0.0, normals=normals, rgb=rgb,
+    )  # fmt: skip
 
 
 class _Ridge:

@@ -13,7 +13,7 @@ from cyclopts import Parameter
 from vntoolkit.calibration.board import BoardOptions
 from vntoolkit.calibration.fit import ResponseFit
 from vntoolkit.calibration.lights import LightColours
-from vntoolkit.calibration.presses import PressOptions
+from vntoolkit.calibration.presses import GelFit, PressOptions
 from vntoolkit.calibration.sphere import SphereOptions
 from vntoolkit.cli.flags import (
     Allow,
@@ -397,7 +397,7 @@ def _report_presses(result: pipeline.PressCalibration, options: PressOptions, la
     if np.isfinite(held_back):
         print(f"  held back         {held_back:.2f} degrees, median on presses that a fit did not see")
     took = "found" if labels is None else f"as labelled in {labels}"
-    print(f"  contact circles   {result.used}, {took}")
+    print(f"  contact circles   {result.used}, {took}{_moves(result.fit)}")
     if result.passed_over:
         names = ", ".join(result.passed_over[:5]) + (" …" if len(result.passed_over) > 5 else "")
         without = "a dent that is symmetric" if labels is None else "a label"
@@ -407,6 +407,15 @@ def _report_presses(result: pipeline.PressCalibration, options: PressOptions, la
     width, height = camera.width * options.pixel_mm, camera.height * options.pixel_mm
     scale = f"{options.pixel_mm:g} mm a pixel in u and v, {width:.1f}×{height:.1f} mm"
     print(f"  scale             {scale}; depth is 0 at rest, negative in a dent")
+
+
+def _moves(fit: GelFit) -> str:
+    """How far the circles lay from their dents."""
+    if not fit.label_scatter_px:
+        return ""
+    u, v = fit.label_offset_px
+    common = f" all by ({u:.1f}, {v:.1f}) pixels and" if u or v else ""
+    return f"; moved to their dents,{common} each by {fit.label_scatter_px:.1f} (median)"
 
 
 @verb("max_megapixels")

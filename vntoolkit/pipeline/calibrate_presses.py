@@ -131,7 +131,7 @@ def calibrate_presses(
     level = np.median(background.rgb[~background.clipped].astype(np.float64), axis=0)
     height, width = background.shape
     if job.labels is None:  # what was found has no common offset
-        options = replace(options, label_offset=LabelOffset.NONE)
+        options = replace(options, label_offset=LabelOffset.OWN)
     radii_mm = options.pixel_mm * np.array([part.press.radius_px for part in samples])
     findings = [
         *_findings_from_labels(job, read, (width, height)),
