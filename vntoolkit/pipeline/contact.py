@@ -10,14 +10,18 @@ it meets the circles that people draw.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy import ndimage
 
 from vntoolkit.arrays import Mask
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap
+from vntoolkit.native import njit
 
+Array = npt.NDArray[Any]
 _RIM_SHARE = 1 / 3  # of a dent's depth, at which its contact ends
 _SHALLOWEST_M = 1e-4  # what the drift of lamps leaves of depth on an untouched gel
 _REST_ROUNDS = 4
@@ -46,29 +50,53 @@ def rested(depth_map: DepthMap) -> DepthMap:
     rests, its height alone is taken out.
     """
     mask = depth_map.mask
+    given = np.ascontiguousarray(depth_map.depth)
     step = max(1, round(float(np.sqrt(mask.size / _VOTES))))
-    rows, columns = np.nonzero(mask[::step, ::step])
-    values = depth_map.depth[::step, ::step][rows, columns].astype(np.float64)
-    if not len(values):
-        return depth_map
+    depth = np.empty_like(given)
+    _less_plane(given, mask, _plane_at_rest(given, mask, step), depth)
+    return replace(depth_map, depth=depth)
+
+
+@njit(cache=True)
+def _plane_at_rest(depth: Array, mask: Mask, step: int) -> Array:
+    """Height and slopes (3,) along x and y, which run from −1 to 1 over the picture."""
     height, width = mask.shape
-    y, x = np.linspace(-1, 1, height), np.linspace(-1, 1, width)
-    terms = np.column_stack([np.ones(len(values)), x[::step][columns], y[::step][rows]])
-    plane = np.array([np.median(values), 0.0, 0.0])
+    most = ((height + step - 1) // step) * ((width + step - 1) // step)
+    values, terms = np.empty(most), np.ones((most, 3))
+    count = 0
+    for v in range(0, height, step):
+        for u in range(0, width, step):
+            if mask[v, u]:
+                values[count] = depth[v, u]
+                terms[count, 1] = 2.0 * u / max(width - 1, 1) - 1.0
+                terms[count, 2] = 2.0 * v / max(height - 1, 1) - 1.0
+                count += 1
+    plane: Array = np.zeros(3)
+    if count == 0:
+        return plane
+    values, terms = values[:count], terms[:count]
+    plane[0] = np.median(values)
     for _ in range(_REST_ROUNDS):  # dents pull the median: left out, it comes to rest
-        flat = np.abs(values - terms @ plane) < 2 * _SHALLOWEST_M
-        if flat.mean() > _RESTING_SHARE:
+        rest = values - terms @ plane
+        flat = np.abs(rest) < 2 * _SHALLOWEST_M
+        share = np.count_nonzero(flat) / count
+        if share > _RESTING_SHARE:
             resting = terms[flat]
             plane = np.linalg.solve(resting.T @ resting, resting.T @ values[flat])
-        elif flat.mean() > _RESTING_SHARE / 3:
-            plane[0] += np.median((values - terms @ plane)[flat])
-    kind = depth_map.depth.dtype
-    along_x, along_y = (plane[0] + plane[1] * x).astype(kind), (plane[2] * y).astype(kind)
-    depth = np.asarray(depth_map.depth) - along_x
-    depth -= along_y[:, None]
-    if not mask.all():
-        depth[~mask] = depth_map.depth[~mask]
-    return replace(depth_map, depth=depth)
+        elif share > _RESTING_SHARE / 3:
+            plane[0] += np.median(rest[flat])
+    return plane
+
+
+@njit(cache=True)
+def _less_plane(depth: Array, mask: Mask, plane: Array, out: Array) -> None:
+    """Put the depth less the plane into `out`; outside the mask it stays."""
+    height, width = mask.shape
+    for v in range(height):
+        across = plane[0] + plane[2] * (2.0 * v / max(height - 1, 1) - 1.0)
+        slope = 2.0 * plane[1] / max(width - 1, 1)
+        for u in range(width):
+            out[v, u] = depth[v, u] - (across - plane[1] + slope * u) * mask[v, u]
 
 
 def contact_from_depth(depth_map: DepthMap, camera: Camera) -> Contact:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from numba import prange
 
 from vntoolkit.arrays import LinearImage, Mask
 from vntoolkit.native import njit
@@ -27,11 +28,18 @@ _SEARCHED_PX = 120  # shorter side of the picture that is searched; a dot is sti
 
 def find_dots(change: LinearImage, background: LinearImage) -> Mask:
     """Mask (h, w) of the dots in change + background, both linear (h, w, 3); nothing where there are none."""
-    height, width = change.shape[:2]
+    return _dots(cv2.add(_shrunk(change), _shrunk(background)), change.shape[:2])
+
+
+def _shrunk(image: LinearImage) -> LinearImage:
+    height, width = image.shape[:2]
     step = max(1, min(height, width) // _SEARCHED_PX)
-    small = cv2.resize(
-        cv2.add(change, background), (width // step, height // step), interpolation=cv2.INTER_AREA
-    )
+    return np.asarray(cv2.resize(image, (width // step, height // step), interpolation=cv2.INTER_AREA))
+
+
+def _dots(small: LinearImage, shape: tuple[int, int]) -> Mask:
+    """Mask of `shape` of the dots in a frame that is shrunk."""
+    height, width = shape
     window = 2 * max(1, round(min(small.shape[:2]) * _WINDOW_SHARE / 2)) + 1
     closed = cv2.morphologyEx(small, cv2.MORPH_CLOSE, np.ones((window, window), np.uint8))
     dark = _darker(small, closed, np.float32(1 - _DARKER))
@@ -51,15 +59,15 @@ class DotFilter:
 
     def __init__(self, background: LinearImage) -> None:
         """background: the untouched gel, linear (h, w, 3)."""
-        self._background = background
-        self.dots = find_dots(np.zeros_like(background), background)
+        self._small = _shrunk(background)
+        self.dots = _dots(self._small, background.shape[:2])
         self._any = bool(self.dots.any())
 
     def filled(self, change: LinearImage, unknown: Mask) -> tuple[LinearImage, Mask]:
         """Return the change (h, w, 3) with dots and `unknown` pixels (h, w) filled, and the pixels filled."""
         holes = unknown
         if self._any:
-            holes = unknown | self.dots | find_dots(change, self._background)
+            holes = unknown | self.dots | _dots(cv2.add(_shrunk(change), self._small), change.shape[:2])
         if not holes.any() or holes.all():
             return change, holes
         filled = np.array(change)
@@ -82,11 +90,11 @@ def _darker(small, closed, share):  # type: ignore[no-untyped-def]  # pragma: no
     return dark
 
 
-@njit(cache=True)
+@njit(cache=True, parallel=True)
 def _fill_rows(filled, holes):  # type: ignore[no-untyped-def]  # pragma: no cover
     """Between the nearest known pixels of the row; a hole at its end takes the one it has."""
     height, width = holes.shape
-    for v in range(height):
+    for v in prange(height):
         u = 0
         while u < width:
             if not holes[v, u]:
@@ -108,12 +116,12 @@ def _fill_rows(filled, holes):  # type: ignore[no-untyped-def]  # pragma: no cov
             u = end
 
 
-@njit(cache=True)
+@njit(cache=True, parallel=True)
 def _fill_columns(change, filled, holes):  # type: ignore[no-untyped-def]  # pragma: no cover
     """Mix in what the column says, by the lengths of the gaps of column and row."""
     height, width = holes.shape
-    for u in range(width):
-        v = 0
+    for column in prange(width):
+        u, v = np.int64(column), 0  # unsigned, the loop's own number makes floats of differences
         while v < height:
             if not holes[v, u]:
                 v += 1
