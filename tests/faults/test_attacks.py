@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import typing
+import warnings
 import zipfile
 from pathlib import Path
 
@@ -16,6 +17,8 @@ from specimens import write_specimens
 from test_faults_at_the_command_line import fails_in_one_line, reconstruct
 
 import vntoolkit
+from tests.result_files import write_mesh_sequence
+from tests.skinning.conftest import rippling, sleeved_tube
 from vntoolkit import (
     DepthIntegrator,
     mesh_from_depth,
@@ -25,7 +28,8 @@ from vntoolkit import (
     recover_normals,
 )
 from vntoolkit.__main__ import main
-from vntoolkit.errors import BadInput, BadMotion, BadRig, CannotWrite
+from vntoolkit.calibration.fit import fit_response
+from vntoolkit.errors import BadInput, BadMotion, BadRig, CannotWrite, VntError
 from vntoolkit.io.atomic import (
     LOCK_NAME,
     require_writable_folder,
@@ -34,8 +38,10 @@ from vntoolkit.io.atomic import (
     write_text,
 )
 from vntoolkit.io.files import parse_json, require_name
+from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.maps_and_meshes.exr import ExrCompression, write_exr
 from vntoolkit.io.motion.bvh import read_bvh
+from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.io.rigs import rig_from_text
 
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
@@ -418,3 +424,43 @@ def test_no_probe_is_left_on_a_full_disk(tmp_path, monkeypatch):
     with pytest.raises(CannotWrite, match="no space left"):
         require_writable_folder(tmp_path)
     assert not list(tmp_path.iterdir())
+
+
+# What is left out or replaced is said.
+
+
+def test_errors_that_a_track_lost_are_missed(tmp_path, caplog):
+    write_mesh_sequence(tmp_path / "track", rippling(sleeved_tube(), 2))
+    read_mesh_sequence(tmp_path / "track")
+    assert not caplog.messages
+    (tmp_path / "track/track.json").write_text("{}")
+    read_mesh_sequence(tmp_path / "track")
+    assert "no vertex has an expected error" in caplog.text
+
+
+def test_the_evaluation_of_another_subject_is_named_when_it_goes(good, tmp_path, caplog):
+    evaluate = ["evaluate", "normals", "--out", str(tmp_path / "e")]
+    for name in ("a.exr", "a.exr", "b.exr"):
+        shutil.copy(good / "maps/n.exr", tmp_path / name)
+        assert main([*evaluate, str(tmp_path / name), str(good / "maps/n.exr")]) == 0
+        assert ("held the evaluation of" in caplog.text) == (name == "b.exr")
+
+
+def test_rectify_says_what_it_leaves_out(tmp_path, capsys):
+    for k in range(2):
+        write_png(tmp_path / f"in/{k}.png", np.full((20, 30, 3), 90, np.uint8))
+    (tmp_path / "in/notes.txt").write_text("two presses")
+    corners = ["--corners", *["2", "2", "27", "2", "2", "17", "27", "17"]]
+    size = ["--size-mm", "10", "6", "--pixel-mm", "0.5", "--out", str(tmp_path / "out")]
+    assert main(["rectify", str(tmp_path / "in"), *corners, *size]) == 0
+    assert "1 files that are no images were left out" in capsys.readouterr().out
+
+
+def test_numpy_says_nothing_of_data_that_are_refused():
+    flat = np.tile([0.0, 0.0, -1.0], (40, 1))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(VntError):
+            fit_response(flat, np.zeros((40, 3)))
+        with pytest.raises(VntError):
+            fit_response(flat, np.full((40, 3), 1e-320))

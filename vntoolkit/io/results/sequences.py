@@ -8,6 +8,7 @@ uncertainty_px.npy (float32, (frames, n)) where there is any, and sequence.json.
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -27,6 +28,8 @@ from vntoolkit.io.maps_and_meshes.arrays import map_npy
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh, write_mesh
 
 _VERSION = 1
+
+_logger = logging.getLogger(__name__)
 
 
 class MeshSequenceWriter:
@@ -119,6 +122,12 @@ def read_mesh_sequence(folder: Path | str) -> MeshSequence:
         uncertainty_px = np.atleast_1d(map_npy(folder / "uncertainty_px.npy", BadMesh))
         whole = min(len(vertices), len(uncertainty_px))
         vertices, uncertainty_px = vertices[:whole], uncertainty_px[:whole]
+    elif (folder / "track.json").exists():  # `track` writes them with every frame
+        _logger.warning(
+            "%s: uncertainty_px.npy is missing, so no vertex has an expected error; track again, with "
+            "--overwrite, to have them",
+            folder,
+        )
     sequence = MeshSequence(
         template=template, vertices=vertices, frame_rate_hz=rate, uncertainty_px=uncertainty_px
     )
