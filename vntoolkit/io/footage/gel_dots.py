@@ -28,7 +28,7 @@ _SEARCHED_PX = 120  # shorter side of the picture that is searched; a dot is sti
 
 def find_dots(change: LinearImage, background: LinearImage) -> Mask:
     """Mask (h, w) of the dots in change + background, both linear (h, w, 3); nothing where there are none."""
-    return _dots(cv2.add(_shrunk(change), _shrunk(background)), change.shape[:2])
+    return _dots(_shrunk(change) + _shrunk(background), change.shape[:2])
 
 
 def _shrunk(image: LinearImage) -> LinearImage:
@@ -67,7 +67,7 @@ class DotFilter:
         """Return the change (h, w, 3) with dots and `unknown` pixels (h, w) filled, and the pixels filled."""
         holes = unknown
         if self._any:
-            holes = unknown | self.dots | _dots(cv2.add(_shrunk(change), self._small), change.shape[:2])
+            holes = unknown | self.dots | _dots(_shrunk(change) + self._small, change.shape[:2])
         if not holes.any() or holes.all():
             return change, holes
         filled = np.array(change)
