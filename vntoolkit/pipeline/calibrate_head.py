@@ -184,12 +184,16 @@ def calibrate_head(
             )
 
     def light_frames(numbers: IntArray) -> Iterator[LightFrame]:
-        for k in numbers.tolist():
-            yield LightFrame(
-                frame=undistorter.frame(capture.frame(footage.numbers[k])),
-                camera_from_head=motion.camera_from_head[k],
-                mask=footage.silhouettes[k].mask,
-            )
+        wanted = {footage.numbers[k]: k for k in numbers.tolist()}
+        # one pass: to seek in a video costs more than to decode what lies between
+        for frame in capture.frames(min(wanted), max(wanted) + 1):
+            if frame.number in wanted:
+                k = wanted[frame.number]
+                yield LightFrame(
+                    frame=undistorter.frame(frame),
+                    camera_from_head=motion.camera_from_head[k],
+                    mask=footage.silhouettes[k].mask,
+                )
 
     with clock.stage("light"):
         chosen = spread_over_turn(views, options.samples.light_frames)

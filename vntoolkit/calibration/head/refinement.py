@@ -45,7 +45,7 @@ _LARGEST_CROSSOVER = 1.0 / 3.0  # of the mesh's diagonal: M is fitted to what lo
 _PATCH_PX = 16.0  # side: larger than the windows of stereo blur, smaller than a nose
 _DRAWS, _PATTERNS = 8, 9
 _TINY, _SMALLEST_SINE = 1e-30, 1e-9
-_TOLERANCE, _MOST_ITERATIONS = 1e-4, 2000
+_TOLERANCE, _ROUGHLY, _MOST_ITERATIONS = 1e-4, 1e-2, 2000  # roughly: of standard deviations
 _LEAST_COTANGENT, _MOST_COTANGENT = 0.05, 5.0
 _LEAST_SEEN = 0.5  # of a patch's area, in a frame
 _LEAST_PATCH = 0.1  # of its side squared: less is a sliver
@@ -184,7 +184,8 @@ class PositionSolver:
         own = np.sqrt(levels.stereo / np.maximum(areas(self._stereo, self._faces), _TINY))
         variance = np.zeros(len(own))
         for _ in range(_DRAWS):
-            variance += self._solved(self._anchor * own * rng.standard_normal(len(own))) ** 2 / _DRAWS
+            noise = self._anchor * own * rng.standard_normal(len(own))
+            variance += self._solved(noise, _ROUGHLY) ** 2 / _DRAWS
         step = surface.vertices[self._to] - surface.vertices[self._from]
         for row, column in np.ndindex(3, 3):
             turned = np.zeros_like(surface.normals)
@@ -192,7 +193,7 @@ class PositionSolver:
             turned -= (turned * surface.normals).sum(axis=1, keepdims=True) * surface.normals
             turned *= levels.shared / np.sqrt(_PATTERNS)
             rise = -(step * 0.5 * (turned[self._from] + turned[self._to])).sum(axis=1)
-            variance += self._solved(self._divergence(rise)) ** 2
+            variance += self._solved(self._divergence(rise), _ROUGHLY) ** 2
         return np.sqrt(variance)
 
     def _divergence(self, rise: FloatArray) -> FloatArray:
@@ -200,10 +201,10 @@ class PositionSolver:
         flow = self._weight * rise
         return np.asarray(np.bincount(self._to, flow, count) - np.bincount(self._from, flow, count), float)
 
-    def _solved(self, right: FloatArray) -> FloatArray:
+    def _solved(self, right: FloatArray, tolerance: float = _TOLERANCE) -> FloatArray:
         """Solve by conjugate gradients: the anchors bound the condition number by (crossover / edge)²."""
         scale = sp.diags_array(1.0 / self._system.diagonal())
-        found, failed = cg(self._system, right, rtol=_TOLERANCE, maxiter=_MOST_ITERATIONS, M=scale)
+        found, failed = cg(self._system, right, rtol=tolerance, maxiter=_MOST_ITERATIONS, M=scale)
         if failed:
             raise SolverFailed("refinement: the positions did not converge; leave it out: --head-shape fused")
         return np.asarray(found)
