@@ -4,8 +4,9 @@
 #     scripts/bare_machine.sh SUITE [STEP ...]       such as  scripts/bare_machine.sh trixie demo
 #
 # SUITE is bookworm, trixie, noble, resolute or their like. Steps: demo and test are what `make` calls so; wheel
-# installs the wheel with pip alone and works in an empty folder. Without any: demo test. Packages come from
-# where this machine's own apt and pip fetch theirs. Needs root; leaves nothing behind. The steps are stopped
+# installs the wheel with pip alone and works in an empty folder; walk goes as a newcomer from such an install to
+# the mesh of a folder of photographs, and prints its time. Without any: demo test. Packages come from where
+# this machine's own apt and pip fetch theirs. Needs root; leaves nothing behind. The steps are stopped
 # after LIMIT_S seconds, by default two hours.
 # Exit status: 0 all well, 1 a step failed, 77 it cannot be tried here (the reason is the last line).
 set -eu
@@ -14,7 +15,7 @@ cd "$(dirname "$0")/.."
 skip() { echo "bare machine: skipped, $*"; exit 77; }
 
 if [ "${1:-}" != inside ]; then
-    suite=${1:?usage: scripts/bare_machine.sh SUITE [demo] [test] [wheel]}
+    suite=${1:?usage: scripts/bare_machine.sh SUITE [demo] [test] [wheel] [walk]}
     shift
     [ "$(id -u)" = 0 ] || skip "only root can make one"
     command -v apt-get >/dev/null || skip "this machine has no apt-get, whose mirrors it would use"
@@ -121,26 +122,56 @@ within() {
 }
 
 # As the README says it under "With pip alone"; then the commands of someone who has no checkout.
-wheel='
+install='
     apt-get update -qq
     DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends python3-venv \
         $(sed -n "s/^sudo apt-get install //p" /checkout/README.md) >/dev/null
+    rm -rf /venv /dist /empty
     python3 -m venv /venv
     /venv/bin/pip wheel --quiet --no-deps --wheel-dir /dist /checkout
     /venv/bin/pip install --quiet /dist/*.whl
     mkdir /empty
     cd /empty
     PATH=/venv/bin:$PATH
+'
+wheel="$install"'
     vntoolkit doctor
     vntoolkit demo --out demo
     vntoolkit recipe run figure02 --quick
     vntoolkit track demo/reconstruction
     vntoolkit dress demo/reconstruction/track --motion data/walk.bvh --out cloth.usdc
 '
+# The photographs are rendered first; that is not in the time.
+walk='
+    began=$(date +%s)
+'"$install"'
+    installed=$(date +%s)
+    vntoolkit simulate board --frames ::10 --out given/board
+    vntoolkit simulate sweater --frames 0:3 --out given/sweater
+    for scene in board sweater; do
+        mkdir "$scene"
+        python -c "
+import av, sys
+for k, frame in enumerate(av.open(sys.argv[1]).decode(video=0)):
+    frame.to_image().save(f\"{sys.argv[2]}/IMG_{k:04}.png\")" given/$scene/capture.mkv $scene
+    done
+    filmed=$(date +%s)
+    vntoolkit doctor sweater
+    vntoolkit calibrate board board --square-mm 16 --out rig.json
+    vntoolkit reconstruct sweater --rig rig.json --to mesh --out result --distance 5
+    vntoolkit report result
+    vntoolkit export result --to obj --out meshes
+    ls meshes
+    echo "walk: installed in $((installed - began)) s, first mesh $(($(date +%s) - filmed)) s later"
+'
 version=$(within 'python3 --version')
 for step in "$@"; do
     began=$(date +%s)
-    if [ "$step" = wheel ]; then commands=$wheel; else commands="cd /checkout && make $step"; fi
+    case $step in
+        wheel) commands=$wheel ;;
+        walk) commands=$walk ;;
+        *) commands="cd /checkout && make $step" ;;
+    esac
     fate="passed"
     within "$commands" </dev/null || fate="FAILED"
     echo "bare machine $suite, $version: $step $fate in $(($(date +%s) - began)) s"
