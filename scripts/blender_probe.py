@@ -2,7 +2,8 @@
 
     python scripts/blender_probe.py CLOTH.usdc FRAMES.json FOUND.npz [PICTURE.png]
 
-FRAMES.json lists the frames to look at. A picture is rendered of the last of them.
+FRAMES.json lists the frames to look at. Pictures are rendered of the first, a middle and the last of them:
+PICTURE_0.png, PICTURE_1.png and PICTURE.png.
 """
 
 import json
@@ -15,7 +16,7 @@ import numpy as np
 
 
 def main(path: str, frames: list[float], found: str, picture: str | None) -> None:
-    """Import a file, save what is in it at some frames, and render the last of them."""
+    """Import a file, save what is in it at some frames, and render three of them."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     (bpy.ops.import_scene.gltf if path.endswith(".glb") else bpy.ops.wm.usd_import)(filepath=path)
@@ -34,6 +35,17 @@ def main(path: str, frames: list[float], found: str, picture: str | None) -> Non
             for material in bpy.data.materials
             for link in material.node_tree.links
         ),
+        "material_reads_texture": any(
+            link.from_node.bl_idname == "ShaderNodeTexImage" and link.to_socket.name == "Base Color"
+            for material in bpy.data.materials
+            for link in material.node_tree.links
+        ),
+        "material_reads_relief": any(
+            link.from_node.bl_idname == "ShaderNodeNormalMap" and link.to_socket.name == "Normal"
+            for material in bpy.data.materials
+            for link in material.node_tree.links
+        ),
+        "has_camera": any(thing.type == "CAMERA" for thing in bpy.data.objects),
         "is_smooth": all(polygon.use_smooth for polygon in surface.data.polygons),
         "groups": len(surface.vertex_groups),
         "has_armature": any(modifier.type == "ARMATURE" for modifier in surface.modifiers),
@@ -44,8 +56,11 @@ def main(path: str, frames: list[float], found: str, picture: str | None) -> Non
         result["heads"] = np.stack([heads_of(figure, seek(frame)) for frame in frames])
     np.savez(found, **result)
     if picture:
-        seek(frames[-1])
-        render(surface, picture)
+        stem = picture.removesuffix(".png")
+        names = (f"{stem}_0.png", f"{stem}_1.png", picture)
+        for place, name in zip((0, len(frames) // 2, -1), names, strict=True):
+            seek(frames[place])
+            render(surface, name)
 
 
 def seek(frame: float) -> object:

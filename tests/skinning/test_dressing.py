@@ -24,7 +24,7 @@ from vntoolkit.skinning.alignment import Anchor
 from vntoolkit.skinning.anatomy import anatomy_of, facing_of, shoulders_of
 from vntoolkit.skinning.blending import Blend
 from vntoolkit.skinning.clock import ClockOptions
-from vntoolkit.skinning.fitting import GarmentFitOptions, Region
+from vntoolkit.skinning.fitting import Garment, GarmentFitOptions
 from vntoolkit.skinning.gait import walking_motion
 from vntoolkit.skinning.kinematics import bone_segments, pose_of_frame
 
@@ -240,8 +240,8 @@ def test_a_figure_without_legs_cannot_wear_trousers(moving_jumper: MeshSequence)
         names=walk.skeleton.names[:5], parents=walk.skeleton.parents[:5], offsets=walk.skeleton.offsets[:5]
     )
     motion = replace(walk, skeleton=torso, rotations=walk.rotations[:, :5])
-    options = DressOptions(fitting=GarmentFitOptions(region=Region.LOWER_BODY), up_axis=MotionUpAxis.Y)
-    with pytest.raises(BadInput, match="no lower body; use landmarks"):
+    options = DressOptions(fitting=GarmentFitOptions(garment=Garment.SKIRT), up_axis=MotionUpAxis.Y)
+    with pytest.raises(BadInput, match="no lower body for the skirt; use landmarks"):
         dress(moving_jumper, motion, options)
 
 

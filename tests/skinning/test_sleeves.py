@@ -19,6 +19,7 @@ from vntoolkit.geometry.motion import Motion
 from vntoolkit.pipeline.dress import DressedFigure, DressOptions, dress
 from vntoolkit.skinning.anatomy import anatomy_of, arms_of
 from vntoolkit.skinning.findings import DressingFindings
+from vntoolkit.skinning.fitting import Garment, GarmentFitOptions
 from vntoolkit.skinning.gait import walking_motion
 from vntoolkit.skinning.kinematics import pose_of_frame
 from vntoolkit.skinning.sleeves import regions_of_garment
@@ -70,7 +71,77 @@ def test_a_vest_and_trousers_have_no_sleeves() -> None:
     legs = np.abs(points[:, 0]) > 0.3 * (points[:, 1] - 0.25)
     for kept in (np.ones(len(points), bool), legs):
         mesh = Mesh(vertices=points, faces=faces[kept[faces].all(axis=1)])
-        assert regions_of_garment(mesh).sleeves == ()
+        regions = regions_of_garment(mesh)
+        assert regions.sleeves == ()
+        assert (regions.hems is None) == kept.all()
+
+
+def relief(
+    width: float, height: float, bones: list[tuple[list[float], list[float], float, float]]
+) -> MeshSequence:
+    """Return a sheet over cones (start, end, radii), five metres away, as a height field shows them."""
+    step = 0.01
+    x, y = np.meshgrid(np.arange(-width, width, step), np.arange(-0.02, height, step))
+    depth = np.full(x.shape, np.inf)
+    for start, end, first, last in bones:
+        axis, length = np.subtract(end, start), np.linalg.norm(np.subtract(end, start))
+        along = ((x - start[0]) * axis[0] + (y - start[1]) * axis[1]) / length**2
+        across = ((x - start[0]) * axis[1] - (y - start[1]) * axis[0]) / length
+        radius = first + (last - first) * along
+        inside = (np.abs(across) < radius) & (along >= 0) & (along <= 1)
+        depth[inside] = np.minimum(depth, -np.sqrt(np.maximum(radius**2 - across**2, 0)))[inside]
+    seen = np.isfinite(depth)
+    index = np.full(x.shape, -1)
+    index[seen] = np.arange(seen.sum())
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+    faces = np.concatenate([np.stack([a, c, b], -1).reshape(-1, 3), np.stack([b, c, d], -1).reshape(-1, 3)])
+    points = np.stack([x[seen], y[seen], 5 + depth[seen]], axis=-1)
+    mesh = Mesh(vertices=points, faces=faces[(faces >= 0).all(axis=1)])
+    return MeshSequence(template=mesh, vertices=points[None].astype(np.float32))
+
+
+def trousers() -> MeshSequence:
+    hips = ([0.0, 0.0], [0.0, 0.22], 0.19, 0.2)
+    legs = [([side * 0.1, 0.15], [side * 0.2, 0.95], 0.1, 0.06) for side in (-1.0, 1.0)]
+    return relief(0.4, 1.0, [hips, *legs])
+
+
+def worn(cloth: MeshSequence, kind: Garment) -> DressedFigure:
+    return dress(cloth, walking_motion(), DressOptions(fitting=GarmentFitOptions(garment=kind)))
+
+
+def test_trousers_follow_the_leg_on_their_side_and_nothing_above_the_hips() -> None:
+    dressed = worn(trousers(), Garment.AUTO)
+    skeleton, weights = dressed.motion.skeleton, dressed.weights
+    assert dressed.fitting.garment is Garment.TROUSERS
+    legs = anatomy_of(skeleton).legs
+    assert set(np.unique(weights.joints[weights.weights > 0])) <= {0, *legs}
+    x, y, _ = dressed.cloth[0].vertices.T
+    sides = dressed.rest_from_model[:, 0, 3] - dressed.rest_from_model[0, 0, 3]
+    for side in (-1, 1):
+        own = [joint for joint in legs if np.sign(sides[joint]) == side]
+        share = np.where(np.isin(weights.joints, own), weights.weights, 0).sum(axis=1)
+        assert share[(np.sign(x) == side) & (y > 0.5)].min() > 0.95
+    # Each hem stays about its ankle through the walk.
+    stretched = measured(dressed, tuple(range(0, len(dressed), 6)))
+    assert stretched.stretched.max() < 0.02
+    assert "no sleeve" not in stretched.sentence
+
+
+def test_each_kind_is_worn_on_its_own_bones() -> None:
+    skirt = relief(0.4, 0.7, [([0.0, 0.0], [0.0, 0.6], 0.17, 0.32)])
+    dressed = worn(skirt, Garment.SKIRT)
+    legs = anatomy_of(dressed.motion.skeleton).legs
+    assert set(np.unique(dressed.weights.joints[dressed.weights.weights > 0])) <= {0, *legs}
+    assert (
+        dressed.template.vertices[:, 1].min() < dressed.rest_from_model[0, 1, 3]
+    )  # the waist is above the hips
+    vest = relief(0.4, 0.7, [([0.0, 0.0], [0.0, 0.6], 0.2, 0.2)])
+    dressed = worn(vest, Garment.SLEEVELESS)
+    assert of_arms(dressed).max() == 0
+    for kind, cloth in ((Garment.SHIRT, vest), (Garment.TROUSERS, skirt)):
+        with pytest.raises(BadInput, match=f"{kind.value}: .* first frame"):
+            worn(cloth, kind)
 
 
 def test_no_arm_moves_the_trunk_and_both_stay_in_their_sleeves(sheet: MeshSequence) -> None:
@@ -82,6 +153,22 @@ def test_no_arm_moves_the_trunk_and_both_stay_in_their_sleeves(sheet: MeshSequen
     assert findings.off_axis.shape == (3, 2, 3)
     assert findings.off_axis[:, :, 1:].max() < 1  # forearm and wrist; the elbow bends the axis
     assert "wrist" in findings.sentence or "elbow" in findings.sentence
+
+
+def test_what_a_track_pulled_apart_is_drawn_together(sheet: MeshSequence) -> None:
+    moved = np.array(sheet.vertices[:2])
+    x, y, _ = moved[0].T
+    slipped = np.hypot(x, y - 0.4) < 0.03
+    moved[1, slipped, 2] -= 0.06
+    still, torn = (
+        dress(replace(sheet, vertices=vertices), walking_motion()) for vertices in (moved[[0, 0]], moved)
+    )
+    growth = [torn.meter().stretch(rest).max() for rest in torn.rest_frames()]
+    assert growth[0] == pytest.approx(1)
+    assert 1.3 < max(growth) < 1.6  # 7 times without
+    far = np.hypot(x, y - 0.4) > 0.2
+    for one, other in zip(still.rest_frames(), torn.rest_frames(), strict=True):
+        np.testing.assert_allclose(one[far], other[far], atol=1e-3)
 
 
 def test_an_arm_beside_its_sleeve_is_said(sheet: MeshSequence) -> None:

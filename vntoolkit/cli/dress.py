@@ -73,7 +73,7 @@ def run(
         cut = f"; {dressed.cut_triangles} triangles cut" if dressed.cut_triangles else ""
         rate = f"{dressed.clock.frame_rate_hz:g} frames per second"
         print(f"{out}: {summary.frames} frames of {len(dressed.template.vertices)} vertices, {rate}{cut}")
-        print(summary.findings.sentence)
+        print(f"worn as {dressed.fitting.garment.value}: {summary.findings.sentence}")
         if summary.fold_error is not None:
             print(
                 f"skin: folds within {1000 * summary.fold_error:.2g} mm; --carrier cache writes them exactly"

@@ -13,13 +13,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import vntoolkit
-from vntoolkit.arrays import FloatArray, Points, Vector3
+from vntoolkit.arrays import Faces, FloatArray, IntArray, Points, Vector3
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.garment_fit import GarmentFit
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.geometry.mesh_sequence import MeshSequence
-from vntoolkit.geometry.motion import Motion
+from vntoolkit.geometry.motion import Motion, Skeleton
 from vntoolkit.geometry.rigid import Similarity
 from vntoolkit.geometry.skinned_clip import SkinnedClip, ViewedFrom, blend_shapes
 from vntoolkit.io.atomic import require_writable_folder
@@ -33,7 +33,7 @@ from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.texture import SurfaceTexture, read_texture, texture_of_tracks
 from vntoolkit.pipeline.tracked_folder import colours_at, read_track_record, recorded_camera, uv_in_picture
 from vntoolkit.skinning.alignment import Anchor, CapturedMotion, parts_of
-from vntoolkit.skinning.anatomy import anatomy_of
+from vntoolkit.skinning.anatomy import anatomy_of, legs_of
 from vntoolkit.skinning.attachment import GarmentCover, SleeveCover, weights_without_web
 from vntoolkit.skinning.blending import Blend, skinned_vertices
 from vntoolkit.skinning.clock import (
@@ -44,7 +44,7 @@ from vntoolkit.skinning.clock import (
     resampled_vertices,
 )
 from vntoolkit.skinning.findings import DressingFindings, DressingMeter
-from vntoolkit.skinning.fitting import Fitting, GarmentFitOptions, fit_garment_to_figure
+from vntoolkit.skinning.fitting import Fitting, Garment, GarmentFitOptions, fit_garment_to_figure
 from vntoolkit.skinning.kinematics import bone_segments, pose_of_frame
 from vntoolkit.skinning.weights import SkinWeights, WeightOptions
 
@@ -154,7 +154,9 @@ class DressedFigure:
     def meter(self) -> DressingMeter:
         """Return what measures posed frames of this garment."""
         on_figure = self.rest_from_cloth.apply(self.cloth[0].vertices)
-        return DressingMeter(self.template, on_figure, self.fitting.sleeved, self.motion.skeleton)
+        kind, skeleton = self.fitting.garment, self.motion.skeleton
+        bare = kind.is_lower or kind is Garment.SLEEVELESS
+        return DressingMeter(self.template, on_figure, self.fitting.sleeved, skeleton, has_sleeves=not bare)
 
     def frames(self) -> Iterator[Points]:
         """Yield the vertices (n, 3) of each frame of the clock."""
@@ -170,6 +172,34 @@ class DressedFigure:
         """Return the vertices (n, 3) of one frame of the clock."""
         captured = next(resampled_vertices(self.cloth, self.clock.cloth_s[index : index + 1]))
         return self._posed(self.captured.at_rest(self.rest_from_cloth.apply(captured)), index)
+
+    def thinned(self, cell: float) -> DressedFigure:
+        """Return the figure with one vertex in each cube of that side (metres), for small pictures."""
+        kept, faces = one_in_each_cube(self.template, cell)
+        template, weights = self.cloth.template, self.weights
+        thin = SkinWeights(joints=weights.joints[kept], weights=weights.weights[kept])
+        mesh = Mesh(
+            vertices=template.vertices[kept],
+            faces=faces,
+            colours=None if template.colours is None else template.colours[kept],
+        )
+        sleeved = tuple(
+            replace(one, sleeve=replace(one.sleeve, along=one.sleeve.along[kept]))
+            for one in self.fitting.sleeved
+        )
+        return replace(
+            self,
+            cloth=replace(
+                self.cloth, template=mesh, vertices=self.cloth.vertices[:, kept], uncertainty_px=None
+            ),
+            weights=thin,
+            fitting=replace(
+                self.fitting,
+                sleeved=sleeved,
+                regions=replace(self.fitting.regions, trunk=self.fitting.regions.trunk[kept]),
+            ),
+            captured=self.captured.thinned(kept, faces, thin),
+        )
 
     @cached_property
     def offset(self) -> Vector3:
@@ -243,11 +273,12 @@ def dress(
         options.weights,
         poses=_sampled_poses(played),
         max_stretch=options.max_stretch,
-        cover=_cover(fitting),
+        cover=_cover(fitting, skeleton),
     )
     cut = len(attached.faces) - len(faces)
     logger.info("%d frames at %g Hz; %d triangles cut", len(clock), clock.frame_rate_hz, cut)
-    parts = parts_of(options.anchor, anatomy_of(skeleton), fitting.sleeved, skeleton)
+    legs = legs_of(skeleton, anatomy_of(skeleton)) if fitting.garment is Garment.TROUSERS else ()
+    parts = parts_of(options.anchor, anatomy_of(skeleton), fitting.sleeved, skeleton, legs)
     return DressedFigure(
         cloth=replace(cloth, template=replace(cloth.template, faces=faces)),
         motion=played,
@@ -256,7 +287,7 @@ def dress(
         weights=weights,
         blend=options.blend,
         carrier=options.carrier if options.blend is Blend.LINEAR else Carrier.CACHE,
-        captured=CapturedMotion(attached.vertices, weights, parts, fitting.rest_from_first),
+        captured=CapturedMotion(attached.vertices, weights, parts, fitting.rest_from_first, faces),
         is_centred=options.centre,
         cut_triangles=cut,
     )
@@ -273,9 +304,14 @@ def named_joints(pairs: tuple[str, ...]) -> dict[str, str]:
     return named
 
 
-def _cover(fitting: Fitting) -> GarmentCover:
+def _cover(fitting: Fitting, skeleton: Skeleton) -> GarmentCover:
     """Tell the weights which cloth covers what; where one arm has a sleeve, one without moves no cloth."""
-    sleeved = {one.arm.side for one in fitting.sleeved}
+    sleeved, anatomy = {one.arm.side for one in fitting.sleeved}, anatomy_of(skeleton)
+    bare = [joint for arm in fitting.arms if arm.side not in sleeved for joint in arm.joints]
+    if fitting.garment.is_lower:
+        bare = [joint for joint in range(1, len(skeleton.names)) if joint not in anatomy.legs]
+    elif not sleeved and fitting.garment is not Garment.SLEEVELESS:
+        bare = []  # tubes and sheets whose sleeves do not stand out hang on the nearest bones
     return GarmentCover(
         sleeves=tuple(
             SleeveCover(
@@ -288,8 +324,17 @@ def _cover(fitting: Fitting) -> GarmentCover:
         ),
         trunk=fitting.regions.trunk,
         bones_from_pose=np.linalg.inv(fitting.rest_from_first),
-        bare=tuple(joint for arm in fitting.arms if arm.side not in sleeved for joint in arm.joints),
+        bare=tuple(bare),
     )
+
+
+def one_in_each_cube(mesh: Mesh, cell: float) -> tuple[IntArray, Faces]:
+    """Return the first vertex in each cube of that side, and the triangles between different ones."""
+    cubes = np.floor(mesh.vertices / cell).astype(np.int64)
+    _, first, cluster = np.unique(cubes, axis=0, return_index=True, return_inverse=True)
+    faces = cluster.ravel()[mesh.faces]
+    a, b, c = faces.T
+    return first, faces[(a != b) & (b != c) & (a != c)].astype(np.int32)
 
 
 def floor_height(motion: Motion) -> float:

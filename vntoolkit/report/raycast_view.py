@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from vntoolkit.arrays import Colours, Faces, FloatArray, IntArray, Points, Vector3
+from vntoolkit.arrays import Colours, FloatArray, IntArray, Points, Vector3
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.rays import RayScene
@@ -181,13 +181,11 @@ class _Stage:
 
     def __init__(self, dressed: DressedFigure, *, coarse: bool = False) -> None:
         """coarse: with fewer triangles, for pictures that are seen for a moment."""
+        if coarse:
+            dressed = dressed.thinned(dressed.motion.skeleton.height / _COARSE_CELLS)
         self._dressed, self._meter, self._floor = dressed, dressed.meter(), floor_height(dressed.motion)
         template = dressed.template
-        cell = dressed.motion.skeleton.height / _COARSE_CELLS
-        kept, self._faces = (
-            _clustered(template, cell) if coarse else (np.arange(len(template.vertices)), template.faces)
-        )
-        self._kept, self._colours = kept, np.full((len(template.vertices), 3), _CLOTH_COLOUR, np.float32)
+        self._colours = np.full((len(template.vertices), 3), _CLOTH_COLOUR, np.float32)
         if template.colours is not None:
             self._colours = np.array(template.colours)
 
@@ -198,7 +196,7 @@ class _Stage:
         colours = np.array(self._colours)
         stretched = self._meter.stretch(vertices) > STRETCHED
         colours[np.unique(dressed.template.faces[stretched])] = _RED
-        cloth = Mesh(vertices=vertices[self._kept], faces=self._faces, colours=colours[self._kept])
+        cloth = Mesh(vertices=vertices, faces=dressed.template.faces, colours=colours)
         outside = self._meter.off_axis(vertices, pose).max(axis=1) > 1
         out = [
             joint
@@ -214,15 +212,6 @@ class _Stage:
             for which, colour in ((~red, _BONE_COLOUR), (red, _RED))
         ]
         return [cloth, *bones, _floor(dressed, frame, self._floor)]
-
-
-def _clustered(mesh: Mesh, cell: float) -> tuple[IntArray, Faces]:
-    """Return the first vertex in each cube of that side, and the triangles between different ones."""
-    cubes = np.floor(mesh.vertices / cell).astype(np.int64)
-    _, first, cluster = np.unique(cubes, axis=0, return_index=True, return_inverse=True)
-    faces = cluster.ravel()[mesh.faces]
-    a, b, c = faces.T
-    return first, faces[(a != b) & (b != c) & (a != c)].astype(np.int32)
 
 
 def _floor(dressed: DressedFigure, frame: int, y: float) -> Mesh:

@@ -15,12 +15,14 @@ from enum import Enum
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from vntoolkit.arrays import FloatArray, IntArray, Mask, Points, Vector3
+from vntoolkit.arrays import Faces, FloatArray, IntArray, Mask, Points, Vector3
+from vntoolkit.geometry.laplacian import edges_from_faces
 from vntoolkit.geometry.motion import Skeleton
 from vntoolkit.geometry.rigid import RigidTransform
-from vntoolkit.skinning.anatomy import Anatomy, Arm
+from vntoolkit.skinning.anatomy import Anatomy, Arm, thigh_of
 from vntoolkit.skinning.blending import blended_vertices
 from vntoolkit.skinning.sleeves import Sleeve
+from vntoolkit.skinning.stretch import drawn_together
 from vntoolkit.skinning.weights import SkinWeights
 
 _LONG = 0.6  # of the arm: sleeves that end before that are short, and stay so
@@ -193,6 +195,9 @@ class Anchor(Enum):
 
 _MAX_POINTS = 5000  # a rigid motion needs no more, and the fit then takes no time
 _MOSTLY = 0.5  # of a part's greatest weight: vertices above it are the part's own
+_MOST_STRAIN = (
+    1.5  # of the captured cloth: where a track slips, it pulls cloth farther apart than cloth bears
+)
 _LEAST_POINTS = 12  # a part with fewer moves with the one it hangs from
 
 
@@ -205,12 +210,15 @@ class CapturedMotion:
         weights: SkinWeights,
         parts: Sequence[Sequence[int]],
         rest_from_first: FloatArray,
+        faces: Faces,
     ) -> None:
         """first: (n, 3) the first frame on the figure. parts: joints that move as one, the trunk's first; the
         joints of no part follow the trunk. rest_from_first: (j, 4, 4), what fits the cloth over each joint.
+        faces: what the capture stretches too far of them is drawn together.
         """
         self._weights, self._rest_from_first = weights, rest_from_first
         first = np.asarray(first, dtype=np.float64)
+        self._first, self._parts = first, parts
         self._fits: list[tuple[list[int], IntArray, FloatArray, Points]] = []
         for joints in parts:
             own = np.where(np.isin(weights.joints, joints), weights.weights, 0).sum(axis=1)
@@ -220,10 +228,18 @@ class CapturedMotion:
                 self._fits.append((list(joints), chosen, own[chosen], first[chosen]))
         is_plain = np.allclose(rest_from_first, np.eye(4), atol=1e-12)
         self._is_identity = is_plain and not self._fits
+        self._edges = edges_from_faces(faces)
+        ends = self.first_at_rest(first)[self._edges]
+        self._longest = _MOST_STRAIN * np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
 
     def at_rest(self, vertices: Points) -> Points:
         """Return captured vertices (n, 3), on the figure, in the pose of attachment."""
-        return self._apply(vertices, self._first_from_now(vertices))
+        placed = self._apply(vertices, self._first_from_now(vertices))
+        return drawn_together(placed, self._edges, self._longest)
+
+    def thinned(self, kept: IntArray, faces: Faces, weights: SkinWeights) -> CapturedMotion:
+        """Return the same of the vertices kept, (k,), with their faces and weights."""
+        return CapturedMotion(self._first[kept], weights, self._parts, self._rest_from_first, faces)
 
     def first_at_rest(self, vertices: Points) -> Points:
         """Return the first frame's vertices in the pose of attachment: nothing has moved yet."""
@@ -246,9 +262,16 @@ class CapturedMotion:
 
 
 def parts_of(
-    anchor: Anchor, anatomy: Anatomy, sleeved: Sequence[SleevedArm], skeleton: Skeleton
+    anchor: Anchor,
+    anatomy: Anatomy,
+    sleeved: Sequence[SleevedArm],
+    skeleton: Skeleton,
+    legs: Sequence[Sequence[int]] = (),
 ) -> list[list[int]]:
-    """Return the joints of each part of the cloth whose captured motion is taken out."""
+    """Return the joints of each part of the cloth whose captured motion is taken out.
+
+    legs: those that trousers cover, from the hip to the toes.
+    """
     if anchor is Anchor.NONE:
         return []
     parts = [list(anatomy.trunk)]
@@ -256,6 +279,9 @@ def parts_of(
         for one in sleeved:
             upper, fore, hand = one.arm.moved_with(skeleton)
             parts += [upper, fore + hand]
+        for leg in legs:
+            knee = list(leg).index(thigh_of(skeleton, tuple(leg))) + 1
+            parts += [list(leg[:knee]), list(leg[knee:])]
     return parts
 
 

@@ -82,6 +82,17 @@ def _neck_base(path: list[int], place: int, heights: FloatArray) -> int:
     return place
 
 
+def legs_of(skeleton: Skeleton, anatomy: Anatomy) -> tuple[tuple[int, ...], ...]:
+    """Return for each leg its joints on the way to the farthest one."""
+    starts = [joint for joint in anatomy.legs if skeleton.parents[joint] not in anatomy.legs]
+    return tuple(_longest_chain(skeleton, start, _descendants(skeleton, start)) for start in starts)
+
+
+def thigh_of(skeleton: Skeleton, leg: tuple[int, ...]) -> int:
+    """Return the joint of a leg that turns its longest bone."""
+    return _shoulder(skeleton, leg)
+
+
 def shoulders_of(skeleton: Skeleton, anatomy: Anatomy) -> tuple[int, ...]:
     """Return for each arm the joint that turns its longest bone: the upper arm, not the collar bone."""
     return tuple(_shoulder(skeleton, arm) for arm in anatomy.arms)

@@ -6,16 +6,16 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from vntoolkit.arrays import Faces, FloatArray, IntArray, Mask, Points, Vector3
-from vntoolkit.geometry.laplacian import edge_cotangents, edges_from_faces, graph_laplacian
+from vntoolkit.geometry.laplacian import edge_cotangents, graph_laplacian
 from vntoolkit.geometry.mesh import Mesh, face_normals, vertex_normals
 from vntoolkit.geometry.motion import Skeleton
 from vntoolkit.native import njit
 from vntoolkit.skinning.blending import skinned_vertices
+from vntoolkit.skinning.stretch import edge_lengths, greatest_growth
 from vntoolkit.skinning.weights import (
     Falloff,
     SkinWeights,
@@ -27,6 +27,7 @@ from vntoolkit.skinning.weights import (
 )
 
 _ROUNDS = 4  # a cut lets both sides go their own way, which may show more web beside it
+_EASY = 1.5  # cloth that stretches no more needs no other weights
 _HOLD = 2.0  # heat that a vertex takes from its bone: 1 blends wider, 4 stretches arms raised high
 _LEAST_COTANGENT, _MOST_COTANGENT = 0.01, 100.0  # a negative one could make a weight negative
 _GUESSED = 1e-3  # how a vertex that covers no bone holds the nearest, beside one that covers its own
@@ -53,7 +54,8 @@ class GarmentCover:
     """Which part of a garment covers what.
 
     sleeves: of the arms that have one. trunk: (n,) what no arm may move. bones_from_pose: (j, 4, 4), takes
-    the bones of an arm to where its sleeve has them. bare: joints of arms that have none and move no cloth.
+    the bones of an arm to where its sleeve has them. bare: joints that the garment does not cover, such as of
+    arms that have no sleeve; they move no cloth.
     """
 
     sleeves: tuple[SleeveCover, ...]
@@ -68,13 +70,18 @@ def weights_of_garment(
     pose: FloatArray,
     options: WeightOptions,
     cover: GarmentCover | None = None,
+    stiffness: FloatArray | None = None,
 ) -> SkinWeights:
-    """Weigh a garment, on the skeleton in the pose (j, 4, 4), by the rule that the options name."""
+    """Weigh a garment, on the skeleton in the pose (j, 4, 4), by the rule that the options name.
+
+    stiffness: (n,) for weights by heat: where it is greater, they change more slowly along the cloth.
+    """
     if options.falloff is not Falloff.HEAT:
         return weights_from_distances(garment.vertices, skeleton, pose, options)
     if cover is None or not cover.sleeves:
-        return weights_from_heat(garment, skeleton, pose, options)
-    return weights_with_sleeves(garment, skeleton, pose, options, cover)
+        bare = () if cover is None else cover.bare
+        return weights_from_heat(garment, skeleton, pose, options, bare, stiffness)
+    return weights_with_sleeves(garment, skeleton, pose, options, cover, stiffness)
 
 
 def weights_without_web(
@@ -87,74 +94,64 @@ def weights_without_web(
     max_stretch: float,
     cover: GarmentCover | None = None,
 ) -> tuple[SkinWeights, Faces]:
-    """Weigh a garment, cut where the poses (f, j, 4, 4) overstretch it, and weigh again; return what is left.
+    """Weigh a garment, see where the poses (f, j, 4, 4) overstretch it, and weigh again; return what is left.
 
-    A triangle is web where two parts of the garment meet, each mostly one bone's, and a pose stretches an
-    edge of it beyond `max_stretch`: cloth never bears that, so the capture joined what only touched. Weights
-    by distance know no triangles: they would stay, web and all, so nothing is cut for them, nor at 0.
+    Where cloth is stretched, it is made stiffer by the square of its stretch, so that the weights change more
+    slowly there and the cloth beside it takes its part. A triangle is web where two parts of the garment
+    meet, each mostly one bone's, and a pose stretches an edge of it beyond `max_stretch`: cloth never bears
+    that, so the capture joined what only touched. Weights by distance know no triangles: they would stay, web
+    and all, so nothing is cut for them, nor at 0.
     """
     weights, faces = weights_of_garment(garment, skeleton, pose, options, cover), garment.faces
     if options.falloff is not Falloff.HEAT or not max_stretch:
         return weights, faces
+    stiffness, longest = np.ones(len(garment.vertices)), edge_lengths(garment.vertices, faces)
     for _ in range(_ROUNDS):
-        web = _web(Mesh(vertices=garment.vertices, faces=faces), weights, pose, poses, max_stretch)
-        if not web.any():
+        growth = np.ones(len(faces))
+        for now in poses:
+            moved = skinned_vertices(garment.vertices, weights, now, pose)
+            growth = np.maximum(growth, greatest_growth(moved, faces, longest))
+        heaviest = weights.joints[np.arange(len(weights.joints)), weights.weights.argmax(axis=1)]
+        web = (growth > max_stretch) & (np.ptp(heaviest[faces], axis=1) > 0)
+        if not web.any() and growth.max(initial=1.0) <= _EASY:
             break
-        faces = faces[~web]
+        most = np.ones(len(stiffness))
+        np.maximum.at(most, faces.ravel(), np.repeat(np.minimum(growth, max_stretch), 3))
+        stiffness *= most**2
+        faces, longest = faces[~web], longest[~web]
         left = Mesh(vertices=garment.vertices, faces=faces)
-        weights = weights_of_garment(left, skeleton, pose, options, cover)
+        weights = weights_of_garment(left, skeleton, pose, options, cover, stiffness)
     return weights, faces
 
 
-def _web(
-    garment: Mesh, weights: SkinWeights, pose: FloatArray, poses: FloatArray, max_stretch: float
-) -> npt.NDArray[np.bool_]:
-    """Return (m,): which triangles bridge two bones' parts and are stretched too far in any pose."""
-    heaviest = weights.joints[np.arange(len(weights.joints)), weights.weights.argmax(axis=1)]
-    of_corner = heaviest[garment.faces]
-    web = np.zeros(len(garment.faces), dtype=bool)
-    bridges = np.flatnonzero(np.ptp(of_corner, axis=1) > 0)
-    if not len(bridges):
-        return web
-    involved, local = np.unique(garment.faces[bridges], return_inverse=True)
-    faces = local.reshape(-1, 3).astype(np.int32)
-    edges = edges_from_faces(faces)
-    rest = np.asarray(garment.vertices, dtype=np.float64)[involved]
-    own = SkinWeights(joints=weights.joints[involved], weights=weights.weights[involved])
-    limit = max_stretch * _lengths(rest, edges)
-    torn = np.zeros(len(edges), dtype=bool)
-    for now in poses:
-        torn |= _lengths(skinned_vertices(rest, own, now, pose), edges) > limit
-    web[bridges] = _has_torn_edge(faces, edges[torn], len(involved))
-    return web
-
-
-def _lengths(vertices: FloatArray, edges: Faces) -> FloatArray:
-    return np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
-
-
-def _has_torn_edge(faces: Faces, torn: Faces, count: int) -> npt.NDArray[np.bool_]:
-    codes = np.sort(torn.astype(np.int64), axis=1) @ [count, 1]
-    sides = np.stack([np.sort(faces[:, pair], axis=1) for pair in ([0, 1], [1, 2], [2, 0])]).astype(np.int64)
-    return np.asarray(np.isin(sides @ [count, 1], codes).any(axis=0))
-
-
 def weights_from_heat(
-    garment: Mesh, skeleton: Skeleton, pose: FloatArray, options: WeightOptions
+    garment: Mesh,
+    skeleton: Skeleton,
+    pose: FloatArray,
+    options: WeightOptions,
+    bare: Collection[int] = (),
+    stiffness: FloatArray | None = None,
 ) -> SkinWeights:
     """Weigh the garment's vertices by bone heat: −Δw + H w = H p, baran2007.
 
     garment: on the skeleton in the pose (j, 4, 4). p is 1 where a vertex covers the bone, H is 2 / d² of
     its distance. The bone is the one on the inner side of the cloth, which a sheet seen from the front has
     too; a test of visibility would need a closed garment. Few bones are kept as in `Falloff.CONTINUOUS`.
+    bare: joints that it does not cover.
     """
-    joints, distances, hold = _own_bones(garment, skeleton, pose, options)
-    used, shares = _spread(garment, joints, distances, hold)
+    among = [joint for joint in range(len(skeleton.names)) if joint not in bare]
+    joints, distances, hold = _own_bones(garment, skeleton, pose, options, among)
+    used, shares = _spread(garment, joints, distances, hold, stiffness)
     return _heaviest(used, shares, options.bones)
 
 
 def weights_with_sleeves(
-    garment: Mesh, skeleton: Skeleton, pose: FloatArray, options: WeightOptions, cover: GarmentCover
+    garment: Mesh,
+    skeleton: Skeleton,
+    pose: FloatArray,
+    options: WeightOptions,
+    cover: GarmentCover,
+    stiffness: FloatArray | None = None,
 ) -> SkinWeights:
     """Weigh a garment whose sleeves are known, so that no arm moves the trunk below the armpits.
 
@@ -169,8 +166,10 @@ def weights_with_sleeves(
     taken = {joint for one in sleeves for joint in one.joints} | set(cover.bare)
     body = [joint for joint in range(len(skeleton.names)) if joint not in taken]
     joints, distances, hold = _own_bones(garment, skeleton, pose, options, body)
-    shares = _arm_shares(garment, cover.trunk, sleeves, distances)
-    parts = [(1.0 - shares.sum(axis=1), *_spread(garment, joints, distances, hold))]
+    even = np.ones(len(joints)) if stiffness is None else stiffness
+    shares = _arm_shares(garment, cover.trunk, sleeves, distances, even)
+    left = 1.0 - shares.sum(axis=1)
+    parts = [(left, *_spread_within(left > 0, garment, joints, distances, hold, even))]
     for one, share in zip(sleeves, shares.T, strict=True):
         turning, *ends = attracting_bones(skeleton, pose, options.exclude, one.joints)
         placed = cover.bones_from_pose[turning]
@@ -180,14 +179,20 @@ def weights_with_sleeves(
         )
         nearest, gaps = nearest_joints(garment.vertices, *bones, count=1)
         gaps = np.maximum(gaps[:, 0], _least_distance(skeleton, bones[1]))
-        parts.append((share, *_spread(garment, nearest[:, 0], gaps, np.ones(len(gaps)))))
+        parts.append(
+            (share, *_spread_within(share > 0, garment, nearest[:, 0], gaps, np.ones(len(gaps)), even))
+        )
     used = np.concatenate([joints for _, joints, _ in parts])
     weights = np.concatenate([share[:, None] * within for share, _, within in parts], axis=1)
     return _heaviest(used, weights, options.bones)
 
 
 def _arm_shares(
-    garment: Mesh, trunk: Mask, sleeves: Sequence[SleeveCover], distances: FloatArray
+    garment: Mesh,
+    trunk: Mask,
+    sleeves: Sequence[SleeveCover],
+    distances: FloatArray,
+    stiffness: FloatArray,
 ) -> FloatArray:
     """Return (n, arms): how much each vertex follows an arm. distances: (n,) to the bones of the rest."""
     none = np.zeros((len(distances), 0), dtype=bool)
@@ -200,7 +205,7 @@ def _arm_shares(
     held = np.where(on_sleeve, 1e-9, _HOLD) * _areas(garment) / distances**2
     for arm, one in enumerate(sleeves):
         turning = np.linalg.norm(garment.vertices - one.shoulder, axis=1)
-        matrix = sp.csr_array(_laplacian(garment, turning**2) + sp.diags_array(held * turning**2))
+        matrix = sp.csr_array(_laplacian(garment, stiffness * turning**2) + sp.diags_array(held * turning**2))
         factor = splu(
             sp.csc_array(matrix[free][:, free]),
             permc_spec="MMD_AT_PLUS_A",
@@ -219,15 +224,37 @@ def _areas(garment: Mesh) -> FloatArray:
     return np.maximum(shares, 1e-9 * (shares.mean() or 1.0))  # a vertex without area keeps to its bone
 
 
+def _spread_within(
+    inside: Mask,
+    garment: Mesh,
+    joints: IntArray,
+    distances: FloatArray,
+    hold: FloatArray,
+    stiffness: FloatArray,
+) -> tuple[IntArray, FloatArray]:
+    """Let heat spread over a part (n,) of the garment alone; elsewhere the shares are 0."""
+    place = np.cumsum(inside) - 1
+    faces = place[garment.faces[inside[garment.faces].all(axis=1)]].astype(np.int32)
+    part = Mesh(vertices=garment.vertices[inside], faces=faces)
+    used, within = _spread(part, joints[inside], distances[inside], hold[inside], stiffness[inside])
+    shares = np.zeros((len(inside), len(used)))
+    shares[inside] = within
+    return used, shares
+
+
 def _spread(
-    garment: Mesh, joints: IntArray, distances: FloatArray, hold: FloatArray
+    garment: Mesh,
+    joints: IntArray,
+    distances: FloatArray,
+    hold: FloatArray,
+    stiffness: FloatArray | None = None,
 ) -> tuple[IntArray, FloatArray]:
     """Let heat spread from each vertex's joint, (n,); return the joints and their shares (n, used)."""
     used, column = np.unique(joints, return_inverse=True)
     if len(used) == 1:
         return used, np.ones((len(joints), 1))
     heat = _HOLD * hold * _areas(garment) / distances**2
-    matrix = sp.csc_array(_laplacian(garment) + sp.diags_array(heat))
+    matrix = sp.csc_array(_laplacian(garment, stiffness) + sp.diags_array(heat))
     factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     sources = np.zeros((len(joints), len(used)))
     sources[np.arange(len(joints)), column] = heat

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
-from vntoolkit.arrays import Faces, FloatArray, IntArray, Points
+from vntoolkit.arrays import FloatArray, IntArray, Points
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.motion import Skeleton
-from vntoolkit.native import njit
 from vntoolkit.skinning.alignment import SleevedArm, fit_rigid
+from vntoolkit.skinning.stretch import edge_lengths, greatest_growth
 
 STRETCHED, TORN = 2.0, 3.0  # a knit bears about the first; the second shows as a web
 _MOST_STRETCHED = 0.005  # of the triangles: more of them in a frame are seen
@@ -27,7 +26,7 @@ class DressingFindings:
     stretched, torn: (frames,) share of triangles of which an edge is longer than 2 and 3 times that of the
     garment at rest. off_axis: (frames, arms, 3) how far elbow, middle of the forearm and wrist are from the
     axis of the sleeve, in its radii; the arms are `sides`. short: arms whose sleeve ends before the wrist, of
-    which only the elbow counts, if it reaches so far.
+    which only the elbow counts, if it reaches so far. has_sleeves: whether such a garment should have them.
     """
 
     stretched: FloatArray
@@ -35,6 +34,7 @@ class DressingFindings:
     off_axis: FloatArray
     sides: tuple[int, ...]
     short: tuple[bool, ...]
+    has_sleeves: bool = True
 
     @property
     def sentence(self) -> str:
@@ -52,7 +52,7 @@ class DressingFindings:
                 f"{_SIDES[side]} arm {word} its sleeve ({where} at most {off.max():.1f} radii off its axis, "
                 f"frame {frame})"
             )
-        if not parts:
+        if not parts and self.has_sleeves:
             parts.append("no sleeve found")
         worst = int(self.stretched.argmax())
         parts.append(
@@ -72,9 +72,16 @@ class DressingMeter:
     """Measures posed frames of a garment, one after the other."""
 
     def __init__(
-        self, rest: Mesh, on_figure: Points, sleeved: Sequence[SleevedArm], skeleton: Skeleton
+        self,
+        rest: Mesh,
+        on_figure: Points,
+        sleeved: Sequence[SleevedArm],
+        skeleton: Skeleton,
+        *,
+        has_sleeves: bool = True,
     ) -> None:
         """rest: the garment in the pose of attachment. on_figure: (n, 3) before its sleeves were fitted."""
+        self._has_sleeves = has_sleeves
         self._faces = rest.faces
         self._lengths = edge_lengths(np.asarray(rest.vertices, dtype=np.float64), rest.faces)
         self._sleeved, self._skeleton = tuple(sleeved), skeleton
@@ -86,7 +93,7 @@ class DressingMeter:
 
     def stretch(self, vertices: Points) -> FloatArray:
         """Return (m,): how much the most stretched edge of each triangle has grown since the attachment."""
-        return _greatest_growth(np.ascontiguousarray(vertices, dtype=np.float64), self._faces, self._lengths)
+        return greatest_growth(vertices, self._faces, self._lengths)
 
     def off_axis(self, vertices: Points, pose: FloatArray) -> FloatArray:
         """Return (arms, 3): radii from the axis of the sleeve to elbow, middle of the forearm and wrist."""
@@ -122,6 +129,7 @@ class DressingMeter:
             off_axis=np.array(self._off).reshape(len(self._off), len(self._sleeved), 3),
             sides=tuple(one.sleeve.side for one in self._sleeved),
             short=tuple(one.is_short for one in self._sleeved),
+            has_sleeves=self._has_sleeves,
         )
 
 
@@ -149,25 +157,3 @@ def _off_line(point: Points, line: Points, radii: FloatArray) -> float:
     nearest = int(gaps.argmin())
     radius = (1 - along[nearest]) * radii[nearest] + along[nearest] * radii[nearest + 1]
     return float(gaps[nearest] / max(radius, 1e-300))
-
-
-def edge_lengths(vertices: Points, faces: Faces) -> FloatArray:
-    """Return (m, 3): the lengths of each triangle's edges, from each corner to the next."""
-    corners = vertices[faces]
-    return np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
-
-
-@njit(cache=True, parallel=True)
-def _greatest_growth(vertices, faces, lengths):  # type: ignore[no-untyped-def]
-    growth = np.empty(len(faces))
-    for f in numba.prange(len(faces)):
-        most = 0.0
-        for k in range(3):
-            a, b = faces[f, k], faces[f, (k + 1) % 3]
-            squared = 0.0
-            for axis in range(3):
-                squared += (vertices[a, axis] - vertices[b, axis]) ** 2
-            if lengths[f, k] > 0.0:
-                most = max(most, np.sqrt(squared) / lengths[f, k])
-        growth[f] = most
-    return growth

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -21,19 +21,49 @@ from vntoolkit.skinning.alignment import (
     rotation_between,
     turned_into_sleeve,
 )
-from vntoolkit.skinning.anatomy import Anatomy, Arm, anatomy_of, arms_of, facing_of, shoulders_of
+from vntoolkit.skinning.anatomy import (
+    Anatomy,
+    Arm,
+    anatomy_of,
+    arms_of,
+    facing_of,
+    legs_of,
+    shoulders_of,
+    thigh_of,
+)
 from vntoolkit.skinning.kinematics import forward_kinematics
 from vntoolkit.skinning.sleeves import GarmentRegions, regions_of_garment
 
+_WAIST_RISE = 0.1  # of the way from feet to hips: trousers reach above the joints of the hips
 _COLLAR_RISE = 0.12  # of the way from hips to shoulders: a collar lies above the shoulders' joints
 
 
-class Region(Enum):
-    """What the garment covers: hips to neck, feet to hips, or feet to neck."""
+class Garment(Enum):
+    """What is dressed. AUTO: trousers where the outline has two legs, else what has the sleeves it has."""
 
-    UPPER_BODY = "upper-body"
-    LOWER_BODY = "lower-body"
-    WHOLE_BODY = "whole-body"
+    AUTO = "auto"
+    SWEATER = "sweater"
+    SHIRT = "shirt"
+    JACKET = "jacket"
+    SLEEVELESS = "sleeveless"
+    TROUSERS = "trousers"
+    SKIRT = "skirt"
+    OVERALL = "overall"
+
+    @property
+    def is_lower(self) -> bool:
+        """Whether it hangs from the waist."""
+        return self in (Garment.TROUSERS, Garment.SKIRT)
+
+    @property
+    def has_sleeves(self) -> bool:
+        """Whether it is nothing without sleeves."""
+        return self in (Garment.SWEATER, Garment.SHIRT, Garment.JACKET)
+
+
+# Height of a garment over that of what it covers: hips to neck, hips to feet, or neck to feet.
+_FULLNESS = {Garment.TROUSERS: 1.05, Garment.SKIRT: 0.65, Garment.OVERALL: 1.0}
+_UPPER_FULLNESS = 1.3
 
 
 class DepthPlacement(Enum):
@@ -57,19 +87,21 @@ class ArmPose(Enum):
 class GarmentFitOptions:
     """How the garment is brought onto the figure.
 
-    region: the part of the figure that the garment covers. It hangs from the top of that part. fullness:
-    height of the garment over the height of that part. depth: where the bones lie in the garment's depth.
-    arms: pose of the arms when the garment is attached. A fit file that gives a pose or landmarks overrides
-    it.
+    garment: what it is. Upper garments hang from the neck, and their sleeves on the arms; sleeveless ones
+    leave the arms alone. Trousers and skirts hang from the waist and follow the legs. auto tells trousers by
+    the outline, but not a skirt. fullness: height of the garment over the height of what it covers, hips to
+    neck or hips to feet. Default: 1.3; trousers 1.05, a skirt 0.65. depth: where the bones lie in the
+    garment's depth. arms: pose of the arms when the garment is attached. A fit file that gives a pose or
+    landmarks overrides it.
     """
 
-    region: Region = Region.UPPER_BODY
-    fullness: float = 1.3
+    garment: Garment = Garment.AUTO
+    fullness: float | None = None
     depth: DepthPlacement = DepthPlacement.AUTO
     arms: ArmPose = ArmPose.SLEEVES
 
     def __post_init__(self) -> None:
-        if not 0 < self.fullness < np.inf:
+        if self.fullness is not None and not 0 < self.fullness < np.inf:
             raise BadInput(f"fullness: expected a positive number, got {self.fullness:g}")
 
 
@@ -77,11 +109,12 @@ class GarmentFitOptions:
 class Fitting:
     """A garment on a figure.
 
-    rest_from_cloth: puts the garment onto it. rest_from_model: R of equation 8, (j, 4, 4). regions: of the
-    garment, there. arms: of the figure. sleeved: those that lie in a sleeve. rest_from_first: (j, 4, 4), what
-    then fits the cloth over each joint to the bone's length.
+    garment: what it was taken for, never AUTO. rest_from_cloth: puts it onto the figure. rest_from_model: R
+    of equation 8, (j, 4, 4). regions: of the garment, there. arms: of the figure. sleeved: those that lie in
+    a sleeve. rest_from_first: (j, 4, 4), what then fits the cloth over each joint to the bone's length.
     """
 
+    garment: Garment
     rest_from_cloth: Similarity
     rest_from_model: FloatArray
     regions: GarmentRegions
@@ -104,11 +137,15 @@ def fit_garment_to_figure(
     skeleton = motion.skeleton
     rotations = _binding_rotations(motion, fit)
     pose = forward_kinematics(skeleton, rotations[None], skeleton.offsets[:1])[0]
+    regions = regions_of_garment(garment)
+    options = replace(options, garment=_kind_of(regions, options.garment))
+    kind = options.garment
     rest_from_cloth = fit_garment(garment, skeleton, pose, fit, options)
     anatomy = anatomy_of(skeleton)
-    arms = arms_of(skeleton, anatomy, named)
-    regions = regions_of_garment(garment, with_sleeves=options.region is not Region.LOWER_BODY)
+    arms = () if kind.is_lower else arms_of(skeleton, anatomy, named)
     regions = regions.moved(rest_from_cloth)
+    if kind.is_lower or kind is Garment.SLEEVELESS:
+        regions = replace(regions, sleeves=())
     missing = [sleeve.side for sleeve in regions.sleeves if sleeve.side not in {arm.side for arm in arms}]
     if missing:
         side = "left" if missing[0] > 0 else "right"
@@ -124,15 +161,20 @@ def fit_garment_to_figure(
             rotations = turned_into_sleeve(one, skeleton, rotations, pose)
             for joint, matrix in one.transforms(skeleton).items():
                 rest_from_first[joint] = matrix
-        if not sleeved:
+        turns: dict[int, FloatArray] = {}
+        if kind is Garment.TROUSERS and regions.hems is not None:
+            turns = legs_aimed_at_hems(regions.hems, skeleton, pose, anatomy)
+        elif not sleeved and not kind.is_lower and kind is not Garment.SLEEVELESS:
             vertices = rest_from_cloth.apply(garment.vertices)
             turns = arms_aimed_at_sleeves(vertices, skeleton, pose, anatomy)
+        if turns:
             for joint, turn in turns.items():
                 above = Rotation.from_matrix(pose[skeleton.parents[joint], :3, :3])
                 own = Rotation.from_quat(rotations[joint])
                 rotations[joint] = (above.inv() * Rotation.from_matrix(turn) * above * own).as_quat()
         pose = forward_kinematics(skeleton, rotations[None], skeleton.offsets[:1])[0]
     return Fitting(
+        garment=kind,
         rest_from_cloth=rest_from_cloth,
         rest_from_model=pose,
         regions=regions,
@@ -140,6 +182,23 @@ def fit_garment_to_figure(
         sleeved=sleeved,
         rest_from_first=rest_from_first,
     )
+
+
+def _kind_of(regions: GarmentRegions, asked: Garment) -> Garment:
+    """Return what the garment is. Raises `BadInput` where its outline lacks what was asked for."""
+    if asked is Garment.AUTO:
+        return Garment.TROUSERS if regions.hems is not None else Garment.SWEATER
+    if asked is Garment.TROUSERS and regions.hems is None:
+        raise BadInput(
+            "trousers: the outline of the first frame has no gap between two legs: film them apart, or take "
+            "--garment skirt"
+        )
+    if asked.has_sleeves and not regions.sleeves:
+        raise BadInput(
+            f"{asked.value}: no sleeve stands out from the outline of the first frame: film both apart from "
+            "the trunk, or take --garment sleeveless"
+        )
+    return asked
 
 
 def _binding_rotations(motion: Motion, fit: GarmentFit) -> FloatArray:
@@ -200,8 +259,9 @@ def _by_bounding_box(
     yaw = np.arctan2(-facing[0], -facing[2])  # turns −z, towards the camera, into the facing
     rotation = Rotation.from_euler("y", yaw).as_matrix()
     trunk = pose[list(anatomy.trunk), :3, 3]
-    bottom, top = _vertical_span(pose, anatomy, shoulders_of(skeleton, anatomy), options.region)
-    scale = options.fullness * (bottom - top) / height
+    bottom, top = _vertical_span(pose, anatomy, shoulders_of(skeleton, anatomy), options.garment)
+    fullness = options.fullness or _FULLNESS.get(options.garment, _UPPER_FULLNESS)
+    scale = fullness * (bottom - top) / height
     anchor = np.array([(low[0] + high[0]) / 2, low[1], _anchor_depth(garment, options)])
     target = np.array([trunk[:, 0].mean(), top, trunk[:, 2].mean()])
     translation = target - scale * rotation @ anchor
@@ -209,17 +269,22 @@ def _by_bounding_box(
 
 
 def _vertical_span(
-    pose: FloatArray, anatomy: Anatomy, shoulders: tuple[int, ...], region: Region
+    pose: FloatArray, anatomy: Anatomy, shoulders: tuple[int, ...], garment: Garment
 ) -> tuple[float, float]:
-    """Return y of the region's bottom and top (y points down); shoulders may lie above the neck's base."""
+    """Return y of the bottom and top of what is covered (y is down); shoulders may lie above the neck's base,
+    and a waist lies above the hips.
+    """
     heights = pose[:, 1, 3]
     hips = float(heights[anatomy.trunk[0]])
     feet = float(heights[list(anatomy.legs)].max()) if anatomy.legs else hips
-    bottom = hips if region is Region.UPPER_BODY else feet
+    bottom = feet if garment.is_lower or garment is Garment.OVERALL else hips
     collar = [heights[shoulder] - _COLLAR_RISE * (hips - heights[shoulder]) for shoulder in shoulders]
-    top = hips if region is Region.LOWER_BODY else float(min([heights[anatomy.trunk[-1]], *collar]))
+    top = float(min([heights[anatomy.trunk[-1]], *collar]))
+    if garment.is_lower:
+        top = hips - _WAIST_RISE * (feet - hips)
     if not bottom > top:
-        raise BadInput(f"fit: the figure has no {region.value.replace('-', ' ')}; use landmarks")
+        lacks = "lower body" if garment.is_lower else "body"
+        raise BadInput(f"fit: the figure has no {lacks} for the {garment.value}; use landmarks")
     return bottom, top
 
 
@@ -290,3 +355,22 @@ def _hand(skeleton: Skeleton, pose: FloatArray, arm: tuple[int, ...]) -> Vector3
     tips = np.flatnonzero(skeleton.tip_joints == arm[-1])
     offset = skeleton.tip_offsets[tips[0]] if len(tips) else np.zeros(3)
     return pose[arm[-1], :3, :3] @ offset + pose[arm[-1], :3, 3]
+
+
+def legs_aimed_at_hems(
+    hems: Points, skeleton: Skeleton, pose: FloatArray, anatomy: Anatomy
+) -> dict[int, FloatArray]:
+    """Return joint → (3, 3): the turn that aims each leg at the hem on its side, seen from the front.
+
+    hems: (2, 3), at smaller and at greater x, already on the figure in `pose` (j, 4, 4).
+    """
+    turns = {}
+    for leg in legs_of(skeleton, anatomy):
+        hip = thigh_of(skeleton, leg)
+        end = pose[leg[min(leg.index(hip) + 2, len(leg) - 1)], :3, 3]
+        start = pose[hip, :3, 3]
+        side = int(start[0] > pose[0, 0, 3])
+        target = np.array([*(hems[side][:2] - start[:2]), (end - start)[2]])
+        if target[1] > 0:
+            turns[hip] = rotation_between(end - start, target)
+    return turns

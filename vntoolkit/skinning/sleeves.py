@@ -25,6 +25,8 @@ _CELLS = 224  # along the longer side of the outline: a sleeve is then some 30 c
 _LEAST_BAY = 0.06  # of the garment's larger extent: shallower ones are folds and a waist
 _ASIDE = 0.12  # of the garment's width from its middle: nearer, a bay lies between two legs
 _LEAST_SLEEVE = 0.5  # of the armhole's height: a shorter one is the edge of a vest
+_LEAST_LEG = 0.35  # of the garment's height: trousers have longer legs, and a hem has shorter notches
+_HEM_SHARE = 0.03  # of a leg's vertices: the lowest ones are its hem
 _CORNERS = np.ones((3, 3), dtype=bool)  # cells that touch at a corner belong together
 _STATIONS = 24  # along a sleeve's axis
 _MIDDLE = 0.35  # of the radius: so far from the axis the cloth is at its nearest to the camera
@@ -73,15 +75,19 @@ class Sleeve:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GarmentRegions:
-    """sleeves: none, one or two. trunk: (n,) below the armpits and between the flanks."""
+    """sleeves: none, one or two. trunk: (n,) below the armpits and between the flanks. hems: of trousers, the
+    middle of the right and of the left leg's lower end, (2, 3), as seen from the front; else None.
+    """
 
     sleeves: tuple[Sleeve, ...]
     trunk: Mask
+    hems: Points | None = None
 
     def moved(self, similarity: Similarity) -> GarmentRegions:
         """Return the regions of the garment after a similarity; sides stay those of the garment."""
         return replace(
             self,
+            hems=None if self.hems is None else similarity.apply(self.hems),
             sleeves=tuple(
                 replace(
                     sleeve,
@@ -95,13 +101,16 @@ class GarmentRegions:
         )
 
 
-def regions_of_garment(garment: Mesh, *, with_sleeves: bool = True) -> GarmentRegions:
-    """Find the sleeves of a garment seen from the front (x right, y down, z away), and its trunk."""
+def regions_of_garment(garment: Mesh) -> GarmentRegions:
+    """Find the sleeves of a garment seen from the front (x right, y down, z away), its trunk, or its legs."""
     vertices = np.asarray(garment.vertices, dtype=np.float64)
     nothing = GarmentRegions(sleeves=(), trunk=np.zeros(len(vertices), dtype=bool))
-    if not with_sleeves or len(garment.faces) < 2 or not np.ptp(vertices[:, :2], axis=0).min() > 0:
+    if len(garment.faces) < 2 or not np.ptp(vertices[:, :2], axis=0).min() > 0:
         return nothing
     outline = _outline_of(vertices, garment)
+    crotch = _crotch(outline.mask)
+    if crotch is not None:
+        return replace(nothing, hems=_hems(vertices, outline.cells(vertices)[:, 0] > crotch))
     found = [sleeve for armpit in _armpits(outline.mask) if (sleeve := _sleeve(outline, armpit)) is not None]
     if not found:
         return nothing
@@ -173,17 +182,11 @@ def _fill(placed, faces, nearest):  # type: ignore[no-untyped-def]
                     nearest[row, column] = min(nearest[row, column], z)
 
 
-def _armpits(mask: Mask) -> Iterator[tuple[int, int]]:
-    """Yield the column and row of the deepest point of the bay under each arm, at most one a side."""
+def _bays(mask: Mask) -> Iterator[tuple[float, int, int]]:
+    """Yield of each bay of the outline how deep it is, in cells; column and row of its deepest cell."""
     hull = _hull_of(mask)
     bays, count = ndimage.label(hull & ~mask)
     outside = ndimage.binary_dilation(~hull)
-    columns = np.flatnonzero(mask.any(axis=0))
-    middle, size = (
-        (columns[0] + columns[-1]) / 2,
-        max(np.ptp(columns), np.ptp(np.flatnonzero(mask.any(axis=1)))),
-    )
-    deepest: dict[bool, tuple[float, int, int]] = {}
     for number, box in zip(range(1, count + 1), ndimage.find_objects(bays), strict=True):
         bay = bays == number
         lid = bay & outside
@@ -191,8 +194,43 @@ def _armpits(mask: Mask) -> Iterator[tuple[int, int]]:
             continue
         depths = np.where(bay, ndimage.distance_transform_edt(~lid), 0)[box]
         row, column = (int(i) for i in np.unravel_index(depths.argmax(), depths.shape))
-        depth = float(depths[row, column])
-        row, column = row + box[0].start, column + box[1].start
+        yield float(depths[row, column]), column + box[1].start, row + box[0].start
+
+
+def _crotch(mask: Mask) -> int | None:
+    """Return the column of the bay between two legs, None for a garment without legs.
+
+    It lies near the middle, has cloth above and on either side, and reaches up a good part of the garment.
+    """
+    columns, rows = np.flatnonzero(mask.any(axis=0)), np.flatnonzero(mask.any(axis=1))
+    middle, found = (columns[0] + columns[-1]) / 2, []
+    for depth, column, row in _bays(mask):
+        lower = mask[(row + rows[-1]) // 2]  # half way down from there
+        is_between = lower[:column].any() and lower[column + 1 :].any() and mask[:row, column].any()
+        is_central = abs(column - middle) <= _ASIDE * np.ptp(columns)
+        if is_between and is_central and rows[-1] - row > _LEAST_LEG * np.ptp(rows):
+            found.append((depth, column))
+    return max(found)[1] if found else None
+
+
+def _hems(vertices: Points, is_left: Mask) -> Points:
+    """Return (2, 3): the middle of the lowest cloth on either side."""
+    hems = []
+    for side in (~is_left, is_left):
+        own = vertices[side]
+        hems.append(own[own[:, 1] >= np.quantile(own[:, 1], 1 - _HEM_SHARE)].mean(axis=0))
+    return np.stack(hems)
+
+
+def _armpits(mask: Mask) -> Iterator[tuple[int, int]]:
+    """Yield the column and row of the deepest point of the bay under each arm, at most one a side."""
+    columns = np.flatnonzero(mask.any(axis=0))
+    middle, size = (
+        (columns[0] + columns[-1]) / 2,
+        max(np.ptp(columns), np.ptp(np.flatnonzero(mask.any(axis=1)))),
+    )
+    deepest: dict[bool, tuple[float, int, int]] = {}
+    for depth, column, row in _bays(mask):
         right = column > middle
         inward = mask[row, :column] if right else mask[row, column + 1 :]
         under_cloth = mask[:row, column].any() and inward.any()
