@@ -27,7 +27,7 @@ from vntoolkit.skinning.weights import (
 )
 
 _ROUNDS = 4  # a cut lets both sides go their own way, which may show more web beside it
-_EASY = 1.5  # cloth that stretches no more needs no other weights
+_EASY = 2.0  # cloth that stretches no more needs no other weights
 _HOLD = 2.0  # heat that a vertex takes from its bone: 1 blends wider, 4 stretches arms raised high
 _LEAST_COTANGENT, _MOST_COTANGENT = 0.01, 100.0  # a negative one could make a weight negative
 _GUESSED = 1e-3  # how a vertex that covers no bone holds the nearest, beside one that covers its own
@@ -74,13 +74,13 @@ def weights_of_garment(
 ) -> SkinWeights:
     """Weigh a garment, on the skeleton in the pose (j, 4, 4), by the rule that the options name.
 
-    stiffness: (n,) for weights by heat: where it is greater, they change more slowly along the cloth.
+    stiffness: (n,) where it is greater, the share of an arm changes more slowly along the cloth.
     """
     if options.falloff is not Falloff.HEAT:
         return weights_from_distances(garment.vertices, skeleton, pose, options)
     if cover is None or not cover.sleeves:
         bare = () if cover is None else cover.bare
-        return weights_from_heat(garment, skeleton, pose, options, bare, stiffness)
+        return weights_from_heat(garment, skeleton, pose, options, bare)
     return weights_with_sleeves(garment, skeleton, pose, options, cover, stiffness)
 
 
@@ -96,11 +96,11 @@ def weights_without_web(
 ) -> tuple[SkinWeights, Faces]:
     """Weigh a garment, see where the poses (f, j, 4, 4) overstretch it, and weigh again; return what is left.
 
-    Where cloth is stretched, it is made stiffer by the square of its stretch, so that the weights change more
-    slowly there and the cloth beside it takes its part. A triangle is web where two parts of the garment
-    meet, each mostly one bone's, and a pose stretches an edge of it beyond `max_stretch`: cloth never bears
-    that, so the capture joined what only touched. Weights by distance know no triangles: they would stay, web
-    and all, so nothing is cut for them, nor at 0.
+    Where cloth is stretched, it is made stiffer by the square of its stretch, so that the shares of the arms
+    change more slowly there, and cloth beside it takes its part. A triangle is web where two parts of the
+    garment meet, each mostly one bone's, and a pose stretches an edge of it beyond `max_stretch`: cloth never
+    bears that, so the capture joined what only touched. Weights by distance know no triangles: they would
+    stay, web and all, so nothing is cut for them, nor at 0.
     """
     weights, faces = weights_of_garment(garment, skeleton, pose, options, cover), garment.faces
     if options.falloff is not Falloff.HEAT or not max_stretch:
@@ -113,7 +113,8 @@ def weights_without_web(
             growth = np.maximum(growth, greatest_growth(moved, faces, longest))
         heaviest = weights.joints[np.arange(len(weights.joints)), weights.weights.argmax(axis=1)]
         web = (growth > max_stretch) & (np.ptp(heaviest[faces], axis=1) > 0)
-        if not web.any() and growth.max(initial=1.0) <= _EASY:
+        is_easy = cover is None or not cover.sleeves or growth.max(initial=1.0) <= _EASY
+        if is_easy and not web.any():
             break
         most = np.ones(len(stiffness))
         np.maximum.at(most, faces.ravel(), np.repeat(np.minimum(growth, max_stretch), 3))
@@ -130,7 +131,6 @@ def weights_from_heat(
     pose: FloatArray,
     options: WeightOptions,
     bare: Collection[int] = (),
-    stiffness: FloatArray | None = None,
 ) -> SkinWeights:
     """Weigh the garment's vertices by bone heat: −Δw + H w = H p, baran2007.
 
@@ -141,7 +141,7 @@ def weights_from_heat(
     """
     among = [joint for joint in range(len(skeleton.names)) if joint not in bare]
     joints, distances, hold = _own_bones(garment, skeleton, pose, options, among)
-    used, shares = _spread(garment, joints, distances, hold, stiffness)
+    used, shares = _spread(garment, joints, distances, hold)
     return _heaviest(used, shares, options.bones)
 
 
@@ -169,7 +169,7 @@ def weights_with_sleeves(
     even = np.ones(len(joints)) if stiffness is None else stiffness
     shares = _arm_shares(garment, cover.trunk, sleeves, distances, even)
     left = 1.0 - shares.sum(axis=1)
-    parts = [(left, *_spread_within(left > 0, garment, joints, distances, hold, even))]
+    parts = [(left, *_spread_within(left > 0, garment, joints, distances, hold))]
     for one, share in zip(sleeves, shares.T, strict=True):
         turning, *ends = attracting_bones(skeleton, pose, options.exclude, one.joints)
         placed = cover.bones_from_pose[turning]
@@ -179,9 +179,7 @@ def weights_with_sleeves(
         )
         nearest, gaps = nearest_joints(garment.vertices, *bones, count=1)
         gaps = np.maximum(gaps[:, 0], _least_distance(skeleton, bones[1]))
-        parts.append(
-            (share, *_spread_within(share > 0, garment, nearest[:, 0], gaps, np.ones(len(gaps)), even))
-        )
+        parts.append((share, *_spread_within(share > 0, garment, nearest[:, 0], gaps, np.ones(len(gaps)))))
     used = np.concatenate([joints for _, joints, _ in parts])
     weights = np.concatenate([share[:, None] * within for share, _, within in parts], axis=1)
     return _heaviest(used, weights, options.bones)
@@ -230,13 +228,12 @@ def _spread_within(
     joints: IntArray,
     distances: FloatArray,
     hold: FloatArray,
-    stiffness: FloatArray,
 ) -> tuple[IntArray, FloatArray]:
     """Let heat spread over a part (n,) of the garment alone; elsewhere the shares are 0."""
     place = np.cumsum(inside) - 1
     faces = place[garment.faces[inside[garment.faces].all(axis=1)]].astype(np.int32)
     part = Mesh(vertices=garment.vertices[inside], faces=faces)
-    used, within = _spread(part, joints[inside], distances[inside], hold[inside], stiffness[inside])
+    used, within = _spread(part, joints[inside], distances[inside], hold[inside])
     shares = np.zeros((len(inside), len(used)))
     shares[inside] = within
     return used, shares
@@ -247,14 +244,13 @@ def _spread(
     joints: IntArray,
     distances: FloatArray,
     hold: FloatArray,
-    stiffness: FloatArray | None = None,
 ) -> tuple[IntArray, FloatArray]:
     """Let heat spread from each vertex's joint, (n,); return the joints and their shares (n, used)."""
     used, column = np.unique(joints, return_inverse=True)
     if len(used) == 1:
         return used, np.ones((len(joints), 1))
     heat = _HOLD * hold * _areas(garment) / distances**2
-    matrix = sp.csc_array(_laplacian(garment, stiffness) + sp.diags_array(heat))
+    matrix = sp.csc_array(_laplacian(garment) + sp.diags_array(heat))
     factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     sources = np.zeros((len(joints), len(used)))
     sources[np.arange(len(joints)), column] = heat
