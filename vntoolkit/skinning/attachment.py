@@ -26,7 +26,7 @@ from vntoolkit.skinning.weights import (
     weights_from_distances,
 )
 
-_ROUNDS = 4  # a cut lets both sides go their own way, which may show more web beside it
+_ROUNDS = 2  # of weighing again: more of them move the stretch elsewhere, and find hardly any more web
 _EASY = 2.0  # cloth that stretches no more needs no other weights
 _HOLD = 2.0  # heat that a vertex takes from its bone: 1 blends wider, 4 stretches arms raised high
 _LEAST_COTANGENT, _MOST_COTANGENT = 0.01, 100.0  # a negative one could make a weight negative
