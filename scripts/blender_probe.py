@@ -131,6 +131,8 @@ def render(surface, picture: str) -> None:
     scene.render.threads_mode, scene.render.threads = "FIXED", 2
     scene.render.filepath = picture
     bpy.ops.render.render(write_still=True)
+    for thing in (camera, sun):
+        bpy.data.objects.remove(thing)
 
 
 if __name__ == "__main__":

@@ -166,7 +166,7 @@ class PreviewOptions:
     azimuths_deg: tuple[float, ...] = (0.0, 50.0, 180.0)
     picture_width: int = 300
     picture_height: int = 400
-    turn_frames: int = 120
+    turn_frames: int = 60
 
     def __post_init__(self) -> None:
         if min(self.frames, self.turn_frames, self.picture_width, self.picture_height) < 1:

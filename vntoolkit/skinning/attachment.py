@@ -26,7 +26,6 @@ from vntoolkit.skinning.weights import (
     weights_from_distances,
 )
 
-_ROUNDS = 2  # of weighing again: more of them move the stretch elsewhere, and find hardly any more web
 _EASY = 2.0  # cloth that stretches no more needs no other weights
 _HOLD = 2.0  # heat that a vertex takes from its bone: 1 blends wider, 4 stretches arms raised high
 _LEAST_COTANGENT, _MOST_COTANGENT = 0.01, 100.0  # a negative one could make a weight negative
@@ -105,24 +104,19 @@ def weights_without_web(
     weights, faces = weights_of_garment(garment, skeleton, pose, options, cover), garment.faces
     if options.falloff is not Falloff.HEAT or not max_stretch:
         return weights, faces
-    stiffness, longest = np.ones(len(garment.vertices)), edge_lengths(garment.vertices, faces)
-    for _ in range(_ROUNDS):
-        growth = np.ones(len(faces))
-        for now in poses:
-            moved = skinned_vertices(garment.vertices, weights, now, pose)
-            growth = np.maximum(growth, greatest_growth(moved, faces, longest))
-        heaviest = weights.joints[np.arange(len(weights.joints)), weights.weights.argmax(axis=1)]
-        web = (growth > max_stretch) & (np.ptp(heaviest[faces], axis=1) > 0)
-        is_easy = cover is None or not cover.sleeves or growth.max(initial=1.0) <= _EASY
-        if is_easy and not web.any():
-            break
-        most = np.ones(len(stiffness))
-        np.maximum.at(most, faces.ravel(), np.repeat(np.minimum(growth, max_stretch), 3))
-        stiffness *= most**2
-        faces, longest = faces[~web], longest[~web]
-        left = Mesh(vertices=garment.vertices, faces=faces)
-        weights = weights_of_garment(left, skeleton, pose, options, cover, stiffness)
-    return weights, faces
+    growth, longest = np.ones(len(faces)), edge_lengths(garment.vertices, faces)
+    for now in poses:
+        moved = skinned_vertices(garment.vertices, weights, now, pose)
+        growth = np.maximum(growth, greatest_growth(moved, faces, longest))
+    heaviest = weights.joints[np.arange(len(weights.joints)), weights.weights.argmax(axis=1)]
+    web = (growth > max_stretch) & (np.ptp(heaviest[faces], axis=1) > 0)
+    has_sleeves = cover is not None and bool(cover.sleeves)
+    if not web.any() and not (has_sleeves and growth.max(initial=1.0) > _EASY):
+        return weights, faces
+    most = np.ones(len(garment.vertices))
+    np.maximum.at(most, faces.ravel(), np.repeat(np.minimum(growth, max_stretch), 3))
+    left = Mesh(vertices=garment.vertices, faces=faces[~web])
+    return weights_of_garment(left, skeleton, pose, options, cover, most**2), left.faces
 
 
 def weights_from_heat(
