@@ -8,6 +8,7 @@ import numpy as np
 from vntoolkit.arrays import Faces, FloatArray, Points
 from vntoolkit.native import njit
 
+_REACHED = 1.02  # of the square of a length: near enough, else neighbours pull at each other without end
 _SWEEPS = 24  # more of them move less than a thousandth of the cloth
 
 
@@ -54,12 +55,14 @@ def _draw_together(vertices, edges, longest):  # type: ignore[no-untyped-def]
         is_done = True
         for step in range(len(edges)):
             e = step if sweep % 2 == 0 else len(edges) - 1 - step  # no side is favoured
-            a, b = edges[e]
-            x, y, z = vertices[b] - vertices[a]
-            length = np.sqrt(x * x + y * y + z * z)
-            if length > longest[e]:
+            a, b = edges[e, 0], edges[e, 1]
+            x = vertices[b, 0] - vertices[a, 0]
+            y = vertices[b, 1] - vertices[a, 1]
+            z = vertices[b, 2] - vertices[a, 2]
+            squared = x * x + y * y + z * z
+            if squared > _REACHED * longest[e] * longest[e]:
                 is_done = False
-                share = 0.5 * (1.0 - longest[e] / length)
+                share = 0.5 * (1.0 - longest[e] / np.sqrt(squared))
                 vertices[a, 0] += share * x
                 vertices[a, 1] += share * y
                 vertices[a, 2] += share * z
