@@ -350,37 +350,46 @@ def _slopes_row(
 @njit(cache=True, nogil=True, parallel=True, fastmath=FLAGS, error_model="numpy")
 def _curl_kernel(image: Any, table: Any, mask: Mask, c: _Coefficients, found: Any) -> None:
     """Sum up the squared curl, as an angle in radians, and its places, along the middle row of cells."""
-    height, width = mask.shape
-    sums, counts = found[0], found[1]
-    zero, half, one = np.float32(0.0), np.float32(0.5), np.float32(1.0)
-    for cell in prange(sums.shape[0]):
-        v = min(cell * _CELL + _CELL // 2 - 1, height - 2)
-        if v < 1:
-            continue
-        first, last = _span(mask[v])
-        p, q, known = (
-            np.empty(width, np.float32),
-            np.empty(width, np.float32),
-            np.empty(width, np.float32),
-        )
-        above, unused, above_known = (
-            np.empty(width, np.float32),
-            np.empty(width, np.float32),
-            np.empty(width, np.float32),
-        )
-        below, below_known = np.empty(width, np.float32), np.empty(width, np.float32)
-        _slopes_row(image, table, mask[v - 1], c, v - 1, first, last, above, unused, above_known)
-        _slopes_row(image, table, mask[v + 1], c, v + 1, first, last, below, unused, below_known)
-        _slopes_row(image, table, mask[v], c, v, first, last, p, q, known)
-        for u in range(first + 1, last - 1):
-            across, along = min(known[u - 1], known[u + 1]), min(above_known[u], below_known[u])
-            good = (across > zero) & (along > zero) & (known[u] > zero)
-            angle = half * ((below[u] - above[u]) - (q[u + 1] - q[u - 1])) * known[u]
-            p[u] = min(angle * angle, one) if good else zero
-            unused[u] = one if good else zero
-        for u in range(first + 1, last - 1):
-            sums[cell, u // _CELL] += p[u]
-            counts[cell, u // _CELL] += unused[u]
+    for cell in prange(found.shape[1]):
+        v = min(cell * _CELL + _CELL // 2 - 1, mask.shape[0] - 2)
+        if v >= 1:
+            _curl_row(image, table, mask, c, v, found[0, cell], found[1, cell])
+
+
+@njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
+def _curl_row(image: Any, table: Any, mask: Mask, c: _Coefficients, v: int, sums: Any, counts: Any) -> None:
+    width = mask.shape[1]
+    first, last = _span(mask[v])
+    # one array each, whose slices have no stride: eight pixels at a time
+    p, q, known = np.zeros(width, np.float32), np.zeros(width, np.float32), np.zeros(width, np.float32)
+    above, below, unused = (
+        np.zeros(width, np.float32),
+        np.zeros(width, np.float32),
+        np.zeros(width, np.float32),
+    )
+    above_known, below_known = np.zeros(width, np.float32), np.zeros(width, np.float32)
+    whole = len(sums) * _CELL
+    found, places = np.zeros(whole, np.float32), np.zeros(whole, np.float32)
+    _slopes_row(image, table, mask[v - 1], c, v - 1, first, last, above, unused, above_known)
+    _slopes_row(image, table, mask[v + 1], c, v + 1, first, last, below, unused, below_known)
+    _slopes_row(image, table, mask[v], c, v, first, last, p, q, known)
+    inner, zero, half, one = width - 2, np.float32(0.0), np.float32(0.5), np.float32(1.0)
+    before, here, after = known[:inner], known[1 : inner + 1], known[2:]
+    up, down, q_before, q_after = above[1 : inner + 1], below[1 : inner + 1], q[:inner], q[2:]
+    up_known, down_known = above_known[1 : inner + 1], below_known[1 : inner + 1]
+    to_found, to_places = found[1 : inner + 1], places[1 : inner + 1]
+    for u in range(inner):
+        across, along = min(before[u], after[u]), min(up_known[u], down_known[u])
+        good = (across > zero) & (along > zero) & (here[u] > zero)
+        angle = half * ((down[u] - up[u]) - (q_after[u] - q_before[u])) * here[u]
+        to_found[u] = min(angle * angle, one) if good else zero
+        to_places[u] = one if good else zero
+    for k in range(len(sums)):
+        total, count = zero, zero
+        for i in range(_CELL):
+            total += found[k * _CELL + i]
+            count += places[k * _CELL + i]
+        sums[k], counts[k] = total, count
 
 
 @njit(cache=True, nogil=True)
