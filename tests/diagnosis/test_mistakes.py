@@ -7,6 +7,7 @@ from tests.faults.simulated_captures import random_response
 from vntoolkit.diagnosis.checks import findings_from_evidence, findings_from_rig
 from vntoolkit.diagnosis.evidence import evidence_from_frames
 from vntoolkit.diagnosis.finding import FatalFinding, Finding, Level, judge
+from vntoolkit.diagnosis.outline import check_cast_shadows
 from vntoolkit.diagnosis.over_time import check_flicker, findings_from_motion
 from vntoolkit.diagnosis.rig_checks import check_residual
 from vntoolkit.diagnosis.transfer_match import check_transfer_of_samples
@@ -124,6 +125,49 @@ def test_other_gains_are_measured(gains):
     assert f"red by {red} and blue by {blue}" in found.text
 
 
+def test_another_hue_is_not_taken_for_another_curve():
+    light, _, response = _shot(4)
+    encoded = np.rint(encoded_from_linear(light * (1.3, 1.0, 0.75) / 1.3, SRGB) * 255) / 255
+    (found,) = _findings(linear_from_encoded(encoded, SRGB), response.matrix, SRGB)
+    assert (found.check, found.level) == ("white-balance", Level.WARNING)
+    assert "another colour" in found.text
+
+
+def _domes_in_a_row(rng):
+    """Return light (h, w, 3) of domes on a plane with the shadows they cast, and M of three low lamps."""
+    v, u = np.mgrid[:H, :W].astype(float)
+    height = np.zeros((H, W))
+    for centre_v in range(25, H, 50):
+        for centre_u in range(25, W, 50):
+            radial = np.hypot(v - centre_v, u - centre_u)
+            height = np.maximum(height, np.sqrt(np.maximum(14.0**2 - radial**2, 0.0)))
+    slope_v, slope_u = np.gradient(-height)
+    normals = np.stack([slope_u, slope_v, -np.ones_like(height)], axis=-1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    azimuths = np.deg2rad([90.0, 210.0, 330.0])
+    towards = np.stack([np.cos(azimuths), np.sin(azimuths), -0.9 * np.ones(3)], axis=1)
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    lit = np.maximum(normals @ towards.T, 0.0)
+    for lamp, (x, y, z) in enumerate(towards):
+        for step in range(1, 30):
+            shift = (-round(step * y), -round(step * x))
+            lit[..., lamp] *= np.roll(height, shift, axis=(0, 1)) <= height - step * z + 0.5
+    light = np.clip(0.9 * lit + rng.normal(0, 0.002, lit.shape), 0, 1)
+    return light, 0.9 * towards
+
+
+def test_cast_shadows_lie_on_the_far_side_of_what_throws_them(rng):
+    light, matrix = _domes_in_a_row(rng)
+    for change, expected in ((np.eye(3), 0), (np.diag([-1.0, -1.0, 1.0]), 1)):
+        rig = Rig(
+            camera=Camera.orthographic(width=W, height=H), response=LightResponse(matrix=matrix @ change)
+        )
+        frame = LinearFrame(rgb=light.astype(np.float32))
+        found = check_cast_shadows(evidence_from_frames([frame], rig, Transfer()))
+        assert len(found) == expected
+    assert "shadows lie on the near side" in found[0].text
+
+
 def test_calibration_samples_tell_the_curve_and_a_bad_fit(rng):
     normals, _ = _blob(rng)
     normals = normals[20:-20:2, 40:-40:2].reshape(-1, 3)
@@ -133,6 +177,9 @@ def test_calibration_samples_tell_the_curve_and_a_bad_fit(rng):
     (found,) = check_transfer_of_samples(normals, encoded_from_linear(rgb, SRGB), Transfer())
     assert "give --transfer srgb" in found.text
     assert found.level is Level.FATAL
+    board = slice(None, None, len(normals) // 48)
+    assert check_transfer_of_samples(normals[board], rgb[board], Transfer()) == []
+    assert check_transfer_of_samples(normals[board], encoded_from_linear(rgb[board], SRGB), Transfer())
     quality = FitQuality(method="sphere", residual_deg=30.0, condition_number=3.0, samples=99, cone_deg=60.0)
     rig = Rig(camera=Camera.orthographic(width=9, height=9), response=response, quality=quality)
     (found,) = check_residual(rig)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from vntoolkit.diagnosis.evidence import Evidence
 from vntoolkit.diagnosis.finding import Finding
 from vntoolkit.diagnosis.mask_match import check_mask
-from vntoolkit.diagnosis.outline import check_outline
+from vntoolkit.diagnosis.outline import check_cast_shadows, check_outline
 from vntoolkit.diagnosis.rig_checks import check_coverage, check_lamps, check_residual
 from vntoolkit.diagnosis.surface_match import check_relatives, check_structure
 from vntoolkit.diagnosis.transfer_match import check_calibrated_transfer, check_transfer
@@ -29,6 +29,7 @@ CAPTURE_CHECKS: tuple[tuple[Callable[[Evidence], list[Finding]], ...], ...] = (
     (check_relatives,),
     (check_zoom,),
     (check_outline, check_calibrated_transfer, check_transfer),
+    (check_cast_shadows,),
     (check_white_balance,),
 )
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import cv2
 import numpy as np
@@ -83,8 +84,8 @@ class Evidence:
     @cached_property
     def surface(self) -> npt.NDArray[np.bool_]:
         """(k, h, w): lit, unclipped and inside the mask; the rig's normals play no part in it."""
-        brightest = self.light.max(axis=3)
-        chosen = self.inside & ~self.clipped & (self.light.min(axis=3) > _LEAST_CHANNEL)
+        brightest = brightest_channel(self.light)
+        chosen = self.inside & ~self.clipped & (darkest_channel(self.light) > _LEAST_CHANNEL)
         if not chosen.any():
             return chosen
         chosen &= brightest > _LIT * np.percentile(brightest[chosen], 95)
@@ -145,6 +146,25 @@ def averaged_down(frame: LinearFrame) -> LinearFrame:
         return frame
     clipped = _resized(frame.clipped.astype(np.float32), size) > 0
     return LinearFrame(rgb=_resized(np.asarray(frame.rgb), size), clipped=clipped, number=frame.number)
+
+
+# Over three channels numpy's own reductions take ten times as long.
+
+
+def brightest_channel(light: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return the largest of three channels, the last axis."""
+    return np.maximum(np.maximum(light[..., 0], light[..., 1]), light[..., 2])
+
+
+def darkest_channel(light: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return the least of three channels, the last axis."""
+    return np.minimum(np.minimum(light[..., 0], light[..., 1]), light[..., 2])
+
+
+def lengths_of(vectors: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return the lengths of vectors of two or three components, the last axis."""
+    total = vectors[..., 0] ** 2 + vectors[..., 1] ** 2
+    return np.asarray(np.sqrt(total + vectors[..., 2] ** 2 if vectors.shape[-1] == 3 else total))
 
 
 def _resized(image: npt.NDArray[np.float32], size: tuple[int, int]) -> Single:

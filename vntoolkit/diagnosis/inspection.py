@@ -284,7 +284,7 @@ def _findings_from_transfer(info: CaptureInfo, transfer: Transfer) -> list[Findi
     return []
 
 
-def _findings_from_clipping(frames: Sequence[LinearFrame], mask: Mask | None) -> list[Finding]:
+def findings_from_clipping(frames: Sequence[LinearFrame], mask: Mask | None) -> list[Finding]:
     """Find how much of the subject, or of the picture without a mask, is clipped."""
     if not frames:
         return []
@@ -336,28 +336,39 @@ def findings_from_capture(
     `BadCapture` for a frame that cannot be read.
     """
     frames, in_a_row = _frames_to_judge(capture, numbers, FRAMES_IN_A_ROW)
-    findings = _findings_from_channels(capture.info) + _findings_from_clipping(frames, mask)
+    findings = _findings_from_channels(capture.info) + findings_from_clipping(frames, mask)
     if capture.info.chroma == "grey" or not frames:
         return findings
+    small = [averaged_down(frame) for frame in frames]
     if rig is not None:
         findings += _findings_from_tag(capture.info, capture.transfer, Level.FATAL)
-        findings += findings_from_rig(rig)
         findings += check_stated_focal(rig, capture.info.stated_focal_px)
         height, width = frames[0].shape
         if (width, height) != rig.footage_size:
-            return [*findings, _other_size(width, height, rig)]
-        if rig.gel is not None:  # its response is to changes, which the checks below do not look at
+            return [*findings, *findings_from_rig(rig), _other_size(width, height, rig)]
+        places = sorted({0, len(frames) // 2, len(frames) - 1})
+        few = [small[k] for k in places]
+        if in_one_material is not None and rig.gel is None:
+            few = [in_one_material(frames[k]) for k in places]
+        findings += findings_from_frames(few, rig, capture.transfer, mask)
+        if rig.gel is not None:
             return findings
-        few = [frames[k] for k in sorted({0, len(frames) // 2, len(frames) - 1})]
-        if in_one_material is not None:
-            few = [in_one_material(frame) for frame in few]
-        evidence = evidence_from_frames(few, rig, capture.transfer, mask)
-        if min(evidence.light.shape[1:3]) >= _NARROWEST_PX:
-            findings += findings_from_evidence(evidence)
-    findings += findings_from_drift(frames)
+    findings += findings_from_drift(small)
     if any(finding.level is Level.FATAL for finding in findings):
         return findings
     return [*findings, *_findings_over_time(in_a_row, rig, capture.transfer, mask)]
+
+
+def findings_from_frames(
+    frames: Sequence[LinearFrame], rig: Rig, transfer: Transfer, mask: Mask | None = None
+) -> list[Finding]:
+    """Check a rig and a few frames of its size, read with `transfer`, by all that `checks` lists."""
+    findings = findings_from_rig(rig)
+    if rig.gel is None:  # the response of a gel is to changes, which the checks do not look at
+        evidence = evidence_from_frames(frames, rig, transfer, mask)
+        if min(evidence.light.shape[1:3]) >= _NARROWEST_PX:
+            findings += findings_from_evidence(evidence)
+    return findings
 
 
 def _findings_over_time(
@@ -377,7 +388,7 @@ def findings_from_calibration_footage(
     capture: Capture, mask: Mask | None = None, numbers: range | None = None
 ) -> list[Finding]:
     """Check footage to calibrate on: channels, clipping inside `mask` (h, w), and the curve it states."""
-    clipping = _findings_from_clipping(_frames_to_judge(capture, numbers)[0], mask)
+    clipping = findings_from_clipping(_frames_to_judge(capture, numbers)[0], mask)
     tag = _findings_from_tag(capture.info, capture.transfer, Level.WARNING)
     return [*_findings_from_channels(capture.info), *clipping, *tag]
 

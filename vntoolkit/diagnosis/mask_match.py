@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vntoolkit.diagnosis.evidence import Evidence
+from vntoolkit.diagnosis.evidence import Evidence, brightest_channel
 from vntoolkit.diagnosis.finding import Finding, Level
 
 _LIT = 0.15  # of the brightest hundredth of the picture
@@ -16,7 +16,7 @@ def check_mask(evidence: Evidence) -> list[Finding]:
     """Find a mask that covers the dark and leaves out what is lit."""
     if not evidence.masked:
         return []
-    brightest = evidence.light.max(axis=3)
+    brightest = brightest_channel(evidence.light)
     lit = brightest > _LIT * np.percentile(brightest, 99)
     inside, outside = evidence.inside, ~evidence.inside
     if min(int(inside.sum()), int(outside.sum())) < _FEWEST_PIXELS:

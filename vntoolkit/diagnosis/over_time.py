@@ -24,7 +24,14 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, Mask
-from vntoolkit.diagnosis.evidence import Evidence, Single, scaled_normals
+from vntoolkit.diagnosis.evidence import (
+    Evidence,
+    Single,
+    brightest_channel,
+    darkest_channel,
+    lengths_of,
+    scaled_normals,
+)
 from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
 from vntoolkit.photometry.frame import LinearFrame
 
@@ -60,10 +67,10 @@ def findings_from_drift(frames: Sequence[LinearFrame]) -> list[Finding]:
     reference, static = small[0]
     gains: list[FloatArray] = []
     for light, usable in small[1:]:
-        both = static & usable & (np.abs(light - reference).max(axis=2) < _SEARCH)
+        both = static & usable & (brightest_channel(np.abs(light - reference)) < _SEARCH)
         change = light - reference
         factor = _common_factor(change[both])
-        static = both & (np.abs(change - factor).max(axis=2) < _WINDOW)
+        static = both & (brightest_channel(np.abs(change - factor)) < _WINDOW)
         gains.append(change)
     if not gains or not _surrounds(static):
         return []
@@ -93,7 +100,7 @@ def _reduced(frame: LinearFrame) -> tuple[FloatArray, Mask]:
     rgb = cv2.blur(cv2.resize(np.array(frame.rgb), size, interpolation=cv2.INTER_AREA), (_BLUR_PX, _BLUR_PX))
     clipped = cv2.resize(frame.clipped.astype(np.float32), size, interpolation=cv2.INTER_AREA)
     clipped = cv2.blur(clipped, (_BLUR_PX, _BLUR_PX))
-    usable: Mask = np.asarray((rgb.min(axis=2) > _DARKEST) & (clipped == 0))
+    usable: Mask = np.asarray((darkest_channel(rgb) > _DARKEST) & (clipped == 0))
     return np.log(np.maximum(rgb, 1e-6)).astype(np.float64), usable
 
 
@@ -106,7 +113,7 @@ def _common_factor(change: FloatArray) -> FloatArray:
     near = np.abs(change[:, 1] - (edges[int(counts.argmax())] + _BIN / 2)) < _WINDOW
     centre = np.median(change[near], axis=0) if near.any() else np.zeros(3)
     for _ in range(_ROUNDS):
-        near = np.abs(change - centre).max(axis=1) < _WINDOW
+        near = brightest_channel(np.abs(change - centre)) < _WINDOW
         if not near.any():
             break
         centre = np.median(change[near], axis=0)
@@ -148,7 +155,7 @@ def check_flicker(evidence: Evidence) -> list[Finding]:
 
 
 def _lengths(evidence: Evidence, light: Single) -> Single:
-    return np.asarray(np.linalg.norm(scaled_normals(evidence, light), axis=2))
+    return np.asarray(lengths_of(scaled_normals(evidence, light)))
 
 
 def _largest_error(beats: FloatArray, medians: FloatArray, blocks: npt.NDArray[np.int64]) -> float:
@@ -200,8 +207,8 @@ def _lost_share(flow: cv2.DISOpticalFlow, now: Single, then: Single, subject: Ma
     u, v = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
     to_u, to_v = u + onwards[..., 0], v + onwards[..., 1]
     returned = cv2.remap(back, to_u, to_v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    missed = np.linalg.norm(onwards + returned, axis=2)
-    allowed = _RETURN_PX + _RETURN_SHARE * np.linalg.norm(onwards, axis=2)
+    missed = lengths_of(onwards + returned)
+    allowed = _RETURN_PX + _RETURN_SHARE * lengths_of(onwards)
     return float((missed > allowed)[subject].mean())
 
 

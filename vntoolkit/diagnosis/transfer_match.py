@@ -4,7 +4,9 @@ On one material that length is the albedo, whatever the direction. Footage read 
 was written with has a length that depends on the direction in a way that M and the two curves foretell. The
 logarithms of the lengths are regressed on what is foretold: the slope is 0 where the curve is right and 1
 where the other one is. Paint, gloss and shade scatter the lengths but do not follow the lamps' colours: they
-widen the error of the slope and hardly shift it. The spread of the lengths alone tells nothing: a curve that
+widen the error of the slope and hardly shift it. A subject of another hue than the calibration sample does
+follow them: a curve is called wrong only where the other leaves less of the spread than gains of the channels
+would. The spread of the lengths alone tells nothing: a curve that
 compresses light compresses paint too.
 """
 
@@ -18,8 +20,15 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray
-from vntoolkit.diagnosis.evidence import Evidence, scaled_normals
+from vntoolkit.diagnosis.evidence import (
+    Evidence,
+    brightest_channel,
+    darkest_channel,
+    lengths_of,
+    scaled_normals,
+)
 from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
+from vntoolkit.diagnosis.white_balance import fit_gains, spread_of_lengths
 from vntoolkit.photometry.transfer import (
     Transfer,
     TransferCurve,
@@ -52,7 +61,7 @@ def check_transfer(evidence: Evidence) -> list[Finding]:
     written = _against_the_other_kind(evidence)
     if written is None or not _NOTED <= written.score <= _UNEXPLAINED:
         return []
-    if written.score < _Z * written.error:
+    if written.score < _Z * written.error or not _leaves_less_than_gains(evidence, written.curve):
         return []
     stated = evidence.transfer.to_text()
     return [
@@ -134,6 +143,22 @@ def _comparison(evidence: Evidence, other: Transfer) -> _Comparison | None:
     )
 
 
+def _leaves_less_than_gains(evidence: Evidence, curve: str) -> bool:
+    """True where the lengths are more alike under another curve than under other gains of the channels."""
+    gains, other = fit_gains(evidence), Transfer.from_text(curve)
+    if gains is None:
+        return True
+    pixels = _surface_pixels(evidence, other)
+
+    def reread(factor: float) -> FloatArray:
+        return pixels.scaled_normals(_reread(pixels.rgb * factor, evidence.transfer, other))
+
+    brighter, darker = (lengths_of(reread(factor)) for factor in (1.05, 1 / 1.05))
+    growth = float(np.median(np.log(brighter / darker))) / (2 * math.log(1.05))
+    undone = pixels.rgb * np.exp(-np.array([gains.logs[0], 0.0, gains.logs[1]]))
+    return spread_of_lengths(reread(1.0)) / growth < spread_of_lengths(pixels.scaled_normals(undone))
+
+
 def _reread(light: FloatArray, read: Transfer, other: Transfer) -> FloatArray:
     """Return what light read with one curve would be, read with another."""
     return linear_from_encoded(encoded_from_linear(np.maximum(light, 0.0), read), other)
@@ -175,7 +200,7 @@ def _surface_pixels(evidence: Evidence, other: Transfer) -> _Pixels:
     for k, frame in enumerate(evidence.light):
         light = cv2.GaussianBlur(frame, (0, 0), _BLUR_PX)
         scaled = scaled_normals(evidence, light)
-        length = np.linalg.norm(scaled, axis=2)
+        length = lengths_of(scaled)
         good = evidence.inside[k] & ~evidence.clipped[k] & (scaled[..., 2] < -_STEEPEST * length)
         darker = other.curve is not TransferCurve.LINEAR
         if good.any():
@@ -196,7 +221,7 @@ def _surface_pixels(evidence: Evidence, other: Transfer) -> _Pixels:
     )
     if not len(places):
         return pixels
-    length = np.linalg.norm(pixels.scaled_normals(_reread(pixels.rgb, evidence.transfer, other)), axis=1)
+    length = lengths_of(pixels.scaled_normals(_reread(pixels.rgb, evidence.transfer, other)))
     bar = _LIT_DARKER if other.curve is TransferCurve.LINEAR else _LIT
     return pixels.of(length > bar * np.percentile(length, 95))
 
@@ -204,12 +229,12 @@ def _surface_pixels(evidence: Evidence, other: Transfer) -> _Pixels:
 def _slope(pixels: _Pixels, rgb: FloatArray, read: Transfer, other: Transfer) -> tuple[float, float] | None:
     """Return the slope of log length on what `other` foretells, and its standard error over blocks."""
     scaled = pixels.scaled_normals(rgb)
-    length = np.linalg.norm(scaled, axis=1)
+    length = lengths_of(scaled)
     typical = float(np.median(length))
     normals = scaled / np.maximum(length, 1e-12)[:, None]
     colours = pixels.colours(normals * typical)
-    lit: npt.NDArray[np.bool_] = colours.min(axis=1) > np.maximum(
-        _LEAST_CHANNEL * colours.max(axis=1), _DARKEST
+    lit: npt.NDArray[np.bool_] = darkest_channel(colours) > np.maximum(
+        _LEAST_CHANNEL * brightest_channel(colours), _DARKEST
     )
     lit &= normals[:, 2] < -_STEEPEST
     if int(lit.sum()) < _FEWEST_PIXELS:
@@ -218,7 +243,7 @@ def _slope(pixels: _Pixels, rgb: FloatArray, read: Transfer, other: Transfer) ->
 
     def log_length(factor: float) -> FloatArray:
         reread = chosen.scaled_normals(_reread(chosen.colours(normals * factor), read, other))
-        return np.log(np.maximum(np.linalg.norm(reread, axis=1), 1e-9))
+        return np.log(np.maximum(lengths_of(reread), 1e-9))
 
     foretold = log_length(1.0)
     growth = (log_length(1.05) - log_length(1 / 1.05)) / (2 * math.log(1.05))  # of log length with log albedo
@@ -252,6 +277,7 @@ def _regress(x: FloatArray, y: FloatArray, blocks: npt.NDArray[np.int64]) -> tup
 # At calibration the normals are known: the right curve is the one under which one M explains the colours.
 
 _SAMPLES = 20_000
+_FEWEST_SAMPLES = 24  # as many poses of a board; M and ambient light are twelve numbers
 _CHUNKS = 36
 _LEFT = 0.7  # of the residual that the other curve must leave
 
@@ -263,15 +289,16 @@ def check_transfer_of_samples(normals: FloatArray, rgb: FloatArray, transfer: Tr
     """
     step = max(1, len(normals) // _SAMPLES)
     normals, rgb = normals[::step], rgb[::step]
-    if len(normals) < _FEWEST_PIXELS:
+    if len(normals) < _FEWEST_SAMPLES:
         return []
     other = Transfer.from_text("srgb" if transfer.curve is TransferCurve.LINEAR else "linear")
     as_read = _residuals_deg(normals, rgb)
     under_other = _residuals_deg(normals, _reread(rgb, transfer, other))
     if not np.median(under_other) < _LEFT * np.median(as_read):
         return []
-    better = np.array([chunk.mean() for chunk in np.array_split(as_read - under_other, _CHUNKS)])
-    z = float(better.mean() / max(better.std() / math.sqrt(_CHUNKS), 1e-6))
+    chunks = min(_CHUNKS, len(normals))
+    better = np.array([chunk.mean() for chunk in np.array_split(as_read - under_other, chunks)])
+    z = float(better.mean() / max(better.std() / math.sqrt(chunks), 1e-6))
     if z < _Z:
         return []
     return [

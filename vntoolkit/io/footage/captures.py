@@ -150,7 +150,8 @@ class Capture(Displayed):
         """Return one frame as stored; raise `BadCapture` where its file is missing."""
         if number in self.info.missing:
             raise BadCapture(f"{self.name}: frame {number} is missing: no file {self.info.missing[number]}")
-        return next(self.encoded_frames(number, number + 1))
+        (frame,) = self.encoded_frames(number, number + 1)  # to the end, so that decoding can go on from here
+        return frame
 
     @property
     def present(self) -> Sequence[int]:
