@@ -48,6 +48,14 @@ def test_noise_tells_nothing(rng: np.random.Generator) -> None:
     assert np.median(told.expected) < 0.4  # nor is a match of it expected
 
 
+def test_noise_is_not_expected_to_match_where_it_is_stronger_either(rng: np.random.Generator) -> None:
+    strength = np.where(GRID[..., 0] < 64, 0.01, 0.06)
+    frames = [normals(*(strength * rng.normal(0, 1, (2, HEIGHT, WIDTH)))) for _ in range(2)]
+    assert np.percentile(measured(*frames).expected, 90) < 0.5
+    relief = WrinkledVideo(width=WIDTH, height=HEIGHT).maps(0)[0]
+    assert np.median(measured(relief, relief).expected) > 0.9
+
+
 def test_a_fold_tells_across_and_not_along(rng: np.random.Generator) -> None:
     ridges = 0.2 * np.sin(GRID[..., 0] / 2.0)
     noise = rng.normal(0, 0.01, (4, HEIGHT, WIDTH))

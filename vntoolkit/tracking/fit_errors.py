@@ -20,6 +20,7 @@ from vntoolkit.tracking.registration import TemplateRegistration, WindowSteps
 
 _SAMPLES = 16
 _DEGREE = 2  # of the polynomials in place that strain is compared by
+_SYSTEMATIC = 2.0  # squared error of a window over what its nodes' disagreement tells: they share some of it
 _PRIOR = 0.25  # share of the given strain in what is found
 
 
@@ -37,8 +38,8 @@ class FitErrors:
         self._windows = []
         for halvings in range(registration.band_count):
             white = rng.standard_normal((m, 2 * _SAMPLES))
-            alike = _unit(registration.spread(white, halvings)) / np.sqrt(
-                registration.nodes_of_window(halvings)
+            alike = _unit(registration.spread(white, halvings)) * np.sqrt(
+                _SYSTEMATIC / registration.nodes_of_window(halvings)
             )
             self._windows.append(alike.reshape(shape))
         self._outline = rng.standard_normal(shape)

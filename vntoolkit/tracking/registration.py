@@ -38,9 +38,8 @@ _CHANCE = 2.5  # standard deviations of A without a common signal, below which n
 _CORRELATED_PX = 12.0  # pixels that agree by chance count as one, by H: so measured on white noise
 _LONGEST_STEP_PX = 2.0  # in pixels of the band: about what one linearisation reaches
 _LEAST_NOISE = 1e-3  # slope: what interpolation leaves
-_ACCURACY_PX = (0.2, 2.0, 15.0)  # of a node's pixels at best, by band: relief stays in place, folds travel
+_ACCURACY_PX = (0.1, 0.9, 5.4)  # of a node's pixels at best, by band: relief stays in place, folds travel
 _FEW_NODES = 5.0  # variance of a step over that of its nodes' pulls: not all of them move alike
-_NOISE_GRADIENT = 0.57  # gradient power of white noise by the power of the residual it leaves, measured too
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -103,19 +102,7 @@ class TemplateRegistration:
         identity = np.tile([1.0, 0.0, 0.0, 1.0], (lattice.count, 1))
         here = _pulled_back(slopes, template.positions_px, identity, lattice.taps, lattice.shares)
         self._bands = self._banded(here)
-        fine = self._bands[0]
-        own = _moments(
-            fine.node,
-            lattice.count,
-            fine.features,
-            fine.gradients,
-            fine.weight,
-            fine.features,
-            fine.gradients,
-            fine.weight,
-        )
-        own = lattice.smoothed(own, _WINDOW_PASSES[0])
-        self._power = own[:, 10] / np.maximum(own[:, 9], 1e-9)
+        self._expected = self._expected_match()
 
     def measure(self, positions_px: Points2, jacobians: FloatArray, slopes: Slopes) -> Measurement:
         """Measure in the frame with these slopes.
@@ -142,7 +129,7 @@ class TemplateRegistration:
             found = np.maximum(found, ratio)
             if mine.halvings == 0:
                 match = ratio
-                expected = self._expected_match(terms)
+                expected = self._expected
             bands.append(WindowSteps(halvings=mine.halvings, information=told, step=step))
             information += told
             pull += np.einsum("nij,nj->ni", told[:, [0, 1, 1, 2]].reshape(-1, 2, 2), step)
@@ -168,13 +155,19 @@ class TemplateRegistration:
         """Return (nodes, k) sums of values over the windows of one band."""
         return self._lattice.smoothed(values, _WINDOW_PASSES[halvings])
 
-    def _expected_match(self, terms: FloatArray) -> npt.NDArray[np.float64]:
-        """Return (nodes,) the share of gradients in common if only this frame's noise told them apart."""
-        seen = terms[:, 9] > 0
-        if not seen.any():
-            return np.zeros(len(terms))
-        noise = float(np.percentile(terms[seen, 8] / terms[seen, 9], 20))
-        return np.asarray(np.maximum(0.0, 1.0 - _NOISE_GRADIENT * noise / np.maximum(self._power, 1e-12)))
+    def _expected_match(self) -> npt.NDArray[np.float64]:
+        """Return (nodes,) the share of gradients in common if only noise told template and frame apart.
+
+        Slopes of a surface have no curl. White noise of both slopes has half of its gradients' power in it.
+        """
+        fine = self._bands[0]
+        curl = fine.gradients[..., 2] - fine.gradients[..., 1]
+        inside = fine.node >= 0
+        node, weight = fine.node[inside], fine.weight[inside]
+        squares = (2.0 * np.square(curl), np.square(fine.gradients).sum(axis=-1))
+        own = [np.bincount(node, weight * square[inside], self._lattice.count) for square in squares]
+        noise, power = self._lattice.smoothed(np.stack(own, axis=1), _WINDOW_PASSES[0]).T
+        return np.asarray(np.maximum(0.0, 1.0 - noise / np.maximum(power, 1e-30)))
 
     def _banded(self, pulled: npt.NDArray[np.float32]) -> list[Band]:
         image = np.zeros((*self._shape, 3), dtype=np.float32)

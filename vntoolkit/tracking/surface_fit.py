@@ -94,7 +94,7 @@ class SurfaceFit:
         told = self._registration.measure(positions, around, relief)
         if np.sum(told.found) < _LOST_MATCH * np.sum(told.expected):
             positions, told = self._restarted(positions, last_px, told, previous, normal_map, relief)
-        lost = told.found < _LOST_MATCH * told.expected
+        lost = told.match < _LOST_MATCH * told.expected
         if lost.any() and not lost.all():
             positions, told = self._resumed(positions, told, lost, relief)
         around = self._jacobians.of(positions)
@@ -147,17 +147,22 @@ class SurfaceFit:
         lost: npt.NDArray[np.bool_],
         relief: Slopes,
     ) -> tuple[npt.NDArray[np.float64], Measurement]:
-        """Where the motion of what matches goes on to over what is lost, as far as it matches better there.
+        """Where the coarse bands lead what is lost, and the motion of what matches around it.
 
-        What comes back into the mask, or from behind something, may lie farther off than one step reaches.
+        As far as it matches better there: what is off by more than a wave of its relief, comes back into the
+        mask, or from behind something, may lie farther off than one step of the finest band reaches.
         """
-        here = self._lengths.nodes(positions)
-        moved = here - self._nodes_of_template
+        moved = self._lengths.nodes(positions) - self._nodes_of_template
+        inverse = _inverse(self._jacobians.of(positions))
         kept = (~lost).astype(np.float64)
-        information = np.column_stack([kept, np.zeros_like(kept), kept])
+        information, pull = np.column_stack([kept, np.zeros_like(kept), kept]), kept[:, None] * moved
+        for band in _in_frame(told.bands[1:], inverse):
+            told_here = lost[:, None] * band.information
+            information = information + told_here
+            pull = pull + np.einsum("nij,nj->ni", _full(told_here), moved + band.step)
         links = self._lengths.links
         filled = self._system.solve(
-            information, kept[:, None] * moved, np.ones(len(links)), np.zeros((len(links), 2))
+            information, pull, np.ones(len(links)), np.zeros((len(links), 2))
         ).displacement
         return self._where_better(positions, np.where(lost[:, None], filled - moved, 0.0), told, relief)
 
@@ -168,7 +173,7 @@ class SurfaceFit:
         lattice = self._lattice
         moved = positions + lattice.at_vertices(at_nodes)
         there = self._registration.measure(moved, self._jacobians.of(moved), relief)
-        better = there.found > told.found + _BETTER_MATCH
+        better = np.maximum(there.found - told.found, there.match - told.match) > _BETTER_MATCH
         if not better.any():
             return np.asarray(positions), told
         moved = positions + lattice.at_vertices(np.where(better[:, None], at_nodes, 0.0))
@@ -228,6 +233,10 @@ def _inverse(around: FloatArray) -> npt.NDArray[np.float64]:
 
 def _congruent(information: FloatArray, inverse: FloatArray) -> npt.NDArray[np.float64]:
     """J⁻ᵀ I J⁻¹ (m, 3) of information (m, 3) and J⁻¹ (m, 2, 2): in pixels of the frame."""
-    full = information[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
-    full = np.swapaxes(inverse, 1, 2) @ full @ inverse
+    full = np.swapaxes(inverse, 1, 2) @ _full(information) @ inverse
     return np.stack([full[:, 0, 0], full[:, 0, 1], full[:, 1, 1]], axis=1)
+
+
+def _full(information: FloatArray) -> npt.NDArray[np.float64]:
+    """(m, 2, 2) of (m, 3)."""
+    return np.asarray(information[:, [0, 1, 1, 2]].reshape(-1, 2, 2))
