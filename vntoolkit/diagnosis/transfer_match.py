@@ -5,8 +5,8 @@ was written with has a length that depends on the direction in a way that M and 
 logarithms of the lengths are regressed on what is foretold: the slope is 0 where the curve is right and 1
 where the other one is. Paint, gloss and shade scatter the lengths but do not follow the lamps' colours: they
 widen the error of the slope and hardly shift it. A subject of another hue than the calibration sample does
-follow them: a curve is called wrong only where the other leaves less of the spread than gains of the channels
-would. The spread of the lengths alone tells nothing: a curve that
+follow them: a curve is called wrong only where gains of the channels would not leave clearly less of the
+spread. The spread of the lengths alone tells nothing: a curve that
 compresses light compresses paint too.
 """
 
@@ -52,6 +52,7 @@ _LEAST_EFFECT = 0.004  # spread of the foretold logarithms: below it M and the c
 _NOTED = 0.5
 _CLEAR = 0.8  # below minus this, the footage is believed against the rig
 _Z = 4.0
+_CLEARLY_LESS = 0.65  # two free numbers always mend more than none
 # Beyond it neither curve explains the slope: another material, such as a backdrop without a mask, makes it.
 _UNEXPLAINED = 4.0
 
@@ -61,7 +62,7 @@ def check_transfer(evidence: Evidence) -> list[Finding]:
     written = _against_the_other_kind(evidence)
     if written is None or not _NOTED <= written.score <= _UNEXPLAINED:
         return []
-    if written.score < _Z * written.error or not _leaves_less_than_gains(evidence, written.curve):
+    if written.score < _Z * written.error or not _gains_explain_less(evidence, written.curve):
         return []
     stated = evidence.transfer.to_text()
     return [
@@ -143,8 +144,8 @@ def _comparison(evidence: Evidence, other: Transfer) -> _Comparison | None:
     )
 
 
-def _leaves_less_than_gains(evidence: Evidence, curve: str) -> bool:
-    """True where the lengths are more alike under another curve than under other gains of the channels."""
+def _gains_explain_less(evidence: Evidence, curve: str) -> bool:
+    """True unless the lengths are clearly more alike under other gains than under the curve."""
     gains, other = fit_gains(evidence), Transfer.from_text(curve)
     if gains is None:
         return True
@@ -156,7 +157,8 @@ def _leaves_less_than_gains(evidence: Evidence, curve: str) -> bool:
     brighter, darker = (lengths_of(reread(factor)) for factor in (1.05, 1 / 1.05))
     growth = float(np.median(np.log(brighter / darker))) / (2 * math.log(1.05))
     undone = pixels.rgb * np.exp(-np.array([gains.logs[0], 0.0, gains.logs[1]]))
-    return spread_of_lengths(reread(1.0)) / growth < spread_of_lengths(pixels.scaled_normals(undone))
+    by_curve = spread_of_lengths(reread(1.0)) / growth
+    return spread_of_lengths(pixels.scaled_normals(undone)) > _CLEARLY_LESS * by_curve
 
 
 def _reread(light: FloatArray, read: Transfer, other: Transfer) -> FloatArray:
