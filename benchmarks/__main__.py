@@ -23,6 +23,7 @@ from typing import Any
 BENCHMARKS: dict[str, list[str]] = {
     "integration": ["--largest", "2048"],
     "shadows": [],
+    "mistakes": ["--seeds", "1"],
     "tracking": [],
     "skinning": [],
     "export": [],
