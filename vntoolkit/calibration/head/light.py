@@ -25,7 +25,6 @@ _DARK = 0.05  # of the brightest colours: added to the colour, so that dark samp
 _SCORED = 4000
 _SHADOW_ROUNDS = 3
 _ALBEDO_ROUNDS = 12  # on noisy normals: in more, albedo takes up what noise takes from the shading
-_REFINED_ROUNDS, _SETTLED = 200, 2e-4  # on sure ones, at most; change of M, as a share, that ends them
 _LEAST_COSINE = 0.08  # to a light: flatter, the shape's error decides whether it arrives
 _LEAST_SEEN = 3  # frames in which a point must be lit for an albedo of its own
 _LEAST_SUPPORT = 0.1  # of the samples
@@ -69,9 +68,8 @@ def fit_light(
     rays: HeadRays,
     options: LightOptions,
     rng: np.random.Generator,
-    start: LightResponse | None = None,
 ) -> HeadLight:
-    """Fit M (and ambient a) to samples of skin. start: a response near the one sought, for sure normals.
+    """Fit M (and ambient a) to samples of skin.
 
     Raises `BadCalibration` where hardly any samples agree on one response.
     """
@@ -79,10 +77,7 @@ def fit_light(
     normals, rgb = samples.normals_in_camera, samples.rgb
     rows = np.column_stack([normals, np.ones(len(normals))]) if ambient else np.asarray(normals)
     floor = _DARK * float(np.percentile(np.linalg.norm(rgb, axis=1), 95))
-    if start is None:
-        unknowns = _largest_support(rows, rgb, floor, options, rng)
-    else:
-        unknowns = np.vstack([start.matrix.T, start.ambient])[: rows.shape[1]]
+    unknowns = _largest_support(rows, rgb, floor, options, rng)
     shadowed = np.zeros(len(rows), np.bool_)
     for _ in range(_SHADOW_ROUNDS):
         inliers = _support(rows, rgb, unknowns, floor, options.light_inlier) & ~shadowed
@@ -91,14 +86,28 @@ def fit_light(
     inliers = _support(rows, rgb, unknowns, floor, options.light_inlier) & ~shadowed
     albedo = np.ones_like(rgb)
     if not ambient:
-        rounds = _ALBEDO_ROUNDS if start is None else _REFINED_ROUNDS
-        unknowns, albedo, inliers = _with_albedo(
-            samples, unknowns, shadowed, floor, options.light_inlier, rounds
-        )
+        unknowns, albedo, inliers = _with_albedo(samples, unknowns, shadowed, floor, options.light_inlier)
     response = response_from_unknowns(unknowns)
     quality = fit_quality(normals[inliers], (rgb / albedo)[inliers], response, "head")
     warn_of_weak_fit(quality)
     return HeadLight(response=response, quality=quality, inliers=inliers, shadowed=shadowed, albedo=albedo)
+
+
+def light_of_response(samples: HeadSamples, response: LightResponse, options: LightOptions) -> HeadLight:
+    """Judge a response by samples of lit skin, their colours free of albedo."""
+    rows = np.column_stack([samples.normals_in_camera, np.ones(len(samples.rgb))])
+    floor = _DARK * float(np.percentile(np.linalg.norm(samples.rgb, axis=1), 95))
+    unknowns = np.vstack([response.matrix.T, response.ambient])
+    inliers = _support(rows, samples.rgb, unknowns, floor, options.light_inlier)
+    quality = fit_quality(samples.normals_in_camera[inliers], samples.rgb[inliers], response, "head")
+    warn_of_weak_fit(quality)
+    return HeadLight(
+        response=response,
+        quality=quality,
+        inliers=inliers,
+        shadowed=np.zeros(len(rows), np.bool_),
+        albedo=np.ones_like(samples.rgb),
+    )
 
 
 def _largest_support(
@@ -168,7 +177,6 @@ def _with_albedo(
     shadowed: npt.NDArray[np.bool_],
     floor: float,
     largest: float,
-    rounds: int,
 ) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
     """Alternate between every point's albedo per channel and M; the albedo's median stays 1.
 
@@ -179,7 +187,7 @@ def _with_albedo(
     majority = _support(normals, rgb, unknowns, floor, largest) & ~shadowed
     used = ~shadowed
     albedo = np.ones_like(rgb)
-    for _ in range(rounds):
+    for _ in range(_ALBEDO_ROUNDS):
         shading = normals @ unknowns
         seen = np.bincount(point[used], minlength=point.max() + 1)
         own = np.stack(
@@ -192,7 +200,6 @@ def _with_albedo(
         used = ~shadowed & np.isfinite(errors) & (errors < largest)
         if np.count_nonzero(used) < 50:
             break
-        before = unknowns
         unknowns = np.stack(
             [
                 _least_squares(normals * albedo[:, c : c + 1], rgb[:, c : c + 1], used, floor)[:, 0]
@@ -200,8 +207,6 @@ def _with_albedo(
             ],
             axis=1,
         )
-        if np.linalg.norm(unknowns - before) < _SETTLED * np.linalg.norm(before):
-            break
     return unknowns, np.where(np.isfinite(albedo), albedo, 1.0), used
 
 

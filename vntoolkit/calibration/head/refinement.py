@@ -16,13 +16,15 @@ import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
 from scipy.sparse.linalg import cg
+from scipy.spatial import cKDTree
 
 from vntoolkit.arrays import Faces, FloatArray, IntArray, Points
-from vntoolkit.calibration.head.light import HeadLight, LightOptions, fit_light
-from vntoolkit.calibration.head.samples import HeadRays, HeadSamples, LightFrame
+from vntoolkit.calibration.head.light import HeadLight, LightOptions, light_of_response
+from vntoolkit.calibration.head.samples import HeadSamples, LightFrame
 from vntoolkit.calibration.head.skin import (
     SkinColours,
     SkinNormals,
+    response_errors,
     skin_colours,
     skin_normals,
     without_shadow,
@@ -33,10 +35,12 @@ from vntoolkit.geometry.laplacian import edge_cotangents, graph_laplacian
 from vntoolkit.geometry.mesh import Mesh, face_normals, vertex_normals
 from vntoolkit.photometry.response import LightResponse
 
-_ROUNDS = 3
+_ROUNDS, _PASSES = 6, 2  # colours are taken anew in so many: later, vertices hardly move
+_ROBUST_ROUNDS = 6
 _SETTLED = 0.002  # change of M, as a share, that ends the rounds
 _STEPS = 3  # of the positions, with one factor: the surface's own normals turn as it moves
 _EDGE_PX = 1.6  # mean length of an edge, about: two samples of a relief of a few pixels
+_COARSE = 2.0  # edges while M is sought: a relief too fine for them says nothing of M
 _MOST_VERTICES = 300_000
 # Normals that are off by 1 degree, as M leaves them, bend positions by half a pixel over half of this
 # wavelength. Stereo's ripples are of a pixel and more, and up to a dozen windows long.
@@ -82,38 +86,80 @@ def refine_head(
     rng: np.random.Generator,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> RefinedHead:
-    """Alternate normals from colours, positions from normals and stereo, and M from the new shape.
+    """Alternate normals from colours, positions from normals and stereo, and M, then do all once more finely.
 
-    mesh: of stereo, head frame. frames: reads the frames that normals are taken from, once a round. light:
-    M and what the first fit made of the samples.
+    mesh: of stereo, head frame. frames: reads the frames that normals are taken from, in passes. light: M and
+    what the first fit made of the samples.
     """
     pixel = _pixel_size(mesh, camera, frames())
-    surface = divided(mesh, _EDGE_PX * pixel)
-    stereo = surface.vertices
-    crossover = min(_CROSSOVER_PX * pixel, _LARGEST_CROSSOVER * surface.diagonal)
+    stereo = divided(mesh, _COARSE * _EDGE_PX * pixel)
+    crossover = min(_CROSSOVER_PX * pixel, _LARGEST_CROSSOVER * stereo.diagonal)
+    response, surface, seen = light.response, stereo, None
     changes: list[float] = []
     for number in range(_ROUNDS):
-        before = light.response
-        colours = without_shadow(skin_colours(surface, camera, frames()), surface, before)
-        skin = skin_normals(colours, before)
-        solver = PositionSolver(stereo, surface.faces, skin, crossover)
-        surface = surface.with_vertices(solver.positions())
-        samples = patch_samples(surface, camera, colours, skin, _PATCH_PX * pixel)
-        light = fit_light(samples, HeadRays(surface), options, rng, start=before)
-        changes.append(_relative_change(before, light.response))
-        on_progress(number + 1, _ROUNDS)
+        if number < _PASSES or seen is None:
+            seen = skin_colours(surface, camera, frames())
+        colours = without_shadow(seen, surface, response)
+        skin = skin_normals(colours, response, tint_is_free=False)  # a free tint hides errors of M
+        solver = PositionSolver(stereo.vertices, stereo.faces, skin, crossover)
+        surface = stereo.with_vertices(solver.positions())
+        before = response
+        response = _corrected(response, colours, skin, solver, surface, _PATCH_PX * pixel)
+        changes.append(_relative_change(before, response))
+        on_progress(number + 1, _ROUNDS + 1)
         if changes[-1] < _SETTLED:
             break
-    spread = solver.spread(surface, measured_noise(surface, stereo, skin, pixel), rng)
+    levels = measured_noise(surface, stereo.vertices, skin, pixel)
+    spread = solver.spread(surface, levels, rng)
+    near = cKDTree(surface.vertices)
+    stereo, surface = (divided(each, _EDGE_PX * pixel) for each in (stereo, surface))
+    colours = without_shadow(skin_colours(surface, camera, frames()), surface, response)
+    skin = skin_normals(colours, response)
+    solver = PositionSolver(stereo.vertices, stereo.faces, skin, crossover)
+    surface = surface.with_vertices(solver.positions(surface.vertices))
+    samples = patch_samples(surface, camera, colours, skin, _PATCH_PX * pixel)
+    on_progress(_ROUNDS + 1, _ROUNDS + 1)
     return RefinedHead(
-        mesh=replace(
-            surface, colours=_skin_colour(skin, light.response), error_deg=_expected_error_deg(skin)
-        ),
-        light=light,
+        mesh=replace(surface, colours=_skin_colour(skin, response), error_deg=_expected_error_deg(skin)),
+        light=light_of_response(samples, response, options),
         samples=samples,
         changes=tuple(changes),
-        error_percent=100.0 * spread / surface.diagonal,
+        error_percent=100.0 * spread[near.query(surface.vertices)[1]] / surface.diagonal,
     )
+
+
+def _corrected(
+    response: LightResponse,
+    colours: SkinColours,
+    skin: SkinNormals,
+    solver: PositionSolver,
+    surface: Mesh,
+    side: float,
+) -> LightResponse:
+    """Return M (I + E) whose normals agree best between the frames, and with the positions of stereo.
+
+    An error of M that all frames follow shows only in the shape: wrong normals move positions off stereo's by
+    more than its noise, in patterns that are known. Both are linear in E; patches of skin count as one
+    observation. Slopes of stereo say less: windows flatten what is smaller than them.
+    """
+    assert surface.normals is not None
+    area = areas(surface.vertices, surface.faces)
+    share = np.where(skin.known, np.minimum(area / side**2, 1.0), 0.0)
+    errors = response_errors(colours, skin, response, share)
+    patterns = solver.moved_by(-errors.turned, surface)
+    moved = ((surface.vertices - solver.stereo) * surface.normals).sum(axis=1)
+    step, scale = np.zeros(9), np.eye(3).ravel()  # M's scale is free: it is left as it is
+    for _ in range(_ROBUST_ROUNDS):
+        left = moved + patterns @ step
+        noise = 1.4826 * float(np.median(np.abs(left[skin.known])))
+        weight = share / (1.0 + np.square(left / (2.0 * noise))) ** 2 / noise**2
+        weighted = patterns * weight[:, None]
+        system = errors.system + patterns.T @ weighted
+        held = system + np.trace(system) * np.outer(scale, scale)
+        step = np.linalg.solve(held, errors.right - weighted.T @ moved)
+    matrix = response.matrix @ (np.eye(3) + step.reshape(3, 3))
+    matrix *= np.linalg.norm(response.matrix) / np.linalg.norm(matrix)
+    return replace(response, matrix=matrix)
 
 
 def _relative_change(first: LightResponse, second: LightResponse) -> float:
@@ -150,7 +196,7 @@ class PositionSolver:
     """
 
     def __init__(self, stereo: Points, faces: Faces, skin: SkinNormals, crossover: float) -> None:
-        self._stereo, self._faces = stereo, faces
+        self.stereo, self._faces = stereo, faces
         pairs, cosines, sines = edge_cotangents(stereo, faces)
         self._from, self._to = pairs.T
         normals, noise = _normals_and_noise(stereo, faces, skin)
@@ -163,15 +209,15 @@ class PositionSolver:
         upright = normals[self._from] + normals[self._to]
         self._upright = upright / np.linalg.norm(upright, axis=1, keepdims=True)
 
-    def positions(self) -> Points:
+    def positions(self, start: Points | None = None) -> Points:
         """Return (n, 3). A few rounds, as the normals that vertices move along turn on the way."""
-        x = np.array(self._stereo)
+        x = np.array(self.stereo if start is None else start)
         for _ in range(_STEPS):
             along = vertex_normals(x, self._faces)
             across = 0.5 * (along[self._from] + along[self._to])
             slope = np.maximum((self._upright * across).sum(axis=1), _LEAST_AGREEMENT)
             rise = -((x[self._to] - x[self._from]) * self._upright).sum(axis=1) / slope
-            pull = self._anchor * ((x - self._stereo) * along).sum(axis=1)
+            pull = self._anchor * ((x - self.stereo) * along).sum(axis=1)
             x += self._solved(self._divergence(rise) - pull)[:, None] * along
         return x
 
@@ -181,23 +227,28 @@ class PositionSolver:
         Noise is drawn. Shared errors of unknown pattern turn all normals n by E n, for every entry of E.
         """
         assert surface.normals is not None
-        own = np.sqrt(levels.stereo / np.maximum(areas(self._stereo, self._faces), _TINY))
+        own = np.sqrt(levels.stereo / np.maximum(areas(self.stereo, self._faces), _TINY))
         variance = np.zeros(len(own))
         for _ in range(_DRAWS):
             noise = self._anchor * own * rng.standard_normal(len(own))
             variance += self._solved(noise, _ROUGHLY) ** 2 / _DRAWS
+        normals = surface.normals
+        turned = np.einsum("ir,nc->nirc", np.eye(3), normals).reshape(-1, 3, _PATTERNS)
+        turned -= normals[:, :, None] * np.einsum("ni,nip->np", normals, turned)[:, None]
+        moves = self.moved_by(turned * (levels.shared / np.sqrt(_PATTERNS)), surface)
+        return np.sqrt(variance + np.square(moves).sum(axis=1))
+
+    def moved_by(self, turned: FloatArray, surface: Mesh) -> FloatArray:
+        """Return the moves along the normals (n, p) where normals turn by (n, 3, p)."""
         step = surface.vertices[self._to] - surface.vertices[self._from]
-        for row, column in np.ndindex(3, 3):
-            turned = np.zeros_like(surface.normals)
-            turned[:, row] = surface.normals[:, column]
-            turned -= (turned * surface.normals).sum(axis=1, keepdims=True) * surface.normals
-            turned *= levels.shared / np.sqrt(_PATTERNS)
-            rise = -(step * 0.5 * (turned[self._from] + turned[self._to])).sum(axis=1)
-            variance += self._solved(self._divergence(rise), _ROUGHLY) ** 2
-        return np.sqrt(variance)
+        moves = []
+        for each in np.moveaxis(turned, 2, 0):
+            rise = -(step * 0.5 * (each[self._from] + each[self._to])).sum(axis=1)
+            moves.append(self._solved(self._divergence(rise), _ROUGHLY))
+        return np.stack(moves, axis=1)
 
     def _divergence(self, rise: FloatArray) -> FloatArray:
-        count = len(self._stereo)
+        count = len(self.stereo)
         flow = self._weight * rise
         return np.asarray(np.bincount(self._to, flow, count) - np.bincount(self._from, flow, count), float)
 

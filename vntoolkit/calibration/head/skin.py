@@ -25,7 +25,7 @@ from vntoolkit.photometry.response import LightResponse
 
 _LEAST_COSINE = 0.08  # to a row of M: flatter, the shape's error decides whether light arrives
 _TINT_SPREAD = 0.05  # standard deviation of the logarithm of the tint on skin
-_ROUNDS = 8
+_ROUNDS, _FIXED_ROUNDS = 8, 2  # with the tint, and with the tint held
 _LEAST_FRAMES = 2
 _HOLD = 1e-6  # of the system's trace: its determinant is not 0
 _BLACK = 1e-6
@@ -114,36 +114,157 @@ class SkinNormals:
     """What the colours say of every vertex: (n, 3) each, n for the vertices.
 
     normals: unit, head frame, 0 where too little is seen. albedo: (n, 3), over the skin's median. noise: (n,)
-    standard deviation of the direction in radians, infinite where there is no normal. agrees: (f, n) bool,
-    the colours that the solution explains.
+    standard deviation of the direction in radians, infinite where there is no normal. scaled, tint: (n, 3),
+    b and g. weight: (f, n), how far the solution explains a colour. agrees: (f, n) bool, where it does.
     """
 
     normals: Points
     albedo: FloatArray
     noise: FloatArray
+    scaled: Points
+    tint: FloatArray
+    weight: Array
     agrees: npt.NDArray[np.bool_]
 
+    @property
+    def known(self) -> npt.NDArray[np.bool_]:
+        """(n,) where there is a normal."""
+        return np.asarray(np.isfinite(self.noise))
 
-def skin_normals(colours: SkinColours, response: LightResponse) -> SkinNormals:
-    """Solve r_f = diag(g) M R_f b at every vertex for b and g, robustly."""
+
+def skin_normals(
+    colours: SkinColours, response: LightResponse, *, tint_is_free: bool = True
+) -> SkinNormals:
+    """Solve r_f = diag(g) M R_f b at every vertex for b and g, robustly, or with g = 1."""
     matrices = np.stack([response.matrix @ pose.rotation for pose in colours.camera_from_head])
     weight = colours.weight.copy()
     count = weight.shape[1]
     scaled, tint = np.zeros((count, 3)), np.ones((count, 3))
     spread = np.full(count, np.inf)
     rgb = colours.rgb - response.ambient.astype(np.float32)
-    _solve_kernel(rgb, colours.weight, weight, matrices, scaled, tint, spread)
+    _solve_kernel(rgb, colours.weight, weight, matrices, scaled, tint, spread, _ROUNDS, tint_is_free)
+    known = np.isfinite(spread) & scaled.any(axis=1)
+    if tint_is_free and known.any():  # M holds the skin's typical colour: left to the tint, a wrong balance of its rows stays
+        tint /= np.median(tint[known], axis=0)
+        _solve_kernel(rgb, colours.weight, weight, matrices, scaled, tint, spread, _FIXED_ROUNDS, False)
     length = np.linalg.norm(scaled, axis=1)
-    known = np.isfinite(spread) & (length > 0)
     normals = np.divide(scaled, length[:, None], out=np.zeros_like(scaled), where=known[:, None])
     albedo = np.where(known[:, None], tint * length[:, None], 1.0)
     return SkinNormals(
         normals=normals,
-        # M holds the skin's typical colour: left to the tint, a wrong balance of M's rows would stay
         albedo=albedo / np.median(albedo[known], axis=0) if known.any() else albedo,
         noise=np.where(known, spread, np.inf),
+        scaled=scaled,
+        tint=tint,
+        weight=weight,
         agrees=(weight > _AGREEING * colours.weight) & known,
     )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ResponseErrors:
+    """What an error E of M, where M (I + E) is right, does to the solution. E's nine entries, row by row.
+
+    turned: (n, 3, 9), normals less those by the right M, per unit of E. system: (9, 9), right: (9,), the
+    normal equations for E of what the frames' disagreement says. They leave open what every b can follow: E
+    that commutes with the turn, such as the scale along its axis.
+    """
+
+    turned: FloatArray
+    system: FloatArray
+    right: FloatArray
+
+
+def response_errors(
+    colours: SkinColours, skin: SkinNormals, response: LightResponse, share: FloatArray
+) -> ResponseErrors:
+    """Differentiate the solutions by M. share: (n,) independent observations that a vertex stands for."""
+    turned = np.zeros((len(skin.normals), 3, 9))
+    system, right = np.zeros((9, 9)), np.zeros(9)
+    _derivatives_kernel(
+        colours.rgb - response.ambient.astype(np.float32),
+        skin.weight,
+        response.matrix,
+        np.stack([pose.rotation for pose in colours.camera_from_head]),
+        np.where(skin.known[:, None], skin.scaled, 0.0),
+        skin.tint,
+        share,
+        turned,
+        system,
+        right,
+    )
+    along = np.einsum("ni,nik->nk", skin.normals, turned)
+    turned -= skin.normals[:, :, None] * along[:, None, :]
+    return ResponseErrors(turned=turned, system=system, right=right)
+
+
+@njit(cache=True)
+def _derivatives_kernel(
+    rgb: Array,
+    weight: Array,
+    matrix: FloatArray,
+    rotations: FloatArray,
+    scaled: Points,
+    tint: FloatArray,
+    share: FloatArray,
+    turned: FloatArray,
+    system: FloatArray,
+    right: FloatArray,
+) -> None:
+    frames, count = weight.shape
+    own, inverse, mixed, both = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 9)), np.empty((9, 9))
+    slope, row, off, followed = np.empty(9), np.empty(3), np.empty(9), np.empty((3, 9))
+    for i in range(count):
+        b, g = scaled[i], tint[i]
+        size = b[0] ** 2 + b[1] ** 2 + b[2] ** 2
+        if size == 0.0:
+            continue
+        own[:], mixed[:], both[:], off[:] = 0.0, 0.0, 0.0, 0.0
+        squares, total, brightness = 0.0, 0.0, 0.0
+        for f in range(frames):
+            w = weight[f, i]
+            if w == 0.0:
+                continue
+            total += w
+            turn = rotations[f]
+            for c in range(3):
+                value = 0.0
+                for k in range(3):
+                    row[k] = 0.0
+                    seen = turn[k, 0] * b[0] + turn[k, 1] * b[1] + turn[k, 2] * b[2]
+                    value += g[c] * matrix[c, k] * seen
+                    for j in range(3):
+                        row[k] += g[c] * matrix[c, j] * turn[j, k]
+                        slope[3 * j + k] = g[c] * matrix[c, j] * seen
+                left = rgb[f, i, c] - value
+                squares += w * left**2
+                brightness += w * value**2
+                for k in range(9):
+                    off[k] += w * slope[k] * left
+                    for j in range(9):
+                        both[k, j] += w * slope[k] * slope[j]
+                    for j in range(3):
+                        mixed[j, k] += w * row[j] * slope[k]
+                for k in range(3):
+                    for j in range(3):
+                        own[k, j] += w * row[k] * row[j]
+        for k in range(3):
+            own[k, k] += _HOLD * brightness / size
+        _invert(own, inverse)
+        noise = max(squares, _LEAST_NOISE**2 * brightness) / (3.0 * total)
+        for k in range(3):
+            for j in range(9):
+                followed[k, j] = (
+                    inverse[k, 0] * mixed[0, j] + inverse[k, 1] * mixed[1, j] + inverse[k, 2] * mixed[2, j]
+                )
+                turned[i, k, j] = followed[k, j] / np.sqrt(size)
+        for k in range(9):
+            right[k] += share[i] / noise * off[k]
+            for j in range(9):
+                kept = both[k, j]
+                for m in range(3):
+                    kept -= mixed[m, k] * followed[m, j]
+                system[k, j] += share[i] / noise * kept
 
 
 @njit(cache=True)
@@ -171,6 +292,8 @@ def _solve_kernel(
     scaled: FloatArray,
     tint: FloatArray,
     spread: FloatArray,
+    rounds: int,
+    tint_is_free: bool,
 ) -> None:
     frames, count = given.shape
     system, inverse, right = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
@@ -185,7 +308,7 @@ def _solve_kernel(
             continue
         b = scaled[i]
         noise = 0.0
-        for _ in range(_ROUNDS):
+        for _ in range(rounds):
             system[:] = 0.0
             right[:] = 0.0
             for f in shown[:n]:
@@ -218,6 +341,8 @@ def _solve_kernel(
             for at in range(n):
                 f = shown[at]
                 weight[f, i] = given[f, i] / (1.0 + (errors[at] / (2.0 * noise)) ** 2) ** 2
+            if not tint_is_free:
+                continue
             prior = (noise / _TINT_SPREAD) ** 2 / 3.0  # draws the tint to 1 as far as noise leaves it open
             product = 1.0
             for c in range(3):
