@@ -46,6 +46,7 @@ _MOST_VERTICES = 300_000
 # wavelength. Stereo's ripples are of a pixel and more, and up to a dozen windows long.
 _CROSSOVER_PX = 200.0
 _LARGEST_CROSSOVER = 1.0 / 3.0  # of the mesh's diagonal: M is fitted to what longer waves say
+_LOOSE = 2.0  # of the diagonal: where normals are to show their errors, stereo holds only the mesh's place
 _PATCH_PX = 16.0  # side: larger than the windows of stereo blur, smaller than a nose
 _DRAWS, _PATTERNS = 8, 9
 _TINY, _SMALLEST_SINE = 1e-30, 1e-9
@@ -101,10 +102,10 @@ def refine_head(
             seen = skin_colours(surface, camera, frames())
         colours = without_shadow(seen, surface, response)
         skin = skin_normals(colours, response, tint_is_free=False)  # a free tint hides errors of M
+        before = response
+        response = _corrected(response, colours, skin, stereo, _PATCH_PX * pixel)
         solver = PositionSolver(stereo.vertices, stereo.faces, skin, crossover)
         surface = stereo.with_vertices(solver.positions())
-        before = response
-        response = _corrected(response, colours, skin, solver, surface, _PATCH_PX * pixel)
         changes.append(_relative_change(before, response))
         on_progress(number + 1, _ROUNDS + 1)
         if changes[-1] < _SETTLED:
@@ -132,8 +133,7 @@ def _corrected(
     response: LightResponse,
     colours: SkinColours,
     skin: SkinNormals,
-    solver: PositionSolver,
-    surface: Mesh,
+    stereo: Mesh,
     side: float,
 ) -> LightResponse:
     """Return M (I + E) whose normals agree best between the frames, and with the positions of stereo.
@@ -142,6 +142,8 @@ def _corrected(
     more than its noise, in patterns that are known. Both are linear in E; patches of skin count as one
     observation. Slopes of stereo say less: windows flatten what is smaller than them.
     """
+    solver = PositionSolver(stereo.vertices, stereo.faces, skin, _LOOSE * stereo.diagonal)
+    surface = stereo.with_vertices(solver.positions())
     assert surface.normals is not None
     area = areas(surface.vertices, surface.faces)
     share = np.where(skin.known, np.minimum(area / side**2, 1.0), 0.0)

@@ -132,9 +132,7 @@ class SkinNormals:
         return np.asarray(np.isfinite(self.noise))
 
 
-def skin_normals(
-    colours: SkinColours, response: LightResponse, *, tint_is_free: bool = True
-) -> SkinNormals:
+def skin_normals(colours: SkinColours, response: LightResponse, *, tint_is_free: bool = True) -> SkinNormals:
     """Solve r_f = diag(g) M R_f b at every vertex for b and g, robustly, or with g = 1."""
     matrices = np.stack([response.matrix @ pose.rotation for pose in colours.camera_from_head])
     weight = colours.weight.copy()
@@ -144,7 +142,9 @@ def skin_normals(
     rgb = colours.rgb - response.ambient.astype(np.float32)
     _solve_kernel(rgb, colours.weight, weight, matrices, scaled, tint, spread, _ROUNDS, tint_is_free)
     known = np.isfinite(spread) & scaled.any(axis=1)
-    if tint_is_free and known.any():  # M holds the skin's typical colour: left to the tint, a wrong balance of its rows stays
+    if (
+        tint_is_free and known.any()
+    ):  # M holds the skin's typical colour: left to the tint, a wrong balance of its rows stays
         tint /= np.median(tint[known], axis=0)
         _solve_kernel(rgb, colours.weight, weight, matrices, scaled, tint, spread, _FIXED_ROUNDS, False)
     length = np.linalg.norm(scaled, axis=1)
