@@ -9,6 +9,7 @@ from vntoolkit.calibration.fit import fit_quality
 from vntoolkit.calibration.head.light import HeadLight, LightOptions
 from vntoolkit.calibration.head.refinement import refine_head
 from vntoolkit.calibration.head.samples import LightFrame
+from vntoolkit.calibration.head.skin import SkinColours, response_errors, skin_normals
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
@@ -98,3 +99,22 @@ def test_m_comes_right_again(refined):
 def test_nine_of_ten_normals_are_within_their_expected_error(refined):
     _, off, lit = errors(refined.mesh)
     assert (off < refined.mesh.error_deg[lit]).mean() > 0.85
+
+
+def test_frames_tell_all_of_m_but_what_commutes_with_the_turn():
+    rng = np.random.default_rng(2)
+    normals = rng.standard_normal((40, 3)) * [0.5, 0.6, 0.3] - [0, 0, 1]
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    rgb = np.stack([normals @ pose.rotation.T @ MATRIX.T for pose in POSES]).astype(np.float32)
+    colours = SkinColours(rgb=rgb, weight=np.ones(rgb.shape[:2], np.float32), camera_from_head=POSES)
+    true = 0.02 * rng.standard_normal((3, 3))
+    wrong = LightResponse(matrix=MATRIX @ np.linalg.inv(np.eye(3) + true))
+    skin = skin_normals(colours, wrong, tint_is_free=False)
+    found = response_errors(colours, skin, wrong, np.ones(40))
+    turned = np.einsum("nik,k->ni", found.turned, true.ravel())
+    assert np.abs(skin.normals - turned - normals).max() < 0.1 * np.abs(skin.normals - normals).max()
+    values, directions = np.linalg.eigh(found.system)
+    assert values[2] < 1e-3 * values[3]  # scale, scale along the axis, turn about it
+    told = directions[:, 3:].T
+    step = told @ found.right / values[3:]
+    assert step == pytest.approx(told @ true.ravel(), abs=0.003)

@@ -4,6 +4,9 @@ Stereo knows where the skin is, but not its relief: windows of a dozen pixels bl
 Normals know the relief but not the place: their errors add up with distance. The positions sought agree
 with both, each as far as its own error allows. A vertex moves along its normal, by d. Every edge should be
 at right angles to its mean normal, which tells d_j − d_i, and d should be small: linear in d.
+
+An error of M, the same in all frames, bends the shape in patterns that are known. M is corrected until the
+frames agree on every normal and the normals, integrated, agree with the positions of stereo.
 """
 
 from __future__ import annotations
