@@ -16,8 +16,10 @@ from vntoolkit.io.maps_and_meshes.label_images import read_materials, write_mask
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
 from vntoolkit.io.results.manifest import read_manifest
+from vntoolkit.materials.search import Material, find_materials
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
+from vntoolkit.pipeline import measured_materials
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.options import MaterialSearch, Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
@@ -123,6 +125,32 @@ def test_another_material_under_calibrated_is_told(
     with caplog.at_level(logging.WARNING):
         reconstruct(job)
     assert "does not look like the calibration material" in caplog.text
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.6, "the rig's material is taken"), (0.3, "are wrong; film")])
+def test_a_colour_that_was_not_found_is_told(
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
+    share: float,
+    told: str,
+) -> None:
+    found = find_materials
+    monkeypatch.setattr(
+        f"{__name__}.stripes", lambda number: (np.indices((SIZE, SIZE))[1] < share * SIZE) * 1
+    )
+    monkeypatch.setattr(measured_materials, "find_materials", lambda *given: _only_bright(found(*given)))
+    job = filmed(tmp_path, PAINTS, 1)
+    with caplog.at_level(logging.WARNING):
+        reconstruct(job)
+    assert "of the subject is not explained by the 1 found" in caplog.text
+    assert told in caplog.text
+    assert len(read_manifest(job.folder.root).materials) == (share < 0.5)
+
+
+def _only_bright(found: list[Material]) -> list[Material]:
+    """Those that return much of the red lamp: the first paint."""
+    return [material for material in found if material.reflectance.values[0] > 0.6]
 
 
 def test_a_number_is_refused_where_the_lamps_colours_are_not_known(striped: ReconstructionJob) -> None:

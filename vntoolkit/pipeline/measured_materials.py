@@ -11,6 +11,7 @@ from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.footage.captures import Capture
 from vntoolkit.io.footage.mattes import Mattes
 from vntoolkit.io.results.manifest import MaterialEntry
+from vntoolkit.materials.labelling import MaterialLabeller, relit
 from vntoolkit.materials.search import WORST_ERROR_DEG, Material, find_materials
 from vntoolkit.normals.inversion import relative_albedo_from_frame
 from vntoolkit.photometry.frame import LinearFrame
@@ -26,6 +27,10 @@ _SAME_DEG = 1.5  # mean turn of normals below which a material is the rig's own
 _WORST_RESIDUAL = (
     0.22  # of normals' lengths; photographs of one material reach 0.16, of another colour 0.29 on
 )
+_WRONG_LENGTH = 0.25  # of a normal, that neither noise nor shading makes
+_MOST_UNEXPLAINED = 0.1  # of the lit pixels: folds that light each other, eyes, buttons
+_MOST_UNEXPLAINED_OF_ANY = 0.4  # more, and nothing that was found can be trusted
+_LIT_SHARE = 0.06  # of the strongest lamp's light that reaches a pixel: less may be shadow
 _REMEDY = "film the subject while it turns, or calibrate on its own material"
 
 
@@ -54,6 +59,7 @@ def measured_materials(
         levelled = [processor.by_strength(frame) for frame in frames]
         count = None if isinstance(choice, MaterialSearch) else choice
         found = _told(find_materials(levelled, subjects, response.central, count), choice)
+        found = _explaining(found, levelled[0], subjects[0], job)
         if (
             choice is MaterialSearch.AUTO
             and len(found) == 1
@@ -101,6 +107,33 @@ def _told(found: list[Material], choice: MaterialSearch | int) -> list[Material]
                 number, 100 * material.share, material.reflectance.error_deg, spread, _REMEDY,
             )  # fmt: skip
     return found
+
+
+def _explaining(
+    found: list[Material], frame: LinearFrame, mask: Mask, job: ReconstructionJob
+) -> list[Material]:
+    """Return the materials; warn where they leave much of a frame unexplained, and return none where most."""
+    if not found:
+        return found
+    response, values = job.rig.response.central, np.array([each.reflectance.values for each in found])
+    labels = MaterialLabeller(response, values).labels(frame, mask)
+    rgb = relit(frame, response, labels, values).rgb[mask & ~frame.clipped].astype(np.float64)
+    lamps = rgb @ response.contributions_from_rgb.T
+    lit = (lamps > _LIT_SHARE * lamps.max(axis=1, keepdims=True)).all(axis=1)
+    length = np.linalg.norm((rgb[lit] - response.ambient) @ response.inverse.T, axis=1)
+    wrong = float(np.mean(np.abs(length - 1.0) > _WRONG_LENGTH)) if length.size else 0.0
+    if wrong <= _MOST_UNEXPLAINED:
+        return found
+    kept = wrong <= _MOST_UNEXPLAINED_OF_ANY
+    logger.warning(
+        "materials: %.0f %% of the subject is not explained by the %d found: the lengths of its normals are "
+        "off by more than %.0f %% (expected in at most %.0f %%). Colours were not found, or the surface is "
+        "glossy; the normals there are wrong%s; film closer, so that every patch of one colour is large, or calibrate on the subject's "
+        "main material",
+        100 * wrong, len(found), 100 * _WRONG_LENGTH, 100 * _MOST_UNEXPLAINED,
+        "" if kept else "; the rig's material is taken",
+    )  # fmt: skip
+    return found if kept or job.options.materials is not MaterialSearch.AUTO else []
 
 
 def _is_of_rig(material: Material, job: ReconstructionJob, frame: LinearFrame, mask: Mask) -> bool:
