@@ -8,6 +8,8 @@ make-up of one colour, and bare, with lips and freckles. All nuisances of a came
 scene is given. The error is that of the normals of pixels that all three lamps reach, by default options
 (`--materials auto`) and as if all were of one material (`--materials calibrated`).
 
+Many colours that are not told apart look like a wrong transfer curve; that check is allowed to fail.
+
 materials.png: a scene a row: captured, normals as of one material, normals and materials as found.
 """
 
@@ -50,7 +52,7 @@ def main(out: Path, frames: str = "0:121:40", size: str = "640x480") -> None:
         for materials in ("auto", "calibrated"):
             results[scene, materials] = vt.reconstruct(
                 film / "capture.mkv", rig=out / f"{scene}.json", out=out / f"{scene}_{materials}",
-                to="normals", materials=materials,
+                to="normals", materials=materials, allow=("transfer",),
             )  # fmt: skip
     angles = {key: errors_deg(out / key[0], result) for key, result in results.items()}
     numbers, rows = [], []
