@@ -128,8 +128,8 @@ def _explaining(
     logger.warning(
         "materials: %.0f %% of the subject is not explained by the %d found: the lengths of its normals are "
         "off by more than %.0f %% (expected in at most %.0f %%). Colours were not found, or the surface is "
-        "glossy; the normals there are wrong%s; film closer, so that every patch of one colour is large, or calibrate on the subject's "
-        "main material",
+        "glossy; the normals there are wrong%s; film closer, so that every patch of one colour is large, or "
+        "calibrate on the subject's main material",
         100 * wrong, len(found), 100 * _WRONG_LENGTH, 100 * _MOST_UNEXPLAINED,
         "" if kept else "; the rig's material is taken",
     )  # fmt: skip
