@@ -52,7 +52,7 @@ _LEAST_EFFECT = 0.004  # spread of the foretold logarithms: below it M and the c
 _NOTED = 0.5
 _CLEAR = 0.8  # below minus this, the footage is believed against the rig
 _Z = 4.0
-_CLEARLY_LESS = 0.65  # two free numbers always mend more than none
+_CLEARLY_LESS = 0.65  # two free numbers always mend more than none, so a curve that mends this much may tie
 # Beyond it neither curve explains the slope: another material, such as a backdrop without a mask, makes it.
 _UNEXPLAINED = 4.0
 
@@ -158,7 +158,9 @@ def _gains_explain_less(evidence: Evidence, curve: str) -> bool:
     growth = float(np.median(np.log(brighter / darker))) / (2 * math.log(1.05))
     undone = pixels.rgb * np.exp(-np.array([gains.logs[0], 0.0, gains.logs[1]]))
     by_curve = spread_of_lengths(reread(1.0)) / growth
-    return spread_of_lengths(pixels.scaled_normals(undone)) > _CLEARLY_LESS * by_curve
+    by_gains = spread_of_lengths(pixels.scaled_normals(undone))
+    mends = by_curve < _CLEARLY_LESS * spread_of_lengths(pixels.scaled_normals(pixels.rgb))
+    return by_gains > (_CLEARLY_LESS * by_curve if mends else by_curve)
 
 
 def _reread(light: FloatArray, read: Transfer, other: Transfer) -> FloatArray:
