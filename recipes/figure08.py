@@ -15,7 +15,6 @@ from vntoolkit.cli.calibrate import board
 from vntoolkit.cli.reconstruct import reconstruct
 from vntoolkit.cli.simulate import simulate
 from vntoolkit.evaluation.track_error import TrackError
-from vntoolkit.io.results.seams import read_seams
 from vntoolkit.pipeline.checkerboard import write_checkerboard
 from vntoolkit.pipeline.evaluate import evaluate_tracks, write_track_errors
 from vntoolkit.pipeline.options import Product, ReconstructOptions
@@ -31,11 +30,11 @@ FIELD_WIDTH_M = {"face": 0.355, "sweater": 1.42}  # the scenes' own; the board i
 
 
 def reconstruction(scene: str, frames: int, out: Path) -> Path:
-    """Film board and scene, calibrate, and write normals and depth; go on where an earlier run stopped."""
+    """Film a board that holds the scene's material and the scene, calibrate, and write normals and depth; go on where an earlier run stopped."""
     rig = out / "rig.json"
     if not rig.exists():
-        zoom = SceneOptions(field_width_m=FIELD_WIDTH_M[scene])
-        simulate("board", out=out / "board", frames="::5", options=zoom)
+        sampled = SceneOptions(field_width_m=FIELD_WIDTH_M[scene], sample=scene)
+        simulate("board", out=out / "board", frames="::5", options=sampled)
         board(str(out / "board/capture.mkv"), out=rig)
     simulate(scene, out=out / "capture", frames=f"0:{frames}")
     to_depth = ReconstructOptions(to=Product.DEPTH, shadows=ShadowMethod.NONE)
@@ -45,13 +44,10 @@ def reconstruction(scene: str, frames: int, out: Path) -> Path:
 
 def compare(folder: Path, out: Path) -> dict[str, list[TrackError]]:
     """Track by every method, write checkerboards side by side, tables and the plot; return the errors."""
-    seams = read_seams(file) if (file := out / "capture/truth/seams.json").exists() else ()
     errors, moments = {}, {}
     for method in COMPARED:
         target = out / method
-        track(
-            TrackJob(folder=folder, options=TrackingOptions(method=Tracker(method)), seams=seams, out=target)
-        )
+        track(TrackJob(folder=folder, options=TrackingOptions(method=Tracker(method)), out=target))
         moments[method] = write_checkerboard(folder, target).moments
         errors[method] = evaluate_tracks(target, out / "capture", every=10)
         write_track_errors(out / f"{method}.tsv", errors[method])

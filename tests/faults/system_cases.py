@@ -73,6 +73,7 @@ def prepare(folder: Path) -> Path:
     _run_well(*result, "--out", good / "result")
     _run_well("track", good / "result", "--template", "1")
     write_mesh_sequence(good / "cloth" / "track", rippling(sleeved_tube(), 12))
+    (good / "lamps.txt").write_text("-0.5 0 0.8\n0.3 0.4 0.8\n0.3 -0.4 0.8\n")
     (good / "egg").mkdir()
     write_frames(good / "egg", [render_egg(pose) for pose in turning_poses(13, 40.0)])
     for path in (folder, good, *good.rglob("*")):
@@ -91,6 +92,7 @@ def verbs(good: Path, out: Path) -> list[list[str]]:
     normals, mesh = good / "maps/n.exr", next((result / "mesh").glob("*.ply"))
     reconstruct = ["reconstruct", source, "--rig", rig, "--out", out, "--shadows", "none"]
     walk = _CHECKOUT / "data" / "walk.bvh"
+    corners = ["--corners", "4", "4", "90", "4", "4", "66", "90", "66", "--size-mm", "24", "18"]
     head = ["--focal-px", f"{EGG_CAMERA.matrix[0, 0]:g}"]
     commands: list[list[str | Path]] = [
         reconstruct,
@@ -106,6 +108,11 @@ def verbs(good: Path, out: Path) -> list[list[str]]:
         ["view", result, "--html", out / "scene.html"],
         ["calibrate", "head", good / "egg", *head, "--out", out / "head.json"],
         ["simulate", "sphere", "--frames", "0:1", "--size", "32x24", "--samples", "1", "--out", out],
+        ["session", source, "--rig", rig, "--out", out, "--shadows", "none", "--track"],
+        ["calibrate", "sphere", source, "--out", out / "rig.json"],
+        ["calibrate", "lights", good / "lamps.txt", "--like", source, "--out", out / "rig.json"],
+        ["rectify", source, *corners, "--pixel-mm", "0.5", "--out", out],
+        ["board", "--out", out / "board.pdf"],
     ]
     return [[str(word) for word in command] for command in commands]
 
