@@ -30,7 +30,10 @@ FIELD_WIDTH_M = {"face": 0.355, "sweater": 1.42}  # the scenes' own; the board i
 
 
 def reconstruction(scene: str, frames: int, out: Path) -> Path:
-    """Film a board that holds the scene's material and the scene, calibrate, and write normals and depth; go on where an earlier run stopped."""
+    """Film the scene, and a board that holds its material; calibrate; write normals and depth.
+
+    Goes on where an earlier run stopped.
+    """
     rig = out / "rig.json"
     if not rig.exists():
         sampled = SceneOptions(field_width_m=FIELD_WIDTH_M[scene], sample=scene)
