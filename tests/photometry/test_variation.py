@@ -147,8 +147,8 @@ def test_the_rig_file_keeps_the_variation_and_old_files_read() -> None:
     plain = text_from_rig(Rig(camera=camera, response=rig.response.central))
     assert '"version": 1' in plain
     assert rig_from_text(plain).response.variation is None
-    with pytest.raises(BadRig, match="is of version 4"):
-        rig_from_text(plain.replace('"version": 1', '"version": 4'))
+    with pytest.raises(BadRig, match="is of version 5"):
+        rig_from_text(plain.replace('"version": 1', '"version": 5'))
 
 
 def test_refusals() -> None:
