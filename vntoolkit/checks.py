@@ -126,6 +126,12 @@ def require_finite(array: npt.NDArray[Any], name: str, error: type[BadInput] = B
         raise error(f"{name}: {bad} of {array.size} values are NaN or infinite")
 
 
+def sum_is_finite(array: npt.NDArray[Any]) -> bool:
+    """Return whether the sum is finite: a quick look, True wherever all values are finite and not vast."""
+    with np.errstate(invalid="ignore", over="ignore"):  # infinity less infinity is what is looked for
+        return bool(np.isfinite(array.sum()))
+
+
 def require_some(mask: npt.NDArray[np.bool_], name: str, error: type[BadInput] = BadInput) -> None:
     """Raise if no pixel of `mask` is True."""
     if not mask.any():

@@ -9,6 +9,7 @@ import sys
 import typing
 import warnings
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -464,3 +465,8 @@ def test_numpy_says_nothing_of_data_that_are_refused():
             fit_response(flat, np.zeros((40, 3)))
         with pytest.raises(VntError):
             fit_response(flat, np.full((40, 3), 1e-320))
+        cloth = rippling(sleeved_tube(), 1)
+        vertices = np.zeros((1, len(cloth.template.vertices), 3), np.float32)
+        vertices[0, 3, 1], vertices[0, 5, 2] = np.inf, -np.inf
+        with pytest.raises(VntError, match=r"2 of \d+ values are NaN or infinite"):
+            replace(cloth, vertices=vertices).require_finite("vertices.npy")

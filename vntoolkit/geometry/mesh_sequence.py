@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vntoolkit.arrays import FloatArray, read_only
-from vntoolkit.checks import require_finite, require_shape
+from vntoolkit.checks import require_finite, require_shape, sum_is_finite
 from vntoolkit.display import Displayed, Facts, Picture
 from vntoolkit.errors import BadMesh
 from vntoolkit.geometry.mesh import Mesh
@@ -57,7 +57,7 @@ class MeshSequence(Displayed):
     def require_finite(self, name: str) -> None:
         """Raise `BadMesh` for a frame with NaN or infinity; reads them one after the other."""
         for frame, vertices in enumerate(self.vertices):
-            if not np.isfinite(vertices.sum(dtype=np.float64)):
+            if not sum_is_finite(vertices):
                 require_finite(vertices, f"{name}: frame {frame}", BadMesh)
 
     def __getitem__(self, frame: int) -> Mesh:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from vntoolkit.arrays import FloatArray, Mask, Normals, Weight
-from vntoolkit.checks import checks_kinds, require_finite, require_same_size, require_some
+from vntoolkit.checks import checks_kinds, require_finite, require_same_size, require_some, sum_is_finite
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
@@ -86,7 +86,7 @@ class DepthIntegrator:
 
     def _integrate_domain(self, normal_map: NormalMap, domain: Mask, choice: Integrator) -> DepthMap:
         normals, weight = normal_map.normals_in_camera, normal_map.weight
-        if not np.isfinite(normals.sum()):  # a pixel outside the domain may be anything
+        if not sum_is_finite(normals):  # a pixel outside the domain may be anything
             require_finite(normals[domain], "normals to integrate")
         if weight is not None:
             weight = np.maximum(weight, _LEAST_TRUST)
