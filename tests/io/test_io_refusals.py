@@ -113,6 +113,7 @@ def test_exr_headers_that_cannot_be(tmp_path):
             "the EXR header is damaged or cut off",
         ),
         (good[:60], "the EXR header is damaged or cut off"),
+        (good.replace(b"Z\0", b"\x80\0", 1), "the EXR header is damaged"),
         (good[:-9], "the EXR file is damaged or cut off .*; copy it again"),
         (b"no EXR at all", "is not an OpenEXR file"),
     ):

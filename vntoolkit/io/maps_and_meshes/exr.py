@@ -72,6 +72,7 @@ def read_exr_header(data: bytes, name: str, error: type[BadInput] = BadInput) ->
         with silenced_native_output():
             file = OpenEXR.File(io.BytesIO(data), header_only=True)
             header = file.header()
+            channels = tuple(channel.name for channel in header["channels"])  # decoded here, as UTF-8
     except (RuntimeError, ValueError, TypeError) as problem:
         raise error(f"{name}: the EXR header is damaged or cut off") from problem
     (x0, y0), (x1, y1) = (corner.tolist() for corner in header["dataWindow"])
@@ -84,7 +85,7 @@ def read_exr_header(data: bytes, name: str, error: type[BadInput] = BadInput) ->
         left=x0 - left,
         top=y0 - top,
         parts=len(file.parts),
-        channels=tuple(channel.name for channel in header["channels"]),
+        channels=channels,
         texts={key: value for key, value in header.items() if isinstance(value, str)},
     )
 
