@@ -139,3 +139,9 @@ def test_tiff_that_would_be_misread_is_refused(tmp_path, rng):
     tifffile.imwrite(tmp_path / "a.tif", grey_and_alpha, photometric="minisblack", planarconfig="contig")
     with pytest.raises(BadCapture, match=r"16-bit samples would be read as 8 bits; save"):
         read_image(tmp_path / "a.tif")
+
+
+def test_pages_without_end_are_counted_to_a_limit(tmp_path):
+    tifffile.imwrite(tmp_path / "a.tif", np.zeros((70, 4, 5, 3), np.uint8), photometric="rgb")
+    with pytest.raises(BadCapture, match="holds 64 pages or more, expected one picture a file"):
+        read_image(tmp_path / "a.tif")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import itertools
 import logging
 import math
 import os
@@ -44,6 +45,7 @@ _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _BY_PILLOW = {"PNG": _PNG, "JPEG": b"\xff\xd8", "BMP": b"BM"}
 # TIFF and EXIF tags, and values of theirs
 _SUBFILE_TYPE, _REDUCED = 254, 1
+_MOST_PAGES = 64  # that are looked at; those of a damaged file may lead round in a circle
 _PHOTOMETRIC, _BLACK_IS_ZERO, _MOSAIC = 262, 1, 32803
 _PHOTOMETRIC_READ = (_BLACK_IS_ZERO, 2, 3, _MOSAIC)  # 2: RGB, 3: palette
 _CFA_PATTERN = 33422
@@ -444,10 +446,12 @@ def _tiff(stream: BinaryIO, name: str, error: type[BadInput]) -> ImageHeader:
 
 def _require_one_colour_picture(tiff: Any, name: str, error: type[BadInput]) -> None:
     """Refuse what would be read as other colours than it holds, and pages that would be passed over."""
-    whole = [page for page in tiff.pages if not int(page.tags.valueof(_SUBFILE_TYPE, 0)) & _REDUCED]
-    if len(whole) > 1:
+    pages = itertools.islice(tiff.pages, _MOST_PAGES)
+    whole = sum(not int(page.tags.valueof(_SUBFILE_TYPE, 0)) & _REDUCED for page in pages)
+    if whole > 1:
+        counted = f"{whole} pages" + (" or more" if whole == _MOST_PAGES else "")
         raise error(
-            f"{name}: holds {len(whole)} pages, expected one picture a file; split it, for example: "
+            f"{name}: holds {counted}, expected one picture a file; split it, for example: "
             f"tiffsplit {shlex.quote(Path(name).name)} page_"
         )
     stored = int(tiff.pages[0].tags.valueof(_PHOTOMETRIC, 1))

@@ -204,7 +204,8 @@ def _mesh(
         raise BadMesh(f"{name}: rows of differing length") from problem
     if v.shape[1] not in (3, 4, 6, 7):
         raise BadMesh(f"{name}: a vertex has {v.shape[1]} numbers, expected x y z and perhaps r g b")
-    colours = v[kept[:, 0], -3:].astype(np.float32) if v.shape[1] >= 6 else None
+    with np.errstate(over="ignore"):  # a number beyond float's range becomes infinite, which `Mesh` refuses
+        colours = v[kept[:, 0], -3:].astype(np.float32) if v.shape[1] >= 6 else None
     try:
         return Mesh(vertices=v[kept[:, 0], :3], faces=faces, normals=vn, colours=colours, uv=uv)
     except BadMesh as problem:
