@@ -9,7 +9,7 @@ from vntoolkit.calibration.fit import fit_quality
 from vntoolkit.calibration.head.light import HeadLight, LightOptions
 from vntoolkit.calibration.head.refinement import refine_head
 from vntoolkit.calibration.head.samples import LightFrame
-from vntoolkit.calibration.head.skin import SkinColours, response_errors, skin_normals
+from vntoolkit.calibration.head.skin import SkinColours, SkinLight, light_errors, skin_normals
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
@@ -101,20 +101,56 @@ def test_nine_of_ten_normals_are_within_their_expected_error(refined):
     assert (off < refined.mesh.error_deg[lit]).mean() > 0.85
 
 
-def test_frames_tell_all_of_m_but_what_commutes_with_the_turn():
+@pytest.fixture(scope="module")
+def lit_points():
+    """Normals of 40 points, their places in the head, and what the light is thought to be less what it is."""
     rng = np.random.default_rng(2)
     normals = rng.standard_normal((40, 3)) * [0.5, 0.6, 0.3] - [0, 0, 1]
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    rgb = np.stack([normals @ pose.rotation.T @ MATRIX.T for pose in POSES]).astype(np.float32)
-    colours = SkinColours(rgb=rgb, weight=np.ones(rgb.shape[:2], np.float32), camera_from_head=POSES)
-    true = 0.02 * rng.standard_normal((3, 3))
-    wrong = LightResponse(matrix=MATRIX @ np.linalg.inv(np.eye(3) + true))
+    return normals, normals * AXES, 0.02 * rng.standard_normal((3, 3))
+
+
+def seen(normals, vertices, rows_at):
+    """Colours under the rows that M has at places (f, n, 3), camera frame, from the mean one."""
+    places = np.stack([pose.apply(vertices) for pose in POSES])
+    rows = rows_at(places - places.mean(axis=(0, 1)))
+    turned = np.stack([normals @ pose.rotation.T for pose in POSES])
+    rgb = np.einsum("fncx,fnx->fnc", rows, turned).astype(np.float32)
+    weight = np.ones(rgb.shape[:2], np.float32)
+    return SkinColours(rgb=rgb, weight=weight, vertices=vertices, camera_from_head=POSES)
+
+
+def test_frames_tell_all_of_m_but_what_commutes_with_the_turn(lit_points):
+    normals, vertices, true = lit_points
+    colours = seen(normals, vertices, lambda places: np.broadcast_to(MATRIX, (*places.shape, 3)))
+    wrong = SkinLight(response=LightResponse(matrix=MATRIX @ np.linalg.inv(np.eye(3) + true)))
     skin = skin_normals(colours, wrong, tint_is_free=False)
-    found = response_errors(colours, skin, wrong, np.ones(40))
-    turned = np.einsum("nik,k->ni", found.turned, true.ravel())
+    found = light_errors(colours, skin, wrong, np.ones(40), np.arange(40) % 2)
+    turned = np.einsum("nik,k->ni", found.turned[..., :9], true.ravel())
     assert np.abs(skin.normals - turned - normals).max() < 0.1 * np.abs(skin.normals - normals).max()
-    values, directions = np.linalg.eigh(found.system)
+    values, directions = np.linalg.eigh(found.system.sum(axis=0)[:9, :9])
     assert values[2] < 1e-3 * values[3]  # scale, scale along the axis, turn about it
     told = directions[:, 3:].T
-    step = told @ found.right / values[3:]
+    step = told @ found.right.sum(axis=0)[:9] / values[3:]
     assert step == pytest.approx(told @ true.ravel(), abs=0.003)
+
+
+def test_frames_tell_how_near_the_lamps_are(lit_points):
+    normals, vertices, _ = lit_points
+    length = np.linalg.norm(MATRIX, axis=1, keepdims=True)
+    distance = 12.0 * np.linalg.norm(AXES) * np.array([1.0, 1.5, 1.2])
+
+    def rows_at(places):
+        towards = distance[:, None] * MATRIX / length - places[..., None, :]
+        far = np.linalg.norm(towards, axis=-1, keepdims=True)
+        return length * towards / far * (distance[:, None] / far) ** 2
+
+    colours = seen(normals, vertices, rows_at)
+    light = SkinLight(response=LightResponse(matrix=MATRIX))
+    for _ in range(4):
+        skin = skin_normals(colours, light, tint_is_free=False)
+        found = light_errors(colours, skin, light, np.ones(40), np.zeros(40, np.int64))
+        step = np.linalg.lstsq(found.system[0, 9:, 9:], found.right[0, 9:])[0]
+        light = SkinLight(response=light.response, nearness=light.nearness + step)
+    assert light.nearness == pytest.approx(1.0 / distance, rel=0.1)
+    assert np.abs(skin.normals - normals).max() < 0.02

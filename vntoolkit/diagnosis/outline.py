@@ -49,18 +49,10 @@ def check_outline(evidence: Evidence) -> list[Finding]:
     outward, error = seen.outward(np.eye(2))
     if outward > _TURNED_INWARDS or -outward < _Z * error:
         return []
-    return [
-        Finding(
-            check="outline",
-            level=Level.FATAL if outward < _FATAL else Level.WARNING,
-            problem="the normals turn inwards along the subject's outline, as if it were hollow",
-            measured=f"a mean outward part of {outward:.2f} ± {error:.2f}",
-            expected="0 to 1",
-            remedy="x and y of M both look reversed (lamps turned by 180 degrees): give lamps and normals "
-            "with x right, y down, z forward in rig.json, or calibrate again",
-            certainty=certainty_from_z(outward / error),
-        )
-    ]
+    problem = "the normals turn inwards along the subject's outline, as if it were hollow"
+    measured = f"a mean outward part of {outward:.2f} ± {error:.2f}"
+    level = Level.FATAL if outward < _FATAL else Level.WARNING
+    return [_both_axes_reversed(level, problem, measured, outward / error)]
 
 
 def check_cast_shadows(evidence: Evidence) -> list[Finding]:
@@ -75,19 +67,22 @@ def check_cast_shadows(evidence: Evidence) -> list[Finding]:
     towards, error = seen.outward(np.eye(2))
     if towards > _TURNED_INWARDS or -towards < _Z * error:
         return []
-    return [
-        Finding(
-            check="outline",
-            level=Level.WARNING,
-            problem="shadows lie on the near side of what throws them, as if the lamps stood opposite",
-            measured=f"a mean part of {towards:.2f} ± {error:.2f} of the way into a shadow that leads to its "
-            "lamp",
-            expected="0 to 1",
-            remedy="x and y of M both look reversed (lamps turned by 180 degrees): give lamps and normals "
-            "with x right, y down, z forward in rig.json, or calibrate again",
-            certainty=certainty_from_z(towards / error),
-        )
-    ]
+    problem = "shadows lie on the near side of what throws them, as if the lamps stood opposite"
+    measured = f"a mean part of {towards:.2f} ± {error:.2f} of the way into a shadow that leads to its lamp"
+    return [_both_axes_reversed(Level.WARNING, problem, measured, towards / error)]
+
+
+def _both_axes_reversed(level: Level, problem: str, measured: str, z: float) -> Finding:
+    return Finding(
+        check="outline",
+        level=level,
+        problem=problem,
+        measured=measured,
+        expected="0 to 1",
+        remedy="x and y of M both look reversed (lamps turned by 180 degrees): give lamps and normals "
+        "with x right, y down, z forward in rig.json, or calibrate again",
+        certainty=certainty_from_z(z),
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -11,10 +11,8 @@ import json
 import logging
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy import ndimage
 
 from vntoolkit.arrays import Colours, Faces, FloatArray, IntArray, Mask, Points, Points2
@@ -34,6 +32,8 @@ from vntoolkit.photometry.lambertian import scaled_normals_from_rgb
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
 from vntoolkit.pipeline.opened_result import OpenedResult, open_result
 from vntoolkit.pipeline.tracked_folder import read_track_record
+from vntoolkit.shadows.albedo import fill_smoothly
+from vntoolkit.tracking.slopes import sample_image
 
 _LOGGER = logging.getLogger(__name__)
 _FRAMES = 24  # evenly spread: more of them change a texel by less than a grey level
@@ -84,7 +84,7 @@ class SurfaceTexture:
         pixels = picture.astype(np.float32) / np.float32(np.iinfo(picture.dtype).max)
         height, width = pixels.shape[:2]
         places = np.column_stack([mesh.uv[:, 0] * width - 0.5, (1 - mesh.uv[:, 1]) * height - 0.5])
-        return _sampled(pixels, places).astype(np.float32)
+        return sample_image(pixels, places).astype(np.float32)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -232,7 +232,7 @@ def _look(
     towards = -_unit(points) if camera.is_perspective else np.array([0.0, 0.0, -1.0])
     cosine = np.maximum(np.sum(outward * towards, axis=1), 0.0)
     pixel = (points[:, 2] if camera.is_perspective else 1.0) / camera.matrix[0, 0]
-    gap = np.abs(_sampled(depth_map.depth[..., None], pixels)[:, 0] - points[:, 2])
+    gap = np.abs(sample_image(depth_map.depth[..., None], pixels)[:, 0] - points[:, 2])
     off = _off_px(sequence, row, texels, camera)
     subject = ndimage.binary_erosion(depth_map.mask & normal_map.mask, iterations=_MIXED_PX)
     is_seen = _inside(subject, pixels) & (cosine > _LEAST_COSINE)
@@ -240,7 +240,7 @@ def _look(
     faded = np.zeros(texels.shape, np.float32)
     faded.ravel()[texels.places] = is_seen
     faded = ndimage.uniform_filter(faded, _FEATHER).ravel()[texels.places]
-    measured = _unit(_sampled(normal_map.normals_in_camera, pixels))
+    measured = _unit(sample_image(normal_map.normals_in_camera, pixels))
     return _Seen(
         pixels=pixels,
         weight=np.where(is_seen, faded * (cosine / off) ** 2, 0.0),
@@ -320,7 +320,7 @@ class _Colours:
             is_good &= count_lit(lit) == 3
         paints = self._paints[0 if labels is None or not len(self._reflectances) else labels]
         colour = np.where(is_good, length, 0.0)[..., None] * np.maximum(paints, 0.0)
-        sampled = _sampled(np.concatenate([colour, is_good[..., None]], axis=2), pixels)
+        sampled = sample_image(np.concatenate([colour, is_good[..., None]], axis=2), pixels)
         sampled[:, 3] *= _inside(is_good, pixels)
         return sampled
 
@@ -373,37 +373,9 @@ def _spread(texels: Texels, values: FloatArray, shown: Mask) -> FloatArray:
 
 
 def filled(picture: FloatArray) -> FloatArray:
-    """Return (h, w, c) of a picture (h, w, c + 1) whose last channel is 0 at holes: these continue smoothly.
-
-    Holes take the mean of what is known in ever larger squares around them (pull and push, gortler1996).
-    """
-    values, known = picture[..., :-1] * picture[..., -1:], picture[..., -1]
-    if min(known.shape) > 1 and not (known > 0).all():
-        height, width = known.shape
-        even = np.pad(
-            np.concatenate([values, known[..., None]], axis=2), ((0, height % 2), (0, width % 2), (0, 0))
-        )
-        sums = even.reshape(even.shape[0] // 2, 2, even.shape[1] // 2, 2, -1).sum(axis=(1, 3))
-        weight = sums[..., -1:]
-        means = np.divide(sums[..., :-1], weight, out=np.zeros_like(sums[..., :-1]), where=weight > 0)
-        coarse = filled(np.concatenate([means, np.minimum(weight, 1.0)], axis=2))
-        v, u = (np.arange(size) / 2 - 0.25 for size in known.shape)
-        grid = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-        finer = _sampled(coarse, grid).reshape(values.shape)
-        return np.where(known[..., None] > 0, values / np.maximum(known, 1e-12)[..., None], finer)
-    mean = values.sum(axis=(0, 1)) / max(float(known.sum()), 1e-12)
-    return np.where(known[..., None] > 0, values / np.maximum(known, 1e-12)[..., None], mean)
-
-
-def _sampled(picture: npt.NDArray[Any], pixels: Points2) -> FloatArray:
-    """Return (t, c) of a picture (h, w, c) at pixels (t, 2), bilinear; beyond its edges, those."""
-    height, width = picture.shape[:2]
-    u, v = np.clip(pixels[:, 0], 0, width - 1), np.clip(pixels[:, 1], 0, height - 1)
-    left, top = np.minimum(u.astype(int), max(width - 2, 0)), np.minimum(v.astype(int), max(height - 2, 0))
-    right, below = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
-    a, b = (u - left)[:, None], (v - top)[:, None]
-    upper = (1 - a) * picture[top, left] + a * picture[top, right]
-    return np.asarray((1 - b) * upper + b * ((1 - a) * picture[below, left] + a * picture[below, right]))
+    """Return (h, w, c) of a picture (h, w, c + 1), smoothly continued where its last channel is 0."""
+    values, known = picture[..., :-1], picture[..., -1]
+    return np.where(known[..., None] > 0, values, fill_smoothly(values, known))
 
 
 def _inside(mask: Mask, pixels: Points2) -> Mask:

@@ -29,9 +29,7 @@ LINKS_ALIKE = NODES_BY_PASS  # a link and its neighbours err together: in a fit,
 _RIM_STRAIN = 0.5  # where a surface turns out of sight: more may lie between two nodes than is seen …
 _RIM_STEEPNESS = 20.0  # … from this squared slope on, 77°
 _STRAIN = 0.07  # standard deviation of stretch, where none is measured: cloth has 0.03 to 0.1, skin up to 0.3
-_BODY_STRAIN = (
-    0.3  # the same, of a surface that is taken for one body: a face that talks, a cloth that swings
-)
+_BODY_STRAIN = 0.3  # the same, of a surface taken for one body: a face that talks, a cloth that swings
 _PRIOR_LINKS = 0.2  # measured links nearby that the two count for
 _NEAR_PASSES = 8  # of lattice smoothing: how far around a guess's success counts
 _NORMAL_ERROR = 0.05  # radians: shading that departs from the model turns normals by 3°

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
+from scipy.linalg import null_space
 from scipy.sparse.linalg import cg
 from scipy.spatial import cKDTree
 
@@ -26,8 +27,9 @@ from vntoolkit.calibration.head.light import HeadLight, LightOptions, light_of_r
 from vntoolkit.calibration.head.samples import HeadSamples, LightFrame
 from vntoolkit.calibration.head.skin import (
     SkinColours,
+    SkinLight,
     SkinNormals,
-    response_errors,
+    light_errors,
     skin_colours,
     skin_normals,
     without_shadow,
@@ -40,6 +42,12 @@ from vntoolkit.photometry.response import LightResponse
 
 _ROUNDS, _PASSES = 6, 2  # colours are taken anew in so many: later, vertices hardly move
 _ROBUST_ROUNDS = 6
+_FREE = null_space(
+    np.append(np.eye(3), np.zeros(3)).reshape(1, -1)
+)  # M's scale is open, and is left as it is
+_FIRST_ERROR = 0.05  # standard deviation of an entry of E for the first M
+_NEARNESS = 0.2  # of lamps that are five of the head's diagonals away
+_REGION = 1 / 6  # of the diagonal: stereo errs alike within such cubes
 _SETTLED = 0.002  # change of M, as a share, that ends the rounds
 _STEPS = 3  # of the positions, with one factor: the surface's own normals turn as it moves
 _EDGE_PX = 1.6  # mean length of an edge, about: two samples of a relief of a few pixels
@@ -98,18 +106,18 @@ def refine_head(
     pixel = _pixel_size(mesh, camera, frames())
     stereo = divided(mesh, _COARSE * _EDGE_PX * pixel)
     crossover = min(_CROSSOVER_PX * pixel, _LARGEST_CROSSOVER * stereo.diagonal)
-    response, surface, seen = light.response, stereo, None
+    lit, surface, seen = SkinLight(response=light.response), stereo, None
     changes: list[float] = []
     for number in range(_ROUNDS):
         if number < _PASSES or seen is None:
             seen = skin_colours(surface, camera, frames())
-        colours = without_shadow(seen, surface, response)
-        skin = skin_normals(colours, response, tint_is_free=False)  # a free tint hides errors of M
-        before = response
-        response = _corrected(response, colours, skin, stereo, _PATCH_PX * pixel)
+        colours = without_shadow(seen, surface, lit.response)
+        skin = skin_normals(colours, lit, tint_is_free=False)  # a free tint hides errors of M
+        before = lit.response
+        lit = _corrected(lit, light.response, colours, skin, stereo, _PATCH_PX * pixel)
         solver = PositionSolver(stereo.vertices, stereo.faces, skin, crossover)
         surface = stereo.with_vertices(solver.positions())
-        changes.append(_relative_change(before, response))
+        changes.append(_relative_change(before, lit.response))
         on_progress(number + 1, _ROUNDS + 1)
         if changes[-1] < _SETTLED:
             break
@@ -117,15 +125,15 @@ def refine_head(
     spread = solver.spread(surface, levels, rng)
     near = cKDTree(surface.vertices)
     stereo, surface = (divided(each, _EDGE_PX * pixel) for each in (stereo, surface))
-    colours = without_shadow(skin_colours(surface, camera, frames()), surface, response)
-    skin = skin_normals(colours, response)
+    colours = without_shadow(skin_colours(surface, camera, frames()), surface, lit.response)
+    skin = skin_normals(colours, lit)
     solver = PositionSolver(stereo.vertices, stereo.faces, skin, crossover)
     surface = surface.with_vertices(solver.positions(surface.vertices))
     samples = patch_samples(surface, camera, colours, skin, _PATCH_PX * pixel)
     on_progress(_ROUNDS + 1, _ROUNDS + 1)
     return RefinedHead(
-        mesh=replace(surface, colours=_skin_colour(skin, response), error_deg=_expected_error_deg(skin)),
-        light=light_of_response(samples, response, options),
+        mesh=replace(surface, colours=_skin_colour(skin, lit.response), error_deg=_expected_error_deg(skin)),
+        light=light_of_response(samples, lit.response, options),
         samples=samples,
         changes=tuple(changes),
         error_percent=100.0 * spread[near.query(surface.vertices)[1]] / surface.diagonal,
@@ -133,38 +141,59 @@ def refine_head(
 
 
 def _corrected(
-    response: LightResponse,
+    light: SkinLight,
+    first: LightResponse,
     colours: SkinColours,
     skin: SkinNormals,
     stereo: Mesh,
     side: float,
-) -> LightResponse:
-    """Return M (I + E) whose normals agree best between the frames, and with the positions of stereo.
+) -> SkinLight:
+    """Return the light whose normals agree best between the frames, and with the positions of stereo.
 
     An error of M that all frames follow shows only in the shape: wrong normals move positions off stereo's by
-    more than its noise, in patterns that are known. Both are linear in E; patches of skin count as one
-    observation. Slopes of stereo say less: windows flatten what is smaller than them.
+    more than its noise, in patterns that are known. Both are linear in the errors; patches of skin count as
+    one observation. Slopes of stereo say less: windows flatten what is smaller than them. What no model holds
+    errs over whole regions alike, and that tells how sure the errors are: where they are not, M stays near
+    the first and lamps stay far.
     """
+    response = light.response
     solver = PositionSolver(stereo.vertices, stereo.faces, skin, _LOOSE * stereo.diagonal)
     surface = stereo.with_vertices(solver.positions())
     assert surface.normals is not None
     area = areas(surface.vertices, surface.faces)
     share = np.where(skin.known, np.minimum(area / side**2, 1.0), 0.0)
-    errors = response_errors(colours, skin, response, share)
-    patterns = solver.moved_by(-errors.turned, surface)
+    cubes = np.floor(surface.vertices / (_REGION * surface.diagonal)).astype(np.int64)
+    region = np.unique(cubes, axis=0, return_inverse=True)[1].ravel()
+    errors = light_errors(colours, skin, light, share, region)
+    patterns = solver.moved_by(-errors.turned, surface) @ _FREE
     moved = ((surface.vertices - solver.stereo) * surface.normals).sum(axis=1)
-    step, scale = np.zeros(9), np.eye(3).ravel()  # M's scale is free: it is left as it is
+    systems, rights = _FREE.T @ errors.system @ _FREE, errors.right @ _FREE
+    agreement, right = systems.sum(axis=0), rights.sum(axis=0)
+    back = np.linalg.solve(response.matrix, first.matrix)
+    back = 3.0 * back / np.trace(back) - np.eye(3)
+    back = np.append(back.ravel(), -light.nearness)
+    spread = np.append(np.full(9, _FIRST_ERROR), np.full(3, _NEARNESS / surface.diagonal))
+    near = _FREE.T @ (_FREE / spread[:, None] ** 2)
+    back = _FREE.T @ (back / spread**2)
+    step = np.zeros(_FREE.shape[1])
     for _ in range(_ROBUST_ROUNDS):
         left = moved + patterns @ step
         noise = 1.4826 * float(np.median(np.abs(left[skin.known])))
         weight = share / (1.0 + np.square(left / (2.0 * noise))) ** 2 / noise**2
         weighted = patterns * weight[:, None]
-        system = errors.system + patterns.T @ weighted
-        held = system + np.trace(system) * np.outer(scale, scale)
-        step = np.linalg.solve(held, errors.right - weighted.T @ moved)
-    matrix = response.matrix @ (np.eye(3) + step.reshape(3, 3))
-    matrix *= np.linalg.norm(response.matrix) / np.linalg.norm(matrix)
-    return replace(response, matrix=matrix)
+        system = agreement + patterns.T @ weighted
+        step = np.linalg.solve(system + near, right - weighted.T @ moved + back)
+    pulls = np.stack([np.bincount(region, column) for column in (weighted * left[:, None]).T], axis=1)
+    pulls += systems @ step - rights
+    told = system @ np.linalg.solve(agreement + pulls.T @ pulls, system)  # 1 / variance
+    step = np.linalg.solve(told + near, told @ step + back)
+    entries = _FREE @ step
+    matrix = response.matrix @ (np.eye(3) + entries[:9].reshape(3, 3))
+    scale = np.linalg.norm(response.matrix) / np.linalg.norm(matrix)
+    return SkinLight(
+        response=replace(response, matrix=scale * matrix),
+        nearness=np.maximum(light.nearness + entries[9:], 0.0),
+    )
 
 
 def _relative_change(first: LightResponse, second: LightResponse) -> float:

@@ -1,21 +1,21 @@
 """Normals and albedo of the skin from its colours in many poses (brostow2011, equation 1, in many frames).
 
-A point of the skin turns with the head under lamps that stand still: r_f = diag(g) M R_f b in frame f. R_f is
-the head's rotation into the camera frame, b the normal times the albedo, and g the tint of the skin at that
-point, near 1. One frame gives b where g is 1, two or three frames give both. Robust least squares over all
-frames that show the point leaves out shadow and gloss.
+A point of the skin turns with the head under lamps that stand still: r_f = diag(g) M_f R_f b in frame f. R_f
+is the head's rotation into the camera frame, b the normal times the albedo, g the tint of the skin at that
+point, near 1, and M_f is M where the point is in that frame, as lamps are near. One frame gives b where g is
+1, two or three frames give both. Robust least squares over all frames leaves out shadow and gloss.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Mask, Points, read_only
+from vntoolkit.arrays import FloatArray, IntArray, Mask, Points, read_only
 from vntoolkit.calibration.head.samples import LEAST_FACING, RIM_PX, HeadRays, LightFrame
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh
@@ -23,6 +23,7 @@ from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.native import njit
 from vntoolkit.photometry.response import LightResponse
 
+_ERRORS = 12  # of the light: nine of M, three of nearness
 _LEAST_COSINE = 0.08  # to a row of M: flatter, the shape's error decides whether light arrives
 _TINT_SPREAD = 0.05  # standard deviation of the logarithm of the tint on skin
 _ROUNDS, _FIXED_ROUNDS = 8, 2  # with the tint, and with the tint held
@@ -39,13 +40,26 @@ Array = npt.NDArray[np.float32]
 class SkinColours:
     """Colours of the vertices of a mesh in frames. rgb: (f, n, 3) float32. weight: (f, n) float32.
 
-    weight: cosine to the viewer, 0 where a frame does not show the vertex unclipped. camera_from_head: of
-    every frame.
+    weight: cosine to the viewer, 0 where a frame does not show the vertex unclipped. vertices: (n, 3), head
+    frame. camera_from_head: of every frame.
     """
 
     rgb: Array
     weight: Array
+    vertices: Points
     camera_from_head: tuple[RigidTransform, ...]
+
+    @property
+    def rotations(self) -> FloatArray:
+        """(f, 3, 3)."""
+        return np.stack([pose.rotation for pose in self.camera_from_head])
+
+    @property
+    def offsets(self) -> FloatArray:
+        """(f, 3): where the head frame's origin is in each camera frame, from its mean place."""
+        places = np.stack([pose.translation for pose in self.camera_from_head])
+        middle = self.rotations @ self.vertices.mean(axis=0) + places
+        return np.asarray(places - middle.mean(axis=0))
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "rgb", read_only(self.rgb))
@@ -71,7 +85,9 @@ def skin_colours(mesh: Mesh, camera: Camera, frames: Iterable[LightFrame]) -> Sk
         rgb.append(_sampled(each.frame.rgb, pixel))
         weight.append(shown)
         poses.append(pose)
-    return SkinColours(rgb=np.stack(rgb), weight=np.stack(weight), camera_from_head=tuple(poses))
+    return SkinColours(
+        rgb=np.stack(rgb), weight=np.stack(weight), vertices=mesh.vertices, camera_from_head=tuple(poses)
+    )
 
 
 def _trusted(each: LightFrame) -> Mask:
@@ -106,7 +122,39 @@ def without_shadow(colours: SkinColours, mesh: Mesh, response: LightResponse) ->
             own[mesh.normals @ in_head < _LEAST_COSINE] = 0
             left = np.flatnonzero(own)
             own[left[~rays.free(left, np.broadcast_to(in_head, (len(left), 3)))]] = 0
-    return SkinColours(rgb=colours.rgb, weight=weight, camera_from_head=colours.camera_from_head)
+    return replace(colours, weight=weight)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SkinLight:
+    """What lights the skin. response: M at the head's mean place. nearness: (3,), 1 / distance of the lamps.
+
+    Each channel is taken for one lamp, in the direction m̂ of its row m of M. Light from a distance d, at x
+    from the mean place, has the row m + |m| (3 (m̂ · x) m̂ − x) / d, but for squares of |x| / d.
+    """
+
+    response: LightResponse
+    nearness: FloatArray = field(default_factory=lambda: np.zeros(3))
+
+
+@njit(cache=True)
+def _row_kernel(
+    row: FloatArray,
+    nearness: float,
+    rotation: FloatArray,
+    place: FloatArray,
+    out: FloatArray,
+    change: FloatArray,
+) -> None:
+    """Turn a row of M at a place from the camera into the head frame, with its change by nearness."""
+    length = np.sqrt(row[0] ** 2 + row[1] ** 2 + row[2] ** 2)
+    along = (row[0] * place[0] + row[1] * place[1] + row[2] * place[2]) / length
+    for j in range(3):
+        out[j], change[j] = 0.0, 0.0
+        for k in range(3):
+            moved = 3.0 * along * row[k] - length * place[k]
+            out[j] += (row[k] + nearness * moved) * rotation[k, j]
+            change[j] += moved * rotation[k, j]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -132,21 +180,37 @@ class SkinNormals:
         return np.asarray(np.isfinite(self.noise))
 
 
-def skin_normals(colours: SkinColours, response: LightResponse, *, tint_is_free: bool = True) -> SkinNormals:
-    """Solve r_f = diag(g) M R_f b at every vertex for b and g, robustly, or with g = 1."""
-    matrices = np.stack([response.matrix @ pose.rotation for pose in colours.camera_from_head])
+def skin_normals(colours: SkinColours, light: SkinLight, *, tint_is_free: bool = True) -> SkinNormals:
+    """Solve r_f = diag(g) M_f R_f b at every vertex for b and g, robustly, or with g = 1."""
+    rgb = colours.rgb - light.response.ambient.astype(np.float32)
     weight = colours.weight.copy()
     count = weight.shape[1]
     scaled, tint = np.zeros((count, 3)), np.ones((count, 3))
     spread = np.full(count, np.inf)
-    rgb = colours.rgb - response.ambient.astype(np.float32)
-    _solve_kernel(rgb, colours.weight, weight, matrices, scaled, tint, spread, _ROUNDS, tint_is_free)
+
+    def solve(rounds: int, tint_is_free: bool) -> None:
+        _solve_kernel(
+            rgb,
+            colours.weight,
+            colours.vertices,
+            weight,
+            np.asarray(light.response.matrix),
+            light.nearness,
+            colours.rotations,
+            colours.offsets,
+            scaled,
+            tint,
+            spread,
+            rounds,
+            tint_is_free,
+        )
+
+    solve(_ROUNDS, tint_is_free)
     known = np.isfinite(spread) & scaled.any(axis=1)
-    if (
-        tint_is_free and known.any()
-    ):  # M holds the skin's typical colour: left to the tint, a wrong balance of its rows stays
+    if tint_is_free and known.any():
+        # M holds the skin's typical colour: left to the tint, a wrong balance of its rows stays.
         tint /= np.median(tint[known], axis=0)
-        _solve_kernel(rgb, colours.weight, weight, matrices, scaled, tint, spread, _FIXED_ROUNDS, False)
+        solve(_FIXED_ROUNDS, False)
     length = np.linalg.norm(scaled, axis=1)
     normals = np.divide(scaled, length[:, None], out=np.zeros_like(scaled), where=known[:, None])
     albedo = np.where(known[:, None], tint * length[:, None], 1.0)
@@ -162,12 +226,13 @@ def skin_normals(colours: SkinColours, response: LightResponse, *, tint_is_free:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ResponseErrors:
-    """What an error E of M, where M (I + E) is right, does to the solution. E's nine entries, row by row.
+class LightErrors:
+    """What errors of the light do to the solution.
 
-    turned: (n, 3, 9), normals less those by the right M, per unit of E. system: (9, 9), right: (9,), the
-    normal equations for E of what the frames' disagreement says. They leave open what every b can follow: E
-    that commutes with the turn, such as the scale along its axis.
+    Of 12 errors, the first nine are those of E, row by row, where M (I + E) is right, then three of nearness.
+    turned: (n, 3, 12), normals less those by the right light, per unit of error. system: (r, 12, 12), right:
+    (r, 12), the normal equations for the errors of what the frames' disagreement says, by region. They leave
+    open what every b can follow: E that commutes with the turn, such as the scale along its axis.
     """
 
     turned: FloatArray
@@ -175,50 +240,65 @@ class ResponseErrors:
     right: FloatArray
 
 
-def response_errors(
-    colours: SkinColours, skin: SkinNormals, response: LightResponse, share: FloatArray
-) -> ResponseErrors:
-    """Differentiate the solutions by M. share: (n,) independent observations that a vertex stands for."""
-    turned = np.zeros((len(skin.normals), 3, 9))
-    system, right = np.zeros((9, 9)), np.zeros(9)
+def light_errors(
+    colours: SkinColours, skin: SkinNormals, light: SkinLight, share: FloatArray, region: IntArray
+) -> LightErrors:
+    """Differentiate the solutions by the light.
+
+    share: (n,) independent observations that a vertex stands for. region: (n,) its region, 0 to r − 1.
+    """
+    turned = np.zeros((len(skin.normals), 3, _ERRORS))
+    regions = int(region.max()) + 1
+    system, right = np.zeros((regions, _ERRORS, _ERRORS)), np.zeros((regions, _ERRORS))
     _derivatives_kernel(
-        colours.rgb - response.ambient.astype(np.float32),
+        colours.rgb - light.response.ambient.astype(np.float32),
         skin.weight,
-        response.matrix,
-        np.stack([pose.rotation for pose in colours.camera_from_head]),
+        colours.vertices,
+        np.asarray(light.response.matrix),
+        light.nearness,
+        colours.rotations,
+        colours.offsets,
         np.where(skin.known[:, None], skin.scaled, 0.0),
         skin.tint,
         share,
+        region,
         turned,
         system,
         right,
     )
     along = np.einsum("ni,nik->nk", skin.normals, turned)
     turned -= skin.normals[:, :, None] * along[:, None, :]
-    return ResponseErrors(turned=turned, system=system, right=right)
+    return LightErrors(turned=turned, system=system, right=right)
 
 
 @njit(cache=True)
 def _derivatives_kernel(
     rgb: Array,
     weight: Array,
+    vertices: Points,
     matrix: FloatArray,
+    nearness: FloatArray,
     rotations: FloatArray,
+    offsets: FloatArray,
     scaled: Points,
     tint: FloatArray,
     share: FloatArray,
+    region: IntArray,
     turned: FloatArray,
     system: FloatArray,
     right: FloatArray,
 ) -> None:
     frames, count = weight.shape
-    own, inverse, mixed, both = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 9)), np.empty((9, 9))
-    slope, row, off, followed = np.empty(9), np.empty(3), np.empty(9), np.empty((3, 9))
+    own, inverse = np.empty((3, 3)), np.empty((3, 3))
+    mixed, both = np.empty((3, _ERRORS)), np.empty((_ERRORS, _ERRORS))
+    slope, off, followed = np.empty(_ERRORS), np.empty(_ERRORS), np.empty((3, _ERRORS))
+    row, change, place = np.empty(3), np.empty(3), np.empty(3)
     for i in range(count):
         b, g = scaled[i], tint[i]
         size = b[0] ** 2 + b[1] ** 2 + b[2] ** 2
         if size == 0.0:
             continue
+        length = np.sqrt(size)
         own[:], mixed[:], both[:], off[:] = 0.0, 0.0, 0.0, 0.0
         squares, total, brightness = 0.0, 0.0, 0.0
         for f in range(frames):
@@ -227,21 +307,27 @@ def _derivatives_kernel(
                 continue
             total += w
             turn = rotations[f]
+            for k in range(3):
+                place[k] = offsets[f, k]
+                for j in range(3):
+                    place[k] += turn[k, j] * vertices[i, j]
             for c in range(3):
+                _row_kernel(matrix[c], nearness[c], turn, place, row, change)
                 value = 0.0
+                slope[9:] = 0.0
                 for k in range(3):
-                    row[k] = 0.0
+                    row[k] *= g[c]
+                    value += row[k] * b[k]
+                    slope[9 + c] += g[c] * change[k] * b[k]
                     seen = turn[k, 0] * b[0] + turn[k, 1] * b[1] + turn[k, 2] * b[2]
-                    value += g[c] * matrix[c, k] * seen
                     for j in range(3):
-                        row[k] += g[c] * matrix[c, j] * turn[j, k]
                         slope[3 * j + k] = g[c] * matrix[c, j] * seen
                 left = rgb[f, i, c] - value
                 squares += w * left**2
                 brightness += w * value**2
-                for k in range(9):
+                for k in range(_ERRORS):
                     off[k] += w * slope[k] * left
-                    for j in range(9):
+                    for j in range(_ERRORS):
                         both[k, j] += w * slope[k] * slope[j]
                     for j in range(3):
                         mixed[j, k] += w * row[j] * slope[k]
@@ -253,18 +339,18 @@ def _derivatives_kernel(
         _invert(own, inverse)
         noise = max(squares, _LEAST_NOISE**2 * brightness) / (3.0 * total)
         for k in range(3):
-            for j in range(9):
+            for j in range(_ERRORS):
                 followed[k, j] = (
                     inverse[k, 0] * mixed[0, j] + inverse[k, 1] * mixed[1, j] + inverse[k, 2] * mixed[2, j]
                 )
-                turned[i, k, j] = followed[k, j] / np.sqrt(size)
-        for k in range(9):
-            right[k] += share[i] / noise * off[k]
-            for j in range(9):
+                turned[i, k, j] = followed[k, j] / length
+        for k in range(_ERRORS):
+            right[region[i], k] += share[i] / noise * off[k]
+            for j in range(_ERRORS):
                 kept = both[k, j]
                 for m in range(3):
                     kept -= mixed[m, k] * followed[m, j]
-                system[k, j] += share[i] / noise * kept
+                system[region[i], k, j] += share[i] / noise * kept
 
 
 @njit(cache=True)
@@ -287,8 +373,12 @@ def _invert(a: FloatArray, out: FloatArray) -> None:
 def _solve_kernel(
     rgb: Array,
     given: Array,
+    vertices: Points,
     weight: Array,
-    matrices: FloatArray,
+    matrix: FloatArray,
+    nearness: FloatArray,
+    rotations: FloatArray,
+    offsets: FloatArray,
     scaled: FloatArray,
     tint: FloatArray,
     spread: FloatArray,
@@ -298,6 +388,7 @@ def _solve_kernel(
     frames, count = given.shape
     system, inverse, right = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
     shading, errors, shown = np.empty((frames, 3)), np.empty(frames), np.empty(frames, np.int64)
+    rows, change, place = np.empty((frames, 3, 3)), np.empty(3), np.empty(3)
     for i in range(count):
         n = 0
         for f in range(frames):
@@ -306,6 +397,13 @@ def _solve_kernel(
                 n += 1
         if n < _LEAST_FRAMES:
             continue
+        for f in shown[:n]:
+            for k in range(3):
+                place[k] = offsets[f, k]
+                for j in range(3):
+                    place[k] += rotations[f, k, j] * vertices[i, j]
+            for c in range(3):
+                _row_kernel(matrix[c], nearness[c], rotations[f], place, rows[f, c], change)
         b = scaled[i]
         noise = 0.0
         for _ in range(rounds):
@@ -316,9 +414,9 @@ def _solve_kernel(
                 for c in range(3):
                     value = rgb[f, i, c] / tint[i, c]
                     for k in range(3):
-                        right[k] += w * matrices[f, c, k] * value
+                        right[k] += w * rows[f, c, k] * value
                         for j in range(3):
-                            system[k, j] += w * matrices[f, c, k] * matrices[f, c, j]
+                            system[k, j] += w * rows[f, c, k] * rows[f, c, j]
             hold = _HOLD * (system[0, 0] + system[1, 1] + system[2, 2])
             for k in range(3):
                 system[k, k] += hold
@@ -330,7 +428,7 @@ def _solve_kernel(
                 f = shown[at]
                 off, size = 0.0, 0.0
                 for c in range(3):
-                    row = matrices[f, c]
+                    row = rows[f, c]
                     shading[at, c] = row[0] * b[0] + row[1] * b[1] + row[2] * b[2]
                     off += (rgb[f, i, c] - tint[i, c] * shading[at, c]) ** 2
                     size += rgb[f, i, c] ** 2
