@@ -30,8 +30,8 @@ _GROUND = 1e-6  # pins the free constant of every connected piece; far below any
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GridLevel:
     """One grid of the hierarchy: edges (4, h, w) float32 to the east, south, south-east and (stored at the
-    upper left pixel of the 2×2 block) from the upper right to the lower left pixel; inverse (h, w) of the
-    diagonal, 0 where a pixel has no edge.
+    upper left pixel of the 2×2 block) from the upper right to the lower left pixel, or (2, h, w), without the
+    diagonal ones; inverse (h, w) of the diagonal, 0 where a pixel has no edge.
     """
 
     edges: Grid
@@ -39,7 +39,7 @@ class GridLevel:
 
 
 def grid_hierarchy(edges: Grid) -> list[GridLevel]:
-    """Build all levels from the finest edges (4, h, w)."""
+    """Build all levels from the finest edges, (4, h, w) or (2, h, w)."""
     levels = []
     while True:
         levels.append(GridLevel(edges=edges, inverse=inverse_kernel(diagonal_kernel(edges))))
@@ -107,34 +107,46 @@ def apply_kernel(edges: Grid, x: Grid) -> Grid:
     """L x."""
     h, w = x.shape
     out = np.empty_like(x)
+    pull = np.empty(w, np.float32)
     for v in range(h):
+        row, to = x[v], out[v]
         for u in range(w):
-            total = np.float32(_GROUND) * x[v, u]
-            here = x[v, u]
-            if u + 1 < w:
-                total += edges[0, v, u] * (here - x[v, u + 1])
-            if u > 0:
-                total += edges[0, v, u - 1] * (here - x[v, u - 1])
-            if v + 1 < h:
-                total += edges[1, v, u] * (here - x[v + 1, u])
-                if u + 1 < w:
-                    total += edges[2, v, u] * (here - x[v + 1, u + 1])
-                if u > 0:
-                    total += edges[3, v, u - 1] * (here - x[v + 1, u - 1])
-            if v > 0:
-                total += edges[1, v - 1, u] * (here - x[v - 1, u])
-                if u > 0:
-                    total += edges[2, v - 1, u - 1] * (here - x[v - 1, u - 1])
-                if u + 1 < w:
-                    total += edges[3, v - 1, u] * (here - x[v - 1, u + 1])
-            out[v, u] = total
+            to[u] = np.float32(_GROUND) * row[u]
+        _add_differences(edges[0, v, : w - 1], row[: w - 1], row[1:], to[: w - 1], to[1:], pull)
+        if v + 1 < h:
+            _add_difference(edges[1, v], row, x[v + 1], to)
+            if len(edges) == 4:
+                _add_difference(edges[2, v, : w - 1], row[: w - 1], x[v + 1, 1:], to[: w - 1])
+                _add_difference(edges[3, v, : w - 1], row[1:], x[v + 1, : w - 1], to[1:])
+        if v > 0:
+            _add_difference(edges[1, v - 1], row, x[v - 1], to)
+            if len(edges) == 4:
+                _add_difference(edges[2, v - 1, : w - 1], row[1:], x[v - 1, : w - 1], to[1:])
+                _add_difference(edges[3, v - 1, : w - 1], row[: w - 1], x[v - 1, 1:], to[: w - 1])
     return out
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def _add_difference(weight: Row, here: Row, there: Row, out: Row) -> None:
+    for u in range(len(weight)):
+        out[u] += weight[u] * (here[u] - there[u])
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def _add_differences(weight: Row, first: Row, second: Row, out: Row, other: Row, pull: Row) -> None:
+    """Along a row, where both ends of an edge are in it."""
+    for u in range(len(weight)):
+        pull[u] = weight[u] * (first[u] - second[u])
+    for u in range(len(weight)):
+        out[u] += pull[u]
+    for u in range(len(weight)):
+        other[u] -= pull[u]
 
 
 @njit(cache=True, fastmath=True)
 def diagonal_kernel(edges: Grid) -> Grid:
     """L's diagonal (h, w)."""
-    _, h, w = edges.shape
+    kinds, h, w = edges.shape
     out = np.full((h, w), np.float32(_GROUND))
     for v in range(h):
         for u in range(w):
@@ -144,7 +156,7 @@ def diagonal_kernel(edges: Grid) -> Grid:
             if v + 1 < h:
                 out[v, u] += edges[1, v, u]
                 out[v + 1, u] += edges[1, v, u]
-                if u + 1 < w:
+                if u + 1 < w and kinds == 4:
                     out[v, u] += edges[2, v, u]
                     out[v + 1, u + 1] += edges[2, v, u]
                     out[v, u + 1] += edges[3, v, u]
@@ -208,27 +220,36 @@ def _gather_rows(edges: Grid, right: Grid, x: Grid, v: int, out: Row) -> None:
     for u in range(w):
         out[u] = right[v, u]
     if v + 1 < h:
-        below, down, east, west = x[v + 1], edges[1, v], edges[2, v], edges[3, v]
-        for u in range(w - 1):
-            out[u] += down[u] * below[u] + east[u] * below[u + 1]
-        out[w - 1] += down[w - 1] * below[w - 1]
-        for u in range(1, w):
-            out[u] += west[u - 1] * below[u - 1]
+        below, down = x[v + 1], edges[1, v]
+        for u in range(w):
+            out[u] += down[u] * below[u]
+        if len(edges) == 4:
+            east, west = edges[2, v], edges[3, v]
+            for u in range(w - 1):
+                out[u] += east[u] * below[u + 1]
+            for u in range(1, w):
+                out[u] += west[u - 1] * below[u - 1]
     if v > 0:
-        above, up, west, east = x[v - 1], edges[1, v - 1], edges[2, v - 1], edges[3, v - 1]
-        for u in range(w - 1):
-            out[u] += up[u] * above[u] + east[u] * above[u + 1]
-        out[w - 1] += up[w - 1] * above[w - 1]
-        for u in range(1, w):
-            out[u] += west[u - 1] * above[u - 1]
+        above, up = x[v - 1], edges[1, v - 1]
+        for u in range(w):
+            out[u] += up[u] * above[u]
+        if len(edges) == 4:
+            west, east = edges[2, v - 1], edges[3, v - 1]
+            for u in range(w - 1):
+                out[u] += east[u] * above[u + 1]
+            for u in range(1, w):
+                out[u] += west[u - 1] * above[u - 1]
 
 
 @njit(cache=True, fastmath=True)
 def coarse_edges_kernel(edges: Grid) -> Grid:
     """Half the sum of the edges between blocks of 2×2 pixels; those inside a block drop out."""
-    _, h, w = edges.shape
+    kinds, h, w = edges.shape
     ch, cw = (h + 1) // 2, (w + 1) // 2
-    out = np.zeros((4, ch, cw), np.float32)
+    out = np.zeros((kinds, ch, cw), np.float32)
+    if kinds == 2:
+        _halve_edges(edges, out)
+        return out
     for v in range(h):
         for u in range(w):
             for kind in range(4):
@@ -252,6 +273,19 @@ def coarse_edges_kernel(edges: Grid) -> Grid:
                 else:
                     out[3, b, c] += half
     return out
+
+
+@njit(cache=True, fastmath=True)
+def _halve_edges(edges: Grid, out: Grid) -> None:
+    """The same without diagonals: an edge between blocks starts at every second pixel."""
+    _, h, w = edges.shape
+    half = np.float32(0.5)
+    for v in range(h):
+        for column in range((w - 1) // 2):
+            out[0, v // 2, column] += half * edges[0, v, 2 * column + 1]
+    for v in range(1, h - 1, 2):
+        for u in range(w):
+            out[1, v // 2, u // 2] += half * edges[1, v, u]
 
 
 @njit(cache=True, fastmath=True)

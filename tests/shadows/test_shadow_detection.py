@@ -10,11 +10,13 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_flow
 
 from vntoolkit.errors import BadInput
-from vntoolkit.photometry.frame import LinearFrame, lit_from_labels
+from vntoolkit.evaluation.angular_error import angles_between_deg
+from vntoolkit.photometry.frame import LinearFrame, count_lit, lit_from_labels
 from vntoolkit.shadows import robust
 from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
 from vntoolkit.shadows.graph_cut import bonds_of_light, lit_by_cut
 from vntoolkit.shadows.published import lit_by_edges
+from vntoolkit.shadows.recovery import recover_surface
 
 
 def overlap(found: np.ndarray, true: np.ndarray) -> np.ndarray:
@@ -100,6 +102,61 @@ def test_memory_steadies_a_sequence_and_can_be_dropped(
     detector.labels(frames[1])
     detector.forget()
     assert np.array_equal(detector.labels(frames[0]), first)
+
+
+def in_a_corner(stage, left: int) -> tuple[LinearFrame, np.ndarray]:
+    """The stage at a place of a larger, dark frame, and its mask."""
+    h, w = stage.mask.shape
+    rgb, mask = np.zeros((h + 20, w + 40, 3), np.float32), np.zeros((h + 20, w + 40), bool)
+    rgb[10 : 10 + h, left : left + w], mask[10 : 10 + h, left : left + w] = stage.frame.rgb, True
+    return LinearFrame(rgb=rgb, clipped=np.zeros(mask.shape, bool)), mask
+
+
+def test_a_frame_goes_on_from_the_one_before_wherever_its_figure_went(stage) -> None:
+    detector = ShadowDetector(stage.response)
+    found = []
+    for left in (12, 12, 14, 14):  # the window around the mask moves with it
+        frame, mask = in_a_corner(stage, left)
+        labels = detector.labels(frame, mask)
+        surface = recover_surface(frame, labels, stage.response, mask, start=detector.surface)
+        detector.go_on_from(surface.surface)
+        part = np.s_[10 : 10 + stage.mask.shape[0], left : left + stage.mask.shape[1]]
+        angles = angles_between_deg(surface.normal_map.normals_in_camera[part], stage.normals)
+        found.append((overlap(labels[part], stage.labels).min(), angles[count_lit(stage.labels) == 2].mean()))
+    (first, error), *rest = found
+    assert first >= 0.8
+    assert all(other > first - 0.03 and angle < 1.1 * error for other, angle in rest)
+
+
+def test_a_frame_of_something_else_starts_anew(stage) -> None:
+    other = LinearFrame(rgb=stage.frame.rgb[::-1, ::-1, ::-1].copy(), clipped=stage.frame.clipped)
+    detector = ShadowDetector(stage.response)
+    detector.labels(stage.frame, stage.mask)
+    alone = ShadowDetector(stage.response).labels(other, stage.mask)
+    assert np.array_equal(detector.labels(other, stage.mask), alone)
+
+
+def test_where_no_light_is_weak_nothing_is_solved(build_stage) -> None:
+    v, u = np.mgrid[:60, :70]
+    flat = build_stage(0.001 * ((u - 35.0) ** 2 + (v - 30.0) ** 2), noise=0.001)
+    detector = ShadowDetector(flat.response)
+    assert (detector.labels(flat.frame, flat.mask) == 7).all()
+    assert detector.surface is None
+    dark = flat.frame.rgb.copy()
+    dark[20:40, 30:50, 1] = 0.0
+    labels = detector.labels(LinearFrame(rgb=dark, clipped=flat.frame.clipped), flat.mask)
+    assert detector.surface is not None
+    assert (labels[22:38, 32:48] == 5).mean() > 0.95
+
+
+def test_pixels_that_need_no_cut_are_labelled_as_the_cut_labels_them() -> None:
+    generator = np.random.default_rng(7)
+    evidence = generator.normal(0.0, 2.0, (40, 50))
+    bonds = generator.random((40, 50)), generator.random((40, 50))
+    mask = generator.random((40, 50)) < 0.9
+    every = lit_by_cut(evidence, bonds, mask, strongest=1e9)  # all of them enter
+    assert np.array_equal(lit_by_cut(evidence, bonds, mask), every)
+    assert every[~mask].all()
 
 
 def test_cut_is_the_cheapest_labelling() -> None:

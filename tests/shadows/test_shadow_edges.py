@@ -5,10 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from vntoolkit.shadows.shadow_edges import (
-    lit_beyond_half,
-    turned_from_lights,
-)
+from vntoolkit.photometry.frame import labels_from_lit, lit_from_labels
+from vntoolkit.shadows.shadow_edges import labels_beyond_half, turned_from_lights
 
 
 def sphere(radius: float, size: int) -> tuple[np.ndarray, np.ndarray]:
@@ -30,12 +28,18 @@ def test_the_outline_turns_from_the_lights_that_it_turns_from() -> None:
     inset = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5)
     ring = mask & (inset < 2.5)
     spoilt = np.where((inset < 1.6)[..., None], (0.0, 0.0, -1.0), normals)  # blur leaves nothing to read
-    turned = turned_from_lights(spoilt, blurred, LIGHTS, mask)
+    turned = lit_from_labels(turned_from_lights(spoilt, blurred, LIGHTS, mask))
     assert not turned[~ring].any()
     dark = cosines[ring] < 0.0
     assert 100 < dark.sum() < 1000
     assert turned[ring][dark].mean() > 0.9
     assert not turned[ring][cosines[ring] > 0.12].any()
+    few = np.zeros_like(mask)
+    few[:, :48] = True
+    asked = lit_from_labels(turned_from_lights(spoilt, blurred, LIGHTS, mask, few))
+    assert np.array_equal(asked, turned & few[..., None])
+    half = turned_from_lights(spoilt[::2, ::2], blurred, LIGHTS, mask)  # normals of a smaller image
+    assert (lit_from_labels(half) == turned)[ring].mean() > 0.8
 
 
 def test_a_cut_through_a_plane_is_no_outline() -> None:
@@ -54,9 +58,9 @@ def test_a_blurred_edge_of_a_cast_shadow_lies_at_half_light() -> None:
     found = cosines > 0.07
     assert not found[:, :19].any()
     assert found[:, 19:].all()
-    facing = np.full(cosines.shape, 0.8)
-    lit = lit_beyond_half(found, cosines, facing, mask)
+    labels = labels_from_lit(found)
+    facing = np.full(mask.shape, 7, np.uint8)
+    lit = lit_from_labels(labels_beyond_half(labels, cosines, facing, mask))
     assert not lit[:, :20].any()
     assert lit[:, 20:].all()
-    turned = np.where(found, 0.8, 0.0)  # the surface turns away there
-    assert np.array_equal(lit_beyond_half(found, cosines, turned, mask), found)
+    assert np.array_equal(labels_beyond_half(labels, cosines, labels, mask), labels)  # it turns away there

@@ -10,13 +10,12 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.photometry.frame import LinearFrame, count_lit
 from vntoolkit.shadows import surface
-from vntoolkit.shadows.albedo import albedo_from_lit, fill_smoothly
+from vntoolkit.shadows.albedo import albedo_from_lit, fill_smoothly, gloss_trust
 from vntoolkit.shadows.detector import ShadowDetector
 from vntoolkit.shadows.initialisation import continue_with_two_lights, roots_from_two_lights
 from vntoolkit.shadows.recovery import (
     RecoveryMethod,
     confidence_weight,
-    gloss_trust,
     recover_normals,
     recover_surface,
 )

@@ -194,7 +194,7 @@ class MaskedSolver:
 
 def _levels_of(right: npt.NDArray[Any], down: npt.NDArray[Any]) -> list[GridLevel]:
     """The grids of the weights (h + 2, w + 2) inside their rim."""
-    edges = np.zeros((4, right.shape[0] - 2, right.shape[1] - 2), np.float32)
+    edges = np.empty((2, right.shape[0] - 2, right.shape[1] - 2), np.float32)
     edges[0], edges[1] = right[1:-1, 1:-1], down[1:-1, 1:-1]
     return grid_hierarchy(edges)
 

@@ -23,14 +23,15 @@ from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.normals.expected_error import normals_and_errors_from_encoded, with_expected_error
 from vntoolkit.normals.gel import GelInverter, drift_of_change
 from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame
-from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
 from vntoolkit.photometry.lambertian import Leveller
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
 from vntoolkit.pipeline.contact import Contact, contact_from_depth, rested
 from vntoolkit.pipeline.options import Product, ReconstructOptions
+from vntoolkit.shadows.contributions import brighter_than
 from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
-from vntoolkit.shadows.recovery import recover_normals
+from vntoolkit.shadows.recovery import recover_surface
 
 _SAMPLED = 4  # every fourth pixel of every fourth row tells how bright a subject is
 
@@ -216,14 +217,16 @@ class FrameProcessor:
         """
         response, inversion = self._central, self._options.inversion
         seen = self.by_strength(linear)
-        scaled = (frame.rgb - response.ambient.astype(np.float32)) @ response.inverse.T.astype(np.float32)
-        darkest = inversion.darkest * inversion.relative_albedo
-        mask = self._mask & (np.einsum("vui,vui->vu", scaled, scaled) > darkest**2)
+        mask = brighter_than(frame, response, inversion.darkest * inversion.relative_albedo, self._mask)
         if inversion.clipped_factor == 0.0:
             mask &= ~frame.clipped
         labels = self._detector.labels(seen, mask)
-        normal_map = recover_normals(frame, labels, response, mask, self.camera, start=self._detector.surface)
-        return normal_map, labels
+        surface = self._detector.surface
+        if surface is None and not np.any(labels != ALL_LIT):
+            return normals_from_frame(frame, response, mask, options=inversion), labels
+        found = recover_surface(frame, labels, response, mask, self.camera, start=surface)
+        self._detector.go_on_from(found.surface)
+        return found.normal_map, labels
 
     def by_strength(self, linear: LinearFrame) -> LinearFrame:
         """Return a linear frame with every lamp as strong as at the image's centre."""

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import cv2
 import numpy as np
 
-from vntoolkit.arrays import FloatArray, Mask
+from vntoolkit.arrays import FloatArray, Mask, Weight
+from vntoolkit.native import njit
 
 _DARKEST = 1e-3  # of the albedo scale; keeps the logarithm finite
 _LEAST_TRUST = 1e-4  # weight of the coarser level where a pixel's block holds anything at all
@@ -13,14 +17,17 @@ _LEAST_TRUST = 1e-4  # weight of the coarser level where a pixel's block holds a
 _FINEST_LEVEL = 3  # detail below 2³ pixels counts as shading, not as paint
 _OUTLIER = 0.3  # departure of a pixel's log albedo from its surroundings at which it counts half
 _ROUNDS = 2  # reweightings; a third changes nothing
+_GLOSS = 0.2  # excess of log albedo that paint may have; twice that halves the trust in the colour
+_GLOSSY = math.exp(_GLOSS)
 _MARGIN_PX = 1  # lit pixels this close to a shadow's edge do not count: penumbra darkens them
 
 
-def albedo_from_lit(length: FloatArray, lit: Mask) -> FloatArray:
+def albedo_from_lit(length: FloatArray, lit: Mask, factor: int = 1) -> FloatArray:
     """Spread the albedo of fully lit pixels over the image.
 
     length: (h, w), `LightContributions.length`, which is the albedo where all three lights arrive
-    (`lit`). Returns (h, w), positive everywhere; 1, the calibration material's, where nothing is lit.
+    (`lit`). factor: by how much the image is smaller than the frame whose detail counts. Returns (h, w),
+    positive everywhere; 1, the calibration material's, where nothing is lit.
     """
     side = 2 * _MARGIN_PX + 1
     core = cv2.erode(lit.astype(np.uint8), np.ones((side, side), np.uint8)) > 0
@@ -30,11 +37,29 @@ def albedo_from_lit(length: FloatArray, lit: Mask) -> FloatArray:
     trust = core.astype(np.float32)
     if not core.any():
         return np.ones_like(logarithm, dtype=np.float32)
-    filled = fill_smoothly(logarithm, trust, _FINEST_LEVEL)
+    finest = max(_FINEST_LEVEL - round(math.log2(factor)), 0)
+    filled = fill_smoothly(logarithm, trust, finest)
     for _ in range(_ROUNDS):
         trust = core / (1.0 + ((logarithm - filled) / _OUTLIER) ** 2)
-        filled = fill_smoothly(logarithm, trust, _FINEST_LEVEL)
+        filled = fill_smoothly(logarithm, trust, finest)
     return np.exp(filled)
+
+
+def gloss_trust(length: FloatArray, albedo: FloatArray, lit: Mask) -> Weight:
+    """Return (h, w): 1, less where a pixel of `lit` outshines matte paint of the surrounding albedo."""
+    ratio = np.maximum(length, _DARKEST) / np.maximum(albedo, _DARKEST)
+    excess = np.maximum(np.log(ratio) - _GLOSS, 0.0) / _GLOSS
+    return np.where(lit, 1.0 / (1.0 + excess**2), 1.0).astype(np.float32)
+
+
+@njit(cache=True, inline="always")
+def trust_beside_gloss(length: Any, albedo: Any) -> Any:
+    """Return the same of one lit pixel."""
+    ratio = max(length, np.float32(_DARKEST)) / max(albedo, np.float32(_DARKEST))
+    if ratio <= np.float32(_GLOSSY):
+        return np.float32(1.0)
+    excess = (np.log(ratio) - np.float32(_GLOSS)) * np.float32(1.0 / _GLOSS)
+    return np.float32(1.0) / (np.float32(1.0) + excess * excess)
 
 
 # Values known on some pixels, spread smoothly over the rest (push–pull over an image pyramid).

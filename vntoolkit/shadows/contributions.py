@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -17,7 +17,7 @@ from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 
 _WORKING_PIXELS = 100_000  # surfaces are solved on images of about this size: more show no other shadows
-_CLIPPED_TRUST = 0.05  # a saturated channel is a bound, not a value
+CLIPPED_TRUST = 0.05  # a saturated channel is a bound, not a value
 _SMALLEST_ALBEDO = 1e-3
 _SMALLEST_REST = 0.05  # 1 − |M⁻¹a|²: an ambient light as strong as the lamps leaves no root
 _MARGIN_PX = 4  # room for filters around the mask
@@ -95,11 +95,10 @@ def contributions_from_frame(frame: LinearFrame, response: LightResponse) -> Lig
     rgb = np.ascontiguousarray(frame.rgb, dtype=np.float32)
     contributions, normals = np.empty_like(rgb), np.empty_like(rgb)
     length = np.empty(frame.shape, np.float32)
-    haze = (response.inverse @ response.ambient).astype(np.float32)
-    rest = max(1.0 - float(haze @ haze), _SMALLEST_REST)
+    haze, rest = haze_of(response)
     _split_kernel(
         rgb, response.contributions_from_rgb.astype(np.float32), response.inverse.astype(np.float32), haze,
-        rest, contributions, length, normals,
+        np.float32(rest), contributions, length, normals,
     )  # fmt: skip
     return LightContributions(
         contributions=contributions,
@@ -108,44 +107,143 @@ def contributions_from_frame(frame: LinearFrame, response: LightResponse) -> Lig
         directions=response.light_directions,
         length=length,
         normals=normals,
-        trust=np.where(frame.clipped, np.float32(_CLIPPED_TRUST), np.float32(1.0)),
+        trust=np.where(frame.clipped, np.float32(CLIPPED_TRUST), np.float32(1.0)),
     )
+
+
+def haze_of(response: LightResponse) -> tuple[FloatArray, float]:
+    """Return w = M⁻¹a, (3,) float32, and 1 − |w|²."""
+    haze: FloatArray = (response.inverse @ response.ambient).astype(np.float32)
+    return haze, max(1.0 - float(haze @ haze), _SMALLEST_REST)
+
+
+def small_contributions(
+    frame: LinearFrame, response: LightResponse, mask: Mask, factor: int
+) -> tuple[LightContributions, Mask]:
+    """Split a frame by light at 1/factor of the size, its colours averaged over the mask; also its mask."""
+    if factor == 1:
+        return contributions_from_frame(frame, response), mask
+    height, width = (max(1, round(length / factor)) for length in mask.shape)
+    rgb = np.empty((height, width, 3), np.float32)
+    trust, cover = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
+    _shrink_kernel(np.ascontiguousarray(frame.rgb), frame.clipped, np.asarray(mask), rgb, trust, cover)
+    clipped: Mask = np.zeros((height, width), np.bool_)
+    small = contributions_from_frame(LinearFrame(rgb=rgb, clipped=clipped), response)
+    return replace(small, trust=trust), cover > 0.5
+
+
+@njit(cache=True, parallel=True)
+def _shrink_kernel(
+    rgb: FloatArray, clipped: Mask, mask: Mask, mean: FloatArray, trust: FloatArray, cover: FloatArray
+) -> None:
+    """Fill the means over the mask of each small pixel's area, and how much of that is mask."""
+    h, w = mask.shape
+    height, width = cover.shape
+    zero, one, low = np.float32(0.0), np.float32(1.0), np.float32(CLIPPED_TRUST)
+    for row in prange(height):
+        top, bottom = np.float32(row * h / height), np.float32((row + 1) * h / height)
+        r, g, b = np.zeros(w, np.float32), np.zeros(w, np.float32), np.zeros(w, np.float32)
+        t, c = np.zeros(w, np.float32), np.zeros(w, np.float32)
+        for v in range(int(top), min(int(np.ceil(bottom)), h)):
+            tall = min(np.float32(v + 1), bottom) - max(np.float32(v), top)
+            line, inside, bound = rgb[v], mask[v], clipped[v]
+            for u in range(w):  # without a branch: eight pixels at a time
+                part = tall if inside[u] else zero
+                r[u] += part * finite(line[u, 0])
+                g[u] += part * finite(line[u, 1])
+                b[u] += part * finite(line[u, 2])
+                t[u] += part * (low if bound[u] else one)
+                c[u] += part
+        whole = (bottom - top) * np.float32(w / width)
+        for column in range(width):
+            left, right = np.float32(column * w / width), np.float32((column + 1) * w / width)
+            sr, sg, sb, st, sc = zero, zero, zero, zero, zero
+            for u in range(int(left), min(int(np.ceil(right)), w)):
+                wide = min(np.float32(u + 1), right) - max(np.float32(u), left)
+                sr, sg, sb = sr + wide * r[u], sg + wide * g[u], sb + wide * b[u]
+                st, sc = st + wide * t[u], sc + wide * c[u]
+            scale = one / sc if sc > np.float32(1e-6) else zero
+            mean[row, column, 0], mean[row, column, 1], mean[row, column, 2] = (
+                sr * scale,
+                sg * scale,
+                sb * scale,
+            )
+            trust[row, column], cover[row, column] = st * scale, sc / whole
+
+
+def brighter_than(frame: LinearFrame, response: LightResponse, darkest: float, mask: Mask) -> Mask:
+    """Return (h, w), the pixels of a mask whose M⁻¹(r − a) is longer than `darkest`."""
+    out: Mask = np.empty(frame.shape, np.bool_)
+    _brighter_kernel(
+        np.ascontiguousarray(frame.rgb), response.inverse.astype(np.float32),
+        response.ambient.astype(np.float32), np.float32(darkest**2), np.asarray(mask), out,
+    )  # fmt: skip
+    return out
+
+
+@njit(cache=True, parallel=True)
+def _brighter_kernel(
+    rgb: FloatArray, inverse: FloatArray, ambient: FloatArray, least: Any, mask: Mask, out: Mask
+) -> None:
+    i00, i01, i02, i10, i11, i12 = (
+        inverse[0, 0], inverse[0, 1], inverse[0, 2], inverse[1, 0], inverse[1, 1], inverse[1, 2],
+    )  # fmt: skip
+    i20, i21, i22 = inverse[2, 0], inverse[2, 1], inverse[2, 2]
+    a0, a1, a2 = ambient[0], ambient[1], ambient[2]
+    h, w = mask.shape
+    for v in prange(h):
+        line, inside, to = rgb[v], mask[v], out[v]
+        for u in range(w):
+            r, g, b = line[u, 0] - a0, line[u, 1] - a1, line[u, 2] - a2
+            x, y = i00 * r + i01 * g + i02 * b, i10 * r + i11 * g + i12 * b
+            z = i20 * r + i21 * g + i22 * b
+            to[u] = inside[u] & (x * x + y * y + z * z > least)
 
 
 @njit(cache=True, parallel=True)
 def _split_kernel(
-    rgb: FloatArray, split: FloatArray, inverse: FloatArray, haze: FloatArray, rest: float,
+    rgb: FloatArray, split: FloatArray, inverse: FloatArray, haze: FloatArray, rest: np.float32,
     contributions: FloatArray, length: FloatArray, normals: FloatArray,
 ) -> None:  # fmt: skip
-    """Fill the contributions, and solve r = ρ (M n + a), |n| = 1, for the albedo ρ and the normal n.
+    """Fill the contributions, the albedo and the normal. rest: 1 − |w|²."""
+    h, w, _ = rgb.shape
+    for v in prange(h):
+        for u in range(w):
+            r, g, b = finite(rgb[v, u, 0]), finite(rgb[v, u, 1]), finite(rgb[v, u, 2])
+            for i in range(3):
+                contributions[v, u, i] = split[i, 0] * r + split[i, 1] * g + split[i, 2] * b
+            x, y, z, length[v, u] = scaled_normal(r, g, b, inverse, haze, rest)
+            normals[v, u, 0], normals[v, u, 1], normals[v, u, 2] = x, y, z
+
+
+@njit(cache=True, inline="always")
+def finite(value: Any) -> Any:
+    """Return a colour; one that is no number is black, one that is infinite white."""
+    sound = value - value == np.float32(0.0)
+    return value if sound else (np.float32(1.0) if value > np.float32(0.0) else np.float32(0.0))
+
+
+@njit(cache=True, inline="always")
+def scaled_normal(
+    r: Any, g: Any, b: Any, inverse: FloatArray, haze: FloatArray, rest: Any
+) -> tuple[Any, Any, Any, Any]:
+    """Solve r = ρ (M n + a), |n| = 1, for the normal n and the albedo ρ.
 
     With s = M⁻¹r and w = M⁻¹a (haze), |s − ρ w| = ρ is a quadratic in ρ with one positive root as long as the
     ambient light is weaker than the lamps. rest: 1 − |w|². Where there is no light the normal faces the
     viewer.
     """
-    h, w, _ = rgb.shape
-    for v in prange(h):
-        colour = np.empty(3, np.float32)
-        for u in range(w):
-            for i in range(3):
-                value = rgb[v, u, i]
-                colour[i] = value if np.isfinite(value) else np.float32(value > 0)
-            r, g, b = colour[0], colour[1], colour[2]
-            for i in range(3):
-                contributions[v, u, i] = split[i, 0] * r + split[i, 1] * g + split[i, 2] * b
-            x = inverse[0, 0] * r + inverse[0, 1] * g + inverse[0, 2] * b
-            y = inverse[1, 0] * r + inverse[1, 1] * g + inverse[1, 2] * b
-            z = inverse[2, 0] * r + inverse[2, 1] * g + inverse[2, 2] * b
-            along = x * haze[0] + y * haze[1] + z * haze[2]
-            squared = x * x + y * y + z * z
-            albedo = np.float32((np.sqrt(along * along + rest * squared) - along) / rest)
-            length[v, u] = albedo
-            x, y, z = x - albedo * haze[0], y - albedo * haze[1], z - albedo * haze[2]
-            long = np.sqrt(x * x + y * y + z * z)
-            if long > np.float32(1e-6):
-                normals[v, u, 0], normals[v, u, 1], normals[v, u, 2] = x / long, y / long, z / long
-            else:
-                normals[v, u, 0], normals[v, u, 1], normals[v, u, 2] = 0.0, 0.0, -1.0
+    x = inverse[0, 0] * r + inverse[0, 1] * g + inverse[0, 2] * b
+    y = inverse[1, 0] * r + inverse[1, 1] * g + inverse[1, 2] * b
+    z = inverse[2, 0] * r + inverse[2, 1] * g + inverse[2, 2] * b
+    along = x * haze[0] + y * haze[1] + z * haze[2]
+    squared = x * x + y * y + z * z
+    albedo = np.float32((np.sqrt(along * along + rest * squared) - along) / rest)
+    x, y, z = x - albedo * haze[0], y - albedo * haze[1], z - albedo * haze[2]
+    long = np.sqrt(x * x + y * y + z * z)
+    if long > np.float32(1e-6):
+        return x / long, y / long, z / long, albedo
+    return np.float32(0.0), np.float32(0.0), np.float32(-1.0), albedo
 
 
 def _length_and_direction(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:

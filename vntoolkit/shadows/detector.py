@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from enum import Enum
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels
+from vntoolkit.arrays import Mask, VisibilityLabels
 from vntoolkit.checks import checks_kinds, require_mask
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame, labels_from_lit
@@ -20,7 +20,7 @@ from vntoolkit.shadows.contributions import (
     window_around,
 )
 from vntoolkit.shadows.published import lit_by_edges
-from vntoolkit.shadows.robust import lit_by_surface
+from vntoolkit.shadows.robust import FrameMemory, labels_by_surface
 from vntoolkit.shadows.surface import Surface
 
 
@@ -49,13 +49,18 @@ class ShadowDetector:
         self._method = method
         self._response = response
         self._camera = camera
-        self._memory: FloatArray | None = None
+        self._memory: FrameMemory | None = None
         self._shape = (0, 0)
         self.surface: Surface | None = None  # of the last frame, for `recover_normals`; None without one
 
     def forget(self) -> None:
         """Drop what the previous frame left, so that a sequence may start anywhere."""
         self._memory = None
+
+    def go_on_from(self, surface: Surface | None) -> None:
+        """Let the next frame start from the surface that `recover_surface` found of the last one."""
+        if self._memory is not None and surface is not None:
+            self._memory = replace(self._memory, recovered=surface)
 
     @checks_kinds
     def labels(self, frame: LinearFrame, mask: Mask | None = None) -> VisibilityLabels:
@@ -68,16 +73,16 @@ class ShadowDetector:
         if self._method is ShadowMethod.NONE or not inside.any():
             return np.full(frame.shape, ALL_LIT, dtype=np.uint8)
         window = window_around(inside)
-        lit = self._lit(frame_in_window(frame, window), inside[window], window)
-        labels = np.where(inside[window], labels_from_lit(lit), ALL_LIT).astype(np.uint8)
-        return in_whole_image(labels, window, frame.shape, ALL_LIT)
+        labels = np.where(
+            inside[window], self._labels(frame_in_window(frame, window), inside[window], window), ALL_LIT
+        )
+        return in_whole_image(labels.astype(np.uint8), window, frame.shape, ALL_LIT)
 
-    def _lit(self, frame: LinearFrame, mask: Mask, window: Window) -> npt.NDArray[np.bool_]:
-        cosines = contributions_from_frame(frame, self._response)
+    def _labels(self, frame: LinearFrame, mask: Mask, window: Window) -> VisibilityLabels:
         if self._method is ShadowMethod.PUBLISHED:
-            return lit_by_edges(cosines.contributions, mask)
+            contributions = contributions_from_frame(frame, self._response).contributions
+            return labels_from_lit(lit_by_edges(contributions, mask))
         camera = None if self._camera is None else self._camera.cropped(*window)
-        memory = None if self._memory is None else self._memory[window]
-        lit, evidence, self.surface = lit_by_surface(cosines, mask, camera, memory)
-        self._memory = in_whole_image(evidence, window, self._shape)
-        return lit
+        labels, self._memory = labels_by_surface(frame, self._response, mask, window, camera, self._memory)
+        self.surface = self._memory.start
+        return labels

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 from numba import prange
@@ -14,38 +16,104 @@ _DARK_COSINE = 0.03  # added to a cosine before its logarithm: noise is no edge
 
 
 def lit_by_cut(
-    evidence: FloatArray, bonds: tuple[FloatArray, FloatArray], mask: Mask
+    evidence: FloatArray, bonds: tuple[FloatArray, FloatArray], mask: Mask, strongest: float | None = None
 ) -> npt.NDArray[np.bool_]:
     """Minimise Σ |evidence| over pixels labelled against it plus the bonds cut.
 
     evidence: (h, w), positive speaks for light, negative for shadow. bonds: to the east and to the south
     neighbour, (h, w) each, at least 0, the price of a change there; those of the last column and row lead
-    nowhere. Returns (h, w), True where lit (and outside `mask`). Of several cheapest labellings it is the one
-    with the most light.
+    nowhere. strongest: no bond costs more; None to look. Returns (h, w), True where lit (and outside `mask`).
+    Of several cheapest labellings it is the one with the most light.
+
+    A pixel whose evidence outweighs its four bonds has its label whatever its neighbours have; only the
+    others enter the cut.
     """
-    h, w = mask.shape
-    pull = np.zeros((h + 2, w + 2))  # a border of one pixel, which no bond leads to
-    pull[1:-1, 1:-1] = np.where(mask, evidence, 0.0)
-    room = np.zeros((h + 2, w + 2, 4))
-    east, south = bonds
-    room[1:-1, 1:-2, 0] = room[1:-1, 2:-1, 1] = east[:, :-1]
-    room[1:-2, 1:-1, 2] = room[2:-1, 1:-1, 3] = south[:-1]
-    shadow = _cut(pull.ravel(), room.reshape(-1, 4), w + 2).reshape(pull.shape)
-    return ~shadow[1:-1, 1:-1] | ~mask
+    east, south = (np.asarray(bond) for bond in bonds)
+    most = strongest if strongest is not None else float(max(east.max(initial=0.0), south.max(initial=0.0)))
+    given = np.asarray(evidence)
+    number: npt.NDArray[np.int32] = np.empty(mask.shape, np.int32)
+    lit: npt.NDArray[np.bool_] = np.empty(mask.shape, np.bool_)
+    count = _number_kernel(given, mask, 4.0 * most, number, lit)
+    if count:
+        _cut_kernel(given, east, south, number, count, lit)
+    return lit
+
+
+_SHADOW, _LIT, _NOWHERE = -1, -2, -3  # what is no node: its label is known, or there is nothing
 
 
 @njit(cache=True)
-def _cut(pull: npt.NDArray[np.float64], room: npt.NDArray[np.float64], width: int) -> npt.NDArray[np.bool_]:
-    """Push as much flow as the grid takes; return the pixels that could still pass some on to a sink.
+def _number_kernel(
+    evidence: FloatArray, mask: Mask, most: Any, number: npt.NDArray[np.int32], lit: Mask
+) -> int:
+    """Number the pixels that the cut must decide, and label the others."""
+    h, w = mask.shape
+    count = 0
+    for v in range(h):
+        for u in range(w):
+            lit[v, u] = True
+            if not mask[v, u]:
+                number[v, u] = _NOWHERE
+            elif evidence[v, u] >= most:
+                number[v, u] = _LIT
+            elif evidence[v, u] < -most:
+                number[v, u] = _SHADOW
+                lit[v, u] = False
+            else:
+                number[v, u] = count
+                count += 1
+    return count
+
+
+@njit(cache=True)
+def _cut_kernel(
+    evidence: FloatArray, east: FloatArray, south: FloatArray, number: npt.NDArray[np.int32], count: int,
+    lit: Mask,
+) -> None:  # fmt: skip
+    """Label the numbered pixels."""
+    h, w = number.shape
+    pull, room = np.zeros(count), np.zeros((count, 4))
+    neighbour = np.full((count, 4), -1, np.int32)
+    for v in range(h):
+        for u in range(w):
+            i = number[v, u]
+            if i < 0:
+                continue
+            pull[i] += evidence[v, u]
+            for way in range(4):  # east, west, south, north
+                y, x = v + (way == 2) - (way == 3), u + (way == 0) - (way == 1)
+                if y < 0 or x < 0 or y >= h or x >= w or number[y, x] == _NOWHERE:
+                    continue
+                bond = east[v, min(u, x)] if way < 2 else south[min(v, y), u]
+                j = number[y, x]
+                if j == _LIT:
+                    pull[i] += bond
+                elif j == _SHADOW:
+                    pull[i] -= bond
+                else:
+                    neighbour[i, way] = j
+                    room[i, way] = bond
+    shadow = _cut(pull, room, neighbour)
+    for v in range(h):
+        for u in range(w):
+            if number[v, u] >= 0:
+                lit[v, u] = not shadow[number[v, u]]
+
+
+@njit(cache=True)
+def _cut(
+    pull: npt.NDArray[np.float64], room: npt.NDArray[np.float64], neighbour: npt.NDArray[np.int32]
+) -> npt.NDArray[np.bool_]:
+    """Push as much flow as the graph takes; return the nodes that could still pass some on to a sink.
 
     Dinic's algorithm (dinic1970): all shortest paths are filled, then all that are longer by one, and so on.
-    Sources are the pixels of positive pull, sinks those of negative: each ends with what it has left. pull:
-    (n,); room: (n, 4), what fits through to the next pixel east, west, south and north. Both are changed.
+    Sources are the nodes of positive pull, sinks those of negative: each ends with what it has left. pull:
+    (n,); room: (n, 4), what fits through to the next node east, west, south and north. Both are changed.
+    neighbour: (n, 4), that node, or -1.
     """
-    steps = (1, -1, width, -width)
     count = pull.size
     distance = np.full(count, -1, np.int32)  # to the nearest sink that it can reach
-    turn = np.zeros(count, np.int8)  # the way that a pixel tries; those before it lead nowhere
+    turn = np.zeros(count, np.int8)  # the way that a node tries; those before it lead nowhere
     queue = np.empty(count, np.int32)
     path = np.empty(count, np.int32)
     sinks = np.flatnonzero(pull < 0.0)
@@ -54,25 +122,25 @@ def _cut(pull: npt.NDArray[np.float64], room: npt.NDArray[np.float64], width: in
         end = sinks.size
         queue[:end] = sinks
         distance[sinks] = 0
-        nearest = count  # distance of the sources that are nearest to a sink
+        nearest = count + 1  # distance of the sources that are nearest to a sink
         head = 0
         while head < end and distance[queue[head]] < nearest:
             i = queue[head]
             head += 1
             for way in range(4):
-                j = i - steps[way]
-                if distance[j] < 0 and room[j, way] > 0.0:
+                j = neighbour[i, way]
+                if j >= 0 and distance[j] < 0 and room[j, way ^ 1] > 0.0:
                     distance[j] = distance[i] + 1
                     turn[j] = 0
                     queue[end] = j
                     end += 1
                     if pull[j] > 0.0:
                         nearest = distance[j]
-        if nearest == count:
+        if nearest > count:
             return distance >= 0
         for k in range(end):
             if distance[queue[k]] == nearest:
-                _drain(queue[k], pull, room, steps, distance, turn, path)
+                _drain(queue[k], pull, room, neighbour, distance, turn, path)
         distance[queue[:end]] = -1
 
 
@@ -81,7 +149,7 @@ def _drain(
     source: int,
     pull: npt.NDArray[np.float64],
     room: npt.NDArray[np.float64],
-    steps: tuple[int, int, int, int],
+    neighbour: npt.NDArray[np.int32],
     distance: npt.NDArray[np.int32],
     turn: npt.NDArray[np.int8],
     path: npt.NDArray[np.int32],
@@ -96,13 +164,13 @@ def _drain(
             for k in range(length):
                 way = turn[path[k]]
                 room[path[k], way] -= flow
-                room[path[k] + steps[way], way ^ 1] += flow
+                room[neighbour[path[k], way], way ^ 1] += flow
             pull[source] -= flow
             pull[i] += flow
             length, i = 0, source
         elif turn[i] < 4:
-            j = i + steps[turn[i]]
-            closer = distance[j] == distance[i] - 1 and (distance[j] > 0 or pull[j] < 0.0)
+            j = neighbour[i, turn[i]]
+            closer = j >= 0 and distance[j] == distance[i] - 1 and (distance[j] > 0 or pull[j] < 0.0)
             if closer and room[i, turn[i]] > 0.0:
                 path[length] = i
                 length, i = length + 1, j
@@ -117,49 +185,45 @@ def _drain(
 
 
 def bonds_of_light(
-    cosines: FloatArray, light: int, mask: Mask, strength: float, contrast: float
+    cosines: FloatArray, light: int, mask: Mask, strength: float, contrast: float, decided: Mask | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """Bonds that give way where this light alone changes: paint and folds change the other lights too.
 
     cosines: (h, w, 3). strength: full price. contrast: difference of log cosines, between this light and the
-    more similar of the other two, at which a bond falls to 1/e.
+    more similar of the other two, at which a bond falls to 1/e. decided: (h, w), pixels between which no bond
+    is asked for; None for none of them.
     """
     given = np.ascontiguousarray(cosines, dtype=np.float32)
-    logarithm, east, south = (
-        np.empty_like(given),
-        np.zeros(mask.shape, np.float32),
-        np.zeros(mask.shape, np.float32),
-    )
-    _bonds_kernel(given, light, np.asarray(mask), strength, 1.0 / contrast, logarithm, east, south)
+    east, south = np.zeros(mask.shape, np.float32), np.zeros(mask.shape, np.float32)
+    free = np.zeros(mask.shape, np.bool_) if decided is None else decided
+    _bonds_kernel(given, light, np.asarray(mask), free, strength, 1.0 / contrast, east, south)
     return east, south
+
+
+@njit(cache=True, inline="always")
+def _log_of(cosine: Any) -> Any:
+    return np.log(max(cosine, np.float32(0.0)) + np.float32(_DARK_COSINE))
 
 
 @njit(cache=True, parallel=True, fastmath=True)
 def _bonds_kernel(
-    cosines: FloatArray, light: int, mask: Mask, strength: float, sharpness: float,
-    logarithm: FloatArray, east: FloatArray, south: FloatArray,
+    cosines: FloatArray, light: int, mask: Mask, decided: Mask, strength: Any, sharpness: Any,
+    east: FloatArray, south: FloatArray,
 ) -> None:  # fmt: skip
     h, w = mask.shape
     second, third = (light + 1) % 3, (light + 2) % 3
-    for v in prange(h):
-        for u in range(w):
-            if mask[v, u]:
-                for k in range(3):
-                    logarithm[v, u, k] = np.log(
-                        max(cosines[v, u, k], np.float32(0.0)) + np.float32(_DARK_COSINE)
-                    )
     for v in prange(h):
         for u in range(w):
             if not mask[v, u]:
                 continue
             for j in range(2):
                 i, n = v + j, u + 1 - j
-                if i >= h or n >= w or not mask[i, n]:
+                if i >= h or n >= w or not mask[i, n] or (decided[v, u] and decided[i, n]):
                     continue
-                own = logarithm[i, n, light] - logarithm[v, u, light]
+                own = _log_of(cosines[i, n, light]) - _log_of(cosines[v, u, light])
                 alone = min(
-                    abs(own - logarithm[i, n, second] + logarithm[v, u, second]),
-                    abs(own - logarithm[i, n, third] + logarithm[v, u, third]),
+                    abs(own - _log_of(cosines[i, n, second]) + _log_of(cosines[v, u, second])),
+                    abs(own - _log_of(cosines[i, n, third]) + _log_of(cosines[v, u, third])),
                 )
                 sharp = alone * np.float32(sharpness)
                 bond = strength * (_WEAKEST_BOND + (1.0 - _WEAKEST_BOND) * np.exp(-sharp * sharp))

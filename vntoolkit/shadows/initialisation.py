@@ -17,16 +17,18 @@ import numpy.typing as npt
 from vntoolkit.arrays import FloatArray, Mask, Normals, VisibilityLabels, Weight
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.native import njit
-from vntoolkit.photometry.frame import ALL_LIT, count_lit
-from vntoolkit.shadows.contributions import LightContributions, lengths_of, shrinking
-from vntoolkit.shadows.surface import Surface, SurfaceOptions, refine_surface, solve_surface
+from vntoolkit.photometry.frame import ALL_LIT, LinearFrame, count_lit
+from vntoolkit.photometry.response import LightResponse
+from vntoolkit.shadows.contributions import LightContributions, contributions_from_frame, lengths_of
+from vntoolkit.shadows.surface import Surface, SurfaceOptions, solve_surface
 
 _LARGEST_MISFIT = 25.0  # χ² of one pixel beyond which it says no more about its region
 _FLATTEST_FACING = 0.12  # |n_z| below which a slope is held
 _MEDIAN_TO_DEVIATION = 1.4826
 _FEWEST_LOOPS = 100
+_FEWEST_PAIRS = 60  # of rows, whose noise stands for the frame's
 _PAIRS = ((1, 2, 6), (0, 2, 5), (0, 1, 3))  # the two lights that remain, and the label that says so
-_TRUST_BY_LIGHTS = (
+TRUST_BY_LIGHTS = (
     1.0,
     0.2,
     2.0,
@@ -39,6 +41,7 @@ _NOISE_PER_SLOPE, _LEAST_NOISE = (
 )  # noise of a cosine per noise of a slope on cleaner frames; its bound
 _START_PIXELS = 15_000  # frames are halved until they are not larger; there the starts are compared
 _CHECKING_ITERATIONS = 4  # steps there of a surface that is given
+_NEXT_ITERATIONS = 2  # steps of a frame that goes on from the one before
 _MIDDLE_ITERATIONS, _LARGE_ITERATIONS = 4, 3  # steps at every larger size, and at the largest
 # The roots win a shadow where they leave so much less than the start does, and it has so many pixels there.
 _CLEAR_GAIN, _FEWEST_PIXELS = 0.85, 50
@@ -52,27 +55,21 @@ def solve_from_best_initialisation(
     *,
     trust: Weight,
     camera: Camera | None,
+    options: SurfaceOptions,
     start: Surface | None = None,
 ) -> Surface:
-    """Solve the surface of a frame, coarse to fine.
+    """Solve the surface of a frame on its working size, coarse to fine.
 
     albedo: (h, w), that of the surroundings. trust: (h, w), beyond that of `measured`. start: the surface
-    that the labels came from, on the working size (`shrinking`), or None.
+    that the labels came from, or None.
     """
-    by_lights = np.asarray(_TRUST_BY_LIGHTS, dtype=np.float32)[count_lit(labels)]
+    by_lights = np.asarray(TRUST_BY_LIGHTS, dtype=np.float32)[count_lit(labels)]
     measured = replace(measured, trust=(measured.trust * trust * by_lights).astype(np.float32))
-    options = _with_measured_noise(measured, mask & (labels == ALL_LIT))
-    factor = shrinking(mask)
-    if factor == 1:
-        return _coarse_to_fine(measured, labels, albedo, mask, camera, options, start)
-    small, small_mask, small_labels, small_albedo = _shrunk(measured, labels, albedo, mask, factor)
-    small_camera = None if camera is None else camera.scaled(1.0 / factor)
-    solved = _coarse_to_fine(small, small_labels, small_albedo, small_mask, small_camera, options, start)
-    own = np.where(mask & (labels == ALL_LIT), measured.length, albedo)
-    return refine_surface(
-        measured.relative_to(own), labels, measured.lights, mask, first_normals=measured.normals,
-        weight=measured.trust, camera=camera, options=options, start=solved.enlarged(mask.shape, factor),
-    )  # fmt: skip
+    if start is not None and start.settled:
+        few = replace(options, iterations=_NEXT_ITERATIONS)
+        solve = _solver(measured, labels, albedo, mask, camera)
+        return replace(solve(first_normals=measured.normals, start=start, options=few), settled=True)
+    return replace(_coarse_to_fine(measured, labels, albedo, mask, camera, options, start), settled=True)
 
 
 def _shrunk(
@@ -125,13 +122,12 @@ def _better_than(
     return solve(first_normals=small.normals, start=found, options=middle).enlarged(mask.shape, 2)
 
 
-def _with_measured_noise(measured: LightContributions, full: Mask) -> SurfaceOptions:
-    found = slope_noise(measured.normals, full)
+def options_with_noise(slope: float | None) -> SurfaceOptions:
+    """Return what recovery asks of a surface whose slopes have this noise, None where it is not known."""
     options = SurfaceOptions()
-    if found is None:
+    if slope is None:
         return options
-    measured_noise = max(_NOISE_PER_SLOPE * found, _LEAST_NOISE)
-    return replace(options, noise=min(options.noise, measured_noise))
+    return replace(options, noise=min(options.noise, max(_NOISE_PER_SLOPE * slope, _LEAST_NOISE)))
 
 
 def _solver(
@@ -192,20 +188,42 @@ def _better_regions(first: FloatArray, second: FloatArray, shadow: Mask) -> Mask
 # How noisy the normals of one frame are: as far as no surface has them.
 
 
+def noise_of_frame(rgb: FloatArray, response: LightResponse, known: Mask) -> float | None:
+    """Return `slope_noise` of a frame's colours (h, w, 3), told by pairs of its rows."""
+    pairs = max(len(known) // _FEWEST_PAIRS, 2)
+    last = len(known) - len(known) % pairs
+
+    def rows(first: int) -> tuple[FloatArray, Mask]:
+        part = np.ascontiguousarray(rgb[first:last:pairs])
+        frame = LinearFrame(rgb=part, clipped=np.zeros(part.shape[:2], np.bool_))
+        return contributions_from_frame(frame, response).normals, known[first:last:pairs]
+
+    return _noise_between(*rows(0), *rows(1))
+
+
 def slope_noise(normals: FloatArray, known: Mask) -> float | None:
     """Return the standard deviation of a facing normal's slope, or None with too few `known` pixels.
 
     normals: (h, w, 3), camera frame. A slope's noise grows with 1 / n_z², which is taken out. The median
     makes steps in depth, where loops do not close either, count for little.
     """
-    facing = np.maximum(-normals[..., 2], _FLATTEST_FACING)
-    p, q = normals[..., 0] / facing, normals[..., 1] / facing
-    along_u = 0.5 * (p[:-1, :-1] + p[:-1, 1:] - p[1:, :-1] - p[1:, 1:])
-    along_v = 0.5 * (q[:-1, 1:] + q[1:, 1:] - q[:-1, :-1] - q[1:, :-1])
-    loops = known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]
+    return _noise_between(normals[:-1], known[:-1], normals[1:], known[1:])
+
+
+def _noise_between(upper: FloatArray, known: Mask, lower: FloatArray, also: Mask) -> float | None:
+    """upper, lower: (n, w, 3), normals of rows and of the rows below them."""
+
+    def slopes(normals: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        facing = np.maximum(-normals[..., 2], _FLATTEST_FACING)
+        return normals[..., 0] / facing, normals[..., 1] / facing, facing
+
+    (p, q, facing), (p_below, q_below, _) = slopes(upper), slopes(lower)
+    along_u = 0.5 * (p[:, :-1] + p[:, 1:] - p_below[:, :-1] - p_below[:, 1:])
+    along_v = 0.5 * (q[:, 1:] + q_below[:, 1:] - q_below[:, :-1] - q[:, :-1])
+    loops = known[:, :-1] & known[:, 1:] & also[:, :-1] & also[:, 1:]
     if np.count_nonzero(loops) < _FEWEST_LOOPS:
         return None
-    sums = np.abs((along_u + along_v) * facing[:-1, :-1] ** 2)[loops]
+    sums = np.abs((along_u + along_v) * facing[:, :-1] ** 2)[loops]
     return float(_MEDIAN_TO_DEVIATION * np.median(sums) / np.sqrt(2.0))  # of 8 slopes, a half each
 
 

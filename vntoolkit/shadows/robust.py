@@ -3,84 +3,216 @@
 Start, on a small image: a light is doubted where its cosine, its contribution over albedo and strength, is
 too small for the surrounding albedo. Then alternate: solve the surface from the lights that are not doubted
 (`surface`), predict each light's cosine on it, compare with the cosine measured, and cut (`graph_cut`). Go on
-from that surface at twice the size, and so on. A pixel that is dark in all three lights alike is dark paint;
-paint that changes within eight pixels is told from shadow by that.
+from that surface at twice the size, and so on up to the working size; on the frame itself only pixels in
+doubt are looked at again. A frame after another goes on from that one's surface. A pixel that is dark in all
+three lights alike is dark paint; paint that changes within eight pixels is told from shadow by that.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 from numba import prange
 
-from vntoolkit.arrays import FloatArray, Mask
+from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.native import njit
-from vntoolkit.photometry.frame import labels_from_lit
+from vntoolkit.photometry.frame import ALL_LIT, LinearFrame, labels_from_lit
+from vntoolkit.photometry.response import LightResponse
 from vntoolkit.shadows.albedo import albedo_from_lit
-from vntoolkit.shadows.contributions import LightContributions, all_of_three, largest_of_three, shrinking
+from vntoolkit.shadows.contributions import (
+    LightContributions,
+    Window,
+    all_of_three,
+    largest_of_three,
+    shrinking,
+    small_contributions,
+)
 from vntoolkit.shadows.evidence import (
-    evidence_from_albedo,
+    PAINT_COSINE,
+    SMALLEST_ALBEDO,
+    TOLERANCE_DARK,
+    evidence_of_frame,
+    evidence_over,
+    lamps_of,
     largest_dark_cosine,
+    memory_of,
+    paint_scale,
     sharpened_cosines,
+    typical_dark_cosine,
 )
 from vntoolkit.shadows.graph_cut import bonds_of_light, lit_by_cut
-from vntoolkit.shadows.shadow_edges import (
-    lit_beyond_half,
-    turned_from_lights,
-)
+from vntoolkit.shadows.shadow_edges import labels_beyond_half, turned_from_lights
 from vntoolkit.shadows.surface import Surface, SurfaceOptions, solve_surface
 
-_STRONGEST_EVIDENCE = 4.0
-_SMALLEST_ALBEDO = 1e-3
-
 # A cosine is 1 where a surface of the local albedo faces the light.
+_WEAK_COSINE = 0.35  # a frame without any that is less has no shadow
 _FIRST_COSINE = 0.2  # lights with less are doubted at the start
-_PAINT_PART = 0.5  # dark paint: all three cosines are below this part of the predicted ones …
-_PAINT_COSINE = 0.12  # … and above this one
-_TOLERANCE_DARK = 0.04  # change of a cosine that is one unit of evidence where none is predicted
-_TOLERANCE_BRIGHT = 0.05  # what each unit of predicted cosine adds to that
 _SMOOTHNESS = 0.5  # price of a change of label between neighbours, in units of evidence
 _CONTRAST = 0.6  # see `bonds_of_light`
 _ROUNDS = 3  # alternations of surface and labels on the smallest image; most of the change comes in the first
 _FINER_ROUNDS = 2  # the same on every larger one
 _START_PIXELS = 15_000  # images are halved until they are not larger; there the labels start
 _PERSISTENCE = 0.25  # weight of the previous frame's evidence
+_CHANGED = 0.25  # of the light: a frame that differs by more from the one before has nothing to do with it
 # Of a surface whose labels may still be wrong.
 _FIRST_SURFACE = SurfaceOptions(iterations=3, noise=0.08, smoothness=1.5)
 _FINER_SURFACE = SurfaceOptions(iterations=2, noise=0.08, smoothness=1.5)
+_NEXT_SURFACE = SurfaceOptions(iterations=1, noise=0.08, smoothness=1.5)
 
 
-def lit_by_surface(
-    measured: LightContributions,
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FrameMemory:
+    """What a frame leaves for the next, of its window in the image.
+
+    evidence: (h, w, 3) of the window, see `evidence_of_frame`; None where nothing was in doubt. colours:
+    (h', w', 3), contributions on the working size. surface: on that size, where the labels came from.
+    albedo: (h', w'). recovered: the surface that recovery found, or None.
+    """
+
+    window: Window
+    evidence: npt.NDArray[np.int8] | None
+    colours: FloatArray
+    surface: Surface | None
+    albedo: FloatArray
+    recovered: Surface | None = None
+
+    @property
+    def start(self) -> Surface | None:
+        """What recovery goes on from: where there are shadows, its own surface of the frame before."""
+        if self.recovered is None or self.surface is None:
+            return self.surface
+        return self.recovered
+
+
+def labels_by_surface(
+    frame: LinearFrame,
+    response: LightResponse,
     mask: Mask,
+    window: Window,
     camera: Camera | None = None,
-    memory: FloatArray | None = None,
-) -> tuple[npt.NDArray[np.bool_], FloatArray, Surface]:
-    """Return (h, w, 3) which lights arrive.
+    last: FrameMemory | None = None,
+) -> tuple[VisibilityLabels, FrameMemory]:
+    """Return (h, w) labels, bit k set where light k arrives, of a frame, which is a window of its image.
 
-    Also return the (h, w, 3) evidence that the next frame may remember, and the surface, on the working size,
-    that the labels came from.
+    Also return what the next frame may remember; its surface is that of the labels, on the working size.
     """
     factor = shrinking(mask)
-    small, small_mask = (measured, mask) if factor == 1 else measured.shrunk(mask, factor)
+    small, small_mask = small_contributions(frame, response, mask, factor)
     small_camera = None if camera is None else camera.scaled(1.0 / factor)
-    surface, albedo = _surface_by_rounds(small, small_mask, small_camera)
-    normals = surface.normals.astype(np.float32)
-    normals, albedo = _enlarged(normals, mask.shape), _enlarged(albedo, mask.shape)
-    predicted = normals @ measured.directions.T.astype(np.float32)
-    raw = measured.cosines(albedo)
-    cosines = _without_paint(raw, predicted)
-    sharp = _without_paint(sharpened_cosines(raw, mask), predicted)
-    evidence = _evidence(sharp, predicted, albedo, mask)
-    evidence += evidence_from_albedo(measured, sharp, predicted, albedo, mask)
-    evidence = np.clip(evidence, -_STRONGEST_EVIDENCE, _STRONGEST_EVIDENCE)
-    if memory is not None and memory.shape == evidence.shape:
-        evidence = (1 - _PERSISTENCE) * evidence + _PERSISTENCE * memory
-    turned = turned_from_lights(normals, cosines, measured.directions, mask, factor)
-    lit = _cut(evidence, cosines, mask) & ~turned
-    return lit_beyond_half(lit, cosines, predicted, mask), evidence, surface
+    labels: VisibilityLabels = np.full(mask.shape, ALL_LIT, np.uint8)
+    if not _is_doubted(small, small_mask):
+        return labels, FrameMemory(
+            window=window, evidence=None, colours=small.contributions, surface=None, albedo=small.length
+        )
+    last = None if last is None else _placed(last, window, mask.shape, small_mask.shape)
+    if last is not None and not _goes_on(last, small, small_mask):
+        last = None
+    if last is None or last.surface is None:
+        surface, albedo = _surface_by_rounds(small, small_mask, small_camera)
+    else:
+        lit = _lit_on(last.surface, small, last.albedo, small_mask)
+        surface, albedo = _solved(small, small_mask, small_camera, lit, _NEXT_SURFACE, last.surface)
+    predicted = _predicted(surface, small)
+    raw = small.cosines(albedo)
+    kept = np.zeros(small_mask.shape, np.float32)
+    if last is not None:
+        kept = _PERSISTENCE * _sameness(raw, last, small, albedo)
+    if factor == 1:
+        raw = sharpened_cosines(raw, small_mask)
+    dark = typical_dark_cosine(_without_paint(raw, predicted), predicted, albedo, small_mask)
+    found = evidence_of_frame(
+        np.ascontiguousarray(frame.rgb), mask, lamps_of(response), np.dstack([predicted, albedo, kept]), dark,
+        None if last is None else last.evidence,
+    )  # fmt: skip
+    memory = None
+    if found.near.any():
+        memory = memory_of(found)
+        for k in range(3):
+            lit = _cut_light(found.evidence[k], found.cosines, k, found.near)
+            labels[~lit] &= ALL_LIT - (1 << k)
+        labels &= ~turned_from_lights(surface.normals, found.cosines, small.directions, mask, found.near)
+        labels = labels_beyond_half(labels, found.cosines, found.facing, mask, found.near)
+    recovered = None
+    if last is not None and last.recovered is not None:
+        lit = _all_lit_on(small_mask.shape, labels)
+        normals = np.where(lit[..., None], surface.normals, last.recovered.normals)
+        recovered = replace(last.recovered, normals=normals)
+    return labels, FrameMemory(
+        window=window, evidence=memory, colours=small.contributions, surface=surface, albedo=albedo,
+        recovered=recovered,
+    )  # fmt: skip
+
+
+def _is_doubted(small: LightContributions, mask: Mask) -> bool:
+    """Tell whether any light is weak anywhere, so that a surface must say whether it is missing."""
+    cosines = small.cosines(albedo_from_lit(small.length, mask))
+    return bool(((cosines.min(axis=-1) < _WEAK_COSINE) & mask).any())
+
+
+def _all_lit_on(shape: tuple[int, ...], labels: VisibilityLabels) -> Mask:
+    small = cv2.resize(labels, shape[::-1], interpolation=cv2.INTER_NEAREST)
+    return np.asarray(small == ALL_LIT)
+
+
+def _placed(last: FrameMemory, window: Window, shape: tuple[int, ...], small: tuple[int, ...]) -> FrameMemory:
+    """Return what was remembered of one window of the image in the place of another.
+
+    shape, small: (h, w) of the window and of its working size.
+    """
+    if last.window == window:
+        return last
+    rows, columns = last.window
+    height, width = last.colours.shape[:2]
+    # pixels of the old working size per pixel of the new
+    down, right = height * shape[0] / small[0] / (rows.stop - rows.start), width * shape[1] / small[1]
+    right /= columns.stop - columns.start
+    top = (window[0].start - rows.start) * height / (rows.stop - rows.start) + 0.5 * down - 0.5
+    left = (window[1].start - columns.start) * width / (columns.stop - columns.start) + 0.5 * right - 0.5
+    place = np.array([[right, 0.0, left], [0.0, down, top]])
+
+    def moved(image: FloatArray) -> FloatArray:
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        single = np.asarray(image, np.float32)
+        placed = cv2.warpAffine(single, place, small[::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE)
+        return np.asarray(placed, dtype=np.float32)
+
+    evidence = None
+    if last.evidence is not None:
+        evidence = np.full((*shape, 3), 127, np.int8)
+        first = [max(new.start, old.start) for new, old in zip(window, last.window, strict=True)]
+        end = [min(new.stop, old.stop) for new, old in zip(window, last.window, strict=True)]
+        if end[0] > first[0] and end[1] > first[1]:
+            to, of = (
+                tuple(slice(a - w.start, b - w.start) for a, b, w in zip(first, end, place_of, strict=True))
+                for place_of in (window, last.window)
+            )
+            evidence[to] = last.evidence[of]
+    return FrameMemory(
+        window=window, evidence=evidence, colours=moved(last.colours), albedo=moved(last.albedo),
+        surface=None if last.surface is None else last.surface.moved(moved, 1.0 / down),
+        recovered=None if last.recovered is None else last.recovered.moved(moved, 1.0 / down),
+    )  # fmt: skip
+
+
+def _goes_on(last: FrameMemory, small: LightContributions, mask: Mask) -> bool:
+    """Tell whether a frame shows what the one before it showed, about in the same place."""
+    inside = mask[::2, ::2, None]
+    now, before = small.contributions[::2, ::2], last.colours[::2, ::2]
+    change, light = np.abs(now - before) * inside, np.abs(now) * inside
+    return float(change.sum()) <= _CHANGED * float(light.sum())
+
+
+def _sameness(
+    cosines: FloatArray, last: FrameMemory, small: LightContributions, albedo: FloatArray
+) -> FloatArray:
+    """(h, w), 1 where no light changed since the frame before, 0 where one did."""
+    before = replace(small, contributions=last.colours).cosines(albedo)
+    change = largest_of_three(np.abs(cosines - before)) / TOLERANCE_DARK
+    return np.exp(-change * change)
 
 
 def _surface_by_rounds(
@@ -97,34 +229,50 @@ def _surface_by_rounds(
         surface, rounds, options = coarse.enlarged(mask.shape, 2), _FINER_ROUNDS, _FINER_SURFACE
         lit = _lit_on(surface, measured, _enlarged(albedo, mask.shape), mask)
     for i in range(rounds):
-        full = all_of_three(lit) & mask
-        albedo = albedo_from_lit(measured.length, full)
-        surface = solve_surface(
-            measured.relative_to(np.where(full, measured.length, albedo)), labels_from_lit(lit),
-            measured.lights, mask, first_normals=measured.normals, weight=measured.trust, camera=camera,
-            options=options, start=surface,
-        )  # fmt: skip
+        surface, albedo = _solved(measured, mask, camera, lit, options, surface)
         if i + 1 < rounds:
             lit = _lit_on(surface, measured, albedo, mask)
     assert surface is not None
     return surface, albedo
 
 
+def _solved(
+    measured: LightContributions, mask: Mask, camera: Camera | None, lit: npt.NDArray[np.bool_],
+    options: SurfaceOptions, start: Surface | None,
+) -> tuple[Surface, FloatArray]:  # fmt: skip
+    """Return the surface (h, w) under these labels, and the albedo."""
+    full = all_of_three(lit) & mask
+    albedo = albedo_from_lit(measured.length, full)
+    surface = solve_surface(
+        measured.relative_to(np.where(full, measured.length, albedo)), labels_from_lit(lit),
+        measured.lights, mask, first_normals=measured.normals, weight=measured.trust, camera=camera,
+        options=options, start=start,
+    )  # fmt: skip
+    return surface, albedo
+
+
+def _predicted(surface: Surface, measured: LightContributions) -> FloatArray:
+    """(h, w, 3): what the surface would return of each light."""
+    normals: FloatArray = surface.normals.astype(np.float32)
+    return normals @ measured.directions.T.astype(np.float32)
+
+
 def _lit_on(
     surface: Surface, measured: LightContributions, albedo: FloatArray, mask: Mask
 ) -> npt.NDArray[np.bool_]:
     """Label by what the surface would return."""
-    predicted = surface.normals.astype(np.float32) @ measured.directions.T.astype(np.float32)
+    predicted = _predicted(surface, measured)
     cosines = _without_paint(measured.cosines(albedo), predicted)
-    return _cut(_evidence(cosines, predicted, albedo, mask), cosines, mask)
+    evidence = _evidence(cosines, predicted, albedo, mask)
+    return np.stack(
+        [_cut_light(np.ascontiguousarray(evidence[..., k]), cosines, k, mask) for k in range(3)], axis=-1
+    )
 
 
-def _cut(evidence: FloatArray, cosines: FloatArray, mask: Mask) -> npt.NDArray[np.bool_]:
-    lit = np.empty(cosines.shape, dtype=np.bool_)
-    for k in range(3):
-        bonds = bonds_of_light(cosines, k, mask, _SMOOTHNESS, _CONTRAST)
-        lit[..., k] = lit_by_cut(evidence[..., k], bonds, mask)
-    return lit
+def _cut_light(evidence: FloatArray, cosines: FloatArray, k: int, mask: Mask) -> npt.NDArray[np.bool_]:
+    decided = np.abs(evidence) > 4 * _SMOOTHNESS
+    bonds = bonds_of_light(cosines, k, mask, _SMOOTHNESS, _CONTRAST, decided)
+    return lit_by_cut(evidence, bonds, mask, _SMOOTHNESS)
 
 
 def _enlarged(image: FloatArray, shape: tuple[int, ...]) -> FloatArray:
@@ -136,13 +284,13 @@ def _enlarged(image: FloatArray, shape: tuple[int, ...]) -> FloatArray:
 def _first_doubts(measured: LightContributions, mask: Mask) -> npt.NDArray[np.bool_]:
     inside = measured.length[mask]
     typical = float(np.median(inside)) if inside.size else 1.0
-    albedo: FloatArray = np.full(mask.shape, max(typical, _SMALLEST_ALBEDO), dtype=np.float32)
+    albedo: FloatArray = np.full(mask.shape, max(typical, SMALLEST_ALBEDO), dtype=np.float32)
     lit = np.ones((*mask.shape, 3), dtype=np.bool_)
     for _ in range(3):  # albedo and doubts settle each other
         cosines = measured.cosines(albedo)
         lit = cosines > _FIRST_COSINE
         brightest = largest_of_three(cosines)[..., None]
-        paint = all_of_three(~lit)[..., None] & (brightest > _PAINT_COSINE)
+        paint = all_of_three(~lit)[..., None] & (brightest > PAINT_COSINE)
         lit |= paint & (cosines > _FIRST_COSINE * brightest)
         albedo = albedo_from_lit(measured.length, all_of_three(lit) & mask)
     return lit
@@ -160,12 +308,7 @@ def _paint_kernel(cosines: FloatArray, predicted: FloatArray, out: FloatArray) -
     h, w, _ = cosines.shape
     for v in prange(h):
         for u in range(w):
-            a = cosines[v, u, 0] / max(predicted[v, u, 0], np.float32(_TOLERANCE_DARK))
-            b = cosines[v, u, 1] / max(predicted[v, u, 1], np.float32(_TOLERANCE_DARK))
-            c = cosines[v, u, 2] / max(predicted[v, u, 2], np.float32(_TOLERANCE_DARK))
-            typical = max(min(a, b), min(max(a, b), c))
-            paint = max(a, b, c) < _PAINT_PART and typical > _PAINT_COSINE
-            scale = np.float32(1.0) / max(typical, np.float32(_SMALLEST_ALBEDO)) if paint else np.float32(1.0)
+            scale = paint_scale(cosines[v, u], predicted[v, u])
             for k in range(3):
                 out[v, u, k] = cosines[v, u, k] * scale
 
@@ -185,8 +328,7 @@ def _evidence_kernel(
     h, w, _ = cosines.shape
     for v in prange(h):
         for u in range(w):
-            noise = grain[v, u, 0]
             for k in range(3):
-                unit = _TOLERANCE_DARK + _TOLERANCE_BRIGHT * max(predicted[v, u, k], 0.0)
-                found = (cosines[v, u, k] - level[v, u, k]) / np.sqrt(unit * unit + noise * noise)
-                level[v, u, k] = min(max(found, -_STRONGEST_EVIDENCE), _STRONGEST_EVIDENCE)
+                level[v, u, k] = evidence_over(
+                    cosines[v, u, k], level[v, u, k], predicted[v, u, k], grain[v, u, 0]
+                )

@@ -7,14 +7,17 @@ the light; where the surface itself turns from it, light fades on both sides and
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 import numpy.typing as npt
+from numba import prange
 
 from vntoolkit.arrays import FloatArray, Mask, Matrix3, VisibilityLabels
-from vntoolkit.photometry.frame import ALL_LIT, labels_from_lit, lit_from_labels
+from vntoolkit.native import njit
+from vntoolkit.photometry.frame import ALL_LIT, labels_from_lit
 
-Lit = npt.NDArray[np.bool_]
 _OUTWARDS_PX = 1.5  # radius over which the way to the outline is averaged
 
 # The edge of a cast shadow; cosines are 1 where a surface faces the light.
@@ -22,7 +25,6 @@ _CAST_PART = (
     0.45  # below this part of the largest cosine nearby a pixel beside the shadow joins it: half, less noise
 )
 _CAST_REACH_PX = 2  # how far nearby is: a blur of 0.9 pixels is over by then
-_CAST_FACING = 0.2  # predicted cosine from which a shadow counts as cast
 _CAST_FAINTEST = 0.22  # largest cosine nearby from which there is an edge to judge
 
 # Half-shadow.
@@ -38,78 +40,115 @@ _AWAY = 0.05  # cosine to the light below which the continued surface has turned
 _BRIGHTEST = 0.1  # a larger cosine is never called shadow
 
 
-def lit_beyond_half(lit: Lit, cosines: FloatArray, predicted: FloatArray, mask: Mask) -> Lit:
-    """Return `lit` (h, w, 3) without the pixels beside a cast shadow that less than half the light reaches.
+def labels_beyond_half(
+    labels: VisibilityLabels,
+    cosines: FloatArray,
+    facing: npt.NDArray[np.uint8],
+    mask: Mask,
+    near: Mask | None = None,
+) -> VisibilityLabels:
+    """Return labels (h, w) without the lights of which less than half arrives beside a cast shadow.
 
-    cosines, predicted: (h, w, 3), measured and to be expected where the light arrives.
+    cosines: (h, w, 3), measured. facing: (h, w), bit k set where the surface faces light k, so that its
+    shadow is cast. near: (h, w), holds all shadows of `mask` and the pixels around them.
     """
-    out = lit.copy()
-    for k in range(3):
-        cast = mask & ~lit[..., k] & (predicted[..., k] > _CAST_FACING)
-        out[..., k] &= ~partly_lit(
-            lit[..., k] & mask, cast, cosines[..., k], _CAST_PART, _CAST_REACH_PX, _CAST_FAINTEST
-        )
-    return out
+    missing = ~labels & ALL_LIT
+    return _without_part(
+        labels, missing & facing, cosines, mask, mask if near is None else near, _CAST_PART, _CAST_REACH_PX,
+        _CAST_FAINTEST,
+    )  # fmt: skip
 
 
 # Half-shadow: lit pixels at the edge of a cast shadow that a light reaches only in part.
 
 
-def labels_without_penumbra(labels: VisibilityLabels, relative: FloatArray, mask: Mask) -> VisibilityLabels:
+def labels_without_penumbra(
+    labels: VisibilityLabels, relative: FloatArray, mask: Mask, near: Mask | None = None
+) -> VisibilityLabels:
     """Count each light as missing where it arrives in part.
 
-    labels: (h, w), bit k set where light k arrives. relative: (h, w, 3), contributions over the albedo.
-    Returns labels (h, w), 7 outside `mask`.
+    labels: (h, w), bit k set where light k arrives. relative: (h, w, 3), contributions over the albedo,
+    known where `near`. Returns labels (h, w), 7 outside `mask`.
     """
-    whole = lit_from_labels(labels) | ~mask[..., None]
-    for k in range(3):
-        lit = whole[..., k].copy()
-        whole[..., k] &= ~partly_lit(
-            lit & mask, ~lit, relative[..., k], _PENUMBRA_PART, _PENUMBRA_REACH_PX, _PENUMBRA_FAINTEST
-        )
-    return np.where(mask, labels_from_lit(whole), ALL_LIT).astype(np.uint8)
+    found = _without_part(
+        labels, ~labels & ALL_LIT, relative, mask, mask if near is None else near, _PENUMBRA_PART,
+        _PENUMBRA_REACH_PX, _PENUMBRA_FAINTEST,
+    )  # fmt: skip
+    return np.where(mask, found, ALL_LIT).astype(np.uint8)
 
 
-def partly_lit(
-    lit: Mask, shadow: Mask, cosine: FloatArray, part: float, reach_px: int, faintest: float
-) -> Mask:
-    """Return (h, w): pixels of `lit` beside `shadow` with less than `part` of the largest cosine nearby.
+def _without_part(
+    labels: VisibilityLabels, shadow: npt.NDArray[Any], cosines: FloatArray, mask: Mask, near: Mask,
+    part: float, reach_px: int, faintest: float,
+) -> VisibilityLabels:  # fmt: skip
+    """Take a light from the pixels beside its shadow with less than `part` of the largest cosine nearby."""
+    out: VisibilityLabels = np.array(labels, dtype=np.uint8)
+    _part_kernel(
+        np.asarray(labels), np.asarray(shadow, np.uint8), np.asarray(cosines, np.float32), np.asarray(mask),
+        np.asarray(near), part, reach_px, faintest, out,
+    )  # fmt: skip
+    return out
 
-    cosine: (h, w), what comes back of one light over the albedo. reach_px: how far nearby is. faintest: the
-    largest cosine nearby must be more than this.
-    """
-    beside = cv2.dilate(shadow.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    cosine = np.where(lit, cosine, 0.0).astype(np.float32)
-    brightest = cv2.dilate(cosine, np.ones((2 * reach_px + 1,) * 2, np.uint8))
-    return np.asarray(lit & beside & (brightest > faintest) & (cosine < part * brightest))
+
+@njit(cache=True, parallel=True)
+def _part_kernel(
+    labels: VisibilityLabels, shadow: npt.NDArray[np.uint8], cosines: FloatArray, mask: Mask, near: Mask,
+    part: float, reach: int, faintest: float, out: VisibilityLabels,
+) -> None:  # fmt: skip
+    """shadow: (h, w), bit k set where a shadow of light k counts; reach: in pixels, how far nearby is."""
+    h, w = mask.shape
+    for v in prange(h):
+        for u in range(w):
+            if not near[v, u] or not mask[v, u]:
+                continue
+            beside = 0
+            for y in range(max(v - 1, 0), min(v + 2, h)):
+                for x in range(max(u - 1, 0), min(u + 2, w)):
+                    if mask[y, x]:
+                        beside |= shadow[y, x]
+            beside &= labels[v, u]
+            for k in range(3):
+                if (beside >> k) & 1 == 0:
+                    continue
+                brightest = np.float32(0.0)
+                for y in range(max(v - reach, 0), min(v + reach + 1, h)):
+                    for x in range(max(u - reach, 0), min(u + reach + 1, w)):
+                        if mask[y, x] and (labels[y, x] >> k) & 1 == 1:
+                            brightest = max(brightest, cosines[y, x, k])
+                if brightest > faintest and cosines[v, u, k] < part * brightest:
+                    out[v, u] &= np.uint8(7 - (1 << k))
 
 
 # The last pixels before a figure's outline, where the surface turns out of sight within a pixel or two.
 
 
 def turned_from_lights(
-    normals: FloatArray, cosines: FloatArray, directions: Matrix3, mask: Mask, scale: float = 1.0
-) -> npt.NDArray[np.bool_]:
-    """Return (h, w, 3): True beside the outline of `mask` where the surface turns from the light.
+    normals: FloatArray, cosines: FloatArray, directions: Matrix3, mask: Mask, near: Mask | None = None
+) -> VisibilityLabels:
+    """Return (h, w), bit k set beside the outline of `mask` where the surface turns from light k.
 
-    normals: (h, w, 3), predicted. cosines: (h, w, 3), measured. directions: (3, 3), one unit row per light.
-    scale: pixels of this image per pixel of the one that the normals were found on.
+    normals: (h', w', 3), predicted, on the same or a smaller image of the field. cosines: (h, w, 3),
+    measured. directions: (3, 3), one unit row per light. near: (h, w), pixels that are asked; None for all.
     """
-    turned = np.zeros((*mask.shape, 3), dtype=np.bool_)
-    inset: FloatArray = np.asarray(cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5), np.float32)
-    v, u = np.nonzero(mask & (inset < _RIM_PX))
-    if not len(v) or mask.all():
+    turned: VisibilityLabels = np.zeros(mask.shape, np.uint8)
+    if mask.all():
         return turned
-    near, far = scale * _NEAR_PX, scale * _FAR_PX
+    inset: FloatArray = np.asarray(cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5), np.float32)
+    asked = mask & (inset < _RIM_PX)
+    v, u = np.nonzero(asked if near is None else asked & near)
+    if not len(v):
+        return turned
+    scale = mask.shape[0] / normals.shape[0]
+    near_px, far = scale * _NEAR_PX, scale * _FAR_PX
     inwards = _inwards(inset, v, u)
-    first = _unit(_sampled(normals, v, u, inwards, near - inset[v, u]))
-    second = _unit(_sampled(normals, v, u, inwards, far - inset[v, u]))
-    turn = (second[:, 2] ** 2 - first[:, 2] ** 2) / (far - near)
-    facing = np.clip(first[:, 2] ** 2 - turn * (near - inset[v, u]), 0.0, 1.0)
+    first = _unit(_sampled(normals, v, u, inwards, near_px - inset[v, u], mask.shape))
+    second = _unit(_sampled(normals, v, u, inwards, far - inset[v, u], mask.shape))
+    turn = (second[:, 2] ** 2 - first[:, 2] ** 2) / (far - near_px)
+    facing = np.clip(first[:, 2] ** 2 - turn * (near_px - inset[v, u]), 0.0, 1.0)
     sideways = _unit(first[:, :2]) * np.sqrt(1.0 - facing)[:, None]
     continued = np.concatenate([sideways, -np.sqrt(facing)[:, None]], axis=1)
     away = (continued @ directions.T < _AWAY) & (turn > _LEAST_TURN)[:, None]
-    turned[v, u] = away & (cosines[v, u] < _BRIGHTEST)
+    turned[v, u] = labels_from_lit(away & (cosines[v, u] < _BRIGHTEST))
     return turned
 
 
@@ -121,17 +160,16 @@ def _inwards(inset: FloatArray, v: npt.NDArray[np.intp], u: npt.NDArray[np.intp]
 
 
 def _sampled(
-    image: FloatArray,
-    v: npt.NDArray[np.intp],
-    u: npt.NDArray[np.intp],
-    inwards: FloatArray,
-    distance: FloatArray,
-) -> FloatArray:
-    """(n, c) values at `distance` (n,) from the pixels (v, u) along `inwards` (n, 2)."""
-    columns = np.clip(u + inwards[:, 0] * distance, 0, image.shape[1] - 1)
-    rows = np.clip(v + inwards[:, 1] * distance, 0, image.shape[0] - 1)
+    image: FloatArray, v: npt.NDArray[np.intp], u: npt.NDArray[np.intp], inwards: FloatArray,
+    distance: FloatArray, shape: tuple[int, ...],
+) -> FloatArray:  # fmt: skip
+    """(n, c) values at `distance` (n,) from the pixels (v, u) of (h, w) = shape along `inwards` (n, 2)."""
+    height, width = image.shape[:2]
+    columns = (u + inwards[:, 0] * distance + 0.5) * (width / shape[1]) - 0.5
+    rows = (v + inwards[:, 1] * distance + 0.5) * (height / shape[0]) - 0.5
+    columns, rows = np.clip(columns, 0, width - 1), np.clip(rows, 0, height - 1)
     column, row = np.floor(columns).astype(np.intp), np.floor(rows).astype(np.intp)
-    right, below = np.minimum(column + 1, image.shape[1] - 1), np.minimum(row + 1, image.shape[0] - 1)
+    right, below = np.minimum(column + 1, width - 1), np.minimum(row + 1, height - 1)
     x, y = (columns - column)[:, None], (rows - row)[:, None]
     above = (1 - x) * image[row, column] + x * image[row, right]
     return (1 - y) * above + y * ((1 - x) * image[below, column] + x * image[below, right])

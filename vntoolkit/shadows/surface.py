@@ -12,8 +12,9 @@ Under a perspective camera the unknown is f · log z, whose gradient takes the p
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -29,7 +30,7 @@ from vntoolkit.shadows.albedo import fill_smoothly
 from vntoolkit.shadows.contributions import TOWARDS_VIEWER, lengths_of, mean_inside
 from vntoolkit.solvers import grid_hierarchy, solve_grid
 
-_FLATTEST_Z = 0.12  # |n_z| below which a first slope is held, so that no pixel starts edge-on
+FLATTEST_Z = 0.12  # |n_z| below which a first slope is held, so that no pixel starts edge-on
 Grid = npt.NDArray[np.float32]
 Labels = npt.NDArray[np.uint8]
 # The energy; cosines are 1 where a surface of the local albedo faces the light.
@@ -41,8 +42,7 @@ _SMOOTH_PX = 2.0  # standard deviation of the surroundings whose mean slope a sh
 _MISSING_LIGHT_WEIGHT = 0.3  # of a light labelled missing where the surface would return what is seen …
 _MISSING_LIGHT_CUTOFF = 0.2  # … and the difference of cosines at which that weight ends
 _DAMPING = 1.0  # holds the slope back where nothing else is known
-_STEEPEST = 8.0  # largest slope: the tangent of the angle from the viewing ray
-_HELD = 600.0  # of the slope from the smaller image: about what four neighbours know together
+STEEPEST = 8.0  # largest slope: the tangent of the angle from the viewing ray
 _CYCLES, _TOLERANCE = 5, 3e-3  # multigrid cycles a step, at most; relative residual that ends one early
 
 
@@ -66,13 +66,15 @@ class Surface:
 
     normals: (h, w, 3) unit, camera frame. depth: (h, w) float32, pixels (orthographic) or f · log z.
     agreement: (h, w), 0 to 1, how far depth and colour agree on a fully lit pixel's slope, 0 at the border.
-    misfit: (h, w), χ² of the light that arrives against the light that the surface would return.
+    misfit: (h, w), χ² of the light that arrives against the light that the surface would return. settled:
+    whether it goes on from one whose shadows took the better of their two roots.
     """
 
     normals: FloatArray
     depth: Grid
     agreement: Grid
     misfit: Grid
+    settled: bool = False
 
     def enlarged(self, shape: tuple[int, ...], factor: int) -> Surface:
         """Return the same surface on a grid `factor` times finer; depth counts pixels, so it grows too."""
@@ -86,6 +88,16 @@ class Surface:
             depth=np.ascontiguousarray(enlarge(self.depth) * np.float32(factor)),
             agreement=enlarge(self.agreement),
             misfit=enlarge(self.misfit),
+        )
+
+    def moved(self, move: Callable[[FloatArray], FloatArray], scale: float) -> Surface:
+        """Return the same surface on another grid, with `scale` pixels per pixel of this one."""
+        return replace(
+            self,
+            normals=_unit_or_facing(move(self.normals)),
+            depth=np.ascontiguousarray(move(self.depth) * np.float32(scale)),
+            agreement=move(self.agreement),
+            misfit=move(self.misfit),
         )
 
     def shrunk(self, mask: Mask, factor: int) -> Surface:
@@ -126,18 +138,18 @@ def solve_surface(
     colour. camera: None for orthographic. start: a solution to go on from. Distortion is ignored.
     """
     options = options or SurfaceOptions()
-    rays = _ray_grid(camera)
+    rays = ray_grid(camera)
     trust = np.where(mask, 1.0 if weight is None else np.maximum(weight, 1e-3), 0.0).astype(np.float32)
     data = np.nan_to_num(np.asarray(cosines)).astype(np.float32)
     seen = np.where(mask, labels, 0).astype(np.uint8)
     known = mask & (labels == ALL_LIT)
     guess = known if guessed is None else known | (mask & guessed)
     slopes, depth = _first_guess(first_normals, guess, rays, start)
-    rows = np.ascontiguousarray(lights, dtype=np.float64)
+    rows = np.ascontiguousarray(lights, dtype=np.float32)
     weights = np.empty((*mask.shape, 4), np.float32)
     agreement = np.zeros(mask.shape, np.float32)
     quadratics = np.empty((*mask.shape, 6), np.float32)
-    model = _model(options)
+    model = model_of(options)
     prior_weights = _prior_weights(mask, known)
     softness = 0.0  # the first depth must hold together before it may show steps
     for _ in range(options.iterations):
@@ -147,7 +159,7 @@ def solve_surface(
             quadratics, seen, mask, slopes, depth, softness, _SHADOW_STEP_SOFTNESS, weights
         )
         depth = _solve_depth(quadratics, slopes, weights, depth)
-        slopes_kernel(depth, weights, _STEEPEST, slopes, agreement)
+        slopes_kernel(depth, weights, STEEPEST, slopes, agreement)
         softness = _STEP_SOFTNESS
     local_quadratics_kernel(data, seen, trust, slopes, prior, rows, rays, model, quadratics)
     normals = _blend(normals_from_slopes(slopes, rays), first_normals, known, agreement)
@@ -159,37 +171,13 @@ def solve_surface(
     )
 
 
-def refine_surface(
-    cosines: FloatArray,
-    labels: VisibilityLabels,
-    lights: FloatArray,
-    mask: Mask,
-    *,
-    first_normals: FloatArray,
-    weight: Weight,
-    camera: Camera | None,
-    options: SurfaceOptions,
-    start: Surface,
-) -> Surface:
-    """Bring a surface that was solved on a smaller image, enlarged, to the detail of this one.
-
-    Arguments as for `solve_surface`. What pixels owe to each other the smaller image has settled: here every
-    pixel takes what its own light says beyond it, for a pass over the image instead of a linear system.
-    """
-    trust = np.where(mask, np.maximum(weight, 1e-3), 0.0).astype(np.float32)
-    normals = np.ascontiguousarray(start.normals, dtype=np.float32)
-    refine_kernel(
-        np.asarray(cosines, np.float32), labels, trust, np.ascontiguousarray(lights, dtype=np.float64),
-        _ray_grid(camera), _model(options), _HELD, _STEEPEST, first_normals, start.agreement, normals,
-    )  # fmt: skip
-    return replace(start, normals=normals)
-
-
-def _model(options: SurfaceOptions) -> Model:
-    return Model(
+def model_of(options: SurfaceOptions) -> Model:
+    """Lay the energy out for the loops."""
+    values = (
         options.noise, _ALBEDO_SPREAD, _OWN_ALBEDO_SPREAD, options.smoothness, _DAMPING,
         _MISSING_LIGHT_WEIGHT, _MISSING_LIGHT_CUTOFF,
     )  # fmt: skip
+    return Model(*(np.float32(value) for value in values))
 
 
 def normals_from_slopes(slopes: FloatArray, rays: RayGrid) -> FloatArray:
@@ -212,11 +200,13 @@ def depth_map_from_surface(surface: Surface, mask: Mask, camera: Camera | None =
     return DepthMap(depth=depth, mask=mask, unit=LengthUnit.FREE if perspective else LengthUnit.PIXEL)
 
 
-def _ray_grid(camera: Camera | None) -> RayGrid:
+def ray_grid(camera: Camera | None) -> RayGrid:
+    """Return a camera's rays, distortion ignored; all along the axis without one, or if orthographic."""
     if camera is None or not camera.is_perspective:
-        return RayGrid(0.0, 0.0, 0.0, 0.0)
+        return RayGrid(*np.zeros(4, np.float32))
     k = camera.matrix
-    return RayGrid(float(k[0, 2]), float(k[1, 2]), 1.0 / float(k[0, 0]), 1.0 / float(k[1, 1]))
+    values = (k[0, 2], k[1, 2], 1.0 / k[0, 0], 1.0 / k[1, 1])
+    return RayGrid(*(np.float32(value) for value in values))
 
 
 def _rays(rays: RayGrid, shape: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
@@ -229,12 +219,12 @@ def _first_guess(normals: FloatArray, known: Mask, rays: RayGrid, start: Surface
     """Slopes of the lit pixels, continued smoothly into the rest, and a depth to start from."""
     source = normals if start is None else start.normals
     x, y = _rays(rays, normals.shape[:2])
-    along = np.minimum(source[..., 2] + x * source[..., 0] + y * source[..., 1], -_FLATTEST_Z)
+    along = np.minimum(source[..., 2] + x * source[..., 0] + y * source[..., 1], -FLATTEST_Z)
     slopes = (-source[..., :2] / along[..., None]).astype(np.float32)
     if start is None:
         slopes = fill_smoothly(slopes, known.astype(np.float32)).astype(np.float32)
     long = lengths_of(slopes)
-    slopes *= np.minimum(1.0, _STEEPEST / np.maximum(long, 1e-12))
+    slopes *= np.minimum(1.0, STEEPEST / np.maximum(long, 1e-12))
     depth = np.zeros(normals.shape[:2], np.float32) if start is None else start.depth
     return np.ascontiguousarray(slopes), depth
 
@@ -273,71 +263,75 @@ def _blend(solved: FloatArray, first: FloatArray, known: Mask, agreement: Grid) 
 class RayGrid(NamedTuple):
     """The ray through pixel (u, v): x = (u − centre_u) · per_pixel_u, y = (v − centre_v) · per_pixel_v."""
 
-    centre_u: float
-    centre_v: float
-    per_pixel_u: float
-    per_pixel_v: float
+    centre_u: np.float32
+    centre_v: np.float32
+    per_pixel_u: np.float32
+    per_pixel_v: np.float32
 
 
 class Model(NamedTuple):
     """Standard deviations and weights of the energy; see the table above."""
 
-    noise: float
-    albedo_known: float
-    albedo_own: float
-    prior: float
-    damping: float
-    missing_weight: float
-    missing_cutoff: float
+    noise: np.float32
+    albedo_known: np.float32
+    albedo_own: np.float32
+    prior: np.float32
+    damping: np.float32
+    missing_weight: np.float32
+    missing_cutoff: np.float32
 
 
 # Compiled loops of `surface`: what each pixel asks of the depth around it, gathered into grid edges.
 
 
 @njit(cache=True, inline="always")
-def _ray(rays: RayGrid, v: int, u: int) -> tuple[float, float]:
-    return (u - rays.centre_u) * rays.per_pixel_u, (v - rays.centre_v) * rays.per_pixel_v
+def ray_at(rays: RayGrid, v: int, u: int) -> tuple[Any, Any]:
+    """Return (x, y) of the pixel's ray at depth 1."""
+    x = (np.float32(u) - rays.centre_u) * rays.per_pixel_u
+    return x, (np.float32(v) - rays.centre_v) * rays.per_pixel_v
 
 
 @njit(cache=True, inline="always")
-def _trust_of_missing(light: float, cosine: float, model: Model) -> float:
+def _trust_of_missing(light: Any, cosine: Any, model: Model) -> Any:
     """Weight of a light that is labelled missing: where the surface turns from it, what is seen is right.
 
     0 where the surface faces away (nothing is expected) or, beyond the cutoff, faces a light that
     something else blocks (biweight).
     """
     away = (cosine - light) / model.missing_cutoff
-    if light <= 0.0 or away * away >= 1.0:
-        return 0.0
-    return model.missing_weight * (1.0 - away * away) ** 2
+    left = np.float32(1.0) - away * away
+    if light <= np.float32(0.0) or left <= np.float32(0.0):
+        return np.float32(0.0)
+    return model.missing_weight * left * left
 
 
 @njit(cache=True, fastmath=True, inline="always")
-def _local_quadratic(
-    v: int, u: int, p: float, q: float, towards_p: float, towards_q: float,
-    cosines: Grid, label: int, trust: float, lights: npt.NDArray[np.float64], rays: RayGrid, model: Model,
-) -> tuple[float, float, float, float, float, float]:  # fmt: skip
+def local_quadratic(
+    x: Any, y: Any, p: Any, q: Any, towards_p: Any, towards_q: Any,
+    cosines: Grid, u: int, label: int, trust: Any, lights: Grid, model: Model,
+) -> tuple[Any, Any, Any, Any, Any, Any]:  # fmt: skip
     """Return A00, A01, A11, b0, b1, c of one pixel at the slope (p, q), drawn towards another slope.
+
+    x, y: the pixel's ray. cosines: (w, 3), those of its row; u: its column. All float32.
 
     The covariance of r is noise² I plus the albedo's uncertainty squared times f fᵀ, inverted by the
     Sherman–Morrison formula.
     """
-    inverse_variance = 1.0 / (model.noise * model.noise)
-    x, y = _ray(rays, v, u)
-    nz = -1.0 - x * p - y * q
-    scale = 1.0 / np.sqrt(p * p + q * q + nz * nz)
+    zero, one = np.float32(0.0), np.float32(1.0)
+    inverse_variance = one / (model.noise * model.noise)
+    nz = -one - x * p - y * q
+    scale = one / np.sqrt(p * p + q * q + nz * nz)
     n0, n1, n2 = p * scale, q * scale, nz * scale
     along_p, along_q = n0 - x * n2, n1 - y * n2
-    ff, fr, f0, f1, a00, a01, a11, b0, b1, c = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    ff, fr, f0, f1 = zero, zero, zero, zero
+    a00, a01, a11, b0, b1, c = zero, zero, zero, zero, zero, zero
     for k in range(3):
         l0, l1, l2 = lights[k, 0], lights[k, 1], lights[k, 2]
         light = l0 * n0 + l1 * n1 + l2 * n2
-        count = 1.0
+        count = one
         if (label >> k) & 1 == 0:
-            count = _trust_of_missing(light, cosines[v, u, k], model)
-            if count == 0.0:
-                continue
-        rest = cosines[v, u, k] - light
+            count = _trust_of_missing(light, cosines[u, k], model)
+        rest = cosines[u, k] - light
         j0 = (l0 - x * l2 - light * along_p) * scale
         j1 = (l1 - y * l2 - light * along_q) * scale
         seen0, seen1, seen = count * j0, count * j1, count * light
@@ -353,9 +347,9 @@ def _local_quadratic(
         f1 += seen * j1
     spread = model.albedo_own if label == 7 else model.albedo_known
     unsure = spread * spread * inverse_variance
-    shrink = unsure / (1.0 + unsure * ff)
+    shrink = unsure / (one + unsure * ff)
     scaled = inverse_variance * trust
-    toward = model.prior if label != 7 else 0.0
+    toward = model.prior if label != 7 else zero
     extra = toward + model.damping
     return (
         scaled * (a00 - shrink * f0 * f0) + extra,
@@ -367,71 +361,30 @@ def _local_quadratic(
     )
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, parallel=True, fastmath=True)
 def local_quadratics_kernel(
     cosines: Grid, labels: Labels, weight: Grid, slopes: Grid, prior: Grid,
-    lights: npt.NDArray[np.float64], rays: RayGrid, model: Model, out: Grid,
+    lights: Grid, rays: RayGrid, model: Model, out: Grid,
 ) -> None:  # fmt: skip
     """Fill out (h, w, 6) = A00, A01, A11, b0, b1, c at every pixel; 0 where there is no weight.
 
     cosines: (h, w, 3) contribution of each light over the albedo.
     """
     h, w = labels.shape
-    for v in range(h):
+    for v in prange(h):
+        row = cosines[v]
         for u in range(w):
             if weight[v, u] <= 0.0:
                 for i in range(6):
                     out[v, u, i] = 0.0
                 continue
-            a00, a01, a11, b0, b1, c = _local_quadratic(
-                v, u, float(slopes[v, u, 0]), float(slopes[v, u, 1]), prior[v, u, 0], prior[v, u, 1],
-                cosines, labels[v, u], weight[v, u], lights, rays, model,
+            x, y = ray_at(rays, v, u)
+            a00, a01, a11, b0, b1, c = local_quadratic(
+                x, y, slopes[v, u, 0], slopes[v, u, 1], prior[v, u, 0], prior[v, u, 1],
+                row, u, labels[v, u], weight[v, u], lights, model,
             )  # fmt: skip
             out[v, u, 0], out[v, u, 1], out[v, u, 2] = a00, a01, a11
             out[v, u, 3], out[v, u, 4], out[v, u, 5] = b0, b1, c
-
-
-@njit(cache=True, parallel=True)
-def refine_kernel(
-    cosines: Grid, labels: Labels, weight: Grid, lights: npt.NDArray[np.float64], rays: RayGrid, model: Model,
-    held: float, steepest: float, first_normals: Grid, agreement: Grid, normals: Grid,
-) -> None:  # fmt: skip
-    """Turn each of the normals (h, w, 3) to what its own light asks, held where it is by the weight `held`.
-
-    Where all lights arrive and depth and colour disagree, the normal from colour alone, `first_normals`,
-    stays. Outside, where nothing has weight, the normal is 0.
-    """
-    h, w = labels.shape
-    for v in prange(h):
-        for u in range(w):
-            if weight[v, u] <= 0.0:
-                normals[v, u, 0], normals[v, u, 1], normals[v, u, 2] = 0.0, 0.0, 0.0
-                continue
-            x, y = _ray(rays, v, u)
-            n0, n1, n2 = float(normals[v, u, 0]), float(normals[v, u, 1]), float(normals[v, u, 2])
-            along = min(n2 + x * n0 + y * n1, -_FLATTEST_Z)
-            p, q = -n0 / along, -n1 / along
-            a00, a01, a11, b0, b1, _ = _local_quadratic(
-                v, u, p, q, p, q, cosines, labels[v, u], weight[v, u], lights, rays, model
-            )
-            a00 += held
-            a11 += held
-            inverse = 1.0 / (a00 * a11 - a01 * a01)
-            p += (a11 * b0 - a01 * b1) * inverse
-            q += (a00 * b1 - a01 * b0) * inverse
-            hold = min(1.0, steepest / max(np.sqrt(p * p + q * q), 1e-12))
-            p, q = p * hold, q * hold
-            n0, n1, n2 = p, q, -1.0 - x * p - y * q
-            scale = 1.0 / np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
-            n0, n1, n2 = n0 * scale, n1 * scale, n2 * scale
-            if labels[v, u] == 7:
-                kept = agreement[v, u]
-                n0 = kept * n0 + (1.0 - kept) * first_normals[v, u, 0]
-                n1 = kept * n1 + (1.0 - kept) * first_normals[v, u, 1]
-                n2 = kept * n2 + (1.0 - kept) * first_normals[v, u, 2]
-                length = max(np.sqrt(n0 * n0 + n1 * n1 + n2 * n2), 1e-6)
-                n0, n1, n2 = n0 / length, n1 / length, n2 / length
-            normals[v, u, 0], normals[v, u, 1], normals[v, u, 2] = n0, n1, n2
 
 
 @njit(cache=True, inline="always")
@@ -442,7 +395,7 @@ def _quadrant(i: int) -> tuple[int, int]:
 @njit(cache=True, fastmath=True)
 def quadrant_weights_kernel(
     quadratics: Grid, labels: Labels, mask: Mask, slopes: Grid, depth: Grid,
-    softness: float, shadow_softness: float, out: Grid,
+    softness: Any, shadow_softness: Any, out: Grid,
 ) -> None:  # fmt: skip
     """Fill out (h, w, 4): how far each quadrant's gradient belongs to the pixel's own surface, 0 to 1.
 
@@ -513,7 +466,7 @@ def edges_kernel(quadratics: Grid, weights: Grid, edges: Grid) -> None:
 
 
 @njit(cache=True, inline="always")
-def _target(quadratics: Grid, slopes: Grid, v: int, u: int) -> tuple[float, float]:
+def _target(quadratics: Grid, slopes: Grid, v: int, u: int) -> tuple[Any, Any]:
     a, p, q = quadratics[v, u], slopes[v, u, 0], slopes[v, u, 1]
     return a[0] * p + a[1] * q + a[3], a[1] * p + a[2] * q + a[4]
 
@@ -537,7 +490,7 @@ def right_side_kernel(quadratics: Grid, slopes: Grid, weights: Grid, out: Grid) 
 
 
 @njit(cache=True, fastmath=True)
-def slopes_kernel(depth: Grid, weights: Grid, steepest: float, slopes: Grid, agreement: Grid) -> None:
+def slopes_kernel(depth: Grid, weights: Grid, steepest: Any, slopes: Grid, agreement: Grid) -> None:
     """Replace slopes (h, w, 2) by the weighted mean over the quadrants; agreement (h, w) = mean weight.
 
     At the border, where quadrants are missing and differences are one-sided, the agreement is 0.
