@@ -84,6 +84,32 @@ def test_a_window_whose_parts_move_apart_tells_less_than_one_that_moves_as_one()
     assert np.median(parts[:, 0] + parts[:, 2]) < 0.3 * np.median(one[:, 0] + one[:, 2])
 
 
+def test_a_window_tells_of_where_its_relief_lies(rng: np.random.Generator) -> None:
+    frame = WrinkledVideo(width=WIDTH, height=HEIGHT).maps(0)[0]
+    plain = normals(*rng.normal(0, 0.002, (2, HEIGHT, WIDTH)))
+    half = np.where((GRID[..., 0] < 64)[..., None], frame.normals_in_camera, plain.normals_in_camera)
+    told = (
+        measured(*[NormalMap(normals_in_camera=half, mask=frame.mask)] * 2).bands[0].information.sum(axis=1)
+    )
+    column = np.repeat(np.arange(WIDTH // 8)[None], HEIGHT // 8, axis=0).ravel()
+    assert np.median(told[column == 9]) < 0.1 * np.median(
+        told[column == 6]
+    )  # both see relief in their window
+
+
+def test_relief_that_is_off_by_more_than_its_waves_is_searched_for() -> None:
+    frame = WrinkledVideo(width=WIDTH, height=HEIGHT).maps(0)[0]
+    template = template_from_maps(frame, flat_depth(frame.mask), CAMERA)
+    lattice = lattice_on_template(template, 8)
+    slopes = slopes_from_normals(frame, CAMERA)
+    registration = TemplateRegistration(template, lattice, slopes)
+    jacobians = LocalJacobians(lattice, template.positions_px).of(template.positions_px)
+    told = registration.measure(template.positions_px + np.array([11.0, -9.0]), jacobians, slopes)
+    shift, sure = registration.searched(told.frame, np.ones(lattice.count, dtype=bool))
+    assert sure.mean() > 0.8
+    np.testing.assert_allclose(np.median(shift[sure], axis=0), [-11.0, 9.0], atol=1.0)
+
+
 def test_an_error_that_all_normals_share_takes_nothing_off_their_weight() -> None:
     flat = normals(*np.zeros((2, HEIGHT, WIDTH)))
     left = GRID[..., 0] < 20
@@ -164,10 +190,10 @@ def test_nine_in_ten_errors_are_below_the_expected_one_where_relief_fades() -> N
     """Left the relief that registers, right none: it is carried, and its expected error grows."""
     video = WrinkledVideo(width=WIDTH, height=HEIGHT, sway_px=2.0, noise=0.02)
     plain = normals(*np.zeros((2, HEIGHT, WIDTH)))
-    fade = (GRID[..., 0] > 64)[..., None]
 
     def maps(frame: int) -> tuple[NormalMap, DepthMap]:
         relief, depth = video.maps(frame)
+        fade = (video.material(GRID.astype(float), frame)[..., 0] > 64)[..., None]
         mixed = np.where(fade, plain.normals_in_camera, relief.normals_in_camera)
         return NormalMap(normals_in_camera=mixed, mask=relief.mask), depth
 
@@ -178,7 +204,8 @@ def test_nine_in_ten_errors_are_below_the_expected_one_where_relief_fades() -> N
     error = np.linalg.norm(tracked.positions_px - truth, axis=1)
     left, right = tracker.template.pixels[:, 0] < 48, tracker.template.pixels[:, 0] > 96
     assert np.median(tracked.uncertainty_px[right]) > 3 * np.median(tracked.uncertainty_px[left])
-    assert np.mean(error < tracked.uncertainty_px) > 0.8
+    assert np.mean(error < tracked.uncertainty_px) > 0.8  # five seeds: 0.82 to 0.90
+    assert np.median(tracked.uncertainty_px[left]) < 0.5
 
 
 def test_the_edge_of_a_shadow_is_not_registered_by() -> None:
@@ -195,7 +222,7 @@ def test_the_edge_of_a_shadow_is_not_registered_by() -> None:
 def test_the_edge_of_a_labelled_shadow_is_not_registered_by_and_its_inside_is() -> None:
     lit = np.where(GRID[..., 0] < 60, 7, 3).astype(np.uint8)  # one light ends
     edges = label_edges(lit, np.ones((HEIGHT, WIDTH), dtype=bool))
-    assert edges[:, 52:68].all()
-    assert not edges[:, :50].any()
-    assert not edges[:, 70:].any()
+    assert edges[:, 58:62].all()
+    assert not edges[:, :57].any()
+    assert not edges[:, 63:].any()
     assert not label_edges(np.full_like(lit, 5), edges).any()  # a light that is nowhere has no edge

@@ -20,7 +20,6 @@ from vntoolkit.tracking.registration import TemplateRegistration, WindowSteps
 
 _SAMPLES = 16
 _DEGREE = 2  # of the polynomials in place that strain is compared by
-_SYSTEMATIC = 2.0  # squared error of a window over what its nodes' disagreement tells: they share some of it
 _PRIOR = 0.25  # share of the given strain in what is found
 
 
@@ -38,10 +37,8 @@ class FitErrors:
         self._windows = []
         for halvings in range(registration.band_count):
             white = rng.standard_normal((m, 2 * _SAMPLES))
-            alike = _unit(registration.spread(white, halvings)) * np.sqrt(
-                _SYSTEMATIC / registration.nodes_of_window(halvings)
-            )
-            self._windows.append(alike.reshape(shape))
+            alike = _unit(registration.spread(white, halvings))
+            self._windows.append((alike / np.sqrt(registration.nodes_of_window(halvings))).reshape(shape))
         self._outline = rng.standard_normal(shape)
         strain = _unit(lattice.smoothed(rng.standard_normal((m, 4 * _SAMPLES)), STRAIN_PASSES))
         strain = strain.reshape(m, 2, 2, _SAMPLES)

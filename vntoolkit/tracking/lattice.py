@@ -108,21 +108,23 @@ class LocalJacobians:
 
     def of(self, positions_px: Points2) -> npt.NDArray[np.float64]:
         """Return (nodes, 4): ∂u/∂x, ∂u/∂y, ∂v/∂x, ∂v/∂y of positions (n, 2) by the template's pixels."""
-        moved = positions_px - self._centre - self._x
-        sums = _first_moments(self._lattice.node_of_vertex, self._x, moved, self._lattice.count)
+        sums = _first_moments(
+            self._lattice.node_of_vertex, self._x, self._centre, positions_px, self._lattice.count
+        )
         sums = self._lattice.smoothed(sums, _JACOBIAN_PASSES)
         mixed = sums[:, 2:].reshape(-1, 2, 2) - sums[:, :2, None] * self._mean[:, None, :]
         return np.asarray((mixed @ self._inverse + np.eye(2)).reshape(-1, 4))
 
 
 @njit(cache=True)
-def _first_moments(node, x, moved, count):  # type: ignore[no-untyped-def]
+def _first_moments(node, x, centre, positions, count):  # type: ignore[no-untyped-def]
     out = np.zeros((count, 6))
     for i in range(len(node)):
         for c in range(2):
-            out[node[i], c] += moved[i, c]
-            out[node[i], 2 + 2 * c] += moved[i, c] * x[i, 0]
-            out[node[i], 3 + 2 * c] += moved[i, c] * x[i, 1]
+            moved = positions[i, c] - centre[c] - x[i, c]
+            out[node[i], c] += moved
+            out[node[i], 2 + 2 * c] += moved * x[i, 0]
+            out[node[i], 3 + 2 * c] += moved * x[i, 1]
     return out
 
 

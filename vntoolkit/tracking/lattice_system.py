@@ -21,16 +21,11 @@ class LatticeSystem:
         m, (a, b) = len(centres), links.T
         self.links, self.count = links, m
         order = nested_dissection_order(links, centres)
-        self.order = (2 * order[:, None] + [0, 1]).ravel()
-        rank = np.empty(2 * m, dtype=np.int64)
-        rank[self.order] = np.arange(2 * m)
         i = np.arange(m)
+        self._by_node = _Pattern(order, [i, a, b], [i, b, a])
         rows = [2 * i, 2 * i, 2 * i + 1, 2 * i + 1, 2 * a, 2 * b, 2 * a + 1, 2 * b + 1]
         columns = [2 * i, 2 * i + 1, 2 * i, 2 * i + 1, 2 * b, 2 * a, 2 * b + 1, 2 * a + 1]
-        where = rank[np.concatenate(rows)], rank[np.concatenate(columns)]
-        pattern = sp.csc_array(sp.coo_array((np.arange(1.0, len(where[0]) + 1), where)))
-        pattern.sort_indices()
-        self._place, self._pattern = pattern.data.astype(np.int64) - 1, pattern
+        self._by_direction = _Pattern(np.stack([2 * order, 2 * order + 1], axis=1).ravel(), rows, columns)
 
     def solve(
         self, information: FloatArray, pull: FloatArray, weight: FloatArray, steps: FloatArray
@@ -43,22 +38,19 @@ class LatticeSystem:
             information[:, 1],
             information[:, 2] + degree,
         ]
-        data = np.concatenate([*diagonal, *[-weight] * 4])
-        pattern = self._pattern
-        matrix = sp.csc_array((data[self._place], pattern.indices, pattern.indptr), shape=pattern.shape)
-        factor = splu(matrix, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        factor = self._by_direction.factored([*diagonal, *[-weight] * 4])
         right = np.array(pull, dtype=np.float64)
         for k in range(2):
             right[:, k] += self._at_nodes(-weight * steps[:, k], weight * steps[:, k])
-        solution = LatticeSolution(self, factor)
+        solution = LatticeSolution(self._by_direction, factor)
         solution.displacement = solution.solved(right[:, :, None])[:, :, 0]
         return solution
 
     def filled(self, weight: FloatArray, weighted: FloatArray) -> npt.NDArray[np.float64]:
-        """Return (m,) a value known as weighted / weight, harmonic where the weight (m,) is small."""
-        information = np.column_stack([weight, np.zeros_like(weight), weight])
-        ones, none = np.ones(len(self.links)), np.zeros((len(self.links), 2))
-        return self.solve(information, np.column_stack([weighted, weighted]), ones, none).displacement[:, 0]
+        """Return (m, k) values known as weighted (m, k) / weight (m,), harmonic where the weight is small."""
+        ones = np.ones(len(self.links))
+        degree = _LEAST_INFORMATION + self._at_nodes(ones, ones)
+        return self._by_node.solved(self._by_node.factored([weight + degree, -ones, -ones]), weighted)
 
     def _at_nodes(self, first: FloatArray, second: FloatArray) -> npt.NDArray[np.float64]:
         a, b = self.links.T
@@ -66,17 +58,38 @@ class LatticeSystem:
         return np.asarray(np.bincount(a, first, count) + np.bincount(b, second, count), dtype=np.float64)
 
 
+class _Pattern:
+    """Where the entries of a symmetric matrix go, in the order of elimination (n,)."""
+
+    def __init__(self, order: IntArray, rows: list[IntArray], columns: list[IntArray]) -> None:
+        rank = np.empty(len(order), dtype=np.int64)
+        rank[order] = np.arange(len(order))
+        where = rank[np.concatenate(rows)], rank[np.concatenate(columns)]
+        pattern = sp.csc_array(sp.coo_array((np.arange(1.0, len(where[0]) + 1), where)))
+        pattern.sort_indices()
+        self._place, self._pattern, self._order = pattern.data.astype(np.int64) - 1, pattern, order
+
+    def factored(self, parts: list[FloatArray]):  # type: ignore[no-untyped-def]
+        data, pattern = np.concatenate(parts)[self._place], self._pattern
+        matrix = sp.csc_array((data, pattern.indices, pattern.indptr), shape=pattern.shape)
+        return splu(matrix, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+
+    def solved(self, factor, right: FloatArray) -> npt.NDArray[np.float64]:  # type: ignore[no-untyped-def]
+        """Return (n, k) for right-hand sides (n, k)."""
+        flat = np.empty(right.shape)
+        flat[self._order] = factor.solve(np.ascontiguousarray(right[self._order]))
+        return flat
+
+
 class LatticeSolution:
     """displacement: (m, 2)."""
 
     displacement: npt.NDArray[np.float64]
 
-    def __init__(self, system: LatticeSystem, factor) -> None:  # type: ignore[no-untyped-def]
-        self._system, self._factor = system, factor
+    def __init__(self, pattern: _Pattern, factor) -> None:  # type: ignore[no-untyped-def]
+        self._pattern, self._factor = pattern, factor
 
     def solved(self, right: FloatArray) -> npt.NDArray[np.float64]:
         """Return (m, 2, k) for right-hand sides (m, 2, k)."""
-        order = self._system.order
-        flat = np.empty((2 * self._system.count, right.shape[2]))
-        flat[order] = self._factor.solve(np.ascontiguousarray(right.reshape(len(flat), -1)[order]))
+        flat = self._pattern.solved(self._factor, right.reshape(2 * right.shape[0], -1))
         return flat.reshape(right.shape)

@@ -21,13 +21,14 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Points2
+from vntoolkit.arrays import FloatArray, Mask, Points2
 from vntoolkit.native import njit
 from vntoolkit.tracking.lattice import NODES_BY_PASS, TemplateLattice
 from vntoolkit.tracking.slopes import Slopes
 from vntoolkit.tracking.template import TrackingTemplate
 
 _SIGMA_PX = 2.5  # of the Gaussian that is taken off
+_TAPS = 15  # to 3 sigma
 _TIMES = 3  # that it is: relief up to 16 px long passes, of a fold of 60 px a ten-thousandth is left
 _WINDOW_PASSES = (
     2,
@@ -37,6 +38,10 @@ _WINDOW_PASSES = (
 _CHANCE = 2.5  # standard deviations of A without a common signal, below which nothing is told
 _CORRELATED_PX = 12.0  # pixels that agree by chance count as one, by H: so measured on white noise
 _LONGEST_STEP_PX = 2.0  # in pixels of the band: about what one linearisation reaches
+_REACH_PX, _SEARCH_STEP_PX = 16, 2  # of the search for what is lost
+_PATCH_CELLS = 4  # side of the squares that it shifts
+_SURE = 4.0  # standard deviations of a correlation by chance, over all shifts
+_LEAST_WEIGHT = 0.01  # of a pixel that counts
 _LEAST_NOISE = 1e-3  # slope: what interpolation leaves
 _ACCURACY_PX = (0.1, 0.9, 5.4)  # of a node's pixels at best, by band: relief stays in place, folds travel
 _FEW_NODES = 5.0  # variance of a step over that of its nodes' pulls: not all of them move alike
@@ -76,7 +81,7 @@ class Measurement:
 
     match: (nodes,) the share of the finest band's gradients that template and frame have in common, 0 to 1;
     expected: (nodes,) the share they would have if only noise told them apart. found: (nodes,) the
-    greatest share of any band. bands: what each of them measured.
+    greatest share of any band. bands: what each of them measured. frame: the finest band of the frame.
     """
 
     information: npt.NDArray[np.float64]
@@ -85,6 +90,25 @@ class Measurement:
     expected: npt.NDArray[np.float64]
     found: npt.NDArray[np.float64]
     bands: tuple[WindowSteps, ...]
+    frame: Band
+
+    def where(self, chosen: Mask, other: Measurement) -> Measurement:
+        """Return this with what the other measured at the chosen nodes (nodes,)."""
+
+        def mixed(first: FloatArray, second: FloatArray) -> npt.NDArray[np.float64]:
+            return np.where(chosen if first.ndim == 1 else chosen[:, None], second, first)
+
+        names = ("information", "pull", "match", "expected", "found")
+        parts = {name: mixed(getattr(self, name), getattr(other, name)) for name in names}
+        bands = tuple(
+            WindowSteps(
+                halvings=own.halvings,
+                information=mixed(own.information, new.information),
+                step=mixed(own.step, new.step),
+            )
+            for own, new in zip(self.bands, other.bands, strict=True)
+        )
+        return Measurement(**parts, bands=bands, frame=other.frame)
 
 
 class TemplateRegistration:
@@ -99,9 +123,10 @@ class TemplateRegistration:
         self._at = (pixels[:, 1] - low[1], pixels[:, 0] - low[0])
         self._node = np.full(self._shape, -1, dtype=np.int32)
         self._node[self._at] = lattice.node_of_vertex
+        patches = lattice.cells // _PATCH_CELLS
+        self._patch = np.unique(patches, axis=0, return_inverse=True)[1].ravel()
         identity = np.tile([1.0, 0.0, 0.0, 1.0], (lattice.count, 1))
-        here = _pulled_back(slopes, template.positions_px, identity, lattice.taps, lattice.shares)
-        self._bands = self._banded(here)
+        self._bands = self._banded(*self._pulled_back(template.positions_px, identity, slopes))
         self._expected = self._expected_match()
 
     def measure(self, positions_px: Points2, jacobians: FloatArray, slopes: Slopes) -> Measurement:
@@ -109,12 +134,12 @@ class TemplateRegistration:
 
         jacobians: (nodes, 4) ∂u/∂x, ∂u/∂y, ∂v/∂x, ∂v/∂y of positions (n, 2) by the template's pixels.
         """
-        lattice, count = self._lattice, self._lattice.count
+        count = self._lattice.count
         information, pull = np.zeros((count, 3)), np.zeros((count, 2))
         match, expected, found = np.zeros(count), np.zeros(count), np.zeros(count)
         bands = []
-        pulled = _pulled_back(slopes, positions_px, jacobians, lattice.taps, lattice.shares)
-        for mine, theirs in zip(self._bands, self._banded(pulled), strict=True):
+        frame = self._banded(*self._pulled_back(positions_px, jacobians, slopes))
+        for mine, theirs in zip(self._bands, frame, strict=True):
             own = _moments(
                 mine.node, count, mine.features, mine.gradients, mine.weight,
                 theirs.features, theirs.gradients, theirs.weight,
@@ -122,10 +147,10 @@ class TemplateRegistration:
             passes = _WINDOW_PASSES[mine.halvings]
             whole = 3.0**passes  # of the weights of a window
             terms = self._lattice.smoothed(own, passes) / whole
-            pixels = NODES_BY_PASS * passes  # of the window, by the mean over its nodes
-            step, ratio, sure, axis = _steps(terms, 2.0**mine.halvings, pixels)
+            nodes = NODES_BY_PASS * passes  # of the window
+            step, ratio, sure, axis = _steps(terms, 2.0**mine.halvings, nodes)
             spread = self._lattice.smoothed(_scores(own, step), passes) / whole
-            told = _informed(terms, spread, sure, axis, NODES_BY_PASS * passes, _ACCURACY_PX[mine.halvings])
+            told = _informed(own, terms, spread, sure, axis, nodes, _ACCURACY_PX[mine.halvings])
             found = np.maximum(found, ratio)
             if mine.halvings == 0:
                 match = ratio
@@ -140,7 +165,27 @@ class TemplateRegistration:
             expected=expected,
             found=found,
             bands=tuple(bands),
+            frame=frame[0],
         )
+
+    def searched(self, frame: Band, lost: Mask) -> tuple[npt.NDArray[np.float64], Mask]:
+        """Return the shift (nodes, 2) at which relief that is lost correlates best, and where it surely does.
+
+        frame: as measured. lost: (nodes,). Pixels of the template, up to the reach of the search either way.
+        """
+        mine, patch = self._bands[0], self._patch
+        along = np.arange(-_REACH_PX, _REACH_PX + 1, _SEARCH_STEP_PX)
+        shifts = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
+        sums = np.zeros((int(patch.max()) + 1, len(shifts), 4))
+        _correlations(
+            mine.node, lost, patch, mine.features, mine.weight, frame.features, frame.weight, shifts, sums
+        )
+        product, first, second, pixels = np.moveaxis(sums, 2, 0)
+        share = product / np.sqrt(np.maximum(first * second, 1e-30))
+        share -= _SURE * np.sqrt(_CORRELATED_PX / (2.0 * np.maximum(pixels, 1.0)))
+        best = np.argmax(share, axis=1)
+        sure = lost & (share[np.arange(len(best)), best] > 0)[patch]
+        return shifts[best][patch].astype(np.float64), sure
 
     @property
     def band_count(self) -> int:
@@ -169,40 +214,35 @@ class TemplateRegistration:
         noise, power = self._lattice.smoothed(np.stack(own, axis=1), _WINDOW_PASSES[0]).T
         return np.asarray(np.maximum(0.0, 1.0 - noise / np.maximum(power, 1e-30)))
 
-    def _banded(self, pulled: npt.NDArray[np.float32]) -> list[Band]:
-        image = np.zeros((*self._shape, 3), dtype=np.float32)
-        image[self._at] = pulled
+    def _pulled_back(
+        self, positions_px: Points2, jacobians: FloatArray, slopes: Slopes
+    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        """(h, w, 2) w Jᵀ a at the positions and (h, w) w, on the template's raster."""
+        values, weight = np.zeros((*self._shape, 2), dtype=np.float32), np.zeros(self._shape, np.float32)
+        lattice = self._lattice
+        _pull_back(slopes, positions_px, jacobians, lattice.taps, lattice.shares, *self._at, values, weight)
+        return values, weight
+
+    def _banded(self, values: npt.NDArray[np.float32], weight: npt.NDArray[np.float32]) -> list[Band]:
         node, out = self._node, []
         for halvings in range(len(_WINDOW_PASSES)):
             if min(node.shape) < 8:
                 break
-            features, weight = _high_passed(image)
-            gradients, weight = _gradients(features, weight, np.float32(0.5 / 2.0**halvings))
-            out.append(
-                Band(
-                    halvings=halvings,
-                    node=np.ascontiguousarray(node),
-                    features=features,
-                    gradients=gradients,
-                    weight=weight,
-                )
-            )
-            image = np.asarray(cv2.pyrDown(image), dtype=np.float32)
-            node = node[::2, ::2]
+            coarser = cv2.pyrDown(values), cv2.pyrDown(weight)
+            _high_pass(values, weight)
+            gradients, kept = _gradients(values, weight, np.float32(0.5 / 2.0**halvings))
+            out.append(Band(halvings=halvings, node=node, features=values, gradients=gradients, weight=kept))
+            values, weight = (np.asarray(image, dtype=np.float32) for image in coarser)
+            node = np.ascontiguousarray(node[::2, ::2])
         return out
 
 
-def _high_passed(
-    weighted: npt.NDArray[np.float32],
-) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-    """(h, w, 2) values of a weighted image with its Gaussian mean taken off, thrice, and their weight."""
-    weight = np.ascontiguousarray(weighted[..., 2])
-    share = cv2.GaussianBlur(weight, (0, 0), _SIGMA_PX)
-    values = np.ascontiguousarray(weighted[..., :2])
+def _high_pass(values: npt.NDArray[np.float32], weight: npt.NDArray[np.float32]) -> None:
+    """Take the Gaussian mean off values (h, w, 2) premultiplied by weight (h, w), thrice; divide by it."""
+    share = cv2.GaussianBlur(weight, (_TAPS, _TAPS), _SIGMA_PX)
     for _ in range(_TIMES):
-        _take_off(values, weight, share, cv2.GaussianBlur(values, (0, 0), _SIGMA_PX))
+        _take_off(values, weight, share, cv2.GaussianBlur(values, (_TAPS, _TAPS), _SIGMA_PX))
     _divide(values, weight)
-    return values, weight
 
 
 @njit(cache=True)
@@ -233,7 +273,7 @@ def _gradients(values, weight, scale):  # type: ignore[no-untyped-def]
     for v in range(1, h - 1):
         for u in range(1, w - 1):
             least = min(weight[v, u], weight[v, u - 1], weight[v, u + 1], weight[v - 1, u], weight[v + 1, u])
-            if least > 0.05:
+            if least > _LEAST_WEIGHT:
                 kept[v, u] = least
                 for c in range(2):
                     out[v, u, c] = scale * (values[v, u + 1, c] - values[v, u - 1, c])
@@ -242,14 +282,13 @@ def _gradients(values, weight, scale):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _pulled_back(slopes, positions, jacobians, taps, shares):  # type: ignore[no-untyped-def]
-    """(n, 3): w Jᵀ a at the positions, and w (0 where under a tenth is surface).
+def _pull_back(slopes, positions, jacobians, taps, shares, rows, columns, values, total):  # type: ignore[no-untyped-def]
+    """Write w Jᵀ a at the positions, and w, into the vertices' rows and columns.
 
     Within half a pixel beyond the outermost centres, which is still the picture, the outermost pixels count.
     """
     h, w = slopes.shape[:2]
     n = positions.shape[0]
-    out = np.zeros((n, 3), dtype=np.float32)
     jacobian = np.empty(4)
     for i in range(n):
         x, y = positions[i, 0], positions[i, 1]
@@ -265,22 +304,22 @@ def _pulled_back(slopes, positions, jacobians, taps, shares):  # type: ignore[no
                 p += share * slopes[v + dv, u + du, 0]
                 q += share * slopes[v + dv, u + du, 1]
                 weight += share * slopes[v + dv, u + du, 2]
-        if weight > 0.1:
+        if weight > _LEAST_WEIGHT:
             jacobian[:] = 0.0
             for corner in range(4):
                 for c in range(4):
                     jacobian[c] += shares[i, corner] * jacobians[taps[i, corner], c]
-            out[i, 0] = jacobian[0] * p + jacobian[2] * q
-            out[i, 1] = jacobian[1] * p + jacobian[3] * q
-            out[i, 2] = weight
-    return out
+            row, column = rows[i], columns[i]
+            values[row, column, 0] = jacobian[0] * p + jacobian[2] * q
+            values[row, column, 1] = jacobian[1] * p + jacobian[3] * q
+            total[row, column] = weight
 
 
 @njit(cache=True)
 def _moments(node, count, f, df, wf, g, dg, wg):  # type: ignore[no-untyped-def]
-    """(nodes, 12): A (3), H (3), b (2), Σ w |g − f|², Σ w, Σ w |∇f|², pixels."""
+    """(nodes, 13): A (3), H (3), b (2), Σ w |g − f|², Σ w, Σ w |∇f|², pixels, A's trace where positive."""
     h, w = node.shape
-    out = np.zeros((count, 12))
+    out = np.zeros((count, 13))
     for v in range(h):
         for u in range(w):
             j = node[v, u]
@@ -303,11 +342,35 @@ def _moments(node, count, f, df, wf, g, dg, wg):  # type: ignore[no-untyped-def]
                 out[j, 9] += weight
                 out[j, 10] += weight * (fx * fx + fy * fy + gx * gx + gy * gy) * 0.5
             out[j, 11] += 1.0
+    for j in range(count):
+        out[j, 12] = max(out[j, 0] + out[j, 2], 0.0)
     return out
 
 
 @njit(cache=True)
-def _steps(terms, pixel, pixels):  # type: ignore[no-untyped-def]
+def _correlations(node, lost, patch, f, wf, g, wg, shifts, out):  # type: ignore[no-untyped-def]
+    """Add up f·g, |f|², |g|² and pixels into (patches, shifts, 4), of a ninth of the lost pixels."""
+    h, w = node.shape
+    for v in range(0, h, 3):
+        for u in range(0, w, 3):
+            j = node[v, u]
+            if j < 0 or not lost[j] or wf[v, u] <= 0:
+                continue
+            sums = out[patch[j]]
+            a, b = f[v, u, 0], f[v, u, 1]
+            own = a * a + b * b
+            for s in range(len(shifts)):
+                x, y = u + shifts[s, 0], v + shifts[s, 1]
+                if 0 <= x < w and 0 <= y < h and wg[y, x] > 0:
+                    c, d = g[y, x, 0], g[y, x, 1]
+                    sums[s, 0] += a * c + b * d
+                    sums[s, 1] += own
+                    sums[s, 2] += c * c + d * d
+                    sums[s, 3] += 9.0
+
+
+@njit(cache=True)
+def _steps(terms, pixel, nodes):  # type: ignore[no-untyped-def]
     """Step measured (nodes, 2), gradients' common share (nodes,), what is sure of A's eigenvalues, its axis.
 
     Those two (nodes, 2): 0 where chance makes as much; and the cosine and sine of the first eigenvector.
@@ -320,7 +383,7 @@ def _steps(terms, pixel, pixels):  # type: ignore[no-untyped-def]
         a, b, c = terms[j, 0], terms[j, 1], terms[j, 2]
         mean, half = 0.5 * (a + c), np.sqrt(0.25 * (a - c) ** 2 + b * b)
         angle = 0.5 * np.arctan2(2 * b, a - c)
-        chance = _CHANCE * np.sqrt(_CORRELATED_PX / (2.0 * max(pixels * terms[j, 11], 1.0)))
+        chance = _CHANCE * np.sqrt(_CORRELATED_PX / (2.0 * max(nodes * terms[j, 11], 1.0)))
         ratio[j] = max(0.0, 2 * mean / max(terms[j, 10], 1e-30))
         axis[j, 0], axis[j, 1] = np.cos(angle), np.sin(angle)
         for k in range(2):
@@ -355,11 +418,12 @@ def _scores(terms, steps):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _informed(terms, spread, kept, axis, nodes, accuracy):  # type: ignore[no-untyped-def]
-    """Information (nodes, 3) of one node's share of its window."""
+def _informed(own, terms, spread, kept, axis, nodes, accuracy):  # type: ignore[no-untyped-def]
+    """Information (nodes, 3) of one node's share of its window: it tells of where its relief lies."""
     m = terms.shape[0]
     told = np.zeros((m, 3))
     for j in range(m):
+        part = own[j, 12] / max(terms[j, 12], 1e-30)
         telling = nodes * (terms[j, 0] + terms[j, 2]) ** 2 / max(spread[j, 3], 1e-30)  # nodes of the window
         few = _FEW_NODES * telling / max(telling - 1.0, 0.1)  # one fits the step exactly
         for k in range(2):
@@ -372,7 +436,7 @@ def _informed(terms, spread, kept, axis, nodes, accuracy):  # type: ignore[no-un
             power = terms[j, 3] * x * x + 2 * terms[j, 4] * x * y + terms[j, 5] * y * y
             pull = spread[j, 0] * x * x + 2 * spread[j, 1] * x * y + spread[j, 2] * y * y
             noise = terms[j, 8] / terms[j, 9] + _LEAST_NOISE**2
-            info = 1.0 / (max(few * pull, power * noise) / (sure * sure) + accuracy**2)
+            info = part / (max(few * pull, power * noise) / (sure * sure) + accuracy**2)
             told[j, 0] += info * x * x
             told[j, 1] += info * x * y
             told[j, 2] += info * y * y

@@ -21,9 +21,8 @@ from vntoolkit.native import njit
 
 _STEEPEST = 0.15  # cosine to the viewing ray below which a slope is clamped, 81°
 _GRAZING = 0.3  # cosine below which a slope weighs less, 73°: there it is mostly noise
-_AT_JUMPS = np.float32(0.02)  # share of the weight that is left at jumps
 
-_EDGE_REACH_PX = 8
+_EDGE_REACH_PX = 2  # of a label that is off by a pixel, in a picture that is blurred by one
 _LEAST_WEIGHT = np.float32(1e-3)  # a weight is divided by
 _JUMP_SMOOTHING_PX = 1.5
 _JUMP_WINDOW_PX = 5
@@ -50,7 +49,7 @@ def slopes_from_normals(normal_map: NormalMap, camera: Camera) -> Slopes:
 
 
 def relief_slopes(slopes: Slopes, normal_map: NormalMap, labels: VisibilityLabels | None = None) -> Slopes:
-    """Return the slopes of a normal map with next to no weight around the edges of shadows.
+    """Return the slopes of a normal map without weight around the edges of shadows.
 
     Those are where labels (h, w) change, or else the weight jumps. Lengths and facing hold there; relief does
     not.
@@ -62,7 +61,7 @@ def relief_slopes(slopes: Slopes, normal_map: NormalMap, labels: VisibilityLabel
     else:
         weight = beside_the_usual(normal_map.weight, normal_map.mask)
         edges = jump_pixels(replace(normal_map, weight=weight))
-    return np.where(edges[..., None], _AT_JUMPS * slopes, slopes)
+    return np.where(edges[..., None], np.float32(0.0), slopes)
 
 
 def metric_sums(
@@ -114,8 +113,8 @@ def beside_the_usual(weight: Weight, mask: Mask) -> Weight:
 def label_edges(labels: VisibilityLabels, mask: Mask) -> Mask:
     """Return (h, w) True within reach of pixels where a light ends.
 
-    The edge of a shadow moves with what casts it. The Gaussian that registration takes off mixes its two
-    sides over that reach.
+    The edge of a shadow moves with what casts it. Pixels so near mix its two sides; the relief of either side
+    holds.
     """
     window = np.ones((2 * _EDGE_REACH_PX + 1,) * 2, dtype=np.uint8)
     edges = np.zeros_like(mask)

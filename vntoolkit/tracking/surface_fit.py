@@ -28,7 +28,9 @@ from vntoolkit.tracking.template import TrackingTemplate
 
 _CELL_PX = 8  # of the lattice
 _ITERATIONS = 3
-_CONVERGED_PX = 0.03  # largest step after which no other follows
+_CONVERGED = 0.1  # steps by the expected error, after which no other follows
+_LEAST_ERROR_PX = 0.3
+_MOST = 0.95  # share of the vertices for which that holds: the rest is lost, or creeps
 _TORN_SIGMAS = 3.0  # departure of a link from its length at which it holds half as much
 _LEAST_SINGULAR = 0.2  # of a Jacobian: steps are not taken through a surface seen more nearly edge-on
 _COVERAGE = 1.5  # expected error over its root mean square: about nine in ten errors are then below it
@@ -76,6 +78,7 @@ class SurfaceFit:
         self,
         before_px: Points2,
         last_px: Points2,
+        expected_px: FloatArray,
         previous: NormalMap,
         normal_map: NormalMap,
         depth_map: DepthMap,
@@ -83,7 +86,8 @@ class SurfaceFit:
     ) -> FittedFrame:
         """Fit to a frame, first from where the motion goes on to.
 
-        before_px, last_px: (n, 2) in the last two frames. previous: the last one's normals.
+        before_px, last_px: (n, 2) in the last two frames. expected_px: (n,) the last one's expected error.
+        previous: its normals.
         """
         lattice, lengths = self._lattice, self._lengths
         slopes = slopes_from_normals(normal_map, self._camera)
@@ -98,6 +102,7 @@ class SurfaceFit:
         if lost.any() and not lost.all():
             positions, told = self._resumed(positions, told, lost, relief)
         around = self._jacobians.of(positions)
+        enough = _CONVERGED * np.maximum(expected_px, _LEAST_ERROR_PX)
         for number in range(_ITERATIONS):
             if number > 0:
                 around = self._jacobians.of(positions)
@@ -116,7 +121,7 @@ class SurfaceFit:
             solution = self._system.solve(information + outline, pull + outline_pull, weight, steps)
             step = lattice.at_vertices(solution.displacement)
             positions = positions + step
-            if np.abs(step).max() < _CONVERGED_PX:
+            if np.mean(np.abs(step).max(axis=1) < enough) > _MOST:
                 break
         bands = _in_frame(told.bands, inverse)
         square = self._errors.square(solution, bands, outline, weight, steps, np.sqrt(variance + slip))
@@ -147,23 +152,17 @@ class SurfaceFit:
         lost: npt.NDArray[np.bool_],
         relief: Slopes,
     ) -> tuple[npt.NDArray[np.float64], Measurement]:
-        """Where the coarse bands lead what is lost, and the motion of what matches around it.
+        """Where a search, the coarse bands and the motion of what matches around lead what is lost.
 
         As far as it matches better there: what is off by more than a wave of its relief, comes back into the
         mask, or from behind something, may lie farther off than one step of the finest band reaches.
         """
         moved = self._lengths.nodes(positions) - self._nodes_of_template
         inverse = _inverse(self._jacobians.of(positions))
-        kept = (~lost).astype(np.float64)
-        information, pull = np.column_stack([kept, np.zeros_like(kept), kept]), kept[:, None] * moved
-        for band in _in_frame(told.bands[1:], inverse):
-            told_here = lost[:, None] * band.information
-            information = information + told_here
-            pull = pull + np.einsum("nij,nj->ni", _full(told_here), moved + band.step)
-        links = self._lengths.links
-        filled = self._system.solve(
-            information, pull, np.ones(len(links)), np.zeros((len(links), 2))
-        ).displacement
+        shift, sure = self._registration.searched(told.frame, lost)
+        there = moved + sure[:, None] * np.einsum("nij,nj->ni", np.linalg.inv(inverse), shift)
+        kept = (~lost | sure).astype(np.float64)
+        filled = self._system.filled(kept, kept[:, None] * there)
         return self._where_better(positions, np.where(lost[:, None], filled - moved, 0.0), told, relief)
 
     def _where_better(
@@ -176,8 +175,9 @@ class SurfaceFit:
         better = np.maximum(there.found - told.found, there.match - told.match) > _BETTER_MATCH
         if not better.any():
             return np.asarray(positions), told
-        moved = positions + lattice.at_vertices(np.where(better[:, None], at_nodes, 0.0))
-        return moved, self._registration.measure(moved, self._jacobians.of(moved), relief)
+        return positions + lattice.at_vertices(np.where(better[:, None], at_nodes, 0.0)), told.where(
+            better, there
+        )
 
     def _hidden(self, told: Measurement) -> npt.NDArray[np.float64]:
         """(nodes,) from 0 to 1: relief that should match and does not."""
@@ -196,11 +196,9 @@ class SurfaceFit:
             return np.asarray(depth)
         offset = np.where(found, depth - self._template_depth, 0.0)
         sums = self._lattice.sums(np.column_stack([seen, seen * offset]))
-        filled = self._system.filled(sums[:, 0], sums[:, 1])
+        filled = self._system.filled(sums[:, 0], sums[:, 1:])
         return np.asarray(
-            self._template_depth
-            + seen * offset
-            + (1.0 - seen) * self._lattice.at_vertices(filled[:, None])[:, 0]
+            self._template_depth + seen * offset + (1.0 - seen) * self._lattice.at_vertices(filled)[:, 0]
         )
 
     def _uncertainty(self, square: FloatArray) -> npt.NDArray[np.float64]:

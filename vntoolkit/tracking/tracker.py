@@ -110,10 +110,11 @@ class SurfaceTracker:
         """Follow the surface into the next frame; labels: as of the template."""
         require_same_size(normal_map.mask, "normals", self._previous.mask, "the frame before")
         require_same_size(depth_map.mask, "depth", normal_map.mask, "normals")
-        if self._fit is not None:
+        if self._fit is not None and self.state.uncertainty_px is not None:
             fitted = self._fit.fit(
                 self._before.positions_px,
                 self.state.positions_px,
+                self.state.uncertainty_px,
                 self._previous,
                 normal_map,
                 depth_map,
