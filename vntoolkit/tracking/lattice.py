@@ -189,7 +189,7 @@ def _spread(starts, neighbours, values):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=True)
 def _interpolate(taps, shares, values):  # type: ignore[no-untyped-def]
     n, k = taps.shape[0], values.shape[1]
     out = np.zeros((n, k))

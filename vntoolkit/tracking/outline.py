@@ -45,13 +45,9 @@ class Outline:
 
     def figure(self, mask: Mask, slopes: Slopes) -> npt.NDArray[np.float32]:
         """(h, w, 4): signed distance, its gradient, and openness, of one frame."""
-        field = _with_gradient(signed_distance(mask))
-        mean = cv2.blur(slopes, (7, 7))
-        weight = np.maximum(mean[..., 2], _LEAST_WEIGHT)
-        facing = 1 / np.sqrt(1 + (mean[..., 0] / weight) ** 2 + (mean[..., 1] / weight) ** 2)
-        low, high = _OPEN_FACING
-        openness = np.clip((facing - low) / (high - low), 0.0, 1.0) * (mean[..., 2] > _LEAST_WEIGHT)
-        return np.dstack([field, openness.astype(np.float32)])
+        distance = signed_distance(mask)
+        smooth = cv2.GaussianBlur(distance, (0, 0), 2.0)
+        return _figure(cv2.GaussianBlur(distance, (0, 0), 1.0), smooth, cv2.blur(slopes, (7, 7)))
 
     def measure(
         self, positions_px: Points2, field: npt.NDArray[np.float32]
@@ -133,11 +129,22 @@ def _without_small_holes(mask: Mask) -> Mask:
     return np.asarray(mask | small[labels])
 
 
-def _with_gradient(distance: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-    smooth = cv2.GaussianBlur(distance, (0, 0), 2.0)
-    gu, gv = (
-        cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=0.125),
-        cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=0.125),
-    )
-    length = np.maximum(np.hypot(gu, gv), 1e-6)
-    return np.dstack([cv2.GaussianBlur(distance, (0, 0), 1.0), gu / length, gv / length])
+@njit(cache=True)
+def _figure(distance, smooth, mean):  # type: ignore[no-untyped-def]
+    """(h, w, 4): distance, the direction in which the smooth one grows, and openness by the mean slopes."""
+    h, w = distance.shape
+    low, high = _OPEN_FACING
+    out = np.zeros((h, w, 4), dtype=np.float32)
+    for v in range(h):
+        above, below = max(v - 1, 0), min(v + 1, h - 1)
+        for u in range(w):
+            left, right = max(u - 1, 0), min(u + 1, w - 1)
+            x, y = smooth[v, right] - smooth[v, left], smooth[below, u] - smooth[above, u]
+            length = max(np.sqrt(x * x + y * y), np.float32(1e-6))
+            out[v, u, 0], out[v, u, 1], out[v, u, 2] = distance[v, u], x / length, y / length
+            weight = mean[v, u, 2]
+            if weight > _LEAST_WEIGHT:
+                square = (mean[v, u, 0] ** 2 + mean[v, u, 1] ** 2) / weight**2
+                facing = 1.0 / np.sqrt(1.0 + square)
+                out[v, u, 3] = min(max((facing - low) / (high - low), 0.0), 1.0)
+    return out

@@ -281,7 +281,7 @@ def _gradients(values, weight, scale):  # type: ignore[no-untyped-def]
     return out, kept
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=True)
 def _pull_back(slopes, positions, jacobians, taps, shares, rows, columns, values, total):  # type: ignore[no-untyped-def]
     """Write w Jᵀ a at the positions, and w, into the vertices' rows and columns.
 
@@ -315,7 +315,7 @@ def _pull_back(slopes, positions, jacobians, taps, shares, rows, columns, values
             total[row, column] = weight
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=True)
 def _moments(node, count, f, df, wf, g, dg, wg):  # type: ignore[no-untyped-def]
     """(nodes, 13): A (3), H (3), b (2), Σ w |g − f|², Σ w, Σ w |∇f|², pixels, A's trace where positive."""
     h, w = node.shape

@@ -70,7 +70,7 @@ class SurfaceFit:
         self._lengths = LinkLengths(lattice, template, camera, slopes)
         self._jacobians = LocalJacobians(lattice, template.positions_px)
         self._nodes_of_template = self._lengths.nodes(template.positions_px)
-        self._system = LatticeSystem(self._lengths.links, self._lengths.centres)
+        self._system = LatticeSystem(self._lengths.links, lattice.count)
         self._errors = FitErrors(lattice, self._registration, self._lengths)
         self._template_depth = template.vertices_in_camera[:, 2]
 
