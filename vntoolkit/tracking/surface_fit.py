@@ -69,7 +69,6 @@ class SurfaceFit:
         self._outline = Outline(template, lattice, normal_map.mask, slopes)
         self._lengths = LinkLengths(lattice, template, camera, slopes)
         self._jacobians = LocalJacobians(lattice, template.positions_px)
-        self._nodes_of_template = self._lengths.nodes(template.positions_px)
         self._system = LatticeSystem(self._lengths.links, lattice.count)
         self._errors = FitErrors(lattice, self._registration, self._lengths)
         self._template_depth = template.vertices_in_camera[:, 2]
@@ -100,7 +99,7 @@ class SurfaceFit:
             positions, told = self._restarted(positions, last_px, told, previous, normal_map, relief)
         lost = told.match < _LOST_MATCH * told.expected
         if lost.any() and not lost.all():
-            positions, told = self._resumed(positions, told, lost, relief)
+            positions, told = self._found_again(positions, around, told, lost, relief)
         around = self._jacobians.of(positions)
         enough = _CONVERGED * np.maximum(expected_px, _LEAST_ERROR_PX)
         for number in range(_ITERATIONS):
@@ -145,25 +144,25 @@ class SurfaceFit:
         flown = last_px + sample_image(flow, last_px)
         return self._where_better(positions, self._lengths.nodes(flown - positions), told, relief)
 
-    def _resumed(
+    def _found_again(
         self,
         positions: Points2,
+        around: FloatArray,
         told: Measurement,
         lost: npt.NDArray[np.bool_],
         relief: Slopes,
     ) -> tuple[npt.NDArray[np.float64], Measurement]:
-        """Where a search, the coarse bands and the motion of what matches around lead what is lost.
+        """Where a search finds what is lost, as far as it matches better there.
 
-        As far as it matches better there: what is off by more than a wave of its relief, comes back into the
-        mask, or from behind something, may lie farther off than one step of the finest band reaches.
+        What is off by more than a wave of its relief, comes back into the mask, or from behind something, may
+        lie farther off than one step of the finest band reaches.
         """
-        moved = self._lengths.nodes(positions) - self._nodes_of_template
-        inverse = _inverse(self._jacobians.of(positions))
         shift, sure = self._registration.searched(told.frame, lost)
-        there = moved + sure[:, None] * np.einsum("nij,nj->ni", np.linalg.inv(inverse), shift)
-        kept = (~lost | sure).astype(np.float64)
-        filled = self._system.filled(kept, kept[:, None] * there)
-        return self._where_better(positions, np.where(lost[:, None], filled - moved, 0.0), told, relief)
+        if not sure.any():
+            return np.asarray(positions), told
+        jacobian = around.reshape(-1, 2, 2)
+        found = np.einsum("nij,nj->ni", jacobian, np.where(sure[:, None], shift, 0.0))
+        return self._where_better(positions, found, told, relief)
 
     def _where_better(
         self, positions: Points2, at_nodes: FloatArray, told: Measurement, relief: Slopes
