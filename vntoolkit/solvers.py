@@ -22,6 +22,7 @@ import numpy.typing as npt
 from vntoolkit.native import njit
 
 _SMALLEST_SIDE = 4
+_LAST_SWEEPS = 20  # on the coarsest grid, each way
 Grid = npt.NDArray[np.float32]
 Row = npt.NDArray[np.float32]
 _GROUND = 1e-6  # pins the free constant of every connected piece; far below any data weight
@@ -87,22 +88,24 @@ def _dot(first: Grid, second: Grid) -> float:
 def multigrid_cycle(levels: list[GridLevel], right: Grid, depth: int = 0) -> Grid:
     """Approximate the x of L x = right by one symmetric V cycle."""
     level = levels[depth]
-    x = np.zeros_like(right)
-    sweeps = 1 if depth + 1 < len(levels) else 20
-    for _ in range(sweeps):
-        sweep_kernel(level.edges, level.inverse, right, x, True)
+    x = np.empty_like(right)
+    first_sweep_kernel(level.edges, level.inverse, right, x)
     if depth + 1 < len(levels):
-        coarse_right = restrict_kernel(right - apply_kernel(level.edges, x))
+        coarse_right = restrict_rest_kernel(level.edges, x)
         prolong_add_kernel(multigrid_cycle(levels, coarse_right, depth + 1), level.inverse, x)
-    for _ in range(sweeps):
-        sweep_kernel(level.edges, level.inverse, right, x, False)
+    else:
+        for _ in range(_LAST_SWEEPS - 1):
+            sweep_kernel(level.edges, level.inverse, right, x, True)
+        for _ in range(_LAST_SWEEPS - 1):
+            sweep_kernel(level.edges, level.inverse, right, x, False)
+    sweep_kernel(level.edges, level.inverse, right, x, False)
     return x
 
 
 # Compiled loops of `grid_solver`. Edges (4, h, w): see `GridLevel`.
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def apply_kernel(edges: Grid, x: Grid) -> Grid:
     """L x."""
     h, w = x.shape
@@ -126,13 +129,13 @@ def apply_kernel(edges: Grid, x: Grid) -> Grid:
     return out
 
 
-@njit(cache=True, fastmath=True, inline="always")
+@njit(cache=True, fastmath=True, inline="always", error_model="numpy")
 def _add_difference(weight: Row, here: Row, there: Row, out: Row) -> None:
     for u in range(len(weight)):
         out[u] += weight[u] * (here[u] - there[u])
 
 
-@njit(cache=True, fastmath=True, inline="always")
+@njit(cache=True, fastmath=True, inline="always", error_model="numpy")
 def _add_differences(weight: Row, first: Row, second: Row, out: Row, other: Row, pull: Row) -> None:
     """Along a row, where both ends of an edge are in it."""
     for u in range(len(weight)):
@@ -143,7 +146,7 @@ def _add_differences(weight: Row, first: Row, second: Row, out: Row, other: Row,
         other[u] -= pull[u]
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def diagonal_kernel(edges: Grid) -> Grid:
     """L's diagonal (h, w)."""
     kinds, h, w = edges.shape
@@ -164,7 +167,7 @@ def diagonal_kernel(edges: Grid) -> Grid:
     return out
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def inverse_kernel(diagonal: Grid) -> Grid:
     """1 / diagonal; 0 where a pixel has no edge: it belongs to nothing and stays as it is, at 0."""
     h, w = diagonal.shape
@@ -176,7 +179,7 @@ def inverse_kernel(diagonal: Grid) -> Grid:
     return out
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def sweep_kernel(edges: Grid, inverse: Grid, right: Grid, x: Grid, forward: bool) -> None:
     """One Gauss–Seidel sweep, row by row; backward, the reverse of that.
 
@@ -213,7 +216,7 @@ def sweep_kernel(edges: Grid, inverse: Grid, right: Grid, x: Grid, forward: bool
                 row[u] = last
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def _gather_rows(edges: Grid, right: Grid, x: Grid, v: int, out: Row) -> None:
     """Fill out (w,) with the right-hand side of row v and what the rows above and below pull."""
     h, w = x.shape
@@ -241,7 +244,7 @@ def _gather_rows(edges: Grid, right: Grid, x: Grid, v: int, out: Row) -> None:
                 out[u] += west[u - 1] * above[u - 1]
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def coarse_edges_kernel(edges: Grid) -> Grid:
     """Half the sum of the edges between blocks of 2×2 pixels; those inside a block drop out."""
     kinds, h, w = edges.shape
@@ -275,7 +278,7 @@ def coarse_edges_kernel(edges: Grid) -> Grid:
     return out
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def _halve_edges(edges: Grid, out: Grid) -> None:
     """The same without diagonals: an edge between blocks starts at every second pixel."""
     _, h, w = edges.shape
@@ -288,18 +291,66 @@ def _halve_edges(edges: Grid, out: Grid) -> None:
             out[1, v // 2, u // 2] += half * edges[1, v, u]
 
 
-@njit(cache=True, fastmath=True)
-def restrict_kernel(residual: Grid) -> Grid:
-    """Sum over blocks of 2×2 pixels."""
-    h, w = residual.shape
-    out = np.zeros(((h + 1) // 2, (w + 1) // 2), np.float32)
+@njit(cache=True, fastmath=True, error_model="numpy")
+def first_sweep_kernel(edges: Grid, inverse: Grid, right: Grid, x: Grid) -> None:
+    """Fill x with the forward sweep from 0: a pixel sees only those before it."""
+    h, w = x.shape
+    known, pull = np.empty(w, np.float32), np.empty(w, np.float32)
     for v in range(h):
+        bond, scale, row, asked = edges[0, v], inverse[v], x[v], right[v]
         for u in range(w):
-            out[v // 2, u // 2] += residual[v, u]
+            known[u] = asked[u]
+        if v > 0:
+            above, up = x[v - 1], edges[1, v - 1]
+            for u in range(w):
+                known[u] += up[u] * above[u]
+            if len(edges) == 4:
+                west, east = edges[2, v - 1], edges[3, v - 1]
+                for u in range(w - 1):
+                    known[u] += east[u] * above[u + 1]
+                for u in range(1, w):
+                    known[u] += west[u - 1] * above[u - 1]
+        for u in range(w):
+            known[u] *= scale[u]
+        for u in range(1, w):
+            pull[u] = bond[u - 1] * scale[u]
+        last = known[0]
+        row[0] = last
+        for u in range(1, w):
+            last = known[u] + pull[u] * last
+            row[u] = last
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def restrict_rest_kernel(edges: Grid, x: Grid) -> Grid:
+    """Sum what `first_sweep_kernel` leaves of the right-hand side over blocks of 2×2 pixels.
+
+    Every pixel was right when it was solved; what is left is what the pixels after it pull.
+    """
+    h, w = x.shape
+    out = np.zeros(((h + 1) // 2, (w + 1) // 2), np.float32)
+    left = np.empty(w + 1, np.float32)
+    for v in range(h):
+        bond, row, to = edges[0, v], x[v], out[v // 2]
+        for u in range(w - 1):
+            left[u] = bond[u] * row[u + 1]
+        left[w - 1] = left[w] = np.float32(0.0)
+        if v + 1 < h:
+            below, down = x[v + 1], edges[1, v]
+            for u in range(w):
+                left[u] += down[u] * below[u]
+            if len(edges) == 4:
+                east, west = edges[2, v], edges[3, v]
+                for u in range(w - 1):
+                    left[u] += east[u] * below[u + 1]
+                for u in range(1, w):
+                    left[u] += west[u - 1] * below[u - 1]
+        for u in range(len(to)):
+            to[u] += left[2 * u] + left[2 * u + 1]
     return out
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def prolong_add_kernel(coarse: Grid, inverse: Grid, x: Grid) -> None:
     """Add to every pixel that has an edge the value of its block."""
     h, w = x.shape

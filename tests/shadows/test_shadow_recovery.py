@@ -20,7 +20,14 @@ from vntoolkit.shadows.recovery import (
     recover_surface,
 )
 from vntoolkit.shadows.surface import SurfaceOptions, solve_surface
-from vntoolkit.solvers import grid_hierarchy, solve_grid
+from vntoolkit.solvers import (
+    apply_kernel,
+    first_sweep_kernel,
+    grid_hierarchy,
+    restrict_rest_kernel,
+    solve_grid,
+    sweep_kernel,
+)
 
 
 def degrees(first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -145,6 +152,24 @@ def test_grid_solver_solves_what_a_dense_solver_solves(rng: np.random.Generator)
     # Constants, and they alone, are what `dense` sends to zero; kept at zero, they leave one solution.
     expected = np.linalg.solve(dense + np.full_like(dense, 1 / 63), right.ravel()).reshape(9, 7)
     assert np.abs((found - found.mean()) - (expected - expected.mean())).max() < 1e-4
+
+
+@pytest.mark.parametrize("kinds", [2, 4])
+def test_the_first_sweep_leaves_what_the_matrix_says(rng: np.random.Generator, kinds: int) -> None:
+    """One Gauss–Seidel sweep from 0, its residual over blocks; the same where diagonal edges are 0."""
+    edges = np.zeros((4, 11, 8), np.float32)
+    edges[:kinds] = rng.random((kinds, 11, 8))
+    edges[0, :, -1] = edges[2, :, -1] = edges[3, :, -1] = 0
+    edges[1, -1] = edges[2, -1] = edges[3, -1] = 0
+    right = rng.normal(size=(11, 8)).astype(np.float32)
+    given = np.ascontiguousarray(edges[:kinds])
+    level = grid_hierarchy(given)[0]
+    x, plain = np.empty_like(right), np.zeros_like(right)
+    first_sweep_kernel(given, level.inverse, right, x)
+    sweep_kernel(edges, level.inverse, right, plain, True)
+    assert np.abs(x - plain).max() < 1e-5
+    rest = np.pad(right - apply_kernel(edges, x), ((0, 1), (0, 0))).reshape(6, 2, 4, 2).sum((1, 3))
+    assert np.abs(restrict_rest_kernel(given, x) - rest).max() < 1e-4
 
 
 def test_fill_keeps_what_is_known_and_stays_between() -> None:

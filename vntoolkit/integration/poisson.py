@@ -169,13 +169,14 @@ class MaskedSolver:
 
     def _precondition(self, residual: Float64Image) -> npt.NDArray[np.float32]:
         """Solve on the rectangle, or by one multigrid cycle: this may be rounded, the operator may not."""
-        inner = residual[1:-1, 1:-1]
-        largest = float(np.abs(inner).max(initial=0.0)) or 1.0
+        scaled, largest = np.empty(self._inside.shape, np.float32), _largest(residual) or 1.0
         if self._levels is not None:
-            solution = multigrid_cycle(self._levels, (inner / largest).astype(np.float32))
+            _scale_into(residual, 1.0 / largest, scaled)
+            solution = multigrid_cycle(self._levels, scaled)
             solution *= np.float32(largest)
             return solution
-        solution = self._cosine.solve(-(inner / largest).astype(np.float32))
+        _scale_into(residual, -1.0 / largest, scaled)
+        solution = self._cosine.solve(scaled)
         solution *= np.float32(largest)
         solution *= self._inside
         return solution
@@ -230,6 +231,23 @@ def _apply(right, down, x, out):  # type: ignore[no-untyped-def]
             out[v, u] = value
             total += here * value
     return total
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _largest(padded):  # type: ignore[no-untyped-def]
+    largest = 0.0
+    for v in range(padded.shape[0]):
+        for u in range(padded.shape[1]):
+            largest = max(largest, abs(padded[v, u]))
+    return largest
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _scale_into(padded, factor, out):  # type: ignore[no-untyped-def]
+    height, width = out.shape
+    for v in range(height):
+        for u in range(width):
+            out[v, u] = padded[v + 1, u + 1] * factor
 
 
 @njit(cache=True, fastmath=True, nogil=True)

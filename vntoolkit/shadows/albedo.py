@@ -52,7 +52,7 @@ def gloss_trust(length: FloatArray, albedo: FloatArray, lit: Mask) -> Weight:
     return np.where(lit, 1.0 / (1.0 + excess**2), 1.0).astype(np.float32)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def trust_beside_gloss(length: Any, albedo: Any) -> Any:
     """Return the same of one lit pixel."""
     ratio = max(length, np.float32(_DARKEST)) / max(albedo, np.float32(_DARKEST))

@@ -132,7 +132,7 @@ def small_contributions(
     return replace(small, trust=trust), cover > 0.5
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, parallel=True, error_model="numpy")
 def _shrink_kernel(
     rgb: FloatArray, clipped: Mask, mask: Mask, mean: FloatArray, trust: FloatArray, cover: FloatArray
 ) -> None:
@@ -181,7 +181,7 @@ def brighter_than(frame: LinearFrame, response: LightResponse, darkest: float, m
     return out
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, parallel=True, error_model="numpy")
 def _brighter_kernel(
     rgb: FloatArray, inverse: FloatArray, ambient: FloatArray, least: Any, mask: Mask, out: Mask
 ) -> None:
@@ -200,7 +200,7 @@ def _brighter_kernel(
             to[u] = inside[u] & (x * x + y * y + z * z > least)
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, parallel=True, error_model="numpy")
 def _split_kernel(
     rgb: FloatArray, split: FloatArray, inverse: FloatArray, haze: FloatArray, rest: np.float32,
     contributions: FloatArray, length: FloatArray, normals: FloatArray,
@@ -216,14 +216,14 @@ def _split_kernel(
             normals[v, u, 0], normals[v, u, 1], normals[v, u, 2] = x, y, z
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def finite(value: Any) -> Any:
     """Return a colour; one that is no number is black, one that is infinite white."""
     sound = value - value == np.float32(0.0)
     return value if sound else (np.float32(1.0) if value > np.float32(0.0) else np.float32(0.0))
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def scaled_normal(
     r: Any, g: Any, b: Any, inverse: FloatArray, haze: FloatArray, rest: Any
 ) -> tuple[Any, Any, Any, Any]:

@@ -76,7 +76,7 @@ def largest_dark_cosine(
     return level, grain
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def _bounds_of_dark(albedo: Any, typical: Any, spread: Any) -> tuple[Any, Any, Any]:
     """Return the noise of a cosine, and the lower and the upper bound of the level below which it is dark."""
     noise = np.float32(CONTRIBUTION_NOISE) / max(albedo, np.float32(_SMALLEST_ALBEDO))
@@ -85,14 +85,14 @@ def _bounds_of_dark(albedo: Any, typical: Any, spread: Any) -> tuple[Any, Any, A
     return noise, least, max(most + noise, least)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def _dark_level(expected: Any, least: Any, most: Any) -> Any:
     part = expected * np.float32(1.0 / _TURNING_COSINE)
     part = np.float32(_MISSING_RATIO) * min(max(part, np.float32(0.0)), np.float32(1.0))
     return min(max(part * expected, least), most)
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, parallel=True, error_model="numpy")
 def _level_kernel(
     predicted: FloatArray,
     albedo: FloatArray,
@@ -163,7 +163,7 @@ def evidence_from_albedo(
     return evidence
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, parallel=True, error_model="numpy")
 def _evidence_kernel(
     length: FloatArray, albedo: FloatArray, mask: Mask, cosines: FloatArray, predicted: FloatArray,
     duals: Matrix3, out: FloatArray,
@@ -178,14 +178,14 @@ def _evidence_kernel(
                 out[v, u, k] = _from_albedo(k, cosines[v, u, k], predicted[v, u], ratio, duals)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def _weakest(a: Any, b: Any, c: Any) -> int:
     if b < a:
         return 2 if c < b else 1
     return 2 if c < a else 0
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def _from_albedo(k: int, cosine: Any, predicted: FloatArray, ratio: Any, duals: Matrix3) -> Any:
     """Evidence for light k from a length `ratio` times the albedo around."""
     lost = max(predicted[k] - max(cosine, 0.0), 0.0)
@@ -201,7 +201,7 @@ def _from_albedo(k: int, cosine: Any, predicted: FloatArray, ratio: Any, duals: 
     return min(max(found, -_MOST_FROM_ALBEDO), _MOST_FROM_ALBEDO)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def _log(ratio: Any) -> Any:
     return min(max(np.log(max(ratio, _SMALLEST_RATIO)), -_LARGEST_EXCESS), _LARGEST_EXCESS)
 
@@ -209,7 +209,7 @@ def _log(ratio: Any) -> Any:
 # Dark paint, and what evidence comes of a level.
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def paint_scale(cosines: FloatArray, predicted: FloatArray) -> Any:
     """Return what undoes dark paint: where all three lights are missing alike, it is the albedo that is off.
 
@@ -224,7 +224,7 @@ def paint_scale(cosines: FloatArray, predicted: FloatArray) -> Any:
     return np.float32(1.0)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def evidence_over(cosine: Any, level: Any, predicted: Any, noise: Any) -> Any:
     """Return how far a cosine is above the level, in units of its tolerance."""
     unit = np.float32(TOLERANCE_DARK) + np.float32(_TOLERANCE_BRIGHT) * max(predicted, np.float32(0.0))
@@ -309,7 +309,7 @@ def lamps_of(response: LightResponse) -> Lamps:
     )
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def place_between(index: int, length: int, small: int) -> tuple[int, int, Any]:
     """Return the two pixels of a smaller image beside one of a larger, and how near it is to the second."""
     place = (np.float32(index) + np.float32(0.5)) * np.float32(small / length) - np.float32(0.5)
@@ -318,7 +318,7 @@ def place_between(index: int, length: int, small: int) -> tuple[int, int, Any]:
     return first, min(first + 1, small - 1), place - np.float32(first)
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, parallel=True, error_model="numpy")
 def _doubt_kernel(
     rgb: FloatArray, mask: Mask, lamps: Lamps, expected: FloatArray, typical: Any, spread: Any,
     cosines: FloatArray, doubt: npt.NDArray[np.uint8],
@@ -352,7 +352,7 @@ def _doubt_kernel(
                 doubt[v, u] = 1
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, parallel=True, error_model="numpy")
 def _frame_kernel(
     rgb: FloatArray, mask: Mask, near: Mask, lamps: Lamps, expected: FloatArray, typical: Any,
     spread: Any, sharp: FloatArray, memory: npt.NDArray[np.int8], cosines: FloatArray,
@@ -406,7 +406,7 @@ def memory_of(found: FrameEvidence) -> npt.NDArray[np.int8]:
     return out
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, parallel=True, error_model="numpy")
 def _memory_kernel(near: Mask, evidence: FloatArray, out: npt.NDArray[np.int8]) -> None:
     h, w = near.shape
     for v in prange(h):
@@ -437,7 +437,7 @@ def _sharpened(cosines: FloatArray, mask: Mask, near: Mask) -> FloatArray:
     return out
 
 
-@njit(cache=True, parallel=True, fastmath=True)
+@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
 def _sharpen_kernel(
     cosines: FloatArray, near: Mask, inner: Mask, weights: FloatArray, out: FloatArray
 ) -> None:
@@ -466,7 +466,7 @@ def _sharpen_kernel(
             out[v, u, 2] = whole * cosines[v, u, 2] - part * c
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, parallel=True, error_model="numpy")
 def _median_kernel(cosines: FloatArray, sharp: FloatArray, near: Mask, out: FloatArray) -> None:
     """Fill out with the median of 3×3 pixels; beyond `near` of the cosines as they are."""
     h, w = near.shape
@@ -482,7 +482,7 @@ def _median_kernel(cosines: FloatArray, sharp: FloatArray, near: Mask, out: Floa
                 out[v, u, k] = _median_of_nine(nine)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def _median_of_nine(n: FloatArray) -> Any:
     """Of rows sorted: the median of the largest first, the median second and the smallest third values."""
     low = max(min(n[0], n[1], n[2]), min(n[3], n[4], n[5]), min(n[6], n[7], n[8]))
@@ -491,6 +491,6 @@ def _median_of_nine(n: FloatArray) -> Any:
     return _middle(low, _middle(a, b, c), high)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def _middle(a: Any, b: Any, c: Any) -> Any:
     return max(min(a, b), min(max(a, b), c))

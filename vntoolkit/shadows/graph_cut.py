@@ -200,12 +200,12 @@ def bonds_of_light(
     return east, south
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def _log_of(cosine: Any) -> Any:
     return np.log(max(cosine, np.float32(0.0)) + np.float32(_DARK_COSINE))
 
 
-@njit(cache=True, parallel=True, fastmath=True)
+@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
 def _bonds_kernel(
     cosines: FloatArray, light: int, mask: Mask, decided: Mask, strength: Any, sharpness: Any,
     east: FloatArray, south: FloatArray,

@@ -196,7 +196,7 @@ def _shrunk(labels: VisibilityLabels, shape: tuple[int, ...]) -> VisibilityLabel
     return cv2.resize(labels, shape[::-1], interpolation=cv2.INTER_NEAREST).astype(np.uint8)
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, parallel=True, error_model="numpy")
 def _relative_kernel(rgb: FloatArray, near: Mask, lamps: Lamps, albedo: FloatArray, out: FloatArray) -> None:
     """Fill the contributions over the albedo (of a smaller image) where `near`."""
     h, w = near.shape
@@ -214,7 +214,7 @@ def _relative_kernel(rgb: FloatArray, near: Mask, lamps: Lamps, albedo: FloatArr
                     out[v, u, k] = seen - ambient[k]
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, parallel=True, error_model="numpy")
 def _detail_kernel(
     rgb: FloatArray, clipped: Mask, labels: VisibilityLabels, mask: Mask, lamps: Lamps,
     directions: FloatArray, lights: FloatArray, rays: RayGrid, model: Model, held: Any, solved: FloatArray,
@@ -281,7 +281,7 @@ def _detail_kernel(
             weights[v, u] = _confidence(label, clipped[v, u], length, albedo, agreement)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def _mixed(a0: Any, a1: Any, a2: Any, weight: Any, b0: Any, b1: Any, b2: Any) -> tuple[Any, Any, Any]:
     """Blend two unit vectors, the first with `weight`."""
     rest = np.float32(1.0) - weight
@@ -292,7 +292,7 @@ def _mixed(a0: Any, a1: Any, a2: Any, weight: Any, b0: Any, b1: Any, b2: Any) ->
     return x * scale, y * scale, z * scale
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def _refined(
     v: int, u: int, n0: Any, n1: Any, n2: Any, seen: FloatArray, label: int, trust: Any,
     lights: FloatArray, rays: RayGrid, model: Model, held: Any,
@@ -380,12 +380,12 @@ def _confidence_kernel(
             out[v, u] = _confidence(labels[v, u], clipped[v, u], length[v, u], albedo[v, u], agreement[v, u])
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def _count(label: int) -> int:
     return (label & 1) + ((label >> 1) & 1) + ((label >> 2) & 1)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def _confidence(label: int, clipped: bool, length: Any, albedo: Any, agreement: Any) -> Any:
     weight = np.float32(_WEIGHT_BY_LIGHTS[_count(label)])
     one, least = np.float32(1.0), np.float32(_SMALLEST_ALBEDO)
@@ -402,7 +402,7 @@ def _confidence(label: int, clipped: bool, length: Any, albedo: Any, agreement: 
 # Colour before depth where all three lights meet the surface steeply.
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def _weight_of_colour(x: Any, y: Any, z: Any, directions: FloatArray) -> Any:
     """Return 1 where colour alone counts, 0 where the solved normal stays. directions: a unit row a light."""
     cosine = np.float32(1.0)

@@ -303,7 +303,7 @@ def _without_paint(cosines: FloatArray, predicted: FloatArray) -> FloatArray:
     return out
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, parallel=True, error_model="numpy")
 def _paint_kernel(cosines: FloatArray, predicted: FloatArray, out: FloatArray) -> None:
     h, w, _ = cosines.shape
     for v in prange(h):
@@ -320,7 +320,7 @@ def _evidence(cosines: FloatArray, predicted: FloatArray, albedo: FloatArray, ma
     return level
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, parallel=True, error_model="numpy")
 def _evidence_kernel(
     cosines: FloatArray, predicted: FloatArray, grain: FloatArray, level: FloatArray
 ) -> None:

@@ -90,7 +90,7 @@ def _without_part(
     return out
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, parallel=True, error_model="numpy")
 def _part_kernel(
     labels: VisibilityLabels, shadow: npt.NDArray[np.uint8], cosines: FloatArray, mask: Mask, near: Mask,
     part: float, reach: int, faintest: float, out: VisibilityLabels,

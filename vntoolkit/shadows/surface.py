@@ -284,14 +284,14 @@ class Model(NamedTuple):
 # Compiled loops of `surface`: what each pixel asks of the depth around it, gathered into grid edges.
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def ray_at(rays: RayGrid, v: int, u: int) -> tuple[Any, Any]:
     """Return (x, y) of the pixel's ray at depth 1."""
     x = (np.float32(u) - rays.centre_u) * rays.per_pixel_u
     return x, (np.float32(v) - rays.centre_v) * rays.per_pixel_v
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def _trust_of_missing(light: Any, cosine: Any, model: Model) -> Any:
     """Weight of a light that is labelled missing: where the surface turns from it, what is seen is right.
 
@@ -305,7 +305,7 @@ def _trust_of_missing(light: Any, cosine: Any, model: Model) -> Any:
     return model.missing_weight * left * left
 
 
-@njit(cache=True, fastmath=True, inline="always")
+@njit(cache=True, fastmath=True, inline="always", error_model="numpy")
 def local_quadratic(
     x: Any, y: Any, p: Any, q: Any, towards_p: Any, towards_q: Any,
     cosines: Grid, u: int, label: int, trust: Any, lights: Grid, model: Model,
@@ -361,7 +361,7 @@ def local_quadratic(
     )
 
 
-@njit(cache=True, parallel=True, fastmath=True)
+@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
 def local_quadratics_kernel(
     cosines: Grid, labels: Labels, weight: Grid, slopes: Grid, prior: Grid,
     lights: Grid, rays: RayGrid, model: Model, out: Grid,
@@ -387,12 +387,12 @@ def local_quadratics_kernel(
             out[v, u, 3], out[v, u, 4], out[v, u, 5] = b0, b1, c
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def _quadrant(i: int) -> tuple[int, int]:
     return (1 if i & 1 == 0 else -1), (1 if i & 2 == 0 else -1)
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def quadrant_weights_kernel(
     quadratics: Grid, labels: Labels, mask: Mask, slopes: Grid, depth: Grid,
     softness: Any, shadow_softness: Any, out: Grid,
@@ -428,7 +428,7 @@ def quadrant_weights_kernel(
                 out[v, u, i] = weight * weight
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def edges_kernel(quadratics: Grid, weights: Grid, edges: Grid) -> None:
     """Sum all quadrants' quadratics into the edges (4, h, w) of a graph Laplacian.
 
@@ -465,13 +465,13 @@ def edges_kernel(quadratics: Grid, weights: Grid, edges: Grid) -> None:
                 )
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def _target(quadratics: Grid, slopes: Grid, v: int, u: int) -> tuple[Any, Any]:
     a, p, q = quadratics[v, u], slopes[v, u, 0], slopes[v, u, 1]
     return a[0] * p + a[1] * q + a[3], a[1] * p + a[2] * q + a[4]
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def right_side_kernel(quadratics: Grid, slopes: Grid, weights: Grid, out: Grid) -> None:
     """Fill out (h, w), the right-hand side that belongs to `edges_kernel`."""
     h, w = out.shape
@@ -489,7 +489,7 @@ def right_side_kernel(quadratics: Grid, slopes: Grid, weights: Grid, out: Grid) 
             out[v, u] = 0.25 * total
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def slopes_kernel(depth: Grid, weights: Grid, steepest: Any, slopes: Grid, agreement: Grid) -> None:
     """Replace slopes (h, w, 2) by the weighted mean over the quadrants; agreement (h, w) = mean weight.
 
