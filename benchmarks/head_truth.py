@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
+from vntoolkit.io.rigs import read_rig
 from vntoolkit.pipeline.calibrate_head import HeadCalibration
 
 _STILL = 1e-5  # of the length unit: what a rigid part may be off
@@ -24,6 +25,7 @@ class HeadTruth:
 
     def __init__(self, folder: Path) -> None:
         vertices = np.load(folder / "vertices.npy", mmap_mode="r")
+        self._focal_px = read_rig(folder / "rig.json").camera.matrix[0, 0]
         middle = np.asarray(vertices[len(vertices) // 2], dtype=np.float64)
         head = _turning_part(middle, np.asarray(vertices[0]), np.asarray(vertices[-1]))
         self.poses = [_rigid(middle[head], np.asarray(each, dtype=np.float64)[head]) for each in vertices]
@@ -55,7 +57,9 @@ class HeadTruth:
         pose = self.poses[result.footage.numbers[result.motion.reference]]
         truth = pose.apply(self.surface.vertices)
         normals = vertex_normals(truth, self.surface.faces)
-        moved = _aligned(mesh, truth, normals)
+        # Lengths of a calibration are in distances from the camera, which its focal length tells.
+        unit = float(np.median(truth[:, 2])) * result.motion.camera.matrix[0, 0] / self._focal_px
+        moved = _aligned(mesh.vertices * unit, mesh.faces, truth, normals)
         hits = _scene(moved, mesh.faces).compute_closest_points(o3d.core.Tensor(truth.astype(np.float32)))
         distance = np.linalg.norm(hits["points"].numpy() - truth, axis=1)
         faces = mesh.faces[hits["primitive_ids"].numpy()]
@@ -109,15 +113,13 @@ def _scene(vertices: np.ndarray, faces: np.ndarray) -> o3d.t.geometry.Raycasting
     return scene
 
 
-def _aligned(mesh: Mesh, truth: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Move the mesh onto the truth by a similarity: closest points of 15,000 of its vertices (chen1992)."""
-    unit = float(np.median(truth[:, 2]))  # lengths of a calibration are in distances from the camera
-    moved = mesh.vertices * unit
+def _aligned(moved: np.ndarray, faces: np.ndarray, truth: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Move a mesh onto the truth by a similarity: closest points of 15,000 of its vertices (chen1992)."""
     moved = moved - np.median(moved, axis=0) + np.median(truth, axis=0)
     chosen = np.random.default_rng(0).choice(len(truth), min(15_000, len(truth)), replace=False)
     points, towards = truth[chosen], normals[chosen]
     for _ in range(60):
-        hits = _scene(moved, mesh.faces).compute_closest_points(o3d.core.Tensor(points.astype(np.float32)))
+        hits = _scene(moved, faces).compute_closest_points(o3d.core.Tensor(points.astype(np.float32)))
         near = hits["points"].numpy().astype(np.float64)
         distance = np.linalg.norm(near - points, axis=1)
         kept = distance <= np.quantile(distance, _KEPT_SHARE)

@@ -8,6 +8,7 @@ from vntoolkit.calibration.head.poses import PoseOptions, fit_affine_model, metr
 from vntoolkit.calibration.head.tracks import Tracks
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.rigid import RigidTransform
 
 FAR = Camera.pinhole(width=640, height=480, focal_px=8000.0)
 NEAR = Camera.pinhole(width=640, height=480, focal_px=900.0)
@@ -57,6 +58,26 @@ def test_noise_gives_as_much_error_as_it_must():
     # 0.3 px on a radius of 160 px is 0.1 degrees a point; some 150 points a frame average it
     assert 0.003 < errors.mean() < 0.1
     assert 0.25 < motion.error_px < 0.45  # the mean length of two-dimensional noise of 0.3 px is 0.376
+
+
+def test_a_guessed_focal_length_leaves_pixels_square():
+    """A turn about the vertical alone does not tell height from distance: one focal length has to."""
+    points, poses = turning_ball(FAR, 5.0)
+    upright = [
+        RigidTransform(
+            rotation=Rotation.from_euler("y", 5.0 * k - 60.0, degrees=True).as_matrix(),
+            translation=pose.translation,
+        )
+        for k, pose in enumerate(poses)
+    ]
+    tracks = tracks_of(points, upright, FAR, noise_px=0.3)
+    guess = Camera.pinhole(width=640, height=480, focal_px=0.9 * 8000.0)
+    motion = solve_head_motion(tracks, guess, PoseOptions(), np.random.default_rng(0), refine_focal=True)
+    assert motion.camera.matrix[0, 0] == motion.camera.matrix[1, 1]
+    found = np.ptp(motion.points_in_head, axis=0)
+    assert found[1] / found[0] == pytest.approx(
+        np.ptp(points, axis=0)[1] / np.ptp(points, axis=0)[0], rel=0.1
+    )
 
 
 def test_wrong_tracks_are_rejected():

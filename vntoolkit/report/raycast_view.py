@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -64,44 +65,48 @@ def picture_of(meshes: Sequence[Mesh], view: View) -> npt.NDArray[np.uint8]:
     """Render meshes in the camera frame; returns (h, w, 3) uint8 RGB. Both sides of a face are lit."""
     turned = [(mesh.vertices - view.centre) @ view.view_from_world.T for mesh in meshes]
     scene = RayScene(*((vertices, mesh.faces) for vertices, mesh in zip(turned, meshes, strict=True)))
-    finer = replace(view, width_px=_FINER * view.width_px, height_px=_FINER * view.height_px)
-    hits = scene.first_hits(_rays(finer, turned).reshape(-1, 6), _within(finer, turned))
-    picture = np.tile(np.array(BACKGROUND, np.float32), (finer.height_px * finer.width_px, 1))
-    for index, mesh in enumerate(meshes):
-        seen = hits.surfaces == index
-        corners = hits.barycentric[seen]
-        shares = np.column_stack([1 - corners.sum(axis=1), corners])
-        colours = _colours_at(mesh, mesh.faces[hits.faces[seen]], shares)
-        picture[hits.rays[seen]] = _shaded(colours, hits.normals[seen])
-    cells = picture.reshape(view.height_px, _FINER, view.width_px, _FINER, 3)
-    return (np.clip(cells.mean(axis=(1, 3)), 0, 1) * 255 + 0.5).astype(np.uint8)
+    picture = np.tile(np.array(BACKGROUND, np.float32), (view.height_px, view.width_px, 1))
+    (left, top), (right, bottom) = _box(view, turned)
+    if left < right and top < bottom:
+        corner, size = np.array([left, top]), np.array([right - left, bottom - top])
+        rays = _rays(view, corner, size, turned)
+        hits = scene.first_hits(rays)
+        inner = np.tile(np.array(BACKGROUND, np.float32), (len(rays), 1))
+        for index, mesh in enumerate(meshes):
+            seen = hits.surfaces == index
+            corners = hits.barycentric[seen]
+            shares = np.column_stack([1 - corners.sum(axis=1), corners])
+            colours = _colours_at(mesh, mesh.faces[hits.faces[seen]], shares)
+            inner[hits.rays[seen]] = _shaded(colours, hits.normals[seen])
+        inner = inner.reshape(_FINER * size[1], _FINER * size[0], 3)
+        picture[top:bottom, left:right] = cv2.resize(inner, size.tolist(), interpolation=cv2.INTER_AREA)
+    return (np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8)
 
 
-def _rays(view: View, turned: Sequence[Points]) -> npt.NDArray[np.float32]:
-    nearest = min((float(vertices[:, 2].min()) for vertices in turned if len(vertices)), default=0.0)
-    pixel = view.height / view.height_px
-    u = (np.arange(view.width_px) - (view.width_px - 1) / 2) * pixel
-    v = (np.arange(view.height_px) - (view.height_px - 1) / 2) * pixel
-    rays = np.zeros((view.height_px, view.width_px, 6), dtype=np.float32)
-    rays[..., 0], rays[..., 1] = np.meshgrid(u, v)
-    rays[..., 2] = nearest - view.height
-    rays[..., 5] = 1
-    return rays
-
-
-def _within(view: View, turned: Sequence[Points]) -> npt.NDArray[np.int64]:
-    """Return which rays pass the box around the meshes: the others meet nothing."""
-    pixel = view.height / view.height_px
+def _box(view: View, turned: Sequence[Points]) -> IntArray:
+    """Return ((left, top), (right, bottom)) of the pixels that the meshes may cover: others show nothing."""
     points = [vertices[:, :2] for vertices in turned if len(vertices)]
     if not points:
-        return np.zeros(0, dtype=np.int64)
-    low = np.min([corner.min(axis=0) for corner in points], axis=0) / pixel
-    high = np.max([corner.max(axis=0) for corner in points], axis=0) / pixel
+        return np.zeros((2, 2), dtype=np.int64)
     size = np.array([view.width_px, view.height_px])
-    first = np.clip(np.floor(low + (size - 1) / 2).astype(np.int64), 0, size)
-    last = np.clip(np.ceil(high + (size - 1) / 2).astype(np.int64) + 1, 0, size)
-    rows, columns = np.mgrid[first[1] : last[1], first[0] : last[0]]
-    return np.asarray((rows * view.width_px + columns).ravel())
+    middle, pixel = (size - 1) / 2, view.height / view.height_px
+    low = np.floor(np.min([each.min(axis=0) for each in points], axis=0) / pixel + middle)
+    high = np.ceil(np.max([each.max(axis=0) for each in points], axis=0) / pixel + middle) + 1
+    return np.stack([np.clip(low, 0, size), np.clip(high, 0, size)]).astype(np.int64)
+
+
+def _rays(view: View, corner: IntArray, size: IntArray, turned: Sequence[Points]) -> npt.NDArray[np.float32]:
+    """Return the rays (r, 6) of a box of pixels, `_FINER` along each side of a pixel, row by row."""
+    nearest = min((float(vertices[:, 2].min()) for vertices in turned if len(vertices)), default=0.0)
+    pixel, middle = view.height / view.height_px, (np.array([view.width_px, view.height_px]) - 1) / 2
+    u, v = (
+        (corner[k] + (np.arange(_FINER * size[k]) + 0.5) / _FINER - 0.5 - middle[k]) * pixel for k in range(2)
+    )
+    rays = np.zeros((len(v), len(u), 6), dtype=np.float32)
+    rays[..., 0], rays[..., 1] = u, v[:, None]
+    rays[..., 2] = nearest - view.height
+    rays[..., 5] = 1
+    return rays.reshape(-1, 6)
 
 
 def _colours_at(mesh: Mesh, faces: npt.NDArray[np.int32], shares: FloatArray) -> Colours:

@@ -158,12 +158,16 @@ def camera_for_colmap(camera: Camera) -> Any:
     import pycolmap
 
     k = camera.matrix
-    parameters = [k[0, 0], k[1, 1], *colmap_from_pixels(k[:2, 2])]
+    model, focal = camera.model.value, [k[0, 0], k[1, 1]]
+    if camera.model is CameraModel.PINHOLE and k[0, 0] == k[1, 1]:
+        # A turn about the vertical tells nothing of a second focal length.
+        model, focal = "SIMPLE_PINHOLE", [k[0, 0]]
+    parameters = [*focal, *colmap_from_pixels(k[:2, 2])]
     if camera.model is CameraModel.OPENCV:
         parameters += list(camera.distortion)
     return pycolmap.Camera(
         camera_id=_CAMERA_ID,
-        model=camera.model.value,
+        model=model,
         width=camera.width,
         height=camera.height,
         params=parameters,
@@ -173,10 +177,8 @@ def camera_for_colmap(camera: Camera) -> Any:
 
 def camera_from_colmap(refined: Any, camera: Camera) -> Camera:
     """Return ours from pycolmap's, which may have a refined focal length; model and size as in `camera`."""
-    fx, fy, cx, cy = refined.params[:4]
-    matrix = np.array(
-        [[fx, 0.0, cx - _PIXEL_CENTRE], [0.0, fy, cy - _PIXEL_CENTRE], [0.0, 0.0, 1.0]], dtype=np.float64
-    )
+    matrix = np.array(refined.calibration_matrix(), dtype=np.float64)
+    matrix[:2, 2] = pixels_from_colmap(matrix[:2, 2])
     return Camera(
         model=camera.model,
         width=camera.width,
