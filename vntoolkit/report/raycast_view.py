@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -79,7 +78,8 @@ def picture_of(meshes: Sequence[Mesh], view: View) -> npt.NDArray[np.uint8]:
             colours = _colours_at(mesh, mesh.faces[hits.faces[seen]], shares)
             inner[hits.rays[seen]] = _shaded(colours, hits.normals[seen])
         inner = inner.reshape(_FINER * size[1], _FINER * size[0], 3)
-        picture[top:bottom, left:right] = cv2.resize(inner, size.tolist(), interpolation=cv2.INTER_AREA)
+        parts = (inner[i::_FINER, k::_FINER] for i in range(_FINER) for k in range(_FINER))
+        picture[top:bottom, left:right] = np.add.reduce(list(parts)) / _FINER**2
     return (np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8)
 
 
