@@ -22,6 +22,7 @@ _SMALLEST_ALBEDO = 1e-3
 _SMALLEST_REST = 0.05  # 1 − |M⁻¹a|²: an ambient light as strong as the lamps leaves no root
 _MARGIN_PX = 4  # room for filters around the mask
 Window = tuple[slice, slice]
+FLAGS = {"contract", "arcp", "nsz"}  # of compiled loops: NaN and infinity keep their meaning
 TOWARDS_VIEWER = np.array([0.0, 0.0, -1.0], dtype=np.float32)  # single, so that images stay so
 
 
@@ -132,7 +133,7 @@ def small_contributions(
     return replace(small, trust=trust), cover > 0.5
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
 def _shrink_kernel(
     rgb: FloatArray, clipped: Mask, mask: Mask, mean: FloatArray, trust: FloatArray, cover: FloatArray
 ) -> None:
@@ -200,7 +201,7 @@ def _brighter_kernel(
             to[u] = inside[u] & (x * x + y * y + z * z > least)
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
 def _split_kernel(
     rgb: FloatArray, split: FloatArray, inverse: FloatArray, haze: FloatArray, rest: np.float32,
     contributions: FloatArray, length: FloatArray, normals: FloatArray,

@@ -18,7 +18,7 @@ from numba import prange
 from vntoolkit.arrays import FloatArray, Mask, Matrix3
 from vntoolkit.native import njit
 from vntoolkit.photometry.response import LightResponse
-from vntoolkit.shadows.contributions import LightContributions, finite, haze_of, scaled_normal
+from vntoolkit.shadows.contributions import FLAGS, LightContributions, finite, haze_of, scaled_normal
 
 _SMALLEST_ALBEDO = 0.02
 _SMALLEST_COSINE = 1e-6
@@ -318,7 +318,7 @@ def place_between(index: int, length: int, small: int) -> tuple[int, int, Any]:
     return first, min(first + 1, small - 1), place - np.float32(first)
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
 def _doubt_kernel(
     rgb: FloatArray, mask: Mask, lamps: Lamps, expected: FloatArray, typical: Any, spread: Any,
     cosines: FloatArray, doubt: npt.NDArray[np.uint8],
@@ -352,7 +352,7 @@ def _doubt_kernel(
                 doubt[v, u] = 1
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
 def _frame_kernel(
     rgb: FloatArray, mask: Mask, near: Mask, lamps: Lamps, expected: FloatArray, typical: Any,
     spread: Any, sharp: FloatArray, memory: npt.NDArray[np.int8], cosines: FloatArray,

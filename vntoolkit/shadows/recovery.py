@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numba import prange
 
-from vntoolkit.arrays import FloatArray, Mask, Normals, VisibilityLabels, Weight
+from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels, Weight
 from vntoolkit.checks import checks_kinds, require_mask, require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
@@ -21,6 +21,7 @@ from vntoolkit.photometry.response import LightResponse
 from vntoolkit.shadows.albedo import albedo_from_lit, fill_smoothly, gloss_trust, trust_beside_gloss
 from vntoolkit.shadows.contributions import (
     CLIPPED_TRUST,
+    FLAGS,
     LightContributions,
     Window,
     contributions_from_frame,
@@ -214,7 +215,7 @@ def _relative_kernel(rgb: FloatArray, near: Mask, lamps: Lamps, albedo: FloatArr
                     out[v, u, k] = seen - ambient[k]
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
 def _detail_kernel(
     rgb: FloatArray, clipped: Mask, labels: VisibilityLabels, mask: Mask, lamps: Lamps,
     directions: FloatArray, lights: FloatArray, rays: RayGrid, model: Model, held: Any, solved: FloatArray,
@@ -249,7 +250,7 @@ def _detail_kernel(
             label = labels[v, u]
             albedo = (one - s) * row[left, 3] + s * row[right, 3]
             agreement = (one - s) * row[left, 4] + s * row[right, 4]
-            colour = _weight_of_colour(x, y, z, directions) if label == ALL_LIT else zero
+            colour = weight_of_colour(x, y, z, directions) if label == ALL_LIT else zero
             if colour < one:
                 n0 = (one - s) * row[left, 0] + s * row[right, 0]
                 n1 = (one - s) * row[left, 1] + s * row[right, 1]
@@ -273,8 +274,8 @@ def _detail_kernel(
                         v, u, n0, n1, n2, seen, label, max(trust, least), lights, rays, model, held
                     )
                     if label == ALL_LIT:
-                        n0, n1, n2 = _mixed(n0, n1, n2, agreement, x, y, z)
-                x, y, z = _mixed(x, y, z, colour, n0, n1, n2)
+                        n0, n1, n2 = mixed(n0, n1, n2, agreement, x, y, z)
+                x, y, z = mixed(x, y, z, colour, n0, n1, n2)
             z = min(z, np.float32(-1e-3))  # one that would face away turns edge-on
             scale = one / np.sqrt(x * x + y * y + z * z)
             normals[v, u, 0], normals[v, u, 1], normals[v, u, 2] = x * scale, y * scale, z * scale
@@ -282,7 +283,7 @@ def _detail_kernel(
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def _mixed(a0: Any, a1: Any, a2: Any, weight: Any, b0: Any, b1: Any, b2: Any) -> tuple[Any, Any, Any]:
+def mixed(a0: Any, a1: Any, a2: Any, weight: Any, b0: Any, b1: Any, b2: Any) -> tuple[Any, Any, Any]:
     """Blend two unit vectors, the first with `weight`."""
     rest = np.float32(1.0) - weight
     x = weight * a0 + rest * b0
@@ -403,33 +404,10 @@ def _confidence(label: int, clipped: bool, length: Any, albedo: Any, agreement: 
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def _weight_of_colour(x: Any, y: Any, z: Any, directions: FloatArray) -> Any:
+def weight_of_colour(x: Any, y: Any, z: Any, directions: FloatArray) -> Any:
     """Return 1 where colour alone counts, 0 where the solved normal stays. directions: a unit row a light."""
     cosine = np.float32(1.0)
     for k in range(3):
         cosine = min(cosine, x * directions[k, 0] + y * directions[k, 1] + z * directions[k, 2])
     weight = (cosine - np.float32(_GRAZING)) * np.float32(1.0 / (_STEEP - _GRAZING))
     return min(max(weight, np.float32(0.0)), np.float32(1.0))
-
-
-def normals_by_grazing_incidence(
-    solved: Normals, inverted: Normals, directions: FloatArray, lit: Mask
-) -> Normals:
-    """Blend two maps of normals (h, w, 3) in the pixels of `lit`, which all three lights reach.
-
-    solved: with the depth. inverted: from colour alone. directions: (3, 3), a unit row per light.
-    """
-    out = np.array(solved, dtype=np.float32)
-    _grazing_kernel(out, np.asarray(inverted, np.float32), directions.astype(np.float32), np.asarray(lit))
-    return out
-
-
-@njit(cache=True)
-def _grazing_kernel(out: Normals, inverted: Normals, directions: FloatArray, lit: Mask) -> None:
-    h, w = lit.shape
-    for v in range(h):
-        for u in range(w):
-            if lit[v, u]:
-                x, y, z = inverted[v, u]
-                weight = _weight_of_colour(x, y, z, directions)
-                out[v, u] = _mixed(x, y, z, weight, out[v, u, 0], out[v, u, 1], out[v, u, 2])
