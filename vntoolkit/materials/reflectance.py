@@ -25,6 +25,7 @@ from vntoolkit.photometry.response import LightResponse
 CAP = 3.0  # standard deviations at which a residual stops to count more
 # Spread of log ρ before anything is seen: paints return 0.1 to 1 of the light.
 _PRIOR_SPREAD = 0.6
+_LARGEST_RATIO = np.log(12.0)  # of the reflectances of one material
 _ROUNDS = 14
 _FIRST_TOLERANCE = 0.3  # of the first round; halved every round, so that a poor start is no outlier
 _LARGEST_STEP = 0.5
@@ -97,30 +98,47 @@ def fit_reflectance(
     require_shape(contributions, (None, 3), "contributions of the lamps")
     s = np.ascontiguousarray(contributions, dtype=np.float64)
     found, normal_matrix, _ = best_fit(s, lamps, tolerance, None if start is None else start[None])
-    values = np.exp(found)
-    normals = (s / values - lamps.haze) @ lamps.inverse.T
-    lengths = np.maximum(np.linalg.norm(normals, axis=1), 1e-9)
     covariance = np.linalg.inv(independent * normal_matrix + np.eye(3) * 1e-12)
+    return reflectance_from_fit(found, covariance, s, lamps)
+
+
+def reflectance_from_fit(
+    log: Vector3, covariance: Matrix3, contributions: Points, lamps: Lamps
+) -> Reflectance:
+    """Return the reflectance of log values (3,) and their covariance (3, 3), judged on pixels (n, 3)."""
+    values = np.exp(log)
+    normals = (contributions / values - lamps.haze) @ lamps.inverse.T
+    lengths = np.maximum(np.linalg.norm(normals, axis=1), 1e-9)
     return Reflectance(
         values=values,
         covariance=covariance,
-        error_deg=_error_deg(normals / lengths[:, None], s / values, lamps.inverse, covariance),
+        error_deg=_error_deg(normals / lengths[:, None], contributions / values, lamps.inverse, covariance),
         residual=1.4826 * float(np.median(np.abs(lengths - 1.0))),
     )
 
 
 def best_fit(
-    s: Points, lamps: Lamps, tolerance: float, starts: Points | None = None
+    s: Points,
+    lamps: Lamps,
+    tolerance: float,
+    starts: Points | None = None,
+    spread: float | None = None,
+    independent: float = 1.0,
 ) -> tuple[Vector3, Matrix3, float]:
-    """Return log ρ (3,), its normal matrix (3, 3) without the prior, and the mean cost, of the best start."""
-    centre = _scale_of(s, lamps)
+    """Return log ρ (3,), its normal matrix (3, 3) without the prior, and the mean cost, of the best start.
+
+    spread: standard deviation of log ρ about the start; without it, about one reflectance in all bands.
+    independent: share of the pixels whose errors are independent. No paint is of one band alone.
+    """
+    scale = _scale_of(s, lamps)
     if starts is None:
-        starts = centre + _STARTS
-    prior = np.eye(3) / _PRIOR_SPREAD**2
+        starts = scale + _STARTS
+    prior = np.eye(3) / (independent * (_PRIOR_SPREAD if spread is None else spread) ** 2)
     best: tuple[Vector3, Matrix3, float] | None = None
     for start in starts:
-        found = _fit(s, lamps, tolerance, start, centre, prior)
-        if best is None or found[2] < best[2]:
+        found = _fit(s, lamps, tolerance, start, scale if spread is None else start, prior)
+        is_paint = np.ptp(found[0]) < _LARGEST_RATIO
+        if best is None or (is_paint, -found[2]) > (np.ptp(best[0]) < _LARGEST_RATIO, -best[2]):
             best = found
     assert best is not None
     return best

@@ -1,8 +1,8 @@
-"""Regions without an edge of paint: where the logarithm of the lamps' contributions changes slowly.
+"""Small regions within one paint, and the steps of colour between neighbours.
 
-log s_k = log ρ_k + log(l_k · n): a change of material is a step in it, the same along the whole seam between
-two materials, since the normal goes on. Over regions on either side of a seam the step therefore tells the
-ratio of two reflectances.
+log s_k = log ρ_k + log(l_k · n). From a small region to its neighbour on the same surface the normal changes
+little. So a large step of the mean of log s is one of paint, and tells the ratio of two reflectances. Pixels
+on the steps themselves are blurred mixtures. They are kept out, and go to the nearest region afterwards.
 """
 
 from __future__ import annotations
@@ -12,80 +12,99 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from numba import prange
+from scipy.ndimage import distance_transform_edt
 
-from vntoolkit.arrays import FloatArray
-from vntoolkit.materials.reflectance import CAP
+from vntoolkit.arrays import FloatArray, IntArray, Mask
 from vntoolkit.materials.split_frame import SplitFrame
 from vntoolkit.native import njit
 
-_REACH_PX = 2  # half the distance over which a step is measured: two blocks of 3×3 pixels that touch nowhere
-_SHADING = 0.05  # change of log s over that distance that a curved surface makes
-_BESIDE_PX = 3  # from a seam of a label map, which is that exact, to where its step is measured …
-_SHADING_BESIDE = 0.08  # … and what a curved surface changes log s over twice that
-_GROWTH = 100.0  # pixels for which a region may hold a step larger by one standard deviation
-_SMALLEST_PX = 40  # of a region from which a reflectance is estimated
+REGION_PX = 8  # side of a region; stripes of half that width are still found
+SHADING_STEP = 0.08  # standard deviation of the step of log s between neighbours by shape and texture
+_EDGE = 0.25  # step of log s over four pixels that is one of paint …
+_REACH_PX = 2  # … which a lens and a Bayer pattern blur over that distance to either side
+_COMPACT = 2.0  # weight of the distance in pixels against that in colour
+_COLOUR = 0.07  # log s that counts as much as half a region's side
+_SWEEPS = 4
+SAMPLES = 16  # pixels that stand for a region
+_FEWEST_PX = 12
+_FILLED_PX = 8.0  # from a region within which pixels of an edge belong to it
+_FEWEST_CONTACTS = 3
+_FULL_CONTACT_PX = 8.0
+_MOST_CONTACT = 1.5
+_NEIGHBOURS = 3.0  # steps to about six neighbours are counted twice and hold one difference of means each
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Regions:
-    """Regions of one frame, and the steps between neighbours.
+    """The regions of one frame as a graph.
 
-    logs, variance: (h, w, 3), log s of 3×3 means, and its variance by noise, infinite where not lit. labels:
-    (h, w) int32, −1 outside. count: how many. edge: as of `edges_of`. pairs: (m, 2), neighbours.
-    steps: (m, 3), median of log s in the second less that in the first.
+    labels: (h, w) int64, the nearest region to every pixel. plain: (h, w), not on an edge.
+    samples: (n, SAMPLES, 3), contributions at pixels of each region. counts: (n,), how many. sizes: (n,).
+    logs: (n, 3), mean log s. starts: (n + 1,), where the neighbours of each begin in `neighbours` (e,).
+    steps: (e, 3), log s of the neighbour less its own. contacts: (e,), weights of the steps.
     """
 
+    labels: IntArray
+    plain: Mask
+    samples: FloatArray
+    counts: IntArray
+    sizes: FloatArray
     logs: FloatArray
-    variance: FloatArray
-    labels: npt.NDArray[np.int32]
-    count: int
-    edge: FloatArray
-    pairs: npt.NDArray[np.int64]
+    starts: IntArray
+    neighbours: IntArray
     steps: FloatArray
+    contacts: FloatArray
 
+    @property
+    def count(self) -> int:
+        """How many regions there are."""
+        return len(self.sizes)
 
-def edges_of(split: SplitFrame) -> FloatArray:
-    """(h, w), step of log s at each pixel in standard deviations, infinite where it is not known."""
-    return np.asarray(_log_and_edge(split.contributions, split.lamps.noise, split.lit)[2])
+    @property
+    def sources(self) -> IntArray:
+        """(e,), the region that each step starts from."""
+        return np.repeat(np.arange(self.count), np.diff(self.starts))
 
 
 def regions_of(split: SplitFrame) -> Regions:
-    """Cut the lit pixels along steps of log s (felzenszwalb2004), and measure the steps."""
+    """Cut the lit pixels into regions of about 8 × 8 pixels that keep to edges (achanta2012)."""
     lit = split.lit
-    logs, variance, edge = _log_and_edge(split.contributions, split.lamps.noise, lit)
-    east = np.maximum(edge[:, :-1], edge[:, 1:]).ravel()
-    south = np.maximum(edge[:-1], edge[1:]).ravel()
-    index = np.arange(lit.size).reshape(lit.shape)
-    first = np.concatenate([index[:, :-1].ravel(), index[:-1].ravel()])
-    second = np.concatenate([index[:, 1:].ravel(), index[1:].ravel()])
-    weight = np.concatenate([east, south])
-    usable = np.isfinite(weight)
-    first, second, weight = first[usable], second[usable], weight[usable]
-    order = np.argsort(weight, kind="stable")
-    roots = _merge(first[order], second[order], weight[order], lit.size)
-    found, inverse, counts = np.unique(roots, return_inverse=True, return_counts=True)
-    inside = np.isfinite(edge).ravel()
-    kept = counts >= _SMALLEST_PX
-    kept &= np.bincount(inverse, weights=inside, minlength=len(found)) > 0
-    number = np.where(kept, np.cumsum(kept) - 1, -1).astype(np.int32)
-    labels = np.where(inside, number[inverse], -1).reshape(lit.shape).astype(np.int32)
-    count = int(kept.sum())
+    logs = np.asarray(_mean_logs(split.contributions, lit))
+    plain = lit & ~np.asarray(_is_edge(logs, lit))
+    cells, sizes = _cells(logs, plain)
+    kept = np.flatnonzero(sizes >= _FEWEST_PX)
+    number = np.full(len(sizes) + 1, -1, np.int64)
+    number[kept] = np.arange(len(kept))
+    inner = number[cells]
+    samples, counts, means = _sampled(split.contributions, logs, inner, len(kept))
+    labels, near = inner, inner >= 0
+    if len(kept):
+        distance, nearest = distance_transform_edt(inner < 0, return_indices=True)
+        labels = inner[nearest[0], nearest[1]]
+        near = lit & (distance <= _FILLED_PX)
     return Regions(
-        logs=logs, variance=variance, labels=labels, count=count, edge=edge, **_steps(logs, labels)
+        labels=labels,
+        plain=plain,
+        samples=samples,
+        counts=counts,
+        sizes=sizes[kept].astype(np.float64),
+        logs=means,
+        **_neighbours(np.where(near, labels, -1), means),
     )
 
 
-@njit(cache=True, error_model="numpy")
-def _log_and_edge(s: Any, noise: Any, lit: Any) -> Any:
-    """Return logs and variance as of `Regions`, and the step in standard deviations (h, w), ∞ if unknown."""
+@njit(cache=True, parallel=True, error_model="numpy")
+def _mean_logs(s: Any, lit: Any) -> Any:
+    """(h, w, 3), log of the mean over 3 × 3 pixels, 0 where not lit."""
     h, w, _ = s.shape
-    logs = np.full((h, w, 3), np.nan)
-    variance = np.full((h, w, 3), np.inf)
-    for v in range(h):
+    logs = np.zeros((h, w, 3))
+    for v in prange(h):
+        total = np.empty(3)
         for u in range(w):
             if not lit[v, u]:
                 continue
-            total = np.zeros(3)
+            total[:] = 0.0
             count = 0
             for i in range(max(v - 1, 0), min(v + 2, h)):
                 for j in range(max(u - 1, 0), min(u + 2, w)):
@@ -94,116 +113,132 @@ def _log_and_edge(s: Any, noise: Any, lit: Any) -> Any:
                         for k in range(3):
                             total[k] += s[i, j, k]
             for k in range(3):
-                mean = total[k] / count
-                logs[v, u, k] = np.log(mean)
-                variance[v, u, k] = noise[k] * noise[k] / (count * mean * mean)
-    edge = np.full((h, w), np.inf)
+                logs[v, u, k] = np.log(total[k] / count)
+    return logs
+
+
+@njit(cache=True, parallel=True)
+def _is_edge(logs: Any, lit: Any) -> Any:
+    h, w, _ = logs.shape
+    edge = np.zeros((h, w), np.bool_)
     r = _REACH_PX
-    for v in range(h):
+    for v in prange(h):
         for u in range(w):
-            if not lit[v, u]:
-                continue
-            largest = 0.0
-            known = False
             for way in range(2):
                 a, b, c, d = v - r * way, u - r * (1 - way), v + r * way, u + r * (1 - way)
                 if a < 0 or b < 0 or c >= h or d >= w or not lit[a, b] or not lit[c, d]:
                     continue
-                known = True
-                total_step = 0.0
                 for k in range(3):
-                    step = logs[c, d, k] - logs[a, b, k]
-                    total_step += step * step / (variance[a, b, k] + variance[c, d, k] + _SHADING * _SHADING)
-                largest = max(largest, total_step)
-            if known:
-                edge[v, u] = np.sqrt(largest)
-    return logs, variance, edge
+                    if abs(logs[c, d, k] - logs[a, b, k]) > _EDGE:
+                        edge[v, u] = True
+    return edge
 
 
-@njit(cache=True, inline="always")
-def _root(parent: Any, i: int) -> int:
-    while parent[i] != i:
-        parent[i] = parent[parent[i]]
-        i = parent[i]
-    return i
-
-
-@njit(cache=True)
-def _merge(first: Any, second: Any, weight: Any, count: int) -> Any:
-    parent = np.arange(count)
-    size = np.ones(count, np.int64)
-    largest = np.zeros(count)
-    for e in range(first.size):
-        a, b = _root(parent, first[e]), _root(parent, second[e])
-        if a == b:
-            continue
-        if weight[e] <= min(largest[a] + _GROWTH / size[a], largest[b] + _GROWTH / size[b]):
-            if size[a] < size[b]:
-                a, b = b, a
-            parent[b] = a
-            size[a] += size[b]
-            largest[a] = weight[e]
-    for i in range(count):
-        parent[i] = _root(parent, i)
-    return parent
+def _cells(logs: FloatArray, plain: Mask) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Return the cell of every plain pixel, −1 elsewhere, and the sizes of the cells."""
+    v, u = np.indices(plain.shape) // REGION_PX
+    across = (plain.shape[1] + REGION_PX - 1) // REGION_PX
+    cells = np.where(plain, v * across + u, -1)
+    count = across * ((plain.shape[0] + REGION_PX - 1) // REGION_PX)
+    for _ in range(_SWEEPS):
+        centres, sizes = _centres(logs, cells, count)
+        cells = _nearest_cells(logs, plain, centres, sizes, across)
+    return cells, np.bincount(cells[plain], minlength=count)
 
 
 @njit(cache=True, error_model="numpy")
-def seam_information(labels: Any, lit: Any, z: Any, logs: Any, variance: Any) -> float:
-    """Nats that the seams of a label map cost: one a pixel, less what a step of paint explains there.
-
-    Where material a meets b, log s steps by log ρ_b − log ρ_a if the surface goes on, and not at all if there
-    is no paint. labels, lit: (h, w). z: (m, 3), log ρ. logs, variance: see `Regions`.
-    """
-    h, w = labels.shape
-    total = 0.0
-    cap = CAP * CAP
+def _centres(logs: Any, cells: Any, count: int) -> Any:
+    h, w = cells.shape
+    centres, sizes = np.zeros((count, 5)), np.zeros(count)
     for v in range(h):
         for u in range(w):
-            for way in range(2):
-                i, j = v + way, u + 1 - way
-                if i >= h or j >= w or not lit[v, u] or not lit[i, j] or labels[v, u] == labels[i, j]:
-                    continue
-                total += 1.0
-                r, s = _BESIDE_PX * way, _BESIDE_PX * (1 - way)
-                a, b, c, d = v - r, u - s, i + r, j + s
-                if a < 0 or b < 0 or c >= h or d >= w or not lit[a, b] or not lit[c, d]:
-                    continue
-                painted, plain = 0.0, 0.0
+            i = cells[v, u]
+            if i >= 0:
+                sizes[i] += 1.0
+                centres[i, 0] += v
+                centres[i, 1] += u
                 for k in range(3):
-                    step = logs[c, d, k] - logs[a, b, k]
-                    rest = step - z[labels[i, j], k] + z[labels[v, u], k]
-                    spread = variance[a, b, k] + variance[c, d, k] + _SHADING_BESIDE * _SHADING_BESIDE
-                    painted += rest * rest / spread
-                    plain += step * step / spread
-                total += 0.5 * (min(painted, cap) - min(plain, cap))
-    return total
+                    centres[i, 2 + k] += logs[v, u, k]
+    for i in range(count):
+        if sizes[i] > 0.0:
+            for k in range(5):
+                centres[i, k] /= sizes[i]
+    return centres, sizes
 
 
-def _steps(logs: FloatArray, labels: npt.NDArray[np.int32]) -> dict[str, Any]:
-    """Steps between regions that face each other across the blurred seam."""
-    reach = 2 * _REACH_PX + 1
-    first, second, steps = [], [], []
-    for axis in (0, 1):
-        length = labels.shape[axis]
-        here = np.take(labels, range(length - reach), axis)
-        there = np.take(labels, range(reach, length), axis)
-        seam = (here >= 0) & (there >= 0) & (here != there)
-        difference = (
-            np.take(logs, range(reach, length), axis)[seam] - np.take(logs, range(length - reach), axis)[seam]
-        )
-        a, b = here[seam], there[seam]
-        swapped = a > b
-        first.append(np.where(swapped, b, a))
-        second.append(np.where(swapped, a, b))
-        steps.append(np.where(swapped[:, None], -difference, difference))
-    a, b, step = np.concatenate(first), np.concatenate(second), np.concatenate(steps)
-    key = a.astype(np.int64) * (labels.max(initial=0) + 1) + b
-    order = np.argsort(key, kind="stable")
-    starts = np.flatnonzero(np.diff(key[order], prepend=-1))
-    groups = np.split(order, starts[1:]) if len(starts) else []
-    groups = [g for g in groups if len(g) >= reach]
+@njit(cache=True, parallel=True)
+def _nearest_cells(logs: Any, plain: Any, centres: Any, sizes: Any, across: int) -> Any:
+    h, w = plain.shape
+    cells = np.full((h, w), -1, np.int64)
+    down = sizes.size // across
+    for v in prange(h):
+        for u in range(w):
+            if not plain[v, u]:
+                continue
+            least = np.inf
+            row, column = v // REGION_PX, u // REGION_PX
+            for i in range(max(row - 1, 0), min(row + 2, down)):
+                for j in range(max(column - 1, 0), min(column + 2, across)):
+                    m = i * across + j
+                    if sizes[m] == 0.0:
+                        continue
+                    away = (v - centres[m, 0]) ** 2 + (u - centres[m, 1]) ** 2
+                    distance = _COMPACT * away / REGION_PX**2
+                    for k in range(3):
+                        distance += ((logs[v, u, k] - centres[m, 2 + k]) / _COLOUR) ** 2
+                    if distance < least:
+                        least = distance
+                        cells[v, u] = m
+    return cells
+
+
+@njit(cache=True, error_model="numpy")
+def _sampled(s: Any, logs: Any, labels: Any, count: int) -> Any:
+    """Return samples (n, SAMPLES, 3) spread evenly over each region, how many, and mean logs (n, 3)."""
+    h, w = labels.shape
+    sizes = np.zeros(count, np.int64)
+    means = np.zeros((count, 3))
+    for v in range(h):
+        for u in range(w):
+            i = labels[v, u]
+            if i >= 0:
+                sizes[i] += 1
+                for k in range(3):
+                    means[i, k] += logs[v, u, k]
+    samples = np.zeros((count, SAMPLES, 3))
+    taken, passed = np.zeros(count, np.int64), np.zeros(count, np.int64)
+    for v in range(h):
+        for u in range(w):
+            i = labels[v, u]
+            if i >= 0:
+                if taken[i] < SAMPLES and passed[i] * SAMPLES >= taken[i] * sizes[i]:
+                    for k in range(3):
+                        samples[i, taken[i], k] = s[v, u, k]
+                    taken[i] += 1
+                passed[i] += 1
+    for i in range(count):
+        for k in range(3):
+            means[i, k] /= sizes[i]
+    return samples, taken, means
+
+
+def _neighbours(labels: IntArray, logs: FloatArray) -> dict[str, Any]:
+    count = len(logs)
+    pairs = []
+    for one, other in ((labels[:, :-1], labels[:, 1:]), (labels[:-1], labels[1:])):
+        touch = (one >= 0) & (other >= 0) & (one != other)
+        pairs.append(np.stack([one[touch], other[touch]]))
+    found = np.sort(np.concatenate(pairs, axis=1), axis=0)
+    keys, length = np.unique(found[0] * max(count, 1) + found[1], return_counts=True)
+    keys, length = keys[length >= _FEWEST_CONTACTS], length[length >= _FEWEST_CONTACTS]
+    one, other = keys // max(count, 1), keys % max(count, 1)
+    sources, neighbours = np.concatenate([one, other]), np.concatenate([other, one])
+    contacts = np.minimum(np.tile(length, 2) / _FULL_CONTACT_PX, _MOST_CONTACT) / _NEIGHBOURS
+    order = np.argsort(sources, kind="stable")
+    sources, neighbours = sources[order], neighbours[order]
     return {
-        "pairs": np.array([(a[g[0]], b[g[0]]) for g in groups], dtype=np.int64).reshape(-1, 2),
-        "steps": np.array([np.median(step[g], axis=0) for g in groups]).reshape(-1, 3),
+        "starts": np.searchsorted(sources, np.arange(count + 1)),
+        "neighbours": neighbours,
+        "steps": logs[neighbours] - logs[sources],
+        "contacts": contacts[order],
     }

@@ -1,10 +1,10 @@
 """How many materials the footage shows, and their reflectances.
 
-Regions propose reflectances: each by the unit length of its own normals, and from a neighbour's reflectance
-times the step across their seam. The proposal that explains most of what is not yet explained is taken. All
-reflectances are fitted again on the pixels that they explain best. So it goes on until the description of the
-frame gets no shorter: residuals in units of noise, three numbers a material, and the seams of the label map
-(rissanen1978).
+First every region has a reflectance of its own. Steps of paint between neighbours tell their ratios
+(land1971), and unit length of all normals tells the rest: flat regions learn from others. Reflectances that
+many regions share are proposed as materials, too many of them. Then materials are left out, one after the
+other, and the shortest description of the frame is taken: lengths and steps in units of their spread, the
+seams of the label map, and three numbers a material (rissanen1978).
 """
 
 from __future__ import annotations
@@ -15,31 +15,59 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy import sparse
+from scipy.sparse.linalg import spsolve
 
-from vntoolkit.arrays import FloatArray, Mask, Points, Vector3
+from vntoolkit.arrays import FloatArray, IntArray, Mask, Points, Vector3
 from vntoolkit.errors import BadInput
-from vntoolkit.materials.labelling import TOLERANCE, MaterialLabels, prices, smoothed
-from vntoolkit.materials.reflectance import CAP, Lamps, Reflectance, best_fit, fit_reflectance
-from vntoolkit.materials.regions import Regions, regions_of, seam_information
+from vntoolkit.materials.labelling import INDEPENDENT_PX, agreed, prices, total_cost
+from vntoolkit.materials.reflectance import (
+    CAP,
+    Lamps,
+    Reflectance,
+    best_fit,
+    bias_of_noise,
+    fit_reflectance,
+    length_and_variance,
+    reflectance_from_fit,
+)
+from vntoolkit.materials.regions import SHADING_STEP, Regions, regions_of
 from vntoolkit.materials.split_frame import WORKING_PIXELS, SplitFrame, split_frame
+from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 
 MOST_MATERIALS = 12
-_INDEPENDENT_PX = 64.0  # pixels that share their errors: lamps, gloss and ambient light change slowly
-_LARGEST_RATIO = np.log(12.0)  # of the reflectances of one material
 WORST_ERROR_DEG = 5.0  # of normals, by what their spread leaves open of a reflectance
-_SMALL_SHARE = 0.02
+_LARGEST_RATIO = np.log(12.0)  # of the reflectances of one material
+_FEWEST_PIXELS = 300
+_FEWEST_REGIONS = 3
 _FIT_PIXELS = 2000
-_PROPOSAL_PIXELS = 240
-_FEWEST_PIXELS = 30
-_UNEXPLAINED = 0.5 * CAP**2
-_SAME = 0.03  # proposals that differ less in log ρ are one
+_PAINT_STEP = 2.5 * SHADING_STEP  # of log s between neighbours: a larger one is of paint
+_TOLERANCES = (
+    0.02,
+    0.1,
+)  # least and most of a normal's length beyond noise that is no sign of another material
+_FIRST_TOLERANCE = 0.04
+_ROUGH = 0.2  # first tolerance of the regions' own reflectances, which falls by …
+_FALL = 0.6  # … a round
+_SEAM_ROUNDS, _ROUNDS = 2, 9
+_WEAK = 0.05  # weight of the mean reflectance where nothing tells a region's own
+_ALIKE = 0.1  # spread of log ρ of the regions of one material
+_TWINS = 0.08  # log ρ that two materials differ by at least
+_MOST_PROPOSALS = 24
+_FEWEST_VOTES = 1.0  # regions of full size
+_WEAK_PRIOR = 0.5  # of log ρ, in a joint fit
+_DOUBTFUL = 1.5  # price from which a region's seams tell nothing of its label
+_LARGEST_STEP = 0.3
+_SEAM_PRICE = 3.0  # of neighbours of two materials, that a print is of few colours and large patches
+# Standard deviation of log ρ from seams: shading steps too, on one side more than on the other.
+_OF_SEAMS = 0.03
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Material:
-    """A material that was found. share: of the lit pixels. tells_hue: see `find_materials`."""
+    """A material that was found. share: of the lit pixels."""
 
     reflectance: Reflectance
     share: float
@@ -59,20 +87,32 @@ def find_materials(
             for frame, mask in zip(frames, masks, strict=True)
         ]
     )
-    if split.lit.sum() < 10 * _FEWEST_PIXELS:
+    regions = regions_of(split)
+    if split.lit.sum() < _FEWEST_PIXELS or regions.count < _FEWEST_REGIONS:
         raise BadInput(
             "materials: hardly any pixel is reached by all three lamps and not clipped; look at exposure, "
             "mask and rig"
         )
-    logs, labels, costs = _search(split, count)
-    found = []
-    for m in range(len(logs)):
-        pixels = _pixels_of(m, split, labels, costs)
-        fitted = fit_reflectance(pixels, split.lamps, TOLERANCE, 1.0 / _INDEPENDENT_PX, logs[m])
-        found.append(
-            Material(reflectance=fitted, share=float((split.lit & (labels == m)).sum() / split.lit.sum()))
-        )
-    return sorted(found, key=lambda material: -material.share)
+    own, tolerance = _reflectances_of_regions(regions, split.lamps)
+    found = _fewest(_proposals(own, regions, count), regions, split.lamps, tolerance, count)
+    labels = found.labels[regions.labels[split.lit]]
+    s = split.contributions[split.lit]
+    materials = []
+    covariance = np.linalg.inv(found.normal_matrix + 1e-9 * np.eye(3 * len(found.logs)))
+    for m, log in enumerate(found.logs):
+        pixels = s[labels == m]
+        share = len(pixels) / len(s)
+        pixels = np.ascontiguousarray(pixels[:: max(1, len(pixels) // _FIT_PIXELS)])
+        if len(found.logs) == 1:
+            fitted = fit_reflectance(pixels, split.lamps, tolerance, 1.0 / INDEPENDENT_PX, log)
+        else:
+            block = covariance[3 * m : 3 * m + 3, 3 * m : 3 * m + 3]
+            own_log, _, _ = best_fit(
+                pixels, split.lamps, tolerance, log[None], _OF_SEAMS, 1.0 / INDEPENDENT_PX
+            )
+            fitted = reflectance_from_fit(own_log, block, pixels, split.lamps)
+        materials.append(Material(reflectance=fitted, share=share))
+    return sorted(materials, key=lambda material: -material.share)
 
 
 def _stacked(splits: Sequence[SplitFrame]) -> SplitFrame:
@@ -96,127 +136,240 @@ def _stacked(splits: Sequence[SplitFrame]) -> SplitFrame:
     )
 
 
-def _search(split: SplitFrame, count: int | None) -> tuple[Points, MaterialLabels, FloatArray]:
-    regions = regions_of(split)
-    lit, edge = split.lit, regions.edge
-    pool = _distinct([_fit(split, regions.labels == i, None) for i in range(regions.count)])
-    if not len(pool):
-        pool = _fit(split, lit, None)[None]
-    pool_prices = prices(split, edge, pool)
-    own, own_prices = pool, pool_prices
-    logs: Points = np.empty((0, 3))
-    labels = np.zeros(lit.shape, np.uint8)
-    costs: FloatArray = np.empty((0, *lit.shape))
-    current: FloatArray = np.where(lit, _UNEXPLAINED, 0.0)
-    best: tuple[float, Points, MaterialLabels, FloatArray] | None = None
-    worth = _numbers(split) * _INDEPENDENT_PX
-    while len(logs) < (count or MOST_MATERIALS):
-        gains = np.where(lit, np.maximum(current - pool_prices, 0.0), 0.0).sum(axis=(1, 2))
-        if count is None and len(logs) and gains.max() < worth:
+# A reflectance for every region.
+
+
+def _reflectances_of_regions(regions: Regions, lamps: Lamps) -> tuple[Points, float]:
+    """Return (n, 3), log ρ of every region, and the spread of the normals' lengths within regions.
+
+    The seams alone tell log ρ up to one constant. With it taken off, all samples are of one material, whose
+    reflectance is that constant. Then lengths and steps are balanced by Gauss–Newton, from rough to fine.
+    """
+    once = regions.sources < regions.neighbours
+    a, b = regions.sources[once], regions.neighbours[once]
+    steps, contacts = regions.steps[once], regions.contacts[once]
+    is_paint = np.abs(steps).max(axis=1) > _PAINT_STEP
+    target = np.where(is_paint[:, None], steps, 0.0)
+    spread = np.where(is_paint, 1.0, 0.5) * SHADING_STEP
+    weights = regions.sizes / INDEPENDENT_PX
+    index = np.arange(3 * regions.count).reshape(-1, 3)
+    first, second = index[a].ravel(), index[b].ravel()
+    rows = np.concatenate([np.repeat(index, 3, axis=1).ravel(), first, second, first, second])
+    columns = np.concatenate([np.tile(index, (1, 3)).ravel(), first, second, second, first])
+    known = np.arange(regions.samples.shape[1]) < regions.counts[:, None]
+    x: Points = np.zeros((regions.count, 3))
+    centre: Vector3 = np.zeros(3)
+    matrices, gradients = np.zeros((regions.count, 3, 3)), np.zeros((regions.count, 3))
+    tolerance = _FIRST_TOLERANCE
+    for i in range(_SEAM_ROUNDS + _ROUNDS):
+        done = max(i - _SEAM_ROUNDS, 0)
+        if i == _SEAM_ROUNDS:
+            samples = (regions.samples * np.exp(-x)[:, None])[known]
+            samples = np.ascontiguousarray(samples[:: max(1, len(samples) // _FIT_PIXELS)])
+            centre = best_fit(samples, lamps, tolerance)[0]
+            x = x + centre
+        if i >= _SEAM_ROUNDS:
+            rough = max(tolerance, _ROUGH * _FALL**done)
+            _gather_regions(
+                regions.samples, regions.counts, weights, x, lamps.haze, lamps.inverse, lamps.mixing, rough,
+                matrices, gradients,
+            )  # fmt: skip
+        rest = target - (x[b] - x[a])
+        reach = max(1.0, CAP * _FALL**done) * spread
+        falling = 1.0 / (1.0 + np.sum(rest**2, axis=1) / (CAP * reach) ** 2)
+        weight = contacts * (falling / spread) ** 2
+        thrice = np.repeat(weight, 3)
+        entries = [(matrices + _WEAK * np.eye(3)).ravel(), thrice, thrice, -thrice, -thrice]
+        system = sparse.coo_array((np.concatenate(entries), (rows, columns))).tocsc()
+        right = gradients + _WEAK * (centre - x)
+        np.add.at(right, b, weight[:, None] * rest)
+        np.add.at(right, a, -weight[:, None] * rest)
+        x = x + spsolve(system, right.ravel()).reshape(-1, 3).clip(-3.0, 3.0)
+    lengths = (regions.samples * np.exp(-x)[:, None] - lamps.haze)[known] @ lamps.inverse.T
+    residual = 1.4826 * float(np.median(np.abs(np.linalg.norm(lengths, axis=1) - 1.0)))
+    return x, float(np.clip(residual, *_TOLERANCES))
+
+
+@njit(cache=True, error_model="numpy")
+def _gather_regions(
+    samples: Any, counts: Any, weights: Any, x: Any, haze: Any, inverse: Any, mixing: Any, rough: float,
+    matrices: Any, gradients: Any,
+) -> None:  # fmt: skip
+    """Fill the normal matrix (n, 3, 3) and the gradient (n, 3) of each region's lengths."""
+    j = np.empty(3)
+    matrices[:] = 0.0
+    gradients[:] = 0.0
+    for i in range(samples.shape[0]):
+        q = np.exp(-x[i])
+        bias = bias_of_noise(q, inverse, mixing)
+        for p in range(counts[i]):
+            e, variance = length_and_variance(samples[i, p], q, haze, inverse, mixing, bias, j)
+            variance += rough * rough
+            falling = 1.0 / (1.0 + e * e / variance / (CAP * CAP))
+            weight = falling * falling / variance * weights[i] / counts[i]
+            for a in range(3):
+                gradients[i, a] -= weight * j[a] * e
+                for b in range(3):
+                    matrices[i, a, b] += weight * j[a] * j[b]
+
+
+def _proposals(own: Points, regions: Regions, count: int | None) -> Points:
+    """Return (m, 3), log ρ that many regions share, from the most votes down."""
+    weights = regions.sizes / INDEPENDENT_PX
+    apart = np.sum((own[:, None] - own) ** 2, axis=2)
+    found: list[Any] = []
+    alike = _ALIKE
+    while True:
+        near = np.exp(-0.5 * apart / alike**2) * weights
+        left = np.ones(len(own), np.bool_)
+        found = []
+        while left.any() and len(found) < _MOST_PROPOSALS:
+            votes = near @ left * left
+            top = int(votes.argmax())
+            if votes[top] < _FEWEST_VOTES and found:
+                break
+            mode = (near[top] * left) @ own / (near[top] @ left)
+            left &= np.sum((own - mode) ** 2, axis=1) > (2.0 * alike) ** 2
+            left[top] = False
+            if np.ptp(mode) < _LARGEST_RATIO or not found:
+                found.append(mode)
+        if count is None or len(found) >= count or alike < 1e-4:
+            return np.array(found)
+        alike *= 0.5
+
+
+# The fewest that describe the frame.
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Found:
+    """Materials so far. logs: (m, 3). labels: (n,). costs: (n, m). length: nats. normal_matrix: of logs."""
+
+    logs: Points
+    labels: IntArray
+    costs: FloatArray
+    length: float
+    normal_matrix: FloatArray
+
+
+def _fewest(logs: Points, regions: Regions, lamps: Lamps, tolerance: float, count: int | None) -> _Found:
+    """Leave out materials one after the other, and return the shortest description, or that of `count`."""
+    found = _settled(logs, None, regions, lamps, tolerance, 2)
+    best: _Found | None = None
+    while True:
+        allowed = len(found.logs) <= (count or MOST_MATERIALS) and (count or not _has_twins(found.logs))
+        if allowed and (best is None or found.length < best.length):
+            best = found
+        if len(found.logs) <= (count or 1):
             break
-        logs, labels, costs = _settled(np.vstack([logs, pool[int(gains.argmax())]]), split, edge)
-        paid = np.take_along_axis(costs, labels[None].astype(np.intp), 0)[0]
-        current = np.where(lit, paid, 0.0)
-        length = _description_length(current, labels, logs, split, regions)
-        if best is None or (length < best[0] and not _is_doubtful(logs, split, labels, costs)):
-            best = length, logs, labels, costs
-        across = _distinct(_across_seams(split, regions, labels, logs, current))
-        pool, pool_prices = own, own_prices
-        if len(across):
-            pool = np.vstack([own, across])
-            pool_prices = np.concatenate([own_prices, prices(split, edge, across)])
-    if count is not None or best is None:
-        return logs, labels, costs
-    return best[1:]
+        shorter = _without_one(found, regions)
+        found = _settled(shorter.logs, shorter.labels, regions, lamps, tolerance, 1)
+    return best or found
 
 
-def _is_doubtful(logs: Points, split: SplitFrame, labels: MaterialLabels, costs: FloatArray) -> bool:
-    """True where the last material is small and not determined by its own normals."""
-    if (labels[split.lit] == len(logs) - 1).mean() > _SMALL_SHARE:
-        return False
-    pixels = _pixels_of(len(logs) - 1, split, labels, costs)
-    if len(pixels) < _FEWEST_PIXELS:
-        return True
-    fitted = fit_reflectance(pixels, split.lamps, TOLERANCE, 1.0 / _INDEPENDENT_PX, logs[-1])
-    return fitted.error_deg > WORST_ERROR_DEG
+def _has_twins(logs: Points) -> bool:
+    apart = np.abs(logs[:, None] - logs).max(axis=2) + np.eye(len(logs))
+    return bool(apart.min() < _TWINS)
 
 
-def _description_length(
-    paid: FloatArray, labels: MaterialLabels, logs: Points, split: SplitFrame, regions: Regions
-) -> float:
-    """Nats for residuals, for the seams of the label map, and for three numbers a material."""
-    explained = split.lit & (paid < 0.5 * _UNEXPLAINED)
-    seams = seam_information(labels, explained, logs, regions.logs, regions.variance)
-    return float(paid.sum() / _INDEPENDENT_PX + seams + _numbers(split) * len(logs))
-
-
-def _numbers(split: SplitFrame) -> float:
-    """Nats of three numbers (schwarz1978)."""
-    return 1.5 * float(np.log(max(split.lit.sum() / _INDEPENDENT_PX, 2.0)))
+def _without_one(found: _Found, regions: Regions) -> _Found:
+    """Leave out the material without which the description is shortest, before anything is fitted again."""
+    best: _Found | None = None
+    for m in range(len(found.logs)):
+        logs, costs = np.delete(found.logs, m, axis=0), np.delete(found.costs, m, axis=1)
+        labels = np.where(found.labels == m, costs.argmin(axis=1), found.labels - (found.labels > m))
+        labels = agreed(costs, logs, regions, _SEAM_PRICE, labels)
+        length = total_cost(costs, labels, logs, regions, _SEAM_PRICE) + _numbers(regions) * len(logs)
+        if best is None or length < best.length:
+            best = _Found(
+                logs=logs, labels=labels, costs=costs, length=length, normal_matrix=found.normal_matrix
+            )
+    assert best is not None
+    return best
 
 
 def _settled(
-    logs: Points, split: SplitFrame, edge: FloatArray, rounds: int = 2
-) -> tuple[Points, MaterialLabels, FloatArray]:
-    """Alternate between labels and reflectances."""
+    logs: Points, labels: IntArray | None, regions: Regions, lamps: Lamps, tolerance: float, rounds: int
+) -> _Found:
+    """Alternate between labels and reflectances, all of which are fitted together."""
+    size = 3 * len(logs)
+    matrix, gradient = np.zeros((size, size)), np.zeros(size)
+    weights = regions.sizes / INDEPENDENT_PX
     for _ in range(rounds):
-        costs = prices(split, edge, logs)
-        labels = smoothed(costs)
-        logs = np.array(
-            [_refitted(_pixels_of(m, split, labels, costs), split.lamps, logs[m]) for m in range(len(logs))]
-        )
-    costs = prices(split, edge, logs)
-    return logs, smoothed(costs), costs
+        costs = prices(regions, logs, lamps, tolerance)
+        labels = _cheapest(costs, logs, regions, labels)
+        paid = np.take_along_axis(costs, labels[:, None], 1)[:, 0]
+        for _ in range(3):
+            matrix[:], gradient[:] = 0.0, 0.0
+            _gather_jointly(
+                regions.samples, regions.counts, weights, labels, paid, logs, lamps.haze, lamps.inverse,
+                lamps.mixing, tolerance, regions.starts, regions.neighbours, regions.steps, regions.contacts,
+                matrix, gradient,
+            )  # fmt: skip
+            step = np.linalg.solve(matrix + _WEAK_PRIOR * np.eye(size), gradient).reshape(-1, 3)
+            logs = logs + step.clip(-_LARGEST_STEP, _LARGEST_STEP)
+    costs = prices(regions, logs, lamps, tolerance)
+    labels = _cheapest(costs, logs, regions, labels)
+    length = total_cost(costs, labels, logs, regions, _SEAM_PRICE) + _numbers(regions) * len(logs)
+    return _Found(logs=logs, labels=labels, costs=costs, length=length, normal_matrix=matrix)
 
 
-def _pixels_of(m: int, split: SplitFrame, labels: MaterialLabels, costs: FloatArray) -> Points:
-    pixels = split.contributions[split.lit & (labels == m) & (costs[m] < 0.5 * _UNEXPLAINED)]
-    if len(pixels) < _FEWEST_PIXELS:
-        pixels = split.contributions[split.lit & (labels == m)]
-    return np.ascontiguousarray(pixels[:: max(1, len(pixels) // _FIT_PIXELS)])
+def _cheapest(costs: FloatArray, logs: Points, regions: Regions, labels: IntArray | None) -> IntArray:
+    """Return labels found from the prices alone, or from those before if they end up cheaper."""
+    anew = agreed(costs, logs, regions, _SEAM_PRICE)
+    if labels is None:
+        return anew
+    kept = agreed(costs, logs, regions, _SEAM_PRICE, labels)
+    cheaper = total_cost(costs, anew, logs, regions, _SEAM_PRICE) < total_cost(
+        costs, kept, logs, regions, _SEAM_PRICE
+    )
+    return anew if cheaper else kept
 
 
-def _refitted(pixels: Points, lamps: Lamps, log: Vector3) -> Vector3:
-    if len(pixels) < _FEWEST_PIXELS:
-        return log
-    return best_fit(pixels, lamps, TOLERANCE, log[None])[0]
+def _numbers(regions: Regions) -> float:
+    """Nats of three numbers (schwarz1978)."""
+    return 1.5 * float(np.log(max(regions.sizes.sum() / INDEPENDENT_PX, 2.0)))
 
 
-# What regions propose.
-
-
-def _fit(split: SplitFrame, inside: Mask, start: Vector3 | None) -> Vector3:
-    pixels = split.contributions[inside]
-    pixels = np.ascontiguousarray(pixels[:: max(1, len(pixels) // _PROPOSAL_PIXELS)])
-    return best_fit(pixels, split.lamps, TOLERANCE, None if start is None else start[None])[0]
-
-
-def _across_seams(
-    split: SplitFrame, regions: Regions, labels: MaterialLabels, logs: Points, current: FloatArray
-) -> list[Vector3]:
-    """Reflectances of regions that are not explained, from those of their neighbours that are."""
-    inside = regions.labels >= 0
-    number = regions.labels[inside]
-    size = np.bincount(number, minlength=regions.count)
-    price = np.bincount(number, weights=current[inside], minlength=regions.count) / np.maximum(size, 1)
-    votes = np.zeros((regions.count, len(logs)))
-    np.add.at(votes, (number, labels[inside]), 1.0)
-    material = votes.argmax(axis=1)
-    proposals = []
-    for (a, b), step in zip(regions.pairs, regions.steps, strict=True):
-        for known, unknown, jump in ((a, b, step), (b, a, -step)):
-            if price[known] < 0.5 * _UNEXPLAINED and price[unknown] > 0.1 * _UNEXPLAINED:
-                start = logs[material[known]] + jump
-                proposals.append(_fit(split, regions.labels == unknown, start))
-    return proposals
-
-
-def _distinct(proposals: Sequence[Vector3]) -> Points:
-    """Return the proposals that a paint may have, of those that are alike the first."""
-    kept: list[Vector3] = []
-    for proposal in proposals:
-        if np.ptp(proposal) < _LARGEST_RATIO and all(
-            np.abs(proposal - other).max() > _SAME for other in kept
-        ):
-            kept.append(proposal)
-    return np.array(kept).reshape(-1, 3)
+@njit(cache=True, error_model="numpy")
+def _gather_jointly(
+    samples: Any, counts: Any, weights: Any, labels: Any, paid: Any, z: Any, haze: Any, inverse: Any,
+    mixing: Any, tolerance: float, starts: Any, neighbours: Any, steps: Any, contacts: Any, matrix: Any,
+    gradient: Any,
+) -> None:  # fmt: skip
+    """Add the normal equations of all lengths and of the steps between materials."""
+    j = np.empty(3)
+    for i in range(samples.shape[0]):
+        m = labels[i]
+        q = np.exp(-z[m])
+        bias = bias_of_noise(q, inverse, mixing)
+        for p in range(counts[i]):
+            e, variance = length_and_variance(samples[i, p], q, haze, inverse, mixing, bias, j)
+            variance += tolerance * tolerance
+            falling = 1.0 / (1.0 + e * e / variance / (CAP * CAP))
+            weight = falling * falling / variance * weights[i] / counts[i]
+            for a in range(3):
+                gradient[3 * m + a] -= weight * j[a] * e
+                for b in range(3):
+                    matrix[3 * m + a, 3 * m + b] += weight * j[a] * j[b]
+        if paid[i] > _DOUBTFUL:
+            continue
+        for edge in range(starts[i], starts[i + 1]):
+            n = labels[neighbours[edge]]
+            if neighbours[edge] < i or n == m or paid[neighbours[edge]] > _DOUBTFUL:
+                continue
+            t = 0.0
+            for k in range(3):
+                rest = (steps[edge, k] - z[n, k] + z[m, k]) / SHADING_STEP
+                t += rest * rest
+            falling = 1.0 / (1.0 + t / (CAP * CAP))
+            weight = contacts[edge] * falling * falling / (SHADING_STEP * SHADING_STEP)
+            for k in range(3):
+                rest = steps[edge, k] - z[n, k] + z[m, k]
+                a, b = 3 * m + k, 3 * n + k
+                matrix[a, a] += weight
+                matrix[b, b] += weight
+                matrix[a, b] -= weight
+                matrix[b, a] -= weight
+                gradient[b] += weight * rest
+                gradient[a] -= weight * rest

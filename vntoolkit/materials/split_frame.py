@@ -14,7 +14,7 @@ from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 
-WORKING_PIXELS = 30_000  # of the subject; more cost time and tell no other materials
+WORKING_PIXELS = 60_000  # of the subject; more cost time and tell no other materials
 _LEAST_SIGNAL = 4.0  # standard deviations of noise that a lamp's contribution must exceed …
 _LEAST_SHARE = 0.06  # … and share of the strongest: the rest may be shadow
 _OF_INNER_HALF = 0.3777  # root mean square of the inner half of a normal distribution, in standard deviations

@@ -192,8 +192,9 @@ class FrameProcessor:
             return self._gel.normals(change, drift, self._mask), None, float(linear.clipped.mean())
         if self._labeller is not None:
             self._mask = self.lit_subject(linear)
-            self._materials = self._labeller.labels(self.by_strength(linear), self._mask)
-            linear = relit(linear, self._central, self._materials, self._reflectances)
+            shades = self._labeller.labels(self.by_strength(linear), self._mask)
+            self._materials = self._labeller.materials_of(shades)
+            linear = relit(linear, self._central, shades, self._labeller.palette)
         level = linear if self._leveller is None else self._leveller.frame(linear)
         labels = None
         if self._options.shadows is ShadowMethod.NONE:

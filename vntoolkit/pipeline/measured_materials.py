@@ -116,8 +116,12 @@ def _explaining(
     if not found:
         return found
     response, values = job.rig.response.central, np.array([each.reflectance.values for each in found])
-    labels = MaterialLabeller(response, values).labels(frame, mask)
-    rgb = relit(frame, response, labels, values).rgb[mask & ~frame.clipped].astype(np.float64)
+    labeller = MaterialLabeller(response, values)
+    rgb = (
+        relit(frame, response, labeller.labels(frame, mask), labeller.palette)
+        .rgb[mask & ~frame.clipped]
+        .astype(np.float64)
+    )
     lamps = rgb @ response.contributions_from_rgb.T
     lit = (lamps > _LIT_SHARE * lamps.max(axis=1, keepdims=True)).all(axis=1)
     length = np.linalg.norm((rgb[lit] - response.ambient) @ response.inverse.T, axis=1)
@@ -162,6 +166,8 @@ def _warn_of_other_material(job: ReconstructionJob, frame: LinearFrame, mask: Ma
             "calibrate with one photograph per lamp (--single-light), so that --materials auto can tell them"
             if job.rig.response.light_colours is None
             else "try --materials auto"
+            if job.options.materials is not MaterialSearch.AUTO
+            else f"--materials auto found no others that explain them; {_REMEDY}"
         )
         logger.warning(
             "materials: the subject does not look like the calibration material: the lengths of its normals, "

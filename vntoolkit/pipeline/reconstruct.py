@@ -275,7 +275,7 @@ def _in_one_material(
             level = Leveller(response, frame.shape).frame_by_strength(frame)
         labeller.forget()
         inside = np.ones(frame.shape, np.bool_) if mask is None else mask
-        return relit(frame, response.central, labeller.labels(level, inside), reflectances)
+        return relit(frame, response.central, labeller.labels(level, inside), labeller.palette)
 
     return seen
 
