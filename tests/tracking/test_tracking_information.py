@@ -198,14 +198,16 @@ def test_nine_in_ten_errors_are_below_the_expected_one_where_relief_fades() -> N
         return NormalMap(normals_in_camera=mixed, mask=relief.mask), depth
 
     tracker = SurfaceTracker(*maps(0), video.camera)
+    below = []
     for frame in range(1, 9):
         tracked = tracker.step(*maps(frame))
-    truth = video.warp(tracker.template.positions_px, 8)
-    error = np.linalg.norm(tracked.positions_px - truth, axis=1)
+        truth = video.warp(tracker.template.positions_px, frame)
+        error = np.linalg.norm(tracked.positions_px - truth, axis=1)
+        below.append(np.mean(error < tracked.uncertainty_px))
     left, right = tracker.template.pixels[:, 0] < 48, tracker.template.pixels[:, 0] > 96
     assert np.median(tracked.uncertainty_px[right]) > 3 * np.median(tracked.uncertainty_px[left])
-    assert np.mean(error < tracked.uncertainty_px) > 0.8  # five seeds: 0.82 to 0.90
     assert np.median(tracked.uncertainty_px[left]) < 0.5
+    assert np.mean(below) > 0.8
 
 
 def test_the_edge_of_a_shadow_is_not_registered_by() -> None:

@@ -20,7 +20,7 @@ from vntoolkit.tracking.registration import TemplateRegistration, WindowSteps
 
 _SAMPLES = 16
 _DEGREE = 2  # of the polynomials in place that strain is compared by
-_PRIOR = 0.25  # share of the given strain in what is found
+_PRIOR = 0.1  # share of the given strain in what is found
 
 
 class FitErrors:
