@@ -28,6 +28,7 @@ from vntoolkit.pipeline.dress import (
     read_tracked_cloth,
     write_dressed_figure,
 )
+from vntoolkit.skinning.blending import skinned_vertices
 from vntoolkit.skinning.clock import ClockOptions
 from vntoolkit.skinning.kinematics import pose_of_frame
 
@@ -49,12 +50,24 @@ def has_blender(python: str) -> bool:
 
 
 def expected(dressed: DressedFigure, frames: list[int]) -> dict[str, np.ndarray]:
-    """Return what Blender should find in these frames, in its world: z up, metres."""
-    template = dressed.template
+    """Return what Blender should find in these frames, in its world: z up, metres. exact: without a skin."""
+    template, clip = dressed.template, dressed.skin()
     by_name = np.argsort(dressed.motion.skeleton.names)
     poses = [pose_of_frame(dressed.motion, frame)[by_name, :3, 3] for frame in frames]
+    skinned = [
+        skinned_vertices(
+            clip.mesh.vertices + np.einsum("m,mnc->nc", clip.shape_weights[frame], clip.shapes),
+            dressed.weights,
+            pose_of_frame(dressed.motion, frame),
+            clip.rest_from_model,
+            dressed.blend,
+        )
+        for frame in frames
+    ]
     truth = {
-        "vertices": np.stack([dressed.frame(frame) for frame in frames]) @ BLENDER_FROM_CAMERA.T,
+        "vertices": np.stack(skinned) @ BLENDER_FROM_CAMERA.T,
+        "exact": np.stack([dressed.frame(frame) for frame in frames]) @ BLENDER_FROM_CAMERA.T,
+        "stated": np.array(clip.shape_error),
         "heads": np.stack(poses) @ BLENDER_FROM_CAMERA.T,
         "faces": template.faces,
     }
@@ -79,6 +92,11 @@ def compare(
             lines.append((f"{name}: off by at most {error:.2g}", error <= limit))
         elif name in truth and name != "heads":
             lines.append((f"{name}: missing", False))
+    left = np.linalg.norm(found["vertices"] - truth["exact"], axis=2)
+    left, stated = float(np.percentile(left, 95)), float(truth["stated"])
+    lines.append(
+        (f"folds within {1000 * left:.2g} mm, {1000 * stated:.2g} stated", left < 1.5 * stated + 1e-4)
+    )
     bound = bool(found["has_armature"]) and int(found["groups"]) > 0
     lines.append((f"an armature moves it by {int(found['groups'])} groups of weights", bound))
     lines.append(("it is shaded smooth", bool(found["is_smooth"])))

@@ -41,6 +41,6 @@ def test_mesh_skeleton_colours_and_range_arrive_in_blender(
         pytest.skip("VNTOOLKIT_BLENDER_PYTHON is not set: it names a Python that has `bpy`")
     done = run_check(moving_jumper, tmp_path, python)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.count("arrives") == 20
+    assert done.stdout.count("arrives") == 22
     assert "FAILS" not in done.stdout
     assert (tmp_path / "out" / "cloth.usdc.png").stat().st_size > 1000
