@@ -51,17 +51,21 @@ def drawn_together(vertices: Points, edges: Faces, longest: FloatArray) -> Point
 
 @njit(cache=True)
 def _draw_together(vertices, edges, longest):  # type: ignore[no-untyped-def]
+    moved = np.full(len(vertices), -1, dtype=np.int32)  # in which sweep last: other edges are as they were
     for sweep in range(_SWEEPS):
         is_done = True
         for step in range(len(edges)):
             e = step if sweep % 2 == 0 else len(edges) - 1 - step  # no side is favoured
             a, b = edges[e, 0], edges[e, 1]
+            if moved[a] < sweep - 1 and moved[b] < sweep - 1:
+                continue
             x = vertices[b, 0] - vertices[a, 0]
             y = vertices[b, 1] - vertices[a, 1]
             z = vertices[b, 2] - vertices[a, 2]
             squared = x * x + y * y + z * z
             if squared > _REACHED * longest[e] * longest[e]:
                 is_done = False
+                moved[a], moved[b] = sweep, sweep
                 share = 0.5 * (1.0 - longest[e] / np.sqrt(squared))
                 vertices[a, 0] += share * x
                 vertices[a, 1] += share * y
