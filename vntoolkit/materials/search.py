@@ -27,7 +27,6 @@ from vntoolkit.materials.reflectance import (
     Reflectance,
     best_fit,
     bias_of_noise,
-    fit_reflectance,
     length_and_variance,
     reflectance_from_fit,
 )
@@ -58,6 +57,7 @@ _TWINS = 0.08  # log ρ that two materials differ by at least
 _MOST_PROPOSALS = 24
 _FEWEST_VOTES = 1.0  # regions of full size
 _WEAK_PRIOR = 0.5  # of log ρ, in a joint fit
+_BRIGHTNESS, _BRIGHTNESSES = (-2.5, 1.5), 201  # log ρ of the calibration material, brighter or darker
 _DOUBTFUL = 1.5  # price from which a region's seams tell nothing of its label
 _LARGEST_STEP = 0.3
 _SEAM_PRICE = 3.0  # of neighbours of two materials, that a print is of few colours and large patches
@@ -95,6 +95,9 @@ def find_materials(
         )
     own, tolerance = _reflectances_of_regions(regions, split.lamps)
     found = _fewest(_proposals(own, regions, count), regions, split.lamps, tolerance, count)
+    plain = _plain(regions, split.lamps, tolerance)
+    if count is None and plain.length <= found.length:
+        found = plain
     labels = found.labels[regions.labels[split.lit]]
     s = split.contributions[split.lit]
     materials = []
@@ -103,14 +106,12 @@ def find_materials(
         pixels = s[labels == m]
         share = len(pixels) / len(s)
         pixels = np.ascontiguousarray(pixels[:: max(1, len(pixels) // _FIT_PIXELS)])
-        if len(found.logs) == 1:
-            fitted = fit_reflectance(pixels, split.lamps, tolerance, 1.0 / INDEPENDENT_PX, log)
-        else:
-            block = covariance[3 * m : 3 * m + 3, 3 * m : 3 * m + 3]
+        block, own_log = covariance[3 * m : 3 * m + 3, 3 * m : 3 * m + 3], log
+        if found is not plain:
             own_log, _, _ = best_fit(
                 pixels, split.lamps, tolerance, log[None], _OF_SEAMS, 1.0 / INDEPENDENT_PX
             )
-            fitted = reflectance_from_fit(own_log, block, pixels, split.lamps)
+        fitted = reflectance_from_fit(own_log, block, pixels, split.lamps)
         materials.append(Material(reflectance=fitted, share=share))
     return sorted(materials, key=lambda material: -material.share)
 
@@ -265,6 +266,28 @@ def _fewest(logs: Points, regions: Regions, lamps: Lamps, tolerance: float, coun
         shorter = _without_one(found, regions)
         found = _settled(shorter.logs, shorter.labels, regions, lamps, tolerance, 1)
     return best or found
+
+
+def _plain(regions: Regions, lamps: Lamps, tolerance: float) -> _Found:
+    """Describe the frame as of the calibration material, one number brighter or darker."""
+    steps = np.linspace(*_BRIGHTNESS, _BRIGHTNESSES)
+    weights = regions.sizes / INDEPENDENT_PX
+    costs = prices(regions, np.repeat(steps[:, None], 3, axis=1), lamps, tolerance)
+    best = int((weights @ costs).argmin())
+    logs, costs = np.full((1, 3), steps[best]), costs[:, best : best + 1]
+    labels = np.zeros(regions.count, np.int64)
+    matrices, gradients = np.zeros((regions.count, 3, 3)), np.zeros((regions.count, 3))
+    _gather_regions(
+        regions.samples, regions.counts, weights, np.repeat(logs, regions.count, axis=0), lamps.haze,
+        lamps.inverse, lamps.mixing, tolerance, matrices, gradients,
+    )  # fmt: skip
+    return _Found(
+        logs=logs,
+        labels=labels,
+        costs=costs,
+        length=total_cost(costs, labels, logs, regions, _SEAM_PRICE) + _numbers(regions) / 3.0,
+        normal_matrix=matrices.sum(axis=0),
+    )
 
 
 def _has_twins(logs: Points) -> bool:

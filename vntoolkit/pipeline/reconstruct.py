@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import maximum_filter, minimum_filter
 
 from vntoolkit.arrays import Mask
 from vntoolkit.diagnosis.finding import judge
@@ -54,6 +55,7 @@ Started = Callable[[int, int], None]
 Finished = Callable[[FrameEntry], None]
 Workers = Callable[[ReconstructionJob, list[Block]], Generator[FrameEntry]]
 BLOCK_FRAMES = 16
+_SEAM_PX = 11  # side of the square in which one seam rules out judging a pixel
 _FOLDERS = {
     "normals": ".exr",
     "depth": ".exr",
@@ -269,15 +271,20 @@ def _in_one_material(
     response, reflectances = job.rig.response, np.array(job.reflectances)
     labeller = MaterialLabeller(response.central, reflectances)
 
-    def seen(frame: LinearFrame) -> LinearFrame:
+    def judged(frame: LinearFrame) -> LinearFrame:
         level = frame
         if response.variation is not None:
             level = Leveller(response, frame.shape).frame_by_strength(frame)
         labeller.forget()
         inside = np.ones(frame.shape, np.bool_) if mask is None else mask
-        return relit(frame, response.central, labeller.labels(level, inside), labeller.palette)
+        labels = labeller.labels(level, inside)
+        seen = relit(frame, response.central, labels, labeller.palette)
+        # Beside seams a blurred pixel is of no material: it would pass for a wrong curve.
+        one = labeller.materials_of(labels)
+        seams = maximum_filter(one, _SEAM_PX) != minimum_filter(one, _SEAM_PX)
+        return replace(seen, clipped=seen.clipped | seams)
 
-    return seen
+    return judged
 
 
 def _finish(root: Path, manifest: Manifest, log: FrameLog, numbers: range, seconds: float) -> None:
