@@ -105,6 +105,7 @@ def find_materials(
     for m, log in enumerate(found.logs):
         pixels = s[labels == m]
         share = len(pixels) / len(s)
+        pixels = pixels if share else s  # a number was asked for that nothing supports
         pixels = np.ascontiguousarray(pixels[:: max(1, len(pixels) // _FIT_PIXELS)])
         block, own_log = covariance[3 * m : 3 * m + 3, 3 * m : 3 * m + 3], log
         if found is not plain:

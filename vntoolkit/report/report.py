@@ -323,7 +323,7 @@ def track_section(result: OpenedResult, track: TrackedSurface) -> PageSection:
     uncertainty = track.sequence.uncertainty_px
     if uncertainty is not None:
         rows = [np.asarray(uncertainty[row]) for row in range(len(track.sequence))]
-        levels = np.array([np.percentile(row, [50, 95]) for row in rows])
+        levels = np.array([np.percentile(row, [50, 95], method="lower") for row in rows])
         levels[~np.isfinite(levels)] = np.nan  # of frames that are missing
         with report_style():
             figure = new_figure(9.6, 2.4)
