@@ -6,8 +6,7 @@ logarithms of the lengths are regressed on what is foretold: the slope is 0 wher
 where the other one is. Paint, gloss and shade scatter the lengths but do not follow the lamps' colours: they
 widen the error of the slope and hardly shift it. A subject of another hue than the calibration sample does
 follow them: a curve is called wrong only where gains of the channels would not leave clearly less of the
-spread. The spread of the lengths alone tells nothing: a curve that
-compresses light compresses paint too.
+spread. The spread of the lengths alone tells nothing: a curve that compresses light compresses paint too.
 """
 
 from __future__ import annotations

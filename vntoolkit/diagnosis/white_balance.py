@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -77,6 +78,7 @@ class Gains:
         return _NOTED_LOG_GAIN < largest < _LARGEST_LOG_GAIN and self.z > _Z and self.left < _LEFT
 
 
+@lru_cache(maxsize=2)
 def fit_gains(evidence: Evidence) -> Gains | None:
     """Fit the gains; None where too little of the surface is in sight."""
     light, places, blocks = _surface_pixels(evidence)
