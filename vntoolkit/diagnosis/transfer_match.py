@@ -72,7 +72,9 @@ def check_transfer(evidence: Evidence) -> list[Finding]:
             "material changes with its direction as between these two",
             measured=f"a slope of {written.as_read:.2f} ± {written.error:.2f}",
             expected="0",
-            remedy=f"give --transfer {written.curve} if the rig was calibrated so, else calibrate again",
+            remedy=f"give --transfer {written.curve} if the rig was calibrated so, else calibrate again; a "
+            "subject of several colours looks so too: calibrate it with one photograph per lamp "
+            "(--single-light)",
             certainty=certainty_from_z(written.score / written.error),
         )
     ]
