@@ -17,7 +17,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from vntoolkit.arrays import Matrix3, Points, Vector3
-from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.native import njit
 from vntoolkit.photometry.response import LightResponse
@@ -81,25 +80,6 @@ def lamps_from_response(response: LightResponse, noise: Vector3) -> Lamps:
         noise=np.linalg.norm(mixing, axis=1),
         mixing=mixing,
     )
-
-
-def fit_reflectance(
-    contributions: Points,
-    lamps: Lamps,
-    tolerance: float,
-    independent: float = 1.0,
-    start: Vector3 | None = None,
-) -> Reflectance:
-    """Fit 1/ρ so that the normals of all pixels have unit length, robustly.
-
-    contributions: (n, 3), split by lamp. tolerance: standard deviation of lengths beyond noise.
-    independent: share of the pixels whose errors are independent. start: (3,), log ρ to start from.
-    """
-    require_shape(contributions, (None, 3), "contributions of the lamps")
-    s = np.ascontiguousarray(contributions, dtype=np.float64)
-    found, normal_matrix, _ = best_fit(s, lamps, tolerance, None if start is None else start[None])
-    covariance = np.linalg.inv(independent * normal_matrix + np.eye(3) * 1e-12)
-    return reflectance_from_fit(found, covariance, s, lamps)
 
 
 def reflectance_from_fit(

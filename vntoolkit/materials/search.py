@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from scipy import sparse
+from scipy.linalg import block_diag
 from scipy.sparse.linalg import spsolve
 
 from vntoolkit.arrays import FloatArray, IntArray, Mask, Points, Vector3
@@ -317,17 +318,24 @@ def _settled(
 ) -> _Found:
     """Alternate between labels and reflectances, all of which are fitted together."""
     size = 3 * len(logs)
-    matrix, gradient = np.zeros((size, size)), np.zeros(size)
+    matrix = np.zeros((size, size))
     weights = regions.sizes / INDEPENDENT_PX
+    own_matrices, own_gradients = np.zeros((regions.count, 3, 3)), np.zeros((regions.count, 3))
     for _ in range(rounds):
         costs = prices(regions, logs, lamps, tolerance)
         labels = _cheapest(costs, logs, regions, labels)
         paid = np.take_along_axis(costs, labels[:, None], 1)[:, 0]
         for _ in range(3):
-            matrix[:], gradient[:] = 0.0, 0.0
-            _gather_jointly(
-                regions.samples, regions.counts, weights, labels, paid, logs, lamps.haze, lamps.inverse,
-                lamps.mixing, tolerance, regions.starts, regions.neighbours, regions.steps, regions.contacts,
+            _gather_regions(
+                regions.samples, regions.counts, weights, logs[labels], lamps.haze, lamps.inverse,
+                lamps.mixing, tolerance, own_matrices, own_gradients,
+            )  # fmt: skip
+            blocks, slopes = np.zeros((len(logs), 3, 3)), np.zeros((len(logs), 3))
+            np.add.at(blocks, labels, own_matrices)
+            np.add.at(slopes, labels, own_gradients)
+            matrix, gradient = block_diag(*blocks), slopes.ravel()
+            _add_steps(
+                labels, paid, logs, regions.starts, regions.neighbours, regions.steps, regions.contacts,
                 matrix, gradient,
             )  # fmt: skip
             step = np.linalg.solve(matrix + _WEAK_PRIOR * np.eye(size), gradient).reshape(-1, 3)
@@ -356,26 +364,13 @@ def _numbers(regions: Regions) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def _gather_jointly(
-    samples: Any, counts: Any, weights: Any, labels: Any, paid: Any, z: Any, haze: Any, inverse: Any,
-    mixing: Any, tolerance: float, starts: Any, neighbours: Any, steps: Any, contacts: Any, matrix: Any,
+def _add_steps(
+    labels: Any, paid: Any, z: Any, starts: Any, neighbours: Any, steps: Any, contacts: Any, matrix: Any,
     gradient: Any,
 ) -> None:  # fmt: skip
-    """Add the normal equations of all lengths and of the steps between materials."""
-    j = np.empty(3)
-    for i in range(samples.shape[0]):
+    """Add the normal equations of the steps between materials, of log ρ z (m, 3)."""
+    for i in range(labels.size):
         m = labels[i]
-        q = np.exp(-z[m])
-        bias = bias_of_noise(q, inverse, mixing)
-        for p in range(counts[i]):
-            e, variance = length_and_variance(samples[i, p], q, haze, inverse, mixing, bias, j)
-            variance += tolerance * tolerance
-            falling = 1.0 / (1.0 + e * e / variance / (CAP * CAP))
-            weight = falling * falling / variance * weights[i] / counts[i]
-            for a in range(3):
-                gradient[3 * m + a] -= weight * j[a] * e
-                for b in range(3):
-                    matrix[3 * m + a, 3 * m + b] += weight * j[a] * j[b]
         if paid[i] > _DOUBTFUL:
             continue
         for edge in range(starts[i], starts[i + 1]):
