@@ -219,9 +219,16 @@ def sweep_kernel(edges: Grid, inverse: Grid, right: Grid, x: Grid, forward: bool
 @njit(cache=True, fastmath=True, error_model="numpy")
 def _gather_rows(edges: Grid, right: Grid, x: Grid, v: int, out: Row) -> None:
     """Fill out (w,) with the right-hand side of row v and what the rows above and below pull."""
-    h, w = x.shape
-    for u in range(w):
+    for u in range(x.shape[1]):
         out[u] = right[v, u]
+    _pull_from_below(edges, x, v, out)
+    _pull_from_above(edges, x, v, out)
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _pull_from_below(edges: Grid, x: Grid, v: int, out: Row) -> None:
+    """Add to out (w,) what the row below v pulls."""
+    h, w = x.shape
     if v + 1 < h:
         below, down = x[v + 1], edges[1, v]
         for u in range(w):
@@ -232,6 +239,12 @@ def _gather_rows(edges: Grid, right: Grid, x: Grid, v: int, out: Row) -> None:
                 out[u] += east[u] * below[u + 1]
             for u in range(1, w):
                 out[u] += west[u - 1] * below[u - 1]
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _pull_from_above(edges: Grid, x: Grid, v: int, out: Row) -> None:
+    """Add to out (w,) what the row above v pulls."""
+    w = x.shape[1]
     if v > 0:
         above, up = x[v - 1], edges[1, v - 1]
         for u in range(w):
@@ -300,16 +313,7 @@ def first_sweep_kernel(edges: Grid, inverse: Grid, right: Grid, x: Grid) -> None
         bond, scale, row, asked = edges[0, v], inverse[v], x[v], right[v]
         for u in range(w):
             known[u] = asked[u]
-        if v > 0:
-            above, up = x[v - 1], edges[1, v - 1]
-            for u in range(w):
-                known[u] += up[u] * above[u]
-            if len(edges) == 4:
-                west, east = edges[2, v - 1], edges[3, v - 1]
-                for u in range(w - 1):
-                    known[u] += east[u] * above[u + 1]
-                for u in range(1, w):
-                    known[u] += west[u - 1] * above[u - 1]
+        _pull_from_above(edges, x, v, known)
         for u in range(w):
             known[u] *= scale[u]
         for u in range(1, w):
@@ -335,16 +339,7 @@ def restrict_rest_kernel(edges: Grid, x: Grid) -> Grid:
         for u in range(w - 1):
             left[u] = bond[u] * row[u + 1]
         left[w - 1] = left[w] = np.float32(0.0)
-        if v + 1 < h:
-            below, down = x[v + 1], edges[1, v]
-            for u in range(w):
-                left[u] += down[u] * below[u]
-            if len(edges) == 4:
-                east, west = edges[2, v], edges[3, v]
-                for u in range(w - 1):
-                    left[u] += east[u] * below[u + 1]
-                for u in range(1, w):
-                    left[u] += west[u - 1] * below[u - 1]
+        _pull_from_below(edges, x, v, left)
         for u in range(len(to)):
             to[u] += left[2 * u] + left[2 * u + 1]
     return out
