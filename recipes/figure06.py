@@ -28,8 +28,8 @@ from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.normals.photometric_stereo import normals_from_lights
 from vntoolkit.report.figures import write_cumulative_errors
+from vntoolkit.report.mesh_views import View, picture_of
 from vntoolkit.report.pictures import write_tiles
-from vntoolkit.report.raycast_view import View, picture_of
 from vntoolkit.report.recipes_page import number, write_numbers
 from vntoolkit.simulation.image_formation import exposure_of_scene, light_colours_of, true_response
 from vntoolkit.simulation.lights import Lighting

@@ -25,7 +25,7 @@ from vntoolkit.pipeline.dress import (
     read_tracked_cloth,
     write_dressed_figure,
 )
-from vntoolkit.report.raycast_view import PreviewOptions, write_preview
+from vntoolkit.report.mesh_views import PreviewOptions, write_preview
 from vntoolkit.report.recipes_page import number, write_numbers
 from vntoolkit.simulation.scene import SceneOptions, build_scene
 from vntoolkit.skinning.clock import ClockOptions, Loop

@@ -16,9 +16,9 @@ from pathlib import Path
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.meshing.surface import mesh_from_depth
+from vntoolkit.report.mesh_views import View, picture_of
 from vntoolkit.report.page import PageSection, figure_from_pixels, write_page
 from vntoolkit.report.pictures import ErrorScale, Picture, row_of_frame, tiled, write_tiles
-from vntoolkit.report.raycast_view import View, picture_of
 from vntoolkit.shadows.detector import ShadowDetector
 from vntoolkit.shadows.recovery import recover_normals
 from vntoolkit.simulation.image_formation import true_response

@@ -23,8 +23,8 @@ from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
+from vntoolkit.report.mesh_views import View, picture_of
 from vntoolkit.report.pictures import ErrorScale, Picture, row_of_frame, tiled
-from vntoolkit.report.raycast_view import View, picture_of
 from vntoolkit.simulation.image_formation import true_response
 from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.render import SimulatedFrame, render_frame

@@ -15,8 +15,8 @@ from PIL import Image
 from vntoolkit.io.atomic import write_bytes
 from vntoolkit.io.footage.images import encoded_image, resized_image
 from vntoolkit.pipeline.opened_result import OpenedResult, open_result
+from vntoolkit.report.mesh_views import View, picture_of
 from vntoolkit.report.pictures import cropped, picture_of_depth, picture_of_normals, tiled
-from vntoolkit.report.raycast_view import View, picture_of
 
 WIDTH_PX = 1600
 TURNED_DEG = 40.0

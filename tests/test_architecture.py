@@ -42,6 +42,7 @@ DOORS = {
         "live/",
         "calibration/",
         "normals/expected_error",
+        "report/mesh_views",
         "tracking/",
         "shadows/",
         "simulation/",

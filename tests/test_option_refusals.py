@@ -114,7 +114,7 @@ REFUSALS = [
     ("pipeline.options:ReconstructOptions", {"smoothing": 2.0}, "a share of full scale from 0 to 1, got 2"),
     ("pipeline.options:ReconstructOptions", {"reference_frame": -1}, "expected a frame number, got -1"),
     ("report.result_scene:ScenePageOptions", {"vertices": 3}, "scene: expected at least 4 vertices"),
-    ("report.raycast_view:PreviewOptions", {"frames": 0}, "preview: expected at least one frame"),
+    ("report.mesh_views:PreviewOptions", {"frames": 0}, "preview: expected at least one frame"),
     ("simulation.nuisances:Nuisances", {"bits": 9}, "bits: expected one of 8, .*, got 9"),
     ("simulation.scene:SceneOptions", {"width": 9}, "an image of at least 16×16, got 9×480"),
     ("simulation.scene:SceneOptions", {"field_width_m": 9.0}, r"a field of 0\.01 to 5 m across, got 9 m"),

@@ -6,7 +6,7 @@ import pytest
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.footage.images import read_image
 from vntoolkit.report.figures import write_moments
-from vntoolkit.report.raycast_view import BACKGROUND, View, picture_of
+from vntoolkit.report.mesh_views import BACKGROUND, View, picture_of
 
 
 def slab(width: float, height: float) -> Mesh:

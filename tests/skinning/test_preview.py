@@ -10,7 +10,7 @@ from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.mesh_sequence import MeshSequence
 from vntoolkit.io.footage.images import read_image
 from vntoolkit.pipeline.dress import dress
-from vntoolkit.report.raycast_view import (
+from vntoolkit.report.mesh_views import (
     PreviewOptions,
     View,
     contact_sheet,

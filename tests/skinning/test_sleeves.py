@@ -164,7 +164,7 @@ def test_what_a_track_pulled_apart_is_drawn_together(sheet: MeshSequence) -> Non
     moved[1, slipped, 2] -= 0.06
     torn = dress(replace(sheet, vertices=moved), walking_motion())
     growth = [torn.meter().stretch(rest).max() for rest in torn.rest_frames()]
-    assert growth[0] == pytest.approx(1)
+    assert growth[0] == pytest.approx(1, abs=1e-4)  # kept in float32
     assert 1.3 < max(growth) < 1.6  # 7 times without
     edges = edges_from_faces(sheet.template.faces)
     longest = 1.5 * np.linalg.norm(moved[0, edges[:, 0]] - moved[0, edges[:, 1]], axis=1)

@@ -22,7 +22,7 @@ from vntoolkit.pipeline.dress import (
     require_figure_name,
     write_dressed_figure,
 )
-from vntoolkit.report.raycast_view import write_preview
+from vntoolkit.report.mesh_views import write_preview
 
 
 @verb("max_vertices")

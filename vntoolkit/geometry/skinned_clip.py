@@ -13,6 +13,7 @@ from vntoolkit.errors import BadMesh
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.motion import Motion
 
+_FRAMES_AT_ONCE = 16  # in memory
 _FITTED_POINTS = 20_000  # of the vertices: enough to see how the shapes weigh in each frame
 
 
@@ -115,9 +116,11 @@ def blend_shapes(
     order = np.argsort(values)[::-1][: min(count, len(rows))]
     order = order[values[order] > 1e-10 * max(float(values.max(initial=0.0)), 1e-12)]
     directions = vectors[:, order]
-    shapes = np.zeros((len(order), len(rest), 3), np.float32)
-    for row, frame in zip(directions, frames(), strict=True):
-        shapes += np.multiply.outer(row, frame - rest).astype(np.float32)
+    summed = np.zeros((len(order), rest.size), np.float32)
+    moved = ((frame - rest).astype(np.float32).ravel() for frame in frames())
+    for some in np.array_split(directions.astype(np.float32), max(1, len(rows) // _FRAMES_AT_ONCE)):
+        summed += some.T @ np.stack([next(moved) for _ in some])
+    shapes = summed.reshape(len(order), len(rest), 3)
     left = rows - directions.astype(np.float32) @ shapes[:, chosen].reshape(len(order), rows.shape[1])
     error = np.linalg.norm(left.reshape(len(rows), -1, 3), axis=2)
     least, span = directions.min(axis=0), np.maximum(np.ptp(directions, axis=0), 1e-12)

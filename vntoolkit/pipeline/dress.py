@@ -10,6 +10,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 import vntoolkit
@@ -51,6 +52,7 @@ from vntoolkit.skinning.weights import SkinWeights, WeightOptions
 logger = logging.getLogger(__name__)
 _FLOOR_SAMPLES = 50
 _FOLDS = 16  # blend shapes: what is left out of the folds of a walking jumper is below a millimetre
+_KEPT_BYTES = 1 << 28  # frames of a clip of some seconds; of a longer one the others are made anew
 _WEB_SAMPLES = 32  # poses of the motion in which web is looked for
 FIGURE_HEIGHT_M = 1.65  # toes to crown of an average adult, as skeletons measure it
 _Z_UP_TO_Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # in camera axes: −z becomes −y
@@ -165,13 +167,26 @@ class DressedFigure:
 
     def rest_frames(self) -> Iterator[Points]:
         """Yield the captured cloth (n, 3) of each frame of the clock, in the pose of attachment."""
-        for captured in resampled_vertices(self.cloth, self.clock.cloth_s):
-            yield self.captured.at_rest(self.rest_from_cloth.apply(captured))
+        for index in range(len(self)):
+            yield self._rest_frame(index)
 
     def frame(self, index: int) -> Points:
         """Return the vertices (n, 3) of one frame of the clock."""
+        return self._posed(self._rest_frame(index), index)
+
+    @cached_property
+    def _kept(self) -> dict[int, npt.NDArray[np.float32]]:
+        """Frames in the pose of attachment: findings, blend shapes and pictures all need them."""
+        return {}
+
+    def _rest_frame(self, index: int) -> Points:
+        if index in self._kept:
+            return self._kept[index]
         captured = next(resampled_vertices(self.cloth, self.clock.cloth_s[index : index + 1]))
-        return self._posed(self.captured.at_rest(self.rest_from_cloth.apply(captured)), index)
+        rest = self.captured.at_rest(self.rest_from_cloth.apply(captured)).astype(np.float32)
+        if (len(self._kept) + 1) * rest.nbytes <= _KEPT_BYTES:
+            self._kept[index] = rest
+        return rest
 
     def thinned(self, cell: float) -> DressedFigure:
         """Return the figure with one vertex in each cube of that side (metres), for small pictures."""

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from vntoolkit.io.maps_and_meshes.label_images import write_labels, write_mask, write_materials
 from vntoolkit.io.maps_and_meshes.maps import write_depth_map, write_normal_map
 from vntoolkit.io.maps_and_meshes.meshes import write_mesh
-from vntoolkit.pipeline.frame_processor import FrameResult
 from vntoolkit.pipeline.options import Product
+
+if TYPE_CHECKING:
+    from vntoolkit.pipeline.frame_processor import FrameResult
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,6 +17,7 @@ from vntoolkit.io.maps_and_meshes.label_images import label_colours
 from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
+from vntoolkit.report.mesh_views import View, picture_of
 from vntoolkit.report.pictures import (
     BLUE,
     ERROR_COLOURS,
@@ -35,7 +36,6 @@ from vntoolkit.report.pictures import (
     write_figure,
     write_tiles,
 )
-from vntoolkit.report.raycast_view import View, picture_of
 
 _CURVE_END_PERCENTILE = 99.0
 _MEDIAN_PERCENT = 50

@@ -20,6 +20,7 @@ from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.calibrate import CalibrationJob
 from vntoolkit.pipeline.calibrate_head import HeadCalibration
+from vntoolkit.report.mesh_views import View, picture_of
 from vntoolkit.report.page import (
     PageFigure,
     PageNotice,
@@ -42,7 +43,6 @@ from vntoolkit.report.pictures import (
     report_style,
     write_figure,
 )
-from vntoolkit.report.raycast_view import View, picture_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

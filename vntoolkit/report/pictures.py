@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import numpy.typing as npt
+from PIL import Image, ImageDraw, ImageFont
 
 from vntoolkit.arrays import FloatArray, LinearImage, Mask, VisibilityLabels
 from vntoolkit.errors import BadInput
@@ -282,19 +283,12 @@ def _shrunk(picture: Picture, height_px: int) -> Picture:
 
 
 def _lettered(canvas: Picture, texts: Sequence[_Text], zoom: float) -> Picture:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    height, width = canvas.shape[:2]
-    with report_style():
-        figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI)
-        agg = FigureCanvasAgg(figure)
-        figure.figimage(canvas, 0, 0, origin="upper")
-        style: dict[str, Any] = {"va": "center", "fontsize": _LETTER_PX * zoom * 72 / _DPI, "color": INK}
-        for each in texts:
-            figure.text(each.x / width, 1 - each.y / height, each.text, ha=each.side, **style)
-        agg.draw()
-    return np.ascontiguousarray(np.asarray(agg.buffer_rgba())[..., :3])
+    picture = Image.fromarray(canvas)
+    pen, font = ImageDraw.Draw(picture), ImageFont.load_default(_LETTER_PX * zoom)
+    anchors = {"left": "lm", "center": "mm", "right": "rm"}
+    for each in texts:
+        pen.text((each.x, each.y), each.text, fill=INK, font=font, anchor=anchors[each.side])
+    return np.asarray(picture)
 
 
 def _paint_legend(canvas: Picture, legend: Mapping[str, str], y: float, zoom: float) -> list[_Text]:

@@ -19,6 +19,7 @@ from vntoolkit.pipeline.truth_comparison import (
     true_depth,
     true_normals,
 )
+from vntoolkit.report.mesh_views import View, picture_of
 from vntoolkit.report.page import (
     PageFigure,
     PageNumber,
@@ -40,7 +41,6 @@ from vntoolkit.report.pictures import (
     report_style,
     tiled,
 )
-from vntoolkit.report.raycast_view import View, picture_of
 
 _STRIP_PX = 340
 _SCALE = ErrorScale(most=30.0)

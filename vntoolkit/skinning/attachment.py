@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
@@ -31,6 +32,9 @@ _HOLD = 2.0  # heat that a vertex takes from its bone: 1 blends wider, 4 stretch
 _LEAST_COTANGENT, _MOST_COTANGENT = 0.01, 100.0  # a negative one could make a weight negative
 _GUESSED = 1e-3  # how a vertex that covers no bone holds the nearest, beside one that covers its own
 _NEAREST = 1e-2  # of the skeleton's height: nearer counts as this near
+KnownParts = dict[
+    tuple[bytes, ...], tuple[IntArray, FloatArray]
+]  # joints and shares, by all they follow from
 _CLOSER = 1 - 1e-9  # of the ball so far: bones meet at joints, where the first of them is taken
 
 
@@ -70,17 +74,19 @@ def weights_of_garment(
     options: WeightOptions,
     cover: GarmentCover | None = None,
     stiffness: FloatArray | None = None,
+    known: KnownParts | None = None,
 ) -> SkinWeights:
     """Weigh a garment, on the skeleton in the pose (j, 4, 4), by the rule that the options name.
 
-    stiffness: (n,) where it is greater, the share of an arm changes more slowly along the cloth.
+    stiffness: (n,) where it is greater, the share of an arm changes more slowly along the cloth. known: parts
+    solved before, of which those that have not changed are taken.
     """
     if options.falloff is not Falloff.HEAT:
         return weights_from_distances(garment.vertices, skeleton, pose, options)
     if cover is None or not cover.sleeves:
         bare = () if cover is None else cover.bare
         return weights_from_heat(garment, skeleton, pose, options, bare)
-    return weights_with_sleeves(garment, skeleton, pose, options, cover, stiffness)
+    return weights_with_sleeves(garment, skeleton, pose, options, cover, stiffness, known)
 
 
 def weights_without_web(
@@ -101,7 +107,9 @@ def weights_without_web(
     bears that, so the capture joined what only touched. Weights by distance know no triangles: they would
     stay, web and all, so nothing is cut for them, nor at 0.
     """
-    weights, faces = weights_of_garment(garment, skeleton, pose, options, cover), garment.faces
+    known: KnownParts = {}
+    weights = weights_of_garment(garment, skeleton, pose, options, cover, known=known)
+    faces = garment.faces
     if options.falloff is not Falloff.HEAT or not max_stretch:
         return weights, faces
     growth, longest = np.ones(len(faces)), edge_lengths(garment.vertices, faces)
@@ -116,7 +124,7 @@ def weights_without_web(
     most = np.ones(len(garment.vertices))
     np.maximum.at(most, faces.ravel(), np.repeat(np.minimum(growth, max_stretch), 3))
     left = Mesh(vertices=garment.vertices, faces=faces[~web])
-    return weights_of_garment(left, skeleton, pose, options, cover, most**2), left.faces
+    return weights_of_garment(left, skeleton, pose, options, cover, most**2, known), left.faces
 
 
 def weights_from_heat(
@@ -135,7 +143,7 @@ def weights_from_heat(
     """
     among = [joint for joint in range(len(skeleton.names)) if joint not in bare]
     joints, distances, hold = _own_bones(garment, skeleton, pose, options, among)
-    used, shares = _spread(garment, joints, distances, hold)
+    used, shares = _spread(_Cloth.of(garment), joints, distances, hold)
     return _heaviest(used, shares, options.bones)
 
 
@@ -146,6 +154,7 @@ def weights_with_sleeves(
     options: WeightOptions,
     cover: GarmentCover,
     stiffness: FloatArray | None = None,
+    known: KnownParts | None = None,
 ) -> SkinWeights:
     """Weigh a garment whose sleeves are known, so that no arm moves the trunk below the armpits.
 
@@ -161,9 +170,10 @@ def weights_with_sleeves(
     body = [joint for joint in range(len(skeleton.names)) if joint not in taken]
     joints, distances, hold = _own_bones(garment, skeleton, pose, options, body)
     even = np.ones(len(joints)) if stiffness is None else stiffness
-    shares = _arm_shares(garment, cover.trunk, sleeves, distances, even)
+    cloth, known = _Cloth.of(garment), {} if known is None else known
+    shares = _arm_shares(garment.vertices, cloth, cover.trunk, sleeves, distances, even)
     left = 1.0 - shares.sum(axis=1)
-    parts = [(left, *_spread_within(left > 0, garment, joints, distances, hold))]
+    parts = [(left, *_spread_within(left > 0, cloth, joints, distances, hold, known))]
     for one, share in zip(sleeves, shares.T, strict=True):
         turning, *ends = attracting_bones(skeleton, pose, options.exclude, one.joints)
         placed = cover.bones_from_pose[turning]
@@ -173,14 +183,16 @@ def weights_with_sleeves(
         )
         nearest, gaps = nearest_joints(garment.vertices, *bones, count=1)
         gaps = np.maximum(gaps[:, 0], _least_distance(skeleton, bones[1]))
-        parts.append((share, *_spread_within(share > 0, garment, nearest[:, 0], gaps, np.ones(len(gaps)))))
+        sure = np.ones(len(gaps))
+        parts.append((share, *_spread_within(share > 0, cloth, nearest[:, 0], gaps, sure, known)))
     used = np.concatenate([joints for _, joints, _ in parts])
     weights = np.concatenate([share[:, None] * within for share, _, within in parts], axis=1)
     return _heaviest(used, weights, options.bones)
 
 
 def _arm_shares(
-    garment: Mesh,
+    vertices: Points,
+    cloth: _Cloth,
     trunk: Mask,
     sleeves: Sequence[SleeveCover],
     distances: FloatArray,
@@ -194,10 +206,11 @@ def _arm_shares(
     free = ~trunk & ~beyond.any(axis=1)
     if not free.any() or not sleeves:
         return shares
-    held = np.where(on_sleeve, 1e-9, _HOLD) * _areas(garment) / distances**2
+    held = np.where(on_sleeve, 1e-9, _HOLD) * cloth.areas / distances**2
     for arm, one in enumerate(sleeves):
-        turning = np.linalg.norm(garment.vertices - one.shoulder, axis=1)
-        matrix = sp.csr_array(_laplacian(garment, stiffness * turning**2) + sp.diags_array(held * turning**2))
+        turning = np.linalg.norm(vertices - one.shoulder, axis=1)
+        stiff = stiffness * turning**2
+        matrix = sp.csr_array(cloth.laplacian(stiff) + sp.diags_array(held * turning**2))
         factor = splu(
             sp.csc_array(matrix[free][:, free]),
             permc_spec="MMD_AT_PLUS_A",
@@ -209,46 +222,89 @@ def _arm_shares(
     return shares / np.maximum(shares.sum(axis=1, keepdims=True), 1.0)
 
 
-def _areas(garment: Mesh) -> FloatArray:
-    """Return (n,): a third of the triangles around each vertex, never 0."""
-    area = np.linalg.norm(face_normals(garment.vertices, garment.faces), axis=1) / 6
-    shares = np.bincount(garment.faces.ravel(), np.repeat(area, 3), len(garment.vertices))
-    return np.maximum(shares, 1e-9 * (shares.mean() or 1.0))  # a vertex without area keeps to its bone
-
-
 def _spread_within(
     inside: Mask,
-    garment: Mesh,
+    cloth: _Cloth,
     joints: IntArray,
     distances: FloatArray,
     hold: FloatArray,
+    known: KnownParts,
 ) -> tuple[IntArray, FloatArray]:
     """Let heat spread over a part (n,) of the garment alone; elsewhere the shares are 0."""
-    place = np.cumsum(inside) - 1
-    faces = place[garment.faces[inside[garment.faces].all(axis=1)]].astype(np.int32)
-    part = Mesh(vertices=garment.vertices[inside], faces=faces)
-    used, within = _spread(part, joints[inside], distances[inside], hold[inside])
+    part, values = cloth.part(inside), (joints[inside], distances[inside], hold[inside])
+    key = tuple(value.tobytes() for value in (inside, part.faces, *values))
+    if key not in known:
+        known[key] = _spread(part, *values)
+    used, within = known[key]
     shares = np.zeros((len(inside), len(used)))
     shares[inside] = within
     return used, shares
 
 
 def _spread(
-    garment: Mesh,
-    joints: IntArray,
-    distances: FloatArray,
-    hold: FloatArray,
+    cloth: _Cloth, joints: IntArray, distances: FloatArray, hold: FloatArray
 ) -> tuple[IntArray, FloatArray]:
     """Let heat spread from each vertex's joint, (n,); return the joints and their shares (n, used)."""
     used, column = np.unique(joints, return_inverse=True)
     if len(used) == 1:
         return used, np.ones((len(joints), 1))
-    heat = _HOLD * hold * _areas(garment) / distances**2
-    matrix = sp.csc_array(_laplacian(garment) + sp.diags_array(heat))
+    heat = _HOLD * hold * cloth.areas / distances**2
+    matrix = sp.csc_array(cloth.laplacian() + sp.diags_array(heat))
     factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     sources = np.zeros((len(joints), len(used)))
     sources[np.arange(len(joints)), column] = heat
     return used, np.maximum(factor.solve(sources), 0.0)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Cloth:
+    """What heat needs to know of n vertices and their faces (m, 3).
+
+    area: (m,). pairs: (3 m, 2) the edges of the faces as `edge_cotangents` orders them. weights: (3 m,) half
+    their cotangents.
+    """
+
+    count: int
+    faces: Faces
+    area: FloatArray
+    pairs: IntArray
+    weights: FloatArray
+
+    @classmethod
+    def of(cls, garment: Mesh) -> _Cloth:
+        pairs, cosines, sines = edge_cotangents(garment.vertices, garment.faces)
+        cotangents = np.nan_to_num(cosines / np.maximum(sines, 1e-300))
+        return cls(
+            count=len(garment.vertices),
+            faces=garment.faces,
+            area=np.linalg.norm(face_normals(garment.vertices, garment.faces), axis=1) / 2,
+            pairs=pairs,
+            weights=0.5 * np.clip(cotangents, _LEAST_COTANGENT, _MOST_COTANGENT),
+        )
+
+    def part(self, inside: Mask) -> _Cloth:
+        """Return the cloth of some vertices (n,), with the faces between them."""
+        place, kept = np.cumsum(inside) - 1, inside[self.faces].all(axis=1)
+        return _Cloth(
+            count=int(inside.sum()),
+            faces=place[self.faces[kept]].astype(np.int32),
+            area=self.area[kept],
+            pairs=place[self.pairs[np.tile(kept, 3)]],
+            weights=self.weights[np.tile(kept, 3)],
+        )
+
+    @cached_property
+    def areas(self) -> FloatArray:
+        """(n,): a third of the faces around each vertex, never 0."""
+        shares = np.bincount(self.faces.ravel(), np.repeat(self.area / 3, 3), self.count)
+        return np.maximum(shares, 1e-9 * (shares.mean() or 1.0))  # a vertex without area keeps to its bone
+
+    def laplacian(self, stiffness: FloatArray | None = None) -> sp.csr_array:
+        """Return the cotangent Laplacian (n, n); stiffness: (n,), of the cloth about each vertex."""
+        weights = self.weights
+        if stiffness is not None:
+            weights = weights * stiffness[self.pairs].mean(axis=1)
+        return graph_laplacian(self.pairs, self.count, weights)
 
 
 def _own_bones(
@@ -272,16 +328,6 @@ def _own_bones(
 
 def _least_distance(skeleton: Skeleton, starts: Points) -> float:
     return _NEAREST * max(skeleton.height, float(np.linalg.norm(np.ptp(starts, axis=0))))
-
-
-def _laplacian(garment: Mesh, stiffness: FloatArray | None = None) -> sp.csr_array:
-    """Return the cotangent Laplacian (n, n); stiffness: (n,), of the cloth about each vertex."""
-    pairs, cosines, sines = edge_cotangents(garment.vertices, garment.faces)
-    cotangents = cosines / np.maximum(sines, 1e-300)
-    weights = 0.5 * np.clip(np.nan_to_num(cotangents), _LEAST_COTANGENT, _MOST_COTANGENT)
-    if stiffness is not None:
-        weights = weights * stiffness[pairs].mean(axis=1)
-    return graph_laplacian(pairs, len(garment.vertices), weights)
 
 
 def _heaviest(joints: IntArray, weights: FloatArray, count: int) -> SkinWeights:

@@ -10,7 +10,7 @@ import numpy as np
 from vntoolkit.arrays import FloatArray, IntArray, Points
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.motion import Skeleton
-from vntoolkit.skinning.alignment import SleevedArm, fit_rigid
+from vntoolkit.skinning.alignment import SleevedArm
 from vntoolkit.skinning.stretch import edge_lengths, greatest_growth
 
 STRETCHED, TORN = 2.0, 3.0  # a knit bears about the first; the second shows as a web
@@ -99,18 +99,12 @@ class DressingMeter:
         """Return (arms, 3): radii from the axis of the sleeve to elbow, middle of the forearm and wrist."""
         found = np.zeros((len(self._sleeved), 3))
         for arm, (one, sections) in enumerate(zip(self._sleeved, self._sections, strict=True)):
-            if len(sections) < 2:
+            if len(sections.radii) < 2:
                 continue
-            axis = np.stack(
-                [
-                    fit_rigid(first, vertices[own], np.ones(len(own))).apply(point[None])[0]
-                    for own, first, point, _ in sections
-                ]
-            )
-            radii = np.array([radius for *_, radius in sections])
+            axis = sections.moved_axis(vertices)
             _, elbow, wrist = one.arm.points(self._skeleton, pose)
             for place, point in enumerate((elbow, (elbow + wrist) / 2, wrist)):
-                found[arm, place] = _off_line(point, axis, radii)
+                found[arm, place] = _off_line(point, axis, sections.radii)
         return found
 
     def add(self, vertices: Points, pose: FloatArray) -> None:
@@ -133,19 +127,49 @@ class DressingMeter:
         )
 
 
-_Section = tuple[IntArray, Points, Points, float]
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Sections:
+    """The stations of a sleeve that have cloth about them.
+
+    own: (k,) their vertices, station by station. starts: (s,) where each station's begin. centred: (k, 3)
+    where they are at first, from the middle of their station. ways: (s, 3) from there to the axis. radii:
+    (s,).
+    """
+
+    own: IntArray
+    starts: IntArray
+    centred: Points
+    ways: Points
+    radii: FloatArray
+
+    def moved_axis(self, vertices: Points) -> Points:
+        """Return (s, 3): the axis at each station, moved rigidly with the station's vertices, kabsch1976."""
+        now = vertices[self.own].astype(np.float64)
+        counts = np.diff(np.append(self.starts, len(self.own)))[:, None]
+        middles = np.add.reduceat(now, self.starts) / counts
+        products = np.einsum("ki,kj->kij", now, self.centred)  # now need not be centred: the other is
+        u, _, vt = np.linalg.svd(np.add.reduceat(products, self.starts))
+        u[:, :, 2] *= np.sign(np.linalg.det(u) * np.linalg.det(vt))[:, None]
+        return middles + np.einsum("sij,sjk,sk->si", u, vt, self.ways)
 
 
-def _sections(one: SleevedArm, on_figure: Points) -> list[_Section]:
-    """Return of each station its vertices, where they are, the axis there, and the radius."""
+def _sections(one: SleevedArm, on_figure: Points) -> _Sections:
+    """Return the stations of a sleeve with enough vertices; on_figure: (n, 3)."""
     sleeve, stations = one.sleeve, one.sleeve.stations
     half = sleeve.length / max(len(stations) - 1, 1)
-    sections: list[_Section] = []
-    for station, point, radius in zip(stations, sleeve.axis, sleeve.radii, strict=True):
-        own = np.flatnonzero(np.abs(sleeve.along - station) <= half)
-        if len(own) >= _LEAST_VERTICES:
-            sections.append((own, on_figure[own], point, float(radius)))
-    return sections
+    owned = [np.flatnonzero(np.abs(sleeve.along - station) <= half) for station in stations]
+    kept = [k for k, own in enumerate(owned) if len(own) >= _LEAST_VERTICES]
+    owned = [owned[k] for k in kept]
+    middles = np.array([on_figure[own].mean(axis=0) for own in owned]).reshape(-1, 3)
+    sizes = [len(own) for own in owned]
+    return _Sections(
+        own=np.concatenate([np.zeros(0, np.int64), *owned]),
+        starts=np.cumsum([0, *sizes])[:-1],
+        centred=np.concatenate([np.zeros((0, 3)), *(on_figure[own] for own in owned)])
+        - np.repeat(middles, sizes, axis=0),
+        ways=sleeve.axis[kept] - middles,
+        radii=sleeve.radii[kept],
+    )
 
 
 def _off_line(point: Points, line: Points, radii: FloatArray) -> float:

@@ -42,7 +42,8 @@ def _greatest_growth(vertices, faces, lengths):  # type: ignore[no-untyped-def]
 def drawn_together(vertices: Points, edges: Faces, longest: FloatArray) -> Points:
     """Return (n, 3): both ends of every edge that is longer than allowed, (e,), drawn together, provot1995.
 
-    Edges take turns until none is too long, or a number of times. What is not stretched does not move.
+    edges: (e, 2). They take turns until none is too long, or a number of times. What is not stretched does
+    not move.
     """
     moved = np.array(vertices, dtype=np.float64)
     _draw_together(moved, edges, longest)
@@ -51,21 +52,24 @@ def drawn_together(vertices: Points, edges: Faces, longest: FloatArray) -> Point
 
 @njit(cache=True)
 def _draw_together(vertices, edges, longest):  # type: ignore[no-untyped-def]
-    moved = np.full(len(vertices), -1, dtype=np.int32)  # in which sweep last: other edges are as they were
+    squares = _REACHED * longest * longest
+    now = _stretched(vertices, edges, squares)
+    if not len(now):
+        return
+    starts, about = _edges_about(len(vertices), edges)
+    is_near = np.zeros(len(edges), np.bool_)
     for sweep in range(_SWEEPS):
+        is_near[:] = False
         is_done = True
-        for step in range(len(edges)):
-            e = step if sweep % 2 == 0 else len(edges) - 1 - step  # no side is favoured
+        for step in range(len(now)):
+            e = now[step] if sweep % 2 == 0 else now[len(now) - 1 - step]  # no side is favoured
             a, b = edges[e, 0], edges[e, 1]
-            if moved[a] < sweep - 1 and moved[b] < sweep - 1:
-                continue
             x = vertices[b, 0] - vertices[a, 0]
             y = vertices[b, 1] - vertices[a, 1]
             z = vertices[b, 2] - vertices[a, 2]
             squared = x * x + y * y + z * z
-            if squared > _REACHED * longest[e] * longest[e]:
+            if squared > squares[e]:
                 is_done = False
-                moved[a], moved[b] = sweep, sweep
                 share = 0.5 * (1.0 - longest[e] / np.sqrt(squared))
                 vertices[a, 0] += share * x
                 vertices[a, 1] += share * y
@@ -73,5 +77,37 @@ def _draw_together(vertices, edges, longest):  # type: ignore[no-untyped-def]
                 vertices[b, 0] -= share * x
                 vertices[b, 1] -= share * y
                 vertices[b, 2] -= share * z
+                for v in (a, b):
+                    for k in range(starts[v], starts[v + 1]):
+                        is_near[about[k]] = True
         if is_done:
             break
+        now = np.flatnonzero(is_near)
+
+
+@njit(cache=True)
+def _stretched(vertices, edges, squares):  # type: ignore[no-untyped-def]
+    found = np.zeros(len(edges), np.bool_)
+    for e in range(len(edges)):
+        squared = 0.0
+        for axis in range(3):
+            squared += (vertices[edges[e, 1], axis] - vertices[edges[e, 0], axis]) ** 2
+        found[e] = squared > squares[e]
+    return np.flatnonzero(found)
+
+
+@njit(cache=True)
+def _edges_about(count, edges):  # type: ignore[no-untyped-def]
+    """Return where the edges about each vertex begin, (n + 1,), in the list of them, (2 e,)."""
+    starts = np.zeros(count + 2, np.int64)
+    for e in range(len(edges)):
+        for k in range(2):
+            starts[edges[e, k] + 2] += 1
+    starts = np.cumsum(starts)
+    about = np.empty(2 * len(edges), np.int32)
+    for e in range(len(edges)):
+        for k in range(2):
+            v = edges[e, k]
+            about[starts[v + 1]] = e
+            starts[v + 1] += 1
+    return starts, about

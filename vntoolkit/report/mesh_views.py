@@ -1,18 +1,21 @@
-"""Pictures of meshes without a graphics card: four rays a pixel by Open3D, one light at the camera's side."""
+"""Pictures of meshes without a graphics card: OpenCV's rasteriser, one light at the camera's side."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import Colours, FloatArray, IntArray, Points, Vector3
-from vntoolkit.errors import BadInput
+from vntoolkit.checks import require_finite
+from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.geometry.rays import RayScene
 from vntoolkit.io.footage.video import write_video
 from vntoolkit.pipeline.dress import DressedFigure, floor_height
 from vntoolkit.report.pictures import write_tiles
@@ -23,9 +26,11 @@ BACKGROUND = (0.93, 0.94, 0.96)
 PLAIN = (0.66, 0.65, 0.62)  # of a mesh without colours
 _AMBIENT = 0.12
 _ROOM = 1.15  # height of a picture over its subject's
-_FINER = 2  # rays along each side of a pixel, averaged: smooth edges
+_FINER = 2  # samples along each side of a pixel, averaged: smooth edges
 _LIGHT = np.array([-0.35, -0.55, -0.76])  # from the surface, in the axes of the view (y down)
-_DISPLAY_GAMMA = 1 / 2.2
+_GAMMA = 2.2  # of the display
+_AWAY = 100.0  # heights of the picture, to the viewer: depths in float32 tell a thousandth of a pixel apart
+_UNMOVED = np.eye(4, dtype=np.float32)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,65 +66,44 @@ class View:
 
 
 def picture_of(meshes: Sequence[Mesh], view: View) -> npt.NDArray[np.uint8]:
-    """Render meshes in the camera frame; returns (h, w, 3) uint8 RGB. Both sides of a face are lit."""
-    turned = [(mesh.vertices - view.centre) @ view.view_from_world.T for mesh in meshes]
-    scene = RayScene(*((vertices, mesh.faces) for vertices, mesh in zip(turned, meshes, strict=True)))
-    picture = np.tile(np.array(BACKGROUND, np.float32), (view.height_px, view.width_px, 1))
-    (left, top), (right, bottom) = _box(view, turned)
-    if left < right and top < bottom:
-        corner, size = np.array([left, top]), np.array([right - left, bottom - top])
-        rays = _rays(view, corner, size, turned)
-        hits = scene.first_hits(rays)
-        inner = np.tile(np.array(BACKGROUND, np.float32), (len(rays), 1))
-        for index, mesh in enumerate(meshes):
-            seen = hits.surfaces == index
-            corners = hits.barycentric[seen]
-            shares = np.column_stack([1 - corners.sum(axis=1), corners])
-            colours = _colours_at(mesh, mesh.faces[hits.faces[seen]], shares)
-            inner[hits.rays[seen]] = _shaded(colours, hits.normals[seen])
-        inner = inner.reshape(_FINER * size[1], _FINER * size[0], 3)
-        parts = (inner[i::_FINER, k::_FINER] for i in range(_FINER) for k in range(_FINER))
-        picture[top:bottom, left:right] = np.add.reduce(list(parts)) / _FINER**2
-    return (np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8)
+    """Render meshes in the camera frame; returns (h, w, 3) uint8 RGB. Both sides of a face are lit.
+
+    OpenCV's rasteriser knows perspective alone. Corners are moved so that its projection of each is the
+    orthographic one.
+    """
+    size = _FINER * view.height_px, _FINER * view.width_px
+    picture = np.tile(np.power(BACKGROUND, _GAMMA).astype(np.float32), (*size, 1))
+    depths = np.full(size, 2 * _AWAY, np.float32)
+    settings = cv2.TriangleRasterizeSettings().setCullingMode(cv2.RASTERIZE_CULLING_NONE)
+    settings = settings.setShadingType(cv2.RASTERIZE_SHADING_SHADED)
+    for mesh in meshes:
+        require_finite(mesh.vertices, "vertices to draw", BadMesh)
+        turned = ((mesh.vertices - view.centre) @ view.view_from_world.T / view.height).astype(np.float32)
+        corners = turned[mesh.faces]
+        colours = _lit_colours(mesh, corners)
+        corners *= [1, -1, -1]  # the rasteriser's y is up, its z towards the viewer
+        corners[..., :2] *= 1 - corners[..., 2:] / _AWAY
+        corners[..., 2] -= _AWAY
+        order = np.arange(corners.size // 3, dtype=np.int32).reshape(-1, 3)
+        points, angle = corners.reshape(-1, 3), 2 * np.arctan(0.5 / _AWAY)
+        if len(order):
+            cv2.triangleRasterize(
+                points, order, colours, picture, depths, _UNMOVED, angle, 1.0, 2 * _AWAY, settings
+            )
+    smooth = cv2.resize(picture, (view.width_px, view.height_px), interpolation=cv2.INTER_AREA)
+    return (np.clip(smooth, 0, 1) ** (1 / _GAMMA) * 255 + 0.5).astype(np.uint8)
 
 
-def _box(view: View, turned: Sequence[Points]) -> IntArray:
-    """Return ((left, top), (right, bottom)) of the pixels that the meshes may cover: others show nothing."""
-    points = [vertices[:, :2] for vertices in turned if len(vertices)]
-    if not points:
-        return np.zeros((2, 2), dtype=np.int64)
-    size = np.array([view.width_px, view.height_px])
-    middle, pixel = (size - 1) / 2, view.height / view.height_px
-    low = np.floor(np.min([each.min(axis=0) for each in points], axis=0) / pixel + middle)
-    high = np.ceil(np.max([each.max(axis=0) for each in points], axis=0) / pixel + middle) + 1
-    return np.stack([np.clip(low, 0, size), np.clip(high, 0, size)]).astype(np.int64)
-
-
-def _rays(view: View, corner: IntArray, size: IntArray, turned: Sequence[Points]) -> npt.NDArray[np.float32]:
-    """Return the rays (r, 6) of a box of pixels, `_FINER` along each side of a pixel, row by row."""
-    nearest = min((float(vertices[:, 2].min()) for vertices in turned if len(vertices)), default=0.0)
-    pixel, middle = view.height / view.height_px, (np.array([view.width_px, view.height_px]) - 1) / 2
-    u, v = (
-        (corner[k] + (np.arange(_FINER * size[k]) + 0.5) / _FINER - 0.5 - middle[k]) * pixel for k in range(2)
-    )
-    rays = np.zeros((len(v), len(u), 6), dtype=np.float32)
-    rays[..., 0], rays[..., 1] = u, v[:, None]
-    rays[..., 2] = nearest - view.height
-    rays[..., 5] = 1
-    return rays.reshape(-1, 6)
-
-
-def _colours_at(mesh: Mesh, faces: npt.NDArray[np.int32], shares: FloatArray) -> Colours:
-    if mesh.colours is None:
-        return np.tile(np.array(PLAIN, np.float32), (len(faces), 1))
-    return np.einsum("pk,pkc->pc", shares, mesh.colours[faces]).astype(np.float32)
-
-
-def _shaded(colours: Colours, normals: Points) -> Colours:
-    normals = np.where(normals[:, 2:3] > 0, -normals, normals)
-    light = _LIGHT / np.linalg.norm(_LIGHT)
-    brightness = _AMBIENT + (1 - _AMBIENT) * np.maximum(normals @ light, 0)
-    return (np.clip(colours * brightness[:, None], 0, 1) ** _DISPLAY_GAMMA).astype(np.float32)
+def _lit_colours(mesh: Mesh, corners: FloatArray) -> Colours:
+    """Return the linear colour of every corner (m·3, 3) of the faces (m, 3, 3), lit by their normals."""
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.maximum(np.linalg.norm(normals, axis=1), np.float32(1e-30))
+    towards = np.where(normals[:, 2] > 0, -1.0, 1.0) / lengths
+    light = (_LIGHT / np.linalg.norm(_LIGHT)).astype(np.float32)
+    brightness = _AMBIENT + (1 - _AMBIENT) * np.maximum(normals @ light * towards, 0)
+    own = np.array(PLAIN, np.float32) if mesh.colours is None else mesh.colours[mesh.faces]
+    lit = np.clip(own * brightness[:, None, None], 0, 1).astype(np.float32)
+    return np.ascontiguousarray(np.broadcast_to(lit, corners.shape)).reshape(-1, 3)
 
 
 def capsules(starts: Points, ends: Points, radius: float, colour: tuple[float, float, float]) -> Mesh:
@@ -155,7 +139,11 @@ _BONE_COLOUR = (0.18, 0.30, 0.62)
 _CLOTH_COLOUR = (0.80, 0.45, 0.32)
 _FLOOR_COLOUR = (0.80, 0.82, 0.84)
 _BONE_RADIUS = 0.013  # of the figure's height
-_MARGIN = 1.25  # height of the picture over the figure's
+_DRAWN_AT_ONCE = 2  # pictures: most of the work is one thread's
+_MARGIN, _MIDDLE = (
+    1.35,
+    0.55,
+)  # height of the picture and of its middle, over the figure's: room for raised arms
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -218,6 +206,19 @@ class _Stage:
         ]
         return [cloth, *bones, _floor(dressed, frame, self._floor)]
 
+    def view(self, frame: int, azimuth_deg: float, options: PreviewOptions) -> View:
+        """Follow the hips sideways and in depth, not in height, so that steps show."""
+        motion = self._dressed.motion
+        x, _, z = motion.root_positions[frame]
+        return View(
+            centre=np.array([x, self._floor - _MIDDLE * motion.skeleton.height, z]),
+            height=_MARGIN * motion.skeleton.height,
+            azimuth_deg=azimuth_deg,
+            elevation_deg=12.0,
+            width_px=options.picture_width,
+            height_px=options.picture_height,
+        )
+
 
 def _floor(dressed: DressedFigure, frame: int, y: float) -> Mesh:
     x, _, z = dressed.motion.root_positions[frame]
@@ -230,21 +231,6 @@ def _floor(dressed: DressedFigure, frame: int, y: float) -> Mesh:
     )
 
 
-def _view(dressed: DressedFigure, frame: int, azimuth_deg: float, options: PreviewOptions) -> View:
-    """Follow the hips sideways and in depth, not in height, so that steps show."""
-    motion = dressed.motion
-    centre = np.array(motion.root_positions[frame])
-    centre[1] = np.median(motion.root_positions[:, 1])
-    return View(
-        centre=centre,
-        height=_MARGIN * motion.skeleton.height,
-        azimuth_deg=azimuth_deg,
-        elevation_deg=12.0,
-        width_px=options.picture_width,
-        height_px=options.picture_height,
-    )
-
-
 def contact_sheet(
     dressed: DressedFigure,
     options: PreviewOptions | None = None,
@@ -253,13 +239,32 @@ def contact_sheet(
     """Return one picture (h, w, 3) uint8: time runs to the right, one direction a row."""
     options = options or PreviewOptions()
     stage = _Stage(dressed)
-    columns = []
-    for frame in _moments(dressed, options):
-        meshes = stage.meshes(int(frame))
-        views = (_view(dressed, int(frame), azimuth, options) for azimuth in options.azimuths_deg)
-        columns.append(np.concatenate([picture_of(meshes, view) for view in views], axis=0))
-        on_picture()
-    return np.concatenate(columns, axis=1)
+    moments = [int(frame) for frame in _moments(dressed, options)]
+    jobs = (
+        (meshes, stage.view(frame, azimuth, options))
+        for frame in moments
+        for meshes in (stage.meshes(frame),)
+        for azimuth in options.azimuths_deg
+    )
+    pictures = []
+    for index, picture in enumerate(_drawn(jobs), start=1):
+        pictures.append(picture)
+        if index % len(options.azimuths_deg) == 0:
+            on_picture()
+    rows = len(options.azimuths_deg)
+    return np.concatenate([np.concatenate(pictures[row::rows], axis=1) for row in range(rows)], axis=0)
+
+
+def _drawn(jobs: Iterable[tuple[Sequence[Mesh], View]]) -> Iterator[npt.NDArray[np.uint8]]:
+    """Yield the picture of each job; one is drawn beside the next."""
+    with ThreadPoolExecutor(_DRAWN_AT_ONCE) as pool:
+        pending: deque[Future[npt.NDArray[np.uint8]]] = deque()
+        for meshes, view in jobs:
+            pending.append(pool.submit(picture_of, meshes, view))
+            if len(pending) > _DRAWN_AT_ONCE:
+                yield pending.popleft().result()
+        while pending:
+            yield pending.popleft().result()
 
 
 def _write_sheet(
@@ -293,10 +298,12 @@ def turntable(
     """Yield pictures (h, w, 3) uint8 of the motion, seen by a viewer who goes once around the figure."""
     options = options or PreviewOptions()
     stage = _Stage(dressed, coarse=True)
-    for index in range(options.turn_frames):
-        frame = index * len(dressed) // options.turn_frames
-        azimuth = 360.0 * index / options.turn_frames
-        yield picture_of(stage.meshes(frame), _view(dressed, frame, azimuth, options))
+    frames = [index * len(dressed) // options.turn_frames for index in range(options.turn_frames)]
+    azimuths = 360.0 * np.arange(len(frames)) / len(frames)
+    yield from _drawn(
+        (stage.meshes(frame), stage.view(frame, azimuth, options))
+        for frame, azimuth in zip(frames, azimuths, strict=True)
+    )
 
 
 def write_preview(
