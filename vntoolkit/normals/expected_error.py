@@ -251,16 +251,17 @@ def _fit_ellipsoid(
     return _Ellipsoid(float(np.exp(found[0])), shape)
 
 
-# Compiled loops. A table of None stands for linear light: numba drops the branches for another.
+# Compiled loops. A table of None stands for linear light: numba drops the branches for another. Rows are
+# slices, whose loops begin at 0: a loop that begins elsewhere is not done eight pixels at a time.
 
 
 @njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
-def _read_row(image: Any, table: Any, v: int, first: int, last: int, r: Any, g: Any, b: Any) -> None:
-    for u in range(first, last):
+def _read_row(line: Any, table: Any, r: Any, g: Any, b: Any) -> None:
+    for u in range(len(r)):
         if table is None:
-            r[u], g[u], b[u] = image[v, u, 0], image[v, u, 1], image[v, u, 2]
+            r[u], g[u], b[u] = line[u, 0], line[u, 1], line[u, 2]
         else:
-            r[u], g[u], b[u] = table[image[v, u, 0]], table[image[v, u, 1]], table[image[v, u, 2]]
+            r[u], g[u], b[u] = table[line[u, 0]], table[line[u, 1]], table[line[u, 2]]
 
 
 @njit(cache=True, nogil=True)
@@ -318,22 +319,23 @@ def _samples_kernel(
 
 @njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
 def _slopes_row(
-    image: Any, table: Any, inside: Any, c: _Coefficients, v: int, first: int, last: int, p: Any, q: Any,
-    known: Any,
-) -> None:  # fmt: skip
+    line: Any, table: Any, inside: Any, c: _Coefficients, v: int, first: int, p: Any, q: Any, known: Any
+) -> None:
     """Put in the slopes p, q of the colours' own normals, and cos^1.5 of their inclination; 0 for no normal.
 
-    A turn by ε moves the slope by ε / cos² along the inclination and ε / cos across.
+    A turn by ε moves the slope by ε / cos² along the inclination and ε / cos across. v, first: the place of
+    the first pixel.
     """
-    _read_row(image, table, v, first, last, p, q, known)
+    _read_row(line, table, p, q, known)
     inverse, ambient, rays, one = c.inverse, c.ambient, c.rays, np.float32(1.0)
     i00, i01, i02 = inverse[0, 0], inverse[0, 1], inverse[0, 2]
     i10, i11, i12 = inverse[1, 0], inverse[1, 1], inverse[1, 2]
     i20, i21, i22 = inverse[2, 0], inverse[2, 1], inverse[2, 2]
     a0, a1, a2 = ambient[0], ambient[1], ambient[2]
     to_x, to_y = rays[0], rays[3]
-    at_x, at_y = rays[1] * np.float32(v) + rays[2], rays[4] * np.float32(v) + rays[5]
-    for u in range(first, last):
+    at_x = to_x * np.float32(first) + rays[1] * np.float32(v) + rays[2]
+    at_y = to_y * np.float32(first) + rays[4] * np.float32(v) + rays[5]
+    for u in range(len(p)):
         r, g, b = p[u] - a0, q[u] - a1, known[u] - a2
         x, y, z = i00 * r + i01 * g + i02 * b, i10 * r + i11 * g + i12 * b, i20 * r + i21 * g + i22 * b
         length = np.sqrt(x * x + y * y + z * z)
@@ -370,9 +372,13 @@ def _curl_row(image: Any, table: Any, mask: Mask, c: _Coefficients, v: int, sums
     above_known, below_known = np.zeros(width, np.float32), np.zeros(width, np.float32)
     whole = len(sums) * _CELL
     found, places = np.zeros(whole, np.float32), np.zeros(whole, np.float32)
-    _slopes_row(image, table, mask[v - 1], c, v - 1, first, last, above, unused, above_known)
-    _slopes_row(image, table, mask[v + 1], c, v + 1, first, last, below, unused, below_known)
-    _slopes_row(image, table, mask[v], c, v, first, last, p, q, known)
+    for row, to_p, to_q, to_known in (
+        (v - 1, above, unused, above_known), (v + 1, below, unused, below_known), (v, p, q, known)
+    ):  # fmt: skip
+        _slopes_row(
+            image[row, first:last], table, mask[row, first:last], c, row, first, to_p[first:last],
+            to_q[first:last], to_known[first:last],
+        )  # fmt: skip
     inner, zero, half, one = width - 2, np.float32(0.0), np.float32(0.5), np.float32(1.0)
     before, here, after = known[:inner], known[1 : inner + 1], known[2:]
     up, down, q_before, q_after = above[1 : inner + 1], below[1 : inner + 1], q[:inner], q[2:]
@@ -443,8 +449,7 @@ def _noise_row(noise: Any, v: int, cells: Any, row: Any) -> None:
 
 @njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
 def _bound_row(
-    r: Any, g: Any, b: Any, unlit: Any, noise: Any, inside: Any, k: Any, first: int, last: int, length: Any,
-    bound: Any, weight: Any,
+    r: Any, g: Any, b: Any, unlit: Any, noise: Any, inside: Any, k: Any, length: Any, bound: Any, weight: Any
 ) -> None:  # fmt: skip
     """Turn a row of colours into unit normals, in place, and fill their length, their bound and its weight.
 
@@ -455,7 +460,7 @@ def _bound_row(
     a0, a1, a2, c0, c1, c2 = k[9], k[10], k[11], k[12], k[13], k[14]
     e00, e01, e02, e11, e12, e22 = k[15], k[16], k[17], k[18], k[19], k[20]
     inverse_albedo, fixed, by_noise = k[21], k[22], k[23]
-    for u in range(first, last):  # without a branch: eight pixels at a time
+    for u in range(len(r)):  # without a branch: eight pixels at a time
         red, green, blue = r[u] - a0, g[u] - a1, b[u] - a2
         x = i00 * red + i01 * green + i02 * blue
         y = i10 * red + i11 * green + i12 * blue
@@ -499,15 +504,20 @@ def _error_kernel(
         first, last = _span(mask[v])
         if first == last:
             continue
-        r, g, b = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
-        length, row_noise = np.empty(width, np.float32), np.empty(width, np.float32)
-        unlit = np.zeros(width, np.float32)
+        count = last - first
+        r, g, b = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
+        length, unlit = np.empty(count, np.float32), np.zeros(count, np.float32)
+        row_noise = np.empty(width, np.float32)
         if labels is not None:
-            for u in range(first, last):
-                unlit[u] = _BY_LABEL[labels[v, u]]
+            label = labels[v, first:last]
+            for u in range(count):
+                unlit[u] = _BY_LABEL[label[u]]
         _noise_row(noise, v, np.empty(noise.shape[2] + 2, np.float32), row_noise)
-        _read_row(rgb, None, v, first, last, r, g, b)
-        _bound_row(r, g, b, unlit, row_noise, mask[v], constants, first, last, length, error[v], weight[v])
+        _read_row(rgb[v, first:last], None, r, g, b)
+        _bound_row(
+            r, g, b, unlit, row_noise[first:last], mask[v, first:last], constants, length,
+            error[v, first:last], weight[v, first:last],
+        )  # fmt: skip
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath=FLAGS, error_model="numpy")
@@ -523,7 +533,7 @@ def _normals_and_errors_kernel(
         length, row_noise = np.empty(width, np.float32), np.empty(width, np.float32)
         unlit, good = np.zeros(width, np.float32), np.empty(width, np.bool_)
         _noise_row(noise, v, np.empty(noise.shape[2] + 2, np.float32), row_noise)
-        _read_row(encoded, table, v, 0, width, r, g, b)
+        _read_row(encoded[v], table, r, g, b)
         count = 0
         for u in range(width):
             largest = max(r[u], g[u])
@@ -531,7 +541,7 @@ def _normals_and_errors_kernel(
             count += top
             good[u] = mask[v, u] & ((not top) | (clipped_factor > zero))
         clipped[v] = count
-        _bound_row(r, g, b, unlit, row_noise, good, constants, 0, width, length, error[v], weight[v])
+        _bound_row(r, g, b, unlit, row_noise, good, constants, length, error[v], weight[v])
         to_error, to_weight, to_valid = error[v], weight[v], valid[v]
         for u in range(width):
             kept = good[u] & (length[u] > darkest) & (length[u] < _LONGEST) & (b[u] < zero)
