@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vntoolkit.shadows.recovery import mixed, weight_of_colour
+from vntoolkit.shadows.recovery import weight_of_colour
+from vntoolkit.shadows.surface import mixed
 
 LIGHTS = np.array([[-0.3, 0.1, -0.95], [0.3, 0.1, -0.95], [0.0, -0.3, -0.95]])
 LIGHTS = LIGHTS / np.linalg.norm(LIGHTS, axis=1, keepdims=True)
@@ -19,7 +20,7 @@ def leaning(degrees: float) -> np.ndarray:
 def test_colour_counts_where_no_light_grazes_and_nowhere_else() -> None:
     inverted = np.array([leaning(0.0), leaning(32.0), leaning(50.0)])
     assert (inverted @ LIGHTS.T).min(axis=-1) == pytest.approx([0.95, 0.65, 0.4], abs=0.05)
-    weights = [weight_of_colour(*normal, LIGHTS) for normal in inverted]
+    weights = [weight_of_colour(*normal, tuple(LIGHTS.ravel())) for normal in inverted]
     assert weights[0] == 1.0
     assert 0.0 < weights[1] < 1.0
     assert weights[2] == 0.0

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from vntoolkit.photometry.frame import labels_from_lit, lit_from_labels
+from vntoolkit.shadows.evidence import inset_of
 from vntoolkit.shadows.shadow_edges import labels_beyond_half, turned_from_lights
 
 
@@ -28,7 +29,7 @@ def test_the_outline_turns_from_the_lights_that_it_turns_from() -> None:
     inset = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5)
     ring = mask & (inset < 2.5)
     spoilt = np.where((inset < 1.6)[..., None], (0.0, 0.0, -1.0), normals)  # blur leaves nothing to read
-    turned = lit_from_labels(turned_from_lights(spoilt, blurred, LIGHTS, mask))
+    turned = lit_from_labels(turned_from_lights(spoilt, blurred, LIGHTS, inset, mask))
     assert not turned[~ring].any()
     dark = cosines[ring] < 0.0
     assert 100 < dark.sum() < 1000
@@ -36,9 +37,9 @@ def test_the_outline_turns_from_the_lights_that_it_turns_from() -> None:
     assert not turned[ring][cosines[ring] > 0.12].any()
     few = np.zeros_like(mask)
     few[:, :48] = True
-    asked = lit_from_labels(turned_from_lights(spoilt, blurred, LIGHTS, mask, few))
+    asked = lit_from_labels(turned_from_lights(spoilt, blurred, LIGHTS, inset, few))
     assert np.array_equal(asked, turned & few[..., None])
-    half = turned_from_lights(spoilt[::2, ::2], blurred, LIGHTS, mask)  # normals of a smaller image
+    half = turned_from_lights(spoilt[::2, ::2], blurred, LIGHTS, inset, mask)  # normals of a smaller image
     assert (lit_from_labels(half) == turned)[ring].mean() > 0.8
 
 
@@ -47,8 +48,10 @@ def test_a_cut_through_a_plane_is_no_outline() -> None:
     mask = np.zeros((60, 60), bool)
     mask[10:50, 10:50] = True
     dark = np.zeros((60, 60, 3))
-    assert not turned_from_lights(normals, dark, LIGHTS, mask).any()
-    assert not turned_from_lights(normals, dark, LIGHTS, np.ones_like(mask)).any()
+    inset = inset_of(mask)
+    assert inset is not None
+    assert not turned_from_lights(normals, dark, LIGHTS, inset, mask).any()
+    assert inset_of(np.ones_like(mask)) is None
 
 
 def test_a_blurred_edge_of_a_cast_shadow_lies_at_half_light() -> None:

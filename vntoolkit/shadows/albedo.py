@@ -18,7 +18,6 @@ _FINEST_LEVEL = 3  # detail below 2³ pixels counts as shading, not as paint
 _OUTLIER = 0.3  # departure of a pixel's log albedo from its surroundings at which it counts half
 _ROUNDS = 2  # reweightings; a third changes nothing
 _GLOSS = 0.2  # excess of log albedo that paint may have; twice that halves the trust in the colour
-_GLOSSY = math.exp(_GLOSS)
 _MARGIN_PX = 1  # lit pixels this close to a shadow's edge do not count: penumbra darkens them
 
 
@@ -47,19 +46,34 @@ def albedo_from_lit(length: FloatArray, lit: Mask, factor: int = 1) -> FloatArra
 
 def gloss_trust(length: FloatArray, albedo: FloatArray, lit: Mask) -> Weight:
     """Return (h, w): 1, less where a pixel of `lit` outshines matte paint of the surrounding albedo."""
-    ratio = np.maximum(length, _DARKEST) / np.maximum(albedo, _DARKEST)
-    excess = np.maximum(np.log(ratio) - _GLOSS, 0.0) / _GLOSS
-    return np.where(lit, 1.0 / (1.0 + excess**2), 1.0).astype(np.float32)
+    given = (np.ascontiguousarray(image, np.float32) for image in (length, albedo))
+    out: Weight = np.empty(lit.shape, np.float32)
+    _gloss_kernel(*given, np.asarray(lit), out)
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _gloss_kernel(length: FloatArray, albedo: FloatArray, lit: Mask, out: Weight) -> None:
+    for v in range(lit.shape[0]):
+        long, around, inside, to = length[v], albedo[v], lit[v], out[v]
+        for u in range(lit.shape[1]):
+            trust = trust_beside_gloss(long[u], around[u])
+            to[u] = trust if inside[u] else np.float32(1.0)
 
 
 @njit(cache=True, inline="always", error_model="numpy")
 def trust_beside_gloss(length: Any, albedo: Any) -> Any:
     """Return the same of one lit pixel."""
-    ratio = max(length, np.float32(_DARKEST)) / max(albedo, np.float32(_DARKEST))
-    if ratio <= np.float32(_GLOSSY):
-        return np.float32(1.0)
-    excess = (np.log(ratio) - np.float32(_GLOSS)) * np.float32(1.0 / _GLOSS)
+    excess = (departure(length, albedo) - np.float32(_GLOSS)) * np.float32(1.0 / _GLOSS)
+    excess = max(excess, np.float32(0.0))
     return np.float32(1.0) / (np.float32(1.0) + excess * excess)
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def departure(length: Any, albedo: Any) -> Any:
+    """Return sinh of the log of length over albedo: the log where paint fits, harder on what does not."""
+    long, around = max(length, np.float32(_DARKEST)), max(albedo, np.float32(_DARKEST))
+    return np.float32(0.5) * (long * long - around * around) / (long * around)
 
 
 # Values known on some pixels, spread smoothly over the rest (push–pull over an image pyramid).

@@ -22,6 +22,7 @@ _SMALLEST_ALBEDO = 1e-3
 _SMALLEST_REST = 0.05  # 1 − |M⁻¹a|²: an ambient light as strong as the lamps leaves no root
 _MARGIN_PX = 4  # room for filters around the mask
 Window = tuple[slice, slice]
+Numbers = tuple[Any, ...]  # float32
 FLAGS = {"contract", "arcp", "nsz"}  # of compiled loops: NaN and infinity keep their meaning
 TOWARDS_VIEWER = np.array([0.0, 0.0, -1.0], dtype=np.float32)  # single, so that images stay so
 
@@ -47,12 +48,19 @@ class LightContributions:
 
     def relative_to(self, albedo: FloatArray) -> FloatArray:
         """Contributions over the albedo (h, w): L_k · n where light k arrives."""
-        relative = self.contributions / np.maximum(albedo, _SMALLEST_ALBEDO)[..., None]
-        return relative - self.ambient.astype(np.float32)
+        return self._over(albedo, np.ones(3))
 
     def cosines(self, albedo: FloatArray) -> FloatArray:
         """Contributions over albedo and strength: the cosine to each light where it arrives."""
-        return self.relative_to(albedo) / np.linalg.norm(self.lights, axis=1).astype(np.float32)
+        return self._over(albedo, 1.0 / np.linalg.norm(self.lights, axis=1))
+
+    def _over(self, albedo: FloatArray, scale: Vector3) -> FloatArray:
+        out: FloatArray = np.empty(self.contributions.shape, np.float32)
+        _over_kernel(
+            flat(self.contributions), np.ascontiguousarray(albedo, np.float32), numbers_of(self.ambient),
+            numbers_of(scale), flat(out),
+        )  # fmt: skip
+        return out
 
     def shrunk(self, mask: Mask, factor: int) -> tuple[LightContributions, Mask]:
         """Return the same frame, and its mask, at 1/factor of the size, averaged over the mask."""
@@ -98,8 +106,8 @@ def contributions_from_frame(frame: LinearFrame, response: LightResponse) -> Lig
     length = np.empty(frame.shape, np.float32)
     haze, rest = haze_of(response)
     _split_kernel(
-        rgb, response.contributions_from_rgb.astype(np.float32), response.inverse.astype(np.float32), haze,
-        np.float32(rest), contributions, length, normals,
+        flat(rgb), numbers_of(response.contributions_from_rgb), numbers_of(response.inverse),
+        numbers_of(haze), np.float32(rest), flat(contributions), length, flat(normals),
     )  # fmt: skip
     return LightContributions(
         contributions=contributions,
@@ -127,7 +135,7 @@ def small_contributions(
     height, width = (max(1, round(length / factor)) for length in mask.shape)
     rgb = np.empty((height, width, 3), np.float32)
     trust, cover = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
-    _shrink_kernel(np.ascontiguousarray(frame.rgb), frame.clipped, np.asarray(mask), rgb, trust, cover)
+    _shrink_kernel(flat(frame.rgb), frame.clipped, np.asarray(mask), rgb, trust, cover)
     clipped: Mask = np.zeros((height, width), np.bool_)
     small = contributions_from_frame(LinearFrame(rgb=rgb, clipped=clipped), response)
     return replace(small, trust=trust), cover > 0.5
@@ -150,9 +158,9 @@ def _shrink_kernel(
             line, inside, bound = rgb[v], mask[v], clipped[v]
             for u in range(w):  # without a branch: eight pixels at a time
                 part = tall if inside[u] else zero
-                r[u] += part * finite(line[u, 0])
-                g[u] += part * finite(line[u, 1])
-                b[u] += part * finite(line[u, 2])
+                r[u] += part * finite(line[3 * u])
+                g[u] += part * finite(line[3 * u + 1])
+                b[u] += part * finite(line[3 * u + 2])
                 t[u] += part * (low if bound[u] else one)
                 c[u] += part
         whole = (bottom - top) * np.float32(w / width)
@@ -176,45 +184,80 @@ def brighter_than(frame: LinearFrame, response: LightResponse, darkest: float, m
     """Return (h, w), the pixels of a mask whose M⁻¹(r − a) is longer than `darkest`."""
     out: Mask = np.empty(frame.shape, np.bool_)
     _brighter_kernel(
-        np.ascontiguousarray(frame.rgb), response.inverse.astype(np.float32),
-        response.ambient.astype(np.float32), np.float32(darkest**2), np.asarray(mask), out,
+        flat(frame.rgb), numbers_of(response.inverse), numbers_of(response.ambient),
+        np.float32(darkest**2), np.asarray(mask), out,
     )  # fmt: skip
     return out
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def _brighter_kernel(
-    rgb: FloatArray, inverse: FloatArray, ambient: FloatArray, least: Any, mask: Mask, out: Mask
+    rgb: FloatArray, inverse: Numbers, ambient: Numbers, least: Any, mask: Mask, out: Mask
 ) -> None:
-    i00, i01, i02, i10, i11, i12 = (
-        inverse[0, 0], inverse[0, 1], inverse[0, 2], inverse[1, 0], inverse[1, 1], inverse[1, 2],
-    )  # fmt: skip
-    i20, i21, i22 = inverse[2, 0], inverse[2, 1], inverse[2, 2]
-    a0, a1, a2 = ambient[0], ambient[1], ambient[2]
     h, w = mask.shape
     for v in prange(h):
         line, inside, to = rgb[v], mask[v], out[v]
         for u in range(w):
-            r, g, b = line[u, 0] - a0, line[u, 1] - a1, line[u, 2] - a2
-            x, y = i00 * r + i01 * g + i02 * b, i10 * r + i11 * g + i12 * b
-            z = i20 * r + i21 * g + i22 * b
+            r, g, b = line[3 * u] - ambient[0], line[3 * u + 1] - ambient[1], line[3 * u + 2] - ambient[2]
+            x, y, z = turned(inverse, r, g, b)
             to[u] = inside[u] & (x * x + y * y + z * z > least)
 
 
 @njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
 def _split_kernel(
-    rgb: FloatArray, split: FloatArray, inverse: FloatArray, haze: FloatArray, rest: np.float32,
+    rgb: FloatArray, split: Numbers, inverse: Numbers, haze: Numbers, rest: np.float32,
     contributions: FloatArray, length: FloatArray, normals: FloatArray,
 ) -> None:  # fmt: skip
     """Fill the contributions, the albedo and the normal. rest: 1 − |w|²."""
-    h, w, _ = rgb.shape
+    h, w = length.shape
     for v in prange(h):
+        line, seen, size, normal = rgb[v], contributions[v], length[v], normals[v]
         for u in range(w):
-            r, g, b = finite(rgb[v, u, 0]), finite(rgb[v, u, 1]), finite(rgb[v, u, 2])
-            for i in range(3):
-                contributions[v, u, i] = split[i, 0] * r + split[i, 1] * g + split[i, 2] * b
-            x, y, z, length[v, u] = scaled_normal(r, g, b, inverse, haze, rest)
-            normals[v, u, 0], normals[v, u, 1], normals[v, u, 2] = x, y, z
+            r, g, b = finite(line[3 * u]), finite(line[3 * u + 1]), finite(line[3 * u + 2])
+            seen[3 * u], seen[3 * u + 1], seen[3 * u + 2] = turned(split, r, g, b)
+            normal[3 * u], normal[3 * u + 1], normal[3 * u + 2], size[u] = scaled_normal(
+                r, g, b, inverse, haze, rest
+            )
+
+
+@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
+def _over_kernel(
+    contributions: FloatArray, albedo: FloatArray, ambient: Numbers, scale: Numbers, out: FloatArray
+) -> None:
+    """Fill out (h, w, 3) with contributions over the albedo, less the ambient light, times the scale."""
+    h, w = albedo.shape
+    for v in prange(h):
+        line, below, to = contributions[v], albedo[v], out[v]
+        for u in range(w):
+            over = np.float32(1.0) / max(below[u], np.float32(_SMALLEST_ALBEDO))
+            to[3 * u] = (line[3 * u] * over - ambient[0]) * scale[0]
+            to[3 * u + 1] = (line[3 * u + 1] * over - ambient[1]) * scale[1]
+            to[3 * u + 2] = (line[3 * u + 2] * over - ambient[2]) * scale[2]
+
+
+# Parts of compiled loops. The compiler does eight pixels at a time where what is the same for all of them
+# comes as tuples of numbers, rows are slices that begin at 0, and images of three channels are flat.
+
+
+def flat(image: FloatArray) -> FloatArray:
+    """Return an image (h, w, 3) as rows (h, 3 w), float32: how far apart pixels are must be known."""
+    single: FloatArray = np.ascontiguousarray(image, dtype=np.float32)
+    return single.reshape(len(single), -1)
+
+
+def numbers_of(values: npt.ArrayLike) -> Numbers:
+    """Return an array's values as a flat tuple of float32."""
+    return tuple(np.float32(value) for value in np.ravel(np.asarray(values)))
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def turned(matrix: Numbers, x: Any, y: Any, z: Any) -> tuple[Any, Any, Any]:
+    """Return a 3×3 matrix, nine numbers, times a vector."""
+    return (
+        matrix[0] * x + matrix[1] * y + matrix[2] * z,
+        matrix[3] * x + matrix[4] * y + matrix[5] * z,
+        matrix[6] * x + matrix[7] * y + matrix[8] * z,
+    )
 
 
 @njit(cache=True, inline="always", error_model="numpy")
@@ -226,7 +269,7 @@ def finite(value: Any) -> Any:
 
 @njit(cache=True, inline="always", error_model="numpy")
 def scaled_normal(
-    r: Any, g: Any, b: Any, inverse: FloatArray, haze: FloatArray, rest: Any
+    r: Any, g: Any, b: Any, inverse: Numbers, haze: Numbers, rest: Any
 ) -> tuple[Any, Any, Any, Any]:
     """Solve r = ρ (M n + a), |n| = 1, for the normal n and the albedo ρ.
 
@@ -234,17 +277,70 @@ def scaled_normal(
     ambient light is weaker than the lamps. rest: 1 − |w|². Where there is no light the normal faces the
     viewer.
     """
-    x = inverse[0, 0] * r + inverse[0, 1] * g + inverse[0, 2] * b
-    y = inverse[1, 0] * r + inverse[1, 1] * g + inverse[1, 2] * b
-    z = inverse[2, 0] * r + inverse[2, 1] * g + inverse[2, 2] * b
+    x, y, z = turned(inverse, r, g, b)
     along = x * haze[0] + y * haze[1] + z * haze[2]
     squared = x * x + y * y + z * z
-    albedo = np.float32((np.sqrt(along * along + rest * squared) - along) / rest)
+    albedo = (np.sqrt(along * along + rest * squared) - along) / rest
     x, y, z = x - albedo * haze[0], y - albedo * haze[1], z - albedo * haze[2]
     long = np.sqrt(x * x + y * y + z * z)
-    if long > np.float32(1e-6):
-        return x / long, y / long, z / long, albedo
-    return np.float32(0.0), np.float32(0.0), np.float32(-1.0), albedo
+    sound = long > np.float32(1e-6)
+    over = np.float32(1.0) / (long if sound else np.float32(1.0))
+    zero = np.float32(0.0)
+    return (
+        x * over if sound else zero, y * over if sound else zero, z * over if sound else np.float32(-1.0),
+        albedo,
+    )  # fmt: skip
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def place_between(index: int, length: int, small: int) -> tuple[int, int, Any]:
+    """Return the two pixels of a smaller image beside one of a larger, and how near it is to the second."""
+    place = (np.float32(index) + np.float32(0.5)) * np.float32(small / length) - np.float32(0.5)
+    place = min(max(place, np.float32(0.0)), np.float32(small - 1))
+    first = int(place)
+    return first, min(first + 1, small - 1), place - np.float32(first)
+
+
+@njit(cache=True, error_model="numpy")
+def columns_between(length: int, small: int) -> tuple[npt.NDArray[np.uint32], FloatArray]:
+    """Return `place_between` of a row of `length` pixels: the first of the two, and the nearness."""
+    first, part = np.empty(length, np.uint32), np.empty(length, np.float32)
+    for u in range(length):
+        left, _, part[u] = place_between(u, length, small)
+        first[u] = left
+    return first, part
+
+
+@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+def row_between(
+    images: FloatArray, v: int, h: int, first: npt.NDArray[np.uint32], part: FloatArray, out: FloatArray
+) -> None:
+    """Fill out (k, n), a piece of row v of h, from the first k smaller images (k', h', w'), bilinearly.
+
+    first, part: (n,), see `columns_between`.
+    """
+    _, height, width = images.shape
+    up, down, t = place_between(v, h, height)
+    line = np.empty(width + 1, np.float32)
+    for k in range(len(out)):
+        above, below, to = images[k, up], images[k, down], out[k]
+        for column in range(width):
+            line[column] = above[column] + t * (below[column] - above[column])
+        line[width] = line[width - 1]
+        for u in range(len(to)):
+            left = line[first[u]]
+            to[u] = left + part[u] * (line[first[u] + np.uint32(1)] - left)
+
+
+@njit(cache=True, error_model="numpy")
+def used_of(inside: Mask) -> tuple[int, int]:
+    """Return the first pixel of a row that is inside and the one after the last; (0, 0) for none."""
+    first, last = 0, len(inside)
+    while first < last and not inside[first]:
+        first += 1
+    while last > first and not inside[last - 1]:
+        last -= 1
+    return (first, last) if first < last else (0, 0)
 
 
 def _length_and_direction(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -18,8 +18,22 @@ from numba import prange
 from vntoolkit.arrays import FloatArray, Mask, Matrix3
 from vntoolkit.native import njit
 from vntoolkit.photometry.response import LightResponse
-from vntoolkit.shadows.contributions import FLAGS, LightContributions, finite, haze_of, scaled_normal
+from vntoolkit.shadows.contributions import (
+    FLAGS,
+    LightContributions,
+    Numbers,
+    columns_between,
+    finite,
+    flat,
+    haze_of,
+    numbers_of,
+    row_between,
+    scaled_normal,
+    turned,
+    used_of,
+)
 
+Memory = npt.NDArray[np.int8]
 _SMALLEST_ALBEDO = 0.02
 _SMALLEST_COSINE = 1e-6
 _UNKNOWN_SPREAD = 0.02
@@ -52,6 +66,7 @@ PAINT_COSINE = 0.12  # … and above this one
 SMALLEST_ALBEDO = 1e-3
 CAST_FACING = 0.2  # predicted cosine from which a shadow counts as cast
 MEMORY_UNIT = STRONGEST_EVIDENCE / 127
+_NOTHING = 127  # of what was not near: it was lit
 _DOUBT = 2.5  # units below which a light is in doubt: above, no neighbour and no sharpening turns a label
 _AROUND_PX = 4  # how far around a doubt pixels are looked at
 
@@ -72,7 +87,10 @@ def largest_dark_cosine(
     typical, spread = typical_dark_cosine(cosines, predicted, albedo, mask)
     level: FloatArray = np.empty(cosines.shape, np.float32)
     grain: FloatArray = np.empty((*mask.shape, 1), np.float32)
-    _level_kernel(np.asarray(predicted), np.asarray(albedo), typical, spread, level, grain)
+    _level_kernel(
+        flat(predicted), np.ascontiguousarray(albedo, np.float32), np.float32(typical), np.float32(spread),
+        flat(level), flat(grain),
+    )  # fmt: skip
     return level, grain
 
 
@@ -94,20 +112,17 @@ def _dark_level(expected: Any, least: Any, most: Any) -> Any:
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def _level_kernel(
-    predicted: FloatArray,
-    albedo: FloatArray,
-    typical: Any,
-    spread: Any,
-    level: FloatArray,
-    grain: FloatArray,
+    predicted: FloatArray, albedo: FloatArray, typical: Any, spread: Any, level: FloatArray, grain: FloatArray
 ) -> None:
     h, w = albedo.shape
     for v in prange(h):
+        surface, around, to, noises = predicted[v], albedo[v], level[v], grain[v]
         for u in range(w):
-            noise, least, most = _bounds_of_dark(albedo[v, u], typical, spread)
-            for k in range(3):
-                level[v, u, k] = _dark_level(predicted[v, u, k], least, most)
-            grain[v, u, 0] = noise
+            noise, least, most = _bounds_of_dark(around[u], typical, spread)
+            to[3 * u] = _dark_level(surface[3 * u], least, most)
+            to[3 * u + 1] = _dark_level(surface[3 * u + 1], least, most)
+            to[3 * u + 2] = _dark_level(surface[3 * u + 2], least, most)
+            noises[u] = noise
 
 
 def typical_dark_cosine(
@@ -210,18 +225,17 @@ def _log(ratio: Any) -> Any:
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def paint_scale(cosines: FloatArray, predicted: FloatArray) -> Any:
+def paint_scale(c0: Any, c1: Any, c2: Any, p0: Any, p1: Any, p2: Any) -> Any:
     """Return what undoes dark paint: where all three lights are missing alike, it is the albedo that is off.
 
-    1 where there is none.
+    c0, c1, c2: cosines; p0, p1, p2: predicted. 1 where there is none.
     """
-    a = cosines[0] / max(predicted[0], np.float32(TOLERANCE_DARK))
-    b = cosines[1] / max(predicted[1], np.float32(TOLERANCE_DARK))
-    c = cosines[2] / max(predicted[2], np.float32(TOLERANCE_DARK))
-    typical = max(min(a, b), min(max(a, b), c))
-    if max(a, b, c) < np.float32(_PAINT_PART) and typical > np.float32(PAINT_COSINE):
-        return np.float32(1.0) / max(typical, np.float32(_SMALLEST_RATIO))
-    return np.float32(1.0)
+    least = np.float32(TOLERANCE_DARK)
+    a, b, c = c0 / max(p0, least), c1 / max(p1, least), c2 / max(p2, least)
+    high = max(a, b)
+    typical = max(min(a, b), min(high, c))
+    painted = (max(high, c) < np.float32(_PAINT_PART)) & (typical > np.float32(PAINT_COSINE))
+    return np.float32(1.0) / (typical if painted else np.float32(1.0))
 
 
 @njit(cache=True, inline="always", error_model="numpy")
@@ -242,54 +256,58 @@ class FrameEvidence:
 
     near: (h, w), pixels in doubt and those around them; all others are lit. evidence: (3, h, w), positive for
     light, known where `near`. cosines: (h, w, 3), without paint where `near`. facing: (h, w), bit k set where
-    the surface surely faces light k, known where `near`.
+    the surface surely faces light k, known where `near`. memory: (3, h, w), the evidence in units of
+    `MEMORY_UNIT`, for the next frame; None where nothing is near.
     """
 
     near: Mask
     evidence: FloatArray
     cosines: FloatArray
     facing: npt.NDArray[np.uint8]
+    memory: Memory | None
 
 
 def evidence_of_frame(
-    rgb: FloatArray, mask: Mask, lamps: Lamps, expected: FloatArray, dark: tuple[float, float],
-    memory: npt.NDArray[np.int8] | None,
+    rgb: FloatArray, mask: Mask, inset: FloatArray | None, lamps: Lamps, expected: FloatArray,
+    dark: tuple[float, float], memory: Memory | None,
 ) -> FrameEvidence:  # fmt: skip
     """Compare a frame (h, w, 3) with what a surface would return.
 
-    expected: (h', w', 5), on a smaller image of the same field: each light's cosine, the albedo, and what
-    the frame before counts, 0 to 1. dark: of a missing light, the typical cosine and its spread. memory:
-    (h, w, 3) evidence of the frame before, in units of `MEMORY_UNIT`, or None.
+    inset: see `inset_of`. expected: (5, h', w'), on a smaller image of the same field: each light's cosine,
+    the albedo, and what the frame before counts, 0 to 1. dark: of a missing light, the typical cosine and its
+    spread. memory: (3, h, w) evidence of the frame before, in units of `MEMORY_UNIT`, or None.
     """
     shape = mask.shape
     cosines, doubt = np.empty((*shape, 3), np.float32), np.zeros(shape, np.uint8)
     typical, spread = np.float32(dark[0]), np.float32(dark[1])
-    _doubt_kernel(rgb, mask, lamps, expected, typical, spread, cosines, doubt)
+    _doubt_kernel(flat(rgb), mask, lamps, expected, typical, spread, flat(cosines), doubt)
     side = 2 * _AROUND_PX + 1
     near: Mask = (cv2.dilate(doubt, np.ones((side, side), np.uint8)) > 0) & mask
     evidence, facing = np.empty((3, *shape), np.float32), np.zeros(shape, np.uint8)
+    new: Memory | None = None
     if near.any():
-        sharp = _sharpened(cosines, mask, near)
+        sharp = _sharpened(cosines, near, inset)
         old = np.zeros((0, 0, 0), np.int8) if memory is None else memory
+        new = np.full((3, *shape), _NOTHING, np.int8)
         _frame_kernel(
-            rgb, mask, near, lamps, expected, typical, spread, sharp, old, cosines,
-            evidence, facing,
+            flat(rgb), near, lamps, expected, typical, spread, flat(sharp), old, flat(cosines), evidence,
+            facing, new,
         )  # fmt: skip
-    return FrameEvidence(near=near, evidence=evidence, cosines=cosines, facing=facing)
+    return FrameEvidence(near=near, evidence=evidence, cosines=cosines, facing=facing, memory=new)
 
 
 class Lamps(NamedTuple):
     """What the loops know of the lamps, float32.
 
-    split: (3, 3), contributions from colours. ambient, per_strength: (3,), of a contribution over the albedo.
+    split: nine, contributions from colours. ambient, per_strength: three, of a contribution over the albedo.
     inverse, haze, rest: see `contributions`. duals: (3, 3), normals from cosines.
     """
 
-    split: FloatArray
-    ambient: FloatArray
-    per_strength: FloatArray
-    inverse: FloatArray
-    haze: FloatArray
+    split: Numbers
+    ambient: Numbers
+    per_strength: Numbers
+    inverse: Numbers
+    haze: Numbers
     rest: np.float32
     duals: FloatArray
 
@@ -299,23 +317,22 @@ def lamps_of(response: LightResponse) -> Lamps:
     split, strengths = response.contributions_from_rgb, np.linalg.norm(response.lights, axis=1)
     haze, rest = haze_of(response)
     return Lamps(
-        split=split.astype(np.float32),
-        ambient=(split @ response.ambient).astype(np.float32),
-        per_strength=(1.0 / strengths).astype(np.float32),
-        inverse=response.inverse.astype(np.float32),
-        haze=haze,
+        split=numbers_of(split),
+        ambient=numbers_of(split @ response.ambient),
+        per_strength=numbers_of(1.0 / strengths),
+        inverse=numbers_of(response.inverse),
+        haze=numbers_of(haze),
         rest=np.float32(rest),
         duals=np.linalg.inv(response.light_directions).astype(np.float32),
     )
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def place_between(index: int, length: int, small: int) -> tuple[int, int, Any]:
-    """Return the two pixels of a smaller image beside one of a larger, and how near it is to the second."""
-    place = (np.float32(index) + np.float32(0.5)) * np.float32(small / length) - np.float32(0.5)
-    place = min(max(place, np.float32(0.0)), np.float32(small - 1))
-    first = int(place)
-    return first, min(first + 1, small - 1), place - np.float32(first)
+def _is_doubted(cosine: Any, predicted: Any, noise: Any, least: Any, most: Any) -> Any:
+    unit = (
+        np.float32(TOLERANCE_DARK) + np.float32(_TOLERANCE_BRIGHT) * max(predicted, np.float32(0.0)) + noise
+    )
+    return cosine - _dark_level(predicted, least, most) < np.float32(_DOUBT) * unit
 
 
 @njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
@@ -325,170 +342,247 @@ def _doubt_kernel(
 ) -> None:  # fmt: skip
     """Fill cosines everywhere, and doubt where one is not far above the level of a shadow."""
     h, w = mask.shape
-    height, width, _ = expected.shape
-    split, ambient, per_strength = lamps.split, lamps.ambient, lamps.per_strength
-    one, zero = np.float32(1.0), np.float32(0.0)
+    split, ambient, strength = lamps.split, lamps.ambient, lamps.per_strength
+    left, part = columns_between(w, expected.shape[2])
     for v in prange(h):
-        up, down, t = place_between(v, h, height)
-        row = np.empty((width, 4), np.float32)
-        for column in range(width):
-            for i in range(4):
-                row[column, i] = (one - t) * expected[up, column, i] + t * expected[down, column, i]
+        rows = np.empty((4, w), np.float32)
+        row_between(expected, v, h, left, part, rows)
+        first, second, third, albedo = rows[0], rows[1], rows[2], rows[3]
+        line, inside, to, found = rgb[v], mask[v], cosines[v], doubt[v]
         for u in range(w):
-            left, right, s = place_between(u, w, width)
-            r, g, b = finite(rgb[v, u, 0]), finite(rgb[v, u, 1]), finite(rgb[v, u, 2])
-            albedo = (one - s) * row[left, 3] + s * row[right, 3]
-            scale = one / max(albedo, np.float32(SMALLEST_ALBEDO))
-            noise, least, most = _bounds_of_dark(albedo, typical, spread)
-            dark = False
-            for k in range(3):
-                seen = (split[k, 0] * r + split[k, 1] * g + split[k, 2] * b) * scale
-                seen = (seen - ambient[k]) * per_strength[k]
-                cosines[v, u, k] = seen
-                facing = (one - s) * row[left, k] + s * row[right, k]
-                unit = np.float32(TOLERANCE_DARK) + np.float32(_TOLERANCE_BRIGHT) * max(facing, zero) + noise
-                dark |= seen - _dark_level(facing, least, most) < np.float32(_DOUBT) * unit
-            if dark and mask[v, u]:
-                doubt[v, u] = 1
+            r, g, b = finite(line[3 * u]), finite(line[3 * u + 1]), finite(line[3 * u + 2])
+            x, y, z = turned(split, r, g, b)
+            scale = np.float32(1.0) / max(albedo[u], np.float32(SMALLEST_ALBEDO))
+            x = (x * scale - ambient[0]) * strength[0]
+            y = (y * scale - ambient[1]) * strength[1]
+            z = (z * scale - ambient[2]) * strength[2]
+            to[3 * u], to[3 * u + 1], to[3 * u + 2] = x, y, z
+            noise, least, most = _bounds_of_dark(albedo[u], typical, spread)
+            dark = _is_doubted(x, first[u], noise, least, most)
+            dark |= _is_doubted(y, second[u], noise, least, most)
+            dark |= _is_doubted(z, third[u], noise, least, most)
+            found[u] = dark & inside[u]
 
 
 @njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
 def _frame_kernel(
-    rgb: FloatArray, mask: Mask, near: Mask, lamps: Lamps, expected: FloatArray, typical: Any,
-    spread: Any, sharp: FloatArray, memory: npt.NDArray[np.int8], cosines: FloatArray,
-    evidence: FloatArray, facing: npt.NDArray[np.uint8],
+    rgb: FloatArray, near: Mask, lamps: Lamps, expected: FloatArray, typical: Any, spread: Any,
+    sharp: FloatArray, memory: Memory, cosines: FloatArray, evidence: FloatArray,
+    facing: npt.NDArray[np.uint8], new: Memory,
 ) -> None:  # fmt: skip
-    h, w = mask.shape
-    height, width, _ = expected.shape
-    inverse, haze, rest, duals = lamps.inverse, lamps.haze, lamps.rest, lamps.duals
-    one = np.float32(1.0)
-    for v in prange(h):
-        up, down, t = place_between(v, h, height)
-        predicted, found = np.empty(5, np.float32), np.empty(3, np.float32)
-        for u in range(w):
-            if not near[v, u]:
-                continue
-            left, right, s = place_between(u, w, width)
-            for i in range(5):
-                above = (one - s) * expected[up, left, i] + s * expected[up, right, i]
-                below = (one - s) * expected[down, left, i] + s * expected[down, right, i]
-                predicted[i] = (one - t) * above + t * below
-            albedo, persistence = predicted[3], predicted[4]
-            scale = paint_scale(cosines[v, u], predicted)
-            for k in range(3):
-                cosines[v, u, k] *= scale
-                found[k] = sharp[v, u, k]
-                if predicted[k] > np.float32(CAST_FACING):
-                    facing[v, u] |= np.uint8(1 << k)
-            scale = paint_scale(found, predicted)
-            noise, least, most = _bounds_of_dark(albedo, typical, spread)
-            for k in range(3):
-                found[k] *= scale
-                level = _dark_level(predicted[k], least, most)
-                evidence[k, v, u] = evidence_over(found[k], level, predicted[k], noise)
-            k = _weakest(found[0], found[1], found[2])
-            if found[k] < np.float32(WEAK_COSINE):
-                r, g, b = finite(rgb[v, u, 0]), finite(rgb[v, u, 1]), finite(rgb[v, u, 2])
-                _, _, _, length = scaled_normal(r, g, b, inverse, haze, rest)
-                ratio = length / max(albedo, np.float32(_SMALLEST_RATIO))
-                total = evidence[k, v, u] + _from_albedo(k, found[k], predicted, ratio, duals)
-                evidence[k, v, u] = min(max(total, -STRONGEST_EVIDENCE), STRONGEST_EVIDENCE)
-            if memory.size:
-                for k in range(3):
-                    before = np.float32(memory[v, u, k]) * np.float32(MEMORY_UNIT)
-                    evidence[k, v, u] = (one - persistence) * evidence[k, v, u] + persistence * before
-
-
-def memory_of(found: FrameEvidence) -> npt.NDArray[np.int8]:
-    """Return the evidence (h, w, 3) in units of `MEMORY_UNIT`, for the next frame."""
-    out: npt.NDArray[np.int8] = np.empty((*found.near.shape, 3), np.int8)
-    _memory_kernel(found.near, found.evidence, out)
-    return out
-
-
-@njit(cache=True, parallel=True, error_model="numpy")
-def _memory_kernel(near: Mask, evidence: FloatArray, out: npt.NDArray[np.int8]) -> None:
     h, w = near.shape
+    inverse, haze, rest, duals = lamps.inverse, lamps.haze, lamps.rest, lamps.duals
+    left, part = columns_between(w, expected.shape[2])
     for v in prange(h):
-        for u in range(w):
-            for k in range(3):
-                value = evidence[k, v, u] / MEMORY_UNIT if near[v, u] else 127.0
-                out[v, u, k] = np.int8(np.rint(value))
+        first, last = used_of(near[v])
+        if first == last:
+            continue
+        rows = np.empty((8, last - first), np.float32)
+        row_between(expected, v, h, left[first:last], part[first:last], rows[:5])
+        inside, seen = near[v, first:last], rows[5:]
+        _evidence_row(
+            inside, rows, sharp[v, 3 * first : 3 * last], typical, spread,
+            cosines[v, 3 * first : 3 * last], seen, evidence[0, v, first:last],
+            evidence[1, v, first:last], evidence[2, v, first:last], facing[v, first:last],
+        )  # fmt: skip
+        _albedo_row(
+            inside,
+            rgb[v, 3 * first : 3 * last],
+            inverse,
+            haze,
+            rest,
+            duals,
+            rows,
+            seen,
+            evidence[:, v, first:last],
+        )
+        for k in range(3):
+            found, noted = evidence[k, v, first:last], new[k, v, first:last]
+            if memory.size:
+                before, persistence = memory[k, v, first:last], rows[4]
+                for u in range(last - first):
+                    old = np.float32(before[u]) * np.float32(MEMORY_UNIT)
+                    found[u] += persistence[u] * (old - found[u])
+            for u in range(last - first):
+                units = np.int8(np.rint(found[u] * np.float32(1.0 / MEMORY_UNIT)))
+                noted[u] = units if inside[u] else np.int8(_NOTHING)
+
+
+@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+def _evidence_row(
+    inside: Mask, rows: FloatArray, sharp: FloatArray, typical: Any, spread: Any, cosines: FloatArray,
+    seen: FloatArray, first: FloatArray, second: FloatArray, third: FloatArray,
+    facing: npt.NDArray[np.uint8],
+) -> None:  # fmt: skip
+    """Fill the evidence of a row from the sharpened cosines; put these, without paint, into seen."""
+    p, q, s, albedo = rows[0], rows[1], rows[2], rows[3]
+    seen_p, seen_q, seen_s = seen[0], seen[1], seen[2]
+    one, cast = np.float32(1.0), np.float32(CAST_FACING)
+    for u in range(len(inside)):
+        a, b, c = cosines[3 * u], cosines[3 * u + 1], cosines[3 * u + 2]
+        scale = paint_scale(a, b, c, p[u], q[u], s[u])
+        scale = scale if inside[u] else one
+        cosines[3 * u], cosines[3 * u + 1], cosines[3 * u + 2] = a * scale, b * scale, c * scale
+    for u in range(len(inside)):
+        a, b, c = sharp[3 * u], sharp[3 * u + 1], sharp[3 * u + 2]
+        scale = paint_scale(a, b, c, p[u], q[u], s[u])
+        a, b, c = a * scale, b * scale, c * scale
+        noise, least, most = _bounds_of_dark(albedo[u], typical, spread)
+        first[u] = evidence_over(a, _dark_level(p[u], least, most), p[u], noise)
+        second[u] = evidence_over(b, _dark_level(q[u], least, most), q[u], noise)
+        third[u] = evidence_over(c, _dark_level(s[u], least, most), s[u], noise)
+        seen_p[u], seen_q[u], seen_s[u] = a, b, c
+    for u in range(len(inside)):
+        facing[u] = (p[u] > cast) | ((q[u] > cast) << 1) | ((s[u] > cast) << 2)
+
+
+@njit(cache=True, error_model="numpy")
+def _albedo_row(
+    inside: Mask, line: FloatArray, inverse: Numbers, haze: Numbers, rest: Any, duals: FloatArray,
+    rows: FloatArray, seen: FloatArray, evidence: FloatArray,
+) -> None:  # fmt: skip
+    """Add the albedo's evidence where the weakest light is weak."""
+    predicted = np.empty(3, np.float32)
+    for u in range(len(inside)):
+        k = _weakest(seen[0, u], seen[1, u], seen[2, u])
+        if inside[u] and seen[k, u] < np.float32(WEAK_COSINE):
+            predicted[0], predicted[1], predicted[2] = rows[0, u], rows[1, u], rows[2, u]
+            r, g, b = finite(line[3 * u]), finite(line[3 * u + 1]), finite(line[3 * u + 2])
+            _, _, _, length = scaled_normal(r, g, b, inverse, haze, rest)
+            ratio = length / max(rows[3, u], np.float32(_SMALLEST_RATIO))
+            total = evidence[k, u] + _from_albedo(k, seen[k, u], predicted, ratio, duals)
+            evidence[k, u] = min(max(total, -STRONGEST_EVIDENCE), STRONGEST_EVIDENCE)
 
 
 # Cosines as sharp as the shadows that made them: a lens's blur and a Bayer pattern's undone in part.
 
 
+def inset_of(mask: Mask) -> FloatArray | None:
+    """Return (h, w), the distance in pixels from the outline inwards; None where there is no outline."""
+    if mask.all():
+        return None
+    return np.asarray(cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5), np.float32)
+
+
 def sharpened_cosines(cosines: FloatArray, mask: Mask) -> FloatArray:
     """Return cosines (h, w, 3), float32, sharpened inside `mask` (h, w) and as they were outside."""
     given: FloatArray = np.ascontiguousarray(cosines, dtype=np.float32)
-    return np.where(mask[..., None], _sharpened(given, mask, mask), given)
+    return np.where(mask[..., None], _sharpened(given, mask, inset_of(mask)), given)
 
 
-def _sharpened(cosines: FloatArray, mask: Mask, near: Mask) -> FloatArray:
+def _sharpened(cosines: FloatArray, near: Mask, inset: FloatArray | None) -> FloatArray:
     """Return the sharpened cosines (h, w, 3) where `near`; the median of nine takes the noise back out."""
-    inner: Mask = np.asarray(mask)
-    if not mask.all():
-        inner = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5) > _INSET_PX
+    inner: Mask = np.asarray(near if inset is None else inset > _INSET_PX)
     weights = cv2.getGaussianKernel(2 * _BLUR_REACH_PX + 1, _BLUR_PX).ravel().astype(np.float32)
     sharp, out = np.empty_like(cosines), np.empty_like(cosines)
-    _sharpen_kernel(cosines, np.asarray(near), inner, weights, sharp)
-    _median_kernel(cosines, sharp, np.asarray(near), out)
+    _sharpen_kernel(flat(cosines), np.asarray(near), inner, weights, flat(sharp))
+    _median_kernel(flat(sharp), np.asarray(near), flat(out))
     return out
+
+
+@njit(cache=True, error_model="numpy")
+def _with_rim(row: FloatArray, first: int, last: int, rim: int, out: FloatArray) -> None:
+    """Copy the pixels from first - rim to last + rim of a row of three values each; ends are repeated."""
+    width = len(row) // 3
+    for u in range(first - rim, last + rim):
+        of, to = 3 * min(max(u, 0), width - 1), 3 * (u - first + rim)
+        out[to], out[to + 1], out[to + 2] = row[of], row[of + 1], row[of + 2]
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
 def _sharpen_kernel(
     cosines: FloatArray, near: Mask, inner: Mask, weights: FloatArray, out: FloatArray
 ) -> None:
+    """Fill out (h, 3 w) in and around all pixels that are near: sharp where near and inner, else as given.
+
+    The blur goes down the columns first, then along the row.
+    """
     h, w = near.shape
     reach = len(weights) // 2
+    part, whole = np.float32(_SHARPENING), np.float32(1.0 + _SHARPENING)
     for v in prange(h):
-        for u in range(w):
-            if not near[v, u]:
-                continue
-            if not inner[v, u]:
+        start, end = w, 0
+        for y in range(max(v - 1, 0), min(v + 2, h)):
+            first, last = used_of(near[y])
+            if first < last:
+                start, end = min(start, max(first - 1, 0)), max(end, min(last + 1, w))
+        out[v, 3 * start : 3 * end] = cosines[v, 3 * start : 3 * end]
+        first, last = used_of(near[v])
+        if first == last:
+            continue
+        down, rim = (
+            np.zeros(cosines.shape[1], np.float32),
+            np.empty(3 * (last - first + 2 * reach), np.float32),
+        )
+        from_, to_ = 3 * max(first - reach, 0), 3 * min(last + reach, w)
+        for i in range(-reach, reach + 1):
+            line, total, weight = (
+                cosines[min(max(v + i, 0), h - 1), from_:to_],
+                down[from_:to_],
+                weights[i + reach],
+            )
+            for j in range(len(total)):
+                total[j] += weight * line[j]
+        _with_rim(down, first, last, reach, rim)
+        mean = np.zeros(3 * (last - first), np.float32)
+        for i in range(2 * reach + 1):
+            line, weight = rim[3 * i :], weights[i]
+            for j in range(len(mean)):
+                mean[j] += weight * line[j]
+        to, line = out[v, 3 * first : 3 * last], cosines[v, 3 * first : 3 * last]
+        for u in range(last - first):
+            if near[v, first + u] and inner[v, first + u]:
                 for k in range(3):
-                    out[v, u, k] = cosines[v, u, k]
-                continue
-            a, b, c = np.float32(0.0), np.float32(0.0), np.float32(0.0)
-            for i in range(-reach, reach + 1):
-                y = min(max(v + i, 0), h - 1)
-                for j in range(-reach, reach + 1):
-                    x = min(max(u + j, 0), w - 1)
-                    weight = weights[i + reach] * weights[j + reach]
-                    a += weight * cosines[y, x, 0]
-                    b += weight * cosines[y, x, 1]
-                    c += weight * cosines[y, x, 2]
-            part, whole = np.float32(_SHARPENING), np.float32(1.0 + _SHARPENING)
-            out[v, u, 0] = whole * cosines[v, u, 0] - part * a
-            out[v, u, 1] = whole * cosines[v, u, 1] - part * b
-            out[v, u, 2] = whole * cosines[v, u, 2] - part * c
+                    to[3 * u + k] = whole * line[3 * u + k] - part * mean[3 * u + k]
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def _median_kernel(cosines: FloatArray, sharp: FloatArray, near: Mask, out: FloatArray) -> None:
-    """Fill out with the median of 3×3 pixels; beyond `near` of the cosines as they are."""
-    h, w = near.shape
+def _median_kernel(values: FloatArray, near: Mask, out: FloatArray) -> None:
+    """Fill out (h, 3 w) with the median of 3×3 pixels wherever a row is near."""
+    h, _ = near.shape
     for v in prange(h):
-        nine = np.empty(9, np.float32)
-        for u in range(w):
-            if not near[v, u]:
-                continue
-            for k in range(3):
-                for i in range(9):
-                    y, x = min(max(v + i // 3 - 1, 0), h - 1), min(max(u + i % 3 - 1, 0), w - 1)
-                    nine[i] = sharp[y, x, k] if near[y, x] else cosines[y, x, k]
-                out[v, u, k] = _median_of_nine(nine)
+        first, last = used_of(near[v])
+        if first == last:
+            continue
+        count = 3 * (last - first)
+        rows = np.empty((3, count + 6), np.float32)
+        for i in range(3):
+            _with_rim(values[min(max(v + i - 1, 0), h - 1)], first, last, 1, rows[i])
+        above, here, below, to = rows[0], rows[1], rows[2], out[v, 3 * first : 3 * last]
+        a, b, c, d, e, f = above, above[3:], above[6:], here, here[3:], here[6:]
+        g, m, n = below, below[3:], below[6:]
+        for j in range(count):
+            to[j] = _median_of_nine(a[j], b[j], c[j], d[j], e[j], f[j], g[j], m[j], n[j])
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def _median_of_nine(n: FloatArray) -> Any:
+def _median_of_nine(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, h: Any, i: Any) -> Any:
     """Of rows sorted: the median of the largest first, the median second and the smallest third values."""
-    low = max(min(n[0], n[1], n[2]), min(n[3], n[4], n[5]), min(n[6], n[7], n[8]))
-    high = min(max(n[0], n[1], n[2]), max(n[3], n[4], n[5]), max(n[6], n[7], n[8]))
-    a, b, c = _middle(n[0], n[1], n[2]), _middle(n[3], n[4], n[5]), _middle(n[6], n[7], n[8])
-    return _middle(low, _middle(a, b, c), high)
+    low = _larger(_larger(_least(a, b, c), _least(d, e, f)), _least(g, h, i))
+    high = _smaller(_smaller(_most(a, b, c), _most(d, e, f)), _most(g, h, i))
+    return _middle(low, _middle(_middle(a, b, c), _middle(d, e, f), _middle(g, h, i)), high)
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _larger(a: Any, b: Any) -> Any:
+    return max(a, b)
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _smaller(a: Any, b: Any) -> Any:
+    return min(a, b)
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _least(a: Any, b: Any, c: Any) -> Any:
+    first = min(a, b)
+    return min(first, c)
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _most(a: Any, b: Any, c: Any) -> Any:
+    first = max(a, b)
+    return max(first, c)
 
 
 @njit(cache=True, inline="always", error_model="numpy")

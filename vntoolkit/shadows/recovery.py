@@ -18,23 +18,36 @@ from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
 from vntoolkit.photometry.response import LightResponse
-from vntoolkit.shadows.albedo import albedo_from_lit, fill_smoothly, gloss_trust, trust_beside_gloss
+from vntoolkit.shadows.albedo import (
+    albedo_from_lit,
+    departure,
+    fill_smoothly,
+    gloss_trust,
+    trust_beside_gloss,
+)
 from vntoolkit.shadows.contributions import (
     CLIPPED_TRUST,
     FLAGS,
     LightContributions,
+    Numbers,
     Window,
+    columns_between,
     contributions_from_frame,
     finite,
+    flat,
     frame_in_window,
     in_whole_image,
     lengths_of,
+    numbers_of,
+    row_between,
     scaled_normal,
     shrinking,
     small_contributions,
+    turned,
+    used_of,
     window_around,
 )
-from vntoolkit.shadows.evidence import Lamps, lamps_of, place_between
+from vntoolkit.shadows.evidence import Lamps, lamps_of
 from vntoolkit.shadows.initialisation import (
     TRUST_BY_LIGHTS,
     continue_with_two_lights,
@@ -51,6 +64,7 @@ from vntoolkit.shadows.surface import (
     Surface,
     depth_map_from_surface,
     local_quadratic,
+    mixed,
     model_of,
     ray_at,
     ray_grid,
@@ -171,7 +185,9 @@ def _with_surface(
     near = cv2.dilate(((labels != ALL_LIT) & inside).astype(np.uint8), _AROUND) > 0
     if near.any():
         relative = np.empty_like(rgb)
-        _relative_kernel(rgb, near, lamps, albedo, relative)
+        _relative_kernel(
+            flat(rgb), near, lamps, np.ascontiguousarray(albedo[None], np.float32), flat(relative)
+        )
         labels = labels_without_penumbra(labels, relative, inside, near)
         small_labels = _shrunk(labels, small_mask.shape)
     options = options_with_noise(noise_of_frame(rgb, response, inside & (labels == ALL_LIT)))
@@ -181,12 +197,12 @@ def _with_surface(
         camera=None if camera is None else camera.scaled(1.0 / factor), start=start,
         trust=gloss_trust(small.length, albedo, known), options=options,
     )  # fmt: skip
-    solved = np.dstack([surface.normals.astype(np.float32), albedo, surface.agreement])
-    normals, weight = np.empty_like(rgb), np.empty(frame.shape, np.float32)
+    solved = np.stack([*np.moveaxis(surface.normals, -1, 0), albedo, surface.agreement]).astype(np.float32)
+    normals, weight = np.zeros_like(rgb), np.zeros(frame.shape, np.float32)
     _detail_kernel(
-        rgb, frame.clipped, np.asarray(labels), inside, lamps, response.light_directions.astype(np.float32),
-        np.ascontiguousarray(response.lights, dtype=np.float32), ray_grid(camera), model_of(options),
-        np.float32(_HELD if factor > 1 else 0.0), solved, normals, weight,
+        flat(rgb), frame.clipped, np.asarray(labels), inside, lamps, numbers_of(response.light_directions),
+        numbers_of(response.lights), ray_grid(camera), model_of(options),
+        np.float32(_HELD if factor > 1 else 0.0), solved, flat(normals), weight,
     )  # fmt: skip
     return normals, weight, surface
 
@@ -197,124 +213,137 @@ def _shrunk(labels: VisibilityLabels, shape: tuple[int, ...]) -> VisibilityLabel
     return cv2.resize(labels, shape[::-1], interpolation=cv2.INTER_NEAREST).astype(np.uint8)
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
 def _relative_kernel(rgb: FloatArray, near: Mask, lamps: Lamps, albedo: FloatArray, out: FloatArray) -> None:
-    """Fill the contributions over the albedo (of a smaller image) where `near`."""
+    """Fill the contributions over the albedo (1, h', w'), of a smaller image, in rows that are `near`."""
     h, w = near.shape
-    height, width = albedo.shape
     split, ambient = lamps.split, lamps.ambient
+    left, part = columns_between(w, albedo.shape[2])
     for v in prange(h):
-        up, _, _ = place_between(v, h, height)
-        for u in range(w):
-            if near[v, u]:
-                left, _, _ = place_between(u, w, width)
-                r, g, b = finite(rgb[v, u, 0]), finite(rgb[v, u, 1]), finite(rgb[v, u, 2])
-                scale = np.float32(1.0) / max(albedo[up, left], np.float32(_SMALLEST_ALBEDO))
-                for k in range(3):
-                    seen = (split[k, 0] * r + split[k, 1] * g + split[k, 2] * b) * scale
-                    out[v, u, k] = seen - ambient[k]
+        first, last = used_of(near[v])
+        if first == last:
+            continue
+        row = np.empty((1, last - first), np.float32)
+        row_between(albedo, v, h, left[first:last], part[first:last], row)
+        line, to, around = rgb[v, 3 * first : 3 * last], out[v, 3 * first : 3 * last], row[0]
+        for u in range(last - first):
+            r, g, b = finite(line[3 * u]), finite(line[3 * u + 1]), finite(line[3 * u + 2])
+            x, y, z = turned(split, r, g, b)
+            scale = np.float32(1.0) / max(around[u], np.float32(_SMALLEST_ALBEDO))
+            to[3 * u], to[3 * u + 1], to[3 * u + 2] = (
+                x * scale - ambient[0],
+                y * scale - ambient[1],
+                z * scale - ambient[2],
+            )
 
 
 @njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
 def _detail_kernel(
     rgb: FloatArray, clipped: Mask, labels: VisibilityLabels, mask: Mask, lamps: Lamps,
-    directions: FloatArray, lights: FloatArray, rays: RayGrid, model: Model, held: Any, solved: FloatArray,
+    directions: Numbers, lights: Numbers, rays: RayGrid, model: Model, held: Any, solved: FloatArray,
     normals: FloatArray, weights: Weight,
 ) -> None:  # fmt: skip
     """Bring a surface that was solved on a smaller image to the detail of this one; fill normals and weights.
 
     What pixels owe to each other the smaller image has settled: here every pixel takes what its own light
     says beyond it. Where all lights arrive and depth and colour disagree, or no light grazes, the normal from
-    colour alone counts. solved: (h', w', 5), normal, albedo and agreement.
+    colour alone counts. solved: (5, h', w'), normal, albedo and agreement. normals, weights: 0 on entry.
     """
     h, w = mask.shape
-    height, width, _ = solved.shape
     split, ambient = lamps.split, lamps.ambient
     inverse, haze, rest = lamps.inverse, lamps.haze, lamps.rest
-    zero, one, least = np.float32(0.0), np.float32(1.0), np.float32(_SMALLEST_ALBEDO)
+    left, part = columns_between(w, solved.shape[2])
     for v in prange(h):
-        up, down, t = place_between(v, h, height)
-        seen = np.empty((1, 3), np.float32)
-        row = np.empty((width, 5), np.float32)
-        for column in range(width):
-            for i in range(5):
-                row[column, i] = (one - t) * solved[up, column, i] + t * solved[down, column, i]
-        for u in range(w):
-            if not mask[v, u]:
-                normals[v, u, 0], normals[v, u, 1], normals[v, u, 2] = zero, zero, zero
-                weights[v, u] = zero
-                continue
-            left, right, s = place_between(u, w, width)
-            r, g, b = finite(rgb[v, u, 0]), finite(rgb[v, u, 1]), finite(rgb[v, u, 2])
-            x, y, z, length = scaled_normal(r, g, b, inverse, haze, rest)
-            label = labels[v, u]
-            albedo = (one - s) * row[left, 3] + s * row[right, 3]
-            agreement = (one - s) * row[left, 4] + s * row[right, 4]
-            colour = weight_of_colour(x, y, z, directions) if label == ALL_LIT else zero
-            if colour < one:
-                n0 = (one - s) * row[left, 0] + s * row[right, 0]
-                n1 = (one - s) * row[left, 1] + s * row[right, 1]
-                n2 = (one - s) * row[left, 2] + s * row[right, 2]
-                size = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
-                if size > np.float32(1e-3):
-                    n0, n1, n2 = n0 / size, n1 / size, n2 / size
-                else:
-                    n0, n1, n2 = zero, zero, -one
-                if held > zero:
-                    scale = one / max(length if label == ALL_LIT else albedo, least)
-                    for k in range(3):
-                        own = split[k, 0] * r + split[k, 1] * g + split[k, 2] * b
-                        seen[0, k] = own * scale - ambient[k]
-                    trust = np.float32(TRUST_BY_LIGHTS[_count(label)])
-                    if clipped[v, u]:
-                        trust *= np.float32(CLIPPED_TRUST)
-                    if label == ALL_LIT:
-                        trust *= np.float32(trust_beside_gloss(length, albedo))
-                    n0, n1, n2 = _refined(
-                        v, u, n0, n1, n2, seen, label, max(trust, least), lights, rays, model, held
-                    )
-                    if label == ALL_LIT:
-                        n0, n1, n2 = mixed(n0, n1, n2, agreement, x, y, z)
-                x, y, z = mixed(x, y, z, colour, n0, n1, n2)
-            z = min(z, np.float32(-1e-3))  # one that would face away turns edge-on
-            scale = one / np.sqrt(x * x + y * y + z * z)
-            normals[v, u, 0], normals[v, u, 1], normals[v, u, 2] = x * scale, y * scale, z * scale
-            weights[v, u] = _confidence(label, clipped[v, u], length, albedo, agreement)
+        first, last = used_of(mask[v])
+        if first == last:
+            continue
+        rows = np.empty((9, last - first), np.float32)
+        row_between(solved, v, h, left[first:last], part[first:last], rows[:5])
+        line, label, bound = rgb[v, 3 * first : 3 * last], labels[v, first:last], clipped[v, first:last]
+        _colour_row(line, inverse, haze, rest, rows[5], rows[6], rows[7], rows[8])
+        if held > np.float32(0.0):
+            x, y = ray_at(rays, v, first)
+            _refine_row(
+                line, label, bound, split, ambient, lights, x, y, rays.per_pixel_u, model, held, rows[0],
+                rows[1], rows[2], rows[3], rows[8],
+            )  # fmt: skip
+        _blend_row(
+            label, bound, mask[v, first:last], directions, held, rows[0], rows[1], rows[2], rows[3], rows[4],
+            rows[5], rows[6], rows[7], rows[8], normals[v, 3 * first : 3 * last], weights[v, first:last],
+        )  # fmt: skip
 
 
-@njit(cache=True, inline="always", error_model="numpy")
-def mixed(a0: Any, a1: Any, a2: Any, weight: Any, b0: Any, b1: Any, b2: Any) -> tuple[Any, Any, Any]:
-    """Blend two unit vectors, the first with `weight`."""
-    rest = np.float32(1.0) - weight
-    x = weight * a0 + rest * b0
-    y = weight * a1 + rest * b1
-    z = weight * a2 + rest * b2
-    scale = np.float32(1.0) / max(np.sqrt(x * x + y * y + z * z), np.float32(1e-6))
-    return x * scale, y * scale, z * scale
+@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+def _colour_row(
+    line: FloatArray, inverse: Numbers, haze: Numbers, rest: Any, x: FloatArray, y: FloatArray,
+    z: FloatArray, length: FloatArray,
+) -> None:  # fmt: skip
+    """Fill the normal that the colours alone give, and the albedo."""
+    for u in range(len(x)):
+        r, g, b = finite(line[3 * u]), finite(line[3 * u + 1]), finite(line[3 * u + 2])
+        x[u], y[u], z[u], length[u] = scaled_normal(r, g, b, inverse, haze, rest)
 
 
-@njit(cache=True, inline="always", error_model="numpy")
-def _refined(
-    v: int, u: int, n0: Any, n1: Any, n2: Any, seen: FloatArray, label: int, trust: Any,
-    lights: FloatArray, rays: RayGrid, model: Model, held: Any,
-) -> tuple[Any, Any, Any]:  # fmt: skip
-    """Turn a normal to what its pixel's light asks, held where it is by the weight `held`."""
-    one = np.float32(1.0)
-    x, y = ray_at(rays, v, u)
-    along = one / min(n2 + x * n0 + y * n1, np.float32(-FLATTEST_Z))
-    p, q = -n0 * along, -n1 * along
-    a00, a01, a11, b0, b1, _ = local_quadratic(x, y, p, q, p, q, seen, 0, label, trust, lights, model)
-    a00 += held
-    a11 += held
-    scale = one / (a00 * a11 - a01 * a01)
-    p, q = p + (a11 * b0 - a01 * b1) * scale, q + (a00 * b1 - a01 * b0) * scale
-    steep = p * p + q * q
-    if steep > np.float32(STEEPEST * STEEPEST):
-        hold = np.float32(STEEPEST) / np.sqrt(steep)
+@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+def _refine_row(
+    line: FloatArray, labels: VisibilityLabels, clipped: Mask, split: Numbers, ambient: Numbers,
+    lights: Numbers, x: Any, y: Any, step: Any, model: Model, held: Any, normal_x: FloatArray,
+    normal_y: FloatArray, normal_z: FloatArray, albedo: FloatArray, length: FloatArray,
+) -> None:  # fmt: skip
+    """Turn normals to what their pixels' light asks, held where they are by the weight `held`.
+
+    x, y: the first pixel's ray; step: what x gains from pixel to pixel.
+    """
+    one, least = np.float32(1.0), np.float32(_SMALLEST_ALBEDO)
+    for u in range(len(labels)):
+        label = labels[u]
+        is_lit = label == ALL_LIT
+        r, g, b = turned(split, finite(line[3 * u]), finite(line[3 * u + 1]), finite(line[3 * u + 2]))
+        scale = one / max(length[u] if is_lit else albedo[u], least)
+        trust = np.float32(CLIPPED_TRUST) if clipped[u] else one
+        trust *= trust_beside_gloss(length[u], albedo[u]) if is_lit else one
+        trust *= by_lights(label, TRUST_BY_LIGHTS)
+        ray = x + step * np.float32(u)
+        n0, n1, n2 = normal_x[u], normal_y[u], normal_z[u]
+        size = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+        along = one / min(n2 + ray * n0 + y * n1, np.float32(-FLATTEST_Z) * size - np.float32(1e-6))
+        p, q = -n0 * along, -n1 * along
+        a00, a01, a11, b0, b1, _ = local_quadratic(
+            ray, y, p, q, p, q, r * scale - ambient[0], g * scale - ambient[1], b * scale - ambient[2], label,
+            max(trust, least), lights, model,
+        )  # fmt: skip
+        a00, a11 = a00 + held, a11 + held
+        over = one / (a00 * a11 - a01 * a01)
+        p, q = p + (a11 * b0 - a01 * b1) * over, q + (a00 * b1 - a01 * b0) * over
+        hold = np.float32(STEEPEST) / max(np.sqrt(p * p + q * q), np.float32(STEEPEST))
         p, q = p * hold, q * hold
-    n2 = -one - x * p - y * q
-    scale = one / np.sqrt(p * p + q * q + n2 * n2)
-    return p * scale, q * scale, n2 * scale
+        n2 = -one - ray * p - y * q
+        over = one / np.sqrt(p * p + q * q + n2 * n2)
+        normal_x[u], normal_y[u], normal_z[u] = p * over, q * over, n2 * over
+
+
+@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+def _blend_row(
+    labels: VisibilityLabels, clipped: Mask, inside: Mask, directions: Numbers, held: Any, sx: FloatArray,
+    sy: FloatArray, sz: FloatArray, albedo: FloatArray, agreement: FloatArray, x: FloatArray,
+    y: FloatArray, z: FloatArray, length: FloatArray, normals: FloatArray, weights: Weight,
+) -> None:  # fmt: skip
+    """Blend the solved normals sx, sy, sz with those of the colours; fill unit normals and weights."""
+    zero, one = np.float32(0.0), np.float32(1.0)
+    for u in range(len(labels)):
+        label = labels[u]
+        is_lit = label == ALL_LIT
+        n0, n1, n2 = x[u], y[u], z[u]
+        colour = weight_of_colour(n0, n1, n2, directions) if is_lit else zero
+        agreed = agreement[u] if is_lit & (held > zero) else one
+        a, b, c = mixed(sx[u], sy[u], sz[u], agreed, n0, n1, n2)
+        a, b, c = mixed(n0, n1, n2, colour, a, b, c)
+        c = min(c, np.float32(-1e-3))  # one that would face away turns edge-on
+        scale = one / np.sqrt(a * a + b * b + c * c)
+        scale = scale if inside[u] else zero
+        normals[3 * u], normals[3 * u + 1], normals[3 * u + 2] = a * scale, b * scale, c * scale
+        found = _confidence(label, clipped[u], length[u], albedo[u], agreement[u])
+        weights[u] = found if inside[u] else zero
 
 
 def _by_pixel(
@@ -382,21 +411,22 @@ def _confidence_kernel(
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def _count(label: int) -> int:
-    return (label & 1) + ((label >> 1) & 1) + ((label >> 2) & 1)
+def by_lights(label: int, values: Numbers) -> Any:
+    """Return the first value where no light arrives … the fourth where all three do."""
+    one, two, three = (label & 1) != 0, (label & 2) != 0, (label & 4) != 0
+    some, pair, every = one | two | three, (one & two) | (one & three) | (two & three), one & two & three
+    found = np.float32(values[1]) if some else np.float32(values[0])
+    found = np.float32(values[2]) if pair else found
+    return np.float32(values[3]) if every else found
 
 
 @njit(cache=True, inline="always", error_model="numpy")
 def _confidence(label: int, clipped: bool, length: Any, albedo: Any, agreement: Any) -> Any:
-    weight = np.float32(_WEIGHT_BY_LIGHTS[_count(label)])
-    one, least = np.float32(1.0), np.float32(_SMALLEST_ALBEDO)
-    if label == ALL_LIT:
-        length, albedo = max(length, least), max(albedo, least)
-        # sinh of the log of the ratio: as the logarithm where paint fits, harder on what does not
-        departure = np.float32(0.5 / _ALBEDO_TOLERANCE) * (length / albedo - albedo / length)
-        weight /= one + departure * departure
-        if agreement > np.float32(0.0):
-            weight *= max(agreement, np.float32(0.1))
+    one = np.float32(1.0)
+    departed = departure(length, albedo) * np.float32(1.0 / _ALBEDO_TOLERANCE)
+    agreed = max(agreement, np.float32(0.1)) if agreement > np.float32(0.0) else one
+    fits = agreed / (one + departed * departed)
+    weight = by_lights(label, _WEIGHT_BY_LIGHTS) * (fits if label == ALL_LIT else one)
     return weight * np.float32(_CLIPPED_WEIGHT) if clipped else weight
 
 
@@ -404,10 +434,10 @@ def _confidence(label: int, clipped: bool, length: Any, albedo: Any, agreement: 
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def weight_of_colour(x: Any, y: Any, z: Any, directions: FloatArray) -> Any:
+def weight_of_colour(x: Any, y: Any, z: Any, directions: Numbers) -> Any:
     """Return 1 where colour alone counts, 0 where the solved normal stays. directions: a unit row a light."""
-    cosine = np.float32(1.0)
-    for k in range(3):
-        cosine = min(cosine, x * directions[k, 0] + y * directions[k, 1] + z * directions[k, 2])
+    first, second, third = turned(directions, x, y, z)
+    cosine = min(first, second)
+    cosine = min(cosine, third)  # of two at a time: numba makes SIMD of that
     weight = (cosine - np.float32(_GRAZING)) * np.float32(1.0 / (_STEEP - _GRAZING))
     return min(max(weight, np.float32(0.0)), np.float32(1.0))

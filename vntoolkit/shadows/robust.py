@@ -27,6 +27,7 @@ from vntoolkit.shadows.contributions import (
     LightContributions,
     Window,
     all_of_three,
+    flat,
     largest_of_three,
     shrinking,
     small_contributions,
@@ -37,9 +38,9 @@ from vntoolkit.shadows.evidence import (
     TOLERANCE_DARK,
     evidence_of_frame,
     evidence_over,
+    inset_of,
     lamps_of,
     largest_dark_cosine,
-    memory_of,
     paint_scale,
     sharpened_cosines,
     typical_dark_cosine,
@@ -68,7 +69,7 @@ _NEXT_SURFACE = SurfaceOptions(iterations=1, noise=0.08, smoothness=1.5)
 class FrameMemory:
     """What a frame leaves for the next, of its window in the image.
 
-    evidence: (h, w, 3) of the window, see `evidence_of_frame`; None where nothing was in doubt. colours:
+    evidence: (3, h, w) of the window, see `evidence_of_frame`; None where nothing was in doubt. colours:
     (h', w', 3), contributions on the working size. surface: on that size, where the labels came from.
     albedo: (h', w'). recovered: the surface that recovery found, or None.
     """
@@ -124,17 +125,18 @@ def labels_by_surface(
     if factor == 1:
         raw = sharpened_cosines(raw, small_mask)
     dark = typical_dark_cosine(_without_paint(raw, predicted), predicted, albedo, small_mask)
+    expected = np.stack([*np.moveaxis(predicted, -1, 0), albedo, kept]).astype(np.float32)
+    inset = inset_of(mask)
     found = evidence_of_frame(
-        np.ascontiguousarray(frame.rgb), mask, lamps_of(response), np.dstack([predicted, albedo, kept]), dark,
+        np.ascontiguousarray(frame.rgb), mask, inset, lamps_of(response), expected, dark,
         None if last is None else last.evidence,
     )  # fmt: skip
-    memory = None
-    if found.near.any():
-        memory = memory_of(found)
+    if found.memory is not None:
         for k in range(3):
             lit = _cut_light(found.evidence[k], found.cosines, k, found.near)
             labels[~lit] &= ALL_LIT - (1 << k)
-        labels &= ~turned_from_lights(surface.normals, found.cosines, small.directions, mask, found.near)
+        if inset is not None:
+            labels &= ~turned_from_lights(surface.normals, found.cosines, small.directions, inset, found.near)
         labels = labels_beyond_half(labels, found.cosines, found.facing, mask, found.near)
     recovered = None
     if last is not None and last.recovered is not None:
@@ -142,7 +144,7 @@ def labels_by_surface(
         normals = np.where(lit[..., None], surface.normals, last.recovered.normals)
         recovered = replace(last.recovered, normals=normals)
     return labels, FrameMemory(
-        window=window, evidence=memory, colours=small.contributions, surface=surface, albedo=albedo,
+        window=window, evidence=found.memory, colours=small.contributions, surface=surface, albedo=albedo,
         recovered=recovered,
     )  # fmt: skip
 
@@ -182,7 +184,7 @@ def _placed(last: FrameMemory, window: Window, shape: tuple[int, ...], small: tu
 
     evidence = None
     if last.evidence is not None:
-        evidence = np.full((*shape, 3), 127, np.int8)
+        evidence = np.full((3, *shape), 127, np.int8)
         first = [max(new.start, old.start) for new, old in zip(window, last.window, strict=True)]
         end = [min(new.stop, old.stop) for new, old in zip(window, last.window, strict=True)]
         if end[0] > first[0] and end[1] > first[1]:
@@ -190,7 +192,7 @@ def _placed(last: FrameMemory, window: Window, shape: tuple[int, ...], small: tu
                 tuple(slice(a - w.start, b - w.start) for a, b, w in zip(first, end, place_of, strict=True))
                 for place_of in (window, last.window)
             )
-            evidence[to] = last.evidence[of]
+            evidence[:, *to] = last.evidence[:, *of]
     return FrameMemory(
         window=window, evidence=evidence, colours=moved(last.colours), albedo=moved(last.albedo),
         surface=None if last.surface is None else last.surface.moved(moved, 1.0 / down),
@@ -264,9 +266,7 @@ def _lit_on(
     predicted = _predicted(surface, measured)
     cosines = _without_paint(measured.cosines(albedo), predicted)
     evidence = _evidence(cosines, predicted, albedo, mask)
-    return np.stack(
-        [_cut_light(np.ascontiguousarray(evidence[..., k]), cosines, k, mask) for k in range(3)], axis=-1
-    )
+    return np.stack([_cut_light(evidence[k], cosines, k, mask) for k in range(3)], axis=-1)
 
 
 def _cut_light(evidence: FloatArray, cosines: FloatArray, k: int, mask: Mask) -> npt.NDArray[np.bool_]:
@@ -299,36 +299,38 @@ def _first_doubts(measured: LightContributions, mask: Mask) -> npt.NDArray[np.bo
 def _without_paint(cosines: FloatArray, predicted: FloatArray) -> FloatArray:
     """Undo dark paint: where all three lights are missing alike, it is the albedo that is off."""
     out: FloatArray = np.empty(cosines.shape, np.float32)
-    _paint_kernel(np.asarray(cosines, np.float32), np.asarray(predicted, np.float32), out)
+    _paint_kernel(flat(cosines), flat(predicted), flat(out))
     return out
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def _paint_kernel(cosines: FloatArray, predicted: FloatArray, out: FloatArray) -> None:
-    h, w, _ = cosines.shape
+    h, w = cosines.shape[0], cosines.shape[1] // 3
     for v in prange(h):
+        line, surface, to = cosines[v], predicted[v], out[v]
         for u in range(w):
-            scale = paint_scale(cosines[v, u], predicted[v, u])
-            for k in range(3):
-                out[v, u, k] = cosines[v, u, k] * scale
+            a, b, c = line[3 * u], line[3 * u + 1], line[3 * u + 2]
+            scale = paint_scale(a, b, c, surface[3 * u], surface[3 * u + 1], surface[3 * u + 2])
+            to[3 * u], to[3 * u + 1], to[3 * u + 2] = a * scale, b * scale, c * scale
 
 
 def _evidence(cosines: FloatArray, predicted: FloatArray, albedo: FloatArray, mask: Mask) -> FloatArray:
-    """(h, w, 3), positive where more is measured than a shadow returns."""
+    """(3, h, w), positive where more is measured than a shadow returns."""
     level, grain = largest_dark_cosine(cosines, predicted, albedo, mask)
-    _evidence_kernel(cosines, predicted, grain, level)
-    return level
+    out: FloatArray = np.empty((3, *mask.shape), np.float32)
+    _evidence_kernel(flat(cosines), flat(predicted), flat(level), flat(grain), out)
+    return out
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def _evidence_kernel(
-    cosines: FloatArray, predicted: FloatArray, grain: FloatArray, level: FloatArray
+    cosines: FloatArray, predicted: FloatArray, level: FloatArray, grain: FloatArray, out: FloatArray
 ) -> None:
-    """Put the evidence in the place of the level."""
-    h, w, _ = cosines.shape
+    _, h, w = out.shape
     for v in prange(h):
-        for u in range(w):
-            for k in range(3):
-                level[v, u, k] = evidence_over(
-                    cosines[v, u, k], level[v, u, k], predicted[v, u, k], grain[v, u, 0]
-                )
+        line, surface, dark, noise = cosines[v], predicted[v], level[v], grain[v]
+        for k in range(3):
+            to = out[k, v]
+            for u in range(w):
+                i = 3 * u + k
+                to[u] = evidence_over(line[i], dark[i], surface[i], noise[u])

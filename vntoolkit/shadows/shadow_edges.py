@@ -123,26 +123,23 @@ def _part_kernel(
 
 
 def turned_from_lights(
-    normals: FloatArray, cosines: FloatArray, directions: Matrix3, mask: Mask, near: Mask | None = None
+    normals: FloatArray, cosines: FloatArray, directions: Matrix3, inset: FloatArray, near: Mask
 ) -> VisibilityLabels:
-    """Return (h, w), bit k set beside the outline of `mask` where the surface turns from light k.
+    """Return (h, w), bit k set beside the outline where the surface turns from light k.
 
     normals: (h', w', 3), predicted, on the same or a smaller image of the field. cosines: (h, w, 3),
-    measured. directions: (3, 3), one unit row per light. near: (h, w), pixels that are asked; None for all.
+    measured. directions: (3, 3), one unit row per light. inset: (h, w), distance in pixels from the outline
+    inwards, 0 outside. near: (h, w), pixels that are asked.
     """
-    turned: VisibilityLabels = np.zeros(mask.shape, np.uint8)
-    if mask.all():
-        return turned
-    inset: FloatArray = np.asarray(cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5), np.float32)
-    asked = mask & (inset < _RIM_PX)
-    v, u = np.nonzero(asked if near is None else asked & near)
+    turned: VisibilityLabels = np.zeros(inset.shape, np.uint8)
+    v, u = np.nonzero((inset > 0.0) & (inset < _RIM_PX) & near)
     if not len(v):
         return turned
-    scale = mask.shape[0] / normals.shape[0]
+    scale = inset.shape[0] / normals.shape[0]
     near_px, far = scale * _NEAR_PX, scale * _FAR_PX
     inwards = _inwards(inset, v, u)
-    first = _unit(_sampled(normals, v, u, inwards, near_px - inset[v, u], mask.shape))
-    second = _unit(_sampled(normals, v, u, inwards, far - inset[v, u], mask.shape))
+    first = _unit(_sampled(normals, v, u, inwards, near_px - inset[v, u], inset.shape))
+    second = _unit(_sampled(normals, v, u, inwards, far - inset[v, u], inset.shape))
     turn = (second[:, 2] ** 2 - first[:, 2] ** 2) / (far - near_px)
     facing = np.clip(first[:, 2] ** 2 - turn * (near_px - inset[v, u]), 0.0, 1.0)
     sideways = _unit(first[:, :2]) * np.sqrt(1.0 - facing)[:, None]

@@ -27,7 +27,14 @@ from vntoolkit.geometry.maps import DepthMap, LengthUnit
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import ALL_LIT
 from vntoolkit.shadows.albedo import fill_smoothly
-from vntoolkit.shadows.contributions import TOWARDS_VIEWER, lengths_of, mean_inside
+from vntoolkit.shadows.contributions import (
+    TOWARDS_VIEWER,
+    Numbers,
+    flat,
+    lengths_of,
+    mean_inside,
+    numbers_of,
+)
 from vntoolkit.solvers import grid_hierarchy, solve_grid
 
 FLATTEST_Z = 0.12  # |n_z| below which a first slope is held, so that no pixel starts edge-on
@@ -38,6 +45,7 @@ _ALBEDO_SPREAD = 0.15  # relative standard deviation of the albedo continued int
 _OWN_ALBEDO_SPREAD = 3.0  # the same where all three lights arrive: there the colour's length is the albedo
 _STEP_SOFTNESS = 10.0  # χ² at which a depth gradient counts a quarter, as it crosses a step in depth
 _SHADOW_STEP_SOFTNESS = 40.0  # the same under two lights, where the slope hangs on the albedo around
+_NO_STEP = 1e30  # so soft that nothing is a step
 _SMOOTH_PX = 2.0  # standard deviation of the surroundings whose mean slope a shadowed pixel is drawn to
 _MISSING_LIGHT_WEIGHT = 0.3  # of a light labelled missing where the surface would return what is seen …
 _MISSING_LIGHT_CUTOFF = 0.2  # … and the difference of cosines at which that weight ends
@@ -66,8 +74,8 @@ class Surface:
 
     normals: (h, w, 3) unit, camera frame. depth: (h, w) float32, pixels (orthographic) or f · log z.
     agreement: (h, w), 0 to 1, how far depth and colour agree on a fully lit pixel's slope, 0 at the border.
-    misfit: (h, w), χ² of the light that arrives against the light that the surface would return. settled:
-    whether it goes on from one whose shadows took the better of their two roots.
+    misfit: (h, w), χ² of the light that arrives against the light that the surface would return, before the
+    last step. settled: whether it goes on from one whose shadows took the better of their two roots.
     """
 
     normals: FloatArray
@@ -139,36 +147,35 @@ def solve_surface(
     """
     options = options or SurfaceOptions()
     rays = ray_grid(camera)
+    shape = mask.shape
     trust = np.where(mask, 1.0 if weight is None else np.maximum(weight, 1e-3), 0.0).astype(np.float32)
-    data = np.nan_to_num(np.asarray(cosines)).astype(np.float32)
+    data = np.ascontiguousarray(np.nan_to_num(np.asarray(cosines)), dtype=np.float32)
     seen = np.where(mask, labels, 0).astype(np.uint8)
     known = mask & (labels == ALL_LIT)
     guess = known if guessed is None else known | (mask & guessed)
-    slopes, depth = _first_guess(first_normals, guess, rays, start)
-    rows = np.ascontiguousarray(lights, dtype=np.float32)
-    weights = np.empty((*mask.shape, 4), np.float32)
-    agreement = np.zeros(mask.shape, np.float32)
-    quadratics = np.empty((*mask.shape, 6), np.float32)
-    model = model_of(options)
+    first = np.ascontiguousarray(first_normals, dtype=np.float32)
+    slopes, depth = _first_guess(first, guess, rays, start)
+    agreement = np.zeros(shape, np.float32)
+    quadratics, targets = np.empty((6, *shape), np.float32), np.empty((2, *shape), np.float32)
+    weights = np.empty((4, *shape), np.float32)
+    edges, right = np.empty((4, *shape), np.float32), np.empty(shape, np.float32)
+    rows, model = numbers_of(lights), model_of(options)
     prior_weights = _prior_weights(mask, known)
-    softness = 0.0  # the first depth must hold together before it may show steps
+    softness = shadow_softness = _NO_STEP  # the first depth must hold together before it may show steps
     for _ in range(options.iterations):
         prior = _surrounding_slope(slopes, prior_weights)
-        local_quadratics_kernel(data, seen, trust, slopes, prior, rows, rays, model, quadratics)
-        quadrant_weights_kernel(
-            quadratics, seen, mask, slopes, depth, softness, _SHADOW_STEP_SOFTNESS, weights
+        quadratics_kernel(flat(data), seen, trust, slopes, prior, rows, rays, model, quadratics, targets)
+        weights_kernel(
+            quadratics, seen, mask, slopes, depth, np.float32(softness), np.float32(shadow_softness), weights
         )
-        depth = _solve_depth(quadratics, slopes, weights, depth)
-        slopes_kernel(depth, weights, STEEPEST, slopes, agreement)
-        softness = _STEP_SOFTNESS
-    local_quadratics_kernel(data, seen, trust, slopes, prior, rows, rays, model, quadratics)
-    normals = _blend(normals_from_slopes(slopes, rays), first_normals, known, agreement)
-    return Surface(
-        normals=np.where(mask[..., None], normals, 0.0),
-        depth=depth,
-        agreement=agreement,
-        misfit=quadratics[..., 5].copy(),
-    )
+        edges_kernel(quadratics, targets, weights, edges, right)
+        depth = solve_grid(grid_hierarchy(edges), right, depth, _TOLERANCE, _CYCLES)
+        slopes_kernel(depth, weights, np.float32(STEEPEST), slopes, agreement)
+        softness, shadow_softness = _STEP_SOFTNESS, _SHADOW_STEP_SOFTNESS
+    quadratics_kernel(flat(data), seen, trust, slopes, prior, rows, rays, model, quadratics, targets)
+    normals = np.empty_like(first)
+    _normals_kernel(slopes, flat(first), agreement, known, mask, rays, flat(normals))
+    return Surface(normals=normals, depth=depth, agreement=agreement, misfit=quadratics[5])
 
 
 def model_of(options: SurfaceOptions) -> Model:
@@ -178,14 +185,6 @@ def model_of(options: SurfaceOptions) -> Model:
         _MISSING_LIGHT_WEIGHT, _MISSING_LIGHT_CUTOFF,
     )  # fmt: skip
     return Model(*(np.float32(value) for value in values))
-
-
-def normals_from_slopes(slopes: FloatArray, rays: RayGrid) -> FloatArray:
-    """Return n ∝ (p, q, −1 − x p − y q), (h, w, 3), of slopes (h, w, 2)."""
-    x, y = _rays(rays, slopes.shape[:2])
-    p, q = slopes[..., 0], slopes[..., 1]
-    normals: FloatArray = np.stack([p, q, -1.0 - x * p - y * q], axis=-1)
-    return normals / lengths_of(normals)
 
 
 def depth_map_from_surface(surface: Surface, mask: Mask, camera: Camera | None = None) -> DepthMap:
@@ -216,17 +215,15 @@ def _rays(rays: RayGrid, shape: tuple[int, ...]) -> tuple[FloatArray, FloatArray
 
 
 def _first_guess(normals: FloatArray, known: Mask, rays: RayGrid, start: Surface | None) -> tuple[Grid, Grid]:
-    """Slopes of the lit pixels, continued smoothly into the rest, and a depth to start from."""
-    source = normals if start is None else start.normals
-    x, y = _rays(rays, normals.shape[:2])
-    along = np.minimum(source[..., 2] + x * source[..., 0] + y * source[..., 1], -FLATTEST_Z)
-    slopes = (-source[..., :2] / along[..., None]).astype(np.float32)
-    if start is None:
-        slopes = fill_smoothly(slopes, known.astype(np.float32)).astype(np.float32)
-    long = lengths_of(slopes)
-    slopes *= np.minimum(1.0, STEEPEST / np.maximum(long, 1e-12))
-    depth = np.zeros(normals.shape[:2], np.float32) if start is None else start.depth
-    return np.ascontiguousarray(slopes), depth
+    """Slopes (2, h, w) of the lit pixels, continued smoothly into the rest, and a depth to start from."""
+    shape = known.shape
+    slopes = np.empty((2, *shape), np.float32)
+    if start is not None:
+        _from_normals_kernel(flat(start.normals), rays, slopes)
+        return slopes, start.depth
+    _from_normals_kernel(flat(normals), rays, slopes)
+    filled = fill_smoothly(np.moveaxis(slopes, 0, -1), known.astype(np.float32))
+    return np.ascontiguousarray(np.moveaxis(filled, -1, 0), np.float32), np.zeros(shape, np.float32)
 
 
 def _prior_weights(mask: Mask, known: Mask) -> tuple[Grid, Grid]:
@@ -238,26 +235,12 @@ def _prior_weights(mask: Mask, known: Mask) -> tuple[Grid, Grid]:
 
 
 def _surrounding_slope(slopes: Grid, prior_weights: tuple[Grid, Grid]) -> Grid:
-    """Gaussian mean of the slopes around each pixel."""
+    """Gaussian mean of the slopes around each pixel, (2, h, w)."""
     weight, inverse_count = prior_weights
-    total = cv2.GaussianBlur(slopes * weight[..., None], (0, 0), _SMOOTH_PX)
-    return np.ascontiguousarray(total * inverse_count[..., None])
-
-
-def _solve_depth(quadratics: Grid, slopes: Grid, weights: Grid, start: Grid) -> Grid:
-    edges = np.empty((4, *start.shape), np.float32)
-    edges_kernel(quadratics, weights, edges)
-    right = np.empty(start.shape, np.float32)
-    right_side_kernel(quadratics, slopes, weights, right)
-    return solve_grid(grid_hierarchy(edges), right, start, _TOLERANCE, _CYCLES)
-
-
-def _blend(solved: FloatArray, first: FloatArray, known: Mask, agreement: Grid) -> FloatArray:
-    """Where colour alone gives a normal, keep it as far as the depth disagrees (a step, a crease)."""
-    weight = np.where(known, agreement, 1.0)[..., None]
-    mixed = weight * solved + (1.0 - weight) * first
-    length = lengths_of(mixed)
-    return np.where(length > 1e-6, mixed / np.maximum(length, np.float32(1e-6)), solved)
+    out = np.empty_like(slopes)
+    for own, mean in zip(slopes, out, strict=True):
+        np.multiply(cv2.GaussianBlur(own * weight, (0, 0), _SMOOTH_PX), inverse_count, out=mean)
+    return out
 
 
 class RayGrid(NamedTuple):
@@ -291,225 +274,302 @@ def ray_at(rays: RayGrid, v: int, u: int) -> tuple[Any, Any]:
     return x, (np.float32(v) - rays.centre_v) * rays.per_pixel_v
 
 
-@njit(cache=True, inline="always", error_model="numpy")
-def _trust_of_missing(light: Any, cosine: Any, model: Model) -> Any:
-    """Weight of a light that is labelled missing: where the surface turns from it, what is seen is right.
+@njit(cache=True, fastmath=True, inline="always", error_model="numpy")
+def _of_light(
+    l0: Any, l1: Any, l2: Any, n0: Any, n1: Any, n2: Any, x: Any, y: Any, along_p: Any, along_q: Any,
+    scale: Any, cosine: Any, is_lit: Any, model: Model,
+) -> tuple[Any, Any, Any, Any, Any]:  # fmt: skip
+    """Return how much a light counts, what it returns, what is seen beyond that, and its two derivatives.
 
-    0 where the surface faces away (nothing is expected) or, beyond the cutoff, faces a light that
+    A light that is labelled missing counts where the surface turns from it: what is seen is right there. It
+    does not where the surface faces away (nothing is expected) or, beyond the cutoff, faces a light that
     something else blocks (biweight).
     """
-    away = (cosine - light) / model.missing_cutoff
-    left = np.float32(1.0) - away * away
-    if light <= np.float32(0.0) or left <= np.float32(0.0):
-        return np.float32(0.0)
-    return model.missing_weight * left * left
+    zero, one = np.float32(0.0), np.float32(1.0)
+    light = l0 * n0 + l1 * n1 + l2 * n2
+    rest = cosine - light
+    away = rest / model.missing_cutoff
+    left = one - away * away
+    missing = model.missing_weight * left * left if (light > zero) & (left > zero) else zero
+    count = one if is_lit else missing
+    j0 = (l0 - x * l2 - light * along_p) * scale
+    j1 = (l1 - y * l2 - light * along_q) * scale
+    return count, light, rest, j0, j1
 
 
 @njit(cache=True, fastmath=True, inline="always", error_model="numpy")
 def local_quadratic(
-    x: Any, y: Any, p: Any, q: Any, towards_p: Any, towards_q: Any,
-    cosines: Grid, u: int, label: int, trust: Any, lights: Grid, model: Model,
+    x: Any, y: Any, p: Any, q: Any, towards_p: Any, towards_q: Any, seen0: Any, seen1: Any, seen2: Any,
+    label: Any, trust: Any, lights: Numbers, model: Model,
 ) -> tuple[Any, Any, Any, Any, Any, Any]:  # fmt: skip
     """Return A00, A01, A11, b0, b1, c of one pixel at the slope (p, q), drawn towards another slope.
 
-    x, y: the pixel's ray. cosines: (w, 3), those of its row; u: its column. All float32.
+    x, y: the pixel's ray. seen0, seen1, seen2: contribution of each light over the albedo. All float32.
 
     The covariance of r is noise² I plus the albedo's uncertainty squared times f fᵀ, inverted by the
     Sherman–Morrison formula.
     """
-    zero, one = np.float32(0.0), np.float32(1.0)
+    one = np.float32(1.0)
     inverse_variance = one / (model.noise * model.noise)
     nz = -one - x * p - y * q
-    scale = one / np.sqrt(p * p + q * q + nz * nz)
-    n0, n1, n2 = p * scale, q * scale, nz * scale
+    s = one / np.sqrt(p * p + q * q + nz * nz)
+    n0, n1, n2 = p * s, q * s, nz * s
     along_p, along_q = n0 - x * n2, n1 - y * n2
-    ff, fr, f0, f1 = zero, zero, zero, zero
-    a00, a01, a11, b0, b1, c = zero, zero, zero, zero, zero, zero
-    for k in range(3):
-        l0, l1, l2 = lights[k, 0], lights[k, 1], lights[k, 2]
-        light = l0 * n0 + l1 * n1 + l2 * n2
-        count = one
-        if (label >> k) & 1 == 0:
-            count = _trust_of_missing(light, cosines[u, k], model)
-        rest = cosines[u, k] - light
-        j0 = (l0 - x * l2 - light * along_p) * scale
-        j1 = (l1 - y * l2 - light * along_q) * scale
-        seen0, seen1, seen = count * j0, count * j1, count * light
-        a00 += seen0 * j0
-        a01 += seen0 * j1
-        a11 += seen1 * j1
-        b0 += seen0 * rest
-        b1 += seen1 * rest
-        c += count * rest * rest
-        ff += seen * light
-        fr += seen * rest
-        f0 += seen * j0
-        f1 += seen * j1
-    spread = model.albedo_own if label == 7 else model.albedo_known
+    w0, f0, r0, g0, h0 = _of_light(
+        lights[0], lights[1], lights[2], n0, n1, n2, x, y, along_p, along_q, s, seen0, (label & 1) != 0, model
+    )
+    w1, f1, r1, g1, h1 = _of_light(
+        lights[3], lights[4], lights[5], n0, n1, n2, x, y, along_p, along_q, s, seen1, (label & 2) != 0, model
+    )
+    w2, f2, r2, g2, h2 = _of_light(
+        lights[6], lights[7], lights[8], n0, n1, n2, x, y, along_p, along_q, s, seen2, (label & 4) != 0, model
+    )
+    ff = w0 * f0 * f0 + w1 * f1 * f1 + w2 * f2 * f2
+    fr = w0 * f0 * r0 + w1 * f1 * r1 + w2 * f2 * r2
+    fg = w0 * f0 * g0 + w1 * f1 * g1 + w2 * f2 * g2
+    fh = w0 * f0 * h0 + w1 * f1 * h1 + w2 * f2 * h2
+    is_lit = label == ALL_LIT
+    spread = model.albedo_own if is_lit else model.albedo_known
     unsure = spread * spread * inverse_variance
     shrink = unsure / (one + unsure * ff)
     scaled = inverse_variance * trust
-    toward = model.prior if label != 7 else zero
+    toward = np.float32(0.0) if is_lit else model.prior
     extra = toward + model.damping
     return (
-        scaled * (a00 - shrink * f0 * f0) + extra,
-        scaled * (a01 - shrink * f0 * f1),
-        scaled * (a11 - shrink * f1 * f1) + extra,
-        scaled * (b0 - shrink * f0 * fr) + toward * (towards_p - p),
-        scaled * (b1 - shrink * f1 * fr) + toward * (towards_q - q),
-        scaled * (c - shrink * fr * fr),
+        scaled * (w0 * g0 * g0 + w1 * g1 * g1 + w2 * g2 * g2 - shrink * fg * fg) + extra,
+        scaled * (w0 * g0 * h0 + w1 * g1 * h1 + w2 * g2 * h2 - shrink * fg * fh),
+        scaled * (w0 * h0 * h0 + w1 * h1 * h1 + w2 * h2 * h2 - shrink * fh * fh) + extra,
+        scaled * (w0 * g0 * r0 + w1 * g1 * r1 + w2 * g2 * r2 - shrink * fg * fr) + toward * (towards_p - p),
+        scaled * (w0 * h0 * r0 + w1 * h1 * r1 + w2 * h2 * r2 - shrink * fh * fr) + toward * (towards_q - q),
+        scaled * (w0 * r0 * r0 + w1 * r1 * r1 + w2 * r2 * r2 - shrink * fr * fr),
     )
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
-def local_quadratics_kernel(
-    cosines: Grid, labels: Labels, weight: Grid, slopes: Grid, prior: Grid,
-    lights: Grid, rays: RayGrid, model: Model, out: Grid,
+def quadratics_kernel(
+    cosines: Grid, labels: Labels, weight: Grid, slopes: Grid, prior: Grid, lights: Numbers, rays: RayGrid,
+    model: Model, out: Grid, targets: Grid,
 ) -> None:  # fmt: skip
-    """Fill out (h, w, 6) = A00, A01, A11, b0, b1, c at every pixel; 0 where there is no weight.
+    """Fill out (6, h, w) = A00, A01, A11, b0, b1, c, 0 where there is no weight.
 
-    cosines: (h, w, 3) contribution of each light over the albedo.
+    targets: (2, h, w), A s + b. cosines: (h, w, 3) contribution of each light over the albedo.
     """
     h, w = labels.shape
     for v in prange(h):
-        row = cosines[v]
+        seen, label, trust = cosines[v], labels[v], weight[v]
+        slope_p, slope_q, prior_p, prior_q = slopes[0, v], slopes[1, v], prior[0, v], prior[1, v]
+        o00, o01, o11, o0, o1, oc = out[0, v], out[1, v], out[2, v], out[3, v], out[4, v], out[5, v]
+        to_p, to_q = targets[0, v], targets[1, v]
+        x0, y = ray_at(rays, v, 0)
         for u in range(w):
-            if weight[v, u] <= 0.0:
-                for i in range(6):
-                    out[v, u, i] = 0.0
-                continue
-            x, y = ray_at(rays, v, u)
+            x = x0 + rays.per_pixel_u * np.float32(u)
+            p, q = slope_p[u], slope_q[u]
             a00, a01, a11, b0, b1, c = local_quadratic(
-                x, y, slopes[v, u, 0], slopes[v, u, 1], prior[v, u, 0], prior[v, u, 1],
-                row, u, labels[v, u], weight[v, u], lights, model,
+                x, y, p, q, prior_p[u], prior_q[u], seen[3 * u], seen[3 * u + 1], seen[3 * u + 2], label[u],
+                trust[u], lights, model,
             )  # fmt: skip
-            out[v, u, 0], out[v, u, 1], out[v, u, 2] = a00, a01, a11
-            out[v, u, 3], out[v, u, 4], out[v, u, 5] = b0, b1, c
+            some = np.float32(1.0) if trust[u] > np.float32(0.0) else np.float32(0.0)
+            a00, a01, a11, b0, b1 = some * a00, some * a01, some * a11, some * b0, some * b1
+            o00[u], o01[u], o11[u], o0[u], o1[u], oc[u] = a00, a01, a11, b0, b1, some * c
+            to_p[u], to_q[u] = a00 * p + a01 * q + b0, a01 * p + a11 * q + b1
 
 
-@njit(cache=True, inline="always", error_model="numpy")
-def _quadrant(i: int) -> tuple[int, int]:
-    return (1 if i & 1 == 0 else -1), (1 if i & 2 == 0 else -1)
+# A quadrant is the pixel, its neighbour along u and its neighbour along v: 0 right and below, 1 left and
+# below, 2 right and above, 3 left and above.
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
-def quadrant_weights_kernel(
-    quadratics: Grid, labels: Labels, mask: Mask, slopes: Grid, depth: Grid,
-    softness: Any, shadow_softness: Any, out: Grid,
+@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+def weights_kernel(
+    quadratics: Grid, labels: Labels, mask: Mask, slopes: Grid, depth: Grid, softness: Any,
+    shadow_softness: Any, out: Grid,
 ) -> None:  # fmt: skip
-    """Fill out (h, w, 4): how far each quadrant's gradient belongs to the pixel's own surface, 0 to 1.
+    """Fill out (4, h, w): how far each quadrant's gradient belongs to the pixel's own surface, 0 to 1.
 
     Where lights arrive the pixel knows its slope; a quadrant whose depth gradient disagrees crosses a step:
     weight (s / (s + χ²))² (Geman and McClure's: a step has no pull at all), where s = softness under three
-    lights and shadow_softness under two. Other pixels take what they are given. softness 0: all 1.
+    lights and shadow_softness under two. Other pixels take what they are given.
     """
     h, w = labels.shape
-    for v in range(h):
+    for v in prange(h):
+        soft, label = np.empty(w, np.float32), labels[v]
         for u in range(w):
-            label = labels[v, u]
-            lights = (label & 1) + ((label >> 1) & 1) + ((label >> 2) & 1)
-            soft = softness if lights == 3 else shadow_softness
-            for i in range(4):
-                out[v, u, i] = 0.0
-                su, sv = _quadrant(i)
-                if not mask[v, u] or u + su < 0 or u + su >= w or v + sv < 0 or v + sv >= h:
-                    continue
-                if not mask[v, u + su] or not mask[v + sv, u]:
-                    continue
-                out[v, u, i] = 1.0
-                if softness <= 0.0 or lights < 2:
-                    continue
-                d0 = su * (depth[v, u + su] - depth[v, u]) - slopes[v, u, 0]
-                d1 = sv * (depth[v + sv, u] - depth[v, u]) - slopes[v, u, 1]
-                a = quadratics[v, u]
-                chi = a[5] - 2.0 * (a[3] * d0 + a[4] * d1)
-                chi += a[0] * d0 * d0 + 2.0 * a[1] * d0 * d1 + a[2] * d1 * d1
-                weight = soft / (soft + max(chi, 0.0))
-                out[v, u, i] = weight * weight
+            bits = label[u]
+            lights = (bits & 1) + ((bits >> 1) & 1) + (bits >> 2)
+            known = softness if lights == 3 else shadow_softness
+            soft[u] = known if lights >= 2 else np.float32(_NO_STEP)
+        for i in range(4):
+            y, to = (v + 1 if i < 2 else v - 1), out[i, v]
+            for u in range(w):
+                to[u] = np.float32(0.0)
+            if y < 0 or y >= h or w < 2:
+                continue
+            here = slice(0, w - 1) if i % 2 == 0 else slice(1, w)
+            there = slice(1, w) if i % 2 == 0 else slice(0, w - 1)
+            _quadrant_row(
+                depth[v, here], depth[v, there], depth[y, here], mask[v, here], mask[v, there], mask[y, here],
+                slopes[0, v, here], slopes[1, v, here], quadratics[:, v, here], soft[here],
+                np.float32(1 - 2 * (i % 2)), np.float32(1.0 if i < 2 else -1.0), to[here],
+            )  # fmt: skip
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def edges_kernel(quadratics: Grid, weights: Grid, edges: Grid) -> None:
-    """Sum all quadrants' quadratics into the edges (4, h, w) of a graph Laplacian.
+def _quadrant_row(
+    depth: Grid, beside: Grid, below: Grid, mask: Mask, mask_beside: Mask, mask_below: Mask, p: Grid,
+    q: Grid, quadratics: Grid, soft: Grid, right: Any, down: Any, out: Grid,
+) -> None:  # fmt: skip
+    a00, a01, a11, b0, b1, c = (
+        quadratics[0], quadratics[1], quadratics[2], quadratics[3], quadratics[4], quadratics[5],
+    )  # fmt: skip
+    zero, two = np.float32(0.0), np.float32(2.0)
+    for u in range(len(out)):
+        d0 = right * (beside[u] - depth[u]) - p[u]
+        d1 = down * (below[u] - depth[u]) - q[u]
+        chi = c[u] - two * (b0[u] * d0 + b1[u] * d1)
+        chi += a00[u] * d0 * d0 + two * a01[u] * d0 * d1 + a11[u] * d1 * d1
+        weight = soft[u] / (soft[u] + max(chi, zero))
+        inside = mask[u] & mask_beside[u] & mask_below[u]
+        out[u] = weight * weight if inside else zero
+
+
+@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+def edges_kernel(quadratics: Grid, targets: Grid, weights: Grid, edges: Grid, right: Grid) -> None:
+    """Sum all quadrants' quadratics into the edges (4, h, w) of a graph Laplacian and its right-hand side.
 
     With σ = ±1 the sign of the quadrant, 2 σ A01 d_u d_v = σ A01 (d_u² + d_v² − (d_u − d_v)²): every term is
     a squared difference between two pixels.
     """
+    for v in prange(len(right)):
+        _edges_row(quadratics, targets, weights, v, edges, right[v])
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _edges_row(quadratics: Grid, targets: Grid, weights: Grid, v: int, edges: Grid, right: Grid) -> None:
     _, h, w = edges.shape
-    for v in range(h):
+    last, quarter, zero = w - 1, np.float32(0.25), np.float32(0.0)
+    q0, q1, q2, q3 = weights[0, v], weights[1, v], weights[2, v], weights[3, v]
+    a00, a01, a11 = quadratics[0, v], quadratics[1, v], quadratics[2, v]
+    east, south, south_east, south_west = edges[0, v], edges[1, v], edges[2, v], edges[3, v]
+    s, t = targets[0, v], targets[1, v]
+    for u in range(w):
+        along, across = (q1[u] + q3[u]) - (q0[u] + q2[u]), (q2[u] + q3[u]) - (q0[u] + q1[u])
+        right[u] = quarter * (along * s[u] + across * t[u])
+        east[u] = south[u] = south_east[u] = south_west[u] = zero
+    n1, n3, n00, n01, n_s, after = q1[1:], q3[1:], a00[1:], a01[1:], s[1:], right[1:]
+    for u in range(last):
+        east[u] = quarter * (
+            (q0[u] + q2[u]) * a00[u] + (q0[u] - q2[u]) * a01[u] + (n1[u] + n3[u]) * n00[u]
+            + (n3[u] - n1[u]) * n01[u]
+        )  # fmt: skip
+        right[u] -= quarter * (n1[u] + n3[u]) * n_s[u]
+    for u in range(last):
+        after[u] += quarter * (q0[u] + q2[u]) * s[u]
+    if v > 0:
+        p0, p1, above = weights[0, v - 1], weights[1, v - 1], targets[1, v - 1]
         for u in range(w):
-            here = quadratics[v, u]
-            for kind in range(4):
-                edges[kind, v, u] = 0.0
-            if u + 1 < w:
-                right = quadratics[v, u + 1]
-                edges[0, v, u] = 0.25 * (
-                    weights[v, u, 0] * (here[0] + here[1]) + weights[v, u, 2] * (here[0] - here[1])
-                    + weights[v, u + 1, 1] * (right[0] - right[1])
-                    + weights[v, u + 1, 3] * (right[0] + right[1])
-                )  # fmt: skip
-            if v + 1 < h:
-                below = quadratics[v + 1, u]
-                edges[1, v, u] = 0.25 * (
-                    weights[v, u, 0] * (here[2] + here[1]) + weights[v, u, 1] * (here[2] - here[1])
-                    + weights[v + 1, u, 2] * (below[2] - below[1])
-                    + weights[v + 1, u, 3] * (below[2] + below[1])
-                )  # fmt: skip
-            if u + 1 < w and v + 1 < h:
-                edges[2, v, u] = 0.25 * (
-                    weights[v, u + 1, 1] * quadratics[v, u + 1, 1]
-                    + weights[v + 1, u, 2] * quadratics[v + 1, u, 1]
-                )
-                edges[3, v, u] = -0.25 * (
-                    weights[v, u, 0] * here[1] + weights[v + 1, u + 1, 3] * quadratics[v + 1, u + 1, 1]
-                )
-
-
-@njit(cache=True, inline="always", error_model="numpy")
-def _target(quadratics: Grid, slopes: Grid, v: int, u: int) -> tuple[Any, Any]:
-    a, p, q = quadratics[v, u], slopes[v, u, 0], slopes[v, u, 1]
-    return a[0] * p + a[1] * q + a[3], a[1] * p + a[2] * q + a[4]
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
-def right_side_kernel(quadratics: Grid, slopes: Grid, weights: Grid, out: Grid) -> None:
-    """Fill out (h, w), the right-hand side that belongs to `edges_kernel`."""
-    h, w = out.shape
-    for v in range(h):
+            right[u] += quarter * (p0[u] + p1[u]) * above[u]
+    if v + 1 < h:
+        r2, r3, below = weights[2, v + 1], weights[3, v + 1], targets[1, v + 1]
+        b01, b11 = quadratics[1, v + 1], quadratics[2, v + 1]
         for u in range(w):
-            total = 0.0
-            t0, t1 = _target(quadratics, slopes, v, u)
-            for i in range(4):
-                su, sv = _quadrant(i)
-                total -= weights[v, u, i] * (su * t0 + sv * t1)
-                if 0 <= u - su < w:
-                    total += weights[v, u - su, i] * su * _target(quadratics, slopes, v, u - su)[0]
-                if 0 <= v - sv < h:
-                    total += weights[v - sv, u, i] * sv * _target(quadratics, slopes, v - sv, u)[1]
-            out[v, u] = 0.25 * total
+            right[u] -= quarter * (r2[u] + r3[u]) * below[u]
+            south[u] = quarter * (
+                (q0[u] + q1[u]) * a11[u] + (q0[u] - q1[u]) * a01[u] + (r2[u] + r3[u]) * b11[u]
+                + (r3[u] - r2[u]) * b01[u]
+            )  # fmt: skip
+        m3, m01 = r3[1:], b01[1:]
+        for u in range(last):
+            south_east[u] = quarter * (n1[u] * n01[u] + r2[u] * b01[u])
+            south_west[u] = -quarter * (q0[u] * a01[u] + m3[u] * m01[u])
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
 def slopes_kernel(depth: Grid, weights: Grid, steepest: Any, slopes: Grid, agreement: Grid) -> None:
-    """Replace slopes (h, w, 2) by the weighted mean over the quadrants; agreement (h, w) = mean weight.
+    """Replace slopes (2, h, w) by the weighted mean over the quadrants; agreement (h, w) = mean weight.
 
     At the border, where quadrants are missing and differences are one-sided, the agreement is 0.
     """
     h, w = depth.shape
-    for v in range(h):
+    for v in prange(h):
+        row = np.zeros(w + 2, np.float32)
+        row[1 : w + 1] = depth[v]
+        above, below = depth[max(v - 1, 0)], depth[min(v + 1, h - 1)]
+        _slope_row(
+            row[:w], row[1 : w + 1], row[2:], above, below, weights[0, v], weights[1, v], weights[2, v],
+            weights[3, v], steepest, slopes[0, v], slopes[1, v], agreement[v],
+        )  # fmt: skip
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _slope_row(
+    left: Grid, here: Grid, right: Grid, above: Grid, below: Grid, q0: Grid, q1: Grid, q2: Grid, q3: Grid,
+    steepest: Any, slope_p: Grid, slope_q: Grid, agreement: Grid,
+) -> None:  # fmt: skip
+    zero, one = np.float32(0.0), np.float32(1.0)
+    for u in range(len(here)):
+        a, b, c, d = q0[u], q1[u], q2[u], q3[u]
+        total = (a + b) + (c + d)
+        p = (a + c) * (right[u] - here[u]) + (b + d) * (here[u] - left[u])
+        q = (a + b) * (below[u] - here[u]) + (c + d) * (here[u] - above[u])
+        some = total > np.float32(1e-6)
+        over = one / (total if some else one)
+        p, q = p * over, q * over
+        hold = steepest / max(np.sqrt(p * p + q * q), steepest)
+        slope_p[u] = p * hold if some else slope_p[u]
+        slope_q[u] = q * hold if some else slope_q[u]
+        whole = (a > zero) & (b > zero) & (c > zero) & (d > zero)
+        agreement[u] = np.float32(0.25) * total if whole else zero
+
+
+@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+def _from_normals_kernel(normals: Grid, rays: RayGrid, out: Grid) -> None:
+    """Fill the slopes (2, h, w) of normals (h, w, 3), held where the surface is seen at grazing incidence."""
+    _, h, w = out.shape
+    one = np.float32(1.0)
+    for v in prange(h):
+        x0, y = ray_at(rays, v, 0)
+        line, to_p, to_q = normals[v], out[0, v], out[1, v]
         for u in range(w):
-            total, count, p, q = 0.0, 0, 0.0, 0.0
-            for i in range(4):
-                weight = weights[v, u, i]
-                if weight > 0.0:
-                    su, sv = _quadrant(i)
-                    p += weight * su * (depth[v, u + su] - depth[v, u])
-                    q += weight * sv * (depth[v + sv, u] - depth[v, u])
-                    total += weight
-                    count += 1
-            agreement[v, u] = total / 4 if count == 4 else 0.0
-            if total > 1e-6:
-                p, q = p / total, q / total
-                long = np.sqrt(p * p + q * q)
-                hold = min(1.0, steepest / max(long, 1e-12))
-                slopes[v, u, 0], slopes[v, u, 1] = p * hold, q * hold
+            x = x0 + rays.per_pixel_u * np.float32(u)
+            n0, n1 = line[3 * u], line[3 * u + 1]
+            along = one / min(line[3 * u + 2] + x * n0 + y * n1, np.float32(-FLATTEST_Z))
+            p, q = -n0 * along, -n1 * along
+            hold = np.float32(STEEPEST) / max(np.sqrt(p * p + q * q), np.float32(STEEPEST))
+            to_p[u], to_q[u] = p * hold, q * hold
+
+
+@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+def _normals_kernel(
+    slopes: Grid, first: Grid, agreement: Grid, known: Mask, mask: Mask, rays: RayGrid, out: Grid
+) -> None:
+    """Fill the unit normals (h, w, 3): n ∝ (p, q, −1 − x p − y q) of the slopes, 0 outside the mask.
+
+    Where colour alone gives a normal, it is kept as far as the depth disagrees (a step, a crease).
+    """
+    h, w = mask.shape
+    zero, one = np.float32(0.0), np.float32(1.0)
+    for v in prange(h):
+        x0, y = ray_at(rays, v, 0)
+        slope_p, slope_q, line, to = slopes[0, v], slopes[1, v], first[v], out[v]
+        agreed, own, inside = agreement[v], known[v], mask[v]
+        for u in range(w):
+            x = x0 + rays.per_pixel_u * np.float32(u)
+            p, q = slope_p[u], slope_q[u]
+            n2 = -one - x * p - y * q
+            scale = one / np.sqrt(p * p + q * q + n2 * n2)
+            p, q, n2 = p * scale, q * scale, n2 * scale
+            weight = agreed[u] if own[u] else one
+            a, b, c = mixed(p, q, n2, weight, line[3 * u], line[3 * u + 1], line[3 * u + 2])
+            to[3 * u], to[3 * u + 1], to[3 * u + 2] = (
+                a if inside[u] else zero, b if inside[u] else zero, c if inside[u] else zero,
+            )  # fmt: skip
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def mixed(a0: Any, a1: Any, a2: Any, weight: Any, b0: Any, b1: Any, b2: Any) -> tuple[Any, Any, Any]:
+    """Blend two unit vectors, the first with `weight`."""
+    rest = np.float32(1.0) - weight
+    x = weight * a0 + rest * b0
+    y = weight * a1 + rest * b1
+    z = weight * a2 + rest * b2
+    scale = np.float32(1.0) / max(np.sqrt(x * x + y * y + z * z), np.float32(1e-6))
+    return x * scale, y * scale, z * scale
