@@ -7,9 +7,9 @@ from scipy.spatial import ConvexHull
 from tests.calibration.turning_egg import AXES, CAMERA, DISTANCE, MATRIX, render_egg, turning_poses
 from vntoolkit.calibration.fit import fit_quality
 from vntoolkit.calibration.head.light import HeadLight, LightOptions
-from vntoolkit.calibration.head.refinement import refine_head
+from vntoolkit.calibration.head.refinement import PositionSolver, refine_head
 from vntoolkit.calibration.head.samples import LightFrame
-from vntoolkit.calibration.head.skin import SkinColours, SkinLight, light_errors, skin_normals
+from vntoolkit.calibration.head.skin import SkinColours, SkinLight, SkinNormals, light_errors, skin_normals
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
@@ -99,6 +99,27 @@ def test_m_comes_right_again(refined):
 def test_nine_of_ten_normals_are_within_their_expected_error(refined):
     _, off, lit = errors(refined.mesh)
     assert (off < refined.mesh.error_deg[lit]).mean() > 0.85
+
+
+def test_no_vertex_flies_off_where_stereo_is_folded():
+    points, faces = ellipsoid()
+    normals = points / AXES**2
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    folded = np.linalg.norm(points - points[1400], axis=1) < 20 * PIXEL
+    stereo = points.copy()
+    stereo[folded] = points[folded] + 10 * PIXEL * np.random.default_rng(3).standard_normal((folded.sum(), 3))
+    ones = np.ones((len(points), 3))
+    skin = SkinNormals(
+        normals=normals,
+        albedo=ones,
+        noise=np.full(len(points), 0.01),
+        scaled=normals,
+        tint=ones,
+        weight=np.ones((1, len(points)), np.float32),
+        agrees=np.ones((1, len(points)), bool),
+    )
+    moved = PositionSolver(stereo, faces, skin, 200 * PIXEL).positions()
+    assert np.linalg.norm(moved - points, axis=1).max() < 1.25 * np.linalg.norm(stereo - points, axis=1).max()
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,7 @@
 Stereo knows where the skin is, but not its relief: windows of a dozen pixels blur it, and noise ripples it.
 Normals know the relief but not the place: their errors add up with distance. The positions sought agree
 with both, each as far as its own error allows. A vertex moves along its normal, by d. Every edge should be
-at right angles to its mean normal, which tells d_j − d_i, and d should be small: linear in d.
+at right angles to its mean normal, and d should be small: linear in d.
 
 An error of M, the same in all frames, bends the shape in patterns that are known. M is corrected until the
 frames agree on every normal and the normals, integrated, agree with the positions of stereo.
@@ -36,7 +36,7 @@ from vntoolkit.calibration.head.skin import (
 )
 from vntoolkit.errors import SolverFailed
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.geometry.laplacian import edge_cotangents, graph_laplacian
+from vntoolkit.geometry.laplacian import edge_cotangents
 from vntoolkit.geometry.mesh import Mesh, face_normals, vertex_normals
 from vntoolkit.photometry.response import LightResponse
 
@@ -49,7 +49,6 @@ _FIRST_ERROR = 0.05  # standard deviation of an entry of E for the first M
 _NEARNESS = 0.2  # of lamps that are five of the head's diagonals away
 _REGION = 1 / 6  # of the diagonal: stereo errs alike within such cubes
 _SETTLED = 0.002  # change of M, as a share, that ends the rounds
-_STEPS = 3  # of the positions, with one factor: the surface's own normals turn as it moves
 _EDGE_PX = 1.6  # mean length of an edge, about: two samples of a relief of a few pixels
 _COARSE = 2.0  # edges while M is sought: a relief too fine for them says nothing of M
 _MOST_VERTICES = 300_000
@@ -61,6 +60,7 @@ _LOOSE = 2.0  # of the diagonal: where normals are to show their errors, stereo 
 _PATCH_PX = 16.0  # side: larger than the windows of stereo blur, smaller than a nose
 _DRAWS, _PATTERNS = 8, 9
 _TINY, _SMALLEST_SINE = 1e-30, 1e-9
+_STEPS = 2  # of the positions: more change nothing
 _TOLERANCE, _ROUGHLY, _MOST_ITERATIONS = 1e-4, 1e-2, 2000  # roughly: of standard deviations
 _LEAST_COTANGENT, _MOST_COTANGENT = 0.05, 5.0
 _LEAST_SEEN = 0.5  # of a patch's area, in a frame
@@ -128,7 +128,7 @@ def refine_head(
     colours = without_shadow(skin_colours(surface, camera, frames()), surface, lit.response)
     skin = skin_normals(colours, lit)
     solver = PositionSolver(stereo.vertices, stereo.faces, skin, crossover)
-    surface = surface.with_vertices(solver.positions(surface.vertices))
+    surface = surface.with_vertices(solver.positions())
     samples = patch_samples(surface, camera, colours, skin, _PATCH_PX * pixel)
     on_progress(_ROUNDS + 1, _ROUNDS + 1)
     return RefinedHead(
@@ -224,36 +224,45 @@ def _mean_edge(mesh: Mesh) -> float:
 class PositionSolver:
     """Positions that agree with stereo at long wavelengths and with normals at short ones (nehab2005).
 
-    Minimises Σ_ij w_ij (n_ij · (x_j − x_i))² + (2π / λ)² Σ_i a_i |x_i − s_i|² along the normals. w_ij
-    is the cotangent weight, less where normals are noisy, n_ij the mean normal of an edge, a_i a vertex's
-    area, s_i its position by stereo, and λ the crossover, the wavelength at which both count the same.
+    Minimises Σ_ij w_ij (n_ij · (x_j − x_i))² + (2π / λ)² Σ_i a_i |x_i − s_i|². w_ij is the cotangent weight,
+    less where normals are noisy, n_ij the mean measured normal of an edge, a_i a vertex's area, s_i its
+    position by stereo, and λ the crossover, the wavelength at which both count the same. Vertices move along
+    the surface's own normals, which makes the sum quadratic in how far: folds of stereo lead nowhere.
     """
 
     def __init__(self, stereo: Points, faces: Faces, skin: SkinNormals, crossover: float) -> None:
         self.stereo, self._faces = stereo, faces
         pairs, cosines, sines = edge_cotangents(stereo, faces)
         self._from, self._to = pairs.T
-        normals, noise = _normals_and_noise(stereo, faces, skin)
+        own = vertex_normals(stereo, faces)
+        normals, noise = _normals_and_noise(own, skin)
         cotangents = 0.5 * cosines / np.maximum(sines, _SMALLEST_SINE)
         variance = 0.5 * (noise[self._from] ** 2 + noise[self._to] ** 2)
         self._weight = np.clip(cotangents, _LEAST_COTANGENT, _MOST_COTANGENT) * _LEAST_NOISE**2 / variance
         self._anchor = (2.0 * np.pi / crossover) ** 2 * areas(stereo, faces)
-        laplacian = graph_laplacian(pairs, len(stereo), self._weight)
-        self._system = sp.csr_array(laplacian + sp.diags_array(self._anchor))
         upright = normals[self._from] + normals[self._to]
-        self._upright = upright / np.linalg.norm(upright, axis=1, keepdims=True)
+        self._upright = upright / np.maximum(np.linalg.norm(upright, axis=1, keepdims=True), _TINY)
+        self._move_along(own)
 
-    def positions(self, start: Points | None = None) -> Points:
-        """Return (n, 3). A few rounds, as the normals that vertices move along turn on the way."""
-        x = np.array(self.stereo if start is None else start)
+    def positions(self) -> Points:
+        """Return (n, 3). A few rounds, as the surface's own normals turn on the way."""
+        x = np.array(self.stereo)
         for _ in range(_STEPS):
             along = vertex_normals(x, self._faces)
-            across = 0.5 * (along[self._from] + along[self._to])
-            slope = np.maximum((self._upright * across).sum(axis=1), _LEAST_AGREEMENT)
-            rise = -((x[self._to] - x[self._from]) * self._upright).sum(axis=1) / slope
+            self._move_along(along)
             pull = self._anchor * ((x - self.stereo) * along).sum(axis=1)
-            x += self._solved(self._divergence(rise) - pull)[:, None] * along
+            x += self._solved(self._right(self._upright, x) - pull)[:, None] * along
         return x
+
+    def _move_along(self, directions: Points) -> None:
+        first, second = ((directions[ends] * self._upright).sum(axis=1) for ends in (self._from, self._to))
+        weight, every = self._weight, np.arange(len(directions))
+        rows = np.concatenate([self._from, self._to, self._from, self._to, every])
+        columns = np.concatenate([self._to, self._from, self._from, self._to, every])
+        across = -weight * first * second
+        values = np.concatenate([across, across, weight * first**2, weight * second**2, self._anchor])
+        self._slopes = first, second
+        self._system = sp.csr_array((values, (rows, columns)), shape=(len(every), len(every)))
 
     def spread(self, surface: Mesh, levels: NoiseLevels, rng: np.random.Generator) -> FloatArray:
         """Return the standard deviation (n,) of positions, by stereo's noise and shared errors of normals.
@@ -274,17 +283,19 @@ class PositionSolver:
 
     def moved_by(self, turned: FloatArray, surface: Mesh) -> FloatArray:
         """Return the moves along the normals (n, p) where normals turn by (n, 3, p)."""
-        step = surface.vertices[self._to] - surface.vertices[self._from]
-        moves = []
-        for each in np.moveaxis(turned, 2, 0):
-            rise = -(step * 0.5 * (each[self._from] + each[self._to])).sum(axis=1)
-            moves.append(self._solved(self._divergence(rise), _ROUGHLY))
+        moves = [
+            self._solved(self._right(0.5 * (each[self._from] + each[self._to]), surface.vertices), _ROUGHLY)
+            for each in np.moveaxis(turned, 2, 0)
+        ]
         return np.stack(moves, axis=1)
 
-    def _divergence(self, rise: FloatArray) -> FloatArray:
-        count = len(self.stereo)
+    def _right(self, normals: Points, vertices: Points) -> FloatArray:
+        """Return (n,) what edges between vertices (n, 3) ask of them, to be at right angles to normals."""
+        rise = -((vertices[self._to] - vertices[self._from]) * normals).sum(axis=1)
+        (first, second), count = self._slopes, len(vertices)
         flow = self._weight * rise
-        return np.asarray(np.bincount(self._to, flow, count) - np.bincount(self._from, flow, count), float)
+        pushed = np.bincount(self._to, flow * second, count) - np.bincount(self._from, flow * first, count)
+        return np.asarray(pushed, float)
 
     def _solved(self, right: FloatArray, tolerance: float = _TOLERANCE) -> FloatArray:
         """Solve by conjugate gradients: the anchors bound the condition number by (crossover / edge)²."""
@@ -330,9 +341,8 @@ def measured_noise(mesh: Mesh, stereo: Points, skin: SkinNormals, pixel: float) 
     return NoiseLevels(stereo=density, shared=float(np.sqrt(max(shared, _SHARED_NOISE**2))))
 
 
-def _normals_and_noise(stereo: Points, faces: Faces, skin: SkinNormals) -> tuple[Points, FloatArray]:
+def _normals_and_noise(own: Points, skin: SkinNormals) -> tuple[Points, FloatArray]:
     """Return the normals to follow and their noise: measured where they are sure, else the mesh's own."""
-    own = vertex_normals(stereo, faces)
     known = np.isfinite(skin.noise) & ((skin.normals * own).sum(axis=1) > _LEAST_AGREEMENT)
     noise = np.where(known, np.maximum(skin.noise, _LEAST_NOISE), _UNKNOWN_NOISE)
     return np.where(known[:, None], skin.normals, own), noise
