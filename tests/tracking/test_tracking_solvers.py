@@ -16,7 +16,7 @@ from vntoolkit.geometry.laplacian import (
 from vntoolkit.tracking.fit_errors import FitErrors
 from vntoolkit.tracking.lattice import lattice_on_template
 from vntoolkit.tracking.lattice_system import LatticeSystem
-from vntoolkit.tracking.lengths import LinkLengths
+from vntoolkit.tracking.lengths import LinkLengths, uniform_strains
 from vntoolkit.tracking.registration import TemplateRegistration
 from vntoolkit.tracking.regularisers import (
     LaplacianRegulariser,
@@ -89,25 +89,51 @@ def lattice_problem(template, rng: np.random.Generator):
     roots = np.tril(rng.normal(size=(lattice.count, 2, 2)))
     blocks = roots @ np.swapaxes(roots, 1, 2)
     weight = rng.uniform(0.1, 2.0, len(links))
-    matrix = sp.block_diag(list(blocks)).toarray()
-    for (a, b), w in zip(links, weight, strict=True):
-        for k in range(2):
-            matrix[[2 * a + k, 2 * b + k], [2 * a + k, 2 * b + k]] += w
-            matrix[2 * a + k, 2 * b + k] -= w
-            matrix[2 * b + k, 2 * a + k] -= w
     information = np.stack([blocks[:, 0, 0], blocks[:, 0, 1], blocks[:, 1, 1]], axis=1)
-    return lattice, links, LatticeSystem(links, lattice.count), information, weight, matrix
+    return lattice, links, LatticeSystem(links, lattice.count), information, weight
 
 
 def test_the_lattice_s_system_equals_a_dense_one(template, rng: np.random.Generator) -> None:
-    lattice, links, system, information, weight, matrix = lattice_problem(template, rng)
-    pull, steps = rng.normal(size=(lattice.count, 2)), rng.normal(size=(len(links), 2))
-    right = pull.copy()
-    np.add.at(right, links[:, 1], weight[:, None] * steps)
-    np.subtract.at(right, links[:, 0], weight[:, None] * steps)
-    dense = np.linalg.solve(matrix, right.ravel()).reshape(-1, 2)
-    found = system.solve(information, pull, weight, steps).displacement
-    np.testing.assert_allclose(found, dense, atol=1e-3 * np.abs(dense).max())
+    lattice, links, system, information, weight = lattice_problem(template, rng)
+    m, e, precision = lattice.count, len(links), 3.0
+    pull, steps, modes = (rng.normal(size=shape) for shape in ((m, 2), (e, 2), (e, 2, 3)))
+    along = np.zeros((e, 2, 2 * m + 3))  # of displacements and coefficients: what a step is compared with
+    for k in range(2):
+        along[np.arange(e), k, 2 * links[:, 1] + k] = 1.0
+        along[np.arange(e), k, 2 * links[:, 0] + k] = -1.0
+    along[:, :, 2 * m :] = -modes
+    whole = np.einsum("e,eki,ekj->ij", weight, along, along) + 1e-6 * np.eye(2 * m + 3)
+    a, b, c = information.T
+    whole[: 2 * m, : 2 * m] += sp.block_diag(np.stack([a, b, b, c], axis=1).reshape(-1, 2, 2)).toarray()
+    whole[2 * m :, 2 * m :] += precision * np.eye(3)
+    right = np.einsum("e,eki,ek->i", weight, along, steps) + np.pad(pull.ravel(), (0, 3))
+    dense = np.linalg.solve(whole, right)
+    solution = system.solve(information, pull, weight, steps, modes, precision)
+    np.testing.assert_allclose(solution.displacement.ravel(), dense[: 2 * m], atol=1e-3 * np.abs(dense).max())
+    np.testing.assert_allclose(solution.left, along @ dense - steps, atol=1e-3 * np.abs(dense).max())
+
+
+def test_four_corners_tell_how_a_whole_sheet_is_stretched_and_sheared(template) -> None:
+    lattice = lattice_on_template(template, 4)
+    video = WrinkledVideo(width=34, height=26)
+    lengths = LinkLengths(
+        lattice, template, video.camera, slopes_from_normals(video.maps(0)[0], video.camera)
+    )
+    moved = (lengths.centres - lengths.centres.mean(axis=0)) @ np.array([[0.05, -0.02], [-0.02, -0.03]])
+    cells = lattice.cells
+    corner = np.all((cells == cells.min(axis=0)) | (cells == cells.max(axis=0)), axis=1)
+    known = np.where(corner, 100.0, 0.0)
+    weight, steps = np.full(len(lengths.links), 1.0), np.zeros((len(lengths.links), 2))
+    found = LatticeSystem(lengths.links, lattice.count).solve(
+        np.column_stack([known, 0 * known, known]),
+        known[:, None] * moved,
+        weight,
+        steps,
+        uniform_strains(lengths.along),
+        1.0,
+    )
+    assert corner.sum() == 4
+    np.testing.assert_allclose(found.displacement, moved, atol=0.05 * np.abs(moved).max())
 
 
 def test_expected_errors_are_the_covariance_of_the_problem_where_measurements_decide(template) -> None:
@@ -120,8 +146,9 @@ def test_expected_errors_are_the_covariance_of_the_problem_where_measurements_de
     weight, steps = np.full(len(lengths.links), 1e-9), np.zeros((len(lengths.links), 2))
     information = np.tile([4.0, 1.0, 2.0], (lattice.count, 1))
     system = LatticeSystem(lengths.links, lattice.count)
-    solution = system.solve(information, np.zeros((lattice.count, 2)), weight, steps)
-    square = errors.square(solution, [], information, weight, steps, weight**-0.5)
+    none = np.zeros((len(weight), 2, 3))
+    solution = system.solve(information, np.zeros((lattice.count, 2)), weight, steps, none, 1.0)
+    square = errors.square(solution, [], information, weight**-0.5, none)
     expected = np.trace(np.linalg.inv([[4.0, 1.0], [1.0, 2.0]]))
     assert square.mean() == pytest.approx(expected, rel=0.1)  # of some 100 nodes with 16 samples each
 
@@ -138,11 +165,11 @@ def test_less_strain_than_given_is_expected_where_less_is_left(template) -> None
     information = np.column_stack([held, 0 * held, held])
     weight, steps = np.ones(len(lengths.links)), np.zeros((len(lengths.links), 2))
     system = LatticeSystem(lengths.links, lattice.count)
-    told = []
+    told, none = [], np.zeros((len(weight), 2, 3))
     for misfit in (0.0, 20.0):
         pull = np.column_stack([held * np.where(column == column.max(), misfit, 0.0), 0 * held])
-        solution = system.solve(information, pull, weight, steps)
-        told.append(errors.square(solution, [], information, weight, steps, weight**-0.5))
+        solution = system.solve(information, pull, weight, steps, none, 1.0)
+        told.append(errors.square(solution, [], information, weight**-0.5, none))
     between = held == 0
     assert told[0][between].mean() < 0.3 * told[1][between].mean()
 

@@ -4,23 +4,26 @@ Windows overlap, and strain goes on from link to link: errors of neighbours are 
 as white noise, smoothed as far as it reaches. How large the strain is that nothing foresees is read from what
 the solution leaves of it (a variance component, `foerstner1979`): as much as drawn strain leaves, if it is as
 large as given. Only the part that varies slowly over the figure is compared: that part adds up to errors.
+
+A share of the strain varies as slowly as the figure is large. It adds up farthest, along borders that
+nothing holds most of all, and leaves next to nothing that could be compared: it counts as given.
 """
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse as sp
 
 from vntoolkit.arrays import FloatArray
 from vntoolkit.tracking.lattice import TemplateLattice
 from vntoolkit.tracking.lattice_system import LatticeSolution
-from vntoolkit.tracking.lengths import STRAIN_PASSES, LinkLengths
+from vntoolkit.tracking.lengths import STRAIN, STRAIN_PASSES, LinkLengths
 from vntoolkit.tracking.registration import TemplateRegistration, WindowSteps
 
 _SAMPLES = 16
-_DEGREE = 2  # of the polynomials in place that strain is compared by
+_DEGREE = 2  # of the polynomials in place that vary slowly
 _PRIOR = 0.1  # share of the given strain in what is found
+_SLOW_SHARE = 0.05  # of its variance that varies slowly
 
 
 class FitErrors:
@@ -31,7 +34,7 @@ class FitErrors:
     ) -> None:
         """Draw what every frame's errors are made of."""
         self._lattice, self._links = lattice, lengths.links
-        m, e = lattice.count, len(lengths.links)
+        m = lattice.count
         rng = np.random.default_rng(0)
         shape = (m, 2, _SAMPLES)
         self._windows = []
@@ -40,59 +43,67 @@ class FitErrors:
             alike = _unit(registration.spread(white, halvings))
             self._windows.append((alike / np.sqrt(registration.nodes_of_window(halvings))).reshape(shape))
         self._outline = rng.standard_normal(shape)
-        strain = _unit(lattice.smoothed(rng.standard_normal((m, 4 * _SAMPLES)), STRAIN_PASSES))
-        strain = strain.reshape(m, 2, 2, _SAMPLES)
+        local = _unit(lattice.smoothed(rng.standard_normal((m, 4 * _SAMPLES)), STRAIN_PASSES))
+        terms = _polynomials(lengths.centres)[:, 1:]  # the first is uniform: it is solved for
+        slow = np.sqrt(m * _SLOW_SHARE / terms.shape[1]) * terms
+        slow = slow @ rng.standard_normal((terms.shape[1], 4 * _SAMPLES))
         along = lengths.along / np.linalg.norm(lengths.along, axis=1, keepdims=True)
         a, b = self._links.T
-        self._strain = np.einsum("eijk,ej->eik", 0.5 * (strain[a] + strain[b]), along)
-        self._incidence = sp.csr_array(
-            (np.repeat([1.0, -1.0], e), (np.concatenate([b, a]), np.tile(np.arange(e), 2))), shape=(m, e)
-        )
-        self._slow = _slow(lengths)
+
+        def on_links(strain: FloatArray) -> npt.NDArray[np.float64]:
+            whole = strain.reshape(m, 2, 2, _SAMPLES)
+            return np.asarray(np.einsum("eijk,ej->eik", 0.5 * (whole[a] + whole[b]), along))
+
+        self._local, self._slow = on_links(local), on_links(slow)
+        self._uniform = STRAIN * rng.standard_normal((3, _SAMPLES))
+        self._compared = _compared(lengths)
 
     def square(
         self,
         solution: LatticeSolution,
         bands: list[WindowSteps],
         outline: FloatArray,
-        weight: FloatArray,
-        steps: FloatArray,
         sd: FloatArray,
+        uniform: FloatArray,
     ) -> npt.NDArray[np.float64]:
         """Return (nodes,) the expected squared error, px².
 
-        bands: in pixels of the frame, as the information (nodes, 3) of the outline. weight (links,) and steps
-        (links, 2): as solved with. sd: (links,) standard deviation of the steps.
+        bands: in pixels of the frame, as the information (nodes, 3) of the outline. sd: (links,) standard
+        deviation of the steps. uniform: (links, 2, 3) as solved with.
         """
-        fixed = np.einsum("nij,njk->nik", cholesky(outline), self._outline)
+        measured = np.einsum("nij,njk->nik", cholesky(outline), self._outline)
         for band in bands:
-            fixed += np.einsum("nij,njk->nik", cholesky(band.information), self._windows[band.halvings])
-        e = len(sd)
-        drawn = sd[:, None, None] * self._strain
-        by_strain = (self._incidence @ (weight[:, None, None] * drawn).reshape(e, -1)).reshape(fixed.shape)
-        errors = solution.solved(np.concatenate([fixed, by_strain], axis=2))
-        fixed, by_strain = errors[:, :, :_SAMPLES], errors[:, :, _SAMPLES:]
-        (a, b), d = self._links.T, solution.displacement
-        left = (d[b] - d[a] - steps) / sd[:, None]
-        expected = ((fixed + by_strain)[b] - (fixed + by_strain)[a]) / sd[:, None, None] - self._strain
-        found = np.square(self._slow @ left).sum()
-        foreseen = np.square(self._slow @ expected.reshape(e, -1)).sum() / _SAMPLES
-        factor = np.sqrt(_PRIOR + (1.0 - _PRIOR) * (found / foreseen if foreseen > 0 else 1.0))
-        return np.asarray(np.square(fixed + factor * by_strain).sum(axis=1).mean(axis=1))
+            measured += np.einsum("nij,njk->nik", cholesky(band.information), self._windows[band.halvings])
+        each = sd[:, None, None]
+        nothing, straight = np.zeros_like(measured), np.zeros_like(self._local)
+        errors, left = solution.solved(
+            np.concatenate([measured, nothing, nothing], axis=2),
+            np.concatenate(
+                [straight, each * self._local, each * self._slow + uniform @ self._uniform], axis=2
+            ),
+        )
+        by_measurement, by_local, by_slow = np.split(errors, 3, axis=2)
+        foreseen = (left[:, :, :_SAMPLES] + left[:, :, _SAMPLES : 2 * _SAMPLES]) / each
+        usual = np.square(self._compared @ foreseen.reshape(len(sd), -1)).sum() / _SAMPLES
+        found = np.square(self._compared @ (solution.left / sd[:, None])).sum()
+        factor = np.sqrt(_PRIOR + (1.0 - _PRIOR) * (found / usual if usual > 0 else 1.0))
+        return np.asarray(np.square(by_measurement + factor * by_local + by_slow).sum(axis=1).mean(axis=1))
 
 
-def _slow(lengths: LinkLengths) -> npt.NDArray[np.float64]:
+def _compared(lengths: LinkLengths) -> npt.NDArray[np.float64]:
     """(k, links) orthonormal polynomials of the place, of links across and of links along apart."""
     if len(lengths.links) == 0:
         return np.zeros((1, 0))
-    centre = 0.5 * (lengths.centres[lengths.links[:, 0]] + lengths.centres[lengths.links[:, 1]])
-    x, y = ((centre - centre.mean(axis=0)) / np.maximum(centre.std(axis=0), 1.0)).T
-    across = np.abs(lengths.along[:, 0]) > np.abs(lengths.along[:, 1])
-    parts = []
-    for chosen in (across, ~across):
-        terms = [x**i * y**j * chosen for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)]
-        parts.append(np.linalg.qr(np.stack(terms, axis=1))[0].T)
-    return np.vstack(parts)
+    terms = _polynomials(0.5 * (lengths.centres[lengths.links[:, 0]] + lengths.centres[lengths.links[:, 1]]))
+    across = (np.abs(lengths.along[:, 0]) > np.abs(lengths.along[:, 1]))[:, None]
+    return np.vstack([np.linalg.qr(terms * chosen)[0].T for chosen in (across, ~across)])
+
+
+def _polynomials(place: FloatArray) -> npt.NDArray[np.float64]:
+    """(m, k) orthonormal polynomials of places (m, 2), by rising degree."""
+    x, y = ((place - place.mean(axis=0)) / np.maximum(place.std(axis=0), 1.0)).T
+    powers = [(degree - j, j) for degree in range(_DEGREE + 1) for j in range(degree + 1)]
+    return np.asarray(np.linalg.qr(np.stack([x**i * y**j for i, j in powers], axis=1))[0])
 
 
 def _unit(fields: FloatArray) -> npt.NDArray[np.float64]:

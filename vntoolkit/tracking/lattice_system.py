@@ -14,7 +14,11 @@ _LEAST_INFORMATION = 1e-6  # 1/px²: holds pieces of which nothing is known
 
 
 class LatticeSystem:
-    """Σ_nodes (d_i − m_i)ᵀ I_i (d_i − m_i) + Σ_links w_e |d_b − d_a − r_e|², laid out once."""
+    """Where nodes go that measurements, and the guessed steps between neighbours, pull at; laid out once.
+
+    The minimum over displacements d and coefficients c of Σ_nodes (d_i − m_i)ᵀ I_i (d_i − m_i) +
+    Σ_links w_e |d_b − d_a − r_e − B_e c|² + p |c|²: few modes B of the whole are solved for with the rest.
+    """
 
     def __init__(self, links: IntArray, count: int) -> None:
         """Order the unknowns; links (e, 2) between count nodes."""
@@ -28,9 +32,18 @@ class LatticeSystem:
         self._by_direction = _Pattern(np.stack([2 * order, 2 * order + 1], axis=1).ravel(), rows, columns)
 
     def solve(
-        self, information: FloatArray, pull: FloatArray, weight: FloatArray, steps: FloatArray
+        self,
+        information: FloatArray,
+        pull: FloatArray,
+        weight: FloatArray,
+        steps: FloatArray,
+        modes: FloatArray,
+        precision: float,
     ) -> LatticeSolution:
-        """Return the minimum; information I (m, 3), pull (m, 2) = I m, weight (e,), steps (e, 2) = r."""
+        """Return the minimum; information I (m, 3), pull (m, 2) = I m, weight w (e,), steps r (e, 2).
+
+        modes: B (e, 2, k). precision: p, inverse variance of each coefficient.
+        """
         degree = _LEAST_INFORMATION + self._at_nodes(weight, weight)
         diagonal = [
             information[:, 0] + degree,
@@ -39,11 +52,9 @@ class LatticeSystem:
             information[:, 2] + degree,
         ]
         factor = self._by_direction.factored([*diagonal, *[-weight] * 4])
-        right = np.array(pull, dtype=np.float64)
-        for k in range(2):
-            right[:, k] += self._at_nodes(-weight * steps[:, k], weight * steps[:, k])
-        solution = LatticeSolution(self._by_direction, factor)
-        solution.displacement = solution.solved(right[:, :, None])[:, :, 0]
+        solution = LatticeSolution(self._by_direction, factor, self.links, weight, modes, precision)
+        displacement, left = solution.solved(pull[:, :, None], steps[:, :, None])
+        solution.displacement, solution.left = displacement[:, :, 0], left[:, :, 0]
         return solution
 
     def filled(self, weight: FloatArray, weighted: FloatArray) -> npt.NDArray[np.float64]:
@@ -81,6 +92,7 @@ class _Pattern:
         pattern = sp.csc_array(sp.coo_array((np.arange(1.0, len(where[0]) + 1), where)))
         pattern.sort_indices()
         self._place, self._pattern, self._order = pattern.data.astype(np.int64) - 1, pattern, order
+        self.count = len(order)
 
     def factored(self, parts: list[FloatArray]):  # type: ignore[no-untyped-def]
         data, pattern = np.concatenate(parts)[self._place], self._pattern
@@ -95,14 +107,44 @@ class _Pattern:
 
 
 class LatticeSolution:
-    """displacement: (m, 2)."""
+    """displacement: (m, 2). left: (e, 2) by how much its differences along links exceed the steps."""
 
     displacement: npt.NDArray[np.float64]
+    left: npt.NDArray[np.float64]
 
-    def __init__(self, pattern: _Pattern, factor) -> None:  # type: ignore[no-untyped-def]
+    def __init__(  # type: ignore[no-untyped-def]
+        self,
+        pattern: _Pattern,
+        factor,
+        links: IntArray,
+        weight: FloatArray,
+        modes: FloatArray,
+        precision: float,
+    ) -> None:
         self._pattern, self._factor = pattern, factor
+        m, e, k = pattern.count // 2, len(links), modes.shape[2]
+        (a, b), each = links.T, np.arange(e)
+        ones = np.ones(e)
+        self._differences = sp.csr_array((np.r_[ones, -ones], (np.r_[each, each], np.r_[b, a])), (e, m))
+        self._weight = weight[:, None, None]
+        self._moved, moved_left = self._without_modes(np.zeros((m, 2, k)), modes)
+        self._modes_left = moved_left
+        self._weighted = (self._weight * modes).reshape(2 * e, k)
+        self._inverse = np.linalg.inv(precision * np.eye(k) - self._weighted.T @ moved_left.reshape(2 * e, k))
 
-    def solved(self, right: FloatArray) -> npt.NDArray[np.float64]:
-        """Return (m, 2, k) for right-hand sides (m, 2, k)."""
-        flat = self._pattern.solved(self._factor, right.reshape(2 * right.shape[0], -1))
-        return flat.reshape(right.shape)
+    def solved(
+        self, pull: FloatArray, steps: FloatArray
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Return (m, 2, n) the minima for pulls (m, 2, n) and steps (e, 2, n), and (e, 2, n) what is left."""
+        moved, left = self._without_modes(pull, steps)
+        found = self._inverse @ (self._weighted.T @ left.reshape(-1, steps.shape[2]))
+        return moved + self._moved @ found, left + self._modes_left @ found
+
+    def _without_modes(
+        self, pull: FloatArray, steps: FloatArray
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        pulled = self._differences.T @ (self._weight * steps).reshape(len(steps), -1)
+        right = pull + pulled.reshape(pull.shape)
+        flat = self._pattern.solved(self._factor, right.reshape(2 * len(right), -1)).reshape(right.shape)
+        along = (self._differences @ flat.reshape(len(flat), -1)).reshape(steps.shape)
+        return flat, along - steps

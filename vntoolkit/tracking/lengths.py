@@ -5,7 +5,7 @@ Two guesses, each by how well it does where the nodes around are measured:
 - Lengths on the surface stay. A step dx on the template is dxᵀ G_t dx long, squared, and dxᵀ Jᵀ G_c J dx in
   the frame, G the metrics that the normals give, so Jᵀ G_c J = G_t. That leaves a turn R open, which is
   that of the surroundings: J = G_c^(−1/2) R G_t^(1/2). At grazing angles, and where the surface is hidden,
-  it says little.
+  it says little. What the whole stretches by is left open too: `uniform_strains`.
 - The whole moves as one body: seen from afar, by an affine map of its points (u, v, depth), fitted robustly,
   and on it every piece that hangs together by its own. It is right for an ear behind the cheek's rim.
 """
@@ -28,7 +28,7 @@ STRAIN_PASSES = 4  # of lattice smoothing: strain that is not foreseen goes on o
 LINKS_ALIKE = NODES_BY_PASS  # a link and its neighbours err together: in a fit, so many tell one thing
 _RIM_STRAIN = 0.5  # where a surface turns out of sight: more may lie between two nodes than is seen …
 _RIM_STEEPNESS = 20.0  # … from this squared slope on, 77°
-_STRAIN = 0.07  # standard deviation of stretch, where none is measured: cloth has 0.03 to 0.1, skin up to 0.3
+STRAIN = 0.07  # standard deviation of stretch, where none is measured: cloth has 0.03 to 0.1, skin up to 0.3
 _BODY_STRAIN = 0.3  # the same, of a surface taken for one body: a face that talks, a cloth that swings
 _PRIOR_LINKS = 0.2  # measured links nearby that the two count for
 _NEAR_PASSES = 8  # of lattice smoothing: how far around a guess's success counts
@@ -100,7 +100,7 @@ class LinkLengths:
         tested = np.minimum(reliable[a], reliable[b])
         grazing = _NORMAL_ERROR**2 * np.maximum(steepness[a], steepness[b])
         variances = [
-            self._near_mean(_strain(steps - by_lengths, square), tested * trusted, _STRAIN**2)
+            self._near_mean(_strain(steps - by_lengths, square), tested * trusted, STRAIN**2)
             + grazing
             + 1
             - trusted,
@@ -150,6 +150,13 @@ class LinkLengths:
         sums = self._lattice.smoothed(sums, _NEAR_PASSES) / 3.0**_NEAR_PASSES
         mean = (sums[:, 0] + _PRIOR_LINKS * prior) / (sums[:, 1] + _PRIOR_LINKS)
         return np.asarray(0.5 * (mean[self.links[:, 0]] + mean[self.links[:, 1]]))
+
+
+def uniform_strains(steps: FloatArray) -> npt.NDArray[np.float64]:
+    """Return (links, 2, 3) what stretch along u, along v, and shear of the whole add to steps (links, 2)."""
+    x, y = steps.T
+    none = np.zeros_like(x)
+    return np.stack([np.stack(mode, axis=1) for mode in ((x, none), (none, y), (y, x))], axis=2)
 
 
 class _BodyMotion:

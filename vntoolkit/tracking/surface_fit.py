@@ -20,7 +20,7 @@ from vntoolkit.tracking.fit_errors import FitErrors
 from vntoolkit.tracking.flow import dense_flow
 from vntoolkit.tracking.lattice import LocalJacobians, lattice_on_template
 from vntoolkit.tracking.lattice_system import LatticeSystem
-from vntoolkit.tracking.lengths import LINKS_ALIKE, LinkLengths
+from vntoolkit.tracking.lengths import LINKS_ALIKE, STRAIN, LinkLengths, uniform_strains
 from vntoolkit.tracking.outline import Outline
 from vntoolkit.tracking.registration import Measurement, TemplateRegistration, WindowSteps
 from vntoolkit.tracking.slopes import Slopes, relief_slopes, sample_depth, sample_image, slopes_from_normals
@@ -117,13 +117,16 @@ class SurfaceFit:
             steps = guess - (now[lengths.links[:, 1]] - now[lengths.links[:, 0]])
             variance = variance + np.sum(steps**2, axis=1) / (LINKS_ALIKE * _TORN_SIGMAS**2)
             weight = 1.0 / (LINKS_ALIKE * variance)
-            solution = self._system.solve(information + outline, pull + outline_pull, weight, steps)
+            modes = uniform_strains(guess)
+            solution = self._system.solve(
+                information + outline, pull + outline_pull, weight, steps, modes, STRAIN**-2
+            )
             step = lattice.at_vertices(solution.displacement)
             positions = positions + step
             if np.mean(np.abs(step).max(axis=1) < enough) > _MOST:
                 break
         bands = _in_frame(told.bands, inverse)
-        square = self._errors.square(solution, bands, outline, weight, steps, np.sqrt(variance + slip))
+        square = self._errors.square(solution, bands, outline, np.sqrt(variance + slip), modes)
         return FittedFrame(
             positions_px=positions,
             depth=self._depth(positions, depth_map, hidden),
