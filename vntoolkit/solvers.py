@@ -4,8 +4,9 @@ The matrix is L = Σ_edges w_ij (e_i − e_j)(e_i − e_j)ᵀ + ground · I over
 Edge weights may be zero (pixels outside the mask, cut edges) or negative as long as L stays positive
 semidefinite, which the assembly in `surface_kernels` guarantees.
 
-One thread works: two would meet thousands of times a frame, and on a busy machine every meeting can cost a
-time slice (measured: 35 s for what one thread does in 2).
+The upper and the lower half of a large grid are swept at the same time, each as if the other stood still;
+for every number of threads the sums are the same. On small grids one thread works: two would meet thousands
+of times a frame, and on a busy machine every meeting can cost a time slice (measured: 35 s instead of 2).
 
 A coarser level sums the edges between blocks of 2×2 pixels and halves them: in two dimensions that is the
 matrix the coarse grid itself would have, while the plain Galerkin sum is twice too stiff for piecewise
@@ -18,39 +19,63 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from numba import prange
 
 from vntoolkit.native import njit
 
 _SMALLEST_SIDE = 4
 _LAST_SWEEPS = 20  # on the coarsest grid, each way
+_LARGE = 40_000  # pixels from which on a grid is swept in two halves
 Grid = npt.NDArray[np.float32]
 Row = npt.NDArray[np.float32]
 _GROUND = 1e-6  # pins the free constant of every connected piece; far below any data weight
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class GridLevel:
-    """One grid of the hierarchy: edges (4, h, w) float32 to the east, south, south-east and (stored at the
-    upper left pixel of the 2×2 block) from the upper right to the lower left pixel, or (2, h, w), without the
-    diagonal ones; inverse (h, w) of the diagonal, 0 where a pixel has no edge.
+class GridHierarchy:
+    """Grids, each about half as high and wide as the one before.
+
+    edges: per grid (4, h, w) float32 to the east, south, south-east and (stored at the upper left pixel of
+    the 2×2 block) from the upper right to the lower left pixel, or (2, h, w), without the diagonal ones.
+    inverse: per grid (h, w), 1 over the diagonal, 0 where a pixel has no edge. shapes: (n, 2), first:
+    (n + 1,), where each grid begins in `flat`: kinds of edges, inverse, right-hand side and solution.
     """
 
-    edges: Grid
-    inverse: Grid
+    edges: list[Grid]
+    inverse: list[Grid]
+    shapes: npt.NDArray[np.int64]
+    first: npt.NDArray[np.int64]
+    flat: Grid
 
 
-def grid_hierarchy(edges: Grid) -> list[GridLevel]:
-    """Build all levels from the finest edges, (4, h, w) or (2, h, w)."""
-    levels = []
-    while True:
-        levels.append(GridLevel(edges=edges, inverse=inverse_kernel(diagonal_kernel(edges))))
-        if min(edges.shape[1:]) <= _SMALLEST_SIDE:
-            return levels
-        edges = coarse_edges_kernel(edges)
+def grid_hierarchy(edges: Grid) -> GridHierarchy:
+    """Build all grids from the finest edges, (4, h, w) or (2, h, w)."""
+    kinds, height, width = edges.shape
+    shapes = [(height, width)]
+    while min(shapes[-1]) > _SMALLEST_SIDE:
+        shapes.append(((shapes[-1][0] + 1) // 2, (shapes[-1][1] + 1) // 2))
+    first = np.concatenate([[0], np.cumsum([h * w for h, w in shapes])])
+    flat = np.empty((kinds + 3) * int(first[-1]), np.float32)
+    all_edges: list[Grid] = []
+    all_inverse: list[Grid] = []
+    for i, (h, w) in enumerate(shapes):
+        start = (kinds + 3) * int(first[i])
+        own = flat[start : start + kinds * h * w].reshape(kinds, h, w)
+        if i == 0:
+            own[...] = edges
+        else:
+            coarse_edges_kernel(all_edges[-1], own)
+        inverse = flat[start + kinds * h * w :][: h * w].reshape(h, w)
+        inverse_kernel(diagonal_kernel(own), inverse)
+        all_edges.append(own)
+        all_inverse.append(inverse)
+    return GridHierarchy(
+        edges=all_edges, inverse=all_inverse, shapes=np.array(shapes), first=first, flat=flat
+    )
 
 
 def solve_grid(
-    levels: list[GridLevel], right: Grid, start: Grid, tolerance: float, most_iterations: int
+    levels: GridHierarchy, right: Grid, start: Grid, tolerance: float, most_iterations: int
 ) -> Grid:
     """Solve L x = right from `start` until the residual falls to `tolerance` of the right-hand side.
 
@@ -58,7 +83,7 @@ def solve_grid(
     tolerance: a Gauss–Newton step need not be solved to the end.
     """
     x = start.astype(np.float32).copy()
-    residual = right - apply_kernel(levels[0].edges, x)
+    residual = right - apply_kernel(levels.edges[0], x)
     target = tolerance * float(np.linalg.norm(right))
     direction = np.zeros_like(x)
     previous = 0.0
@@ -71,7 +96,7 @@ def solve_grid(
             break
         direction = cleaned if previous == 0.0 else cleaned + np.float32(now / previous) * direction
         previous = now
-        image = apply_kernel(levels[0].edges, direction)
+        image = apply_kernel(levels.edges[0], direction)
         curvature = _dot(direction, image)
         if not curvature > 0.0:
             break
@@ -85,21 +110,54 @@ def _dot(first: Grid, second: Grid) -> float:
     return float(np.vdot(first, second))
 
 
-def multigrid_cycle(levels: list[GridLevel], right: Grid, depth: int = 0) -> Grid:
+def multigrid_cycle(levels: GridHierarchy, right: Grid) -> Grid:
     """Approximate the x of L x = right by one symmetric V cycle."""
-    level = levels[depth]
     x = np.empty_like(right)
-    first_sweep_kernel(level.edges, level.inverse, right, x)
-    if depth + 1 < len(levels):
-        coarse_right = restrict_rest_kernel(level.edges, x)
-        prolong_add_kernel(multigrid_cycle(levels, coarse_right, depth + 1), level.inverse, x)
-    else:
-        for _ in range(_LAST_SWEEPS - 1):
-            sweep_kernel(level.edges, level.inverse, right, x, True)
-        for _ in range(_LAST_SWEEPS - 1):
-            sweep_kernel(level.edges, level.inverse, right, x, False)
-    sweep_kernel(level.edges, level.inverse, right, x, False)
+    _cycle_kernel(levels.flat, levels.shapes, levels.first, len(levels.edges[0]), right, x)
     return x
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _cycle_kernel(
+    flat: Row, shapes: npt.NDArray[np.int64], first: npt.NDArray[np.int64], kinds: int, right: Grid, x: Grid
+) -> None:
+    count = len(shapes)
+    last = count - 1
+    for i in range(count):
+        edges, inverse, asked, solution = _grid_of(flat, shapes, first, kinds, i)
+        if i == 0:
+            asked[...] = right
+        first_sweep_kernel(edges, inverse, asked, solution)
+        if i < last:
+            _, _, coarse_right, _ = _grid_of(flat, shapes, first, kinds, i + 1)
+            restrict_rest_kernel(edges, solution, coarse_right)
+    edges, inverse, asked, solution = _grid_of(flat, shapes, first, kinds, last)
+    for i in range(2 * (_LAST_SWEEPS - 1)):
+        sweep_kernel(edges, inverse, asked, solution, i < _LAST_SWEEPS - 1)
+    for k in range(count):
+        i = last - k
+        edges, inverse, asked, solution = _grid_of(flat, shapes, first, kinds, i)
+        if i < last:
+            _, _, _, coarse = _grid_of(flat, shapes, first, kinds, i + 1)
+            prolong_add_kernel(coarse, inverse, solution)
+        last_sweep_kernel(edges, inverse, asked, solution)
+    x[...] = solution
+
+
+@njit(cache=True, error_model="numpy")
+def _grid_of(
+    flat: Row, shapes: npt.NDArray[np.int64], first: npt.NDArray[np.int64], kinds: int, i: int
+) -> tuple[Grid, Grid, Grid, Grid]:
+    """Return edges, inverse, right-hand side and solution of one grid."""
+    h, w = shapes[i, 0], shapes[i, 1]
+    size, start = h * w, (kinds + 3) * first[i]
+    after = start + kinds * size
+    return (
+        flat[start:after].reshape((kinds, h, w)),
+        flat[after : after + size].reshape((h, w)),
+        flat[after + size : after + 2 * size].reshape((h, w)),
+        flat[after + 2 * size : after + 3 * size].reshape((h, w)),
+    )
 
 
 # Compiled loops of `grid_solver`. Edges (4, h, w): see `GridLevel`.
@@ -168,15 +226,13 @@ def diagonal_kernel(edges: Grid) -> Grid:
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def inverse_kernel(diagonal: Grid) -> Grid:
+def inverse_kernel(diagonal: Grid, out: Grid) -> None:
     """1 / diagonal; 0 where a pixel has no edge: it belongs to nothing and stays as it is, at 0."""
-    h, w = diagonal.shape
-    out = np.zeros((h, w), np.float32)
-    for v in range(h):
-        for u in range(w):
-            if diagonal[v, u] > np.float32(2 * _GROUND):
-                out[v, u] = np.float32(1.0) / diagonal[v, u]
-    return out
+    for v in range(len(out)):
+        row, to = diagonal[v], out[v]
+        for u in range(len(to)):
+            some = row[u] > np.float32(2 * _GROUND)
+            to[u] = np.float32(1.0) / row[u] if some else np.float32(0.0)
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
@@ -221,51 +277,56 @@ def _gather_rows(edges: Grid, right: Grid, x: Grid, v: int, out: Row) -> None:
     """Fill out (w,) with the right-hand side of row v and what the rows above and below pull."""
     for u in range(x.shape[1]):
         out[u] = right[v, u]
-    _pull_from_below(edges, x, v, out)
-    _pull_from_above(edges, x, v, out)
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
-def _pull_from_below(edges: Grid, x: Grid, v: int, out: Row) -> None:
-    """Add to out (w,) what the row below v pulls."""
-    h, w = x.shape
-    if v + 1 < h:
-        below, down = x[v + 1], edges[1, v]
-        for u in range(w):
-            out[u] += down[u] * below[u]
-        if len(edges) == 4:
-            east, west = edges[2, v], edges[3, v]
-            for u in range(w - 1):
-                out[u] += east[u] * below[u + 1]
-            for u in range(1, w):
-                out[u] += west[u - 1] * below[u - 1]
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
-def _pull_from_above(edges: Grid, x: Grid, v: int, out: Row) -> None:
-    """Add to out (w,) what the row above v pulls."""
-    w = x.shape[1]
+    if v + 1 < len(x):
+        _pull_from_below(edges, x[v + 1], v, out)
     if v > 0:
-        above, up = x[v - 1], edges[1, v - 1]
-        for u in range(w):
-            out[u] += up[u] * above[u]
-        if len(edges) == 4:
-            west, east = edges[2, v - 1], edges[3, v - 1]
-            for u in range(w - 1):
-                out[u] += east[u] * above[u + 1]
-            for u in range(1, w):
-                out[u] += west[u - 1] * above[u - 1]
+        _pull_from_above(edges, x[v - 1], v, out)
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def coarse_edges_kernel(edges: Grid) -> Grid:
-    """Half the sum of the edges between blocks of 2×2 pixels; those inside a block drop out."""
+def _pull_from_below(edges: Grid, below: Row, v: int, out: Row) -> None:
+    """Add to out (w,) what the row below v pulls."""
+    w = len(below)
+    down = edges[1, v]
+    for u in range(w):
+        out[u] += down[u] * below[u]
+    if len(edges) == 4:
+        east, west, ahead, beside = edges[2, v], edges[3, v], below[1:], out[1:]
+        for u in range(w - 1):
+            out[u] += east[u] * ahead[u]
+        for u in range(w - 1):
+            beside[u] += west[u] * below[u]
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _pull_from_above(edges: Grid, above: Row, v: int, out: Row) -> None:
+    """Add to out (w,) what the row above v pulls."""
+    w = len(above)
+    up = edges[1, v - 1]
+    for u in range(w):
+        out[u] += up[u] * above[u]
+    if len(edges) == 4:
+        west, east, ahead, beside = edges[2, v - 1], edges[3, v - 1], above[1:], out[1:]
+        for u in range(w - 1):
+            beside[u] += west[u] * above[u]
+        for u in range(w - 1):
+            out[u] += east[u] * ahead[u]
+
+
+@njit(cache=True, error_model="numpy")
+def _middle(h: int, w: int) -> int:
+    """Return the row where the lower half begins; 0 where a grid is swept in one."""
+    return 2 * (h // 4) if h * w >= _LARGE else 0
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def coarse_edges_kernel(edges: Grid, out: Grid) -> None:
+    """Fill out with half the sum of the edges between blocks of 2×2 pixels; those inside one drop out."""
     kinds, h, w = edges.shape
-    ch, cw = (h + 1) // 2, (w + 1) // 2
-    out = np.zeros((kinds, ch, cw), np.float32)
+    out[...] = np.float32(0.0)
     if kinds == 2:
         _halve_edges(edges, out)
-        return out
+        return
     for v in range(h):
         for u in range(w):
             for kind in range(4):
@@ -288,7 +349,6 @@ def coarse_edges_kernel(edges: Grid) -> Grid:
                     out[2, b, a] += half
                 else:
                     out[3, b, c] += half
-    return out
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
@@ -304,20 +364,33 @@ def _halve_edges(edges: Grid, out: Grid) -> None:
             out[1, v // 2, u // 2] += half * edges[1, v, u]
 
 
+@njit(cache=True, fastmath=True, error_model="numpy", parallel=True)
+def _two_first_sweeps(edges: Grid, inverse: Grid, right: Grid, x: Grid, middle: int) -> None:
+    for half in prange(2):
+        _first_sweep(edges, inverse, right, x, half * middle, middle if half == 0 else len(x))
+
+
 @njit(cache=True, fastmath=True, error_model="numpy")
 def first_sweep_kernel(edges: Grid, inverse: Grid, right: Grid, x: Grid) -> None:
-    """Fill x with the forward sweep from 0: a pixel sees only those before it."""
-    h, w = x.shape
+    """Fill x with the forward sweep from 0: a pixel sees only those before it, in its half."""
+    middle = _middle(*x.shape)
+    if middle:
+        _two_first_sweeps(edges, inverse, right, x, middle)
+    else:
+        _first_sweep(edges, inverse, right, x, 0, len(x))
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _first_sweep(edges: Grid, inverse: Grid, right: Grid, x: Grid, top: int, end: int) -> None:
+    w = x.shape[1]
     known, pull = np.empty(w, np.float32), np.empty(w, np.float32)
-    for v in range(h):
-        bond, scale, row, asked = edges[0, v], inverse[v], x[v], right[v]
+    for v in range(top, end):
+        scale, row, asked = inverse[v], x[v], right[v]
         for u in range(w):
             known[u] = asked[u]
-        _pull_from_above(edges, x, v, known)
-        for u in range(w):
-            known[u] *= scale[u]
-        for u in range(1, w):
-            pull[u] = bond[u - 1] * scale[u]
+        if v > top:
+            _pull_from_above(edges, x[v - 1], v, known)
+        _scale_row(known, edges[0, v], scale[1:], scale, pull[1:])
         last = known[0]
         row[0] = last
         for u in range(1, w):
@@ -326,30 +399,121 @@ def first_sweep_kernel(edges: Grid, inverse: Grid, right: Grid, x: Grid) -> None
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def restrict_rest_kernel(edges: Grid, x: Grid) -> Grid:
-    """Sum what `first_sweep_kernel` leaves of the right-hand side over blocks of 2×2 pixels.
+def _scale_row(known: Row, bond: Row, beside: Row, scale: Row, pull: Row) -> None:
+    for u in range(len(known)):
+        known[u] *= scale[u]
+    for u in range(len(pull)):
+        pull[u] = bond[u] * beside[u]
 
-    Every pixel was right when it was solved; what is left is what the pixels after it pull.
-    """
+
+@njit(cache=True, fastmath=True, error_model="numpy", parallel=True)
+def _two_last_sweeps(edges: Grid, inverse: Grid, right: Grid, x: Grid, middle: int) -> None:
+    above, below = x[middle - 1].copy(), x[middle].copy()
+    for half in prange(2):
+        if half == 0:
+            _last_sweep(edges, inverse, right, x, 0, middle, above, below)
+        else:
+            _last_sweep(edges, inverse, right, x, middle, len(x), above, below)
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def last_sweep_kernel(edges: Grid, inverse: Grid, right: Grid, x: Grid) -> None:
+    """One sweep back: the transpose of `first_sweep_kernel`."""
+    middle = _middle(*x.shape)
+    if middle:
+        _two_last_sweeps(edges, inverse, right, x, middle)
+    else:
+        _last_sweep(edges, inverse, right, x, 0, len(x), x[0], x[0])
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _last_sweep(
+    edges: Grid, inverse: Grid, right: Grid, x: Grid, top: int, end: int, above: Row, below: Row
+) -> None:
+    """above, below: the rows before and from the middle on as they were: what the other half holds."""
     h, w = x.shape
-    out = np.zeros(((h + 1) // 2, (w + 1) // 2), np.float32)
-    left = np.empty(w + 1, np.float32)
-    for v in range(h):
-        bond, row, to = edges[0, v], x[v], out[v // 2]
+    known, pull = np.empty(w, np.float32), np.empty(w, np.float32)
+    for i in range(end - top):
+        v = end - 1 - i
+        scale, row, bond = inverse[v], x[v], edges[0, v]
+        for u in range(w):
+            known[u] = right[v, u]
+        if v + 1 < h:
+            _pull_from_below(edges, below if v + 1 == end else x[v + 1], v, known)
+        if v > 0:
+            _pull_from_above(edges, above if v == top else x[v - 1], v, known)
+        beside = known[1:]
         for u in range(w - 1):
-            left[u] = bond[u] * row[u + 1]
+            beside[u] += bond[u] * row[u]
+        _scale_row(known, bond, scale[: w - 1], scale, pull[: w - 1])
+        last = known[w - 1]
+        row[w - 1] = last
+        for u in range(w - 2, -1, -1):
+            last = known[u] + pull[u] * last
+            row[u] = last
+
+
+@njit(cache=True, fastmath=True, error_model="numpy", parallel=True)
+def _two_restrictions(edges: Grid, x: Grid, out: Grid, middle: int) -> None:
+    for half in prange(2):
+        _restrict(edges, x, out, half * middle, middle if half == 0 else len(x))
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def restrict_rest_kernel(edges: Grid, x: Grid, out: Grid) -> None:
+    """Fill out with the sums over blocks of 2×2 pixels of what `first_sweep_kernel` leaves.
+
+    Every pixel was right when it was solved; what is left is what the pixels after it, and the other half,
+    pull.
+    """
+    middle = _middle(*x.shape)
+    if middle:
+        _two_restrictions(edges, x, out, middle)
+    else:
+        _restrict(edges, x, out, 0, len(x))
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _restrict(edges: Grid, x: Grid, out: Grid, top: int, end: int) -> None:
+    h, w = x.shape
+    left = np.empty(w + 1, np.float32)
+    for v in range(top, end):
+        bond, row, to = edges[0, v], x[v], out[v // 2]
+        beside = row[1:]
+        for u in range(w - 1):
+            left[u] = bond[u] * beside[u]
         left[w - 1] = left[w] = np.float32(0.0)
-        _pull_from_below(edges, x, v, left)
+        if v + 1 < h:
+            _pull_from_below(edges, x[v + 1], v, left[:w])
+        if v == top and v > 0:
+            _pull_from_above(edges, x[v - 1], v, left[:w])
+        if v % 2 == 0:
+            for u in range(len(to)):
+                to[u] = np.float32(0.0)
         for u in range(len(to)):
             to[u] += left[2 * u] + left[2 * u + 1]
-    return out
+
+
+@njit(cache=True, fastmath=True, error_model="numpy", parallel=True)
+def _two_prolongations(coarse: Grid, inverse: Grid, x: Grid, middle: int) -> None:
+    for half in prange(2):
+        _prolong(coarse, inverse, x, half * middle, middle if half == 0 else len(x))
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def prolong_add_kernel(coarse: Grid, inverse: Grid, x: Grid) -> None:
     """Add to every pixel that has an edge the value of its block."""
-    h, w = x.shape
-    for v in range(h):
-        for u in range(w):
-            if inverse[v, u] > 0.0:
-                x[v, u] += coarse[v // 2, u // 2]
+    middle = _middle(*x.shape)
+    if middle:
+        _two_prolongations(coarse, inverse, x, middle)
+    else:
+        _prolong(coarse, inverse, x, 0, len(x))
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _prolong(coarse: Grid, inverse: Grid, x: Grid, top: int, end: int) -> None:
+    for v in range(top, end):
+        row, to, some = coarse[v // 2], x[v], inverse[v]
+        for u in range(len(to)):
+            value = row[u // 2]
+            to[u] += value if some[u] > np.float32(0.0) else np.float32(0.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import cv2
+import numba
 import numpy as np
 import pytest
 
@@ -24,6 +25,7 @@ from vntoolkit.solvers import (
     apply_kernel,
     first_sweep_kernel,
     grid_hierarchy,
+    multigrid_cycle,
     restrict_rest_kernel,
     solve_grid,
     sweep_kernel,
@@ -163,13 +165,32 @@ def test_the_first_sweep_leaves_what_the_matrix_says(rng: np.random.Generator, k
     edges[1, -1] = edges[2, -1] = edges[3, -1] = 0
     right = rng.normal(size=(11, 8)).astype(np.float32)
     given = np.ascontiguousarray(edges[:kinds])
-    level = grid_hierarchy(given)[0]
+    inverse = grid_hierarchy(given).inverse[0]
     x, plain = np.empty_like(right), np.zeros_like(right)
-    first_sweep_kernel(given, level.inverse, right, x)
-    sweep_kernel(edges, level.inverse, right, plain, True)
+    first_sweep_kernel(given, inverse, right, x)
+    sweep_kernel(edges, inverse, right, plain, True)
     assert np.abs(x - plain).max() < 1e-5
     rest = np.pad(right - apply_kernel(edges, x), ((0, 1), (0, 0))).reshape(6, 2, 4, 2).sum((1, 3))
-    assert np.abs(restrict_rest_kernel(given, x) - rest).max() < 1e-4
+    found = np.empty((6, 4), np.float32)
+    restrict_rest_kernel(given, x, found)
+    assert np.abs(found - rest).max() < 1e-4
+
+
+def test_a_cycle_is_symmetric_and_the_same_for_every_number_of_threads(rng: np.random.Generator) -> None:
+    """Of a grid so large that it is swept in two halves."""
+    edges = rng.random((4, 230, 181)).astype(np.float32)
+    edges[0, :, -1] = edges[2, :, -1] = edges[3, :, -1] = 0
+    edges[1, -1] = edges[2, -1] = edges[3, -1] = 0
+    levels = grid_hierarchy(edges)
+    first, second = (rng.normal(size=(230, 181)).astype(np.float32) for _ in range(2))
+    one, other = multigrid_cycle(levels, first), multigrid_cycle(levels, second)
+    across, back = float(np.vdot(second, one)), float(np.vdot(first, other))
+    size = float(np.linalg.norm(first) * np.linalg.norm(other))
+    assert across == pytest.approx(back, abs=1e-5 * size)
+    threads = numba.get_num_threads()
+    numba.set_num_threads(1)
+    assert np.array_equal(multigrid_cycle(levels, first), one)
+    numba.set_num_threads(threads)
 
 
 def test_fill_keeps_what_is_known_and_stays_between() -> None:

@@ -49,7 +49,7 @@ class IntegrationOptions:
     steepest_slope_deg: float = 89.0
     least_weight: float = 0.02
     precision: Precision = Precision.SINGLE
-    tolerance: float = 1e-6
+    tolerance: float = 1e-5
     most_iterations: int = 1000
 
     def __post_init__(self) -> None:

@@ -8,6 +8,7 @@ transform is that mirrored Fourier transform without the copies.
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any, Protocol
 
 import numba
@@ -19,7 +20,7 @@ from vntoolkit.arrays import Mask
 from vntoolkit.errors import SolverFailed
 from vntoolkit.integration.edges import EdgeField
 from vntoolkit.native import njit
-from vntoolkit.solvers import GridLevel, grid_hierarchy, multigrid_cycle
+from vntoolkit.solvers import GridHierarchy, grid_hierarchy, multigrid_cycle
 
 _MOST_WORKERS = 2  # more wait for each other at this size
 Image = npt.NDArray[np.floating[Any]]
@@ -110,9 +111,17 @@ class MaskedSolver:
         height, width = (scipy.fft.next_fast_len(n, real=True) for n in inside.shape)
         self._inside = np.zeros((height, width), dtype=bool)
         self._inside[: inside.shape[0], : inside.shape[1]] = inside
-        self._cosine = CosineSolver(height, width)
-        self._levels: list[GridLevel] | None = None
+        self._levels: GridHierarchy | None = None
         self.iterations = 0
+
+    @cached_property
+    def _cosine(self) -> CosineSolver:
+        return CosineSolver(*self._inside.shape)
+
+    @cached_property
+    def _outside_negative(self) -> npt.NDArray[np.float32]:
+        """0 outside; -1 inside, since the cosine transform solves with the other sign."""
+        return -self._inside.astype(np.float32)
 
     def solve(
         self, edges: EdgeField, start: npt.NDArray[np.floating[Any]] | None = None, *, weighted: bool = False
@@ -124,16 +133,11 @@ class MaskedSolver:
         """
         right, down = self._padded(edges.right_weight), self._padded(edges.down_weight)
         self._levels = _levels_of(right, down) if weighted else None
-        residual = np.zeros(right.shape)
-        _load(self._padded(edges.right), self._padded(edges.down), right, down, residual)
-        depth = np.zeros(right.shape)
-        scale = self._energy(residual)
+        load, depth = np.zeros(right.shape), np.zeros(right.shape)
+        _load(self._padded(edges.right), self._padded(edges.down), right, down, load)
         if start is not None:
             depth[1:-1, 1:-1] = self._padded(start)[1:-1, 1:-1]
-            product = np.zeros_like(depth)
-            _apply(right, down, depth, product)
-            residual -= product
-        self._iterate(right, down, depth, residual, scale)
+        self._iterate(right, down, depth, load)
         out = np.zeros(self._shape)
         box_height, box_width = (s.stop - s.start for s in self._box)
         out[self._box] = depth[1 : box_height + 1, 1 : box_width + 1]
@@ -144,45 +148,49 @@ class MaskedSolver:
         right: npt.NDArray[np.float32],
         down: npt.NDArray[np.float32],
         depth: Float64Image,
-        residual: Float64Image,
-        scale: float,
+        load: Float64Image,
     ) -> None:
-        """Preconditioned conjugate gradients, in place on depth and residual."""
-        direction = np.zeros_like(depth)
-        product = np.zeros_like(depth)
-        energy = np.inf
+        """Preconditioned conjugate gradients, in place on depth.
+
+        Directions and the preconditioner's arithmetic are rounded to single precision, the rest may not be.
+        """
+        direction, product = np.zeros(depth.shape, np.float32), np.zeros(depth.shape)
+        scaled, sums = np.empty(self._inside.shape, np.float32), np.zeros(len(depth))
+        _apply(right, down, depth, product, sums)
+        residual = load - product
+        scale = float(np.vdot(depth, load))
+        largest = _largest(residual) or 1.0
+        residual *= 1.0 / largest  # so that single precision holds its smallest parts
+        step, energy = 0.0, np.inf
         self.iterations = 0
         while self.iterations <= self._most_iterations:
-            correction = self._precondition(residual)
-            previous, energy = energy, _dot(residual, correction)
-            if energy <= self._tolerance**2 * scale:
-                return
+            _update(depth, residual, direction, product, step, step * largest, scaled)
+            correction = self._precondition(scaled)
+            _dot(residual, correction, sums)
+            previous, energy = energy, float(sums.sum())
+            left = energy * largest**2
+            scale = max(scale, left) if self.iterations == 0 else scale
+            if left <= self._tolerance**2 * scale:
+                scale = float(np.vdot(depth, load)) or 1.0  # the solution's own energy, not the start's error
+                if left <= self._tolerance**2 * scale:
+                    return
             _advance(direction, correction, energy / previous)
-            step = energy / _apply(right, down, direction, product)
-            _update(depth, residual, direction, product, step)
+            _apply(right, down, direction, product, sums)
+            step = energy / float(sums.sum())
             self.iterations += 1
         raise SolverFailed(
             f"masked Poisson did not converge in {self._most_iterations} iterations (relative "
-            f"residual {np.sqrt(energy / scale):.1e}, wanted {self._tolerance:.1e}): "
+            f"residual {np.sqrt(energy * largest**2 / scale):.1e}, wanted {self._tolerance:.1e}): "
             "raise most_iterations or tolerance"
         )
 
-    def _precondition(self, residual: Float64Image) -> npt.NDArray[np.float32]:
+    def _precondition(self, residual: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """Solve on the rectangle, or by one multigrid cycle: this may be rounded, the operator may not."""
-        scaled, largest = np.empty(self._inside.shape, np.float32), _largest(residual) or 1.0
         if self._levels is not None:
-            _scale_into(residual, 1.0 / largest, scaled)
-            solution = multigrid_cycle(self._levels, scaled)
-            solution *= np.float32(largest)
-            return solution
-        _scale_into(residual, -1.0 / largest, scaled)
-        solution = self._cosine.solve(scaled)
-        solution *= np.float32(largest)
-        solution *= self._inside
+            return multigrid_cycle(self._levels, residual)
+        solution = self._cosine.solve(residual)
+        solution *= self._outside_negative
         return solution
-
-    def _energy(self, residual: Float64Image) -> float:
-        return _dot(residual, self._precondition(residual)) or 1.0
 
     def _padded(self, image: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.floating[Any]]:
         """Crop to the box and put a rim of zeros around, so that no kernel asks for a border."""
@@ -193,18 +201,21 @@ class MaskedSolver:
         return out
 
 
-def _levels_of(right: npt.NDArray[Any], down: npt.NDArray[Any]) -> list[GridLevel]:
+def _levels_of(right: npt.NDArray[Any], down: npt.NDArray[Any]) -> GridHierarchy:
     """The grids of the weights (h + 2, w + 2) inside their rim."""
     edges = np.empty((2, right.shape[0] - 2, right.shape[1] - 2), np.float32)
     edges[0], edges[1] = right[1:-1, 1:-1], down[1:-1, 1:-1]
     return grid_hierarchy(edges)
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+# Compiled loops over images with a rim of zeros. Sums are kept by rows: the same for any number of threads.
+
+
+@njit(cache=True, fastmath=True, nogil=True, parallel=True)
 def _load(right, down, right_weight, down_weight, out):  # type: ignore[no-untyped-def]
     """Right-hand side: the weighted divergence of the wanted differences, with the sign of A z = b."""
     height, width = out.shape
-    for v in range(1, height - 1):
+    for v in numba.prange(1, height - 1):
         for u in range(1, width - 1):
             out[v, u] = (
                 np.float64(right_weight[v, u - 1]) * right[v, u - 1]
@@ -214,23 +225,25 @@ def _load(right, down, right_weight, down_weight, out):  # type: ignore[no-untyp
             )
 
 
-@njit(cache=True, fastmath=True, nogil=True)
-def _apply(right, down, x, out):  # type: ignore[no-untyped-def]
-    """out = A x; return x · A x."""
+@njit(cache=True, fastmath=True, nogil=True, parallel=True)
+def _apply(right, down, x, out, sums):  # type: ignore[no-untyped-def]
+    """out = A x; sums (h,): x · A x of each row."""
     height, width = x.shape
-    total = 0.0
-    for v in range(1, height - 1):
-        for u in range(1, width - 1):
-            here = x[v, u]
+    for v in numba.prange(1, height - 1):
+        here, west, east = x[v, 1 : width - 1], x[v], x[v, 2:]
+        above, below, to = x[v - 1, 1 : width - 1], x[v + 1, 1 : width - 1], out[v, 1 : width - 1]
+        to_west, to_east = right[v], right[v, 1 : width - 1]
+        up, to_below = down[v - 1, 1 : width - 1], down[v, 1 : width - 1]
+        total = 0.0
+        for u in range(width - 2):
+            own = np.float64(here[u])
             value = (
-                right[v, u] * (here - x[v, u + 1])
-                + right[v, u - 1] * (here - x[v, u - 1])
-                + down[v, u] * (here - x[v + 1, u])
-                + down[v - 1, u] * (here - x[v - 1, u])
-            )
-            out[v, u] = value
-            total += here * value
-    return total
+                to_east[u] * (own - east[u]) + to_west[u] * (own - west[u])
+                + to_below[u] * (own - below[u]) + up[u] * (own - above[u])
+            )  # fmt: skip
+            to[u] = value
+            total += own * value
+        sums[v] = total
 
 
 @njit(cache=True, fastmath=True, nogil=True)
@@ -242,36 +255,33 @@ def _largest(padded):  # type: ignore[no-untyped-def]
     return largest
 
 
-@njit(cache=True, fastmath=True, nogil=True)
-def _scale_into(padded, factor, out):  # type: ignore[no-untyped-def]
-    height, width = out.shape
-    for v in range(height):
+@njit(cache=True, fastmath=True, nogil=True, parallel=True)
+def _update(depth, residual, direction, product, step, depth_step, scaled):  # type: ignore[no-untyped-def]
+    """Take a step along the direction; fill scaled (h, w), float32, with what is left."""
+    height, width = scaled.shape
+    for v in numba.prange(height):
+        z, left, to = depth[v + 1, 1 : width + 1], residual[v + 1, 1 : width + 1], scaled[v]
+        way, image = direction[v + 1, 1 : width + 1], product[v + 1, 1 : width + 1]
         for u in range(width):
-            out[v, u] = padded[v + 1, u + 1] * factor
+            z[u] += depth_step * way[u]
+            left[u] -= step * image[u]
+            to[u] = left[u]
 
 
-@njit(cache=True, fastmath=True, nogil=True)
-def _dot(padded, inner):  # type: ignore[no-untyped-def]
+@njit(cache=True, fastmath=True, nogil=True, parallel=True)
+def _dot(padded, inner, sums):  # type: ignore[no-untyped-def]
     height, width = inner.shape
-    total = 0.0
-    for v in range(height):
+    for v in numba.prange(height):
+        first, second, total = padded[v + 1, 1 : width + 1], inner[v], 0.0
         for u in range(width):
-            total += padded[v + 1, u + 1] * inner[v, u]
-    return total
+            total += first[u] * second[u]
+        sums[v + 1] = total
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True, nogil=True, parallel=True)
 def _advance(direction, correction, factor):  # type: ignore[no-untyped-def]
     height, width = correction.shape
-    for v in range(height):
+    for v in numba.prange(height):
+        to, more = direction[v + 1, 1 : width + 1], correction[v]
         for u in range(width):
-            direction[v + 1, u + 1] = factor * direction[v + 1, u + 1] + correction[v, u]
-
-
-@njit(cache=True, fastmath=True, nogil=True)
-def _update(depth, residual, direction, product, step):  # type: ignore[no-untyped-def]
-    height, width = depth.shape
-    for v in range(height):
-        for u in range(width):
-            depth[v, u] += step * direction[v, u]
-            residual[v, u] -= step * product[v, u]
+            to[u] = np.float32(factor) * to[u] + more[u]

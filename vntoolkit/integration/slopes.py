@@ -84,7 +84,8 @@ def slopes_from_normals(
     p = np.empty(normals.shape[:2], dtype=np.float32)
     q = np.empty_like(p)
     if rays.table is None:
-        _slopes_affine(normals, rays.affine, np.float32(rays.depth_scales_ray), least_facing, p, q)
+        flat = normals.reshape(len(normals), -1)
+        _slopes_affine(flat, rays.affine, np.float32(rays.depth_scales_ray), least_facing, p, q)
     else:
         _slopes_table(normals, rays.table, least_facing, p, q)
     return p, q
@@ -97,15 +98,16 @@ def _slopes_affine(normals, affine, perspective, least_facing, p, q):  # type: i
     y_u, y_v, y_0 = affine[3], affine[4], affine[5]
     one = np.float32(1.0)
     for v in numba.prange(height):
+        line, to_p, to_q = normals[v], p[v], q[v]
         for u in range(width):
-            nx, ny, nz = normals[v, u, 0], normals[v, u, 1], normals[v, u, 2]
+            nx, ny, nz = line[3 * u], line[3 * u + 1], line[3 * u + 2]
             x = perspective * (x_u * np.float32(u) + x_v * np.float32(v) + x_0)
             y = perspective * (y_u * np.float32(u) + y_v * np.float32(v) + y_0)
             facing = -(nx * x + ny * y + nz)
             least = least_facing * np.sqrt(x * x + y * y + one)
             inverse = one / max(facing, least)
-            p[v, u] = (nx * x_u + ny * y_u) * inverse
-            q[v, u] = (nx * x_v + ny * y_v) * inverse
+            to_p[u] = (nx * x_u + ny * y_u) * inverse
+            to_q[u] = (nx * x_v + ny * y_v) * inverse
 
 
 @njit(cache=True, fastmath=True, parallel=True)

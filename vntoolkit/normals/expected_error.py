@@ -98,7 +98,7 @@ def with_expected_error(
     c = _coefficients(response, camera)
     noise, constants = _evidence(light, mask, labels, c, residual_deg)
     error, weight = np.empty(shape, np.float32), np.empty(shape, np.float32)
-    _error_kernel(light.image, mask, labels, noise, constants, error, weight)
+    _error_kernel(_flat(light.image), mask, labels, noise, constants, error, weight)
     return replace(normal_map, error_deg=error, noise_deg=_noise_deg(noise), weight=weight)
 
 
@@ -129,8 +129,8 @@ def normals_and_errors_from_encoded(
     normals, valid = np.empty((*shape, 3), np.float32), np.empty(shape, np.bool_)
     error, weight = np.empty(shape, np.float32), np.empty(shape, np.float32)
     clipped = np.zeros(shape[0], np.int64)
-    out = (normals, valid, error, weight, clipped)
-    _normals_and_errors_kernel(light.image, decoding.table, inside, noise, constants, limits, out)
+    out = (_flat(normals), valid, error, weight, clipped)
+    _normals_and_errors_kernel(_flat(light.image), decoding.table, inside, noise, constants, limits, out)
     found = NormalMap(
         normals_in_camera=normals, mask=valid, weight=weight, error_deg=error, noise_deg=_noise_deg(noise)
     )
@@ -198,7 +198,7 @@ def _evidence(
     """Return the frame's noise by cells, (2, ⌈h/8⌉, ⌈w/8⌉), and what holds for all its pixels."""
     cells = tuple(-(-n // _CELL) for n in mask.shape)
     found, noise = np.zeros((2, *cells), np.float32), np.empty((2, *cells), np.float32)
-    _curl_kernel(light.image, light.table, mask, c, found)
+    _curl_kernel(_flat(light.image), light.table, mask, c, found)
     _add_neighbours(found, noise)
     known = int(found[1].sum()) * _CELL
     step = math.isqrt(max(known, mask.size // _MOST_PER_KNOWN) // _SAMPLES)
@@ -252,16 +252,21 @@ def _fit_ellipsoid(
 
 
 # Compiled loops. A table of None stands for linear light: numba drops the branches for another. Rows are
-# slices, whose loops begin at 0: a loop that begins elsewhere is not done eight pixels at a time.
+# flat slices, whose loops begin at 0: only such loops are done eight pixels at a time.
+
+
+def _flat(image: Any) -> Any:
+    """Return an image (h, w, 3) as rows (h, 3 w)."""
+    return image.reshape(len(image), -1)
 
 
 @njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
 def _read_row(line: Any, table: Any, r: Any, g: Any, b: Any) -> None:
     for u in range(len(r)):
         if table is None:
-            r[u], g[u], b[u] = line[u, 0], line[u, 1], line[u, 2]
+            r[u], g[u], b[u] = line[3 * u], line[3 * u + 1], line[3 * u + 2]
         else:
-            r[u], g[u], b[u] = table[line[u, 0]], table[line[u, 1]], table[line[u, 2]]
+            r[u], g[u], b[u] = table[line[3 * u]], table[line[3 * u + 1]], table[line[3 * u + 2]]
 
 
 @njit(cache=True, nogil=True)
@@ -376,7 +381,7 @@ def _curl_row(image: Any, table: Any, mask: Mask, c: _Coefficients, v: int, sums
         (v - 1, above, unused, above_known), (v + 1, below, unused, below_known), (v, p, q, known)
     ):  # fmt: skip
         _slopes_row(
-            image[row, first:last], table, mask[row, first:last], c, row, first, to_p[first:last],
+            image[row, 3 * first : 3 * last], table, mask[row, first:last], c, row, first, to_p[first:last],
             to_q[first:last], to_known[first:last],
         )  # fmt: skip
     inner, zero, half, one = width - 2, np.float32(0.0), np.float32(0.5), np.float32(1.0)
@@ -513,7 +518,7 @@ def _error_kernel(
             for u in range(count):
                 unlit[u] = _BY_LABEL[label[u]]
         _noise_row(noise, v, np.empty(noise.shape[2] + 2, np.float32), row_noise)
-        _read_row(rgb[v, first:last], None, r, g, b)
+        _read_row(rgb[v, 3 * first : 3 * last], None, r, g, b)
         _bound_row(
             r, g, b, unlit, row_noise[first:last], mask[v, first:last], constants, length,
             error[v, first:last], weight[v, first:last],
@@ -542,7 +547,7 @@ def _normals_and_errors_kernel(
             good[u] = mask[v, u] & ((not top) | (clipped_factor > zero))
         clipped[v] = count
         _bound_row(r, g, b, unlit, row_noise, good, constants, length, error[v], weight[v])
-        to_error, to_weight, to_valid = error[v], weight[v], valid[v]
+        to_error, to_weight, to_valid, to_normals = error[v], weight[v], valid[v], normals[v]
         for u in range(width):
             kept = good[u] & (length[u] > darkest) & (length[u] < _LONGEST) & (b[u] < zero)
             to_valid[u] = kept
@@ -550,6 +555,6 @@ def _normals_and_errors_kernel(
             to_weight[u] = to_weight[u] if kept else zero
             r[u], g[u], b[u] = r[u] if kept else zero, g[u] if kept else zero, b[u] if kept else zero
         for u in range(width):
-            normals[v, u, 0] = r[u]
-            normals[v, u, 1] = g[u]
-            normals[v, u, 2] = b[u]
+            to_normals[3 * u] = r[u]
+            to_normals[3 * u + 1] = g[u]
+            to_normals[3 * u + 2] = b[u]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,31 +12,34 @@ from numba import prange
 from vntoolkit.arrays import FloatArray, Mask
 from vntoolkit.native import njit
 
+Nodes = npt.NDArray[np.int32]
 _WEAKEST_BOND = 0.05  # part of the full price that a change of label across a sharp edge still costs
 _DARK_COSINE = 0.03  # added to a cosine before its logarithm: noise is no edge
 
 
 def lit_by_cut(
-    evidence: FloatArray, bonds: tuple[FloatArray, FloatArray], mask: Mask, strongest: float | None = None
+    evidence: FloatArray,
+    bonds: Callable[[Nodes], tuple[FloatArray, FloatArray]],
+    mask: Mask,
+    strongest: float,
 ) -> npt.NDArray[np.bool_]:
     """Minimise Σ |evidence| over pixels labelled against it plus the bonds cut.
 
-    evidence: (h, w), positive speaks for light, negative for shadow. bonds: to the east and to the south
-    neighbour, (h, w) each, at least 0, the price of a change there; those of the last column and row lead
-    nowhere. strongest: no bond costs more; None to look. Returns (h, w), True where lit (and outside `mask`).
-    Of several cheapest labellings it is the one with the most light.
+    evidence: (h, w), positive speaks for light, negative for shadow. bonds: returns those to the east and to
+    the south neighbour, (h, w) each, at least 0, the price of a change there, known at least at nodes, whose
+    number is not negative; those of the last column and row lead nowhere. strongest: no bond costs more.
+    Returns (h, w), True where lit (and outside `mask`). Of several cheapest labellings it is the one with the
+    most light.
 
     A pixel whose evidence outweighs its four bonds has its label whatever its neighbours have; only the
     others enter the cut.
     """
-    east, south = (np.asarray(bond) for bond in bonds)
-    most = strongest if strongest is not None else float(max(east.max(initial=0.0), south.max(initial=0.0)))
     given = np.asarray(evidence)
-    number: npt.NDArray[np.int32] = np.empty(mask.shape, np.int32)
+    number: Nodes = np.empty(mask.shape, np.int32)
     lit: npt.NDArray[np.bool_] = np.empty(mask.shape, np.bool_)
-    count = _number_kernel(given, mask, 4.0 * most, number, lit)
+    count = _number_kernel(given, mask, 4.0 * strongest, number, lit)
     if count:
-        _cut_kernel(given, east, south, number, count, lit)
+        _cut_kernel(given, *bonds(number), number, count, lit)
     return lit
 
 
@@ -43,9 +47,7 @@ _SHADOW, _LIT, _NOWHERE = -1, -2, -3  # what is no node: its label is known, or 
 
 
 @njit(cache=True)
-def _number_kernel(
-    evidence: FloatArray, mask: Mask, most: Any, number: npt.NDArray[np.int32], lit: Mask
-) -> int:
+def _number_kernel(evidence: FloatArray, mask: Mask, most: Any, number: Nodes, lit: Mask) -> int:
     """Number the pixels that the cut must decide, and label the others."""
     h, w = mask.shape
     count = 0
@@ -67,7 +69,7 @@ def _number_kernel(
 
 @njit(cache=True)
 def _cut_kernel(
-    evidence: FloatArray, east: FloatArray, south: FloatArray, number: npt.NDArray[np.int32], count: int,
+    evidence: FloatArray, east: FloatArray, south: FloatArray, number: Nodes, count: int,
     lit: Mask,
 ) -> None:  # fmt: skip
     """Label the numbered pixels."""
@@ -185,18 +187,17 @@ def _drain(
 
 
 def bonds_of_light(
-    cosines: FloatArray, light: int, mask: Mask, strength: float, contrast: float, decided: Mask | None = None
+    cosines: FloatArray, light: int, number: Nodes, strength: float, contrast: float
 ) -> tuple[FloatArray, FloatArray]:
     """Bonds that give way where this light alone changes: paint and folds change the other lights too.
 
-    cosines: (h, w, 3). strength: full price. contrast: difference of log cosines, between this light and the
-    more similar of the other two, at which a bond falls to 1/e. decided: (h, w), pixels between which no bond
-    is asked for; None for none of them.
+    cosines: (h, w, 3). number: (h, w), see `lit_by_cut`. strength: full price. contrast: difference of log
+    cosines, between this light and the more similar of the other two, at which a bond falls to 1/e. Returns
+    the bonds to the east and to the south (h, w), known where one of their ends is a node.
     """
     given = np.ascontiguousarray(cosines, dtype=np.float32)
-    east, south = np.zeros(mask.shape, np.float32), np.zeros(mask.shape, np.float32)
-    free = np.zeros(mask.shape, np.bool_) if decided is None else decided
-    _bonds_kernel(given, light, np.asarray(mask), free, strength, 1.0 / contrast, east, south)
+    east, south = np.empty(number.shape, np.float32), np.empty(number.shape, np.float32)
+    _bonds_kernel(given, light, number, np.float32(strength), np.float32(1.0 / contrast), east, south)
     return east, south
 
 
@@ -207,26 +208,29 @@ def _log_of(cosine: Any) -> Any:
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
 def _bonds_kernel(
-    cosines: FloatArray, light: int, mask: Mask, decided: Mask, strength: Any, sharpness: Any,
-    east: FloatArray, south: FloatArray,
+    cosines: FloatArray, light: int, number: Nodes, strength: Any, sharpness: Any, east: FloatArray,
+    south: FloatArray,
 ) -> None:  # fmt: skip
-    h, w = mask.shape
+    h, w = number.shape
     second, third = (light + 1) % 3, (light + 2) % 3
+    weakest, rest = np.float32(_WEAKEST_BOND), np.float32(1.0 - _WEAKEST_BOND)
     for v in prange(h):
+        here, below = number[v], number[min(v + 1, h - 1)]
         for u in range(w):
-            if not mask[v, u]:
+            n = min(u + 1, w - 1)
+            if here[u] < 0 and here[n] < 0 and below[u] < 0:
                 continue
             for j in range(2):
                 i, n = v + j, u + 1 - j
-                if i >= h or n >= w or not mask[i, n] or (decided[v, u] and decided[i, n]):
+                if i >= h or n >= w or (here[u] < 0 and number[i, n] < 0):
                     continue
                 own = _log_of(cosines[i, n, light]) - _log_of(cosines[v, u, light])
                 alone = min(
                     abs(own - _log_of(cosines[i, n, second]) + _log_of(cosines[v, u, second])),
                     abs(own - _log_of(cosines[i, n, third]) + _log_of(cosines[v, u, third])),
                 )
-                sharp = alone * np.float32(sharpness)
-                bond = strength * (_WEAKEST_BOND + (1.0 - _WEAKEST_BOND) * np.exp(-sharp * sharp))
+                sharp = alone * sharpness
+                bond = strength * (weakest + rest * np.exp(-sharp * sharp))
                 if j == 0:
                     east[v, u] = bond
                 else:

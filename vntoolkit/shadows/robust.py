@@ -45,7 +45,7 @@ from vntoolkit.shadows.evidence import (
     sharpened_cosines,
     typical_dark_cosine,
 )
-from vntoolkit.shadows.graph_cut import bonds_of_light, lit_by_cut
+from vntoolkit.shadows.graph_cut import Nodes, bonds_of_light, lit_by_cut
 from vntoolkit.shadows.shadow_edges import labels_beyond_half, turned_from_lights
 from vntoolkit.shadows.surface import Surface, SurfaceOptions, solve_surface
 
@@ -152,7 +152,8 @@ def labels_by_surface(
 def _is_doubted(small: LightContributions, mask: Mask) -> bool:
     """Tell whether any light is weak anywhere, so that a surface must say whether it is missing."""
     cosines = small.cosines(albedo_from_lit(small.length, mask))
-    return bool(((cosines.min(axis=-1) < _WEAK_COSINE) & mask).any())
+    weak = cosines < _WEAK_COSINE
+    return bool(((weak[..., 0] | weak[..., 1] | weak[..., 2]) & mask).any())
 
 
 def _all_lit_on(shape: tuple[int, ...], labels: VisibilityLabels) -> Mask:
@@ -270,8 +271,9 @@ def _lit_on(
 
 
 def _cut_light(evidence: FloatArray, cosines: FloatArray, k: int, mask: Mask) -> npt.NDArray[np.bool_]:
-    decided = np.abs(evidence) > 4 * _SMOOTHNESS
-    bonds = bonds_of_light(cosines, k, mask, _SMOOTHNESS, _CONTRAST, decided)
+    def bonds(number: Nodes) -> tuple[FloatArray, FloatArray]:
+        return bonds_of_light(cosines, k, number, _SMOOTHNESS, _CONTRAST)
+
     return lit_by_cut(evidence, bonds, mask, _SMOOTHNESS)
 
 
