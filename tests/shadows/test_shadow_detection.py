@@ -119,7 +119,6 @@ def test_a_frame_goes_on_from_the_one_before_wherever_its_figure_went(stage) -> 
         frame, mask = in_a_corner(stage, left)
         labels = detector.labels(frame, mask)
         surface = recover_surface(frame, labels, stage.response, mask, start=detector.surface)
-        detector.go_on_from(surface.surface)
         part = np.s_[10 : 10 + stage.mask.shape[0], left : left + stage.mask.shape[1]]
         angles = angles_between_deg(surface.normal_map.normals_in_camera[part], stage.normals)
         found.append((overlap(labels[part], stage.labels).min(), angles[count_lit(stage.labels) == 2].mean()))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from enum import Enum
 
 import numpy as np
@@ -57,11 +56,6 @@ class ShadowDetector:
         """Drop what the previous frame left, so that a sequence may start anywhere."""
         self._memory = None
 
-    def go_on_from(self, surface: Surface | None) -> None:
-        """Let the next frame start from the surface that `recover_surface` found of the last one."""
-        if self._memory is not None and surface is not None:
-            self._memory = replace(self._memory, recovered=surface)
-
     @checks_kinds
     def labels(self, frame: LinearFrame, mask: Mask | None = None) -> VisibilityLabels:
         """Return (h, w) labels, bit k set where light k arrives; 7 outside `mask`, where nobody may look."""
@@ -84,5 +78,5 @@ class ShadowDetector:
             return labels_from_lit(lit_by_edges(contributions, mask))
         camera = None if self._camera is None else self._camera.cropped(*window)
         labels, self._memory = labels_by_surface(frame, self._response, mask, window, camera, self._memory)
-        self.surface = self._memory.start
+        self.surface = self._memory.surface
         return labels

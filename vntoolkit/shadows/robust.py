@@ -71,7 +71,7 @@ class FrameMemory:
 
     evidence: (3, h, w) of the window, see `evidence_of_frame`; None where nothing was in doubt. colours:
     (h', w', 3), contributions on the working size. surface: on that size, where the labels came from.
-    albedo: (h', w'). recovered: the surface that recovery found, or None.
+    albedo: (h', w').
     """
 
     window: Window
@@ -79,14 +79,6 @@ class FrameMemory:
     colours: FloatArray
     surface: Surface | None
     albedo: FloatArray
-    recovered: Surface | None = None
-
-    @property
-    def start(self) -> Surface | None:
-        """What recovery goes on from: where there are shadows, its own surface of the frame before."""
-        if self.recovered is None or self.surface is None:
-            return self.surface
-        return self.recovered
 
 
 def labels_by_surface(
@@ -138,15 +130,9 @@ def labels_by_surface(
         if inset is not None:
             labels &= ~turned_from_lights(surface.normals, found.cosines, small.directions, inset, found.near)
         labels = labels_beyond_half(labels, found.cosines, found.facing, mask, found.near)
-    recovered = None
-    if last is not None and last.recovered is not None:
-        lit = _all_lit_on(small_mask.shape, labels)
-        normals = np.where(lit[..., None], surface.normals, last.recovered.normals)
-        recovered = replace(last.recovered, normals=normals)
     return labels, FrameMemory(
-        window=window, evidence=found.memory, colours=small.contributions, surface=surface, albedo=albedo,
-        recovered=recovered,
-    )  # fmt: skip
+        window=window, evidence=found.memory, colours=small.contributions, surface=surface, albedo=albedo
+    )
 
 
 def _is_doubted(small: LightContributions, mask: Mask) -> bool:
@@ -154,11 +140,6 @@ def _is_doubted(small: LightContributions, mask: Mask) -> bool:
     cosines = small.cosines(albedo_from_lit(small.length, mask))
     weak = cosines < _WEAK_COSINE
     return bool(((weak[..., 0] | weak[..., 1] | weak[..., 2]) & mask).any())
-
-
-def _all_lit_on(shape: tuple[int, ...], labels: VisibilityLabels) -> Mask:
-    small = cv2.resize(labels, shape[::-1], interpolation=cv2.INTER_NEAREST)
-    return np.asarray(small == ALL_LIT)
 
 
 def _placed(last: FrameMemory, window: Window, shape: tuple[int, ...], small: tuple[int, ...]) -> FrameMemory:
@@ -197,7 +178,6 @@ def _placed(last: FrameMemory, window: Window, shape: tuple[int, ...], small: tu
     return FrameMemory(
         window=window, evidence=evidence, colours=moved(last.colours), albedo=moved(last.albedo),
         surface=None if last.surface is None else last.surface.moved(moved, 1.0 / down),
-        recovered=None if last.recovered is None else last.recovered.moved(moved, 1.0 / down),
     )  # fmt: skip
 
 
