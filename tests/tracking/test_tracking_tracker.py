@@ -159,3 +159,20 @@ def test_arap_holds_a_piece_between_its_handles() -> None:
         tracked = tracker.step(*video.maps(k))
     moved = tracked.positions_px - tracker.template.positions_px
     assert np.abs(moved[tracker.template.pixels[:, 0] > 45] - [1.0, 0.0]).max() < 1.0
+
+
+@pytest.mark.parametrize("size", [(2, 2), (8, 8), (3, 40)])
+def test_a_template_of_a_few_pixels_is_followed(size: tuple[int, int]) -> None:
+    video = WrinkledVideo(width=64, height=48)
+
+    def cut(frame: int) -> tuple[NormalMap, DepthMap]:
+        whole, depth = video.maps(frame)
+        mask = np.zeros_like(whole.mask)
+        mask[8 : 8 + size[0], 8 : 8 + size[1]] = True
+        normals = NormalMap(normals_in_camera=whole.normals_in_camera, mask=whole.mask & mask)
+        return normals, DepthMap(depth=depth.depth, mask=depth.mask & mask)
+
+    tracked = SurfaceTracker(*cut(0), video.camera).step(*cut(1))
+    assert np.isfinite(tracked.positions_px).all()
+    assert tracked.uncertainty_px is not None
+    assert np.isfinite(tracked.uncertainty_px).all()

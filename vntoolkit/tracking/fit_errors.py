@@ -45,7 +45,7 @@ class FitErrors:
         self._outline = rng.standard_normal(shape)
         local = _unit(lattice.smoothed(rng.standard_normal((m, 4 * _SAMPLES)), STRAIN_PASSES))
         terms = _polynomials(lengths.centres)[:, 1:]  # the first is uniform: it is solved for
-        slow = np.sqrt(m * _SLOW_SHARE / terms.shape[1]) * terms
+        slow = np.sqrt(m * _SLOW_SHARE / max(terms.shape[1], 1)) * terms
         slow = slow @ rng.standard_normal((terms.shape[1], 4 * _SAMPLES))
         along = lengths.along / np.linalg.norm(lengths.along, axis=1, keepdims=True)
         a, b = self._links.T
@@ -84,7 +84,7 @@ class FitErrors:
         )
         by_measurement, by_local, by_slow = np.split(errors, 3, axis=2)
         foreseen = (left[:, :, :_SAMPLES] + left[:, :, _SAMPLES : 2 * _SAMPLES]) / each
-        usual = np.square(self._compared @ foreseen.reshape(len(sd), -1)).sum() / _SAMPLES
+        usual = np.square(self._compared @ foreseen.reshape(len(sd), 2 * _SAMPLES)).sum() / _SAMPLES
         found = np.square(self._compared @ (solution.left / sd[:, None])).sum()
         factor = np.sqrt(_PRIOR + (1.0 - _PRIOR) * (found / usual if usual > 0 else 1.0))
         return np.asarray(np.square(by_measurement + factor * by_local + by_slow).sum(axis=1).mean(axis=1))

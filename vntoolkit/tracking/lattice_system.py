@@ -137,14 +137,15 @@ class LatticeSolution:
     ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Return (m, 2, n) the minima for pulls (m, 2, n) and steps (e, 2, n), and (e, 2, n) what is left."""
         moved, left = self._without_modes(pull, steps)
-        found = self._inverse @ (self._weighted.T @ left.reshape(-1, steps.shape[2]))
+        found = self._inverse @ (self._weighted.T @ left.reshape(2 * len(left), steps.shape[2]))
         return moved + self._moved @ found, left + self._modes_left @ found
 
     def _without_modes(
         self, pull: FloatArray, steps: FloatArray
     ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        pulled = self._differences.T @ (self._weight * steps).reshape(len(steps), -1)
+        (e, m), n = self._differences.shape, steps.shape[2]
+        pulled = self._differences.T @ (self._weight * steps).reshape(e, 2 * n)
         right = pull + pulled.reshape(pull.shape)
-        flat = self._pattern.solved(self._factor, right.reshape(2 * len(right), -1)).reshape(right.shape)
-        along = (self._differences @ flat.reshape(len(flat), -1)).reshape(steps.shape)
+        flat = self._pattern.solved(self._factor, right.reshape(2 * m, n)).reshape(right.shape)
+        along = (self._differences @ flat.reshape(m, 2 * n)).reshape(steps.shape)
         return flat, along - steps

@@ -226,7 +226,7 @@ class TemplateRegistration:
     def _banded(self, values: npt.NDArray[np.float32], weight: npt.NDArray[np.float32]) -> list[Band]:
         node, out = self._node, []
         for halvings in range(len(_WINDOW_PASSES)):
-            if min(node.shape) < 8:
+            if halvings > 0 and min(node.shape) < 8:
                 break
             coarser = cv2.pyrDown(values), cv2.pyrDown(weight)
             _high_pass(values, weight)
