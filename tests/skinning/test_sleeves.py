@@ -130,6 +130,26 @@ def test_trousers_follow_the_leg_on_their_side_and_nothing_above_the_hips() -> N
     assert "no sleeve" not in stretched.sentence
 
 
+def test_legs_that_cross_below_the_knee_are_legs() -> None:
+    hips = ([0.0, 0.0], [0.0, 0.22], 0.24, 0.24)
+    legs = [([side * 0.16, 0.15], [side * 0.03, 0.95], 0.1, 0.06) for side in (-1.0, 1.0)]
+    assert worn(relief(0.4, 1.0, [hips, *legs]), Garment.AUTO).fitting.garment is Garment.TROUSERS
+
+
+def test_cloth_is_attached_where_legs_stand_apart() -> None:
+    apart = trousers()
+    together = np.array(apart.vertices)
+    together[0, together[0, :, 1] > 0.2, 0] *= 0.05
+    moving = replace(apart, vertices=np.concatenate([together, apart.vertices]))
+    dressed = worn(moving, Garment.AUTO)
+    assert (dressed.fitting.garment, dressed.attached_in) == (Garment.TROUSERS, 1)
+
+
+def test_a_garment_without_limbs_is_said(caplog: pytest.LogCaptureFixture) -> None:
+    worn(relief(0.4, 0.7, [([0.0, 0.0], [0.0, 0.6], 0.2, 0.2)]), Garment.AUTO)
+    assert "worn as a sweater: film them apart" in caplog.text
+
+
 def test_each_kind_is_worn_on_its_own_bones() -> None:
     skirt = relief(0.4, 0.7, [([0.0, 0.0], [0.0, 0.6], 0.17, 0.32)])
     dressed = worn(skirt, Garment.SKIRT)
@@ -142,7 +162,7 @@ def test_each_kind_is_worn_on_its_own_bones() -> None:
     dressed = worn(vest, Garment.SLEEVELESS)
     assert of_arms(dressed).max() == 0
     for kind, cloth in ((Garment.SHIRT, vest), (Garment.TROUSERS, skirt)):
-        with pytest.raises(BadInput, match=f"{kind.value}: .* first frame"):
+        with pytest.raises(BadInput, match=f"{kind.value}: .* outline"):
             worn(cloth, kind)
 
 

@@ -47,11 +47,13 @@ from vntoolkit.skinning.clock import (
 from vntoolkit.skinning.findings import DressingFindings, DressingMeter
 from vntoolkit.skinning.fitting import Fitting, Garment, GarmentFitOptions, fit_garment_to_figure
 from vntoolkit.skinning.kinematics import bone_segments, pose_of_frame
+from vntoolkit.skinning.sleeves import regions_of_garment
 from vntoolkit.skinning.weights import SkinWeights, WeightOptions
 
 logger = logging.getLogger(__name__)
 _FLOOR_SAMPLES = 50
 _FOLDS = 16  # blend shapes: what is left out of the folds of a walking jumper is below a millimetre
+_FRAMES_LOOKED_AT = 12  # for sleeves or legs that stand apart
 _KEPT_BYTES = 1 << 28  # frames of a clip of some seconds; of a longer one the others are made anew
 _WEB_SAMPLES = 32  # poses of the motion in which web is looked for
 FIGURE_HEIGHT_M = 1.65  # toes to crown of an average adult, as skeletons measure it
@@ -119,8 +121,9 @@ class DressedFigure:
     """The garment on the figure; metres, camera axes, in the world of the motion.
 
     cloth: as captured, less the web that was cut. cut_triangles: how many those were. motion: the skeleton's,
-    already on the clock. fitting: how the first captured frame was brought onto the figure, and R of equation
-    8. captured: takes the captured frames into the pose of attachment.
+    already on the clock. attached_in: the captured frame in which the cloth was attached. fitting: how that
+    frame was brought onto the figure, and R of equation 8. captured: takes the captured frames into the pose
+    of attachment.
     """
 
     cloth: MeshSequence
@@ -131,6 +134,7 @@ class DressedFigure:
     blend: Blend
     captured: CapturedMotion
     carrier: Carrier
+    attached_in: int = 0
     is_centred: bool = False
     cut_triangles: int = 0
 
@@ -149,13 +153,13 @@ class DressedFigure:
 
     @cached_property
     def template(self) -> Mesh:
-        """Topology, colours and texture coordinates, with the first frame in the pose of attachment."""
-        on_figure = self.rest_from_cloth.apply(self.cloth[0].vertices)
+        """Topology, colours and texture coordinates, with the attached frame in the pose of attachment."""
+        on_figure = self.rest_from_cloth.apply(self.cloth[self.attached_in].vertices)
         return self.cloth.template.with_vertices(self.captured.first_at_rest(on_figure))
 
     def meter(self) -> DressingMeter:
         """Return what measures posed frames of this garment."""
-        on_figure = self.rest_from_cloth.apply(self.cloth[0].vertices)
+        on_figure = self.rest_from_cloth.apply(self.cloth[self.attached_in].vertices)
         kind, skeleton = self.fitting.garment, self.motion.skeleton
         bare = kind.is_lower or kind is Garment.SLEEVELESS
         return DressingMeter(self.template, on_figure, self.fitting.sleeved, skeleton, has_sleeves=not bare)
@@ -269,14 +273,22 @@ def dress(
 ) -> DressedFigure:
     """Attach a moving garment to a moving skeleton (Section VII-C of brostow2011); nothing is skinned yet.
 
-    Weights are found once, on the garment's first captured frame in the pose of attachment.
+    Weights are found once, in the pose of attachment, on the first captured frame in which sleeves or legs
+    stand apart.
     """
     options, fit = options or DressOptions(), fit or GarmentFit()
     motion = _upright(motion, options.up_axis).in_metres(options.figure_height)
     if not len(cloth):
         raise BadInput("the garment has no frame")
-    garment = cloth[0]
+    attached_in = 0 if fit.landmarks else _telling_frame(cloth, options.fitting.garment)
+    garment = cloth[attached_in]
     fitting = fit_garment_to_figure(garment, motion, fit, options.fitting, named_joints(options.map))
+    if options.fitting.garment is Garment.AUTO and fitting.garment is Garment.SWEATER and not fitting.sleeved:
+        logger.warning(
+            "neither sleeves nor legs stand out from the garment's outline in any frame, and it is worn as a "
+            "sweater: film them apart, track from a frame where they are (track --template), or name the "
+            "garment, as --garment skirt"
+        )
     attached = garment.with_vertices(fitting.rest_from_cloth.apply(garment.vertices))
     clock = clock_from_recordings(cloth, motion, options.clock)
     played = resampled_motion(motion, clock.motion_s, clock.frame_rate_hz)
@@ -302,10 +314,29 @@ def dress(
         weights=weights,
         blend=options.blend,
         carrier=options.carrier if options.blend is Blend.LINEAR else Carrier.CACHE,
+        attached_in=attached_in,
         captured=CapturedMotion(attached.vertices, weights, parts, fitting.rest_from_first, faces),
         is_centred=options.centre,
         cut_triangles=cut,
     )
+
+
+def _telling_frame(cloth: MeshSequence, kind: Garment) -> int:
+    """Return the first frame that shows both sleeves or both legs apart, else the one that shows most.
+
+    Some frames of a long capture are looked at.
+    """
+    if kind is not Garment.AUTO and kind is not Garment.TROUSERS and not kind.has_sleeves:
+        return 0
+    most, best = -1, 0
+    for frame in np.unique(np.linspace(0, len(cloth) - 1, _FRAMES_LOOKED_AT).round().astype(int)).tolist():
+        regions = regions_of_garment(cloth[frame])
+        shown = len(regions.sleeves) if regions.hems is None else 2
+        if shown > most:
+            most, best = shown, frame
+        if most == 2:
+            break
+    return best
 
 
 def named_joints(pairs: tuple[str, ...]) -> dict[str, str]:

@@ -212,9 +212,9 @@ class CapturedMotion:
         rest_from_first: FloatArray,
         faces: Faces,
     ) -> None:
-        """first: (n, 3) the first frame on the figure. parts: joints that move as one, the trunk's first; the
-        joints of no part follow the trunk. rest_from_first: (j, 4, 4), what fits the cloth over each joint.
-        faces: what the capture stretches too far of them is drawn together.
+        """first: (n, 3) the frame of attachment, on the figure. parts: joints that move as one, the trunk's
+        first; the joints of no part follow the trunk. rest_from_first: (j, 4, 4), what fits the cloth over
+        each joint. faces: what the capture stretches too far of them is drawn together.
         """
         self._weights, self._rest_from_first = weights, rest_from_first
         first = np.asarray(first, dtype=np.float64)
@@ -242,7 +242,7 @@ class CapturedMotion:
         return CapturedMotion(self._first[kept], weights, self._parts, self._rest_from_first, faces)
 
     def first_at_rest(self, vertices: Points) -> Points:
-        """Return the first frame's vertices in the pose of attachment: nothing has moved yet."""
+        """Return the vertices of the frame of attachment in its pose: nothing has moved yet."""
         return self._apply(vertices, np.broadcast_to(np.eye(4), self._rest_from_first.shape))
 
     def _apply(self, vertices: Points, first_from_now: FloatArray) -> Points:

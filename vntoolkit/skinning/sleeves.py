@@ -26,6 +26,7 @@ _LEAST_BAY = 0.06  # of the garment's larger extent: shallower ones are folds an
 _ASIDE = 0.12  # of the garment's width from its middle: nearer, a bay lies between two legs
 _LEAST_SLEEVE = 0.5  # of the armhole's height: a shorter one is the edge of a vest
 _LEAST_LEG = 0.35  # of the garment's height: trousers have longer legs, and a hem has shorter notches
+_LEAST_HOLE = 0.05  # of it: the gap between thighs is as high, a gap in the mesh is less
 _HEM_SHARE = 0.03  # of a leg's vertices: the lowest ones are its hem
 _CORNERS = np.ones((3, 3), dtype=bool)  # cells that touch at a corner belong together
 _STATIONS = 24  # along a sleeve's axis
@@ -198,19 +199,30 @@ def _bays(mask: Mask) -> Iterator[tuple[float, int, int]]:
 
 
 def _crotch(mask: Mask) -> int | None:
-    """Return the column of the bay between two legs, None for a garment without legs.
+    """Return the column of the gap between two legs, None for a garment without legs.
 
     It lies near the middle, has cloth above and on either side, and reaches up a good part of the garment.
+    Below it one leg may pass before the other.
     """
     columns, rows = np.flatnonzero(mask.any(axis=0)), np.flatnonzero(mask.any(axis=1))
     middle, found = (columns[0] + columns[-1]) / 2, []
-    for depth, column, row in _bays(mask):
+    for depth, column, row in [*_bays(mask), *_holes(mask)]:
         lower = mask[(row + rows[-1]) // 2]  # half way down from there
         is_between = lower[:column].any() and lower[column + 1 :].any() and mask[:row, column].any()
         is_central = abs(column - middle) <= _ASIDE * np.ptp(columns)
         if is_between and is_central and rows[-1] - row > _LEAST_LEG * np.ptp(rows):
             found.append((depth, column))
     return max(found)[1] if found else None
+
+
+def _holes(mask: Mask) -> Iterator[tuple[float, int, int]]:
+    """Yield of each hole in the outline its height, in cells; column and row of its highest cell."""
+    holes, _ = ndimage.label(ndimage.binary_fill_holes(mask) & ~mask)
+    for number, box in enumerate(ndimage.find_objects(holes), start=1):
+        height = box[0].stop - box[0].start
+        if height > _LEAST_HOLE * np.ptp(np.flatnonzero(mask.any(axis=1))):
+            first = int(np.median(np.flatnonzero(holes[box][0] == number)))
+            yield float(height), first + box[1].start, box[0].start
 
 
 def _hems(vertices: Points, is_left: Mask) -> Points:
