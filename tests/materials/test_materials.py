@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from vntoolkit.errors import BadInput
-from vntoolkit.materials.labelling import MaterialLabeller, colours_of, relit
+from vntoolkit.materials.labelling import MaterialLabeller
+from vntoolkit.materials.pixels import colours_of, relit
 from vntoolkit.materials.reflectance import (
     Lamps,
     Reflectance,
@@ -92,9 +93,8 @@ def test_three_paints_are_found_and_leave_no_seam_in_the_normals() -> None:
     assert nearest.min(axis=0).max() < 0.03
     labeller = MaterialLabeller(RESPONSE, values)
     given = labeller.labels(frame, mask)
-    materials = labeller.materials_of(given)
-    assert np.mean(nearest.argmin(axis=1)[materials][mask] == labels[mask]) > 0.98
-    map_of_one = normals_from_frame(relit(frame, RESPONSE, given, labeller.palette), RESPONSE, mask)
+    assert np.mean(nearest.argmin(axis=1)[given][mask] == labels[mask]) > 0.98
+    map_of_one = normals_from_frame(labeller.relit(frame, given), RESPONSE, mask)
     truth = normals_from_frame(
         painted(np.zeros_like(labels))[0], RESPONSE, mask
     )  # as if one paint were known
@@ -128,7 +128,7 @@ def test_a_logo_on_knitted_cloth_is_found_though_its_quarters_are_nearly_flat() 
         found = find_materials([frame], [mask], RESPONSE)
         assert len(found) == labels.max() + 1
         labeller = MaterialLabeller(RESPONSE, np.array([each.reflectance.values for each in found]))
-        seen = relit(frame, RESPONSE, labeller.labels(frame, mask), labeller.palette)
+        seen = labeller.relit(frame, labeller.labels(frame, mask))
         result = normals_from_frame(seen, RESPONSE, mask)
         errors.append(angles_deg(result.normals_in_camera, normals)[result.mask].mean())
     assert errors[0] < errors[1] + 1.0

@@ -1,77 +1,61 @@
-"""Which material each pixel is of, where the reflectances are known, and what it would look like in one.
+"""Which material each pixel is of, where the reflectances are known.
 
 A region's price for a material is how far its normals then are from unit length. A wrong material gives unit
 length along some curve too, so that neighbours are asked as well: from one material to another log s steps by
-the logarithm of the ratio of their reflectances, and within one it does not step.
-
-Beside a seam a lens blurs two materials into each other. Light adds, so such a pixel has the mean reflectance
-of both, by a share that gives its normal unit length and continues the normals around it.
+the logarithm of the ratio of their reflectances, and within one it does not step. How exact lengths are is
+learned from the frame: a knit scatters them, flat paint hardly does.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from numba import prange
+from scipy.ndimage import maximum_filter, minimum_filter
 
 from vntoolkit.arrays import FloatArray, IntArray, Mask, Points
+from vntoolkit.materials.pixels import INDEPENDENT_PX, MaterialLabels, Spread, decided, relit
 from vntoolkit.materials.reflectance import CAP, Lamps, bias_of_noise, length_and_variance
 from vntoolkit.materials.regions import SHADING_STEP, Regions, regions_of
-from vntoolkit.materials.split_frame import SplitFrame, split_frame
+from vntoolkit.materials.split_frame import split_frame
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 
-MaterialLabels = npt.NDArray[np.uint8]
-INDEPENDENT_PX = 64.0  # pixels that share their errors: lamps, gloss and ambient light change slowly
-_TOLERANCE = 0.04  # standard deviation of a normal's length beyond noise: uneven dye, light between folds
+_STRANGERS = 0.1  # share of regions that are of no material: folds that light each other, eyes, buttons
+_LEAST_SPREAD = 0.005  # of lengths: reflectances are known no better
+_FIRST_SPREAD = 0.04
 _SEAM_PRICE = 1.0  # of a neighbour of another material, where the reflectances are known
 _SWEEPS = 12
 _PATCH_SWEEPS = 4
+_MESSAGE_ROUNDS = 5
+_DOUBTFUL = 1.5  # price of a region from which its pixels are decided one by one …
+_BESIDE = 4  # … and those that near to a seam
 _HABIT = 0.3  # what the label of the frame before takes off a price
-_SHARES = 3  # steps of the share of the second material in a blurred pixel
-_SEAM = 5  # blocks that a lens and a Bayer pattern blur to either side of a seam
-_REACH = 7  # blocks from which the normals are continued
-_BLEND_PRICE = 2.0  # of a blend: most pixels are of one material
-_FLAT = 50.0  # squared blocks: keeps a plane through few of them level
-_BEND = 0.1  # relative change of a lamp's share over that distance
 
 
 class MaterialLabeller:
     """Labels frame after frame; those of the frame before are preferred.
 
-    response: with light colours. reflectances: (m, 3), relative to the calibration material. palette: (p, 3),
-    these and then their blends, two by two. labels() gives numbers of the palette, materials_of() turns them
-    into numbers of materials.
+    response: with light colours. reflectances: (m, 3), relative to the calibration material.
     """
 
     def __init__(self, response: LightResponse, reflectances: Points) -> None:
         self._response = response
-        values = np.asarray(reflectances, dtype=np.float64)
-        self._logs = np.log(values)
-        palette, owners = [*values], [*range(len(values))]
-        for one in range(len(values)):
-            for other in range(one + 1, len(values)):
-                for step in range(_SHARES):
-                    share = (step + 1) / (_SHARES + 1)
-                    palette.append((1.0 - share) * values[one] + share * values[other])
-                    owners.append(one if share <= 0.5 else other)
-        self.palette: Points = np.array(palette)
-        self._owners = np.array(owners, np.uint8)
+        self._reflectances = np.asarray(reflectances, dtype=np.float64)
+        self._logs = np.log(self._reflectances)
         self._before: MaterialLabels | None = None
+        self._spread: Spread | None = None
+        self._coarse_blur_px: float | None = None
+        self._blur_px: float | None = None
 
     def forget(self) -> None:
         """Drop the labels of the frame before, so that a sequence may start anywhere."""
-        self._before = None
-
-    def materials_of(self, labels: MaterialLabels) -> MaterialLabels:
-        """Return (h, w), the number of the material that most of each pixel is of."""
-        return np.asarray(self._owners[labels])
+        self._before = self._spread = self._coarse_blur_px = self._blur_px = None
 
     def labels(self, frame: LinearFrame, mask: Mask) -> MaterialLabels:
-        """Return (h, w), numbers of the palette; 0 outside the mask. mask: (h, w).
+        """Return (h, w), numbers of the materials; 0 outside the mask. mask: (h, w).
 
         frame: every lamp as strong as at the centre.
         """
@@ -79,100 +63,125 @@ class MaterialLabeller:
             return np.zeros(mask.shape, np.uint8)
         split = split_frame(frame, self._response, mask)
         regions = regions_of(split)
-        costs = prices(regions, self._logs, split.lamps, _TOLERANCE)
+        if not regions.count:
+            return np.zeros(mask.shape, np.uint8)
+        lengths = lengths_of(regions, self._logs, split.lamps)
+        if self._spread is None:
+            self._spread = Spread(_FIRST_SPREAD, _FIRST_SPREAD)
+            for _ in range(2):
+                costs = prices(lengths, self._spread)
+                self._spread = spread_of(lengths, agreed(costs, self._logs, regions, _SEAM_PRICE))
+        costs = prices(lengths, self._spread)
         if self._before is not None and self._before.shape == split.lit.shape:
             costs -= _HABIT * _shares(self._before, regions, len(self._logs))
         of_regions = agreed(costs, self._logs, regions, _SEAM_PRICE)
-        coarse = np.zeros(split.lit.shape, np.uint8)
-        if regions.count:
-            coarse = of_regions[regions.labels].astype(np.uint8)
-        self._before = coarse
-        return self._blended(frame, split, coarse, regions.plain, mask)
-
-    def _blended(
-        self, frame: LinearFrame, split: SplitFrame, coarse: MaterialLabels, plain: Mask, mask: Mask
-    ) -> MaterialLabels:
-        lamps = split.lamps
-        out = np.zeros(mask.shape, np.uint8)
-        _blend(
-            np.ascontiguousarray(frame.rgb), mask, split.contributions, split.lit, plain, coarse,
-            1.0 / self.palette, len(self._logs), lamps.split, lamps.haze, lamps.inverse,
-            lamps.mixing * split.factor, lamps.noise * split.factor, out,
+        coarse = of_regions[regions.labels].astype(np.uint8)
+        doubtful = np.take_along_axis(costs, of_regions[:, None], 1)[:, 0] > _DOUBTFUL
+        active = ~regions.plain | doubtful[regions.labels] | _differs(coarse, 2 * _BESIDE + 1)
+        coarse, self._coarse_blur_px = decided(
+            split.colours.astype(np.float32), split.lit, split.lamps, self._logs, self._spread, coarse,
+            active, self._coarse_blur_px,
         )  # fmt: skip
-        return out
+        self._before = coarse
+        if split.factor == 1:
+            self._blur_px = self._coarse_blur_px
+            return np.where(mask, coarse, 0).astype(np.uint8)
+        labels, active = np.zeros(mask.shape, np.uint8), np.zeros(mask.shape, np.bool_)
+        _enlarge(coarse, _differs(coarse, 3) & split.lit, mask, split.factor, labels, active)
+        lamps = split.lamps._replace(
+            mixing=split.lamps.mixing * split.factor, noise=split.lamps.noise * split.factor
+        )
+        labels, self._blur_px = decided(
+            np.ascontiguousarray(frame.rgb), mask, lamps, self._logs, self._spread, labels, active,
+            self._blur_px, any_label=False,
+        )  # fmt: skip
+        return labels
+
+    def relit(self, frame: LinearFrame, labels: MaterialLabels) -> LinearFrame:
+        """Return the frame as it would be with the calibration material everywhere."""
+        return relit(frame, self._response, labels, self._reflectances, self._blur_px or 0.0)
 
 
-def relit(
-    frame: LinearFrame, response: LightResponse, labels: MaterialLabels, reflectances: Points
-) -> LinearFrame:
-    """Return the frame as it would be with the calibration material everywhere: r' = Cᵀ (C⁻ᵀ r ∘ 1/ρ).
-
-    labels: (h, w), numbers of the reflectances (m, 3). Ambient light falls on the material too: it is divided
-    by ρ with the rest.
-    """
-    split = response.contributions_from_rgb
-    merge = np.linalg.inv(split)
-    matrices = np.array([merge @ np.diag(1.0 / rho) @ split for rho in np.asarray(reflectances, np.float64)])
-    out = np.empty(frame.rgb.shape, np.float32)
-    _relight(np.ascontiguousarray(frame.rgb), labels, matrices.astype(np.float32), out)
-    return LinearFrame(rgb=out, clipped=frame.clipped, number=frame.number)
-
-
-def colours_of(reflectances: Points, response: LightResponse) -> FloatArray:
-    """(m, 3), linear colour 0 to 1 of each material in the light of all three lamps, balanced to white.
-
-    White is the calibration material, or the strongest material where one returns more.
-    """
-    colours = np.abs(np.linalg.inv(response.contributions_from_rgb).T)
-    seen = np.asarray(reflectances) @ colours / colours.sum(axis=0)
-    return np.asarray(seen / max(1.0, float(seen.max())))
+def _differs(labels: MaterialLabels, window: int) -> Mask:
+    """True where another label is within a window (window × window)."""
+    return np.asarray(maximum_filter(labels, window) != minimum_filter(labels, window))
 
 
 @njit(cache=True, parallel=True)
-def _relight(rgb: Any, labels: Any, matrices: Any, out: Any) -> None:
-    h, w = labels.shape
+def _enlarge(coarse: Any, near: Any, mask: Any, factor: int, labels: Any, active: Any) -> None:
+    h, w = mask.shape
     for v in prange(h):
         for u in range(w):
-            a = matrices[labels[v, u]]
-            r, g, b = rgb[v, u, 0], rgb[v, u, 1], rgb[v, u, 2]
-            for c in range(3):
-                out[v, u, c] = a[c, 0] * r + a[c, 1] * g + a[c, 2] * b
+            if mask[v, u]:
+                labels[v, u] = coarse[v // factor, u // factor]
+                active[v, u] = near[v // factor, u // factor]
 
 
 # Labels of regions.
 
 
-def prices(regions: Regions, logs: Points, lamps: Lamps, tolerance: float) -> FloatArray:
-    """Return (n, m), the mean price of each material for the samples of each region, 0 to CAP²/2.
+class Lengths(NamedTuple):
+    """How far the normals of each region are from unit length as each material, arrays (n, m).
 
-    logs: (m, 3), log ρ. tolerance: standard deviation of lengths beyond noise.
+    error: mean of |n| − 1 over the samples. scatter: variance about it. noise: of one sample's.
+
+    counts: (n, 1).
     """
-    out = np.empty((regions.count, len(logs)))
-    _prices(
-        regions.samples,
-        regions.counts,
-        np.exp(-logs),
-        lamps.haze,
-        lamps.inverse,
-        lamps.mixing,
-        tolerance,
-        out,
-    )
-    return out
+
+    error: FloatArray
+    scatter: FloatArray
+    noise: FloatArray
+    counts: FloatArray
+
+
+def lengths_of(regions: Regions, logs: Points, lamps: Lamps) -> Lengths:
+    """Return how far normals are from unit length as each material. logs: (m, 3), log ρ."""
+    error, scatter, noise = np.empty((3, regions.count, len(logs)))
+    _lengths(
+        regions.samples, regions.counts, np.exp(-logs), lamps.haze, lamps.inverse, lamps.mixing, error,
+        scatter, noise,
+    )  # fmt: skip
+    return Lengths(error, scatter, noise, np.maximum(regions.counts, 1)[:, None].astype(np.float64))
+
+
+def prices(lengths: Lengths, spread: Spread) -> FloatArray:
+    """Return (n, m), nats of each material for each region, at most of a region that is of no material.
+
+    That has a length of any kind: the more exact lengths are, the dearer is one that does not fit.
+    """
+    variance = spread.of_regions**2 + lengths.noise / lengths.counts
+    t = lengths.error**2 / variance + lengths.scatter / (spread.of_pixels**2 + lengths.noise)
+    most = np.maximum(-np.log(_STRANGERS * np.sqrt(2.0 * np.pi * variance)), 1.0)
+    return np.asarray(0.5 * t / (1.0 + 0.5 * t / most))
+
+
+def spread_of(lengths: Lengths, labels: IntArray) -> Spread:
+    """Return the robust spread of the lengths under labels (n,) of the regions."""
+    if not len(labels):
+        return Spread(_LEAST_SPREAD, _LEAST_SPREAD)
+    error, scatter, noise = (np.take_along_axis(a, labels[:, None], 1)[:, 0] for a in lengths[:3])
+    between = (1.4826 * np.median(np.abs(error))) ** 2 - np.median(noise / lengths.counts[:, 0])
+    within = np.median(scatter - noise)
+    least = _LEAST_SPREAD**2
+    return Spread(float(np.sqrt(max(between, least))), float(np.sqrt(max(within, least))))
 
 
 def agreed(
     costs: FloatArray, logs: Points, regions: Regions, seam: float, start: IntArray | None = None
 ) -> IntArray:
-    """Return labels (n,) of least cost of prices (n, m) and steps between neighbours.
+    """Return labels (n,) of little cost of prices (n, m) and steps between neighbours.
 
     seam: price of a neighbour of another material, however well the step fits. start: (n,) labels.
 
-    Iterated conditional modes (besag1986), of regions and then of patches of regions of one label.
+    Without a start by messages along trees (kolmogorov2006); then iterated conditional modes (besag1986), of
+    regions and of patches of regions of one label.
     """
-    labels = (costs.argmin(axis=1) if start is None else start).astype(np.int64)
     weights = regions.sizes / INDEPENDENT_PX
     edges = regions.starts, regions.neighbours, regions.steps, regions.contacts
+    if start is None:
+        labels = _by_messages(costs * weights[:, None], logs, *edges, regions.twins, seam, _MESSAGE_ROUNDS)
+    else:
+        labels = start.astype(np.int64)
     for _ in range(_PATCH_SWEEPS):
         _agree(costs, weights, labels, logs, *edges, seam, _SWEEPS)
         if not _turn_patches(costs, weights, labels, logs, *edges, seam):
@@ -198,20 +207,32 @@ def _shares(labels: MaterialLabels, regions: Regions, count: int) -> FloatArray:
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def _prices(
-    samples: Any, counts: Any, q: Any, haze: Any, inverse: Any, mixing: Any, tolerance: float, out: Any
+def _lengths(
+    samples: Any,
+    counts: Any,
+    q: Any,
+    haze: Any,
+    inverse: Any,
+    mixing: Any,
+    error: Any,
+    scatter: Any,
+    noise: Any,
 ) -> None:
     materials = q.shape[0]
     bias = np.array([bias_of_noise(q[m], inverse, mixing) for m in range(materials)])
     for i in prange(samples.shape[0]):
         j = np.empty(3)
         for m in range(materials):
-            total = 0.0
+            first, second, variances = 0.0, 0.0, 0.0
             for p in range(counts[i]):
                 e, variance = length_and_variance(samples[i, p], q[m], haze, inverse, mixing, bias[m], j)
-                t = e * e / (variance + tolerance * tolerance)
-                total += 0.5 * t / (1.0 + t / (CAP * CAP))
-            out[i, m] = total / max(counts[i], 1)
+                first += e
+                second += e * e
+                variances += variance
+            n = max(counts[i], 1)
+            error[i, m] = first / n
+            scatter[i, m] = max(second / n - (first / n) ** 2, 0.0)
+            noise[i, m] = variances / n
 
 
 @njit(cache=True, inline="always")
@@ -222,6 +243,60 @@ def _step_cost(step: Any, one: Any, other: Any, seam: float) -> float:
         rest = (step[k] - other[k] + one[k]) / SHADING_STEP
         t += rest * rest
     return 0.5 * t / (1.0 + t / (CAP * CAP)) + seam
+
+
+@njit(cache=True)
+def _by_messages(
+    unary: Any, logs: Any, starts: Any, neighbours: Any, steps: Any, contacts: Any, twins: Any, seam: float,
+    rounds: int,
+) -> Any:  # fmt: skip
+    """Labels (n,) of little cost: sequential tree-reweighted messages. twins: (e,), the same step back."""
+    n, count = unary.shape
+    messages = np.zeros((neighbours.size, count))  # of edge e: from its neighbour to its source
+    pair = np.empty((neighbours.size, count, count))
+    for i in range(n):
+        for e in range(starts[i], starts[i + 1]):
+            for a in range(count):
+                for b in range(count):
+                    pair[e, a, b] = contacts[e] * _step_cost(
+                        steps[e], logs[a], logs[b], 0.0 if a == b else seam
+                    )
+    labels = np.zeros(n, np.int64)
+    belief, source = np.empty(count), np.empty(count)
+    for r in range(2 * rounds):
+        ahead = r % 2 == 0
+        for k in range(n):
+            i = k if ahead else n - 1 - k
+            earlier = 0
+            for m in range(count):
+                belief[m] = unary[i, m]
+            for e in range(starts[i], starts[i + 1]):
+                earlier += neighbours[e] < i
+                for m in range(count):
+                    belief[m] += messages[e, m]
+            share = 1.0 / max(earlier, starts[i + 1] - starts[i] - earlier, 1)
+            for e in range(starts[i], starts[i + 1]):
+                if (neighbours[e] > i) != ahead:
+                    continue
+                for m in range(count):
+                    source[m] = share * belief[m] - messages[e, m]
+                back, least = twins[e], np.inf
+                for b in range(count):
+                    cost = np.inf
+                    for a in range(count):
+                        cost = min(cost, source[a] + pair[back, b, a])
+                    messages[back, b] = cost
+                    least = min(least, cost)
+                for b in range(count):
+                    messages[back, b] -= least
+    for i in range(n):
+        for m in range(count):
+            belief[m] = unary[i, m]
+        for e in range(starts[i], starts[i + 1]):
+            for m in range(count):
+                belief[m] += pair[e, m, labels[neighbours[e]]] if neighbours[e] < i else messages[e, m]
+        labels[i] = belief.argmin()
+    return labels
 
 
 @njit(cache=True)
@@ -322,102 +397,3 @@ def _total(
                 a, b = labels[i], labels[j]
                 total += contacts[e] * _step_cost(steps[e], logs[a], logs[b], 0.0 if a == b else seam)
     return total
-
-
-# Pixels beside seams.
-
-
-@njit(cache=True, error_model="numpy")
-def _at_origin(plane: Any, value: Any, out: Any) -> None:
-    """Fill the value at (0, 0) of the planes (3,) of least squares, of their moments; flat where unknown."""
-    flat = _FLAT * plane[0]
-    a, b, c = plane[3] + flat, plane[4], plane[5] + flat
-    determinant = a * c - b * b
-    u, v = (c * plane[1] - b * plane[2]) / determinant, (a * plane[2] - b * plane[1]) / determinant
-    weight = plane[0] - u * plane[1] - v * plane[2]
-    for k in range(3):
-        out[k] = (value[k, 0] - u * value[k, 1] - v * value[k, 2]) / weight
-
-
-@njit(cache=True, parallel=True, error_model="numpy")
-def _blend(
-    rgb: Any, mask: Any, s: Any, lit: Any, plain: Any, coarse: Any, q: Any, count: int, unmix: Any, haze: Any,
-    inverse: Any, mixing: Any, noise: Any, out: Any,
-) -> None:  # fmt: skip
-    height, width = coarse.shape
-    factor = (mask.shape[0] + height - 1) // height
-    for i in prange(height):
-        j, light, around = np.empty(3), np.empty(3), np.empty(3)
-        plane, value = np.empty(6), np.empty((3, 3))
-        seen = np.zeros(count)
-        for k in range(width):
-            alone = True
-            for a in range(max(i - _SEAM, 0), min(i + _SEAM + 1, height)):
-                for b in range(max(k - _SEAM, 0), min(k + _SEAM + 1, width)):
-                    if lit[a, b] and coarse[a, b] != coarse[i, k]:
-                        alone = False
-            if not alone and lit[i, k]:
-                seen[:] = 0.0
-                plane[:] = 0.0
-                value[:] = 0.0
-                for a in range(max(i - _REACH, 0), min(i + _REACH + 1, height)):
-                    for b in range(max(k - _REACH, 0), min(k + _REACH + 1, width)):
-                        if plain[a, b]:
-                            m = coarse[a, b]
-                            weight = 1.0 / (1.0 + (a - i) ** 2 + (b - k) ** 2)
-                            seen[m] += weight
-                            x, y = float(b - k), float(a - i)
-                            plane[0] += weight
-                            plane[1] += weight * x
-                            plane[2] += weight * y
-                            plane[3] += weight * x * x
-                            plane[4] += weight * x * y
-                            plane[5] += weight * y * y
-                            for c in range(3):
-                                share = weight * s[a, b, c] * q[m, c]
-                                value[c, 0] += share
-                                value[c, 1] += share * x
-                                value[c, 2] += share * y
-                alone = plane[0] == 0.0
-                if not alone:
-                    _at_origin(plane, value, around)
-            for v in range(i * factor, min((i + 1) * factor, mask.shape[0])):
-                for u in range(k * factor, min((k + 1) * factor, mask.shape[1])):
-                    if not mask[v, u]:
-                        continue
-                    out[v, u] = coarse[i, k]
-                    if alone or not lit[i, k]:
-                        continue
-                    for c in range(3):
-                        light[c] = (
-                            unmix[c, 0] * rgb[v, u, 0]
-                            + unmix[c, 1] * rgb[v, u, 1]
-                            + unmix[c, 2] * rgb[v, u, 2]
-                        )
-                    least = np.inf
-                    p = count
-                    for one in range(count):
-                        for other in range(one, count):
-                            blends = 1 if one == other else _SHARES
-                            there = (seen[one] > 0.0 or one == coarse[i, k]) and (
-                                seen[other] > 0.0 or other == coarse[i, k]
-                            )
-                            for _ in range(blends):
-                                n = one
-                                if one != other:
-                                    n = p
-                                    p += 1
-                                if not there:
-                                    continue
-                                e, variance = length_and_variance(light, q[n], haze, inverse, mixing, 0.0, j)
-                                price = e * e / (variance + _TOLERANCE * _TOLERANCE)
-                                if one != other:
-                                    price += _BLEND_PRICE
-                                for c in range(3):
-                                    off = light[c] * q[n, c] - around[c]
-                                    spread = noise[c] * q[n, c]
-                                    bend = _BEND * around[c]
-                                    price += off * off / (spread * spread + bend * bend)
-                                if price < least:
-                                    least = price
-                                    out[v, u] = n

@@ -42,7 +42,8 @@ class Regions:
     labels: (h, w) int64, the nearest region to every pixel. plain: (h, w), not on an edge.
     samples: (n, SAMPLES, 3), contributions at pixels of each region. counts: (n,), how many. sizes: (n,).
     logs: (n, 3), mean log s. starts: (n + 1,), where the neighbours of each begin in `neighbours` (e,).
-    steps: (e, 3), log s of the neighbour less its own. contacts: (e,), weights of the steps.
+    steps: (e, 3), log s of the neighbour less its own. contacts: (e,), weights of the steps. twins: (e,), the
+    number of the same step from the neighbour's side.
     """
 
     labels: IntArray
@@ -55,6 +56,7 @@ class Regions:
     neighbours: IntArray
     steps: FloatArray
     contacts: FloatArray
+    twins: IntArray
 
     @property
     def count(self) -> int:
@@ -235,10 +237,12 @@ def _neighbours(labels: IntArray, logs: FloatArray) -> dict[str, Any]:
     sources, neighbours = np.concatenate([one, other]), np.concatenate([other, one])
     contacts = np.minimum(np.tile(length, 2) / _FULL_CONTACT_PX, _MOST_CONTACT) / _NEIGHBOURS
     order = np.argsort(sources, kind="stable")
+    places = np.argsort(order)
     sources, neighbours = sources[order], neighbours[order]
     return {
         "starts": np.searchsorted(sources, np.arange(count + 1)),
         "neighbours": neighbours,
         "steps": logs[neighbours] - logs[sources],
         "contacts": contacts[order],
+        "twins": places[(order + len(one)) % max(len(order), 1)],
     }

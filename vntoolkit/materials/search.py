@@ -17,11 +17,13 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 from scipy.linalg import block_diag
+from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import spsolve
 
 from vntoolkit.arrays import FloatArray, IntArray, Mask, Points, Vector3
 from vntoolkit.errors import BadInput
-from vntoolkit.materials.labelling import INDEPENDENT_PX, agreed, prices, total_cost
+from vntoolkit.materials.labelling import agreed, lengths_of, prices, spread_of, total_cost
+from vntoolkit.materials.pixels import INDEPENDENT_PX, Spread
 from vntoolkit.materials.reflectance import (
     CAP,
     Lamps,
@@ -32,12 +34,13 @@ from vntoolkit.materials.reflectance import (
     reflectance_from_fit,
 )
 from vntoolkit.materials.regions import SHADING_STEP, Regions, regions_of
-from vntoolkit.materials.split_frame import WORKING_PIXELS, SplitFrame, split_frame
+from vntoolkit.materials.split_frame import SplitFrame, split_frame
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 
 MOST_MATERIALS = 12
+_SEARCHED_PIXELS = 40_000  # of the subject
 WORST_ERROR_DEG = 5.0  # of normals, by what their spread leaves open of a reflectance
 _LARGEST_RATIO = np.log(12.0)  # of the reflectances of one material
 _FEWEST_PIXELS = 300
@@ -52,6 +55,7 @@ _FIRST_TOLERANCE = 0.04
 _ROUGH = 0.2  # first tolerance of the regions' own reflectances, which falls by …
 _FALL = 0.6  # … a round
 _SEAM_ROUNDS, _ROUNDS = 2, 9
+_FIT_ROUNDS = 5
 _WEAK = 0.05  # weight of the mean reflectance where nothing tells a region's own
 _ALIKE = 0.1  # spread of log ρ of the regions of one material
 _TWINS = 0.08  # log ρ that two materials differ by at least
@@ -61,6 +65,9 @@ _WEAK_PRIOR = 0.5  # of log ρ, in a joint fit
 _BRIGHTNESS, _BRIGHTNESSES = (-2.5, 1.5), 201  # log ρ of the calibration material, brighter or darker
 _DOUBTFUL = 1.5  # price from which a region's seams tell nothing of its label
 _LARGEST_STEP = 0.3
+_FEW = 5.0
+_SPLITS, _LEAST_GAIN = 3, 1.0
+_MOST_PATCHES, _PATCH_PIXELS = 8, 240
 _SEAM_PRICE = 3.0  # of neighbours of two materials, that a print is of few colours and large patches
 # Standard deviation of log ρ from seams: shading steps too, on one side more than on the other.
 _OF_SEAMS = 0.03
@@ -84,7 +91,7 @@ def find_materials(
     """
     split = _stacked(
         [
-            split_frame(frame, response, mask, WORKING_PIXELS // len(frames))
+            split_frame(frame, response, mask, _SEARCHED_PIXELS // len(frames))
             for frame, mask in zip(frames, masks, strict=True)
         ]
     )
@@ -96,7 +103,7 @@ def find_materials(
         )
     own, tolerance = _reflectances_of_regions(regions, split.lamps)
     found = _fewest(_proposals(own, regions, count), regions, split.lamps, tolerance, count)
-    plain = _plain(regions, split.lamps, tolerance)
+    plain = _plain(regions, split.lamps, tolerance, found.spread)
     if count is None and plain.length <= found.length:
         found = plain
     labels = found.labels[regions.labels[split.lit]]
@@ -133,6 +140,7 @@ def _stacked(splits: Sequence[SplitFrame]) -> SplitFrame:
     return replace(
         splits[0],
         contributions=joined([split.contributions for split in splits]),
+        colours=joined([split.colours for split in splits]),
         inside=joined([split.inside for split in splits]),
         lit=joined([split.lit for split in splits]),
         lamps=lamps._replace(mixing=mixing, noise=np.linalg.norm(mixing, axis=1)),
@@ -175,7 +183,7 @@ def _reflectances_of_regions(regions: Regions, lamps: Lamps) -> tuple[Points, fl
             rough = max(tolerance, _ROUGH * _FALL**done)
             _gather_regions(
                 regions.samples, regions.counts, weights, x, lamps.haze, lamps.inverse, lamps.mixing, rough,
-                matrices, gradients,
+                0.0, matrices, gradients,
             )  # fmt: skip
         rest = target - (x[b] - x[a])
         reach = max(1.0, CAP * _FALL**done) * spread
@@ -195,10 +203,14 @@ def _reflectances_of_regions(regions: Regions, lamps: Lamps) -> tuple[Points, fl
 
 @njit(cache=True, error_model="numpy")
 def _gather_regions(
-    samples: Any, counts: Any, weights: Any, x: Any, haze: Any, inverse: Any, mixing: Any, rough: float,
-    matrices: Any, gradients: Any,
+    samples: Any, counts: Any, weights: Any, x: Any, haze: Any, inverse: Any, mixing: Any, spread: float,
+    reach: float, matrices: Any, gradients: Any,
 ) -> None:  # fmt: skip
-    """Fill the normal matrix (n, 3, 3) and the gradient (n, 3) of each region's lengths."""
+    """Fill the normal matrix (n, 3, 3) and the gradient (n, 3) of each region's lengths.
+
+    spread: standard deviation of lengths beyond noise. reach: from CAP times this, or times the whole
+    standard deviation where that is more, a length counts less.
+    """
     j = np.empty(3)
     matrices[:] = 0.0
     gradients[:] = 0.0
@@ -207,8 +219,8 @@ def _gather_regions(
         bias = bias_of_noise(q, inverse, mixing)
         for p in range(counts[i]):
             e, variance = length_and_variance(samples[i, p], q, haze, inverse, mixing, bias, j)
-            variance += rough * rough
-            falling = 1.0 / (1.0 + e * e / variance / (CAP * CAP))
+            variance += spread * spread
+            falling = 1.0 / (1.0 + e * e / max(variance, reach * reach) / (CAP * CAP))
             weight = falling * falling / variance * weights[i] / counts[i]
             for a in range(3):
                 gradients[i, a] -= weight * j[a] * e
@@ -253,11 +265,31 @@ class _Found:
     costs: FloatArray
     length: float
     normal_matrix: FloatArray
+    spread: Spread
 
 
 def _fewest(logs: Points, regions: Regions, lamps: Lamps, tolerance: float, count: int | None) -> _Found:
-    """Leave out materials one after the other, and return the shortest description, or that of `count`."""
-    found = _settled(logs, None, regions, lamps, tolerance, 2)
+    """Return the shortest description, or that of `count` materials.
+
+    Materials are left out one after the other; then what is still unexplained proposes others, as long as
+    that makes the description shorter.
+    """
+    found = _settled(logs, None, regions, lamps, tolerance, 4, None)
+    found = _thinned(found, regions, lamps, tolerance, count)
+    for _ in range(_SPLITS):
+        more = _of_unexplained(found, regions, lamps, tolerance)
+        if not len(more):
+            break
+        again = _settled(np.vstack([found.logs, more]), None, regions, lamps, tolerance, 2, found.spread)
+        again = _thinned(again, regions, lamps, tolerance, count)
+        if again.length >= found.length - _LEAST_GAIN:
+            break
+        found = again
+    return found
+
+
+def _thinned(found: _Found, regions: Regions, lamps: Lamps, tolerance: float, count: int | None) -> _Found:
+    """Leave out materials one after the other, and return the shortest description on the way."""
     best: _Found | None = None
     while True:
         allowed = len(found.logs) <= (count or MOST_MATERIALS) and (count or not _has_twins(found.logs))
@@ -265,23 +297,79 @@ def _fewest(logs: Points, regions: Regions, lamps: Lamps, tolerance: float, coun
             best = found
         if len(found.logs) <= (count or 1):
             break
-        shorter = _without_one(found, regions)
-        found = _settled(shorter.logs, shorter.labels, regions, lamps, tolerance, 1)
+        fewer = [
+            _settled(logs, labels, regions, lamps, tolerance, 1, found.spread)
+            for logs, labels in (_without_one(found, regions), _merged(found))
+        ]
+        found = min(fewer, key=lambda each: each.length)
     return best or found
 
 
-def _plain(regions: Regions, lamps: Lamps, tolerance: float) -> _Found:
+def _merged(found: _Found) -> tuple[Points, IntArray]:
+    """Return log ρ (m − 1, 3) and labels where the two most nearly equal materials are one (wald1943)."""
+    count = len(found.logs)
+    blocks = [found.normal_matrix[3 * m : 3 * m + 3, 3 * m : 3 * m + 3] for m in range(count)]
+    ridge = _WEAK_PRIOR * np.eye(3)
+    covariances = np.linalg.inv(np.array(blocks) + ridge)
+    first, second = np.triu_indices(count, 1)
+    apart = found.logs[first] - found.logs[second]
+    solved = np.linalg.solve(covariances[first] + covariances[second], apart[..., None])[..., 0]
+    pair = int(np.sum(apart * solved, axis=1).argmin())
+    m, n = int(first[pair]), int(second[pair])
+    logs = found.logs.copy()
+    logs[m] = np.linalg.solve(
+        blocks[m] + blocks[n] + 2.0 * ridge,
+        (blocks[m] + ridge) @ found.logs[m] + (blocks[n] + ridge) @ found.logs[n],
+    )
+    labels = np.where(found.labels == n, m, found.labels)
+    return np.delete(logs, n, axis=0), labels - (labels > n)
+
+
+def _of_unexplained(found: _Found, regions: Regions, lamps: Lamps, tolerance: float) -> Points:
+    """Return (m, 3), log ρ of patches that no material explains, by their own lengths and by their seams."""
+    paid = np.take_along_axis(found.costs, found.labels[:, None], 1)[:, 0]
+    doubtful = paid > _DOUBTFUL
+    a, b = regions.sources, regions.neighbours
+    alike = doubtful[a] & doubtful[b] & (np.abs(regions.steps).max(axis=1) < _PAINT_STEP)
+    graph = sparse.coo_array(
+        (np.ones(alike.sum()), (a[alike], b[alike])), shape=(regions.count, regions.count)
+    )
+    patches = connected_components(graph, directed=False)[1]
+    sizes = np.bincount(patches, weights=regions.sizes * doubtful)
+    proposals: list[Any] = []
+    for patch in np.argsort(-sizes)[:_MOST_PATCHES]:
+        if sizes[patch] < INDEPENDENT_PX:
+            break
+        inside = (patches == patch) & doubtful
+        samples = [regions.samples[i, : regions.counts[i]] for i in np.flatnonzero(inside)]
+        pixels = np.concatenate(samples)
+        pixels = np.ascontiguousarray(pixels[:: max(1, len(pixels) // _PATCH_PIXELS)])
+        across = inside[a] & ~doubtful[b]
+        fits = [best_fit(pixels, lamps, tolerance)]
+        if across.any():
+            starts = found.logs[found.labels[b[across]]] - regions.steps[across]
+            fits.append(best_fit(pixels, lamps, tolerance, np.median(starts, axis=0)[None]))
+        proposals += [log for log, _, _ in fits if np.ptp(log) < _LARGEST_RATIO]
+    kept: list[Any] = []
+    for log in proposals:
+        others = np.array([*found.logs, *kept])
+        if np.abs(others - log).max(axis=1).min() > _TWINS:
+            kept.append(log)
+    return np.array(kept).reshape(-1, 3)
+
+
+def _plain(regions: Regions, lamps: Lamps, tolerance: float, spread: Spread) -> _Found:
     """Describe the frame as of the calibration material, one number brighter or darker."""
     steps = np.linspace(*_BRIGHTNESS, _BRIGHTNESSES)
     weights = regions.sizes / INDEPENDENT_PX
-    costs = prices(regions, np.repeat(steps[:, None], 3, axis=1), lamps, tolerance)
+    costs = prices(lengths_of(regions, np.repeat(steps[:, None], 3, axis=1), lamps), spread)
     best = int((weights @ costs).argmin())
     logs, costs = np.full((1, 3), steps[best]), costs[:, best : best + 1]
     labels = np.zeros(regions.count, np.int64)
     matrices, gradients = np.zeros((regions.count, 3, 3)), np.zeros((regions.count, 3))
     _gather_regions(
         regions.samples, regions.counts, weights, np.repeat(logs, regions.count, axis=0), lamps.haze,
-        lamps.inverse, lamps.mixing, tolerance, matrices, gradients,
+        lamps.inverse, lamps.mixing, tolerance, 0.0, matrices, gradients,
     )  # fmt: skip
     return _Found(
         logs=logs,
@@ -289,6 +377,7 @@ def _plain(regions: Regions, lamps: Lamps, tolerance: float) -> _Found:
         costs=costs,
         length=total_cost(costs, labels, logs, regions, _SEAM_PRICE) + _numbers(regions) / 3.0,
         normal_matrix=matrices.sum(axis=0),
+        spread=spread,
     )
 
 
@@ -297,38 +386,48 @@ def _has_twins(logs: Points) -> bool:
     return bool(apart.min() < _TWINS)
 
 
-def _without_one(found: _Found, regions: Regions) -> _Found:
+def _without_one(found: _Found, regions: Regions) -> tuple[Points, IntArray]:
     """Leave out the material without which the description is shortest, before anything is fitted again."""
-    best: _Found | None = None
+    best: tuple[float, Points, IntArray] | None = None
     for m in range(len(found.logs)):
         logs, costs = np.delete(found.logs, m, axis=0), np.delete(found.costs, m, axis=1)
         labels = np.where(found.labels == m, costs.argmin(axis=1), found.labels - (found.labels > m))
         labels = agreed(costs, logs, regions, _SEAM_PRICE, labels)
-        length = total_cost(costs, labels, logs, regions, _SEAM_PRICE) + _numbers(regions) * len(logs)
-        if best is None or length < best.length:
-            best = _Found(
-                logs=logs, labels=labels, costs=costs, length=length, normal_matrix=found.normal_matrix
-            )
+        length = total_cost(costs, labels, logs, regions, _SEAM_PRICE)
+        if best is None or length < best[0]:
+            best = length, logs, labels
     assert best is not None
-    return best
+    return best[1:]
 
 
 def _settled(
-    logs: Points, labels: IntArray | None, regions: Regions, lamps: Lamps, tolerance: float, rounds: int
+    logs: Points,
+    labels: IntArray | None,
+    regions: Regions,
+    lamps: Lamps,
+    tolerance: float,
+    rounds: int,
+    spread: Spread | None,
 ) -> _Found:
     """Alternate between labels and reflectances, all of which are fitted together."""
     size = 3 * len(logs)
     matrix = np.zeros((size, size))
     weights = regions.sizes / INDEPENDENT_PX
     own_matrices, own_gradients = np.zeros((regions.count, 3, 3)), np.zeros((regions.count, 3))
+    is_given = spread is not None
+    spread = spread or Spread(_FIRST_TOLERANCE, _FIRST_TOLERANCE)
     for _ in range(rounds):
-        costs = prices(regions, logs, lamps, tolerance)
+        lengths = lengths_of(regions, logs, lamps)
+        costs = prices(lengths, spread)
         labels = _cheapest(costs, logs, regions, labels)
+        if not is_given:
+            spread = spread_of(lengths, labels)
         paid = np.take_along_axis(costs, labels[:, None], 1)[:, 0]
-        for _ in range(3):
+        for i in range(_FIT_ROUNDS):
+            reach = _ROUGH * 0.5**i  # at first nothing is an outlier that two merged materials hold
             _gather_regions(
                 regions.samples, regions.counts, weights, logs[labels], lamps.haze, lamps.inverse,
-                lamps.mixing, tolerance, own_matrices, own_gradients,
+                lamps.mixing, tolerance, reach, own_matrices, own_gradients,
             )  # fmt: skip
             blocks, slopes = np.zeros((len(logs), 3, 3)), np.zeros((len(logs), 3))
             np.add.at(blocks, labels, own_matrices)
@@ -340,15 +439,17 @@ def _settled(
             )  # fmt: skip
             step = np.linalg.solve(matrix + _WEAK_PRIOR * np.eye(size), gradient).reshape(-1, 3)
             logs = logs + step.clip(-_LARGEST_STEP, _LARGEST_STEP)
-    costs = prices(regions, logs, lamps, tolerance)
+    costs = prices(lengths_of(regions, logs, lamps), spread)
     labels = _cheapest(costs, logs, regions, labels)
     length = total_cost(costs, labels, logs, regions, _SEAM_PRICE) + _numbers(regions) * len(logs)
-    return _Found(logs=logs, labels=labels, costs=costs, length=length, normal_matrix=matrix)
+    return _Found(logs=logs, labels=labels, costs=costs, length=length, normal_matrix=matrix, spread=spread)
 
 
 def _cheapest(costs: FloatArray, logs: Points, regions: Regions, labels: IntArray | None) -> IntArray:
     """Return labels found from the prices alone, or from those before if they end up cheaper."""
-    anew = agreed(costs, logs, regions, _SEAM_PRICE)
+    anew = (
+        agreed(costs, logs, regions, _SEAM_PRICE) if len(logs) <= MOST_MATERIALS or labels is None else labels
+    )
     if labels is None:
         return anew
     kept = agreed(costs, logs, regions, _SEAM_PRICE, labels)
@@ -359,8 +460,8 @@ def _cheapest(costs: FloatArray, logs: Points, regions: Regions, labels: IntArra
 
 
 def _numbers(regions: Regions) -> float:
-    """Nats of three numbers (schwarz1978)."""
-    return 1.5 * float(np.log(max(regions.sizes.sum() / INDEPENDENT_PX, 2.0)))
+    """Nats of a material: of its three numbers (schwarz1978), and that subjects are of few."""
+    return _FEW + 1.5 * float(np.log(max(regions.sizes.sum() / INDEPENDENT_PX, 2.0)))
 
 
 @njit(cache=True, error_model="numpy")

@@ -25,11 +25,12 @@ _LEAST_NOISE = 1e-4
 class SplitFrame:
     """Contributions of the lamps to blocks of factor × factor pixels.
 
-    contributions: (h, w, 3) float64, means over the mask. inside: (h, w), half of the block or more is
-    subject. lit: (h, w), all three lamps reach it. lamps: with the noise of these means. factor: pixels.
+    contributions, colours: (h, w, 3) float64, means over the mask. inside: (h, w), at least half of the block
+    is subject. lit: (h, w), all three lamps reach it. lamps: with the noise of these means. factor: pixels.
     """
 
     contributions: FloatArray
+    colours: FloatArray
     inside: Mask
     lit: Mask
     lamps: Lamps
@@ -49,7 +50,9 @@ def split_frame(
     contributions = rgb @ lamps.split.T
     least = np.maximum(_LEAST_SIGNAL * lamps.noise, _LEAST_SHARE * contributions.max(axis=2, keepdims=True))
     lit = inside & (contributions > least).all(axis=2)
-    return SplitFrame(contributions=contributions, inside=inside, lit=lit, lamps=lamps, factor=factor)
+    return SplitFrame(
+        contributions=contributions, colours=rgb, inside=inside, lit=lit, lamps=lamps, factor=factor
+    )
 
 
 def noise_of(rgb: FloatArray, inside: Mask) -> Vector3:
@@ -64,7 +67,8 @@ def noise_of(rgb: FloatArray, inside: Mask) -> Vector3:
     whole = whole[:-2] & whole[1:-1] & whole[2:]
     if not whole.any():
         return np.full(3, _LEAST_NOISE)
-    found = np.sort(both[whole], axis=0)[: max(1, int(whole.sum()) // 2)]
+    half = max(1, int(whole.sum()) // 2)
+    found = np.partition(both[whole], half - 1, axis=0)[:half]
     return np.maximum(np.sqrt(np.mean(found**2, axis=0)) / _OF_INNER_HALF / 6.0, _LEAST_NOISE)
 
 

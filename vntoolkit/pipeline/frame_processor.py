@@ -18,7 +18,8 @@ from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
 from vntoolkit.io.footage.gel_dots import DotFilter
 from vntoolkit.io.footage.resampling import resampler_of
-from vntoolkit.materials.labelling import MaterialLabeller, MaterialLabels, colours_of, relit
+from vntoolkit.materials.labelling import MaterialLabeller
+from vntoolkit.materials.pixels import MaterialLabels, colours_of
 from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.normals.expected_error import normals_and_errors_from_encoded, with_expected_error
 from vntoolkit.normals.gel import GelInverter, drift_of_change
@@ -192,9 +193,8 @@ class FrameProcessor:
             return self._gel.normals(change, drift, self._mask), None, float(linear.clipped.mean())
         if self._labeller is not None:
             self._mask = self.lit_subject(linear)
-            shades = self._labeller.labels(self.by_strength(linear), self._mask)
-            self._materials = self._labeller.materials_of(shades)
-            linear = relit(linear, self._central, shades, self._labeller.palette)
+            self._materials = self._labeller.labels(self.by_strength(linear), self._mask)
+            linear = self._labeller.relit(linear, self._materials)
         level = linear if self._leveller is None else self._leveller.frame(linear)
         labels = None
         if self._options.shadows is ShadowMethod.NONE:

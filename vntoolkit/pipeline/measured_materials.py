@@ -11,7 +11,7 @@ from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.footage.captures import Capture
 from vntoolkit.io.footage.mattes import Mattes
 from vntoolkit.io.results.manifest import MaterialEntry
-from vntoolkit.materials.labelling import MaterialLabeller, relit
+from vntoolkit.materials.labelling import MaterialLabeller
 from vntoolkit.materials.search import WORST_ERROR_DEG, Material, find_materials
 from vntoolkit.normals.inversion import relative_albedo_from_frame
 from vntoolkit.photometry.frame import LinearFrame
@@ -117,11 +117,7 @@ def _explaining(
         return found
     response, values = job.rig.response.central, np.array([each.reflectance.values for each in found])
     labeller = MaterialLabeller(response, values)
-    rgb = (
-        relit(frame, response, labeller.labels(frame, mask), labeller.palette)
-        .rgb[mask & ~frame.clipped]
-        .astype(np.float64)
-    )
+    rgb = labeller.relit(frame, labeller.labels(frame, mask)).rgb[mask & ~frame.clipped].astype(np.float64)
     lamps = rgb @ response.contributions_from_rgb.T
     lit = (lamps > _LIT_SHARE * lamps.max(axis=1, keepdims=True)).all(axis=1)
     length = np.linalg.norm((rgb[lit] - response.ambient) @ response.inverse.T, axis=1)

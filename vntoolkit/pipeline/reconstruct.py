@@ -40,7 +40,7 @@ from vntoolkit.io.results.manifest import (
     write_manifest,
 )
 from vntoolkit.io.rigs import entry_from_rig
-from vntoolkit.materials.labelling import MaterialLabeller, relit
+from vntoolkit.materials.labelling import MaterialLabeller
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.lambertian import Leveller
 from vntoolkit.pipeline.block_work import Block, BlockWorker, ReconstructionJob
@@ -278,10 +278,9 @@ def _in_one_material(
         labeller.forget()
         inside = np.ones(frame.shape, np.bool_) if mask is None else mask
         labels = labeller.labels(level, inside)
-        seen = relit(frame, response.central, labels, labeller.palette)
+        seen = labeller.relit(frame, labels)
         # Beside seams a blurred pixel is of no material: it would pass for a wrong curve.
-        one = labeller.materials_of(labels)
-        seams = maximum_filter(one, _SEAM_PX) != minimum_filter(one, _SEAM_PX)
+        seams = maximum_filter(labels, _SEAM_PX) != minimum_filter(labels, _SEAM_PX)
         return replace(seen, clipped=seen.clipped | seams)
 
     return judged
