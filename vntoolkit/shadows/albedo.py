@@ -61,7 +61,7 @@ def _gloss_kernel(length: FloatArray, albedo: FloatArray, lit: Mask, out: Weight
             to[u] = trust if inside[u] else np.float32(1.0)
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def trust_beside_gloss(length: Any, albedo: Any) -> Any:
     """Return the same of one lit pixel."""
     excess = (departure(length, albedo) - np.float32(_GLOSS)) * np.float32(1.0 / _GLOSS)
@@ -69,7 +69,7 @@ def trust_beside_gloss(length: Any, albedo: Any) -> Any:
     return np.float32(1.0) / (np.float32(1.0) + excess * excess)
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def departure(length: Any, albedo: Any) -> Any:
     """Return sinh of the log of length over albedo: the log where paint fits, harder on what does not."""
     long, around = max(length, np.float32(_DARKEST)), max(albedo, np.float32(_DARKEST))

@@ -250,7 +250,7 @@ def numbers_of(values: npt.ArrayLike) -> Numbers:
     return tuple(np.float32(value) for value in np.ravel(np.asarray(values)))
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def turned(matrix: Numbers, x: Any, y: Any, z: Any) -> tuple[Any, Any, Any]:
     """Return a 3×3 matrix, nine numbers, times a vector."""
     return (
@@ -260,14 +260,14 @@ def turned(matrix: Numbers, x: Any, y: Any, z: Any) -> tuple[Any, Any, Any]:
     )
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def finite(value: Any) -> Any:
     """Return a colour; one that is no number is black, one that is infinite white."""
     sound = value - value == np.float32(0.0)
     return value if sound else (np.float32(1.0) if value > np.float32(0.0) else np.float32(0.0))
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def scaled_normal(
     r: Any, g: Any, b: Any, inverse: Numbers, haze: Numbers, rest: Any
 ) -> tuple[Any, Any, Any, Any]:
@@ -292,7 +292,7 @@ def scaled_normal(
     )  # fmt: skip
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def place_between(index: int, length: int, small: int) -> tuple[int, int, Any]:
     """Return the two pixels of a smaller image beside one of a larger, and how near it is to the second."""
     place = (np.float32(index) + np.float32(0.5)) * np.float32(small / length) - np.float32(0.5)

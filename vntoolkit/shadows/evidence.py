@@ -94,7 +94,7 @@ def largest_dark_cosine(
     return level, grain
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _bounds_of_dark(albedo: Any, typical: Any, spread: Any) -> tuple[Any, Any, Any]:
     """Return the noise of a cosine, and the lower and the upper bound of the level below which it is dark."""
     noise = np.float32(CONTRIBUTION_NOISE) / max(albedo, np.float32(_SMALLEST_ALBEDO))
@@ -103,7 +103,7 @@ def _bounds_of_dark(albedo: Any, typical: Any, spread: Any) -> tuple[Any, Any, A
     return noise, least, max(most + noise, least)
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _dark_level(expected: Any, least: Any, most: Any) -> Any:
     part = expected * np.float32(1.0 / _TURNING_COSINE)
     part = np.float32(_MISSING_RATIO) * min(max(part, np.float32(0.0)), np.float32(1.0))
@@ -193,14 +193,14 @@ def _evidence_kernel(
                 out[v, u, k] = _from_albedo(k, cosines[v, u, k], predicted[v, u], ratio, duals)
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _weakest(a: Any, b: Any, c: Any) -> int:
     if b < a:
         return 2 if c < b else 1
     return 2 if c < a else 0
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _from_albedo(k: int, cosine: Any, predicted: FloatArray, ratio: Any, duals: Matrix3) -> Any:
     """Evidence for light k from a length `ratio` times the albedo around."""
     lost = max(predicted[k] - max(cosine, 0.0), 0.0)
@@ -216,7 +216,7 @@ def _from_albedo(k: int, cosine: Any, predicted: FloatArray, ratio: Any, duals: 
     return min(max(found, -_MOST_FROM_ALBEDO), _MOST_FROM_ALBEDO)
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _log(ratio: Any) -> Any:
     return min(max(np.log(max(ratio, _SMALLEST_RATIO)), -_LARGEST_EXCESS), _LARGEST_EXCESS)
 
@@ -224,7 +224,7 @@ def _log(ratio: Any) -> Any:
 # Dark paint, and what evidence comes of a level.
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def paint_scale(c0: Any, c1: Any, c2: Any, p0: Any, p1: Any, p2: Any) -> Any:
     """Return what undoes dark paint: where all three lights are missing alike, it is the albedo that is off.
 
@@ -238,7 +238,7 @@ def paint_scale(c0: Any, c1: Any, c2: Any, p0: Any, p1: Any, p2: Any) -> Any:
     return np.float32(1.0) / (typical if painted else np.float32(1.0))
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def evidence_over(cosine: Any, level: Any, predicted: Any, noise: Any) -> Any:
     """Return how far a cosine is above the level, in units of its tolerance."""
     unit = np.float32(TOLERANCE_DARK) + np.float32(_TOLERANCE_BRIGHT) * max(predicted, np.float32(0.0))
@@ -327,7 +327,7 @@ def lamps_of(response: LightResponse) -> Lamps:
     )
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _is_doubted(cosine: Any, predicted: Any, noise: Any, least: Any, most: Any) -> Any:
     unit = (
         np.float32(TOLERANCE_DARK) + np.float32(_TOLERANCE_BRIGHT) * max(predicted, np.float32(0.0)) + noise
@@ -555,7 +555,7 @@ def _median_kernel(values: FloatArray, near: Mask, out: FloatArray) -> None:
             to[j] = _median_of_nine(a[j], b[j], c[j], d[j], e[j], f[j], g[j], m[j], n[j])
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _median_of_nine(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, h: Any, i: Any) -> Any:
     """Of rows sorted: the median of the largest first, the median second and the smallest third values."""
     low = _larger(_larger(_least(a, b, c), _least(d, e, f)), _least(g, h, i))
@@ -563,28 +563,28 @@ def _median_of_nine(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, h: A
     return _middle(low, _middle(_middle(a, b, c), _middle(d, e, f), _middle(g, h, i)), high)
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _larger(a: Any, b: Any) -> Any:
     return max(a, b)
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _smaller(a: Any, b: Any) -> Any:
     return min(a, b)
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _least(a: Any, b: Any, c: Any) -> Any:
     first = min(a, b)
     return min(first, c)
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _most(a: Any, b: Any, c: Any) -> Any:
     first = max(a, b)
     return max(first, c)
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _middle(a: Any, b: Any, c: Any) -> Any:
     return max(min(a, b), min(max(a, b), c))

@@ -201,7 +201,7 @@ def bonds_of_light(
     return east, south
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _log_of(cosine: Any) -> Any:
     return np.log(max(cosine, np.float32(0.0)) + np.float32(_DARK_COSINE))
 

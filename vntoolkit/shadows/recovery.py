@@ -410,7 +410,7 @@ def _confidence_kernel(
             out[v, u] = _confidence(labels[v, u], clipped[v, u], length[v, u], albedo[v, u], agreement[v, u])
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def by_lights(label: int, values: Numbers) -> Any:
     """Return the first value where no light arrives … the fourth where all three do."""
     one, two, three = (label & 1) != 0, (label & 2) != 0, (label & 4) != 0
@@ -420,7 +420,7 @@ def by_lights(label: int, values: Numbers) -> Any:
     return np.float32(values[3]) if every else found
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _confidence(label: int, clipped: bool, length: Any, albedo: Any, agreement: Any) -> Any:
     one = np.float32(1.0)
     departed = departure(length, albedo) * np.float32(1.0 / _ALBEDO_TOLERANCE)
@@ -433,7 +433,7 @@ def _confidence(label: int, clipped: bool, length: Any, albedo: Any, agreement: 
 # Colour before depth where all three lights meet the surface steeply.
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def weight_of_colour(x: Any, y: Any, z: Any, directions: Numbers) -> Any:
     """Return 1 where colour alone counts, 0 where the solved normal stays. directions: a unit row a light."""
     first, second, third = turned(directions, x, y, z)

@@ -254,14 +254,14 @@ class Model(NamedTuple):
 # Compiled loops of `surface`: what each pixel asks of the depth around it, gathered into grid edges.
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def ray_at(rays: RayGrid, v: int, u: int) -> tuple[Any, Any]:
     """Return (x, y) of the pixel's ray at depth 1."""
     x = (np.float32(u) - rays.centre_u) * rays.per_pixel_u
     return x, (np.float32(v) - rays.centre_v) * rays.per_pixel_v
 
 
-@njit(cache=True, fastmath=True, inline="always", error_model="numpy")
+@njit(cache=True, fastmath=True, forceinline=True, error_model="numpy")
 def _of_light(
     l0: Any, l1: Any, l2: Any, n0: Any, n1: Any, n2: Any, x: Any, y: Any, along_p: Any, along_q: Any,
     scale: Any, cosine: Any, is_lit: Any, model: Model,
@@ -284,7 +284,7 @@ def _of_light(
     return count, light, rest, j0, j1
 
 
-@njit(cache=True, fastmath=True, inline="always", error_model="numpy")
+@njit(cache=True, fastmath=True, forceinline=True, error_model="numpy")
 def local_quadratic(
     x: Any, y: Any, p: Any, q: Any, towards_p: Any, towards_q: Any, seen0: Any, seen1: Any, seen2: Any,
     label: Any, trust: Any, lights: Numbers, model: Model,
@@ -551,7 +551,7 @@ def _normals_kernel(
             )  # fmt: skip
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def mixed(a0: Any, a1: Any, a2: Any, weight: Any, b0: Any, b1: Any, b2: Any) -> tuple[Any, Any, Any]:
     """Blend two unit vectors, the first with `weight`."""
     rest = np.float32(1.0) - weight
