@@ -137,7 +137,8 @@ def test_the_border_of_an_open_sheet_is_followed_and_a_contour_that_turns_away_i
         lattice = lattice_on_template(template, 8)
         outline = Outline(template, lattice, mask, slopes)
         figure = outline.figure(second.mask, slopes_from_normals(second, CAMERA))
-        information, pull = outline.measure(template.positions_px, figure)
+        unturned = np.broadcast_to(np.eye(2), (lattice.count, 2, 2))
+        information, pull = outline.measure(template.positions_px, unturned, figure)
         right = (lattice.cells[:, 0] == lattice.cells[:, 0].max()) & (information[:, 0] > 1.0)
         if followed:
             assert right.sum() >= 5
@@ -146,6 +147,24 @@ def test_the_border_of_an_open_sheet_is_followed_and_a_contour_that_turns_away_i
             )  # corners are round
         else:
             assert not right.any()
+
+
+def test_a_border_that_another_part_covers_is_not_drawn_to_the_outline_beyond() -> None:
+    leg, both = np.zeros((HEIGHT, WIDTH), dtype=bool), np.zeros((HEIGHT, WIDTH), dtype=bool)
+    leg[4:92, 40:60], both[4:92, 40:90] = True, True
+    flat = np.zeros((HEIGHT, WIDTH))
+    first, second = normals(flat, flat, leg), normals(flat, flat, both)
+    template = template_from_maps(first, flat_depth(leg), CAMERA)
+    lattice = lattice_on_template(template, 8)
+    outline = Outline(template, lattice, leg, slopes_from_normals(first, CAMERA))
+    unturned = np.broadcast_to(np.eye(2), (lattice.count, 2, 2))
+    figure = outline.figure(second.mask, slopes_from_normals(second, CAMERA))
+    information, pull = outline.measure(template.positions_px, unturned, figure)
+    column, row = lattice.cells.T
+    inner = (row > row.min() + 2) & (row < row.max() - 2)
+    left, right = inner & (column == column.min()), inner & (column == column.max())
+    assert information[left, 0].min() > 1.0
+    assert np.abs(pull[right]).max() < 0.01 * information[left, 0].min()
 
 
 def test_the_distance_to_an_outline_has_its_sign_and_size() -> None:

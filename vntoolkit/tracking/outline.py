@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from vntoolkit.arrays import Mask, Points2
+from vntoolkit.arrays import FloatArray, Mask, Points2
 from vntoolkit.native import njit
 from vntoolkit.tracking.lattice import TemplateLattice
 from vntoolkit.tracking.slopes import Slopes, sample_image
@@ -22,6 +22,7 @@ _BORDER_PX = 4  # beside the image's own border there is no outline
 _SMALL_HOLE_PX = 200  # area of holes that are no part of the outline
 _INSIDE_SIGMA_PX = 2.0  # of a node whose vertices lie off the figure
 _HUBER_PX = 6.0
+_FAR_PX = 12.0  # of a border from its outline: beyond, it has likely lost it
 _LEAST_WEIGHT = np.float32(1e-4)  # mean of the slopes' around a pixel: by less it has no slope
 
 
@@ -40,6 +41,7 @@ class Outline:
         inside = np.all((p >= _BORDER_PX) & (p <= [w - 1 - _BORDER_PX, h - 1 - _BORDER_PX]), axis=1)
         self._border = border[inside]
         self._own = at[self._border, 0]
+        self._outward = at[self._border, 1:3]
         self._node = lattice.node_of_vertex[self._border]
         self._open = at[self._border, 3]
 
@@ -50,9 +52,13 @@ class Outline:
         return _figure(cv2.GaussianBlur(distance, (0, 0), 1.0), smooth, cv2.blur(slopes, (7, 7)))
 
     def measure(
-        self, positions_px: Points2, field: npt.NDArray[np.float32]
+        self, positions_px: Points2, inverse: FloatArray, field: npt.NDArray[np.float32]
     ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Return information (m, 3), pull (m, 2), in pixels of the frame."""
+        """Return information (m, 3) and pull (m, 2), in pixels of the frame. inverse: (m, 2, 2) J⁻¹ at nodes.
+
+        An outline that is far off, or that faces another way, is not this border's: a leg has none on its
+        inner side while the other passes before it.
+        """
         h, w = field.shape[:2]
         position = positions_px[self._border]
         at = sample_image(field, position)
@@ -65,7 +71,11 @@ class Outline:
         openness = openness * np.all(
             (foot >= _BORDER_PX) & (foot <= [w - 1 - _BORDER_PX, h - 1 - _BORDER_PX]), axis=1
         )
+        outward = np.einsum("nji,nj->ni", inverse[self._node], self._outward)
+        outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
+        openness = openness * np.maximum((outward * at[:, 1:3]).sum(axis=1), 0.0)
         residual = self._own - at[:, 0]
+        openness = openness / (1.0 + (residual / _FAR_PX) ** 2) ** 2
         information, pull = self._gathered(self._node, at[:, 1:3], residual, openness, _SIGMA_PX)
         off = np.flatnonzero(_outside(field, positions_px))
         at = sample_image(field, positions_px[off])

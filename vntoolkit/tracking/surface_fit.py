@@ -110,7 +110,7 @@ class SurfaceFit:
             inverse = _inverse(around)
             information = _congruent(told.information, inverse)
             pull = np.einsum("nji,nj->ni", inverse, told.pull)
-            outline, outline_pull = self._outline.measure(positions, figure)
+            outline, outline_pull = self._outline.measure(positions, inverse, figure)
             measured = np.minimum(1.0, information[:, 0] + information[:, 2])
             guess, variance, slip = lengths.guessed(positions, around, slopes, depth_map, hidden, measured)
             now = lengths.nodes(positions)
