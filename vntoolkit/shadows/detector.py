@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from enum import Enum
 
 import numpy as np
@@ -77,6 +78,8 @@ class ShadowDetector:
             contributions = contributions_from_frame(frame, self._response).contributions
             return labels_from_lit(lit_by_edges(contributions, mask))
         camera = None if self._camera is None else self._camera.cropped(*window)
-        labels, self._memory = labels_by_surface(frame, self._response, mask, window, camera, self._memory)
-        self.surface = self._memory.surface
+        last = self._memory
+        labels, self._memory = labels_by_surface(frame, self._response, mask, window, camera, last)
+        if self._memory.surface is not None:
+            self.surface = replace(self._memory.surface, settled=last is not None)
         return labels

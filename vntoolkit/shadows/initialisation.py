@@ -40,6 +40,7 @@ _NOISE_PER_SLOPE, _LEAST_NOISE = (
     0.01,
 )  # noise of a cosine per noise of a slope on cleaner frames; its bound
 _START_PIXELS = 15_000  # frames are halved until they are not larger; there the starts are compared
+_CHECKING_ITERATIONS = 4  # steps there of a surface that is given
 _MIDDLE_ITERATIONS, _LARGE_ITERATIONS = 4, 3  # steps at every larger size, and at the largest
 # The roots win a shadow where they leave so much less than the start does, and it has so many pixels there.
 _CLEAR_GAIN, _FEWEST_PIXELS = 0.85, 50
@@ -59,15 +60,16 @@ def solve_from_best_initialisation(
     """Solve the surface of a frame on its working size, coarse to fine.
 
     albedo: (h, w), that of the surroundings. trust: (h, w), beyond that of `measured`. start: the surface
-    that the labels came from, which is near enough to go on from, or None.
+    that the labels came from, or None.
     """
     by_lights = np.asarray(TRUST_BY_LIGHTS, dtype=np.float32)[count_lit(labels)]
     measured = replace(measured, trust=(measured.trust * trust * by_lights).astype(np.float32))
-    solve = _solver(measured, labels, albedo, mask, camera)
-    if start is None:
-        start = _from_smaller(measured, labels, albedo, mask, camera, options)
-    few = replace(options, iterations=_LARGE_ITERATIONS)
-    return solve(first_normals=measured.normals, start=start, options=few)
+    if start is not None and start.settled:
+        few = replace(options, iterations=_LARGE_ITERATIONS)
+        return _solver(measured, labels, albedo, mask, camera)(
+            first_normals=measured.normals, start=start, options=few
+        )
+    return _coarse_to_fine(measured, labels, albedo, mask, camera, options, start)
 
 
 def _shrunk(
@@ -79,20 +81,42 @@ def _shrunk(
     return small, small_mask, small_labels, np.asarray(cv2.resize(albedo, size, interpolation=cv2.INTER_AREA))
 
 
-def _from_smaller(
+def _coarse_to_fine(
     measured: LightContributions,
     labels: VisibilityLabels,
     albedo: FloatArray,
     mask: Mask,
     camera: Camera | None,
     options: SurfaceOptions,
+    start: Surface | None,
 ) -> Surface:
     """Compare the starts on a small image; go on from the better one at twice the size, and so on."""
+    found = _better_than(start, measured, labels, albedo, mask, camera, options)
+    return _solver(measured, labels, albedo, mask, camera)(
+        first_normals=measured.normals,
+        start=start if found is None else found,
+        options=replace(options, iterations=_LARGE_ITERATIONS),
+    )
+
+
+def _better_than(
+    start: Surface | None,
+    measured: LightContributions,
+    labels: VisibilityLabels,
+    albedo: FloatArray,
+    mask: Mask,
+    camera: Camera | None,
+    options: SurfaceOptions,
+) -> Surface | None:
+    """Return a surface to go on from, found on a smaller image; None where `start` is as good."""
     if mask.size <= _START_PIXELS:
-        return _by_either_root(measured, labels, albedo, mask, camera, options)
+        return _by_either_root(start, measured, labels, albedo, mask, camera, options)
     small, small_mask, small_labels, small_albedo = _shrunk(measured, labels, albedo, mask, 2)
     half = None if camera is None else camera.scaled(0.5)
-    found = _from_smaller(small, small_labels, small_albedo, small_mask, half, options)
+    small_start = None if start is None else start.shrunk(mask, 2)
+    found = _better_than(small_start, small, small_labels, small_albedo, small_mask, half, options)
+    if found is None:
+        return None
     solve = _solver(small, small_labels, small_albedo, small_mask, half)
     middle = replace(options, iterations=_MIDDLE_ITERATIONS)
     return solve(first_normals=small.normals, start=found, options=middle).enlarged(mask.shape, 2)
@@ -121,17 +145,21 @@ def _solver(
 
 
 def _by_either_root(
+    start: Surface | None,
     measured: LightContributions,
     labels: VisibilityLabels,
     albedo: FloatArray,
     mask: Mask,
     camera: Camera | None,
     options: SurfaceOptions,
-) -> Surface:
-    """Solve from a smooth continuation and from the roots; take every shadow's better one."""
+) -> Surface | None:
+    """Solve from `start`, or a smooth continuation, and from the roots; take every shadow's better one."""
     solve = _solver(measured, labels, albedo, mask, camera)
     shadow = mask & (labels != ALL_LIT)
-    smooth: Surface = solve(first_normals=measured.normals, options=options)
+    if start is not None and not shadow.any():
+        return None
+    few = options if start is None else replace(options, iterations=_CHECKING_ITERATIONS)
+    smooth: Surface = solve(first_normals=measured.normals, start=start, options=few)
     if not shadow.any():
         return smooth
     relative = measured.relative_to(albedo)
@@ -139,7 +167,7 @@ def _by_either_root(
     rooted: Surface = solve(first_normals=roots, guessed=decided, options=options)
     better = _better_regions(rooted.misfit, smooth.misfit, shadow)
     if not better.any():
-        return smooth
+        return smooth if start is None else None
     base = rooted if 2 * np.count_nonzero(better) > np.count_nonzero(shadow) else smooth
     merged = np.where(better[..., None], rooted.normals, smooth.normals)
     return solve(first_normals=measured.normals, start=replace(base, normals=merged), options=options)

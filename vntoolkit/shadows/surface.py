@@ -32,6 +32,7 @@ from vntoolkit.shadows.contributions import (
     Numbers,
     flat,
     lengths_of,
+    mean_inside,
     numbers_of,
 )
 from vntoolkit.solvers import grid_hierarchy, solve_grid
@@ -73,13 +74,16 @@ class Surface:
 
     normals: (h, w, 3) unit, camera frame. depth: (h, w) float32, pixels (orthographic) or f · log z.
     agreement: (h, w), 0 to 1, how far depth and colour agree on a fully lit pixel's slope, 0 at the border.
-    misfit: (h, w), χ² of the light that arrives against the light that the surface would return.
+    misfit: (h, w), χ² of the light that arrives against the light that the surface would return, before the
+    last step. settled: whether it comes from a frame after the first, which goes on from the one
+    before; of a first frame, every shadow takes the better of its two roots.
     """
 
     normals: FloatArray
     depth: Grid
     agreement: Grid
     misfit: Grid
+    settled: bool = False
 
     def enlarged(self, shape: tuple[int, ...], factor: int) -> Surface:
         """Return the same surface on a grid `factor` times finer; depth counts pixels, so it grows too."""
@@ -103,6 +107,16 @@ class Surface:
             depth=np.ascontiguousarray(move(self.depth) * np.float32(scale)),
             agreement=move(self.agreement),
             misfit=move(self.misfit),
+        )
+
+    def shrunk(self, mask: Mask, factor: int) -> Surface:
+        """Return the same surface on a grid `factor` times coarser, averaged over the mask."""
+        mean, _ = mean_inside(mask, factor)
+        return Surface(
+            normals=_unit_or_facing(mean(self.normals)),
+            depth=np.ascontiguousarray(mean(self.depth) / np.float32(factor)),
+            agreement=mean(self.agreement),
+            misfit=mean(self.misfit),
         )
 
 
