@@ -147,7 +147,7 @@ def test_cloth_is_attached_where_legs_stand_apart() -> None:
 
 def test_a_garment_without_limbs_is_said(caplog: pytest.LogCaptureFixture) -> None:
     worn(relief(0.4, 0.7, [([0.0, 0.0], [0.0, 0.6], 0.2, 0.2)]), Garment.AUTO)
-    assert "worn as a sweater: film them apart" in caplog.text
+    assert "worn as a sweater; film them apart" in caplog.text
 
 
 def test_each_kind_is_worn_on_its_own_bones() -> None:

@@ -285,9 +285,9 @@ def dress(
     fitting = fit_garment_to_figure(garment, motion, fit, options.fitting, named_joints(options.map))
     if options.fitting.garment is Garment.AUTO and fitting.garment is Garment.SWEATER and not fitting.sleeved:
         logger.warning(
-            "neither sleeves nor legs stand out from the garment's outline in any frame, and it is worn as a "
-            "sweater: film them apart, track from a frame where they are (track --template), or name the "
-            "garment, as --garment skirt"
+            "neither sleeves nor legs stand out from the garment's outline: it is worn as a sweater; film "
+            "them apart, track from a frame where they are (track --template), or name the garment, as "
+            "--garment skirt"
         )
     attached = garment.with_vertices(fitting.rest_from_cloth.apply(garment.vertices))
     clock = clock_from_recordings(cloth, motion, options.clock)

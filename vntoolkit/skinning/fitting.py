@@ -190,12 +190,12 @@ def _kind_of(regions: GarmentRegions, asked: Garment) -> Garment:
         return Garment.TROUSERS if regions.hems is not None else Garment.SWEATER
     if asked is Garment.TROUSERS and regions.hems is None:
         raise BadInput(
-            "trousers: the garment's outline has no gap between two legs in any frame: film them apart, or "
+            "trousers: the garment's outline has no gap between two legs: film them apart, or "
             "take --garment skirt"
         )
     if asked.has_sleeves and not regions.sleeves:
         raise BadInput(
-            f"{asked.value}: no sleeve stands out from the garment's outline in any frame: film both "
+            f"{asked.value}: no sleeve stands out from the garment's outline: film both "
             "apart from the trunk, or take --garment sleeveless"
         )
     return asked
