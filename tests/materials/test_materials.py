@@ -176,3 +176,39 @@ def test_relighting_the_calibration_material_changes_nothing() -> None:
 def test_lamps_of_unknown_colours_are_refused() -> None:
     with pytest.raises(BadInput, match="does not hold the colours of its lamps"):
         lamps_from_response(LightResponse(matrix=RESPONSE.matrix), np.full(3, LEVEL))
+
+
+def test_labels_are_carried_along_with_a_turning_subject() -> None:
+    labels, shares, unlike = sectors(), [], []
+    labeller = MaterialLabeller(RESPONSE, PAINTS)
+    for step in range(8):
+        turned = rotated(labels, 1.5 * step)
+        frame, _, mask = painted(turned, seed=step)
+        carried = labeller.labels(frame, mask)
+        alone = MaterialLabeller(RESPONSE, PAINTS).labels(frame, mask)
+        shares.append(np.mean(carried[mask] == turned[mask]))
+        unlike.append(np.mean(carried[mask] != alone[mask]))
+    assert min(shares) > 0.97
+    assert max(unlike) < 0.02
+
+
+def test_labels_that_no_longer_fit_are_decided_anew_and_forgotten_ones_do_not_count() -> None:
+    first, _, mask = painted(sectors())
+    other, _, _ = painted(sectors()[::-1], seed=3)
+    labeller = MaterialLabeller(RESPONSE, PAINTS)
+    labeller.labels(first, mask)
+    carried = labeller.labels(other, mask)
+    assert np.mean(carried[mask] == sectors()[::-1][mask]) > 0.97
+    labeller.forget()
+    assert np.array_equal(
+        labeller.labels(other, mask), MaterialLabeller(RESPONSE, PAINTS).labels(other, mask)
+    )
+
+
+def rotated(labels: np.ndarray, degrees: float) -> np.ndarray:
+    """Labels turned about the middle of the picture."""
+    middle = (len(labels) - 1) / 2
+    v, u = np.indices(labels.shape) - middle
+    cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    places = np.stack([cosine * v - sine * u, sine * v + cosine * u]) + middle
+    return labels[tuple(places.round().astype(int).clip(0, len(labels) - 1))]

@@ -12,13 +12,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import prange
-from scipy.ndimage import maximum_filter, minimum_filter
 
 from vntoolkit.arrays import FloatArray, IntArray, Mask, Points
-from vntoolkit.materials.pixels import INDEPENDENT_PX, MaterialLabels, Spread, decided, relit
+from vntoolkit.materials.pixels import INDEPENDENT_PX, LineLabeller, MaterialLabels, Spread, near_seams, relit
 from vntoolkit.materials.reflectance import CAP, Lamps, bias_of_noise, length_and_variance
 from vntoolkit.materials.regions import SHADING_STEP, Regions, regions_of
-from vntoolkit.materials.split_frame import split_frame
+from vntoolkit.materials.split_frame import SplitFrame, split_frame
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
@@ -32,11 +31,20 @@ _PATCH_SWEEPS = 4
 _MESSAGE_ROUNDS = 5
 _DOUBTFUL = 1.5  # price of a region from which its pixels are decided one by one …
 _BESIDE = 4  # … and those that near to a seam
-_HABIT = 0.3  # what the label of the frame before takes off a price
+_DOUBTFUL_SHARE = (
+    0.05  # of the pixels of a frame that is decided as a whole: what costs more is doubtful later
+)
+_WORSE = 2.0  # as many doubtful pixels as then: the labels of the frame before explain too little
+_CARRIED_SWEEPS, _FINE_SWEEPS = 2, 1
 
 
 class MaterialLabeller:
-    """Labels frame after frame; those of the frame before are preferred.
+    """Labels frame after frame. A pixel keeps its label while that explains it as well as before.
+
+    The first frame is decided as a whole, region by region. It also tells noise, blur, and how exact lengths
+    are. After it pixels are decided again beside seams, which may have moved, and where the label no longer
+    fits. A frame that the labels so found explain worse than those of the last whole decision is decided as
+    a whole, too.
 
     response: with light colours. reflectances: (m, 3), relative to the calibration material.
     """
@@ -46,13 +54,14 @@ class MaterialLabeller:
         self._reflectances = np.asarray(reflectances, dtype=np.float64)
         self._logs = np.log(self._reflectances)
         self._before: MaterialLabels | None = None
-        self._spread: Spread | None = None
-        self._coarse_blur_px: float | None = None
-        self._blur_px: float | None = None
+        self._split: SplitFrame | None = None
+        self._coarse: LineLabeller | None = None
+        self._fine: LineLabeller | None = None
+        self._doubtful = np.inf
 
     def forget(self) -> None:
         """Drop the labels of the frame before, so that a sequence may start anywhere."""
-        self._before = self._spread = self._coarse_blur_px = self._blur_px = None
+        self._before = self._split = self._coarse = self._fine = None
 
     def labels(self, frame: LinearFrame, mask: Mask) -> MaterialLabels:
         """Return (h, w), numbers of the materials; 0 outside the mask. mask: (h, w).
@@ -61,50 +70,73 @@ class MaterialLabeller:
         """
         if len(self._logs) == 1 or not mask.any():
             return np.zeros(mask.shape, np.uint8)
-        split = split_frame(frame, self._response, mask)
-        regions = regions_of(split)
-        if not regions.count:
+        split = split_frame(frame, self._response, mask, like=self._split)
+        coarse = self._carried(split)
+        if coarse is None:
+            coarse = self._decided_anew(split)
+        if coarse is None:
             return np.zeros(mask.shape, np.uint8)
-        lengths = lengths_of(regions, self._logs, split.lamps)
-        if self._spread is None:
-            self._spread = Spread(_FIRST_SPREAD, _FIRST_SPREAD)
-            for _ in range(2):
-                costs = prices(lengths, self._spread)
-                self._spread = spread_of(lengths, agreed(costs, self._logs, regions, _SEAM_PRICE))
-        costs = prices(lengths, self._spread)
-        if self._before is not None and self._before.shape == split.lit.shape:
-            costs -= _HABIT * _shares(self._before, regions, len(self._logs))
-        of_regions = agreed(costs, self._logs, regions, _SEAM_PRICE)
-        coarse = of_regions[regions.labels].astype(np.uint8)
-        doubtful = np.take_along_axis(costs, of_regions[:, None], 1)[:, 0] > _DOUBTFUL
-        active = ~regions.plain | doubtful[regions.labels] | _differs(coarse, 2 * _BESIDE + 1)
-        coarse, self._coarse_blur_px = decided(
-            split.colours.astype(np.float32), split.lit, split.lamps, self._logs, self._spread, coarse,
-            active, self._coarse_blur_px,
-        )  # fmt: skip
-        self._before = coarse
+        self._before, self._split = coarse, split
         if split.factor == 1:
-            self._blur_px = self._coarse_blur_px
+            self._fine = self._coarse
             return np.where(mask, coarse, 0).astype(np.uint8)
+        assert self._coarse is not None
         labels, active = np.zeros(mask.shape, np.uint8), np.zeros(mask.shape, np.bool_)
-        _enlarge(coarse, _differs(coarse, 3) & split.lit, mask, split.factor, labels, active)
-        lamps = split.lamps._replace(
-            mixing=split.lamps.mixing * split.factor, noise=split.lamps.noise * split.factor
+        _enlarge(coarse, near_seams(coarse, 1) & split.lit, mask, split.factor, labels, active)
+        if self._fine is None:
+            lamps = split.lamps._replace(
+                mixing=split.lamps.mixing * split.factor, noise=split.lamps.noise * split.factor
+            )
+            self._fine = LineLabeller(lamps, self._logs, self._coarse.spread)
+        return self._fine.decided(
+            np.ascontiguousarray(frame.rgb), mask, labels, active, any_label=~mask, sweeps=_FINE_SWEEPS
         )
-        labels, self._blur_px = decided(
-            np.ascontiguousarray(frame.rgb), mask, lamps, self._logs, self._spread, labels, active,
-            self._blur_px, any_label=False,
-        )  # fmt: skip
-        return labels
 
     def relit(self, frame: LinearFrame, labels: MaterialLabels) -> LinearFrame:
         """Return the frame as it would be with the calibration material everywhere."""
-        return relit(frame, self._response, labels, self._reflectances, self._blur_px or 0.0)
+        blur_px = 0.0 if self._fine is None else self._fine.blur_px
+        return relit(frame, self._response, labels, self._reflectances, blur_px)
 
+    def _carried(self, split: SplitFrame) -> MaterialLabels | None:
+        """Return labels of blocks from those of the frame before; None where these do not explain it."""
+        if (
+            self._before is None
+            or self._coarse is None
+            or self._split is None
+            or self._before.shape != split.lit.shape
+        ):
+            return None
+        prices = self._coarse.prices(split.colours, split.lit, self._before)
+        doubtful = prices > self._doubtful
+        if doubtful.sum() > _WORSE * _DOUBTFUL_SHARE * split.lit.sum():
+            return None
+        doubtful |= ~self._split.lit
+        return self._coarse.decided(
+            split.colours, split.lit, self._before, doubtful | near_seams(self._before, _BESIDE),
+            any_label=doubtful, sweeps=_CARRIED_SWEEPS,
+        )  # fmt: skip
 
-def _differs(labels: MaterialLabels, window: int) -> Mask:
-    """True where another label is within a window (window × window)."""
-    return np.asarray(maximum_filter(labels, window) != minimum_filter(labels, window))
+    def _decided_anew(self, split: SplitFrame) -> MaterialLabels | None:
+        """Return labels of blocks, from those of regions; None where no region is lit."""
+        regions = regions_of(split)
+        if not regions.count:
+            return None
+        lengths = lengths_of(regions, self._logs, split.lamps)
+        if self._coarse is None:
+            spread = Spread(_FIRST_SPREAD, _FIRST_SPREAD)
+            for _ in range(2):
+                costs = prices_of_regions(lengths, spread)
+                spread = spread_of(lengths, agreed(costs, self._logs, regions, _SEAM_PRICE))
+            self._coarse = LineLabeller(split.lamps, self._logs, spread)
+        costs = prices_of_regions(lengths, self._coarse.spread)
+        of_regions = agreed(costs, self._logs, regions, _SEAM_PRICE)
+        coarse = of_regions[regions.labels].astype(np.uint8)
+        doubtful = np.take_along_axis(costs, of_regions[:, None], 1)[:, 0] > _DOUBTFUL
+        active = ~regions.plain | doubtful[regions.labels] | near_seams(coarse, _BESIDE)
+        found = self._coarse.decided(split.colours, split.lit, coarse, active)
+        paid = self._coarse.prices(split.colours, split.lit, found)[split.lit]
+        self._doubtful = float(np.quantile(paid, 1.0 - _DOUBTFUL_SHARE)) if paid.size else np.inf
+        return found
 
 
 @njit(cache=True, parallel=True)
@@ -144,7 +176,7 @@ def lengths_of(regions: Regions, logs: Points, lamps: Lamps) -> Lengths:
     return Lengths(error, scatter, noise, np.maximum(regions.counts, 1)[:, None].astype(np.float64))
 
 
-def prices(lengths: Lengths, spread: Spread) -> FloatArray:
+def prices_of_regions(lengths: Lengths, spread: Spread) -> FloatArray:
     """Return (n, m), nats of each material for each region, at most of a region that is of no material.
 
     That has a length of any kind: the more exact lengths are, the dearer is one that does not fit.
@@ -197,13 +229,6 @@ def total_cost(costs: FloatArray, labels: IntArray, logs: Points, regions: Regio
             regions.steps, regions.contacts, seam,
         )
     )  # fmt: skip
-
-
-def _shares(labels: MaterialLabels, regions: Regions, count: int) -> FloatArray:
-    """(n, m), share of each material in each region."""
-    key = regions.labels[regions.plain] * count + labels[regions.plain]
-    votes = np.bincount(key, minlength=regions.count * count).reshape(regions.count, count)
-    return np.asarray(votes / np.maximum(votes.sum(axis=1, keepdims=True), 1))
 
 
 @njit(cache=True, parallel=True, error_model="numpy")

@@ -19,6 +19,7 @@ from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 
+Single = npt.NDArray[np.float32]
 MaterialLabels = npt.NDArray[np.uint8]
 INDEPENDENT_PX = 64.0  # pixels that share their errors: lamps, gloss and ambient light change slowly
 _SEAM_PRICE = 1.0  # of two pixels of two materials side by side
@@ -43,29 +44,87 @@ class Spread(NamedTuple):
     of_pixels: float
 
 
-def decided(
-    values: FloatArray, lit: Mask, lamps: Lamps, logs: Points, spread: Spread, labels: MaterialLabels,
-    active: Mask, blur_px: float | None = None, any_label: bool = True,
-) -> tuple[MaterialLabels, float]:  # fmt: skip
-    """Return labels (h, w) of little cost, from labels (h, w), and how far seams are blurred.
+class LineLabeller:
+    """Decides labels of pixels line by line. Its first frame tells the blur and how far shading changes.
 
-    values: (h, w, 3) float32, colours. active: pixels that are decided, among all labels or those around
-    them. blur_px: standard deviation, found where not given.
+    lamps: with the noise of the pixels. logs: (m, 3), log ρ. blur_px: standard deviation of seams' blur.
     """
-    active = active & lit
-    allowed = np.full(labels.shape, 2 ** len(logs) - 1, np.uint16)
-    if not any_label:
-        _labels_around(labels, active, allowed)
-    is_given = blur_px is not None
-    reach = _REACH_BLURRED if (blur_px or 0.0) >= _BLURRED_PX else 1
-    while True:
-        found = _of_least_cost(values, lit, lamps, logs, spread, labels, active, allowed, reach)
-        if not is_given:
-            blur_px = _blur_px(values, lit, lamps, logs, spread, found)
-        assert blur_px is not None
-        if is_given or reach > 1 or blur_px < _BLURRED_PX:
-            return found, blur_px
-        reach = _REACH_BLURRED
+
+    def __init__(self, lamps: Lamps, logs: Points, spread: Spread) -> None:
+        self._lamps, self._logs, self.spread = lamps, logs, spread
+        self._reach = 1
+        self._room: tuple[Single, Single, Single] | None = None
+        self._variance: float | None = None
+        self._tolerance = spread.of_pixels**2 + INDEPENDENT_PX * spread.of_regions**2
+        self.blur_px = 0.0
+
+    def decided(
+        self, values: FloatArray, lit: Mask, labels: MaterialLabels, active: Mask, *,
+        any_label: Mask | None = None, sweeps: int = _SWEEPS,
+    ) -> MaterialLabels:  # fmt: skip
+        """Return labels (h, w) of little cost, from labels (h, w).
+
+        values: (h, w, 3), colours. active: pixels that are decided, among the labels around them, or, where
+        `any_label`, a mask, is True, among all.
+        """
+        active = active & lit
+        allowed = np.full(labels.shape, 2 ** len(self._logs) - 1, np.uint16)
+        if any_label is not None:
+            _labels_around(labels, active & ~any_label, allowed)
+        if self._variance is not None:
+            return self._of_least_cost(values, lit, labels, active, allowed, sweeps)
+        found = self._of_least_cost(values, lit, labels, active, allowed, _SWEEPS)
+        self.blur_px = _blur_px(values, lit, self._lamps, self._logs, self.spread, found)
+        if self.blur_px >= _BLURRED_PX:
+            self._reach, self._variance = _REACH_BLURRED, None
+            found = self._of_least_cost(values, lit, labels, active, allowed, _SWEEPS)
+            self.blur_px = _blur_px(values, lit, self._lamps, self._logs, self.spread, found)
+        return found
+
+    def prices(self, values: FloatArray, lit: Mask, labels: MaterialLabels) -> FloatArray:
+        """(h, w), nats that each pixel's length costs under its label, and the steps to right and below."""
+        assert self._variance is not None
+        lamps, out = self._lamps, np.zeros(labels.shape)
+        light, noise, _ = self._room_for(values)
+        _price(
+            values, lit, labels, lamps.split, self._logs, lamps.haze, lamps.inverse, lamps.mixing,
+            lamps.noise, self._tolerance, self._variance, self._reach, light, noise, out,
+        )  # fmt: skip
+        return out
+
+    def _of_least_cost(
+        self, values: FloatArray, lit: Mask, labels: MaterialLabels, active: Mask,
+        allowed: npt.NDArray[np.uint16], sweeps: int,
+    ) -> MaterialLabels:  # fmt: skip
+        """Decide rows and columns in turn, each whole line at once (viterbi1967), until hardly any change."""
+        lamps, logs, reach = self._lamps, self._logs, self._reach
+        light, noise, unary = self._room_for(values)
+        _prepare(
+            values, lamps.split, np.exp(-logs), lamps.haze, lamps.inverse, lamps.mixing, lamps.noise,
+            self._tolerance, active, lit, reach, light, noise, unary,
+        )  # fmt: skip
+        if self._variance is None:
+            self._variance = _shading_variance(values, lit, lamps, reach)
+        found, extents = labels.copy(), _extents(active)
+        for _ in range(sweeps):
+            changed = 0
+            for upright in (True, False):
+                for first in (0, 1):
+                    changed += _decide_lines(
+                        found, light, noise, lit, unary, active, allowed, logs, self._variance, reach,
+                        upright, first, extents[0 if upright else 1],
+                    )  # fmt: skip
+            if changed <= _SETTLED * active.sum():
+                break
+        return found
+
+    def _room_for(self, values: FloatArray) -> tuple[Single, Single, Single]:
+        """Return arrays for log s, its variance by noise, and prices; new ones would cost a frame 20 ms."""
+        if self._room is None or self._room[0].shape != values.shape:
+            lights = np.empty((2, *values.shape), np.float32)
+            prices = np.empty((*values.shape[:2], len(self._logs)), np.float32)
+            self._room = lights[0], lights[1], prices
+        return self._room
 
 
 def relit(
@@ -84,10 +143,12 @@ def relit(
     merge = np.linalg.inv(split)
     values = np.asarray(reflectances, np.float64)
     matrices = np.array([merge @ np.diag(1.0 / rho) @ split for rho in values])
+    is_blurred = blur_px > 0.0 and len(values) > 1
+    near = near_seams(labels, _WINDOW) if is_blurred else np.zeros(labels.shape, np.bool_)
     out = np.empty(frame.rgb.shape, np.float32)
     _relight(
         np.ascontiguousarray(frame.rgb), labels, matrices.astype(np.float32), values, split, merge,
-        _weights(blur_px), blur_px > 0.0 and len(values) > 1, out,
+        _weights(blur_px), near, out,
     )  # fmt: skip
     return LinearFrame(rgb=out, clipped=frame.clipped, number=frame.number)
 
@@ -100,32 +161,6 @@ def colours_of(reflectances: Points, response: LightResponse) -> FloatArray:
     colours = np.abs(np.linalg.inv(response.contributions_from_rgb).T)
     seen = np.asarray(reflectances) @ colours / colours.sum(axis=0)
     return np.asarray(seen / max(1.0, float(seen.max())))
-
-
-def _of_least_cost(
-    values: FloatArray, lit: Mask, lamps: Lamps, logs: Points, spread: Spread, labels: MaterialLabels,
-    active: Mask, allowed: npt.NDArray[np.uint16], reach: int,
-) -> MaterialLabels:  # fmt: skip
-    """Decide rows and columns in turn, each whole line at once (viterbi1967), until hardly any change."""
-    light, noise = np.empty(values.shape), np.empty(values.shape)
-    unary = np.empty((*lit.shape, len(logs)))
-    tolerance = spread.of_pixels**2 + INDEPENDENT_PX * spread.of_regions**2
-    _prepare(
-        values, lamps.split, np.exp(-logs), lamps.haze, lamps.inverse, lamps.mixing, lamps.noise, tolerance,
-        active, lit, reach, light, noise, unary,
-    )  # fmt: skip
-    variance = _shading_variance(values, lit, lamps, reach)
-    found = labels.copy()
-    for _ in range(_SWEEPS):
-        changed = 0
-        for upright in (True, False):
-            for first in (0, 1):
-                changed += _decide_lines(
-                    found, light, noise, lit, unary, active, allowed, logs, variance, reach, upright, first
-                )
-        if changed <= _SETTLED * active.sum():
-            break
-    return found
 
 
 def _shading_variance(values: FloatArray, lit: Mask, lamps: Lamps, reach: int) -> float:
@@ -178,6 +213,45 @@ def _prepare(
                     unary[v, u, m] = 0.5 * t / (1.0 + t / (CAP * CAP))
 
 
+@njit(cache=True, parallel=True, error_model="numpy")
+def _price(
+    values: Any, lit: Any, labels: Any, split: Any, z: Any, haze: Any, inverse: Any, mixing: Any,
+    deviation: Any, tolerance: float, variance: float, reach: int, light: Any, noise: Any, out: Any,
+) -> None:  # fmt: skip
+    """Fill `out` with each pixel's price of its length and of its steps to right and below."""
+    h, w = lit.shape
+    q = np.exp(-z)
+    bias = np.array([bias_of_noise(q[m], inverse, mixing) for m in range(z.shape[0])])
+    for v in prange(h):
+        j, s = np.empty(3), np.empty(3)
+        for u in range(w):
+            if not lit[v, u]:
+                continue
+            for k in range(3):
+                s[k] = max(
+                    split[k, 0] * values[v, u, 0]
+                    + split[k, 1] * values[v, u, 1]
+                    + split[k, 2] * values[v, u, 2],
+                    deviation[k],
+                )
+                light[v, u, k] = np.log(s[k])
+                noise[v, u, k] = (deviation[k] / s[k]) ** 2
+            m = labels[v, u]
+            e, spread = length_and_variance(s, q[m], haze, inverse, mixing, bias[m], j)
+            t = e * e / (spread + tolerance)
+            out[v, u] = 0.5 * t / (1.0 + t / (CAP * CAP))
+    for v in prange(h):
+        weight = np.empty(3)
+        for u in range(w):
+            for way in range(2):
+                a, b = v + way * reach, u + (1 - way) * reach
+                if not lit[v, u] or a >= h or b >= w or not lit[a, b]:
+                    continue
+                for k in range(3):
+                    weight[k] = 1.0 / (variance + noise[v, u, k] + noise[a, b, k])
+                out[v, u] += _change(light[v, u], light[a, b], weight, z[labels[v, u]], z[labels[a, b]])
+
+
 @njit(cache=True, parallel=True)
 def _labels_around(labels: Any, active: Any, allowed: Any) -> None:
     """Leave each active pixel the labels that are within the window around it."""
@@ -190,6 +264,22 @@ def _labels_around(labels: Any, active: Any, allowed: Any) -> None:
                     for b in range(max(u - _WINDOW, 0), min(u + _WINDOW + 1, w)):
                         found |= 1 << labels[a, b]
                 allowed[v, u] = found
+
+
+@njit(cache=True)
+def _extents(active: Any) -> Any:
+    """Return where the active pixels of each row (h, 2) and of each column (w, 2) begin and end."""
+    h, w = active.shape
+    rows, columns = np.zeros((h, 2), np.int64), np.zeros((w, 2), np.int64)
+    rows[:, 0], columns[:, 0] = w, h
+    for v in range(h):
+        for u in range(w):
+            if active[v, u]:
+                rows[v, 0] = min(rows[v, 0], u)
+                rows[v, 1] = u + 1
+                columns[u, 0] = min(columns[u, 0], v)
+                columns[u, 1] = v + 1
+    return rows, columns
 
 
 @njit(cache=True, error_model="numpy")
@@ -205,28 +295,26 @@ def _change(here: Any, there: Any, weight: Any, one: Any, other: Any) -> float:
 @njit(cache=True, parallel=True, error_model="numpy")
 def _decide_lines(
     labels: Any, light: Any, noise: Any, lit: Any, unary: Any, active: Any, allowed: Any, z: Any,
-    variance: float, reach: int, upright: bool, first: int,
+    variance: float, reach: int, upright: bool, first: int, extents: Any,
 ) -> int:  # fmt: skip
     """Give every second row or column its labels of least cost, those beside it being as they are.
 
     Return how many changed. upright: rows. A chain goes over every pixel, or leaps over blurred ones: then
-    chains alternate.
+    chains alternate. extents: (lines, 2), where the active pixels of each line begin and end.
     """
     h, w, count = unary.shape
     lines, length = (h, w) if upright else (w, h)
     changes = np.zeros(lines, np.int64)
     for i in prange((lines - first + 1) // 2):
         line = 2 * i + first
-        some = False
-        for t in range(length):
-            some |= active[line, t] if upright else active[t, line]
-        if not some:
+        begin, end = extents[line]
+        if begin >= end:
             continue
         weight = np.empty(3)
         total = np.empty((length, count))
         source = np.zeros((length, count), np.uint8)
         for offset in range(reach):
-            for t in range(offset, length, reach):
+            for t in range(begin + offset, end, reach):
                 v, u = (line, t) if upright else (t, line)
                 if not active[v, u]:
                     continue
@@ -316,6 +404,22 @@ def _blur_px(
     return _BLURS_PX[int(np.argmin(costs))]
 
 
+@njit(cache=True)
+def near_seams(labels: Any, reach: int) -> Any:
+    """True where another label is within a window, `reach` to either side."""
+    h, w = labels.shape
+    near = np.zeros((h, w), np.bool_)
+    for v in range(h):
+        for u in range(w):
+            down = v + 1 < h and labels[v + 1, u] != labels[v, u]
+            right = u + 1 < w and labels[v, u + 1] != labels[v, u]
+            if down:
+                near[max(v - reach + 1, 0) : v + reach + 1, max(u - reach, 0) : u + reach + 1] = True
+            if right:
+                near[max(v - reach, 0) : v + reach + 1, max(u - reach + 1, 0) : u + reach + 1] = True
+    return near
+
+
 @njit(cache=True, parallel=True)
 def _beside_seams(labels: Any, lit: Any) -> Any:
     h, w = labels.shape
@@ -332,16 +436,9 @@ def _beside_seams(labels: Any, lit: Any) -> Any:
 
 
 @njit(cache=True, error_model="numpy")
-def _mixed(v: int, u: int, labels: Any, rho: Any, weights: Any, out: Any) -> bool:
-    """Fill the mean reflectance over the window around a pixel; return whether it holds a seam."""
+def _mix(v: int, u: int, labels: Any, rho: Any, weights: Any, out: Any) -> None:
+    """Fill the mean reflectance over the window around a pixel."""
     h, w = labels.shape
-    own = labels[v, u]
-    is_mixed = False
-    for a in range(max(v - _WINDOW, 0), min(v + _WINDOW + 1, h)):
-        for b in range(max(u - _WINDOW, 0), min(u + _WINDOW + 1, w)):
-            is_mixed |= labels[a, b] != own
-    if not is_mixed:
-        return False
     out[:] = 0.0
     total = 0.0
     for a in range(max(v - _WINDOW, 0), min(v + _WINDOW + 1, h)):
@@ -352,7 +449,6 @@ def _mixed(v: int, u: int, labels: Any, rho: Any, weights: Any, out: Any) -> boo
                 out[k] += weight * rho[labels[a, b], k]
     for k in range(3):
         out[k] /= total
-    return True
 
 
 @njit(cache=True, error_model="numpy")
@@ -363,13 +459,13 @@ def _cost_of_blur(
     total = 0.0
     mean, q, j = np.empty(3), np.empty(3), np.empty(3)
     for i in range(v.size):
-        if _mixed(v[i], u[i], labels, rho, weights, mean):
-            for k in range(3):
-                q[k] = 1.0 / mean[k]
-            bias = bias_of_noise(q, inverse, mixing)
-            e, variance = length_and_variance(s[i], q, haze, inverse, mixing, bias, j)
-            t = e * e / (variance + tolerance)
-            total += 0.5 * t / (1.0 + t / (CAP * CAP))
+        _mix(v[i], u[i], labels, rho, weights, mean)
+        for k in range(3):
+            q[k] = 1.0 / mean[k]
+        bias = bias_of_noise(q, inverse, mixing)
+        e, variance = length_and_variance(s[i], q, haze, inverse, mixing, bias, j)
+        t = e * e / (variance + tolerance)
+        total += 0.5 * t / (1.0 + t / (CAP * CAP))
     return total
 
 
@@ -382,7 +478,7 @@ def _relight(
     split: Any,
     merge: Any,
     weights: Any,
-    is_blurred: bool,
+    near: Any,
     out: Any,
 ) -> None:
     h, w = labels.shape
@@ -390,7 +486,8 @@ def _relight(
         mean, light = np.empty(3), np.empty(3)
         for u in range(w):
             r, g, b = rgb[v, u, 0], rgb[v, u, 1], rgb[v, u, 2]
-            if is_blurred and _mixed(v, u, labels, rho, weights, mean):
+            if near[v, u]:
+                _mix(v, u, labels, rho, weights, mean)
                 for k in range(3):
                     light[k] = (split[k, 0] * r + split[k, 1] * g + split[k, 2] * b) / mean[k]
                 for c in range(3):

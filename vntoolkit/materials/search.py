@@ -22,7 +22,7 @@ from scipy.sparse.linalg import spsolve
 
 from vntoolkit.arrays import FloatArray, IntArray, Mask, Points, Vector3
 from vntoolkit.errors import BadInput
-from vntoolkit.materials.labelling import agreed, lengths_of, prices, spread_of, total_cost
+from vntoolkit.materials.labelling import agreed, lengths_of, prices_of_regions, spread_of, total_cost
 from vntoolkit.materials.pixels import INDEPENDENT_PX, Spread
 from vntoolkit.materials.reflectance import (
     CAP,
@@ -362,7 +362,7 @@ def _plain(regions: Regions, lamps: Lamps, tolerance: float, spread: Spread) -> 
     """Describe the frame as of the calibration material, one number brighter or darker."""
     steps = np.linspace(*_BRIGHTNESS, _BRIGHTNESSES)
     weights = regions.sizes / INDEPENDENT_PX
-    costs = prices(lengths_of(regions, np.repeat(steps[:, None], 3, axis=1), lamps), spread)
+    costs = prices_of_regions(lengths_of(regions, np.repeat(steps[:, None], 3, axis=1), lamps), spread)
     best = int((weights @ costs).argmin())
     logs, costs = np.full((1, 3), steps[best]), costs[:, best : best + 1]
     labels = np.zeros(regions.count, np.int64)
@@ -418,7 +418,7 @@ def _settled(
     spread = spread or Spread(_FIRST_TOLERANCE, _FIRST_TOLERANCE)
     for _ in range(rounds):
         lengths = lengths_of(regions, logs, lamps)
-        costs = prices(lengths, spread)
+        costs = prices_of_regions(lengths, spread)
         labels = _cheapest(costs, logs, regions, labels)
         if not is_given:
             spread = spread_of(lengths, labels)
@@ -439,7 +439,7 @@ def _settled(
             )  # fmt: skip
             step = np.linalg.solve(matrix + _WEAK_PRIOR * np.eye(size), gradient).reshape(-1, 3)
             logs = logs + step.clip(-_LARGEST_STEP, _LARGEST_STEP)
-    costs = prices(lengths_of(regions, logs, lamps), spread)
+    costs = prices_of_regions(lengths_of(regions, logs, lamps), spread)
     labels = _cheapest(costs, logs, regions, labels)
     length = total_cost(costs, labels, logs, regions, _SEAM_PRICE) + _numbers(regions) * len(logs)
     return _Found(logs=logs, labels=labels, costs=costs, length=length, normal_matrix=matrix, spread=spread)

@@ -38,18 +38,21 @@ class SplitFrame:
 
 
 def split_frame(
-    frame: LinearFrame, response: LightResponse, mask: Mask, most_pixels: int = WORKING_PIXELS
+    frame: LinearFrame,
+    response: LightResponse,
+    mask: Mask,
+    most_pixels: int = WORKING_PIXELS,
+    like: SplitFrame | None = None,
 ) -> SplitFrame:
     """Split a frame by lamp, averaged over blocks until the subject has about `most_pixels`.
 
-    mask: (h, w). Clipped pixels are left out. Raises `BadInput` where the lamps' colours are not known.
+    mask: (h, w). like: a frame whose blocks and noise are taken over. Clipped pixels are left out. Raises
+    `BadInput` where the lamps' colours are not known.
     """
-    factor = max(1, round(float(np.sqrt(mask.sum() / most_pixels))))
-    rgb, inside = _blocks(np.ascontiguousarray(frame.rgb), mask & ~frame.clipped, factor)
-    lamps = lamps_from_response(response, noise_of(rgb, inside))
-    contributions = rgb @ lamps.split.T
-    least = np.maximum(_LEAST_SIGNAL * lamps.noise, _LEAST_SHARE * contributions.max(axis=2, keepdims=True))
-    lit = inside & (contributions > least).all(axis=2)
+    factor = max(1, round(float(np.sqrt(mask.sum() / most_pixels)))) if like is None else like.factor
+    rgb, inside = _blocks(np.ascontiguousarray(frame.rgb), mask, frame.clipped, factor)
+    lamps = lamps_from_response(response, noise_of(rgb, inside)) if like is None else like.lamps
+    contributions, lit = _lit(rgb, inside, lamps.split, _LEAST_SIGNAL * lamps.noise)
     return SplitFrame(
         contributions=contributions, colours=rgb, inside=inside, lit=lit, lamps=lamps, factor=factor
     )
@@ -73,7 +76,7 @@ def noise_of(rgb: FloatArray, inside: Mask) -> Vector3:
 
 
 @njit(cache=True, parallel=True)
-def _blocks(rgb: Any, mask: Any, factor: int) -> Any:
+def _blocks(rgb: Any, mask: Any, clipped: Any, factor: int) -> Any:
     """Return the mean colour over the mask of each block, and whether half of the block is in it."""
     h, w = mask.shape
     height, width = (h + factor - 1) // factor, (w + factor - 1) // factor
@@ -84,7 +87,7 @@ def _blocks(rgb: Any, mask: Any, factor: int) -> Any:
             count = 0
             for v in range(i * factor, min((i + 1) * factor, h)):
                 for u in range(j * factor, min((j + 1) * factor, w)):
-                    if mask[v, u]:
+                    if mask[v, u] and not clipped[v, u]:
                         count += 1
                         for c in range(3):
                             mean[i, j, c] += rgb[v, u, c]
@@ -93,3 +96,24 @@ def _blocks(rgb: Any, mask: Any, factor: int) -> Any:
                     mean[i, j, c] /= count
             inside[i, j] = 2 * count >= factor * factor and count > 0
     return mean, inside
+
+
+@njit(cache=True, parallel=True)
+def _lit(rgb: Any, inside: Any, split: Any, least: Any) -> Any:
+    """Return the lamps' contributions (h, w, 3), and whether all three reach a pixel."""
+    h, w = inside.shape
+    contributions = np.zeros((h, w, 3))
+    lit = np.zeros((h, w), np.bool_)
+    for v in prange(h):
+        for u in range(w):
+            if not inside[v, u]:
+                continue
+            most = 0.0
+            for k in range(3):
+                for c in range(3):
+                    contributions[v, u, k] += split[k, c] * rgb[v, u, c]
+                most = max(most, contributions[v, u, k])
+            lit[v, u] = True
+            for k in range(3):
+                lit[v, u] &= contributions[v, u, k] > max(least[k], _LEAST_SHARE * most)
+    return contributions, lit
