@@ -5,7 +5,6 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
 
 from vntoolkit.arrays import FloatArray, Mask, Points2
 from vntoolkit.native import njit
@@ -130,13 +129,10 @@ def signed_distance(mask: Mask) -> npt.NDArray[np.float32]:
 
 
 def _without_small_holes(mask: Mask) -> Mask:
-    labels, count = ndimage.label(~mask)
-    if count == 0:
-        return mask
-    sizes = np.bincount(labels.ravel())
-    small = sizes < _SMALL_HOLE_PX
-    small[0] = False
-    return np.asarray(mask | small[labels])
+    _, labels, statistics, _ = cv2.connectedComponentsWithStats((~mask).astype(np.uint8), connectivity=4)
+    small = statistics[:, cv2.CC_STAT_AREA] < _SMALL_HOLE_PX
+    small[0] = False  # the figure
+    return np.asarray(mask | small[labels]) if small.any() else mask
 
 
 @njit(cache=True)

@@ -123,7 +123,7 @@ class SurfaceFit:
             )
             step = lattice.at_vertices(solution.displacement)
             positions = positions + step
-            if np.mean(np.abs(step).max(axis=1) < enough) > _MOST:
+            if np.mean(np.maximum(*np.abs(step.T)) < enough) > _MOST:
                 break
         bands = _in_frame(told.bands, inverse)
         square = self._errors.square(solution, bands, outline, np.sqrt(variance + slip), modes)
