@@ -9,6 +9,7 @@ from tests.tracking.wrinkled_video import WrinkledVideo
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.tracking.lattice import LocalJacobians, lattice_on_template
+from vntoolkit.tracking.lengths import LinkLengths
 from vntoolkit.tracking.outline import Outline, signed_distance
 from vntoolkit.tracking.registration import Measurement, TemplateRegistration
 from vntoolkit.tracking.slopes import jump_pixels, label_edges, slopes_from_normals
@@ -165,6 +166,37 @@ def test_a_border_that_another_part_covers_is_not_drawn_to_the_outline_beyond() 
     left, right = inner & (column == column.min()), inner & (column == column.max())
     assert information[left, 0].min() > 1.0
     assert np.abs(pull[right]).max() < 0.01 * information[left, 0].min()
+
+
+def test_a_surface_may_slip_behind_an_occluding_contour_and_hangs_together_elsewhere() -> None:
+    mask = np.zeros((HEIGHT, WIDTH), dtype=bool)
+    mask[16:80, 16:112] = True
+    column = GRID[..., 0]
+    recedes = 4.0 * np.clip((column - 32.0) / 24.0, 0.0, 1.0)
+    surfaces = {
+        "contour, and what lies behind": np.where(column < 56, recedes, 0.0),
+        "crease": np.where(column < 56, recedes, -4.0 * np.clip((79.0 - column) / 24.0, 0.0, 1.0)),
+        "rim against the background": 4.0 * np.clip((column - 80.0) / 32.0, 0.0, 1.0),
+        "plane that stands obliquely": np.full(mask.shape, 1.5),
+    }
+    for name, p in surfaces.items():
+        first = normals(p, 0 * p, mask)
+        slopes = slopes_from_normals(first, CAMERA)
+        template = template_from_maps(first, flat_depth(mask), CAMERA)
+        lattice = lattice_on_template(template, 8)
+        lengths = LinkLengths(lattice, template, CAMERA, slopes)
+        still = template.positions_px
+        around = LocalJacobians(lattice, still).of(still)
+        known = np.ones(lattice.count)
+        _, variance, torn = lengths.guessed(still, around, slopes, flat_depth(mask), 0 * known, known)
+        across = np.abs(lengths.along[:, 0]) > 4
+        middle = across & (np.abs(lengths.centres[lengths.links].mean(axis=1)[:, 0] - 56) < 5)
+        if name.startswith("contour"):
+            assert torn[middle].min() > 0.9
+            assert torn[~across].max() < 1e-3
+        else:
+            strain = np.sqrt(torn * variance / np.sum(lengths.along**2, axis=1))
+            assert strain.max() < 0.05, name
 
 
 def test_the_distance_to_an_outline_has_its_sign_and_size() -> None:

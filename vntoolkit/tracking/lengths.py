@@ -26,8 +26,8 @@ from vntoolkit.tracking.template import TrackingTemplate
 
 STRAIN_PASSES = 4  # of lattice smoothing: strain that is not foreseen goes on over some cells
 LINKS_ALIKE = NODES_BY_PASS  # a link and its neighbours err together: in a fit, so many tell one thing
-_RIM_STRAIN = 0.5  # where a surface turns out of sight: more may lie between two nodes than is seen …
-_RIM_STEEPNESS = 20.0  # … from this squared slope on, 77°
+_CONTOUR_STRAIN = 1.0  # across an occluding contour: how much is hidden there is not known
+_CONTOUR_STEEPNESS = 3.0  # squared slope, 60°, by which a surface recedes, and then no longer: a contour
 STRAIN = 0.07  # standard deviation of stretch, where none is measured: cloth has 0.03 to 0.1, skin up to 0.3
 _BODY_STRAIN = 0.3  # the same, of a surface taken for one body: a face that talks, a cloth that swings
 _PRIOR_LINKS = 0.2  # measured links nearby that the two count for
@@ -59,7 +59,10 @@ class LinkLengths:
         self.links = np.stack([rows[once], lattice.neighbours[once]], axis=1).astype(np.int64)
         self.along = self.centres[self.links[:, 1]] - self.centres[self.links[:, 0]]
         self._depth = template.vertices_in_camera[:, 2]
-        metric, self._seen = self._metric(slopes, template.positions_px, np.ones(len(template.pixels)))
+        metric, recedes, self._seen = self._metric(
+            slopes, template.positions_px, np.ones(len(template.pixels))
+        )
+        self._contour = self._at_contours(metric, recedes, self.along)
         self._root = _square_root(metric)
         self._inverse_root = np.linalg.inv(self._root)
         self._steepness = _steepness(metric)
@@ -80,14 +83,14 @@ class LinkLengths:
     ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Return (links, 2) the steps from node to node, and (links,) their variance by direction, px².
 
-        The third: (links,) what may be added to the variance where the surface turns out of sight. The best
-        guess is still that it hangs together.
+        The third: (links,) the share of the variance that an occluding contour between the two adds. A
+        surface that turns out of sight against the background still hangs together.
 
         around: (nodes, 4) Jacobians of positions (n, 2). hidden: (nodes,) share that is not seen. measured:
         (nodes,) from 0 to 1, how far a node's place is known.
         """
         a, b = self.links.T
-        by_lengths, steepness, seen = self._by_lengths(positions_px, around, slopes, depth_map)
+        by_lengths, steepness, seen, contour = self._by_lengths(positions_px, around, slopes, depth_map)
         trust = np.clip(np.minimum(seen, self._seen) / (_WHOLE * np.maximum(self._counts, 1)), 0.0, 1.0)
         trust = trust * (1.0 - hidden)
         trusted = np.minimum(trust[a], trust[b])
@@ -109,36 +112,70 @@ class LinkLengths:
         shares = [1.0 / variance for variance in variances]
         mean = (shares[0][:, None] * by_lengths + shares[1][:, None] * by_body) / sum(shares)[:, None]
         variance = square * np.minimum(*variances)
-        rim = np.minimum(np.maximum(steepness[a], steepness[b]) / _RIM_STEEPNESS, 1.0)
-        return mean, variance, square * (_RIM_STRAIN * rim) ** 2
+        likely = np.minimum((contour + self._contour) / _CONTOUR_STEEPNESS, 1.0)
+        slip = square * (_CONTOUR_STRAIN * likely) ** 2
+        return mean, variance + slip, slip / (variance + slip)
+
+    def between(self, left: FloatArray, torn: FloatArray) -> npt.NDArray[np.float64]:
+        """Return (nodes,) the squared error of vertices between nodes that come apart, px².
+
+        left: (links, 2) by how much. torn: (links,) from 0 to 1, how likely an occluding contour runs there:
+        a vertex is then of one side or the other, and interpolation puts it between.
+        """
+        square = torn * np.sum((0.5 * left) ** 2, axis=1)
+        largest = np.zeros(self._lattice.count)
+        for end in self.links.T:
+            np.maximum.at(largest, end, square)
+        return largest
 
     def _by_lengths(
         self, positions_px: Points2, around: FloatArray, slopes: Slopes, depth_map: DepthMap
-    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    ) -> tuple[npt.NDArray[np.float64], ...]:
+        """(links, 2) steps, (nodes,) squared slope of both, (nodes,) weight seen, (links,) `_at_contours`."""
         scale = np.ones(len(positions_px))
         if self._camera.is_perspective:
             depth, found = sample_depth(depth_map.depth, depth_map.mask, positions_px)
             scale = np.where(found, depth / self._depth, 1.0)
-        metric, seen = self._metric(slopes, positions_px, scale)
+        metric, recedes, seen = self._metric(slopes, positions_px, scale)
         root = _square_root(metric)
         sums = self._lattice.smoothed(np.hstack([around, np.ones((len(around), 1))]), _TURN_PASSES)
         mean = (sums[:, :4] / sums[:, 4:]).reshape(-1, 2, 2)
         wanted = np.linalg.inv(root) @ _nearest_turn(root @ mean @ self._inverse_root) @ self._root
         a, b = self.links.T
         steps = np.einsum("eab,eb->ea", 0.5 * (wanted[a] + wanted[b]), self.along)
-        return steps, _steepness(metric) + self._steepness, seen
+        nodes = self.nodes(positions_px)
+        now = nodes[b] - nodes[a]
+        contour = self._at_contours(metric, recedes, now)
+        return steps, _steepness(metric) + self._steepness, seen, contour
+
+    def _at_contours(
+        self, metric: FloatArray, recedes: FloatArray, steps: FloatArray
+    ) -> npt.NDArray[np.float64]:
+        """(links,) squared slope by which the surface recedes and then no longer, as at an occluding contour.
+
+        A crease that is as steep on either side hides nothing.
+        """
+        a, b = self.links.T
+        unit = steps / np.maximum(np.linalg.norm(steps, axis=1, keepdims=True), 1e-9)
+        first, second = (
+            np.sign(np.sum(recedes[end] * unit, axis=1))
+            * np.sqrt(np.maximum(np.einsum("ei,eij,ej->e", unit, metric[end], unit) - 1.0, 0.0))
+            for end in (a, b)
+        )
+        onward, back = first - np.abs(second), -second - np.abs(first)
+        return np.asarray(np.square(np.maximum(np.maximum(onward, back), 0.0)))
 
     def _metric(
         self, slopes: Slopes, positions_px: Points2, scale: FloatArray
-    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """(nodes, 2, 2) weighted mean of the metric over each node, and the sum of the weights."""
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """(nodes, 2, 2) weighted mean of the metric over each node, sums of slopes (nodes, 2), of weights."""
         lattice = self._lattice
         sums = metric_sums(slopes, self._camera, positions_px, scale, lattice.node_of_vertex, lattice.count)
-        known = sums[:, 3] > 1e-6
+        known = sums[:, 5] > 1e-6
         means = np.where(
-            known[:, None], sums[:, [0, 1, 1, 2]] / np.maximum(sums[:, 3:], 1e-6), [1.0, 0, 0, 1.0]
+            known[:, None], sums[:, [0, 1, 1, 2]] / np.maximum(sums[:, 5:], 1e-6), [1.0, 0, 0, 1.0]
         )
-        return means.reshape(-1, 2, 2), sums[:, 3]
+        return means.reshape(-1, 2, 2), sums[:, 3:5], sums[:, 5]
 
     def _near_mean(self, value: FloatArray, weight: FloatArray, prior: float) -> npt.NDArray[np.float64]:
         """(links,) weighted mean of a value of the links around each, beside the prior's few."""

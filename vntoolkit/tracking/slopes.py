@@ -72,7 +72,7 @@ def metric_sums(
     node: npt.NDArray[np.int32],
     count: int,
 ) -> npt.NDArray[np.float64]:
-    """Return (count, 4) sums over nodes of w G_uu, w G_uv, w G_vv and w at positions (n, 2).
+    """Return (count, 6) sums over nodes of w G_uu, w G_uv, w G_vv, w a_u, w a_v and w at positions (n, 2).
 
     G is in pixels, unit where the surface faces the axis at the distance that the scale (n,) is 1 for.
     """
@@ -196,7 +196,7 @@ def _slopes(normals, mask, weight, rays):  # type: ignore[no-untyped-def]
 def _metric_sums(slopes, positions, scale, node, count, rays):  # type: ignore[no-untyped-def]
     h, w = slopes.shape[:2]
     n = positions.shape[0]
-    out = np.zeros((count, 4))
+    out = np.zeros((count, 6))
     for i in range(n):
         x = min(max(positions[i, 0], 0.0), w - 1.0)
         y = min(max(positions[i, 1], 0.0), h - 1.0)
@@ -217,7 +217,9 @@ def _metric_sums(slopes, positions, scale, node, count, rays):  # type: ignore[n
         out[j, 0] += factor * (1.0 + 2 * p * rx + p * p * square)
         out[j, 1] += factor * (p * ry + q * rx + p * q * square)
         out[j, 2] += factor * (1.0 + 2 * q * ry + q * q * square)
-        out[j, 3] += weight
+        out[j, 3] += weight * p
+        out[j, 4] += weight * q
+        out[j, 5] += weight
     return out
 
 

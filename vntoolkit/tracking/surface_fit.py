@@ -112,7 +112,7 @@ class SurfaceFit:
             pull = np.einsum("nji,nj->ni", inverse, told.pull)
             outline, outline_pull = self._outline.measure(positions, inverse, figure)
             measured = np.minimum(1.0, information[:, 0] + information[:, 2])
-            guess, variance, slip = lengths.guessed(positions, around, slopes, depth_map, hidden, measured)
+            guess, variance, torn = lengths.guessed(positions, around, slopes, depth_map, hidden, measured)
             now = lengths.nodes(positions)
             steps = guess - (now[lengths.links[:, 1]] - now[lengths.links[:, 0]])
             variance = variance + np.sum(steps**2, axis=1) / (LINKS_ALIKE * _TORN_SIGMAS**2)
@@ -126,7 +126,8 @@ class SurfaceFit:
             if np.mean(np.maximum(*np.abs(step.T)) < enough) > _MOST:
                 break
         bands = _in_frame(told.bands, inverse)
-        square = self._errors.square(solution, bands, outline, np.sqrt(variance + slip), modes)
+        square = self._errors.square(solution, bands, outline, np.sqrt(variance), modes)
+        square = square + lengths.between(solution.left, torn)
         return FittedFrame(
             positions_px=positions,
             depth=self._depth(positions, depth_map, hidden),
