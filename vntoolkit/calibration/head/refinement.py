@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
 from scipy.linalg import null_space
-from scipy.sparse.linalg import cg
+from scipy.sparse.linalg import cg, splu
 from scipy.spatial import cKDTree
 
 from vntoolkit.arrays import Faces, FloatArray, IntArray, Points
@@ -61,7 +61,7 @@ _PATCH_PX = 16.0  # side: larger than the windows of stereo blur, smaller than a
 _DRAWS, _PATTERNS = 8, 9
 _TINY, _SMALLEST_SINE = 1e-30, 1e-9
 _STEPS = 2  # of the positions: more change nothing
-_TOLERANCE, _ROUGHLY, _MOST_ITERATIONS = 1e-4, 1e-2, 2000  # roughly: of standard deviations
+_TOLERANCE, _MOST_ITERATIONS = 1e-4, 2000
 _LEAST_COTANGENT, _MOST_COTANGENT = 0.05, 5.0
 _LEAST_SEEN = 0.5  # of a patch's area, in a frame
 _LEAST_PATCH = 0.1  # of its side squared: less is a sliver
@@ -242,14 +242,16 @@ class PositionSolver:
         self._anchor = (2.0 * np.pi / crossover) ** 2 * areas(stereo, faces)
         upright = normals[self._from] + normals[self._to]
         self._upright = upright / np.maximum(np.linalg.norm(upright, axis=1, keepdims=True), _TINY)
+        self._own = own
         self._move_along(own)
 
     def positions(self) -> Points:
         """Return (n, 3). A few rounds, as the surface's own normals turn on the way."""
-        x = np.array(self.stereo)
-        for _ in range(_STEPS):
-            along = vertex_normals(x, self._faces)
-            self._move_along(along)
+        x, along = np.array(self.stereo), self._own
+        for step in range(_STEPS):
+            if step:
+                along = vertex_normals(x, self._faces)
+                self._move_along(along)
             pull = self._anchor * ((x - self.stereo) * along).sum(axis=1)
             x += self._solved(self._right(self._upright, x) - pull)[:, None] * along
         return x
@@ -271,10 +273,8 @@ class PositionSolver:
         """
         assert surface.normals is not None
         own = np.sqrt(levels.stereo / np.maximum(areas(self.stereo, self._faces), _TINY))
-        variance = np.zeros(len(own))
-        for _ in range(_DRAWS):
-            noise = self._anchor * own * rng.standard_normal(len(own))
-            variance += self._solved(noise, _ROUGHLY) ** 2 / _DRAWS
+        noise = (self._anchor * own)[:, None] * rng.standard_normal((len(own), _DRAWS))
+        variance = np.square(self._solved_for_many(noise)).mean(axis=1)
         normals = surface.normals
         turned = np.einsum("ir,nc->nirc", np.eye(3), normals).reshape(-1, 3, _PATTERNS)
         turned -= normals[:, :, None] * np.einsum("ni,nip->np", normals, turned)[:, None]
@@ -283,11 +283,11 @@ class PositionSolver:
 
     def moved_by(self, turned: FloatArray, surface: Mesh) -> FloatArray:
         """Return the moves along the normals (n, p) where normals turn by (n, 3, p)."""
-        moves = [
-            self._solved(self._right(0.5 * (each[self._from] + each[self._to]), surface.vertices), _ROUGHLY)
+        rights = [
+            self._right(0.5 * (each[self._from] + each[self._to]), surface.vertices)
             for each in np.moveaxis(turned, 2, 0)
         ]
-        return np.stack(moves, axis=1)
+        return self._solved_for_many(np.stack(rights, axis=1))
 
     def _right(self, normals: Points, vertices: Points) -> FloatArray:
         """Return (n,) what edges between vertices (n, 3) ask of them, to be at right angles to normals."""
@@ -297,10 +297,20 @@ class PositionSolver:
         pushed = np.bincount(self._to, flow * second, count) - np.bincount(self._from, flow * first, count)
         return np.asarray(pushed, float)
 
-    def _solved(self, right: FloatArray, tolerance: float = _TOLERANCE) -> FloatArray:
+    def _solved_for_many(self, rights: FloatArray) -> FloatArray:
+        """Solve for every column of (n, k): a factor costs what three loose solutions by iteration do."""
+        factor = splu(
+            sp.csc_array(self._system),
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+        return np.asarray(factor.solve(rights))
+
+    def _solved(self, right: FloatArray) -> FloatArray:
         """Solve by conjugate gradients: the anchors bound the condition number by (crossover / edge)²."""
         scale = sp.diags_array(1.0 / self._system.diagonal())
-        found, failed = cg(self._system, right, rtol=tolerance, maxiter=_MOST_ITERATIONS, M=scale)
+        found, failed = cg(self._system, right, rtol=_TOLERANCE, maxiter=_MOST_ITERATIONS, M=scale)
         if failed:
             raise SolverFailed("refinement: the positions did not converge; leave it out: --head-shape fused")
         return np.asarray(found)
