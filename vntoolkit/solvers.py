@@ -66,7 +66,7 @@ def grid_hierarchy(edges: Grid) -> GridHierarchy:
         else:
             coarse_edges_kernel(all_edges[-1], own)
         inverse = flat[start + kinds * h * w :][: h * w].reshape(h, w)
-        inverse_kernel(diagonal_kernel(own), inverse)
+        inverse_kernel(own, inverse)
         all_edges.append(own)
         all_inverse.append(inverse)
     return GridHierarchy(
@@ -205,34 +205,35 @@ def _add_differences(weight: Row, first: Row, second: Row, out: Row, other: Row,
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def diagonal_kernel(edges: Grid) -> Grid:
-    """L's diagonal (h, w)."""
-    kinds, h, w = edges.shape
-    out = np.full((h, w), np.float32(_GROUND))
+def inverse_kernel(edges: Grid, out: Grid) -> None:
+    """1 / L's diagonal; 0 where a pixel has no edge: it belongs to nothing and stays as it is, at 0."""
+    h, w = out.shape
+    last, one, ground = w - 1, np.float32(1.0), np.float32(_GROUND)
     for v in range(h):
+        to, after, east = out[v], out[v, 1:], edges[0, v, :last]
         for u in range(w):
-            if u + 1 < w:
-                out[v, u] += edges[0, v, u]
-                out[v, u + 1] += edges[0, v, u]
-            if v + 1 < h:
-                out[v, u] += edges[1, v, u]
-                out[v + 1, u] += edges[1, v, u]
-                if u + 1 < w and kinds == 4:
-                    out[v, u] += edges[2, v, u]
-                    out[v + 1, u + 1] += edges[2, v, u]
-                    out[v, u + 1] += edges[3, v, u]
-                    out[v + 1, u] += edges[3, v, u]
-    return out
+            to[u] = ground
+        _add(east, to)
+        _add(east, after)
+        if v + 1 < h:
+            _add(edges[1, v], to)
+            if len(edges) == 4:
+                _add(edges[2, v, :last], to)
+                _add(edges[3, v, :last], after)
+        if v > 0:
+            _add(edges[1, v - 1], to)
+            if len(edges) == 4:
+                _add(edges[2, v - 1, :last], after)
+                _add(edges[3, v - 1, :last], to)
+        for u in range(w):
+            some = to[u] > np.float32(2 * _GROUND)
+            to[u] = one / to[u] if some else np.float32(0.0)
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
-def inverse_kernel(diagonal: Grid, out: Grid) -> None:
-    """1 / diagonal; 0 where a pixel has no edge: it belongs to nothing and stays as it is, at 0."""
-    for v in range(len(out)):
-        row, to = diagonal[v], out[v]
-        for u in range(len(to)):
-            some = row[u] > np.float32(2 * _GROUND)
-            to[u] = np.float32(1.0) / row[u] if some else np.float32(0.0)
+@njit(cache=True, fastmath=True, forceinline=True, error_model="numpy")
+def _add(weight: Row, out: Row) -> None:
+    for u in range(len(weight)):
+        out[u] += weight[u]
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
@@ -377,7 +378,7 @@ def first_sweep_kernel(edges: Grid, inverse: Grid, right: Grid, x: Grid) -> None
     if middle:
         _two_first_sweeps(edges, inverse, right, x, middle)
     else:
-        _first_sweep(edges, inverse, right, x, 0, len(x))
+        _first_sweep(edges, inverse, right, x, np.int64(0), len(x))
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
@@ -423,7 +424,7 @@ def last_sweep_kernel(edges: Grid, inverse: Grid, right: Grid, x: Grid) -> None:
     if middle:
         _two_last_sweeps(edges, inverse, right, x, middle)
     else:
-        _last_sweep(edges, inverse, right, x, 0, len(x), x[0], x[0])
+        _last_sweep(edges, inverse, right, x, np.int64(0), len(x), x[0], x[0])
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
@@ -453,12 +454,6 @@ def _last_sweep(
             row[u] = last
 
 
-@njit(cache=True, fastmath=True, error_model="numpy", parallel=True)
-def _two_restrictions(edges: Grid, x: Grid, out: Grid, middle: int) -> None:
-    for half in prange(2):
-        _restrict(edges, x, out, half * middle, middle if half == 0 else len(x))
-
-
 @njit(cache=True, fastmath=True, error_model="numpy")
 def restrict_rest_kernel(edges: Grid, x: Grid, out: Grid) -> None:
     """Fill out with the sums over blocks of 2×2 pixels of what `first_sweep_kernel` leaves.
@@ -467,10 +462,8 @@ def restrict_rest_kernel(edges: Grid, x: Grid, out: Grid) -> None:
     pull.
     """
     middle = _middle(*x.shape)
-    if middle:
-        _two_restrictions(edges, x, out, middle)
-    else:
-        _restrict(edges, x, out, 0, len(x))
+    _restrict(edges, x, out, np.int64(0), middle)
+    _restrict(edges, x, out, middle, len(x))
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
@@ -494,25 +487,10 @@ def _restrict(edges: Grid, x: Grid, out: Grid, top: int, end: int) -> None:
             to[u] += left[2 * u] + left[2 * u + 1]
 
 
-@njit(cache=True, fastmath=True, error_model="numpy", parallel=True)
-def _two_prolongations(coarse: Grid, inverse: Grid, x: Grid, middle: int) -> None:
-    for half in prange(2):
-        _prolong(coarse, inverse, x, half * middle, middle if half == 0 else len(x))
-
-
 @njit(cache=True, fastmath=True, error_model="numpy")
 def prolong_add_kernel(coarse: Grid, inverse: Grid, x: Grid) -> None:
     """Add to every pixel that has an edge the value of its block."""
-    middle = _middle(*x.shape)
-    if middle:
-        _two_prolongations(coarse, inverse, x, middle)
-    else:
-        _prolong(coarse, inverse, x, 0, len(x))
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
-def _prolong(coarse: Grid, inverse: Grid, x: Grid, top: int, end: int) -> None:
-    for v in range(top, end):
+    for v in range(len(x)):
         row, to, some = coarse[v // 2], x[v], inverse[v]
         for u in range(len(to)):
             value = row[u // 2]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -119,12 +120,29 @@ def test_a_frame_goes_on_from_the_one_before_wherever_its_figure_went(stage) -> 
         frame, mask = in_a_corner(stage, left)
         labels = detector.labels(frame, mask)
         surface = recover_surface(frame, labels, stage.response, mask, start=detector.surface)
+        detector.go_on_from(surface.surface)
         part = np.s_[10 : 10 + stage.mask.shape[0], left : left + stage.mask.shape[1]]
         angles = angles_between_deg(surface.normal_map.normals_in_camera[part], stage.normals)
         found.append((overlap(labels[part], stage.labels).min(), angles[count_lit(stage.labels) == 2].mean()))
     (first, error), *rest = found
     assert first >= 0.8
     assert all(other > first - 0.03 and angle < 1.1 * error for other, angle in rest)
+
+
+def test_under_shadow_recovery_starts_halfway_to_what_it_found_of_the_frame_before(stage) -> None:
+    alone, after = ShadowDetector(stage.response), ShadowDetector(stage.response)
+    for detector in (alone, after):
+        detector.labels(stage.frame, stage.mask)
+    across = np.zeros_like(after.surface.normals)
+    across[..., 0] = 1.0
+    after.go_on_from(replace(after.surface, normals=across))
+    labels = [detector.labels(stage.frame, stage.mask) for detector in (alone, after)]
+    assert np.array_equal(*labels)
+    own, found, lit = alone.surface.normals, after.surface.normals, labels[0] == 7
+    assert np.array_equal(found[lit], own[lit])
+    between = (own + across)[~lit]
+    expected = between / np.linalg.norm(between, axis=-1, keepdims=True)
+    assert np.abs(found[~lit] - expected).max() < 1e-5
 
 
 def test_a_frame_of_something_else_starts_anew(stage) -> None:

@@ -125,11 +125,10 @@ def test_perspective_sphere_keeps_its_normals_and_distances(monkeypatch) -> None
     normals = np.where(mask[..., None], rays * depth[..., None] - [0, 0, 4.0], [0, 0, -1.0])
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     lights = np.array([[0.2, 0.1, -0.97], [-0.3, 0.2, -0.93], [0.1, -0.3, -0.95]])
-    monkeypatch.setattr(surface, "_CYCLES", 40)  # to the end
     monkeypatch.setattr(surface, "_TOLERANCE", 1e-7)
     solved = solve_surface(
         normals @ lights.T, np.full((120, 120), 7, np.uint8), lights, mask,
-        first_normals=normals, camera=camera,
+        first_normals=normals, camera=camera, options=SurfaceOptions(cycles=40),  # to the end
     )  # fmt: skip
     inner = cv2.erode(mask.astype(np.uint8), np.ones((5, 5))) > 0  # one-sided differences at the border
     assert degrees(solved.normals, normals)[inner].max() < 0.6

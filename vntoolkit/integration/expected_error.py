@@ -161,10 +161,10 @@ def _filled(spread: FloatArray, inside: Mask) -> FloatArray:
     return np.asarray(spread[tuple(nearest)])
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _ranges(depth: Any, mask: Mask, step: int, lowest: Any, highest: Any) -> None:
     """Fill (n,) with the least and the largest depth inside the mask in each of the rows 0, step, …"""
-    for k in prange(len(lowest)):
+    for k in range(len(lowest)):
         low, high = depth.dtype.type(np.inf), depth.dtype.type(-np.inf)
         row, inside = depth[k * step], mask[k * step]
         for u in range(len(row)):

@@ -50,9 +50,9 @@ class CosineSolver:
         return scipy.fft.idctn(spectrum, type=2, norm="ortho", workers=_workers(), overwrite_x=True)
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def _multiply(spectrum, factors):  # type: ignore[no-untyped-def]
-    for v in numba.prange(spectrum.shape[0]):
+    for v in range(spectrum.shape[0]):
         for u in range(spectrum.shape[1]):
             spectrum[v, u] *= factors[v, u]
 
@@ -211,11 +211,11 @@ def _levels_of(right: npt.NDArray[Any], down: npt.NDArray[Any]) -> GridHierarchy
 # Compiled loops over images with a rim of zeros. Sums are kept by rows: the same for any number of threads.
 
 
-@njit(cache=True, fastmath=True, nogil=True, parallel=True)
+@njit(cache=True, fastmath=True, nogil=True)
 def _load(right, down, right_weight, down_weight, out):  # type: ignore[no-untyped-def]
     """Right-hand side: the weighted divergence of the wanted differences, with the sign of A z = b."""
     height, width = out.shape
-    for v in numba.prange(1, height - 1):
+    for v in range(1, height - 1):
         for u in range(1, width - 1):
             out[v, u] = (
                 np.float64(right_weight[v, u - 1]) * right[v, u - 1]
@@ -268,20 +268,20 @@ def _update(depth, residual, direction, product, step, depth_step, scaled):  # t
             to[u] = left[u]
 
 
-@njit(cache=True, fastmath=True, nogil=True, parallel=True)
+@njit(cache=True, fastmath=True, nogil=True)
 def _dot(padded, inner, sums):  # type: ignore[no-untyped-def]
     height, width = inner.shape
-    for v in numba.prange(height):
+    for v in range(height):
         first, second, total = padded[v + 1, 1 : width + 1], inner[v], 0.0
         for u in range(width):
             total += first[u] * second[u]
         sums[v + 1] = total
 
 
-@njit(cache=True, fastmath=True, nogil=True, parallel=True)
+@njit(cache=True, fastmath=True, nogil=True)
 def _advance(direction, correction, factor):  # type: ignore[no-untyped-def]
     height, width = correction.shape
-    for v in numba.prange(height):
+    for v in range(height):
         to, more = direction[v + 1, 1 : width + 1], correction[v]
         for u in range(width):
             to[u] = np.float32(factor) * to[u] + more[u]

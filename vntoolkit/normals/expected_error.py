@@ -517,7 +517,7 @@ def _error_kernel(
             label = labels[v, first:last]
             for u in range(count):
                 unlit[u] = _BY_LABEL[label[u]]
-        _noise_row(noise, v, np.empty(noise.shape[2] + 2, np.float32), row_noise)
+        _noise_row(noise, np.int64(v), np.empty(noise.shape[2] + 2, np.float32), row_noise)
         _read_row(rgb[v, 3 * first : 3 * last], None, r, g, b)
         _bound_row(
             r, g, b, unlit, row_noise[first:last], mask[v, first:last], constants, length,
@@ -537,7 +537,7 @@ def _normals_and_errors_kernel(
         r, g, b = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
         length, row_noise = np.empty(width, np.float32), np.empty(width, np.float32)
         unlit, good = np.zeros(width, np.float32), np.empty(width, np.bool_)
-        _noise_row(noise, v, np.empty(noise.shape[2] + 2, np.float32), row_noise)
+        _noise_row(noise, np.int64(v), np.empty(noise.shape[2] + 2, np.float32), row_noise)
         _read_row(encoded[v], table, r, g, b)
         count = 0
         for u in range(width):

@@ -226,6 +226,7 @@ class FrameProcessor:
         if surface is None and not np.any(labels != ALL_LIT):
             return normals_from_frame(frame, response, mask, options=inversion), labels
         found = recover_surface(frame, labels, response, mask, self.camera, start=surface)
+        self._detector.go_on_from(found.surface)
         return found.normal_map, labels
 
     def by_strength(self, linear: LinearFrame) -> LinearFrame:

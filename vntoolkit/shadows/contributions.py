@@ -203,14 +203,14 @@ def _brighter_kernel(
             to[u] = inside[u] & (x * x + y * y + z * z > least)
 
 
-@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, fastmath=FLAGS, error_model="numpy")
 def _split_kernel(
     rgb: FloatArray, split: Numbers, inverse: Numbers, haze: Numbers, rest: np.float32,
     contributions: FloatArray, length: FloatArray, normals: FloatArray,
 ) -> None:  # fmt: skip
     """Fill the contributions, the albedo and the normal. rest: 1 − |w|²."""
     h, w = length.shape
-    for v in prange(h):
+    for v in range(h):
         line, seen, size, normal = rgb[v], contributions[v], length[v], normals[v]
         for u in range(w):
             r, g, b = finite(line[3 * u]), finite(line[3 * u + 1]), finite(line[3 * u + 2])
@@ -220,13 +220,13 @@ def _split_kernel(
             )
 
 
-@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, fastmath=FLAGS, error_model="numpy")
 def _over_kernel(
     contributions: FloatArray, albedo: FloatArray, ambient: Numbers, scale: Numbers, out: FloatArray
 ) -> None:
     """Fill out (h, w, 3) with contributions over the albedo, less the ambient light, times the scale."""
     h, w = albedo.shape
-    for v in prange(h):
+    for v in range(h):
         line, below, to = contributions[v], albedo[v], out[v]
         for u in range(w):
             over = np.float32(1.0) / max(below[u], np.float32(_SMALLEST_ALBEDO))
@@ -362,8 +362,9 @@ def window_around(mask: Mask) -> Window:
 
 
 def frame_in_window(frame: LinearFrame, window: Window) -> LinearFrame:
-    """Return the frame's pixels in the window."""
-    return LinearFrame(rgb=frame.rgb[window], clipped=frame.clipped[window], number=frame.number)
+    """Return the frame's pixels in the window, laid out as a whole frame's: loops compile for each layout."""
+    rgb: FloatArray = np.ascontiguousarray(frame.rgb[window])
+    return LinearFrame(rgb=rgb, clipped=np.ascontiguousarray(frame.clipped[window]), number=frame.number)
 
 
 def in_whole_image(

@@ -57,6 +57,12 @@ class ShadowDetector:
         """Drop what the previous frame left, so that a sequence may start anywhere."""
         self._memory = None
 
+    def go_on_from(self, surface: Surface | None) -> None:
+        """Let the next frame's recovery go on from the surface that `recover_surface` found of this one."""
+        if self._memory is not None:
+            recovered = None if surface is None else surface.normals
+            self._memory = replace(self._memory, recovered=recovered)
+
     @checks_kinds
     def labels(self, frame: LinearFrame, mask: Mask | None = None) -> VisibilityLabels:
         """Return (h, w) labels, bit k set where light k arrives; 7 outside `mask`, where nobody may look."""
@@ -68,9 +74,8 @@ class ShadowDetector:
         if self._method is ShadowMethod.NONE or not inside.any():
             return np.full(frame.shape, ALL_LIT, dtype=np.uint8)
         window = window_around(inside)
-        labels = np.where(
-            inside[window], self._labels(frame_in_window(frame, window), inside[window], window), ALL_LIT
-        )
+        near: Mask = np.array(inside[window])
+        labels = np.where(near, self._labels(frame_in_window(frame, window), near, window), ALL_LIT)
         return in_whole_image(labels.astype(np.uint8), window, frame.shape, ALL_LIT)
 
     def _labels(self, frame: LinearFrame, mask: Mask, window: Window) -> VisibilityLabels:
@@ -80,6 +85,6 @@ class ShadowDetector:
         camera = None if self._camera is None else self._camera.cropped(*window)
         last = self._memory
         labels, self._memory = labels_by_surface(frame, self._response, mask, window, camera, last)
-        if self._memory.surface is not None:
-            self.surface = replace(self._memory.surface, settled=last is not None)
+        if self._memory.start is not None:
+            self.surface = replace(self._memory.start, settled=last is not None)
         return labels

@@ -110,12 +110,12 @@ def _dark_level(expected: Any, least: Any, most: Any) -> Any:
     return min(max(part * expected, least), most)
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _level_kernel(
     predicted: FloatArray, albedo: FloatArray, typical: Any, spread: Any, level: FloatArray, grain: FloatArray
 ) -> None:
     h, w = albedo.shape
-    for v in prange(h):
+    for v in range(h):
         surface, around, to, noises = predicted[v], albedo[v], level[v], grain[v]
         for u in range(w):
             noise, least, most = _bounds_of_dark(around[u], typical, spread)
@@ -346,7 +346,7 @@ def _doubt_kernel(
     left, part = columns_between(w, expected.shape[2])
     for v in prange(h):
         rows = np.empty((4, w), np.float32)
-        row_between(expected, v, h, left, part, rows)
+        row_between(expected, np.int64(v), h, left, part, rows)
         first, second, third, albedo = rows[0], rows[1], rows[2], rows[3]
         line, inside, to, found = rgb[v], mask[v], cosines[v], doubt[v]
         for u in range(w):
@@ -378,7 +378,7 @@ def _frame_kernel(
         if first == last:
             continue
         rows = np.empty((8, last - first), np.float32)
-        row_between(expected, v, h, left[first:last], part[first:last], rows[:5])
+        row_between(expected, np.int64(v), h, left[first:last], part[first:last], rows[:5])
         inside, seen = near[v, first:last], rows[5:]
         _evidence_row(
             inside, rows, sharp[v, 3 * first : 3 * last], typical, spread,

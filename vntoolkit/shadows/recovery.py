@@ -154,11 +154,11 @@ def recover_surface(
         raise BadInput("visibility labels: expected bytes from 0 to 7")
     window = window_around(inside)
     near = None if camera is None else camera.cropped(*window)
-    part = frame_in_window(frame, window)
+    part, label, here = frame_in_window(frame, window), np.array(labels[window]), np.array(inside[window])
     if method is RecoveryMethod.SURFACE:
-        normals, weight, surface = _with_surface(part, labels[window], response, inside[window], near, start)
+        normals, weight, surface = _with_surface(part, label, response, here, near, start)
     else:
-        normals, weight = _by_pixel(part, labels[window], response, inside[window], method)
+        normals, weight = _by_pixel(part, label, response, here, method)
         surface = None
     normal_map = NormalMap(
         normals_in_camera=in_whole_image(normals, window, frame.shape),
@@ -224,7 +224,7 @@ def _relative_kernel(rgb: FloatArray, near: Mask, lamps: Lamps, albedo: FloatArr
         if first == last:
             continue
         row = np.empty((1, last - first), np.float32)
-        row_between(albedo, v, h, left[first:last], part[first:last], row)
+        row_between(albedo, np.int64(v), h, left[first:last], part[first:last], row)
         line, to, around = rgb[v, 3 * first : 3 * last], out[v, 3 * first : 3 * last], row[0]
         for u in range(last - first):
             r, g, b = finite(line[3 * u]), finite(line[3 * u + 1]), finite(line[3 * u + 2])
@@ -258,7 +258,7 @@ def _detail_kernel(
         if first == last:
             continue
         rows = np.empty((9, last - first), np.float32)
-        row_between(solved, v, h, left[first:last], part[first:last], rows[:5])
+        row_between(solved, np.int64(v), h, left[first:last], part[first:last], rows[:5])
         line, label, bound = rgb[v, 3 * first : 3 * last], labels[v, first:last], clipped[v, first:last]
         _colour_row(line, inverse, haze, rest, rows[5], rows[6], rows[7], rows[8])
         if held > np.float32(0.0):

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
 from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels
 from vntoolkit.geometry.camera import Camera
@@ -29,6 +28,7 @@ from vntoolkit.shadows.contributions import (
     all_of_three,
     flat,
     largest_of_three,
+    lengths_of,
     shrinking,
     small_contributions,
 )
@@ -62,7 +62,7 @@ _CHANGED = 0.25  # of the light: a frame that differs by more from the one befor
 # Of a surface whose labels may still be wrong.
 _FIRST_SURFACE = SurfaceOptions(iterations=3, noise=0.08, smoothness=1.5)
 _FINER_SURFACE = SurfaceOptions(iterations=2, noise=0.08, smoothness=1.5)
-_NEXT_SURFACE = SurfaceOptions(iterations=1, noise=0.08, smoothness=1.5)
+_NEXT_SURFACE = SurfaceOptions(iterations=1, noise=0.08, smoothness=1.5, cycles=3)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -71,7 +71,8 @@ class FrameMemory:
 
     evidence: (3, h, w) of the window, see `evidence_of_frame`; None where nothing was in doubt. colours:
     (h', w', 3), contributions on the working size. surface: on that size, where the labels came from.
-    albedo: (h', w').
+    albedo: (h', w'). recovered: (h', w', 3), normals that recovery found, or None. start: what recovery goes
+    on from.
     """
 
     window: Window
@@ -79,6 +80,8 @@ class FrameMemory:
     colours: FloatArray
     surface: Surface | None
     albedo: FloatArray
+    recovered: FloatArray | None = None
+    start: Surface | None = None
 
 
 def labels_by_surface(
@@ -131,8 +134,24 @@ def labels_by_surface(
             labels &= ~turned_from_lights(surface.normals, found.cosines, small.directions, inset, found.near)
         labels = labels_beyond_half(labels, found.cosines, found.facing, mask, found.near)
     return labels, FrameMemory(
-        window=window, evidence=found.memory, colours=small.contributions, surface=surface, albedo=albedo
-    )
+        window=window, evidence=found.memory, colours=small.contributions, surface=surface, albedo=albedo,
+        start=_between(surface, None if last is None else last.recovered, labels),
+    )  # fmt: skip
+
+
+def _between(surface: Surface, recovered: FloatArray | None, labels: VisibilityLabels) -> Surface:
+    """Return the surface to recover from: under shadow, halfway to what was recovered of the frame before.
+
+    There the energy has two valleys. The labels' surface may lie in the one, what was recovered in the other,
+    and either is the right one at times; from between, the light decides.
+    """
+    if recovered is None:
+        return surface
+    shadow = cv2.resize(labels, recovered.shape[1::-1], interpolation=cv2.INTER_NEAREST) != ALL_LIT
+    normals = surface.normals.copy()
+    between = normals[shadow] + recovered[shadow]
+    normals[shadow] = between / np.maximum(lengths_of(between), 1e-3)
+    return replace(surface, normals=normals)
 
 
 def _is_doubted(small: LightContributions, mask: Mask) -> bool:
@@ -178,6 +197,7 @@ def _placed(last: FrameMemory, window: Window, shape: tuple[int, ...], small: tu
     return FrameMemory(
         window=window, evidence=evidence, colours=moved(last.colours), albedo=moved(last.albedo),
         surface=None if last.surface is None else last.surface.moved(moved, 1.0 / down),
+        recovered=None if last.recovered is None else moved(last.recovered),
     )  # fmt: skip
 
 
@@ -285,10 +305,10 @@ def _without_paint(cosines: FloatArray, predicted: FloatArray) -> FloatArray:
     return out
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _paint_kernel(cosines: FloatArray, predicted: FloatArray, out: FloatArray) -> None:
     h, w = cosines.shape[0], cosines.shape[1] // 3
-    for v in prange(h):
+    for v in range(h):
         line, surface, to = cosines[v], predicted[v], out[v]
         for u in range(w):
             a, b, c = line[3 * u], line[3 * u + 1], line[3 * u + 2]
@@ -304,12 +324,12 @@ def _evidence(cosines: FloatArray, predicted: FloatArray, albedo: FloatArray, ma
     return out
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _evidence_kernel(
     cosines: FloatArray, predicted: FloatArray, level: FloatArray, grain: FloatArray, out: FloatArray
 ) -> None:
     _, h, w = out.shape
-    for v in prange(h):
+    for v in range(h):
         line, surface, dark, noise = cosines[v], predicted[v], level[v], grain[v]
         for k in range(3):
             to = out[k, v]

@@ -83,9 +83,10 @@ def _without_part(
 ) -> VisibilityLabels:  # fmt: skip
     """Take a light from the pixels beside its shadow with less than `part` of the largest cosine nearby."""
     out: VisibilityLabels = np.array(labels, dtype=np.uint8)
+    counted = np.asarray(shadow, np.uint8) * mask
     _part_kernel(
-        np.asarray(labels), np.asarray(shadow, np.uint8), np.asarray(cosines, np.float32), np.asarray(mask),
-        np.asarray(near), part, reach_px, faintest, out,
+        np.asarray(labels), counted, np.asarray(cosines, np.float32), np.asarray(mask), np.asarray(near),
+        part, reach_px, faintest, out,
     )  # fmt: skip
     return out
 
@@ -95,18 +96,16 @@ def _part_kernel(
     labels: VisibilityLabels, shadow: npt.NDArray[np.uint8], cosines: FloatArray, mask: Mask, near: Mask,
     part: float, reach: int, faintest: float, out: VisibilityLabels,
 ) -> None:  # fmt: skip
-    """shadow: (h, w), bit k set where a shadow of light k counts; reach: in pixels, how far nearby is."""
+    """shadow: (h, w), bit k set where a shadow of light k counts, 0 outside the mask; reach: in pixels."""
     h, w = mask.shape
     for v in prange(h):
+        above, below, column = max(v - 1, 0), min(v + 1, h - 1), np.zeros(w + 2, np.uint8)
         for u in range(w):
-            if not near[v, u] or not mask[v, u]:
+            column[u + 1] = shadow[above, u] | shadow[v, u] | shadow[below, u]
+        for u in range(w):
+            beside = (column[u] | column[u + 1] | column[u + 2]) & labels[v, u]
+            if beside == 0 or not near[v, u] or not mask[v, u]:
                 continue
-            beside = 0
-            for y in range(max(v - 1, 0), min(v + 2, h)):
-                for x in range(max(u - 1, 0), min(u + 2, w)):
-                    if mask[y, x]:
-                        beside |= shadow[y, x]
-            beside &= labels[v, u]
             for k in range(3):
                 if (beside >> k) & 1 == 0:
                     continue

@@ -51,7 +51,7 @@ _MISSING_LIGHT_WEIGHT = 0.3  # of a light labelled missing where the surface wou
 _MISSING_LIGHT_CUTOFF = 0.2  # … and the difference of cosines at which that weight ends
 _DAMPING = 1.0  # holds the slope back where nothing else is known
 STEEPEST = 8.0  # largest slope: the tangent of the angle from the viewing ray
-_CYCLES, _TOLERANCE = 5, 3e-3  # multigrid cycles a step, at most; relative residual that ends one early
+_TOLERANCE = 3e-3  # relative residual that ends a step's multigrid cycles early
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,12 +60,13 @@ class SurfaceOptions:
 
     noise: standard deviation of a light's cosine; it stands for camera noise and for what the model leaves
     out (interreflection, gloss). smoothness: weight of a shadowed pixel's slope being its surroundings' mean.
-    iterations: Gauss–Newton steps.
+    iterations: Gauss–Newton steps. cycles: of multigrid in each, at most.
     """
 
     noise: float = 0.03
     smoothness: float = 3.0
     iterations: int = 8
+    cycles: int = 5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -170,7 +171,7 @@ def solve_surface(
             quadratics, seen, mask, slopes, depth, np.float32(softness), np.float32(shadow_softness), weights
         )
         edges_kernel(quadratics, targets, weights, edges, right)
-        depth = solve_grid(grid_hierarchy(edges), right, depth, _TOLERANCE, _CYCLES)
+        depth = solve_grid(grid_hierarchy(edges), right, depth, _TOLERANCE, options.cycles)
         slopes_kernel(depth, weights, np.float32(STEEPEST), slopes, agreement)
         softness, shadow_softness = _STEP_SOFTNESS, _SHADOW_STEP_SOFTNESS
     quadratics_kernel(flat(data), seen, trust, slopes, prior, rows, rays, model, quadratics, targets)
@@ -393,6 +394,8 @@ def weights_kernel(
     h, w = labels.shape
     for v in prange(h):
         soft, label = np.empty(w, np.float32), labels[v]
+        a00, a01, a11 = quadratics[0, v], quadratics[1, v], quadratics[2, v]
+        b0, b1, c = quadratics[3, v], quadratics[4, v], quadratics[5, v]
         for u in range(w):
             bits = label[u]
             lights = (bits & 1) + ((bits >> 1) & 1) + (bits >> 2)
@@ -408,19 +411,18 @@ def weights_kernel(
             there = slice(1, w) if i % 2 == 0 else slice(0, w - 1)
             _quadrant_row(
                 depth[v, here], depth[v, there], depth[y, here], mask[v, here], mask[v, there], mask[y, here],
-                slopes[0, v, here], slopes[1, v, here], quadratics[:, v, here], soft[here],
-                np.float32(1 - 2 * (i % 2)), np.float32(1.0 if i < 2 else -1.0), to[here],
+                slopes[0, v, here], slopes[1, v, here], a00[here], a01[here], a11[here], b0[here], b1[here],
+                c[here], soft[here], np.float32(1 - 2 * (i % 2)), np.float32(1.0 if i < 2 else -1.0),
+                to[here],
             )  # fmt: skip
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def _quadrant_row(
     depth: Grid, beside: Grid, below: Grid, mask: Mask, mask_beside: Mask, mask_below: Mask, p: Grid,
-    q: Grid, quadratics: Grid, soft: Grid, right: Any, down: Any, out: Grid,
+    q: Grid, a00: Grid, a01: Grid, a11: Grid, b0: Grid, b1: Grid, c: Grid, soft: Grid, right: Any, down: Any,
+    out: Grid,
 ) -> None:  # fmt: skip
-    a00, a01, a11, b0, b1, c = (
-        quadratics[0], quadratics[1], quadratics[2], quadratics[3], quadratics[4], quadratics[5],
-    )  # fmt: skip
     zero, two = np.float32(0.0), np.float32(2.0)
     for u in range(len(out)):
         d0 = right * (beside[u] - depth[u]) - p[u]
@@ -440,7 +442,7 @@ def edges_kernel(quadratics: Grid, targets: Grid, weights: Grid, edges: Grid, ri
     a squared difference between two pixels.
     """
     for v in prange(len(right)):
-        _edges_row(quadratics, targets, weights, v, edges, right[v])
+        _edges_row(quadratics, targets, weights, np.int64(v), edges, right[v])
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
@@ -483,14 +485,14 @@ def _edges_row(quadratics: Grid, targets: Grid, weights: Grid, v: int, edges: Gr
             south_west[u] = -quarter * (q0[u] * a01[u] + m3[u] * m01[u])
 
 
-@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+@njit(cache=True, fastmath=True, error_model="numpy")
 def slopes_kernel(depth: Grid, weights: Grid, steepest: Any, slopes: Grid, agreement: Grid) -> None:
     """Replace slopes (2, h, w) by the weighted mean over the quadrants; agreement (h, w) = mean weight.
 
     At the border, where quadrants are missing and differences are one-sided, the agreement is 0.
     """
     h, w = depth.shape
-    for v in prange(h):
+    for v in range(h):
         row = np.zeros(w + 2, np.float32)
         row[1 : w + 1] = depth[v]
         above, below = depth[max(v - 1, 0)], depth[min(v + 1, h - 1)]
@@ -521,12 +523,12 @@ def _slope_row(
         agreement[u] = np.float32(0.25) * total if whole else zero
 
 
-@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+@njit(cache=True, fastmath=True, error_model="numpy")
 def _from_normals_kernel(normals: Grid, rays: RayGrid, out: Grid) -> None:
     """Fill the slopes (2, h, w) of normals (h, w, 3), held where the surface is seen at grazing incidence."""
     _, h, w = out.shape
     one = np.float32(1.0)
-    for v in prange(h):
+    for v in range(h):
         x0, y = ray_at(rays, v, 0)
         line, to_p, to_q = normals[v], out[0, v], out[1, v]
         for u in range(w):
@@ -538,7 +540,7 @@ def _from_normals_kernel(normals: Grid, rays: RayGrid, out: Grid) -> None:
             to_p[u], to_q[u] = p * hold, q * hold
 
 
-@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+@njit(cache=True, fastmath=True, error_model="numpy")
 def _normals_kernel(
     slopes: Grid, first: Grid, agreement: Grid, known: Mask, mask: Mask, rays: RayGrid, out: Grid
 ) -> None:
@@ -548,7 +550,7 @@ def _normals_kernel(
     """
     h, w = mask.shape
     zero, one = np.float32(0.0), np.float32(1.0)
-    for v in prange(h):
+    for v in range(h):
         x0, y = ray_at(rays, v, 0)
         slope_p, slope_q, line, to = slopes[0, v], slopes[1, v], first[v], out[v]
         agreed, own, inside = agreement[v], known[v], mask[v]
