@@ -80,8 +80,8 @@ def test_relief_tells_a_shift(shift: tuple[float, float], rng: np.random.Generat
 def test_a_window_whose_parts_move_apart_tells_less_than_one_that_moves_as_one() -> None:
     frame = WrinkledVideo(width=WIDTH, height=HEIGHT).maps(0)[0]
     apart = np.where((GRID // 8).sum(axis=-1) % 2, 0.4, -0.4).reshape(-1, 1)
-    one = measured(frame, frame, (0.4, 0.4)).bands[0].information
-    parts = measured(frame, frame, apart).bands[0].information
+    one = measured(frame, frame, (0.4, 0.4)).windows[0].information
+    parts = measured(frame, frame, apart).windows[0].information
     assert np.median(parts[:, 0] + parts[:, 2]) < 0.3 * np.median(one[:, 0] + one[:, 2])
 
 
@@ -90,12 +90,33 @@ def test_a_window_tells_of_where_its_relief_lies(rng: np.random.Generator) -> No
     plain = normals(*rng.normal(0, 0.002, (2, HEIGHT, WIDTH)))
     half = np.where((GRID[..., 0] < 64)[..., None], frame.normals_in_camera, plain.normals_in_camera)
     told = (
-        measured(*[NormalMap(normals_in_camera=half, mask=frame.mask)] * 2).bands[0].information.sum(axis=1)
+        measured(*[NormalMap(normals_in_camera=half, mask=frame.mask)] * 2).windows[0].information.sum(axis=1)
     )
     column = np.repeat(np.arange(WIDTH // 8)[None], HEIGHT // 8, axis=0).ravel()
     assert np.median(told[column == 9]) < 0.1 * np.median(
         told[column == 6]
     )  # both see relief in their window
+
+
+def test_relief_fainter_than_its_noise_still_tells_over_wide_windows(rng: np.random.Generator) -> None:
+    """Waves of 12 px with a quarter of the noise: few nodes tell by themselves, most of them together."""
+    u, v = GRID[..., 0], GRID[..., 1]
+
+    def frame(shift: float) -> NormalMap:
+        x = u - shift
+        p = 0.007 * np.cos(2 * np.pi * x / 12) * np.cos(2 * np.pi * v / 12)
+        q = -0.007 * np.sin(2 * np.pi * x / 12) * np.sin(2 * np.pi * v / 12)
+        noise = rng.normal(0, 0.015, (2, HEIGHT, WIDTH))
+        return normals(p + noise[0], q + noise[1])
+
+    told = measured(frame(0.0), frame(0.7))
+    assert np.mean(told.windows[0].information.any(axis=1)) < 0.2
+    faint = told.windows[1]
+    assert np.mean(faint.information.any(axis=1)) > 0.7
+    steps = faint.step[faint.information.any(axis=1)]
+    np.testing.assert_allclose(
+        steps.mean(axis=0), [0.7, 0.0], atol=0.3
+    )  # what a window is said to tell at best
 
 
 def test_relief_that_is_off_by_more_than_its_waves_is_searched_for() -> None:

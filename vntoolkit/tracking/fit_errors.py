@@ -32,62 +32,61 @@ class FitErrors:
     def __init__(
         self, lattice: TemplateLattice, registration: TemplateRegistration, lengths: LinkLengths
     ) -> None:
-        """Draw what every frame's errors are made of."""
+        """Draw what every frame's errors are made of; of slow strain there is little: each is solved with."""
         self._lattice, self._links = lattice, lengths.links
         m = lattice.count
         rng = np.random.default_rng(0)
         shape = (m, 2, _SAMPLES)
         self._windows = []
-        for halvings in range(registration.band_count):
-            white = rng.standard_normal((m, 2 * _SAMPLES))
-            alike = _unit(registration.spread(white, halvings))
-            self._windows.append((alike / np.sqrt(registration.nodes_of_window(halvings))).reshape(shape))
+        for windows in registration.windows:
+            alike = _unit(lattice.smoothed(rng.standard_normal((m, 2 * _SAMPLES)), windows.passes))
+            self._windows.append((alike / np.sqrt(windows.nodes)).reshape(shape))
         self._outline = rng.standard_normal(shape)
         local = _unit(lattice.smoothed(rng.standard_normal((m, 4 * _SAMPLES)), STRAIN_PASSES))
         terms = _polynomials(lengths.centres)[:, 1:]  # the first is uniform: it is solved for
-        slow = np.sqrt(m * _SLOW_SHARE / max(terms.shape[1], 1)) * terms
-        slow = slow @ rng.standard_normal((terms.shape[1], 4 * _SAMPLES))
+        each = np.sqrt(m * _SLOW_SHARE / max(terms.shape[1], 1)) * terms
+        slow = np.einsum("mt,cd->mcdt", each, np.eye(4)).reshape(m, -1)
         along = lengths.along / np.linalg.norm(lengths.along, axis=1, keepdims=True)
         a, b = self._links.T
 
         def on_links(strain: FloatArray) -> npt.NDArray[np.float64]:
-            whole = strain.reshape(m, 2, 2, _SAMPLES)
+            whole = strain.reshape(m, 2, 2, -1)
             return np.asarray(np.einsum("eijk,ej->eik", 0.5 * (whole[a] + whole[b]), along))
 
         self._local, self._slow = on_links(local), on_links(slow)
-        self._uniform = STRAIN * rng.standard_normal((3, _SAMPLES))
         self._compared = _compared(lengths)
 
     def square(
         self,
         solution: LatticeSolution,
-        bands: list[WindowSteps],
+        windows: list[WindowSteps],
         outline: FloatArray,
         sd: FloatArray,
         uniform: FloatArray,
     ) -> npt.NDArray[np.float64]:
         """Return (nodes,) the expected squared error, px².
 
-        bands: in pixels of the frame, as the information (nodes, 3) of the outline. sd: (links,) standard
+        windows: in pixels of the frame, as the information (nodes, 3) of the outline. sd: (links,) standard
         deviation of the steps. uniform: (links, 2, 3) as solved with.
         """
         measured = np.einsum("nij,njk->nik", cholesky(outline), self._outline)
-        for band in bands:
-            measured += np.einsum("nij,njk->nik", cholesky(band.information), self._windows[band.halvings])
-        each = sd[:, None, None]
-        nothing, straight = np.zeros_like(measured), np.zeros_like(self._local)
+        for each, drawn in zip(windows, self._windows, strict=False):
+            measured += np.einsum("nij,njk->nik", cholesky(each.information), drawn)
+        size = sd[:, None, None]
+        straight = np.zeros_like(self._local)
+        given = np.concatenate([size * self._slow, STRAIN * uniform], axis=2)
+        nothing = np.zeros((len(outline), 2, _SAMPLES + given.shape[2]))
         errors, left = solution.solved(
-            np.concatenate([measured, nothing, nothing], axis=2),
-            np.concatenate(
-                [straight, each * self._local, each * self._slow + uniform @ self._uniform], axis=2
-            ),
+            np.concatenate([measured, nothing], axis=2),
+            np.concatenate([straight, size * self._local, given], axis=2),
         )
-        by_measurement, by_local, by_slow = np.split(errors, 3, axis=2)
-        foreseen = (left[:, :, :_SAMPLES] + left[:, :, _SAMPLES : 2 * _SAMPLES]) / each
+        by_measurement, by_local, by_given = np.split(errors, [_SAMPLES, 2 * _SAMPLES], axis=2)
+        foreseen = (left[:, :, :_SAMPLES] + left[:, :, _SAMPLES : 2 * _SAMPLES]) / size
         usual = np.square(self._compared @ foreseen.reshape(len(sd), 2 * _SAMPLES)).sum() / _SAMPLES
         found = np.square(self._compared @ (solution.left / sd[:, None])).sum()
         factor = np.sqrt(_PRIOR + (1.0 - _PRIOR) * (found / usual if usual > 0 else 1.0))
-        return np.asarray(np.square(by_measurement + factor * by_local + by_slow).sum(axis=1).mean(axis=1))
+        drawn = np.square(by_measurement + factor * by_local).sum(axis=1).mean(axis=1)
+        return np.asarray(drawn + np.square(by_given).sum(axis=(1, 2)))
 
 
 def _compared(lengths: LinkLengths) -> npt.NDArray[np.float64]:

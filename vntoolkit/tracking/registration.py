@@ -16,6 +16,7 @@ moves otherwise than the rest. White noise alone, of the residual's σ², makes 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -30,11 +31,6 @@ from vntoolkit.tracking.template import TrackingTemplate
 _SIGMA_PX = 2.5  # of the Gaussian that is taken off
 _TAPS = 15  # to 3 sigma
 _TIMES = 3  # that it is: relief up to 16 px long passes, of a fold of 60 px a ten-thousandth is left
-_WINDOW_PASSES = (
-    2,
-    5,
-    8,
-)  # of lattice smoothing; under narrower windows errors of a cell's size feed themselves
 _CHANCE = 2.5  # standard deviations of A without a common signal, below which nothing is told
 _CORRELATED_PX = 12.0  # pixels that agree by chance count as one, by H: so measured on white noise
 _LONGEST_STEP_PX = 2.0  # in pixels of the band: about what one linearisation reaches
@@ -43,19 +39,40 @@ _PATCH_CELLS = 4  # side of the squares that it shifts
 _SURE = 5.0  # standard deviations of a correlation by chance: there are some 300 shifts
 _LEAST_WEIGHT = 0.01  # of a pixel that counts
 _LEAST_NOISE = 1e-3  # slope: what interpolation leaves
-_ACCURACY_PX = (0.1, 0.9, 5.4)  # of a node's pixels at best, by band: relief stays in place, folds travel
 _FEW_NODES = 5.0  # variance of a step over that of its nodes' pulls: not all of them move alike
+
+
+class Windows(NamedTuple):
+    """How displacements are looked for in one band.
+
+    halvings: of the resolution. passes: of lattice smoothing that make the window; under narrower ones errors
+    of a cell's size feed themselves. accuracy_px: of a window at best; relief stays in place, folds travel.
+    """
+
+    halvings: int
+    passes: int
+    accuracy_px: float
+
+    @property
+    def nodes(self) -> float:
+        """How many nodes' worth of pixels the window around each holds."""
+        return NODES_BY_PASS * self.passes
+
+
+_RELIEF = Windows(0, 2, 0.1)
+_FAINT_RELIEF = Windows(1, 24, 0.3)  # under noise, so that chance is small; where the first tells nothing
+_WINDOWS = (_RELIEF, _FAINT_RELIEF, Windows(1, 5, 0.9), Windows(2, 8, 5.4))
+_MOST_HALVINGS = 2
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Band:
     """One band of the template, on its raster.
 
-    halvings: of the resolution. node: (h, w) int32, −1 outside. features: (h, w, 2). gradients: (h, w, 4)
-    ∂f/∂u, ∂f/∂v of both. weight: (h, w).
+    node: (h, w) int32, −1 outside. features: (h, w, 2). gradients: (h, w, 4) ∂f/∂u, ∂f/∂v of both. weight:
+    (h, w).
     """
 
-    halvings: int
     node: npt.NDArray[np.int32]
     features: npt.NDArray[np.float32]
     gradients: npt.NDArray[np.float32]
@@ -64,13 +81,12 @@ class Band:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WindowSteps:
-    """What one band's windows around the nodes measured.
+    """What windows of one kind measured around the nodes.
 
     information: (nodes, 3) of the share of its window that is a node's own, in 1/px² of the template. step:
-    (nodes, 2). halvings: the band's.
+    (nodes, 2).
     """
 
-    halvings: int
     information: npt.NDArray[np.float64]
     step: npt.NDArray[np.float64]
 
@@ -81,7 +97,7 @@ class Measurement:
 
     match: (nodes,) the share of the finest band's gradients that template and frame have in common, 0 to 1;
     expected: (nodes,) the share they would have if only noise told them apart. found: (nodes,) the
-    greatest share of any band. bands: what each of them measured. frame: the finest band of the frame.
+    greatest share of any windows. windows: what those of each kind measured. frame: the finest band.
     """
 
     information: npt.NDArray[np.float64]
@@ -89,7 +105,7 @@ class Measurement:
     match: npt.NDArray[np.float64]
     expected: npt.NDArray[np.float64]
     found: npt.NDArray[np.float64]
-    bands: tuple[WindowSteps, ...]
+    windows: tuple[WindowSteps, ...]
     frame: Band
 
     def where(self, chosen: Mask, other: Measurement) -> Measurement:
@@ -100,15 +116,14 @@ class Measurement:
 
         names = ("information", "pull", "match", "expected", "found")
         parts = {name: mixed(getattr(self, name), getattr(other, name)) for name in names}
-        bands = tuple(
+        windows = tuple(
             WindowSteps(
-                halvings=own.halvings,
                 information=mixed(own.information, new.information),
                 step=mixed(own.step, new.step),
             )
-            for own, new in zip(self.bands, other.bands, strict=True)
+            for own, new in zip(self.windows, other.windows, strict=True)
         )
-        return Measurement(**parts, bands=bands, frame=other.frame)
+        return Measurement(**parts, windows=windows, frame=other.frame)
 
 
 class TemplateRegistration:
@@ -137,25 +152,27 @@ class TemplateRegistration:
         count = self._lattice.count
         information, pull = np.zeros((count, 3)), np.zeros((count, 2))
         match, expected, found = np.zeros(count), np.zeros(count), np.zeros(count)
-        bands = []
+        steps: list[WindowSteps] = []
         frame = self._banded(*self._pulled_back(positions_px, jacobians, slopes))
-        for mine, theirs in zip(self._bands, frame, strict=True):
-            own = _moments(
+        moments = [
+            _moments(
                 mine.node, count, mine.features, mine.gradients, mine.weight,
                 theirs.features, theirs.gradients, theirs.weight,
-            )  # fmt: skip
-            passes = _WINDOW_PASSES[mine.halvings]
-            whole = 3.0**passes  # of the weights of a window
-            terms = self._lattice.smoothed(own, passes) / whole
-            nodes = NODES_BY_PASS * passes  # of the window
-            step, ratio, sure, axis = _steps(terms, 2.0**mine.halvings, nodes)
-            spread = self._lattice.smoothed(_scores(own, step), passes) / whole
-            told = _informed(own, terms, spread, sure, axis, nodes, _ACCURACY_PX[mine.halvings])
+            )
+            for mine, theirs in zip(self._bands, frame, strict=True)
+        ]  # fmt: skip
+        for windows in self.windows:
+            own, whole = moments[windows.halvings], 3.0**windows.passes  # of the weights of a window
+            terms = self._lattice.smoothed(own, windows.passes) / whole
+            step, ratio, sure, axis = _steps(terms, 2.0**windows.halvings, windows.nodes)
+            spread = self._lattice.smoothed(_scores(own, step), windows.passes) / whole
+            told = _informed(own, terms, spread, sure, axis, windows.nodes, windows.accuracy_px)
+            if windows is _RELIEF:
+                match, expected = ratio, self._expected
+            elif windows is _FAINT_RELIEF:
+                told[steps[0].information.any(axis=1)] = 0.0
             found = np.maximum(found, ratio)
-            if mine.halvings == 0:
-                match = ratio
-                expected = self._expected
-            bands.append(WindowSteps(halvings=mine.halvings, information=told, step=step))
+            steps.append(WindowSteps(information=told, step=step))
             information += told
             pull += np.einsum("nij,nj->ni", told[:, [0, 1, 1, 2]].reshape(-1, 2, 2), step)
         return Measurement(
@@ -164,7 +181,7 @@ class TemplateRegistration:
             match=match,
             expected=expected,
             found=found,
-            bands=tuple(bands),
+            windows=tuple(steps),
             frame=frame[0],
         )
 
@@ -188,17 +205,9 @@ class TemplateRegistration:
         return shifts[best][patch].astype(np.float64), sure
 
     @property
-    def band_count(self) -> int:
-        """How many bands the template is large enough for."""
-        return len(self._bands)
-
-    def nodes_of_window(self, halvings: int) -> float:
-        """How many nodes' worth of pixels the window around each holds, of one band."""
-        return NODES_BY_PASS * _WINDOW_PASSES[halvings]
-
-    def spread(self, values: FloatArray, halvings: int) -> npt.NDArray[np.float64]:
-        """Return (nodes, k) sums of values over the windows of one band."""
-        return self._lattice.smoothed(values, _WINDOW_PASSES[halvings])
+    def windows(self) -> list[Windows]:
+        """The kinds of windows that the template is large enough for."""
+        return [windows for windows in _WINDOWS if windows.halvings < len(self._bands)]
 
     def _expected_match(self) -> npt.NDArray[np.float64]:
         """Return (nodes,) the share of gradients in common if only noise told template and frame apart.
@@ -211,7 +220,7 @@ class TemplateRegistration:
         node, weight = fine.node[inside], fine.weight[inside]
         squares = (2.0 * np.square(curl), np.square(fine.gradients).sum(axis=-1))
         own = [np.bincount(node, weight * square[inside], self._lattice.count) for square in squares]
-        noise, power = self._lattice.smoothed(np.stack(own, axis=1), _WINDOW_PASSES[0]).T
+        noise, power = self._lattice.smoothed(np.stack(own, axis=1), _RELIEF.passes).T
         return np.asarray(np.maximum(0.0, 1.0 - noise / np.maximum(power, 1e-30)))
 
     def _pulled_back(
@@ -225,13 +234,13 @@ class TemplateRegistration:
 
     def _banded(self, values: npt.NDArray[np.float32], weight: npt.NDArray[np.float32]) -> list[Band]:
         node, out = self._node, []
-        for halvings in range(len(_WINDOW_PASSES)):
+        for halvings in range(_MOST_HALVINGS + 1):
             if halvings > 0 and min(node.shape) < 8:
                 break
             coarser = cv2.pyrDown(values), cv2.pyrDown(weight)
             _high_pass(values, weight)
             gradients, kept = _gradients(values, weight, np.float32(0.5 / 2.0**halvings))
-            out.append(Band(halvings=halvings, node=node, features=values, gradients=gradients, weight=kept))
+            out.append(Band(node=node, features=values, gradients=gradients, weight=kept))
             values, weight = (np.asarray(image, dtype=np.float32) for image in coarser)
             node = np.ascontiguousarray(node[::2, ::2])
         return out

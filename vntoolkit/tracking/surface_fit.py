@@ -125,8 +125,8 @@ class SurfaceFit:
             positions = positions + step
             if np.mean(np.maximum(*np.abs(step.T)) < enough) > _MOST:
                 break
-        bands = _in_frame(told.bands, inverse)
-        square = self._errors.square(solution, bands, outline, np.sqrt(variance), modes)
+        windows = _in_frame(told.windows, inverse)
+        square = self._errors.square(solution, windows, outline, np.sqrt(variance), modes)
         square = square + lengths.between(solution.left, torn)
         return FittedFrame(
             positions_px=positions,
@@ -211,16 +211,15 @@ class SurfaceFit:
         return self._lattice.at_vertices(root)[:, 0]
 
 
-def _in_frame(bands: tuple[WindowSteps, ...], inverse: FloatArray) -> list[WindowSteps]:
-    """Return what the bands measured, in pixels of the frame; inverse: (m, 2, 2) J⁻¹."""
+def _in_frame(windows: tuple[WindowSteps, ...], inverse: FloatArray) -> list[WindowSteps]:
+    """Return what windows measured, in pixels of the frame; inverse: (m, 2, 2) J⁻¹."""
     jacobian = np.linalg.inv(inverse)
     return [
         WindowSteps(
-            halvings=band.halvings,
-            information=_congruent(band.information, inverse),
-            step=np.einsum("nij,nj->ni", jacobian, band.step),
+            information=_congruent(each.information, inverse),
+            step=np.einsum("nij,nj->ni", jacobian, each.step),
         )
-        for band in bands
+        for each in windows
     ]
 
 
