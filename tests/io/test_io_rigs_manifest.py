@@ -1,6 +1,7 @@
 """Rigs and manifests: everything comes back, and what is wrong is named by its key."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from vntoolkit.io.results.manifest import (
     write_manifest,
 )
 from vntoolkit.io.rigs import RigFile, entry_from_rig, read_rig, rig_from_text, text_from_rig, write_rig
+from vntoolkit.photometry.gel import EARLIER_TERMS, GelResponse, completed_coefficients
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import FitQuality, Rig, SourceFile
 from vntoolkit.photometry.transfer import Transfer, TransferCurve
@@ -57,6 +59,21 @@ def test_a_rig_comes_back_to_the_last_digit(tmp_path, rig):
     assert (back.transfer, back.quality, back.sources) == (rig.transfer, rig.quality, rig.sources)
 
 
+def test_a_gel_of_the_third_degree_is_read_as_one_of_the_fourth(rng, rig):
+    earlier = rng.normal(size=(EARLIER_TERMS, 2))
+    gel = GelResponse(
+        coefficients=completed_coefficients(earlier), centre_px=np.zeros(2), scale_px=1.0, reach=1.0
+    )
+    content = json.loads(text_from_rig(replace(rig, gel=gel)))
+    assert content["version"] == 5
+    content["version"], content["gel"]["coefficients"] = 3, earlier.tolist()
+    back = rig_from_text(json.dumps(content), "rig.json")
+    np.testing.assert_array_equal(back.gel.coefficients, gel.coefficients)
+    content["gel"]["coefficients"].append([0, 0])
+    with pytest.raises(BadRig, match="coefficients"):
+        rig_from_text(json.dumps(content), "rig.json")
+
+
 def _changed(rig, *path, value):
     content = json.loads(text_from_rig(rig))
     *steps, last = path
@@ -91,7 +108,7 @@ def _changed(rig, *path, value):
         (("colour", "transfer"), "log", "expected linear, srgb, bt709, gamma:G"),
         (("colour", "order"), "bgr", r"colour\.order: input should be 'rgb'"),
         (("sources", 0, "sha256"), "12", r"sources\.0\.sha256"),
-        (("version",), 5, "is of version 5, this program reads 1 to 4"),
+        (("version",), 6, "is of version 6, this program reads 1 to 5"),
     ],
 )
 def test_a_bad_rig_is_one_line_that_names_the_key(rig, path, value, line):

@@ -1,12 +1,14 @@
 """The untouched gel is flat exactly; the light's drift goes and a touch stays; the loop is the formula."""
 
+from itertools import combinations_with_replacement
+
 import numpy as np
 import pytest
 
 from vntoolkit.errors import BadRig
 from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.normals.gel import GelInverter, change_without_drift, drift_of_change
-from vntoolkit.photometry.gel import TERMS, GelResponse
+from vntoolkit.photometry.gel import TERMS, GelResponse, completed_coefficients, correction_terms
 from vntoolkit.photometry.response import LightResponse
 
 MATRIX = np.array([[0.2, 0.1, -0.42], [-0.1, 0.2, -0.45], [-0.1, -0.2, -0.5]])
@@ -59,6 +61,23 @@ def test_the_loop_is_the_formula(rng) -> None:
     np.testing.assert_allclose(found.reshape(-1, 3), wanted, atol=2e-5)
     np.testing.assert_allclose(np.linalg.norm(wanted, axis=1), 1)
     assert (wanted[:, 2] < 0).all()
+
+
+def test_a_correction_of_the_third_degree_is_one_of_the_fourth(rng) -> None:
+    earlier, scaled, place = rng.normal(0, 0.1, (46, 2)), rng.normal(0, 0.2, 3), rng.uniform(-1, 1, 2)
+    products = [
+        np.prod(scaled[list(k)]) for d in (1, 2, 3) for k in combinations_with_replacement((0, 1, 2), d)
+    ]
+    degrees = [1] * 3 + [2] * 6 + [3] * 10
+    powers = [(total - j, j) for total in range(3) for j in range(total + 1)]
+    terms = [
+        product * place[0] ** i * place[1] ** j
+        for product, degree in zip(products, degrees, strict=True)
+        for i, j in powers
+        if degree + i + j <= 3
+    ]
+    found = correction_terms(scaled[None], place[None], 9.0) @ completed_coefficients(earlier)
+    np.testing.assert_allclose(found[0], np.array(terms) @ earlier, rtol=1e-12)
 
 
 def test_impossible_gels_are_refused() -> None:

@@ -239,4 +239,4 @@ def test_the_response_of_the_gel_predicts_presses_not_seen(real_data, tmp_path) 
         press = Press(u_px=centre[0], v_px=centre[1], radius_px=radius)
         truth, touched = normals_of_press(press, options, found.shape)
         errors.append(angles_between_deg(found.normals_in_camera[touched], truth[touched]))
-    assert np.median(np.concatenate(errors)) < 7.0  # M alone: 9
+    assert np.median(np.concatenate(errors)) < 6.8  # M alone: 9; normals without any error: 6.15

@@ -39,6 +39,7 @@ from vntoolkit.calibration.fit import (
 from vntoolkit.checks import require_positive, require_shape
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.photometry.gel import (
+    TERM_DEGREES,
     TERMS,
     GelResponse,
     correction_terms,
@@ -59,10 +60,11 @@ _PAIRS_OF_OFFSET = 6_000
 _OFFSET_ROUNDS = 20
 _SETTLED_PX = 0.05
 _FEWEST_OF_CENTRE = 20  # pixels of a contact, or its circle stays where it is
-_CENTRE_ROUNDS = 2  # fits of the response, each after the circles have moved; a third moves them no more
+_FAR_OFF = 3.0  # times the median distance of dents from labels: a slip of the hand
+_CENTRE_ROUNDS = 3  # fits of the response, each after the circles have moved; a fourth moves them no more
 _LARGEST_OFFSET_RADII = 0.5  # of the median contact: beyond it the labels mean something else
 _NOTABLE_PX = 1.0
-_STRENGTHS = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)  # of the ridge, as the share of one press's pairs
+_STRENGTHS = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)  # of the ridge, as the share of one press's pairs
 _FOLDS = 10
 _SOFT = np.deg2rad(8.0) / 2  # in s, half an angle: pairs with a larger residual count less and less
 _REWEIGHTINGS = 4
@@ -282,7 +284,7 @@ def fit_gel_to_presses(
         )
         fit = _fit_response(samples, own, level, size, options)
     if options.label_offset is LabelOffset.COMMON and len(samples) > 1:
-        common = np.median(own, axis=0)
+        common = _middle(own)
     scatter = float(np.median(np.linalg.norm(own - common, axis=1))) if samples else 0.0
     warn_of_weak_fit(fit.quality)
     return replace(fit, label_offset_px=common, label_scatter_px=scatter)
@@ -303,6 +305,12 @@ def _moved_to_dent(
     return np.asarray(offset_px + step * min(1.0, reach_px / max(length, 1e-9)))
 
 
+def _middle(offsets_px: FloatArray) -> FloatArray:
+    """Mean (2,) of offsets (n, 2) but for those that lie far from their median: labels scatter like noise."""
+    distance = np.linalg.norm(offsets_px - np.median(offsets_px, axis=0), axis=1)
+    return np.asarray(offsets_px[distance <= _FAR_OFF * np.median(distance)].mean(axis=0))
+
+
 def _fit_response(
     samples: list[PressSamples],
     offsets_px: FloatArray,
@@ -316,9 +324,12 @@ def _fit_response(
     scaled = pairs.rgb @ response.inverse.T
     reach = float(np.percentile(np.linalg.norm(scaled[pairs.touched], axis=1), _REACH_PERCENTILE))
     centre, scale = (np.array(size) - 1.0) / 2, max(size) / 2.0
-    terms = correction_terms(scaled, (pairs.positions_px - centre) / scale, reach)
+    # In units of the reach no factor exceeds 1: the higher a term, the more firmly the ridge holds it.
+    unit = reach ** -TERM_DEGREES[:, 0].astype(np.float64)
+    terms = unit * correction_terms(scaled, (pairs.positions_px - centre) / scale, reach)
     wanted = stereographic_from_normals(pairs.normals) - first_estimate(scaled)
     coefficients, held_back = _Ridge(terms, wanted, pairs).choose()
+    coefficients *= unit[:, None]
     gel = GelResponse(coefficients=coefficients, centre_px=centre, scale_px=scale, reach=reach)
     touched = pairs.touched
     normals, rgb = pairs.normals[touched], pairs.rgb[touched]
@@ -352,7 +363,7 @@ class _Ridge:
             self._weight = 1.0 / np.sqrt(1.0 + squared / _SOFT**2)
 
     def choose(self) -> tuple[FloatArray, float]:
-        """The coefficients (46, 2) of the strength that predicts best, and the median angle it leaves."""
+        """The coefficients (111, 2) of the strength that predicts best, and the median angle it leaves."""
         if self._folds < 2:
             return np.zeros((TERMS, 2)), float("nan")
         fold = self._presses % self._folds

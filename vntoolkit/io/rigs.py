@@ -15,13 +15,14 @@ from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import parse_json, read_text
-from vntoolkit.photometry.gel import TERMS, GelResponse
+from vntoolkit.photometry.gel import EARLIER_TERMS, TERMS, GelResponse, completed_coefficients
 from vntoolkit.photometry.response import LightResponse, ResponseVariation
 from vntoolkit.photometry.rig import FitQuality, Rig, SourceFile
 from vntoolkit.photometry.transfer import Transfer
 
 _EXPECTED = "a rig.json of `vntoolkit calibrate`"
-RIG_VERSION = 4  # 2 added response.variation, 3 gel, 4 response.material; one without is written as before
+# 2 added response.variation, 3 gel, 4 response.material, 5 the gel's fourth degree; one without is as before
+RIG_VERSION = 5
 _Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 _Matrix = tuple[_Row, _Row, _Row]
 _Fraction = Annotated[FiniteFloat, Field(ge=0, le=1)]
@@ -130,7 +131,7 @@ def entry_from_rig(rig: Rig) -> RigFile:
     quality = None if rig.quality is None else QualityEntry(**vars(rig.quality))
     variation = rig.response.variation
     return RigFile(
-        version=4 if rig.material else 3 if rig.gel is not None else 1 if variation is None else 2,
+        version=5 if rig.gel is not None else 4 if rig.material else 1 if variation is None else 2,
         camera=entry_from_camera(rig.camera),
         response=ResponseEntry(
             matrix=rig.response.matrix.tolist(),
@@ -205,8 +206,11 @@ def _entry_from_variation(variation: ResponseVariation) -> VariationEntry:
 
 def _gel_from_entry(entry: GelEntry) -> GelResponse:
     view = entry.rectification
+    coefficients = np.array(entry.coefficients)
+    if len(coefficients) == EARLIER_TERMS:
+        coefficients = completed_coefficients(coefficients)
     return GelResponse(
-        coefficients=np.array(entry.coefficients),
+        coefficients=coefficients,
         centre_px=np.array(entry.centre_px),
         scale_px=entry.scale_px,
         reach=entry.reach,
@@ -370,10 +374,11 @@ class GelEntry(_Entry):
     scale_px: FiniteFloat = Field(gt=0, description="Pixels that x = 1 means.")
     reach: FiniteFloat = Field(gt=0, description="Length to which a longer m is shortened in the products.")
     coefficients: Annotated[
-        list[tuple[FiniteFloat, FiniteFloat]], Field(min_length=TERMS, max_length=TERMS)
+        list[tuple[FiniteFloat, FiniteFloat]], Field(min_length=EARLIER_TERMS, max_length=TERMS)
     ] = Field(
-        description="Two for every product of one to three factors, at least one of them of m. Order: the "
-        "products of m (m1, m2, m3, m1 m1, m1 m2, …), and for each 1, x, y, x x, x y, y y up to the degree."
+        description="Two for every product of one to four factors, at least one of them of m (before version "
+        "5 one to three). Order: the products of m (m1, m2, m3, m1 m1, m1 m2, …), and for each 1, x, y, x x, "
+        "x y, y y, … up to the degree."
     )
     rectification: RectificationEntry | None = Field(
         default=None, description="Left out where the footage shows the gel squarely already."
@@ -390,10 +395,10 @@ class SourceEntry(_Entry):
 class RigFile(_Entry):
     """A vntoolkit rig: camera, light response, colour encoding, and quality of the calibration."""
 
-    version: Literal[1, 2, 3, 4] = Field(default=1, description="Version of this schema.")
+    version: Literal[1, 2, 3, 4, 5] = Field(default=1, description="Version of this schema.")
     camera: CameraEntry
     response: ResponseEntry
     colour: ColourEntry = Field(default_factory=ColourEntry)
     quality: QualityEntry | None = Field(default=None, description="Left out where M was not fitted.")
     sources: list[SourceEntry] = Field(default_factory=list, description="Files the rig was fitted from.")
-    gel: GelEntry | None = Field(default=None, description="Of a tactile sensor only (version 3).")
+    gel: GelEntry | None = Field(default=None, description="Of a tactile sensor only (versions 3 and 5).")

@@ -18,7 +18,7 @@ from vntoolkit.checks import require_mask, require_shape
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.native import njit
 from vntoolkit.normals.inversion import FLAGS
-from vntoolkit.photometry.gel import COLOUR_FACTORS, STEEPEST, GelResponse
+from vntoolkit.photometry.gel import STEEPEST, GelResponse
 from vntoolkit.photometry.response import LightResponse
 
 Array = npt.NDArray[Any]
@@ -26,12 +26,6 @@ _VOTES = 1200  # pixels that the drift is fitted to, evenly spread
 _ROUNDS = 6
 _LEAST_NOISE = 0.004  # of full scale: one grey level of 8 bits; smaller residuals are no evidence
 _DRIFT_TERMS = 6  # of a quadratic of the place
-
-# Every monomial of m is one before it (or 1, number −1) times one component of m.
-_PARENTS = np.array(
-    [(*COLOUR_FACTORS, ()).index(factors[:-1]) if factors[:-1] else -1 for factors in COLOUR_FACTORS]
-)
-_FACTORS = np.array([factors[-1] for factors in COLOUR_FACTORS])
 
 
 def drift_of_change(change: LinearImage, usable: Mask) -> FloatArray:
@@ -75,9 +69,7 @@ class GelInverter:
     def normals(self, change: LinearImage, drift: FloatArray, mask: Mask) -> NormalMap:
         """Normals of a change of colour (h, w, 3) less a drift; valid within `mask`."""
         normals = np.empty(change.shape, np.float32)
-        _invert(
-            np.ascontiguousarray(change), drift.astype(np.float32), self._model, _PARENTS, _FACTORS, normals
-        )
+        _invert(np.ascontiguousarray(change), drift.astype(np.float32), self._model, normals)
         if not mask.all():
             normals[~mask] = 0.0
         return NormalMap(normals_in_camera=normals, mask=read_only(mask))
@@ -95,36 +87,24 @@ class _Model(NamedTuple):
 
 
 @njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
-def _invert(
-    change: Array, drift: Array, model: _Model, parents: Array, factors: Array, normals: Array
-) -> None:
+def _invert(change: Array, drift: Array, model: _Model, normals: Array) -> None:
     height, width = change.shape[:2]
-    terms = model.terms
-    count = len(parents)
     for v in prange(height):
-        rows = np.empty((8 + count, width), np.float32)  # rgb, then m; x; s; 1; monomials of m
-        place, ones = rows[3], rows[6]
+        rows = np.empty((6, width), np.float32)  # rgb, then m, then the normal; x; s
+        place, bent = rows[3], np.zeros(model.terms.shape[1:3], np.float32)
         for u in range(width):
             place[u] = (np.float32(u) - model.centre_u) * model.inverse_scale
-            ones[u] = np.float32(1)
         _take_drift(change[v], drift, v, height, rows)
         _estimate_row(rows[0], rows[1], rows[2], rows[4], rows[5], model.inverse, model.reach)
         y = (np.float32(v) - model.centre_v) * model.inverse_scale
-        for k in range(count):
-            _add_row(
-                rows[factors[k]],
-                rows[7 + parents[k]],
-                place,
-                (terms[0, k, 0, 2] * y + terms[0, k, 0, 1]) * y + terms[0, k, 0, 0],
-                terms[0, k, 1, 1] * y + terms[0, k, 1, 0],
-                terms[0, k, 2, 0],
-                (terms[1, k, 0, 2] * y + terms[1, k, 0, 1]) * y + terms[1, k, 0, 0],
-                terms[1, k, 1, 1] * y + terms[1, k, 1, 0],
-                terms[1, k, 2, 0],
-                rows[7 + k],
-                rows[4],
-                rows[5],
-            )
+        for coordinate in range(2):
+            terms = model.terms[coordinate]
+            for k in range(terms.shape[0]):
+                for i in range(terms.shape[1]):
+                    bent[k, i] = terms[k, i, -1]
+                    for j in range(terms.shape[2] - 2, -1, -1):
+                        bent[k, i] = bent[k, i] * y + terms[k, i, j]
+            _bend_row(rows[0], rows[1], rows[2], place, bent, rows[4 + coordinate])
         _normals_row(rows[4], rows[5], rows[0], rows[1], rows[2])
         for u in range(width):
             normals[v, u, 0], normals[v, u, 1], normals[v, u, 2] = rows[0, u], rows[1, u], rows[2, u]
@@ -162,26 +142,44 @@ def _estimate_row(r: Array, g: Array, b: Array, s: Array, t: Array, inverse: Arr
 
 
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")
-def _add_row(
-    m: Array,
-    before: Array,
-    x: Array,
-    p0: Any,
-    p1: Any,
-    p2: Any,
-    q0: Any,
-    q1: Any,
-    q2: Any,
-    colour: Array,
-    s: Array,
-    t: Array,
-) -> None:
-    """Make one monomial of m and add its terms to s and t."""
-    for u in range(len(m)):
-        value = m[u] * before[u]
-        colour[u] = value
-        s[u] += value * ((p2 * x[u] + p1) * x[u] + p0)
-        t[u] += value * ((q2 * x[u] + q1) * x[u] + q0)
+def _bend_row(r: Array, g: Array, b: Array, place: Array, c: Array, s: Array) -> None:
+    """Add the correction to one coordinate s of a row, by Horner's rule in m = (i, j, k) and the place x.
+
+    c: (34, 4), of every monomial of m, in the order of `COLOUR_FACTORS`, the coefficients of 1, x, x², x³.
+    One pass with all terms in registers takes a fifth of a pass a term. ijk1 is the coefficient of i j k x.
+    """
+    i0, i1, i2, i3 = c[0, 0], c[0, 1], c[0, 2], c[0, 3]
+    j0, j1, j2, j3 = c[1, 0], c[1, 1], c[1, 2], c[1, 3]
+    k0, k1, k2, k3 = c[2, 0], c[2, 1], c[2, 2], c[2, 3]
+    ii0, ii1, ii2 = c[3, 0], c[3, 1], c[3, 2]
+    ij0, ij1, ij2 = c[4, 0], c[4, 1], c[4, 2]
+    ik0, ik1, ik2 = c[5, 0], c[5, 1], c[5, 2]
+    jj0, jj1, jj2 = c[6, 0], c[6, 1], c[6, 2]
+    jk0, jk1, jk2 = c[7, 0], c[7, 1], c[7, 2]
+    kk0, kk1, kk2 = c[8, 0], c[8, 1], c[8, 2]
+    iii0, iii1, iij0, iij1 = c[9, 0], c[9, 1], c[10, 0], c[10, 1]
+    iik0, iik1, ijj0, ijj1 = c[11, 0], c[11, 1], c[12, 0], c[12, 1]
+    ijk0, ijk1, ikk0, ikk1 = c[13, 0], c[13, 1], c[14, 0], c[14, 1]
+    jjj0, jjj1, jjk0, jjk1 = c[15, 0], c[15, 1], c[16, 0], c[16, 1]
+    jkk0, jkk1, kkk0, kkk1 = c[17, 0], c[17, 1], c[18, 0], c[18, 1]
+    iiii, iiij, iiik, iijj, iijk = c[19, 0], c[20, 0], c[21, 0], c[22, 0], c[23, 0]
+    iikk, ijjj, ijjk, ijkk, ikkk = c[24, 0], c[25, 0], c[26, 0], c[27, 0], c[28, 0]
+    jjjj, jjjk, jjkk, jkkk, kkkk = c[29, 0], c[30, 0], c[31, 0], c[32, 0], c[33, 0]
+    for u in range(len(s)):
+        i, j, k, x = r[u], g[u], b[u], place[u]
+        ii = (ii2 * x + ii1) * x + ii0 + i * (iii1 * x + iii0 + iiii * i + iiij * j + iiik * k)
+        ii += j * (iij1 * x + iij0 + iijj * j + iijk * k) + k * (iik1 * x + iik0 + iikk * k)
+        ij = (ij2 * x + ij1) * x + ij0 + j * (ijj1 * x + ijj0 + ijjj * j + ijjk * k)
+        ij += k * (ijk1 * x + ijk0 + ijkk * k)
+        ik = (ik2 * x + ik1) * x + ik0 + k * (ikk1 * x + ikk0 + ikkk * k)
+        jj = (jj2 * x + jj1) * x + jj0 + j * (jjj1 * x + jjj0 + jjjj * j + jjjk * k)
+        jj += k * (jjk1 * x + jjk0 + jjkk * k)
+        jk = (jk2 * x + jk1) * x + jk0 + k * (jkk1 * x + jkk0 + jkkk * k)
+        kk = (kk2 * x + kk1) * x + kk0 + k * (kkk1 * x + kkk0 + kkkk * k)
+        by_i = ((i3 * x + i2) * x + i1) * x + i0 + i * ii + j * ij + k * ik
+        by_j = ((j3 * x + j2) * x + j1) * x + j0 + j * jj + k * jk
+        by_k = ((k3 * x + k2) * x + k1) * x + k0 + k * kk
+        s[u] += i * by_i + j * by_j + k * by_k
 
 
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")

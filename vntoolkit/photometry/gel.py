@@ -24,19 +24,29 @@ from vntoolkit.errors import BadRig
 from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.photometry.response import LightResponse
 
-TOTAL_DEGREE = 3  # of a term, in m and place together; the fourth degree predicts held-back presses no better
+TOTAL_DEGREE = 4  # of a term, in m and place together; the fifth predicts held-back presses hardly better
 COLOUR_FACTORS = tuple(
     factors
     for degree in range(1, TOTAL_DEGREE + 1)
     for factors in combinations_with_replacement(range(3), degree)
 )  # the components of m that are multiplied, for every monomial of m
-_POWERS = tuple(
-    (k, total - j, j)
-    for k, factors in enumerate(COLOUR_FACTORS)
-    for total in range(TOTAL_DEGREE - len(factors) + 1)
-    for j in range(total + 1)
-)  # of every term: number of its monomial of m, powers of x and y
+
+
+def _powers_to_degree(degree: int) -> tuple[tuple[int, int, int], ...]:
+    """Of every term of at most this degree: the number of its monomial of m, the powers of x and y."""
+    return tuple(
+        (k, total - j, j)
+        for k, factors in enumerate(COLOUR_FACTORS)
+        for total in range(degree - len(factors) + 1)
+        for j in range(total + 1)
+    )
+
+
+_POWERS = _powers_to_degree(TOTAL_DEGREE)
 TERMS = len(_POWERS)
+TERM_DEGREES = np.array([(len(COLOUR_FACTORS[k]), i + j) for k, i, j in _POWERS])  # in m and in the place
+_EARLIER_POWERS = _powers_to_degree(3)
+EARLIER_TERMS = len(_EARLIER_POWERS)
 STEEPEST = 0.98  # |s|: 1 is a normal across the line of sight, beyond which nothing is seen
 
 
@@ -44,11 +54,11 @@ STEEPEST = 0.98  # |s|: 1 is a normal across the line of sight, beyond which not
 class GelResponse:
     """How a gel answers beyond one M, and where it lies in the picture.
 
-    coefficients: (46, 2), what every term adds to s; the terms are the products of one, two or three of
-    m = M⁻¹ d's components with x^i y^j, at most three factors in all, in the order of `terms`. x = (u −
-    centre_u) / scale, y = (v − centre_v) / scale. reach: length of m up to which the presses determine the
-    terms; a longer m is shortened to it in them. rectification: takes the picture as filmed, of size
-    `filmed_px` (width, height), to the gel; both None where the pictures are of the gel already.
+    coefficients: (111, 2), what every term adds to s; the terms are the products of one to four of m's
+    components, m = M⁻¹ d, with x^i y^j, at most four factors in all, in the order of `terms`.
+    x = (u − centre_u) / scale, y = (v − centre_v) / scale. reach: length of m up to which the presses
+    determine the terms; a longer m is shortened to it in them. rectification: takes the picture as filmed,
+    of size `filmed_px` (width, height), to the gel; both None where the pictures are of the gel already.
     """
 
     coefficients: FloatArray
@@ -73,7 +83,7 @@ class GelResponse:
 
     @property
     def terms(self) -> npt.NDArray[np.float64]:
-        """(2, 19, 3, 3): for coordinate of s and monomial of m, the coefficient of x^i y^j."""
+        """(2, 34, 4, 4): for coordinate of s and monomial of m, the coefficient of x^i y^j."""
         laid_out = np.zeros((2, len(COLOUR_FACTORS), TOTAL_DEGREE, TOTAL_DEGREE))
         for (k, i, j), pair in zip(_POWERS, self.coefficients, strict=True):
             laid_out[:, k, i, j] = pair
@@ -87,6 +97,13 @@ class GelResponse:
         return normals_from_stereographic(first_estimate(scaled) + terms @ self.coefficients)
 
 
+def completed_coefficients(earlier: FloatArray) -> FloatArray:
+    """The coefficients (111, 2) of a correction of the third degree, (46, 2)."""
+    coefficients = np.zeros((TERMS, 2))
+    coefficients[[_POWERS.index(powers) for powers in _EARLIER_POWERS]] = earlier
+    return coefficients
+
+
 def first_estimate(scaled: Points) -> Points2:
     """Stereographic coordinates (n, 2) of the normals that M alone gives, n₀ + m for m (n, 3)."""
     z = scaled[:, 2] - 1.0
@@ -95,7 +112,7 @@ def first_estimate(scaled: Points) -> Points2:
 
 
 def correction_terms(scaled: Points, place: Points2, reach: float) -> FloatArray:
-    """The terms of the correction, (n, 46), for m (n, 3) at places (x, y), (n, 2)."""
+    """The terms of the correction, (n, 111), for m (n, 3) at places (x, y), (n, 2)."""
     length = np.linalg.norm(scaled, axis=1, keepdims=True)
     within = scaled * np.minimum(1.0, reach / np.maximum(length, 1e-12))
     colours = [np.prod(within[:, list(factors)], axis=1) for factors in COLOUR_FACTORS]
