@@ -9,6 +9,7 @@ from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.maps import LengthUnit, NormalMap
 from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.integration.options import IntegrationOptions, Integrator, Precision
+from vntoolkit.integration.poisson import CosineSolver
 
 LEAST_SQUARES = [Integrator.FOURIER, Integrator.COSINE, Integrator.POISSON]
 
@@ -44,6 +45,22 @@ def test_the_error_falls_with_the_fourth_power_of_the_pixel():
         found = integrate(normals, integrator=Integrator.COSINE, precision=Precision.DOUBLE)
         errors.append(largest_error(found.depth, depth, found.mask))
     assert 2**3.5 < errors[0] / errors[1] < 2**4.6
+
+
+@pytest.mark.parametrize("shape", [(300, 1000), (1000, 300), (2, 7), (1, 9)])
+def test_single_precision_loses_nothing_of_the_lowest_frequencies(rng, shape):
+    z = np.cumsum(np.cumsum(rng.normal(size=shape), axis=0), axis=1)
+    z -= z.mean()
+    divergence = np.zeros(shape)
+    for axis in (0, 1):
+        step = np.diff(z, axis=axis)
+        ahead, behind = [[(0, 0), (0, 0)] for _ in range(2)]
+        ahead[axis], behind[axis] = (0, 1), (1, 0)
+        divergence += np.pad(step, ahead) - np.pad(step, behind)
+    exact = CosineSolver(*shape, np.float64).solve(divergence.copy())
+    np.testing.assert_allclose(exact, z, atol=1e-9 * np.ptp(z))
+    single = CosineSolver(*shape).solve(divergence.astype(np.float32))
+    assert np.abs(single - z).max() < 2e-6 * np.ptp(z) * np.sqrt(max(shape))
 
 
 def test_fourier_on_the_mirrored_image_is_the_cosine_solution(rng):

@@ -237,8 +237,9 @@ def _divergence(p, q, out):  # type: ignore[no-untyped-def]
     for v in numba.prange(height):
         row = p[v]
         to = out[v]
-        for u in range(2, width - 2):
-            to[u] = (row[u - 2] - row[u + 2] + c14 * (row[u + 1] - row[u - 1])) * k
+        inner, before, after, after2 = to[2:], row[1:], row[3:], row[4:]
+        for u in range(width - 4):  # u - 2 as an index, which may be negative, would keep it from vectors
+            inner[u] = (row[u] - after2[u] + c14 * (after[u] - before[u])) * k
         first = (c9 * row[0] + c19 * row[1] - c5 * row[2] + row[3]) * k
         second = (c13 * (row[1] + row[2]) - row[0] - row[3]) * k
         to[0] = first

@@ -35,26 +35,56 @@ class RectangleSolver(Protocol):
 
 
 class CosineSolver:
-    """By the type 2 discrete cosine transform; the eigenvalues are computed once."""
+    """By the type 2 cosine transform of the rows, then one tridiagonal system a frequency along the columns.
+
+    That is Hockney's way (`hockney1965`). The systems are factored once. To transform the columns too, forth
+    and back, takes twice as long.
+    """
 
     def __init__(self, height: int, width: int, dtype: npt.DTypeLike = np.float32) -> None:
-        eigenvalues = laplacian_eigenvalues(height)[:, None] + laplacian_eigenvalues(width)
-        eigenvalues[0, 0] = np.inf  # the mean is free: it becomes 0
-        self._inverse = np.asarray(1.0 / eigenvalues, dtype=dtype)
+        self._dtype = dtype
+        self._pivots = np.empty((height, width))  # their inverses
+        eigenvalues, before = laplacian_eigenvalues(width), np.zeros(width)
+        for v in range(height):
+            pivot = eigenvalues - before - (v > 0) - (v < height - 1)
+            before = np.divide(1.0, pivot, out=np.zeros(width), where=pivot != 0)  # 0: the mean is free
+            self._pivots[v] = before
 
     def solve(self, divergence: Image) -> Image:
         """Return z, (h, w), of mean 0; a `divergence` of the solver's dtype is overwritten."""
-        field = divergence.astype(self._inverse.dtype, copy=False)
-        spectrum = scipy.fft.dctn(field, type=2, norm="ortho", workers=_workers(), overwrite_x=True)
-        _multiply(spectrum, self._inverse)
-        return scipy.fft.idctn(spectrum, type=2, norm="ortho", workers=_workers(), overwrite_x=True)
+        field = divergence.astype(self._dtype, copy=False)
+        spectrum = scipy.fft.dct(field, type=2, norm="ortho", workers=_workers(), overwrite_x=True)
+        spectrum[:, 0] -= spectrum[:, 0].mean(dtype=np.float64)
+        _solve_columns(spectrum, self._pivots)
+        spectrum[:, 0] -= spectrum[:, 0].mean(dtype=np.float64)
+        return scipy.fft.idct(spectrum, type=2, norm="ortho", workers=_workers(), overwrite_x=True)
 
 
-@njit(cache=True)
-def _multiply(spectrum, factors):  # type: ignore[no-untyped-def]
-    for v in range(spectrum.shape[0]):
-        for u in range(spectrum.shape[1]):
-            spectrum[v, u] *= factors[v, u]
+_COLUMNS = 64  # taken together: their rows stay in the cache
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def _solve_columns(spectrum, pivots):  # type: ignore[no-untyped-def]
+    """Elimination down every column and substitution back up, in place; in double precision throughout.
+
+    The lowest frequencies lose in each row what single precision rounds off, and there are many rows.
+    """
+    height, width = spectrum.shape
+    for stripe in numba.prange((width + _COLUMNS - 1) // _COLUMNS):
+        first = np.int64(stripe) * _COLUMNS
+        last = min(first + _COLUMNS, width)
+        rows, row = np.empty((height, last - first)), np.zeros(last - first)
+        for v in range(height):
+            given, factors, to = spectrum[v, first:last], pivots[v, first:last], rows[v]
+            for u in range(last - first):
+                row[u] = (given[u] - row[u]) * factors[u]
+                to[u] = row[u]
+        row[:] = 0.0
+        for v in range(height - 1, -1, -1):
+            given, factors, to = rows[v], pivots[v, first:last], spectrum[v, first:last]
+            for u in range(last - first):
+                row[u] = given[u] - factors[u] * row[u]
+                to[u] = row[u]
 
 
 class FourierSolver:
