@@ -241,12 +241,12 @@ def _sharpened(  # type: ignore[no-untyped-def]  # pragma: no cover
         _smooth_row(coarse[0], v // step, weights, across, row, smooth)
         _smooth_row(coarse[1], v // step, weights, across, row, blue)
         _smooth_row(coarse[2], v // step, weights, across, row, red)
-        fine, to = luma[v], rgb[v]
+        fine, to = luma[v], rgb.reshape(height, -1)[v]
         for u in range(width):
             y = np.float32(fine[u])
             detail = y - smooth[u]
             cb = blue[u] + turn_blue[u] * detail
             cr = red[u] + turn_red[u] * detail
-            to[u, 0] = np.uint16(min(max(m00 * y + m01 * cb + m02 * cr + s0, least), most))
-            to[u, 1] = np.uint16(min(max(m10 * y + m11 * cb + m12 * cr + s1, least), most))
-            to[u, 2] = np.uint16(min(max(m20 * y + m21 * cb + m22 * cr + s2, least), most))
+            to[3 * u] = np.uint16(min(max(m00 * y + m01 * cb + m02 * cr + s0, least), most))
+            to[3 * u + 1] = np.uint16(min(max(m10 * y + m11 * cb + m12 * cr + s1, least), most))
+            to[3 * u + 2] = np.uint16(min(max(m20 * y + m21 * cb + m22 * cr + s2, least), most))
