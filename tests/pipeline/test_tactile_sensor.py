@@ -186,6 +186,24 @@ def test_dots_are_filled_from_what_is_around_them(rng: np.random.Generator) -> N
     assert not DotFilter(plain).filled(smooth, np.zeros(DOTS.shape, bool))[1].any()
 
 
+def test_holes_are_filled_between_what_is_known_in_row_and_column() -> None:
+    v, u = np.indices((20, 30))
+    ramp = np.stack([0.01 * u, 0.02 * v, 0.01 * u + 0.02 * v], axis=-1).astype(np.float32)
+    dots, nothing = DotFilter(np.ones((20, 30, 3), np.float32)), np.zeros((20, 30), bool)
+    inside = np.zeros((20, 30), bool)
+    inside[5:9, 4:12] = inside[12, :] = True  # a hole inside, a row without anything known
+    filled, holes = dots.filled(np.where(inside[..., None], 9, ramp).astype(np.float32), inside)
+    np.testing.assert_allclose(filled, ramp, atol=1e-6)
+    np.testing.assert_array_equal(holes, inside)
+    border = np.zeros((20, 30), bool)
+    border[:, :3] = border[17:, :] = True  # ends: the one known pixel of the row, or of the column, is taken
+    filled, _ = dots.filled(np.where(border[..., None], 9, ramp).astype(np.float32), border)
+    np.testing.assert_allclose(filled[3, :3], np.broadcast_to(ramp[3, 3], (3, 3)), atol=1e-6)
+    np.testing.assert_allclose(filled[17:, 10], np.broadcast_to(ramp[16, 10], (3, 3)), atol=1e-6)
+    assert filled.max() < 1
+    assert dots.filled(ramp, nothing)[0] is ramp
+
+
 def test_the_gel_at_rest_is_the_plane_of_depth_0() -> None:
     dent_m = -1e-3 * np.exp(-(np.hypot(U - 60, V - 90) ** 2) / 200)
     tilted = DepthMap(depth=dent_m + 2e-6 * U - 1e-6 * V + 5e-3, mask=np.ones(U.shape, bool))

@@ -39,7 +39,7 @@ def drift_of_change(change: LinearImage, usable: Mask) -> FloatArray:
     height, width = usable.shape
     step = max(1, round(float(np.sqrt(height * width / _VOTES))))
     values, positions = _votes(np.ascontiguousarray(change), usable, step)
-    if len(values) < 2 * _DRIFT_TERMS:
+    if values.shape[1] < 2 * _DRIFT_TERMS:
         return np.zeros((_DRIFT_TERMS, 3))
     return np.asarray(_fit_drift(values, positions, _LEAST_NOISE))
 
@@ -89,12 +89,13 @@ class _Model(NamedTuple):
 @njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
 def _invert(change: Array, drift: Array, model: _Model, normals: Array) -> None:
     height, width = change.shape[:2]
+    filmed, found = change.reshape(height, -1), normals.reshape(height, -1)
     for v in prange(height):
         rows = np.empty((6, width), np.float32)  # rgb, then m, then the normal; x; s
         place, bent = rows[3], np.zeros(model.terms.shape[1:3], np.float32)
         for u in range(width):
             place[u] = (np.float32(u) - model.centre_u) * model.inverse_scale
-        _take_drift(change[v], drift, v, height, rows)
+        _take_drift(filmed[v], drift, v, height, rows)
         _estimate_row(rows[0], rows[1], rows[2], rows[4], rows[5], model.inverse, model.reach)
         y = (np.float32(v) - model.centre_v) * model.inverse_scale
         for coordinate in range(2):
@@ -106,24 +107,27 @@ def _invert(change: Array, drift: Array, model: _Model, normals: Array) -> None:
                         bent[k, i] = bent[k, i] * y + terms[k, i, j]
             _bend_row(rows[0], rows[1], rows[2], place, bent, rows[4 + coordinate])
         _normals_row(rows[4], rows[5], rows[0], rows[1], rows[2])
+        line, nx, ny, nz = found[v], rows[0], rows[1], rows[2]
         for u in range(width):
-            normals[v, u, 0], normals[v, u, 1], normals[v, u, 2] = rows[0, u], rows[1, u], rows[2, u]
+            line[3 * u], line[3 * u + 1], line[3 * u + 2] = nx[u], ny[u], nz[u]
 
 
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")
 def _take_drift(change: Array, drift: Array, v: int, height: int, rows: Array) -> None:
-    """Put a row's colours (w, 3), less the drift, into rows 0 to 2."""
-    width = len(change)
-    over = np.float32(2.0 / max(width - 1, 1))
+    """Put a row's colours, r g b r g b …, less the drift, into rows 0 to 2."""
+    r, g, b = rows[0], rows[1], rows[2]
+    width = len(r)
+    over, one = np.float32(2.0 / max(width - 1, 1)), np.float32(1)
     y = np.float32(2.0 * v / max(height - 1, 1) - 1.0)
-    for c in range(3):
-        p0 = drift[0, c] + y * (drift[2, c] + y * drift[5, c])
-        p1 = drift[1, c] + y * drift[4, c]
-        p2 = drift[3, c]
-        row = rows[c]
-        for u in range(width):
-            x = np.float32(u) * over - np.float32(1)
-            row[u] = change[u, c] - (p0 + x * (p1 + x * p2))
+    constant, linear = drift[0] + y * (drift[2] + y * drift[5]), drift[1] + y * drift[4]
+    r0, g0, b0 = constant[0], constant[1], constant[2]
+    r1, g1, b1 = linear[0], linear[1], linear[2]
+    r2, g2, b2 = drift[3, 0], drift[3, 1], drift[3, 2]
+    for u in range(width):
+        x = np.float32(u) * over - one
+        r[u] = change[3 * u] - (r0 + x * (r1 + x * r2))
+        g[u] = change[3 * u + 1] - (g0 + x * (g1 + x * g2))
+        b[u] = change[3 * u + 2] - (b0 + x * (b1 + x * b2))
 
 
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")
@@ -198,52 +202,70 @@ def _normals_row(s: Array, t: Array, x: Array, y: Array, z: Array) -> None:
 
 @njit(cache=True)
 def _votes(change: Array, usable: Array, step: int) -> tuple[Array, Array]:
+    """Colours (3, n) and terms of the place (6, n) of every step-th pixel of every step-th row."""
     height, width = usable.shape
     most = ((height + step - 1) // step) * ((width + step - 1) // step)
-    values, positions = np.empty((most, 3)), np.empty((most, _DRIFT_TERMS))
+    values, positions = np.empty((3, most)), np.empty((_DRIFT_TERMS, most))
     count = 0
     for v in range(step // 2, height, step):
         y = 2.0 * v / (height - 1) - 1.0 if height > 1 else 0.0
         for u in range(step // 2, width, step):
             if usable[v, u]:
                 x = 2.0 * u / (width - 1) - 1.0 if width > 1 else 0.0
-                positions[count, 0], positions[count, 1], positions[count, 2] = 1.0, x, y
-                positions[count, 3], positions[count, 4], positions[count, 5] = x * x, x * y, y * y
+                positions[0, count], positions[1, count], positions[2, count] = 1.0, x, y
+                positions[3, count], positions[4, count], positions[5, count] = x * x, x * y, y * y
                 for c in range(3):
-                    values[count, c] = change[v, u, c]
+                    values[c, count] = change[v, u, c]
                 count += 1
-    return values[:count], positions[:count]
+    return values[:, :count].copy(), positions[:, :count].copy()
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=FLAGS | {"reassoc"}, error_model="numpy")
 def _fit_drift(values: Array, positions: Array, least_noise: float) -> Array:
     """Iteratively reweighted least squares with Geman and McClure's weights."""
-    count = len(values)
+    count = values.shape[1]
     drift: Array = np.zeros((_DRIFT_TERMS, 3))
-    weight, residual = np.ones(count), np.empty(count)
+    weight, weighted, residual = np.ones(count), np.empty(count), np.empty(count)
     for _ in range(_ROUNDS):
         normal, right = np.zeros((_DRIFT_TERMS, _DRIFT_TERMS)), np.zeros((_DRIFT_TERMS, 3))
-        for n in range(count):
-            for i in range(_DRIFT_TERMS):
-                w = weight[n] * positions[n, i]
-                for j in range(i, _DRIFT_TERMS):
-                    normal[i, j] += w * positions[n, j]
-                for c in range(3):
-                    right[i, c] += w * values[n, c]
         for i in range(_DRIFT_TERMS):
-            for j in range(i):
-                normal[i, j] = normal[j, i]
+            _multiply(weight, positions[i], weighted)
+            for j in range(i, _DRIFT_TERMS):
+                normal[i, j] = normal[j, i] = _dot(weighted, positions[j])
+            for c in range(3):
+                right[i, c] = _dot(weighted, values[c])
             normal[i, i] += 1e-9 * count
         drift = np.linalg.solve(normal, right)
-        for n in range(count):
-            total = 0.0
-            for c in range(3):
-                rest = values[n, c]
-                for i in range(_DRIFT_TERMS):
-                    rest -= positions[n, i] * drift[i, c]
-                total += rest * rest
-            residual[n] = np.sqrt(total)
+        _measure(values, positions, drift, residual)
         scale = 2.0 * max(1.4826 * np.median(residual), least_noise)
-        for n in range(count):
-            weight[n] = 1.0 / (1.0 + (residual[n] / scale) ** 2) ** 2
+        weight = 1.0 / (1.0 + (residual / scale) ** 2) ** 2
     return drift
+
+
+@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+def _measure(values: Array, positions: Array, drift: Array, residual: Array) -> None:
+    """Lengths (n,) of what the drift leaves of the colours."""
+    x, y, xx, xy, yy = positions[1], positions[2], positions[3], positions[4], positions[5]
+    residual[:] = 0.0
+    for c in range(3):
+        d0, d1, d2, d3, d4, d5 = drift[0, c], drift[1, c], drift[2, c], drift[3, c], drift[4, c], drift[5, c]
+        colour = values[c]
+        for n in range(len(residual)):
+            rest = colour[n] - d0 - d1 * x[n] - d2 * y[n] - d3 * xx[n] - d4 * xy[n] - d5 * yy[n]
+            residual[n] += rest * rest
+    for n in range(len(residual)):
+        residual[n] = np.sqrt(residual[n])
+
+
+@njit(cache=True, fastmath=FLAGS | {"reassoc"}, error_model="numpy")
+def _multiply(first: Array, second: Array, out: Array) -> None:
+    for n in range(len(first)):
+        out[n] = first[n] * second[n]
+
+
+@njit(cache=True, fastmath=FLAGS | {"reassoc"}, error_model="numpy")
+def _dot(first: Array, second: Array) -> float:
+    total = 0.0
+    for n in range(len(first)):
+        total += first[n] * second[n]
+    return total

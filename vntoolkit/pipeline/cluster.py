@@ -18,7 +18,7 @@ from typing import Any
 
 from vntoolkit.errors import BadInput, MissingDependency, VntError
 from vntoolkit.io.results.frame_log import FrameEntry
-from vntoolkit.native import keep_freed_memory, limit_threads
+from vntoolkit.native import limit_threads
 from vntoolkit.pipeline.block_work import Block, BlockWorker, ReconstructionJob
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 
@@ -134,7 +134,6 @@ def _run_block(job: ReconstructionJob, block: Block) -> list[FrameEntry]:
     """Run on the cluster: process a block with this thread's worker."""
     if getattr(_here, "job", None) is not job:  # one run sends one object: another rig is another object
         limit_threads(1)
-        keep_freed_memory()
         _here.worker, _here.job = BlockWorker(job), job
     return list(_here.worker.run(*block))
 

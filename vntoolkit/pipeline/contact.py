@@ -101,19 +101,45 @@ def _less_plane(depth: Array, mask: Mask, plane: Array, out: Array) -> None:
 
 def contact_from_depth(depth_map: DepthMap, camera: Camera) -> Contact:
     """Find the contacts in the depth of a gel whose rest is 0, metres."""
-    dented = (depth_map.depth < -_SHALLOWEST_M) & depth_map.mask
-    mask: Mask = np.zeros(dented.shape, dtype=np.bool_)
-    rows, columns = np.flatnonzero(dented.any(axis=1)), np.flatnonzero(dented.any(axis=0))
-    depth_mm = 0.0
-    if len(rows):
-        window = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-        labels, count = ndimage.label(dented[window])
-        dent = -np.asarray(depth_map.depth[window])
-        inside = labels > 0
-        deepest = np.zeros(count + 1, dent.dtype)
-        np.maximum.at(deepest, labels[inside], dent[inside])
-        deepest[deepest < 2 * _SHALLOWEST_M] = np.inf  # no deeper than what drift leaves
-        mask[window] = inside & (dent > _RIM_SHARE * deepest[labels])
-        depth_mm = 1000.0 * float(dent[mask[window]].max(initial=0.0))
+    depth = np.ascontiguousarray(depth_map.depth)
+    mask: Mask = np.zeros(depth.shape, dtype=np.bool_)
+    top, bottom, left, right = _box_of_dents(depth, depth_map.mask, _SHALLOWEST_M)
+    count, deepest = 0, 0.0
+    if bottom > top:
+        window = slice(top, bottom), slice(left, right)
+        dented = (depth[window] < -_SHALLOWEST_M) & depth_map.mask[window]
+        labels, dents = ndimage.label(dented)
+        count, deepest = _mark_contacts(depth[window], labels, dents, mask[window])
     pixel_mm = 1000.0 / float(camera.matrix[0, 0])
-    return Contact(mask=mask, area_mm2=float(np.count_nonzero(mask)) * pixel_mm**2, depth_mm=depth_mm)
+    return Contact(mask=mask, area_mm2=float(count) * pixel_mm**2, depth_mm=1000.0 * float(deepest))
+
+
+@njit(cache=True)
+def _box_of_dents(depth: Array, mask: Mask, shallowest: float) -> tuple[int, int, int, int]:
+    """First and last row, first and last column (the last ones exclusive) of what is dented."""
+    height, width = mask.shape
+    top, bottom, left, right = height, 0, width, 0
+    for v in range(height):
+        for u in range(width):
+            if depth[v, u] < -shallowest and mask[v, u]:
+                top, bottom = min(top, v), v + 1
+                left, right = min(left, u), max(right, u + 1)
+    return top, bottom, left, right
+
+
+@njit(cache=True)
+def _mark_contacts(depth: Array, labels: Array, count: int, mask: Mask) -> tuple[int, float]:
+    """Mark in `mask` what lies deeper than a share of its dent's depth; pixels marked, and the deepest."""
+    deepest = np.zeros(count + 1, depth.dtype)
+    for v in range(labels.shape[0]):
+        for u in range(labels.shape[1]):
+            deepest[labels[v, u]] = max(deepest[labels[v, u]], -depth[v, u])
+    marked, most = 0, 0.0
+    for v in range(labels.shape[0]):
+        for u in range(labels.shape[1]):
+            dent = deepest[labels[v, u]]
+            enough = dent >= 2 * _SHALLOWEST_M  # no deeper than what drift leaves
+            if labels[v, u] > 0 and enough and -depth[v, u] > _RIM_SHARE * dent:
+                mask[v, u] = True
+                marked, most = marked + 1, max(most, -depth[v, u])
+    return marked, most

@@ -21,6 +21,7 @@ from vntoolkit.io.footage.resampling import resampler_of
 from vntoolkit.materials.labelling import MaterialLabeller
 from vntoolkit.materials.pixels import MaterialLabels, colours_of
 from vntoolkit.meshing.surface import mesh_from_depth
+from vntoolkit.native import keep_freed_memory
 from vntoolkit.normals.expected_error import normals_and_errors_from_encoded, with_expected_error
 from vntoolkit.normals.gel import GelInverter, drift_of_change
 from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame
@@ -76,6 +77,7 @@ class FrameProcessor:
         """reflectances: (m, 3), of the subject's materials relative to the rig's; empty for the rig's alone.
 
         tells_errors: whether normals and depth carry their expected errors; a live view has no time."""
+        keep_freed_memory()
         self._rig = rig
         self._tells_errors = tells_errors
         self._options = options
@@ -190,7 +192,8 @@ class FrameProcessor:
         if self._gel is not None and self._dots is not None:
             change, filled = self._dots.filled(linear.rgb, linear.clipped)
             drift = drift_of_change(change, self._mask & ~filled)
-            return self._gel.normals(change, drift, self._mask), None, float(linear.clipped.mean())
+            clipped_share = float(np.count_nonzero(linear.clipped)) / linear.clipped.size
+            return self._gel.normals(change, drift, self._mask), None, clipped_share
         if self._labeller is not None:
             self._mask = self.lit_subject(linear)
             self._materials = self._labeller.labels(self.by_strength(linear), self._mask)

@@ -70,9 +70,10 @@ class DotFilter:
             holes = unknown | self.dots | _dots(_shrunk(change) + self._small, change.shape[:2])
         if not holes.any() or holes.all():
             return change, holes
-        filled = np.array(change)
-        _fill_rows(filled, holes)
-        _fill_columns(change, filled, holes)
+        above, below = np.empty((2, *holes.shape), np.int16)
+        _find_known_rows(holes, above, below)
+        filled = np.empty_like(change)
+        _fill(change, holes, above, below, filled)
         return filled, holes
 
 
@@ -90,12 +91,34 @@ def _darker(small, closed, share):  # type: ignore[no-untyped-def]  # pragma: no
     return dark
 
 
-@njit(cache=True, parallel=True)
-def _fill_rows(filled, holes):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Between the nearest known pixels of the row; a hole at its end takes the one it has."""
+@njit(cache=True)
+def _find_known_rows(holes, above, below):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Of every pixel the nearest row in its column that is known, itself or above, itself or below.
+
+    Beyond the picture where there is none: −1 and the height.
+    """
     height, width = holes.shape
-    for v in prange(height):
-        u = 0
+    for u in range(width):
+        above[0, u] = -1 if holes[0, u] else 0
+        below[height - 1, u] = height if holes[height - 1, u] else height - 1
+    for v in range(1, height):
+        for u in range(width):
+            above[v, u] = above[v - 1, u] if holes[v, u] else v
+    for v in range(height - 2, -1, -1):
+        for u in range(width):
+            below[v, u] = below[v + 1, u] if holes[v, u] else v
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def _fill(change, holes, above, below, filled):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """From the nearest known pixels of row and column, the shorter gap counting more; 0 without any."""
+    height, width = holes.shape
+    one, zero = np.float32(1), np.float32(0)
+    for row in prange(height):
+        v, u = np.int64(row), 0  # unsigned, the loop's own number makes floats of differences
+        line, to = change[v], filled[v]
+        for x in range(width):
+            to[x, 0], to[x, 1], to[x, 2] = line[x, 0], line[x, 1], line[x, 2]
         while u < width:
             if not holes[v, u]:
                 u += 1
@@ -103,45 +126,26 @@ def _fill_rows(filled, holes):  # type: ignore[no-untyped-def]  # pragma: no cov
             end = u
             while end < width and holes[v, end]:
                 end += 1
-            before, after = (u - 1 if u > 0 else end), (end if end < width else u - 1)
+            across = np.float32(end - u)
+            left, right = (u - 1 if u > 0 else end % width), (end if end < width else max(u - 1, 0))
+            step = one / (across + one)
             for x in range(u, end):
-                share = np.float32((x - u + 1) / (end - u + 1))
+                top, bottom = np.int64(above[v, x]), np.int64(below[v, x])
+                gap = np.float32(bottom - top - 1)
+                by_column = across * across / (across * across + gap * gap)
+                by_row = one - by_column
+                if end - u == width:
+                    by_row, by_column = zero, one
+                if bottom - top > height:
+                    by_row, by_column = (zero if end - u == width else one), zero
+                along = by_row * step * np.float32(x - u + 1)
+                down = by_column * np.float32(v - top) / (gap + one)
+                by_row, by_column = by_row - along, by_column - down
+                first = top if top >= 0 else bottom % height
+                last = bottom if bottom < height else first
                 for c in range(3):
-                    if end - u == width:
-                        filled[v, x, c] = np.float32(0)
-                    else:
-                        filled[v, x, c] = (np.float32(1) - share) * filled[v, before, c] + (
-                            share * filled[v, after, c]
-                        )
+                    to[x, c] = (
+                        by_row * line[left, c] + along * line[right, c]
+                        + by_column * change[first, x, c] + down * change[last, x, c]
+                    )  # fmt: skip
             u = end
-
-
-@njit(cache=True, parallel=True)
-def _fill_columns(change, filled, holes):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Mix in what the column says, by the lengths of the gaps of column and row."""
-    height, width = holes.shape
-    for column in prange(width):
-        u, v = np.int64(column), 0  # unsigned, the loop's own number makes floats of differences
-        while v < height:
-            if not holes[v, u]:
-                v += 1
-                continue
-            end = v
-            while end < height and holes[end, u]:
-                end += 1
-            gap = end - v
-            if gap < height:
-                before, after = (v - 1 if v > 0 else end), (end if end < height else v - 1)
-                for y in range(v, end):
-                    left, right = u, u
-                    while left > 0 and holes[y, left - 1] and u - left < gap:
-                        left -= 1
-                    while right < width - 1 and holes[y, right + 1] and right - u < gap:
-                        right += 1
-                    across = right - left + 1
-                    own = np.float32(across * across / (across * across + gap * gap))
-                    share = np.float32((y - v + 1) / (gap + 1))
-                    for c in range(3):
-                        along = (np.float32(1) - share) * change[before, u, c] + share * change[after, u, c]
-                        filled[y, u, c] += own * (along - filled[y, u, c])
-            v = end
