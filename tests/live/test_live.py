@@ -14,6 +14,7 @@ from vntoolkit.__main__ import main
 from vntoolkit.cli.live import _keys
 from vntoolkit.errors import BadCapture, BadInput, CannotWrite, VntError
 from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.io.footage.captures import open_capture
 from vntoolkit.io.footage.decoding import EncodedFrame
@@ -25,6 +26,7 @@ from vntoolkit.live.frames import (
     LiveProcessor,
     LiveResult,
     exposure_warnings,
+    reduced,
 )
 from vntoolkit.photometry.lambertian import rgb_from_normals
 from vntoolkit.photometry.rig import Rig
@@ -317,3 +319,20 @@ def test_a_camera_number_that_opencv_would_choke_on_is_refused(tmp_path: Path, c
     said = capsys.readouterr().err
     assert f"camera: expected a number from 0, the first camera, to 99, got {number}" in said
     assert said.count("\n") == 1
+
+
+def test_normals_for_depth_are_the_means_of_their_blocks(rng):
+    normals = rng.normal(size=(7, 9, 3)).astype(np.float32)
+    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+    mask = np.ones((7, 9), bool)
+    mask[0, :2] = mask[2:4, 2:4] = mask[3, 0] = mask[4:6, 4:6] = False
+    mask[4, 4] = True  # a fourth of its block
+    normals[~mask] = 0
+    found = reduced(NormalMap(normals_in_camera=normals, mask=mask), 2)
+    blocks = normals[:6, :8].reshape(3, 2, 4, 2, 3).sum(axis=(1, 3))
+    valid = np.ones((3, 4), bool)
+    valid[1, 1] = valid[2, 2] = False
+    np.testing.assert_array_equal(found.mask, valid)
+    wanted = blocks / np.linalg.norm(blocks, axis=2, keepdims=True)
+    np.testing.assert_allclose(found.normals_in_camera[valid], wanted[valid], atol=1e-6)
+    assert not found.normals_in_camera[~valid].any()

@@ -18,6 +18,7 @@ from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
 from vntoolkit.io.footage.mattes import PlateKey
 from vntoolkit.io.footage.resampling import rectify_frame
+from vntoolkit.native import njit
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.contact import Contact, contact_from_depth, rested
 from vntoolkit.pipeline.frame_processor import FrameProcessor
@@ -176,15 +177,28 @@ def reduced(normal_map: NormalMap, step: int) -> NormalMap:
     """Return means over blocks of step × step pixels, of unit length; valid where half a block is."""
     if step == 1:
         return normal_map
-    height, width = (size // step * step for size in normal_map.shape)
-    rows_columns = [(v, u) for v in range(step) for u in range(step)]
-    cells = [(slice(v, height, step), slice(u, width, step)) for v, u in rows_columns]
-    total = np.sum([normal_map.normals_in_camera[cell] for cell in cells], axis=0)  # 0 where invalid
-    count = np.sum([normal_map.mask[cell] for cell in cells], axis=0)
-    length = np.linalg.norm(total, axis=2, keepdims=True)
-    mask = (2 * count >= step * step) & (length[..., 0] > 0)
-    unit = np.where(mask[..., None], total / np.maximum(length, 1e-9), 0)
-    return NormalMap(normals_in_camera=unit.astype(np.float32), mask=mask)
+    height, width = (size // step for size in normal_map.shape)
+    unit, mask = np.zeros((height, width, 3), np.float32), np.zeros((height, width), np.bool_)
+    _take_means(normal_map.normals_in_camera, normal_map.mask, step, unit, mask)
+    return NormalMap(normals_in_camera=unit, mask=mask)
+
+
+@njit(cache=True)
+def _take_means(normals, mask, step, unit, valid):  # type: ignore[no-untyped-def]  # pragma: no cover
+    for v in range(unit.shape[0]):
+        for u in range(unit.shape[1]):
+            x = y = z = np.float32(0)
+            count = 0
+            for row in range(v * step, (v + 1) * step):
+                for column in range(u * step, (u + 1) * step):  # 0 where invalid
+                    x += normals[row, column, 0]
+                    y += normals[row, column, 1]
+                    z += normals[row, column, 2]
+                    count += mask[row, column]
+            length = np.sqrt(x * x + y * y + z * z)
+            if 2 * count >= step * step and length > 0:
+                valid[v, u] = True
+                unit[v, u, 0], unit[v, u, 1], unit[v, u, 2] = x / length, y / length, z / length
 
 
 def exposure_warnings(frame: EncodedFrame) -> tuple[str, ...]:
