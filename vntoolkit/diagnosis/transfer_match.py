@@ -14,19 +14,19 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray
+from vntoolkit.arrays import FloatArray, Mask
 from vntoolkit.diagnosis.evidence import (
     Evidence,
+    Single,
     brightest_channel,
     darkest_channel,
     lengths_of,
-    scaled_normals,
 )
 from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
+from vntoolkit.diagnosis.surface_pixels import SurfacePixels, surface_pixels
 from vntoolkit.diagnosis.white_balance import fit_gains, spread_of_lengths
 from vntoolkit.photometry.transfer import (
     Transfer,
@@ -35,12 +35,9 @@ from vntoolkit.photometry.transfer import (
     linear_from_encoded,
 )
 
-_BLUR_PX = 1.0
-_RIM_PX = 2
 _LIT = 0.3  # of the length that the brightest twentieth exceeds, under the lighter reading
 _LIT_DARKER = 0.1
 _DARKEST = 0.01  # of full scale
-_PIXELS_A_FRAME = 4000
 _LEAST_CHANNEL = 0.05  # of the brightest channel foretold: below it the curve's toe and noise decide
 _STEEPEST = 0.15
 _FEWEST_PIXELS = 400
@@ -52,14 +49,18 @@ _NOTED = 0.5
 _CLEAR = 0.8  # below minus this, the footage is believed against the rig
 _Z = 4.0
 _CLEARLY_LESS = 0.65  # two free numbers always mend more than none, so a curve that mends this much may tie
-# Beyond it neither curve explains the slope: another material, such as a backdrop without a mask, makes it.
+# Neither curve explains a slope that the other reading turns round by as much: other materials make it, such
+# as a tartan or a backdrop without a mask.
 _UNEXPLAINED = 4.0
+_TURNED_ROUND = 0.5
 
 
 def check_transfer(evidence: Evidence) -> list[Finding]:
     """Find footage that was written with another transfer curve than it was read with."""
     written = _against_the_other_kind(evidence)
     if written is None or not _NOTED <= written.score <= _UNEXPLAINED:
+        return []
+    if -written.under_other > _TURNED_ROUND * written.as_read:
         return []
     if written.score < _Z * written.error or not _gains_explain_less(evidence, written.curve):
         return []
@@ -133,8 +134,8 @@ def _against_the_other_kind(evidence: Evidence) -> _Comparison | None:
 
 def _comparison(evidence: Evidence, other: Transfer) -> _Comparison | None:
     """Compare the reading with another; None where too little is lit or M makes no difference."""
-    pixels = _surface_pixels(evidence, other)
-    if len(pixels.rgb) < _FEWEST_PIXELS:
+    pixels = _lit_pixels(evidence, other)
+    if len(pixels) < _FEWEST_PIXELS:
         return None
     one = _slope(pixels, pixels.rgb, evidence.transfer, other)
     two = _slope(pixels, _reread(pixels.rgb, evidence.transfer, other), other, evidence.transfer)
@@ -150,7 +151,7 @@ def _gains_explain_less(evidence: Evidence, curve: str) -> bool:
     gains, other = fit_gains(evidence), Transfer.from_text(curve)
     if gains is None:
         return True
-    pixels = _surface_pixels(evidence, other)
+    pixels = _lit_pixels(evidence, other)
 
     def reread(factor: float) -> FloatArray:
         return pixels.scaled_normals(_reread(pixels.rgb * factor, evidence.transfer, other))
@@ -169,69 +170,29 @@ def _reread(light: FloatArray, read: Transfer, other: Transfer) -> FloatArray:
     return linear_from_encoded(encoded_from_linear(np.maximum(light, 0.0), read), other)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Pixels:
-    """Some pixels of the surface: rgb (n, 3), M⁻¹ (3, 3) or (n, 3, 3), ambient likewise, block (n,)."""
-
-    rgb: FloatArray
-    inverse: FloatArray
-    ambient: FloatArray
-    blocks: npt.NDArray[np.int64]
-
-    def of(self, chosen: npt.NDArray[np.bool_]) -> _Pixels:
-        """Return some of them."""
-        return _Pixels(
-            rgb=self.rgb[chosen],
-            inverse=self.inverse if self.inverse.ndim == 2 else self.inverse[chosen],
-            ambient=self.ambient if self.ambient.ndim == 1 else self.ambient[chosen],
-            blocks=self.blocks[chosen],
-        )
-
-    def scaled_normals(self, rgb: FloatArray) -> FloatArray:
-        return np.asarray(np.einsum("...ij,...j->...i", self.inverse, rgb - self.ambient))
-
-    def colours(self, scaled: FloatArray) -> FloatArray:
-        matrix = np.linalg.inv(self.inverse)
-        return np.asarray(np.einsum("...ij,...j->...i", matrix, scaled) + self.ambient)
-
-
-def _surface_pixels(evidence: Evidence, other: Transfer) -> _Pixels:
+def _lit_pixels(evidence: Evidence, other: Transfer) -> SurfacePixels:
     """Return pixels that face the camera and are bright under both readings.
 
     The darker of the two readings has a lower bar: a bar on its lengths would pick bright directions.
     """
-    rgb, index, blocks = [], [], []
-    size = 2 * _RIM_PX + 1
-    for k, frame in enumerate(evidence.light):
-        light = cv2.GaussianBlur(frame, (0, 0), _BLUR_PX)
-        scaled = scaled_normals(evidence, light)
-        length = lengths_of(scaled)
-        good = evidence.inside[k] & ~evidence.clipped[k] & (scaled[..., 2] < -_STEEPEST * length)
-        darker = other.curve is not TransferCurve.LINEAR
+    darker = other.curve is not TransferCurve.LINEAR
+
+    def lit(k: int, length: Single) -> Mask:
+        good = evidence.inside[k] & ~evidence.clipped[k] & (length > 0.0)
         if good.any():
             good &= length > (_LIT_DARKER if darker else _LIT) * np.percentile(length[good], 95)
-        good = cv2.erode(good.astype(np.uint8), np.ones((size, size), np.uint8), borderValue=0) > 0
-        places = np.flatnonzero(good)
-        places = places[:: max(1, len(places) // _PIXELS_A_FRAME)]
-        rgb.append(light.reshape(-1, 3)[places])
-        index.append(places)
-        blocks.append(evidence.blocks.ravel()[places])
-    places = np.concatenate(index)
-    inverse, ambient = evidence.inverse.astype(np.float64), evidence.ambient.astype(np.float64)
-    pixels = _Pixels(
-        rgb=np.concatenate(rgb).astype(np.float64),
-        inverse=inverse if inverse.ndim == 2 else inverse.reshape(-1, 3, 3)[places],
-        ambient=ambient if ambient.ndim == 1 else ambient.reshape(-1, 3)[places],
-        blocks=np.concatenate(blocks),
-    )
-    if not len(places):
+        return np.asarray(good)
+
+    pixels = surface_pixels(evidence, lit)
+    if not len(pixels):
         return pixels
     length = lengths_of(pixels.scaled_normals(_reread(pixels.rgb, evidence.transfer, other)))
-    bar = _LIT_DARKER if other.curve is TransferCurve.LINEAR else _LIT
-    return pixels.of(length > bar * np.percentile(length, 95))
+    return pixels.of(length > (_LIT if darker else _LIT_DARKER) * np.percentile(length, 95))
 
 
-def _slope(pixels: _Pixels, rgb: FloatArray, read: Transfer, other: Transfer) -> tuple[float, float] | None:
+def _slope(
+    pixels: SurfacePixels, rgb: FloatArray, read: Transfer, other: Transfer
+) -> tuple[float, float] | None:
     """Return the slope of log length on what `other` foretells, and its standard error over blocks."""
     scaled = pixels.scaled_normals(rgb)
     length = lengths_of(scaled)

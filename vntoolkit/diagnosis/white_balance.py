@@ -12,20 +12,16 @@ import math
 from dataclasses import dataclass
 from functools import lru_cache
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray
-from vntoolkit.diagnosis.evidence import Evidence, lengths_of, scaled_normals
+from vntoolkit.diagnosis.evidence import Evidence, lengths_of
 from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
 from vntoolkit.diagnosis.surface_match import agreement_of
+from vntoolkit.diagnosis.surface_pixels import SurfacePixels, surface_pixels
 
-_BLUR_PX = 1.0
-_RIM_PX = 2
-_STEEPEST = 0.15
 _FEWEST_PIXELS = 400
-_PIXELS_A_FRAME = 4000
 _STARTS = np.array([(red, blue) for red in np.linspace(-0.6, 0.6, 7) for blue in np.linspace(-0.6, 0.6, 7)])
 _PIXELS_A_START = 1000
 _APART = 0.2
@@ -81,24 +77,19 @@ class Gains:
 @lru_cache(maxsize=2)
 def fit_gains(evidence: Evidence) -> Gains | None:
     """Fit the gains; None where too little of the surface is in sight."""
-    light, places, blocks = _surface_pixels(evidence)
-    if len(light) < _FEWEST_PIXELS:
+    pixels = surface_pixels(evidence, lambda k, length: evidence.surface[k])
+    if len(pixels) < _FEWEST_PIXELS:
         return None
-    inverse = evidence.inverse.astype(np.float64)
-    ambient = evidence.ambient.astype(np.float64)
-    if inverse.ndim == 4:
-        inverse, ambient = inverse.reshape(-1, 3, 3)[places], ambient.reshape(-1, 3)[places]
-    pixels = _Pixels(light=light, inverse=inverse, ambient=ambient, blocks=blocks)
-    as_read = pixels.scaled_normals(np.zeros(2))
-    logs, error, spread = pixels.refined(np.zeros(2))
-    few = pixels.every(max(1, len(light) // _PIXELS_A_START))
-    start = _STARTS[int(np.argmin([spread_of_lengths(few.scaled_normals(logs)) for logs in _STARTS]))]
+    as_read = pixels.scaled_normals(pixels.rgb)
+    logs, error, spread = _refined(pixels, np.zeros(2))
+    few = pixels.of(slice(None, None, max(1, len(pixels) // _PIXELS_A_START)))
+    start = _STARTS[int(np.argmin([spread_of_lengths(_with_gains(few, logs)) for logs in _STARTS]))]
     if np.abs(start - logs).max() > _APART:
-        farther = pixels.refined(start)
+        farther = _refined(pixels, start)
         # A backdrop of another colour can be as long as the subject under some gains, but is no surface then.
         if farther[2] < _LEFT * spread and _agreement(evidence, farther[0]) > _agreement(evidence, logs):
             logs, error, spread = farther
-    with_gains = pixels.scaled_normals(logs)
+    with_gains = _with_gains(pixels, logs)
     lengths = lengths_of(with_gains) * lengths_of(as_read)
     cosines = (with_gains * as_read).sum(axis=1) / np.maximum(lengths, 1e-12)
     return Gains(
@@ -114,47 +105,26 @@ def _agreement(evidence: Evidence, logs: FloatArray) -> float:
     return agreement_of(evidence, np.diag(np.exp([-logs[0], 0.0, -logs[1]])))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Pixels:
-    """light: (n, 3). inverse: M⁻¹, (3, 3) or (n, 3, 3). ambient: (3,) or (n, 3). blocks: (n,)."""
+def _with_gains(pixels: SurfacePixels, logs: FloatArray) -> FloatArray:
+    """Return M⁻¹(r / gains − a), (n, 3), for log gains of red and blue."""
+    return pixels.scaled_normals(pixels.rgb * np.exp([-logs[0], 0.0, -logs[1]]))
 
-    light: FloatArray
-    inverse: FloatArray
-    ambient: FloatArray
-    blocks: npt.NDArray[np.int64]
 
-    def every(self, step: int) -> _Pixels:
-        """Return one of `step` pixels."""
-        varies = self.inverse.ndim == 3
-        return _Pixels(
-            light=self.light[::step],
-            inverse=self.inverse[::step] if varies else self.inverse,
-            ambient=self.ambient[::step] if varies else self.ambient,
-            blocks=self.blocks[::step],
-        )
-
-    def scaled_normals(self, logs: FloatArray) -> FloatArray:
-        """Return M⁻¹(r / gains − a), (n, 3), for log gains of red and blue."""
-        lit = self.light * np.exp([-logs[0], 0.0, -logs[1]]) - self.ambient
-        if self.inverse.ndim == 2:
-            return np.asarray(lit @ self.inverse.T)
-        return np.asarray(np.einsum("nij,nj->ni", self.inverse, lit))
-
-    def refined(self, logs: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-        """Return the log gains that even the lengths out, their errors (2,), and the spread that is left."""
-        matrix = np.linalg.inv(self.inverse)
-        error: FloatArray = np.ones(2)
-        spread = 0.0
-        for _ in range(_STEPS):
-            scaled = self.scaled_normals(logs)
-            length = np.maximum(lengths_of(scaled), 1e-12)
-            direction = scaled / length[:, None]
-            colour = np.einsum("...ij,...j->...i", matrix, direction)
-            # n · M⁻¹ E_k M n: how the log length follows channel k's log gain
-            follow = np.einsum("...i,...ij->...j", direction, self.inverse) * colour
-            change, error, spread = _regress(follow[:, [0, 2]], np.log(length), self.blocks)
-            logs = np.clip(logs + np.clip(change, -_LONGEST_STEP, _LONGEST_STEP), -1.0, 1.0)
-        return logs, error, spread
+def _refined(pixels: SurfacePixels, logs: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    """Return the log gains that even the lengths out, their errors (2,), and the spread that is left."""
+    matrix = np.linalg.inv(pixels.inverse)
+    error: FloatArray = np.ones(2)
+    spread = 0.0
+    for _ in range(_STEPS):
+        scaled = _with_gains(pixels, logs)
+        length = np.maximum(lengths_of(scaled), 1e-12)
+        direction = scaled / length[:, None]
+        colour = np.einsum("...ij,...j->...i", matrix, direction)
+        # n · M⁻¹ E_k M n: how the log length follows channel k's log gain
+        follow = np.einsum("...i,...ij->...j", direction, pixels.inverse) * colour
+        change, error, spread = _regress(follow[:, [0, 2]], np.log(length), pixels.blocks)
+        logs = np.clip(logs + np.clip(change, -_LONGEST_STEP, _LONGEST_STEP), -1.0, 1.0)
+    return logs, error, spread
 
 
 def spread_of_lengths(scaled: FloatArray) -> float:
@@ -163,25 +133,6 @@ def spread_of_lengths(scaled: FloatArray) -> float:
     departure = np.abs(logs - np.median(logs))
     departure[scaled[:, 2] > 0] = np.inf
     return float(np.median(departure))
-
-
-def _surface_pixels(
-    evidence: Evidence,
-) -> tuple[FloatArray, npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return colours (n, 3), places in the frame (n,) and blocks (n,) of pixels well inside the surface."""
-    rgb, index = [], []
-    size = 2 * _RIM_PX + 1
-    for k, frame in enumerate(evidence.light):
-        light = cv2.GaussianBlur(frame, (0, 0), _BLUR_PX)
-        scaled = scaled_normals(evidence, light)
-        facing = scaled[..., 2] < -_STEEPEST * lengths_of(scaled)
-        good = (evidence.surface[k] & facing).astype(np.uint8)
-        places = np.flatnonzero(cv2.erode(good, np.ones((size, size), np.uint8), borderValue=0))
-        places = places[:: max(1, len(places) // _PIXELS_A_FRAME)]
-        rgb.append(light.reshape(-1, 3)[places])
-        index.append(places)
-    places = np.concatenate(index)
-    return np.concatenate(rgb).astype(np.float64), places, evidence.blocks.ravel()[places]
 
 
 def _regress(
