@@ -94,8 +94,8 @@ class MaterialLabeller:
 
     def relit(self, frame: LinearFrame, labels: MaterialLabels) -> LinearFrame:
         """Return the frame as it would be with the calibration material everywhere."""
-        blur_px = 0.0 if self._fine is None else self._fine.blur_px
-        return relit(frame, self._response, labels, self._reflectances, blur_px)
+        seams = None if self._fine is None else self._fine.seams
+        return relit(frame, self._response, labels, self._reflectances, seams)
 
     def _carried(self, split: SplitFrame) -> MaterialLabels | None:
         """Return labels of blocks from those of the frame before; None where these do not explain it."""

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import prange
 
-from vntoolkit.arrays import FloatArray, Mask, Points
+from vntoolkit.arrays import FloatArray, Mask, Matrix3, Points, Vector3
 from vntoolkit.materials.reflectance import CAP, Lamps, bias_of_noise, length_and_variance
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
@@ -29,6 +29,8 @@ _SWEEPS, _SETTLED = 4, 0.002  # at most, and share of the pixels that change whe
 _BLURS_PX = (0.0, 0.5, 0.7, 1.0, 1.4)  # standard deviations that are tried
 _BLURRED_PX = 0.6  # from where a step of paint takes three pixels
 _REACH_BLURRED = 3
+_UNSURE = 0.3  # standard deviation of a pixel's share, over the root of the product of both shares
+_LEAST_SHARE = 0.01
 _WINDOW = 3  # pixels to either side over which a seam is blurred
 _JUDGED = 4000  # pixels beside seams that tell the blur
 _JUDGED_STEPS = 60_000  # pixels of the rows that tell how far shading changes
@@ -44,6 +46,20 @@ class Spread(NamedTuple):
     of_pixels: float
 
 
+class Seams(NamedTuple):
+    """What tells the mixture of two materials that a pixel beside a seam shows.
+
+    blur_px: standard deviation of the picture's blur. tolerance: variance of normals' lengths, with noise.
+    haze, inverse, mixing: as of `Lamps`.
+    """
+
+    blur_px: float
+    tolerance: float
+    haze: Vector3
+    inverse: Matrix3
+    mixing: Matrix3
+
+
 class LineLabeller:
     """Decides labels of pixels line by line. Its first frame tells the blur and how far shading changes.
 
@@ -56,7 +72,7 @@ class LineLabeller:
         self._room: tuple[Single, Single, Single] | None = None
         self._variance: float | None = None
         self._tolerance = spread.of_pixels**2 + INDEPENDENT_PX * spread.of_regions**2
-        self.blur_px = 0.0
+        self.blur_px, self._variance_of_lengths = 0.0, 1.0
 
     def decided(
         self, values: FloatArray, lit: Mask, labels: MaterialLabels, active: Mask, *,
@@ -75,6 +91,7 @@ class LineLabeller:
             return self._of_least_cost(values, lit, labels, active, allowed, sweeps)
         found = self._of_least_cost(values, lit, labels, active, allowed, _SWEEPS)
         self.blur_px = _blur_px(values, lit, self._lamps, self._logs, self.spread, found)
+        self._variance_of_lengths = self._spread_of_lengths(values, lit, found)
         if self.blur_px >= _BLURRED_PX:
             self._reach, self._variance = _REACH_BLURRED, None
             found = self._of_least_cost(values, lit, labels, active, allowed, _SWEEPS)
@@ -118,6 +135,20 @@ class LineLabeller:
                 break
         return found
 
+    @property
+    def seams(self) -> Seams:
+        """What tells the mixtures beside seams."""
+        lamps = self._lamps
+        return Seams(self.blur_px, self._variance_of_lengths, lamps.haze, lamps.inverse, lamps.mixing)
+
+    def _spread_of_lengths(self, values: FloatArray, lit: Mask, labels: MaterialLabels) -> float:
+        """Robust variance of the normals' lengths: of noise, texture, gloss, and light between folds."""
+        step = max(1, lit.size // _JUDGED_STEPS)
+        chosen = np.flatnonzero(lit)[::step]
+        s = values.reshape(-1, 3)[chosen] @ self._lamps.split.T
+        normals = (s * np.exp(-self._logs[labels.ravel()[chosen]]) - self._lamps.haze) @ self._lamps.inverse.T
+        return max((1.4826 * float(np.median(np.abs(np.linalg.norm(normals, axis=1) - 1.0)))) ** 2, 1e-6)
+
     def _room_for(self, values: FloatArray) -> tuple[Single, Single, Single]:
         """Return arrays for log s, its variance by noise, and prices; new ones would cost a frame 20 ms."""
         if self._room is None or self._room[0].shape != values.shape:
@@ -132,23 +163,25 @@ def relit(
     response: LightResponse,
     labels: MaterialLabels,
     reflectances: Points,
-    blur_px: float = 0.0,
+    seams: Seams | None = None,
 ) -> LinearFrame:
     """Return the frame as it would be with the calibration material everywhere: r' = Cᵀ (C⁻ᵀ r ∘ 1/ρ).
 
-    labels: (h, w), numbers of the reflectances (m, 3). blur_px: standard deviation of the blur of
-    seams. Ambient light falls on the material too: it is divided by ρ with the rest.
+    labels: (h, w), numbers of the reflectances (m, 3). seams: how pixels beside seams are mixtures; without
+    it they are of one material. Ambient light falls on the material too: it is divided by ρ with the rest.
     """
     split = response.contributions_from_rgb
     merge = np.linalg.inv(split)
     values = np.asarray(reflectances, np.float64)
     matrices = np.array([merge @ np.diag(1.0 / rho) @ split for rho in values])
-    is_blurred = blur_px > 0.0 and len(values) > 1
-    near = near_seams(labels, _WINDOW) if is_blurred else np.zeros(labels.shape, np.bool_)
     out = np.empty(frame.rgb.shape, np.float32)
+    if seams is None or seams.blur_px == 0.0 or len(values) == 1:
+        seams, near = Seams(0.0, 1.0, np.zeros(3), np.eye(3), np.eye(3)), np.zeros(labels.shape, np.bool_)
+    else:
+        near = near_seams(labels, _WINDOW)
     _relight(
         np.ascontiguousarray(frame.rgb), labels, matrices.astype(np.float32), values, split, merge,
-        _weights(blur_px), near, out,
+        _weights(seams.blur_px), near, seams.haze, seams.inverse, seams.mixing, seams.tolerance, out,
     )  # fmt: skip
     return LinearFrame(rgb=out, clipped=frame.clipped, number=frame.number)
 
@@ -436,19 +469,55 @@ def _beside_seams(labels: Any, lit: Any) -> Any:
 
 
 @njit(cache=True, error_model="numpy")
-def _mix(v: int, u: int, labels: Any, rho: Any, weights: Any, out: Any) -> None:
-    """Fill the mean reflectance over the window around a pixel."""
+def _mix(v: int, u: int, labels: Any, rho: Any, weights: Any, shares: Any, out: Any) -> None:
+    """Fill each material's share of the window around a pixel (m,), and the mean reflectance."""
     h, w = labels.shape
-    out[:] = 0.0
+    shares[:] = 0.0
     total = 0.0
     for a in range(max(v - _WINDOW, 0), min(v + _WINDOW + 1, h)):
         for b in range(max(u - _WINDOW, 0), min(u + _WINDOW + 1, w)):
             weight = weights[a - v + _WINDOW] * weights[b - u + _WINDOW]
             total += weight
-            for k in range(3):
-                out[k] += weight * rho[labels[a, b], k]
-    for k in range(3):
-        out[k] /= total
+            shares[labels[a, b]] += weight
+    out[:] = 0.0
+    for m in range(shares.size):
+        shares[m] /= total
+        for k in range(3):
+            out[k] += shares[m] * rho[m, k]
+
+
+@njit(cache=True, error_model="numpy")
+def _shift(
+    s: Any, rho: Any, shares: Any, haze: Any, inverse: Any, mixing: Any, tolerance: float, mean: Any
+) -> None:
+    """Change a mean reflectance along the line of the two materials mixed, towards a normal of unit length.
+
+    Where a seam runs is known to a part of a pixel. So the shares are uncertain, and the length, itself
+    uncertain, corrects them (Gauss and Newton, twice).
+    """
+    own = shares.argmax()
+    first = shares[own]
+    shares[own] = 0.0
+    other = shares.argmax()
+    second = shares[other]
+    if second < _LEAST_SHARE:
+        return
+    ratio = tolerance / (_UNSURE * _UNSURE * first * second)
+    q, j = np.empty(3), np.empty(3)
+    moved = 0.0
+    for _ in range(2):
+        for k in range(3):
+            q[k] = 1.0 / mean[k]
+        bias = bias_of_noise(q, inverse, mixing)
+        e, _ = length_and_variance(s, q, haze, inverse, mixing, bias, j)
+        slope = 0.0
+        for k in range(3):
+            slope += j[k] * (rho[other, k] - rho[own, k]) * q[k]
+        step = slope * (slope * moved - e) / (slope * slope + ratio)
+        step = min(max(step, -second), first) - moved
+        moved += step
+        for k in range(3):
+            mean[k] += step * (rho[other, k] - rho[own, k])
 
 
 @njit(cache=True, error_model="numpy")
@@ -457,9 +526,9 @@ def _cost_of_blur(
     tolerance: float,
 ) -> float:  # fmt: skip
     total = 0.0
-    mean, q, j = np.empty(3), np.empty(3), np.empty(3)
+    mean, q, j, shares = np.empty(3), np.empty(3), np.empty(3), np.empty(rho.shape[0])
     for i in range(v.size):
-        _mix(v[i], u[i], labels, rho, weights, mean)
+        _mix(v[i], u[i], labels, rho, weights, shares, mean)
         for k in range(3):
             q[k] = 1.0 / mean[k]
         bias = bias_of_noise(q, inverse, mixing)
@@ -479,17 +548,24 @@ def _relight(
     merge: Any,
     weights: Any,
     near: Any,
+    haze: Any,
+    inverse: Any,
+    mixing: Any,
+    tolerance: float,
     out: Any,
 ) -> None:
     h, w = labels.shape
     for v in prange(h):
-        mean, light = np.empty(3), np.empty(3)
+        mean, light, shares = np.empty(3), np.empty(3), np.empty(rho.shape[0])
         for u in range(w):
             r, g, b = rgb[v, u, 0], rgb[v, u, 1], rgb[v, u, 2]
             if near[v, u]:
-                _mix(v, u, labels, rho, weights, mean)
                 for k in range(3):
-                    light[k] = (split[k, 0] * r + split[k, 1] * g + split[k, 2] * b) / mean[k]
+                    light[k] = split[k, 0] * r + split[k, 1] * g + split[k, 2] * b
+                _mix(v, u, labels, rho, weights, shares, mean)
+                _shift(light, rho, shares, haze, inverse, mixing, tolerance, mean)
+                for k in range(3):
+                    light[k] /= mean[k]
                 for c in range(3):
                     out[v, u, c] = merge[c, 0] * light[0] + merge[c, 1] * light[1] + merge[c, 2] * light[2]
                 continue
