@@ -212,3 +212,43 @@ def rotated(labels: np.ndarray, degrees: float) -> np.ndarray:
     cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     places = np.stack([cosine * v - sine * u, sine * v + cosine * u]) + middle
     return labels[tuple(places.round().astype(int).clip(0, len(labels) - 1))]
+
+
+def freckled(seed: int = 0) -> tuple[LinearFrame, np.ndarray, np.ndarray]:
+    """A dome of skin with 300 freckles of melanin, in 8 bits; its normals and mask."""
+    rng = np.random.default_rng(seed)
+    normals, mask = dome(180)
+    melanin = np.array([0.3, 0.62, 1.15])
+    v, u = np.indices(mask.shape)
+    freckles = np.zeros(mask.shape)
+    for a, b, strength in zip(*rng.uniform(0, 180, (2, 300)), rng.uniform(0.1, 0.5, 300), strict=True):
+        freckles += strength * np.exp(-((v - a) ** 2 + (u - b) ** 2) / 2 / 2.5**2)
+    skin = np.array([0.9, 0.65, 0.5]) * np.exp(-freckles[..., None] * melanin)
+    light = np.maximum(normals @ DIRECTIONS.T, 0.0) * skin @ COLOURS
+    light += rng.normal(0.0, LEVEL, light.shape)
+    return LinearFrame((light * mask[..., None]).astype(np.float32)), normals, mask
+
+
+def test_freckles_are_found_as_a_pigment_and_hardly_turn_normals() -> None:
+    frame, normals, mask = freckled()
+    values = find_materials([frame], [mask], RESPONSE, count=1)[0].reflectance.values[None]
+    labels = np.zeros(mask.shape, np.uint8)
+    plain = MaterialLabeller(RESPONSE, values)
+    found = plain.pigments(frame, mask, labels)[0]
+    assert found is not None
+    direction, log = found
+    assert direction[0] < direction[1] < direction[2]  # melanin takes most of the blue
+    with_pigment = MaterialLabeller(RESPONSE, np.exp(log)[None], direction[None])
+    before, after = (
+        angles_deg(result.normals_in_camera, normals)[result.mask].mean()
+        for result in (
+            normals_from_frame(each.relit(frame, labels), RESPONSE, mask) for each in (plain, with_pigment)
+        )
+    )
+    assert after < 0.7 * before
+
+
+def test_one_colour_has_no_pigment() -> None:
+    frame, _, mask = painted(np.full((120, 120), 1))
+    labeller = MaterialLabeller(RESPONSE, PAINTS[1:2])
+    assert labeller.pigments(frame, mask, np.zeros(mask.shape, np.uint8)) == [None]

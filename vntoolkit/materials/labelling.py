@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import prange
 
-from vntoolkit.arrays import FloatArray, IntArray, Mask, Points
+from vntoolkit.arrays import FloatArray, IntArray, Mask, Points, Vector3
+from vntoolkit.materials.pigment import pigment_of
 from vntoolkit.materials.pixels import INDEPENDENT_PX, LineLabeller, MaterialLabels, Spread, near_seams, relit
 from vntoolkit.materials.reflectance import CAP, Lamps, bias_of_noise, length_and_variance
 from vntoolkit.materials.regions import SHADING_STEP, Regions, regions_of
@@ -46,11 +47,13 @@ class MaterialLabeller:
     fits. A frame that the labels so found explain worse than those of the last whole decision is decided as
     a whole, too.
 
-    response: with light colours. reflectances: (m, 3), relative to the calibration material.
+    response: with light colours. reflectances: (m, 3), relative to the calibration material. pigments:
+    (m, 3), the lines of log ρ along which they change, 0 for none.
     """
 
-    def __init__(self, response: LightResponse, reflectances: Points) -> None:
+    def __init__(self, response: LightResponse, reflectances: Points, pigments: Points | None = None) -> None:
         self._response = response
+        self._pigments = pigments
         self._reflectances = np.asarray(reflectances, dtype=np.float64)
         self._logs = np.log(self._reflectances)
         self._before: MaterialLabels | None = None
@@ -95,7 +98,24 @@ class MaterialLabeller:
     def relit(self, frame: LinearFrame, labels: MaterialLabels) -> LinearFrame:
         """Return the frame as it would be with the calibration material everywhere."""
         seams = None if self._fine is None else self._fine.seams
-        return relit(frame, self._response, labels, self._reflectances, seams)
+        return relit(frame, self._response, labels, self._reflectances, self._pigments, seams)
+
+    def pigments(
+        self, frame: LinearFrame, mask: Mask, labels: MaterialLabels
+    ) -> list[tuple[Vector3, Vector3] | None]:
+        """Return for each material the line (3,) along which it changes and log ρ, or None for no change."""
+        split = split_frame(frame, self._response, mask)
+        middle = split.factor // 2
+        places = (
+            np.minimum(np.arange(n) * split.factor + middle, size - 1)
+            for n, size in zip(split.lit.shape, mask.shape, strict=True)
+        )
+        blocks = labels[np.ix_(*places)]
+        plain = split.lit & ~near_seams(blocks, _BESIDE)
+        return [
+            pigment_of(split.contributions, plain & (blocks == m), log, split.lamps)
+            for m, log in enumerate(self._logs)
+        ]
 
     def _carried(self, split: SplitFrame) -> MaterialLabels | None:
         """Return labels of blocks from those of the frame before; None where these do not explain it."""

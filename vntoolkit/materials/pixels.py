@@ -13,8 +13,15 @@ import numpy as np
 import numpy.typing as npt
 from numba import prange
 
-from vntoolkit.arrays import FloatArray, Mask, Matrix3, Points, Vector3
-from vntoolkit.materials.reflectance import CAP, Lamps, bias_of_noise, length_and_variance
+from vntoolkit.arrays import FloatArray, Mask, Points
+from vntoolkit.materials.pigment import TRUST, amount
+from vntoolkit.materials.reflectance import (
+    CAP,
+    Lamps,
+    bias_of_noise,
+    lamps_from_response,
+    length_and_variance,
+)
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
@@ -50,14 +57,10 @@ class Seams(NamedTuple):
     """What tells the mixture of two materials that a pixel beside a seam shows.
 
     blur_px: standard deviation of the picture's blur. tolerance: variance of normals' lengths, with noise.
-    haze, inverse, mixing: as of `Lamps`.
     """
 
     blur_px: float
     tolerance: float
-    haze: Vector3
-    inverse: Matrix3
-    mixing: Matrix3
 
 
 class LineLabeller:
@@ -138,8 +141,7 @@ class LineLabeller:
     @property
     def seams(self) -> Seams:
         """What tells the mixtures beside seams."""
-        lamps = self._lamps
-        return Seams(self.blur_px, self._variance_of_lengths, lamps.haze, lamps.inverse, lamps.mixing)
+        return Seams(self.blur_px, self._variance_of_lengths)
 
     def _spread_of_lengths(self, values: FloatArray, lit: Mask, labels: MaterialLabels) -> float:
         """Robust variance of the normals' lengths: of noise, texture, gloss, and light between folds."""
@@ -163,25 +165,28 @@ def relit(
     response: LightResponse,
     labels: MaterialLabels,
     reflectances: Points,
+    pigments: Points | None = None,
     seams: Seams | None = None,
 ) -> LinearFrame:
     """Return the frame as it would be with the calibration material everywhere: r' = Cᵀ (C⁻ᵀ r ∘ 1/ρ).
 
-    labels: (h, w), numbers of the reflectances (m, 3). seams: how pixels beside seams are mixtures; without
-    it they are of one material. Ambient light falls on the material too: it is divided by ρ with the rest.
+    labels: (h, w), numbers of the reflectances (m, 3). pigments: (m, 3), the lines of log ρ along which
+    materials change, 0 for none. seams: how pixels beside seams are mixtures; without it they are of one
+    material. Ambient light falls on the material too: it is divided by ρ with the rest.
     """
-    split = response.contributions_from_rgb
-    merge = np.linalg.inv(split)
     values = np.asarray(reflectances, np.float64)
-    matrices = np.array([merge @ np.diag(1.0 / rho) @ split for rho in values])
-    out = np.empty(frame.rgb.shape, np.float32)
+    lamps = lamps_from_response(response, np.zeros(3))
+    merge = np.linalg.inv(lamps.split)
+    matrices = np.array([merge @ np.diag(1.0 / rho) @ lamps.split for rho in values])
+    along = np.zeros_like(values) if pigments is None else np.asarray(pigments, np.float64)
     if seams is None or seams.blur_px == 0.0 or len(values) == 1:
-        seams, near = Seams(0.0, 1.0, np.zeros(3), np.eye(3), np.eye(3)), np.zeros(labels.shape, np.bool_)
+        seams, near = Seams(0.0, 1.0), np.zeros(labels.shape, np.bool_)
     else:
         near = near_seams(labels, _WINDOW)
+    out = np.empty(frame.rgb.shape, np.float32)
     _relight(
-        np.ascontiguousarray(frame.rgb), labels, matrices.astype(np.float32), values, split, merge,
-        _weights(seams.blur_px), near, seams.haze, seams.inverse, seams.mixing, seams.tolerance, out,
+        np.ascontiguousarray(frame.rgb), labels, matrices.astype(np.float32), values, along, lamps.split,
+        merge, _weights(seams.blur_px), near, lamps.haze, lamps.inverse, lamps.mixing, seams.tolerance, out,
     )  # fmt: skip
     return LinearFrame(rgb=out, clipped=frame.clipped, number=frame.number)
 
@@ -540,35 +545,33 @@ def _cost_of_blur(
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def _relight(
-    rgb: Any,
-    labels: Any,
-    matrices: Any,
-    rho: Any,
-    split: Any,
-    merge: Any,
-    weights: Any,
-    near: Any,
-    haze: Any,
-    inverse: Any,
-    mixing: Any,
-    tolerance: float,
-    out: Any,
-) -> None:
+    rgb: Any, labels: Any, matrices: Any, rho: Any, along: Any, split: Any, merge: Any, weights: Any,
+    near: Any, haze: Any, inverse: Any, mixing: Any, tolerance: float, out: Any,
+) -> None:  # fmt: skip
     h, w = labels.shape
+    count = rho.shape[0]
+    has_pigment = np.array([along[m, 0] != 0.0 or along[m, 2] != 0.0 for m in range(count)])
+    q = 1.0 / rho
     for v in prange(h):
-        mean, light, shares = np.empty(3), np.empty(3), np.empty(rho.shape[0])
+        mean, light, shares, x, j = np.empty(3), np.empty(3), np.empty(count), np.empty(3), np.empty(3)
         for u in range(w):
             r, g, b = rgb[v, u, 0], rgb[v, u, 1], rgb[v, u, 2]
+            m = labels[v, u]
+            if not near[v, u] and not has_pigment[m]:
+                a = matrices[m]
+                for c in range(3):
+                    out[v, u, c] = a[c, 0] * r + a[c, 1] * g + a[c, 2] * b
+                continue
+            for k in range(3):
+                light[k] = split[k, 0] * r + split[k, 1] * g + split[k, 2] * b
             if near[v, u]:
-                for k in range(3):
-                    light[k] = split[k, 0] * r + split[k, 1] * g + split[k, 2] * b
                 _mix(v, u, labels, rho, weights, shares, mean)
                 _shift(light, rho, shares, haze, inverse, mixing, tolerance, mean)
+            else:
+                t = amount(light, q[m], along[m], haze, inverse, mixing, 0.0, TRUST, x, j)
                 for k in range(3):
-                    light[k] /= mean[k]
-                for c in range(3):
-                    out[v, u, c] = merge[c, 0] * light[0] + merge[c, 1] * light[1] + merge[c, 2] * light[2]
-                continue
-            a = matrices[labels[v, u]]
+                    mean[k] = rho[m, k] * np.exp(t * along[m, k])
+            for k in range(3):
+                light[k] /= mean[k]
             for c in range(3):
-                out[v, u, c] = a[c, 0] * r + a[c, 1] * g + a[c, 2] * b
+                out[v, u, c] = merge[c, 0] * light[0] + merge[c, 1] * light[1] + merge[c, 2] * light[2]

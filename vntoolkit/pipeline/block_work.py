@@ -50,8 +50,9 @@ class ReconstructionJob:
     rig was calibrated with, None for the same. allow: checks whose fatal findings do not stop the run. mask:
     image, or video, folder or pattern of mattes, or None. matting: how these become masks. background: file
     or None. sensor: how samples of the sensor itself are read. reflectances: (m, 3), of materials relative
-    to the rig's; empty for the rig's alone. threads: for decoding; with 1, reading, processing and writing
-    take turns, so that a worker is one core's. limits: on what any process reads.
+    to the rig's; empty for the rig's alone. pigments: (m, 3), along which log reflectances change, 0 for
+    none. threads: for decoding; with 1, reading, processing and writing take turns, so that a worker is one
+    core's. limits: on what any process reads.
     """
 
     source: str
@@ -66,6 +67,7 @@ class ReconstructionJob:
     allow: tuple[str, ...] = ()
     sensor: SensorOptions = field(default_factory=SensorOptions)
     reflectances: tuple[tuple[float, float, float], ...] = ()
+    pigments: tuple[tuple[float, float, float], ...] = ()
     threads: int = 2
     limits: ReadingLimits = field(default_factory=reading_limits)
 
@@ -120,6 +122,7 @@ class BlockWorker:
             self._mattes.still,
             self._capture.background,
             reflectances=job.reflectances,
+            pigments=job.pigments,
         )
         reference = job.options.reference_frame
         if job.ties_depth and reference is not None:

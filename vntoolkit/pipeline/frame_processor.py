@@ -73,8 +73,10 @@ class FrameProcessor:
         *,
         tells_errors: bool = True,
         reflectances: Sequence[Sequence[float]] = (),
+        pigments: Sequence[Sequence[float]] = (),
     ) -> None:
         """reflectances: (m, 3), of the subject's materials relative to the rig's; empty for the rig's alone.
+        pigments: (m, 3), along which log reflectances change, 0 for none.
 
         tells_errors: whether normals and depth carry their expected errors; a live view has no time."""
         keep_freed_memory()
@@ -110,7 +112,9 @@ class FrameProcessor:
         self._materials: MaterialLabels | None = None
         self._labeller: MaterialLabeller | None = None
         if len(self._reflectances):
-            self._labeller = MaterialLabeller(self._central, self._reflectances)
+            self._labeller = MaterialLabeller(
+                self._central, self._reflectances, np.array(pigments, dtype=np.float64).reshape(-1, 3)
+            )
             self._paints = encoded_from_linear(
                 colours_of(self._reflectances, self._central), Transfer(curve=TransferCurve.SRGB)
             )

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 
 import numpy as np
 
-from vntoolkit.arrays import Mask
+from vntoolkit.arrays import Mask, Vector3
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.footage.captures import Capture
 from vntoolkit.io.footage.mattes import Mattes
@@ -16,6 +17,7 @@ from vntoolkit.materials.search import WORST_ERROR_DEG, Material, find_materials
 from vntoolkit.normals.inversion import relative_albedo_from_frame
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.lambertian import scaled_normals_from_rgb
+from vntoolkit.photometry.response import LightResponse
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.pipeline.options import MaterialSearch
@@ -59,15 +61,17 @@ def measured_materials(
         levelled = [processor.by_strength(frame) for frame in frames]
         count = None if isinstance(choice, MaterialSearch) else choice
         found = _told(find_materials(levelled, subjects, response.central, count), choice)
-        found = _explaining(found, levelled[0], subjects[0], job)
+        found, pigments = _with_pigments(found, levelled[0], subjects[0], response.central)
+        found = _explaining(found, pigments, levelled[0], subjects[0], job)
         if (
             choice is MaterialSearch.AUTO
             and len(found) == 1
+            and pigments[0] is None
             and _is_of_rig(found[0], job, levelled[0], subjects[0])
         ):
             found = []
     if found:
-        return [_entry(material) for material in found], None
+        return [_entry(material, pigment) for material, pigment in zip(found, pigments, strict=True)], None
     try:
         albedo = relative_albedo_from_frame(frames[0], response, masks[0])
     except BadInput as error:
@@ -109,14 +113,36 @@ def _told(found: list[Material], choice: MaterialSearch | int) -> list[Material]
     return found
 
 
+def _with_pigments(
+    found: list[Material], frame: LinearFrame, mask: Mask, response: LightResponse
+) -> tuple[list[Material], list[Vector3 | None]]:
+    """Return the materials, and the line (3,) along which each changes, None where it hardly does."""
+    if not found:
+        return [], []
+    labeller = MaterialLabeller(response, np.array([each.reflectance.values for each in found]))
+    materials, pigments = [], []
+    for each, pigment in zip(
+        found, labeller.pigments(frame, mask, labeller.labels(frame, mask)), strict=True
+    ):
+        values = each.reflectance.values if pigment is None else np.exp(pigment[1])
+        materials.append(replace(each, reflectance=replace(each.reflectance, values=values)))
+        pigments.append(None if pigment is None else pigment[0])
+    return materials, pigments
+
+
 def _explaining(
-    found: list[Material], frame: LinearFrame, mask: Mask, job: ReconstructionJob
+    found: list[Material],
+    pigments: list[Vector3 | None],
+    frame: LinearFrame,
+    mask: Mask,
+    job: ReconstructionJob,
 ) -> list[Material]:
     """Return the materials; warn where they leave much of a frame unexplained, and return none where most."""
     if not found:
         return found
     response, values = job.rig.response.central, np.array([each.reflectance.values for each in found])
-    labeller = MaterialLabeller(response, values)
+    along = np.array([np.zeros(3) if pigment is None else pigment for pigment in pigments])
+    labeller = MaterialLabeller(response, values, along)
     rgb = labeller.relit(frame, labeller.labels(frame, mask)).rgb[mask & ~frame.clipped].astype(np.float64)
     lamps = rgb @ response.contributions_from_rgb.T
     lit = (lamps > _LIT_SHARE * lamps.max(axis=1, keepdims=True)).all(axis=1)
@@ -172,12 +198,17 @@ def _warn_of_other_material(job: ReconstructionJob, frame: LinearFrame, mask: Ma
         )  # fmt: skip
 
 
-def _entry(material: Material) -> MaterialEntry:
+def _entry(material: Material, pigment: Vector3 | None) -> MaterialEntry:
     fitted = material.reflectance
-    first, second, third = (float(f"{value:.4g}") for value in fitted.values)
+    first, second, third = (_short(value) for value in fitted.values)
     return MaterialEntry(
         reflectance=(first, second, third),
         error_deg=round(fitted.error_deg, 2),
         residual=round(fitted.residual, 4),
         share=round(material.share, 4),
+        pigment=None if pigment is None else (_short(pigment[0]), _short(pigment[1]), _short(pigment[2])),
     )
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.4g}")

@@ -348,7 +348,9 @@ def resolve_options(
     if isinstance(albedo, float):
         options = replace(job.options, inversion=replace(options.inversion, relative_albedo=albedo))
         job = replace(job, options=options)
-    return replace(job, reflectances=tuple(entry.reflectance for entry in materials)), list(materials)
+    reflectances = tuple(entry.reflectance for entry in materials)
+    pigments = tuple(entry.pigment or (0.0, 0.0, 0.0) for entry in materials)
+    return replace(job, reflectances=reflectances, pigments=pigments), list(materials)
 
 
 def _was_pressed(job: ReconstructionJob) -> bool:

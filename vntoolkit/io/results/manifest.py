@@ -77,6 +77,10 @@ class MaterialEntry(BaseModel):
         description="Robust standard deviation of the normals' lengths, which should be 1."
     )
     share: float = Field(description="Share of the lit pixels of the first frames.")
+    pigment: tuple[float, float, float] | None = Field(
+        default=None,
+        description="Line of log reflectance, of length 1, along which the material changes; null for none.",
+    )
 
 
 class Manifest(BaseModel):
