@@ -65,9 +65,8 @@ def surface_pixels(evidence: Evidence, chosen: Callable[[int, Single], Mask]) ->
         scaled = scaled_normals(evidence, light)
         length = lengths_of(scaled)
         facing = scaled[..., 2] < -_STEEPEST * length
-        good = facing & chosen(k, np.where(facing, length, np.float32(0.0)))
-        good = cv2.erode(good.astype(np.uint8), np.ones((size, size), np.uint8), borderValue=0)
-        places = np.flatnonzero(good)
+        good = (facing & chosen(k, np.where(facing, length, np.float32(0.0)))).astype(np.uint8)
+        places = np.flatnonzero(cv2.erode(good, np.ones((size, size), np.uint8), borderValue=0))
         places = places[:: max(1, len(places) // _PIXELS_A_FRAME)]
         rgb.append(light.reshape(-1, 3)[places])
         index.append(places)
