@@ -49,18 +49,18 @@ def with_expected_depth_error(depth_map: DepthMap, normal_map: NormalMap, camera
     if normal_map.error_deg is None:
         raise BadInput("normals: their expected error is not known, so that of the depth is not either")
     mask = np.ascontiguousarray(depth_map.mask & normal_map.mask)
-    depth = np.ascontiguousarray(depth_map.depth)
-    step = max(1, len(depth) // _ROWS)
-    lowest, highest = np.empty((2, -(-len(depth) // step)), depth.dtype)
-    _ranges(depth, mask, step, lowest, highest)
-    span = float(highest.max(initial=-np.inf)) - float(lowest.min(initial=np.inf))
+    step = max(1, len(mask) // _ROWS)
+    looked_at = depth_map.depth[::step][mask[::step]]
+    span = float(looked_at.max(initial=-np.inf)) - float(looked_at.min(initial=np.inf))
     error = np.zeros(depth_map.shape, np.float32)
     if span > 0:
         block = -(-max(mask.shape) // _LARGEST_SIDE)
         block -= block % max(1, block // _SAMPLES_A_SIDE)  # a whole number of samples
         spread, inside = _coarse_error(normal_map, mask, block, rays_from_camera(camera))
         spread = 100.0 * _NINE_OF_TEN / span * _filled(spread, inside)
-        _enlarge(spread.astype(np.float32), block, mask, depth, camera.is_perspective, error)
+        _enlarge(spread.astype(np.float32), block, mask, error)
+        if camera.is_perspective:
+            np.multiply(error, depth_map.depth, out=error, casting="same_kind")
     return replace(depth_map, error_percent=error)
 
 
@@ -162,18 +162,6 @@ def _filled(spread: FloatArray, inside: Mask) -> FloatArray:
 
 
 @njit(cache=True, nogil=True)
-def _ranges(depth: Any, mask: Mask, step: int, lowest: Any, highest: Any) -> None:
-    """Fill (n,) with the least and the largest depth inside the mask in each of the rows 0, step, …"""
-    for k in range(len(lowest)):
-        low, high = depth.dtype.type(np.inf), depth.dtype.type(-np.inf)
-        row, inside = depth[k * step], mask[k * step]
-        for u in range(len(row)):
-            if inside[u]:
-                low, high = min(low, row[u]), max(high, row[u])
-        lowest[k], highest[k] = low, high
-
-
-@njit(cache=True, nogil=True)
 def _sum_blocks(
     normals: Any, error: Any, noise_deg: Any, weight: Any, mask: Mask, block: int, step: int, sums: Any
 ) -> None:
@@ -196,7 +184,7 @@ def _sum_blocks(
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath={"contract", "arcp", "nsz"}, error_model="numpy")
-def _enlarge(coarse: Any, block: int, mask: Mask, depth: Any, by_depth: bool, out: Any) -> None:
+def _enlarge(coarse: Any, block: int, mask: Mask, out: Any) -> None:
     """Fill (h, w) between the centres of the blocks by linear interpolation, inside the mask."""
     height, width = mask.shape
     rows, columns = coarse.shape
@@ -206,7 +194,7 @@ def _enlarge(coarse: Any, block: int, mask: Mask, depth: Any, by_depth: bool, ou
         y = min(max((np.float32(v) + half) * per_pixel - half, np.float32(0.0)), np.float32(rows - 1))
         up = int(y)
         down, t = min(up + 1, rows - 1), y - np.float32(up)
-        to, inside, row = out[v], mask[v], depth[v]
+        to, inside = out[v], mask[v]
         for k in range(columns + 1):
             left, right = max(k - 1, 0), min(k, columns - 1)
             before = (one - t) * coarse[up, left] + t * coarse[down, left]
@@ -217,6 +205,3 @@ def _enlarge(coarse: Any, block: int, mask: Mask, depth: Any, by_depth: bool, ou
                 s = (np.float32(u - start) + beyond) * per_pixel
                 value = before + s * (after - before)
                 to[u] = value if inside[u] else np.float32(0.0)
-        if by_depth:
-            for u in range(width):
-                to[u] *= np.float32(row[u])
