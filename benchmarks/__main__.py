@@ -31,6 +31,7 @@ BENCHMARKS: dict[str, list[str]] = {
     "live": [],
     "cluster": [],
     "calibrate_head": [],
+    "chroma": [],
 }
 DATA_FOLDERS = {"integration": "normal_integration", "shadows": ""}  # inside --data
 

@@ -50,9 +50,9 @@ def _error_deg(path: Path, normals: np.ndarray, transfer: Transfer, response: Li
     ("codec", "depth", "curve"), [("libx264", "", "linear"), ("libx265", "10le", "bt709")]
 )
 def test_luma_takes_back_what_it_can_tell(tmp_path, rng, codec, depth, curve):
-    """All of this relief is finer than the chroma, and luma tells one of the two ways in which n turns.
+    """All of this relief is finer than the chroma. Its waves that run across luma's gradient stay unseen.
 
-    So the root of a half is left of the cost; on simulated cloth, coarser, a quarter.
+    Luma alone leaves the root of a half of the cost (0.71); the pattern of its detail tells more.
     """
     transfer, costs = Transfer.from_text(curve), {}
     for knit in (True, False):
@@ -64,7 +64,7 @@ def test_luma_takes_back_what_it_can_tell(tmp_path, rng, codec, depth, curve):
         plain = _error_deg(tmp_path / "420.mkv", normals, transfer, None)
         costs[knit] = plain - best, _error_deg(tmp_path / "420.mkv", normals, transfer, RESPONSE) - best
     assert costs[True][0] > 2
-    assert costs[True][1] < 0.75 * costs[True][0]
+    assert costs[True][1] < 0.66 * costs[True][0]
     assert costs[False][1] < costs[False][0] + 0.02
 
 

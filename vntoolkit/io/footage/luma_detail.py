@@ -1,11 +1,15 @@
 """Fine detail through subsampled chroma: what luma shows goes to the channels as a turning normal sends it.
 
 Plain decoding adds the detail of the luma to red, green and blue alike, as if paint had changed. On a surface
-of one colour it is the normal n that turns, and |n| = 1: of the two ways in which it can turn, the luma
-Y = w·(M n) sees the one along the gradient g of Y over the sphere. A change dY of the luma against its mean
-over a chroma sample is taken for the turn g dY / (|g|² + λ), the least one that explains it under noise, and
-chroma changes with it. Luma is kept exactly; where g is small, so is the change, and plain decoding is left.
-Chroma is taken to lie in the middle of the luma that it covers.
+of one colour it is the normal that turns, and |n| = 1 leaves it two ways: the slopes (p, q) of the relief.
+The luma Y = w·(M n) sees one of them, along its own gradient G over the slopes. The other one follows from
+the pattern of the detail, since slopes are the gradient of one height: a wave of relief that runs at an angle
+φ to G has the slope s along itself, and shows in the luma as |G| s cos φ. Under noise of variance λ, what the
+wave D of the luma tells best is s = D cos φ / (|G| (cos²φ + ε)), with ε = λ / |G|² (Wiener), and its parts
+along G and across it are s cos φ and s sin φ. As functions of φ, weighted by what is observed, they are
+a + b cos 2φ and c sin 2φ to the first order: three filters of the detail, of which two are second
+differences. Chroma changes with the slopes. Luma is kept exactly; where G is small so is the change, and
+plain decoding is left. Chroma is taken to lie in the middle of the luma that it covers.
 """
 
 from __future__ import annotations
@@ -25,6 +29,11 @@ from vntoolkit.photometry.transfer import Transfer, linear_from_encoded
 _NOISE_OVER_DETAIL = 0.01
 _CODES = 1024  # of the decoding table
 _DARKEST = 1e-3  # of M's own brightness: no direction is known below
+_KINDS = 6  # what the detail, its waves across against along, and its diagonal ones, change in Cb and in Cr
+# Filters of 3×3 whose response to a wave in the direction θ is nearest to cos 2θ and sin 2θ, for waves that
+# chroma does not hold: above a fourth of a cycle per pixel, across or along.
+_UPRIGHT = 0.2854  # of the neighbours above and below, less those to the left and right
+_DIAGONAL = 0.3303  # of those above right and below left, less the other two
 
 
 class LumaDetail:
@@ -52,7 +61,7 @@ class LumaDetail:
         # the turns change slowly: a fourth of the samples tells them
         fewer = np.empty((3, *(-(-n // 2) for n in blue.shape)), np.float32)
         _halved(coarse, fewer)
-        turns = np.empty((2, *fewer.shape[1:]), np.float32)
+        turns = np.empty((_KINDS, *fewer.shape[1:]), np.float32)
         to_rgb, shift = matrix.astype(np.float32), offset.astype(np.float32)
         from_rgb = np.linalg.inv(matrix).astype(np.float32)
         _chroma_per_luma(
@@ -118,10 +127,11 @@ def _halved(coarse, fewer):  # type: ignore[no-untyped-def]  # pragma: no cover
 def _chroma_per_luma(  # type: ignore[no-untyped-def]  # pragma: no cover
     coarse, to_rgb, shift, from_rgb, light, slope, matrix, inverse, ambient, turns
 ):
-    """How much Cb and Cr change per change of Y, in codes, where the normal turns."""
+    """Fill (6, h, w): how much Cb, then Cr, change per detail of Y and per each of its filters, in codes."""
     top = np.float32(len(light) - 1)
     darkest = np.float32(_DARKEST)
-    noise = np.float32(_NOISE_OVER_DETAIL)
+    noise, one, half = np.float32(_NOISE_OVER_DETAIL), np.float32(1), np.float32(0.5)
+    quarter, eighth, sixteenth = np.float32(0.25), np.float32(0.125), np.float32(0.0625)
     # luma of RGB, 0 to 1: the row of Y, freed of its span
     span = from_rgb[0, 0] + from_rgb[0, 1] + from_rgb[0, 2]
     w0, w1, w2 = from_rgb[0, 0] / span, from_rgb[0, 1] / span, from_rgb[0, 2] / span
@@ -154,21 +164,38 @@ def _chroma_per_luma(  # type: ignore[no-untyped-def]  # pragma: no cover
             x2 = i20 * r0 + i21 * r1 + i22 * r2
             squared = x0 * x0 + x1 * x1 + x2 * x2
             if squared < darkest * darkest:
-                turns[0, v, u] = turns[1, v, u] = np.float32(0)
+                for k in range(_KINDS):
+                    turns[k, v, u] = np.float32(0)
                 continue
-            # Y's gradient over x, then its part across x: x = rho n, and dY per radian is rho times it
-            a0, a1, a2 = w0 * slope[k0], w1 * slope[k1], w2 * slope[k2]
-            g0 = a0 * m00 + a1 * m10 + a2 * m20
-            g1 = a0 * m01 + a1 * m11 + a2 * m21
-            g2 = a0 * m02 + a1 * m12 + a2 * m22
-            along = (g0 * x0 + g1 * x1 + g2 * x2) / squared
-            g0, g1, g2 = g0 - along * x0, g1 - along * x1, g2 - along * x2
-            per_dy = squared / (squared * (g0 * g0 + g1 * g1 + g2 * g2) + noise)
-            d0 = slope[k0] * (m00 * g0 + m01 * g1 + m02 * g2) * per_dy
-            d1 = slope[k1] * (m10 * g0 + m11 * g1 + m12 * g2) * per_dy
-            d2 = slope[k2] * (m20 * g0 + m21 * g1 + m22 * g2) * per_dy
-            turns[0, v, u] = (f10 * d0 + f11 * d1 + f12 * d2) / span
-            turns[1, v, u] = (f20 * d0 + f21 * d1 + f22 * d2) / span
+            # n = (p, q, -1) / √(1 + p² + q²), x = ρ n: the slope along a unit vector e of the picture turns x
+            # by ρ |n_z| (e - (n·e) n), and every code by its gradient over x times that
+            scale = abs(x2)
+            xx, xy, yy = one - x0 * x0 / squared, -x0 * x1 / squared, one - x1 * x1 / squared
+            xz, yz = -x0 * x2 / squared, -x1 * x2 / squared
+            a0, a1, a2 = slope[k0] * scale, slope[k1] * scale, slope[k2] * scale
+            p0, q0 = a0 * (m00 * xx + m01 * xy + m02 * xz), a0 * (m00 * xy + m01 * yy + m02 * yz)
+            p1, q1 = a1 * (m10 * xx + m11 * xy + m12 * xz), a1 * (m10 * xy + m11 * yy + m12 * yz)
+            p2, q2 = a2 * (m20 * xx + m21 * xy + m22 * xz), a2 * (m20 * xy + m21 * yy + m22 * yz)
+            g0, g1 = w0 * p0 + w1 * p1 + w2 * p2, w0 * q0 + w1 * q1 + w2 * q2
+            steepest = max(g0 * g0 + g1 * g1, np.float32(1e-12))
+            eps = noise / steepest
+            # a, b and c of the first page, of waves that run in all directions alike: least squares over φ
+            seen = half + eps
+            det = half * seen * seen - sixteenth
+            alike = (quarter * seen - sixteenth) / det
+            along = (quarter * seen - eighth) / det
+            across = one / (one + eps + eps)
+            cosine, sine = (g0 * g0 - g1 * g1) / steepest, (g0 * g1 + g0 * g1) / steepest  # of 2 γ
+            for k in range(2):
+                if k == 0:
+                    to_p, to_q = f10 * p0 + f11 * p1 + f12 * p2, f10 * q0 + f11 * q1 + f12 * q2
+                else:
+                    to_p, to_q = f20 * p0 + f21 * p1 + f22 * p2, f20 * q0 + f21 * q1 + f22 * q2
+                on = (to_p * g0 + to_q * g1) / (steepest * span)
+                beside = (to_q * g0 - to_p * g1) / (steepest * span)
+                turns[3 * k, v, u] = alike * on
+                turns[3 * k + 1, v, u] = along * cosine * on - across * sine * beside
+                turns[3 * k + 2, v, u] = along * sine * on + across * cosine * beside
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -218,6 +245,30 @@ def _smooth_row(plane, v, down, across, row, to):  # type: ignore[no-untyped-def
 
 
 @njit(cache=True, nogil=True, fastmath=True)
+def _detail_row(luma, smooth, to):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Fill a row, one pixel wider on each side, with what luma has and chroma's samples of it have not."""
+    width = len(luma)
+    for u in range(width):
+        to[u + 1] = np.float32(luma[u]) - smooth[u]
+    to[0], to[width + 1] = to[1], to[width]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _filters_of_row(above, here, below, straight, slanted):  # type: ignore[no-untyped-def]  # pragma: no cover
+    upright, diagonal = np.float32(_UPRIGHT), np.float32(_DIAGONAL)
+    for u in range(len(straight)):
+        straight[u] = upright * ((above[u + 1] + below[u + 1]) - (here[u] + here[u + 2]))
+        slanted[u] = diagonal * ((above[u + 2] - above[u]) + (below[u] - below[u + 2]))
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _add_detail(turn, detail, straight, slanted, to):  # type: ignore[no-untyped-def]  # pragma: no cover
+    first, second, third = turn[0], turn[1], turn[2]
+    for u in range(len(straight)):
+        to[u] += first[u] * detail[u] + second[u] * straight[u] + third[u] * slanted[u]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
 def _sharpened(  # type: ignore[no-untyped-def]  # pragma: no cover
     luma, coarse, turns, down, across, matrix, offset, rgb
 ):
@@ -232,21 +283,30 @@ def _sharpened(  # type: ignore[no-untyped-def]  # pragma: no cover
     whole = coarse.shape[2] * across.shape[0]
     row = np.empty(coarse.shape[2] + 4, np.float32)
     smooth, blue, red = np.empty(whole, np.float32), np.empty(whole, np.float32), np.empty(whole, np.float32)
-    turn_blue, turn_red = np.empty(whole, np.float32), np.empty(whole, np.float32)
-    for v in range(height):
+    turn = np.empty((_KINDS, whole), np.float32)
+    straight, slanted = np.empty(width, np.float32), np.empty(width, np.float32)
+    details = np.zeros((3, width + 2), np.float32)  # rows v - 1, v, v + 1, in turn, with a pixel on each side
+    for v in range(-1, height):
+        if v + 1 < height:
+            _smooth_row(coarse[0], (v + 1) // step, down[(v + 1) % step], across, row, smooth)
+            _detail_row(luma[v + 1], smooth, details[(v + 1) % 3])
+        else:
+            details[(v + 1) % 3] = details[v % 3]
+        if v < 0:
+            details[2] = details[0]
+            continue
         if v % step == 0:
-            _turns_of_row(turns[0], v // step, across.shape[0], row, turn_blue)
-            _turns_of_row(turns[1], v // step, across.shape[0], row, turn_red)
-        weights = down[v % step]
-        _smooth_row(coarse[0], v // step, weights, across, row, smooth)
-        _smooth_row(coarse[1], v // step, weights, across, row, blue)
-        _smooth_row(coarse[2], v // step, weights, across, row, red)
+            for k in range(_KINDS):
+                _turns_of_row(turns[k], v // step, across.shape[0], row, turn[k])
+        _smooth_row(coarse[1], v // step, down[v % step], across, row, blue)
+        _smooth_row(coarse[2], v // step, down[v % step], across, row, red)
+        above, here, below = details[(v + 2) % 3], details[v % 3], details[(v + 1) % 3]
+        _filters_of_row(above, here, below, straight, slanted)
+        _add_detail(turn[:3], here[1:], straight, slanted, blue)
+        _add_detail(turn[3:], here[1:], straight, slanted, red)
         fine, to = luma[v], rgb.reshape(height, -1)[v]
         for u in range(width):
-            y = np.float32(fine[u])
-            detail = y - smooth[u]
-            cb = blue[u] + turn_blue[u] * detail
-            cr = red[u] + turn_red[u] * detail
+            y, cb, cr = np.float32(fine[u]), blue[u], red[u]
             to[3 * u] = np.uint16(min(max(m00 * y + m01 * cb + m02 * cr + s0, least), most))
             to[3 * u + 1] = np.uint16(min(max(m10 * y + m11 * cb + m12 * cr + s1, least), most))
             to[3 * u + 2] = np.uint16(min(max(m20 * y + m21 * cb + m22 * cr + s2, least), most))
