@@ -44,10 +44,7 @@ class TemplateLattice:
 
     def smoothed(self, values: FloatArray, passes: int) -> npt.NDArray[np.float64]:
         """Return (nodes, k) values plus half of each neighbour's, `passes` times: a growing window."""
-        result = np.ascontiguousarray(values, dtype=np.float64)
-        for _ in range(passes):
-            result = _spread(self.starts, self.neighbours, result)
-        return result
+        return _spread(self.starts, self.neighbours, np.array(values, dtype=np.float64, order="C"), passes)
 
     def at_vertices(self, values: FloatArray) -> npt.NDArray[np.float64]:
         """Return (n, k) values interpolated from the nodes' (nodes, k), bilinear within each piece."""
@@ -179,14 +176,20 @@ def _sums(node, values, count):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True)
-def _spread(starts, neighbours, values):  # type: ignore[no-untyped-def]
-    out = values.copy()
-    for i in range(values.shape[0]):
-        for p in range(starts[i], starts[i + 1]):
+@njit(cache=True, fastmath=True)
+def _spread(starts, neighbours, values, passes):  # type: ignore[no-untyped-def]
+    """Overwrite values, and return them or a second array."""
+    other = np.empty_like(values)
+    for _ in range(passes):
+        for i in range(values.shape[0]):
             for c in range(values.shape[1]):
-                out[i, c] += 0.5 * values[neighbours[p], c]
-    return out
+                other[i, c] = values[i, c]
+            for p in range(starts[i], starts[i + 1]):
+                j = neighbours[p]
+                for c in range(values.shape[1]):
+                    other[i, c] += 0.5 * values[j, c]
+        values, other = other, values
+    return values
 
 
 @njit(cache=True, fastmath=True)

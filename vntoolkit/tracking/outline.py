@@ -129,10 +129,23 @@ def signed_distance(mask: Mask) -> npt.NDArray[np.float32]:
 
 
 def _without_small_holes(mask: Mask) -> Mask:
-    _, labels, statistics, _ = cv2.connectedComponentsWithStats((~mask).astype(np.uint8), connectivity=4)
-    small = statistics[:, cv2.CC_STAT_AREA] < _SMALL_HOLE_PX
+    if not mask.any():
+        return mask
+    box = (_reach(mask.any(axis=1)), _reach(mask.any(axis=0)))
+    count, labels = cv2.connectedComponents((~mask[box]).astype(np.uint8), connectivity=4)
+    small = np.bincount(labels.ravel(), minlength=count) < _SMALL_HOLE_PX
     small[0] = False  # the figure
-    return np.asarray(mask | small[labels]) if small.any() else mask
+    if not small.any():
+        return mask
+    filled = mask.copy()
+    filled[box] |= small[labels]
+    return filled
+
+
+def _reach(used: Mask) -> slice:
+    """From the first to the last True, and a margin that joins what lies around."""
+    at, margin = np.flatnonzero(used), _SMALL_HOLE_PX // 8
+    return slice(max(0, int(at[0]) - margin), int(at[-1]) + 1 + margin)
 
 
 @njit(cache=True)
