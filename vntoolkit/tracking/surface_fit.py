@@ -112,7 +112,9 @@ class SurfaceFit:
             pull = np.einsum("nji,nj->ni", inverse, told.pull)
             outline, outline_pull = self._outline.measure(positions, inverse, figure)
             measured = np.minimum(1.0, information[:, 0] + information[:, 2])
-            guess, variance, torn = lengths.guessed(positions, around, slopes, depth_map, hidden, measured)
+            guess, variance, torn, unseen = lengths.guessed(
+                positions, around, slopes, depth_map, hidden, measured
+            )
             now = lengths.nodes(positions)
             steps = guess - (now[lengths.links[:, 1]] - now[lengths.links[:, 0]])
             variance = variance + np.sum(steps**2, axis=1) / (LINKS_ALIKE * _TORN_SIGMAS**2)
@@ -126,7 +128,7 @@ class SurfaceFit:
             if np.mean(np.maximum(*np.abs(step.T)) < enough) > _MOST:
                 break
         windows = _in_frame(told.windows, inverse)
-        square = self._errors.square(solution, windows, outline, np.sqrt(variance), modes)
+        square = self._errors.square(solution, windows, outline, np.sqrt(variance + unseen), modes)
         square = square + lengths.between(solution.left, torn)
         return FittedFrame(
             positions_px=positions,
