@@ -131,7 +131,7 @@ def signed_distance(mask: Mask) -> npt.NDArray[np.float32]:
 def _without_small_holes(mask: Mask) -> Mask:
     if not mask.any():
         return mask
-    box = (_reach(mask.any(axis=1)), _reach(mask.any(axis=0)))
+    box = (_reach(np.any(mask, axis=1)), _reach(np.any(mask, axis=0)))
     count, labels = cv2.connectedComponents((~mask[box]).astype(np.uint8), connectivity=4)
     small = np.bincount(labels.ravel(), minlength=count) < _SMALL_HOLE_PX
     small[0] = False  # the figure
