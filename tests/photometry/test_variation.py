@@ -7,7 +7,7 @@ import pytest
 
 from vntoolkit.errors import BadRig
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.io.rigs import rig_from_text, text_from_rig
+from vntoolkit.io.rigs import RIG_VERSION, rig_from_text, text_from_rig
 from vntoolkit.normals.inversion import (
     InversionOptions,
     normals_from_encoded,
@@ -147,8 +147,8 @@ def test_the_rig_file_keeps_the_variation_and_old_files_read() -> None:
     plain = text_from_rig(Rig(camera=camera, response=rig.response.central))
     assert '"version": 1' in plain
     assert rig_from_text(plain).response.variation is None
-    with pytest.raises(BadRig, match="is of version 5"):
-        rig_from_text(plain.replace('"version": 1', '"version": 5'))
+    with pytest.raises(BadRig, match=f"is of version {RIG_VERSION + 1}"):
+        rig_from_text(plain.replace('"version": 1', f'"version": {RIG_VERSION + 1}'))
 
 
 def test_refusals() -> None:
