@@ -106,6 +106,15 @@ def test_three_paints_are_found_and_leave_no_seam_in_the_normals() -> None:
     assert error < 2.0 < 8.0 < unpainted
 
 
+def test_seams_of_paint_leave_no_step_of_normals_and_those_of_an_invention_do() -> None:
+    frame, _, mask = painted(sectors())
+    labeller = MaterialLabeller(RESPONSE, PAINTS)
+    assert labeller.left_at_seams(frame, mask, labeller.labels(frame, mask)) < 0.3
+    of_one, _, _ = painted(np.zeros_like(sectors()))
+    assert labeller.left_at_seams(of_one, mask, sectors().astype(np.uint8)) > 1.0
+    assert labeller.left_at_seams(of_one, mask, np.zeros_like(sectors(), np.uint8)) == 0.0
+
+
 def knitted_with_logo(size: int = 120) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Normals of knitted cloth over a dome, its mask, and a round logo of four quarters."""
     normals, mask = dome(size)

@@ -24,6 +24,7 @@ from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.options import MaterialSearch, Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import reconstruct
+from vntoolkit.pipeline.referenced_captures import read_capture
 from vntoolkit.shadows.detector import ShadowMethod
 
 DIRECTIONS = np.array([[0.5, 0.0, -0.866], [-0.25, 0.433, -0.866], [-0.25, -0.433, -0.866]])
@@ -99,6 +100,28 @@ def test_workers_do_not_change_a_byte(striped: ReconstructionJob) -> None:
     shared = into(striped, "shared")
     reconstruct(shared, jobs=2)
     assert digest(shared.folder.root) == digest(striped.folder.root)
+
+
+@pytest.mark.parametrize("name", ["buddha", "cat", "yaleB01", "yaleB02"])
+def test_gloss_on_photographs_of_one_material_is_no_paint(tmp_path: Path, real_data: Path, name: str) -> None:
+    """Gloss and light between folds bend lengths by a tenth and more, over whole cheeks alike."""
+    capture = read_capture(real_data, name)
+    lamps = np.diag(np.linalg.norm(capture.response.matrix, axis=1))
+    height, width = capture.mask.shape
+    write_png(tmp_path / "a.png", np.rint(65535 * capture.frame.rgb.clip(0, 1)).astype(np.uint16))
+    write_mask(tmp_path / "mask.png", capture.mask)
+    job = ReconstructionJob(
+        source=str(tmp_path / "a.png"),
+        rig=Rig(
+            camera=Camera.orthographic(width=width, height=height),
+            response=replace(capture.response, light_colours=lamps),
+        ),
+        options=ReconstructOptions(to=Product.NORMALS, shadows=ShadowMethod.NONE),
+        folder=ReconstructionFolder(root=tmp_path / "out"),
+        mask=tmp_path / "mask.png",
+    )
+    reconstruct(job)
+    assert read_manifest(job.folder.root).materials == []
 
 
 def test_the_rigs_own_material_gives_the_bytes_of_calibrated(tmp_path: Path) -> None:

@@ -37,6 +37,12 @@ _DOUBTFUL_SHARE = (
 )
 _WORSE = 2.0  # as many doubtful pixels as then: the labels of the frame before explain too little
 _CARRIED_SWEEPS, _FINE_SWEEPS = 2, 1
+# Two pixels with a seam between them, farther apart than its blur and its labels' errors reach.
+_APART_PX = 6
+_BEFORE, _AFTER = slice(None, -_APART_PX), slice(_APART_PX, None)
+_PAIRS = ((np.s_[_BEFORE, :], np.s_[_AFTER, :]), (np.s_[:, _BEFORE], np.s_[:, _AFTER]))
+_STEEP = 0.5  # difference of two such normals from which a larger one hardly counts more
+_LEAST_STEP = 0.02  # excess of the mean step at seams that tells something
 
 
 class MaterialLabeller:
@@ -100,6 +106,30 @@ class MaterialLabeller:
         seams = None if self._fine is None else self._fine.seams
         return relit(frame, self._response, labels, self._reflectances, self._pigments, seams)
 
+    def left_at_seams(self, frame: LinearFrame, mask: Mask, labels: MaterialLabels) -> float:
+        """Return the share of the steps of normals at seams that remains, against one material all over.
+
+        What is printed on a surface is no relief: 0 where normals step at seams as they do elsewhere, 1 as
+        much as if the first material were everywhere. Materials that explain nothing, such as gloss and
+        ambient light taken for paint, leave all or more.
+        """
+        one = MaterialLabeller(self._response, self._reflectances[:1])
+        found = _unit_normals(self.relit(frame, labels), self._response)
+        alone = _unit_normals(one.relit(frame, np.zeros(mask.shape, np.uint8)), self._response)
+        inside, at_seams, at_seams_alone = [], [], []
+        for before, after in _PAIRS:
+            lit, is_seam = mask[before] & mask[after], labels[before] != labels[after]
+            steps = _steps(found[before], found[after])
+            inside.append(steps[lit & ~is_seam])
+            at_seams.append(steps[lit & is_seam])
+            at_seams_alone.append(_steps(alone[before], alone[after])[lit & is_seam])
+        if not sum(map(len, at_seams)) or not sum(map(len, inside)):
+            return 0.0
+        usual, left, most = (
+            float(np.concatenate(each).mean()) for each in (inside, at_seams, at_seams_alone)
+        )
+        return max(left - usual, 0.0) / max(most - usual, _LEAST_STEP)
+
     def pigments(
         self, frame: LinearFrame, mask: Mask, labels: MaterialLabels
     ) -> list[tuple[Vector3, Vector3] | None]:
@@ -157,6 +187,17 @@ class MaterialLabeller:
         paid = self._coarse.prices(split.colours, split.lit, found)[split.lit]
         self._doubtful = float(np.quantile(paid, 1.0 - _DOUBTFUL_SHARE)) if paid.size else np.inf
         return found
+
+
+def _unit_normals(frame: LinearFrame, response: LightResponse) -> Points:
+    scaled = (frame.rgb - response.ambient) @ response.inverse.T
+    return np.asarray(scaled / np.maximum(np.linalg.norm(scaled, axis=-1, keepdims=True), 1e-9))
+
+
+def _steps(first: Points, second: Points) -> FloatArray:
+    """Squared differences of normals, 0 to 1: those that are steep count hardly more."""
+    squared = ((first - second) ** 2).sum(axis=-1)
+    return np.asarray(squared / (squared + _STEEP**2))
 
 
 @njit(cache=True, parallel=True)
