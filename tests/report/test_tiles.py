@@ -7,7 +7,7 @@ import pytest
 
 from vntoolkit.errors import BadInput
 from vntoolkit.io.footage.images import read_image
-from vntoolkit.report.pictures import ErrorScale, picture_of_errors, tiled, write_tiles
+from vntoolkit.report.pictures import ErrorScale, _letters, picture_of_errors, tiled, write_tiles
 
 
 def plain(height: int, width: int, *colour: int) -> np.ndarray:
@@ -60,3 +60,9 @@ def test_errors_are_told_apart_and_the_scale_shows_their_colours(tmp_path: Path)
 def test_refusals() -> None:
     with pytest.raises(BadInput, match="a name for every row"):
         tiled([{"a": plain(4, 4, 0, 0, 0)}], ["one", "two"])
+
+
+def test_signs_and_the_letters_of_file_names_are_drawn_not_boxes() -> None:
+    letters = _letters(12.0)
+    box = bytes(letters.getmask("\uffff"))
+    assert all(bytes(letters.getmask(each)) != box for each in "≥≤°×αЖé")

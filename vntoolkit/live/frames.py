@@ -185,6 +185,7 @@ def reduced(normal_map: NormalMap, step: int) -> NormalMap:
 
 @njit(cache=True)
 def _take_means(normals, mask, step, unit, valid):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Fill unit (h, w, 3), zeros, and valid (h, w) from normals and mask, step times as high and wide."""
     for v in range(unit.shape[0]):
         for u in range(unit.shape[1]):
             x = y = z = np.float32(0)

@@ -32,9 +32,8 @@ _PATCH_SWEEPS = 4
 _MESSAGE_ROUNDS = 5
 _DOUBTFUL = 1.5  # price of a region from which its pixels are decided one by one …
 _BESIDE = 4  # … and those that near to a seam
-_DOUBTFUL_SHARE = (
-    0.05  # of the pixels of a frame that is decided as a whole: what costs more is doubtful later
-)
+# Share of the pixels of a frame that is decided as a whole: in later frames what costs more is doubtful.
+_DOUBTFUL_SHARE = 0.05
 _WORSE = 2.0  # as many doubtful pixels as then: the labels of the frame before explain too little
 _CARRIED_SWEEPS, _FINE_SWEEPS = 2, 1
 # Two pixels with a seam between them, farther apart than its blur and its labels' errors reach.
@@ -113,6 +112,8 @@ class MaterialLabeller:
         much as if the first material were everywhere. Materials that explain nothing, such as gloss and
         ambient light taken for paint, leave all or more.
         """
+        if not labels.any():
+            return 0.0
         one = MaterialLabeller(self._response, self._reflectances[:1])
         found = _unit_normals(self.relit(frame, labels), self._response)
         alone = _unit_normals(one.relit(frame, np.zeros(mask.shape, np.uint8)), self._response)

@@ -216,6 +216,15 @@ def _shading_variance(values: FloatArray, lit: Mask, lamps: Lamps, reach: int) -
     return float(max((np.quantile(steps, _MOST) / _MOST_SIGMAS) ** 2 - noise, _LEAST_STEP**2))
 
 
+@njit(cache=True, error_model="numpy")
+def _take_log(rgb: Any, split: Any, deviation: Any, s: Any, light: Any, noise: Any) -> None:
+    """Fill, (3,) each, what every lamp contributes to a colour, its logarithm, and the variance of that."""
+    for k in range(3):
+        s[k] = max(split[k, 0] * rgb[0] + split[k, 1] * rgb[1] + split[k, 2] * rgb[2], deviation[k])
+        light[k] = np.log(s[k])
+        noise[k] = (deviation[k] / s[k]) ** 2
+
+
 @njit(cache=True, parallel=True, error_model="numpy")
 def _prepare(
     values: Any, split: Any, q: Any, haze: Any, inverse: Any, mixing: Any, deviation: Any, tolerance: float,
@@ -235,15 +244,7 @@ def _prepare(
                 wanted |= 0 <= a < h and 0 <= b < w and active[a, b]
             if not (wanted and lit[v, u]):
                 continue
-            for k in range(3):
-                s[k] = max(
-                    split[k, 0] * values[v, u, 0]
-                    + split[k, 1] * values[v, u, 1]
-                    + split[k, 2] * values[v, u, 2],
-                    deviation[k],
-                )
-                light[v, u, k] = np.log(s[k])
-                noise[v, u, k] = (deviation[k] / s[k]) ** 2
+            _take_log(values[v, u], split, deviation, s, light[v, u], noise[v, u])
             if active[v, u]:
                 for m in range(count):
                     e, variance = length_and_variance(s, q[m], haze, inverse, mixing, bias[m], j)
@@ -265,15 +266,7 @@ def _price(
         for u in range(w):
             if not lit[v, u]:
                 continue
-            for k in range(3):
-                s[k] = max(
-                    split[k, 0] * values[v, u, 0]
-                    + split[k, 1] * values[v, u, 1]
-                    + split[k, 2] * values[v, u, 2],
-                    deviation[k],
-                )
-                light[v, u, k] = np.log(s[k])
-                noise[v, u, k] = (deviation[k] / s[k]) ** 2
+            _take_log(values[v, u], split, deviation, s, light[v, u], noise[v, u])
             m = labels[v, u]
             e, spread = length_and_variance(s, q[m], haze, inverse, mixing, bias[m], j)
             t = e * e / (spread + tolerance)

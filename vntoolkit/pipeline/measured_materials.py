@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
@@ -14,6 +14,7 @@ from vntoolkit.io.footage.captures import Capture
 from vntoolkit.io.footage.mattes import Mattes
 from vntoolkit.io.results.manifest import MaterialEntry
 from vntoolkit.materials.labelling import MaterialLabeller
+from vntoolkit.materials.pixels import MaterialLabels
 from vntoolkit.materials.search import WORST_ERROR_DEG, Material, find_materials
 from vntoolkit.normals.inversion import relative_albedo_from_frame
 from vntoolkit.photometry.frame import LinearFrame
@@ -66,20 +67,21 @@ def measured_materials(
     if not seeks_materials(job):
         found: list[Material] = []
     else:
-        levelled = [processor.by_strength(frame) for frame in frames]
+        levelled, central = [processor.by_strength(frame) for frame in frames], response.central
+        first = levelled[0], subjects[0], central
         count = None if isinstance(choice, MaterialSearch) else choice
-        found = find_materials(levelled, subjects, response.central, count)
-        if count is None and not _are_printed(found, levelled[0], subjects[0], response.central):
-            one = find_materials(levelled, subjects, response.central, 1)
-            found = one if _is_of_rig(one[0], job, levelled[0], subjects[0]) else found
+        found = find_materials(levelled, subjects, central, count)
+        seen = _Labelled.by(found, *first)
+        if count is None and seen.left_at_seams() > _MOST_LEFT:
+            one = find_materials(levelled, subjects, central, 1)
+            if _is_of_rig(one[0], *first):
+                found, seen = one, _Labelled.by(one, *first)
         found = _told(found, choice)
-        found, pigments = _with_pigments(found, levelled[0], subjects[0], response.central)
-        found = _explaining(found, pigments, levelled[0], subjects[0], job)
-        if (
-            choice is MaterialSearch.AUTO
-            and len(found) == 1
-            and _is_of_rig(found[0], job, levelled[0], subjects[0])
-        ):
+        found, pigments = _with_pigments(found, seen)
+        if any(pigment is not None for pigment in pigments):
+            seen = _Labelled.by(found, *first, pigments)
+        found = _explaining(found, seen, choice)
+        if choice is MaterialSearch.AUTO and len(found) == 1 and _is_of_rig(found[0], *first):
             found = []
     if found:
         return [_entry(material, pigment) for material, pigment in zip(found, pigments, strict=True)], None
@@ -124,46 +126,63 @@ def _told(found: list[Material], choice: MaterialSearch | int) -> list[Material]
     return found
 
 
-def _are_printed(found: list[Material], frame: LinearFrame, mask: Mask, response: LightResponse) -> bool:
-    """False where several materials explain nothing of the steps of normals at their own seams."""
-    if len(found) == 1:
-        return True
-    labeller = MaterialLabeller(response, np.array([each.reflectance.values for each in found]))
-    left = labeller.left_at_seams(frame, mask, labeller.labels(frame, mask))
-    return left <= _MOST_LEFT
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Labelled:
+    """A frame whose pixels are labelled, (h, w), by the materials of its labeller."""
+
+    frame: LinearFrame
+    mask: Mask
+    response: LightResponse
+    labeller: MaterialLabeller
+    labels: MaterialLabels
+
+    @classmethod
+    def by(
+        cls,
+        found: list[Material],
+        frame: LinearFrame,
+        mask: Mask,
+        response: LightResponse,
+        pigments: list[Vector3 | None] | None = None,
+    ) -> _Labelled:
+        """Label a frame. pigments: lines (3,) along which materials change, None for none."""
+        values = np.array([each.reflectance.values for each in found])
+        along = np.array([np.zeros(3) if each is None else each for each in pigments or [None] * len(found)])
+        labeller = MaterialLabeller(response, values, along)
+        labels = labeller.labels(frame, mask)
+        return cls(frame=frame, mask=mask, response=response, labeller=labeller, labels=labels)
+
+    def left_at_seams(self) -> float:
+        """Return the share of the steps of normals at seams that the materials do not explain."""
+        return self.labeller.left_at_seams(self.frame, self.mask, self.labels)
+
+    def pigments(self) -> list[tuple[Vector3, Vector3] | None]:
+        """Return for each material the line along which it changes and log ρ, or None."""
+        return self.labeller.pigments(self.frame, self.mask, self.labels)
+
+    def relit(self) -> FloatArray:
+        """Return the colours (n, 3) of sound pixels as they would be in the rig's material."""
+        rgb = self.labeller.relit(self.frame, self.labels).rgb
+        return rgb[self.mask & ~self.frame.clipped].astype(np.float64)
 
 
-def _with_pigments(
-    found: list[Material], frame: LinearFrame, mask: Mask, response: LightResponse
-) -> tuple[list[Material], list[Vector3 | None]]:
+def _with_pigments(found: list[Material], seen: _Labelled) -> tuple[list[Material], list[Vector3 | None]]:
     """Return the materials, and the line (3,) along which each changes, None where it hardly does."""
     if not found:
         return [], []
-    labeller = MaterialLabeller(response, np.array([each.reflectance.values for each in found]))
     materials, pigments = [], []
-    for each, pigment in zip(
-        found, labeller.pigments(frame, mask, labeller.labels(frame, mask)), strict=True
-    ):
+    for each, pigment in zip(found, seen.pigments(), strict=True):
         values = each.reflectance.values if pigment is None else np.exp(pigment[1])
         materials.append(replace(each, reflectance=replace(each.reflectance, values=values)))
         pigments.append(None if pigment is None else pigment[0])
     return materials, pigments
 
 
-def _explaining(
-    found: list[Material],
-    pigments: list[Vector3 | None],
-    frame: LinearFrame,
-    mask: Mask,
-    job: ReconstructionJob,
-) -> list[Material]:
+def _explaining(found: list[Material], seen: _Labelled, choice: MaterialSearch | int) -> list[Material]:
     """Return the materials; warn where they leave much of a frame unexplained, and return none where most."""
     if not found:
         return found
-    response, values = job.rig.response.central, np.array([each.reflectance.values for each in found])
-    along = np.array([np.zeros(3) if pigment is None else pigment for pigment in pigments])
-    labeller = MaterialLabeller(response, values, along)
-    rgb = labeller.relit(frame, labeller.labels(frame, mask)).rgb[mask & ~frame.clipped].astype(np.float64)
+    response, rgb = seen.response, seen.relit()
     lamps = rgb @ response.contributions_from_rgb.T
     lit = (lamps > _LIT_SHARE * lamps.max(axis=1, keepdims=True)).all(axis=1)
     length = np.linalg.norm((rgb[lit] - response.ambient) @ response.inverse.T, axis=1)
@@ -179,16 +198,15 @@ def _explaining(
         100 * wrong, len(found), 100 * _WRONG_LENGTH, 100 * _MOST_UNEXPLAINED,
         "" if kept else "; the rig's material is taken",
     )  # fmt: skip
-    return found if kept or job.options.materials is not MaterialSearch.AUTO else []
+    return found if kept or choice is not MaterialSearch.AUTO else []
 
 
-def _is_of_rig(material: Material, job: ReconstructionJob, frame: LinearFrame, mask: Mask) -> bool:
+def _is_of_rig(material: Material, frame: LinearFrame, mask: Mask, response: LightResponse) -> bool:
     """True where the material's hue turns normals no more than its fit may be wrong.
 
     Gloss and ambient light bend lengths over whole regions alike, which no covariance shows: a fit to lengths
     that scatter by x may turn normals by about x radians.
     """
-    response = job.rig.response.central
     lit = mask & ~frame.clipped & (frame.rgb.max(axis=2) > 0.1 * np.percentile(frame.rgb[mask], 99))
     plain = scaled_normals_from_rgb(frame.rgb[lit], response) + response.inverse @ response.ambient
     split, values = response.contributions_from_rgb, material.reflectance.values

@@ -193,7 +193,7 @@ def cropped(pictures: list[Picture], mask: Mask, margin_px: int = 6) -> list[Pic
 
 
 _PAGE_PX = 1060  # where a page shows a picture of this width, letters have their size as written
-_LETTER_PX, _LINE_PX, _GAP_PX = 13.0, 24, 8
+_LETTER_PX, _LINE_PX, _GAP_PX = 12.0, 24, 8
 _SWATCH_PX, _ENTRY_PX, _SCALE_PX = 13, 170, 260
 _DPI = 100
 
@@ -282,9 +282,16 @@ def _shrunk(picture: Picture, height_px: int) -> Picture:
     return resized_image(picture, max(1, round(max(height, width) * min(1.0, height_px / height))))
 
 
+def _letters(size: float) -> ImageFont.FreeTypeFont:
+    """Matplotlib's letters: Pillow's own lack ≥, and the Greek and Cyrillic of file names."""
+    from matplotlib import get_data_path
+
+    return ImageFont.truetype(Path(get_data_path(), "fonts", "ttf", "DejaVuSans.ttf"), size)
+
+
 def _lettered(canvas: Picture, texts: Sequence[_Text], zoom: float) -> Picture:
     picture = Image.fromarray(canvas)
-    pen, font = ImageDraw.Draw(picture), ImageFont.load_default(_LETTER_PX * zoom)
+    pen, font = ImageDraw.Draw(picture), _letters(_LETTER_PX * zoom)
     anchors = {"left": "lm", "center": "mm", "right": "rm"}
     for each in texts:
         pen.text((each.x, each.y), each.text, fill=INK, font=font, anchor=anchors[each.side])

@@ -143,7 +143,10 @@ def _without_small_holes(mask: Mask) -> Mask:
 
 
 def _reach(used: Mask) -> slice:
-    """From the first to the last True, and a margin that joins what lies around."""
+    """From the first to the last True, and a margin.
+
+    What lies around is then of one piece, and larger than a hole: 4 margin² and more.
+    """
     at, margin = np.flatnonzero(used), _SMALL_HOLE_PX // 8
     return slice(max(0, int(at[0]) - margin), int(at[-1]) + 1 + margin)
 

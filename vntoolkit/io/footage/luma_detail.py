@@ -179,12 +179,12 @@ def _chroma_per_luma(  # type: ignore[no-untyped-def]  # pragma: no cover
             g0, g1 = w0 * p0 + w1 * p1 + w2 * p2, w0 * q0 + w1 * q1 + w2 * q2
             steepest = max(g0 * g0 + g1 * g1, np.float32(1e-12))
             eps = noise / steepest
-            # a, b and c of the first page, of waves that run in all directions alike: least squares over φ
+            # a, b and c of this file's docstring by least squares over φ, all directions being as likely
             seen = half + eps
             det = half * seen * seen - sixteenth
-            alike = (quarter * seen - sixteenth) / det
-            along = (quarter * seen - eighth) / det
-            across = one / (one + eps + eps)
+            on_level = (quarter * seen - sixteenth) / det
+            on_wave = (quarter * seen - eighth) / det
+            beside_wave = one / (one + eps + eps)
             cosine, sine = (g0 * g0 - g1 * g1) / steepest, (g0 * g1 + g0 * g1) / steepest  # of 2 γ
             for k in range(2):
                 if k == 0:
@@ -193,9 +193,9 @@ def _chroma_per_luma(  # type: ignore[no-untyped-def]  # pragma: no cover
                     to_p, to_q = f20 * p0 + f21 * p1 + f22 * p2, f20 * q0 + f21 * q1 + f22 * q2
                 on = (to_p * g0 + to_q * g1) / (steepest * span)
                 beside = (to_q * g0 - to_p * g1) / (steepest * span)
-                turns[3 * k, v, u] = alike * on
-                turns[3 * k + 1, v, u] = along * cosine * on - across * sine * beside
-                turns[3 * k + 2, v, u] = along * sine * on + across * cosine * beside
+                turns[3 * k, v, u] = on_level * on
+                turns[3 * k + 1, v, u] = on_wave * cosine * on - beside_wave * sine * beside
+                turns[3 * k + 2, v, u] = on_wave * sine * on + beside_wave * cosine * beside
 
 
 @njit(cache=True, nogil=True, fastmath=True)
