@@ -36,7 +36,8 @@ OUTLINE_PX = 9
 def encode(path: Path, light: LinearImage, codec: str, pixel_format: str, crf: int) -> None:
     """Write one linear frame (h, w, 3) as a video of this format."""
     stored = np.rint(65535 * encoded_from_linear(light, CURVE).clip(0, 1)).astype(np.uint16)
-    options = {"crf": str(crf)} | ({"x265-params": "log-level=none"} if codec == "libx265" else {})
+    options = {"crf": str(crf)} | ({"x265-params": "log-level=none:bframes=0"} if codec == "libx265" else {})
+    # x265 makes up a lone frame's decoding time where B frames may come, and the file may refuse it.
     with av.open(str(path), "w") as container:
         stream = container.add_stream(codec, rate=25, options=options)
         stream.height, stream.width, stream.pix_fmt = *light.shape[:2], pixel_format

@@ -28,12 +28,13 @@ def _normals(knit: bool, rng: np.random.Generator) -> np.ndarray:
 
 def _film(path: Path, light: np.ndarray, transfer: Transfer, codec: str, pixels: str) -> None:
     encoded = np.rint(65535 * encoded_from_linear(light, transfer)).astype(np.uint16)
-    options = {"crf": "6"} | ({"x265-params": "log-level=none"} if codec == "libx265" else {})
+    options = {"crf": "6"} | ({"x265-params": "log-level=none:bframes=0"} if codec == "libx265" else {})
+    # x265 makes up a lone frame's decoding time where B frames may come, and the file may refuse it.
     with av.open(str(path), "w") as container:
         stream = container.add_stream(codec, rate=25, options=options)
         stream.height, stream.width, stream.pix_fmt = *SIZE, pixels
         picture = av.VideoFrame.from_ndarray(encoded, format="rgb48le")
-        picture.pts = 0  # without a time the encoder makes up one, and the file may refuse it
+        picture.pts = 0
         container.mux(stream.encode(picture.reformat(format=pixels, interpolation="BICUBIC", threads=1)))
         container.mux(stream.encode(None))
 
