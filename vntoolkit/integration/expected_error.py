@@ -52,15 +52,16 @@ def with_expected_depth_error(depth_map: DepthMap, normal_map: NormalMap, camera
     step = max(1, len(mask) // _ROWS)
     looked_at = depth_map.depth[::step][mask[::step]]
     span = float(looked_at.max(initial=-np.inf)) - float(looked_at.min(initial=np.inf))
-    error = np.zeros(depth_map.shape, np.float32)
-    if span > 0:
+    error = np.empty(depth_map.shape, np.float32)
+    if not span > 0:
+        error[:] = 0.0
+    else:
         block = -(-max(mask.shape) // _LARGEST_SIDE)
         block -= block % max(1, block // _SAMPLES_A_SIDE)  # a whole number of samples
         spread, inside = _coarse_error(normal_map, mask, block, rays_from_camera(camera))
         spread = 100.0 * _NINE_OF_TEN / span * _filled(spread, inside)
-        _enlarge(spread.astype(np.float32), block, mask, error)
-        if camera.is_perspective:
-            np.multiply(error, depth_map.depth, out=error, casting="same_kind")
+        scale = np.ascontiguousarray(depth_map.depth) if camera.is_perspective else None
+        _enlarge(spread.astype(np.float32), block, mask, scale, error)
     return replace(depth_map, error_percent=error)
 
 
@@ -184,24 +185,34 @@ def _sum_blocks(
 
 
 @njit(cache=True, nogil=True, parallel=True, fastmath={"contract", "arcp", "nsz"}, error_model="numpy")
-def _enlarge(coarse: Any, block: int, mask: Mask, out: Any) -> None:
-    """Fill (h, w) between the centres of the blocks by linear interpolation, inside the mask."""
+def _enlarge(coarse: Any, block: int, mask: Mask, scale: Any, out: Any) -> None:
+    """Fill (h, w) between the centres of the blocks by linear interpolation; 0 outside the mask.
+
+    scale: (h, w), a factor on every pixel, or None.
+    """
     height, width = mask.shape
     rows, columns = coarse.shape
-    half, one = np.float32(0.5), np.float32(1.0)
+    half, one, zero = np.float32(0.5), np.float32(1.0), np.float32(0.0)
     per_pixel = one / np.float32(block)
+    beyond = half * np.float32(1 - block % 2)  # from the centre of block k - 1 to the first pixel
     for v in prange(height):
-        y = min(max((np.float32(v) + half) * per_pixel - half, np.float32(0.0)), np.float32(rows - 1))
+        y = min(max((np.float32(v) + half) * per_pixel - half, zero), np.float32(rows - 1))
         up = int(y)
         down, t = min(up + 1, rows - 1), y - np.float32(up)
-        to, inside = out[v], mask[v]
         for k in range(columns + 1):
             left, right = max(k - 1, 0), min(k, columns - 1)
             before = (one - t) * coarse[up, left] + t * coarse[down, left]
             after = (one - t) * coarse[up, right] + t * coarse[down, right]
             start = k * block - block // 2
-            beyond = half * np.float32(1 - block % 2)  # from the centre of block k - 1 to the first pixel
-            for u in range(max(start, 0), min(start + block, width)):
-                s = (np.float32(u - start) + beyond) * per_pixel
-                value = before + s * (after - before)
-                to[u] = value if inside[u] else np.float32(0.0)
+            first, last = max(start, 0), min(start + block, width)
+            slope = (after - before) * per_pixel
+            before += slope * (np.float32(first - start) + beyond)
+            to, inside = out[v, first:last], mask[v, first:last]
+            if scale is None:
+                for i in range(len(to)):
+                    to[i] = before + slope * np.float32(i) if inside[i] else zero
+            else:
+                factor = scale[v, first:last]
+                for i in range(len(to)):
+                    value = (before + slope * np.float32(i)) * np.float32(factor[i])
+                    to[i] = value if inside[i] else zero

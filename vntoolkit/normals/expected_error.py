@@ -33,8 +33,10 @@ from vntoolkit.normals.inversion import (
     InversionOptions,
     coefficients_from_response,
     decoding_of,
+    read_row,
     require_encoded,
     require_mask_or_all,
+    rows_of,
 )
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
 from vntoolkit.photometry.response import LightResponse
@@ -53,6 +55,7 @@ _DARK_CHANNEL = 0.45  # … to 0 at this share of the channel's largest value
 _LARGEST_DEG = np.float32(71.6)
 _HALF_WEIGHT_DEG = 12.0
 _CELL = NOISE_CELL_PX  # noise changes slowly: one row of every cell tells it
+_WIDER = 2  # cells around one that are asked where its neighbours know nothing
 _LEAST_FACING = np.float32(0.1)
 _SAMPLES = 1000
 _MOST_PER_KNOWN = 20  # places of the grid that are looked at for a sample
@@ -96,10 +99,10 @@ def with_expected_error(
     light = _Light(np.ascontiguousarray(frame.rgb), None, np.ascontiguousarray(frame.clipped), np.float32(0))
     mask = np.ascontiguousarray(normal_map.mask)
     c = _coefficients(response, camera)
-    noise, constants = _evidence(light, mask, labels, c, residual_deg)
+    noise_deg, noise, constants = _evidence(light, mask, labels, c, residual_deg)
     error, weight = np.empty(shape, np.float32), np.empty(shape, np.float32)
-    _error_kernel(_flat(light.image), mask, labels, noise, constants, error, weight)
-    return replace(normal_map, error_deg=error, noise_deg=_noise_deg(noise), weight=weight)
+    _error_kernel(rows_of(light.image), mask, labels, noise, constants, error, weight)
+    return replace(normal_map, error_deg=error, noise_deg=noise_deg, weight=weight)
 
 
 def normals_and_errors_from_encoded(
@@ -123,16 +126,20 @@ def normals_and_errors_from_encoded(
     light = _Light(np.ascontiguousarray(encoded), decoding.table, None, decoding.white)
     options = options or InversionOptions()
     c = _coefficients(response, camera, options.relative_albedo, options.darkest)
-    noise, constants = _evidence(light, inside, None, c, residual_deg)
+    noise_deg, noise, constants = _evidence(light, inside, None, c, residual_deg)
     inversion = coefficients_from_response(response, options)
     limits = np.array([inversion.darkest, inversion.clipped_factor, decoding.white], np.float32)
     normals, valid = np.empty((*shape, 3), np.float32), np.empty(shape, np.bool_)
     error, weight = np.empty(shape, np.float32), np.empty(shape, np.float32)
     clipped = np.zeros(shape[0], np.int64)
-    out = (_flat(normals), valid, error, weight, clipped)
-    _normals_and_errors_kernel(_flat(light.image), decoding.table, inside, noise, constants, limits, out)
+    out = (rows_of(normals), valid, error, weight, clipped)
+    _normals_and_errors_kernel(rows_of(light.image), decoding.table, inside, noise, constants, limits, out)
     found = NormalMap(
-        normals_in_camera=normals, mask=valid, weight=weight, error_deg=error, noise_deg=_noise_deg(noise)
+        normals_in_camera=normals,
+        mask=valid,
+        weight=weight,
+        error_deg=error,
+        noise_deg=noise_deg,
     )
     return found, float(clipped.sum()) / max(1, shape[0] * shape[1])
 
@@ -194,12 +201,18 @@ def _coefficients(
 
 def _evidence(
     light: _Light, mask: Mask, labels: VisibilityLabels | None, c: _Coefficients, residual_deg: float
-) -> tuple[Any, Any]:
-    """Return the frame's noise by cells, (2, ⌈h/8⌉, ⌈w/8⌉), and what holds for all its pixels."""
+) -> tuple[Any, Any, Any]:
+    """Return the frame's noise and what holds for all its pixels.
+
+    The noise by cells, (⌈h/8⌉, ⌈w/8⌉), in degrees as the bounds are, and by rows of cells, (⌈h/8⌉, w), in
+    radians².
+    """
     cells = tuple(-(-n // _CELL) for n in mask.shape)
-    found, noise = np.zeros((2, *cells), np.float32), np.empty((2, *cells), np.float32)
-    _curl_kernel(_flat(light.image), light.table, mask, c, found)
-    _add_neighbours(found, noise)
+    found, noise = np.zeros((2, *cells), np.float32), np.empty(cells, np.float32)
+    _curl_kernel(rows_of(light.image), light.table, mask, c, found)
+    _noise_of_cells(found, noise)
+    rows = np.empty((cells[0], mask.shape[1]), np.float32)
+    _along_rows(noise, rows)
     known = int(found[1].sum()) * _CELL
     step = math.isqrt(max(known, mask.size // _MOST_PER_KNOWN) // _SAMPLES)
     ellipsoid = _fit_ellipsoid(light, mask, labels, c, max(1, step))
@@ -209,12 +222,7 @@ def _evidence(
     shape = [e[0, 0], e[0, 1], e[0, 2], e[1, 1], e[1, 2], e[2, 2]]
     others = [1.0 / ellipsoid.albedo, fixed, by_noise]
     constants = np.concatenate([c.inverse.ravel(), c.ambient, c.channel, shape, others])
-    return noise, constants.astype(np.float32)
-
-
-def _noise_deg(noise: Any) -> npt.NDArray[np.float32]:
-    share = noise[0] / np.maximum(noise[1], np.float32(1.0))
-    return np.asarray(np.sqrt(_PER_NOISE * share))
+    return np.sqrt(_PER_NOISE * noise), rows, constants.astype(np.float32)
 
 
 def _fit_ellipsoid(
@@ -253,20 +261,6 @@ def _fit_ellipsoid(
 
 # Compiled loops. A table of None stands for linear light: numba drops the branches for another. Rows are
 # flat slices, whose loops begin at 0: only such loops are done eight pixels at a time.
-
-
-def _flat(image: Any) -> Any:
-    """Return an image (h, w, 3) as rows (h, 3 w)."""
-    return image.reshape(len(image), -1)
-
-
-@njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
-def _read_row(line: Any, table: Any, r: Any, g: Any, b: Any) -> None:
-    for u in range(len(r)):
-        if table is None:
-            r[u], g[u], b[u] = line[3 * u], line[3 * u + 1], line[3 * u + 2]
-        else:
-            r[u], g[u], b[u] = table[line[3 * u]], table[line[3 * u + 1]], table[line[3 * u + 2]]
 
 
 @njit(cache=True, nogil=True)
@@ -331,7 +325,7 @@ def _slopes_row(
     A turn by ε moves the slope by ε / cos² along the inclination and ε / cos across. v, first: the place of
     the first pixel.
     """
-    _read_row(line, table, p, q, known)
+    read_row(line, table, p, q, known)
     inverse, ambient, rays, one = c.inverse, c.ambient, c.rays, np.float32(1.0)
     i00, i01, i02 = inverse[0, 0], inverse[0, 1], inverse[0, 2]
     i10, i11, i12 = inverse[1, 0], inverse[1, 1], inverse[1, 2]
@@ -403,53 +397,56 @@ def _curl_row(image: Any, table: Any, mask: Mask, c: _Coefficients, v: int, sums
         sums[k], counts[k] = total, count
 
 
-@njit(cache=True, nogil=True)
-def _add_neighbours(found: Any, noise: Any) -> None:
-    """Fill (2, h, w) with the sums over 3×3 cells."""
+@njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
+def _noise_of_cells(found: Any, noise: Any) -> None:
+    """Fill (h, w), radians²: the mean over 3×3 cells, over 5×5 where those know nothing, or 0."""
     _, height, width = found.shape
-    for k in range(2):  # loops, which compile in a second, where sums of slices take ten
-        for v in range(height):
+    columns, zero = np.zeros((2, width + 2 * _WIDER), np.float32), np.float32(0.0)
+    for v in range(height):
+        for reach in range(1, _WIDER + 1):
+            for k in range(2):
+                to = columns[k, _WIDER : _WIDER + width]
+                to[:] = zero
+                for row in range(max(v - reach, 0), min(v + reach + 1, height)):
+                    line = found[k, row]
+                    for u in range(width):
+                        to[u] += line[u]
             for u in range(width):
-                noise[k, v, u] = 0.0
-                for i in range(max(v - 1, 0), min(v + 2, height)):
-                    for j in range(max(u - 1, 0), min(u + 2, width)):
-                        noise[k, v, u] += found[k, i, j]
+                if reach > 1 and noise[v, u] >= zero:
+                    continue
+                total, count = zero, zero
+                for i in range(_WIDER + u - reach, _WIDER + u + reach + 1):
+                    total += columns[0, i]
+                    count += columns[1, i]
+                unknown = np.float32(-1.0) if reach < _WIDER else zero
+                noise[v, u] = total / count if count > zero else unknown
 
 
 @njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
-def _noise_row(noise: Any, v: int, cells: Any, row: Any) -> None:
-    """Fill one row with squared radians, between the centres of cells by linear interpolation.
+def _along_rows(noise: Any, rows: Any) -> None:
+    """Fill (rows of cells, w) between the centres of the cells of a row, by linear interpolation."""
+    height, width = noise.shape
+    half = np.float32(0.5)
+    for v in range(height):
+        for k in range(width + 1):
+            start = k * _CELL - _CELL // 2  # the centre of cell k - 1
+            first = max(start, 0)
+            to, before = rows[v, first : start + _CELL], noise[v, max(k - 1, 0)]
+            slope = (noise[v, min(k, width - 1)] - before) * np.float32(1.0 / _CELL)
+            before += slope * (np.float32(first - start) + half)
+            for u in range(len(to)):
+                to[u] = before + slope * np.float32(u)
 
-    cells: a buffer, one longer than a row of cells at each end.
-    """
-    _, height, width = noise.shape
+
+@njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
+def _noise_row(noise: Any, v: int, first: int, row: Any) -> None:
+    """Fill a row from pixel `first` on, between the centres of the rows of cells; linear too."""
     y = max((np.float32(v) + np.float32(0.5)) / np.float32(_CELL) - np.float32(0.5), np.float32(0.0))
-    up = min(int(y), height - 1)
-    down = min(up + 1, height - 1)
-    t, one, zero = y - np.float32(up), np.float32(1.0), np.float32(0.0)
-    known = np.float32(-1.0)
-    for k in range(width):
-        count = (one - t) * noise[1, up, k] + t * noise[1, down, k]
-        total = (one - t) * noise[0, up, k] + t * noise[0, down, k]
-        cells[k + 1] = total / count if count > zero else known
-    for k in range(1, width + 1):  # a cell that knows nothing is as the one beside it
-        if cells[k] < zero:
-            before = max(cells[k - 1] if k > 1 else zero, zero)
-            cells[k] = cells[k + 1] if k < width and cells[k + 1] >= zero else before
-    cells[0], cells[width + 1] = cells[1], cells[width]
-    eighth, half = np.float32(1.0 / _CELL), np.float32(0.5)
-    start = -_CELL // 2
-    for k in range(width + 1):
-        base, slope = cells[k], (cells[k + 1] - cells[k]) * eighth
-        if start >= 0 and start + _CELL <= len(row):
-            to = row[start : start + _CELL]
-            for i in range(_CELL):  # of a fixed length: eight pixels at a time
-                to[i] = base + slope * (np.float32(i) + half)
-        else:
-            for i in range(_CELL):
-                if 0 <= start + i < len(row):
-                    row[start + i] = base + slope * (np.float32(i) + half)
-        start += _CELL
+    up = min(int(y), len(noise) - 1)
+    above, below = noise[up, first:], noise[min(up + 1, len(noise) - 1), first:]
+    t, one = y - np.float32(up), np.float32(1.0)
+    for u in range(len(row)):
+        row[u] = (one - t) * above[u] + t * below[u]
 
 
 @njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
@@ -502,8 +499,7 @@ def _error_kernel(
     rgb: Any, mask: Mask, labels: Any, noise: Any, constants: Any, error: Any, weight: Any
 ) -> None:
     """Fill (h, w) with the bound in degrees and its weight; 0 outside the mask."""
-    height, width = mask.shape
-    for v in prange(height):
+    for v in prange(len(mask)):
         error[v, :] = np.float32(0.0)
         weight[v, :] = np.float32(0.0)
         first, last = _span(mask[v])
@@ -512,15 +508,15 @@ def _error_kernel(
         count = last - first
         r, g, b = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
         length, unlit = np.empty(count, np.float32), np.zeros(count, np.float32)
-        row_noise = np.empty(width, np.float32)
+        row_noise = np.empty(count, np.float32)
         if labels is not None:
             label = labels[v, first:last]
             for u in range(count):
                 unlit[u] = _BY_LABEL[label[u]]
-        _noise_row(noise, np.int64(v), np.empty(noise.shape[2] + 2, np.float32), row_noise)
-        _read_row(rgb[v, 3 * first : 3 * last], None, r, g, b)
+        _noise_row(noise, np.int64(v), first, row_noise)
+        read_row(rgb[v, 3 * first : 3 * last], None, r, g, b)
         _bound_row(
-            r, g, b, unlit, row_noise[first:last], mask[v, first:last], constants, length,
+            r, g, b, unlit, row_noise, mask[v, first:last], constants, length,
             error[v, first:last], weight[v, first:last],
         )  # fmt: skip
 
@@ -537,8 +533,8 @@ def _normals_and_errors_kernel(
         r, g, b = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
         length, row_noise = np.empty(width, np.float32), np.empty(width, np.float32)
         unlit, good = np.zeros(width, np.float32), np.empty(width, np.bool_)
-        _noise_row(noise, np.int64(v), np.empty(noise.shape[2] + 2, np.float32), row_noise)
-        _read_row(encoded[v], table, r, g, b)
+        _noise_row(noise, np.int64(v), 0, row_noise)
+        read_row(encoded[v], table, r, g, b)
         count = 0
         for u in range(width):
             largest = max(r[u], g[u])

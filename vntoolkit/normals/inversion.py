@@ -84,14 +84,8 @@ def normals_from_frame(
     weight is 1 where the albedo is as expected and 1/2 where it is off by `albedo_tolerance`.
     """
     inside = require_mask_or_all(mask, frame.shape)
-    out = _outputs(frame.shape)
-    rgb = np.ascontiguousarray(frame.rgb)
-    c = coefficients_from_response(response, options)
-    if response.variation is None:
-        normals_from_rgb_kernel(rgb, frame.clipped, inside, c, out)
-    else:
-        normals_from_rgb_in_field(rgb, frame.clipped, inside, _field(response, options), c, out)
-    found = _map_from_outputs(out)
+    clipped = np.ascontiguousarray(frame.clipped)
+    found = _inverted(np.ascontiguousarray(frame.rgb), None, clipped, inside, response, options)
     return found if camera is None else _towards(found, camera)
 
 
@@ -124,15 +118,9 @@ def normals_from_encoded(
     transfer: the capture's curve and levels. bits: significant bits of a sample, default all. A sample at or
     above the white level is clipped.
     """
-    shape = require_encoded(encoded)
-    out = _outputs(shape)
-    image, decoding = np.ascontiguousarray(encoded), decoding_of(encoded, transfer, bits)
-    inside, c = require_mask_or_all(mask, shape), coefficients_from_response(response, options)
-    if response.variation is None:
-        normals_from_integers_kernel(image, decoding, inside, c, out)
-    else:
-        normals_from_integers_in_field(image, decoding, inside, _field(response, options), c, out)
-    return _map_from_outputs(out)
+    inside = require_mask_or_all(mask, require_encoded(encoded))
+    decoding = decoding_of(encoded, transfer, bits)
+    return _inverted(np.ascontiguousarray(encoded), decoding, None, inside, response, options)
 
 
 @checks_kinds
@@ -170,10 +158,6 @@ def coefficients_from_response(response: LightResponse, options: InversionOption
     )
 
 
-def _field(response: LightResponse, options: InversionOptions | None) -> Field:
-    return field_from_response(response, (options or InversionOptions()).relative_albedo)
-
-
 def decoding_of(encoded: npt.NDArray[Any], transfer: Transfer, bits: int | None) -> Decoding:
     """Lay out the decoding of stored samples for the loops."""
     storage_bits = encoded.dtype.itemsize * 8
@@ -198,16 +182,31 @@ def require_mask_or_all(mask: Mask | None, shape: tuple[int, int]) -> Mask:
     return np.ascontiguousarray(mask)
 
 
-def _outputs(shape: tuple[int, int]) -> Outputs:
-    return Outputs(
+def _inverted(
+    image: Array, decoding: Decoding | None, clipped: Mask | None, inside: Mask, response: LightResponse,
+    options: InversionOptions | None,
+) -> NormalMap:  # fmt: skip
+    """Return the normals of linear colours (h, w, 3) with their clipped pixels, or of stored ones."""
+    options = options or InversionOptions()
+    shape = inside.shape
+    field = None
+    if response.variation is not None:
+        field = field_from_response(response, options.relative_albedo)
+    out = Outputs(
         normals=np.empty((*shape, 3), np.float32),
         weight=np.empty(shape, np.float32),
         valid=np.empty(shape, np.bool_),
     )
-
-
-def _map_from_outputs(out: Outputs) -> NormalMap:
+    table, white = (None, np.float32(0)) if decoding is None else decoding
+    c = coefficients_from_response(response, options)
+    flat = out._replace(normals=rows_of(out.normals))
+    _normals_kernel(rows_of(image), table, white, clipped, inside, field, c, flat)
     return NormalMap(normals_in_camera=out.normals, mask=out.valid, weight=out.weight)
+
+
+def rows_of(image: Array) -> Array:
+    """Return an image (h, w, 3) as rows (h, 3 w)."""
+    return image.reshape(len(image), -1)
 
 
 class Coefficients(NamedTuple):
@@ -233,77 +232,11 @@ class Decoding(NamedTuple):
 
 
 class Outputs(NamedTuple):
-    """normals (h, w, 3) float32, weight (h, w) float32, valid (h, w) bool: filled by the loops."""
+    """normals (h, 3 w) float32, weight (h, w) float32, valid (h, w) bool: filled by the loop."""
 
     normals: Array
     weight: Array
     valid: Array
-
-
-# Compiled loops for one M: one pass over the image, row by row.
-
-
-@njit(cache=True, inline="always", fastmath=FLAGS, error_model="numpy")
-def _mix(r: Any, g: Any, b: Any, c: Coefficients, x: Array, y: Array, z: Array, u: int) -> None:
-    x[u] = c.inverse[0, 0] * r + c.inverse[0, 1] * g + c.inverse[0, 2] * b - c.offset[0]
-    y[u] = c.inverse[1, 0] * r + c.inverse[1, 1] * g + c.inverse[1, 2] * b - c.offset[1]
-    z[u] = c.inverse[2, 0] * r + c.inverse[2, 1] * g + c.inverse[2, 2] * b - c.offset[2]
-
-
-@njit(cache=True, inline="always", fastmath=FLAGS, error_model="numpy")
-def normalise_row(
-    x: Array, y: Array, z: Array, clipped: Array, inside: Array, c: Coefficients, weight: Array, valid: Array
-) -> None:
-    """Scale one row to unit length, with its weight; 0 where there is no normal."""
-    for u in range(x.shape[0]):
-        length = np.sqrt(x[u] * x[u] + y[u] * y[u] + z[u] * z[u])
-        factor = c.clipped_factor if clipped[u] else _ONE
-        good = inside[u] & (length > c.darkest) & (length < _LONGEST) & (z[u] < _ZERO) & (factor > _ZERO)
-        scale = _ONE / length
-        departure = (length - scale) * c.sharpness  # near 1: the relative departure over the tolerance
-        weight[u] = factor / (_ONE + departure * departure) if good else _ZERO
-        x[u] = x[u] * scale if good else _ZERO
-        y[u] = y[u] * scale if good else _ZERO
-        z[u] = z[u] * scale if good else _ZERO
-        valid[u] = good
-
-
-@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
-def normals_from_rgb_kernel(rgb: Array, clipped: Array, inside: Array, c: Coefficients, out: Outputs) -> None:
-    """Fill `out` from linear float32 colours (h, w, 3)."""
-    height, width = inside.shape
-    normals, weight, valid = out  # numba drops stores through a tuple's field inside prange
-    for v in prange(height):
-        x, y, z = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
-        for u in range(width):
-            _mix(rgb[v, u, 0], rgb[v, u, 1], rgb[v, u, 2], c, x, y, z, u)
-        normalise_row(x, y, z, clipped[v], inside[v], c, weight[v], valid[v])
-        for u in range(width):
-            normals[v, u, 0] = x[u]
-            normals[v, u, 1] = y[u]
-            normals[v, u, 2] = z[u]
-
-
-@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
-def normals_from_integers_kernel(
-    encoded: Array, decoding: Decoding, inside: Array, c: Coefficients, out: Outputs
-) -> None:
-    """Fill `out` from stored integers (h, w, 3) through a decoding table."""
-    height, width = inside.shape
-    normals, weight, valid = out  # numba drops stores through a tuple's field inside prange
-    table = decoding.table
-    for v in prange(height):
-        x, y, z = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
-        clipped = np.empty(width, np.bool_)
-        for u in range(width):
-            r, g, b = table[encoded[v, u, 0]], table[encoded[v, u, 1]], table[encoded[v, u, 2]]
-            clipped[u] = max(r, g, b) >= decoding.white
-            _mix(r, g, b, c, x, y, z, u)
-        normalise_row(x, y, z, clipped, inside[v], c, weight[v], valid[v])
-        for u in range(width):
-            normals[v, u, 0] = x[u]
-            normals[v, u, 1] = y[u]
-            normals[v, u, 2] = z[u]
 
 
 class Field(NamedTuple):
@@ -319,10 +252,101 @@ class Field(NamedTuple):
     inverse_scale: np.float32
 
 
-# Compiled loops for a response that varies over the image: M(u, v) is inverted at every pixel.
+# Compiled loops: one pass over the image, row by row. A table of None stands for linear colours, a field of
+# None for one M all over the image: numba drops the branches for the other. Rows are flat slices, and what
+# every pixel shares is read before a loop: only such loops are done many pixels at a time.
 
 
-@njit(cache=True, inline="always", fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
+def _normals_kernel(
+    image: Array, table: Any, white: Any, clipped: Any, inside: Array, field: Any, c: Coefficients,
+    out: Outputs,
+) -> None:  # fmt: skip
+    """Fill `out` from colours (h, 3 w): linear float32, or stored integers through a decoding table.
+
+    clipped: (h, w) of linear colours; stored ones are clipped from `white` on.
+    """
+    height, width = inside.shape
+    normals, weight, valid = out  # numba drops stores through a tuple's field inside prange
+    for v in prange(height):
+        x, y, z = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
+        read_row(image[v], table, x, y, z)
+        top = np.empty(width, np.bool_)
+        _clipped_row(clipped, v, white, x, y, z, top)
+        _invert_row(field, v, c, x, y, z)
+        _normalise_row(x, y, z, top, inside[v], c, weight[v], valid[v])
+        to = normals[v]
+        for u in range(width):
+            to[3 * u] = x[u]
+            to[3 * u + 1] = y[u]
+            to[3 * u + 2] = z[u]
+
+
+@njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
+def read_row(line: Any, table: Any, r: Any, g: Any, b: Any) -> None:
+    """Fill three rows from one of colours, (3 w,): linear, or stored integers through a decoding table."""
+    for u in range(len(r)):
+        if table is None:
+            r[u], g[u], b[u] = line[3 * u], line[3 * u + 1], line[3 * u + 2]
+        else:
+            r[u], g[u], b[u] = table[line[3 * u]], table[line[3 * u + 1]], table[line[3 * u + 2]]
+
+
+@njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
+def _clipped_row(clipped: Any, v: int, white: Any, r: Array, g: Array, b: Array, top: Array) -> None:
+    """Fill a row with which colours are clipped: told by `clipped` (h, w), or from `white` on."""
+    for u in range(len(top)):
+        if clipped is None:
+            largest = max(r[u], g[u])  # of two at a time: numba makes SIMD of that
+            top[u] = max(largest, b[u]) >= white
+        else:
+            top[u] = clipped[v, u]
+
+
+@njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
+def _invert_row(field: Any, v: int, c: Coefficients, x: Array, y: Array, z: Array) -> None:
+    """Replace the colours in x, y, z by M⁻¹(r − a)."""
+    if field is None:
+        _mix_row(c, x, y, z)
+    else:
+        cubics = np.empty((12, 4), np.float32)
+        _cubics_of_row(field, v, cubics)
+        _solve_row(field, cubics, x, y, z)
+
+
+@njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
+def _mix_row(c: Coefficients, x: Array, y: Array, z: Array) -> None:
+    i00, i01, i02 = c.inverse[0, 0], c.inverse[0, 1], c.inverse[0, 2]
+    i10, i11, i12 = c.inverse[1, 0], c.inverse[1, 1], c.inverse[1, 2]
+    i20, i21, i22 = c.inverse[2, 0], c.inverse[2, 1], c.inverse[2, 2]
+    a, b, d = c.offset[0], c.offset[1], c.offset[2]
+    for u in range(len(x)):
+        red, green, blue = x[u], y[u], z[u]
+        x[u] = i00 * red + i01 * green + i02 * blue - a
+        y[u] = i10 * red + i11 * green + i12 * blue - b
+        z[u] = i20 * red + i21 * green + i22 * blue - d
+
+
+@njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
+def _normalise_row(
+    x: Array, y: Array, z: Array, clipped: Array, inside: Array, c: Coefficients, weight: Array, valid: Array
+) -> None:
+    """Scale one row to unit length, with its weight; 0 where there is no normal."""
+    darkest, sharpness, clipped_factor = c.darkest, c.sharpness, c.clipped_factor
+    for u in range(len(x)):
+        length = np.sqrt(x[u] * x[u] + y[u] * y[u] + z[u] * z[u])
+        factor = clipped_factor if clipped[u] else _ONE
+        good = inside[u] & (length > darkest) & (length < _LONGEST) & (z[u] < _ZERO) & (factor > _ZERO)
+        scale = _ONE / length
+        departure = (length - scale) * sharpness  # near 1: the relative departure over the tolerance
+        weight[u] = factor / (_ONE + departure * departure) if good else _ZERO
+        x[u] = x[u] * scale if good else _ZERO
+        y[u] = y[u] * scale if good else _ZERO
+        z[u] = z[u] * scale if good else _ZERO
+        valid[u] = good
+
+
+@njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
 def _cubics_of_row(field: Field, v: int, row: Array) -> None:
     """Put y in: row[e, i] is the coefficient of x^i in row v."""
     y = (np.float32(v) - field.centre_v) * field.inverse_scale
@@ -337,7 +361,7 @@ def _cubic(row: Array, e: int, x: Any) -> Any:
     return ((row[e, 3] * x + row[e, 2]) * x + row[e, 1]) * x + row[e, 0]
 
 
-@njit(cache=True, inline="always", fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
 def _solve_row(field: Field, row: Array, x: Array, y: Array, z: Array) -> None:
     """Replace the colours in x, y, z by M⁻¹(r − a), by Cramer's rule."""
     for u in range(x.shape[0]):
@@ -351,48 +375,6 @@ def _solve_row(field: Field, row: Array, x: Array, y: Array, z: Array) -> None:
         x[u] = (first * red + (c * h - b * k) * green + (b * f - c * e) * blue) * scale
         y[u] = (second * red + (a * k - c * g) * green + (c * d - a * f) * blue) * scale
         z[u] = (third * red + (b * g - a * h) * green + (a * e - b * d) * blue) * scale
-
-
-@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
-def normals_from_rgb_in_field(
-    rgb: Array, clipped: Array, inside: Array, field: Field, c: Coefficients, out: Outputs
-) -> None:
-    """Fill `out` from linear float32 colours (h, w, 3)."""
-    height, width = inside.shape
-    normals, weight, valid = out  # numba drops stores through a tuple's field inside prange
-    for v in prange(height):
-        x, y, z = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
-        row = np.empty((12, 4), np.float32)
-        _cubics_of_row(field, v, row)
-        for u in range(width):
-            x[u], y[u], z[u] = rgb[v, u, 0], rgb[v, u, 1], rgb[v, u, 2]
-        _solve_row(field, row, x, y, z)
-        normalise_row(x, y, z, clipped[v], inside[v], c, weight[v], valid[v])
-        for u in range(width):
-            normals[v, u, 0], normals[v, u, 1], normals[v, u, 2] = x[u], y[u], z[u]
-
-
-@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
-def normals_from_integers_in_field(
-    encoded: Array, decoding: Decoding, inside: Array, field: Field, c: Coefficients, out: Outputs
-) -> None:
-    """Fill `out` from stored integers (h, w, 3) through a decoding table."""
-    height, width = inside.shape
-    normals, weight, valid = out  # numba drops stores through a tuple's field inside prange
-    table = decoding.table
-    for v in prange(height):
-        x, y, z = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
-        clipped = np.empty(width, np.bool_)
-        row = np.empty((12, 4), np.float32)
-        _cubics_of_row(field, v, row)
-        for u in range(width):
-            r, g, b = table[encoded[v, u, 0]], table[encoded[v, u, 1]], table[encoded[v, u, 2]]
-            clipped[u] = max(r, g, b) >= decoding.white
-            x[u], y[u], z[u] = r, g, b
-        _solve_row(field, row, x, y, z)
-        normalise_row(x, y, z, clipped, inside[v], c, weight[v], valid[v])
-        for u in range(width):
-            normals[v, u, 0], normals[v, u, 1], normals[v, u, 2] = x[u], y[u], z[u]
 
 
 def field_from_response(response: LightResponse, relative_albedo: float) -> Field:
