@@ -23,6 +23,7 @@ from vntoolkit.native import njit
 from vntoolkit.solvers import GridHierarchy, grid_hierarchy, multigrid_cycle
 
 _MOST_WORKERS = 2  # more wait for each other at this size
+_LEAST_SHARED_PX = 200_000  # a smaller transform is done before a second thread has woken
 Image = npt.NDArray[np.floating[Any]]
 Float64Image = npt.NDArray[np.float64]
 
@@ -53,11 +54,11 @@ class CosineSolver:
     def solve(self, divergence: Image) -> Image:
         """Return z, (h, w), of mean 0; a `divergence` of the solver's dtype is overwritten."""
         field = divergence.astype(self._dtype, copy=False)
-        spectrum = scipy.fft.dct(field, type=2, norm="ortho", workers=_workers(), overwrite_x=True)
+        spectrum = scipy.fft.dct(field, type=2, norm="ortho", workers=_workers(field.size), overwrite_x=True)
         spectrum[:, 0] -= spectrum[:, 0].mean(dtype=np.float64)
         _solve_columns(spectrum, self._pivots)
         spectrum[:, 0] -= spectrum[:, 0].mean(dtype=np.float64)
-        return scipy.fft.idct(spectrum, type=2, norm="ortho", workers=_workers(), overwrite_x=True)
+        return scipy.fft.idct(spectrum, type=2, norm="ortho", workers=_workers(field.size), overwrite_x=True)
 
 
 _COLUMNS = 64  # taken together: their rows stay in the cache
@@ -108,15 +109,15 @@ class FourierSolver:
         field = divergence.astype(self._inverse.dtype)
         field = np.concatenate([field, field[::-1]], axis=0)
         field = np.concatenate([field, field[:, ::-1]], axis=1)
-        spectrum = scipy.fft.rfft2(field, workers=_workers())
+        spectrum = scipy.fft.rfft2(field, workers=_workers(field.size))
         spectrum *= self._inverse
-        depth = scipy.fft.irfft2(spectrum, s=field.shape, workers=_workers(), overwrite_x=True)
+        depth = scipy.fft.irfft2(spectrum, s=field.shape, workers=_workers(field.size), overwrite_x=True)
         return np.ascontiguousarray(depth[:height, :width])
 
 
-def _workers() -> int:
-    """Threads of a transform; no more than compiled loops may use, so that one limit rules both."""
-    return min(_MOST_WORKERS, numba.get_num_threads())
+def _workers(pixels: int) -> int:
+    """Threads of a transform of so many pixels; no more than compiled loops may use, so that one limit rules both."""
+    return min(_MOST_WORKERS, numba.get_num_threads()) if pixels >= _LEAST_SHARED_PX else 1
 
 
 def laplacian_eigenvalues(length: int, count: int | None = None) -> npt.NDArray[np.float64]:

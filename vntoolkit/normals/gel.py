@@ -237,7 +237,7 @@ def _fit_drift(values: Array, positions: Array, least_noise: float) -> Array:
             normal[i, i] += 1e-9 * count
         drift = np.linalg.solve(normal, right)
         _measure(values, positions, drift, residual)
-        scale = 2.0 * max(1.4826 * np.median(residual), least_noise)
+        scale = 2.0 * max(1.4826 * np.median(residual[::2]), least_noise)
         weight = 1.0 / (1.0 + (residual / scale) ** 2) ** 2
     return drift
 

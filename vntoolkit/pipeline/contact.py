@@ -12,9 +12,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
+import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
 
 from vntoolkit.arrays import Mask
 from vntoolkit.geometry.camera import Camera
@@ -26,7 +26,7 @@ _RIM_SHARE = 1 / 3  # of a dent's depth, at which its contact ends
 _SHALLOWEST_M = 1e-4  # what the drift of lamps leaves of depth on an untouched gel
 _REST_ROUNDS = 4
 _RESTING_SHARE = 1 / 3  # of the gel, to tell a tilt from
-_VOTES = 2000  # pixels that the plane is fitted to, evenly spread
+_VOTES = 1000  # pixels that the plane is fitted to, evenly spread
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,7 +108,7 @@ def contact_from_depth(depth_map: DepthMap, camera: Camera) -> Contact:
     if bottom > top:
         window = slice(top, bottom), slice(left, right)
         dented = (depth[window] < -_SHALLOWEST_M) & depth_map.mask[window]
-        labels, dents = ndimage.label(dented)
+        dents, labels = cv2.connectedComponents(dented.view(np.uint8), connectivity=4)
         count, deepest = _mark_contacts(depth[window], labels, dents, mask[window])
     pixel_mm = 1000.0 / float(camera.matrix[0, 0])
     return Contact(mask=mask, area_mm2=float(count) * pixel_mm**2, depth_mm=1000.0 * float(deepest))
@@ -129,8 +129,11 @@ def _box_of_dents(depth: Array, mask: Mask, shallowest: float) -> tuple[int, int
 
 @njit(cache=True)
 def _mark_contacts(depth: Array, labels: Array, count: int, mask: Mask) -> tuple[int, float]:
-    """Mark in `mask` what lies deeper than a share of its dent's depth; pixels marked, and the deepest."""
-    deepest = np.zeros(count + 1, depth.dtype)
+    """Mark in `mask` what lies deeper than a share of its dent's depth; pixels marked, and the deepest.
+
+    labels: number of every pixel's dent, of `count` with 0, which is none.
+    """
+    deepest = np.zeros(count, depth.dtype)
     for v in range(labels.shape[0]):
         for u in range(labels.shape[1]):
             deepest[labels[v, u]] = max(deepest[labels[v, u]], -depth[v, u])

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 from numba import prange
 
 from vntoolkit.arrays import LinearImage, Mask
@@ -26,32 +27,48 @@ _LARGEST = 3  # times the area of the median dot: what is larger is the print of
 _SEARCHED_PX = 120  # shorter side of the picture that is searched; a dot is still some pixels wide
 
 
-def find_dots(change: LinearImage, background: LinearImage) -> Mask:
-    """Mask (h, w) of the dots in change + background, both linear (h, w, 3); nothing where there are none."""
-    return _dots(_shrunk(change) + _shrunk(background), change.shape[:2])
-
-
 def _shrunk(image: LinearImage) -> LinearImage:
+    """Means over squares of whole pixels; what is left over below and to the right is not searched."""
     height, width = image.shape[:2]
     step = max(1, min(height, width) // _SEARCHED_PX)
-    return np.asarray(cv2.resize(image, (width // step, height // step), interpolation=cv2.INTER_AREA))
+    small = np.empty((height // step, width // step, 3), np.float32)
+    _take_means(np.ascontiguousarray(image), step, small)
+    return small
 
 
-def _dots(small: LinearImage, shape: tuple[int, int]) -> Mask:
-    """Mask of `shape` of the dots in a frame that is shrunk."""
+def _enlarged(small: npt.NDArray[np.uint8], shape: tuple[int, int]) -> Mask:
     height, width = shape
-    window = 2 * max(1, round(min(small.shape[:2]) * _WINDOW_SHARE / 2)) + 1
-    closed = cv2.morphologyEx(small, cv2.MORPH_CLOSE, np.ones((window, window), np.uint8))
-    dark = _darker(small, closed, np.float32(1 - _DARKER))
+    step = max(1, min(height, width) // _SEARCHED_PX)
+    mask: Mask = np.zeros(shape, np.bool_)
+    _repeat(small, step, mask)
+    return mask
+
+
+def _window(shape: tuple[int, ...]) -> int:
+    return 2 * max(1, round(min(shape[:2]) * _WINDOW_SHARE / 2)) + 1
+
+
+def _closed(small: LinearImage, window: int) -> LinearImage:
+    return np.asarray(cv2.morphologyEx(small, cv2.MORPH_CLOSE, np.ones((window, window), np.uint8)))
+
+
+def _dots(small: LinearImage) -> tuple[npt.NDArray[np.uint8], float]:
+    """1 at the dots and their rims in a frame that is shrunk, and the median area of a dot; (zeros, 0) if none."""
+    dark = _darker(small, _closed(small, _window(small.shape)), np.float32(1 - _DARKER))
     if not _FEWEST < dark.mean() < _MOST:
-        return np.zeros((height, width), np.bool_)
+        return np.zeros_like(dark), 0.0
+    _, _, stats, _ = cv2.connectedComponentsWithStats(dark)
+    area = float(np.median(stats[1:, cv2.CC_STAT_AREA]))
+    return _usual(dark, area), area
+
+
+def _usual(dark: npt.NDArray[np.uint8], area: float) -> npt.NDArray[np.uint8]:
+    """The parts of `dark` no larger than dots of this area, with their rims."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(dark)
-    areas = stats[:, cv2.CC_STAT_AREA]
-    usual = areas <= _LARGEST * np.median(areas[1:])
+    usual = stats[:, cv2.CC_STAT_AREA] <= _LARGEST * area
     usual[0] = False
-    dark = usual[labels].astype(np.uint8)
-    rims = cv2.dilate(dark, np.ones((3, 3), np.uint8))
-    return np.asarray(cv2.resize(rims, (width, height), interpolation=cv2.INTER_NEAREST) > 0)
+    rims = cv2.dilate(usual[labels].astype(np.uint8), np.ones((3, 3), np.uint8))
+    return np.asarray(rims, dtype=np.uint8)
 
 
 class DotFilter:
@@ -60,21 +77,95 @@ class DotFilter:
     def __init__(self, background: LinearImage) -> None:
         """background: the untouched gel, linear (h, w, 3)."""
         self._small = _shrunk(background)
-        self.dots = _dots(self._small, background.shape[:2])
-        self._any = bool(self.dots.any())
+        self._found, self._area = _dots(self._small)
+        self._bright = _closed(self._small, _window(self._small.shape))
+        self.dots = _enlarged(self._found, background.shape[:2])
 
     def filled(self, change: LinearImage, unknown: Mask) -> tuple[LinearImage, Mask]:
         """Return the change (h, w, 3) with dots and `unknown` pixels (h, w) filled, and the pixels filled."""
         holes = unknown
-        if self._any:
-            holes = unknown | self.dots | _dots(_shrunk(change) + self._small, change.shape[:2])
+        if self._area:
+            holes = self._holes(change, unknown)
         if not holes.any() or holes.all():
             return change, holes
         above, below = np.empty((2, *holes.shape), np.int16)
         _find_known_rows(holes, above, below)
-        filled = np.empty_like(change)
+        filled = change.copy()
         _fill(change, holes, above, below, filled)
         return filled, holes
+
+    def _holes(self, change: LinearImage, unknown: Mask) -> Mask:
+        """What is unknown, the dots of the gel at rest, and those of the frame where any has moved to.
+
+        A dot that came to a place made it darker in every channel. So only the box of what became darker is
+        searched, and a dot's neighbourhood around it.
+        """
+        moved = _shrunk(change)
+        height, width = moved.shape[:2]
+        window = _window(moved.shape)
+        top, bottom, left, right = _box_of_darker(moved, self._bright, np.float32(_DARKER / 2))
+        if bottom <= top:
+            return unknown | self.dots
+        box = (
+            slice(max(top - window, 0), min(bottom + window, height)),
+            slice(max(left - window, 0), min(right + window, width)),
+        )
+        frame = np.ascontiguousarray(moved[box] + self._small[box])
+        dark = _darker(frame, _closed(frame, window), np.float32(1 - _DARKER))
+        if dark.sum() >= _MOST * height * width:
+            return unknown | self.dots
+        found = self._found.copy()
+        found[box] |= _usual(dark, self._area)
+        return unknown | _enlarged(found, unknown.shape)
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _take_means(image, step, small):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Means over squares of `step` pixels, of all channels."""
+    wide = 3 * small.shape[1]
+    lines = np.empty(wide * step, np.float32)
+    share = np.float32(1.0 / (step * step))
+    for v in range(small.shape[0]):
+        lines[:] = np.float32(0)
+        for k in range(step):
+            line = image[v * step + k].reshape(-1)
+            for n in range(wide * step):
+                lines[n] += line[n]
+        for u in range(small.shape[1]):
+            for c in range(3):
+                total = np.float32(0)
+                for k in range(step):
+                    total += lines[(u * step + k) * 3 + c]
+                small[v, u, c] = total * share
+
+
+@njit(cache=True)
+def _repeat(small, step, mask):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Every pixel of `small` as a square of `step` pixels of `mask`; the rest stays."""
+    for v in range(small.shape[0]):
+        first = mask[v * step]
+        for u in range(small.shape[1]):
+            if small[v, u]:
+                for k in range(step):
+                    first[u * step + k] = True
+        for k in range(1, step):
+            mask[v * step + k] = first
+
+
+@njit(cache=True)
+def _box_of_darker(change, bright, share):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """First and last row and column (the last ones exclusive) where all channels fell by a share of `bright`."""
+    height, width = change.shape[:2]
+    top, bottom, left, right = height, 0, width, 0
+    for v in range(height):
+        for u in range(width):
+            count = 0
+            for c in range(3):
+                count += change[v, u, c] < -share * bright[v, u, c]
+            if count == 3:
+                top, bottom = min(top, v), v + 1
+                left, right = min(left, u), max(right, u + 1)
+    return top, bottom, left, right
 
 
 @njit(cache=True)
@@ -111,14 +202,12 @@ def _find_known_rows(holes, above, below):  # type: ignore[no-untyped-def]  # pr
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def _fill(change, holes, above, below, filled):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """From the nearest known pixels of row and column, the shorter gap counting more; 0 without any."""
+    """Write into the holes of `filled`, from the nearest known pixels of row and column, the shorter gap counting more; 0 without any."""
     height, width = holes.shape
     one, zero = np.float32(1), np.float32(0)
     for row in prange(height):
         v, u = np.int64(row), 0  # unsigned, the loop's own number makes floats of differences
         line, to = change[v], filled[v]
-        for x in range(width):
-            to[x, 0], to[x, 1], to[x, 2] = line[x, 0], line[x, 1], line[x, 2]
         while u < width:
             if not holes[v, u]:
                 u += 1
