@@ -62,13 +62,18 @@ def test_a_rig_comes_back_to_the_last_digit(tmp_path, rig):
 def test_a_gel_of_the_third_degree_is_read_as_one_of_the_fourth(rng, rig):
     earlier = rng.normal(size=(EARLIER_TERMS, 2))
     gel = GelResponse(
-        coefficients=completed_coefficients(earlier), centre_px=np.zeros(2), scale_px=1.0, reach=1.0
+        coefficients=completed_coefficients(earlier),
+        centre_px=np.zeros(2),
+        scale_px=1.0,
+        reach=1.0,
+        errors_deg=np.array([[1.0, 0.5], [20.0, 3.0]]),
     )
     content = json.loads(text_from_rig(replace(rig, gel=gel)))
     assert content["version"] == 5
     content["version"], content["gel"]["coefficients"] = 3, earlier.tolist()
     back = rig_from_text(json.dumps(content), "rig.json")
     np.testing.assert_array_equal(back.gel.coefficients, gel.coefficients)
+    np.testing.assert_array_equal(back.gel.errors_deg, gel.errors_deg)
     content["gel"]["coefficients"].append([0, 0])
     with pytest.raises(BadRig, match="coefficients"):
         rig_from_text(json.dumps(content), "rig.json")

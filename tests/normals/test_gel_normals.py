@@ -1,5 +1,6 @@
 """The untouched gel is flat exactly; the light's drift goes and a touch stays; the loop is the formula."""
 
+from dataclasses import replace
 from itertools import combinations_with_replacement
 
 import numpy as np
@@ -63,6 +64,17 @@ def test_the_loop_is_the_formula(rng) -> None:
     assert (wanted[:, 2] < 0).all()
 
 
+def test_the_expected_error_is_that_of_the_tilt(rng) -> None:
+    model = replace(gel(rng), errors_deg=np.array([[0.0, 1.0], [20.0, 3.0], [40.0, 9.0]]))
+    change = rng.normal(0, 0.2, (*SHAPE, 3)).astype(np.float32)
+    inverter = GelInverter(RESPONSE, model)
+    found = inverter.with_expected_error(inverter.normals(change, np.zeros((6, 3)), EVERYWHERE))
+    tilts = np.degrees(np.arccos(-found.normals_in_camera[..., 2].clip(-1, 0)))
+    np.testing.assert_allclose(found.error_deg, np.interp(tilts, [0, 20, 40], [1, 3, 9]), atol=0.15)
+    assert found.noise_deg.min() > 5  # white noise has no other part
+    assert GelInverter(RESPONSE, gel(rng)).with_expected_error(found) is found
+
+
 def test_a_correction_of_the_third_degree_is_one_of_the_fourth(rng) -> None:
     earlier, scaled, place = rng.normal(0, 0.1, (46, 2)), rng.normal(0, 0.2, 3), rng.uniform(-1, 1, 2)
     products = [
@@ -86,6 +98,8 @@ def test_impossible_gels_are_refused() -> None:
         GelResponse(**parts | {"coefficients": np.zeros((3, 2))})
     with pytest.raises(BadRig, match="positive scale and reach"):
         GelResponse(**parts | {"reach": 0.0})
+    with pytest.raises(BadRig, match="growing tilts"):
+        GelResponse(**parts, errors_deg=[[3.0, 1.0], [2.0, 1.0]])
     view = Rectification(corners_px=(0, 0, 9, 0, 0, 9, 9, 9), width_mm=9, height_mm=9, pixel_mm=1)
     with pytest.raises(BadRig, match="size as filmed"):
         GelResponse(**parts, rectification=view)

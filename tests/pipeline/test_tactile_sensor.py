@@ -60,24 +60,32 @@ def test_a_sensor_from_presses_without_labels_to_depth_and_contact(
     assert "4.8 mm across" in told
     assert "negative in a dent" in told
     assert read_rig(rig).footage_size == (WIDTH + 2 * MARGIN, HEIGHT + 2 * MARGIN)
-    flat = ["rectify", str(sensor / "touched.png"), "--out", str(tmp_path / "flat")]
-    assert main([*flat, "--rig", str(rig)]) == 0
+    rectify = ["rectify", str(sensor / "touched.png"), "--out", str(tmp_path / "flat")]
+    assert main([*rectify, "--rig", str(rig)]) == 0
     assert "next: vntoolkit calibrate presses" in capsys.readouterr().out
     own = read_image(tmp_path / "flat" / "000000.png")
     assert own.shape == (HEIGHT, WIDTH, 3)
-    assert main([*flat, "--overwrite", "--pixel-mm", "0.1", *corners()]) == 0
+    assert main([*rectify, "--overwrite", "--pixel-mm", "0.1", *corners()]) == 0
     np.testing.assert_array_equal(read_image(tmp_path / "flat" / "000000.png"), own)
-    assert main([*flat, "--overwrite"]) == 1
+    assert main([*rectify, "--overwrite"]) == 1
     assert "or the --rig of a tactile gel" in capsys.readouterr().err
     run = ["--rig", str(rig), "--background", str(sensor / "background.png"), "--to", "depth"]
     out = tmp_path / "out"
     assert main(["reconstruct", str(sensor / "touched.png"), *run, "--out", str(out)]) == 0
-    normals = read_normal_map(out / "normals" / "000000.exr").normals_in_camera
+    normal_map = read_normal_map(out / "normals" / "000000.exr")
+    normals, error_deg = normal_map.normals_in_camera, normal_map.error_deg
     inside = np.hypot(U - 60, V - 90) < 15
     truth = np.stack([U - 60, V - 90], axis=-1) / RADIUS_PX
     assert np.median(np.linalg.norm(normals[..., :2] - truth, axis=2)[inside]) < 0.04
-    depth_mm = 1000 * read_depth_map(out / "depth" / "000000.exr").depth
-    assert abs(np.median(depth_mm[np.hypot(U - 60, V - 90) > 40])) < 0.03
+    facing = np.concatenate([truth, -np.sqrt(np.maximum(1 - (truth**2).sum(-1), 0))[..., None]], axis=-1)
+    flat = np.hypot(U - 60, V - 90) > 40
+    for part, wanted in ((inside, facing[inside]), (flat, np.array([0.0, 0.0, -1.0]))):
+        off_deg = np.degrees(np.arccos((normals[part] * wanted).sum(-1).clip(-1, 1)))
+        assert 0.7 < (off_deg <= error_deg[part]).mean() < 0.99
+    depth_map = read_depth_map(out / "depth" / "000000.exr")
+    depth_mm = 1000 * depth_map.depth
+    assert 0.5 < np.median(depth_map.error_percent) < 15
+    assert abs(np.median(depth_mm[flat])) < 0.03
     sine = sine_of_slope(np.arange(0, 60, 0.1), 18)
     height_mm = np.cumsum((sine / np.sqrt(1 - sine**2))[::-1])[::-1] * 0.01
     assert depth_mm[90, 60] == pytest.approx(-height_mm[0], rel=0.08)

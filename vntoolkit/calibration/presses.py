@@ -68,6 +68,7 @@ _STRENGTHS = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)  # of the ridge, as the 
 _FOLDS = 10
 _SOFT = np.deg2rad(8.0) / 2  # in s, half an angle: pairs with a larger residual count less and less
 _REWEIGHTINGS = 4
+_ERROR_GROUPS = 12  # of held-back pairs, by tilt: some hundreds in each after ten presses
 _REACH_PERCENTILE = 99.5  # of the lengths of m seen
 
 
@@ -327,11 +328,22 @@ def _fit_response(
     # In units of the reach no factor exceeds 1: the higher a term, the more firmly the ridge holds it.
     unit = reach ** -TERM_DEGREES[:, 0].astype(np.float64)
     terms = unit * correction_terms(scaled, (pairs.positions_px - centre) / scale, reach)
-    wanted = stereographic_from_normals(pairs.normals) - first_estimate(scaled)
-    coefficients, held_back = _Ridge(terms, wanted, pairs).choose()
-    coefficients *= unit[:, None]
-    gel = GelResponse(coefficients=coefficients, centre_px=centre, scale_px=scale, reach=reach)
+    first = first_estimate(scaled)
+    wanted = stereographic_from_normals(pairs.normals) - first
+    coefficients, predicted = _Ridge(terms, wanted, pairs).choose()
     touched = pairs.touched
+    errors, held_back = None, float("nan")
+    if predicted is not None:
+        found = normals_from_stereographic(first + predicted)
+        angles = angles_deg(found, pairs.normals)
+        errors, held_back = _errors_by_tilt(found, angles), float(np.median(angles[touched]))
+    gel = GelResponse(
+        coefficients=coefficients * unit[:, None],
+        centre_px=centre,
+        scale_px=scale,
+        reach=reach,
+        errors_deg=errors,
+    )
     normals, rgb = pairs.normals[touched], pairs.rgb[touched]
     found = gel.normals_from_change(rgb, pairs.positions_px[touched], response)
     quality = FitQuality(
@@ -351,7 +363,7 @@ class _Ridge:
     """Robust ridge regression of the correction, and its strength by cross-validation over presses."""
 
     def __init__(self, terms: FloatArray, wanted: Points2, pairs: PressPairs) -> None:
-        self._terms, self._wanted, self._touched = terms, wanted, pairs.touched
+        self._terms, self._wanted = terms, wanted
         numbers, self._presses = np.unique(pairs.presses, return_inverse=True)
         self._folds = min(len(numbers), _FOLDS)
         self._unit = len(terms) / len(numbers)  # pairs of one press
@@ -362,23 +374,25 @@ class _Ridge:
             squared = ((terms @ self._solve(normal, right, middle) - wanted) ** 2).sum(axis=1)
             self._weight = 1.0 / np.sqrt(1.0 + squared / _SOFT**2)
 
-    def choose(self) -> tuple[FloatArray, float]:
-        """The coefficients (111, 2) of the strength that predicts best, and the median angle it leaves."""
+    def choose(self) -> tuple[FloatArray, Points2 | None]:
+        """The coefficients (111, 2) of the strength that predicts best; (n, 2), what it predicts held back.
+
+        A single press predicts none: no correction, and None.
+        """
         if self._folds < 2:
-            return np.zeros((TERMS, 2)), float("nan")
+            return np.zeros((TERMS, 2)), None
         fold = self._presses % self._folds
         parts = [self._equations(fold == k) for k in range(self._folds)]
         normal, right = (np.sum(group, axis=0) for group in zip(*parts, strict=True))
-        residuals = np.empty((len(_STRENGTHS), len(self._terms)))
+        predicted = np.empty((len(_STRENGTHS), len(self._terms), 2))
         for k, (own_normal, own_right) in enumerate(parts):
             out = fold == k
-            for row, strength in zip(residuals, _STRENGTHS, strict=True):
-                predicted = self._terms[out] @ self._solve(normal - own_normal, right - own_right, strength)
-                row[out] = np.linalg.norm(predicted - self._wanted[out], axis=1)
+            for rows, strength in zip(predicted, _STRENGTHS, strict=True):
+                rows[out] = self._terms[out] @ self._solve(normal - own_normal, right - own_right, strength)
+        residuals = np.linalg.norm(predicted - self._wanted, axis=2)
         losses = (np.sqrt(1.0 + (residuals / _SOFT) ** 2) - 1.0).mean(axis=1)
         best = int(np.argmin(losses))
-        held_back = 2.0 * np.rad2deg(float(np.median(residuals[best, self._touched])))
-        return self._solve(normal, right, _STRENGTHS[best]), held_back
+        return self._solve(normal, right, _STRENGTHS[best]), predicted[best]
 
     def _equations(self, chosen: Mask) -> tuple[FloatArray, FloatArray]:
         weighted = self._terms[chosen] * self._weight[chosen, None]
@@ -386,6 +400,17 @@ class _Ridge:
 
     def _solve(self, normal: FloatArray, right: FloatArray, strength: float) -> FloatArray:
         return np.asarray(np.linalg.solve(normal + strength * self._unit * np.eye(TERMS), right))
+
+
+def _errors_by_tilt(found: Points, angles: FloatArray) -> FloatArray:
+    """`GelResponse.errors_deg` of normals (n, 3) that are off by angles (n,), degrees.
+
+    Groups of as many normals each, by their tilt as found, which is what a frame has.
+    """
+    tilts = np.degrees(np.arccos(np.clip(-found[:, 2], -1.0, 1.0)))
+    groups = np.array_split(np.argsort(tilts, kind="stable"), _ERROR_GROUPS)
+    errors = np.array([(np.median(tilts[g]), np.percentile(angles[g], 90)) for g in groups if len(g)])
+    return errors[np.append(True, np.diff(errors[:, 0]) > 0)]
 
 
 def _fit_matrix(pairs: PressPairs, level: Vector3, options: PressOptions) -> LightResponse:

@@ -116,7 +116,7 @@ class FourierSolver:
 
 
 def _workers(pixels: int) -> int:
-    """Threads of a transform of so many pixels; no more than compiled loops may use, so that one limit rules both."""
+    """Threads of a transform; no more than compiled loops may use, so that one limit rules both."""
     return min(_MOST_WORKERS, numba.get_num_threads()) if pixels >= _LEAST_SHARED_PX else 1
 
 

@@ -214,6 +214,7 @@ def _gel_from_entry(entry: GelEntry) -> GelResponse:
         centre_px=np.array(entry.centre_px),
         scale_px=entry.scale_px,
         reach=entry.reach,
+        errors_deg=None if entry.errors_deg is None else np.array(entry.errors_deg),
         rectification=None if view is None else Rectification(**view.model_dump(exclude={"filmed_px"})),
         filmed_px=None if view is None else view.filmed_px,
     )
@@ -229,6 +230,7 @@ def _entry_from_gel(gel: GelResponse) -> GelEntry:
         scale_px=gel.scale_px,
         reach=gel.reach,
         coefficients=[tuple(pair) for pair in gel.coefficients.tolist()],
+        errors_deg=None if gel.errors_deg is None else [tuple(pair) for pair in gel.errors_deg.tolist()],
         rectification=view,
     )
 
@@ -379,6 +381,11 @@ class GelEntry(_Entry):
         description="Two for every product of one to four factors, at least one of them of m (before version "
         "5 one to three). Order: the products of m (m1, m2, m3, m1 m1, m1 m2, …), and for each 1, x, y, x x, "
         "x y, y y, … up to the degree."
+    )
+    errors_deg: list[tuple[FiniteFloat, FiniteFloat]] | None = Field(
+        default=None,
+        description="Tilts of the gel, growing, and the angle that nine of ten normals so tilted stay "
+        "within, on presses held back from the fit, degrees; left out where it is not known.",
     )
     rectification: RectificationEntry | None = Field(
         default=None, description="Left out where the footage shows the gel squarely already."

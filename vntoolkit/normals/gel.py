@@ -7,6 +7,7 @@ fitted robustly to the change of colour, follows the drift and not the touch. It
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ from numba import prange
 
 from vntoolkit.arrays import FloatArray, LinearImage, Mask, read_only
 from vntoolkit.checks import require_mask, require_shape
-from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.geometry.maps import NOISE_CELL_PX, NormalMap
 from vntoolkit.native import njit
 from vntoolkit.normals.inversion import FLAGS
 from vntoolkit.photometry.gel import STEEPEST, GelResponse
@@ -25,6 +26,9 @@ Array = npt.NDArray[Any]
 _VOTES = 1200  # pixels that the drift is fitted to, evenly spread
 _ROUNDS = 6
 _LEAST_NOISE = 0.004  # of full scale: one grey level of 8 bits; smaller residuals are no evidence
+_TILTS = 4096  # steps of the cosine in the table of errors
+_LEAST_FACING = 0.1
+_NINE_OF_TEN = 2.146  # of angles that are normal in two directions, over their standard deviation in one
 _DRIFT_TERMS = 6  # of a quadratic of the place
 
 
@@ -57,6 +61,10 @@ class GelInverter:
 
     def __init__(self, response: LightResponse, gel: GelResponse) -> None:
         centre_u, centre_v = gel.centre_px.tolist()
+        self._errors_deg: npt.NDArray[np.float32] | None = None
+        if gel.errors_deg is not None:
+            tilts = np.degrees(np.arccos(np.arange(_TILTS + 1) / _TILTS))
+            self._errors_deg = np.interp(tilts, *gel.errors_deg.T).astype(np.float32)
         self._model = _Model(
             inverse=response.inverse.astype(np.float32),
             terms=gel.terms.astype(np.float32),
@@ -66,6 +74,16 @@ class GelInverter:
             reach=np.float32(gel.reach),
         )
 
+    def with_expected_error(self, normal_map: NormalMap) -> NormalMap:
+        """The map with the angle that nine of ten normals so tilted stay within; as it is where not known."""
+        if self._errors_deg is None:
+            return normal_map
+        cosine = np.clip(-normal_map.normals_in_camera[..., 2], 0.0, 1.0)
+        error = self._errors_deg[(cosine * _TILTS).astype(np.int32)]
+        cells = tuple(-(-length // NOISE_CELL_PX) for length in normal_map.shape)
+        noise = np.full(cells, _noise_deg(normal_map.normals_in_camera))
+        return replace(normal_map, error_deg=error, noise_deg=noise)
+
     def normals(self, change: LinearImage, drift: FloatArray, mask: Mask) -> NormalMap:
         """Normals of a change of colour (h, w, 3) less a drift; valid within `mask`."""
         normals = np.empty(change.shape, np.float32)
@@ -73,6 +91,22 @@ class GelInverter:
         if not mask.all():
             normals[~mask] = 0.0
         return NormalMap(normals_in_camera=normals, mask=read_only(mask))
+
+
+def _noise_deg(normals: Array) -> float:
+    """The angle that nine of ten normals of noise alone stay within, from the curl of one row in eight.
+
+    A surface's ∂p/∂v − ∂q/∂u is 0. Central differences of white noise make it as large as the noise.
+    """
+    rows = np.arange(1, len(normals) - 1, NOISE_CELL_PX)
+    if not len(rows) or normals.shape[1] < 3:
+        return 0.0
+    x, y, z = np.moveaxis(normals, -1, 0)
+    z = np.minimum(z, -_LEAST_FACING)
+    p = x[rows + 1] / z[rows + 1] - x[rows - 1] / z[rows - 1]
+    q = y[rows] / z[rows]
+    curl = 0.5 * (p[:, 1:-1] - (q[:, 2:] - q[:, :-2]))
+    return _NINE_OF_TEN * float(np.degrees(1.4826 * np.median(np.abs(curl))))
 
 
 class _Model(NamedTuple):

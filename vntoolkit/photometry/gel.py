@@ -57,7 +57,9 @@ class GelResponse:
     coefficients: (111, 2), what every term adds to s; the terms are the products of one to four of m's
     components, m = M⁻¹ d, with x^i y^j, at most four factors in all, in the order of `terms`.
     x = (u − centre_u) / scale, y = (v − centre_v) / scale. reach: length of m up to which the presses
-    determine the terms; a longer m is shortened to it in them. rectification: takes the picture as filmed,
+    determine the terms; a longer m is shortened to it in them. errors_deg: (k, 2), tilts of the gel, growing,
+    and the angle that nine of ten normals so tilted stay within, on presses held back from the fit, degrees;
+    None where it is not known. rectification: takes the picture as filmed,
     of size `filmed_px` (width, height), to the gel; both None where the pictures are of the gel already.
     """
 
@@ -65,6 +67,7 @@ class GelResponse:
     centre_px: FloatArray
     scale_px: float
     reach: float
+    errors_deg: FloatArray | None = None
     rectification: Rectification | None = None
     filmed_px: tuple[int, int] | None = None
 
@@ -74,6 +77,13 @@ class GelResponse:
             require_shape(value, shape, f"gel: {name}", BadRig)
             require_finite(value, f"gel: {name}", BadRig)
             object.__setattr__(self, name, read_only(value))
+        if self.errors_deg is not None:
+            errors = np.array(self.errors_deg, dtype=np.float64)
+            require_shape(errors, (None, 2), "gel: errors", BadRig)
+            require_finite(errors, "gel: errors", BadRig)
+            if not (len(errors) and (np.diff(errors[:, 0]) > 0).all() and (errors >= 0).all()):
+                raise BadRig("gel: expected errors at growing tilts, both 0 or more")
+            object.__setattr__(self, "errors_deg", read_only(errors))
         if (self.rectification is None) != (self.filmed_px is None):
             raise BadRig("gel: expected the rectification and the size as filmed, got one of them")
         if not (0 < self.scale_px < np.inf and 0 < self.reach < np.inf):

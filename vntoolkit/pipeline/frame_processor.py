@@ -197,7 +197,10 @@ class FrameProcessor:
             change, filled = self._dots.filled(linear.rgb, linear.clipped)
             drift = drift_of_change(change, self._mask & ~filled)
             clipped_share = float(np.count_nonzero(linear.clipped)) / linear.clipped.size
-            return self._gel.normals(change, drift, self._mask), None, clipped_share
+            normal_map = self._gel.normals(change, drift, self._mask)
+            if self._tells_errors:
+                normal_map = self._gel.with_expected_error(normal_map)
+            return normal_map, None, clipped_share
         if self._labeller is not None:
             self._mask = self.lit_subject(linear)
             self._materials = self._labeller.labels(self.by_strength(linear), self._mask)
@@ -270,7 +273,7 @@ class FrameProcessor:
         depth_map = self._integrator.integrate(normal_map)
         if self._anchor is not None and self._gel is None:  # a gel rests at 0 in every frame
             depth_map = self._anchor.align(depth_map)
-        if self._tells_errors and normal_map.error_deg is not None:  # a gel's is not known
+        if self._tells_errors and normal_map.error_deg is not None:
             depth_map = with_expected_depth_error(depth_map, normal_map, self.camera)
         if depth_map.unit is LengthUnit.FREE and self._options.distance_m is not None:
             scaled = depth_map.depth * self._options.distance_m

@@ -53,7 +53,7 @@ def _closed(small: LinearImage, window: int) -> LinearImage:
 
 
 def _dots(small: LinearImage) -> tuple[npt.NDArray[np.uint8], float]:
-    """1 at the dots and their rims in a frame that is shrunk, and the median area of a dot; (zeros, 0) if none."""
+    """1 at the dots and their rims in a shrunk frame, and the median area of a dot; 0 where there is none."""
     dark = _darker(small, _closed(small, _window(small.shape)), np.float32(1 - _DARKER))
     if not _FEWEST < dark.mean() < _MOST:
         return np.zeros_like(dark), 0.0
@@ -154,7 +154,7 @@ def _repeat(small, step, mask):  # type: ignore[no-untyped-def]  # pragma: no co
 
 @njit(cache=True)
 def _box_of_darker(change, bright, share):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """First and last row and column (the last ones exclusive) where all channels fell by a share of `bright`."""
+    """First and last row and column, the last exclusive, where all channels fell by a share of `bright`."""
     height, width = change.shape[:2]
     top, bottom, left, right = height, 0, width, 0
     for v in range(height):
@@ -202,7 +202,7 @@ def _find_known_rows(holes, above, below):  # type: ignore[no-untyped-def]  # pr
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def _fill(change, holes, above, below, filled):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Write into the holes of `filled`, from the nearest known pixels of row and column, the shorter gap counting more; 0 without any."""
+    """Fill the holes from what is known nearest in row and column, the shorter gap counting more."""
     height, width = holes.shape
     one, zero = np.float32(1), np.float32(0)
     for row in prange(height):
