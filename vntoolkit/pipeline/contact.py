@@ -12,9 +12,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
+from scipy import ndimage
 
 from vntoolkit.arrays import Mask
 from vntoolkit.geometry.camera import Camera
@@ -108,8 +108,8 @@ def contact_from_depth(depth_map: DepthMap, camera: Camera) -> Contact:
     if bottom > top:
         window = slice(top, bottom), slice(left, right)
         dented = (depth[window] < -_SHALLOWEST_M) & depth_map.mask[window]
-        dents, labels = cv2.connectedComponents(dented.view(np.uint8), connectivity=4)
-        count, deepest = _mark_contacts(depth[window], labels, dents, mask[window])
+        labels, dents = ndimage.label(dented)
+        count, deepest = _mark_contacts(depth[window], labels, dents + 1, mask[window])
     pixel_mm = 1000.0 / float(camera.matrix[0, 0])
     return Contact(mask=mask, area_mm2=float(count) * pixel_mm**2, depth_mm=1000.0 * float(deepest))
 
