@@ -8,7 +8,7 @@ from vntoolkit.diagnosis.checks import findings_from_evidence, findings_from_rig
 from vntoolkit.diagnosis.evidence import evidence_from_frames
 from vntoolkit.diagnosis.finding import FatalFinding, Finding, Level, judge
 from vntoolkit.diagnosis.outline import check_cast_shadows
-from vntoolkit.diagnosis.over_time import check_flicker, findings_from_motion
+from vntoolkit.diagnosis.over_time import check_flicker, findings_from_motion, findings_from_tracks
 from vntoolkit.diagnosis.rig_checks import check_residual
 from vntoolkit.diagnosis.transfer_match import check_transfer_of_samples
 from vntoolkit.diagnosis.zoom import check_stated_focal, check_zoom
@@ -256,3 +256,16 @@ def test_the_judge_stops_at_what_is_fatal_and_not_allowed(caplog):
         judge([finding])
     judge([finding], allowed=("noise",))
     assert finding.text in caplog.text
+
+
+def test_tracks_that_end_or_jump_are_said_and_others_are_not() -> None:
+    numbers = range(10, 16)
+    assert findings_from_tracks([], []) == []
+    assert findings_from_tracks([1, 0.9, 0.8, 0.7, 0.6, 0.55], numbers) == []
+    (faded,) = findings_from_tracks([1, 0.9, 0.7, 0.6, 0.45, 0.3], numbers)
+    assert faded.check == "lost"
+    assert "in 2 of 6 frames, most in 15" in faded.text
+    assert "measured 30% of the vertices" in faded.text
+    (cut,) = findings_from_tracks([1, 0.98, 0.97, 0.01, 0.02, 0.1], numbers)
+    assert cut.check == "jump"
+    assert "at once between frames 12 and 13" in cut.text

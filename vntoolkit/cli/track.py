@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
+from statistics import median
 from typing import Annotated
 
 from vntoolkit.cli.flags import Flags, Footage, Overwrite, verb
@@ -67,6 +68,9 @@ def track(
     held = f", {len(summary.missing)} missing and held" if summary.missing else ""
     resumed = f", {summary.resumed} of them from before" if summary.resumed else ""
     print(f"{summary.folder}: {summary.vertices} vertices, {summary.frames} frames{resumed}{held}")
+    if summary.visible:
+        middle, least = median(summary.visible), min(summary.visible)
+        print(f"reported visible: {middle:.1%} of the vertices, {least:.1%} in the worst frame")
     print(f"{files.video}, {files.sheet.name}")
     made = write_texture(folder, job.target, footage=footage, background=background)
     shown = made.texture.albedo or made.texture.normal

@@ -56,6 +56,7 @@ CHECK_NAMES: dict[str, str] = {
     "jump": "a subject that moves too far between two frames",
     "labels": "labels of presses that do not lie on the dents",
     "lamps": "lamps behind the surface",
+    "lost": "a surface that tracking has lost",
     "mask": "a mask off the subject",
     "noise": "footage of no surface",
     "outline": "a surface turned inside out",

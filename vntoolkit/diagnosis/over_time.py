@@ -59,6 +59,7 @@ _RETURN_SHARE = 0.1  # of the motion
 _LOST = 0.5  # of the subject
 _FOLLOWED = 0.1  # … where less is lost between most frames: ripples all over are lost everywhere
 _LEAST_SUBJECT = 0.005  # of the picture
+_LEAST_VISIBLE = 0.5  # of a tracked surface's vertices; of a head that turns away more stay in view
 
 
 def findings_from_drift(frames: Sequence[LinearFrame]) -> list[Finding]:
@@ -194,6 +195,39 @@ def findings_from_motion(frames: Sequence[LinearFrame], mask: Mask | None = None
             expected=f"less than {_LOST:.0%}",
             remedy="film at a higher frame rate, or reconstruct every frame (--frames without a step) and "
             "track the parts before and after a cut by themselves",
+        )
+    ]
+
+
+def findings_from_tracks(visible: Sequence[float], numbers: Sequence[int]) -> list[Finding]:
+    """Find where tracking lost the surface.
+
+    visible: share of the vertices that are reported visible, for every frame in the order of time. numbers:
+    of these frames.
+    """
+    shares = np.asarray(visible, dtype=np.float64)
+    if not len(shares) or shares.min() >= _LEAST_VISIBLE:
+        return []
+    worst, low = int(np.argmin(shares)), int(np.count_nonzero(shares < _LEAST_VISIBLE))
+    change = np.abs(np.diff(shares))
+    problem = f"tracking lost most of the surface in {low} of {len(shares)} frames, most in {numbers[worst]}"
+    remedy = "look at the checkerboard there, and give a template in the middle of the sequence (--template)"
+    check = "lost"
+    if change.max(initial=0.0) > _LOST:
+        check, where = "jump", int(np.argmax(change))
+        problem += f", at once between frames {numbers[where]} and {numbers[where + 1]}"
+        remedy = (
+            "the surface jumps there: film at a higher frame rate, or track the parts before and after by "
+            "themselves"
+        )
+    return [
+        Finding(
+            check=check,
+            level=Level.WARNING,
+            problem=problem,
+            measured=f"{shares[worst]:.0%} of the vertices reported visible",
+            expected=f"{_LEAST_VISIBLE:.0%} and more",
+            remedy=remedy,
         )
     ]
 

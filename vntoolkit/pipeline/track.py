@@ -13,6 +13,8 @@ import numpy as np
 
 from vntoolkit.arrays import Points2
 from vntoolkit.checks import require_positive
+from vntoolkit.diagnosis.finding import judge
+from vntoolkit.diagnosis.over_time import findings_from_tracks
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.geometry.mesh_sequence import MeshSequence
 from vntoolkit.io.atomic import sole_writer, undisturbed
@@ -59,13 +61,18 @@ class TrackJob:
 
 @dataclass(frozen=True, kw_only=True)
 class TrackSummary:
-    """frames: in the result; resumed: of those, on disk already; missing: numbers of those held still."""
+    """frames: in the result; resumed: of those, on disk already; missing: numbers of those held still.
+
+    visible: of every frame but the missing ones, the share of the vertices whose expected error is at most
+    `lost_px`; empty for a published method, which tells no error.
+    """
 
     folder: Path
     vertices: int
     frames: int
     resumed: int
     missing: tuple[int, ...]
+    visible: tuple[float, ...]
     seconds: float
 
 
@@ -103,6 +110,9 @@ def track(
         write_track_record(target, record)
         resumed = _run(tracker, source, template, target, on_start, on_frame)
     missing = tuple(n for n in source.numbers if not source.has(n))
+    tracked = [n for n in source.numbers if source.has(n)]
+    visible = _visible_shares(job, [source.numbers.index(n) for n in tracked])
+    judge(findings_from_tracks(visible, tracked))
     if missing:
         _LOGGER.warning(
             "%d frames are missing and were held still, the first is %d", len(missing), missing[0]
@@ -113,8 +123,14 @@ def track(
         frames=len(source.numbers),
         resumed=resumed,
         missing=missing,
+        visible=visible,
         seconds=time.perf_counter() - started,
     )
+
+
+def _visible_shares(job: TrackJob, rows: Sequence[int]) -> tuple[float, ...]:
+    told = read_mesh_sequence(job.target).uncertainty_px
+    return () if told is None else tuple(float((told[row] <= job.lost_px).mean()) for row in rows)
 
 
 def _run(
