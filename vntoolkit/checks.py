@@ -121,6 +121,8 @@ def require_same_size(
 
 def require_finite(array: npt.NDArray[Any], name: str, error: type[BadInput] = BadInput) -> None:
     """Raise if `array` holds NaN or infinity."""
+    if sum_is_finite(array):  # a quarter of the time
+        return
     bad = int(np.count_nonzero(~np.isfinite(array)))
     if bad:
         raise error(f"{name}: {bad} of {array.size} values are NaN or infinite")

@@ -90,12 +90,13 @@ class Camera:
 
     def unproject(self, pixels: FloatArray, depth: FloatArray) -> FloatArray:
         """Return the points (..., 3) in the camera frame at pixels (..., 2) and depth (...)."""
-        pixels = np.asarray(pixels, dtype=np.float64)
-        xy = (pixels - self.matrix[:2, 2]) @ np.linalg.inv(self.matrix[:2, :2]).T
+        pixels, inverse = np.asarray(pixels, dtype=np.float64), np.linalg.inv(self.matrix[:2, :2])
+        u, v = pixels[..., 0] - self.matrix[0, 2], pixels[..., 1] - self.matrix[1, 2]
+        x, y = inverse[0, 0] * u + inverse[0, 1] * v, inverse[1, 0] * u + inverse[1, 1] * v
         if self.model is CameraModel.OPENCV:
-            xy = _undistort(xy, self.distortion)
-        depth = np.asarray(depth)[..., None]
-        return np.concatenate([xy * depth if self.is_perspective else xy, depth], axis=-1)
+            x, y = np.moveaxis(_undistort(np.stack([x, y], axis=-1), self.distortion), -1, 0)
+        depth = np.asarray(depth)
+        return np.stack([x * depth, y * depth, depth] if self.is_perspective else [x, y, depth], axis=-1)
 
     def pixel_grid(self) -> FloatArray:
         """Return the (h, w, 2) positions (u, v) of all pixel centres."""

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from numba import prange
 
-from vntoolkit.arrays import Depth, Faces, FloatArray, IntArray, LinearImage, Mask, Points
+from vntoolkit.arrays import Colours, Depth, Faces, IntArray, LinearImage, Mask, Points
 from vntoolkit.checks import checks_kinds, require_same_size, require_some
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.geometry.camera import Camera
@@ -55,16 +57,14 @@ def mesh_from_depth(
     options = options or MeshOptions()
     _require_match(depth_map, camera, rgb, normal_map)
     rows, columns, faces = _grid_of(depth_map, camera, options)
+    pixels = rows * camera.width + columns
     points = _points_at(depth_map, camera, rows, columns)
-    colours = None
-    if rgb is not None:
-        colours = np.clip(rgb[rows, columns], 0.0, 1.0).astype(np.float32, copy=False)
     return Mesh(
         vertices=points,
         faces=faces,
-        normals=_normals_at(normal_map, rows, columns, points, faces),
-        colours=colours,
-        error_deg=_errors_at(normal_map, rows, columns),
+        normals=_normals_at(normal_map, pixels, points, faces),
+        colours=_colours_at(rgb, pixels),
+        error_deg=None if normal_map is None else _values_at(normal_map.error_deg, pixels),
         uv=np.stack([(columns + 0.5) / camera.width, 1.0 - (rows + 0.5) / camera.height], axis=-1),
     )
 
@@ -80,10 +80,11 @@ def point_cloud_from_depth(
     """Return one point a valid pixel, in the camera frame, with normals and colours where given."""
     _require_match(depth_map, camera, rgb, normal_map)
     rows, columns = np.nonzero(depth_map.mask)
+    pixels = rows * camera.width + columns
     return PointCloud(
         points=_points_at(depth_map, camera, rows, columns),
-        normals=None if normal_map is None else normal_map.normals_in_camera[rows, columns],
-        colours=None if rgb is None else np.clip(rgb[rows, columns], 0.0, 1.0).astype(np.float32),
+        normals=None if normal_map is None else _values_at(normal_map.normals_in_camera, pixels),
+        colours=_colours_at(rgb, pixels),
     )
 
 
@@ -132,22 +133,26 @@ def _points_at(depth_map: DepthMap, camera: Camera, rows: IntArray, columns: Int
     return camera.unproject(pixels, depth_map.depth[rows, columns].astype(np.float64))
 
 
-def _normals_at(
-    normal_map: NormalMap | None, rows: IntArray, columns: IntArray, points: Points, faces: Faces
-) -> Points:
+def _normals_at(normal_map: NormalMap | None, pixels: IntArray, points: Points, faces: Faces) -> Points:
     if normal_map is None:
         return vertex_normals(points, faces)
-    normals = normal_map.normals_in_camera[rows, columns]
-    measured = normal_map.mask[rows, columns]
+    normals = _values_at(normal_map.normals_in_camera, pixels)
+    measured = _values_at(normal_map.mask, pixels)
     if measured.all():
         return normals
     return np.where(measured[:, None], normals, vertex_normals(points, faces))
 
 
-def _errors_at(normal_map: NormalMap | None, rows: IntArray, columns: IntArray) -> FloatArray | None:
-    if normal_map is None or normal_map.error_deg is None:
+def _colours_at(rgb: LinearImage | None, pixels: IntArray) -> Colours | None:
+    colours = _values_at(rgb, pixels)
+    return None if colours is None else np.clip(colours, 0.0, 1.0).astype(np.float32, copy=False)
+
+
+def _values_at(image: npt.NDArray[Any] | None, pixels: IntArray) -> Any:
+    """Return the values (n, …) of an image (h, w, …) at pixels by number, row after row; None for None."""
+    if image is None:
         return None
-    return normal_map.error_deg[rows, columns]
+    return image.reshape(-1, *image.shape[2:]).take(pixels, axis=0)  # half the time of [rows, columns]
 
 
 # Compiled loops. A pixel stands for the quad whose upper left corner it is: corners a, b (right), c (below)

@@ -36,14 +36,13 @@ def write_mesh(
     value·255, without a curve. up: the axis that points up in the file; `read_mesh` expects y. material: of
     an OBJ, the name of an .mtl beside it that `write_material` wrote, instead of a texture.
     """
-    flipped = _flip(mesh, up)
     match Path(path).suffix.lower():
         case ".ply":
             if texture is not None or material is not None:
                 raise CannotWrite(f"{path}: a PLY carries no texture; write .obj, or give vertex colours")
-            write_ply(path, _content(flipped), up.meaning)
+            write_ply(path, _content(mesh, up), up.meaning)
         case ".obj":
-            write_obj(path, flipped, texture, up.meaning, material)
+            write_obj(path, _flip(mesh, up), texture, up.meaning, material)
         case suffix:
             raise CannotWrite(f"{path}: a mesh is written as .ply or .obj, not '{suffix}'")
 
@@ -101,11 +100,11 @@ def _flip(mesh: Mesh, up: MeshUpAxis = MeshUpAxis.Y) -> Mesh:
     return replace(mesh, vertices=graphics_from_camera(mesh.vertices, up), normals=normals)
 
 
-def _content(mesh: Mesh) -> PlyContent:
+def _content(mesh: Mesh, up: MeshUpAxis) -> PlyContent:
     return PlyContent(
-        vertices=mesh.vertices,
+        vertices=graphics_from_camera(mesh.vertices, up),
         faces=mesh.faces,
-        normals=mesh.normals,
+        normals=None if mesh.normals is None else graphics_from_camera(mesh.normals, up),
         colours=bytes_from_colours(mesh.colours),
         uv=mesh.uv,
         quality=mesh.error_deg,

@@ -25,6 +25,7 @@ _KINDS = {
 }  # fmt: skip
 _ORDERS = {"ascii": "ascii", "binary_little_endian": "<", "binary_big_endian": ">"}
 _LONGEST_HEADER = 1 << 16
+_BATCH = 1 << 12  # rows
 _MOST_BYTES_OF_A_NUMBER = 32
 _MOST_BYTES_OF_A_LIST = 1 << 12  # a polygon of hundreds of corners
 
@@ -58,23 +59,40 @@ def write_ply(
         columns.append((("quality",), "f4", content.quality[:, None]))
     if content.colours is not None:
         columns.append((("red", "green", "blue"), "u1", content.colours))
-    row = np.dtype([(name, "<" + kind) for names, kind, _ in columns for name in names])
-    vertices = np.empty(len(content.vertices), dtype=row)
+    fields = {name: (kind, values[:, i]) for names, kind, values in columns for i, name in enumerate(names)}
     header = ["ply", "format binary_little_endian 1.0", f"comment {comment}"]
-    header.append(f"element vertex {len(vertices)}")
-    for names, kind, values in columns:
-        for i, name in enumerate(names):
-            vertices[name] = values[:, i]
-            header.append(f"property {'float' if kind == 'f4' else 'uchar'} {name}")
-    body = vertices.tobytes()
+    header.append(f"element vertex {len(content.vertices)}")
+    header += [
+        f"property {'float' if kind == 'f4' else 'uchar'} {name}" for name, (kind, _) in fields.items()
+    ]
+    tables = [fields]
     if content.faces is not None:
-        faces = np.empty(len(content.faces), dtype=[("count", "u1"), ("indices", "<i4", 3)])
-        faces["count"] = 3
-        faces["indices"] = content.faces
-        header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
-        body += faces.tobytes()
+        header += [f"element face {len(content.faces)}", "property list uchar int vertex_indices"]
+        corners = {f"corner {k}": ("i4", content.faces[:, k]) for k in range(3)}
+        tables.append({"count": ("u1", np.broadcast_to(np.uint8(3), len(content.faces))), **corners})
     header.append("end_header\n")
-    write_bytes(path, "\n".join(header).encode("ascii") + body)
+    write_bytes(path, _binary("\n".join(header).encode("ascii"), tables))
+
+
+def _binary(head: bytes, tables: list[dict[str, tuple[str, npt.NDArray[Any]]]]) -> memoryview:
+    """Return a file of `head` and tables, each of columns (n,) by name and kind, row after row.
+
+    Rows are filled in batches that stay in the processor's cache: a column at a time takes twice as long.
+    """
+    kinds = [np.dtype([(name, "<" + kind) for name, (kind, _) in table.items()]) for table in tables]
+    counts = [len(next(iter(table.values()))[1]) for table in tables]
+    sizes = [kind.itemsize * count for kind, count in zip(kinds, counts, strict=True)]
+    content = np.empty(len(head) + sum(sizes), np.uint8)
+    content[: len(head)] = np.frombuffer(head, np.uint8)
+    at = len(head)
+    for table, kind, count, size in zip(tables, kinds, counts, sizes, strict=True):
+        rows = content[at : at + size].view(kind)
+        for first in range(0, count, _BATCH):
+            batch = slice(first, first + _BATCH)
+            for name, (_, values) in table.items():
+                rows[name][batch] = values[batch]
+        at += size
+    return content.data
 
 
 def read_ply(path: Path | str) -> PlyContent:
