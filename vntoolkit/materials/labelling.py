@@ -14,6 +14,7 @@ import numpy as np
 from numba import prange
 
 from vntoolkit.arrays import FloatArray, IntArray, Mask, Points, Vector3
+from vntoolkit.materials.blurred_labels import MARGIN_PX, BlurredLabels
 from vntoolkit.materials.pigment import pigment_of
 from vntoolkit.materials.pixels import INDEPENDENT_PX, LineLabeller, MaterialLabels, Spread, near_seams, relit
 from vntoolkit.materials.reflectance import CAP, Lamps, bias_of_noise, length_and_variance
@@ -35,7 +36,7 @@ _BESIDE = 4  # … and those that near to a seam
 # Share of the pixels of a frame that is decided as a whole: in later frames what costs more is doubtful.
 _DOUBTFUL_SHARE = 0.05
 _WORSE = 2.0  # as many doubtful pixels as then: the labels of the frame before explain too little
-_CARRIED_SWEEPS, _FINE_SWEEPS = 2, 1
+_CARRIED_SWEEPS = 2
 # Two pixels with a seam between them, farther apart than its blur and its labels' errors reach.
 _APART_PX = 6
 _BEFORE, _AFTER = slice(None, -_APART_PX), slice(_APART_PX, None)
@@ -64,12 +65,13 @@ class MaterialLabeller:
         self._before: MaterialLabels | None = None
         self._split: SplitFrame | None = None
         self._coarse: LineLabeller | None = None
-        self._fine: LineLabeller | None = None
+        self._beside_seams: BlurredLabels | None = None
+        self._fine: BlurredLabels | None = None
         self._doubtful = np.inf
 
     def forget(self) -> None:
         """Drop the labels of the frame before, so that a sequence may start anywhere."""
-        self._before = self._split = self._coarse = self._fine = None
+        self._before = self._split = self._coarse = self._beside_seams = self._fine = None
 
     def labels(self, frame: LinearFrame, mask: Mask) -> MaterialLabels:
         """Return (h, w), numbers of the materials; 0 outside the mask. mask: (h, w).
@@ -86,19 +88,19 @@ class MaterialLabeller:
             return np.zeros(mask.shape, np.uint8)
         self._before, self._split = coarse, split
         if split.factor == 1:
-            self._fine = self._coarse
+            self._fine = self._beside_seams
             return np.where(mask, coarse, 0).astype(np.uint8)
         assert self._coarse is not None
-        labels, active = np.zeros(mask.shape, np.uint8), np.zeros(mask.shape, np.bool_)
-        _enlarge(coarse, near_seams(coarse, 1) & split.lit, mask, split.factor, labels, active)
+        labels, near = np.zeros(mask.shape, np.uint8), np.zeros(mask.shape, np.bool_)
+        reach = (MARGIN_PX + split.factor - 1) // split.factor
+        _enlarge(coarse, near_seams(coarse, reach), mask, split.factor, labels, near)
         if self._fine is None:
             lamps = split.lamps._replace(
                 mixing=split.lamps.mixing * split.factor, noise=split.lamps.noise * split.factor
             )
-            self._fine = LineLabeller(lamps, self._logs, self._coarse.spread)
-        return self._fine.decided(
-            np.ascontiguousarray(frame.rgb), mask, labels, active, any_label=~mask, sweeps=_FINE_SWEEPS
-        )
+            self._fine = BlurredLabels(lamps, self._logs, self._coarse.spread)
+        found = self._fine.followed(np.ascontiguousarray(frame.rgb), mask, labels, near)
+        return np.where(mask, found, 0).astype(np.uint8)
 
     def relit(self, frame: LinearFrame, labels: MaterialLabels) -> LinearFrame:
         """Return the frame as it would be with the calibration material everywhere."""
@@ -162,10 +164,12 @@ class MaterialLabeller:
         if doubtful.sum() > _WORSE * _DOUBTFUL_SHARE * split.lit.sum():
             return None
         doubtful |= ~self._split.lit
-        return self._coarse.decided(
+        found = self._coarse.decided(
             split.colours, split.lit, self._before, doubtful | near_seams(self._before, _BESIDE),
             any_label=doubtful, sweeps=_CARRIED_SWEEPS,
         )  # fmt: skip
+        assert self._beside_seams is not None
+        return self._beside_seams.followed(split.colours, split.lit, found, near_seams(found, MARGIN_PX))
 
     def _decided_anew(self, split: SplitFrame) -> MaterialLabels | None:
         """Return labels of blocks, from those of regions; None where no region is lit."""
@@ -185,6 +189,9 @@ class MaterialLabeller:
         doubtful = np.take_along_axis(costs, of_regions[:, None], 1)[:, 0] > _DOUBTFUL
         active = ~regions.plain | doubtful[regions.labels] | near_seams(coarse, _BESIDE)
         found = self._coarse.decided(split.colours, split.lit, coarse, active)
+        if self._beside_seams is None:
+            self._beside_seams = BlurredLabels(split.lamps, self._logs, self._coarse.spread)
+        found = self._beside_seams.settled(split.colours, split.lit, found)
         paid = self._coarse.prices(split.colours, split.lit, found)[split.lit]
         self._doubtful = float(np.quantile(paid, 1.0 - _DOUBTFUL_SHARE)) if paid.size else np.inf
         return found

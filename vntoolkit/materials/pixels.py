@@ -75,7 +75,7 @@ class LineLabeller:
         self._room: tuple[Single, Single, Single] | None = None
         self._variance: float | None = None
         self._tolerance = spread.of_pixels**2 + INDEPENDENT_PX * spread.of_regions**2
-        self.blur_px, self._variance_of_lengths = 0.0, 1.0
+        self.blur_px = 0.0
 
     def decided(
         self, values: FloatArray, lit: Mask, labels: MaterialLabels, active: Mask, *,
@@ -93,12 +93,11 @@ class LineLabeller:
         if self._variance is not None:
             return self._of_least_cost(values, lit, labels, active, allowed, sweeps)
         found = self._of_least_cost(values, lit, labels, active, allowed, _SWEEPS)
-        self.blur_px = _blur_px(values, lit, self._lamps, self._logs, self.spread, found)
-        self._variance_of_lengths = self._spread_of_lengths(values, lit, found)
+        self.blur_px = likeliest_blur_px(values, lit, self._lamps, self._logs, self.spread, found)
         if self.blur_px >= _BLURRED_PX:
             self._reach, self._variance = _REACH_BLURRED, None
             found = self._of_least_cost(values, lit, labels, active, allowed, _SWEEPS)
-            self.blur_px = _blur_px(values, lit, self._lamps, self._logs, self.spread, found)
+            self.blur_px = likeliest_blur_px(values, lit, self._lamps, self._logs, self.spread, found)
         return found
 
     def prices(self, values: FloatArray, lit: Mask, labels: MaterialLabels) -> FloatArray:
@@ -138,19 +137,6 @@ class LineLabeller:
                 break
         return found
 
-    @property
-    def seams(self) -> Seams:
-        """What tells the mixtures beside seams."""
-        return Seams(self.blur_px, self._variance_of_lengths)
-
-    def _spread_of_lengths(self, values: FloatArray, lit: Mask, labels: MaterialLabels) -> float:
-        """Robust variance of the normals' lengths: of noise, texture, gloss, and light between folds."""
-        step = max(1, lit.size // _JUDGED_STEPS)
-        chosen = np.flatnonzero(lit)[::step]
-        s = values.reshape(-1, 3)[chosen] @ self._lamps.split.T
-        normals = (s * np.exp(-self._logs[labels.ravel()[chosen]]) - self._lamps.haze) @ self._lamps.inverse.T
-        return max((1.4826 * float(np.median(np.abs(np.linalg.norm(normals, axis=1) - 1.0)))) ** 2, 1e-6)
-
     def _room_for(self, values: FloatArray) -> tuple[Single, Single, Single]:
         """Return arrays for log s, its variance by noise, and prices; new ones would cost a frame 20 ms."""
         if self._room is None or self._room[0].shape != values.shape:
@@ -186,9 +172,20 @@ def relit(
     out = np.empty(frame.rgb.shape, np.float32)
     _relight(
         np.ascontiguousarray(frame.rgb), labels, matrices.astype(np.float32), values, along, lamps.split,
-        merge, _weights(seams.blur_px), near, lamps.haze, lamps.inverse, lamps.mixing, seams.tolerance, out,
+        merge, blur_weights(seams.blur_px), near, lamps.haze, lamps.inverse, lamps.mixing, seams.tolerance,
+        out,
     )  # fmt: skip
     return LinearFrame(rgb=out, clipped=frame.clipped, number=frame.number)
+
+
+def variance_of_lengths(
+    values: FloatArray, lit: Mask, lamps: Lamps, logs: Points, labels: MaterialLabels
+) -> float:
+    """Robust variance of the normals' lengths: of noise, texture, gloss, and light between folds."""
+    chosen = np.flatnonzero(lit)[:: max(1, lit.size // _JUDGED_STEPS)]
+    s = values.reshape(-1, 3)[chosen] @ lamps.split.T
+    normals = (s * np.exp(-logs[labels.ravel()[chosen]]) - lamps.haze) @ lamps.inverse.T
+    return max((1.4826 * float(np.median(np.abs(np.linalg.norm(normals, axis=1) - 1.0)))) ** 2, 1e-6)
 
 
 def colours_of(reflectances: Points, response: LightResponse) -> FloatArray:
@@ -408,14 +405,14 @@ def _decide_lines(
 # Blur.
 
 
-def _weights(blur_px: float) -> FloatArray:
-    """(n,), weights of a blur over the pixels of a window."""
-    places = np.arange(-_WINDOW, _WINDOW + 1)
+def blur_weights(blur_px: float, reach: int = _WINDOW) -> FloatArray:
+    """(n,), weights of a blur over the pixels of a window, `reach` to either side."""
+    places = np.arange(-reach, reach + 1)
     found = np.exp(-0.5 * (places / max(blur_px, 1e-3)) ** 2)
     return np.asarray(found / found.sum())
 
 
-def _blur_px(
+def likeliest_blur_px(
     values: FloatArray, lit: Mask, lamps: Lamps, logs: Points, spread: Spread, labels: MaterialLabels
 ) -> float:
     """The standard deviation of the blur under which normals beside seams are most nearly of unit length."""
@@ -428,7 +425,16 @@ def _blur_px(
     s = values[v, u] @ lamps.split.T
     costs = [
         _cost_of_blur(
-            v, u, s, labels, np.exp(logs), _weights(blur), lamps.haze, lamps.inverse, lamps.mixing, tolerance
+            v,
+            u,
+            s,
+            labels,
+            np.exp(logs),
+            blur_weights(blur),
+            lamps.haze,
+            lamps.inverse,
+            lamps.mixing,
+            tolerance,
         )
         for blur in _BLURS_PX
     ]
