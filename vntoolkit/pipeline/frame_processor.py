@@ -26,7 +26,7 @@ from vntoolkit.normals.expected_error import normals_and_errors_from_encoded, wi
 from vntoolkit.normals.gel import GelInverter, drift_of_change
 from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
-from vntoolkit.photometry.lambertian import Leveller
+from vntoolkit.photometry.lambertian import leveller_of
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
 from vntoolkit.pipeline.contact import Contact, contact_from_depth, rested
@@ -106,7 +106,7 @@ class FrameProcessor:
         self._residual_deg = rig.quality.residual_deg if rig.quality is not None and fitted else 0.0
         self._leveller = None
         if rig.response.variation is not None:
-            self._leveller = Leveller(rig.response, shape)
+            self._leveller = leveller_of(rig.response, shape)
         self._detector = ShadowDetector(self._central, options.shadows, self.camera)
         self._reflectances = np.array(reflectances, dtype=np.float64).reshape(-1, 3)
         self._materials: MaterialLabels | None = None

@@ -42,7 +42,7 @@ from vntoolkit.io.results.manifest import (
 from vntoolkit.io.rigs import entry_from_rig
 from vntoolkit.materials.labelling import MaterialLabeller
 from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.photometry.lambertian import Leveller
+from vntoolkit.photometry.lambertian import leveller_of
 from vntoolkit.pipeline.block_work import Block, BlockWorker, ReconstructionJob
 from vntoolkit.pipeline.cluster import require_scheduler, run_blocks_on_cluster
 from vntoolkit.pipeline.measured_materials import measured_materials, seeks_materials
@@ -274,7 +274,7 @@ def _in_one_material(
     def judged(frame: LinearFrame) -> LinearFrame:
         level = frame
         if response.variation is not None:
-            level = Leveller(response, frame.shape).frame_by_strength(frame)
+            level = leveller_of(response, frame.shape).frame_by_strength(frame)
         labeller.forget()
         inside = np.ones(frame.shape, np.bool_) if mask is None else mask
         labels = labeller.labels(level, inside)

@@ -35,16 +35,19 @@ def compare_with_truth(result: OpenedResult, simulated: Path) -> Iterator[FrameC
     Raises `BadInput` where that folder holds no truth for a frame.
     """
     for number in result.numbers:
-        measured = result.normals(number)
-        assert measured is not None, "a result lists the frames that have normals"
-        depth = result.depth(number)
-        yield FrameComparison(
-            number=number,
-            normals=compare_normals(measured, true_normals(simulated, number)),
-            depth=None
-            if depth is None
-            else compare_depths(depth, true_depth(simulated, number), result.camera),
-        )
+        yield compare_frame_with_truth(result, simulated, number)
+
+
+def compare_frame_with_truth(result: OpenedResult, simulated: Path, number: int) -> FrameComparison:
+    """Compare one frame of a result with the truth, as `compare_with_truth` does all of them."""
+    measured = result.normals(number)
+    assert measured is not None, "a result lists the frames that have normals"
+    depth = result.depth(number)
+    return FrameComparison(
+        number=number,
+        normals=compare_normals(measured, true_normals(simulated, number)),
+        depth=None if depth is None else compare_depths(depth, true_depth(simulated, number), result.camera),
+    )
 
 
 def true_normals(simulated: Path, number: int) -> NormalMap:
