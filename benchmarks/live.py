@@ -1,6 +1,7 @@
 """Live mode on a 1280×720 file played at 30 frames a second: frames dropped and latency, viewer open.
 
 python -m benchmarks.live [--size 1280x720] [--seconds 15] [--codec ffv1] [--browser] [--out F.json]   # 1 min
+python -m benchmarks.live --rate 10 --shadows robust      # each light is missing over two discs that travel
 
 Latency counts from the moment a frame is due to its result, and to its having been drawn by the page.
 --browser opens the page in headless Chromium, which renders it on the same cores; it has drawn for three
@@ -21,15 +22,16 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.pipeline import footage, rig_of, write_h264
+from benchmarks.pipeline import footage, rig_of, with_shadows, write_h264
 from vntoolkit.io.footage.captures import open_capture
+from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.footage.video import write_video
 from vntoolkit.live.capture import FileSource, LatencyMeter, LiveRun, TimedFrame
 from vntoolkit.live.frames import LiveProcessor, LiveResult
 from vntoolkit.live.page import LiveViewer
 from vntoolkit.report.local_server import ViewerOptions
+from vntoolkit.shadows.detector import ShadowMethod
 
-_RATE_HZ = 30.0
 _LEAD_IN_S = 3.0  # a page that draws its first surface takes both cores for a moment, and is not what counts
 
 
@@ -62,22 +64,35 @@ def processor_s() -> dict[str, float]:
     return spent
 
 
-def written(path: Path, codec: str, width: int, height: int, seconds: float) -> Path:
+def written(
+    path: Path, codec: str, width: int, height: int, seconds: float, rate_hz: int, shadows: ShadowMethod
+) -> Path:
     """Write footage of this length; return its file."""
-    frames = footage(width, height, round(seconds * _RATE_HZ))
+    frames = footage(width, height, round(seconds * rate_hz))
+    if shadows is not ShadowMethod.NONE:
+        encoded = (EncodedFrame(values=f, bits=8, number=i, name="") for i, f in enumerate(frames))
+        frames = (frame.values for frame in with_shadows(list(encoded)))
     if codec == "h264":
-        write_h264(path.with_suffix(".mp4"), frames, width, height, round(_RATE_HZ))
+        write_h264(path.with_suffix(".mp4"), frames, width, height, rate_hz)
         return path.with_suffix(".mp4")
-    write_video(path.with_suffix(".mkv"), frames, _RATE_HZ)
+    write_video(path.with_suffix(".mkv"), frames, rate_hz)
     return path.with_suffix(".mkv")
 
 
-def measure(width: int, height: int, seconds: float, codec: str, browser: bool) -> dict[str, object]:
+def measure(
+    width: int,
+    height: int,
+    seconds: float,
+    codec: str,
+    browser: bool,
+    rate_hz: int = 30,
+    shadows: ShadowMethod = ShadowMethod.NONE,
+) -> dict[str, object]:
     processed = LatencyMeter()
     with tempfile.TemporaryDirectory() as folder:
-        lead_in = written(Path(folder) / "lead_in", codec, width, height, _LEAD_IN_S)
-        path = written(Path(folder) / "live", codec, width, height, seconds)
-        processor = LiveProcessor(rig_of(width, height))
+        lead_in = written(Path(folder) / "lead_in", codec, width, height, _LEAD_IN_S, rate_hz, shadows)
+        path = written(Path(folder) / "live", codec, width, height, seconds, rate_hz, shadows)
+        processor = LiveProcessor(rig_of(width, height), shadows=shadows)
         processor.warm_up(next(open_capture(path).encoded_frames()))
 
         def on_result(result: LiveResult, timed: TimedFrame) -> None:
@@ -123,11 +138,17 @@ def main() -> None:
     parser.add_argument(
         "--codec", choices=("h264", "ffv1"), default="h264", help="as cameras write, or lossless"
     )
+    parser.add_argument("--rate", type=int, default=30, help="frames a second")
+    parser.add_argument("--shadows", choices=[method.value for method in ShadowMethod], default="none")
     parser.add_argument("--browser", action="store_true")
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
     width, height = map(int, arguments.size.split("x"))
-    text = json.dumps(measure(width, height, arguments.seconds, arguments.codec, arguments.browser), indent=2)
+    found = measure(
+        width, height, arguments.seconds, arguments.codec, arguments.browser, arguments.rate,
+        ShadowMethod(arguments.shadows),
+    )  # fmt: skip
+    text = json.dumps(found, indent=2)
     print(text)
     if arguments.out is not None:
         arguments.out.write_text(text + "\n")

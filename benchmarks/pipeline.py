@@ -98,7 +98,7 @@ def with_shadows(frames: list[EncodedFrame]) -> list[EncodedFrame]:
         values = frame.values.copy()
         for k in range(3):
             for side in range(2):
-                x, y = 0.3 + 0.4 * k + 0.01 * number, 0.3 + 0.35 * side + 0.05 * k
+                x, y = 0.3 + 0.4 * k + 0.01 * (number % _DISTINCT), 0.3 + 0.35 * side + 0.05 * k
                 values[..., k][(u - x) ** 2 + (v - y) ** 2 < 0.108**2] //= 32
         out.append(replace(frame, values=values))
     return out

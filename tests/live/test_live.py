@@ -30,6 +30,9 @@ from vntoolkit.live.frames import (
 )
 from vntoolkit.photometry.lambertian import rgb_from_normals
 from vntoolkit.photometry.rig import Rig
+from vntoolkit.pipeline.frame_processor import FrameProcessor
+from vntoolkit.pipeline.options import MaterialSearch, Product, ReconstructOptions
+from vntoolkit.shadows.detector import ShadowMethod
 
 
 def dome_picture(background: float = 0.0) -> np.ndarray:
@@ -59,6 +62,19 @@ class Source:
             yield TimedFrame(frame=frame, arrived_s=time.perf_counter())
         if self._gate is not None:
             self._gate.set()
+
+
+def test_shadows_are_found_live_as_in_a_run() -> None:
+    values = dome_picture()
+    values[18:30, 24:32, 2] //= 16  # the blue lamp is missing
+    options = ReconstructOptions(
+        to=Product.NORMALS, shadows=ShadowMethod.ROBUST, materials=MaterialSearch.CALIBRATED
+    )
+    expected = FrameProcessor(dome_rig(), options, tells_errors=False).process(encoded(values)).normal_map
+    found = LiveProcessor(dome_rig(), shadows=ShadowMethod.ROBUST).process(encoded(values)).normal_map
+    np.testing.assert_array_equal(found.normals_in_camera, expected.normals_in_camera)
+    plain = LiveProcessor(dome_rig()).process(encoded(values)).normal_map
+    assert np.abs(plain.normals_in_camera - expected.normals_in_camera).max() > 0.1
 
 
 def test_a_file_plays_at_its_own_speed(tmp_path: Path) -> None:

@@ -46,6 +46,7 @@ from vntoolkit.live.frames import FrameView, LiveProcessor, LiveResult
 from vntoolkit.live.page import LiveViewer
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.report.local_server import ViewerOptions
+from vntoolkit.shadows.detector import ShadowMethod
 
 _GREY = 128
 _LATE_FRAMES = 1.5  # intervals between frames; a result that took longer is late
@@ -68,6 +69,7 @@ def live(
     corners: Corners = None,
     size_mm: SizeMm = None,
     pixel_mm: float | None = None,
+    shadows: ShadowMethod = ShadowMethod.NONE,
     record_to: Path = Path(),
     seconds: float | None = None,
     allow: Allow = (),
@@ -105,6 +107,8 @@ def live(
         Width and height of the rectangle between these corners in millimetres. Default: those of the rig.
     pixel_mm
         Side of a pixel of the rectified picture in millimetres; a gel's rig knows it.
+    shadows
+        How self-shadows are found, as in `reconstruct`; robust takes about 0.1 s a frame of 1280×720.
     record_to
         The folder for recordings.
     seconds
@@ -129,6 +133,7 @@ def live(
         mask=None if mask is None else read_mask(mask),
         background=None if background is None else next(open_capture(background).encoded_frames()),
         key=MatteOptions(key=key).key,
+        shadows=shadows,
     )
     processor.warm_up(_first_frame(source, video))
     recorder = LiveRecorder(record_to, source.frame_rate_hz)

@@ -91,12 +91,14 @@ class LiveProcessor:
         *,
         key: float | None = None,
         depth_px: int = 320,
+        shadows: ShadowMethod = ShadowMethod.NONE,
     ) -> None:
         """background: the scene under ambient light, or the untouched gel, as the camera sees it.
 
         key: as in `MatteOptions`; the background is then a clean plate and is not subtracted. depth_px:
         longest side at which normals are integrated; they themselves keep their full size. The masked
-        integration of a whole frame would take longer than a frame lasts.
+        integration of a whole frame would take longer than a frame lasts. shadows: how they are found; a gel
+        throws none.
         """
         self.rig, self.view = rig, view or FrameView()
         self._background: LinearImage | None = None
@@ -105,7 +107,7 @@ class LiveProcessor:
             require_shape(self._background, (*rig.footage_size[::-1], 3), "background")
         reconstruction = ReconstructOptions(
             to=Product.NORMALS,
-            shadows=ShadowMethod.NONE,
+            shadows=shadows,
             materials=MaterialSearch.CALIBRATED,
         )
         read = rig if self.view.rectification is None else _of_linear_values(rig)
