@@ -16,6 +16,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from importlib.metadata import PackageNotFoundError, version
+from types import ModuleType
 from typing import Any
 
 from vntoolkit.errors import MissingDependency, VntError
@@ -85,8 +86,42 @@ def open3d_distribution() -> tuple[str, str]:
 
 
 def import_open3d() -> Any:
-    """Import open3d, or raise `MissingDependency` with the line that installs what it lacks."""
-    return _import("open3d", OPEN3D_LIBRARIES)
+    """Import open3d, or raise `MissingDependency` with the line that installs what it lacks.
+
+    Its plots, which import a web server, come when they are first called: that is half of the time.
+    """
+    if "open3d" in sys.modules:
+        return _import("open3d", OPEN3D_LIBRARIES)
+    with _put_off("open3d.visualization", "draw_plotly"):
+        return _import("open3d", OPEN3D_LIBRARIES)
+
+
+@contextlib.contextmanager
+def _put_off(package: str, module: str) -> Iterator[None]:
+    """Import a package without one of its modules, whose functions import it when they are called."""
+    name, functions = f"{package}.{module}", []
+
+    def function(called: str) -> Callable[..., Any]:
+        if called.startswith("__"):
+            raise AttributeError(called)
+        functions.append(called)
+
+        def call(*given: Any, **named: Any) -> Any:
+            found = importlib.import_module(name)
+            for each in functions:  # importing puts the module itself where a function of its name was
+                setattr(sys.modules[package], each, getattr(found, each))
+            return getattr(found, called)(*given, **named)
+
+        return call
+
+    stand_in = ModuleType(name)
+    stand_in.__getattr__ = function  # type: ignore[method-assign]
+    sys.modules[name] = stand_in
+    try:
+        yield
+    finally:
+        if sys.modules.get(name) is stand_in:
+            del sys.modules[name]
 
 
 def import_pymeshlab() -> Any:
