@@ -259,13 +259,13 @@ def test_the_judge_stops_at_what_is_fatal_and_not_allowed(caplog):
 
 
 def test_tracks_that_end_or_jump_are_said_and_others_are_not() -> None:
-    numbers = range(10, 16)
-    assert findings_from_tracks([], []) == []
-    assert findings_from_tracks([1, 0.9, 0.8, 0.7, 0.6, 0.55], numbers) == []
-    (faded,) = findings_from_tracks([1, 0.9, 0.7, 0.6, 0.45, 0.3], numbers)
+    numbers, errors = range(10, 16), [0.0, 0.3, 0.3, 1.0, 2.0, 6.0]
+    assert findings_from_tracks([], [], []) == []
+    assert findings_from_tracks([1, 0.9, 0.8, 0.7, 0.6, 0.55], errors, numbers) == []
+    (faded,) = findings_from_tracks([1, 0.9, 0.7, 0.6, 0.45, 0.3], errors, numbers)
     assert faded.check == "lost"
     assert "in 2 of 6 frames, most in 15" in faded.text
     assert "measured 30% of the vertices" in faded.text
-    (cut,) = findings_from_tracks([1, 0.98, 0.97, 0.01, 0.02, 0.1], numbers)
+    (cut,) = findings_from_tracks([1, 0.98, 0.97, 0.01, 0.02, 0.1], [0, 0.3, 0.3, 14, 12, 8], numbers)
     assert cut.check == "jump"
     assert "at once between frames 12 and 13" in cut.text

@@ -111,8 +111,8 @@ def track(
         resumed = _run(tracker, source, template, target, on_start, on_frame)
     missing = tuple(n for n in source.numbers if not source.has(n))
     tracked = [n for n in source.numbers if source.has(n)]
-    visible = _visible_shares(job, [source.numbers.index(n) for n in tracked])
-    judge(findings_from_tracks(visible, tracked))
+    visible, error_px = _visible_shares(job, [source.numbers.index(n) for n in tracked])
+    judge(findings_from_tracks(visible, error_px, tracked if visible else ()))
     if missing:
         _LOGGER.warning(
             "%d frames are missing and were held still, the first is %d", len(missing), missing[0]
@@ -128,9 +128,13 @@ def track(
     )
 
 
-def _visible_shares(job: TrackJob, rows: Sequence[int]) -> tuple[float, ...]:
+def _visible_shares(job: TrackJob, rows: Sequence[int]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Of these rows, the share of the vertices that are reported visible, and the median expected error."""
     told = read_mesh_sequence(job.target).uncertainty_px
-    return () if told is None else tuple(float((told[row] <= job.lost_px).mean()) for row in rows)
+    if told is None:
+        return (), ()
+    shares = tuple(float((told[row] <= job.lost_px).mean()) for row in rows)
+    return shares, tuple(float(np.median(told[row])) for row in rows)
 
 
 def _run(
