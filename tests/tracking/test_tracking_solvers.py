@@ -148,7 +148,7 @@ def test_expected_errors_are_the_covariance_of_the_problem_where_measurements_de
     system = LatticeSystem(lengths.links, lattice.count)
     none = np.zeros((len(weight), 2, 3))
     solution = system.solve(information, np.zeros((lattice.count, 2)), weight, steps, none, 1.0)
-    square = errors.square(solution, [], information, weight**-0.5, none)
+    square = errors.square(solution, [], information, weight**-0.5, none, np.zeros(lattice.count))
     expected = np.trace(np.linalg.inv([[4.0, 1.0], [1.0, 2.0]]))
     assert square.mean() == pytest.approx(expected, rel=0.1)  # of some 100 nodes with 16 samples each
 
@@ -169,9 +169,33 @@ def test_less_strain_than_given_is_expected_where_less_is_left(template) -> None
     for misfit in (0.0, 20.0):
         pull = np.column_stack([held * np.where(column == column.max(), misfit, 0.0), 0 * held])
         solution = system.solve(information, pull, weight, steps, none, 1.0)
-        told.append(errors.square(solution, [], information, weight**-0.5, none))
+        told.append(errors.square(solution, [], information, weight**-0.5, none, np.zeros(lattice.count)))
     between = held == 0
     assert told[0][between].mean() < 0.3 * told[1][between].mean()
+
+
+def test_where_relief_does_not_match_strain_counts_as_given_though_less_is_left_elsewhere(template) -> None:
+    video = WrinkledVideo(width=34, height=26)
+    slopes = slopes_from_normals(video.maps(0)[0], video.camera)
+    lattice = lattice_on_template(template, 3)
+    lengths = LinkLengths(lattice, template, video.camera, slopes)
+    errors = FitErrors(lattice, TemplateRegistration(template, lattice, slopes), lengths)
+    column = lattice.cells[:, 0]
+    held = np.where((column == column.min()) | (column == column.max()), 100.0, 0.0)
+    information = np.column_stack([held, 0 * held, held])
+    weight, steps = np.ones(len(lengths.links)), np.zeros((len(lengths.links), 2))
+    none = np.zeros((len(weight), 2, 3))
+    solution = LatticeSystem(lengths.links, lattice.count).solve(
+        information, np.zeros((lattice.count, 2)), weight, steps, none, 1.0
+    )
+    upper = lattice.cells[:, 1] < np.median(lattice.cells[:, 1])
+    all_match, upper_does_not = (
+        errors.square(solution, [], information, weight**-0.5, none, mismatched)
+        for mismatched in (np.zeros(lattice.count), upper.astype(float))
+    )
+    between = held == 0
+    assert upper_does_not[upper & between].mean() > 4 * all_match[upper & between].mean()
+    np.testing.assert_array_equal(upper_does_not[~upper], all_match[~upper])
 
 
 def test_half_of_a_wave_passes_at_the_stated_wavelength() -> None:

@@ -4,6 +4,8 @@ Windows overlap, and strain goes on from link to link: errors of neighbours are 
 as white noise, smoothed as far as it reaches. How large the strain is that nothing foresees is read from what
 the solution leaves of it (a variance component, `foerstner1979`): as much as drawn strain leaves, if it is as
 large as given. Only the part that varies slowly over the figure is compared: that part adds up to errors.
+Where relief that should match does not, the surface has departed from what is foreseen, and nothing that
+matches elsewhere tells how far: strain counts there as given, and more.
 
 A share of the strain varies as slowly as the figure is large. It adds up farthest, along borders that
 nothing holds most of all, and leaves next to nothing that could be compared: it counts as given.
@@ -24,6 +26,7 @@ _SAMPLES = 16
 _DEGREE = 2  # of the polynomials in place that vary slowly
 _PRIOR = 0.1  # share of the given strain in what is found
 _SLOW_SHARE = 0.05  # of its variance that varies slowly
+_MISMATCHED = 1.5  # strain over the given one where relief does not match: it has moved farther than usual
 
 
 class FitErrors:
@@ -63,11 +66,13 @@ class FitErrors:
         outline: FloatArray,
         sd: FloatArray,
         uniform: FloatArray,
+        mismatched: FloatArray,
     ) -> npt.NDArray[np.float64]:
         """Return (nodes,) the expected squared error, px².
 
         windows: in pixels of the frame, as the information (nodes, 3) of the outline. sd: (links,) standard
-        deviation of the steps. uniform: (links, 2, 3) as solved with.
+        deviation of the steps. uniform: (links, 2, 3) as solved with. mismatched: (nodes,) from 0 to 1, how
+        far relief that should match does not.
         """
         measured = np.einsum("nij,njk->nik", cholesky(outline), self._outline)
         for each, drawn in zip(windows, self._windows, strict=False):
@@ -85,7 +90,8 @@ class FitErrors:
         usual = np.square(self._compared @ foreseen.reshape(len(sd), 2 * _SAMPLES)).sum() / _SAMPLES
         found = np.square(self._compared @ (solution.left / sd[:, None])).sum()
         factor = np.sqrt(_PRIOR + (1.0 - _PRIOR) * (found / usual if usual > 0 else 1.0))
-        drawn = np.square(by_measurement + factor * by_local).sum(axis=1).mean(axis=1)
+        strain = factor + mismatched * np.maximum(_MISMATCHED - factor, 0.0)
+        drawn = np.square(by_measurement + strain[:, None, None] * by_local).sum(axis=1).mean(axis=1)
         return np.asarray(drawn + np.square(by_given).sum(axis=(1, 2)))
 
 

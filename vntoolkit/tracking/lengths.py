@@ -28,8 +28,6 @@ STRAIN_PASSES = 4  # of lattice smoothing: strain that is not foreseen goes on o
 LINKS_ALIKE = NODES_BY_PASS  # a link and its neighbours err together: in a fit, so many tell one thing
 _CONTOUR_STRAIN = 1.0  # across an occluding contour: how much is hidden there is not known
 _CONTOUR_STEEPNESS = 3.0  # squared slope, 60°, by which a surface recedes, and then no longer: a contour
-_STEEP_STRAIN = 0.25  # where a surface turns out of sight: more may lie between two nodes than is seen …
-_STEEPEST = 20.0  # … in full from this squared slope on, 77°
 STRAIN = 0.07  # standard deviation of stretch, where none is measured: cloth has 0.03 to 0.1, skin up to 0.3
 _BODY_STRAIN = 0.3  # the same, of a surface taken for one body: a face that talks, a cloth that swings
 _PRIOR_LINKS = 0.2  # measured links nearby that the two count for
@@ -85,9 +83,7 @@ class LinkLengths:
     ) -> tuple[npt.NDArray[np.float64], ...]:
         """Return (links, 2) the steps from node to node, and (links,) their variance by direction, px².
 
-        The third: (links,) the share of the variance that an occluding contour between the two adds. The
-        fourth: (links,) what the variance of a steep surface may exceed it by; the best guess is still that
-        it hangs together.
+        The third: (links,) the share of the variance that an occluding contour between the two adds.
 
         around: (nodes, 4) Jacobians of positions (n, 2). hidden: (nodes,) share that is not seen. measured:
         (nodes,) from 0 to 1, how far a node's place is known.
@@ -117,9 +113,7 @@ class LinkLengths:
         variance = square * np.minimum(*variances)
         likely = np.minimum((contour + self._contour) / _CONTOUR_STEEPNESS, 1.0)
         slip = square * (_CONTOUR_STRAIN * likely) ** 2
-        steep = np.minimum(np.maximum(steepness[a], steepness[b]) / _STEEPEST, 1.0)
-        unseen = square * (_STEEP_STRAIN * steep) ** 2
-        return mean, variance + slip, slip / (variance + slip), unseen
+        return mean, variance + slip, slip / (variance + slip)
 
     def between(self, left: FloatArray, torn: FloatArray) -> npt.NDArray[np.float64]:
         """Return (nodes,) the squared error of vertices between nodes that come apart, px².

@@ -38,7 +38,8 @@ _ERROR_PASSES = 1  # of lattice smoothing of the samples' variance
 _LOST_MATCH = 0.5  # share of the expected match under which another start is tried
 _BETTER_MATCH = 0.1  # by which that must match better
 _HIDDEN = 0.25  # share hidden from which a depth is not that of the pixel that a vertex lies in
-_TELLING = (0.2, 0.5)  # expected match from which a mismatch begins to tell that the surface is hidden
+_TELLING = (0.2, 0.5)  # expected match from which a mismatch begins to tell that the surface is hidden …
+_WARNING = (0.1, 0.3)  # … or that it is not known where it is: a vertex too many in doubt does less harm
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -106,15 +107,13 @@ class SurfaceFit:
             if number > 0:
                 around = self._jacobians.of(positions)
                 told = self._registration.measure(positions, around, relief)
-            hidden = self._hidden(told)
+            hidden = self._mismatched(told, _TELLING)
             inverse = _inverse(around)
             information = _congruent(told.information, inverse)
             pull = np.einsum("nji,nj->ni", inverse, told.pull)
             outline, outline_pull = self._outline.measure(positions, inverse, figure)
             measured = np.minimum(1.0, information[:, 0] + information[:, 2])
-            guess, variance, torn, unseen = lengths.guessed(
-                positions, around, slopes, depth_map, hidden, measured
-            )
+            guess, variance, torn = lengths.guessed(positions, around, slopes, depth_map, hidden, measured)
             now = lengths.nodes(positions)
             steps = guess - (now[lengths.links[:, 1]] - now[lengths.links[:, 0]])
             variance = variance + np.sum(steps**2, axis=1) / (LINKS_ALIKE * _TORN_SIGMAS**2)
@@ -128,7 +127,9 @@ class SurfaceFit:
             if np.mean(np.maximum(*np.abs(step.T)) < enough) > _MOST:
                 break
         windows = _in_frame(told.windows, inverse)
-        square = self._errors.square(solution, windows, outline, np.sqrt(variance + unseen), modes)
+        square = self._errors.square(
+            solution, windows, outline, np.sqrt(variance), modes, self._mismatched(told, _WARNING)
+        )
         square = square + lengths.between(solution.left, torn)
         return FittedFrame(
             positions_px=positions,
@@ -184,12 +185,12 @@ class SurfaceFit:
             better, there
         )
 
-    def _hidden(self, told: Measurement) -> npt.NDArray[np.float64]:
+    def _mismatched(self, told: Measurement, telling: tuple[float, float]) -> npt.NDArray[np.float64]:
         """(nodes,) from 0 to 1: relief that should match and does not."""
-        low, high = _TELLING
-        telling = np.clip((told.expected - low) / (high - low), 0.0, 1.0)
+        low, high = telling
+        counted = np.clip((told.expected - low) / (high - low), 0.0, 1.0)
         missing = np.clip(1.0 - told.match / (_LOST_MATCH * np.maximum(told.expected, low)), 0.0, 1.0)
-        sums = self._lattice.smoothed(np.column_stack([telling * missing, np.ones(len(missing))]), 1)
+        sums = self._lattice.smoothed(np.column_stack([counted * missing, np.ones(len(missing))]), 1)
         return np.asarray(sums[:, 0] / sums[:, 1])
 
     def _depth(self, positions: Points2, depth_map: DepthMap, hidden: FloatArray) -> npt.NDArray[np.float64]:
