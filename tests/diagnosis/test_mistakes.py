@@ -59,6 +59,16 @@ def _findings(light, matrix, read=None, mask=None, calibrated=None):
     return [*findings_from_rig(rig), *findings_from_evidence(evidence)]
 
 
+@pytest.mark.parametrize("seed", [0, 2, 3, 5])
+def test_stripes_of_paint_are_no_slopes_and_hide_no_mirrored_axis(seed):
+    light, inside, response = _shot(seed)
+    v, u = np.mgrid[:H, :W]
+    striped = np.where(((u + v) // 14 % 2 == 0)[..., None], light * [0.3, 0.4, 0.8], light)
+    assert _findings(striped, response.matrix, mask=inside) == []
+    mirrored = _findings(striped, response.matrix @ np.diag([-1, 1, 1]), mask=inside)
+    assert any("axis mirrored" in finding.text for finding in mirrored)
+
+
 def _turned(degrees):
     c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
     return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])

@@ -25,6 +25,7 @@ from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
 from vntoolkit.diagnosis.outline import outline
 
 _BLUR_PX = 1.5  # of averaged pixels: calms noise before differences are taken
+_LEAST_LIGHT = 1e-3
 _STEEPEST = 0.15  # least cosine between normal and viewing ray
 _FEWEST_PIXELS = 400
 _EXPECTED = "0.5 to 1 on a surface"
@@ -35,6 +36,8 @@ _LOG_FACTOR = 0.4
 _CERTAIN = 0.75  # an agreement above it that no mirror image comes near needs no relatives tried
 _FATAL_GAIN = 0.2  # of agreement
 _NOTED_TURN_DEG = 12.0  # photographs with lamps measured on a chrome ball show up to 7
+# A step of log colour over four averaged pixels that is of paint, not of shape: beside it slopes tell nothing.
+_PAINT_STEP, _PAINT_REACH_PX, _BESIDE_PX = 0.5, 2, 1
 _LAG_PX = 4
 _LEAST_COHERENCE = 0.25
 _FLATTEST_DEG = 2.5
@@ -184,9 +187,10 @@ class _Sums:
         frames: slice = slice(None),
     ) -> _Sums:
         total = np.zeros((int(evidence.blocks.max()) + 1, 10))
-        for light, used in zip(evidence.light[frames], evidence.surface[frames], strict=True):
+        seams = _seams_of_paint(evidence)[frames]
+        for light, used, seam in zip(evidence.light[frames], evidence.surface[frames], seams, strict=True):
             if used.any():
-                total += _block_sums(evidence, scaled_normals(evidence, light, mix, inverse), used)
+                total += _block_sums(evidence, scaled_normals(evidence, light, mix, inverse), used, seam)
         return cls(blocks=total[total[:, 7] > 0])
 
     @property
@@ -205,7 +209,26 @@ class _Sums:
         return float(total[6] / total[7]) if total[7] else 1.0
 
 
-def _block_sums(evidence: Evidence, scaled: Single, used: npt.NDArray[np.bool_]) -> FloatArray:
+@lru_cache(maxsize=2)  # every relative of M asks
+def _seams_of_paint(evidence: Evidence) -> npt.NDArray[np.bool_]:
+    """(k, h, w): beside a step of colour, whatever M is. What is printed on a surface is no slope."""
+    seams = np.zeros(evidence.surface.shape, np.bool_)
+    for light, used, seam in zip(evidence.light, evidence.surface, seams, strict=True):
+        logs = np.log(np.maximum(cv2.GaussianBlur(light, (0, 0), _BLUR_PX), _LEAST_LIGHT))
+        for axis in (0, 1):
+            before, middle, after = [slice(None)] * 2, [slice(None)] * 2, [slice(None)] * 2
+            before[axis], after[axis] = slice(None, -2 * _PAINT_REACH_PX), slice(2 * _PAINT_REACH_PX, None)
+            middle[axis] = slice(_PAINT_REACH_PX, -_PAINT_REACH_PX)
+            steps = np.abs(logs[tuple(after)] - logs[tuple(before)]).max(axis=-1)
+            seam[tuple(middle)] |= (steps > _PAINT_STEP) & used[tuple(after)] & used[tuple(before)]
+        grown = np.ones((2 * _BESIDE_PX + 1, 2 * _BESIDE_PX + 1), np.uint8)
+        seam[:] = cv2.dilate(seam.astype(np.uint8), grown) > 0
+    return seams
+
+
+def _block_sums(
+    evidence: Evidence, scaled: Single, used: npt.NDArray[np.bool_], seams: npt.NDArray[np.bool_]
+) -> FloatArray:
     whole = used.astype(np.float32)
     smooth = cv2.GaussianBlur(scaled * whole[..., None], (0, 0), _BLUR_PX)
     covered = cv2.GaussianBlur(whole, (0, 0), _BLUR_PX) > 0.98
@@ -217,6 +240,7 @@ def _block_sums(evidence: Evidence, scaled: Single, used: npt.NDArray[np.bool_])
     p_u, p_v = _gradient(normals[..., 0] / depth)
     q_u, q_v = _gradient(normals[..., 1] / depth)
     valid = cv2.erode(front.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0) > 0
+    valid &= ~seams
     div, curl = p_u + q_v, p_v - q_u  # α
     shear, twist = q_v - p_u, -(p_v + q_u)  # β
     # the root of the energy, not the energy: creases and edges of paint shall not outvote the rest
