@@ -36,7 +36,7 @@ _LOG_FACTOR = 0.4
 _CERTAIN = 0.75  # an agreement above it that no mirror image comes near needs no relatives tried
 _FATAL_GAIN = 0.2  # of agreement
 _NOTED_TURN_DEG = 12.0  # photographs with lamps measured on a chrome ball show up to 7
-# A step of log colour over four averaged pixels that is of paint, not of shape: beside it slopes tell nothing.
+# A step of log colour over four averaged pixels that is of paint, not shape; slopes beside it tell nothing.
 _PAINT_STEP, _PAINT_REACH_PX, _BESIDE_PX = 0.5, 2, 1
 _LAG_PX = 4
 _LEAST_COHERENCE = 0.25
