@@ -6,7 +6,7 @@ READY := .venv/.ready
 .PHONY: demo test test-slow fuzz error-coverage lint docs lock clean
 
 demo: $(READY)
-	$(PYTHON) -m vntoolkit demo --out out/demo --overwrite
+	$(PYTHON) -m vntoolkit demo --out out/demo --overwrite --jobs 2
 
 test: $(READY)
 	$(PYTHON) -m pytest -m "not slow" -n 2 --dist loadfile
