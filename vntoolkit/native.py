@@ -206,8 +206,9 @@ def one_opencv_thread() -> Iterator[None]:
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """`numba.njit` with options, but for one thing: what goes wrong with its cache never stops a kernel.
+    """`numba.njit` with options, without Python's lock, and what goes wrong with its cache stops no kernel.
 
+    With the lock, the threads that read and write files would wait for every kernel that a frame takes.
     Where neither the package's own folder nor the user's may be written to (another user, no home), machine
     code is kept in a private temporary folder. A cache that is full or damaged is passed over, and repaired
     where it can be.
@@ -217,7 +218,7 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     is_kept = options.pop("cache", False)
 
     def compiled(function: Callable[..., Any]) -> Any:
-        kernel = numba.njit(**options)(function)
+        kernel = numba.njit(**{"nogil": True, **options})(function)
         if is_kept:
             with contextlib.suppress(Exception):
                 kernel._cache = _ForgivingCache(_cache_of(function))  # as `cache=True` sets it

@@ -1,7 +1,9 @@
-"""Open3D's plots come with a web server; it is imported when they are called, and they then work as ever."""
+"""Libraries as the package uses them: Open3D without its web server, kernels without Python's lock."""
 
 import subprocess
 import sys
+
+from vntoolkit.native import njit
 
 SCRIPT = """
 import sys
@@ -18,3 +20,9 @@ assert o3d.visualization.draw_plotly.__module__ == "open3d.visualization.draw_pl
 
 def test_plots_of_open3d_are_imported_when_called() -> None:
     subprocess.run([sys.executable, "-c", SCRIPT], check=True)
+
+
+def test_a_kernel_does_not_hold_up_the_threads_that_read_and_write() -> None:
+    kernel = njit(cache=True)(lambda x: x + 1)
+    assert kernel.targetoptions["nogil"]
+    assert kernel(1) == 2
