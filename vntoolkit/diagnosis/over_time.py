@@ -217,9 +217,9 @@ def findings_from_tracks(
     rise = np.abs(np.diff(np.log(errors)))
     problem = f"tracking lost most of the surface in {low} of {len(shares)} frames, most in {numbers[worst]}"
     remedy = "look at the checkerboard there, and give a template in the middle of the sequence (--template)"
-    check = "lost"
-    if rise.max(initial=0.0) > np.log(_JUMP):
-        check, where = "jump", int(np.argmax(rise))
+    jumps = bool(rise.max(initial=0.0) > np.log(_JUMP))
+    if jumps:
+        where = int(np.argmax(rise))
         problem += f", at once between frames {numbers[where]} and {numbers[where + 1]}"
         remedy = (
             "the surface jumps there: film at a higher frame rate, or track the parts before and after by "
@@ -227,7 +227,7 @@ def findings_from_tracks(
         )
     return [
         Finding(
-            check=check,
+            check="jump" if jumps else "lost",
             level=Level.WARNING,
             problem=problem,
             measured=f"{shares[worst]:.0%} of the vertices reported visible",
