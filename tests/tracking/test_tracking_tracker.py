@@ -176,3 +176,26 @@ def test_a_template_of_a_few_pixels_is_followed(size: tuple[int, int]) -> None:
     assert np.isfinite(tracked.positions_px).all()
     assert tracked.uncertainty_px is not None
     assert np.isfinite(tracked.uncertainty_px).all()
+
+
+@pytest.mark.parametrize("jump_px", [(40.0, 0.0), (-25.0, 30.0)])
+def test_a_jump_is_followed_however_far(jump_px: tuple[float, float]) -> None:
+    video = WrinkledVideo(drift_px=jump_px)
+    tracker = SurfaceTracker(*video.maps(0), video.camera)
+    for frame in (1, 2):
+        state = tracker.step(*video.maps(frame))
+        true = video.warp(tracker.template.positions_px, frame)
+        seen = np.all((true > 8) & (true < [video.width - 9, video.height - 9]), axis=1)
+        error = np.linalg.norm(state.positions_px - true, axis=1)[seen]
+        assert np.percentile(error, 95) < 1.0
+
+
+def test_what_nothing_tells_of_does_not_run_away_and_is_said_to_be_lost() -> None:
+    video = WrinkledVideo(bend=20.0, noise=0.01)  # a wave that travels over a smooth sheet without borders
+    video.amplitude[:] = 0.0
+    tracker = SurfaceTracker(*video.maps(0), video.camera)
+    for frame in range(1, 25):
+        state = tracker.step(*video.maps(frame))
+    error = np.linalg.norm(state.positions_px - video.warp(tracker.template.positions_px, 24), axis=1)
+    assert np.median(error) < 25
+    assert np.mean(error <= state.uncertainty_px) > 0.8

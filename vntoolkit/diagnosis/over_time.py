@@ -213,8 +213,10 @@ def findings_from_tracks(
     if not len(shares) or shares.min() >= _LEAST_VISIBLE:
         return []
     worst, low = int(np.argmin(shares)), int(np.count_nonzero(shares < _LEAST_VISIBLE))
-    errors = np.maximum(np.asarray(error_px, dtype=np.float64), _LEAST_ERROR_PX)
-    rise = np.abs(np.diff(np.log(errors)))
+    errors = np.asarray(error_px, dtype=np.float64)
+    seen = (shares >= _LEAST_VISIBLE) & (errors > 0)  # of the template it is 0
+    rise = np.abs(np.diff(np.log(np.maximum(errors, _LEAST_ERROR_PX)))) * (seen[1:] != seen[:-1])
+    rise[np.minimum(errors[:-1], errors[1:]) == 0] = 0.0
     problem = f"tracking lost most of the surface in {low} of {len(shares)} frames, most in {numbers[worst]}"
     remedy = "look at the checkerboard there, and give a template in the middle of the sequence (--template)"
     jumps = bool(rise.max(initial=0.0) > np.log(_JUMP))

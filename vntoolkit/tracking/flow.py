@@ -11,6 +11,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import numpy.typing as npt
+import scipy.fft
 
 from vntoolkit.arrays import Flow, Mask, Points, Points2
 from vntoolkit.checks import require_same_size
@@ -27,6 +28,7 @@ _DIS_MUST_BEAT = 0.6  # share of the other start's residual below which DIS's is
 _DOUBTFUL = 2.0  # times the median residual, above which a point tries DIS's start too
 _FEW = 0.01  # share of doubtful points below which DIS is not worth its time
 _SMALLEST_DIS_SIDE = 32  # OpenCV's DIS fails below
+_SURE = 8.0  # standard deviations of a correlation over all shifts, of which there are some 100,000
 _RELIEF_SIGMA_PX = 4.0  # of the mean that is taken off the normals
 _RELIEF_GAIN = 400.0  # steps of a byte per unit of normal
 
@@ -89,8 +91,35 @@ def targets_on_surface(
 
 
 def dense_flow(first: NormalMap, second: NormalMap) -> Flow:
-    """Return the flow (h, w, 2) in pixels of DIS on the fine relief of two normal maps: far, and coarse."""
-    return _dis(bytes_from_normals(first), bytes_from_normals(second))
+    """Return the flow (h, w, 2) in pixels of DIS on the fine relief of two normal maps: far, and coarse.
+
+    It starts from the one shift at which the two correlate best, however far, where that is no chance.
+    """
+    before, after = bytes_from_normals(first), bytes_from_normals(second)
+    shift = _common_shift(before, after)
+    moved = np.array([[1, 0, shift[0]], [0, 1, shift[1]]], dtype=np.float64)
+    size = before.shape[1::-1]
+    shifted = np.asarray(cv2.warpAffine(before, moved, size, borderValue=(128, 128, 128)), dtype=np.uint8)
+    flow = cv2.warpAffine(
+        _dis(shifted, after), moved, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+        borderMode=cv2.BORDER_REPLICATE,
+    )  # fmt: skip
+    return np.asarray(flow + shift, dtype=np.float32)
+
+
+def _common_shift(before: Relief, after: Relief) -> npt.NDArray[np.float32]:
+    """Return the shift (2,) of all of `before`, pixels, at which both correlate best; 0 where chance may."""
+    size = [scipy.fft.next_fast_len(2 * n, real=True) for n in before.shape[:2]]  # nothing wraps around
+    first, second = (
+        scipy.fft.rfft2(np.asarray(each[..., :2], np.float32) - 128.0, s=size, axes=(0, 1))
+        for each in (before, after)
+    )
+    correlation = scipy.fft.irfft2((np.conj(first) * second).sum(axis=-1), s=size)
+    if correlation.max() < _SURE * correlation.std():
+        return np.zeros(2, dtype=np.float32)
+    v, u = np.unravel_index(int(np.argmax(correlation)), correlation.shape)
+    signed = [n - length if n > length // 2 else n for n, length in ((u, size[1]), (v, size[0]))]
+    return np.array(signed, dtype=np.float32)
 
 
 def _dis(before: npt.NDArray[np.uint8], after: npt.NDArray[np.uint8]) -> Flow:

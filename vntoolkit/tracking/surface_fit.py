@@ -35,6 +35,7 @@ _TORN_SIGMAS = 3.0  # departure of a link from its length at which it holds half
 _LEAST_SINGULAR = 0.2  # of a Jacobian: steps are not taken through a surface seen more nearly edge-on
 _COVERAGE = 1.5  # expected error over its root mean square: about nine in ten errors are then below it
 _ERROR_PASSES = 1  # of lattice smoothing of the samples' variance
+_WELL_KNOWN = 0.9  # share of the motion, from which all of it goes on
 _LOST_MATCH = 0.5  # share of the expected match under which another start is tried
 _BETTER_MATCH = 0.1  # by which that must match better
 _HIDDEN = 0.25  # share hidden from which a depth is not that of the pixel that a vertex lies in
@@ -93,10 +94,16 @@ class SurfaceFit:
         slopes = slopes_from_normals(normal_map, self._camera)
         relief = relief_slopes(slopes, normal_map, labels)
         figure = self._outline.figure(normal_map.mask, slopes)
-        positions: Points2 = 2.0 * np.asarray(last_px, dtype=np.float64) - before_px
+        last = np.asarray(last_px, dtype=np.float64)
+        positions: Points2 = 2.0 * last - before_px
         around = self._jacobians.of(positions)
         told = self._registration.measure(positions, around, relief)
-        if np.sum(told.found) < _LOST_MATCH * np.sum(told.expected):
+        known = self._known_share(positions, positions - last, around, told, figure)
+        if known < _WELL_KNOWN:
+            positions = last + known * (positions - last)
+            around = self._jacobians.of(positions)
+            told = self._registration.measure(positions, around, relief)
+        if min(np.sum(told.found), np.sum(told.match)) < _LOST_MATCH * np.sum(told.expected):
             positions, told = self._restarted(positions, last_px, told, previous, normal_map, relief)
         lost = told.match < _LOST_MATCH * told.expected
         if lost.any() and not lost.all():
@@ -130,7 +137,7 @@ class SurfaceFit:
         square = self._errors.square(
             solution, windows, outline, np.sqrt(variance), modes, self._mismatched(told, _WARNING)
         )
-        square = square + lengths.between(solution.left, torn)
+        square = square + lengths.between(solution.left, torn) + self._of_the_whole(information + outline)
         return FittedFrame(
             positions_px=positions,
             depth=self._depth(positions, depth_map, hidden),
@@ -184,6 +191,27 @@ class SurfaceFit:
         return positions + lattice.at_vertices(np.where(better[:, None], at_nodes, 0.0)), told.where(
             better, there
         )
+
+    def _known_share(
+        self, positions: Points2, motion: Points2, around: FloatArray, told: Measurement, figure: FloatArray
+    ) -> float:
+        """How far the motion so far may go on, 0 to 1: a Wiener filter, by what is known of the whole.
+
+        Where next to nothing tells where the surface is, it would drift off by the errors of its own motion.
+        """
+        inverse = _inverse(around)
+        information = _congruent(told.information, inverse)
+        square = float(np.square(motion).sum(axis=1).mean())
+        known = square / (square + 2.0 * self._of_the_whole(information))
+        if known < _WELL_KNOWN:
+            outline, _ = self._outline.measure(positions, inverse, figure)
+            known = square / (square + 2.0 * self._of_the_whole(information + outline))
+        return known
+
+    def _of_the_whole(self, information: FloatArray) -> float:
+        """Squared error of one shift of all, by what all nodes (m, 3) know together: no part knows better."""
+        least = np.eye(2) / float(self._camera.width**2 + self._camera.height**2)
+        return float(np.trace(np.linalg.inv(_full(information).sum(axis=0) + least)))
 
     def _mismatched(self, told: Measurement, telling: tuple[float, float]) -> npt.NDArray[np.float64]:
         """(nodes,) from 0 to 1: relief that should match and does not."""
