@@ -199,3 +199,18 @@ def test_what_nothing_tells_of_does_not_run_away_and_is_said_to_be_lost() -> Non
     error = np.linalg.norm(state.positions_px - video.warp(tracker.template.positions_px, 24), axis=1)
     assert np.median(error) < 25
     assert np.mean(error <= state.uncertainty_px) > 0.8
+
+
+def test_a_smooth_figure_that_jumps_is_followed_by_its_outline() -> None:
+    video = WrinkledVideo(sway_px=0.0, bend=3.0, drift_px=(30.0, 12.0), noise=0.002)
+    video.amplitude[:] = 0.0
+    u, v = np.meshgrid(np.arange(video.width), np.arange(video.height))
+
+    def figure(k: int) -> np.ndarray:
+        return np.hypot((u - 60 - 30 * k) / 45, (v - 60 - 12 * k) / 35) < 1
+
+    tracker = SurfaceTracker(*video.maps(0, figure(0)), video.camera)
+    for frame in (1, 2):
+        state = tracker.step(*video.maps(frame, figure(frame)))
+        error = np.linalg.norm(state.positions_px - video.warp(tracker.template.positions_px, frame), axis=1)
+        assert np.median(error) < 2.0

@@ -214,9 +214,9 @@ def findings_from_tracks(
         return []
     worst, low = int(np.argmin(shares)), int(np.count_nonzero(shares < _LEAST_VISIBLE))
     errors = np.asarray(error_px, dtype=np.float64)
-    seen = (shares >= _LEAST_VISIBLE) & (errors > 0)  # of the template it is 0
+    seen = shares >= _LEAST_VISIBLE
     rise = np.abs(np.diff(np.log(np.maximum(errors, _LEAST_ERROR_PX)))) * (seen[1:] != seen[:-1])
-    rise[np.minimum(errors[:-1], errors[1:]) == 0] = 0.0
+    rise[np.minimum(errors[:-1], errors[1:]) == 0] = 0.0  # beside the template
     problem = f"tracking lost most of the surface in {low} of {len(shares)} frames, most in {numbers[worst]}"
     remedy = "look at the checkerboard there, and give a template in the middle of the sequence (--template)"
     jumps = bool(rise.max(initial=0.0) > np.log(_JUMP))

@@ -96,7 +96,7 @@ def dense_flow(first: NormalMap, second: NormalMap) -> Flow:
     It starts from the one shift at which the two correlate best, however far, where that is no chance.
     """
     before, after = bytes_from_normals(first), bytes_from_normals(second)
-    shift = _common_shift(before, after)
+    shift = _shift_of_best_correlation(_relief_only(before), _relief_only(after), _SURE)
     moved = np.array([[1, 0, shift[0]], [0, 1, shift[1]]], dtype=np.float64)
     size = before.shape[1::-1]
     shifted = np.asarray(cv2.warpAffine(before, moved, size, borderValue=(128, 128, 128)), dtype=np.uint8)
@@ -107,15 +107,31 @@ def dense_flow(first: NormalMap, second: NormalMap) -> Flow:
     return np.asarray(flow + shift, dtype=np.float32)
 
 
-def _common_shift(before: Relief, after: Relief) -> npt.NDArray[np.float32]:
-    """Return the shift (2,) of all of `before`, pixels, at which both correlate best; 0 where chance may."""
+def common_shift(first: NormalMap, second: NormalMap) -> npt.NDArray[np.float32]:
+    """Return the one shift (2,) in pixels that carries `first` to `second` best: by relief or outline."""
+    before, after = (_relief_only(bytes_from_normals(each)) for each in (first, second))
+    shift = _shift_of_best_correlation(before, after, _SURE)
+    if shift.any():
+        return shift
+    before, after = (each.mask.astype(np.float32)[..., None] for each in (first, second))
+    return _shift_of_best_correlation(before, after, 0.0)
+
+
+def _relief_only(relief: Relief) -> npt.NDArray[np.float32]:
+    return np.asarray(relief[..., :2], np.float32) - np.float32(128)
+
+
+def _shift_of_best_correlation(
+    before: npt.NDArray[np.float32], after: npt.NDArray[np.float32], sure: float
+) -> npt.NDArray[np.float32]:
+    """Return the shift (2,) of all of `before` (h, w, k) at which both correlate best, however far.
+
+    0 where the correlation is less than `sure` standard deviations over all shifts: it may be chance.
+    """
     size = [scipy.fft.next_fast_len(2 * n, real=True) for n in before.shape[:2]]  # nothing wraps around
-    first, second = (
-        scipy.fft.rfft2(np.asarray(each[..., :2], np.float32) - 128.0, s=size, axes=(0, 1))
-        for each in (before, after)
-    )
+    first, second = (scipy.fft.rfft2(each, s=size, axes=(0, 1)) for each in (before, after))
     correlation = scipy.fft.irfft2((np.conj(first) * second).sum(axis=-1), s=size)
-    if correlation.max() < _SURE * correlation.std():
+    if correlation.max() < sure * correlation.std():
         return np.zeros(2, dtype=np.float32)
     v, u = np.unravel_index(int(np.argmax(correlation)), correlation.shape)
     signed = [n - length if n > length // 2 else n for n, length in ((u, size[1]), (v, size[0]))]

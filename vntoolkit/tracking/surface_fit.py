@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Points2, VisibilityLabels
+from vntoolkit.arrays import FloatArray, Mask, Points2, VisibilityLabels
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.tracking.fit_errors import FitErrors
-from vntoolkit.tracking.flow import dense_flow
+from vntoolkit.tracking.flow import common_shift, dense_flow
 from vntoolkit.tracking.lattice import LocalJacobians, lattice_on_template
 from vntoolkit.tracking.lattice_system import LatticeSystem
 from vntoolkit.tracking.lengths import LINKS_ALIKE, STRAIN, LinkLengths, uniform_strains
@@ -36,6 +36,7 @@ _LEAST_SINGULAR = 0.2  # of a Jacobian: steps are not taken through a surface se
 _COVERAGE = 1.5  # expected error over its root mean square: about nine in ten errors are then below it
 _ERROR_PASSES = 1  # of lattice smoothing of the samples' variance
 _WELL_KNOWN = 0.9  # share of the motion, from which all of it goes on
+_JUMPED = 0.05  # share of the figure that no motion of before uncovers in one frame
 _LOST_MATCH = 0.5  # share of the expected match under which another start is tried
 _BETTER_MATCH = 0.1  # by which that must match better
 _HIDDEN = 0.25  # share hidden from which a depth is not that of the pixel that a vertex lies in
@@ -96,6 +97,11 @@ class SurfaceFit:
         figure = self._outline.figure(normal_map.mask, slopes)
         last = np.asarray(last_px, dtype=np.float64)
         positions: Points2 = 2.0 * last - before_px
+        misfit = _misfit(positions, normal_map.mask)
+        if misfit > _misfit(last, previous.mask) + _JUMPED:
+            shifted = last + common_shift(previous, normal_map)
+            if _misfit(shifted, normal_map.mask) < misfit - _JUMPED:
+                positions = shifted
         around = self._jacobians.of(positions)
         told = self._registration.measure(positions, around, relief)
         known = self._known_share(positions, positions - last, around, told, figure)
@@ -240,6 +246,18 @@ class SurfaceFit:
         sums = self._lattice.smoothed(np.column_stack([square, np.ones(len(square))]), _ERROR_PASSES)
         root = _COVERAGE * np.sqrt(sums[:, :1] / sums[:, 1:])
         return self._lattice.at_vertices(root)[:, 0]
+
+
+def _misfit(positions_px: Points2, mask: Mask) -> float:
+    """Share of the figure's cells that no vertex covers, and of cells off it that one does."""
+    height, width = (n // _CELL_PX for n in mask.shape)
+    u, v = np.floor(positions_px / _CELL_PX).astype(np.int64).T
+    inside = (u >= 0) & (v >= 0) & (u < width) & (v < height)
+    covered: Mask = np.zeros((height, width), np.bool_)
+    covered[v[inside], u[inside]] = True
+    middle = _CELL_PX // 2
+    figure = mask[middle::_CELL_PX, middle::_CELL_PX][:height, :width]
+    return float(np.count_nonzero(covered != figure) / max(int(np.count_nonzero(figure)), 1))
 
 
 def _in_frame(windows: tuple[WindowSteps, ...], inverse: FloatArray) -> list[WindowSteps]:
