@@ -194,6 +194,20 @@ def test_dots_are_filled_from_what_is_around_them(rng: np.random.Generator) -> N
     assert not DotFilter(plain).filled(smooth, np.zeros(DOTS.shape, bool))[1].any()
 
 
+def test_a_dot_that_has_moved_onto_a_dark_flank_is_told_from_it() -> None:
+    untouched = np.full((HEIGHT, WIDTH, 3), 0.5, np.float32)
+    untouched[DOTS] = 0.1
+    flank = (np.abs(U - V) < 4) & (V > 40) & (V < 120)  # a groove, dark in all channels, wider than a dot
+    moved = np.roll(DOTS, (3, 4), axis=(0, 1))
+    frame = np.where(flank[..., None], np.float32(0.37), np.float32(0.5)) * np.ones(3, np.float32)
+    frame[moved] = 0.1
+    filter_ = DotFilter(untouched)
+    _, filled = filter_.filled(frame - untouched, np.zeros(DOTS.shape, bool))
+    assert (flank & moved & ~filter_.dots).any()
+    assert filled[moved].mean() > 0.98
+    assert filled[flank & ~moved & ~filter_.dots].mean() < 0.6
+
+
 def test_holes_are_filled_between_what_is_known_in_row_and_column() -> None:
     v, u = np.indices((20, 30))
     ramp = np.stack([0.01 * u, 0.02 * v, 0.01 * u + 0.02 * v], axis=-1).astype(np.float32)

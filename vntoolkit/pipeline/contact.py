@@ -109,7 +109,7 @@ def contact_from_depth(depth_map: DepthMap, camera: Camera) -> Contact:
         window = slice(top, bottom), slice(left, right)
         dented = (depth[window] < -_SHALLOWEST_M) & depth_map.mask[window]
         labels, dents = ndimage.label(dented)
-        count, deepest = _mark_contacts(depth[window], labels, dents + 1, mask[window])
+        count, deepest = _mark_contacts(depth[window], labels, dents, mask[window])
     pixel_mm = 1000.0 / float(camera.matrix[0, 0])
     return Contact(mask=mask, area_mm2=float(count) * pixel_mm**2, depth_mm=1000.0 * float(deepest))
 
@@ -129,11 +129,8 @@ def _box_of_dents(depth: Array, mask: Mask, shallowest: float) -> tuple[int, int
 
 @njit(cache=True)
 def _mark_contacts(depth: Array, labels: Array, count: int, mask: Mask) -> tuple[int, float]:
-    """Mark in `mask` what lies deeper than a share of its dent's depth; pixels marked, and the deepest.
-
-    labels: number of every pixel's dent, of `count` with 0, which is none.
-    """
-    deepest = np.zeros(count, depth.dtype)
+    """Mark in `mask` what lies deeper than a share of its dent's depth; pixels marked, and the deepest."""
+    deepest = np.zeros(count + 1, depth.dtype)
     for v in range(labels.shape[0]):
         for u in range(labels.shape[1]):
             deepest[labels[v, u]] = max(deepest[labels[v, u]], -depth[v, u])

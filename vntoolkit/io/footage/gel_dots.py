@@ -11,6 +11,8 @@ counting more.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +26,7 @@ _DARKER = 0.15  # of the gel's brightness around it, at least
 _FEWEST = 0.002  # of all pixels: less is dirt, and the gel has no dots
 _MOST = 0.4  # more is a texture or the print of an object
 _LARGEST = 3  # times the area of the median dot: what is larger is the print of an object
+_BLACK = 1e-6
 _SEARCHED_PX = 120  # shorter side of the picture that is searched; a dot is still some pixels wide
 
 
@@ -52,23 +55,37 @@ def _closed(small: LinearImage, window: int) -> LinearImage:
     return np.asarray(cv2.morphologyEx(small, cv2.MORPH_CLOSE, np.ones((window, window), np.uint8)))
 
 
-def _dots(small: LinearImage) -> tuple[npt.NDArray[np.uint8], float]:
-    """1 at the dots and their rims in a shrunk frame, and the median area of a dot; 0 where there is none."""
-    dark = _darker(small, _closed(small, _window(small.shape)), np.float32(1 - _DARKER))
+class _Ink(NamedTuple):
+    """A gel's dots at rest. area_px: of the median dot. share: median light there, of that around."""
+
+    area_px: float
+    share: np.float32
+
+
+def _ink_at_rest(small: LinearImage, closed: LinearImage) -> _Ink | None:
+    """The ink of the dots in a shrunk picture of the untouched gel; None where it has no dots."""
+    dark = _darker(small, closed, np.float32(1 - _DARKER))
     if not _FEWEST < dark.mean() < _MOST:
-        return np.zeros_like(dark), 0.0
-    _, _, stats, _ = cv2.connectedComponentsWithStats(dark)
-    area = float(np.median(stats[1:, cv2.CC_STAT_AREA]))
-    return _usual(dark, area), area
+        return None
+    areas = cv2.connectedComponentsWithStats(dark)[2][1:, cv2.CC_STAT_AREA]
+    shares = (small[dark > 0] / np.maximum(closed[dark > 0], _BLACK)).max(axis=1)
+    return _Ink(area_px=float(np.median(areas)), share=np.float32(np.median(shares)))
 
 
-def _usual(dark: npt.NDArray[np.uint8], area: float) -> npt.NDArray[np.uint8]:
-    """The parts of `dark` no larger than dots of this area, with their rims."""
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(dark)
-    usual = stats[:, cv2.CC_STAT_AREA] <= _LARGEST * area
-    usual[0] = False
-    rims = cv2.dilate(usual[labels].astype(np.uint8), np.ones((3, 3), np.uint8))
-    return np.asarray(rims, dtype=np.uint8)
+def _dots(small: LinearImage, closed: LinearImage, ink: _Ink) -> npt.NDArray[np.uint8]:
+    """1 at the dots and their rims in a shrunk picture.
+
+    A dot on the dark flank of an object is one with it. It is told from the flank as what is as dark as ink.
+    """
+    found = np.zeros(small.shape[:2], np.bool_)
+    for share in (np.float32(1 - _DARKER), ink.share):
+        dark = _darker(small, closed, share)
+        if np.count_nonzero(dark) < _MOST * dark.size:
+            _, labels, stats, _ = cv2.connectedComponentsWithStats(dark)
+            usual = stats[:, cv2.CC_STAT_AREA] <= _LARGEST * ink.area_px
+            usual[0] = False
+            found |= usual[labels]
+    return np.asarray(cv2.dilate(found.astype(np.uint8), np.ones((3, 3), np.uint8)), dtype=np.uint8)
 
 
 class DotFilter:
@@ -77,15 +94,18 @@ class DotFilter:
     def __init__(self, background: LinearImage) -> None:
         """background: the untouched gel, linear (h, w, 3)."""
         self._small = _shrunk(background)
-        self._found, self._area = _dots(self._small)
         self._bright = _closed(self._small, _window(self._small.shape))
+        self._ink = _ink_at_rest(self._small, self._bright)
+        self._found = np.zeros(self._small.shape[:2], np.uint8)
+        if self._ink is not None:
+            self._found = _dots(self._small, self._bright, self._ink)
         self.dots = _enlarged(self._found, background.shape[:2])
 
     def filled(self, change: LinearImage, unknown: Mask) -> tuple[LinearImage, Mask]:
         """Return the change (h, w, 3) with dots and `unknown` pixels (h, w) filled, and the pixels filled."""
         holes = unknown
-        if self._area:
-            holes = self._holes(change, unknown)
+        if self._ink is not None:
+            holes = self._holes(change, unknown, self._ink)
         if not holes.any() or holes.all():
             return change, holes
         above, below = np.empty((2, *holes.shape), np.int16)
@@ -94,7 +114,7 @@ class DotFilter:
         _fill(change, holes, above, below, filled)
         return filled, holes
 
-    def _holes(self, change: LinearImage, unknown: Mask) -> Mask:
+    def _holes(self, change: LinearImage, unknown: Mask, ink: _Ink) -> Mask:
         """What is unknown, the dots of the gel at rest, and those of the frame where any has moved to.
 
         A dot that came to a place made it darker in every channel. So only the box of what became darker is
@@ -111,11 +131,8 @@ class DotFilter:
             slice(max(left - window, 0), min(right + window, width)),
         )
         frame = np.ascontiguousarray(moved[box] + self._small[box])
-        dark = _darker(frame, _closed(frame, window), np.float32(1 - _DARKER))
-        if dark.sum() >= _MOST * height * width:
-            return unknown | self.dots
         found = self._found.copy()
-        found[box] |= _usual(dark, self._area)
+        found[box] |= _dots(frame, _closed(frame, window), ink)
         return unknown | _enlarged(found, unknown.shape)
 
 
