@@ -108,8 +108,19 @@ def _run(arguments: list[str] | None) -> int:
         if error.filename is None:  # most likely of the standard output: what is held back is lost
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return _fail(line_from_refusal(error))
+    except SystemError as error:
+        if _began_with_interrupt(error):
+            raise KeyboardInterrupt from error
+        return _fail(line_from_unforeseen(error), OWN_FAULT)
     except Exception as error:  # whatever is left becomes one line and a file with the traceback
         return _fail(line_from_unforeseen(error), OWN_FAULT)
+
+
+def _began_with_interrupt(error: BaseException | None) -> bool:
+    """True for a SystemError that compiled code made of the KeyboardInterrupt that struck within it."""
+    while isinstance(error, SystemError):
+        error = error.__cause__
+    return isinstance(error, KeyboardInterrupt)
 
 
 def _fail(message: str, status: int = 1) -> int:

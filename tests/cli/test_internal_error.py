@@ -74,6 +74,18 @@ def test_an_interrupt_that_strikes_in_a_callback_is_heard(monkeypatch, capsys):
     assert "Traceback" not in said
 
 
+def test_an_interrupt_that_strikes_within_compiled_code_is_one(failing, capsys):
+    struck = SystemError("an unpickler returned a result with an exception set")
+    struck.__cause__ = KeyboardInterrupt()
+    around = SystemError("a kernel returned a result with an exception set")
+    around.__cause__ = struck
+    failing(around)
+    assert entry.main(["doctor"]) == entry.INTERRUPTED
+    assert "interrupted: run the same command again" in capsys.readouterr().err
+    failing(SystemError("of another cause"))
+    assert entry.main(["doctor"]) == entry.OWN_FAULT
+
+
 def test_an_interrupt_that_strikes_when_all_is_done_leaves_no_traceback():
     script = """
 import atexit, os, signal, sys
