@@ -218,7 +218,7 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     is_kept = options.pop("cache", False)
 
     def compiled(function: Callable[..., Any]) -> Any:
-        kernel = numba.njit(**{"nogil": True, **options})(function)
+        kernel = numba.njit(nogil=True, **options)(function)
         if is_kept:
             with contextlib.suppress(Exception):
                 kernel._cache = _ForgivingCache(_cache_of(function))  # as `cache=True` sets it

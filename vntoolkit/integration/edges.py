@@ -76,7 +76,7 @@ def _one_sided(a, b, c, d):  # type: ignore[no-untyped-def]
     return (np.float32(9.0) * a + np.float32(19.0) * b - np.float32(5.0) * c + d) * _C
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _edges_along_rows(p, weights, difference, weight):  # type: ignore[no-untyped-def]
     height, width = p.shape
     for v in range(height):
@@ -97,7 +97,7 @@ def _edges_along_rows(p, weights, difference, weight):  # type: ignore[no-untype
                 difference[v, u] = _difference(first, p[v, u], p[v, u + 1], last, before, after)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _edges_along_columns(q, weights, difference, weight):  # type: ignore[no-untyped-def]
     height, width = q.shape
     for v in range(height - 1):

@@ -162,7 +162,7 @@ def _filled(spread: FloatArray, inside: Mask) -> FloatArray:
     return np.asarray(spread[tuple(nearest)])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _sum_blocks(
     normals: Any, error: Any, noise_deg: Any, weight: Any, mask: Mask, block: int, step: int, sums: Any
 ) -> None:
@@ -184,7 +184,7 @@ def _sum_blocks(
                     to[6] += weight[v, u]
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath={"contract", "arcp", "nsz"}, error_model="numpy")
+@njit(cache=True, parallel=True, fastmath={"contract", "arcp", "nsz"}, error_model="numpy")
 def _enlarge(coarse: Any, block: int, mask: Mask, scale: Any, out: Any) -> None:
     """Fill (h, w) between the centres of the blocks by linear interpolation; 0 outside the mask.
 

@@ -242,7 +242,7 @@ def _levels_of(right: npt.NDArray[Any], down: npt.NDArray[Any]) -> GridHierarchy
 # Compiled loops over images with a rim of zeros. Sums are kept by rows: the same for any number of threads.
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True)
 def _load(right, down, right_weight, down_weight, out):  # type: ignore[no-untyped-def]
     """Right-hand side: the weighted divergence of the wanted differences, with the sign of A z = b."""
     height, width = out.shape
@@ -256,7 +256,7 @@ def _load(right, down, right_weight, down_weight, out):  # type: ignore[no-untyp
             )
 
 
-@njit(cache=True, fastmath=True, nogil=True, parallel=True)
+@njit(cache=True, fastmath=True, parallel=True)
 def _apply(right, down, x, out, sums):  # type: ignore[no-untyped-def]
     """out = A x; sums (h,): x · A x of each row."""
     height, width = x.shape
@@ -277,7 +277,7 @@ def _apply(right, down, x, out, sums):  # type: ignore[no-untyped-def]
         sums[v] = total
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True)
 def _largest(padded):  # type: ignore[no-untyped-def]
     largest = 0.0
     for v in range(padded.shape[0]):
@@ -286,7 +286,7 @@ def _largest(padded):  # type: ignore[no-untyped-def]
     return largest
 
 
-@njit(cache=True, fastmath=True, nogil=True, parallel=True)
+@njit(cache=True, fastmath=True, parallel=True)
 def _update(depth, residual, direction, product, step, depth_step, scaled):  # type: ignore[no-untyped-def]
     """Take a step along the direction; fill scaled (h, w), float32, with what is left."""
     height, width = scaled.shape
@@ -299,7 +299,7 @@ def _update(depth, residual, direction, product, step, depth_step, scaled):  # t
             to[u] = left[u]
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True)
 def _dot(padded, inner, sums):  # type: ignore[no-untyped-def]
     height, width = inner.shape
     for v in range(height):
@@ -309,7 +309,7 @@ def _dot(padded, inner, sums):  # type: ignore[no-untyped-def]
         sums[v + 1] = total
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@njit(cache=True, fastmath=True)
 def _advance(direction, correction, factor):  # type: ignore[no-untyped-def]
     height, width = correction.shape
     for v in range(height):

@@ -43,7 +43,7 @@ from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.transfer import Transfer
 
 # Nine of ten angles of a two-dimensional normal distribution lie within √(2 ln 10) standard deviations.
-_NINE_OF_TEN = 2.146
+NINE_OF_TEN = 2.146
 # The bounds of nine of ten pixels over each measured error, fitted on the package's own simulated scenes.
 _OF_ELLIPSOID = 3.6  # also stands for the rotation, which leaves no trace
 _OF_RESIDUAL = 1.1  # of a median
@@ -66,7 +66,7 @@ _INDEPENDENT = 100  # of the samples: neighbours share their errors
 _SHORTEST, _LONGEST = np.float32(1e-6), np.float32(1e18)  # lengths whose squares float32 holds
 
 # The same, as the loops need it: squared, in degrees.
-_PER_NOISE = np.float32(np.degrees(_NINE_OF_TEN) ** 2)
+_PER_NOISE = np.float32(np.degrees(NINE_OF_TEN) ** 2)
 _PER_TURN = np.float32(np.degrees(_OF_ELLIPSOID) ** 2)
 _PER_DEPARTURE = np.float32(np.degrees(_OF_LENGTH) ** 2)
 _PER_FALL = np.float32(_DARK_CHANNEL_DEG**2)
@@ -263,7 +263,7 @@ def _fit_ellipsoid(
 # flat slices, whose loops begin at 0: only such loops are done eight pixels at a time.
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _span(inside: Any) -> tuple[int, int]:
     """Return the first pixel of a row that is inside and the one after the last; (0, 0) for none."""
     first, last = 0, len(inside)
@@ -274,7 +274,7 @@ def _span(inside: Any) -> tuple[int, int]:
     return (first, last) if first < last else (0, 0)
 
 
-@njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, fastmath=FLAGS, error_model="numpy")
 def _samples_kernel(
     image: Any, table: Any, clipped: Any, white: Any, mask: Mask, labels: Any, c: _Coefficients, step: int,
     samples: Any,
@@ -316,7 +316,7 @@ def _samples_kernel(
     return count
 
 
-@njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, fastmath=FLAGS, error_model="numpy")
 def _slopes_row(
     line: Any, table: Any, inside: Any, c: _Coefficients, v: int, first: int, p: Any, q: Any, known: Any
 ) -> None:
@@ -348,7 +348,7 @@ def _slopes_row(
         known[u] = facing * np.sqrt(facing) if good else np.float32(0.0)
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
 def _curl_kernel(image: Any, table: Any, mask: Mask, c: _Coefficients, found: Any) -> None:
     """Sum up the squared curl, as an angle in radians, and its places, along the middle row of cells."""
     for cell in prange(found.shape[1]):
@@ -357,7 +357,7 @@ def _curl_kernel(image: Any, table: Any, mask: Mask, c: _Coefficients, found: An
             _curl_row(image, table, mask, c, v, found[0, cell], found[1, cell])
 
 
-@njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, fastmath=FLAGS, error_model="numpy")
 def _curl_row(image: Any, table: Any, mask: Mask, c: _Coefficients, v: int, sums: Any, counts: Any) -> None:
     width = mask.shape[1]
     first, last = _span(mask[v])
@@ -397,7 +397,7 @@ def _curl_row(image: Any, table: Any, mask: Mask, c: _Coefficients, v: int, sums
         sums[k], counts[k] = total, count
 
 
-@njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, fastmath=FLAGS, error_model="numpy")
 def _noise_of_cells(found: Any, noise: Any) -> None:
     """Fill (h, w), radians²: the mean over 3×3 cells, over 5×5 where those know nothing, or 0."""
     _, height, width = found.shape
@@ -422,7 +422,7 @@ def _noise_of_cells(found: Any, noise: Any) -> None:
                 noise[v, u] = total / count if count > zero else unknown
 
 
-@njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, fastmath=FLAGS, error_model="numpy")
 def _along_rows(noise: Any, rows: Any) -> None:
     """Fill (rows of cells, w) between the centres of the cells of a row, by linear interpolation."""
     height, width = noise.shape
@@ -438,7 +438,7 @@ def _along_rows(noise: Any, rows: Any) -> None:
                 to[u] = before + slope * np.float32(u)
 
 
-@njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, fastmath=FLAGS, error_model="numpy")
 def _noise_row(noise: Any, v: int, first: int, row: Any) -> None:
     """Fill a row from pixel `first` on, between the centres of the rows of cells; linear too."""
     y = max((np.float32(v) + np.float32(0.5)) / np.float32(_CELL) - np.float32(0.5), np.float32(0.0))
@@ -449,7 +449,7 @@ def _noise_row(noise: Any, v: int, first: int, row: Any) -> None:
         row[u] = (one - t) * above[u] + t * below[u]
 
 
-@njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, fastmath=FLAGS, error_model="numpy")
 def _bound_row(
     r: Any, g: Any, b: Any, unlit: Any, noise: Any, inside: Any, k: Any, length: Any, bound: Any, weight: Any
 ) -> None:  # fmt: skip
@@ -494,7 +494,7 @@ def _bound_row(
         r[u], g[u], b[u], length[u] = x, y, z, size
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
 def _error_kernel(
     rgb: Any, mask: Mask, labels: Any, noise: Any, constants: Any, error: Any, weight: Any
 ) -> None:
@@ -521,7 +521,7 @@ def _error_kernel(
         )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
 def _normals_and_errors_kernel(
     encoded: Any, table: Any, mask: Mask, noise: Any, constants: Any, limits: Any, out: Any
 ) -> None:

@@ -282,7 +282,7 @@ def _normals_kernel(
             to[3 * u + 2] = z[u]
 
 
-@njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, fastmath=FLAGS, error_model="numpy")
 def read_row(line: Any, table: Any, r: Any, g: Any, b: Any) -> None:
     """Fill three rows from one of colours, (3 w,): linear, or stored integers through a decoding table."""
     for u in range(len(r)):
@@ -292,7 +292,7 @@ def read_row(line: Any, table: Any, r: Any, g: Any, b: Any) -> None:
             r[u], g[u], b[u] = table[line[3 * u]], table[line[3 * u + 1]], table[line[3 * u + 2]]
 
 
-@njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, fastmath=FLAGS, error_model="numpy")
 def _clipped_row(clipped: Any, v: int, white: Any, r: Array, g: Array, b: Array, top: Array) -> None:
     """Fill a row with which colours are clipped: told by `clipped` (h, w), or from `white` on."""
     for u in range(len(top)):
@@ -303,7 +303,7 @@ def _clipped_row(clipped: Any, v: int, white: Any, r: Array, g: Array, b: Array,
             top[u] = clipped[v, u]
 
 
-@njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, fastmath=FLAGS, error_model="numpy")
 def _invert_row(field: Any, v: int, c: Coefficients, x: Array, y: Array, z: Array) -> None:
     """Replace the colours in x, y, z by M⁻¹(r − a)."""
     if field is None:
@@ -314,7 +314,7 @@ def _invert_row(field: Any, v: int, c: Coefficients, x: Array, y: Array, z: Arra
         _solve_row(field, cubics, x, y, z)
 
 
-@njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, fastmath=FLAGS, error_model="numpy")
 def _mix_row(c: Coefficients, x: Array, y: Array, z: Array) -> None:
     i00, i01, i02 = c.inverse[0, 0], c.inverse[0, 1], c.inverse[0, 2]
     i10, i11, i12 = c.inverse[1, 0], c.inverse[1, 1], c.inverse[1, 2]
@@ -327,7 +327,7 @@ def _mix_row(c: Coefficients, x: Array, y: Array, z: Array) -> None:
         z[u] = i20 * red + i21 * green + i22 * blue - d
 
 
-@njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, fastmath=FLAGS, error_model="numpy")
 def _normalise_row(
     x: Array, y: Array, z: Array, clipped: Array, inside: Array, c: Coefficients, weight: Array, valid: Array
 ) -> None:
@@ -346,7 +346,7 @@ def _normalise_row(
         valid[u] = good
 
 
-@njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, fastmath=FLAGS, error_model="numpy")
 def _cubics_of_row(field: Field, v: int, row: Array) -> None:
     """Put y in: row[e, i] is the coefficient of x^i in row v."""
     y = (np.float32(v) - field.centre_v) * field.inverse_scale
@@ -361,7 +361,7 @@ def _cubic(row: Array, e: int, x: Any) -> Any:
     return ((row[e, 3] * x + row[e, 2]) * x + row[e, 1]) * x + row[e, 0]
 
 
-@njit(cache=True, nogil=True, fastmath=FLAGS, error_model="numpy")
+@njit(cache=True, fastmath=FLAGS, error_model="numpy")
 def _solve_row(field: Field, row: Array, x: Array, y: Array, z: Array) -> None:
     """Replace the colours in x, y, z by M⁻¹(r − a), by Cramer's rule."""
     for u in range(x.shape[0]):

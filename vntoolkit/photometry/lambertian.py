@@ -91,7 +91,7 @@ def _mixed(frame: LinearFrame, mix: FloatArray, offset: FloatArray) -> LinearFra
     return LinearFrame(rgb=rgb, clipped=frame.clipped, number=frame.number)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _mix_kernel(rgb: LinearImage, mix: FloatArray, offset: FloatArray, out: LinearImage) -> None:
     height, width = rgb.shape[:2]
     for v in range(height):

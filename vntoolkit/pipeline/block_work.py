@@ -335,7 +335,7 @@ def smoothed_over_time(
     return out
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _blend(before, now, after, scale, sharpness, top, out):  # type: ignore[no-untyped-def]  # pragma: no cover
     height, width = now.shape[:2]
     for v in range(height):

@@ -60,7 +60,7 @@ def clipping_code(transfer: Transfer, table: npt.NDArray[np.float32], bits: int)
     return min(code, 2**bits - 1)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _look_up(values, table, clip_code, rgb, clipped):  # type: ignore[no-untyped-def]  # pragma: no cover
     for v in range(values.shape[0]):
         for u in range(values.shape[1]):

@@ -86,7 +86,7 @@ def _cubic_weights(step: int) -> npt.NDArray[np.float32]:
     return np.where(distance < 1, near, np.where(distance < 2, far, 0.0)).astype(np.float32)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, fastmath=True)
 def _coarse_planes(luma, blue, red, down, across, coarse):  # type: ignore[no-untyped-def]  # pragma: no cover
     """Fill (3, h, w): the mean of the luma over each sample of the chroma, and the chroma."""
     height, width = luma.shape
@@ -112,7 +112,7 @@ def _coarse_planes(luma, blue, red, down, across, coarse):  # type: ignore[no-un
             coarse[2, v, u] = np.float32(red[v, u])
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, fastmath=True)
 def _halved(coarse, fewer):  # type: ignore[no-untyped-def]  # pragma: no cover
     _, height, width = coarse.shape
     for k in range(3):
@@ -123,7 +123,7 @@ def _halved(coarse, fewer):  # type: ignore[no-untyped-def]  # pragma: no cover
                 fewer[k, v, u] = np.float32(0.25) * (one[2 * u] + one[after] + other[2 * u] + other[after])
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, fastmath=True)
 def _chroma_per_luma(  # type: ignore[no-untyped-def]  # pragma: no cover
     coarse, to_rgb, shift, from_rgb, light, slope, matrix, inverse, ambient, turns
 ):
@@ -198,7 +198,7 @@ def _chroma_per_luma(  # type: ignore[no-untyped-def]  # pragma: no cover
                 turns[3 * k + 2, v, u] = on_wave * sine * on + beside_wave * cosine * beside
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, fastmath=True)
 def _turns_of_row(turns, v, across, row, to):  # type: ignore[no-untyped-def]  # pragma: no cover
     """Fill one row of the picture with the turns of row v of the chroma, by linear interpolation.
 
@@ -218,7 +218,7 @@ def _turns_of_row(turns, v, across, row, to):  # type: ignore[no-untyped-def]  #
             to[across * u + k] = value
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, fastmath=True)
 def _smooth_row(plane, v, down, across, row, to):  # type: ignore[no-untyped-def]  # pragma: no cover
     """Fill one row of the picture from rows v - 2 to v + 2 of the chroma; row: a buffer, 4 wider."""
     height, width = plane.shape
@@ -244,7 +244,7 @@ def _smooth_row(plane, v, down, across, row, to):  # type: ignore[no-untyped-def
             )
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, fastmath=True)
 def _detail_row(luma, smooth, to):  # type: ignore[no-untyped-def]  # pragma: no cover
     """Fill a row, one pixel wider on each side, with what luma has and chroma's samples of it have not."""
     width = len(luma)
@@ -253,7 +253,7 @@ def _detail_row(luma, smooth, to):  # type: ignore[no-untyped-def]  # pragma: no
     to[0], to[width + 1] = to[1], to[width]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, fastmath=True)
 def _filters_of_row(above, here, below, straight, slanted):  # type: ignore[no-untyped-def]  # pragma: no cover
     upright, diagonal = np.float32(_UPRIGHT), np.float32(_DIAGONAL)
     for u in range(len(straight)):
@@ -261,14 +261,14 @@ def _filters_of_row(above, here, below, straight, slanted):  # type: ignore[no-u
         slanted[u] = diagonal * ((above[u + 2] - above[u]) + (below[u] - below[u + 2]))
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, fastmath=True)
 def _add_detail(turn, detail, straight, slanted, to):  # type: ignore[no-untyped-def]  # pragma: no cover
     first, second, third = turn[0], turn[1], turn[2]
     for u in range(len(straight)):
         to[u] += first[u] * detail[u] + second[u] * straight[u] + third[u] * slanted[u]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, fastmath=True)
 def _sharpened(  # type: ignore[no-untyped-def]  # pragma: no cover
     luma, coarse, turns, down, across, matrix, offset, rgb
 ):

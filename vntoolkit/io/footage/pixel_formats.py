@@ -221,7 +221,7 @@ def _plane(frame: Any, index: int, kind: np.dtype[Any]) -> npt.NDArray[Any]:
     return rows[: plane.height, : plane.width]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _apply(luma, blue, red, matrix, offset, rgb):  # type: ignore[no-untyped-def]  # pragma: no cover
     for v in range(rgb.shape[0]):
         for u in range(rgb.shape[1]):

@@ -245,7 +245,7 @@ def _half_bits(value, bits):  # type: ignore[no-untyped-def]  # pragma: no cover
     return sign | (min(half, np.uint32(0x7C00)) if size < _TOO_LARGE else infinite)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _fill(normals, mask, weight, error, flips, rows, starts):  # type: ignore[no-untyped-def]  # pragma: no cover
     height, width = mask.shape
     row = np.empty(width, np.float32)  # contiguous, so that eight pixels are converted at a time
@@ -266,7 +266,7 @@ def _fill(normals, mask, weight, error, flips, rows, starts):  # type: ignore[no
                 to[u] = _half_bits(row[u], bits[u]) ^ flip
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True)
 def _fill_depth(depth, mask, error, rows, start, error_start):  # type: ignore[no-untyped-def]  # pragma: no cover
     height, width = mask.shape
     row = np.empty(width, np.float32)
