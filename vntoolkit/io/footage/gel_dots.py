@@ -83,8 +83,11 @@ def _dots(small: LinearImage, closed: LinearImage, ink: _Ink) -> npt.NDArray[np.
         if np.count_nonzero(dark) < _MOST * dark.size:
             _, labels, stats, _ = cv2.connectedComponentsWithStats(dark)
             usual = stats[:, cv2.CC_STAT_AREA] <= _LARGEST * ink.area_px
+            is_all_dots = bool(usual[1:].all())
             usual[0] = False
             found |= usual[labels]
+            if is_all_dots:
+                break
     return np.asarray(cv2.dilate(found.astype(np.uint8), np.ones((3, 3), np.uint8)), dtype=np.uint8)
 
 
