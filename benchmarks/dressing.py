@@ -19,12 +19,12 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.geometry.mesh import MeshSequence
 from vntoolkit.geometry.motion import Motion
 from vntoolkit.pipeline.dress import DressedFigure, DressOptions, dress, read_motion, read_tracked_cloth
+from vntoolkit.skinning.blending import pose_of_frame
 from vntoolkit.skinning.clock import ClockOptions, Loop
 from vntoolkit.skinning.gait import walking_motion
-from vntoolkit.skinning.kinematics import pose_of_frame
 
 FRAMES = 100
 LEVELS = 12  # heights between armpit and hem at which the width is taken

@@ -18,8 +18,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.geometry.mesh import Mesh, MeshSequence
 from vntoolkit.io.maps_and_meshes.usd import write_usd_meshes
 from vntoolkit.pipeline.dress import DressOptions, dress, write_dressed_figure
 from vntoolkit.skinning.blending import Blend

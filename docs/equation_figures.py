@@ -12,7 +12,7 @@ mpl.use("agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from vntoolkit.photometry.lambertian import rgb_from_normals
+from vntoolkit.photometry.response import rgb_from_normals
 
 HERE = Path(__file__).parent
 OUT = HERE / "img"

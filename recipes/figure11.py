@@ -15,8 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.geometry.mesh import Mesh, MeshSequence
 from vntoolkit.io.results.sequences import MeshSequenceWriter, read_mesh_sequence
 from vntoolkit.pipeline.dress import (
     DressOptions,

@@ -28,9 +28,8 @@ from vntoolkit.pipeline.dress import (
     read_tracked_cloth,
     write_dressed_figure,
 )
-from vntoolkit.skinning.blending import skinned_vertices
+from vntoolkit.skinning.blending import pose_of_frame, skinned_vertices
 from vntoolkit.skinning.clock import ClockOptions
-from vntoolkit.skinning.kinematics import pose_of_frame
 
 BLENDER_FROM_CAMERA = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # z up, away from the viewer is +y
 CLIP_S = 0.5

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from vntoolkit.arrays import Flow
-from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.geometry.mesh import MeshSequence
 from vntoolkit.io.maps_and_meshes.exr import read_exr
 from vntoolkit.io.results.sequences import MeshSequenceWriter
 

@@ -28,12 +28,10 @@ from vntoolkit.integration.multigrid import hierarchy_from_graph, solve_laplacia
 from vntoolkit.io.conventions import MeshUpAxis
 from vntoolkit.io.maps_and_meshes.usd import write_usd_sequence
 from vntoolkit.meshing.clean import clean_mesh
-from vntoolkit.photometry.lambertian import rgb_from_normals
-from vntoolkit.photometry.response import LightResponse
-from vntoolkit.simulation.lights import Lighting, Lights
+from vntoolkit.photometry.response import LightResponse, rgb_from_normals
+from vntoolkit.simulation.lights import WAVELENGTHS_NM, Lighting, Lights
 from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.scene import SceneOptions, build_scene
-from vntoolkit.simulation.spectra import WAVELENGTHS_NM
 from vntoolkit.skinning.fitting import GarmentFitOptions, fit_garment_to_figure
 from vntoolkit.tracking.sparse_factor import factor_symmetric
 from vntoolkit.tracking.template import template_from_maps

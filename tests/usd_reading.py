@@ -4,8 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.geometry.mesh import Mesh, MeshSequence
 from vntoolkit.io.conventions import graphics_from_camera
 from vntoolkit.io.maps_and_meshes.usd import SURFACE
 

@@ -68,7 +68,7 @@ _PUBLIC = {
     "read_mesh": "vntoolkit.io.maps_and_meshes.meshes",
     "write_mesh": "vntoolkit.io.maps_and_meshes.meshes",
     "SurfaceTracker": "vntoolkit.tracking.tracker",
-    "MeshSequence": "vntoolkit.geometry.mesh_sequence",
+    "MeshSequence": "vntoolkit.geometry.mesh",
     # the verbs of the command line
     "simulate": "vntoolkit.cli.functions",
     "calibrate_sphere": "vntoolkit.cli.functions",

@@ -19,8 +19,7 @@ from vntoolkit.calibration.presses import (
 )
 from vntoolkit.calibration.varying import VariationOptions, fit_varying_response
 from vntoolkit.errors import BadCalibration, BadInput
-from vntoolkit.photometry.lambertian import rgb_from_normals
-from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.response import LightResponse, rgb_from_normals
 
 MATRIX = np.array([[0.4, 0.1, -0.42], [-0.2, 0.35, -0.45], [-0.15, -0.35, -0.5]])
 LEVEL = -MATRIX[:, 2]

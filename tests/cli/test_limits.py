@@ -12,10 +12,9 @@ from vntoolkit.__main__ import main
 from vntoolkit.cli import GROUPS, VERBS, build_app
 from vntoolkit.errors import BadCapture, BadInput, BadMesh
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.geometry.mesh import Mesh, MeshSequence
+from vntoolkit.io.files import ReadingLimits, limited_to, reading_limits
 from vntoolkit.io.footage.images import read_image, write_png
-from vntoolkit.io.limits import ReadingLimits, limited_to, reading_limits
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh, read_point_cloud, write_mesh
 from vntoolkit.io.rigs import read_rig, write_rig
 from vntoolkit.photometry.response import LightResponse

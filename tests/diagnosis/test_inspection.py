@@ -13,8 +13,7 @@ from vntoolkit.io.footage.images import read_image, write_png
 from vntoolkit.io.footage.video import write_video
 from vntoolkit.io.maps_and_meshes.label_images import read_mask
 from vntoolkit.io.rigs import write_rig
-from vntoolkit.photometry.lambertian import rgb_from_normals
-from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.response import LightResponse, rgb_from_normals
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, encoded_from_linear
 

@@ -9,13 +9,11 @@ from vntoolkit.diagnosis.evidence import evidence_from_frames
 from vntoolkit.diagnosis.finding import FatalFinding, Finding, Level, judge
 from vntoolkit.diagnosis.outline import check_cast_shadows
 from vntoolkit.diagnosis.over_time import check_flicker, findings_from_motion, findings_from_tracks
-from vntoolkit.diagnosis.rig_checks import check_residual
+from vntoolkit.diagnosis.rig_checks import check_residual, check_stated_focal, check_zoom
 from vntoolkit.diagnosis.transfer_match import check_transfer_of_samples
-from vntoolkit.diagnosis.zoom import check_stated_focal, check_zoom
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.photometry.lambertian import rgb_from_normals
-from vntoolkit.photometry.response import LightResponse, ResponseVariation
+from vntoolkit.photometry.response import LightResponse, ResponseVariation, rgb_from_normals
 from vntoolkit.photometry.rig import FitQuality, Rig
 from vntoolkit.photometry.transfer import Transfer, encoded_from_linear, linear_from_encoded
 

@@ -17,7 +17,7 @@ from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.maps_and_meshes.label_images import write_mask
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map, write_normal_map
 from vntoolkit.io.rigs import write_rig
-from vntoolkit.photometry.lambertian import rgb_from_normals
+from vntoolkit.photometry.response import rgb_from_normals
 from vntoolkit.photometry.rig import FitQuality, Rig
 from vntoolkit.photometry.transfer import Transfer, encoded_from_linear
 from vntoolkit.simulation.image_formation import true_response

@@ -11,8 +11,7 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.video import write_video
 from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.photometry.lambertian import rgb_from_normals
-from vntoolkit.photometry.response import LightResponse, ResponseVariation
+from vntoolkit.photometry.response import LightResponse, ResponseVariation, rgb_from_normals
 from vntoolkit.photometry.rig import Rig
 
 

@@ -5,8 +5,8 @@ import pytest
 from tests.evaluation.seen_cylinder import cylinder_normals
 from vntoolkit.errors import BadInput, SolverFailed
 from vntoolkit.evaluation.angular_error import compare_normals
+from vntoolkit.evaluation.cylinder import silhouette_from_image
 from vntoolkit.evaluation.cylinder_fit import fit_cylinder
-from vntoolkit.evaluation.silhouette import silhouette_from_image
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
 

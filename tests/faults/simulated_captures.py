@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.photometry.lambertian import rgb_from_normals
-from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.response import LightResponse, rgb_from_normals
 from vntoolkit.photometry.rig import Rig
 
 H, W = 120, 160

@@ -16,8 +16,7 @@ from specimen_texts import write_motion, write_texts
 from tests.result_files import write_mesh_sequence
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
-from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.geometry.mesh import Mesh, MeshSequence
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.footage.video import write_video

@@ -16,8 +16,7 @@ from tests.result_files import write_mesh_sequence
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.rigs import write_rig
-from vntoolkit.photometry.lambertian import rgb_from_normals
-from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.response import LightResponse, rgb_from_normals
 from vntoolkit.photometry.rig import Rig
 
 pytestmark = pytest.mark.slow

@@ -84,7 +84,7 @@ def test_a_list_of_photographs_cannot_name_a_file_outside_its_folder(tmp_path):
 
 
 def test_pickled_arrays_are_refused(tmp_path):
-    from vntoolkit.geometry.mesh_sequence import MeshSequence
+    from vntoolkit.geometry.mesh import MeshSequence
 
     mesh = a_mesh()
     vertices = np.repeat(np.asarray(mesh.vertices, dtype=np.float32)[None], 2, axis=0)

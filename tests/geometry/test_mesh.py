@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 
 from vntoolkit.errors import BadMesh
-from vntoolkit.geometry.mesh import Mesh, vertex_normals
-from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.geometry.mesh import Mesh, MeshSequence, vertex_normals
 from vntoolkit.geometry.point_cloud import PointCloud
 
 # A tetrahedron whose triangles are counter-clockwise from outside.

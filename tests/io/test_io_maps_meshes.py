@@ -7,8 +7,7 @@ import pytest
 from tests.result_files import read_flow, write_mesh_sequence
 from vntoolkit.errors import BadInput, BadMesh, CannotWrite
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
-from vntoolkit.geometry.mesh import Mesh, vertex_normals
-from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.geometry.mesh import Mesh, MeshSequence, vertex_normals
 from vntoolkit.geometry.point_cloud import PointCloud
 from vntoolkit.io.conventions import NormalConvention
 from vntoolkit.io.footage.images import read_image

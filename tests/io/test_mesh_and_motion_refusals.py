@@ -5,8 +5,7 @@ import pytest
 
 from tests.result_files import write_mesh_sequence
 from vntoolkit.errors import BadMesh, BadMotion, CannotWrite
-from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.geometry.mesh import Mesh, MeshSequence
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
 from vntoolkit.io.motion.asf import read_asf_amc
 from vntoolkit.io.motion.bvh import read_bvh

@@ -28,7 +28,7 @@ from vntoolkit.live.frames import (
     exposure_warnings,
     reduced,
 )
-from vntoolkit.photometry.lambertian import rgb_from_normals
+from vntoolkit.photometry.response import rgb_from_normals
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.pipeline.options import MaterialSearch, Product, ReconstructOptions

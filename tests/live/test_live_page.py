@@ -19,7 +19,7 @@ from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.live.capture import LiveFigures, LiveRecorder, LiveRun, TimedFrame
 from vntoolkit.live.frames import LiveProcessor, LiveResult
 from vntoolkit.live.page import LiveViewer, status_cards
-from vntoolkit.photometry.lambertian import rgb_from_normals
+from vntoolkit.photometry.response import rgb_from_normals
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.report.local_server import ViewerOptions
 

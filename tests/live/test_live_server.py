@@ -25,7 +25,7 @@ from vntoolkit.live.capture import LiveFigures, LiveRecorder, TimedFrame
 from vntoolkit.live.frames import LiveProcessor, LiveResult
 from vntoolkit.live.page import LiveViewer, PacketSizes, camera_block
 from vntoolkit.meshing.surface import MeshOptions, mesh_from_depth
-from vntoolkit.photometry.lambertian import rgb_from_normals
+from vntoolkit.photometry.response import rgb_from_normals
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.report.local_server import ViewerOptions
 from vntoolkit.report.scene import depth_block, depth_box, normals_block, place_of

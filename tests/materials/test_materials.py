@@ -17,8 +17,7 @@ from vntoolkit.materials.reflectance import (
 from vntoolkit.materials.search import WORST_ERROR_DEG, find_materials
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.photometry.lambertian import rgb_from_normals
-from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.response import LightResponse, rgb_from_normals
 
 DIRECTIONS = np.array([[0.5, 0.0, -0.866], [-0.25, 0.433, -0.866], [-0.25, -0.433, -0.866]])
 COLOURS = np.array([[0.7, 0.1, 0.02], [0.08, 0.6, 0.1], [0.02, 0.12, 0.65]])

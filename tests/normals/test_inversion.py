@@ -12,8 +12,7 @@ from vntoolkit.normals.inversion import (
     relative_albedo_from_frame,
 )
 from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.photometry.lambertian import rgb_from_normals
-from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.response import LightResponse, rgb_from_normals
 from vntoolkit.photometry.transfer import (
     Transfer,
     TransferCurve,

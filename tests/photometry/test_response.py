@@ -4,8 +4,7 @@ import pytest
 from tests.attached_shadow import shaded_rgb_from_normals
 from vntoolkit.errors import BadRig
 from vntoolkit.photometry.frame import ALL_LIT, count_lit, labels_from_lit, lit_from_labels
-from vntoolkit.photometry.lambertian import rgb_from_normals
-from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.response import LightResponse, rgb_from_normals
 
 DIRECTIONS = np.array([[0.5, 0.1, -0.9], [-0.4, 0.4, -0.8], [0.0, -0.5, -0.85]])
 DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)

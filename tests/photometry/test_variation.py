@@ -15,8 +15,14 @@ from vntoolkit.normals.inversion import (
     relative_albedo_from_frame,
 )
 from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.photometry.lambertian import Leveller, rgb_from_normals, scaled_normals_from_rgb
-from vntoolkit.photometry.response import LightResponse, ResponseVariation, powers_to_degree
+from vntoolkit.photometry.response import (
+    Leveller,
+    LightResponse,
+    ResponseVariation,
+    powers_to_degree,
+    rgb_from_normals,
+    scaled_normals_from_rgb,
+)
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer
 

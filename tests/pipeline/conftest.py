@@ -8,8 +8,7 @@ import pytest
 
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.footage.images import write_png
-from vntoolkit.photometry.lambertian import rgb_from_normals
-from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.response import LightResponse, rgb_from_normals
 from vntoolkit.photometry.rig import Rig
 
 SIZE = (48, 64)

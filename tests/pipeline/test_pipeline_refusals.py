@@ -16,8 +16,7 @@ from vntoolkit.calibration.lights import LightColours
 from vntoolkit.calibration.presses import PressOptions
 from vntoolkit.errors import BadCalibration, BadCapture, BadInput, BadMotion
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.geometry.mesh import Mesh, MeshSequence
 from vntoolkit.geometry.motion import Motion, Skeleton
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.rigs import write_rig

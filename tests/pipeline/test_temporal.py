@@ -16,7 +16,7 @@ from vntoolkit.io.maps_and_meshes.maps import read_depth_map
 from vntoolkit.io.results.manifest import read_manifest
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.photometry.lambertian import rgb_from_normals
+from vntoolkit.photometry.response import rgb_from_normals
 from vntoolkit.pipeline.block_work import ReconstructionJob, smoothed_frames, smoothed_over_time
 from vntoolkit.pipeline.options import DepthOffset, Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder

@@ -13,17 +13,20 @@ from vntoolkit.simulation.image_formation import (
     response_matrix,
     true_response,
 )
-from vntoolkit.simulation.lights import Lighting, Lights
-from vntoolkit.simulation.nuisances import Nuisances
-from vntoolkit.simulation.scene import SceneOptions, build_scene
-from vntoolkit.simulation.spectra import (
+from vntoolkit.simulation.lights import (
+    CAMERA_DISTANCE_M,
     WAVELENGTHS_NM,
+    Lighting,
+    Lights,
     camera_sensitivities,
     coloured_lamps,
     rgb_pigments,
+    studio_centre,
+    studio_lights,
     white_lamp,
 )
-from vntoolkit.simulation.studio import CAMERA_DISTANCE_M, studio_centre, studio_lights
+from vntoolkit.simulation.nuisances import Nuisances
+from vntoolkit.simulation.scene import SceneOptions, build_scene
 
 ONE = np.ones_like(WAVELENGTHS_NM)
 

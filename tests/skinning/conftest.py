@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.geometry.mesh import Mesh, MeshSequence
 
 
 def tube(start, end, radius_start, radius_end, rings: int, sides: int) -> tuple[np.ndarray, np.ndarray]:

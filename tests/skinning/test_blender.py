@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.result_files import write_mesh_sequence
-from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.geometry.mesh import MeshSequence
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = ROOT / "scripts" / "check_in_blender.py"

@@ -9,8 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from vntoolkit.errors import BadInput
-from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.geometry.mesh import Mesh, MeshSequence
 from vntoolkit.skinning.clock import (
     ClockOptions,
     Loop,

@@ -11,8 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from vntoolkit.errors import BadMesh, CannotWrite
-from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.geometry.mesh import Mesh, MeshSequence
 from vntoolkit.io.maps_and_meshes import glb
 from vntoolkit.io.maps_and_meshes.glb import write_glb
 from vntoolkit.pipeline.dress import dress, write_dressed_figure

@@ -14,18 +14,16 @@ from tests.result_files import write_mesh_sequence
 from tests.skinning.conftest import tube
 from vntoolkit.__main__ import main
 from vntoolkit.errors import BadInput
-from vntoolkit.geometry.mesh import Mesh, vertex_normals
-from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.geometry.mesh import Mesh, MeshSequence, vertex_normals
 from vntoolkit.geometry.motion import Motion, Skeleton, rest_pose
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.io.motion.bvh import write_bvh
 from vntoolkit.pipeline.dress import DressedFigure, DressOptions, dress, read_motion
 from vntoolkit.skinning.attachment import covered_bones, weights_of_garment
-from vntoolkit.skinning.blending import Blend, skinned_vertices
+from vntoolkit.skinning.blending import Blend, bone_segments, pose_of_frame, skinned_vertices
 from vntoolkit.skinning.clock import ClockOptions, Loop
 from vntoolkit.skinning.fitting import ArmPose, GarmentFitOptions
 from vntoolkit.skinning.gait import walking_motion
-from vntoolkit.skinning.kinematics import bone_segments, pose_of_frame
 from vntoolkit.skinning.weights import Falloff, WeightOptions, weights_from_distances
 
 HEAT = WeightOptions()

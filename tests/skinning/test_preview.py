@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.geometry.mesh import Mesh, MeshSequence
 from vntoolkit.io.footage.images import read_image
 from vntoolkit.pipeline.dress import dress
 from vntoolkit.report.mesh_views import (

@@ -11,9 +11,14 @@ from scipy.spatial.transform import Rotation
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.motion import Motion, Skeleton, rest_pose
 from vntoolkit.geometry.rigid import RigidTransform
-from vntoolkit.skinning.blending import Blend, dual_quaternions, skinned_vertices
+from vntoolkit.skinning.blending import (
+    Blend,
+    bone_segments,
+    dual_quaternions,
+    pose_of_frame,
+    skinned_vertices,
+)
 from vntoolkit.skinning.gait import walking_motion
-from vntoolkit.skinning.kinematics import bone_segments, pose_of_frame
 from vntoolkit.skinning.weights import Falloff, SkinWeights, WeightOptions, weights_from_distances
 
 BY_DISTANCE = (Falloff.INVERSE, Falloff.CONTINUOUS)

@@ -13,16 +13,14 @@ from tests.result_files import write_mesh_sequence
 from tests.skinning.test_heat_weights import of_arms, raised_arms, sheet_seen_from_the_front
 from vntoolkit.__main__ import main
 from vntoolkit.errors import BadInput
-from vntoolkit.geometry.laplacian import edges_from_faces
-from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.geometry.mesh import Mesh, MeshSequence, edges_from_faces
 from vntoolkit.geometry.motion import Motion
 from vntoolkit.pipeline.dress import DressedFigure, DressOptions, dress
 from vntoolkit.skinning.anatomy import anatomy_of, arms_of
+from vntoolkit.skinning.blending import pose_of_frame
 from vntoolkit.skinning.findings import DressingFindings
 from vntoolkit.skinning.fitting import Garment, GarmentFitOptions
 from vntoolkit.skinning.gait import walking_motion
-from vntoolkit.skinning.kinematics import pose_of_frame
 from vntoolkit.skinning.sleeves import regions_of_garment
 from vntoolkit.skinning.stretch import drawn_together
 

@@ -8,7 +8,7 @@ import scipy.sparse as sp
 
 from tests.tracking.wrinkled_video import WrinkledVideo
 from vntoolkit.errors import BadInput, BadMesh
-from vntoolkit.geometry.laplacian import (
+from vntoolkit.geometry.mesh import (
     cotangent_laplacian,
     edges_from_faces,
     graph_laplacian,

@@ -34,8 +34,7 @@ from vntoolkit.geometry.board_layout import NORMAL_IN_BOARD, BoardLayout
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.native import one_opencv_thread
-from vntoolkit.photometry.lambertian import rgb_from_normals
-from vntoolkit.photometry.response import HIGHEST_DEGREE
+from vntoolkit.photometry.response import HIGHEST_DEGREE, rgb_from_normals
 
 logger = logging.getLogger(__name__)
 _FEWEST_POSES = 8

@@ -17,8 +17,7 @@ import numpy.typing as npt
 from vntoolkit.arrays import FloatArray, IntArray, Mask, Points, Points2
 from vntoolkit.checks import checks_kinds, require_finite, require_shape
 from vntoolkit.errors import BadCalibration, BadInput, BadRig
-from vntoolkit.photometry.lambertian import scaled_normals_from_rgb
-from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.response import LightResponse, scaled_normals_from_rgb
 from vntoolkit.photometry.rig import FitQuality
 
 _FIRST_SHADOW_SHARE = 0.15  # of a channel's 99th percentile: what surely is lit before anything is known

@@ -21,9 +21,9 @@ from cyclopts import Parameter
 
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.rectification import Rectification
+from vntoolkit.io.files import ReadingLimits, limited_to
 from vntoolkit.io.footage.frame_range import Gaps
 from vntoolkit.io.footage.mosaics import SensorOptions
-from vntoolkit.io.limits import ReadingLimits, limited_to
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer
 

@@ -16,7 +16,7 @@ from cyclopts import CycloptsError
 from vntoolkit.cli import run_verb
 from vntoolkit.cli.messages import line_from_usage_error
 from vntoolkit.errors import BadInput
-from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.geometry.mesh import MeshSequence
 from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.io.rigs import read_rig
 from vntoolkit.photometry.rig import Rig

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from vntoolkit.diagnosis.evidence import Evidence
-from vntoolkit.diagnosis.finding import Finding
-from vntoolkit.diagnosis.mask_match import check_mask
+import numpy as np
+
+from vntoolkit.diagnosis.evidence import Evidence, brightest_channel
+from vntoolkit.diagnosis.finding import Finding, Level
 from vntoolkit.diagnosis.outline import check_cast_shadows, check_outline
-from vntoolkit.diagnosis.rig_checks import check_coverage, check_lamps, check_residual
+from vntoolkit.diagnosis.rig_checks import check_coverage, check_lamps, check_residual, check_zoom
 from vntoolkit.diagnosis.surface_match import check_relatives, check_structure
 from vntoolkit.diagnosis.transfer_match import check_calibrated_transfer, check_transfer
 from vntoolkit.diagnosis.white_balance import check_white_balance
-from vntoolkit.diagnosis.zoom import check_zoom
 from vntoolkit.photometry.rig import Rig
 
 RIG_CHECKS: tuple[Callable[[Rig], list[Finding]], ...] = (
@@ -20,6 +20,36 @@ RIG_CHECKS: tuple[Callable[[Rig], list[Finding]], ...] = (
     check_residual,
     check_coverage,
 )
+
+
+_LIT = 0.15  # of the brightest hundredth of the picture
+_LEAST_LIT = 0.3
+_FEWEST_PIXELS = 50
+
+
+def check_mask(evidence: Evidence) -> list[Finding]:
+    """Find a mask that covers the dark and leaves out what is lit."""
+    if not evidence.masked:
+        return []
+    brightest = brightest_channel(evidence.light)
+    lit = brightest > _LIT * np.percentile(brightest, 99)
+    inside, outside = evidence.inside, ~evidence.inside
+    if min(int(inside.sum()), int(outside.sum())) < _FEWEST_PIXELS:
+        return []
+    within, without = float(lit[inside].mean()), float(lit[outside].mean())
+    if within >= _LEAST_LIT or without <= 2 * within:
+        return []
+    return [
+        Finding(
+            check="mask",
+            level=Level.FATAL,
+            problem="the mask covers the dark and leaves out what is lit",
+            measured=f"{within:.0%} lit inside the mask, {without:.0%} outside",
+            expected=f"{_LEAST_LIT:.0%} or more inside",
+            remedy="the mask is inverted or of other footage: white is the subject; invert it",
+        )
+    ]
+
 
 # Each group is asked only where no check of a group before it found anything: a mask on the backdrop explains
 # noise, noise explains a surface that cannot be, and exchanged channels explain lengths that vary.

@@ -19,7 +19,7 @@ from vntoolkit.diagnosis.over_time import (
     findings_from_drift,
     findings_from_motion,
 )
-from vntoolkit.diagnosis.zoom import check_stated_focal
+from vntoolkit.diagnosis.rig_checks import check_stated_focal
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.footage.captures import Capture, CaptureInfo, CaptureOptions, open_capture
 from vntoolkit.io.footage.mattes import MatteOptions, Mattes, open_mattes

@@ -1,10 +1,19 @@
-"""Can a rig be right? What M, its lamps and its calibration say without any footage of the subject."""
+"""Can a rig be right, and is it of this footage's zoom? What M, its lamps and its calibration say.
+
+Lamps that stand near make M change over the picture, in a way that the rig knows for one focal length. At
+another zoom the change is stretched: then the lengths |M⁻¹(r − a)|, equal on one material, are most equal
+with M read from places scaled by the ratio of the two focal lengths.
+"""
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from vntoolkit.diagnosis.finding import Finding, Level
+from vntoolkit.arrays import FloatArray
+from vntoolkit.diagnosis.evidence import Evidence
+from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
 from vntoolkit.photometry.rig import Rig
 
 _NARROW_CONE_DEG = 20.0  # as calibration warns
@@ -86,3 +95,75 @@ def check_coverage(rig: Rig) -> list[Finding]:
             )
         )
     return findings
+
+
+_PIXELS_A_FRAME = 3000
+_FEWEST_PIXELS = 400
+_ZOOMS = np.exp(np.linspace(-math.log(2.5), math.log(2.5), 41))  # of the footage against the rig
+_NOTED = 1.15
+_LEFT = 0.85  # of the spread of lengths that the other zoom must leave
+_Z = 4.0
+_STATED_NOTED = 1.2  # equivalents of 35 mm are rounded, and refer to the diagonal or to the width
+
+
+def check_zoom(evidence: Evidence) -> list[Finding]:
+    """Find footage that fits the rig's variation over the picture only at another zoom."""
+    variation = evidence.rig.response.variation
+    if variation is None:
+        return []
+    light, positions, blocks = [], [], []
+    for frame, used in zip(evidence.light, evidence.surface, strict=True):
+        places = np.flatnonzero(used)
+        places = places[:: max(1, len(places) // _PIXELS_A_FRAME)]
+        light.append(frame.reshape(-1, 3)[places])
+        positions.append(evidence.positions_px.reshape(-1, 2)[places])
+        blocks.append(evidence.blocks.ravel()[places])
+    rgb, where, block = (np.concatenate(parts) for parts in (light, positions, blocks))
+    if len(rgb) < _FEWEST_PIXELS:
+        return []
+    departures = np.stack([_departures(evidence.rig, rgb, where, zoom) for zoom in _ZOOMS])
+    spreads = departures.mean(axis=1)
+    best, own = int(spreads.argmin()), int(np.abs(np.log(_ZOOMS)).argmin())
+    zoom = float(_ZOOMS[best])
+    if max(zoom, 1 / zoom) < _NOTED or spreads[best] > _LEFT * spreads[own]:
+        return []
+    gain = departures[own] - departures[best]
+    names = np.unique(block)
+    parts = np.array([gain[block == name].mean() for name in names])
+    z = float(parts.mean() / max(parts.std() / math.sqrt(len(parts)), 1e-9))
+    if z < _Z:
+        return []
+    return [_finding(zoom, f"the lengths spread {spreads[own] / spreads[best]:.2f} times as much at 1", z)]
+
+
+def _departures(rig: Rig, rgb: FloatArray, positions: FloatArray, zoom: float) -> FloatArray:
+    """Return how far each log length lies from the median, (n,), with M read at places scaled by 1 / zoom."""
+    assert rig.response.variation is not None
+    centre = rig.camera.matrix[:2, 2] if rig.camera.is_perspective else rig.response.variation.centre_px
+    matrices, ambient = rig.response.at(centre + (positions - centre) / zoom)
+    scaled = np.linalg.solve(matrices, (rgb - ambient)[..., None])[..., 0]
+    logs = np.log(np.maximum(np.linalg.norm(scaled, axis=1), 1e-9))
+    return np.minimum(np.abs(logs - np.median(logs)), 1.0)
+
+
+def check_stated_focal(rig: Rig, stated_focal_px: float | None) -> list[Finding]:
+    """Find footage whose file states another focal length than the rig's. stated_focal_px: None for none."""
+    if stated_focal_px is None or not rig.camera.is_perspective:
+        return []
+    own = math.sqrt(rig.camera.matrix[0, 0] * rig.camera.matrix[1, 1])
+    zoom = stated_focal_px / own
+    if max(zoom, 1 / zoom) < _STATED_NOTED:
+        return []
+    return [_finding(zoom, f"the file states {stated_focal_px:.0f} pixels, the rig's is {own:.0f}", None)]
+
+
+def _finding(zoom: float, because: str, z: float | None) -> Finding:
+    return Finding(
+        check="zoom",
+        level=Level.WARNING,
+        problem=f"the footage looks filmed at another zoom than the rig was calibrated at ({because})",
+        measured=f"{zoom:.2f} times its focal length",
+        expected=f"1 within {_NOTED - 1:.0%}",
+        remedy="film at the zoom of the calibration, or calibrate again at this one",
+        certainty=1.0 if z is None else certainty_from_z(z),
+    )

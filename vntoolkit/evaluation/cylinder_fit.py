@@ -18,12 +18,12 @@ from vntoolkit.errors import BadInput, SolverFailed
 from vntoolkit.evaluation.cylinder import (
     Cylinder,
     across_axis,
+    contour_of,
     distance_from_touching_px,
     intersect,
     least_aligned,
     plane_cross,
 )
-from vntoolkit.evaluation.silhouette import contour_of
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.geometry.rays import pixel_rays

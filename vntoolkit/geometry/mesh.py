@@ -1,16 +1,17 @@
-"""Triangle meshes, and their conversion to and from Open3D and pymeshlab."""
+"""Triangle meshes, at rest and moving: their Laplacians, and conversion to and from Open3D and pymeshlab."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
+import scipy.sparse as sp
 
 from vntoolkit.arrays import Colours, Faces, FloatArray, Points, read_only
-from vntoolkit.checks import require_finite, require_shape
+from vntoolkit.checks import require_finite, require_shape, sum_is_finite
 from vntoolkit.display import Displayed, Facts, Picture, picture_of_points
 from vntoolkit.errors import BadMesh
 from vntoolkit.geometry.point_cloud import rgba_from_rgb
@@ -192,3 +193,123 @@ def triangles_from_polygons(
         fans = [group[:, [0, i, i + 1]] for i in range(1, length - 1)]
         triangles.append(np.stack(fans, axis=1).reshape(-1, 3))
     return np.concatenate(triangles).astype(np.int32)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class MeshSequence(Displayed):
+    """A moving mesh.
+
+    template: topology, colours and texture coordinates. vertices: (frames, n, 3), possibly a memory map,
+    so that a long sequence is read in slices. uncertainty_px: (frames, n) the error to expect of a
+    vertex in the image, pixels, or None. frame_rate_hz: frames per second.
+    """
+
+    template: Mesh
+    vertices: FloatArray
+    frame_rate_hz: float = 60.0
+    uncertainty_px: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        require_shape(self.vertices, (None, len(self.template.vertices), 3), "moving vertices", BadMesh)
+        if not 0 < self.frame_rate_hz < np.inf:
+            raise BadMesh(f"frame rate: expected a positive number, got {self.frame_rate_hz}")
+        object.__setattr__(self, "vertices", read_only(self.vertices))
+        if self.uncertainty_px is not None:
+            require_shape(self.uncertainty_px, self.vertices.shape[:2], "uncertainty in pixels", BadMesh)
+            object.__setattr__(self, "uncertainty_px", read_only(self.uncertainty_px))
+
+    def _facts(self) -> Facts:
+        facts = {
+            "frames": str(len(self)),
+            "vertices": str(len(self.template.vertices)),
+            "faces": str(len(self.template.faces)),
+            "rate": f"{self.frame_rate_hz:g} Hz",
+        }
+        if self.uncertainty_px is not None and len(self):
+            facts["expected error, last frame"] = f"{np.median(self.uncertainty_px[-1]):.2f} px"
+        return facts
+
+    def _picture(self) -> Picture | None:
+        return self[0]._picture() if len(self) else None
+
+    def __len__(self) -> int:
+        return int(self.vertices.shape[0])
+
+    def require_finite(self, name: str) -> None:
+        """Raise `BadMesh` for a frame with NaN or infinity; reads them one after the other."""
+        for frame, vertices in enumerate(self.vertices):
+            if not sum_is_finite(vertices):
+                require_finite(vertices, f"{name}: frame {frame}", BadMesh)
+
+    def __getitem__(self, frame: int) -> Mesh:
+        """Return the mesh of one frame, read into memory."""
+        return self.template.with_vertices(np.array(self.vertices[frame]))
+
+    def __iter__(self) -> Iterator[Mesh]:
+        return (self[frame] for frame in range(len(self)))
+
+
+_SMALLEST_SINE = 1e-9  # of a triangle's angle: below it the triangle has no area and its cotangent no value
+
+
+def edges_from_faces(faces: Faces) -> npt.NDArray[np.int32]:
+    """Return the (e, 2) undirected edges of the triangles, each once, lower index first, sorted."""
+    corners = np.asarray(faces, dtype=np.int64)
+    pairs = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
+    pairs.sort(axis=1)
+    width = int(pairs.max(initial=0)) + 1
+    codes = np.unique(pairs[:, 0] * width + pairs[:, 1])
+    return np.stack([codes // width, codes % width], axis=1).astype(np.int32)
+
+
+def graph_laplacian(
+    edges: npt.NDArray[np.integer], vertex_count: int, weights: FloatArray | None = None
+) -> sp.csr_array:
+    """Return the (n, n) symmetric Laplacian of weighted edges: (L x)_i = Σ_j w_ij (x_i − x_j).
+
+    edges: (e, 2), each once. weights: (e,) or None for 1. Rows sum to 0. float64.
+    """
+    weight = np.ones(len(edges)) if weights is None else np.asarray(weights, dtype=np.float64)
+    first, second = np.asarray(edges, dtype=np.int64).reshape(-1, 2).T
+    degree = np.bincount(first, weight, vertex_count) + np.bincount(second, weight, vertex_count)
+    diagonal = np.arange(vertex_count)
+    rows = np.concatenate([first, second, diagonal])
+    columns = np.concatenate([second, first, diagonal])
+    values = np.concatenate([-weight, -weight, degree])
+    return sp.csr_array((values, (rows, columns)), shape=(vertex_count, vertex_count))
+
+
+def cotangent_laplacian(vertices: Points, faces: Faces) -> sp.csr_array:
+    """Return the (n, n) cotangent Laplacian, w_ij = (cot a_ij + cot b_ij) / 2, symmetric.
+
+    The stiffness matrix of linear elements, not divided by areas: it has no unit and keeps its value when
+    the mesh is scaled. Zero in the interior of a plane, however it is triangulated. Raises BadMesh where a
+    triangle has no area.
+    """
+    pairs, cosines, sines = edge_cotangents(vertices, faces)
+    flat = sines <= _SMALLEST_SINE
+    if flat.any():
+        raise BadMesh(
+            f"cotangent Laplacian: {int(flat.reshape(3, -1).any(axis=0).sum())} triangles have no area; use "
+            "the uniform Laplacian"
+        )
+    return graph_laplacian(pairs, len(np.asarray(vertices)), 0.5 * cosines / sines)
+
+
+def edge_cotangents(vertices: Points, faces: Faces) -> tuple[npt.NDArray[np.int64], FloatArray, FloatArray]:
+    """Return every triangle's edges (3 m, 2), lower index first, and cosine and sine of the angles opposite.
+
+    Cosines and sines, (3 m,), are those of the first, of the second, then of the third corners; both are 0
+    where a side has no length.
+    """
+    points = np.asarray(vertices, dtype=np.float64)
+    pairs, cosines, sines = [], [], []
+    for apex, left, right in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        to_left = points[faces[:, left]] - points[faces[:, apex]]
+        to_right = points[faces[:, right]] - points[faces[:, apex]]
+        lengths = np.linalg.norm(to_left, axis=1) * np.linalg.norm(to_right, axis=1)
+        per_length = np.divide(1.0, lengths, out=np.zeros_like(lengths), where=lengths > 0)
+        pairs.append(np.sort(np.asarray(faces, dtype=np.int64)[:, [left, right]], axis=1))
+        cosines.append(np.sum(to_left * to_right, axis=1) * per_length)
+        sines.append(np.linalg.norm(np.cross(to_left, to_right), axis=1) * per_length)
+    return np.concatenate(pairs), np.concatenate(cosines), np.concatenate(sines)

@@ -15,9 +15,8 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
-from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
+from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded, rectify_frame
 from vntoolkit.io.footage.mattes import PlateKey
-from vntoolkit.io.footage.resampling import rectify_frame
 from vntoolkit.native import njit
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.contact import Contact, contact_from_depth, rested

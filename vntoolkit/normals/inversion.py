@@ -22,8 +22,7 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.photometry.lambertian import scaled_normals_from_rgb
-from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.response import LightResponse, scaled_normals_from_rgb
 from vntoolkit.photometry.transfer import Transfer, decoding_table
 
 Single = npt.NDArray[np.float32]

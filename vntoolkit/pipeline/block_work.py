@@ -19,12 +19,12 @@ import numpy.typing as npt
 
 from vntoolkit.checks import require_positive
 from vntoolkit.errors import VntError
+from vntoolkit.io.files import ReadingLimits, reading_limits
 from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.footage.frame_range import Gaps
 from vntoolkit.io.footage.mattes import MatteOptions, Mattes, open_mattes
 from vntoolkit.io.footage.mosaics import SensorOptions
-from vntoolkit.io.limits import ReadingLimits, reading_limits
 from vntoolkit.io.results.frame_log import FrameEntry
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import ALL_LIT

@@ -45,8 +45,8 @@ from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.files import source_file
+from vntoolkit.io.footage.decoding import Undistorter
 from vntoolkit.io.footage.frame_range import Gaps
-from vntoolkit.io.footage.resampling import Undistorter
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.calibrate import CalibrationJob

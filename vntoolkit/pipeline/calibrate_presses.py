@@ -35,11 +35,11 @@ from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.io.atomic import sole_writer
 from vntoolkit.io.files import read_text, source_file
 from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
+from vntoolkit.io.footage.decoding import rectify_frame
 from vntoolkit.io.footage.frame_range import Gaps
 from vntoolkit.io.footage.gel_dots import DotFilter
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.footage.mosaics import SensorOptions
-from vntoolkit.io.footage.resampling import rectify_frame
 from vntoolkit.normals.gel import change_without_drift
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig

@@ -22,8 +22,8 @@ from vntoolkit.pipeline.options import ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import ReconstructionSummary, reconstruct
 from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob, simulate
+from vntoolkit.simulation.lights import CAMERA_DISTANCE_M
 from vntoolkit.simulation.scene import SceneOptions, build_scene
-from vntoolkit.simulation.studio import CAMERA_DISTANCE_M
 
 _BOARD = "board_sweep"  # carried through the field, so that M is known all over it: the lights are near
 _BOARD_STEP = 3  # of its 240 frames: neighbours show the same tilt

@@ -18,8 +18,7 @@ from vntoolkit.arrays import Faces, FloatArray, IntArray, Points, Vector3
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.garment_fit import GarmentFit
-from vntoolkit.geometry.mesh import Mesh, vertex_normals
-from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.geometry.mesh import Mesh, MeshSequence, vertex_normals
 from vntoolkit.geometry.motion import Motion, Skeleton
 from vntoolkit.geometry.rigid import Similarity
 from vntoolkit.geometry.skinned_clip import SkinnedClip, ViewedFrom, blend_shapes
@@ -36,7 +35,7 @@ from vntoolkit.pipeline.tracked_folder import colours_at, read_track_record, rec
 from vntoolkit.skinning.alignment import Anchor, CapturedMotion, parts_of
 from vntoolkit.skinning.anatomy import anatomy_of, legs_of
 from vntoolkit.skinning.attachment import GarmentCover, SleeveCover, weights_without_web
-from vntoolkit.skinning.blending import Blend, skinned_vertices
+from vntoolkit.skinning.blending import Blend, bone_segments, pose_of_frame, skinned_vertices
 from vntoolkit.skinning.clock import (
     Clock,
     ClockOptions,
@@ -46,7 +45,6 @@ from vntoolkit.skinning.clock import (
 )
 from vntoolkit.skinning.findings import DressingFindings, DressingMeter
 from vntoolkit.skinning.fitting import Fitting, Garment, GarmentFitOptions, fit_garment_to_figure
-from vntoolkit.skinning.kinematics import bone_segments, pose_of_frame
 from vntoolkit.skinning.sleeves import regions_of_garment
 from vntoolkit.skinning.weights import SkinWeights, WeightOptions
 

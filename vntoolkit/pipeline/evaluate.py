@@ -21,10 +21,15 @@ from vntoolkit.evaluation.angular_error import (
     compare_normals,
     summarise_angles,
 )
-from vntoolkit.evaluation.cylinder import Cylinder, axis_error_deg, radius_from_distance, side_angles
+from vntoolkit.evaluation.cylinder import (
+    Cylinder,
+    axis_error_deg,
+    radius_from_distance,
+    side_angles,
+    silhouette_from_image,
+)
 from vntoolkit.evaluation.cylinder_fit import fit_cylinder
 from vntoolkit.evaluation.depth_error import disc_with_hole, peaks, tear
-from vntoolkit.evaluation.silhouette import silhouette_from_image
 from vntoolkit.evaluation.track_error import (
     LOST_PX,
     TrackedPixels,
@@ -34,7 +39,7 @@ from vntoolkit.evaluation.track_error import (
 )
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.maps import DepthMap, NormalMap
-from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.geometry.mesh import MeshSequence
 from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.integration.options import IntegrationOptions, Integrator
 from vntoolkit.io.atomic import write_text

@@ -15,9 +15,8 @@ from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.integration.expected_error import with_expected_depth_error
 from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
-from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
+from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded, resampler_of
 from vntoolkit.io.footage.gel_dots import DotFilter
-from vntoolkit.io.footage.resampling import resampler_of
 from vntoolkit.materials.labelling import MaterialLabeller
 from vntoolkit.materials.pixels import MaterialLabels, colours_of
 from vntoolkit.meshing.surface import mesh_from_depth
@@ -26,7 +25,7 @@ from vntoolkit.normals.expected_error import normals_and_errors_from_encoded, wi
 from vntoolkit.normals.gel import GelInverter, drift_of_change
 from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
-from vntoolkit.photometry.lambertian import leveller_of
+from vntoolkit.photometry.response import leveller_of
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
 from vntoolkit.pipeline.contact import Contact, contact_from_depth, rested

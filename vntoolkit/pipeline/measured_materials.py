@@ -18,8 +18,7 @@ from vntoolkit.materials.pixels import MaterialLabels
 from vntoolkit.materials.search import WORST_ERROR_DEG, Material, find_materials
 from vntoolkit.normals.inversion import relative_albedo_from_frame
 from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.photometry.lambertian import scaled_normals_from_rgb
-from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.response import LightResponse, scaled_normals_from_rgb
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.pipeline.options import MaterialSearch

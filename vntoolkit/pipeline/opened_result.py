@@ -15,12 +15,10 @@ from vntoolkit.errors import BadCapture, BadInput, VntError
 from vntoolkit.evaluation.track_error import LOST_PX
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
-from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.geometry.mesh import Mesh, MeshSequence
 from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
-from vntoolkit.io.footage.decoding import linear_frame_from_encoded
+from vntoolkit.io.footage.decoding import linear_frame_from_encoded, resampler_of
 from vntoolkit.io.footage.frame_range import FrameRange, Gaps
-from vntoolkit.io.footage.resampling import resampler_of
 from vntoolkit.io.maps_and_meshes.label_images import read_labels, read_materials
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh

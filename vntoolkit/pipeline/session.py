@@ -14,9 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from vntoolkit.errors import BadInput, VntError
-from vntoolkit.io.files import require_name
+from vntoolkit.io.files import ReadingLimits, limited_to, require_name
 from vntoolkit.io.footage.frame_range import FrameRange
-from vntoolkit.io.limits import ReadingLimits, limited_to
 from vntoolkit.io.results.frame_log import FrameEntry
 from vntoolkit.native import keep_freed_memory, limit_threads
 from vntoolkit.pipeline.block_work import ReconstructionJob

@@ -40,6 +40,7 @@ from vntoolkit.pipeline.options import option_values
 from vntoolkit.pipeline.processes import shared_out
 from vntoolkit.simulation.head.rig import seam_lines_px
 from vntoolkit.simulation.image_formation import exposure_of_scene, light_colours_of, true_response
+from vntoolkit.simulation.lights import WAVELENGTHS_NM
 from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.render import (
     Renderer,
@@ -49,7 +50,6 @@ from vntoolkit.simulation.render import (
     require_same_topology,
 )
 from vntoolkit.simulation.scene import Scene, SceneOptions, build_scene
-from vntoolkit.simulation.spectra import WAVELENGTHS_NM
 
 _SHEET_FRAMES, _SHEET_WIDTH = 8, 320
 _VERSION = 1

@@ -18,8 +18,7 @@ from scipy import ndimage
 from vntoolkit.arrays import Colours, Faces, FloatArray, IntArray, Mask, Points, Points2
 from vntoolkit.errors import VntError
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.geometry.mesh import Mesh, face_normals, vertex_normals
-from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.geometry.mesh import Mesh, MeshSequence, face_normals, vertex_normals
 from vntoolkit.io.atomic import require_writable_folder, write_bytes, write_text
 from vntoolkit.io.footage.images import read_image, write_png
 from vntoolkit.io.maps_and_meshes.glb import Texture
@@ -28,7 +27,7 @@ from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.materials.pixels import relit
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import count_lit
-from vntoolkit.photometry.lambertian import scaled_normals_from_rgb
+from vntoolkit.photometry.response import scaled_normals_from_rgb
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
 from vntoolkit.pipeline.opened_result import OpenedResult, open_result
 from vntoolkit.pipeline.tracked_folder import read_track_record

@@ -16,7 +16,7 @@ from vntoolkit.checks import require_positive
 from vntoolkit.diagnosis.finding import judge
 from vntoolkit.diagnosis.over_time import findings_from_tracks
 from vntoolkit.errors import BadInput, BadMesh
-from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.geometry.mesh import MeshSequence
 from vntoolkit.io.atomic import sole_writer, undisturbed
 from vntoolkit.io.results.sequences import MeshSequenceWriter, read_mesh_sequence, remove_mesh_sequence
 from vntoolkit.pipeline.options import option_values

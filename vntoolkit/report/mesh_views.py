@@ -19,8 +19,8 @@ from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.footage.video import write_video
 from vntoolkit.pipeline.dress import DressedFigure, floor_height
 from vntoolkit.report.pictures import write_tiles
+from vntoolkit.skinning.blending import bone_segments, pose_of_frame
 from vntoolkit.skinning.findings import STRETCHED
-from vntoolkit.skinning.kinematics import bone_segments, pose_of_frame
 
 BACKGROUND = (0.93, 0.94, 0.96)
 PLAIN = (0.66, 0.65, 0.62)  # of a mesh without colours

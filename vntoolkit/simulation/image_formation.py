@@ -9,9 +9,9 @@ import numpy as np
 from vntoolkit.arrays import FloatArray, Matrix3, Vector3
 from vntoolkit.errors import BadInput
 from vntoolkit.photometry.response import LightResponse, ResponseVariation, powers_to_degree
+from vntoolkit.simulation.lights import colour_from_spectrum
 from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.scene import Scene
-from vntoolkit.simulation.spectra import colour_from_spectrum
 
 _GRID = 15  # samples across and down the image
 

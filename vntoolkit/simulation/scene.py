@@ -37,9 +37,14 @@ from vntoolkit.checks import require_finite, require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.rigid import RigidTransform
-from vntoolkit.simulation.lights import Lighting, Lights
-from vntoolkit.simulation.spectra import WAVELENGTHS_NM, camera_sensitivities, rgb_pigments
-from vntoolkit.simulation.studio import studio_centre
+from vntoolkit.simulation.lights import (
+    WAVELENGTHS_NM,
+    Lighting,
+    Lights,
+    camera_sensitivities,
+    rgb_pigments,
+    studio_centre,
+)
 
 # name -> "module:function" of type SceneFactory; imported only when the scene is asked for
 SCENES: dict[str, str] = {

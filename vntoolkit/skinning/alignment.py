@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from vntoolkit.arrays import Faces, FloatArray, IntArray, Mask, Points, Vector3
-from vntoolkit.geometry.laplacian import edges_from_faces
+from vntoolkit.geometry.mesh import edges_from_faces
 from vntoolkit.geometry.motion import Skeleton
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.skinning.anatomy import Anatomy, Arm, thigh_of

@@ -11,8 +11,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from vntoolkit.arrays import Faces, FloatArray, IntArray, Mask, Points, Vector3
-from vntoolkit.geometry.laplacian import edge_cotangents, graph_laplacian
-from vntoolkit.geometry.mesh import Mesh, face_normals, vertex_normals
+from vntoolkit.geometry.mesh import Mesh, edge_cotangents, face_normals, graph_laplacian, vertex_normals
 from vntoolkit.geometry.motion import Skeleton
 from vntoolkit.native import njit
 from vntoolkit.skinning.blending import skinned_vertices

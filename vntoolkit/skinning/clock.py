@@ -10,7 +10,7 @@ import numpy as np
 
 from vntoolkit.arrays import FloatArray, IntArray, Points
 from vntoolkit.errors import BadInput
-from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.geometry.mesh import MeshSequence
 from vntoolkit.geometry.motion import Motion
 
 _SLERP_LINEAR_BELOW = 1e-6  # radians: there slerp and linear interpolation agree to the last digit

@@ -31,7 +31,7 @@ from vntoolkit.skinning.anatomy import (
     shoulders_of,
     thigh_of,
 )
-from vntoolkit.skinning.kinematics import forward_kinematics
+from vntoolkit.skinning.blending import forward_kinematics
 from vntoolkit.skinning.sleeves import GarmentRegions, regions_of_garment
 
 _WAIST_RISE = 0.1  # of the way from feet to hips: trousers reach above the joints of the hips

@@ -14,7 +14,7 @@ from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.motion import Skeleton
 from vntoolkit.native import njit
-from vntoolkit.skinning.kinematics import bone_segments
+from vntoolkit.skinning.blending import bone_segments
 
 _NEAREST = 1e-6  # of the skeleton's height: nearer counts as this near, so that 1/distance stays finite
 

@@ -8,8 +8,7 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
 from vntoolkit.arrays import FloatArray, IntArray, Points, Points2
-from vntoolkit.geometry.laplacian import graph_laplacian
-from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.geometry.mesh import Mesh, graph_laplacian
 from vntoolkit.native import import_open3d, njit
 from vntoolkit.tracking.sparse_factor import factor_symmetric, nested_dissection_order
 from vntoolkit.tracking.template import TrackingTemplate

@@ -19,8 +19,8 @@ from vntoolkit.arrays import Faces, IntArray, Mask, Points, Points2
 from vntoolkit.checks import require_same_size
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.geometry.laplacian import edges_from_faces
 from vntoolkit.geometry.maps import DepthMap, NormalMap
+from vntoolkit.geometry.mesh import edges_from_faces
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -12,9 +12,8 @@ import scipy.sparse as sp
 from vntoolkit.arrays import Points, Points2, VisibilityLabels, read_only
 from vntoolkit.checks import require_same_size
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.geometry.laplacian import cotangent_laplacian, graph_laplacian
 from vntoolkit.geometry.maps import DepthMap, NormalMap
-from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.geometry.mesh import Mesh, cotangent_laplacian, graph_laplacian
 from vntoolkit.tracking.flow import (
     Relief,
     advected_positions,

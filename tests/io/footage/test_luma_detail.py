@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
-from vntoolkit.photometry.lambertian import rgb_from_normals
-from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.response import LightResponse, rgb_from_normals
 from vntoolkit.photometry.transfer import Transfer, encoded_from_linear
 
 SIZE = (96, 160)

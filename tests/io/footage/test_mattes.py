@@ -19,7 +19,7 @@ from vntoolkit.io.footage.video import write_video
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map
 from vntoolkit.io.rigs import read_rig, write_rig
 from vntoolkit.live.frames import LiveProcessor
-from vntoolkit.photometry.lambertian import rgb_from_normals
+from vntoolkit.photometry.response import rgb_from_normals
 from vntoolkit.photometry.rig import Rig
 
 COUNT = 4

@@ -17,7 +17,7 @@ from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.footage.mosaics import Bayer, Demosaic, SensorOptions, rgb_from_mosaic
 from vntoolkit.io.rigs import write_rig
-from vntoolkit.photometry.lambertian import rgb_from_normals
+from vntoolkit.photometry.response import rgb_from_normals
 from vntoolkit.photometry.rig import Rig
 
 BLACK, WHITE = 64, 1023

@@ -19,7 +19,7 @@ from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.images import read_image
 from vntoolkit.io.footage.orientation import Orientation
 from vntoolkit.io.rigs import read_rig, write_rig
-from vntoolkit.photometry.lambertian import rgb_from_normals
+from vntoolkit.photometry.response import rgb_from_normals
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, encoded_from_linear
 

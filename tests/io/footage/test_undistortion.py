@@ -1,7 +1,7 @@
 import numpy as np
 
 from vntoolkit.geometry.camera import Camera, CameraModel
-from vntoolkit.io.footage.resampling import Undistorter
+from vntoolkit.io.footage.decoding import Undistorter
 from vntoolkit.photometry.frame import LinearFrame
 
 PINHOLE = Camera.pinhole(width=120, height=90, focal_px=110.0)

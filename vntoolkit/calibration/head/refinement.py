@@ -36,8 +36,7 @@ from vntoolkit.calibration.head.skin import (
 )
 from vntoolkit.errors import SolverFailed
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.geometry.laplacian import edge_cotangents
-from vntoolkit.geometry.mesh import Mesh, face_normals, vertex_normals
+from vntoolkit.geometry.mesh import Mesh, edge_cotangents, face_normals, vertex_normals
 from vntoolkit.photometry.response import LightResponse
 
 _ROUNDS, _PASSES = 6, 2  # colours are taken anew in so many: later, vertices hardly move

@@ -22,7 +22,7 @@ import numpy.typing as npt
 from vntoolkit.arrays import Mask
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.atomic import write_bytes
-from vntoolkit.io.files import opened
+from vntoolkit.io.files import opened, require_pixels
 from vntoolkit.io.footage.mosaics import (
     RAW_SUFFIXES,
     Bayer,
@@ -32,7 +32,6 @@ from vntoolkit.io.footage.mosaics import (
     rgb_from_mosaic,
 )
 from vntoolkit.io.footage.orientation import UPRIGHT, Orientation
-from vntoolkit.io.limits import require_pixels
 from vntoolkit.io.maps_and_meshes import exr
 from vntoolkit.io.maps_and_meshes.exr import read_exr
 from vntoolkit.native import silenced_native_output

@@ -13,11 +13,11 @@ import numpy as np
 from vntoolkit.arrays import LinearImage, Mask
 from vntoolkit.checks import require_in_range
 from vntoolkit.errors import BadCapture
+from vntoolkit.io.files import reading_limits
 from vntoolkit.io.footage.captures import Capture, CaptureInfo, CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded
 from vntoolkit.io.footage.frame_range import Gaps
 from vntoolkit.io.footage.sequence import CaptureKind, find_capture_files, text_of_names
-from vntoolkit.io.limits import reading_limits
 from vntoolkit.io.maps_and_meshes.label_images import read_mask
 from vntoolkit.photometry.transfer import Transfer
 

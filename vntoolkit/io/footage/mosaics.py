@@ -12,8 +12,7 @@ import numpy.typing as npt
 
 from vntoolkit.checks import require_in_range
 from vntoolkit.errors import BadCapture, BadInput
-from vntoolkit.io.files import opened
-from vntoolkit.io.limits import require_pixels
+from vntoolkit.io.files import opened, require_pixels
 
 # Camera raw files that LibRaw reads.
 RAW_SUFFIXES = (

@@ -23,7 +23,7 @@ import numpy.typing as npt
 from vntoolkit.checks import require_in_range
 from vntoolkit.errors import BadCapture, CannotWrite
 from vntoolkit.io.atomic import atomic_path
-from vntoolkit.io.files import require_file
+from vntoolkit.io.files import require_file, require_pixels
 from vntoolkit.io.footage.luma_detail import LumaDetail
 from vntoolkit.io.footage.mosaics import Bayer, Demosaic, SensorOptions, rgb_from_mosaic
 from vntoolkit.io.footage.orientation import UPRIGHT, Orientation
@@ -34,7 +34,6 @@ from vntoolkit.io.footage.pixel_formats import (
     rgb_with_luma_detail,
     yuv_conversion,
 )
-from vntoolkit.io.limits import require_pixels
 from vntoolkit.native import njit
 
 _HD_HEIGHT = 720

@@ -16,8 +16,7 @@ import numpy.typing as npt
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.io.atomic import atomic_path
-from vntoolkit.io.files import require_file
-from vntoolkit.io.limits import reading_limits
+from vntoolkit.io.files import reading_limits, require_file
 
 _LONGEST_REASON = 200
 _BYTES_PER_PIXEL = 8  # a depth in double precision

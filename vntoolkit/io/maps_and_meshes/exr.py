@@ -18,8 +18,7 @@ import numpy.typing as npt
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.atomic import write_bytes
-from vntoolkit.io.files import opened
-from vntoolkit.io.limits import require_pixels
+from vntoolkit.io.files import opened, require_pixels
 from vntoolkit.native import silenced_native_output
 
 MAGIC = b"\x76\x2f\x31\x01"

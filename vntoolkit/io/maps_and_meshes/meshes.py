@@ -15,9 +15,8 @@ from vntoolkit.geometry.mesh import Mesh, triangles_from_polygons
 from vntoolkit.geometry.point_cloud import PointCloud
 from vntoolkit.io.atomic import write_text
 from vntoolkit.io.conventions import MeshUpAxis, graphics_from_camera
-from vntoolkit.io.files import text_lines
+from vntoolkit.io.files import require_mesh_file, require_vertices, text_lines
 from vntoolkit.io.footage.images import write_png
-from vntoolkit.io.limits import require_mesh_file, require_vertices
 from vntoolkit.io.maps_and_meshes.ply import PlyContent, bytes_from_colours, read_ply, write_ply
 
 

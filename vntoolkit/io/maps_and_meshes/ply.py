@@ -15,8 +15,7 @@ from vntoolkit.arrays import Faces, FloatArray
 from vntoolkit.errors import BadMesh
 from vntoolkit.geometry.mesh import triangles_from_polygons
 from vntoolkit.io.atomic import write_bytes
-from vntoolkit.io.files import opened, require_file
-from vntoolkit.io.limits import require_vertices
+from vntoolkit.io.files import opened, require_file, require_vertices
 
 _KINDS = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2",

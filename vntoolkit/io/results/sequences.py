@@ -20,8 +20,7 @@ import numpy as np
 from vntoolkit.arrays import FloatArray
 from vntoolkit.checks import require_finite, require_positive, require_shape
 from vntoolkit.errors import BadMesh
-from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.geometry.mesh_sequence import MeshSequence
+from vntoolkit.geometry.mesh import Mesh, MeshSequence
 from vntoolkit.io.atomic import cannot_write, require_writable_folder, write_text
 from vntoolkit.io.files import parse_json, read_text, require_file
 from vntoolkit.io.maps_and_meshes.arrays import map_npy

@@ -7,7 +7,7 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from vntoolkit.arrays import Faces, FloatArray, IntArray, Points
-from vntoolkit.geometry.laplacian import edges_from_faces
+from vntoolkit.geometry.mesh import edges_from_faces
 from vntoolkit.native import njit
 from vntoolkit.simulation.body.capsules import Capsules, closest_capsule
 from vntoolkit.simulation.garment.pattern import BACK, Garment

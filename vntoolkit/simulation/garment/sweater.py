@@ -18,8 +18,8 @@ from vntoolkit.native import njit
 from vntoolkit.simulation.body.capsules import Capsules
 from vntoolkit.simulation.garment.pattern import EDGE_LENGTH_M, Garment, knit_coordinates, sew_sweater
 from vntoolkit.simulation.garment.solver import THICKNESS_M, ClothSolver
+from vntoolkit.simulation.lights import studio_camera, studio_centre, studio_lights
 from vntoolkit.simulation.scene import Detail, Scene, SceneOptions, SceneSurface
-from vntoolkit.simulation.studio import studio_camera, studio_centre, studio_lights
 
 _FRAMES = 1000
 _FIELD_WIDTH_M = 1.42

@@ -19,8 +19,8 @@ from vntoolkit.simulation.head.rig import (
     turning_pose,
 )
 from vntoolkit.simulation.head.sculpture import EYE_CENTRE, MOUTH_HALF_WIDTH, azimuth_deg, hair_share
+from vntoolkit.simulation.lights import studio_camera, studio_centre, studio_lights
 from vntoolkit.simulation.scene import Detail, Scene, SceneOptions, SceneSurface
-from vntoolkit.simulation.studio import studio_camera, studio_centre, studio_lights
 
 _TURN_FRAMES, _WIDEST_TURN_DEG = 90, 68.0
 _FACE_FRAMES = 1000

@@ -12,9 +12,8 @@ import numpy as np
 from vntoolkit.arrays import FloatArray, Points
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.simulation.grids import grid_faces, grid_uv
-from vntoolkit.simulation.lights import Lights
+from vntoolkit.simulation.lights import Lights, coloured_lamps, room_glow
 from vntoolkit.simulation.scene import Scene, SceneOptions, SceneSurface
-from vntoolkit.simulation.spectra import coloured_lamps, room_glow
 
 BALL_RADIUS_M = 2.4e-3
 _PRESSES, _ROLLED = 36, 24  # frames
