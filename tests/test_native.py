@@ -1,7 +1,10 @@
 """Libraries as the package uses them: Open3D without its web server, kernels without Python's lock."""
 
+import os
 import subprocess
 import sys
+
+import pytest
 
 from vntoolkit.native import njit
 
@@ -26,3 +29,12 @@ def test_a_kernel_does_not_hold_up_the_threads_that_read_and_write() -> None:
     kernel = njit(cache=True)(lambda x: x + 1)
     assert kernel.targetoptions["nogil"]
     assert kernel(1) == 2
+
+
+@pytest.mark.parametrize(("layer", "may"), [("omp", True), ("workqueue", False)])
+def test_loops_overlap_only_where_the_threads_can_take_it(layer: str, may: bool) -> None:
+    """numba's own layer ends a process in which two threads run parallel loops at once."""
+    script = f"from vntoolkit.native import loops_may_overlap; assert loops_may_overlap() is {may}"
+    subprocess.run(
+        [sys.executable, "-c", script], check=True, env={**os.environ, "NUMBA_THREADING_LAYER": layer}
+    )

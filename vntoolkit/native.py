@@ -138,6 +138,18 @@ def limit_threads(count: int) -> None:
     numba.set_num_threads(min(count, numba.get_num_threads()))
 
 
+def loops_may_overlap() -> bool:
+    """True where two threads of this process may run parallel loops at once.
+
+    Where there is neither OpenMP nor TBB, numba's own layer ends a process that does.
+    """
+    import numba
+
+    numba.get_num_threads()  # which starts the layer
+    layer: str = numba.threading_layer()  # type: ignore[attr-defined]
+    return layer != "workqueue"
+
+
 def require_address_space(size: int, name: str) -> None:
     """Raise `VntError` where `ulimit -v` leaves a library less than it takes: it would end the process."""
     if not sys.platform.startswith("linux"):

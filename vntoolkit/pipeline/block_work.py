@@ -1,4 +1,4 @@
-"""Work on a block of frames in one process: read ahead, process, write behind, smooth over time."""
+"""Work on a block of frames in one process: four threads, each a frame ahead of the next; smoothing."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from vntoolkit.io.footage.frame_range import Gaps
 from vntoolkit.io.footage.mattes import MatteOptions, Mattes, open_mattes
 from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.io.results.frame_log import FrameEntry
-from vntoolkit.native import njit
+from vntoolkit.native import loops_may_overlap, njit
 from vntoolkit.photometry.frame import ALL_LIT
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer
@@ -35,7 +35,7 @@ from vntoolkit.pipeline.options import DepthOffset, OnError, Product, Reconstruc
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.shadows.detector import ShadowMethod
 
-_WAITING = 2  # frames read before the one at work, and results not yet written
+_WAITING = 1  # frames that lie between one thread and the next
 Item = TypeVar("Item")
 Block = tuple[range, frozenset[int]]  # consecutive frames, and those of them that are on disk already
 _END = object()
@@ -142,38 +142,67 @@ class BlockWorker:
         frames = smoothed_frames(self._capture, block, self._job.options.smoothing)
         written: list[FrameEntry] = []
 
-        def write(done: tuple[FrameEntry, FrameResult | None]) -> None:
-            written.append(self._write(*done))
+        def write(done: _FrameAtWork) -> None:
+            if done.frame.number not in already_done:
+                written.append(self._written(done))
 
         waiting = _WAITING if self._job.threads > 1 else 0
-        with WriteBehind(write, waiting) as writer:
+        meanwhile = waiting if loops_may_overlap() else 0
+        with (
+            WriteBehind(write, waiting) as writer,
+            WriteBehind[_FrameAtWork](
+                lambda begun: writer.put(self._with_surface(begun)), meanwhile
+            ) as second,
+        ):
             for frame in read_ahead(frames, waiting):
                 if self._mattes.missing([frame.number]):
                     continue
-                done = self._process(frame)
-                if frame.number not in already_done:
-                    writer.put(done)
+                second.put(self._with_normals(frame))
                 while written:
                     yield written.pop(0)
         yield from written
 
-    def _process(self, frame: EncodedFrame) -> tuple[FrameEntry, FrameResult | None]:
-        started = time.perf_counter()
-        try:
+    def _with_normals(self, frame: EncodedFrame) -> _FrameAtWork:
+        def normals() -> FrameResult:
             matte = self._mattes.of(frame) if self._mattes.changes else None
-            result = self._processor.process(frame, matte)
+            return self._processor.normals(frame, matte)
+
+        return self._tried(normals, _FrameAtWork(frame=frame))
+
+    def _with_surface(self, begun: _FrameAtWork) -> _FrameAtWork:
+        result = begun.result
+        if result is None:
+            return begun
+        return self._tried(lambda: self._processor.with_surface(result, begun.frame), begun)
+
+    def _tried(self, work: Callable[[], FrameResult], before: _FrameAtWork) -> _FrameAtWork:
+        started = time.perf_counter()
+        result, failure = None, ""
+        try:
+            result = work()
         except VntError as error:
             if self._job.options.on_error is OnError.STOP:
                 raise
-            seconds = time.perf_counter() - started
-            return FrameEntry(number=frame.number, seconds=seconds, failure=str(error)), None
-        return record_of(result, time.perf_counter() - started), result
+            failure = str(error)
+        seconds = before.seconds + time.perf_counter() - started
+        return replace(before, result=result, seconds=seconds, failure=failure)
 
-    def _write(self, record: FrameEntry, result: FrameResult | None) -> FrameEntry:
+    def _written(self, done: _FrameAtWork) -> FrameEntry:
         started = time.perf_counter()
-        if result is not None:
-            self._job.folder.write(result)
-        return replace(record, seconds=record.seconds + time.perf_counter() - started)
+        if done.result is None:
+            return FrameEntry(number=done.frame.number, seconds=done.seconds, failure=done.failure)
+        self._job.folder.write(done.result)
+        return record_of(done.result, done.seconds + time.perf_counter() - started)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _FrameAtWork:
+    """What a frame became so far, None for what failed; the seconds spent on it; and why it failed."""
+
+    frame: EncodedFrame
+    result: FrameResult | None = None
+    seconds: float = 0.0
+    failure: str = ""
 
 
 def record_of(result: FrameResult, seconds: float) -> FrameEntry:
@@ -193,7 +222,8 @@ def record_of(result: FrameResult, seconds: float) -> FrameEntry:
     )
 
 
-# Reading and writing run in threads with bounded queues, so that disk and processor work at the same time.
+# Reading, normals, surfaces and writing run in a thread each, with bounded queues between them: of a frame
+# only the normals wait for the frame before, and few of the steps keep two cores busy.
 
 
 def read_ahead(items: Iterable[Item], depth: int = 2) -> Iterator[Item]:

@@ -140,6 +140,10 @@ class FrameProcessor:
         matte: (h, w) pixels of interest of this frame, as filmed; None for those of every frame. Raises
         `BadCapture` where the frame has no usable pixel.
         """
+        return self.with_surface(self.normals(frame, matte), frame)
+
+    def normals(self, frame: EncodedFrame, matte: Mask | None = None) -> FrameResult:
+        """The first half of `process`: normals and labels, which the next frame's may start from."""
         self._look_inside(matte)
         normal_map, labels, clipped_share = self._normals(frame)
         if not normal_map.mask.any():
@@ -147,6 +151,22 @@ class FrameProcessor:
                 f"{frame.name}: no usable pixel: all are black, clipped or outside the mask; "
                 "look at exposure, mask and rig"
             )
+        return FrameResult(
+            number=frame.number,
+            normal_map=normal_map,
+            depth_map=None,
+            labels=labels,
+            mesh=None,
+            clipped_share=clipped_share,
+            materials=self._materials,
+        )
+
+    def with_surface(self, result: FrameResult, frame: EncodedFrame) -> FrameResult:
+        """The second half: depth and mesh, as far as the options say.
+
+        Another thread may work on it while this one finds the next frame's normals; frames come in order.
+        """
+        normal_map = result.normal_map
         depth_map = None if self._options.to is Product.NORMALS else self._depth(normal_map)
         contact = None
         if self._gel is not None and depth_map is not None:
@@ -157,20 +177,11 @@ class FrameProcessor:
             mesh = mesh_from_depth(
                 depth_map,
                 self.camera,
-                rgb=self._displayed(frame),
+                rgb=self._displayed(frame, result.materials),
                 normal_map=normal_map,
                 options=self._options.meshing,
             )
-        return FrameResult(
-            number=frame.number,
-            normal_map=normal_map,
-            depth_map=depth_map,
-            labels=labels,
-            mesh=mesh,
-            clipped_share=clipped_share,
-            contact=contact,
-            materials=self._materials,
-        )
+        return replace(result, depth_map=depth_map, mesh=mesh, contact=contact)
 
     def _look_inside(self, matte: Mask | None) -> None:
         self._mask = self._whole_mask
@@ -279,10 +290,10 @@ class FrameProcessor:
             return replace(depth_map, depth=scaled, unit=LengthUnit.METRE)
         return depth_map
 
-    def _displayed(self, frame: EncodedFrame) -> Colours:
+    def _displayed(self, frame: EncodedFrame, materials: MaterialLabels | None) -> Colours:
         """The mesh's colour, 0 to 1: of its materials where known, else the frame as a person sees it."""
-        if self._materials is not None:
-            return np.asarray(self._paints[self._materials], dtype=np.float32)
+        if materials is not None:
+            return np.asarray(self._paints[materials], dtype=np.float32)
         shown = np.asarray(frame.values, dtype=np.float32)
         if frame.values.dtype in (np.uint8, np.uint16):
             shown = shown / np.float32(2**frame.bits - 1)
