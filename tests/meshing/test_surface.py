@@ -93,3 +93,27 @@ def test_refusals() -> None:
         mesh_from_depth(cliffs, ORTHOGRAPHIC)
     with pytest.raises(BadInput, match="but the camera is"):
         mesh_from_depth(dome(20, 20), ORTHOGRAPHIC)
+
+
+def test_a_stride_that_meets_no_valid_pixel_is_refused() -> None:
+    mask = np.zeros((30, 40), bool)
+    mask[1::2, 1::2] = True
+    with pytest.raises(BadMesh, match="no three neighbouring pixels"):
+        mesh_from_depth(
+            DepthMap(depth=np.zeros((30, 40)), mask=mask), ORTHOGRAPHIC, options=MeshOptions(stride=2)
+        )
+
+
+def test_a_mesh_is_the_same_wherever_its_subject_lies() -> None:
+    """Only the rows and columns of the subject are looked at."""
+    mask = np.zeros((30, 40), bool)
+    mask[:8, :9] = True
+    depth = np.where(mask, np.arange(1200.0).reshape(30, 40) % 7, 0.0)
+    there = mesh_from_depth(
+        DepthMap(depth=np.roll(depth, (20, 30), (0, 1)), mask=np.roll(mask, (20, 30), (0, 1))), ORTHOGRAPHIC
+    )
+    here = mesh_from_depth(DepthMap(depth=depth, mask=mask), ORTHOGRAPHIC)
+    np.testing.assert_array_equal(there.faces, here.faces)
+    np.testing.assert_allclose(
+        there.vertices - here.vertices, np.tile([30.0, 20.0, 0.0], (72, 1)), atol=1e-12
+    )

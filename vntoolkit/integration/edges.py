@@ -275,8 +275,6 @@ class Components:
     def __init__(self, domain: Mask) -> None:
         self.labels, self.count = ndimage.label(domain)
         self._domain = domain
-        self._flat = self.labels.ravel()
-        self._sizes = np.bincount(self._flat, minlength=self.count + 1)
 
     def remove_means(self, values: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.float64]:
         """Shift `values` (h, w) to mean 0 over each component; 0 outside the domain."""
@@ -290,6 +288,7 @@ class Components:
         """Mean over the component of each pixel, (h, w) or a scalar."""
         if self.count == 1:
             return np.asarray(values[self._domain].mean(dtype=np.float64))
-        sums = np.bincount(self._flat, weights=values.ravel(), minlength=self.count + 1)
-        means = sums / np.maximum(self._sizes, 1)
+        flat = self.labels.ravel()
+        sums = np.bincount(flat, weights=values.ravel(), minlength=self.count + 1)
+        means = sums / np.maximum(np.bincount(flat, minlength=self.count + 1), 1)
         return np.where(self._domain, means[self.labels], 1.0)

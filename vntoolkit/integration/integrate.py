@@ -61,6 +61,7 @@ class DepthIntegrator:
         self._rays = rays_from_camera(camera)
         self._rectangle: dict[Integrator, RectangleSolver] = {}
         self._domain: DomainSolver | None = None
+        self.parts: Components | None = None  # of the map integrated last, where they had to be found
 
     @checks_kinds
     def integrate(self, normal_map: NormalMap) -> DepthMap:
@@ -78,6 +79,7 @@ class DepthIntegrator:
         domain = self._domain_of(normal_map)
         choice = self._choice(domain)
         if choice in _RECTANGLE:
+            self.parts = None
             p, q = slopes_from_normals(
                 normal_map.normals_in_camera, self._rays, self._options.steepest_slope_deg
             )
@@ -92,6 +94,7 @@ class DepthIntegrator:
             weight = np.maximum(weight, _LEAST_TRUST)
         if self._domain is None or not np.array_equal(domain, self._domain.domain):
             self._domain = DomainSolver(domain, self._rays, self._options)
+        self.parts = self._domain.components
         solve = self._domain.poisson if choice is Integrator.POISSON else self._domain.discontinuity
         return self._finish(solve(normals, weight), domain, self._domain.components)
 
@@ -271,15 +274,19 @@ class DepthAnchor:
     def __init__(self, reference: DepthMap) -> None:
         self._reference = reference
 
-    def align(self, depth_map: DepthMap) -> DepthMap:
-        """Return `depth_map` with the reference's offset (`FREE` depth: its scale)."""
-        depth = np.array(depth_map.depth)
-        if depth_map.mask.all():
-            self._align_part(depth, depth_map.mask, np.s_[:, :], depth_map.unit)
-            return replace(depth_map, depth=depth)
-        labels = Components(depth_map.mask).labels
-        for label, box in enumerate(ndimage.find_objects(labels), start=1):
-            self._align_part(depth[box], labels[box] == label, box, depth_map.unit)
+    def align(self, depth_map: DepthMap, parts: Components | None = None) -> DepthMap:
+        """Return `depth_map` with the reference's offset (`FREE` depth: its scale).
+
+        parts: of its mask, where they are known.
+        """
+        depth, mask = np.array(depth_map.depth), depth_map.mask
+        if not mask.all():
+            parts = parts or Components(mask)
+            if parts.count > 1:
+                for label, box in enumerate(ndimage.find_objects(parts.labels), start=1):
+                    self._align_part(depth[box], parts.labels[box] == label, box, depth_map.unit)
+                return replace(depth_map, depth=depth)
+        self._align_part(depth, mask, np.s_[:, :], depth_map.unit)
         return replace(depth_map, depth=depth)
 
     def _align_part(

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import prange
 
-from vntoolkit.arrays import Colours, Depth, Faces, IntArray, LinearImage, Mask, Points
+from vntoolkit.arrays import Colours, Depth, Faces, FloatArray, IntArray, LinearImage, Mask, Points
 from vntoolkit.checks import checks_kinds, require_same_size, require_some
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.geometry.camera import Camera
@@ -58,14 +58,14 @@ def mesh_from_depth(
     _require_match(depth_map, camera, rgb, normal_map)
     rows, columns, faces = _grid_of(depth_map, camera, options)
     pixels = rows * camera.width + columns
-    points = _points_at(depth_map, camera, rows, columns)
+    points = camera.unproject(np.stack([columns, rows], axis=-1), _values_at(depth_map.depth, pixels))
     return Mesh(
         vertices=points,
         faces=faces,
         normals=_normals_at(normal_map, pixels, points, faces),
         colours=_colours_at(rgb, pixels),
         error_deg=None if normal_map is None else _values_at(normal_map.error_deg, pixels),
-        uv=np.stack([(columns + 0.5) / camera.width, 1.0 - (rows + 0.5) / camera.height], axis=-1),
+        uv=_uv_at(camera, rows, columns),
     )
 
 
@@ -82,7 +82,7 @@ def point_cloud_from_depth(
     rows, columns = np.nonzero(depth_map.mask)
     pixels = rows * camera.width + columns
     return PointCloud(
-        points=_points_at(depth_map, camera, rows, columns),
+        points=camera.unproject(np.stack([columns, rows], axis=-1), _values_at(depth_map.depth, pixels)),
         normals=None if normal_map is None else _values_at(normal_map.normals_in_camera, pixels),
         colours=_colours_at(rgb, pixels),
     )
@@ -104,8 +104,10 @@ def _require_match(
 def _grid_of(depth_map: DepthMap, camera: Camera, options: MeshOptions) -> tuple[IntArray, IntArray, Faces]:
     """Return the rows and columns of the pixels that become vertices, and the triangles between them."""
     step = options.stride
-    mask = np.ascontiguousarray(depth_map.mask[::step, ::step])
-    depth = np.ascontiguousarray(depth_map.depth[::step, ::step])
+    mask = depth_map.mask[::step, ::step]
+    box = _box_of(mask)
+    mask = np.ascontiguousarray(mask[box])
+    depth = np.ascontiguousarray(depth_map.depth[::step, ::step][box])
     kept = np.zeros(mask.shape, np.uint8)
     largest = options.largest_step * step / camera.matrix[0, 0]
     _triangles_kernel(mask, depth, largest, camera.is_perspective, kept)
@@ -121,16 +123,27 @@ def _grid_of(depth_map: DepthMap, camera: Camera, options: MeshOptions) -> tuple
     _counts_kernel(kept, counts)
     first = np.concatenate([np.zeros((2, 1), np.int64), np.cumsum(counts, axis=1)], axis=1)
     rows, columns = np.empty((2, first[0, -1]), np.int64)
+    corner = box[0].start, box[1].start
     faces = np.empty((first[1, -1], 3), np.int32)
     index = np.empty(mask.shape, np.int32)
-    _vertices_kernel(kept, first[0], step, index, rows, columns)
+    _vertices_kernel(kept, first[0], corner, step, index, rows, columns)
     _faces_kernel(kept, first[1], index, faces)
     return rows, columns, faces
 
 
-def _points_at(depth_map: DepthMap, camera: Camera, rows: IntArray, columns: IntArray) -> Points:
-    pixels = np.stack([columns, rows], axis=-1).astype(np.float64)
-    return camera.unproject(pixels, depth_map.depth[rows, columns].astype(np.float64))
+def _box_of(mask: Mask) -> tuple[slice, slice]:
+    """The rows and columns that hold a valid pixel; nothing where there is none."""
+    rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    if not len(rows):
+        return slice(0, 0), slice(0, 0)
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+
+
+def _uv_at(camera: Camera, rows: IntArray, columns: IntArray) -> FloatArray:
+    uv = np.empty((len(rows), 2))
+    uv[:, 0] = (columns + 0.5) / camera.width
+    uv[:, 1] = 1.0 - (rows + 0.5) / camera.height
+    return uv
 
 
 def _normals_at(normal_map: NormalMap | None, pixels: IntArray, points: Points, faces: Faces) -> Points:
@@ -215,16 +228,25 @@ def _counts_kernel(kept: Mask, counts: IntArray) -> None:
 
 @njit(cache=True, parallel=True)
 def _vertices_kernel(
-    kept: Mask, first: IntArray, step: int, index: IntArray, rows: IntArray, columns: IntArray
+    kept: Mask,
+    first: IntArray,
+    corner: tuple[int, int],
+    step: int,
+    index: IntArray,
+    rows: IntArray,
+    columns: IntArray,
 ) -> None:
-    """Number the vertices row by row: index (h, w); rows, columns (n,) in the image before the stride."""
+    """Number the vertices row by row: index (h, w); rows, columns (n,) in the image before the stride.
+
+    corner: row and column of kept's first pixel, after the stride.
+    """
     h, w = kept.shape
     for v in prange(h):
         number = first[v]
         for u in range(w):
             if _is_used(kept, v, u):
                 index[v, u] = number
-                rows[number], columns[number] = v * step, u * step
+                rows[number], columns[number] = (corner[0] + v) * step, (corner[1] + u) * step
                 number += 1
 
 

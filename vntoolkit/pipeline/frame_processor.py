@@ -282,7 +282,7 @@ class FrameProcessor:
     def _depth(self, normal_map: NormalMap) -> DepthMap:
         depth_map = self._integrator.integrate(normal_map)
         if self._anchor is not None and self._gel is None:  # a gel rests at 0 in every frame
-            depth_map = self._anchor.align(depth_map)
+            depth_map = self._anchor.align(depth_map, self._integrator.parts)
         if self._tells_errors and normal_map.error_deg is not None:
             depth_map = with_expected_depth_error(depth_map, normal_map, self.camera)
         if depth_map.unit is LengthUnit.FREE and self._options.distance_m is not None:

@@ -16,6 +16,7 @@ from vntoolkit.errors import BadMesh
 from vntoolkit.geometry.mesh import triangles_from_polygons
 from vntoolkit.io.atomic import write_bytes
 from vntoolkit.io.files import opened, require_file, require_vertices
+from vntoolkit.native import njit
 
 _KINDS = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2",
@@ -23,8 +24,13 @@ _KINDS = {
     "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
 }  # fmt: skip
 _ORDERS = {"ascii": "ascii", "binary_little_endian": "<", "binary_big_endian": ">"}
+_VERTEX = np.dtype(
+    [(name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz", "s", "t", "quality")]
+    + [(name, "u1") for name in ("red", "green", "blue")]
+)  # with all that a vertex may have
+_ALL_COLUMNS = 5
+_FACE = np.dtype([("count", "u1"), ("first", "<i4"), ("second", "<i4"), ("third", "<i4")])
 _LONGEST_HEADER = 1 << 16
-_BATCH = 1 << 12  # rows
 _MOST_BYTES_OF_A_NUMBER = 32
 _MOST_BYTES_OF_A_LIST = 1 << 12  # a polygon of hundreds of corners
 
@@ -58,40 +64,52 @@ def write_ply(
         columns.append((("quality",), "f4", content.quality[:, None]))
     if content.colours is not None:
         columns.append((("red", "green", "blue"), "u1", content.colours))
-    fields = {name: (kind, values[:, i]) for names, kind, values in columns for i, name in enumerate(names)}
     header = ["ply", "format binary_little_endian 1.0", f"comment {comment}"]
     header.append(f"element vertex {len(content.vertices)}")
     header += [
-        f"property {'float' if kind == 'f4' else 'uchar'} {name}" for name, (kind, _) in fields.items()
+        f"property {'float' if kind == 'f4' else 'uchar'} {name}"
+        for names, kind, _ in columns
+        for name in names
     ]
-    tables = [fields]
+    faces = np.empty((0, 3), np.int32) if content.faces is None else content.faces
     if content.faces is not None:
-        header += [f"element face {len(content.faces)}", "property list uchar int vertex_indices"]
-        corners = {f"corner {k}": ("i4", content.faces[:, k]) for k in range(3)}
-        tables.append({"count": ("u1", np.broadcast_to(np.uint8(3), len(content.faces))), **corners})
+        header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
     header.append("end_header\n")
-    write_bytes(path, _binary("\n".join(header).encode("ascii"), tables))
+    head = "\n".join(header).encode("ascii")
+    row = np.dtype([(names[0], "<" + kind, (len(names),)) for names, kind, _ in columns])
+    end = len(head) + row.itemsize * len(content.vertices)
+    memory = np.empty(end + _FACE.itemsize * len(faces), np.uint8)
+    memory[: len(head)] = np.frombuffer(head, np.uint8)
+    rows = memory[len(head) : end]
+    if len(columns) == _ALL_COLUMNS:
+        _fill_vertices(*(np.ascontiguousarray(values) for _, _, values in columns), rows.view(_VERTEX))
+    else:
+        for names, _, values in columns:
+            rows.view(row)[names[0]] = values
+    _fill_triangles(np.ascontiguousarray(faces, np.int32), memory[end:].view(_FACE))
+    write_bytes(path, memory.data)
 
 
-def _binary(head: bytes, tables: list[dict[str, tuple[str, npt.NDArray[Any]]]]) -> memoryview:
-    """Return a file of `head` and tables, each of columns (n,) by name and kind, row after row.
+# numpy takes five to seven times as long for fields that lie at odd addresses.
 
-    Rows are filled in batches that stay in the processor's cache: a column at a time takes twice as long.
-    """
-    kinds = [np.dtype([(name, "<" + kind) for name, (kind, _) in table.items()]) for table in tables]
-    counts = [len(next(iter(table.values()))[1]) for table in tables]
-    sizes = [kind.itemsize * count for kind, count in zip(kinds, counts, strict=True)]
-    content = np.empty(len(head) + sum(sizes), np.uint8)
-    content[: len(head)] = np.frombuffer(head, np.uint8)
-    at = len(head)
-    for table, kind, count, size in zip(tables, kinds, counts, sizes, strict=True):
-        rows = content[at : at + size].view(kind)
-        for first in range(0, count, _BATCH):
-            batch = slice(first, first + _BATCH)
-            for name, (_, values) in table.items():
-                rows[name][batch] = values[batch]
-        at += size
-    return content.data
+
+@njit(cache=True)
+def _fill_vertices(points, normals, uv, quality, colours, rows):  # type: ignore[no-untyped-def]  # pragma: no cover
+    for i in range(len(points)):
+        row = rows[i]
+        row.x, row.y, row.z = points[i, 0], points[i, 1], points[i, 2]
+        row.nx, row.ny, row.nz = normals[i, 0], normals[i, 1], normals[i, 2]
+        row.s, row.t, row.quality = uv[i, 0], uv[i, 1], quality[i, 0]
+        row.red, row.green, row.blue = colours[i, 0], colours[i, 1], colours[i, 2]
+
+
+@njit(cache=True)
+def _fill_triangles(faces, triangles):  # type: ignore[no-untyped-def]  # pragma: no cover
+    for i in range(len(faces)):
+        triangles[i].count = 3
+        triangles[i].first = faces[i, 0]
+        triangles[i].second = faces[i, 1]
+        triangles[i].third = faces[i, 2]
 
 
 def read_ply(path: Path | str) -> PlyContent:
