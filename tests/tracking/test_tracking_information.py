@@ -10,9 +10,9 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.tracking.lattice import LocalJacobians, lattice_on_template
 from vntoolkit.tracking.lengths import LinkLengths
-from vntoolkit.tracking.outline import Outline, signed_distance
+from vntoolkit.tracking.outline import Outline, outline_of_figure, signed_distance
 from vntoolkit.tracking.registration import Measurement, TemplateRegistration
-from vntoolkit.tracking.slopes import jump_pixels, label_edges, slopes_from_normals
+from vntoolkit.tracking.slopes import Relief, jump_pixels, label_edges, relief_slopes, slopes_from_normals
 from vntoolkit.tracking.template import template_from_maps
 from vntoolkit.tracking.tracker import SurfaceTracker
 
@@ -33,13 +33,17 @@ def flat_depth(mask: np.ndarray) -> DepthMap:
     return DepthMap(depth=np.full(mask.shape, 100.0), mask=mask)
 
 
+def relief_of(normal_map: NormalMap) -> Relief:
+    return relief_slopes(slopes_from_normals(normal_map, CAMERA), normal_map)
+
+
 def measured(first: NormalMap, second: NormalMap, shift=(0.0, 0.0)) -> Measurement:
     template = template_from_maps(first, flat_depth(first.mask), CAMERA)
     lattice = lattice_on_template(template, 8)
-    registration = TemplateRegistration(template, lattice, slopes_from_normals(first, CAMERA))
+    registration = TemplateRegistration(template, lattice, relief_of(first))
     positions = template.positions_px + np.asarray(shift)
     jacobians = LocalJacobians(lattice, template.positions_px).of(positions)
-    return registration.measure(positions, jacobians, slopes_from_normals(second, CAMERA))
+    return registration.measure(positions, jacobians, relief_of(second))
 
 
 def test_noise_tells_nothing(rng: np.random.Generator) -> None:
@@ -123,10 +127,10 @@ def test_relief_that_is_off_by_more_than_its_waves_is_searched_for() -> None:
     frame = WrinkledVideo(width=WIDTH, height=HEIGHT).maps(0)[0]
     template = template_from_maps(frame, flat_depth(frame.mask), CAMERA)
     lattice = lattice_on_template(template, 8)
-    slopes = slopes_from_normals(frame, CAMERA)
-    registration = TemplateRegistration(template, lattice, slopes)
+    relief = relief_of(frame)
+    registration = TemplateRegistration(template, lattice, relief)
     jacobians = LocalJacobians(lattice, template.positions_px).of(template.positions_px)
-    told = registration.measure(template.positions_px + np.array([11.0, -9.0]), jacobians, slopes)
+    told = registration.measure(template.positions_px + np.array([11.0, -9.0]), jacobians, relief)
     shift, sure = registration.searched(told.frame, np.ones(lattice.count, dtype=bool))
     assert sure.mean() > 0.8
     np.testing.assert_allclose(np.median(shift[sure], axis=0), [-11.0, 9.0], atol=1.0)
@@ -158,7 +162,7 @@ def test_the_border_of_an_open_sheet_is_followed_and_a_contour_that_turns_away_i
         template = template_from_maps(first, flat_depth(mask), CAMERA)
         lattice = lattice_on_template(template, 8)
         outline = Outline(template, lattice, mask, slopes)
-        figure = outline.figure(second.mask, slopes_from_normals(second, CAMERA))
+        figure = outline_of_figure(second.mask, slopes_from_normals(second, CAMERA))
         unturned = np.broadcast_to(np.eye(2), (lattice.count, 2, 2))
         information, pull = outline.measure(template.positions_px, unturned, figure)
         right = (lattice.cells[:, 0] == lattice.cells[:, 0].max()) & (information[:, 0] > 1.0)
@@ -171,6 +175,20 @@ def test_the_border_of_an_open_sheet_is_followed_and_a_contour_that_turns_away_i
             assert not right.any()
 
 
+@pytest.mark.parametrize("radius_px", [24.0, 40.0])
+def test_where_a_smooth_limb_is_turned_is_not_known(radius_px: float, rng: np.random.Generator) -> None:
+    """It looks the same however it turns: its contours, and what its slopes do beside them, tell nothing."""
+    mask = np.zeros((HEIGHT, WIDTH), dtype=bool)
+    across = (GRID[..., 0] - 63.5) / radius_px
+    mask[12:84] = np.abs(across[12:84]) < 0.97
+    slope = np.tan(np.arcsin(np.clip(across, -0.97, 0.97)))
+    depth = DepthMap(depth=100.0 - radius_px * np.sqrt(np.maximum(1 - across**2, 0.0)), mask=mask)
+    frames = [normals(slope + n[0], n[1], mask) for n in rng.normal(0, 0.005, (2, 2, HEIGHT, WIDTH))]
+    tracker = SurfaceTracker(frames[0], depth, CAMERA)
+    state = tracker.step(frames[1], depth)
+    assert np.median(state.uncertainty_px) > 2.0
+
+
 def test_a_border_that_another_part_covers_is_not_drawn_to_the_outline_beyond() -> None:
     leg, both = np.zeros((HEIGHT, WIDTH), dtype=bool), np.zeros((HEIGHT, WIDTH), dtype=bool)
     leg[4:92, 40:60], both[4:92, 40:90] = True, True
@@ -180,7 +198,7 @@ def test_a_border_that_another_part_covers_is_not_drawn_to_the_outline_beyond() 
     lattice = lattice_on_template(template, 8)
     outline = Outline(template, lattice, leg, slopes_from_normals(first, CAMERA))
     unturned = np.broadcast_to(np.eye(2), (lattice.count, 2, 2))
-    figure = outline.figure(second.mask, slopes_from_normals(second, CAMERA))
+    figure = outline_of_figure(second.mask, slopes_from_normals(second, CAMERA))
     information, pull = outline.measure(template.positions_px, unturned, figure)
     column, row = lattice.cells.T
     inner = (row > row.min() + 2) & (row < row.max() - 2)

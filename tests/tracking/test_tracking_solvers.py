@@ -23,7 +23,7 @@ from vntoolkit.tracking.regularisers import (
     TranslationRegulariser,
     beta_from_smoothing_length,
 )
-from vntoolkit.tracking.slopes import slopes_from_normals
+from vntoolkit.tracking.slopes import relief_slopes, slopes_from_normals
 from vntoolkit.tracking.sparse_factor import nested_dissection_order
 from vntoolkit.tracking.template import template_from_maps
 
@@ -142,7 +142,9 @@ def test_expected_errors_are_the_covariance_of_the_problem_where_measurements_de
     slopes = slopes_from_normals(video.maps(0)[0], video.camera)
     lattice = lattice_on_template(template, 3)
     lengths = LinkLengths(lattice, template, video.camera, slopes)
-    errors = FitErrors(lattice, TemplateRegistration(template, lattice, slopes), lengths)
+    errors = FitErrors(
+        lattice, TemplateRegistration(template, lattice, relief_slopes(slopes, video.maps(0)[0])), lengths
+    )
     weight, steps = np.full(len(lengths.links), 1e-9), np.zeros((len(lengths.links), 2))
     information = np.tile([4.0, 1.0, 2.0], (lattice.count, 1))
     system = LatticeSystem(lengths.links, lattice.count)
@@ -159,7 +161,9 @@ def test_less_strain_than_given_is_expected_where_less_is_left(template) -> None
     slopes = slopes_from_normals(video.maps(0)[0], video.camera)
     lattice = lattice_on_template(template, 3)
     lengths = LinkLengths(lattice, template, video.camera, slopes)
-    errors = FitErrors(lattice, TemplateRegistration(template, lattice, slopes), lengths)
+    errors = FitErrors(
+        lattice, TemplateRegistration(template, lattice, relief_slopes(slopes, video.maps(0)[0])), lengths
+    )
     column = lattice.cells[:, 0]
     held = np.where((column == column.min()) | (column == column.max()), 100.0, 0.0)
     information = np.column_stack([held, 0 * held, held])
@@ -179,7 +183,9 @@ def test_where_relief_does_not_match_strain_counts_as_given_though_less_is_left_
     slopes = slopes_from_normals(video.maps(0)[0], video.camera)
     lattice = lattice_on_template(template, 3)
     lengths = LinkLengths(lattice, template, video.camera, slopes)
-    errors = FitErrors(lattice, TemplateRegistration(template, lattice, slopes), lengths)
+    errors = FitErrors(
+        lattice, TemplateRegistration(template, lattice, relief_slopes(slopes, video.maps(0)[0])), lengths
+    )
     column = lattice.cells[:, 0]
     held = np.where((column == column.min()) | (column == column.max()), 100.0, 0.0)
     information = np.column_stack([held, 0 * held, held])

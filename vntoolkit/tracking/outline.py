@@ -13,10 +13,12 @@ from vntoolkit.tracking.slopes import Slopes, sample_image
 from vntoolkit.tracking.template import TrackingTemplate
 
 _SIGMA_PX = 0.25  # of the outline at one node: pixels are whole
-_OPEN_FACING = (
-    0.35,
-    0.6,
-)  # cosine to the viewing ray at the outline: from an occluding contour, which slides, to a border
+# Cosine to the viewing ray at the outline: from an occluding contour, which slides, to a border. Its square
+# falls to 0 at a contour, in proportion to the distance: it is read in two boxes and carried on to the rim.
+_OPEN_FACING = (0.35, 0.6)
+_BOXES_PX = (7, 15)
+_PER_BOX = np.float32(_BOXES_PX[0] / (_BOXES_PX[1] - _BOXES_PX[0]))
+_HALF_OPEN = 0.5
 _BORDER_PX = 4  # beside the image's own border there is no outline
 _SMALL_HOLE_PX = 200  # area of holes that are no part of the outline
 _INSIDE_SIGMA_PX = 2.0  # of a node whose vertices lie off the figure
@@ -32,7 +34,7 @@ class Outline:
         self, template: TrackingTemplate, lattice: TemplateLattice, mask: Mask, slopes: Slopes
     ) -> None:
         self._lattice, self._pixels = lattice, template.positions_px
-        figure = self.figure(mask, slopes)
+        figure = outline_of_figure(mask, slopes)
         at = sample_image(figure, self._pixels)
         border = np.flatnonzero(at[:, 0] > -2.0)
         h, w = mask.shape
@@ -43,12 +45,6 @@ class Outline:
         self._outward = at[self._border, 1:3]
         self._node = lattice.node_of_vertex[self._border]
         self._open = at[self._border, 3]
-
-    def figure(self, mask: Mask, slopes: Slopes) -> npt.NDArray[np.float32]:
-        """(h, w, 4): signed distance, its gradient, and openness, of one frame."""
-        distance = signed_distance(mask)
-        smooth = cv2.GaussianBlur(distance, (0, 0), 2.0)
-        return _figure(cv2.GaussianBlur(distance, (0, 0), 1.0), smooth, cv2.blur(slopes, (7, 7)))
 
     def measure(
         self, positions_px: Points2, inverse: FloatArray, field: npt.NDArray[np.float32]
@@ -103,6 +99,22 @@ class Outline:
         return sums[:, :3], sums[:, 3:]
 
 
+def outline_of_figure(mask: Mask, slopes: Slopes) -> npt.NDArray[np.float32]:
+    """(h, w, 4): signed distance, its gradient, and openness, of one frame."""
+    distance = signed_distance(mask)
+    smooth = cv2.GaussianBlur(distance, (0, 0), 2.0)
+    near, far = (cv2.blur(slopes, (px, px)) for px in _BOXES_PX)
+    return _figure(cv2.GaussianBlur(distance, (0, 0), 1.0), smooth, near, far)
+
+
+def contour_distance(figure: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """(h, w) distance in pixels from the nearest occluding contour on the outline (h, w, 4) of a figure."""
+    contour = (np.abs(figure[..., 0]) < 1.0) & (figure[..., 3] < _HALF_OPEN)
+    if not contour.any():
+        return np.full(contour.shape, np.inf, np.float32)
+    return np.asarray(cv2.distanceTransform((~contour).astype(np.uint8), cv2.DIST_L2, 5), np.float32)
+
+
 @njit(cache=True)
 def _outside(field, positions):  # type: ignore[no-untyped-def]
     """(n,) True where a position lies in the image and off the figure."""
@@ -152,8 +164,8 @@ def _reach(used: Mask) -> slice:
 
 
 @njit(cache=True)
-def _figure(distance, smooth, mean):  # type: ignore[no-untyped-def]
-    """(h, w, 4): distance, the direction in which the smooth one grows, and openness by the mean slopes."""
+def _figure(distance, smooth, near, far):  # type: ignore[no-untyped-def]
+    """(h, w, 4): distance, the direction in which the smooth one grows, and openness by mean slopes."""
     h, w = distance.shape
     low, high = _OPEN_FACING
     out = np.zeros((h, w, 4), dtype=np.float32)
@@ -164,9 +176,16 @@ def _figure(distance, smooth, mean):  # type: ignore[no-untyped-def]
             x, y = smooth[v, right] - smooth[v, left], smooth[below, u] - smooth[above, u]
             length = max(np.sqrt(x * x + y * y), np.float32(1e-6))
             out[v, u, 0], out[v, u, 1], out[v, u, 2] = distance[v, u], x / length, y / length
-            weight = mean[v, u, 2]
-            if weight > _LEAST_WEIGHT:
-                square = (mean[v, u, 0] ** 2 + mean[v, u, 1] ** 2) / weight**2
-                facing = 1.0 / np.sqrt(1.0 + square)
+            if near[v, u, 2] > _LEAST_WEIGHT:
+                square = _squared_facing(near[v, u])
+                rim = square + _PER_BOX * (square - _squared_facing(far[v, u]))
+                facing = np.sqrt(min(max(rim, 0.0), 1.0))
                 out[v, u, 3] = min(max((facing - low) / (high - low), 0.0), 1.0)
     return out
+
+
+@njit(cache=True)
+def _squared_facing(slopes):  # type: ignore[no-untyped-def]
+    """Squared cosine between viewing ray and normal, of slopes (3,) premultiplied by their weight."""
+    square = slopes[2] ** 2
+    return square / (square + slopes[0] ** 2 + slopes[1] ** 2)

@@ -3,7 +3,9 @@
 The frame's slopes are sampled at the vertices, pulled back into the template by the transposed Jacobian (they
 are the gradient of log Z) and compared with the template's, band by band: what is left of them after a
 Gaussian is taken off three times, at full resolution and at halvings. A fine band is relief that sits on the
-surface. A coarse one is its shape, which may bend: its residual then is large, and it tells little.
+surface. A coarse one is its shape, which may bend: its residual then is large, and it tells little. Beside an
+occluding contour slopes grow without bound, on a smooth surface too. What a band finds there slides with the
+contour while the surface turns, so it is not compared.
 
 Template f and frame g differ by noise and by the displacement d: g − f = F d + noise. Over a window, with
 F = ½(∇f + ∇g), the moments b = −Σ Fᵀ(g − f), H = Σ FᵀF and A = Σ ∇fᵀ∇g give d = A⁻¹ b. A is made of what both
@@ -25,7 +27,7 @@ import numpy.typing as npt
 from vntoolkit.arrays import FloatArray, Mask, Points2
 from vntoolkit.native import njit
 from vntoolkit.tracking.lattice import NODES_BY_PASS, TemplateLattice
-from vntoolkit.tracking.slopes import Slopes
+from vntoolkit.tracking.slopes import Relief
 from vntoolkit.tracking.template import TrackingTemplate
 
 _SIGMA_PX = 2.5  # of the Gaussian that is taken off
@@ -38,6 +40,7 @@ _REACH_PX, _SEARCH_STEP_PX = 16, 2  # of the search for what is lost
 _PATCH_CELLS = 4  # side of the squares that it shifts
 _SURE = 5.0  # standard deviations of a correlation by chance: there are some 300 shifts
 _LEAST_WEIGHT = 0.01  # of a pixel that counts
+_RIM_PX = 12.0  # of the band: from an occluding contour so far, what a band finds is the contour's
 _LEAST_NOISE = 1e-3  # slope: what interpolation leaves
 _FEW_NODES = 5.0  # variance of a step over that of its nodes' pulls: not all of them move alike
 
@@ -129,7 +132,7 @@ class Measurement:
 class TemplateRegistration:
     """Measures the displacement of one template in any frame."""
 
-    def __init__(self, template: TrackingTemplate, lattice: TemplateLattice, slopes: Slopes) -> None:
+    def __init__(self, template: TrackingTemplate, lattice: TemplateLattice, slopes: Relief) -> None:
         """Prepare the template's bands; slopes: of its frame."""
         self._lattice = lattice
         pixels = template.pixels
@@ -144,7 +147,7 @@ class TemplateRegistration:
         self._bands = self._banded(*self._pulled_back(template.positions_px, identity, slopes))
         self._expected = self._expected_match()
 
-    def measure(self, positions_px: Points2, jacobians: FloatArray, slopes: Slopes) -> Measurement:
+    def measure(self, positions_px: Points2, jacobians: FloatArray, slopes: Relief) -> Measurement:
         """Measure in the frame with these slopes.
 
         jacobians: (nodes, 4) ∂u/∂x, ∂u/∂y, ∂v/∂x, ∂v/∂y of positions (n, 2) by the template's pixels.
@@ -224,15 +227,21 @@ class TemplateRegistration:
         return np.asarray(np.maximum(0.0, 1.0 - noise / np.maximum(power, 1e-30)))
 
     def _pulled_back(
-        self, positions_px: Points2, jacobians: FloatArray, slopes: Slopes
-    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-        """(h, w, 2) w Jᵀ a at the positions and (h, w) w, on the template's raster."""
+        self, positions_px: Points2, jacobians: FloatArray, slopes: Relief
+    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        """(h, w, 2) w Jᵀ a at the positions, (h, w) w, and from a contour, on the template's raster."""
         values, weight = np.zeros((*self._shape, 2), dtype=np.float32), np.zeros(self._shape, np.float32)
-        lattice = self._lattice
-        _pull_back(slopes, positions_px, jacobians, lattice.taps, lattice.shares, *self._at, values, weight)
-        return values, weight
+        lattice, clear = self._lattice, np.zeros(self._shape, np.float32)
+        at = (lattice.taps, lattice.shares, *self._at)
+        _pull_back(slopes, positions_px, jacobians, *at, values, weight, clear)
+        return values, weight, clear
 
-    def _banded(self, values: npt.NDArray[np.float32], weight: npt.NDArray[np.float32]) -> list[Band]:
+    def _banded(
+        self,
+        values: npt.NDArray[np.float32],
+        weight: npt.NDArray[np.float32],
+        clear: npt.NDArray[np.float32],
+    ) -> list[Band]:
         node, out = self._node, []
         for halvings in range(_MOST_HALVINGS + 1):
             if halvings > 0 and min(node.shape) < 8:
@@ -240,6 +249,7 @@ class TemplateRegistration:
             coarser = cv2.pyrDown(values), cv2.pyrDown(weight)
             _high_pass(values, weight)
             gradients, kept = _gradients(values, weight, np.float32(0.5 / 2.0**halvings))
+            kept[clear[:: 2**halvings, :: 2**halvings] < _RIM_PX * 2.0**halvings] = 0.0
             out.append(Band(node=node, features=values, gradients=gradients, weight=kept))
             values, weight = (np.asarray(image, dtype=np.float32) for image in coarser)
             node = np.ascontiguousarray(node[::2, ::2])
@@ -291,8 +301,8 @@ def _gradients(values, weight, scale):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, fastmath=True)
-def _pull_back(slopes, positions, jacobians, taps, shares, rows, columns, values, total):  # type: ignore[no-untyped-def]
-    """Write w Jᵀ a at the positions, and w, into the vertices' rows and columns.
+def _pull_back(slopes, positions, jacobians, taps, shares, rows, columns, values, total, clear):  # type: ignore[no-untyped-def]
+    """Write w Jᵀ a at the positions, w and the distance from a contour into the vertices' rows and columns.
 
     Within half a pixel beyond the outermost centres, which is still the picture, the outermost pixels count.
     """
@@ -322,6 +332,7 @@ def _pull_back(slopes, positions, jacobians, taps, shares, rows, columns, values
             values[row, column, 0] = jacobian[0] * p + jacobian[2] * q
             values[row, column, 1] = jacobian[1] * p + jacobian[3] * q
             total[row, column] = weight
+            clear[row, column] = slopes[int(y + 0.5), int(x + 0.5), 3]
 
 
 @njit(cache=True, fastmath=True)

@@ -32,6 +32,7 @@ _RELIEF_PX, _AROUND_PX = 9, 17  # windows: what counts as relief, and over how f
 _STRONG_RELIEF = 0.1  # root mean square, in units of the normal: a knit has 0.12 to 0.17, skin 0.03 to 0.1
 
 Slopes = npt.NDArray[np.float32]  # (h, w, 3): w a_u, w a_v, w
+Relief = npt.NDArray[np.float32]  # (h, w, 4): the same, and the distance from an occluding contour in pixels
 
 
 def slopes_from_normals(normal_map: NormalMap, camera: Camera) -> Slopes:
@@ -48,20 +49,27 @@ def slopes_from_normals(normal_map: NormalMap, camera: Camera) -> Slopes:
     return np.asarray(cv2.GaussianBlur(slopes, (3, 3), 0.7))
 
 
-def relief_slopes(slopes: Slopes, normal_map: NormalMap, labels: VisibilityLabels | None = None) -> Slopes:
+def relief_slopes(
+    slopes: Slopes,
+    normal_map: NormalMap,
+    labels: VisibilityLabels | None = None,
+    from_contour_px: FloatArray | None = None,
+) -> Relief:
     """Return the slopes of a normal map without weight around the edges of shadows.
 
     Those are where labels (h, w) change, or else the weight jumps. Lengths and facing hold there; relief does
-    not.
+    not. from_contour_px: (h, w) distance from the nearest occluding contour; None for none.
     """
+    h, w = normal_map.shape
+    out = np.empty((h, w, 4), dtype=np.float32)
+    out[..., :3] = slopes
+    out[..., 3] = np.inf if from_contour_px is None else from_contour_px
     if labels is not None:
-        edges = label_edges(labels, normal_map.mask)
-    elif normal_map.weight is None:
-        return slopes
-    else:
+        out[label_edges(labels, normal_map.mask), :3] = 0.0
+    elif normal_map.weight is not None:
         weight = beside_the_usual(normal_map.weight, normal_map.mask)
-        edges = jump_pixels(replace(normal_map, weight=weight))
-    return np.where(edges[..., None], np.float32(0.0), slopes)
+        out[jump_pixels(replace(normal_map, weight=weight)), :3] = 0.0
+    return out
 
 
 def metric_sums(

@@ -21,9 +21,9 @@ from vntoolkit.tracking.flow import common_shift, dense_flow
 from vntoolkit.tracking.lattice import LocalJacobians, lattice_on_template
 from vntoolkit.tracking.lattice_system import LatticeSystem
 from vntoolkit.tracking.lengths import LINKS_ALIKE, STRAIN, LinkLengths, uniform_strains
-from vntoolkit.tracking.outline import Outline
+from vntoolkit.tracking.outline import Outline, contour_distance, outline_of_figure
 from vntoolkit.tracking.registration import Measurement, TemplateRegistration, WindowSteps
-from vntoolkit.tracking.slopes import Slopes, relief_slopes, sample_depth, sample_image, slopes_from_normals
+from vntoolkit.tracking.slopes import Relief, relief_slopes, sample_depth, sample_image, slopes_from_normals
 from vntoolkit.tracking.template import TrackingTemplate
 
 _CELL_PX = 8  # of the lattice
@@ -66,10 +66,11 @@ class SurfaceFit:
         """Prepare what hangs on the template alone; normal_map, labels: of its frame."""
         lattice = lattice_on_template(template, _CELL_PX)
         slopes = slopes_from_normals(normal_map, camera)
-        relief = relief_slopes(slopes, normal_map, labels)
         self._lattice, self._camera = lattice, camera
-        self._registration = TemplateRegistration(template, lattice, relief)
         self._outline = Outline(template, lattice, normal_map.mask, slopes)
+        figure = outline_of_figure(normal_map.mask, slopes)
+        relief = relief_slopes(slopes, normal_map, labels, contour_distance(figure))
+        self._registration = TemplateRegistration(template, lattice, relief)
         self._lengths = LinkLengths(lattice, template, camera, slopes)
         self._jacobians = LocalJacobians(lattice, template.positions_px)
         self._system = LatticeSystem(self._lengths.links, lattice.count)
@@ -93,8 +94,8 @@ class SurfaceFit:
         """
         lattice, lengths = self._lattice, self._lengths
         slopes = slopes_from_normals(normal_map, self._camera)
-        relief = relief_slopes(slopes, normal_map, labels)
-        figure = self._outline.figure(normal_map.mask, slopes)
+        figure = outline_of_figure(normal_map.mask, slopes)
+        relief = relief_slopes(slopes, normal_map, labels, contour_distance(figure))
         last = np.asarray(last_px, dtype=np.float64)
         positions: Points2 = 2.0 * last - before_px
         misfit = _misfit(positions, normal_map.mask)
@@ -157,7 +158,7 @@ class SurfaceFit:
         told: Measurement,
         previous: NormalMap,
         normal_map: NormalMap,
-        relief: Slopes,
+        relief: Relief,
     ) -> tuple[npt.NDArray[np.float64], Measurement]:
         """Where DIS flow (`kroeger2016`) leads, as far as the template matches better there."""
         flow = dense_flow(previous, normal_map)
@@ -170,7 +171,7 @@ class SurfaceFit:
         around: FloatArray,
         told: Measurement,
         lost: npt.NDArray[np.bool_],
-        relief: Slopes,
+        relief: Relief,
     ) -> tuple[npt.NDArray[np.float64], Measurement]:
         """Where a search finds what is lost, as far as it matches better there.
 
@@ -185,7 +186,7 @@ class SurfaceFit:
         return self._where_better(positions, found, told, relief)
 
     def _where_better(
-        self, positions: Points2, at_nodes: FloatArray, told: Measurement, relief: Slopes
+        self, positions: Points2, at_nodes: FloatArray, told: Measurement, relief: Relief
     ) -> tuple[npt.NDArray[np.float64], Measurement]:
         """Positions moved by at_nodes (m, 2) where that matches better, and what is measured there."""
         lattice = self._lattice
