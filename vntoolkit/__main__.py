@@ -147,6 +147,7 @@ def _set_up_logging() -> None:
     import logging
 
     logging.basicConfig(level=logging.WARNING, format="vntoolkit: %(message)s")
+    logging.getLogger("vntoolkit.diagnosis").setLevel(logging.INFO)  # what could not be checked is said
     if not sys.warnoptions:  # numpy's lines about a division tell a user nothing: what came of it is checked
         import warnings
 

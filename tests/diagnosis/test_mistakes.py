@@ -67,6 +67,19 @@ def test_stripes_of_paint_are_no_slopes_and_hide_no_mirrored_axis(seed):
     assert any("axis mirrored" in finding.text for finding in mirrored)
 
 
+@pytest.mark.parametrize("seed", [0, 2, 3, 5])
+def test_where_paint_leaves_no_surface_it_is_noted_that_m_was_not_checked(seed):
+    """A weave of many colours, finer than what slopes are compared over."""
+    light, inside, response = _shot(seed)
+    rng = np.random.default_rng(seed)
+    woven = light * np.kron(rng.uniform(0.2, 1.0, (30, 40, 3)), np.ones((5, 5, 1)))
+    for change in (np.eye(3), np.diag([-1, 1, 1])):
+        found = _findings(woven, response.matrix @ change, mask=inside)
+        noted = [finding for finding in found if finding.check == "relatives"]
+        assert [finding.level for finding in noted] == [Level.NOTE], found
+        assert "could not be checked" in noted[0].problem
+
+
 def _turned(degrees):
     c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
     return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])

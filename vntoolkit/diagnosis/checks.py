@@ -51,8 +51,8 @@ def check_mask(evidence: Evidence) -> list[Finding]:
     ]
 
 
-# Each group is asked only where no check of a group before it found anything: a mask on the backdrop explains
-# noise, noise explains a surface that cannot be, and exchanged channels explain lengths that vary.
+# Each group is asked only where no check of a group before it found more than a note: a mask on the backdrop
+# explains noise, noise explains a surface that cannot be, and exchanged channels explain lengths that vary.
 CAPTURE_CHECKS: tuple[tuple[Callable[[Evidence], list[Finding]], ...], ...] = (
     (check_mask,),
     (check_structure,),
@@ -109,9 +109,11 @@ def findings_from_rig(rig: Rig) -> list[Finding]:
 def findings_from_evidence(evidence: Evidence) -> list[Finding]:
     """Return what a few frames tell of the rig, the mask and the transfer curve."""
     asks_lengths = evidence.clipped_share < _MOST_CLIPPED
+    noted: list[Finding] = []
     for group in CAPTURE_CHECKS:
         asked = [check for check in group if asks_lengths or check not in _OF_LENGTHS]
         found = [finding for check in asked for finding in check(evidence)]
-        if found:
-            return found
-    return []
+        if any(finding.level is not Level.NOTE for finding in found):
+            return noted + found
+        noted += found
+    return noted

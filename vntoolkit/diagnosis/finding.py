@@ -75,7 +75,7 @@ def judge(findings: Iterable[Finding], allowed: Iterable[str] = ()) -> None:
         if finding.level is Level.FATAL and finding.check not in permitted:
             fatal.append(finding)
         elif finding.level is Level.NOTE:
-            logger.info("%s", finding.text)
+            logger.info("note: %s", finding.text)
         else:
             logger.warning("%s", finding.text)
     for finding in fatal[1:]:

@@ -33,6 +33,7 @@ _EXPECTED = "0.5 to 1 on a surface"
 # disagreement and spread of lengths falls by this factor. Sound photographs of faces and statues stay below.
 _Z = 3.0
 _LOG_FACTOR = 0.4
+_LEAST_AGREEMENT = 0.25  # of a reading that is worth more than chance
 _CERTAIN = 0.75  # an agreement above it that no mirror image comes near needs no relatives tried
 _FATAL_GAIN = 0.2  # of agreement
 _NOTED_TURN_DEG = 12.0  # photographs with lamps measured on a chrome ball show up to 7
@@ -153,18 +154,38 @@ def check_relatives(evidence: Evidence) -> list[Finding]:
     better = [r for r in _relatives(evidence, own) if r.explains_better(as_calibrated)]
     if better:
         return [_finding(as_calibrated, sorted(better, key=lambda reading: reading.misfit))]
-    if own.front_share < 0.5:
-        return [
-            Finding(
-                check="relatives",
-                level=Level.FATAL,
-                problem="the rig's normals face away from the camera",
-                measured=f"{1 - own.front_share:.0%} of the lit pixels",
-                expected="less than 10 %",
-                remedy="this rig is not of this footage: calibrate again with these lamps and this camera",
-            )
-        ]
-    return []
+    if own.front_share >= 0.5:
+        return _undecided(evidence, as_calibrated, _Reading.of("", "", own, mirrored=True))
+    return [
+        Finding(
+            check="relatives",
+            level=Level.FATAL,
+            problem="the rig's normals face away from the camera",
+            measured=f"{1 - own.front_share:.0%} of the lit pixels",
+            expected="less than 10 %",
+            remedy="this rig is not of this footage: calibrate again with these lamps and this camera",
+        )
+    ]
+
+
+def _undecided(evidence: Evidence, own: _Reading, mirrored: _Reading) -> list[Finding]:
+    """Note where M agrees hardly with the footage, and its mirror image alike: nothing was checked then."""
+    if own.agreement > _LEAST_AGREEMENT or abs(own.z_above(mirrored)) > _Z:
+        return []
+    painted = float(_seams_of_paint(evidence)[evidence.surface].mean())
+    return [
+        Finding(
+            check="relatives",
+            level=Level.NOTE,
+            problem="M's axes, the order of the channels and the lamps' places could not be checked: the "
+            f"normals tell too little of a surface; {painted:.0%} of the subject lies beside steps of paint",
+            measured=f"an agreement of mixed derivatives of {own.agreement:.2f} ± {own.standard_error:.2f}, "
+            f"and {mirrored.agreement:.2f} if M is mirrored",
+            expected=_EXPECTED,
+            remedy="check the rig on a subject of one colour, or look whether the normals are convex where "
+            "the subject is",
+        )
+    ]
 
 
 def agreement_of(evidence: Evidence, mix: Matrix3) -> float:
@@ -337,7 +358,7 @@ class _Reading:
         return gain / max(1e-3, _jackknife_error(self.agreements[1:] - other.agreements[1:]))
 
     def explains_better(self, other: _Reading) -> bool:
-        if self.front_share < 0.7 or self.agreement < 0.25:
+        if self.front_share < 0.7 or self.agreement < _LEAST_AGREEMENT:
             return False
         if other.front_share < 0.5:
             return True
