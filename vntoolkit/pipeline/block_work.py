@@ -33,6 +33,7 @@ from vntoolkit.photometry.transfer import Transfer
 from vntoolkit.pipeline.frame_processor import FrameProcessor, FrameResult
 from vntoolkit.pipeline.options import DepthOffset, OnError, Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
+from vntoolkit.pipeline.painted_surface import PaintedSurface, TrackedReflectance
 from vntoolkit.shadows.detector import ShadowMethod
 
 _WAITING = 1  # frames that lie between one thread and the next
@@ -51,7 +52,8 @@ class ReconstructionJob:
     image, or video, folder or pattern of mattes, or None. matting: how these become masks. background: file
     or None. sensor: how samples of the sensor itself are read. reflectances: (m, 3), of materials relative
     to the rig's; empty for the rig's alone. pigments: (m, 3), along which log reflectances change, 0 for
-    none. threads: for decoding; with 1, reading, processing and writing take turns, so that a worker is one
+    none. surface: reflectances of a tracked surface, which count before those of the materials. threads: for
+    decoding; with 1, reading, processing and writing take turns, so that a worker is one
     core's. limits: on what any process reads.
     """
 
@@ -68,6 +70,7 @@ class ReconstructionJob:
     sensor: SensorOptions = field(default_factory=SensorOptions)
     reflectances: tuple[tuple[float, float, float], ...] = ()
     pigments: tuple[tuple[float, float, float], ...] = ()
+    surface: TrackedReflectance | None = None
     threads: int = 2
     limits: ReadingLimits = field(default_factory=reading_limits)
 
@@ -123,6 +126,7 @@ class BlockWorker:
             self._capture.background,
             reflectances=job.reflectances,
             pigments=job.pigments,
+            painted=None if job.surface is None else PaintedSurface(job.surface, job.rig.response.central),
         )
         reference = job.options.reference_frame
         if job.ties_depth and reference is not None:

@@ -30,6 +30,7 @@ from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
 from vntoolkit.pipeline.contact import Contact, contact_from_depth, rested
 from vntoolkit.pipeline.options import Product, ReconstructOptions
+from vntoolkit.pipeline.painted_surface import PaintedSurface
 from vntoolkit.shadows.contributions import brighter_than
 from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
 from vntoolkit.shadows.recovery import recover_surface
@@ -73,9 +74,11 @@ class FrameProcessor:
         tells_errors: bool = True,
         reflectances: Sequence[Sequence[float]] = (),
         pigments: Sequence[Sequence[float]] = (),
+        painted: PaintedSurface | None = None,
     ) -> None:
         """reflectances: (m, 3), of the subject's materials relative to the rig's; empty for the rig's alone.
-        pigments: (m, 3), along which log reflectances change, 0 for none.
+        pigments: (m, 3), along which log reflectances change, 0 for none. painted: a tracked surface whose
+        own reflectances count before these.
 
         tells_errors: whether normals and depth carry their expected errors; a live view has no time."""
         keep_freed_memory()
@@ -108,6 +111,7 @@ class FrameProcessor:
             self._leveller = leveller_of(rig.response, shape)
         self._detector = ShadowDetector(self._central, options.shadows, self.camera)
         self._reflectances = np.array(reflectances, dtype=np.float64).reshape(-1, 3)
+        self._painted = painted
         self._materials: MaterialLabels | None = None
         self._labeller: MaterialLabeller | None = None
         if len(self._reflectances):
@@ -211,10 +215,15 @@ class FrameProcessor:
             if self._tells_errors:
                 normal_map = self._gel.with_expected_error(normal_map)
             return normal_map, None, clipped_share
+        filmed = linear
+        if self._painted is not None:
+            self._mask = self._mask & self._painted.mask(frame.number)
         if self._labeller is not None:
             self._mask = self.lit_subject(linear)
             self._materials = self._labeller.labels(self.by_strength(linear), self._mask)
             linear = self._labeller.relit(linear, self._materials)
+        if self._painted is not None:
+            linear = self._painted.relit(filmed, linear, frame.number, self._materials)
         level = linear if self._leveller is None else self._leveller.frame(linear)
         labels = None
         if self._options.shadows is ShadowMethod.NONE:
@@ -276,7 +285,7 @@ class FrameProcessor:
         integers = frame.values.dtype in (np.uint8, np.uint16)
         plain = self._options.shadows is ShadowMethod.NONE and self._background is None
         plain = plain and not (self._tells_errors and self._leveller is not None)
-        plain = plain and self._labeller is None
+        plain = plain and self._labeller is None and self._painted is None
         return integers and plain and not self._resampler.changes_frames
 
     def _depth(self, normal_map: NormalMap) -> DepthMap:

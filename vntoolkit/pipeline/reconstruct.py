@@ -30,6 +30,7 @@ from vntoolkit.io.results.manifest import (
     InputEntry,
     Manifest,
     MaterialEntry,
+    SurfaceEntry,
     entry_of_files,
     has_manifest,
     hashed,
@@ -47,6 +48,7 @@ from vntoolkit.pipeline.block_work import Block, BlockWorker, ReconstructionJob
 from vntoolkit.pipeline.cluster import require_scheduler, run_blocks_on_cluster
 from vntoolkit.pipeline.measured_materials import measured_materials, seeks_materials
 from vntoolkit.pipeline.options import SENSOR_PREFIX, MaterialSearch, option_values
+from vntoolkit.pipeline.painted_surface import TrackedReflectance
 from vntoolkit.pipeline.processes import shared_out
 from vntoolkit.shadows.detector import ShadowMethod
 
@@ -133,7 +135,7 @@ def reconstruct(
         names = text_of_names([path.name for path in capture.info.left_out])
         logger.warning("%s: left out, since the frames are named otherwise: %s", job.source, names)
     missing = _missing_frames(capture, mattes, numbers)
-    if not seeks_materials(job):
+    if not seeks_materials(job) and job.surface is None:
         _require_plausible(job, capture, mattes, numbers)
     with sole_writer(root):
         job, manifest, log = _prepared(job, capture, mattes, frames, overwrite)
@@ -168,8 +170,10 @@ def _prepared(
     numbers = frames.numbers(capture.info.frame_count)
     resumes = has_manifest(root) and not overwrite
     earlier = read_manifest(root) if resumes else None
+    if earlier is None and job.surface is not None:  # the materials are those of the reconstruction refined
+        earlier = read_manifest(job.surface.result)
     job, materials = resolve_options(job, capture, mattes, numbers, earlier)
-    if seeks_materials(job):
+    if seeks_materials(job) and job.surface is None:
         _require_plausible(job, capture, mattes, numbers)
     manifest = manifest_of_run(job, capture, mattes, frames, materials)
     if resumes:
@@ -389,6 +393,7 @@ def manifest_of_run(
         rig=entry_from_rig(job.rig),
         options=_options_that_shape(job),
         materials=materials,
+        surface=_entry_of_surface(job.surface),
         frames=frames.to_text(),
         outputs=outputs[job.options.to.value]
         + (["shadows"] if job.has_labels else [])
@@ -399,6 +404,12 @@ def manifest_of_run(
     )
 
 
+def _entry_of_surface(known: TrackedReflectance | None) -> SurfaceEntry | None:
+    if known is None:
+        return None
+    return SurfaceEntry(frames=known.frames, seen=known.seen, lines=known.lines, spreads=known.spreads)
+
+
 def _options_that_shape(job: ReconstructionJob) -> dict[str, Any]:
     """Return what results depend on; sensor and mattes only where they are not left at their defaults."""
     values = option_values(job.options, without=("to", "on_error"))
@@ -406,6 +417,8 @@ def _options_that_shape(job: ReconstructionJob) -> dict[str, Any]:
         values.update(option_values(job.sensor, SENSOR_PREFIX))
     if job.matting != MatteOptions():
         values.update(option_values(job.matting, "matte."))
+    if job.surface is not None:
+        values["surface.reflectance"] = job.surface.sha256
     return values
 
 

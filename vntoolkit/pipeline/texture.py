@@ -37,7 +37,7 @@ from vntoolkit.tracking.slopes import sample_image
 _LOGGER = logging.getLogger(__name__)
 _FRAMES = 24  # evenly spread: more of them change a texel by less than a grey level
 _LEAST_COSINE = 0.25  # of the slant: beyond 75° a pixel covers four texels
-_AGREES_PX = 4.0  # depth of the track and of the frame, over the size of a pixel: apart by more, it is hidden
+AGREES_PX = 4.0  # depth of the track and of the frame, over the size of a pixel: apart by more, it is hidden
 _SAMPLED_PX = 0.5  # by which a texel is looked up beside its place even where all is known
 _MIXED_PX = 2  # at the outline, where lens and shutter mix the subject with what is behind
 _FEATHER = 9  # texels over which a frame's part fades in, so that no seam shows
@@ -115,13 +115,13 @@ def write_texture(
     places = camera.project(np.array(sequence.vertices[at]))
     texels = texels_of(places, faces, shape)
     colours = _Colours(result)
-    kept = [row for row, number in enumerate(numbers) if _has_maps(result, number)]
+    kept = [row for row, number in enumerate(numbers) if has_maps(result, number)]
     evenly = np.unique(np.linspace(0, len(kept) - 1, min(_FRAMES, len(kept))).round().astype(int))
     rows = sorted({kept[place] for place in evenly} | ({at} & set(kept)))
     colour, relief = _Mean(len(texels.faces), 3), _Mean(len(texels.faces), 3)
     for row in rows:
         number = numbers[row]
-        seen = _look(result, sequence, row, number, texels, places)
+        seen = texels_in_frame(result, sequence, row, number, texels, places)
         if seen is None:
             continue
         relief.add(seen.in_tangents, seen.weight)
@@ -152,7 +152,8 @@ def texture_of_tracks(track_folder: Path) -> SurfaceTexture | None:
     return texture
 
 
-def _has_maps(result: OpenedResult, number: int) -> bool:
+def has_maps(result: OpenedResult, number: int) -> bool:
+    """Tell whether a frame has normals and depth."""
     return result.folder.normals(number).exists() and result.folder.depth(number).exists()
 
 
@@ -173,11 +174,17 @@ class Texels:
         return np.einsum("tk,tk...->t...", self.shares, corners)
 
 
-def texels_of(pixels: Points2, faces: Faces, shape: tuple[int, int]) -> Texels:
-    """Return the texels whose centres triangles cover; pixels: (n, 2), centres are integers."""
+def texels_of(
+    pixels: Points2, faces: Faces, shape: tuple[int, int], depths: FloatArray | None = None
+) -> Texels:
+    """Return the texels whose centres triangles cover, the nearest of them.
+
+    pixels: (n, 2), centres are integers. depths: (n,), None for one that does not hide itself.
+    """
     face = np.full(shape, -1, np.int32)
-    shares = np.zeros((*shape, 3))
-    _cover(np.ascontiguousarray(pixels), faces, face, shares)
+    shares, nearest = np.zeros((*shape, 3)), np.full(shape, np.inf)
+    depths = np.zeros(len(pixels)) if depths is None else depths
+    _cover(np.ascontiguousarray(pixels), np.ascontiguousarray(depths), faces, face, shares, nearest)
     places = np.flatnonzero(face >= 0)
     return Texels(
         places=places, faces=face.ravel()[places], shares=shares.reshape(-1, 3)[places], shape=shape
@@ -185,7 +192,7 @@ def texels_of(pixels: Points2, faces: Faces, shape: tuple[int, int]) -> Texels:
 
 
 @njit(cache=True)
-def _cover(pixels, faces, face, shares):  # type: ignore[no-untyped-def]
+def _cover(pixels, depths, faces, face, shares, nearest):  # type: ignore[no-untyped-def]
     height, width = face.shape
     for f in range(len(faces)):
         ax, ay = pixels[faces[f, 0]]
@@ -200,13 +207,16 @@ def _cover(pixels, faces, face, shares):  # type: ignore[no-untyped-def]
             for column in range(left, min(int(np.floor(max(ax, bx, cx))), width - 1) + 1):
                 b = ((column - ax) * (cy - ay) - (cx - ax) * (row - ay)) / area
                 c = ((bx - ax) * (row - ay) - (column - ax) * (by - ay)) / area
-                if b >= 0.0 and c >= 0.0 and b + c <= 1.0:
-                    face[row, column] = f
+                if b < 0.0 or c < 0.0 or b + c > 1.0:
+                    continue
+                depth = (1 - b - c) * depths[faces[f, 0]] + b * depths[faces[f, 1]] + c * depths[faces[f, 2]]
+                if depth <= nearest[row, column]:
+                    nearest[row, column], face[row, column] = depth, f
                     shares[row, column, 0], shares[row, column, 1], shares[row, column, 2] = 1 - b - c, b, c
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class SeenTexels:
     """Texels in a frame. pixels: (t, 2). weight: (t,), 0 where hidden. in_tangents: (t, 3) unit normals."""
 
     pixels: Points2
@@ -214,9 +224,9 @@ class _Seen:
     in_tangents: Points
 
 
-def _look(
+def texels_in_frame(
     result: OpenedResult, sequence: MeshSequence, row: int, number: int, texels: Texels, places: Points2
-) -> _Seen | None:
+) -> SeenTexels | None:
     """Find the texels in a frame; None where it has no maps. places: (n, 2), of vertices in the texture."""
     normal_map, depth_map = result.normals(number), result.depth(number)
     if normal_map is None or depth_map is None:
@@ -226,21 +236,21 @@ def _look(
     points = texels.of_vertices(vertices, faces)
     pixels = camera.project(points)
     along_u, along_v, outward = (
-        _unit(texels.of_vertices(axes, faces)) for axes in tangent_frames(vertices, faces, places)
+        unit_vectors(texels.of_vertices(axes, faces)) for axes in tangent_frames(vertices, faces, places)
     )
-    towards = -_unit(points) if camera.is_perspective else np.array([0.0, 0.0, -1.0])
+    towards = -unit_vectors(points) if camera.is_perspective else np.array([0.0, 0.0, -1.0])
     cosine = np.maximum(np.sum(outward * towards, axis=1), 0.0)
     pixel = (points[:, 2] if camera.is_perspective else 1.0) / camera.matrix[0, 0]
     gap = np.abs(sample_image(depth_map.depth[..., None], pixels)[:, 0] - points[:, 2])
     off = _off_px(sequence, row, texels, camera)
     subject = ndimage.binary_erosion(depth_map.mask & normal_map.mask, iterations=_MIXED_PX)
-    is_seen = _inside(subject, pixels) & (cosine > _LEAST_COSINE)
-    is_seen &= np.isfinite(off) & (gap * cosine < _AGREES_PX * pixel)
+    is_seen = all_inside(subject, pixels) & (cosine > _LEAST_COSINE)
+    is_seen &= np.isfinite(off) & (gap * cosine < AGREES_PX * pixel)
     faded = np.zeros(texels.shape, np.float32)
     faded.ravel()[texels.places] = is_seen
     faded = ndimage.uniform_filter(faded, _FEATHER).ravel()[texels.places]
-    measured = _unit(sample_image(normal_map.normals_in_camera, pixels))
-    return _Seen(
+    measured = unit_vectors(sample_image(normal_map.normals_in_camera, pixels))
+    return SeenTexels(
         pixels=pixels,
         weight=np.where(is_seen, faded * (cosine / off) ** 2, 0.0),
         in_tangents=np.stack([np.sum(a * measured, axis=1) for a in (along_u, along_v, outward)], axis=1),
@@ -275,7 +285,7 @@ def tangent_frames(vertices: Points, faces: Faces, places: Points2) -> tuple[Poi
     for corner in range(3):
         for axis in range(3):
             u[:, axis] += np.bincount(faces[:, corner], along[:, axis], minlength=len(vertices))
-    u = _unit(u - np.sum(u * normals, axis=1, keepdims=True) * normals)
+    u = unit_vectors(u - np.sum(u * normals, axis=1, keepdims=True) * normals)
     return u, np.cross(normals, u), normals
 
 
@@ -320,7 +330,7 @@ class _Colours:
         paints = self._paints[0 if labels is None or not len(self._reflectances) else labels]
         colour = np.where(is_good, length, 0.0)[..., None] * np.maximum(paints, 0.0)
         sampled = sample_image(np.concatenate([colour, is_good[..., None]], axis=2), pixels)
-        sampled[:, 3] *= _inside(is_good, pixels)
+        sampled[:, 3] *= all_inside(is_good, pixels)
         return sampled
 
 
@@ -353,7 +363,9 @@ def _write(target: Path, texels: Texels, colour: _Mean, relief: _Mean, frames: i
     else:
         (folder / "albedo.png").unlink(missing_ok=True)
     flat = np.broadcast_to([0.0, 0.0, 1.0], (*texels.shape, 3)).copy()
-    flat.reshape(-1, 3)[texels.places] = np.where(relief.weight[:, None] > 0, _unit(relief.mean), [0, 0, 1.0])
+    flat.reshape(-1, 3)[texels.places] = np.where(
+        relief.weight[:, None] > 0, unit_vectors(relief.mean), [0, 0, 1.0]
+    )
     write_png(folder / "normal.png", np.rint(127.5 + 127.5 * flat).astype(np.uint8), compression_level=9)
     covered = float((colour if albedo else relief).weight.astype(bool).mean()) if len(texels.faces) else 0.0
     facts = {"version": 1, "frames": frames, "covered": round(covered, 4), "colour_scale": round(scale, 6)}
@@ -377,7 +389,7 @@ def filled(picture: FloatArray) -> FloatArray:
     return np.where(known[..., None] > 0, values, fill_smoothly(values, known))
 
 
-def _inside(mask: Mask, pixels: Points2) -> Mask:
+def all_inside(mask: Mask, pixels: Points2) -> Mask:
     """Return (t,): whether all four pixels around a place are in the mask."""
     height, width = mask.shape
     left, top = np.floor(pixels).astype(np.int64).T
@@ -387,5 +399,6 @@ def _inside(mask: Mask, pixels: Points2) -> Mask:
     return inside & mask[top, left] & mask[top, right] & mask[below, left] & mask[below, right]
 
 
-def _unit(vectors: FloatArray) -> FloatArray:
+def unit_vectors(vectors: FloatArray) -> FloatArray:
+    """Return vectors (..., 3) of length 1."""
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300)

@@ -27,6 +27,8 @@ from vntoolkit.io.rigs import camera_from_content, entry_from_camera, rig_from_e
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 
 _RECORD = "track.json"
+REFLECTANCE_NAME = "reflectance.npy"  # of every vertex, what `track --refine-albedo` found
+REFINED_NAME = "refined"  # the folder with what it reconstructed again
 _VERSION = 1
 _IN_WORDS = {"result_sha256": "normals and depth", "frame_rate_hz": "frame rate"}
 
@@ -144,7 +146,13 @@ def clear_track(folder: Path) -> None:
     if not (folder / _RECORD).exists():
         return
     made = ("albedo.png", "normal.png", "texture.json")
-    for name in (_RECORD, "checkerboard.mkv", "checkerboard.png", *(f"texture/{name}" for name in made)):
+    for name in (
+        _RECORD,
+        REFLECTANCE_NAME,
+        "checkerboard.mkv",
+        "checkerboard.png",
+        *(f"texture/{name}" for name in made),
+    ):
         (folder / name).unlink(missing_ok=True)
     with suppress(OSError):  # something else is left
         (folder / "texture").rmdir()

@@ -45,6 +45,7 @@ from vntoolkit.report.pictures import (
     cropped,
     new_figure,
     picture_of_errors,
+    picture_of_normals,
     pictures_of_frame,
     report_style,
     sampled,
@@ -343,6 +344,7 @@ def track_section(result: OpenedResult, track: TrackedSurface) -> PageSection:
         pixels = resized_image(np.asarray(read_image(sheet), dtype=np.uint8), _SHEET_PX)
         caption = "A checkerboard painted on the template and carried along: it should look printed on."
         figures.append(figure_from_pixels(pixels, caption, wide=True))
+    figures += _before_and_after(result, track.template)
     return PageSection(
         title="Registered surface",
         numbers=(
@@ -352,6 +354,21 @@ def track_section(result: OpenedResult, track: TrackedSurface) -> PageSection:
         ),
         figures=tuple(figures),
     )
+
+
+def _before_and_after(result: OpenedResult, number: int) -> list[PageFigure]:
+    """Return a frame's normals without and with the reflectance of the tracked surface, where these are."""
+    again = result.refined
+    before, after = (None if each is None else each.normals(number) for each in (result, again))
+    if again is None or before is None or after is None:
+        return []
+    parts = {"normals before": before, "with the surface's reflectance": after}
+    pictures = cropped([picture_of_normals(each, GROUND) for each in parts.values()], before.mask)
+    caption = (
+        "Normals of the template's frame: paint that is told over all frames, such as freckles and lips, is "
+        "no relief with it."
+    )
+    return [figure_from_pixels(tiled([dict(zip(parts, pictures, strict=True))]), caption, wide=True)]
 
 
 def size_and_rate(source: InputEntry) -> str:

@@ -83,6 +83,19 @@ class MaterialEntry(BaseModel):
     )
 
 
+class SurfaceEntry(BaseModel):
+    """Reflectances of a tracked surface that the frames were reconstructed again with."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    frames: int = Field(ge=0, description="Frames that told the reflectances.")
+    seen: float = Field(description="Share of the surface's vertices that these show.")
+    lines: tuple[tuple[float, float, float], ...] = Field(
+        description="Of each material, the line of log reflectance along which paint varies, of length 1."
+    )
+    spreads: tuple[float, ...] = Field(description="Of each material, standard deviation along that line.")
+
+
 class Manifest(BaseModel):
     """What a result folder holds."""
 
@@ -99,6 +112,10 @@ class Manifest(BaseModel):
     )
     materials: list[MaterialEntry] = Field(
         default_factory=list, description="Materials that were found; empty for the rig's alone."
+    )
+    surface: SurfaceEntry | None = Field(
+        default=None,
+        description="Reflectances of a tracked surface (`track --refine-albedo`); null for none.",
     )
     frames: str = Field(default="0::1", description="Frames asked for, start:stop:step.")
     outputs: list[str] = Field(default_factory=list, description="Folders written: normals, depth, …")

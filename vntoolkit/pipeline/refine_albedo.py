@@ -1,0 +1,235 @@
+"""Normals, depth and meshes again, with the reflectance that a tracked surface has over all its frames.
+
+A freckle looks like a dent in one frame. Over many frames the same vertex keeps its paint while it turns:
+`fit_surface_reflectance` tells the two apart, and the footage is reconstructed once more with it, into
+TRACK/refined, a folder as any that `reconstruct` writes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from vntoolkit.arrays import IntArray, Mask, Points, Points2
+from vntoolkit.errors import BadInput
+from vntoolkit.geometry.mesh import MeshSequence
+from vntoolkit.io.atomic import write_bytes
+from vntoolkit.io.footage.frame_range import FrameRange, Gaps
+from vntoolkit.io.results.frame_log import FrameEntry
+from vntoolkit.io.results.sequences import read_mesh_sequence
+from vntoolkit.materials.surface_reflectance import (
+    SurfaceLooks,
+    SurfaceReflectance,
+    fit_surface_reflectance,
+)
+from vntoolkit.photometry.frame import count_lit
+from vntoolkit.photometry.response import leveller_of
+from vntoolkit.pipeline.block_work import ReconstructionJob
+from vntoolkit.pipeline.opened_result import OpenedResult, open_result
+from vntoolkit.pipeline.options import OnError, Product, options_from_values, sensor_from_values
+from vntoolkit.pipeline.outputs import ReconstructionFolder
+from vntoolkit.pipeline.painted_surface import TrackedReflectance
+from vntoolkit.pipeline.reconstruct import ReconstructionSummary, reconstruct
+from vntoolkit.pipeline.texture import (
+    Texels,
+    all_inside,
+    has_maps,
+    tangent_frames,
+    texels_in_frame,
+    unit_vectors,
+)
+from vntoolkit.pipeline.tracked_folder import REFINED_NAME, REFLECTANCE_NAME, read_track_record
+from vntoolkit.tracking.slopes import sample_image
+
+_FRAMES = 24  # evenly spread: twice as many turn normals by less than a tenth of a degree
+_FEWEST_SEEN = 0.1  # of the vertices: with less the surface was not followed
+_LEAST_SHARE = 0.06  # of the strongest lamp's light: the rest may be shadow
+_TURN_ROUNDS = 16  # of averaging with neighbours: turns of the surface, without the noise of its vertices
+
+
+@dataclass(frozen=True, kw_only=True)
+class RefinedAlbedo:
+    """What was refined: reflectance, and the reconstruction with it."""
+
+    reflectance: TrackedReflectance
+    reconstruction: ReconstructionSummary
+
+
+def refine_albedo(
+    folder: Path,
+    track_folder: Path | None = None,
+    *,
+    footage: str = "",
+    background: Path | None = None,
+    overwrite: bool = False,
+    on_start: Callable[[int, int], None] = lambda total, done: None,
+    on_frame: Callable[[FrameEntry], None] = lambda record: None,
+) -> RefinedAlbedo:
+    """Find the reflectance of every vertex of a tracked surface, and reconstruct its footage again with it.
+
+    folder, track_folder: as `track` left them; None for folder/track. footage, background: as for
+    `write_texture`. Writes reflectance.npy and refined/ into the track folder; goes on where an earlier run
+    stopped. Raises `BadInput` where the rig does not hold the colours of its lamps, and where the background
+    that the reconstruction subtracted is not given.
+    """
+    target = track_folder or folder / "track"
+    result = open_result(folder, footage=footage, background=background)
+    _require_lamps(result)
+    materials = result.manifest.materials
+    unit = 1.0 if materials else float(result.manifest.options.get("inversion.relative_albedo", 1.0))
+    logs = np.log([entry.reflectance for entry in materials] or [(unit, unit, unit)])
+    looks, frames = _looks(result, target, logs)
+    found = fit_surface_reflectance(looks, result.rig.response.central.lights)
+    known = _written(found, looks, folder, target, unit, frames)
+    outputs = result.manifest.outputs
+    to = Product.MESH if "mesh" in outputs else Product.DEPTH if "depth" in outputs else Product.NORMALS
+    options = options_from_values({**result.manifest.options, "to": to.value, "on_error": OnError.SKIP.value})
+    keyed = "matte.key" in result.manifest.options
+    job = ReconstructionJob(
+        source=result.source,
+        rig=result.rig,
+        options=options,
+        folder=ReconstructionFolder(root=target / REFINED_NAME),
+        background=None if keyed else background,
+        gaps=Gaps.SKIP,
+        sensor=sensor_from_values(result.manifest.options),
+        surface=known,
+    )
+    done = reconstruct(
+        job,
+        frames=FrameRange.from_text(result.manifest.frames),
+        overwrite=overwrite,
+        on_start=on_start,
+        on_frame=on_frame,
+    )
+    return RefinedAlbedo(reflectance=known, reconstruction=done)
+
+
+def _require_lamps(result: OpenedResult) -> None:
+    if result.rig.gel is not None:
+        raise BadInput("--refine-albedo: a gel is of one reflectance; leave it out")
+    if result.rig.response.light_colours is None:
+        raise BadInput(
+            "--refine-albedo: the rig does not hold the colours of its lamps, so that nothing tells colour "
+            "from shape: calibrate with one photograph per lamp (--single-light), and reconstruct again"
+        )
+    if "background" in result.manifest.extra_files and result.background is None:
+        raise BadInput("--refine-albedo: the reconstruction subtracted a background; give it as --background")
+
+
+def _looks(result: OpenedResult, target: Path, logs: Points) -> tuple[SurfaceLooks, int]:
+    """Return how the vertices looked, and in how many frames. logs: (m, 3), of the materials."""
+    record, sequence = read_track_record(target), read_mesh_sequence(target)
+    numbers = record["frames"][: len(sequence)]
+    at, camera, faces = numbers.index(record["template"]), result.camera, sequence.template.faces
+    shape = (camera.height, camera.width)
+    places = camera.project(np.array(sequence.vertices[at]))
+    vertices = _vertices_as_texels(places, faces, shape)
+    there = [row for row, number in enumerate(numbers) if has_maps(result, number)]
+    evenly = np.unique(np.linspace(0, len(there) - 1, min(_FRAMES, len(there))).round().astype(int))
+    edges = np.unique(
+        np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), 1), axis=0
+    )
+    poses = _Poses(sequence, edges, places)
+    start = poses.at(at)
+    contributions, seen, turns = [], [], []
+    for row in (there[place] for place in evenly):
+        looked = texels_in_frame(result, sequence, row, numbers[row], vertices, places)
+        if looked is None:
+            continue
+        lamps, is_lit = _lamps(result, numbers[row], looked.pixels)
+        contributions.append(lamps)
+        seen.append(is_lit & (looked.weight > 0))
+        turns.append(np.einsum("nij,nkj->nik", poses.at(row), start).astype(np.float32))
+    labels = result.materials(numbers[at])
+    materials = np.zeros(len(places), np.int64)
+    if labels is not None and len(logs) > 1:
+        materials = labels.ravel()[vertices.places].astype(np.int64)
+    looks = SurfaceLooks(
+        contributions=np.array(contributions, np.float32), seen=np.array(seen), turns=np.array(turns),
+        edges=edges, materials=materials, logs=logs[materials],
+    )  # fmt: skip
+    if not len(seen) or looks.seen.any(axis=0).mean() < _FEWEST_SEEN:
+        raise BadInput(
+            f"{target}: fewer than {_FEWEST_SEEN:.0%} of the vertices are seen where all lamps arrive; look "
+            "at the track's expected error, and at shadows"
+        )
+    return looks, len(seen)
+
+
+def _vertices_as_texels(places: Points2, faces: IntArray, shape: tuple[int, int]) -> Texels:
+    """Return the vertices as texels, each the corner of one of its triangles."""
+    face, shares = np.zeros(len(places), np.int64), np.zeros((len(places), 3))
+    for corner in range(3):
+        face[faces[:, corner]] = np.arange(len(faces))
+    shares[faces[face] == np.arange(len(places))[:, None]] = 1.0
+    u, v = np.clip(np.rint(places), 0, [shape[1] - 1, shape[0] - 1]).astype(np.int64).T
+    return Texels(places=v * shape[1] + u, faces=face, shares=shares, shape=shape)
+
+
+def _lamps(result: OpenedResult, number: int, pixels: Points2) -> tuple[Points, Mask]:
+    """Return what every lamp contributes at places (n, 2), without ambient light, and where all arrive."""
+    response, linear = result.rig.response, result.linear(number)
+    if response.variation is not None:
+        linear = leveller_of(response, linear.shape).frame(linear)
+    central, lit = response.central, result.labels(number)
+    is_sound = ~linear.clipped
+    if lit is not None:
+        is_sound &= count_lit(lit) == 3
+    lamps = (sample_image(linear.rgb, pixels) - central.ambient) @ central.contributions_from_rgb.T
+    arrive = lamps.min(axis=1) > np.maximum(_LEAST_SHARE * lamps.max(axis=1), 0.0)
+    return lamps, arrive & all_inside(is_sound, pixels)
+
+
+class _Poses:
+    """How the surface lies around each vertex: (n, 3, 3), columns along u, along v and outwards."""
+
+    def __init__(self, sequence: MeshSequence, edges: IntArray, places: Points2) -> None:
+        self._sequence, self._places = sequence, places
+        self._ends = np.concatenate([edges, edges[:, ::-1]])
+        self._neighbours = np.bincount(self._ends[:, 0], minlength=len(places))[:, None]
+
+    def at(self, row: int) -> Points:
+        vertices = np.array(self._sequence.vertices[row], dtype=np.float64)
+        along = np.concatenate(
+            tangent_frames(vertices, self._sequence.template.faces, self._places)[:2], axis=1
+        )
+        along = np.concatenate([unit_vectors(along[:, :3]), unit_vectors(along[:, 3:])], axis=1)
+        for _ in range(_TURN_ROUNDS):
+            along = self._averaged(along)
+        u, v = along[:, :3], along[:, 3:]
+        outward = unit_vectors(np.cross(u, v))
+        u = unit_vectors(u - np.sum(u * outward, axis=1, keepdims=True) * outward)
+        return np.stack([u, np.cross(outward, u), outward], axis=-1)
+
+    def _averaged(self, values: Points) -> Points:
+        first, second = self._ends.T
+        total = [np.bincount(first, column[second], len(values)) for column in values.T]
+        return np.asarray((values + np.stack(total, axis=1)) / (1 + self._neighbours))
+
+
+def _written(
+    found: SurfaceReflectance, looks: SurfaceLooks, folder: Path, target: Path, unit: float, frames: int
+) -> TrackedReflectance:
+    content = io.BytesIO()
+    np.save(content, found.logs.astype(np.float32), allow_pickle=False)
+    write_bytes(target / REFLECTANCE_NAME, content.getvalue())
+    return TrackedReflectance(
+        result=folder.absolute(),
+        track=target.absolute(),
+        unit=unit,
+        sha256=hashlib.sha256(content.getvalue()).hexdigest(),
+        frames=frames,
+        seen=round(float(looks.seen.any(axis=0).mean()), 4),
+        lines=tuple((_short(x), _short(y), _short(z)) for x, y, z in found.lines),
+        spreads=tuple(map(_short, found.spreads)),
+    )
+
+
+def _short(value: float) -> float:
+    return round(float(value), 4)
