@@ -6,6 +6,7 @@ Dual quaternion skinning does not collapse at twisted joints.
 from __future__ import annotations
 
 from enum import Enum
+from typing import TYPE_CHECKING
 
 import numba
 import numpy as np
@@ -16,7 +17,9 @@ from vntoolkit.checks import require_shape
 from vntoolkit.geometry.motion import Motion, Skeleton
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.native import njit
-from vntoolkit.skinning.weights import SkinWeights
+
+if TYPE_CHECKING:  # weights need the bones of this file
+    from vntoolkit.skinning.weights import SkinWeights
 
 
 class Blend(Enum):
