@@ -141,6 +141,30 @@ def seen(normals, vertices, rows_at):
     return SkinColours(rgb=rgb, weight=weight, vertices=vertices, camera_from_head=POSES)
 
 
+def test_freckles_do_not_turn_normals():
+    rng = np.random.default_rng(4)
+    normals = rng.standard_normal((4000, 3)) * [0.5, 0.6, 0.3] - [0, 0, 1]
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    freckled = np.arange(4000) % 4 == 0
+    density = np.where(freckled, rng.uniform(0.2, 0.7, 4000), 0.0)
+    pigment = np.exp(-density[:, None] * [0.3, 0.6, 1.1])
+    clean = seen(normals, normals * AXES, lambda places: np.broadcast_to(MATRIX, (*places.shape, 3)))
+    rgb = clean.rgb * pigment * (1 + 0.01 * rng.standard_normal(clean.rgb.shape))
+    colours = SkinColours(
+        rgb=rgb.astype(np.float32), weight=clean.weight, vertices=clean.vertices, camera_from_head=POSES
+    )
+    light = SkinLight(response=LightResponse(matrix=MATRIX))
+
+    def off_deg(skin):
+        return np.rad2deg(np.arccos(np.clip((skin.normals * normals).sum(axis=1), -1, 1)))[freckled]
+
+    assert np.median(off_deg(skin_normals(colours, light, tint_is_free=False))) > 5.0
+    skin = skin_normals(colours, light)
+    assert np.median(off_deg(skin)) < 2.0
+    wrong = np.log(skin.albedo[freckled] / pigment[freckled])
+    assert np.median(np.abs(wrong), axis=0) == pytest.approx(0.0, abs=0.02)
+
+
 def test_frames_tell_all_of_m_but_what_commutes_with_the_turn(lit_points):
     normals, vertices, true = lit_points
     colours = seen(normals, vertices, lambda places: np.broadcast_to(MATRIX, (*places.shape, 3)))

@@ -25,12 +25,18 @@ from vntoolkit.photometry.response import LightResponse
 
 _ERRORS = 12  # of the light: nine of M, three of nearness
 _LEAST_COSINE = 0.08  # to a row of M: flatter, the shape's error decides whether light arrives
-_TINT_SPREAD = 0.05  # standard deviation of the logarithm of the tint on skin
+# Scatter of the logarithm of the tint: while nobody knows how it follows the darkness, and where it is held
+_FREE_TINT, _HELD_TINT = 1.0, 1e-4
+_LEAST_SCATTER, _MOST_SCATTER = 0.005, 0.05  # about what the darkness tells
+_CURVES = 2  # times that the typical tint is found
+_CURVE_STEP = 0.1  # of the logarithm of the darkness: a freckle has five
+_CURVE_END = 0.5  # percent of the vertices beyond each end
+_LEAST_ON_CURVE = 50  # vertices in a step
 _ROUNDS, _FIXED_ROUNDS = 8, 2  # with the tint, and with the tint held
 _LEAST_FRAMES = 2
 _HOLD = 1e-6  # of the system's trace: its determinant is not 0
 _BLACK = 1e-6
-_MOST_TINT = 4.0
+_DAMPING, _LONGEST_STEP = 1e-4, 0.5  # rad, and logarithm of the albedo
 _AGREEING = 0.25  # of its first weight: with less left, a colour is an outlier
 _LEAST_NOISE = 0.004  # of the colour's length: below it registration decides, not the sensor
 Array = npt.NDArray[np.float32]
@@ -181,14 +187,19 @@ class SkinNormals:
 
 
 def skin_normals(colours: SkinColours, light: SkinLight, *, tint_is_free: bool = True) -> SkinNormals:
-    """Solve r_f = diag(g) M_f R_f b at every vertex for b and g, robustly, or with g = 1."""
+    """Solve r_f = diag(g) M_f R_f b at every vertex for b and g, robustly, or with g = 1.
+
+    What is common to all frames, such as an error of M, looks like a tint and a turn of the normal together.
+    But the more pigment darkens the skin, the more it tints it, in the same way all over a head. So every g
+    is drawn to the one typical of skin as dark, which the vertices tell together.
+    """
     rgb = colours.rgb - light.response.ambient.astype(np.float32)
     weight = colours.weight.copy()
     count = weight.shape[1]
     scaled, tint = np.zeros((count, 3)), np.ones((count, 3))
     spread = np.full(count, np.inf)
 
-    def solve(rounds: int, tint_is_free: bool) -> None:
+    def solve(rounds: int, curve: FloatArray, lowest: float = 0.0) -> None:
         _solve_kernel(
             rgb,
             colours.weight,
@@ -202,15 +213,22 @@ def skin_normals(colours: SkinColours, light: SkinLight, *, tint_is_free: bool =
             tint,
             spread,
             rounds,
-            tint_is_free,
+            curve,
+            lowest,
         )
 
-    solve(_ROUNDS, tint_is_free)
+    solve(_ROUNDS, _flat(_FREE_TINT if tint_is_free else _HELD_TINT))
     known = np.isfinite(spread) & scaled.any(axis=1)
     if tint_is_free and known.any():
+        for _ in range(_CURVES):
+            curve, lowest = _tint_curve(scaled[known], tint[known])
+            tint[:] = 1.0
+            solve(_ROUNDS, curve, lowest)
         # M holds the skin's typical colour: left to the tint, a wrong balance of its rows stays.
         tint /= np.median(tint[known], axis=0)
-        solve(_FIXED_ROUNDS, False)
+        noise = spread.copy()  # with that of the tint
+        solve(_FIXED_ROUNDS, _flat(_HELD_TINT))
+        spread = noise
     length = np.linalg.norm(scaled, axis=1)
     normals = np.divide(scaled, length[:, None], out=np.zeros_like(scaled), where=known[:, None])
     albedo = np.where(known[:, None], tint * length[:, None], 1.0)
@@ -223,6 +241,31 @@ def skin_normals(colours: SkinColours, light: SkinLight, *, tint_is_free: bool =
         weight=weight,
         agrees=(weight > _AGREEING * colours.weight) & known,
     )
+
+
+def _flat(scatter: float) -> FloatArray:
+    return np.tile([0.0, 0.0, 0.0, scatter], (2, 1))
+
+
+def _tint_curve(scaled: Points, tint: Points) -> tuple[FloatArray, float]:
+    """Return how the tint follows the darkness, log |b|, in steps (k, 4), and the darkness of the first.
+
+    The columns are the logarithm of the typical tint and its scatter. scaled, tint: (n, 3), b and g.
+    """
+    darkness = np.log(np.linalg.norm(scaled, axis=1))
+    lowest, highest = np.percentile(darkness, [_CURVE_END, 100.0 - _CURVE_END])
+    steps = np.arange(int((highest - lowest) / _CURVE_STEP) + 2)
+    at = np.round((darkness - lowest) / _CURVE_STEP)
+    filled = [k for k in steps if np.count_nonzero(at == k) >= _LEAST_ON_CURVE]
+    if not filled:
+        return _flat(_MOST_SCATTER), float(lowest)
+    curve = np.full((len(steps), 4), _MOST_SCATTER)
+    own = {k: np.log(tint[at == k]) for k in filled}
+    middle = np.stack([np.median(own[k], axis=0) for k in filled])
+    curve[:, :3] = np.stack([np.interp(steps, filled, column) for column in middle.T], axis=1)
+    scatter = [1.4826 * np.median(np.abs(own[k] - curve[k, :3])) for k in filled]
+    curve[filled, 3] = np.clip(scatter, _LEAST_SCATTER, _MOST_SCATTER)
+    return curve, float(lowest)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -383,12 +426,16 @@ def _solve_kernel(
     tint: FloatArray,
     spread: FloatArray,
     rounds: int,
-    tint_is_free: bool,
+    curve: FloatArray,
+    lowest: float,
 ) -> None:
+    """Turn the direction and change the logarithm of the albedo per channel, by Gauss and Newton."""
     frames, count = given.shape
-    system, inverse, right = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
-    shading, errors, shown = np.empty((frames, 3)), np.empty(frames), np.empty(frames, np.int64)
+    first, inverse, right = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    errors, shown = np.empty(frames), np.empty(frames, np.int64)
     rows, change, place = np.empty((frames, 3, 3)), np.empty(3), np.empty(3)
+    normal, side, albedo, drawn = np.empty(3), np.empty((2, 3)), np.empty(3), np.empty(3)
+    system, step, slope = np.empty((5, 5)), np.empty(5), np.empty(2)
     for i in range(count):
         n = 0
         for f in range(frames):
@@ -397,67 +444,155 @@ def _solve_kernel(
                 n += 1
         if n < _LEAST_FRAMES:
             continue
+        first[:], right[:] = 0.0, 0.0
+        total, mean = 0.0, 0.0
         for f in shown[:n]:
+            w = given[f, i]
+            size = 0.0
             for k in range(3):
                 place[k] = offsets[f, k]
                 for j in range(3):
                     place[k] += rotations[f, k, j] * vertices[i, j]
             for c in range(3):
-                _row_kernel(matrix[c], nearness[c], rotations[f], place, rows[f, c], change)
-        b = scaled[i]
-        noise = 0.0
+                row = rows[f, c]
+                _row_kernel(matrix[c], nearness[c], rotations[f], place, row, change)
+                size += rgb[f, i, c] ** 2
+                for k in range(3):
+                    right[k] += w * row[k] * rgb[f, i, c] / tint[i, c]
+                    for j in range(3):
+                        first[k, j] += w * row[k] * row[j]
+            total += w
+            mean += w * np.sqrt(size)
+        hold = _HOLD * (first[0, 0] + first[1, 1] + first[2, 2])
+        for k in range(3):
+            first[k, k] += hold
+        _invert(first, inverse)
+        length = 0.0
+        for k in range(3):
+            normal[k] = inverse[k, 0] * right[0] + inverse[k, 1] * right[1] + inverse[k, 2] * right[2]
+            length += normal[k] ** 2
+        length = np.sqrt(length)
+        if length == 0.0:
+            continue
+        for k in range(3):
+            normal[k] /= length
+            albedo[k] = length * tint[i, k]
+            drawn[k] = np.log(tint[i, k])  # the tint is drawn to where it starts
         for _ in range(rounds):
-            system[:] = 0.0
-            right[:] = 0.0
-            for f in shown[:n]:
-                w = weight[f, i]
-                for c in range(3):
-                    value = rgb[f, i, c] / tint[i, c]
-                    for k in range(3):
-                        right[k] += w * rows[f, c, k] * value
-                        for j in range(3):
-                            system[k, j] += w * rows[f, c, k] * rows[f, c, j]
-            hold = _HOLD * (system[0, 0] + system[1, 1] + system[2, 2])
-            for k in range(3):
-                system[k, k] += hold
-            _invert(system, inverse)
-            for k in range(3):
-                b[k] = inverse[k, 0] * right[0] + inverse[k, 1] * right[1] + inverse[k, 2] * right[2]
-            total, mean = 0.0, 0.0
             for at in range(n):
                 f = shown[at]
-                off, size = 0.0, 0.0
+                off = 0.0
                 for c in range(3):
                     row = rows[f, c]
-                    shading[at, c] = row[0] * b[0] + row[1] * b[1] + row[2] * b[2]
-                    off += (rgb[f, i, c] - tint[i, c] * shading[at, c]) ** 2
-                    size += rgb[f, i, c] ** 2
+                    seen = row[0] * normal[0] + row[1] * normal[1] + row[2] * normal[2]
+                    off += (rgb[f, i, c] - albedo[c] * seen) ** 2
                 errors[at] = np.sqrt(off)
-                total += given[f, i]
-                mean += given[f, i] * np.sqrt(size)
             noise = max(np.median(errors[:n]), _LEAST_NOISE * mean / total, _BLACK)
+            _sides(normal, side)
+            system[:], step[:] = 0.0, 0.0
             for at in range(n):
                 f = shown[at]
-                weight[f, i] = given[f, i] / (1.0 + (errors[at] / (2.0 * noise)) ** 2) ** 2
-            if not tint_is_free:
-                continue
-            prior = (noise / _TINT_SPREAD) ** 2 / 3.0  # draws the tint to 1 as far as noise leaves it open
-            product = 1.0
-            for c in range(3):
-                over, under = prior, prior
-                for at in range(n):
-                    w = weight[shown[at], i]
-                    over += w * rgb[shown[at], i, c] * shading[at, c]
-                    under += w * shading[at, c] ** 2
-                tint[i, c] = min(max(over / under, 1.0 / _MOST_TINT), _MOST_TINT)
-                product *= tint[i, c]
-            for c in range(3):
-                tint[i, c] /= product ** (1.0 / 3.0)
-        length = np.sqrt(b[0] ** 2 + b[1] ** 2 + b[2] ** 2)
-        if length > 0:
-            along = 0.0
+                w = given[f, i] / (1.0 + (errors[at] / (2.0 * noise)) ** 2) ** 2
+                weight[f, i] = w
+                for c in range(3):
+                    row = rows[f, c]
+                    seen = albedo[c] * (row[0] * normal[0] + row[1] * normal[1] + row[2] * normal[2])
+                    left = rgb[f, i, c] - seen
+                    for s in range(2):
+                        slope[s] = albedo[c] * (
+                            row[0] * side[s, 0] + row[1] * side[s, 1] + row[2] * side[s, 2]
+                        )
+                        step[s] += w * slope[s] * left
+                        system[s, 2 + c] += w * slope[s] * seen
+                    system[0, 0] += w * slope[0] ** 2
+                    system[0, 1] += w * slope[0] * slope[1]
+                    system[1, 1] += w * slope[1] ** 2
+                    system[2 + c, 2 + c] += w * seen**2
+                    step[2 + c] += w * seen * left
+            # errors of light and shape are alike in all frames: more frames do not tell the tint better
+            _draw_tint(system, step, albedo, drawn, curve, lowest, total * noise**2 / 3.0)
+            hold = _HOLD * (system[0, 0] + system[1, 1])
+            for k in range(5):
+                system[k, k] += _DAMPING * system[k, k] + hold
+                for j in range(k):
+                    system[k, j] = system[j, k]
+            variance = noise**2 / 3.0 * _solve_five(system, step)
+            shrink = 1.0
+            for k in range(5):
+                shrink = min(shrink, _LONGEST_STEP / max(abs(step[k]), _BLACK))
+            length = 0.0
             for k in range(3):
-                for j in range(3):
-                    along += b[k] * inverse[k, j] * b[j] / length**2
-            across = inverse[0, 0] + inverse[1, 1] + inverse[2, 2] - along
-            spread[i] = noise * np.sqrt(max(across, 0.0) / 2.0) / length
+                normal[k] += shrink * (step[0] * side[0, k] + step[1] * side[1, k])
+                length += normal[k] ** 2
+                albedo[k] *= np.exp(shrink * step[2 + k])
+            for k in range(3):
+                normal[k] /= np.sqrt(length)
+        size = (albedo[0] * albedo[1] * albedo[2]) ** (1.0 / 3.0)
+        for k in range(3):
+            scaled[i, k] = size * normal[k]
+            tint[i, k] = albedo[k] / size
+        spread[i] = np.sqrt(variance / 2.0)
+
+
+@njit(cache=True)
+def _draw_tint(
+    system: FloatArray,
+    step: FloatArray,
+    albedo: FloatArray,
+    drawn: FloatArray,
+    curve: FloatArray,
+    lowest: float,
+    variance: float,
+) -> None:
+    """Add to the equations that the logarithm of the tint is `drawn` and what the curve says."""
+    darkness = (np.log(albedo[0]) + np.log(albedo[1]) + np.log(albedo[2])) / 3.0
+    place = min(max((darkness - lowest) / _CURVE_STEP, 0.0), len(curve) - 1.001)
+    below, share = int(place), place - int(place)
+    pull = variance / (curve[below, 3] + share * (curve[below + 1, 3] - curve[below, 3])) ** 2
+    for c in range(3):
+        rise = curve[below + 1, c] - curve[below, c]
+        off = np.log(albedo[c]) - darkness - drawn[c] - curve[below, c] - share * rise
+        shared = (1.0 + rise / _CURVE_STEP) / 3.0  # of a change of any channel
+        for j in range(3):
+            own = (1.0 if c == j else 0.0) - shared
+            step[2 + j] -= pull * own * off
+            for k in range(3):
+                system[2 + j, 2 + k] += pull * own * ((1.0 if c == k else 0.0) - shared)
+
+
+@njit(cache=True)
+def _sides(normal: FloatArray, side: FloatArray) -> None:
+    """Write two unit vectors at right angles to a normal and to each other."""
+    least = 0
+    for k in range(1, 3):
+        if abs(normal[k]) < abs(normal[least]):
+            least = k
+    length = np.sqrt(1.0 - normal[least] ** 2)
+    for k in range(3):
+        side[0, k] = ((1.0 if k == least else 0.0) - normal[least] * normal[k]) / length
+    for k in range(3):
+        side[1, k] = normal[(k + 1) % 3] * side[0, (k + 2) % 3] - normal[(k + 2) % 3] * side[0, (k + 1) % 3]
+
+
+@njit(cache=True)
+def _solve_five(a: FloatArray, b: FloatArray) -> float:
+    """Solve a x = b for x in b, a (5, 5) symmetric; return the first two diagonal entries of 1 / a, added.
+
+    Unknowns go from the last to the first, which leaves the 2×2 system of the first two.
+    """
+    for p in range(4, 1, -1):
+        for k in range(p):
+            share = a[k, p] / a[p, p]
+            b[k] -= share * b[p]
+            for j in range(p):
+                a[k, j] -= share * a[p, j]
+    determinant = a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]
+    trace = (a[0, 0] + a[1, 1]) / determinant
+    x = (a[1, 1] * b[0] - a[0, 1] * b[1]) / determinant
+    b[1] = (a[0, 0] * b[1] - a[1, 0] * b[0]) / determinant
+    b[0] = x
+    for p in range(2, 5):
+        for k in range(p):
+            b[p] -= a[p, k] * b[k]
+        b[p] /= a[p, p]
+    return trace
