@@ -13,11 +13,13 @@ from vntoolkit.io.maps_and_meshes.label_images import read_labels
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map
 from vntoolkit.io.results.manifest import read_manifest
 from vntoolkit.photometry.frame import ALL_LIT
+from vntoolkit.pipeline.opened_result import open_result
 from vntoolkit.pipeline.options import (
     ReconstructOptions,
     option_values,
     options_from_values,
 )
+from vntoolkit.pipeline.painted_surface import PaintedSurface, TrackedReflectance
 from vntoolkit.pipeline.refine_albedo import refine_albedo
 from vntoolkit.pipeline.track import TrackJob, track
 from vntoolkit.tracking.options import TrackingOptions
@@ -74,6 +76,18 @@ def test_a_run_that_was_stopped_goes_on_with_the_same_bytes(bare_face: Path) -> 
         path.unlink()
     refine_albedo(bare_face / "out")
     assert [path.read_bytes() for path in files] == whole
+
+
+def test_a_subject_of_one_colour_stays_as_it_was(bare_face: Path) -> None:
+    result = open_result(bare_face / "out")
+    count = max(len(result.manifest.materials), 1)
+    known = TrackedReflectance(
+        result=bare_face / "out", track=bare_face / "out/track", unit=1.0, sha256="", frames=4, seen=1.0,
+        lines=((0.5, 0.5, 0.7),) * count, spreads=(0.01,) * count,
+    )  # fmt: skip
+    frame = result.linear(0)
+    relit = PaintedSurface(known, result.rig.response).relit(frame, frame, 0, result.materials(0))
+    np.testing.assert_array_equal(relit.rgb, frame.rgb)
 
 
 def test_tracking_again_removes_what_belonged_to_the_old_tracks(bare_face: Path, tmp_path: Path) -> None:

@@ -24,7 +24,9 @@ from vntoolkit.pipeline.tracked_folder import (
     read_track_record,
 )
 
-_LEAST_PAINT = 0.05  # spread of log ρ: with less the subject is of one colour
+# Spread of log ρ along the line of paint: with less a material is of one colour, with more it is no paint
+# that spreads but gloss and relief, as in hair.
+_LEAST_PAINT, _MOST_PAINT = 0.05, 0.35
 _FEATHER_PX = 5  # over which the surface's reflectance takes over from that of the materials
 
 
@@ -57,8 +59,9 @@ class PaintedSurface:
         self._source: TrackSource = open_track_source(known.result)
         self._rho = np.exp(np.asarray(map_npy(known.track / REFLECTANCE_NAME), dtype=np.float64))
         self._response, self._split, self._unit = response, response.contributions_from_rgb, known.unit
-        is_painted = np.array(known.spreads) > _LEAST_PAINT
-        self._lines = np.array(known.lines) * is_painted[:, None]
+        spreads = np.array(known.spreads)
+        self._is_painted = (spreads > _LEAST_PAINT) & (spreads < _MOST_PAINT)
+        self._lines = np.array(known.lines)
 
     def mask(self, number: int) -> Mask:
         """Return (h, w), the pixels that have normals in the reconstruction. Raises `BadCapture`."""
@@ -72,12 +75,14 @@ class PaintedSurface:
         """Return the frame as it would be with the calibration material everywhere.
 
         filmed: the frame as it is. by_materials: in one material, as far as materials tell: it stays where
-        the tracked surface is not, or is lost. materials: (h, w), their numbers. What the track puts beside
-        its place by a part of a pixel, the length of the normal corrects, along the line of the paint.
+        the tracked surface is not, or is lost, and on materials that are not painted. materials: (h, w),
+        their numbers. What the track puts beside its place by a part of a pixel, the length of the normal
+        corrects, along the line of the paint.
         """
         rho, share = self.reflectance(number)
         rgb = (filmed.rgb @ self._split.T / rho) @ np.linalg.inv(self._split).T
         labels = np.zeros(share.shape, np.uint8) if materials is None else materials
+        share = share * self._is_painted[labels]
         ones = np.ones_like(self._lines)
         plain = relit(replace(filmed, rgb=rgb.astype(np.float32)), self._response, labels, ones, self._lines)
         rgb = by_materials.rgb + share[..., None] * (self._unit * plain.rgb - by_materials.rgb)
