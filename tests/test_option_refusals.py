@@ -73,7 +73,7 @@ REFUSALS = [
     ("geometry.garment_fit:GarmentFit", {"scale": 0.0}, r"fit: expected a positive scale, got 0\.0"),
     ("geometry.maps:DepthMap", {"depth": np.zeros((2, 2), int), "mask": None}, "floating point, got int64"),
     ("geometry.maps:DepthMap", {"depth": np.zeros((2, 2)), "mask": np.ones((2, 2))}, "booleans, got float64"),
-    ("geometry.mesh_sequence:MeshSequence", {**MOVING, "frame_rate_hz": 0.0}, r"a positive number, got 0\.0"),
+    ("geometry.mesh:MeshSequence", {**MOVING, "frame_rate_hz": 0.0}, r"a positive number, got 0\.0"),
     ("geometry.motion:Motion", {**STILL, "rotations": np.zeros((1, 1, 4))}, "expected unit quaternions"),
     ("geometry.motion:Motion", {**STILL, "frame_rate_hz": 0.0}, r"a positive number, got 0\.0"),
     ("geometry.motion:Motion", {**STILL, "metres_per_unit": -1.0}, "metres per unit: expected a positive"),
