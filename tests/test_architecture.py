@@ -99,3 +99,21 @@ def test_imports_go_down_and_use_their_doors(path: Path) -> None:
 
 def test_every_room_has_a_floor() -> None:
     assert {room_of(path) for path in FILES} - {"__init__"} <= set(FLOORS)
+
+
+def test_no_files_import_each_other_in_a_circle() -> None:
+    """Whichever is imported first would find the others half made. What only types need is left out."""
+    modules = {
+        ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__"): path
+        for path in FILES
+    }
+    waiting = {}
+    for name, path in modules.items():
+        top = [
+            node for node in ast.parse(path.read_text()).body if isinstance(node, ast.Import | ast.ImportFrom)
+        ]
+        found = {n for node in top for n in imports_of(ast.Module(body=[node], type_ignores=[]))}
+        waiting[name] = found & set(modules) - {name, "vntoolkit"}
+    while ready := {name for name, needs in waiting.items() if not needs & set(waiting)}:
+        waiting = {name: needs for name, needs in waiting.items() if name not in ready}
+    assert not waiting, f"these import each other: {sorted(waiting)}"

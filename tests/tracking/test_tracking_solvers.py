@@ -16,7 +16,7 @@ from vntoolkit.geometry.mesh import (
 from vntoolkit.tracking.fit_errors import FitErrors
 from vntoolkit.tracking.lattice import lattice_on_template
 from vntoolkit.tracking.lattice_system import LatticeSystem
-from vntoolkit.tracking.lengths import LinkLengths, uniform_strains
+from vntoolkit.tracking.lengths import LinkLengths, slow_turns, uniform_strains
 from vntoolkit.tracking.registration import TemplateRegistration
 from vntoolkit.tracking.regularisers import (
     LaplacianRegulariser,
@@ -95,7 +95,7 @@ def lattice_problem(template, rng: np.random.Generator):
 
 def test_the_lattice_s_system_equals_a_dense_one(template, rng: np.random.Generator) -> None:
     lattice, links, system, information, weight = lattice_problem(template, rng)
-    m, e, precision = lattice.count, len(links), 3.0
+    m, e, precision = lattice.count, len(links), np.array([3.0, 1.0, 0.5])
     pull, steps, modes = (rng.normal(size=shape) for shape in ((m, 2), (e, 2), (e, 2, 3)))
     along = np.zeros((e, 2, 2 * m + 3))  # of displacements and coefficients: what a step is compared with
     for k in range(2):
@@ -202,6 +202,19 @@ def test_where_relief_does_not_match_strain_counts_as_given_though_less_is_left_
     between = held == 0
     assert upper_does_not[upper & between].mean() > 4 * all_match[upper & between].mean()
     np.testing.assert_array_equal(upper_does_not[~upper], all_match[~upper])
+
+
+def test_slow_turns_turn_steps_as_far_as_a_polynomial_of_their_place(rng: np.random.Generator) -> None:
+    steps, middles = rng.normal(size=(50, 2)), rng.uniform(0, 300, (50, 2))
+    x, y = ((middles - middles.mean(axis=0)) / middles.std(axis=0)).T
+    angle = 1e-3 * (1.0 + 2.0 * x - y + 0.5 * x * y - x**2)
+    turned = np.stack(
+        [np.cos(angle) * steps[:, 0] - np.sin(angle) * steps[:, 1],
+         np.sin(angle) * steps[:, 0] + np.cos(angle) * steps[:, 1]], axis=1
+    )  # fmt: skip
+    modes = slow_turns(steps, middles)
+    found = np.linalg.lstsq(modes.reshape(100, -1), (turned - steps).ravel(), rcond=None)[0]
+    np.testing.assert_allclose(steps + modes @ found, turned, atol=1e-4)
 
 
 def test_half_of_a_wave_passes_at_the_stated_wavelength() -> None:

@@ -17,7 +17,7 @@ class LatticeSystem:
     """Where nodes go that measurements, and the guessed steps between neighbours, pull at; laid out once.
 
     The minimum over displacements d and coefficients c of Σ_nodes (d_i − m_i)ᵀ I_i (d_i − m_i) +
-    Σ_links w_e |d_b − d_a − r_e − B_e c|² + p |c|²: few modes B of the whole are solved for with the rest.
+    Σ_links w_e |d_b − d_a − r_e − B_e c|² + Σ_k p_k c_k²: few modes B of the whole are solved for too.
     """
 
     def __init__(self, links: IntArray, count: int) -> None:
@@ -38,11 +38,11 @@ class LatticeSystem:
         weight: FloatArray,
         steps: FloatArray,
         modes: FloatArray,
-        precision: float,
+        precision: FloatArray | float,
     ) -> LatticeSolution:
         """Return the minimum; information I (m, 3), pull (m, 2) = I m, weight w (e,), steps r (e, 2).
 
-        modes: B (e, 2, k). precision: p, inverse variance of each coefficient.
+        modes: B (e, 2, k). precision: p, inverse variances (k,) of the coefficients, or one.
         """
         degree = _LEAST_INFORMATION + self._at_nodes(weight, weight)
         diagonal = [
@@ -119,7 +119,7 @@ class LatticeSolution:
         links: IntArray,
         weight: FloatArray,
         modes: FloatArray,
-        precision: float,
+        precision: FloatArray | float,
     ) -> None:
         self._pattern, self._factor = pattern, factor
         m, e, k = pattern.count // 2, len(links), modes.shape[2]

@@ -33,6 +33,8 @@ _BODY_STRAIN = 0.3  # the same, of a surface taken for one body: a face that tal
 _PRIOR_LINKS = 0.2  # measured links nearby that the two count for
 _NEAR_PASSES = 8  # of lattice smoothing: how far around a guess's success counts
 _NORMAL_ERROR = 0.05  # radians: shading that departs from the model turns normals by 3°
+_TURN_DEGREE = 2
+TURN = 0.1  # standard deviation of a slow turn in one step of the fit, radians
 _TURN_PASSES = 2  # of lattice smoothing: the turn in the image is that of the surroundings
 _WHOLE = 0.5  # mean weight of the slopes in a cell from which they are fully trusted
 _LEAST_RELIABLE = 1e-4  # of a node that is not measured, in the fit of one body
@@ -58,6 +60,7 @@ class LinkLengths:
         once = rows < lattice.neighbours
         self.links = np.stack([rows[once], lattice.neighbours[once]], axis=1).astype(np.int64)
         self.along = self.centres[self.links[:, 1]] - self.centres[self.links[:, 0]]
+        self.middles = self.centres[self.links].mean(axis=1)
         self._depth = template.vertices_in_camera[:, 2]
         metric, recedes, self._seen = self._metric(
             slopes, template.positions_px, np.ones(len(template.pixels))
@@ -193,6 +196,18 @@ def uniform_strains(steps: FloatArray) -> npt.NDArray[np.float64]:
     x, y = steps.T
     none = np.zeros_like(x)
     return np.stack([np.stack(mode, axis=1) for mode in ((x, none), (none, y), (y, x))], axis=2)
+
+
+def slow_turns(steps: FloatArray, centres: FloatArray) -> npt.NDArray[np.float64]:
+    """Return (links, 2, k) what turns add to steps (links, 2) that vary over the figure as polynomials.
+
+    centres: (links, 2) of the links. The turn of a place is that of its surroundings in the step before; one
+    that the whole takes part in would come to rest after hundreds of steps.
+    """
+    x, y = ((centres - centres.mean(axis=0)) / np.maximum(centres.std(axis=0), 1.0)).T
+    across = np.stack([-steps[:, 1], steps[:, 0]], axis=1)
+    powers = [(degree - j, j) for degree in range(_TURN_DEGREE + 1) for j in range(degree + 1)]
+    return np.asarray(np.stack([across * (x**i * y**j)[:, None] for i, j in powers], axis=2))
 
 
 class _BodyMotion:

@@ -20,7 +20,7 @@ from vntoolkit.tracking.fit_errors import FitErrors
 from vntoolkit.tracking.flow import common_shift, dense_flow
 from vntoolkit.tracking.lattice import LocalJacobians, lattice_on_template
 from vntoolkit.tracking.lattice_system import LatticeSystem
-from vntoolkit.tracking.lengths import LINKS_ALIKE, STRAIN, LinkLengths, uniform_strains
+from vntoolkit.tracking.lengths import LINKS_ALIKE, STRAIN, TURN, LinkLengths, slow_turns, uniform_strains
 from vntoolkit.tracking.outline import Outline, contour_distance, outline_of_figure
 from vntoolkit.tracking.registration import Measurement, TemplateRegistration, WindowSteps
 from vntoolkit.tracking.slopes import Relief, relief_slopes, sample_depth, sample_image, slopes_from_normals
@@ -132,9 +132,12 @@ class SurfaceFit:
             steps = guess - (now[lengths.links[:, 1]] - now[lengths.links[:, 0]])
             variance = variance + np.sum(steps**2, axis=1) / (LINKS_ALIKE * _TORN_SIGMAS**2)
             weight = 1.0 / (LINKS_ALIKE * variance)
-            modes = uniform_strains(guess)
+            strains = uniform_strains(guess)
+            turns = slow_turns(guess, lengths.middles)
+            modes = np.concatenate([strains, turns], axis=2)
+            precision = np.repeat([STRAIN**-2, TURN**-2], [strains.shape[2], turns.shape[2]])
             solution = self._system.solve(
-                information + outline, pull + outline_pull, weight, steps, modes, STRAIN**-2
+                information + outline, pull + outline_pull, weight, steps, modes, precision
             )
             step = lattice.at_vertices(solution.displacement)
             positions = positions + step
@@ -142,7 +145,7 @@ class SurfaceFit:
                 break
         windows = _in_frame(told.windows, inverse)
         square = self._errors.square(
-            solution, windows, outline, np.sqrt(variance), modes, self._mismatched(told, _WARNING)
+            solution, windows, outline, np.sqrt(variance), strains, self._mismatched(told, _WARNING)
         )
         square = square + lengths.between(solution.left, torn) + self._of_the_whole(information + outline)
         return FittedFrame(
