@@ -150,7 +150,9 @@ def test_expected_errors_are_the_covariance_of_the_problem_where_measurements_de
     system = LatticeSystem(lengths.links, lattice.count)
     none = np.zeros((len(weight), 2, 3))
     solution = system.solve(information, np.zeros((lattice.count, 2)), weight, steps, none, 1.0)
-    square = errors.square(solution, [], information, weight**-0.5, none, np.zeros(lattice.count))
+    square = errors.square(
+        solution, [], information, weight**-0.5, none, none[:, :, 0], np.zeros(lattice.count)
+    )
     expected = np.trace(np.linalg.inv([[4.0, 1.0], [1.0, 2.0]]))
     assert square.mean() == pytest.approx(expected, rel=0.1)  # of some 100 nodes with 16 samples each
 
@@ -173,7 +175,11 @@ def test_less_strain_than_given_is_expected_where_less_is_left(template) -> None
     for misfit in (0.0, 20.0):
         pull = np.column_stack([held * np.where(column == column.max(), misfit, 0.0), 0 * held])
         solution = system.solve(information, pull, weight, steps, none, 1.0)
-        told.append(errors.square(solution, [], information, weight**-0.5, none, np.zeros(lattice.count)))
+        told.append(
+            errors.square(
+                solution, [], information, weight**-0.5, none, none[:, :, 0], np.zeros(lattice.count)
+            )
+        )
     between = held == 0
     assert told[0][between].mean() < 0.3 * told[1][between].mean()
 
@@ -196,7 +202,7 @@ def test_where_relief_does_not_match_strain_counts_as_given_though_less_is_left_
     )
     upper = lattice.cells[:, 1] < np.median(lattice.cells[:, 1])
     all_match, upper_does_not = (
-        errors.square(solution, [], information, weight**-0.5, none, mismatched)
+        errors.square(solution, [], information, weight**-0.5, none, none[:, :, 0], mismatched)
         for mismatched in (np.zeros(lattice.count), upper.astype(float))
     )
     between = held == 0
@@ -302,3 +308,31 @@ def test_shut_lips_are_cut_and_a_seam_may_cross_the_dark_between_them() -> None:
     over = (column > 10) & (column < 30) & (across.min(axis=1) == 15) & (across.max(axis=1) == 16)
     assert not over.any()
     assert ((column < 9) & (across.min(axis=1) == 15) & (across.max(axis=1) == 16)).sum() == 9
+
+
+def test_which_of_two_guesses_holds_is_one_doubt_for_all_links_and_what_is_held_is_free_of_it(
+    template,
+) -> None:
+    video = WrinkledVideo(width=34, height=26)
+    slopes = slopes_from_normals(video.maps(0)[0], video.camera)
+    lattice = lattice_on_template(template, 3)
+    lengths = LinkLengths(lattice, template, video.camera, slopes)
+    errors = FitErrors(
+        lattice, TemplateRegistration(template, lattice, relief_slopes(slopes, video.maps(0)[0])), lengths
+    )
+    column = lattice.cells[:, 0]
+    held = np.where(column == column.min(), 1e4, 0.0)
+    information = np.column_stack([held, 0 * held, held])
+    weight, steps = np.ones(len(lengths.links)), np.zeros((len(lengths.links), 2))
+    none = np.zeros((len(weight), 2, 3))
+    solution = LatticeSystem(lengths.links, lattice.count).solve(
+        information, np.zeros((lattice.count, 2)), weight, steps, none, 1.0
+    )
+    sure, doubted = (
+        errors.square(solution, [], information, weight**-0.5, none, doubt, np.zeros(lattice.count))
+        for doubt in (steps, 0.1 * lengths.along)  # a tenth of every length
+    )
+    expected = np.square(0.1 * (lengths.centres - lengths.centres[column == column.min()].mean(axis=0))[:, 0])
+    far = column == column.max()
+    np.testing.assert_allclose((doubted - sure)[far], expected[far], rtol=0.2)
+    assert np.abs(doubted - sure)[held > 0].max() < 0.1

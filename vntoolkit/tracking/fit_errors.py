@@ -7,6 +7,10 @@ large as given. Only the part that varies slowly over the figure is compared: th
 Where relief that should match does not, the surface has departed from what is foreseen, and nothing that
 matches elsewhere tells how far: strain counts there as given, and more.
 
+The finest relief sits on the surface. A shape stays where it is while the surface turns beneath it, and all
+windows that look at shapes are off alike: what such a window tells at best is one error for all of them. So
+is the doubt between two guesses of the lengths.
+
 A share of the strain varies as slowly as the figure is large. It adds up farthest, along borders that
 nothing holds most of all, and leaves next to nothing that could be compared: it counts as given.
 """
@@ -41,6 +45,7 @@ class FitErrors:
         rng = np.random.default_rng(0)
         shape = (m, 2, _SAMPLES)
         self._windows = []
+        self._accuracies = [windows.accuracy_px for windows in registration.windows[1:]]
         for windows in registration.windows:
             alike = _unit(lattice.smoothed(rng.standard_normal((m, 2 * _SAMPLES)), windows.passes))
             self._windows.append((alike / np.sqrt(windows.nodes)).reshape(shape))
@@ -66,24 +71,30 @@ class FitErrors:
         outline: FloatArray,
         sd: FloatArray,
         uniform: FloatArray,
+        doubt: FloatArray,
         mismatched: FloatArray,
     ) -> npt.NDArray[np.float64]:
         """Return (nodes,) the expected squared error, px².
 
         windows: in pixels of the frame, as the information (nodes, 3) of the outline. sd: (links,) standard
-        deviation of the steps. uniform: (links, 2, 3) as solved with. mismatched: (nodes,) from 0 to 1, how
-        far relief that should match does not.
+        deviation of the steps. uniform: (links, 2, 3) as solved with. doubt: (links, 2) as guessed.
+        mismatched: (nodes,) from 0 to 1, how far relief that should match does not.
         """
         measured = np.einsum("nij,njk->nik", cholesky(outline), self._outline)
         for each, drawn in zip(windows, self._windows, strict=False):
             measured += np.einsum("nij,njk->nik", cholesky(each.information), drawn)
         size = sd[:, None, None]
         straight = np.zeros_like(self._local)
-        given = np.concatenate([size * self._slow, STRAIN * uniform], axis=2)
+        given = np.concatenate([size * self._slow, STRAIN * uniform, doubt[:, :, None]], axis=2)
+        shared = [
+            accuracy * each.information[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+            for each, accuracy in zip(windows[1:], self._accuracies, strict=False)
+        ]
         nothing = np.zeros((len(outline), 2, _SAMPLES + given.shape[2]))
+        unmoved = np.zeros((len(sd), 2, 2 * len(shared)))
         errors, left = solution.solved(
-            np.concatenate([measured, nothing], axis=2),
-            np.concatenate([straight, size * self._local, given], axis=2),
+            np.concatenate([measured, nothing, *shared], axis=2),
+            np.concatenate([straight, size * self._local, given, unmoved], axis=2),
         )
         by_measurement, by_local, by_given = np.split(errors, [_SAMPLES, 2 * _SAMPLES], axis=2)
         foreseen = (left[:, :, :_SAMPLES] + left[:, :, _SAMPLES : 2 * _SAMPLES]) / size

@@ -8,6 +8,8 @@ Two guesses, each by how well it does where the nodes around are measured:
   it says little. What the whole stretches by is left open too: `uniform_strains`.
 - The whole moves as one body: seen from afar, by an affine map of its points (u, v, depth), fitted robustly,
   and on it every piece that hangs together by its own. It is right for an ear behind the cheek's rim.
+
+Where the two differ, which of them holds is a doubt that all links share.
 """
 
 from __future__ import annotations
@@ -86,7 +88,8 @@ class LinkLengths:
     ) -> tuple[npt.NDArray[np.float64], ...]:
         """Return (links, 2) the steps from node to node, and (links,) their variance by direction, px².
 
-        The third: (links,) the share of the variance that an occluding contour between the two adds.
+        The third: (links,) the share of the variance that an occluding contour between the two adds. The
+        fourth: (links, 2) one standard deviation of all steps together, by which of the guesses holds.
 
         around: (nodes, 4) Jacobians of positions (n, 2). hidden: (nodes,) share that is not seen. measured:
         (nodes,) from 0 to 1, how far a node's place is known.
@@ -111,12 +114,13 @@ class LinkLengths:
             - trusted,
             self._near_mean(_strain(steps - by_body, square), tested, _BODY_STRAIN**2),
         ]
-        shares = [1.0 / variance for variance in variances]
-        mean = (shares[0][:, None] * by_lengths + shares[1][:, None] * by_body) / sum(shares)[:, None]
+        share = variances[1] / (variances[0] + variances[1])
+        mean = share[:, None] * by_lengths + (1.0 - share)[:, None] * by_body
+        doubt = np.sqrt(share * (1.0 - share))[:, None] * (by_lengths - by_body)
         variance = square * np.minimum(*variances)
         likely = np.minimum((contour + self._contour) / _CONTOUR_STEEPNESS, 1.0)
         slip = square * (_CONTOUR_STRAIN * likely) ** 2
-        return mean, variance + slip, slip / (variance + slip)
+        return mean, variance + slip, slip / (variance + slip), doubt
 
     def between(self, left: FloatArray, torn: FloatArray) -> npt.NDArray[np.float64]:
         """Return (nodes,) the squared error of vertices between nodes that come apart, px².

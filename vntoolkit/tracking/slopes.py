@@ -22,7 +22,7 @@ from vntoolkit.native import njit
 _STEEPEST = 0.15  # cosine to the viewing ray below which a slope is clamped, 81°
 _GRAZING = 0.3  # cosine below which a slope weighs less, 73°: there it is mostly noise
 
-_EDGE_REACH_PX = 2  # of a label that is off by a pixel, in a picture that is blurred by one
+_EDGE_REACH_PX = 2  # of an edge that is off by a pixel, in a picture that is blurred by one
 _LEAST_WEIGHT = np.float32(1e-3)  # a weight is divided by
 _JUMP_SMOOTHING_PX = 1.5
 _JUMP_WINDOW_PX = 5
@@ -54,11 +54,13 @@ def relief_slopes(
     normal_map: NormalMap,
     labels: VisibilityLabels | None = None,
     from_contour_px: FloatArray | None = None,
+    contours: Mask | None = None,
 ) -> Relief:
-    """Return the slopes of a normal map without weight around the edges of shadows.
+    """Return the slopes of a normal map without weight around the edges of shadows and around contours.
 
-    Those are where labels (h, w) change, or else the weight jumps. Lengths and facing hold there; relief does
-    not. from_contour_px: (h, w) distance from the nearest occluding contour; None for none.
+    A shadow ends where labels (h, w) change, or else the weight jumps. Lengths and facing hold there; relief
+    does not. from_contour_px: (h, w) distance from the nearest occluding contour on the outline; None for
+    none. contours: (h, w), those within the figure.
     """
     h, w = normal_map.shape
     out = np.empty((h, w, 4), dtype=np.float32)
@@ -69,6 +71,9 @@ def relief_slopes(
     elif normal_map.weight is not None:
         weight = beside_the_usual(normal_map.weight, normal_map.mask)
         out[jump_pixels(replace(normal_map, weight=weight)), :3] = 0.0
+    if contours is not None and contours.any():
+        window = np.ones((2 * _EDGE_REACH_PX + 1,) * 2, dtype=np.uint8)
+        out[cv2.dilate(contours.astype(np.uint8), window) > 0, :3] = 0.0
     return out
 
 

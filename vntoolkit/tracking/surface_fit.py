@@ -8,7 +8,7 @@ expected error is that of the same problem (`fit_errors`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +16,7 @@ import numpy.typing as npt
 from vntoolkit.arrays import FloatArray, Mask, Points2, VisibilityLabels
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
+from vntoolkit.tracking.contours import edges_beside, occluding_contours
 from vntoolkit.tracking.fit_errors import FitErrors
 from vntoolkit.tracking.flow import common_shift, dense_flow
 from vntoolkit.tracking.lattice import LocalJacobians, lattice_on_template
@@ -64,12 +65,14 @@ class SurfaceFit:
         labels: VisibilityLabels | None = None,
     ) -> None:
         """Prepare what hangs on the template alone; normal_map, labels: of its frame."""
-        lattice = lattice_on_template(template, _CELL_PX)
         slopes = slopes_from_normals(normal_map, camera)
+        contours = occluding_contours(slopes, normal_map.mask)
+        within = replace(template, edges=edges_beside(template.edges, template.pixels, contours))
+        lattice = lattice_on_template(within, _CELL_PX)
         self._lattice, self._camera = lattice, camera
         self._outline = Outline(template, lattice, normal_map.mask, slopes)
         figure = outline_of_figure(normal_map.mask, slopes)
-        relief = relief_slopes(slopes, normal_map, labels, contour_distance(figure))
+        relief = relief_slopes(slopes, normal_map, labels, contour_distance(figure), contours)
         self._registration = TemplateRegistration(template, lattice, relief)
         self._lengths = LinkLengths(lattice, template, camera, slopes)
         self._jacobians = LocalJacobians(lattice, template.positions_px)
@@ -95,7 +98,8 @@ class SurfaceFit:
         lattice, lengths = self._lattice, self._lengths
         slopes = slopes_from_normals(normal_map, self._camera)
         figure = outline_of_figure(normal_map.mask, slopes)
-        relief = relief_slopes(slopes, normal_map, labels, contour_distance(figure))
+        contours = occluding_contours(slopes, normal_map.mask)
+        relief = relief_slopes(slopes, normal_map, labels, contour_distance(figure), contours)
         last = np.asarray(last_px, dtype=np.float64)
         positions: Points2 = 2.0 * last - before_px
         misfit = _misfit(positions, normal_map.mask)
@@ -127,7 +131,9 @@ class SurfaceFit:
             pull = np.einsum("nji,nj->ni", inverse, told.pull)
             outline, outline_pull = self._outline.measure(positions, inverse, figure)
             measured = np.minimum(1.0, information[:, 0] + information[:, 2])
-            guess, variance, torn = lengths.guessed(positions, around, slopes, depth_map, hidden, measured)
+            guess, variance, torn, doubt = lengths.guessed(
+                positions, around, slopes, depth_map, hidden, measured
+            )
             now = lengths.nodes(positions)
             steps = guess - (now[lengths.links[:, 1]] - now[lengths.links[:, 0]])
             variance = variance + np.sum(steps**2, axis=1) / (LINKS_ALIKE * _TORN_SIGMAS**2)
@@ -145,7 +151,7 @@ class SurfaceFit:
                 break
         windows = _in_frame(told.windows, inverse)
         square = self._errors.square(
-            solution, windows, outline, np.sqrt(variance), strains, self._mismatched(told, _WARNING)
+            solution, windows, outline, np.sqrt(variance), strains, doubt, self._mismatched(told, _WARNING)
         )
         square = square + lengths.between(solution.left, torn) + self._of_the_whole(information + outline)
         return FittedFrame(
