@@ -87,7 +87,7 @@ class FitErrors:
         straight = np.zeros_like(self._local)
         given = np.concatenate([size * self._slow, STRAIN * uniform, doubt[:, :, None]], axis=2)
         shared = [
-            accuracy * each.information[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+            (accuracy + each.slide_px)[:, None, None] * each.information[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
             for each, accuracy in zip(windows[1:], self._accuracies, strict=False)
         ]
         nothing = np.zeros((len(outline), 2, _SAMPLES + given.shape[2]))

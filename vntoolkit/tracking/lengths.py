@@ -208,6 +208,8 @@ def slow_turns(steps: FloatArray, centres: FloatArray) -> npt.NDArray[np.float64
     centres: (links, 2) of the links. The turn of a place is that of its surroundings in the step before; one
     that the whole takes part in would come to rest after hundreds of steps.
     """
+    if len(steps) == 0:
+        return np.zeros((0, 2, 0))
     x, y = ((centres - centres.mean(axis=0)) / np.maximum(centres.std(axis=0), 1.0)).T
     across = np.stack([-steps[:, 1], steps[:, 0]], axis=1)
     powers = [(degree - j, j) for degree in range(_TURN_DEGREE + 1) for j in range(degree + 1)]

@@ -4,8 +4,8 @@ The frame's slopes are sampled at the vertices, pulled back into the template by
 are the gradient of log Z) and compared with the template's, band by band: what is left of them after a
 Gaussian is taken off three times, at full resolution and at halvings. A fine band is relief that sits on the
 surface. A coarse one is its shape, which may bend: its residual then is large, and it tells little. Beside an
-occluding contour slopes grow without bound, on a smooth surface too. What a band finds there slides with the
-contour while the surface turns, so it is not compared.
+occluding contour slopes grow without bound, on a smooth surface too. What a band finds there stays with the
+contour while the surface turns under it: the finest is not compared there, of the others it is said.
 
 Template f and frame g differ by noise and by the displacement d: g − f = F d + noise. Over a window, with
 F = ½(∇f + ∇g), the moments b = −Σ Fᵀ(g − f), H = Σ FᵀF and A = Σ ∇fᵀ∇g give d = A⁻¹ b. A is made of what both
@@ -41,6 +41,7 @@ _PATCH_CELLS = 4  # side of the squares that it shifts
 _SURE = 5.0  # standard deviations of a correlation by chance: there are some 300 shifts
 _LEAST_WEIGHT = 0.01  # of a pixel that counts
 _RIM_PX = 12.0  # of the band: from an occluding contour so far, what a band finds is the contour's
+_KNOWN_PX = 4.0  # by finest relief around, which leaves half of the slide open
 _LEAST_NOISE = 1e-3  # slope: what interpolation leaves
 _FEW_NODES = 5.0  # variance of a step over that of its nodes' pulls: not all of them move alike
 
@@ -73,13 +74,14 @@ class Band:
     """One band of the template, on its raster.
 
     node: (h, w) int32, −1 outside. features: (h, w, 2). gradients: (h, w, 4) ∂f/∂u, ∂f/∂v of both. weight:
-    (h, w).
+    (h, w). beside: (h, w) True within reach of an occluding contour.
     """
 
     node: npt.NDArray[np.int32]
     features: npt.NDArray[np.float32]
     gradients: npt.NDArray[np.float32]
     weight: npt.NDArray[np.float32]
+    beside: Mask
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,11 +89,12 @@ class WindowSteps:
     """What windows of one kind measured around the nodes.
 
     information: (nodes, 3) of the share of its window that is a node's own, in 1/px² of the template. step:
-    (nodes, 2).
+    (nodes, 2). slide_px: (nodes,) how far the surface may have slid under what was measured beside contours.
     """
 
     information: npt.NDArray[np.float64]
     step: npt.NDArray[np.float64]
+    slide_px: npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -123,6 +126,7 @@ class Measurement:
             WindowSteps(
                 information=mixed(own.information, new.information),
                 step=mixed(own.step, new.step),
+                slide_px=mixed(own.slide_px, new.slide_px),
             )
             for own, new in zip(self.windows, other.windows, strict=True)
         )
@@ -155,6 +159,7 @@ class TemplateRegistration:
         count = self._lattice.count
         information, pull = np.zeros((count, 3)), np.zeros((count, 2))
         match, expected, found = np.zeros(count), np.zeros(count), np.zeros(count)
+        unknown = np.ones(count)
         steps: list[WindowSteps] = []
         frame = self._banded(*self._pulled_back(positions_px, jacobians, slopes))
         moments = [
@@ -175,7 +180,12 @@ class TemplateRegistration:
             elif windows is _FAINT_RELIEF:
                 told[steps[0].information.any(axis=1)] = 0.0
             found = np.maximum(found, ratio)
-            steps.append(WindowSteps(information=told, step=step))
+            if windows is _RELIEF:
+                unknown, slide = self._unknown_around(told), np.zeros(count)
+            else:
+                reach_px = _RIM_PX * 2.0**windows.halvings
+                slide = reach_px * unknown * self._beside_contours(windows.halvings, frame)
+            steps.append(WindowSteps(information=told, step=step, slide_px=slide))
             information += told
             pull += np.einsum("nij,nj->ni", told[:, [0, 1, 1, 2]].reshape(-1, 2, 2), step)
         return Measurement(
@@ -187,6 +197,21 @@ class TemplateRegistration:
             windows=tuple(steps),
             frame=frame[0],
         )
+
+    def _beside_contours(self, halvings: int, frame: list[Band]) -> npt.NDArray[np.float64]:
+        """(nodes,) share of a node's pixels within reach of a contour, in the template or in the frame."""
+        mine, count = self._bands[halvings], self._lattice.count
+        inside = (mine.node >= 0) & (mine.weight > 0)
+        beside = (mine.beside | frame[halvings].beside)[inside]
+        node = mine.node[inside]
+        return np.bincount(node, beside, count) / np.maximum(np.bincount(node, minlength=count), 1)
+
+    def _unknown_around(self, relief: FloatArray) -> npt.NDArray[np.float64]:
+        """(nodes,) how little finest relief around tells, by its information (nodes, 3): 1 for nothing."""
+        share = _FAINT_RELIEF.nodes / 3.0**_FAINT_RELIEF.passes
+        a, b, c = share * self._lattice.smoothed(relief, _FAINT_RELIEF.passes).T
+        least = 0.5 * (a + c) - np.sqrt(0.25 * (a - c) ** 2 + b * b)
+        return np.asarray(1.0 / (1.0 + _KNOWN_PX**2 * least))
 
     def searched(self, frame: Band, lost: Mask) -> tuple[npt.NDArray[np.float64], Mask]:
         """Return the shift (nodes, 2) at which relief that is lost correlates best, and where it surely does.
@@ -249,8 +274,10 @@ class TemplateRegistration:
             coarser = cv2.pyrDown(values), cv2.pyrDown(weight)
             _high_pass(values, weight)
             gradients, kept = _gradients(values, weight, np.float32(0.5 / 2.0**halvings))
-            kept[clear[:: 2**halvings, :: 2**halvings] < _RIM_PX * 2.0**halvings] = 0.0
-            out.append(Band(node=node, features=values, gradients=gradients, weight=kept))
+            beside = clear[:: 2**halvings, :: 2**halvings] < _RIM_PX * 2.0**halvings
+            if halvings == 0:
+                kept[beside] = 0.0
+            out.append(Band(node=node, features=values, gradients=gradients, weight=kept, beside=beside))
             values, weight = (np.asarray(image, dtype=np.float32) for image in coarser)
             node = np.ascontiguousarray(node[::2, ::2])
         return out

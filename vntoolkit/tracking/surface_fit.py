@@ -277,6 +277,7 @@ def _in_frame(windows: tuple[WindowSteps, ...], inverse: FloatArray) -> list[Win
         WindowSteps(
             information=_congruent(each.information, inverse),
             step=np.einsum("nij,nj->ni", jacobian, each.step),
+            slide_px=each.slide_px,
         )
         for each in windows
     ]
