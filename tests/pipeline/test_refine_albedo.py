@@ -1,5 +1,6 @@
 """`track --refine-albedo`: a bare face and a plain one, from footage to refined normals; what it refuses."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -51,12 +52,14 @@ def mean_error_deg(folder: Path, film: Path) -> float:
     return float(np.concatenate(errors).mean())
 
 
+@pytest.mark.slow
 def test_normals_of_a_bare_face_are_better_after_it(bare_face: Path) -> None:
     film, out = bare_face / "film", bare_face / "out"
     before, after = mean_error_deg(out, film), mean_error_deg(out / "track/refined", film)
     assert after < before - 0.4
 
 
+@pytest.mark.slow
 def test_the_folder_is_as_any_other_and_says_what_it_is(bare_face: Path) -> None:
     out, refined = bare_face / "out", bare_face / "out/track/refined"
     of, own = read_manifest(out), read_manifest(refined)
@@ -68,6 +71,7 @@ def test_the_folder_is_as_any_other_and_says_what_it_is(bare_face: Path) -> None
     assert all(len(list((refined / name).iterdir())) == 4 for name in own.outputs)
 
 
+@pytest.mark.slow
 def test_a_run_that_was_stopped_goes_on_with_the_same_bytes(bare_face: Path) -> None:
     refined = bare_face / "out/track/refined"
     files = sorted(path for path in refined.rglob("*.exr"))
@@ -78,6 +82,7 @@ def test_a_run_that_was_stopped_goes_on_with_the_same_bytes(bare_face: Path) -> 
     assert [path.read_bytes() for path in files] == whole
 
 
+@pytest.mark.slow
 def test_a_subject_of_one_colour_stays_as_it_was(bare_face: Path) -> None:
     result = open_result(bare_face / "out")
     count = max(len(result.manifest.materials), 1)
@@ -88,8 +93,11 @@ def test_a_subject_of_one_colour_stays_as_it_was(bare_face: Path) -> None:
     frame = result.linear(0)
     relit = PaintedSurface(known, result.rig.response).relit(frame, frame, 0, result.materials(0))
     np.testing.assert_array_equal(relit.rgb, frame.rgb)
+    assert "normals are as before" in known.described()
+    assert replace(known, spreads=(0.2, 0.01)).described() == "paint varies by 20% in 1 of 2 materials"
 
 
+@pytest.mark.slow
 def test_tracking_again_removes_what_belonged_to_the_old_tracks(bare_face: Path, tmp_path: Path) -> None:
     assert (bare_face / "out/track/reflectance.npy").exists()
     track(TrackJob(folder=bare_face / "out", options=TrackingOptions(), template=2), overwrite=True)

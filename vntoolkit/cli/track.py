@@ -92,7 +92,7 @@ def track(
         known, again = refined.reflectance, refined.reconstruction
         print(
             f"{again.folder}: {again.done + again.resumed} of {again.frames} frames again, with the "
-            f"reflectance of {known.seen:.1%} of the vertices from {known.frames} frames"
+            f"reflectance of {known.seen:.1%} of the vertices from {known.frames} frames; {known.described()}"
         )
         print_next("track", again.folder)
         return

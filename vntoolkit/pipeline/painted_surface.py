@@ -48,6 +48,24 @@ class TrackedReflectance:
     lines: tuple[tuple[float, float, float], ...]
     spreads: tuple[float, ...]
 
+    @property
+    def is_painted(self) -> tuple[bool, ...]:
+        """Of each material, whether its paint varies, and as paint does: only there normals change."""
+        return tuple(_LEAST_PAINT < spread < _MOST_PAINT for spread in self.spreads)
+
+    def described(self) -> str:
+        """How far paint varies, in words."""
+        if not any(self.is_painted):
+            spread = ", ".join(f"{s:.0%}" for s in self.spreads)
+            return (
+                f"paint varies by {spread} (less than {_LEAST_PAINT:.0%} is one colour, more than "
+                f"{_MOST_PAINT:.0%} is hair or gloss): the normals are as before"
+            )
+        varied = ", ".join(
+            f"{s:.0%}" for s, painted in zip(self.spreads, self.is_painted, strict=True) if painted
+        )
+        return f"paint varies by {varied} in {sum(self.is_painted)} of {len(self.spreads)} materials"
+
 
 class PaintedSurface:
     """Takes frames to one material with the reflectances of a tracked surface."""
@@ -59,8 +77,7 @@ class PaintedSurface:
         self._source: TrackSource = open_track_source(known.result)
         self._rho = np.exp(np.asarray(map_npy(known.track / REFLECTANCE_NAME), dtype=np.float64))
         self._response, self._split, self._unit = response, response.contributions_from_rgb, known.unit
-        spreads = np.array(known.spreads)
-        self._is_painted = (spreads > _LEAST_PAINT) & (spreads < _MOST_PAINT)
+        self._is_painted = np.array(known.is_painted)
         self._lines = np.array(known.lines)
 
     def mask(self, number: int) -> Mask:
