@@ -7,9 +7,9 @@ large as given. Only the part that varies slowly over the figure is compared: th
 Where relief that should match does not, the surface has departed from what is foreseen, and nothing that
 matches elsewhere tells how far: strain counts there as given, and more.
 
-The finest relief sits on the surface. A shape stays where it is while the surface turns beneath it, and all
-windows that look at shapes are off alike: what such a window tells at best is one error for all of them. So
-is the doubt between two guesses of the lengths.
+The finest relief sits on the surface. What windows of shapes see beside an occluding contour may stay while
+the surface turns beneath it: by so far all of them may be off alike. So may the lengths, by the doubt between
+two guesses of them.
 
 A share of the strain varies as slowly as the figure is large. It adds up farthest, along borders that
 nothing holds most of all, and leaves next to nothing that could be compared: it counts as given.
@@ -45,7 +45,6 @@ class FitErrors:
         rng = np.random.default_rng(0)
         shape = (m, 2, _SAMPLES)
         self._windows = []
-        self._accuracies = [windows.accuracy_px for windows in registration.windows[1:]]
         for windows in registration.windows:
             alike = _unit(lattice.smoothed(rng.standard_normal((m, 2 * _SAMPLES)), windows.passes))
             self._windows.append((alike / np.sqrt(windows.nodes)).reshape(shape))
@@ -87,8 +86,8 @@ class FitErrors:
         straight = np.zeros_like(self._local)
         given = np.concatenate([size * self._slow, STRAIN * uniform, doubt[:, :, None]], axis=2)
         shared = [
-            (accuracy + each.slide_px)[:, None, None] * each.information[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
-            for each, accuracy in zip(windows[1:], self._accuracies, strict=False)
+            each.slide_px[:, None, None] * each.information[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+            for each in windows[1:]
         ]
         nothing = np.zeros((len(outline), 2, _SAMPLES + given.shape[2]))
         unmoved = np.zeros((len(sd), 2, 2 * len(shared)))
