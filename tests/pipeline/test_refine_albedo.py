@@ -104,9 +104,14 @@ def test_tracking_again_removes_what_belonged_to_the_old_tracks(bare_face: Path,
     assert not (bare_face / "out/track/reflectance.npy").exists()
 
 
-def test_a_rig_without_the_colours_of_its_lamps_is_refused(dome_result: DomeResult) -> None:
+def test_a_rig_without_the_colours_of_its_lamps_is_refused_before_tracking(
+    dome_result: DomeResult, tmp_path: Path
+) -> None:
     with pytest.raises(BadInput, match="does not hold the colours of its lamps"):
         refine_albedo(dome_result.folder)
+    with pytest.raises(BadInput, match="does not hold the colours of its lamps"):
+        vt.track(dome_result.folder, out=tmp_path / "track", refine_albedo=True)
+    assert not (tmp_path / "track").exists()
 
 
 def test_options_are_read_back_from_a_manifest() -> None:

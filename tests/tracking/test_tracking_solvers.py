@@ -14,7 +14,7 @@ from vntoolkit.geometry.mesh import (
     graph_laplacian,
 )
 from vntoolkit.tracking.fit_errors import FitErrors
-from vntoolkit.tracking.lattice import lattice_on_template
+from vntoolkit.tracking.lattice import TemplateLattice, lattice_on_template
 from vntoolkit.tracking.lattice_system import LatticeSystem
 from vntoolkit.tracking.lengths import LinkLengths, slow_turns, uniform_strains
 from vntoolkit.tracking.registration import TemplateRegistration
@@ -93,6 +93,18 @@ def lattice_problem(template, rng: np.random.Generator):
     return lattice, links, LatticeSystem(links, lattice.count), information, weight
 
 
+def errors_problem(template) -> tuple[TemplateLattice, LinkLengths, FitErrors]:
+    """A lattice, its lengths, and the expected errors of fits on it."""
+    video = WrinkledVideo(width=34, height=26)
+    slopes = slopes_from_normals(video.maps(0)[0], video.camera)
+    lattice = lattice_on_template(template, 3)
+    lengths = LinkLengths(lattice, template, video.camera, slopes)
+    errors = FitErrors(
+        lattice, TemplateRegistration(template, lattice, relief_slopes(slopes, video.maps(0)[0])), lengths
+    )
+    return lattice, lengths, errors
+
+
 def test_the_lattice_s_system_equals_a_dense_one(template, rng: np.random.Generator) -> None:
     lattice, links, system, information, weight = lattice_problem(template, rng)
     m, e, precision = lattice.count, len(links), np.array([3.0, 1.0, 0.5])
@@ -138,13 +150,7 @@ def test_four_corners_tell_how_a_whole_sheet_is_stretched_and_sheared(template) 
 
 def test_expected_errors_are_the_covariance_of_the_problem_where_measurements_decide(template) -> None:
     """Links so weak that they tell nothing: what is left is the inverse of each node's own information."""
-    video = WrinkledVideo(width=34, height=26)
-    slopes = slopes_from_normals(video.maps(0)[0], video.camera)
-    lattice = lattice_on_template(template, 3)
-    lengths = LinkLengths(lattice, template, video.camera, slopes)
-    errors = FitErrors(
-        lattice, TemplateRegistration(template, lattice, relief_slopes(slopes, video.maps(0)[0])), lengths
-    )
+    lattice, lengths, errors = errors_problem(template)
     weight, steps = np.full(len(lengths.links), 1e-9), np.zeros((len(lengths.links), 2))
     information = np.tile([4.0, 1.0, 2.0], (lattice.count, 1))
     system = LatticeSystem(lengths.links, lattice.count)
@@ -159,13 +165,7 @@ def test_expected_errors_are_the_covariance_of_the_problem_where_measurements_de
 
 def test_less_strain_than_given_is_expected_where_less_is_left(template) -> None:
     """A figure held at its left: what the lengths to its right are worth shows at a second hold."""
-    video = WrinkledVideo(width=34, height=26)
-    slopes = slopes_from_normals(video.maps(0)[0], video.camera)
-    lattice = lattice_on_template(template, 3)
-    lengths = LinkLengths(lattice, template, video.camera, slopes)
-    errors = FitErrors(
-        lattice, TemplateRegistration(template, lattice, relief_slopes(slopes, video.maps(0)[0])), lengths
-    )
+    lattice, lengths, errors = errors_problem(template)
     column = lattice.cells[:, 0]
     held = np.where((column == column.min()) | (column == column.max()), 100.0, 0.0)
     information = np.column_stack([held, 0 * held, held])
@@ -185,13 +185,7 @@ def test_less_strain_than_given_is_expected_where_less_is_left(template) -> None
 
 
 def test_where_relief_does_not_match_strain_counts_as_given_though_less_is_left_elsewhere(template) -> None:
-    video = WrinkledVideo(width=34, height=26)
-    slopes = slopes_from_normals(video.maps(0)[0], video.camera)
-    lattice = lattice_on_template(template, 3)
-    lengths = LinkLengths(lattice, template, video.camera, slopes)
-    errors = FitErrors(
-        lattice, TemplateRegistration(template, lattice, relief_slopes(slopes, video.maps(0)[0])), lengths
-    )
+    lattice, lengths, errors = errors_problem(template)
     column = lattice.cells[:, 0]
     held = np.where((column == column.min()) | (column == column.max()), 100.0, 0.0)
     information = np.column_stack([held, 0 * held, held])
@@ -313,13 +307,7 @@ def test_shut_lips_are_cut_and_a_seam_may_cross_the_dark_between_them() -> None:
 def test_which_of_two_guesses_holds_is_one_doubt_for_all_links_and_what_is_held_is_free_of_it(
     template,
 ) -> None:
-    video = WrinkledVideo(width=34, height=26)
-    slopes = slopes_from_normals(video.maps(0)[0], video.camera)
-    lattice = lattice_on_template(template, 3)
-    lengths = LinkLengths(lattice, template, video.camera, slopes)
-    errors = FitErrors(
-        lattice, TemplateRegistration(template, lattice, relief_slopes(slopes, video.maps(0)[0])), lengths
-    )
+    lattice, lengths, errors = errors_problem(template)
     column = lattice.cells[:, 0]
     held = np.where(column == column.min(), 1e4, 0.0)
     information = np.column_stack([held, 0 * held, held])

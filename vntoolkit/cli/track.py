@@ -14,6 +14,7 @@ from vntoolkit.cli.output import ProgressBars, print_next
 from vntoolkit.io.results.seams import read_seams
 from vntoolkit.pipeline.checkerboard import write_checkerboard
 from vntoolkit.pipeline.refine_albedo import refine_albedo as run_refinement
+from vntoolkit.pipeline.refine_albedo import require_refinable
 from vntoolkit.pipeline.texture import write_texture
 from vntoolkit.pipeline.track import TrackJob
 from vntoolkit.pipeline.track import track as run
@@ -62,6 +63,8 @@ def track(
     overwrite
         Replace the tracks that the folder holds.
     """
+    if refine_albedo:
+        require_refinable(folder, footage=footage, background=background)
     job = TrackJob(
         folder=folder,
         options=tracking or TrackingOptions(),

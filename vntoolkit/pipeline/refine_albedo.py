@@ -78,8 +78,7 @@ def refine_albedo(
     that the reconstruction subtracted is not given.
     """
     target = track_folder or folder / "track"
-    result = open_result(folder, footage=footage, background=background)
-    _require_lamps(result)
+    result = require_refinable(folder, footage=footage, background=background)
     materials = result.manifest.materials
     unit = 1.0 if materials else float(result.manifest.options.get("inversion.relative_albedo", 1.0))
     logs = np.log([entry.reflectance for entry in materials] or [(unit, unit, unit)])
@@ -110,7 +109,9 @@ def refine_albedo(
     return RefinedAlbedo(reflectance=known, reconstruction=done)
 
 
-def _require_lamps(result: OpenedResult) -> None:
+def require_refinable(folder: Path, *, footage: str = "", background: Path | None = None) -> OpenedResult:
+    """Return the opened reconstruction; raise `BadInput` where its albedo cannot be refined."""
+    result = open_result(folder, footage=footage, background=background)
     if result.rig.gel is not None:
         raise BadInput("--refine-albedo: a gel is of one reflectance; leave it out")
     if result.rig.response.light_colours is None:
@@ -120,6 +121,7 @@ def _require_lamps(result: OpenedResult) -> None:
         )
     if "background" in result.manifest.extra_files and result.background is None:
         raise BadInput("--refine-albedo: the reconstruction subtracted a background; give it as --background")
+    return result
 
 
 def _looks(result: OpenedResult, target: Path, logs: Points) -> tuple[SurfaceLooks, int]:

@@ -7,9 +7,9 @@ large as given. Only the part that varies slowly over the figure is compared: th
 Where relief that should match does not, the surface has departed from what is foreseen, and nothing that
 matches elsewhere tells how far: strain counts there as given, and more.
 
-The finest relief sits on the surface. What windows of shapes see beside an occluding contour may stay while
-the surface turns beneath it: by so far all of them may be off alike. So may the lengths, by the doubt between
-two guesses of them.
+The finest relief sits on the surface. Shapes beside an occluding contour may stay in place while the surface
+turns beneath them: windows that see them then all have the same error. All lengths share one error too: the
+difference between their two guesses.
 
 A share of the strain varies as slowly as the figure is large. It adds up farthest, along borders that
 nothing holds most of all, and leaves next to nothing that could be compared: it counts as given.
@@ -23,11 +23,10 @@ import numpy.typing as npt
 from vntoolkit.arrays import FloatArray
 from vntoolkit.tracking.lattice import TemplateLattice
 from vntoolkit.tracking.lattice_system import LatticeSolution
-from vntoolkit.tracking.lengths import STRAIN, STRAIN_PASSES, LinkLengths
+from vntoolkit.tracking.lengths import STRAIN, STRAIN_PASSES, LinkLengths, slow_monomials
 from vntoolkit.tracking.registration import TemplateRegistration, WindowSteps
 
 _SAMPLES = 16
-_DEGREE = 2  # of the polynomials in place that vary slowly
 _PRIOR = 0.1  # share of the given strain in what is found
 _SLOW_SHARE = 0.05  # of its variance that varies slowly
 _MISMATCHED = 1.5  # strain over the given one where relief does not match: it has moved farther than usual
@@ -116,9 +115,7 @@ def _compared(lengths: LinkLengths) -> npt.NDArray[np.float64]:
 
 def _polynomials(place: FloatArray) -> npt.NDArray[np.float64]:
     """(m, k) orthonormal polynomials of places (m, 2), by rising degree."""
-    x, y = ((place - place.mean(axis=0)) / np.maximum(place.std(axis=0), 1.0)).T
-    powers = [(degree - j, j) for degree in range(_DEGREE + 1) for j in range(degree + 1)]
-    return np.asarray(np.linalg.qr(np.stack([x**i * y**j for i, j in powers], axis=1))[0])
+    return np.asarray(np.linalg.qr(slow_monomials(place))[0])
 
 
 def _unit(fields: FloatArray) -> npt.NDArray[np.float64]:

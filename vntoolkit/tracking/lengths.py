@@ -35,7 +35,7 @@ _BODY_STRAIN = 0.3  # the same, of a surface taken for one body: a face that tal
 _PRIOR_LINKS = 0.2  # measured links nearby that the two count for
 _NEAR_PASSES = 8  # of lattice smoothing: how far around a guess's success counts
 _NORMAL_ERROR = 0.05  # radians: shading that departs from the model turns normals by 3°
-_TURN_DEGREE = 2
+_SLOW_DEGREE = 2  # of the polynomials in place that vary slowly
 TURN = 0.1  # standard deviation of a slow turn in one step of the fit, radians
 _TURN_PASSES = 2  # of lattice smoothing: the turn in the image is that of the surroundings
 _WHOLE = 0.5  # mean weight of the slopes in a cell from which they are fully trusted
@@ -203,17 +203,22 @@ def uniform_strains(steps: FloatArray) -> npt.NDArray[np.float64]:
 
 
 def slow_turns(steps: FloatArray, centres: FloatArray) -> npt.NDArray[np.float64]:
-    """Return (links, 2, k) what turns add to steps (links, 2) that vary over the figure as polynomials.
+    """Return (links, 2, k): what slow turns of 1 radian, one a monomial, add to steps (links, 2).
 
-    centres: (links, 2) of the links. The turn of a place is that of its surroundings in the step before; one
-    that the whole takes part in would come to rest after hundreds of steps.
+    centres: (links, 2), middles of the links in pixels. A guess takes its turn from the surroundings in the
+    step before, so that a turn of the whole would need hundreds of steps.
     """
     if len(steps) == 0:
         return np.zeros((0, 2, 0))
-    x, y = ((centres - centres.mean(axis=0)) / np.maximum(centres.std(axis=0), 1.0)).T
     across = np.stack([-steps[:, 1], steps[:, 0]], axis=1)
-    powers = [(degree - j, j) for degree in range(_TURN_DEGREE + 1) for j in range(degree + 1)]
-    return np.asarray(np.stack([across * (x**i * y**j)[:, None] for i, j in powers], axis=2))
+    return across[:, :, None] * slow_monomials(centres)[:, None, :]
+
+
+def slow_monomials(places: FloatArray) -> npt.NDArray[np.float64]:
+    """Return (m, k) the monomials of places (m, 2) that vary slowly over the figure, by rising degree."""
+    x, y = ((places - places.mean(axis=0)) / np.maximum(places.std(axis=0), 1.0)).T
+    powers = [(degree - j, j) for degree in range(_SLOW_DEGREE + 1) for j in range(degree + 1)]
+    return np.stack([x**i * y**j for i, j in powers], axis=1)
 
 
 class _BodyMotion:

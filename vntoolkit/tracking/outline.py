@@ -14,7 +14,7 @@ from vntoolkit.tracking.template import TrackingTemplate
 
 _SIGMA_PX = 0.25  # of the outline at one node: pixels are whole
 # Cosine to the viewing ray at the outline: from an occluding contour, which slides, to a border. Its square
-# falls to 0 at a contour, in proportion to the distance: it is read in two boxes and carried on to the rim.
+# falls to 0 at a contour, in proportion to the distance: it is measured in two boxes and extrapolated.
 _OPEN_FACING = (0.35, 0.6)
 _BOXES_PX = (7, 15)
 _PER_BOX = np.float32(_BOXES_PX[0] / (_BOXES_PX[1] - _BOXES_PX[0]))
@@ -31,13 +31,13 @@ class Outline:
     """Compares the border of one template with the outline of a figure."""
 
     def __init__(
-        self, template: TrackingTemplate, lattice: TemplateLattice, mask: Mask, slopes: Slopes
+        self, template: TrackingTemplate, lattice: TemplateLattice, figure: npt.NDArray[np.float32]
     ) -> None:
+        """Find the border; figure: (h, w, 4) of the template's frame, as `outline_of_figure` returns it."""
         self._lattice, self._pixels = lattice, template.positions_px
-        figure = outline_of_figure(mask, slopes)
         at = sample_image(figure, self._pixels)
         border = np.flatnonzero(at[:, 0] > -2.0)
-        h, w = mask.shape
+        h, w = figure.shape[:2]
         p = self._pixels[border]
         inside = np.all((p >= _BORDER_PX) & (p <= [w - 1 - _BORDER_PX, h - 1 - _BORDER_PX]), axis=1)
         self._border = border[inside]

@@ -5,7 +5,8 @@ are the gradient of log Z) and compared with the template's, band by band: what 
 Gaussian is taken off three times, at full resolution and at halvings. A fine band is relief that sits on the
 surface. A coarse one is its shape, which may bend: its residual then is large, and it tells little. Beside an
 occluding contour slopes grow without bound, on a smooth surface too. What a band finds there stays with the
-contour while the surface turns under it: the finest is not compared there, of the others it is said.
+contour while the surface turns beneath it. The finest band is not compared there. The others are, and how far
+the surface may have slid enters the expected error.
 
 Template f and frame g differ by noise and by the displacement d: g − f = F d + noise. Over a window, with
 F = ½(∇f + ∇g), the moments b = −Σ Fᵀ(g − f), H = Σ FᵀF and A = Σ ∇fᵀ∇g give d = A⁻¹ b. A is made of what both
@@ -40,8 +41,8 @@ _REACH_PX, _SEARCH_STEP_PX = 16, 2  # of the search for what is lost
 _PATCH_CELLS = 4  # side of the squares that it shifts
 _SURE = 5.0  # standard deviations of a correlation by chance: there are some 300 shifts
 _LEAST_WEIGHT = 0.01  # of a pixel that counts
-_RIM_PX = 12.0  # of the band: from an occluding contour so far, what a band finds is the contour's
-_KNOWN_PX = 4.0  # by finest relief around, which leaves half of the slide open
+_RIM_PX = 12.0  # of the band: nearer to an occluding contour, slopes belong to the contour
+_KNOWN_PX = 4.0  # error by the finest relief around, at which half of the slide remains possible
 _LEAST_NOISE = 1e-3  # slope: what interpolation leaves
 _FEW_NODES = 5.0  # variance of a step over that of its nodes' pulls: not all of them move alike
 
@@ -136,8 +137,8 @@ class Measurement:
 class TemplateRegistration:
     """Measures the displacement of one template in any frame."""
 
-    def __init__(self, template: TrackingTemplate, lattice: TemplateLattice, slopes: Relief) -> None:
-        """Prepare the template's bands; slopes: of its frame."""
+    def __init__(self, template: TrackingTemplate, lattice: TemplateLattice, relief: Relief) -> None:
+        """Prepare the template's bands; relief: of its frame."""
         self._lattice = lattice
         pixels = template.pixels
         low, high = pixels.min(axis=0), pixels.max(axis=0) + 1
@@ -148,11 +149,11 @@ class TemplateRegistration:
         patches = lattice.cells // _PATCH_CELLS
         self._patch = np.unique(patches, axis=0, return_inverse=True)[1].ravel()
         identity = np.tile([1.0, 0.0, 0.0, 1.0], (lattice.count, 1))
-        self._bands = self._banded(*self._pulled_back(template.positions_px, identity, slopes))
+        self._bands = self._banded(*self._pulled_back(template.positions_px, identity, relief))
         self._expected = self._expected_match()
 
-    def measure(self, positions_px: Points2, jacobians: FloatArray, slopes: Relief) -> Measurement:
-        """Measure in the frame with these slopes.
+    def measure(self, positions_px: Points2, jacobians: FloatArray, relief: Relief) -> Measurement:
+        """Measure in the frame with this relief.
 
         jacobians: (nodes, 4) ∂u/∂x, ∂u/∂y, ∂v/∂x, ∂v/∂y of positions (n, 2) by the template's pixels.
         """
@@ -161,7 +162,7 @@ class TemplateRegistration:
         match, expected, found = np.zeros(count), np.zeros(count), np.zeros(count)
         unknown = np.ones(count)
         steps: list[WindowSteps] = []
-        frame = self._banded(*self._pulled_back(positions_px, jacobians, slopes))
+        frame = self._banded(*self._pulled_back(positions_px, jacobians, relief))
         moments = [
             _moments(
                 mine.node, count, mine.features, mine.gradients, mine.weight,
@@ -252,20 +253,22 @@ class TemplateRegistration:
         return np.asarray(np.maximum(0.0, 1.0 - noise / np.maximum(power, 1e-30)))
 
     def _pulled_back(
-        self, positions_px: Points2, jacobians: FloatArray, slopes: Relief
+        self, positions_px: Points2, jacobians: FloatArray, relief: Relief
     ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-        """(h, w, 2) w Jᵀ a at the positions, (h, w) w, and from a contour, on the template's raster."""
+        """(h, w, 2) w Jᵀ a, (h, w) w, (h, w) pixels from a contour, at the positions, on the template's
+        raster.
+        """
         values, weight = np.zeros((*self._shape, 2), dtype=np.float32), np.zeros(self._shape, np.float32)
-        lattice, clear = self._lattice, np.zeros(self._shape, np.float32)
+        lattice, from_contour_px = self._lattice, np.zeros(self._shape, np.float32)
         at = (lattice.taps, lattice.shares, *self._at)
-        _pull_back(slopes, positions_px, jacobians, *at, values, weight, clear)
-        return values, weight, clear
+        _pull_back(relief, positions_px, jacobians, *at, values, weight, from_contour_px)
+        return values, weight, from_contour_px
 
     def _banded(
         self,
         values: npt.NDArray[np.float32],
         weight: npt.NDArray[np.float32],
-        clear: npt.NDArray[np.float32],
+        from_contour_px: npt.NDArray[np.float32],
     ) -> list[Band]:
         node, out = self._node, []
         for halvings in range(_MOST_HALVINGS + 1):
@@ -274,7 +277,7 @@ class TemplateRegistration:
             coarser = cv2.pyrDown(values), cv2.pyrDown(weight)
             _high_pass(values, weight)
             gradients, kept = _gradients(values, weight, np.float32(0.5 / 2.0**halvings))
-            beside = clear[:: 2**halvings, :: 2**halvings] < _RIM_PX * 2.0**halvings
+            beside = from_contour_px[:: 2**halvings, :: 2**halvings] < _RIM_PX * 2.0**halvings
             if halvings == 0:
                 kept[beside] = 0.0
             out.append(Band(node=node, features=values, gradients=gradients, weight=kept, beside=beside))
@@ -328,12 +331,12 @@ def _gradients(values, weight, scale):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, fastmath=True)
-def _pull_back(slopes, positions, jacobians, taps, shares, rows, columns, values, total, clear):  # type: ignore[no-untyped-def]
+def _pull_back(relief, positions, jacobians, taps, shares, rows, columns, values, total, from_contour_px):  # type: ignore[no-untyped-def]
     """Write w Jᵀ a at the positions, w and the distance from a contour into the vertices' rows and columns.
 
     Within half a pixel beyond the outermost centres, which is still the picture, the outermost pixels count.
     """
-    h, w = slopes.shape[:2]
+    h, w = relief.shape[:2]
     n = positions.shape[0]
     jacobian = np.empty(4)
     for i in range(n):
@@ -347,9 +350,9 @@ def _pull_back(slopes, positions, jacobians, taps, shares, rows, columns, values
         for dv in range(2):
             for du in range(2):
                 share = (a if du else 1 - a) * (b if dv else 1 - b)
-                p += share * slopes[v + dv, u + du, 0]
-                q += share * slopes[v + dv, u + du, 1]
-                weight += share * slopes[v + dv, u + du, 2]
+                p += share * relief[v + dv, u + du, 0]
+                q += share * relief[v + dv, u + du, 1]
+                weight += share * relief[v + dv, u + du, 2]
         if weight > _LEAST_WEIGHT:
             jacobian[:] = 0.0
             for corner in range(4):
@@ -359,7 +362,7 @@ def _pull_back(slopes, positions, jacobians, taps, shares, rows, columns, values
             values[row, column, 0] = jacobian[0] * p + jacobian[2] * q
             values[row, column, 1] = jacobian[1] * p + jacobian[3] * q
             total[row, column] = weight
-            clear[row, column] = slopes[int(y + 0.5), int(x + 0.5), 3]
+            from_contour_px[row, column] = relief[int(y + 0.5), int(x + 0.5), 3]
 
 
 @njit(cache=True, fastmath=True)

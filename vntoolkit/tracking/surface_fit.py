@@ -24,7 +24,14 @@ from vntoolkit.tracking.lattice_system import LatticeSystem
 from vntoolkit.tracking.lengths import LINKS_ALIKE, STRAIN, TURN, LinkLengths, slow_turns, uniform_strains
 from vntoolkit.tracking.outline import Outline, contour_distance, outline_of_figure
 from vntoolkit.tracking.registration import Measurement, TemplateRegistration, WindowSteps
-from vntoolkit.tracking.slopes import Relief, relief_slopes, sample_depth, sample_image, slopes_from_normals
+from vntoolkit.tracking.slopes import (
+    Relief,
+    Slopes,
+    relief_slopes,
+    sample_depth,
+    sample_image,
+    slopes_from_normals,
+)
 from vntoolkit.tracking.template import TrackingTemplate
 
 _CELL_PX = 8  # of the lattice
@@ -66,13 +73,11 @@ class SurfaceFit:
     ) -> None:
         """Prepare what hangs on the template alone; normal_map, labels: of its frame."""
         slopes = slopes_from_normals(normal_map, camera)
-        contours = occluding_contours(slopes, normal_map.mask)
+        figure, relief, contours = _seen(slopes, normal_map, labels)
         within = replace(template, edges=edges_beside(template.edges, template.pixels, contours))
         lattice = lattice_on_template(within, _CELL_PX)
         self._lattice, self._camera = lattice, camera
-        self._outline = Outline(template, lattice, normal_map.mask, slopes)
-        figure = outline_of_figure(normal_map.mask, slopes)
-        relief = relief_slopes(slopes, normal_map, labels, contour_distance(figure), contours)
+        self._outline = Outline(template, lattice, figure)
         self._registration = TemplateRegistration(template, lattice, relief)
         self._lengths = LinkLengths(lattice, template, camera, slopes)
         self._jacobians = LocalJacobians(lattice, template.positions_px)
@@ -97,9 +102,7 @@ class SurfaceFit:
         """
         lattice, lengths = self._lattice, self._lengths
         slopes = slopes_from_normals(normal_map, self._camera)
-        figure = outline_of_figure(normal_map.mask, slopes)
-        contours = occluding_contours(slopes, normal_map.mask)
-        relief = relief_slopes(slopes, normal_map, labels, contour_distance(figure), contours)
+        figure, relief, _ = _seen(slopes, normal_map, labels)
         last = np.asarray(last_px, dtype=np.float64)
         positions: Points2 = 2.0 * last - before_px
         misfit = _misfit(positions, normal_map.mask)
@@ -256,6 +259,15 @@ class SurfaceFit:
         sums = self._lattice.smoothed(np.column_stack([square, np.ones(len(square))]), _ERROR_PASSES)
         root = _COVERAGE * np.sqrt(sums[:, :1] / sums[:, 1:])
         return self._lattice.at_vertices(root)[:, 0]
+
+
+def _seen(
+    slopes: Slopes, normal_map: NormalMap, labels: VisibilityLabels | None
+) -> tuple[npt.NDArray[np.float32], Relief, Mask]:
+    """Return a frame's outline (h, w, 4), its relief (h, w, 4), and the contours within its figure (h, w)."""
+    figure = outline_of_figure(normal_map.mask, slopes)
+    contours = occluding_contours(slopes, normal_map.mask)
+    return figure, relief_slopes(slopes, normal_map, labels, contour_distance(figure), contours), contours
 
 
 def _misfit(positions_px: Points2, mask: Mask) -> float:
