@@ -6,7 +6,7 @@ from collections.abc import Callable
 import pytest
 
 from vntoolkit.errors import BadInput, VntError
-from vntoolkit.pipeline.processes import shared_out
+from vntoolkit.pipeline.processes import processes_kept, shared_out
 
 Work = Callable[[int], list[int]]
 
@@ -35,3 +35,25 @@ def test_what_the_work_raises_is_raised() -> None:
 def test_a_worker_that_dies_is_named() -> None:
     with pytest.raises(VntError, match=r"ended abruptly .* run the same command again, with fewer --jobs"):
         list(shared_out(_begin, [1, 9], 2))
+
+
+def _process(threads: int | None) -> Callable[[int], list[tuple[int, int | None]]]:
+    return lambda item: [(os.getpid(), threads)]
+
+
+def test_processes_are_kept_only_where_that_is_asked_for() -> None:
+    with processes_kept():
+        first = {process for process, _ in shared_out(_process, range(20), 2)}
+        assert sorted(shared_out(_begin, [1, 2, 3], 2)) == [1, 2, 3, 10, 20, 30]
+        again = {process for process, _ in shared_out(_process, range(20), 2)}
+    afterwards = {process for process, _ in shared_out(_process, range(20), 2)}
+    assert again <= first
+    assert os.getpid() not in first
+    assert not afterwards & first
+
+
+def test_processes_are_not_kept_after_a_failure() -> None:
+    with processes_kept():
+        with pytest.raises(VntError, match="ended abruptly"):
+            list(shared_out(_begin, [1, 9], 2))
+        assert sorted(shared_out(_begin, [1, 2], 2)) == [1, 2, 10, 20]

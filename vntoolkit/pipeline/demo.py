@@ -20,6 +20,7 @@ from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.calibrate import CalibrationJob, calibrate_board
 from vntoolkit.pipeline.options import ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
+from vntoolkit.pipeline.processes import processes_kept
 from vntoolkit.pipeline.reconstruct import ReconstructionSummary, reconstruct
 from vntoolkit.pipeline.simulate import SimulationFolder, SimulationJob, simulate
 from vntoolkit.simulation.lights import CAMERA_DISTANCE_M
@@ -94,7 +95,7 @@ def run_demo(
     on_progress is told the stage's name, how many of its frames are done, and of how many.
     """
     options = options or DemoOptions()
-    with sole_writer(folder.root):
+    with sole_writer(folder.root), processes_kept():
         return _run(folder, options, jobs, overwrite, on_progress)
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
+import pickle
 import signal
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any, TypeVar
@@ -17,7 +19,10 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 Work = Callable[[Item], Iterable[Result]]
 _AHEAD = 2  # items submitted for each process: one at work, one ready
-_work: Work[Any, Any] | None = None  # of this process, where it is a worker
+_kept: dict[int, ProcessPoolExecutor] | None = None  # pools by their size, while they are kept
+# Of this process, where it is a worker: how many threads it may use, and the work begun last, as it was sent.
+_threads = 1
+_begun: tuple[bytes, Work[Any, Any]] | None = None
 
 
 def shared_out(
@@ -36,27 +41,53 @@ def shared_out(
             yield from work(item)
         return
     workers = min(jobs, len(items))
-    threads = max(1, (os.cpu_count() or 1) // workers)
-    context = multiprocessing.get_context("spawn")  # a fork would copy threads that hold locks
-    pool = ProcessPoolExecutor(workers, context, initializer=_start_worker, initargs=(begin, threads))
+    pool = _kept.pop(workers, None) if _kept else None
+    pool = pool or _pool_of(workers)
+    finished = False
     try:
-        yield from _collect(pool, items, _AHEAD * workers)
+        yield from _collect(pool, pickle.dumps(begin), items, _AHEAD * workers)
+        finished = True
     except BrokenProcessPool as error:
         raise VntError(
             "a worker process ended abruptly (out of memory?); what is finished is on disk: run the same "
             "command again, with fewer --jobs, to go on"
         ) from error
     finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+        if finished and _kept is not None:
+            _kept[workers] = pool
+        else:
+            pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _collect(pool: ProcessPoolExecutor, items: Iterable[Item], ahead: int) -> Generator[Any]:
+@contextlib.contextmanager
+def processes_kept() -> Iterator[None]:
+    """Let the work that is shared out in the block, one after the other, use the same processes.
+
+    A process takes two seconds to import what it needs and to load the compiled loops.
+    """
+    global _kept
+    before, _kept = _kept, {}
+    try:
+        yield
+    finally:
+        pools, _kept = _kept, before
+        for pool in pools.values():
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _pool_of(workers: int) -> ProcessPoolExecutor:
+    threads = max(1, (os.cpu_count() or 1) // workers)
+    context = multiprocessing.get_context("spawn")  # a fork would copy threads that hold locks
+    return ProcessPoolExecutor(workers, context, initializer=_start_worker, initargs=(threads,))
+
+
+def _collect(pool: ProcessPoolExecutor, begin: bytes, items: Iterable[Item], ahead: int) -> Generator[Any]:
     """Keep `ahead` items submitted and hand on their results as they finish."""
     waiting = iter(items)
     running: set[Future[list[Any]]] = set()
     while True:
         while len(running) < ahead and (item := next(waiting, None)) is not None:
-            running.add(pool.submit(_work_on, item))
+            running.add(pool.submit(_work_on, begin, item))
         if not running:
             return
         finished, running = wait(running, return_when=FIRST_COMPLETED)
@@ -64,15 +95,18 @@ def _collect(pool: ProcessPoolExecutor, items: Iterable[Item], ahead: int) -> Ge
             yield from future.result()
 
 
-def _start_worker(begin: Callable[[int | None], Work[Any, Any]], threads: int) -> None:
-    """Begin the work in a new process; Ctrl-C is the parent's to handle."""
-    global _work  # noqa: PLW0603 - a worker process has exactly one
+def _start_worker(threads: int) -> None:
+    """Prepare a new process; Ctrl-C is the parent's to handle."""
+    global _threads  # noqa: PLW0603 - a worker process has exactly one
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_parent()
     limit_threads(threads)
-    _work = begin(threads)
+    _threads = threads
 
 
-def _work_on(item: Any) -> list[Any]:
-    assert _work is not None
-    return list(_work(item))
+def _work_on(begin: bytes, item: Any) -> list[Any]:
+    global _begun  # noqa: PLW0603 - a worker process has exactly one
+    if _begun is None or _begun[0] != begin:
+        _begun = None  # its memory is free before the next takes some
+        _begun = begin, pickle.loads(begin)(_threads)
+    return list(_begun[1](item))
