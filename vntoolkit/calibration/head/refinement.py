@@ -51,12 +51,13 @@ _SETTLED = 0.002  # change of M, as a share, that ends the rounds
 _EDGE_PX = 1.6  # mean length of an edge, about: two samples of a relief of a few pixels
 _COARSE = 2.0  # edges while M is sought: a relief too fine for them says nothing of M
 _MOST_VERTICES = 300_000
-# Normals that are off by 1 degree, as M leaves them, bend positions by half a pixel over half of this
-# wavelength. Stereo's ripples are of a pixel and more, and up to a dozen windows long.
-_CROSSOVER_PX = 200.0
+# Normals that are off by 1 degree, as a good M leaves them, bend positions by half a pixel over half of
+# this wavelength. Stereo's ripples are of a pixel and more, and up to a dozen windows long.
+_CROSSOVER_PX, _CROSSOVER_NOISE = 200.0, 0.02
 _LARGEST_CROSSOVER = 1.0 / 3.0  # of the mesh's diagonal: M is fitted to what longer waves say
 _LOOSE = 2.0  # of the diagonal: where normals are to show their errors, stereo holds only the mesh's place
 _PATCH_PX = 16.0  # side: larger than the windows of stereo blur, smaller than a nose
+_REGION_PX = 96.0  # side: so large that stereo's ripples average out, smaller than a cheek
 _DRAWS, _PATTERNS = 8, 9
 _TINY, _SMALLEST_SINE = 1e-30, 1e-9
 _STEPS = 2  # of the positions: more change nothing
@@ -126,7 +127,9 @@ def refine_head(
     stereo, surface = (divided(each, _EDGE_PX * pixel) for each in (stereo, surface))
     colours = without_shadow(skin_colours(surface, camera, frames()), surface, lit.response)
     skin = skin_normals(colours, lit)
-    solver = PositionSolver(stereo.vertices, stereo.faces, skin, crossover)
+    follow = followed_normals(stereo, skin, pixel)
+    wave = crossover * _CROSSOVER_NOISE / _LEAST_NOISE  # errors as they are measured make it shorter
+    solver = PositionSolver(stereo.vertices, stereo.faces, follow, wave, shared_errors(stereo, skin, pixel))
     surface = surface.with_vertices(solver.positions())
     samples = patch_samples(surface, camera, colours, skin, _PATCH_PX * pixel)
     on_progress(_ROUNDS + 1, _ROUNDS + 1)
@@ -225,11 +228,20 @@ class PositionSolver:
 
     Minimises Σ_ij w_ij (n_ij · (x_j − x_i))² + (2π / λ)² Σ_i a_i |x_i − s_i|². w_ij is the cotangent weight,
     less where normals are noisy, n_ij the mean measured normal of an edge, a_i a vertex's area, s_i its
-    position by stereo, and λ the crossover, the wavelength at which both count the same. Vertices move along
-    the surface's own normals, which makes the sum quadratic in how far: folds of stereo lead nowhere.
+    position by stereo, and λ the crossover, the wavelength at which both count the same for the surest
+    normals. Vertices move along the surface's own normals, which makes the sum quadratic in how far: folds of
+    stereo lead nowhere. shared: (3,) standard deviation of errors that neighbours share, for edges along
+    each axis: they do not average out, and make the wavelength shorter.
     """
 
-    def __init__(self, stereo: Points, faces: Faces, skin: SkinNormals, crossover: float) -> None:
+    def __init__(
+        self,
+        stereo: Points,
+        faces: Faces,
+        skin: SkinNormals,
+        crossover: float,
+        shared: FloatArray | None = None,
+    ) -> None:
         self.stereo, self._faces = stereo, faces
         pairs, cosines, sines = edge_cotangents(stereo, faces)
         self._from, self._to = pairs.T
@@ -237,6 +249,9 @@ class PositionSolver:
         normals, noise = _normals_and_noise(own, skin)
         cotangents = 0.5 * cosines / np.maximum(sines, _SMALLEST_SINE)
         variance = 0.5 * (noise[self._from] ** 2 + noise[self._to] ** 2)
+        if shared is not None:
+            along = np.square(stereo[self._to] - stereo[self._from])
+            variance += along @ shared**2 / np.maximum(along.sum(axis=1), _TINY)
         self._weight = np.clip(cotangents, _LEAST_COTANGENT, _MOST_COTANGENT) * _LEAST_NOISE**2 / variance
         self._anchor = (2.0 * np.pi / crossover) ** 2 * areas(stereo, faces)
         upright = normals[self._from] + normals[self._to]
@@ -348,6 +363,63 @@ def measured_noise(mesh: Mesh, stereo: Points, skin: SkinNormals, pixel: float) 
     density = mean_square(moved[:, None], side) / _MEDIAN_OF_ONE * side**2
     shared = mean_square(skin.normals - mesh.normals, 3.0 * side) / _MEDIAN_OF_TWO
     return NoiseLevels(stereo=density, shared=float(np.sqrt(max(shared, _SHARED_NOISE**2))))
+
+
+def followed_normals(stereo: Mesh, skin: SkinNormals, pixel: float) -> SkinNormals:
+    """Return the normals to follow: the measured ones, drawn to stereo's of the skin around.
+
+    Each counts as its variance tells. That of stereo's smoothed normals is how far they scatter around:
+    little on cheeks and hair, much on an ear, which they flatten.
+    """
+    assert stereo.normals is not None
+    own = stereo.normals
+    smooth = _smoothed(own, stereo.faces, 2.0 * (0.5 * _PATCH_PX * pixel / _mean_edge(stereo)) ** 2)
+    length = np.linalg.norm(smooth, axis=1)
+    scatter = np.clip(0.5 * (1.0 - length**2), _LEAST_NOISE**2, _UNKNOWN_NOISE**2)
+    smooth /= np.maximum(length, _TINY)[:, None]
+    measured, noise = _normals_and_noise(smooth, skin)
+    trust = scatter / (scatter + noise**2)
+    normals = smooth + trust[:, None] * (measured - smooth)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), _TINY)
+    return replace(skin, normals=normals, noise=np.sqrt(trust) * noise)
+
+
+def _smoothed(values: FloatArray, faces: Faces, rounds: float) -> FloatArray:
+    """Average values (n, 3) with their neighbours', so many times. Each spreads them by half an edge²."""
+    count = len(values)
+    ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    rows, columns = np.concatenate([ends, ends[:, ::-1]]).T
+    near = sp.csr_array((np.ones(len(rows)), (rows, columns)), shape=(count, count))
+    share = sp.diags_array(1.0 / np.maximum(near.sum(axis=1), 1.0))
+    smooth = np.array(values)
+    for _ in range(max(1, round(rounds))):
+        smooth = share @ (near @ smooth)
+    return smooth
+
+
+def shared_errors(stereo: Mesh, skin: SkinNormals, pixel: float) -> FloatArray:
+    """Return the standard deviation (3,) of slopes along each axis, of errors alike over whole patches.
+
+    Stereo tells it. Along the turn's axis it may be several times larger: tint, ambient light and M are told
+    there by the lamps' heights alone.
+    """
+    assert stereo.normals is not None
+    side = _REGION_PX * pixel
+    area = np.where(skin.known, areas(stereo.vertices, stereo.faces), 0.0)
+    patch, _ = _patches(stereo, side)
+    total = np.bincount(patch, area)
+    kept = total > _LEAST_SEEN * side**2
+    if not kept.any():
+        return np.full(3, _SHARED_NOISE)
+    off, normal = (
+        np.stack([np.bincount(patch, area * column)[kept] / total[kept] for column in values.T], axis=1)
+        for values in (skin.normals - stereo.normals, stereo.normals)
+    )
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    off -= normal * (off * normal).sum(axis=1, keepdims=True)
+    along = np.sqrt(1.0 - np.minimum(normal**2, 0.5))  # what of an axis lies in the surface
+    off[normal**2 > 0.5] = np.nan
+    return np.asarray(1.4826 * np.nanmedian(np.abs(off) / along, axis=0))
 
 
 def _normals_and_noise(own: Points, skin: SkinNormals) -> tuple[Points, FloatArray]:
