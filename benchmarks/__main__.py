@@ -22,6 +22,7 @@ from typing import Any
 # name -> its arguments beyond --out and --data
 BENCHMARKS: dict[str, list[str]] = {
     "integration": ["--largest", "2048"],
+    "painted_objects": [],
     "shadows": [],
     "mistakes": ["--seeds", "1"],
     "tracking": [],
@@ -33,7 +34,11 @@ BENCHMARKS: dict[str, list[str]] = {
     "calibrate_head": [],
     "chroma": [],
 }
-DATA_FOLDERS = {"integration": "normal_integration", "shadows": ""}  # inside --data
+DATA_FOLDERS = {
+    "integration": "normal_integration",
+    "painted_objects": "normal_integration",
+    "shadows": "",
+}  # inside --data
 
 
 def run(name: str, extra: list[str], data: Path | None, folder: Path) -> dict[str, Any]:

@@ -233,6 +233,34 @@ def test_labels_that_no_longer_fit_are_decided_anew_and_forgotten_ones_do_not_co
     )
 
 
+def test_labels_are_carried_along_with_a_subject_that_crosses_the_picture() -> None:
+    labels = sectors()
+    labeller, unlike = MaterialLabeller(RESPONSE, PAINTS), []
+    for step in range(8):
+        still, _, inside = painted(labels, seed=step)
+        rgb, mask = np.zeros((200, 400, 3), np.float32), np.zeros((200, 400), np.bool_)
+        there = np.s_[10 + 6 * step : 130 + 6 * step, 3 * step : 117 + 3 * step]
+        rgb[there], mask[there] = still.rgb[:, :117], inside[:, :117]
+        carried = labeller.labels(LinearFrame(rgb), mask)
+        unlike.append(np.mean(carried[there][inside[:, :117]] != labels[:, :117][inside[:, :117]]))
+        assert not carried[~mask].any()
+    assert max(unlike) < 0.03
+
+
+def test_a_yarn_of_a_tartan_that_is_seen_in_small_squares_only_is_found_by_its_mixtures() -> None:
+    normals, mask, _ = knitted_with_logo(180)
+    yarns = np.array([[0.86, 0.28, 0.25], [0.26, 0.62, 0.39], [0.25, 0.33, 0.66]])
+    of_thread = np.searchsorted([20, 35, 43], np.arange(180) % 43, side="right")
+    cloth = 0.5 * (yarns[of_thread][:, None] + yarns[of_thread])
+    light = np.maximum(normals @ DIRECTIONS.T, 0.0) * cloth @ COLOURS * mask[..., None]
+    light = gaussian_filter(light, (0.7, 0.7, 0.0))
+    light += np.random.default_rng(3).normal(0.0, LEVEL, light.shape)
+    found = find_materials([LinearFrame(light.astype(np.float32))], [mask], RESPONSE)
+    values = np.array([each.reflectance.values for each in found])
+    assert len(found) == 6
+    assert np.abs(np.log(values[:, None] / yarns)).max(axis=2).min(axis=0).max() < 0.1
+
+
 def rotated(labels: np.ndarray, degrees: float) -> np.ndarray:
     """Labels turned about the middle of the picture."""
     middle = (len(labels) - 1) / 2

@@ -8,9 +8,11 @@ learned from the frame: a knit scatters them, flat paint hardly does.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from numba import prange
 
 from vntoolkit.arrays import FloatArray, IntArray, Mask, Points, Vector3
@@ -19,7 +21,7 @@ from vntoolkit.materials.pigment import pigment_of
 from vntoolkit.materials.pixels import INDEPENDENT_PX, LineLabeller, MaterialLabels, Spread, near_seams, relit
 from vntoolkit.materials.reflectance import CAP, Lamps, bias_of_noise, length_and_variance
 from vntoolkit.materials.regions import SHADING_STEP, Regions, regions_of
-from vntoolkit.materials.split_frame import SplitFrame, split_frame
+from vntoolkit.materials.split_frame import SplitFrame, block_size, split_frame
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
@@ -37,10 +39,12 @@ _BESIDE = 4  # … and those that near to a seam
 _DOUBTFUL_SHARE = 0.05
 _WORSE = 2.0  # as many doubtful pixels as then: the labels of the frame before explain too little
 _CARRIED_SWEEPS = 2
+_BOX_BLOCKS = 32  # that a subject moves before another part of the frame is looked at
 # Two pixels with a seam between them, farther apart than its blur and its labels' errors reach.
 _APART_PX = 6
 _BEFORE, _AFTER = slice(None, -_APART_PX), slice(_APART_PX, None)
 _PAIRS = ((np.s_[_BEFORE, :], np.s_[_AFTER, :]), (np.s_[:, _BEFORE], np.s_[:, _AFTER]))
+_JUDGED = 20_000  # of each kind tell how far normals step
 _STEEP = 0.5  # difference of two such normals from which a larger one hardly counts more
 _LEAST_STEP = 0.02  # excess of the mean step at seams that tells something
 
@@ -64,6 +68,7 @@ class MaterialLabeller:
         self._logs = np.log(self._reflectances)
         self._before: MaterialLabels | None = None
         self._split: SplitFrame | None = None
+        self._box: tuple[slice, slice] | None = None
         self._coarse: LineLabeller | None = None
         self._beside_seams: BlurredLabels | None = None
         self._fine: BlurredLabels | None = None
@@ -71,7 +76,7 @@ class MaterialLabeller:
 
     def forget(self) -> None:
         """Drop the labels of the frame before, so that a sequence may start anywhere."""
-        self._before = self._split = self._coarse = self._beside_seams = self._fine = None
+        self._before = self._split = self._coarse = self._beside_seams = self._fine = self._box = None
 
     def labels(self, frame: LinearFrame, mask: Mask) -> MaterialLabels:
         """Return (h, w), numbers of the materials; 0 outside the mask. mask: (h, w).
@@ -80,6 +85,14 @@ class MaterialLabeller:
         """
         if len(self._logs) == 1 or not mask.any():
             return np.zeros(mask.shape, np.uint8)
+        labels = np.zeros(mask.shape, np.uint8)
+        box = self._boxed(mask)
+        rgb, clipped = np.ascontiguousarray(frame.rgb[box]), np.ascontiguousarray(frame.clipped[box])
+        labels[box] = self._labels(LinearFrame(rgb=rgb, clipped=clipped), np.ascontiguousarray(mask[box]))
+        return labels
+
+    def _labels(self, frame: LinearFrame, mask: Mask) -> MaterialLabels:
+        """`labels` of the part of a frame that holds the subject."""
         split = split_frame(frame, self._response, mask, like=self._split)
         coarse = self._carried(split)
         if coarse is None:
@@ -99,7 +112,8 @@ class MaterialLabeller:
                 mixing=split.lamps.mixing * split.factor, noise=split.lamps.noise * split.factor
             )
             self._fine = BlurredLabels(lamps, self._logs, self._coarse.spread)
-        found = self._fine.followed(np.ascontiguousarray(frame.rgb), mask, labels, near)
+        found = self._fine.followed(frame.rgb, mask, labels, near)
+        _take_blocks(found, mask, split.factor, coarse)
         return np.where(mask, found, 0).astype(np.uint8)
 
     def relit(self, frame: LinearFrame, labels: MaterialLabels) -> LinearFrame:
@@ -117,15 +131,20 @@ class MaterialLabeller:
         if not labels.any():
             return 0.0
         one = MaterialLabeller(self._response, self._reflectances[:1])
-        found = _unit_normals(self.relit(frame, labels), self._response)
-        alone = _unit_normals(one.relit(frame, np.zeros(mask.shape, np.uint8)), self._response)
+        found = self.relit(frame, labels)
+        alone = one.relit(frame, np.zeros(mask.shape, np.uint8))
         inside, at_seams, at_seams_alone = [], [], []
         for before, after in _PAIRS:
-            lit, is_seam = mask[before] & mask[after], labels[before] != labels[after]
-            steps = _steps(found[before], found[after])
-            inside.append(steps[lit & ~is_seam])
-            at_seams.append(steps[lit & is_seam])
-            at_seams_alone.append(_steps(alone[before], alone[after])[lit & is_seam])
+            is_seam = labels[before] != labels[after]
+            for seam in (False, True):
+                places = np.nonzero(mask[before] & mask[after] & (is_seam == seam))
+                places = tuple(each[:: max(1, len(each) // _JUDGED)] for each in places)
+                steps = _steps(found, before, after, places, self._response)
+                if not seam:
+                    inside.append(steps)
+                else:
+                    at_seams.append(steps)
+                    at_seams_alone.append(_steps(alone, before, after, places, self._response))
         if not sum(map(len, at_seams)) or not sum(map(len, inside)):
             return 0.0
         usual, left, most = (
@@ -150,6 +169,29 @@ class MaterialLabeller:
             for m, log in enumerate(self._logs)
         ]
 
+    def _boxed(self, mask: Mask) -> tuple[slice, slice]:
+        """Return rows and columns that hold the subject; what is known of the frame before moves along."""
+        first, stop = np.array([(used[0], used[-1] + 1) for used in (
+            np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+        )]).T  # fmt: skip
+        before = self._box
+        if before is not None and all(
+            part.start <= a and b <= part.stop for part, a, b in zip(before, first, stop, strict=True)
+        ):
+            return before
+        step = _BOX_BLOCKS * (block_size(mask) if self._split is None else self._split.factor)
+        ends = np.minimum(-(-stop // step) * step, mask.shape)
+        first = first // step * step
+        self._box = slice(first[0], ends[0]), slice(first[1], ends[1])
+        if before is None or self._split is None or self._before is None:
+            return self._box
+        factor = self._split.factor
+        down, right = (first - [part.start for part in before]) // factor
+        shape = tuple(-((a - b) // factor) for a, b in zip(first, ends, strict=True))
+        self._before = _shifted(self._before, shape, down, right)
+        self._split = replace(self._split, lit=_shifted(self._split.lit, shape, down, right))
+        return self._box
+
     def _carried(self, split: SplitFrame) -> MaterialLabels | None:
         """Return labels of blocks from those of the frame before; None where these do not explain it."""
         if (
@@ -168,6 +210,8 @@ class MaterialLabeller:
             split.colours, split.lit, self._before, doubtful | near_seams(self._before, _BESIDE),
             any_label=doubtful, sweeps=_CARRIED_SWEEPS,
         )  # fmt: skip
+        if split.factor > 1:  # pixels are decided after blocks
+            return found
         assert self._beside_seams is not None
         return self._beside_seams.followed(split.colours, split.lit, found, near_seams(found, MARGIN_PX))
 
@@ -197,14 +241,28 @@ class MaterialLabeller:
         return found
 
 
-def _unit_normals(frame: LinearFrame, response: LightResponse) -> Points:
-    scaled = (frame.rgb - response.ambient) @ response.inverse.T
-    return np.asarray(scaled / np.maximum(np.linalg.norm(scaled, axis=-1, keepdims=True), 1e-9))
+def _shifted(image: npt.NDArray[Any], shape: tuple[int, ...], down: int, right: int) -> npt.NDArray[Any]:
+    """Return the part of an image that begins at a row and a column, 0 where it has none."""
+    out = np.zeros(shape, image.dtype)
+    top, left = max(-down, 0), max(-right, 0)
+    part = image[max(down, 0) :, max(right, 0) :][: shape[0] - top, : shape[1] - left]
+    out[top : top + part.shape[0], left : left + part.shape[1]] = part
+    return out
 
 
-def _steps(first: Points, second: Points) -> FloatArray:
-    """Squared differences of normals, 0 to 1: those that are steep count hardly more."""
-    squared = ((first - second) ** 2).sum(axis=-1)
+def _steps(
+    frame: LinearFrame, before: tuple[slice, ...], after: tuple[slice, ...],
+    places: tuple[IntArray, ...], response: LightResponse,
+) -> FloatArray:  # fmt: skip
+    """(n,), squared differences of normals, 0 to 1, from one part of a frame to another at places in both.
+
+    Those that are steep count hardly more.
+    """
+    normals = []
+    for part in (before, after):
+        scaled = (frame.rgb[part][places] - response.ambient) @ response.inverse.T
+        normals.append(scaled / np.maximum(np.linalg.norm(scaled, axis=1, keepdims=True), 1e-9))
+    squared = ((normals[0] - normals[1]) ** 2).sum(axis=1)
     return np.asarray(squared / (squared + _STEEP**2))
 
 
@@ -216,6 +274,13 @@ def _enlarge(coarse: Any, near: Any, mask: Any, factor: int, labels: Any, active
             if mask[v, u]:
                 labels[v, u] = coarse[v // factor, u // factor]
                 active[v, u] = near[v // factor, u // factor]
+
+
+def _take_blocks(labels: MaterialLabels, mask: Mask, factor: int, coarse: MaterialLabels) -> None:
+    """Give each block the label of the pixel in its middle, where there is one."""
+    middle = np.s_[factor // 2 :: factor, factor // 2 :: factor]
+    found, inside = labels[middle], mask[middle]
+    np.copyto(coarse[: found.shape[0], : found.shape[1]], found, where=inside)
 
 
 # Labels of regions.
@@ -330,7 +395,7 @@ def _lengths(
 
 
 @njit(cache=True, inline="always")
-def _step_cost(step: Any, one: Any, other: Any, seam: float) -> float:
+def step_cost(step: Any, one: Any, other: Any, seam: float) -> float:
     """Price of a step of log s from a material to another: how badly their ratio explains it."""
     t = 0.0
     for k in range(3):
@@ -352,7 +417,7 @@ def _by_messages(
         for e in range(starts[i], starts[i + 1]):
             for a in range(count):
                 for b in range(count):
-                    pair[e, a, b] = contacts[e] * _step_cost(
+                    pair[e, a, b] = contacts[e] * step_cost(
                         steps[e], logs[a], logs[b], 0.0 if a == b else seam
                     )
     labels = np.zeros(n, np.int64)
@@ -407,7 +472,7 @@ def _agree(
                 cost = weights[i] * costs[i, m]
                 for e in range(starts[i], starts[i + 1]):
                     b = labels[neighbours[e]]
-                    cost += contacts[e] * _step_cost(steps[e], logs[m], logs[b], 0.0 if m == b else seam)
+                    cost += contacts[e] * step_cost(steps[e], logs[m], logs[b], 0.0 if m == b else seam)
                 if m == labels[i]:
                     own = cost
                 if cost < least:
@@ -459,7 +524,7 @@ def _turn_patches(
                     size += 1
                 if patch[j] != first:
                     for m in range(count):
-                        total[m] += contacts[e] * _step_cost(
+                        total[m] += contacts[e] * step_cost(
                             steps[e], logs[m], logs[b], 0.0 if m == b else seam
                         )
         best = total.argmin()
@@ -489,5 +554,5 @@ def _total(
             j = neighbours[e]
             if j > i:
                 a, b = labels[i], labels[j]
-                total += contacts[e] * _step_cost(steps[e], logs[a], logs[b], 0.0 if a == b else seam)
+                total += contacts[e] * step_cost(steps[e], logs[a], logs[b], 0.0 if a == b else seam)
     return total

@@ -38,6 +38,7 @@ _BLURRED_PX = 0.6  # from where a step of paint takes three pixels
 _REACH_BLURRED = 3
 _UNSURE = 0.3  # standard deviation of a pixel's share, over the root of the product of both shares
 _LEAST_SHARE = 0.01
+_REACH_OF_BLUR = 2.5  # standard deviations
 _WINDOW = 3  # pixels to either side over which a seam is blurred
 _JUDGED = 4000  # pixels beside seams that tell the blur
 _JUDGED_STEPS = 60_000  # pixels of the rows that tell how far shading changes
@@ -167,12 +168,14 @@ def relit(
     along = np.zeros_like(values) if pigments is None else np.asarray(pigments, np.float64)
     if seams is None or seams.blur_px == 0.0 or len(values) == 1:
         seams, near = Seams(0.0, 1.0), np.zeros(labels.shape, np.bool_)
+        weights = blur_weights(0.0, 0)
     else:
-        near = near_seams(labels, _WINDOW)
+        weights = blur_weights(seams.blur_px, reach_of_blur(seams.blur_px))
+        near = near_seams(labels, reach_of_blur(seams.blur_px))
     out = np.empty(frame.rgb.shape, np.float32)
     _relight(
         np.ascontiguousarray(frame.rgb), labels, matrices.astype(np.float32), values, along, lamps.split,
-        merge, blur_weights(seams.blur_px), near, lamps.haze, lamps.inverse, lamps.mixing, seams.tolerance,
+        merge, weights, near, lamps.haze, lamps.inverse, lamps.mixing, seams.tolerance,
         out,
     )  # fmt: skip
     return LinearFrame(rgb=out, clipped=frame.clipped, number=frame.number)
@@ -374,6 +377,8 @@ def _decide_lines(
                     else:
                         n = labels[a, b]
                         for m in range(count):
+                            if total[t, m] == np.inf:
+                                continue
                             total[t, m] += _change(light[a, b], light[v, u], weight, z[n], z[m])
                             if reach == 1 and n != m:
                                 total[t, m] += _SEAM_PRICE
@@ -403,6 +408,11 @@ def _decide_lines(
 
 
 # Blur.
+
+
+def reach_of_blur(blur_px: float) -> int:
+    """Pixels to either side that a blur takes light from, but for a hundredth."""
+    return min(max(1, int(np.ceil(_REACH_OF_BLUR * blur_px))), _WINDOW)
 
 
 def blur_weights(blur_px: float, reach: int = _WINDOW) -> FloatArray:
@@ -441,20 +451,54 @@ def likeliest_blur_px(
     return _BLURS_PX[int(np.argmin(costs))]
 
 
-@njit(cache=True)
+@njit(cache=True, parallel=True)
 def near_seams(labels: Any, reach: int) -> Any:
     """True where another label is within a window, `reach` to either side."""
     h, w = labels.shape
-    near = np.zeros((h, w), np.bool_)
-    for v in range(h):
-        for u in range(w):
-            down = v + 1 < h and labels[v + 1, u] != labels[v, u]
-            right = u + 1 < w and labels[v, u + 1] != labels[v, u]
-            if down:
-                near[max(v - reach + 1, 0) : v + reach + 1, max(u - reach, 0) : u + reach + 1] = True
-            if right:
-                near[max(v - reach, 0) : v + reach + 1, max(u - reach + 1, 0) : u + reach + 1] = True
+    near = np.empty((h, w), np.bool_)
+    beside, below = np.empty((h, w), np.bool_), np.empty((h, w), np.bool_)
+    kinds = np.zeros((h, 2), np.bool_)
+    for v in prange(h):
+        _find_seams(labels, v, reach, beside, below, kinds)
+    for v in prange(h):
+        _gather_seams(v, reach, beside, below, kinds, near)
     return near
+
+
+@njit(cache=True)
+def _find_seams(labels: Any, v: int, reach: int, beside: Any, below: Any, kinds: Any) -> None:
+    """Fill where along row v a seam is near, of labels beside each other and below each other, and which
+    kinds there are.
+    """
+    h, w = labels.shape
+    for u in range(w - 1):
+        if labels[v, u + 1] != labels[v, u]:
+            if not kinds[v, 0]:
+                kinds[v, 0] = True
+                beside[v] = False
+            for b in range(max(u - reach + 1, 0), min(u + reach + 1, w)):
+                beside[v, b] = True
+    if v + 1 < h:
+        for u in range(w):
+            if labels[v + 1, u] != labels[v, u]:
+                if not kinds[v, 1]:
+                    kinds[v, 1] = True
+                    below[v] = False
+                for b in range(max(u - reach, 0), min(u + reach + 1, w)):
+                    below[v, b] = True
+
+
+@njit(cache=True)
+def _gather_seams(v: int, reach: int, beside: Any, below: Any, kinds: Any, near: Any) -> None:
+    h, w = near.shape
+    near[v] = False
+    for a in range(max(v - reach, 0), min(v + reach + 1, h)):
+        if kinds[a, 0]:
+            for u in range(w):
+                near[v, u] |= beside[a, u]
+        if kinds[a, 1] and a < v + reach:
+            for u in range(w):
+                near[v, u] |= below[a, u]
 
 
 @njit(cache=True, parallel=True)
@@ -476,18 +520,17 @@ def _beside_seams(labels: Any, lit: Any) -> Any:
 def _mix(v: int, u: int, labels: Any, rho: Any, weights: Any, shares: Any, out: Any) -> None:
     """Fill each material's share of the window around a pixel (m,), and the mean reflectance."""
     h, w = labels.shape
+    reach = weights.size // 2
     shares[:] = 0.0
-    total = 0.0
-    for a in range(max(v - _WINDOW, 0), min(v + _WINDOW + 1, h)):
-        for b in range(max(u - _WINDOW, 0), min(u + _WINDOW + 1, w)):
-            weight = weights[a - v + _WINDOW] * weights[b - u + _WINDOW]
-            total += weight
-            shares[labels[a, b]] += weight
+    for a in range(-reach, reach + 1):
+        row = min(max(v + a, 0), h - 1)
+        for b in range(-reach, reach + 1):
+            shares[labels[row, min(max(u + b, 0), w - 1)]] += weights[a + reach] * weights[b + reach]
     out[:] = 0.0
     for m in range(shares.size):
-        shares[m] /= total
-        for k in range(3):
-            out[k] += shares[m] * rho[m, k]
+        if shares[m] > 0.0:
+            for k in range(3):
+                out[k] += shares[m] * rho[m, k]
 
 
 @njit(cache=True, error_model="numpy")
@@ -547,30 +590,57 @@ def _relight(
     rgb: Any, labels: Any, matrices: Any, rho: Any, along: Any, split: Any, merge: Any, weights: Any,
     near: Any, haze: Any, inverse: Any, mixing: Any, tolerance: float, out: Any,
 ) -> None:  # fmt: skip
-    h, w = labels.shape
+    for v in prange(len(labels)):
+        _relight_row(
+            rgb[v], labels, matrices, rho, along, split, merge, weights, near[v], haze, inverse, mixing,
+            tolerance, v, out[v],
+        )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy")
+def _relight_row(
+    rgb: Any, labels: Any, matrices: Any, rho: Any, along: Any, split: Any, merge: Any, weights: Any,
+    near: Any, haze: Any, inverse: Any, mixing: Any, tolerance: float, v: int, out: Any,
+) -> None:  # fmt: skip
+    """Fill row v. rgb, out: (w, 3). near: (w,). labels: of the whole frame."""
     count = rho.shape[0]
-    has_pigment = np.array([along[m, 0] != 0.0 or along[m, 2] != 0.0 for m in range(count)])
+    mean, light, shares, x, j = np.empty(3), np.empty(3), np.empty(count), np.empty(3), np.empty(3)
     q = 1.0 / rho
-    for v in prange(h):
-        mean, light, shares, x, j = np.empty(3), np.empty(3), np.empty(count), np.empty(3), np.empty(3)
-        for u in range(w):
-            r, g, b = rgb[v, u, 0], rgb[v, u, 1], rgb[v, u, 2]
-            m = labels[v, u]
-            if not near[v, u] and not has_pigment[m]:
-                a = matrices[m]
-                for c in range(3):
-                    out[v, u, c] = a[c, 0] * r + a[c, 1] * g + a[c, 2] * b
-                continue
+    u, w = 0, len(rgb)
+    while u < w:
+        m = labels[v, u]
+        has_pigment = along[m, 0] != 0.0 or along[m, 2] != 0.0
+        if not near[u] and not has_pigment:  # as far as it is so: one matrix for all
+            stop = u + 1
+            while stop < w and labels[v, stop] == m and not near[stop]:
+                stop += 1
+            _take_through(matrices[m], rgb[u:stop], out[u:stop])
+            u = stop
+            continue
+        r, g, b = rgb[u, 0], rgb[u, 1], rgb[u, 2]
+        for k in range(3):
+            light[k] = split[k, 0] * r + split[k, 1] * g + split[k, 2] * b
+        if near[u]:
+            _mix(v, u, labels, rho, weights, shares, mean)
+            _shift(light, rho, shares, haze, inverse, mixing, tolerance, mean)
+        else:
+            t = amount(light, q[m], along[m], haze, inverse, mixing, 0.0, TRUST, x, j)
             for k in range(3):
-                light[k] = split[k, 0] * r + split[k, 1] * g + split[k, 2] * b
-            if near[v, u]:
-                _mix(v, u, labels, rho, weights, shares, mean)
-                _shift(light, rho, shares, haze, inverse, mixing, tolerance, mean)
-            else:
-                t = amount(light, q[m], along[m], haze, inverse, mixing, 0.0, TRUST, x, j)
-                for k in range(3):
-                    mean[k] = rho[m, k] * np.exp(t * along[m, k])
-            for k in range(3):
-                light[k] /= mean[k]
-            for c in range(3):
-                out[v, u, c] = merge[c, 0] * light[0] + merge[c, 1] * light[1] + merge[c, 2] * light[2]
+                mean[k] = rho[m, k] * np.exp(t * along[m, k])
+        for k in range(3):
+            light[k] /= mean[k]
+        for c in range(3):
+            out[u, c] = merge[c, 0] * light[0] + merge[c, 1] * light[1] + merge[c, 2] * light[2]
+        u += 1
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _take_through(matrix: Any, rgb: Any, out: Any) -> None:
+    m00, m01, m02 = matrix[0]
+    m10, m11, m12 = matrix[1]
+    m20, m21, m22 = matrix[2]
+    for u in range(len(rgb)):
+        r, g, b = rgb[u, 0], rgb[u, 1], rgb[u, 2]
+        out[u, 0] = m00 * r + m01 * g + m02 * b
+        out[u, 1] = m10 * r + m11 * g + m12 * b
+        out[u, 2] = m20 * r + m21 * g + m22 * b

@@ -16,13 +16,19 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from scipy import sparse
-from scipy.linalg import block_diag
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import spsolve
 
 from vntoolkit.arrays import FloatArray, IntArray, Mask, Points, Vector3
 from vntoolkit.errors import BadInput
-from vntoolkit.materials.labelling import agreed, lengths_of, prices_of_regions, spread_of, total_cost
+from vntoolkit.materials.labelling import (
+    agreed,
+    lengths_of,
+    prices_of_regions,
+    spread_of,
+    step_cost,
+    total_cost,
+)
 from vntoolkit.materials.pixels import INDEPENDENT_PX, Spread
 from vntoolkit.materials.reflectance import (
     CAP,
@@ -67,6 +73,7 @@ _DOUBTFUL = 1.5  # price from which a region's seams tell nothing of its label
 _LARGEST_STEP = 0.3
 _FEW = 5.0
 _SPLITS, _LEAST_GAIN = 3, 1.0
+_DARKEST = 0.02  # reflectance of a yarn
 _MOST_PATCHES, _PATCH_PIXELS = 8, 240
 _SEAM_PRICE = 3.0  # of neighbours of two materials, that a print is of few colours and large patches
 # Standard deviation of log ρ from seams: shading steps too, on one side more than on the other.
@@ -281,21 +288,32 @@ def _fewest(logs: Points, regions: Regions, lamps: Lamps, tolerance: float, coun
         if not len(more):
             break
         again = _settled(np.vstack([found.logs, more]), None, regions, lamps, tolerance, 2, found.spread)
-        again = _thinned(again, regions, lamps, tolerance, count)
+        again = _thinned(again, regions, lamps, tolerance, count, found.length)
         if again.length >= found.length - _LEAST_GAIN:
             break
         found = again
-    return found
+    return found if count is not None else _woven(found, regions, lamps)
 
 
-def _thinned(found: _Found, regions: Regions, lamps: Lamps, tolerance: float, count: int | None) -> _Found:
-    """Leave out materials one after the other, and return the shortest description on the way."""
+def _thinned(
+    found: _Found, regions: Regions, lamps: Lamps, tolerance: float, count: int | None, least: float = np.inf
+) -> _Found:
+    """Leave out materials one after the other, and return the shortest description on the way.
+
+    Fewer materials explain no more. So the end is reached where what is unexplained is as long as the
+    shortest description, or as one of length `least`, even if but one material were left.
+    """
     best: _Found | None = None
     while True:
+        if count is None:
+            found = _used(found, regions)
         allowed = len(found.logs) <= (count or MOST_MATERIALS) and (count or not _has_twins(found.logs))
         if allowed and (best is None or found.length < best.length):
             best = found
         if len(found.logs) <= (count or 1):
+            break
+        unexplained = found.length - _numbers(regions) * (len(found.logs) - 1)
+        if count is None and unexplained >= min(least, np.inf if best is None else best.length):
             break
         fewer = [
             _settled(logs, labels, regions, lamps, tolerance, 1, found.spread)
@@ -303,6 +321,20 @@ def _thinned(found: _Found, regions: Regions, lamps: Lamps, tolerance: float, co
         ]
         found = min(fewer, key=lambda each: each.length)
     return best or found
+
+
+def _used(found: _Found, regions: Regions) -> _Found:
+    """Return the same without materials that no region is of."""
+    kept, labels = np.unique(found.labels, return_inverse=True)
+    numbers = (3 * kept[:, None] + np.arange(3)).ravel()
+    return replace(
+        found,
+        logs=found.logs[kept],
+        labels=labels.reshape(found.labels.shape),
+        costs=np.ascontiguousarray(found.costs[:, kept]),
+        length=found.length - _numbers(regions) * (len(found.logs) - len(kept)),
+        normal_matrix=found.normal_matrix[np.ix_(numbers, numbers)],
+    )
 
 
 def _merged(found: _Found) -> tuple[Points, IntArray]:
@@ -356,6 +388,53 @@ def _of_unexplained(found: _Found, regions: Regions, lamps: Lamps, tolerance: fl
         if np.abs(others - log).max(axis=1).min() > _TWINS:
             kept.append(log)
     return np.array(kept).reshape(-1, 3)
+
+
+def _woven(found: _Found, regions: Regions, lamps: Lamps) -> _Found:
+    """Add yarns whose mixtures were found, and mixtures of yarns that were, where regions are of them.
+
+    Where two yarns cross, cloth has the mean of their reflectances. Squares of one yarn may be too small to
+    tell its three numbers. Those of others tell them, so that it costs only the choice among such sums.
+    """
+    count = len(found.logs)
+    if count < 2 or count == MOST_MATERIALS:
+        return found
+    first, second = (part.ravel() for part in np.indices((count, count)))
+    first, second = first[first != second], second[first != second]
+    shares = np.repeat([[2.0, -1.0], [0.5, 0.5]], len(first), axis=0)
+    first, second = np.tile(first, 2), np.tile(second, 2)
+    rho = np.exp(found.logs)
+    parts = shares[:, :1] * rho[first], shares[:, 1:] * rho[second]
+    thought = parts[0] + parts[1]
+    is_paint = thought.min(axis=1) > _DARKEST
+    thought = np.log(np.where(is_paint[:, None], thought, 1.0))
+    is_paint &= np.ptp(thought, axis=1) < _LARGEST_RATIO
+    is_paint &= np.abs(thought[:, None] - found.logs).max(axis=2).min(axis=1) > _TWINS
+    if not is_paint.any():
+        return found
+    costs = prices_of_regions(lengths_of(regions, thought, lamps), found.spread)
+    gains = _gains(
+        found.costs, costs, regions.sizes / INDEPENDENT_PX, found.labels, found.logs, thought,
+        regions.starts, regions.neighbours, regions.steps, regions.contacts,
+    )  # fmt: skip
+    best = int(np.where(is_paint, gains, -np.inf).argmax())
+    price = _FEW + float(np.log(len(thought)))
+    if gains[best] < price:
+        return found
+    logs, costs = np.vstack([found.logs, thought[best]]), np.hstack([found.costs, costs[:, [best]]])
+    labels = agreed(costs, logs, regions, _SEAM_PRICE, found.labels)
+    length = total_cost(costs, labels, logs, regions, _SEAM_PRICE) + price
+    length += found.length - total_cost(found.costs, found.labels, found.logs, regions, _SEAM_PRICE)
+    if length >= found.length:
+        return found
+    slopes = np.zeros((3, 3 * count))  # of its log ρ by those of the others
+    for part, number in ((parts[0], first), (parts[1], second)):
+        slopes[:, 3 * number[best] : 3 * number[best] + 3] += np.diag(part[best] / np.exp(thought[best]))
+    covariance = slopes @ np.linalg.inv(found.normal_matrix + _WEAK_PRIOR * np.eye(3 * count)) @ slopes.T
+    matrix = np.zeros((3 * count + 3, 3 * count + 3))
+    matrix[:-3, :-3], matrix[-3:, -3:] = found.normal_matrix, np.linalg.inv(covariance)
+    more = replace(found, logs=logs, labels=labels, costs=costs, length=length, normal_matrix=matrix)
+    return _woven(more, regions, lamps)
 
 
 def _plain(regions: Regions, lamps: Lamps, tolerance: float, spread: Spread) -> _Found:
@@ -432,7 +511,10 @@ def _settled(
             blocks, slopes = np.zeros((len(logs), 3, 3)), np.zeros((len(logs), 3))
             np.add.at(blocks, labels, own_matrices)
             np.add.at(slopes, labels, own_gradients)
-            matrix, gradient = block_diag(*blocks), slopes.ravel()
+            each = np.arange(len(logs))
+            matrix[:] = 0.0
+            matrix.reshape(len(logs), 3, len(logs), 3)[each, :, each] = blocks
+            gradient = slopes.ravel()
             _add_steps(
                 labels, paid, logs, regions.starts, regions.neighbours, regions.steps, regions.contacts,
                 matrix, gradient,
@@ -462,6 +544,28 @@ def _cheapest(costs: FloatArray, logs: Points, regions: Regions, labels: IntArra
 def _numbers(regions: Regions) -> float:
     """Nats of a material: of its three numbers (schwarz1978), and that subjects are of few."""
     return _FEW + 1.5 * float(np.log(max(regions.sizes.sum() / INDEPENDENT_PX, 2.0)))
+
+
+@njit(cache=True)
+def _gains(
+    costs: Any, others: Any, weights: Any, labels: Any, logs: Any, thought: Any, starts: Any,
+    neighbours: Any, steps: Any, contacts: Any,
+) -> Any:  # fmt: skip
+    """(p,), what the regions gain that are better of another log ρ (p, 3), of prices (n, p)."""
+    gains = np.zeros(len(thought))
+    for i in range(len(labels)):
+        own = weights[i] * costs[i, labels[i]]
+        for e in range(starts[i], starts[i + 1]):
+            n = labels[neighbours[e]]
+            seam = 0.0 if n == labels[i] else _SEAM_PRICE
+            own += contacts[e] * step_cost(steps[e], logs[labels[i]], logs[n], seam)
+        for p in range(len(thought)):
+            other = weights[i] * others[i, p]
+            for e in range(starts[i], starts[i + 1]):
+                n = labels[neighbours[e]]
+                other += contacts[e] * step_cost(steps[e], thought[p], logs[n], _SEAM_PRICE)
+            gains[p] += max(own - other, 0.0)
+    return gains
 
 
 @njit(cache=True, error_model="numpy")

@@ -49,13 +49,18 @@ def split_frame(
     mask: (h, w). like: a frame whose blocks and noise are taken over. Clipped pixels are left out. Raises
     `BadInput` where the lamps' colours are not known.
     """
-    factor = max(1, round(float(np.sqrt(mask.sum() / most_pixels)))) if like is None else like.factor
+    factor = block_size(mask, most_pixels) if like is None else like.factor
     rgb, inside = _blocks(np.ascontiguousarray(frame.rgb), mask, frame.clipped, factor)
     lamps = lamps_from_response(response, noise_of(rgb, inside)) if like is None else like.lamps
     contributions, lit = _lit(rgb, inside, lamps.split, _LEAST_SIGNAL * lamps.noise)
     return SplitFrame(
         contributions=contributions, colours=rgb, inside=inside, lit=lit, lamps=lamps, factor=factor
     )
+
+
+def block_size(mask: Mask, most_pixels: int = WORKING_PIXELS) -> int:
+    """Return the side of the blocks, in pixels, that a mask has about `most_pixels` of."""
+    return max(1, round(float(np.sqrt(mask.sum() / most_pixels))))
 
 
 def noise_of(rgb: FloatArray, inside: Mask) -> Vector3:
