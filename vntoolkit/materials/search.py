@@ -400,9 +400,9 @@ def _woven(found: _Found, regions: Regions, lamps: Lamps) -> _Found:
     if count < 2 or count == MOST_MATERIALS:
         return found
     first, second = (part.ravel() for part in np.indices((count, count)))
-    first, second = first[first != second], second[first != second]
-    shares = np.repeat([[2.0, -1.0], [0.5, 0.5]], len(first), axis=0)
-    first, second = np.tile(first, 2), np.tile(second, 2)
+    others, pairs = first != second, first < second
+    shares = np.repeat([[2.0, -1.0], [0.5, 0.5]], [others.sum(), pairs.sum()], axis=0)
+    first, second = (np.concatenate([part[others], part[pairs]]) for part in (first, second))
     rho = np.exp(found.logs)
     parts = shares[:, :1] * rho[first], shares[:, 1:] * rho[second]
     thought = parts[0] + parts[1]
@@ -418,7 +418,7 @@ def _woven(found: _Found, regions: Regions, lamps: Lamps) -> _Found:
         regions.starts, regions.neighbours, regions.steps, regions.contacts,
     )  # fmt: skip
     best = int(np.where(is_paint, gains, -np.inf).argmax())
-    price = _FEW + float(np.log(len(thought)))
+    price = _FEW + float(np.log(is_paint.sum()))
     if gains[best] < price:
         return found
     logs, costs = np.vstack([found.logs, thought[best]]), np.hstack([found.costs, costs[:, [best]]])
