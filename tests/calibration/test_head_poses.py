@@ -124,6 +124,15 @@ def test_unplaced_frames_are_interpolated_and_marked():
     assert rotation_errors_deg(motion.camera_from_head, poses)[10] < 0.3
 
 
+def test_a_narrow_turn_is_warned_of(caplog):
+    points, poses = turning_ball(FAR, 5.0, widest_deg=25.0)
+    solve_head_motion(
+        tracks_of(points, poses, FAR, noise_px=0.0), FAR, PoseOptions(), np.random.default_rng(0)
+    )
+    assert "the head turns by only 50 degrees in all" in caplog.text
+    assert "60 degrees each" in caplog.text
+
+
 def test_refusals():
     points, poses = turning_ball(FAR, 5.0, widest_deg=12.0)
     tracks = tracks_of(points, poses, FAR, noise_px=0.05)

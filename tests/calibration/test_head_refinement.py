@@ -7,7 +7,7 @@ from scipy.spatial import ConvexHull
 from tests.calibration.turning_egg import AXES, CAMERA, DISTANCE, MATRIX, render_egg, turning_poses
 from vntoolkit.calibration.fit import fit_quality
 from vntoolkit.calibration.head.light import HeadLight, LightOptions
-from vntoolkit.calibration.head.refinement import PositionSolver, refine_head
+from vntoolkit.calibration.head.refinement import PositionSolver, followed_normals, refine_head, shared_errors
 from vntoolkit.calibration.head.samples import LightFrame
 from vntoolkit.calibration.head.skin import SkinColours, SkinLight, SkinNormals, light_errors, skin_normals
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
@@ -101,6 +101,49 @@ def test_nine_of_ten_normals_are_within_their_expected_error(refined):
     assert (off < refined.mesh.error_deg[lit]).mean() > 0.85
 
 
+def skin_of(normals, noise):
+    ones = np.ones((len(normals), 3))
+    return SkinNormals(
+        normals=normals,
+        albedo=ones,
+        noise=np.full(len(normals), noise),
+        scaled=normals,
+        tint=ones,
+        weight=np.ones((1, len(normals)), np.float32),
+        agrees=np.ones((1, len(normals)), bool),
+    )
+
+
+def test_stereo_tells_along_which_axis_normals_are_off():
+    points, faces = ellipsoid()
+    normals = vertex_normals(points, faces)
+    axis = np.array([0.0, 1.0, 0.0])
+    tilted = normals + 0.1 * (axis - normals * normals[:, 1:2])
+    tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
+    egg = Mesh(vertices=points, faces=faces, normals=normals)
+    shared = shared_errors(egg, skin_of(tilted, 0.01), 0.3 * PIXEL)
+    assert 0.1 < shared[1] < 0.15  # where the surface is steep, less of an axis lies in it
+    assert shared[[0, 2]] == pytest.approx(0.0, abs=0.02)
+
+
+def test_noisy_normals_are_drawn_to_the_surface_around_sure_ones_are_not():
+    points, faces = ellipsoid()
+    normals = vertex_normals(points, faces)
+    egg = Mesh(vertices=points, faces=faces, normals=normals)
+    noisy = normals + 0.2 * np.random.default_rng(5).standard_normal(normals.shape)
+    noisy /= np.linalg.norm(noisy, axis=1, keepdims=True)
+
+    def off(skin):
+        return np.linalg.norm(skin.normals - normals, axis=1).mean()
+
+    doubted = followed_normals(egg, skin_of(noisy, 0.2), PIXEL)
+    trusted = followed_normals(egg, skin_of(noisy, 0.01), PIXEL)
+    measured = off(skin_of(noisy, 0.2))
+    assert off(doubted) < 0.6 * measured
+    assert off(trusted) > 0.9 * measured
+    assert np.median(doubted.noise) < 0.15
+
+
 def test_no_vertex_flies_off_where_stereo_is_folded():
     points, faces = ellipsoid()
     normals = points / AXES**2
@@ -108,17 +151,7 @@ def test_no_vertex_flies_off_where_stereo_is_folded():
     folded = np.linalg.norm(points - points[1400], axis=1) < 20 * PIXEL
     stereo = points.copy()
     stereo[folded] = points[folded] + 10 * PIXEL * np.random.default_rng(3).standard_normal((folded.sum(), 3))
-    ones = np.ones((len(points), 3))
-    skin = SkinNormals(
-        normals=normals,
-        albedo=ones,
-        noise=np.full(len(points), 0.01),
-        scaled=normals,
-        tint=ones,
-        weight=np.ones((1, len(points)), np.float32),
-        agrees=np.ones((1, len(points)), bool),
-    )
-    moved = PositionSolver(stereo, faces, skin, 200 * PIXEL).positions()
+    moved = PositionSolver(stereo, faces, skin_of(normals, 0.01), 200 * PIXEL).positions()
     assert np.linalg.norm(moved - points, axis=1).max() < 1.25 * np.linalg.norm(stereo - points, axis=1).max()
 
 

@@ -1,12 +1,19 @@
 """Footage of a head that cannot calibrate is refused by the stage that fails, with what to film instead."""
 
+import re
+
 import numpy as np
 import pytest
 
 from vntoolkit.calibration.head.light import LightOptions, fit_light
 from vntoolkit.calibration.head.poses import fit_affine_model, metric_poses
 from vntoolkit.calibration.head.samples import HeadSamples
-from vntoolkit.calibration.head.silhouettes import Silhouette, SilhouetteOptions, require_head
+from vntoolkit.calibration.head.silhouettes import (
+    Silhouette,
+    SilhouetteOptions,
+    find_silhouette,
+    require_head,
+)
 from vntoolkit.calibration.head.tracks import Tracks, require_tracks
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
@@ -41,6 +48,19 @@ def test_pictures_without_one_whole_head(seen, line):
         require_head([seen] * 9)
     with pytest.raises(BadInput, match="silhouette threshold: expected 0 to 1, got 2"):
         SilhouetteOptions(threshold=2.0)
+
+
+def test_an_uneven_backdrop_is_warned_of(caplog):
+    still, moving = (
+        0.3 * np.random.default_rng(0).random((60, 80, 3)).astype(np.float32) * k for k in (0, 1)
+    )
+    for backdrop in (still, moving):
+        backdrop[20:50, 30:60] = 0.6
+    require_head([find_silhouette(still, SilhouetteOptions())] * 9)
+    assert not caplog.text
+    require_head([find_silhouette(moving, SilhouetteOptions())] * 9)
+    assert re.search(r"it varies by \d\.\d % of the subject's brightness", caplog.text)
+    assert "film before a plain, dark, unlit backdrop" in caplog.text
 
 
 def tracks_of(points: int, frames: int, moves: float = 5.0, missing: frozenset[int] = frozenset()) -> Tracks:

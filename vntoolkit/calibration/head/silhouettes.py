@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,6 +12,7 @@ import numpy as np
 from vntoolkit.arrays import FloatArray, LinearImage, Mask
 from vntoolkit.errors import BadCalibration, BadInput
 
+logger = logging.getLogger(__name__)
 _SIGMAS = 6.0  # of the background's noise
 _LEAST_RISE = 0.01  # of the subject's brightness: stray light on the backdrop stays below
 _SMALLEST_SHARE = 0.01  # of the image: anything smaller is no head
@@ -18,6 +20,7 @@ _LARGEST_SHARE = 0.75  # of the image: beyond, the background itself counts as s
 _RIVAL_SHARE = 0.35  # area of the second region over the first's from which on there are two people
 _CUT_SHARE = 0.12  # of the silhouette's width or height that may lie on the image's edge
 _BRIGHTEST_BACKDROP = 0.3  # of the subject's brightness
+_UNEVEN_BACKDROP = 0.02  # of it: so much cuts off an eighth of its brightness; sensors have 0.001
 _LIT_EDGE = 0.2  # of the image's top and upper sides that may be bright
 _UPPER = 0.6  # of the height; below, shoulders may reach the edge
 _MOST = 0.2  # share of the frames that may show a fault
@@ -45,7 +48,7 @@ class Silhouette:
     mask: (h, w) bool, largest bright region without holes. rival_share: area of the second largest region
     over the largest's. cut_share: how much of its width or height lies on the image's top, left or right
     edge; shoulders may be cut. edge_share: how much of those edges is bright at all.
-    backdrop: its level over the subject's; 0 where the threshold was given.
+    backdrop, unrest: its level over the subject's, and the level's spread; 0 where the threshold was given.
     """
 
     mask: Mask
@@ -53,19 +56,21 @@ class Silhouette:
     cut_share: float
     edge_share: float = 0.0
     backdrop: float = 0.0
+    unrest: float = 0.0
 
 
 def find_silhouette(rgb: LinearImage, options: SilhouetteOptions) -> Silhouette:
     """Return the largest region of linear rgb (h, w, 3) that stands out; an empty one where nothing does."""
     grey = cv2.GaussianBlur(np.asarray(rgb, dtype=np.float32).mean(axis=2), (0, 0), 0.7)
-    level, found = _level_and_threshold(grey)
+    level, noise, found = _level_and_threshold(grey)
     threshold = found if options.threshold is None else options.threshold
-    backdrop = level / max(float(np.percentile(grey, 99)), 1e-6) if options.threshold is None else 0.0
+    subject = max(float(np.percentile(grey, 99)), 1e-6) if options.threshold is None else np.inf
+    backdrop, unrest = level / subject, noise / subject
     bright = (grey > threshold).astype(np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(bright, connectivity=4)
     if count < 2:
         empty = np.zeros(grey.shape, np.bool_)
-        return Silhouette(mask=empty, rival_share=0.0, cut_share=0.0, backdrop=backdrop)
+        return Silhouette(mask=empty, rival_share=0.0, cut_share=0.0, backdrop=backdrop, unrest=unrest)
     areas = stats[1:, cv2.CC_STAT_AREA].astype(float)
     order = np.argsort(areas)[::-1]
     mask = _without_holes(labels == 1 + order[0])
@@ -77,6 +82,7 @@ def find_silhouette(rgb: LinearImage, options: SilhouetteOptions) -> Silhouette:
         cut_share=_cut_share(mask),
         edge_share=float(edge.mean()),
         backdrop=backdrop,
+        unrest=unrest,
     )
 
 
@@ -100,6 +106,15 @@ def require_head(silhouettes: Sequence[Silhouette]) -> None:
             f"silhouettes: no contrast: the backdrop is {np.median(backdrops):.0%} as bright as the subject; "
             "film before a dark, unlit backdrop, or give --threshold"
         )
+    unrest = float(np.median([s.unrest for s in silhouettes]))
+    if unrest > _UNEVEN_BACKDROP:
+        logger.warning(
+            "the backdrop is uneven: it varies by %.1f %% of the subject's brightness; what of the head is "
+            "below %.0f %% is cut off, and M may be off by some percent; film before a plain, dark, unlit "
+            "backdrop that does not move",
+            100 * unrest,
+            100 * _SIGMAS * unrest,
+        )
     lit = np.mean([s.edge_share > _LIT_EDGE for s in silhouettes])
     if lit > _MOST:
         raise BadCalibration(
@@ -120,13 +135,14 @@ def require_head(silhouettes: Sequence[Silhouette]) -> None:
         )
 
 
-def _level_and_threshold(grey: FloatArray) -> tuple[float, float]:
-    """Return the level of the border (without the bottom, where shoulders are), and that and a margin."""
+def _level_and_threshold(grey: FloatArray) -> tuple[float, float, float]:
+    """Return level and noise of the border (without the bottom, where shoulders are), and a threshold."""
     rim = max(2, round(0.02 * grey.shape[1]))
     border = np.concatenate([grey[:rim].ravel(), grey[:, :rim].ravel(), grey[:, -rim:].ravel()])
     level = float(np.median(border))
     noise = 1.4826 * float(np.median(np.abs(border - level)))
-    return level, level + max(_SIGMAS * noise, _LEAST_RISE * (float(np.percentile(grey, 99)) - level), 1e-6)
+    rise = max(_SIGMAS * noise, _LEAST_RISE * (float(np.percentile(grey, 99)) - level), 1e-6)
+    return level, noise, level + rise
 
 
 def _without_holes(mask: Mask) -> Mask:
