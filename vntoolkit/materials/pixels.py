@@ -535,8 +535,9 @@ def _mix(v: int, u: int, labels: Any, rho: Any, weights: Any, shares: Any, out: 
 
 @njit(cache=True, error_model="numpy")
 def _shift(
-    s: Any, rho: Any, shares: Any, haze: Any, inverse: Any, mixing: Any, tolerance: float, mean: Any
-) -> None:
+    s: Any, rho: Any, shares: Any, haze: Any, inverse: Any, mixing: Any, tolerance: float, mean: Any,
+    q: Any, j: Any,
+) -> None:  # fmt: skip
     """Change a mean reflectance along the line of the two materials mixed, towards a normal of unit length.
 
     Where a seam runs is known to a part of a pixel. So the shares are uncertain, and the length, itself
@@ -550,12 +551,14 @@ def _shift(
     if second < _LEAST_SHARE:
         return
     ratio = tolerance / (_UNSURE * _UNSURE * first * second)
-    q, j = np.empty(3), np.empty(3)
-    moved = 0.0
-    for _ in range(2):
-        for k in range(3):
-            q[k] = 1.0 / mean[k]
-        bias = bias_of_noise(q, inverse, mixing)
+    moved, bias = 0.0, 0.0
+    for k in range(3):
+        q[k] = 1.0 / mean[k]
+    bias = bias_of_noise(q, inverse, mixing)
+    for i in range(2):
+        if i:
+            for k in range(3):
+                q[k] = 1.0 / mean[k]
         e, _ = length_and_variance(s, q, haze, inverse, mixing, bias, j)
         slope = 0.0
         for k in range(3):
@@ -622,7 +625,7 @@ def _relight_row(
             light[k] = split[k, 0] * r + split[k, 1] * g + split[k, 2] * b
         if near[u]:
             _mix(v, u, labels, rho, weights, shares, mean)
-            _shift(light, rho, shares, haze, inverse, mixing, tolerance, mean)
+            _shift(light, rho, shares, haze, inverse, mixing, tolerance, mean, x, j)
         else:
             t = amount(light, q[m], along[m], haze, inverse, mixing, 0.0, TRUST, x, j)
             for k in range(3):
