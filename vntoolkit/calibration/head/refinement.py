@@ -59,6 +59,7 @@ _LOOSE = 2.0  # of the diagonal: where normals are to show their errors, stereo 
 _PATCH_PX = 16.0  # side: larger than the windows of stereo blur, smaller than a nose
 _REGION_PX = 96.0  # side: so large that stereo's ripples average out, smaller than a cheek
 _DRAWS, _PATTERNS = 8, 9
+_FLATTENED = 2.0  # slopes of relief as fine as stereo's windows, over what stereo leaves of them
 _TINY, _SMALLEST_SINE = 1e-30, 1e-9
 _STEPS = 2  # of the positions: more change nothing
 _TOLERANCE, _MOST_ITERATIONS = 1e-4, 2000
@@ -369,7 +370,7 @@ def followed_normals(stereo: Mesh, skin: SkinNormals, pixel: float) -> SkinNorma
     """Return the normals to follow: the measured ones, drawn to stereo's of the skin around.
 
     Each counts as its variance tells. That of stereo's smoothed normals is how far they scatter around:
-    little on cheeks and hair, much on an ear, which they flatten.
+    little on cheeks and hair, much on an ear. Where normals were measured, what stereo flattens is added.
     """
     assert stereo.normals is not None
     own = stereo.normals
@@ -378,6 +379,8 @@ def followed_normals(stereo: Mesh, skin: SkinNormals, pixel: float) -> SkinNorma
     scatter = np.clip(0.5 * (1.0 - length**2), _LEAST_NOISE**2, _UNKNOWN_NOISE**2)
     smooth /= np.maximum(length, _TINY)[:, None]
     measured, noise = _normals_and_noise(smooth, skin)
+    known = np.isfinite(skin.noise)
+    scatter *= np.where(known, _FLATTENED**2, 1.0)
     trust = scatter / (scatter + noise**2)
     normals = smooth + trust[:, None] * (measured - smooth)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), _TINY)
