@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import multiprocessing
 import os
-import pickle
 import signal
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -20,9 +20,10 @@ Result = TypeVar("Result")
 Work = Callable[[Item], Iterable[Result]]
 _AHEAD = 2  # items submitted for each process: one at work, one ready
 _kept: dict[int, ProcessPoolExecutor] | None = None  # pools by their size, while they are kept
-# Of this process, where it is a worker: how many threads it may use, and the work begun last, as it was sent.
+_numbers = itertools.count()  # of what was shared out
+# Of this process, where it is a worker: how many threads it may use, the work begun last and its number.
 _threads = 1
-_begun: tuple[bytes, Work[Any, Any]] | None = None
+_begun: tuple[int, Work[Any, Any]] | None = None
 
 
 def shared_out(
@@ -45,7 +46,7 @@ def shared_out(
     pool = pool or _pool_of(workers)
     finished = False
     try:
-        yield from _collect(pool, pickle.dumps(begin), items, _AHEAD * workers)
+        yield from _collect(pool, begin, items, _AHEAD * workers)
         finished = True
     except BrokenProcessPool as error:
         raise VntError(
@@ -81,13 +82,19 @@ def _pool_of(workers: int) -> ProcessPoolExecutor:
     return ProcessPoolExecutor(workers, context, initializer=_start_worker, initargs=(threads,))
 
 
-def _collect(pool: ProcessPoolExecutor, begin: bytes, items: Iterable[Item], ahead: int) -> Generator[Any]:
+def _collect(
+    pool: ProcessPoolExecutor,
+    begin: Callable[[int | None], Work[Any, Any]],
+    items: Iterable[Item],
+    ahead: int,
+) -> Generator[Any]:
     """Keep `ahead` items submitted and hand on their results as they finish."""
+    number = next(_numbers)
     waiting = iter(items)
     running: set[Future[list[Any]]] = set()
     while True:
         while len(running) < ahead and (item := next(waiting, None)) is not None:
-            running.add(pool.submit(_work_on, begin, item))
+            running.add(pool.submit(_work_on, number, begin, item))
         if not running:
             return
         finished, running = wait(running, return_when=FIRST_COMPLETED)
@@ -104,9 +111,9 @@ def _start_worker(threads: int) -> None:
     _threads = threads
 
 
-def _work_on(begin: bytes, item: Any) -> list[Any]:
+def _work_on(number: int, begin: Callable[[int | None], Work[Any, Any]], item: Any) -> list[Any]:
     global _begun  # noqa: PLW0603 - a worker process has exactly one
-    if _begun is None or _begun[0] != begin:
+    if _begun is None or _begun[0] != number:
         _begun = None  # its memory is free before the next takes some
-        _begun = begin, pickle.loads(begin)(_threads)
+        _begun = number, begin(_threads)
     return list(_begun[1](item))
