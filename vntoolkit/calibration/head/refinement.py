@@ -420,9 +420,10 @@ def shared_errors(stereo: Mesh, skin: SkinNormals, pixel: float) -> FloatArray:
     )
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     off -= normal * (off * normal).sum(axis=1, keepdims=True)
-    along = np.sqrt(1.0 - np.minimum(normal**2, 0.5))  # what of an axis lies in the surface
-    off[normal**2 > 0.5] = np.nan
-    return np.asarray(1.4826 * np.nanmedian(np.abs(off) / along, axis=0))
+    across = np.sqrt(np.maximum(1.0 - normal**2, 0.5))  # what of an axis lies in the surface
+    slopes = np.abs(off) / across
+    told = [column[steep <= 0.5] for column, steep in zip(slopes.T, normal.T**2, strict=True)]
+    return np.array([1.4826 * np.median(each) if each.size else _SHARED_NOISE for each in told])
 
 
 def _normals_and_noise(own: Points, skin: SkinNormals) -> tuple[Points, FloatArray]:
