@@ -6,7 +6,7 @@ import pytest
 from tests.integration.analytic_surfaces import peaks
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.geometry.maps import NOISE_CELL_PX, NormalMap
 from vntoolkit.integration.expected_error import with_expected_depth_error
 from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, write_depth_map
@@ -28,7 +28,7 @@ def map_of(normals, error_deg, shared_deg):
         normals_in_camera=unit(normals),
         mask=EVERYWHERE,
         error_deg=np.full((SIZE, SIZE), error_deg),
-        noise_deg=np.full((SIZE // 8, SIZE // 8), np.sqrt(error_deg**2 - shared_deg**2)),
+        noise_deg=np.full(2 * (-(-SIZE // NOISE_CELL_PX),), np.sqrt(error_deg**2 - shared_deg**2)),
     )
 
 

@@ -20,7 +20,7 @@ from vntoolkit.display import (
 )
 from vntoolkit.errors import BadInput
 
-NOISE_CELL_PX = 8  # side of the squares that noise is told by
+NOISE_CELL_PX = 16  # side of the squares that noise is told by
 
 
 class LengthUnit(Enum):
@@ -38,8 +38,8 @@ class NormalMap(Displayed):
     normals_in_camera: (h, w, 3) float32, unit length, n_z < 0 towards the viewer, 0 where invalid.
     mask: (h, w) bool. weight: (h, w) float32 confidence from 0 to 1, or None for 1 everywhere in the mask.
     error_deg: (h, w) float32, angle in degrees that nine of ten normals stay within, or None if not known.
-    noise_deg: (⌈h/8⌉, ⌈w/8⌉), the part of it that noise makes and neighbours do not share, by cells of 8×8
-    pixels; not kept in files.
+    noise_deg: (⌈h/16⌉, ⌈w/16⌉), the part of it that noise makes and neighbours do not share, by cells of
+    16×16 pixels; not kept in files.
     """
 
     normals_in_camera: Normals

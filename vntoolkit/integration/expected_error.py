@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from numba import prange
 from scipy import ndimage
-from scipy.linalg import solveh_banded
 
 from vntoolkit.arrays import FloatArray, Mask
 from vntoolkit.checks import require_same_size
@@ -35,6 +34,8 @@ _LEAST_WEIGHT = 1e-3
 _PER_NORMAL = 1.0 / 2.146  # standard deviation of a direction over the bound of nine of ten
 _NINE_OF_TEN = 1.2  # standard deviations that hold nine of ten pixels of the package's own scenes …
 _OF_NOISE = 1.645  # … and of what is normally distributed
+_FARTHEST = np.float32(3e38)
+_TURNS = 9  # entries of ΔM
 _HOLD = 1e-9  # holds the constant that every component leaves free, before its mean is removed
 
 
@@ -49,9 +50,7 @@ def with_expected_depth_error(depth_map: DepthMap, normal_map: NormalMap, camera
     if normal_map.error_deg is None:
         raise BadInput("normals: their expected error is not known, so that of the depth is not either")
     mask = np.ascontiguousarray(depth_map.mask & normal_map.mask)
-    step = max(1, len(mask) // _ROWS)
-    looked_at = depth_map.depth[::step][mask[::step]]
-    span = float(looked_at.max(initial=-np.inf)) - float(looked_at.min(initial=np.inf))
+    span = float(_range(np.ascontiguousarray(depth_map.depth), mask, max(1, len(mask) // _ROWS)))
     error = np.empty(depth_map.shape, np.float32)
     if not span > 0:
         error[:] = 0.0
@@ -68,90 +67,27 @@ def with_expected_depth_error(depth_map: DepthMap, normal_map: NormalMap, camera
 def _coarse_error(normal_map: NormalMap, mask: Mask, block: int, rays: RayField) -> tuple[FloatArray, Mask]:
     """Return the standard deviation of depth (perspective: of log depth) by blocks, and where it is known."""
     step = max(1, block // _SAMPLES_A_SIDE)
-    height, width = (-(-n // block) for n in mask.shape)
+    shape = (-(-mask.shape[0] // block), -(-mask.shape[1] // block))
     cells = tuple(-(-n // NOISE_CELL_PX) for n in mask.shape)
     noise_deg = np.zeros(cells, np.float32) if normal_map.noise_deg is None else normal_map.noise_deg
-    weight = normal_map.weight
-    sums = np.zeros((7, height, width))
-    arrays = (normal_map.normals_in_camera, normal_map.error_deg, noise_deg, weight)
+    sums = np.zeros((7, *shape))
+    arrays = (normal_map.normals_in_camera, normal_map.error_deg, noise_deg, normal_map.weight)
     _sum_blocks(*arrays, mask, block, step, sums)
     places = (block // step) ** 2
-    cover = sums[0] / places
-    inside: Mask = cover > _LEAST_COVER
-    count = np.maximum(sums[0], 1e-6)
-    normals = np.moveaxis(sums[1:4], 0, -1)
-    normals = normals / np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-6)
-    sigma, noise = np.radians(_PER_NORMAL) * sums[4] / count, sums[5] / count
-    trust = np.where(inside, np.maximum(sums[6] / count, _LEAST_WEIGHT) * cover, 0.0)
-    right, down = _turned_slopes(normals, sigma, rays, block)
-    depth = _integrated(right, down, trust, inside)
-    steepness = np.maximum(-normals[..., 2], _LEAST_FACING) ** -3  # slope along and across the inclination
+    inside: Mask = sums[0] > _LEAST_COVER * places
+    ray = (rays.affine.astype(np.float64), rays.depth_scales_ray)
     growth = math.log(max(mask.shape)) / (2 * math.pi) / rays.pixels_per_unit**2
-    random = (np.radians(_PER_NORMAL) * _OF_NOISE / _NINE_OF_TEN) ** 2 * growth * steepness * noise
-    return np.sqrt(np.square(depth).sum(axis=-1) + random), inside
-
-
-def _turned_slopes(
-    normals: FloatArray, sigma: FloatArray, rays: RayField, block: int
-) -> tuple[FloatArray, FloatArray]:
-    """Return by how much every entry of ΔM changes the slopes along u and v, (h, w, 9), a block at a time.
-
-    The slope is −(n·r_u)/(n·r). The squares of a normal's nine turns sum to sigma² in all directions across
-    it.
-    """
-    height, width = sigma.shape
-    a = rays.affine.astype(np.float64)
-    u, v = np.meshgrid((np.arange(width) + 0.5) * block - 0.5, (np.arange(height) + 0.5) * block - 0.5)
-    ray = np.stack([a[0] * u + a[1] * v + a[2], a[3] * u + a[4] * v + a[5], np.ones_like(u)], axis=-1)
-    ray[..., :2] *= rays.depth_scales_ray
-    across = np.eye(3) - normals[..., :, None] * normals[..., None, :]
-    turns = across[..., :, :, None] * normals[..., None, None, :] * sigma[..., None, None, None]
-    turns = turns.reshape(height, width, 3, 9)
-    facing = np.minimum(np.einsum("vui,vui->vu", normals, ray), -_LEAST_FACING)[..., None]
-    by_ray = np.einsum("vuik,vui->vuk", turns, ray)
-    changes = []
-    for step in (np.array([a[0], a[3], 0.0]), np.array([a[1], a[4], 0.0])):
-        along = np.einsum("vuik,i->vuk", turns, step)
-        slope = (normals @ step)[..., None]
-        changes.append(block * (slope * by_ray / facing**2 - along / facing))
-    return changes[0], changes[1]
-
-
-def _integrated(right: FloatArray, down: FloatArray, trust: FloatArray, inside: Mask) -> FloatArray:
-    """Return the weighted least-squares depth (h, w, 9) of slopes (h, w, 9); mean 0 over each component.
-
-    Blocks are numbered along the shorter side, so that the matrix is a narrow band.
-    """
-    if inside.shape[0] > inside.shape[1]:
-        down, right = np.swapaxes(down, 0, 1), np.swapaxes(right, 0, 1)
-        return np.swapaxes(_integrated(down, right, trust.T, inside.T), 0, 1)
-    height, width = inside.shape
-    # (w, h): a column is consecutive
-    across, along = np.zeros((width, height)), np.zeros((width, height))  # weight of the edge after a block
-    across[:-1] = np.minimum(trust[:, :-1], trust[:, 1:]).T
-    along[:, :-1] = np.minimum(trust[:-1], trust[1:]).T
-    load = np.zeros((width, height, right.shape[2]))
-    flow = across[:-1, :, None] * 0.5 * np.swapaxes(right[:, :-1] + right[:, 1:], 0, 1)
-    load[1:] += flow
-    load[:-1] -= flow
-    flow = along[:, :-1, None] * 0.5 * np.swapaxes(down[:-1] + down[1:], 0, 1)
-    load[:, 1:] += flow
-    load[:, :-1] -= flow
-    band = np.zeros((height + 1, width, height))
-    band[0] = _HOLD + across + along
-    band[0, 1:] += across[:-1]
-    band[0, :, 1:] += along[:, :-1]
-    band[min(1, height)] -= along
-    band[height] -= across
-    count = width * height
-    band = band.reshape(height + 1, count)
-    solved = solveh_banded(band, load.reshape(count, -1), lower=True, overwrite_ab=True, check_finite=False)
-    depth = np.swapaxes(solved.reshape(width, height, -1), 0, 1)
-    parts, number = ndimage.label(inside)
-    for part in range(1, number + 1):
-        here = parts == part
-        depth[here] -= depth[here].mean(axis=0)
-    return np.where(inside[..., None], depth, 0.0)
+    random = (np.radians(_PER_NORMAL) * _OF_NOISE / _NINE_OF_TEN) ** 2 * growth
+    depth, variance = np.empty((*shape, _TURNS)), np.empty(shape)
+    _depth_of_turns(sums, inside, places, block, ray, random, depth, variance)
+    if inside.all():
+        depth -= depth.mean(axis=(0, 1))
+    else:
+        parts, number = ndimage.label(inside)
+        for part in range(1, number + 1):
+            here = parts == part
+            depth[here] -= depth[here].mean(axis=0)
+    return np.sqrt(np.einsum("vuk,vuk->vu", depth, depth) + variance), inside
 
 
 def _filled(spread: FloatArray, inside: Mask) -> FloatArray:
@@ -160,6 +96,130 @@ def _filled(spread: FloatArray, inside: Mask) -> FloatArray:
         return np.where(inside, spread, 0.0)
     nearest = ndimage.distance_transform_edt(~inside, return_distances=False, return_indices=True)
     return np.asarray(spread[tuple(nearest)])
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _range(depth: Any, mask: Mask, step: int) -> float:
+    """Return the largest depth of every so manieth row less the least; below 0 where no pixel is valid."""
+    width = mask.shape[1]
+    least, most = np.full(width, _FARTHEST, depth.dtype), np.full(width, -_FARTHEST, depth.dtype)
+    for v in range(0, mask.shape[0], step):
+        row, inside = depth[v], mask[v]
+        for u in range(width):  # column by column and without a branch: eight at a time
+            least[u] = min(least[u], row[u] if inside[u] else least[u])
+            most[u] = max(most[u], row[u] if inside[u] else most[u])
+    return float(most.max() - least.min())
+
+
+@njit(cache=True)
+def _depth_of_turns(
+    sums: Any, inside: Mask, places: int, block: int, ray: Any, random: float, depth: Any, variance: Any
+) -> None:  # fmt: skip
+    """Fill the depth (h, w, 9) that the nine turns make, and the variance (h, w) that noise makes.
+
+    Blocks are numbered along the shorter side, so that the matrix is a narrow band.
+    """
+    _, height, width = sums.shape
+    right, down = np.zeros((height, width, _TURNS)), np.zeros((height, width, _TURNS))
+    trust = np.zeros((height, width))
+    normal = np.zeros(3)
+    for v in range(height):
+        for u in range(width):
+            count = max(sums[0, v, u], 1e-6)
+            for i in range(3):
+                normal[i] = sums[1 + i, v, u] / count
+            normal /= max(np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2), 1e-6)
+            sigma = np.radians(_PER_NORMAL) * sums[4, v, u] / count
+            _turned_slopes(normal, sigma, ray, block, v, u, right[v, u], down[v, u])
+            if inside[v, u]:
+                trust[v, u] = max(sums[6, v, u] / count, _LEAST_WEIGHT) * sums[0, v, u] / places
+            # a slope grows by 1 / cos² along the inclination and by 1 / cos across
+            variance[v, u] = random * sums[5, v, u] / count / max(-normal[2], _LEAST_FACING) ** 3
+    if height > width:
+        turned = np.zeros((width, height, _TURNS))
+        first, second = np.ascontiguousarray(down.transpose(1, 0, 2)), right.transpose(1, 0, 2)
+        _integrate(first, np.ascontiguousarray(second), np.ascontiguousarray(trust.T), turned)
+        depth[:] = turned.transpose(1, 0, 2)
+    else:
+        _integrate(right, down, trust, depth)
+
+
+@njit(cache=True)
+def _turned_slopes(
+    normal: Any, sigma: float, ray: Any, block: int, v: int, u: int, right: Any, down: Any
+) -> None:
+    """Fill by how much every entry of ΔM changes a block's slopes along u and v, (9,), a block at a time.
+
+    The slope is −(n·r_u)/(n·r). The squares of a normal's nine turns sum to sigma² in all directions across
+    it.
+    """
+    a, scales = ray
+    x, y = (u + 0.5) * block - 0.5, (v + 0.5) * block - 0.5
+    along_x, along_y = scales * (a[0] * x + a[1] * y + a[2]), scales * (a[3] * x + a[4] * y + a[5])
+    seen = normal[0] * along_x + normal[1] * along_y + normal[2]
+    facing = min(seen, -_LEAST_FACING)
+    slope_right, slope_down = normal[0] * a[0] + normal[1] * a[3], normal[0] * a[1] + normal[1] * a[4]
+    axis = np.zeros(3)
+    for i in range(3):  # the part across the normal of what turns it along an axis
+        for k in range(3):
+            axis[k] = (1.0 if i == k else 0.0) - normal[i] * normal[k]
+        by_ray = axis[0] * along_x + axis[1] * along_y + axis[2]
+        by_right, by_down = axis[0] * a[0] + axis[1] * a[3], axis[0] * a[1] + axis[1] * a[4]
+        to_right = block * (slope_right * by_ray / facing**2 - by_right / facing)
+        to_down = block * (slope_down * by_ray / facing**2 - by_down / facing)
+        for k in range(3):
+            right[3 * i + k] = to_right * normal[k] * sigma
+            down[3 * i + k] = to_down * normal[k] * sigma
+
+
+@njit(cache=True)
+def _integrate(right: Any, down: Any, trust: Any, depth: Any) -> None:
+    """Fill the weighted least-squares depth (h, w, 9) of slopes (h, w, 9); h is at most w."""
+    height, width = trust.shape
+    count, reach = height * width, height
+    band = np.zeros((count + reach, reach + 1))  # of row i: the entries from the diagonal on
+    load = np.zeros((count + reach, _TURNS))
+    band[:count, 0] = _HOLD
+    band[count:, 0] = 1.0
+    for u in range(width):
+        for v in range(height):
+            i = u * height + v
+            if u + 1 < width:
+                weight = min(trust[v, u], trust[v, u + 1])
+                _add_edge(band, load, i, height, weight, right[v, u], right[v, u + 1])
+            if v + 1 < height:
+                weight = min(trust[v, u], trust[v + 1, u])
+                _add_edge(band, load, i, 1, weight, down[v, u], down[v + 1, u])
+    for i in range(count):  # elimination down the band …
+        own, given = band[i], load[i]
+        for d in range(1, reach + 1):
+            if own[d] != 0.0:
+                factor = own[d] / own[0]
+                to, to_load = band[i + d], load[i + d]
+                for j in range(reach + 1 - d):
+                    to[j] -= factor * own[d + j]
+                for k in range(_TURNS):
+                    to_load[k] -= factor * given[k]
+    for i in range(count - 1, -1, -1):  # … and substitution back up
+        own, to_load = band[i], load[i]
+        for d in range(1, reach + 1):
+            for k in range(_TURNS):
+                to_load[k] -= own[d] * load[i + d, k]
+        for k in range(_TURNS):
+            to_load[k] /= own[0]
+            depth[i % height, i // height, k] = to_load[k]
+
+
+@njit(cache=True)
+def _add_edge(band: Any, load: Any, i: int, d: int, weight: float, before: Any, after: Any) -> None:
+    """Add to the normal equations that the depth rises by the mean of two slopes from block i to i + d."""
+    band[i, 0] += weight
+    band[i + d, 0] += weight
+    band[i, d] -= weight
+    for k in range(_TURNS):
+        flow = weight * 0.5 * (before[k] + after[k])
+        load[i + d, k] += flow
+        load[i, k] -= flow
 
 
 @njit(cache=True)

@@ -172,13 +172,6 @@ class _Coefficients(NamedTuple):
     darkest: np.float32
 
 
-class _Ellipsoid(NamedTuple):
-    """|M⁻¹(r − a)| = albedo (1 + nᵀE n); E (3, 3), symmetric, without trace."""
-
-    albedo: float
-    shape: Any
-
-
 def _coefficients(
     response: LightResponse, camera: Camera | None, relative_albedo: float = 1.0, darkest: float = 1e-6
 ) -> _Coefficients:
@@ -204,59 +197,18 @@ def _evidence(
 ) -> tuple[Any, Any, Any]:
     """Return the frame's noise and what holds for all its pixels.
 
-    The noise by cells, (⌈h/8⌉, ⌈w/8⌉), in degrees as the bounds are, and by rows of cells, (⌈h/8⌉, w), in
+    The noise by cells, (⌈h/16⌉, ⌈w/16⌉), in degrees as the bounds are, and by rows of cells, (⌈h/16⌉, w), in
     radians².
     """
     cells = tuple(-(-n // _CELL) for n in mask.shape)
     found, noise = np.zeros((2, *cells), np.float32), np.empty(cells, np.float32)
     _curl_kernel(rows_of(light.image), light.table, mask, c, found)
-    _noise_of_cells(found, noise)
-    rows = np.empty((cells[0], mask.shape[1]), np.float32)
-    _along_rows(noise, rows)
-    known = int(found[1].sum()) * _CELL
-    step = math.isqrt(max(known, mask.size // _MOST_PER_KNOWN) // _SAMPLES)
-    ellipsoid = _fit_ellipsoid(light, mask, labels, c, max(1, step))
-    e = ellipsoid.shape
+    rows, ellipsoid = np.empty((cells[0], mask.shape[1]), np.float32), np.empty(7)
+    _whole_frame_kernel(light, mask, labels, c, found, noise, rows, ellipsoid)
     fixed = (_OF_RESIDUAL * max(residual_deg, 0.0)) ** 2
     by_noise = 2.0 * c.along  # of a squared departure: what noise rarely makes
-    shape = [e[0, 0], e[0, 1], e[0, 2], e[1, 1], e[1, 2], e[2, 2]]
-    others = [1.0 / ellipsoid.albedo, fixed, by_noise]
-    constants = np.concatenate([c.inverse.ravel(), c.ambient, c.channel, shape, others])
+    constants = np.concatenate([c.inverse.ravel(), c.ambient, c.channel, ellipsoid, (fixed, by_noise)])
     return np.sqrt(_PER_NOISE * noise), rows, constants.astype(np.float32)
-
-
-def _fit_ellipsoid(
-    light: _Light, mask: Mask, labels: VisibilityLabels | None, c: _Coefficients, step: int
-) -> _Ellipsoid:
-    """Regress the log length of M⁻¹(r − a) on the normal's squares, robustly; near lamps fall off besides."""
-    samples = np.empty((5, -(-mask.shape[0] // step) * -(-mask.shape[1] // step)))
-    count = _samples_kernel(
-        light.image, light.table, light.clipped, light.white, mask, labels, c, step, samples
-    )
-    x, y, z, u, v = samples[:, :count]
-    length = np.sqrt(x * x + y * y + z * z)
-    if count < 2 * _INDEPENDENT:
-        return _Ellipsoid(float(np.median(length)) if count else 1.0, np.zeros((3, 3)))
-    x, y, z = x / length, y / length, z / length
-    half = max(mask.shape) / 2
-    s, t = (u - u.mean()) / half, (v - v.mean()) / half
-    falloff = np.stack([s, t, s * s, t * t, s * t])
-    design = np.empty((11, count))
-    design[0], design[1], design[2] = 1.0, x * x - z * z, y * y - z * z
-    design[3], design[4], design[5] = 2 * x * y, 2 * x * z, 2 * y * z
-    design[6:] = falloff - falloff.mean(axis=1, keepdims=True)
-    prior = np.diag(np.repeat([0.0, _ELLIPSOID_SPREAD**-2, _FALLOFF_SPREAD**-2], [1, 5, 5]))
-    logs = np.log(length)
-    weight, spread = np.ones(count), max(float(logs.std()), 1e-3)
-    for _ in range(_ROUNDS):
-        worth = design * (weight * (_INDEPENDENT / count / spread**2))
-        found = np.linalg.solve(worth @ design.T + prior, worth @ logs)
-        left = np.abs(logs - found @ design)
-        spread = 1.48 * float(np.partition(left, count // 2)[count // 2]) + 1e-3
-        weight = 1.0 / (1.0 + np.square(left / (2 * spread)))
-    e = found[1:6]
-    shape = np.array([[e[0], e[2], e[3]], [e[2], e[1], e[4]], [e[3], e[4], -e[0] - e[1]]])
-    return _Ellipsoid(float(np.exp(found[0])), shape)
 
 
 # Compiled loops. A table of None stands for linear light: numba drops the branches for another. Rows are
@@ -272,6 +224,95 @@ def _span(inside: Any) -> tuple[int, int]:
     while last > first and not inside[last - 1]:
         last -= 1
     return (first, last) if first < last else (0, 0)
+
+
+@njit(cache=True)
+def _whole_frame_kernel(
+    light: _Light, mask: Mask, labels: Any, c: _Coefficients, found: Any, noise: Any, rows: Any,
+    ellipsoid: Any,
+) -> None:  # fmt: skip
+    """Fill noise and rows from the cells' curl, and the ellipsoid; see `_noise_of_cells` and its like."""
+    _noise_of_cells(found, noise)
+    _along_rows(noise, rows)
+    known = int(found[1].sum()) * _CELL
+    step = max(1, int(math.sqrt(max(known, mask.size // _MOST_PER_KNOWN) // _SAMPLES)))
+    samples = np.empty((5, -(-mask.shape[0] // step) * -(-mask.shape[1] // step)))
+    image, table, clipped, white = light
+    count = _samples_kernel(image, table, clipped, white, mask, labels, c, step, samples)
+    _fit_ellipsoid(samples[:, :count], max(mask.shape) / 2, ellipsoid)
+
+
+@njit(cache=True, fastmath=FLAGS | {"reassoc"}, error_model="numpy")
+def _fit_ellipsoid(samples: Any, half: float, found: Any) -> None:
+    """Fill e00, e01, e02, e11, e12, e22, without trace, and 1 / albedo of |M⁻¹(r − a)| = albedo (1 + nᵀE n).
+
+    Regress the log length of M⁻¹(r − a) on the normal's squares, robustly; near lamps fall off besides.
+    samples: (5, n), M⁻¹(r − a) and the place u, v. half: of the image's larger side.
+    """
+    count = samples.shape[1]
+    design = np.ones((12, count))  # what to regress on, and the log length
+    logs = design[11]
+    for i in range(count):
+        x, y, z = samples[0, i], samples[1, i], samples[2, i]
+        square = x * x + y * y + z * z
+        logs[i] = 0.5 * np.log(square)
+        design[1, i], design[2, i] = (x * x - z * z) / square, (y * y - z * z) / square
+        design[3, i], design[4, i], design[5, i] = 2 * x * y / square, 2 * x * z / square, 2 * y * z / square
+    found[:] = 0.0
+    found[6] = np.exp(-np.median(logs)) if count else 1.0
+    if count < 2 * _INDEPENDENT:
+        return
+    u_0, v_0 = samples[3].mean(), samples[4].mean()
+    for i in range(count):
+        s, t = (samples[3, i] - u_0) / half, (samples[4, i] - v_0) / half
+        design[6, i], design[7, i] = s, t
+        design[8, i], design[9, i], design[10, i] = s * s, t * t, s * t
+    for k in range(6, 11):
+        design[k] -= design[k].mean()
+    worth, left, best = np.ones(count), np.empty(count), np.empty(11)
+    spread, normal = max(logs.std(), 1e-3), np.empty((11, 12))
+    weighted = np.empty(count)
+    for _ in range(_ROUNDS):
+        scale = _INDEPENDENT / count / spread**2
+        for j in range(11):
+            for i in range(count):
+                weighted[i] = scale * worth[i] * design[j, i]
+            for k in range(j, 12):
+                other, total = design[k], 0.0
+                for i in range(count):
+                    total += weighted[i] * other[i]
+                normal[j, k] = total
+        for k in range(1, 11):
+            normal[k, k] += (_ELLIPSOID_SPREAD if k < 6 else _FALLOFF_SPREAD) ** -2
+        _solve_symmetric(normal, best)
+        left[:] = logs
+        for k in range(11):
+            for i in range(count):
+                left[i] -= best[k] * design[k, i]
+        for i in range(count):
+            left[i] = abs(left[i])
+        spread = 1.48 * np.median(left) + 1e-3
+        for i in range(count):
+            worth[i] = 1.0 / (1.0 + (left[i] / (2 * spread)) ** 2)
+    found[0], found[1], found[2] = best[1], best[3], best[4]
+    found[3], found[4], found[5] = best[2], best[5], -best[1] - best[2]
+    found[6] = np.exp(-best[0])
+
+
+@njit(cache=True)
+def _solve_symmetric(a: Any, x: Any) -> None:
+    """Solve A x = b for [A b], (n, n + 1), of which the upper half is read and overwritten."""
+    size = len(x)
+    for i in range(size):
+        for j in range(i + 1, size):
+            factor = a[i, j] / a[i, i]
+            for k in range(j, size + 1):
+                a[j, k] -= factor * a[i, k]
+    for i in range(size - 1, -1, -1):
+        x[i] = a[i, size]
+        for k in range(i + 1, size):
+            x[i] -= a[i, k] * x[k]
+        x[i] /= a[i, i]
 
 
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")

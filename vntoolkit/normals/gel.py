@@ -94,7 +94,7 @@ class GelInverter:
 
 
 def _noise_deg(normals: Array) -> float:
-    """The angle that nine of ten normals of noise alone stay within, from the curl of one row in eight.
+    """The angle that nine of ten normals of noise alone stay within, from the curl of one row in sixteen.
 
     A surface's ∂p/∂v − ∂q/∂u is 0. Central differences of white noise make it as large as the noise.
     """
