@@ -16,6 +16,7 @@ from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.maps_and_meshes.label_images import write_mask
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map, write_normal_map
+from vntoolkit.io.results.manifest import read_manifest
 from vntoolkit.io.rigs import write_rig
 from vntoolkit.photometry.response import rgb_from_normals
 from vntoolkit.photometry.rig import FitQuality, Rig
@@ -167,6 +168,9 @@ def test_the_commands_say_it(tmp_path, capsys, caplog):
         assert "red and blue exchanged" in capsys.readouterr().err
         assert not (tmp_path / "out").exists()
         assert main(["reconstruct", *common, "--out", out, "--to", "normals", "--allow", "relatives"]) == 0
+    kept = read_manifest(out).findings
+    assert kept is not None
+    assert [entry.level for entry in kept if entry.check == "relatives"] == ["fatal"]
     for text in ("red and blue exchanged", "the rig was fitted on normals within 8 degrees"):
         assert text in caplog.text
     assert main(["reconstruct", *common, "--out", out, "--allow", "rumours"]) == 1

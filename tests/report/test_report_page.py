@@ -14,6 +14,7 @@ from tests.dome_result import SKIPPED, DomeResult
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap
+from vntoolkit.io.results.manifest import FindingEntry, read_manifest, write_manifest
 from vntoolkit.report.page import PageSection, PageTable, figure_from_file, figure_from_plot
 from vntoolkit.report.pictures import new_figure, normals_from_depth, picture_of_depth
 from vntoolkit.report.report import ReportOptions, write_report
@@ -103,7 +104,7 @@ def test_it_does_without_footage_and_tracks(
     shutil.rmtree(folder / "mesh")
     options = ReportOptions(footage=str(tmp_path / "nowhere.mkv"))
     text = write_report(folder, options=options).read_text()
-    assert "the footage could not be looked over" in text
+    assert "the footage could not be looked at" in text
     assert "nowhere.mkv: no such" in text
     assert "Registered surface" not in text
     assert "captured" not in text
@@ -111,6 +112,16 @@ def test_it_does_without_footage_and_tracks(
     folder.rename(tmp_path / "reconstruction")
     with pytest.raises(BadInput, match=r"nowhere\.mkv: no such"):
         runpy.run_path(str(Path(__file__).parents[2] / "recipes" / "readme_picture.py"), run_name="__main__")
+
+
+def test_it_repeats_what_the_run_found(dome_result: DomeResult, tmp_path: Path) -> None:
+    folder = shutil.copytree(dome_result.folder, tmp_path / "warned")
+    manifest = read_manifest(folder)
+    finding = FindingEntry(check="clipping", level="warning", text="7.5% of the pixels are clipped")
+    write_manifest(folder, manifest.model_copy(update={"findings": [finding]}))
+    assert "7.5% of the pixels are clipped" in write_report(folder).read_text()
+    write_manifest(folder, manifest.model_copy(update={"findings": None}))
+    assert "kept no findings; `vntoolkit doctor` looks anew" in write_report(folder).read_text()
 
 
 def test_refusals(tmp_path: Path) -> None:

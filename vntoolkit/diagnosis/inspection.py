@@ -89,7 +89,7 @@ def inspect_capture(
         mattes = open_mattes(capture, mask, matting, plate)
     there = capture.present
     numbers = sorted({there[round(k)] for k in np.linspace(0, len(there) - 1, samples)})
-    findings = [*_findings_from_info(info), *_findings_from_transfer(info, capture.transfer)]
+    findings = findings_from_header(capture)
     if rig is None:
         findings += _findings_from_tag(info, capture.transfer, Level.WARNING)
     white = capture.transfer.diffuse_white
@@ -112,6 +112,11 @@ def inspect_capture(
         brightest=max(bright),
         findings=tuple(findings),
     )
+
+
+def findings_from_header(capture: Capture) -> list[Finding]:
+    """Check what a capture says of itself: frames, chroma, codec, bits, and the curve it is read with."""
+    return [*_findings_from_info(capture.info), *_findings_from_transfer(capture.info, capture.transfer)]
 
 
 def _findings_from_frame(frame: LinearFrame, name: str, white: float) -> list[Finding]:

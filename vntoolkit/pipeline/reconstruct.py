@@ -27,6 +27,7 @@ from vntoolkit.io.footage.sequence import text_of_names
 from vntoolkit.io.results.frame_log import FRAMES_NAME, FrameEntry, FrameLog
 from vntoolkit.io.results.manifest import (
     MANIFEST_NAME,
+    FindingEntry,
     InputEntry,
     Manifest,
     MaterialEntry,
@@ -135,10 +136,11 @@ def reconstruct(
         names = text_of_names([path.name for path in capture.info.left_out])
         logger.warning("%s: left out, since the frames are named otherwise: %s", job.source, names)
     missing = _missing_frames(capture, mattes, numbers)
+    findings: list[Finding] = []
     if not seeks_materials(job) and job.surface is None:
-        _require_plausible(job, capture, mattes, numbers)
+        findings = _require_plausible(job, capture, mattes, numbers)
     with sole_writer(root):
-        job, manifest, log = _prepared(job, capture, mattes, frames, overwrite)
+        job, manifest, log = _prepared(job, capture, mattes, frames, overwrite, findings)
         on_disk = _frames_on_disk(job, log)
         on_start(len(numbers), len(on_disk & set(numbers)))
         for record in missing:
@@ -163,9 +165,17 @@ def reconstruct(
 
 
 def _prepared(
-    job: ReconstructionJob, capture: Capture, mattes: Mattes, frames: FrameRange, overwrite: bool
+    job: ReconstructionJob,
+    capture: Capture,
+    mattes: Mattes,
+    frames: FrameRange,
+    overwrite: bool,
+    findings: list[Finding],
 ) -> tuple[ReconstructionJob, Manifest, FrameLog]:
-    """Settle what a run does, and write its manifest into a folder that is free for it."""
+    """Settle what a run does, and write its manifest into a folder that is free for it.
+
+    findings: what was found wrong so far.
+    """
     root = job.folder.root
     numbers = frames.numbers(capture.info.frame_count)
     resumes = has_manifest(root) and not overwrite
@@ -174,8 +184,8 @@ def _prepared(
         earlier = read_manifest(job.surface.result)
     job, materials = resolve_options(job, capture, mattes, numbers, earlier)
     if seeks_materials(job) and job.surface is None:
-        _require_plausible(job, capture, mattes, numbers)
-    manifest = manifest_of_run(job, capture, mattes, frames, materials)
+        findings = _require_plausible(job, capture, mattes, numbers)
+    manifest = manifest_of_run(job, capture, mattes, frames, materials, findings)
     if resumes:
         require_resumable(root, manifest)
     if overwrite:
@@ -254,8 +264,10 @@ def _frames_on_disk(job: ReconstructionJob, log: FrameLog) -> set[int]:
     }
 
 
-def _require_plausible(job: ReconstructionJob, capture: Capture, mattes: Mattes, numbers: range) -> None:
-    """Log what the footage tells of mistakes; raise `FatalFinding` for one that ruins normals."""
+def _require_plausible(
+    job: ReconstructionJob, capture: Capture, mattes: Mattes, numbers: range
+) -> list[Finding]:
+    """Log and return what the footage tells of mistakes; raise `FatalFinding` for one that ruins normals."""
     rig = job.rig if job.calibrated is None else replace(job.rig, transfer=job.calibrated)
     try:
         mask, numbers = mattes.judged(capture, numbers)
@@ -264,8 +276,9 @@ def _require_plausible(job: ReconstructionJob, capture: Capture, mattes: Mattes,
             findings = [_judged_through_paints(each) for each in findings]
     except BadCapture as problem:  # a bad frame is reported when its turn comes
         logger.debug("plausibility not checked: %s", problem)
-        return
+        return []
     judge(findings, job.allow)
+    return findings
 
 
 def _judged_through_paints(finding: Finding) -> Finding:
@@ -379,6 +392,7 @@ def manifest_of_run(
     mattes: Mattes,
     frames: FrameRange,
     materials: list[MaterialEntry],
+    findings: list[Finding],
 ) -> Manifest:
     """Return the manifest of a run that begins now; reads and hashes all input files."""
     info = capture.info
@@ -405,6 +419,7 @@ def manifest_of_run(
         options=_options_that_shape(job),
         materials=materials,
         surface=_entry_of_surface(job.surface),
+        findings=[FindingEntry(check=f.check, level=f.level.value, text=f.text) for f in findings],
         frames=frames.to_text(),
         outputs=outputs[job.options.to.value]
         + (["shadows"] if job.has_labels else [])

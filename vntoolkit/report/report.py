@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vntoolkit.arrays import FloatArray
-from vntoolkit.diagnosis.inspection import inspect_capture
+from vntoolkit.diagnosis.inspection import findings_from_header
 from vntoolkit.errors import BadInput, VntError
 from vntoolkit.geometry.camera import Camera, CameraModel
-from vntoolkit.io.footage.captures import CaptureOptions
 from vntoolkit.io.footage.images import read_image, resized_image
 from vntoolkit.io.maps_and_meshes.label_images import LABEL_LEGEND
 from vntoolkit.io.maps_and_meshes.ply import read_ply_counts
@@ -116,7 +115,7 @@ def write_report(
 
 
 def warnings_section(result: OpenedResult) -> PageSection:
-    """Return what `doctor` finds in the footage, and which frames failed."""
+    """Return what the run found wrong, what the footage's header says, and which frames failed."""
     notices = list(_findings(result))
     failed = [entry for entry in result.entries.values() if entry.failure]
     if failed:
@@ -130,13 +129,17 @@ def warnings_section(result: OpenedResult) -> PageSection:
 
 
 def _findings(result: OpenedResult) -> list[PageNotice]:
+    found = result.manifest.findings
+    if found is None:
+        text = "an earlier version made this result and kept no findings; `vntoolkit doctor` looks anew"
+        notices = [PageNotice(severity="note", text=text)]
+    else:
+        notices = [PageNotice(severity=entry.level, text=entry.text) for entry in found]
     try:
-        result.capture  # noqa: B018 - is it there, and is it the one?
-        report = inspect_capture(result.source, CaptureOptions(transfer=result.rig.transfer), rig=result.rig)
+        stated = findings_from_header(result.capture)
     except VntError as error:
-        text = f"the footage could not be looked over: {error}"
-        return [PageNotice(severity="note", text=text)]
-    return [PageNotice(severity=finding.level.value, text=finding.text) for finding in report.findings]
+        return [*notices, PageNotice(severity="note", text=f"the footage could not be looked at: {error}")]
+    return [*notices, *(PageNotice(severity=each.level.value, text=each.text) for each in stated)]
 
 
 def _headline(result: OpenedResult) -> tuple[PageNumber, ...]:

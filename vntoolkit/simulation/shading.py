@@ -195,21 +195,28 @@ def _face_camera(n: Array, p: Array, side: float) -> None:
             n[axis] -= (away + 1e-6) * p[axis] / distance
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _texel(texture: Array, u: float, v: float, out: Array) -> None:
     """Bilinear look-up with tiling; texel centres at half-integers."""
     rows, columns = texture.shape[0], texture.shape[1]
     x, y = u * columns - 0.5, v * rows - 0.5
     x0, y0 = int(np.floor(x)), int(np.floor(y))
     fx, fy = x - x0, y - y0
-    left, right, top, bottom = x0 % columns, (x0 + 1) % columns, y0 % rows, (y0 + 1) % rows
+    left, top = _tiled(x0, columns), _tiled(y0, rows)
+    right, bottom = _tiled(left + 1, columns), _tiled(top + 1, rows)
     for b in range(out.size):
         upper = texture[top, left, b] * (1.0 - fx) + texture[top, right, b] * fx
         lower = texture[bottom, left, b] * (1.0 - fx) + texture[bottom, right, b] * fx
         out[b] = upper * (1.0 - fy) + lower * fy
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
+def _tiled(index: int, count: int) -> int:
+    """`index` modulo `count`; mostly it lies within, and a division takes as long as all the rest."""
+    return index if 0 <= index < count else index % count
+
+
+@njit(cache=True, error_model="numpy")
 def sample_texture(texture: Array, uv: Array, hit_faces: Array, barycentric: Array) -> Array:
     """Return (p, b) the texture at the samples."""
     count, bands = hit_faces.size, texture.shape[2]

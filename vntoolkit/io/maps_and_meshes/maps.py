@@ -86,9 +86,7 @@ def read_normal_map(
         weight = None if alpha is None else alpha.astype(np.float32)
         error, stated = None, None
     signs = (convention or stated or NormalConvention.OPENGL).signs
-    normals = stored * np.array(signs, np.float32)
-    length = np.linalg.norm(normals, axis=2)
-    valid = length > _SHORTEST_NORMAL
+    normals, valid = _unit_normals(np.ascontiguousarray(stored), np.array(signs, np.float32))
     if weight is not None:
         valid &= weight > 0
     if mask is not None:
@@ -96,7 +94,7 @@ def read_normal_map(
         valid &= mask
     if not valid.any():
         raise BadInput(f"{path}: no pixel holds a normal")
-    normals = np.where(valid[..., None], normals / np.where(valid, length, 1.0)[..., None], np.float32(0))
+    normals *= valid[..., None]
     graded = weight is not None and bool((weight[valid] < 1).any())
     return NormalMap(
         normals_in_camera=normals,
@@ -183,10 +181,10 @@ def _normals_from_exr(
     names = next((n for n in ("RGB", "XYZ", "xyz") if set(n) <= set(channels)), None)
     if names is None:
         raise BadInput(f"{path}: expected the channels R, G, B or X, Y, Z, found {', '.join(channels)}")
-    stored = np.stack([channels[name] for name in names], axis=-1).astype(np.float32)
+    stored = np.stack([channels[name] for name in names], axis=-1, dtype=np.float32, casting="unsafe")
     weight = channels["A"].astype(np.float32) if "A" in channels else None
     error = channels[_ERROR_CHANNEL].astype(np.float32) if _ERROR_CHANNEL in channels else None
-    valid: Mask = np.asarray(np.isfinite(stored).all(axis=2))
+    valid: Mask = np.isfinite(stored[..., 0]) & np.isfinite(stored[..., 1]) & np.isfinite(stored[..., 2])
     if weight is None:
         weight = valid.astype(np.float32)
     elif not valid[weight > 0].all():
@@ -194,7 +192,7 @@ def _normals_from_exr(
     convention = texts.get(_CONVENTION_ATTRIBUTE)
     try:
         stated = None if convention is None else NormalConvention(convention)
-        return np.where(valid[..., None], stored, 0), weight, error, stated
+        return stored, weight, error, stated
     except ValueError as problem:
         raise BadInput(f"{path}: unknown normal convention '{convention}'") from problem
 
@@ -231,6 +229,22 @@ def _fill_halves(
     error = None if error is None else np.ascontiguousarray(error)
     flips = np.array([0x8000 if sign < 0 else 0 for sign in (*signs, 1, 1)], dtype=np.uint32)
     _fill(normals, mask, weight, error, flips, rows, starts)
+
+
+@njit(cache=True)
+def _unit_normals(stored, signs):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Return stored vectors (h, w, 3) as unit normals, 0 where none is, and (h, w) where one is."""
+    height, width = stored.shape[:2]
+    normals = np.zeros((height, width, 3), np.float32)
+    valid = np.zeros((height, width), np.bool_)
+    for v in range(height):
+        for u in range(width):
+            x, y, z = stored[v, u, 0] * signs[0], stored[v, u, 1] * signs[1], stored[v, u, 2] * signs[2]
+            length = np.sqrt(x * x + y * y + z * z)
+            if length > _SHORTEST_NORMAL and length < np.inf:  # so that it is a number, too
+                valid[v, u] = True
+                normals[v, u, 0], normals[v, u, 1], normals[v, u, 2] = x / length, y / length, z / length
+    return normals, valid
 
 
 @njit(cache=True, inline="always")

@@ -13,7 +13,7 @@ import platform
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -96,6 +96,16 @@ class SurfaceEntry(BaseModel):
     spreads: tuple[float, ...] = Field(description="Of each material, standard deviation along that line.")
 
 
+class FindingEntry(BaseModel):
+    """What the run found wrong with footage or rig before its first frame."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    check: str = Field(description="Name of the check, which --allow takes.")
+    level: Literal["note", "warning", "fatal"] = Field(description="Fatal: the run was allowed to go on.")
+    text: str = Field(description="The finding on one line, with its number and remedy.")
+
+
 class Manifest(BaseModel):
     """What a result folder holds."""
 
@@ -116,6 +126,9 @@ class Manifest(BaseModel):
     surface: SurfaceEntry | None = Field(
         default=None,
         description="Reflectances of a tracked surface (`track --refine-albedo`); null for none.",
+    )
+    findings: list[FindingEntry] | None = Field(
+        default=None, description="What was found wrong before the first frame; null where none was kept."
     )
     frames: str = Field(default="0::1", description="Frames asked for, start:stop:step.")
     outputs: list[str] = Field(default_factory=list, description="Folders written: normals, depth, …")
