@@ -7,7 +7,13 @@ from scipy.spatial import ConvexHull
 from tests.calibration.turning_egg import AXES, CAMERA, DISTANCE, MATRIX, render_egg, turning_poses
 from vntoolkit.calibration.fit import fit_quality
 from vntoolkit.calibration.head.light import HeadLight, LightOptions
-from vntoolkit.calibration.head.refinement import PositionSolver, followed_normals, refine_head, shared_errors
+from vntoolkit.calibration.head.refinement import (
+    PositionSolver,
+    followed_normals,
+    refine_head,
+    shared_errors,
+    thinned,
+)
 from vntoolkit.calibration.head.samples import LightFrame
 from vntoolkit.calibration.head.skin import SkinColours, SkinLight, SkinNormals, light_errors, skin_normals
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
@@ -142,6 +148,23 @@ def test_noisy_normals_are_drawn_to_the_surface_around_sure_ones_are_not():
     assert off(doubted) < 0.85 * measured  # so coarse an egg bends by as much between vertices
     assert off(trusted) > 0.9 * measured
     assert np.median(doubted.noise) < 0.9 * 0.2
+
+
+def test_a_thinned_mesh_has_the_edges_asked_and_stays_closed_and_in_place():
+    points, faces = ellipsoid()
+    egg = Mesh(vertices=points, faces=faces, normals=vertex_normals(points, faces))
+
+    def edge(mesh):
+        corners = mesh.vertices[mesh.faces]
+        return np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean()
+
+    thin = thinned(egg, 2.0 * edge(egg))
+    assert edge(thin) == pytest.approx(2.0 * edge(egg), rel=0.1)
+    sides = np.sort(np.concatenate([thin.faces[:, pair] for pair in ([0, 1], [1, 2], [2, 0])]), axis=1)
+    assert (np.unique(sides, axis=0, return_counts=True)[1] == 2).all()
+    radii = np.linalg.norm(thin.vertices / AXES, axis=1)
+    assert np.abs(radii - 1.0).max() < 0.02
+    assert thinned(egg, 0.5 * edge(egg)) is egg
 
 
 def test_no_vertex_flies_off_where_stereo_is_folded():

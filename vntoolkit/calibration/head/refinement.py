@@ -49,7 +49,7 @@ _NEARNESS = 0.2  # of lamps that are five of the head's diagonals away
 _REGION = 1 / 6  # of the diagonal: stereo errs alike within such cubes
 _SETTLED = 0.002  # change of M, as a share, that ends the rounds
 _EDGE_PX = 1.6  # mean length of an edge, about: two samples of a relief of a few pixels
-_COARSE = 2.0  # edges while M is sought: a relief too fine for them says nothing of M
+_COARSE = 4.0  # edges while M is sought: a relief too fine for them says nothing of M
 _MOST_VERTICES = 300_000
 # Normals that are off by 1 degree, as a good M leaves them, bend positions by half a pixel over half of
 # this wavelength. Stereo's ripples are of a pixel and more, and up to a dozen windows long.
@@ -105,7 +105,8 @@ def refine_head(
     what the first fit made of the samples.
     """
     pixel = _pixel_size(mesh, camera, frames())
-    stereo = divided(mesh, _COARSE * _EDGE_PX * pixel)
+    coarse = _COARSE * _EDGE_PX * pixel
+    stereo = thinned(divided(mesh, coarse), coarse)
     crossover = min(_CROSSOVER_PX * pixel, _LARGEST_CROSSOVER * stereo.diagonal)
     lit, surface, seen = SkinLight(response=light.response), stereo, None
     changes: list[float] = []
@@ -125,13 +126,15 @@ def refine_head(
     levels = measured_noise(surface, stereo.vertices, skin, pixel)
     spread = solver.spread(surface, levels, rng)
     near = cKDTree(surface.vertices)
-    stereo, surface = (divided(each, _EDGE_PX * pixel) for each in (stereo, surface))
-    colours = without_shadow(skin_colours(surface, camera, frames()), surface, lit.response)
-    skin = skin_normals(colours, lit)
-    follow = followed_normals(stereo, skin, pixel)
+    surface = stereo = divided(mesh, _EDGE_PX * pixel)
     wave = crossover * _CROSSOVER_NOISE / _LEAST_NOISE  # errors as they are measured make it shorter
-    solver = PositionSolver(stereo.vertices, stereo.faces, follow, wave, shared_errors(stereo, skin, pixel))
-    surface = surface.with_vertices(solver.positions())
+    for _ in range(_PASSES):
+        colours = without_shadow(skin_colours(surface, camera, frames()), surface, lit.response)
+        skin = skin_normals(colours, lit)
+        follow = followed_normals(stereo, skin, pixel)
+        shared = shared_errors(stereo, skin, pixel)
+        solver = PositionSolver(stereo.vertices, stereo.faces, follow, wave, shared)
+        surface = stereo.with_vertices(solver.positions())
     samples = patch_samples(surface, camera, colours, skin, _PATCH_PX * pixel)
     on_progress(_ROUNDS + 1, _ROUNDS + 1)
     return RefinedHead(
@@ -217,6 +220,16 @@ def divided(mesh: Mesh, edge: float) -> Mesh:
         finer = Mesh.from_open3d(replace(mesh, normals=None, colours=None).to_open3d().subdivide_loop(1))
         mesh = replace(finer, normals=vertex_normals(finer.vertices, finer.faces))
     return mesh
+
+
+def thinned(mesh: Mesh, edge: float) -> Mesh:
+    """Collapse edges (garland1997) until they have about this mean length."""
+    share = (_mean_edge(mesh) / edge) ** 2
+    if share >= 1.0:
+        return mesh
+    plain = replace(mesh, normals=None, colours=None).to_open3d()
+    thinner = Mesh.from_open3d(plain.simplify_quadric_decimation(int(share * len(mesh.faces))))
+    return replace(thinner, normals=vertex_normals(thinner.vertices, thinner.faces))
 
 
 def _mean_edge(mesh: Mesh) -> float:
