@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from vntoolkit.arrays import IntArray
 from vntoolkit.calibration.head.hull import (
+    DistanceGrid,
     HullOptions,
     SilhouetteView,
     box_about_points,
@@ -22,7 +23,14 @@ from vntoolkit.calibration.head.hull import (
     spread_over_turn,
 )
 from vntoolkit.calibration.head.light import HeadLight, LightOptions, fit_light
-from vntoolkit.calibration.head.poses import HeadMotion, PoseOptions, PoseStart, solve_head_motion
+from vntoolkit.calibration.head.patches import detail_in_8_bits, find_again
+from vntoolkit.calibration.head.poses import (
+    HeadMotion,
+    PoseOptions,
+    PoseStart,
+    settle_head_motion,
+    solve_head_motion,
+)
 from vntoolkit.calibration.head.refinement import RefinedHead, refine_head
 from vntoolkit.calibration.head.samples import HeadRays, HeadSamples, LightFrame, SampleOptions, sample_head
 from vntoolkit.calibration.head.shape import FusionOptions, fit_shape
@@ -161,27 +169,27 @@ def calibrate_head(
         on_progress("poses", 0, 1)
         motion = _moved(tracks, undistorter.camera, options, rng, refine_focal=given is None)
         on_progress("poses", 1, 1)
-    views = [
-        SilhouetteView(camera=motion.camera, camera_from_head=pose, mask=silhouette.mask)
-        for pose, silhouette in zip(motion.camera_from_head, footage.silhouettes, strict=True)
-    ]
     with clock.stage("hull"):
         on_progress("hull", 0, 1)
-        box = box_about_points(motion.points_in_head)
-        grid = fit_hull([views[k] for k in spread_over_turn(views, _HULL_VIEWS)], box, options.hull)
-        hull = mesh_of_grid(grid)
+        views, grid = _carved(footage, motion, options.hull)
         on_progress("hull", 1, 1)
-    fused = hull
+    fused = hull = mesh_of_grid(grid)
     if options.head_shape is not HeadShape.HULL:
         with clock.stage("stereo"):
-            fused = fit_shape(
-                views,
-                footage.contrasts,
-                grid,
-                options.stereo,
-                options.fusion,
-                partial(on_progress, "stereo"),
-            )
+            searched = partial(fit_shape, contrasts=footage.contrasts, fusion=options.fusion)
+            told = partial(on_progress, "stereo")
+            rough = searched(views, hull=grid, stereo=options.stereo, on_progress=told)
+        with clock.stage("poses again"):
+            on_progress("poses again", 0, 1)
+            again = find_again(views, footage.details, rough, motion.points_in_head)
+            motion, moved = settle_head_motion(motion, *again, refine_focal=given is None)
+            views, grid = _carved(footage, motion, options.hull)
+            hull, rough = mesh_of_grid(grid), rough.with_vertices(moved.apply(rough.vertices))
+            on_progress("poses again", 1, 1)
+        with clock.stage("stereo again"):
+            told = partial(on_progress, "stereo again")
+            closely = options.stereo.closely()
+            fused = searched(views, hull=grid, stereo=closely, on_progress=told, about=rough)
 
     def light_frames(numbers: IntArray) -> Iterator[LightFrame]:
         wanted = {footage.numbers[k]: k for k in numbers.tolist()}
@@ -239,6 +247,17 @@ def calibrate_head(
     )
 
 
+def _carved(
+    footage: HeadFootage, motion: HeadMotion, options: HullOptions
+) -> tuple[list[SilhouetteView], DistanceGrid]:
+    views = [
+        SilhouetteView(camera=motion.camera, camera_from_head=pose, mask=silhouette.mask)
+        for pose, silhouette in zip(motion.camera_from_head, footage.silhouettes, strict=True)
+    ]
+    box = box_about_points(motion.points_in_head)
+    return views, fit_hull([views[k] for k in spread_over_turn(views, _HULL_VIEWS)], box, options)
+
+
 def _follow(
     job: CalibrationJob, undistorter: Undistorter, options: HeadOptions, on_progress: Progress
 ) -> tuple[HeadFootage, Tracks]:
@@ -291,11 +310,15 @@ class _Clock:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HeadFootage:
-    """What is kept of the footage: per frame used its number, silhouette and 8-bit local contrast."""
+    """What is kept of the footage: per frame used its number, silhouette, and two images in 8 bits.
+
+    contrasts: local contrast, (h, w). details: logarithm of the brightness less its mean around, (h, w).
+    """
 
     numbers: tuple[int, ...]
     silhouettes: tuple[Silhouette, ...]
     contrasts: tuple[npt.NDArray[np.uint8], ...]
+    details: tuple[npt.NDArray[np.uint8], ...]
 
 
 def follow_frames(
@@ -304,15 +327,21 @@ def follow_frames(
     """Find silhouettes and tracks in undistorted frames; raise `BadCalibration` where either is no use."""
     sift = options.features is Features.SIFT
     builder = SiftBuilder(camera=camera) if sift else TrackBuilder(options=options.tracks)
-    numbers, silhouettes, contrasts = [], [], []
+    numbers, silhouettes, contrasts, details = [], [], [], []
     for frame in frames:
         silhouette = find_silhouette(frame.rgb, options.silhouettes)
         builder.add(local_contrast(frame.rgb), silhouette.mask)
         numbers.append(frame.number)
         silhouettes.append(silhouette)
         contrasts.append(builder.image)
+        details.append(detail_in_8_bits(frame.rgb))
     require_head(silhouettes)
     tracks = builder.finish()
     (require_features if sift else require_tracks)(tracks)
-    footage = HeadFootage(numbers=tuple(numbers), silhouettes=tuple(silhouettes), contrasts=tuple(contrasts))
+    footage = HeadFootage(
+        numbers=tuple(numbers),
+        silhouettes=tuple(silhouettes),
+        contrasts=tuple(contrasts),
+        details=tuple(details),
+    )
     return footage, tracks

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,8 @@ from vntoolkit.calibration.head.colmap import (
 from vntoolkit.calibration.head.tracks import Tracks
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.geometry.rigid import RigidTransform
+from vntoolkit.geometry.garment_fit import fit_similarity
+from vntoolkit.geometry.rigid import RigidTransform, Similarity
 
 logger = logging.getLogger(__name__)
 _FULL_TURN_DEG = 90.0  # below it, M gets worse: on scanned heads 0.3 % at 130, 1.1 at 68, 1.4 to 3.7 at 43
@@ -137,6 +138,32 @@ def solve_head_motion(
             motion.turn_deg,
         )
     return motion
+
+
+def settle_head_motion(
+    motion: HeadMotion, tracks: Tracks, points: Points, track: IntArray, *, refine_focal: bool = False
+) -> tuple[HeadMotion, Similarity]:
+    """Adjust poses and points to tracks of other points, from where they are (bundle adjustment).
+
+    points: (t, 3) on the head, first guess. track: (t,) their numbers in `motion`. refine_focal: the focal
+    length is a guess. Returns the motion, and what takes the old head frame to its own; the old motion where
+    too little agrees.
+    """
+    model = adjust_sparse_model(
+        tracks,
+        motion.camera,
+        motion.camera_from_head,
+        points,
+        np.ones(len(points), np.bool_),
+        refine_focal=refine_focal,
+    )
+    placed = np.array([pose is not None for pose in model.camera_from_head])
+    enough = len(model.point) >= max(_LEAST_POINTS, _LEAST_KEPT * len(motion.point))
+    if not enough or placed.mean() < np.mean(~motion.interpolated):
+        return motion, Similarity(scale=1.0, rigid=RigidTransform())
+    settled = _head_motion(model, motion.point[track])
+    moved = fit_similarity(points[model.point], settled.points_in_head)
+    return replace(settled, offered=motion.offered), moved
 
 
 def _factorised(tracks: Tracks, camera: Camera) -> Guess:

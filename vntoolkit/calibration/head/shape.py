@@ -1,4 +1,4 @@
-"""The head's shape from silhouettes and stereo, in passes from coarse to fine."""
+"""The head's shape from silhouettes and stereo."""
 
 from __future__ import annotations
 
@@ -26,22 +26,20 @@ def fit_shape(
     stereo: StereoOptions,
     fusion: FusionOptions,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
+    about: Mesh | None = None,
 ) -> Mesh:
-    """Search depths about the hull, fuse, search again closely about the result; returns a closed mesh.
+    """Search depths of evenly spread views about the hull, or a mesh, and fuse them; returns a closed mesh.
 
     contrasts: (h, w) local contrast of every view, 8 bits. on_progress is told depth maps done and in all.
     Raises `BadCalibration` where hardly two views agree on a depth.
     """
     references = spread_over_turn(views, stereo.references)
-    mesh = mesh_of_grid(hull)
-    searches = (stereo, stereo.closely())
-    for number, search in enumerate(searches):
-        maps = []
-        for done, k in enumerate(references.tolist(), start=1):
-            maps.append(stereo_points(views, contrasts, mesh, k, search))
-            on_progress(number * len(references) + done, len(searches) * len(references))
-        mesh = fuse_points(maps, mesh, hull, fusion)
-    return mesh
+    mesh = mesh_of_grid(hull) if about is None else about
+    maps = []
+    for done, k in enumerate(references.tolist(), start=1):
+        maps.append(stereo_points(views, contrasts, mesh, k, stereo))
+        on_progress(done, len(references))
+    return fuse_points(maps, mesh, hull, fusion)
 
 
 @dataclass(frozen=True, kw_only=True)
