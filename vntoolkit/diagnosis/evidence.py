@@ -21,7 +21,8 @@ Single = npt.NDArray[np.float32]
 _PIXELS = 50_000  # of an averaged frame: enough for every statistic here, and a run starts within a second
 _LIT = 0.3  # of the length that the brightest twentieth exceeds: what is darker is backdrop or in shadow
 _LEAST_CHANNEL = 0.01  # of full scale; below it noise and the black level decide the colour
-_BLOCKS = 6  # along each side: standard errors come from leaving out one of 36 blocks
+_BLOCKS = 6  # along each side: standard errors come from leaving out one of 36 blocks …
+_LEAST_BLOCK_PX = 144  # … or of fewer: the surface of smaller ones is not independent of their neighbours'
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -99,11 +100,19 @@ class Evidence:
 
     @cached_property
     def blocks(self) -> npt.NDArray[np.int64]:
-        """(h, w) number of the block that a pixel lies in; a block is the same place in every frame."""
+        """(h, w) number of the block that a pixel lies in; a block is the same place in every frame.
+
+        Blocks hold as much surface as each other, so that a small subject has as many as a large one.
+        """
         height, width = self.light.shape[1:3]
-        rows = np.arange(height) * _BLOCKS // height
-        columns = np.arange(width) * _BLOCKS // width
-        return np.asarray(rows[:, None] * _BLOCKS + columns)
+        seen: Mask = np.asarray(self.surface.any(axis=0))
+        side = max(1, min(_BLOCKS, int(math.sqrt(seen.sum() / _LEAST_BLOCK_PX))))
+        rows = _equal_parts(seen.sum(axis=1), side)
+        blocks = np.empty((height, width), np.int64)
+        for part in range(side):
+            stripe = rows == part
+            blocks[stripe] = part * side + _equal_parts(seen[stripe].sum(axis=0), side)
+        return blocks
 
     @property
     def _columns(self) -> FloatArray:
@@ -112,6 +121,13 @@ class Evidence:
     @property
     def _rows(self) -> FloatArray:
         return (np.arange(self.light.shape[1]) + 0.5) / self.scale - 0.5
+
+
+def _equal_parts(counts: npt.NDArray[np.int64], parts: int) -> npt.NDArray[np.int64]:
+    """Return (n,) the number of the part that each of n rows or columns is in; parts hold equal counts."""
+    before = np.cumsum(counts) - counts / 2
+    total = max(1, int(counts.sum()))
+    return np.minimum((before * parts / total).astype(np.int64), parts - 1)
 
 
 def evidence_from_frames(
