@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from vntoolkit.arrays import Points2
+from vntoolkit.arrays import FloatArray, Points2
 from vntoolkit.checks import require_positive
 from vntoolkit.diagnosis.finding import judge
 from vntoolkit.diagnosis.over_time import findings_from_tracks
@@ -28,7 +28,9 @@ from vntoolkit.pipeline.tracked_folder import (
     require_free,
     write_track_record,
 )
-from vntoolkit.tracking.options import TrackingOptions
+from vntoolkit.tracking.fixed_pattern import FRAMES_COMPARED, fixed_pattern
+from vntoolkit.tracking.options import Tracker, TrackingOptions
+from vntoolkit.tracking.slopes import relief_slopes, slopes_from_normals
 from vntoolkit.tracking.tracker import SurfaceTracker, tracked_frame
 
 _LOGGER = logging.getLogger(__name__)
@@ -103,7 +105,12 @@ def track(
     with undisturbed(job.folder), sole_writer(job.target) as target:
         require_free(target, record, overwrite=overwrite)
         tracker = SurfaceTracker(
-            *source.maps(template), source.camera, job.options, job.seams, source.labels(template)
+            *source.maps(template),
+            source.camera,
+            job.options,
+            job.seams,
+            source.labels(template),
+            _pattern_of(source) if job.options.method is Tracker.DEFAULT else (),
         )
         if overwrite:
             clear_track(target)
@@ -125,6 +132,16 @@ def track(
         missing=missing,
         visible=visible,
         seconds=time.perf_counter() - started,
+    )
+
+
+def _pattern_of(source: TrackSource) -> tuple[FloatArray, ...]:
+    """Return the sensor's fixed pattern, by frames from all over the video."""
+    there = [n for n in source.numbers if source.has(n)]
+    chosen = np.unique(np.linspace(0, len(there) - 1, FRAMES_COMPARED).round().astype(int))
+    return fixed_pattern(
+        relief_slopes(slopes_from_normals(seen, source.camera), seen, source.labels(number))[..., :3]
+        for number, seen in ((there[k], source.normals(there[k])) for k in chosen)
     )
 
 

@@ -18,32 +18,30 @@ moves otherwise than the rest. White noise alone, of the residual's σ², makes 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, Mask, Points2
 from vntoolkit.native import njit
 from vntoolkit.tracking.lattice import NODES_BY_PASS, TemplateLattice
-from vntoolkit.tracking.slopes import Relief
+from vntoolkit.tracking.slopes import LEAST_WEIGHT, Relief, gradient_bands
 from vntoolkit.tracking.template import TrackingTemplate
 
-_SIGMA_PX = 2.5  # of the Gaussian that is taken off
-_TAPS = 15  # to 3 sigma
-_TIMES = 3  # that it is: relief up to 16 px long passes, of a fold of 60 px a ten-thousandth is left
 _CHANCE = 2.5  # standard deviations of A without a common signal, below which nothing is told
 _CORRELATED_PX = 12.0  # pixels that agree by chance count as one, by H: so measured on white noise
 _LONGEST_STEP_PX = 2.0  # in pixels of the band: about what one linearisation reaches
 _REACH_PX, _SEARCH_STEP_PX = 16, 2  # of the search for what is lost
 _PATCH_CELLS = 4  # side of the squares that it shifts
 _SURE = 5.0  # standard deviations of a correlation by chance: there are some 300 shifts
-_LEAST_WEIGHT = 0.01  # of a pixel that counts
 _RIM_PX = 12.0  # of the band: nearer to an occluding contour, slopes belong to the contour
 _KNOWN_PX = 4.0  # error by the finest relief around, at which half of the slide remains possible
 _LEAST_NOISE = 1e-3  # slope: what interpolation leaves
+_PATTERN_PX = 2.0  # of the band, and of motion: a fixed pattern has nothing in common with itself farther off
+_PATTERN_VARIES = 2.0  # power of it in a window over that in the windows around, at most
 _FEW_NODES = 5.0  # variance of a step over that of its nodes' pulls: not all of them move alike
 
 
@@ -67,7 +65,6 @@ class Windows(NamedTuple):
 _RELIEF = Windows(0, 2, 0.1)
 _FAINT_RELIEF = Windows(1, 24, 0.3)  # under noise, so that chance is small; where the first tells nothing
 _WINDOWS = (_RELIEF, _FAINT_RELIEF, Windows(1, 5, 0.9), Windows(2, 8, 5.4))
-_MOST_HALVINGS = 2
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -137,8 +134,14 @@ class Measurement:
 class TemplateRegistration:
     """Measures the displacement of one template in any frame."""
 
-    def __init__(self, template: TrackingTemplate, lattice: TemplateLattice, relief: Relief) -> None:
-        """Prepare the template's bands; relief: of its frame."""
+    def __init__(
+        self,
+        template: TrackingTemplate,
+        lattice: TemplateLattice,
+        relief: Relief,
+        pattern: Sequence[FloatArray] = (),
+    ) -> None:
+        """Prepare the template's bands; relief: of its frame. pattern: as `fixed_pattern` returns it."""
         self._lattice = lattice
         pixels = template.pixels
         low, high = pixels.min(axis=0), pixels.max(axis=0) + 1
@@ -147,10 +150,13 @@ class TemplateRegistration:
         self._node = np.full(self._shape, -1, dtype=np.int32)
         self._node[self._at] = lattice.node_of_vertex
         patches = lattice.cells // _PATCH_CELLS
+        self._size = np.bincount(lattice.node_of_vertex, minlength=lattice.count)
         self._patch = np.unique(patches, axis=0, return_inverse=True)[1].ravel()
         identity = np.tile([1.0, 0.0, 0.0, 1.0], (lattice.count, 1))
         self._bands = self._banded(*self._pulled_back(template.positions_px, identity, relief))
         self._expected = self._expected_match()
+        self._pixels = template.positions_px
+        self._pattern = [self._at_nodes(power, k, low) for k, power in enumerate(pattern)]
 
     def measure(self, positions_px: Points2, jacobians: FloatArray, relief: Relief) -> Measurement:
         """Measure in the frame with this relief.
@@ -170,8 +176,10 @@ class TemplateRegistration:
             )
             for mine, theirs in zip(self._bands, frame, strict=True)
         ]  # fmt: skip
+        moved_px = self._lattice.sums(np.hypot(*(positions_px - self._pixels).T)[:, None])[:, 0] / self._size
         for windows in self.windows:
-            own, whole = moments[windows.halvings], 3.0**windows.passes  # of the weights of a window
+            own = self._with_pattern(moments[windows.halvings], windows.halvings, moved_px)
+            whole = 3.0**windows.passes  # of the weights of a window
             terms = self._lattice.smoothed(own, windows.passes) / whole
             step, ratio, sure, axis = _steps(terms, 2.0**windows.halvings, windows.nodes)
             spread = self._lattice.smoothed(_scores(own, step), windows.passes) / whole
@@ -198,6 +206,25 @@ class TemplateRegistration:
             windows=tuple(steps),
             frame=frame[0],
         )
+
+    def _at_nodes(self, power: FloatArray, halvings: int, low: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+        """(nodes,) mean of an image of a band over each node's pixels of the template."""
+        node = self._bands[halvings].node if halvings < len(self._bands) else self._node[:0]
+        rows, columns = np.nonzero(node >= 0)
+        at = np.minimum(rows + (low[1] >> halvings), power.shape[0] - 1)
+        beside = np.minimum(columns + (low[0] >> halvings), power.shape[1] - 1)
+        count, own = self._lattice.count, node[rows, columns]
+        total = np.bincount(own, power[at, beside], count)
+        return np.asarray(total / np.maximum(np.bincount(own, minlength=count), 1))
+
+    def _with_pattern(
+        self, moments: npt.NDArray[np.float64], halvings: int, moved_px: FloatArray
+    ) -> npt.NDArray[np.float64]:
+        """Moments and, last, what a fixed pattern adds to A along either axis where the mesh stands still."""
+        if halvings >= len(self._pattern):
+            return np.column_stack([moments, np.zeros(len(moments))])
+        still = np.exp(-0.5 * (moved_px / (_PATTERN_PX * 2.0**halvings)) ** 2)
+        return np.column_stack([moments, _PATTERN_VARIES * still * self._pattern[halvings] * moments[:, 9]])
 
     def _beside_contours(self, halvings: int, frame: list[Band]) -> npt.NDArray[np.float64]:
         """(nodes,) share of a node's pixels within reach of a contour, in the template or in the frame."""
@@ -271,63 +298,13 @@ class TemplateRegistration:
         from_contour_px: npt.NDArray[np.float32],
     ) -> list[Band]:
         node, out = self._node, []
-        for halvings in range(_MOST_HALVINGS + 1):
-            if halvings > 0 and min(node.shape) < 8:
-                break
-            coarser = cv2.pyrDown(values), cv2.pyrDown(weight)
-            _high_pass(values, weight)
-            gradients, kept = _gradients(values, weight, np.float32(0.5 / 2.0**halvings))
+        for halvings, (features, gradients, kept) in enumerate(gradient_bands(values, weight)):
             beside = from_contour_px[:: 2**halvings, :: 2**halvings] < _RIM_PX * 2.0**halvings
             if halvings == 0:
                 kept[beside] = 0.0
-            out.append(Band(node=node, features=values, gradients=gradients, weight=kept, beside=beside))
-            values, weight = (np.asarray(image, dtype=np.float32) for image in coarser)
+            out.append(Band(node=node, features=features, gradients=gradients, weight=kept, beside=beside))
             node = np.ascontiguousarray(node[::2, ::2])
         return out
-
-
-def _high_pass(values: npt.NDArray[np.float32], weight: npt.NDArray[np.float32]) -> None:
-    """Take the Gaussian mean off values (h, w, 2) premultiplied by weight (h, w), thrice; divide by it."""
-    share = cv2.GaussianBlur(weight, (_TAPS, _TAPS), _SIGMA_PX)
-    for _ in range(_TIMES):
-        _take_off(values, weight, share, cv2.GaussianBlur(values, (_TAPS, _TAPS), _SIGMA_PX))
-    _divide(values, weight)
-
-
-@njit(cache=True)
-def _take_off(values, weight, share, mean):  # type: ignore[no-untyped-def]
-    for v in range(weight.shape[0]):
-        for u in range(weight.shape[1]):
-            if weight[v, u] > 0:
-                factor = weight[v, u] / share[v, u]
-                values[v, u, 0] -= factor * mean[v, u, 0]
-                values[v, u, 1] -= factor * mean[v, u, 1]
-
-
-@njit(cache=True)
-def _divide(values, weight):  # type: ignore[no-untyped-def]
-    for v in range(weight.shape[0]):
-        for u in range(weight.shape[1]):
-            factor = np.float32(1.0) / max(weight[v, u], np.float32(1e-3))
-            values[v, u, 0] *= factor
-            values[v, u, 1] *= factor
-
-
-@njit(cache=True)
-def _gradients(values, weight, scale):  # type: ignore[no-untyped-def]
-    """Central differences (h, w, 4), and the weight where all four neighbours are there."""
-    h, w = weight.shape
-    out = np.zeros((h, w, 4), dtype=np.float32)
-    kept = np.zeros((h, w), dtype=np.float32)
-    for v in range(1, h - 1):
-        for u in range(1, w - 1):
-            least = min(weight[v, u], weight[v, u - 1], weight[v, u + 1], weight[v - 1, u], weight[v + 1, u])
-            if least > _LEAST_WEIGHT:
-                kept[v, u] = least
-                for c in range(2):
-                    out[v, u, c] = scale * (values[v, u + 1, c] - values[v, u - 1, c])
-                    out[v, u, 2 + c] = scale * (values[v + 1, u, c] - values[v - 1, u, c])
-    return out, kept
 
 
 @njit(cache=True, fastmath=True)
@@ -353,7 +330,7 @@ def _pull_back(relief, positions, jacobians, taps, shares, rows, columns, values
                 p += share * relief[v + dv, u + du, 0]
                 q += share * relief[v + dv, u + du, 1]
                 weight += share * relief[v + dv, u + du, 2]
-        if weight > _LEAST_WEIGHT:
+        if weight > LEAST_WEIGHT:
             jacobian[:] = 0.0
             for corner in range(4):
                 for c in range(4):
@@ -442,7 +419,7 @@ def _steps(terms, pixel, nodes):  # type: ignore[no-untyped-def]
             if k == 1:
                 x, y = -y, x
             power = terms[j, 3] * x * x + 2 * terms[j, 4] * x * y + terms[j, 5] * y * y
-            sure = value - chance * power
+            sure = value - chance * power - terms[j, 13]
             if sure <= 0 or power <= 0:
                 continue
             kept[j, k] = sure

@@ -8,6 +8,7 @@ orthographic camera a is the slope and G = I + a aᵀ.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import cv2
@@ -23,7 +24,12 @@ _STEEPEST = 0.15  # cosine to the viewing ray below which a slope is clamped, 81
 _GRAZING = 0.3  # cosine below which a slope weighs less, 73°: there it is mostly noise
 
 _EDGE_REACH_PX = 2  # of an edge that is off by a pixel, in a picture that is blurred by one
-_LEAST_WEIGHT = np.float32(1e-3)  # a weight is divided by
+_LEAST_DIVISOR = np.float32(1e-3)  # of what a weight is divided by
+LEAST_WEIGHT = 0.01  # of a pixel that counts
+_SIGMA_PX = 2.5  # of the Gaussian that is taken off a band
+_TAPS = 15  # to 3 sigma
+_TIMES = 3  # that it is: relief up to 16 px long passes, of a fold of 60 px a ten-thousandth is left
+_MOST_HALVINGS = 2
 _JUMP_SMOOTHING_PX = 1.5
 _JUMP_WINDOW_PX = 5
 _JUMP_RATIO = 1.8  # of the greatest weight in the window to the least
@@ -93,6 +99,24 @@ def metric_sums(
     return _metric_sums(slopes, positions, scale, node, count, _ray_terms(camera))
 
 
+def gradient_bands(
+    values: npt.NDArray[np.float32], weight: npt.NDArray[np.float32]
+) -> Iterator[tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.float32]]]:
+    """Yield, at full resolution and at halvings, slopes less their Gaussian mean, gradients and weight.
+
+    values: (h, w, 2) slopes times weight (h, w). Yields (h, w, 2), (h, w, 4) ∂/∂u and ∂/∂v of both slopes per
+    pixel of full resolution, and (h, w), 0 where a neighbour is missing.
+    """
+    values, weight = values.copy(), weight.copy()
+    for halvings in range(_MOST_HALVINGS + 1):
+        if halvings > 0 and min(weight.shape) < 8:
+            return
+        coarser = cv2.pyrDown(values), cv2.pyrDown(weight)
+        _high_pass(values, weight)
+        yield values, *_gradients(values, weight, np.float32(0.5 / 2.0**halvings))
+        values, weight = (np.asarray(image, dtype=np.float32) for image in coarser)
+
+
 def sample_image(image: FloatArray, positions_px: Points2) -> npt.NDArray[np.float64]:
     """Return (n, k) bilinear values of an image (h, w, k) at positions (n, 2), clamped to its border."""
     return _sample(np.ascontiguousarray(image), np.ascontiguousarray(positions_px, dtype=np.float64))
@@ -118,7 +142,7 @@ def beside_the_usual(weight: Weight, mask: Mask) -> Weight:
     """
     if not mask.any():
         return weight
-    inverse = 1.0 / np.maximum(weight, _LEAST_WEIGHT)
+    inverse = 1.0 / np.maximum(weight, _LEAST_DIVISOR)
     excess = np.maximum(inverse - np.median(inverse[mask]), 0.0)
     return np.asarray(1.0 / (1.0 + excess), dtype=np.float32)
 
@@ -275,3 +299,47 @@ def _sample_masked(image, mask, positions):  # type: ignore[no-untyped-def]
         if weight >= 0.5:
             out[i], valid[i] = total / weight, True
     return out, valid
+
+
+def _high_pass(values: npt.NDArray[np.float32], weight: npt.NDArray[np.float32]) -> None:
+    """Take the Gaussian mean off values (h, w, 2) premultiplied by weight (h, w), thrice; divide by it."""
+    share = cv2.GaussianBlur(weight, (_TAPS, _TAPS), _SIGMA_PX)
+    for _ in range(_TIMES):
+        _take_off(values, weight, share, cv2.GaussianBlur(values, (_TAPS, _TAPS), _SIGMA_PX))
+    _divide(values, weight)
+
+
+@njit(cache=True)
+def _take_off(values, weight, share, mean):  # type: ignore[no-untyped-def]
+    for v in range(weight.shape[0]):
+        for u in range(weight.shape[1]):
+            if weight[v, u] > 0:
+                factor = weight[v, u] / share[v, u]
+                values[v, u, 0] -= factor * mean[v, u, 0]
+                values[v, u, 1] -= factor * mean[v, u, 1]
+
+
+@njit(cache=True)
+def _divide(values, weight):  # type: ignore[no-untyped-def]
+    for v in range(weight.shape[0]):
+        for u in range(weight.shape[1]):
+            factor = np.float32(1.0) / max(weight[v, u], np.float32(1e-3))
+            values[v, u, 0] *= factor
+            values[v, u, 1] *= factor
+
+
+@njit(cache=True)
+def _gradients(values, weight, scale):  # type: ignore[no-untyped-def]
+    """Central differences (h, w, 4), and the weight where all four neighbours are there."""
+    h, w = weight.shape
+    out = np.zeros((h, w, 4), dtype=np.float32)
+    kept = np.zeros((h, w), dtype=np.float32)
+    for v in range(1, h - 1):
+        for u in range(1, w - 1):
+            least = min(weight[v, u], weight[v, u - 1], weight[v, u + 1], weight[v - 1, u], weight[v + 1, u])
+            if least > LEAST_WEIGHT:
+                kept[v, u] = least
+                for c in range(2):
+                    out[v, u, c] = scale * (values[v, u + 1, c] - values[v, u - 1, c])
+                    out[v, u, 2 + c] = scale * (values[v + 1, u, c] - values[v - 1, u, c])
+    return out, kept

@@ -8,6 +8,7 @@ expected error is that of the same problem (`fit_errors`).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -70,15 +71,19 @@ class SurfaceFit:
         normal_map: NormalMap,
         camera: Camera,
         labels: VisibilityLabels | None = None,
+        pattern: Sequence[FloatArray] = (),
     ) -> None:
-        """Prepare what hangs on the template alone; normal_map, labels: of its frame."""
+        """Prepare what hangs on the template alone; normal_map, labels: of its frame.
+
+        pattern: as `fixed_pattern` returns it.
+        """
         slopes = slopes_from_normals(normal_map, camera)
         figure, relief, contours = _seen(slopes, normal_map, labels)
         within = replace(template, edges=edges_beside(template.edges, template.pixels, contours))
         lattice = lattice_on_template(within, _CELL_PX)
         self._lattice, self._camera = lattice, camera
         self._outline = Outline(template, lattice, figure)
-        self._registration = TemplateRegistration(template, lattice, relief)
+        self._registration = TemplateRegistration(template, lattice, relief, pattern)
         self._lengths = LinkLengths(lattice, template, camera, slopes)
         self._jacobians = LocalJacobians(lattice, template.positions_px)
         self._system = LatticeSystem(self._lengths.links, lattice.count)

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
 
-from vntoolkit.arrays import Points, Points2, VisibilityLabels, read_only
+from vntoolkit.arrays import FloatArray, Points, Points2, VisibilityLabels, read_only
 from vntoolkit.checks import require_same_size
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
@@ -76,12 +76,13 @@ class SurfaceTracker:
         options: TrackingOptions | None = None,
         seams: Sequence[Points2] = (),
         labels: VisibilityLabels | None = None,
+        pattern: Sequence[FloatArray] = (),
     ) -> None:
         """Cut the template along the seams and prepare what every frame solves.
 
         template, depth: maps of the template frame. seams: polylines (k, 2) in its pixels. labels: (h, w),
-        bit k set where light k arrives; None where not known. Raises BadInput where no pixel is valid or a
-        seam leaves the mask.
+        bit k set where light k arrives; None where not known. pattern: of the sensor, by
+        `fixed_pattern`; empty for none. Raises BadInput where no pixel is valid or a seam leaves the mask.
         """
         self.options = options or TrackingOptions()
         self.camera = camera
@@ -90,7 +91,7 @@ class SurfaceTracker:
         self._solver: Solver | None = None
         told = None
         if self.options.method is Tracker.DEFAULT:
-            self._fit = SurfaceFit(self.template, template, camera, labels)
+            self._fit = SurfaceFit(self.template, template, camera, labels, pattern)
             told = np.zeros(len(self.template.pixels))
         else:
             self._solver = _solver(self.template, self.options)
