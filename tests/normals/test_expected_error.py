@@ -58,6 +58,22 @@ def test_an_error_of_m_is_seen_without_any_truth(rng):
         assert np.median(normal_map.error_deg) < 8 * np.median(error)
 
 
+@pytest.mark.parametrize("distance", [5.0, 10.0])
+def test_near_lamps_are_seen_without_any_truth(rng, distance):
+    """Point lamps a few half pictures away, under a rig that is right at the centre: light from two sides."""
+    towards = MATRIX / np.linalg.norm(MATRIX, axis=1, keepdims=True)
+    v, u = (np.mgrid[:240, :240] - 119.5) / 120
+    place = np.stack([u, v, np.zeros_like(u)], axis=-1)
+    to_lamp = distance * towards - place[..., None, :]
+    away = np.linalg.norm(to_lamp, axis=-1, keepdims=True)
+    lamps = np.linalg.norm(MATRIX, axis=1)[:, None] * to_lamp / away * (distance / away) ** 2
+    light = np.einsum("vuki,vui->vuk", lamps, waves()) + RESPONSE.ambient
+    normal_map, error = seen(np.maximum(light, 0) + rng.normal(0, 0.003, light.shape))
+    assert np.median(error) > 25 / distance
+    assert (error <= normal_map.error_deg).mean() > 0.9
+    assert np.median(normal_map.error_deg) < 2.5 * np.median(error)
+
+
 def test_clipped_painted_and_shadowed_pixels_are_doubted(rng):
     light = colours() + rng.normal(0, 0.003, (240, 240, 3))
     painted = light.copy()

@@ -1,14 +1,18 @@
 """How far off is each normal? The angle that nine of ten normals stay within, from the footage itself.
 
-Five independent errors add up in squares. Each is measured where it shows:
+Six independent errors add up in squares. Each is measured where it shows:
 
 - noise of every kind (shot, read, quantisation, codec) turns normals at random. A surface's slopes (p, q)
   have no curl; noise of standard deviation σ on both gives ∂p/∂v − ∂q/∂u, by central differences, that σ;
 - an error ΔM of the rig or of the material's colour moves M⁻¹r from the unit sphere onto an ellipsoid,
   |M⁻¹r| ≈ 1 + nᵀE n with E the symmetric part of M⁻¹ΔM. The ellipsoid that fits the frame tells E, and E the
   turn of every normal, but for the rotation in M⁻¹ΔM, which leaves no trace;
+- under near lamps M is right at the picture's centre only. A lamp in the direction l at the distance d has at
+  a place δ beside the centre, to first order, the direction times strength l + (3 l (l·δ) − δ) / d. That
+  changes the length of M⁻¹r with the place and the direction, which tells d of each lamp;
 - the rig's own residual is what its calibration could not explain;
-- what departs from the ellipsoid at one pixel is another paint, gloss, saturation, or light from elsewhere;
+- what departs from the ellipsoid at a pixel or beside it is relief finer than pixels, another paint, gloss,
+  saturation, or light from elsewhere;
 - where a light is missing the normal rests on its surroundings. A channel that is nearly dark may be such a
   place that no label tells of.
 """
@@ -45,9 +49,10 @@ from vntoolkit.photometry.transfer import Transfer
 # Nine of ten angles of a two-dimensional normal distribution lie within √(2 ln 10) standard deviations.
 NINE_OF_TEN = 2.146
 # The bounds of nine of ten pixels over each measured error, fitted on the package's own simulated scenes.
-_OF_ELLIPSOID = 3.6  # also stands for the rotation, which leaves no trace
+_OF_ELLIPSOID = 3.4  # also stands for the rotation, which leaves no trace
+_OF_NEARNESS = 1.3
 _OF_RESIDUAL = 1.1  # of a median
-_OF_LENGTH = 2.8  # radians over log length
+_OF_LENGTH = 2.5  # radians over log length
 _BY_LIGHTS_DEG = (46.0, 34.0, 31.0, 0.0)  # of a pixel that 0, 1, 2, 3 lights reach
 _DARK_CHANNEL_DEG = 20.0  # of a pixel with a channel without light, which falls …
 _DARK_CHANNEL = 0.45  # … to 0 at this share of the channel's largest value
@@ -56,18 +61,23 @@ _LARGEST_DEG = np.float32(71.6)
 _HALF_WEIGHT_DEG = 12.0
 _CELL = NOISE_CELL_PX  # noise changes slowly: one row of every cell tells it
 _WIDER = 2  # cells around one that are asked where its neighbours know nothing
+_BESIDE_PX = 2  # to either side: one departure is a poor sample of how far normals depart there
 _LEAST_FACING = np.float32(0.1)
 _SAMPLES = 1000
 _MOST_PER_KNOWN = 20  # places of the grid that are looked at for a sample
 _ROUNDS = 4
 _ELLIPSOID_SPREAD = 0.05  # prior standard deviation of E's entries …
-_FALLOFF_SPREAD = 0.1  # … and of the slow change of brightness over the image that near lamps make
+_FALLOFF_SPREAD = 0.1  # … of the slow change of brightness over the image …
+_NEARNESS_SPREAD = 0.3  # … and of half the picture's larger side over a lamp's distance
+_TERMS = 14
+_PRIOR = np.repeat([0.0, _ELLIPSOID_SPREAD**-2, _FALLOFF_SPREAD**-2, _NEARNESS_SPREAD**-2], [1, 5, 5, 3])
 _INDEPENDENT = 100  # of the samples: neighbours share their errors
 _SHORTEST, _LONGEST = np.float32(1e-6), np.float32(1e18)  # lengths whose squares float32 holds
 
 # The same, as the loops need it: squared, in degrees.
 _PER_NOISE = np.float32(np.degrees(NINE_OF_TEN) ** 2)
 _PER_TURN = np.float32(np.degrees(_OF_ELLIPSOID) ** 2)
+_PER_NEARNESS = np.float32(np.degrees(_OF_NEARNESS) ** 2)
 _PER_DEPARTURE = np.float32(np.degrees(_OF_LENGTH) ** 2)
 _PER_FALL = np.float32(_DARK_CHANNEL_DEG**2)
 _PER_DARK_CHANNEL = np.float32(1.0 / _DARK_CHANNEL)
@@ -161,7 +171,8 @@ class _Coefficients(NamedTuple):
 
     inverse: M⁻¹, (3, 3). ambient: (3,). channel: 1 / |row of M|, (3,). rays: (6,), an affine map from a pixel
     to its ray. along: variance of equal noise in all channels along a normal that faces the camera, over that
-    across it. darkest: length of M⁻¹(r − a) below which a pixel is black.
+    across it. darkest: length of M⁻¹(r − a) below which a pixel is black. nearness: (2, 3, 3, 3), M⁻¹ΔM a
+    step to the right or down makes with each lamp, times the lamp's distance over the step.
     """
 
     inverse: Any
@@ -170,6 +181,7 @@ class _Coefficients(NamedTuple):
     rays: Any
     along: np.float32
     darkest: np.float32
+    nearness: Any
 
 
 def _coefficients(
@@ -182,6 +194,10 @@ def _coefficients(
     spread = response.inverse @ response.inverse.T
     along = 2.0 * spread[2, 2] / max(float(np.trace(spread) - spread[2, 2]), 1e-12)
     rows = np.maximum(np.linalg.norm(response.matrix, axis=1) * relative_albedo, 1e-9)
+    lights, directions = response.lights, response.light_directions
+    strengths = np.linalg.norm(lights, axis=1)[:, None]
+    changes = 3 * directions.T[:2, :, None] * directions - np.eye(3)[:2, None]  # (2, lamp, 3)
+    nearness = np.einsum("ik,akj->akij", np.linalg.inv(lights), strengths * changes)
     return _Coefficients(
         inverse=(response.inverse / relative_albedo).astype(np.float32),
         ambient=response.ambient.astype(np.float32),
@@ -189,6 +205,7 @@ def _coefficients(
         rays=rays.astype(np.float32),
         along=np.float32(along),
         darkest=np.float32(darkest),
+        nearness=nearness,
     )
 
 
@@ -203,11 +220,11 @@ def _evidence(
     cells = tuple(-(-n // _CELL) for n in mask.shape)
     found, noise = np.zeros((2, *cells), np.float32), np.empty(cells, np.float32)
     _curl_kernel(rows_of(light.image), light.table, mask, c, found)
-    rows, ellipsoid = np.empty((cells[0], mask.shape[1]), np.float32), np.empty(7)
+    rows, ellipsoid = np.empty((cells[0], mask.shape[1]), np.float32), np.empty(25)
     _whole_frame_kernel(light, mask, labels, c, found, noise, rows, ellipsoid)
     fixed = (_OF_RESIDUAL * max(residual_deg, 0.0)) ** 2
     by_noise = 2.0 * c.along  # of a squared departure: what noise rarely makes
-    constants = np.concatenate([c.inverse.ravel(), c.ambient, c.channel, ellipsoid, (fixed, by_noise)])
+    constants = np.concatenate([c.inverse.ravel(), c.ambient, c.channel, (fixed, by_noise), ellipsoid])
     return np.sqrt(_PER_NOISE * noise), rows, constants.astype(np.float32)
 
 
@@ -239,19 +256,20 @@ def _whole_frame_kernel(
     samples = np.empty((5, -(-mask.shape[0] // step) * -(-mask.shape[1] // step)))
     image, table, clipped, white = light
     count = _samples_kernel(image, table, clipped, white, mask, labels, c, step, samples)
-    _fit_ellipsoid(samples[:, :count], max(mask.shape) / 2, ellipsoid)
+    _fit_ellipsoid(samples[:, :count], mask.shape, c.nearness, ellipsoid)
 
 
 @njit(cache=True, fastmath=FLAGS | {"reassoc"}, error_model="numpy")
-def _fit_ellipsoid(samples: Any, half: float, found: Any) -> None:
-    """Fill e00, e01, e02, e11, e12, e22, without trace, and 1 / albedo of |M⁻¹(r − a)| = albedo (1 + nᵀE n).
+def _fit_ellipsoid(samples: Any, shape: tuple[int, int], nearness: Any, found: Any) -> None:
+    """Fill 1 / albedo, e00, e01, e02, e11, e12, e22 of |M⁻¹(r − a)| = albedo (1 + nᵀ(E + u U + v V) n), U, V.
 
-    Regress the log length of M⁻¹(r − a) on the normal's squares, robustly; near lamps fall off besides.
-    samples: (5, n), M⁻¹(r − a) and the place u, v. half: of the image's larger side.
+    Regress the log length of M⁻¹(r − a) on the normal's squares and on what near lamps make of them,
+    robustly; brightness that changes slowly over the image counts besides. samples: (5, n), M⁻¹(r − a) and
+    the place u, v. shape: of the image. E, symmetric and without trace, is that of the picture's centre.
     """
     count = samples.shape[1]
-    design = np.ones((12, count))  # what to regress on, and the log length
-    logs = design[11]
+    design = np.ones((_TERMS + 1, count))  # what to regress on, and the log length
+    logs = design[_TERMS]
     for i in range(count):
         x, y, z = samples[0, i], samples[1, i], samples[2, i]
         square = x * x + y * y + z * z
@@ -259,9 +277,10 @@ def _fit_ellipsoid(samples: Any, half: float, found: Any) -> None:
         design[1, i], design[2, i] = (x * x - z * z) / square, (y * y - z * z) / square
         design[3, i], design[4, i], design[5, i] = 2 * x * y / square, 2 * x * z / square, 2 * y * z / square
     found[:] = 0.0
-    found[6] = np.exp(-np.median(logs)) if count else 1.0
+    found[0] = np.exp(-np.median(logs)) if count else 1.0
     if count < 2 * _INDEPENDENT:
         return
+    half, middle_u, middle_v = max(shape[0], shape[1]) / 2, (shape[1] - 1) / 2, (shape[0] - 1) / 2
     u_0, v_0 = samples[3].mean(), samples[4].mean()
     for i in range(count):
         s, t = (samples[3, i] - u_0) / half, (samples[4, i] - v_0) / half
@@ -269,24 +288,32 @@ def _fit_ellipsoid(samples: Any, half: float, found: Any) -> None:
         design[8, i], design[9, i], design[10, i] = s * s, t * t, s * t
     for k in range(6, 11):
         design[k] -= design[k].mean()
-    worth, left, best = np.ones(count), np.empty(count), np.empty(11)
-    spread, normal = max(logs.std(), 1e-3), np.empty((11, 12))
+    for k in range(3):
+        for i in range(count):
+            s, t = (samples[3, i] - middle_u) / half, (samples[4, i] - middle_v) / half
+            total = 0.0
+            for row in range(3):
+                for column in range(3):
+                    change = s * nearness[0, k, row, column] + t * nearness[1, k, row, column]
+                    total += change * samples[row, i] * samples[column, i]
+            design[11 + k, i] = total * np.exp(-2 * logs[i])
+    worth, left, best = np.ones(count), np.empty(count), np.empty(_TERMS)
+    spread, normal = max(logs.std(), 1e-3), np.empty((_TERMS, _TERMS + 1))
     weighted = np.empty(count)
     for _ in range(_ROUNDS):
         scale = _INDEPENDENT / count / spread**2
-        for j in range(11):
+        for j in range(_TERMS):
             for i in range(count):
                 weighted[i] = scale * worth[i] * design[j, i]
-            for k in range(j, 12):
+            for k in range(j, _TERMS + 1):
                 other, total = design[k], 0.0
                 for i in range(count):
                     total += weighted[i] * other[i]
                 normal[j, k] = total
-        for k in range(1, 11):
-            normal[k, k] += (_ELLIPSOID_SPREAD if k < 6 else _FALLOFF_SPREAD) ** -2
+            normal[j, j] += _PRIOR[j]
         _solve_symmetric(normal, best)
         left[:] = logs
-        for k in range(11):
+        for k in range(_TERMS):
             for i in range(count):
                 left[i] -= best[k] * design[k, i]
         for i in range(count):
@@ -294,9 +321,15 @@ def _fit_ellipsoid(samples: Any, half: float, found: Any) -> None:
         spread = 1.48 * np.median(left) + 1e-3
         for i in range(count):
             worth[i] = 1.0 / (1.0 + (left[i] / (2 * spread)) ** 2)
-    found[0], found[1], found[2] = best[1], best[3], best[4]
-    found[3], found[4], found[5] = best[2], best[5], -best[1] - best[2]
-    found[6] = np.exp(-best[0])
+    found[0] = np.exp(-best[0])
+    found[1], found[2], found[3] = best[1], best[3], best[4]
+    found[4], found[5], found[6] = best[2], best[5], -best[1] - best[2]
+    for axis in range(2):
+        for k in range(3):
+            for row in range(3):
+                for column in range(3):
+                    change = best[11 + k] * nearness[axis, k, row, column] / half
+                    found[7 + 9 * axis + 3 * row + column] += change
 
 
 @njit(cache=True)
@@ -491,19 +524,38 @@ def _noise_row(noise: Any, v: int, first: int, row: Any) -> None:
 
 
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")
+def _nearness_at(shape: Any, k: Any, u: int, v: int) -> Any:
+    """Return M⁻¹ΔM of near lamps at a pixel, (9,)."""
+    right, down = (
+        np.float32(u) - np.float32(0.5) * (shape[1] - 1),
+        np.float32(v) - np.float32(0.5) * (shape[0] - 1),
+    )
+    found = np.empty(9, np.float32)
+    for i in range(9):
+        found[i] = np.float32(right) * k[24 + i] + np.float32(down) * k[33 + i]
+    return found
+
+
+@njit(cache=True, fastmath=FLAGS, error_model="numpy")
 def _bound_row(
-    r: Any, g: Any, b: Any, unlit: Any, noise: Any, inside: Any, k: Any, length: Any, bound: Any, weight: Any
+    r: Any, g: Any, b: Any, unlit: Any, noise: Any, inside: Any, k: Any, m: Any, length: Any, bound: Any,
+    weight: Any,
 ) -> None:  # fmt: skip
     """Turn a row of colours into unit normals, in place, and fill their length, their bound and its weight.
 
-    unlit: squared bound of pixels that not all lights reach, else 0.
+    unlit: squared bound of pixels that not all lights reach, else 0. m: M⁻¹ΔM of near lamps at the first
+    pixel, (9,).
     """
     zero, half, one = np.float32(0.0), np.float32(0.5), np.float32(1.0)
     i00, i01, i02, i10, i11, i12, i20, i21, i22 = k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7], k[8]
     a0, a1, a2, c0, c1, c2 = k[9], k[10], k[11], k[12], k[13], k[14]
-    e00, e01, e02, e11, e12, e22 = k[15], k[16], k[17], k[18], k[19], k[20]
-    inverse_albedo, fixed, by_noise = k[21], k[22], k[23]
-    for u in range(len(r)):  # without a branch: eight pixels at a time
+    fixed, by_noise, inverse_albedo = k[15], k[16], k[17]
+    e00, e01, e02, e11, e12, e22 = k[18], k[19], k[20], k[21], k[22], k[23]
+    m0, m1, m2, m3, m4, m5, m6, m7, m8 = m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]
+    s0, s1, s2, s3, s4, s5, s6, s7, s8 = k[24], k[25], k[26], k[27], k[28], k[29], k[30], k[31], k[32]
+    count = len(r)
+    departures, rest = np.zeros(count + 2 * _BESIDE_PX, np.float32), np.empty(count, np.float32)
+    for u in range(count):  # without a branch: eight pixels at a time
         red, green, blue = r[u] - a0, g[u] - a1, b[u] - a2
         x = i00 * red + i01 * green + i02 * blue
         y = i10 * red + i11 * green + i12 * blue
@@ -521,18 +573,32 @@ def _bound_row(
         t2 = e02 * x + e12 * y + e22 * z
         along = t0 * x + t1 * y + t2 * z
         turn = max(t0 * t0 + t1 * t1 + t2 * t2 - along * along, zero)
-        foretold = max(one + along, _LEAST_FACING)
+        at = np.float32(u)
+        n0 = (m0 + at * s0) * x + (m1 + at * s1) * y + (m2 + at * s2) * z
+        n1 = (m3 + at * s3) * x + (m4 + at * s4) * y + (m5 + at * s5) * z
+        n2 = (m6 + at * s6) * x + (m7 + at * s7) * y + (m8 + at * s8) * z
+        longer = n0 * x + n1 * y + n2 * z
+        near = max(n0 * n0 + n1 * n1 + n2 * n2 - longer * longer, zero)
+        foretold = max(one + along + longer, _LEAST_FACING)
         measured = max(size * inverse_albedo, _SHORTEST)
         departure = abs(measured * measured - foretold * foretold) / (measured * foretold) * half
         departure = min(departure, one)  # sinh of the log length
-        own = max(departure * departure - by_noise * noise[u], zero)
-        local = _PER_DEPARTURE * own + _PER_FALL * fall * fall
-        total = fixed + _PER_TURN * turn + (local if unlit[u] == zero else unlit[u])
-        angle = min(np.sqrt(total + _PER_NOISE * noise[u]), _LARGEST_DEG) if seen else _LARGEST_DEG
+        departures[u + _BESIDE_PX] = departure * departure if seen else zero
+        rest[u] = fixed + _PER_TURN * turn + _PER_NEARNESS * near + _PER_NOISE * noise[u]
+        rest[u] += _PER_FALL * fall * fall
+        r[u], g[u], b[u], length[u] = x, y, z, size
+    share_of_one = one / np.float32(2 * _BESIDE_PX + 1)
+    for u in range(count):
+        around = departures[u]
+        for i in range(1, 2 * _BESIDE_PX + 1):
+            around += departures[u + i]
+        departure = max(departures[u + _BESIDE_PX], around * share_of_one)
+        own = max(departure - by_noise * noise[u], zero)
+        total = rest[u] + (_PER_DEPARTURE * own if unlit[u] == zero else unlit[u])
+        angle = min(np.sqrt(total), _LARGEST_DEG) if length[u] > _SHORTEST else _LARGEST_DEG
         share = angle * _PER_HALF_WEIGHT
         bound[u] = angle if inside[u] else zero
         weight[u] = one / (one + share * share) if inside[u] else zero
-        r[u], g[u], b[u], length[u] = x, y, z, size
 
 
 @njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
@@ -557,8 +623,9 @@ def _error_kernel(
         _noise_row(noise, np.int64(v), first, row_noise)
         read_row(rgb[v, 3 * first : 3 * last], None, r, g, b)
         _bound_row(
-            r, g, b, unlit, row_noise, mask[v, first:last], constants, length,
-            error[v, first:last], weight[v, first:last],
+            r, g, b, unlit, row_noise, mask[v, first:last], constants,
+            _nearness_at(mask.shape, constants, first, v), length, error[v, first:last],
+            weight[v, first:last],
         )  # fmt: skip
 
 
@@ -583,7 +650,8 @@ def _normals_and_errors_kernel(
             count += top
             good[u] = mask[v, u] & ((not top) | (clipped_factor > zero))
         clipped[v] = count
-        _bound_row(r, g, b, unlit, row_noise, good, constants, length, error[v], weight[v])
+        near = _nearness_at(mask.shape, constants, 0, v)
+        _bound_row(r, g, b, unlit, row_noise, good, constants, near, length, error[v], weight[v])
         to_error, to_weight, to_valid, to_normals = error[v], weight[v], valid[v], normals[v]
         for u in range(width):
             kept = good[u] & (length[u] > darkest) & (length[u] < _LONGEST) & (b[u] < zero)
