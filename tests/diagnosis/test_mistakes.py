@@ -1,12 +1,14 @@
 """Each mistake that ruins normals without failing is found, its remedy named, and none is invented."""
 
+import cv2
 import numpy as np
 import pytest
 
 from tests.faults.simulated_captures import random_response
 from vntoolkit.diagnosis.checks import findings_from_evidence, findings_from_rig
-from vntoolkit.diagnosis.evidence import evidence_from_frames
+from vntoolkit.diagnosis.evidence import FEW_PIXELS, PIXELS_BETWEEN_SEAMS, evidence_from_frames
 from vntoolkit.diagnosis.finding import FatalFinding, Finding, Level, judge
+from vntoolkit.diagnosis.inspection import findings_from_frames
 from vntoolkit.diagnosis.outline import check_cast_shadows
 from vntoolkit.diagnosis.over_time import check_flicker, findings_from_motion, findings_from_tracks
 from vntoolkit.diagnosis.rig_checks import check_residual, check_stated_focal, check_zoom
@@ -78,6 +80,43 @@ def test_where_paint_leaves_no_surface_it_is_noted_that_m_was_not_checked(seed):
         noted = [finding for finding in found if finding.check == "relatives"]
         assert [finding.level for finding in noted] == [Level.NOTE], found
         assert "could not be checked" in noted[0].problem
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_two_spots_name_no_mistake(seed):
+    """Between seams that are left out, a few pixels in two places say nothing, however well they agree."""
+    light, inside, response = _shot(seed)
+    v, u = np.mgrid[:H, :W]
+    seen = u % 10 < 5
+    for middle in (60, 140):
+        seen |= np.hypot(u - middle, v - 75) < 11
+    spots = np.where(seen[..., None], light, 1.0)
+    found = _findings(spots, response.matrix @ _turned(40), mask=inside)
+    assert all(finding.level is Level.NOTE for finding in found), found
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_patches_between_seams_tell_a_mirrored_axis_where_they_are_averaged_less(seed):
+    light, inside, response = _shot(seed)
+    factor = 4
+    large = cv2.resize(light.astype(np.float32), (factor * W, factor * H))
+    v, u = np.mgrid[: factor * H, : factor * W]
+    seam = (u % 40 < 11) | (v % 40 < 11)
+    frame = LinearFrame(rgb=large, clipped=seam)
+    mask = cv2.resize(inside.astype(np.uint8), large.shape[1::-1], interpolation=cv2.INTER_NEAREST) > 0
+
+    def named(most_pixels, change):
+        rig = Rig(
+            camera=Camera.orthographic(width=factor * W, height=factor * H),
+            response=LightResponse(matrix=response.matrix @ change),
+        )
+        found = findings_from_frames([frame], rig, Transfer(), mask, most_pixels)
+        return any("axis mirrored" in finding.text for finding in found if finding.level is not Level.NOTE)
+
+    mirrored = np.diag([-1, 1, 1])
+    assert named(PIXELS_BETWEEN_SEAMS, mirrored)
+    assert not named(PIXELS_BETWEEN_SEAMS, np.eye(3))
+    assert not named(FEW_PIXELS, mirrored)
 
 
 def _turned(degrees):

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from tests.pipeline.test_reconstruct import digest
-from vntoolkit.diagnosis.finding import Finding, Level
 from vntoolkit.errors import BadInput
 from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.geometry.camera import Camera
@@ -24,7 +23,7 @@ from vntoolkit.pipeline import measured_materials
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.options import MaterialSearch, Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
-from vntoolkit.pipeline.reconstruct import _judged_through_paints, reconstruct
+from vntoolkit.pipeline.reconstruct import reconstruct
 from vntoolkit.pipeline.referenced_captures import read_capture
 from vntoolkit.shadows.detector import ShadowMethod
 
@@ -185,16 +184,3 @@ def test_a_number_is_refused_where_the_lamps_colours_are_not_known(striped: Reco
     assert not job.folder.root.exists()
     with pytest.raises(BadInput, match="expected auto, calibrated or a number from 1 to 12, got 0"):
         ReconstructOptions(materials=0)
-
-
-@pytest.mark.parametrize(("level", "milder"), [("fatal", "warning"), ("warning", "note"), ("note", "note")])
-def test_what_is_told_of_m_through_found_paints_is_a_level_milder(level: str, milder: str) -> None:
-    """Paints that are told wrong tilt normals as turned lamps do: they must not stop a run."""
-    finding = Finding(
-        check="relatives", level=Level(level), problem="a", measured="1", expected="2", remedy="b"
-    )
-    judged = _judged_through_paints(finding)
-    assert judged.level is Level(milder)
-    assert ("--materials N" in judged.remedy) == (level != "note")
-    other = replace(finding, check="mask")
-    assert _judged_through_paints(other) is other

@@ -11,7 +11,12 @@ import numpy as np
 from vntoolkit.arrays import Mask
 from vntoolkit.checks import require_positive
 from vntoolkit.diagnosis.checks import findings_from_evidence, findings_from_rig
-from vntoolkit.diagnosis.evidence import averaged_down, evidence_from_frames
+from vntoolkit.diagnosis.evidence import (
+    FEW_PIXELS,
+    PIXELS_BETWEEN_SEAMS,
+    averaged_down,
+    evidence_from_frames,
+)
 from vntoolkit.diagnosis.finding import Finding, Level
 from vntoolkit.diagnosis.over_time import (
     FRAMES_IN_A_ROW,
@@ -352,10 +357,10 @@ def findings_from_capture(
         if (width, height) != rig.footage_size:
             return [*findings, *findings_from_rig(rig), _other_size(width, height, rig)]
         places = sorted({0, len(frames) // 2, len(frames) - 1})
-        few = [small[k] for k in places]
+        few, most = [small[k] for k in places], FEW_PIXELS
         if in_one_material is not None and rig.gel is None:
-            few = [in_one_material(frames[k]) for k in places]
-        findings += findings_from_frames(few, rig, capture.transfer, mask)
+            few, most = [in_one_material(frames[k]) for k in places], PIXELS_BETWEEN_SEAMS
+        findings += findings_from_frames(few, rig, capture.transfer, mask, most)
         if rig.gel is not None:
             return findings
     findings += findings_from_drift(small)
@@ -365,12 +370,19 @@ def findings_from_capture(
 
 
 def findings_from_frames(
-    frames: Sequence[LinearFrame], rig: Rig, transfer: Transfer, mask: Mask | None = None
+    frames: Sequence[LinearFrame],
+    rig: Rig,
+    transfer: Transfer,
+    mask: Mask | None = None,
+    most_pixels: int = FEW_PIXELS,
 ) -> list[Finding]:
-    """Check a rig and a few frames of its size, read with `transfer`, by all that `checks` lists."""
+    """Check a rig and a few frames of its size, read with `transfer`, by all that `checks` lists.
+
+    most_pixels: that frames are averaged down to.
+    """
     findings = findings_from_rig(rig)
     if rig.gel is None:  # the response of a gel is to changes, which the checks do not look at
-        evidence = evidence_from_frames(frames, rig, transfer, mask)
+        evidence = evidence_from_frames(frames, rig, transfer, mask, most_pixels)
         if min(evidence.light.shape[1:3]) >= _NARROWEST_PX:
             findings += findings_from_evidence(evidence)
     return findings

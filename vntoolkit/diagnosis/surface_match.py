@@ -151,7 +151,9 @@ def check_relatives(evidence: Evidence) -> list[Finding]:
     as_calibrated = _Reading.of("as calibrated", "", own)
     if as_calibrated.leaves_no_doubt(own):
         return []
-    better = [r for r in _relatives(evidence, own) if r.explains_better(as_calibrated)]
+    better = []
+    if own.pixels >= _FEWEST_PIXELS or own.front_share < 0.5:
+        better = [r for r in _relatives(evidence, own) if r.explains_better(as_calibrated)]
     if better:
         return [_finding(as_calibrated, sorted(better, key=lambda reading: reading.misfit))]
     if own.front_share >= 0.5:
@@ -195,7 +197,9 @@ def agreement_of(evidence: Evidence, mix: Matrix3) -> float:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Sums:
-    """Sums over blocks (b, 10): α² (2), |α|², β² (2), |β|², facing, all, departure of log length, count."""
+    """Sums over blocks (b, 10): α² (2), |α|², β² (2), |β|², facing, all, departure of log length of those
+    that face the camera, pixels with an α.
+    """
 
     blocks: FloatArray
 
@@ -223,6 +227,11 @@ class _Sums:
     def left_out(self) -> FloatArray:
         """(b, 10), each without one block."""
         return self.total - self.blocks
+
+    @property
+    def pixels(self) -> int:
+        """How many tell whether mixed derivatives agree."""
+        return int(self.blocks[:, 9].sum())
 
     @property
     def front_share(self) -> float:
@@ -282,10 +291,11 @@ def _block_sums(
     )
     for k, column in enumerate(columns):
         sums[:, k] = np.bincount(blocks, column, count)
-    sums[:, 6] = sums[:, 9] = np.bincount(evidence.blocks[front], minlength=count)
+    sums[:, 6] = np.bincount(evidence.blocks[front], minlength=count)
     sums[:, 7] = np.bincount(evidence.blocks[covered], minlength=count)
     departure = np.minimum(np.abs(logs[front] - centre), 1.0)
     sums[:, 8] = np.bincount(evidence.blocks[front], departure, count)
+    sums[:, 9] = np.bincount(blocks, minlength=count)
     return sums
 
 
@@ -316,7 +326,7 @@ class _Reading:
         if turned:
             squares = np.hypot(rows[:, 0], rows[:, 1])
         agreements = squares / np.maximum(powers, 1e-12)
-        spread = rows[:, 8] / np.maximum(rows[:, 9], 1.0)
+        spread = rows[:, 8] / np.maximum(rows[:, 6], 1.0)
         facing = rows[:, 6] / np.maximum(rows[:, 7], 1.0)
         misfits = np.log(1.05 - agreements) + np.log(spread + 0.03) - np.log(facing + 0.01)
         return cls(

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from vntoolkit.arrays import Mask
-from vntoolkit.diagnosis.finding import Finding, Level, judge
+from vntoolkit.diagnosis.finding import Finding, judge
 from vntoolkit.diagnosis.inspection import findings_from_capture
 from vntoolkit.errors import BadCapture, BadInput, VntError
 from vntoolkit.io.atomic import remove_numbered, require_apart, sole_writer, write_text
@@ -272,22 +272,11 @@ def _require_plausible(
     try:
         mask, numbers = mattes.judged(capture, numbers)
         findings = findings_from_capture(capture, rig, mask, numbers, _in_one_material(job, mask))
-        if len(job.reflectances) > 1:
-            findings = [_judged_through_paints(each) for each in findings]
     except BadCapture as problem:  # a bad frame is reported when its turn comes
         logger.debug("plausibility not checked: %s", problem)
         return []
     judge(findings, job.allow)
     return findings
-
-
-def _judged_through_paints(finding: Finding) -> Finding:
-    """Return a finding about M a level milder: paints that are told wrong tilt normals as turned lamps do."""
-    milder = {Level.FATAL: Level.WARNING, Level.WARNING: Level.NOTE}
-    if finding.check != "relatives" or finding.level not in milder:
-        return finding
-    doubt = "or the materials that were found are wrong: compare with --materials N, or film one colour"
-    return replace(finding, level=milder[finding.level], remedy=f"{finding.remedy}; {doubt}")
 
 
 def _in_one_material(
