@@ -227,7 +227,8 @@ def test_a_surface_may_slip_behind_an_occluding_contour_and_hangs_together_elsew
         still = template.positions_px
         around = LocalJacobians(lattice, still).of(still)
         known = np.ones(lattice.count)
-        _, variance, torn, _ = lengths.guessed(still, around, slopes, flat_depth(mask), 0 * known, known)
+        guess = lengths.guessed(still, around, slopes, flat_depth(mask), 0 * known, known)
+        variance, torn = guess.variance, guess.torn
         across = np.abs(lengths.along[:, 0]) > 4
         middle = across & (np.abs(lengths.centres[lengths.links].mean(axis=1)[:, 0] - 56) < 5)
         if name.startswith("contour"):

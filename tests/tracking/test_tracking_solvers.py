@@ -157,7 +157,7 @@ def test_expected_errors_are_the_covariance_of_the_problem_where_measurements_de
     none = np.zeros((len(weight), 2, 3))
     solution = system.solve(information, np.zeros((lattice.count, 2)), weight, steps, none, 1.0)
     square = errors.square(
-        solution, [], information, weight**-0.5, none, none[:, :, 0], np.zeros(lattice.count)
+        solution, [], information, weight**-0.5, none, none[:, :, :1], np.zeros(lattice.count)
     )
     expected = np.trace(np.linalg.inv([[4.0, 1.0], [1.0, 2.0]]))
     assert square.mean() == pytest.approx(expected, rel=0.1)  # of some 100 nodes with 16 samples each
@@ -177,7 +177,7 @@ def test_less_strain_than_given_is_expected_where_less_is_left(template) -> None
         solution = system.solve(information, pull, weight, steps, none, 1.0)
         told.append(
             errors.square(
-                solution, [], information, weight**-0.5, none, none[:, :, 0], np.zeros(lattice.count)
+                solution, [], information, weight**-0.5, none, none[:, :, :1], np.zeros(lattice.count)
             )
         )
     between = held == 0
@@ -196,7 +196,7 @@ def test_where_relief_does_not_match_strain_counts_as_given_though_less_is_left_
     )
     upper = lattice.cells[:, 1] < np.median(lattice.cells[:, 1])
     all_match, upper_does_not = (
-        errors.square(solution, [], information, weight**-0.5, none, none[:, :, 0], mismatched)
+        errors.square(solution, [], information, weight**-0.5, none, none[:, :, :1], mismatched)
         for mismatched in (np.zeros(lattice.count), upper.astype(float))
     )
     between = held == 0
@@ -317,7 +317,9 @@ def test_which_of_two_guesses_holds_is_one_doubt_for_all_links_and_what_is_held_
         information, np.zeros((lattice.count, 2)), weight, steps, none, 1.0
     )
     sure, doubted = (
-        errors.square(solution, [], information, weight**-0.5, none, doubt, np.zeros(lattice.count))
+        errors.square(
+            solution, [], information, weight**-0.5, none, doubt[:, :, None], np.zeros(lattice.count)
+        )
         for doubt in (steps, 0.1 * lengths.along)  # a tenth of every length
     )
     expected = np.square(0.1 * (lengths.centres - lengths.centres[column == column.min()].mean(axis=0))[:, 0])

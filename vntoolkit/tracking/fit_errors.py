@@ -75,7 +75,7 @@ class FitErrors:
         """Return (nodes,) the expected squared error, px².
 
         windows: in pixels of the frame, as the information (nodes, 3) of the outline. sd: (links,) standard
-        deviation of the steps. uniform: (links, 2, 3) as solved with. doubt: (links, 2) as guessed.
+        deviation of the steps. uniform: (links, 2, 3) as solved with. doubt: (links, 2, k) as guessed.
         mismatched: (nodes,) from 0 to 1, how far relief that should match does not.
         """
         measured = np.einsum("nij,njk->nik", cholesky(outline), self._outline)
@@ -83,7 +83,7 @@ class FitErrors:
             measured += np.einsum("nij,njk->nik", cholesky(each.information), drawn)
         size = sd[:, None, None]
         straight = np.zeros_like(self._local)
-        given = np.concatenate([size * self._slow, STRAIN * uniform, doubt[:, :, None]], axis=2)
+        given = np.concatenate([size * self._slow, STRAIN * uniform, doubt], axis=2)
         shared = [
             each.slide_px[:, None, None] * each.information[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
             for each in windows[1:]

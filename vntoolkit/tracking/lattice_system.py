@@ -24,12 +24,14 @@ class LatticeSystem:
         """Order the unknowns; links (e, 2) between count nodes."""
         m, (a, b) = count, links.T
         self.links, self.count = links, m
-        order = _least_fill(links, m)
+        order = least_fill(links, m)
         i = np.arange(m)
-        self._by_node = _Pattern(order, [i, a, b], [i, b, a])
+        self._by_node = LatticePattern(order, [i, a, b], [i, b, a])
         rows = [2 * i, 2 * i, 2 * i + 1, 2 * i + 1, 2 * a, 2 * b, 2 * a + 1, 2 * b + 1]
         columns = [2 * i, 2 * i + 1, 2 * i, 2 * i + 1, 2 * b, 2 * a, 2 * b + 1, 2 * a + 1]
-        self._by_direction = _Pattern(np.stack([2 * order, 2 * order + 1], axis=1).ravel(), rows, columns)
+        self._by_direction = LatticePattern(
+            np.stack([2 * order, 2 * order + 1], axis=1).ravel(), rows, columns
+        )
 
     def solve(
         self,
@@ -69,7 +71,7 @@ class LatticeSystem:
         return np.asarray(np.bincount(a, first, count) + np.bincount(b, second, count), dtype=np.float64)
 
 
-def _least_fill(links: IntArray, count: int) -> npt.NDArray[np.int64]:
+def least_fill(links: IntArray, count: int) -> npt.NDArray[np.int64]:
     """Return the nodes (count,) in an order of elimination by least degree, as SuperLU finds it (`liu1985`).
 
     It fills in a third less than nested dissection on these small grids, and is sought once.
@@ -82,7 +84,7 @@ def _least_fill(links: IntArray, count: int) -> npt.NDArray[np.int64]:
     return np.argsort(factor.perm_c).astype(np.int64)
 
 
-class _Pattern:
+class LatticePattern:
     """Where the entries of a symmetric matrix go, in the order of elimination (n,)."""
 
     def __init__(self, order: IntArray, rows: list[IntArray], columns: list[IntArray]) -> None:
@@ -95,6 +97,7 @@ class _Pattern:
         self.count = len(order)
 
     def factored(self, parts: list[FloatArray]):  # type: ignore[no-untyped-def]
+        """Return the factor of the matrix with these entries, as rows and columns were given."""
         data, pattern = np.concatenate(parts)[self._place], self._pattern
         matrix = sp.csc_array((data, pattern.indices, pattern.indptr), shape=pattern.shape)
         return splu(matrix, permc_spec="NATURAL", diag_pivot_thresh=0.0, options=_SYMMETRIC)
@@ -114,7 +117,7 @@ class LatticeSolution:
 
     def __init__(  # type: ignore[no-untyped-def]
         self,
-        pattern: _Pattern,
+        pattern: LatticePattern,
         factor,
         links: IntArray,
         weight: FloatArray,

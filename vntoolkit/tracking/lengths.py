@@ -6,28 +6,28 @@ Two guesses, each by how well it does where the nodes around are measured:
   the frame, G the metrics that the normals give, so Jᵀ G_c J = G_t. That leaves a turn R open, which is
   that of the surroundings: J = G_c^(−1/2) R G_t^(1/2). At grazing angles, and where the surface is hidden,
   it says little. What the whole stretches by is left open too: `uniform_strains`.
-- The whole moves as one body: seen from afar, by an affine map of its points (u, v, depth), fitted robustly,
-  and on it every piece that hangs together by its own. It is right for an ear behind the cheek's rim.
+- The whole moves as one body, and a place as what is measured beside it (`body_motion`). It is right for an
+  ear behind the cheek's rim.
 
 Where the two differ, which of them holds is a doubt that all links share.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse as sp
-from scipy.sparse.csgraph import connected_components
 
 from vntoolkit.arrays import FloatArray, Points2
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap
-from vntoolkit.tracking.lattice import NODES_BY_PASS, TemplateLattice
+from vntoolkit.tracking.body_motion import BodyMotion, FittedField
+from vntoolkit.tracking.lattice import TemplateLattice
 from vntoolkit.tracking.slopes import Slopes, metric_sums, sample_depth
 from vntoolkit.tracking.template import TrackingTemplate
 
 STRAIN_PASSES = 4  # of lattice smoothing: strain that is not foreseen goes on over some cells
-LINKS_ALIKE = NODES_BY_PASS  # a link and its neighbours err together: in a fit, so many tell one thing
 _CONTOUR_STRAIN = 1.0  # across an occluding contour: how much is hidden there is not known
 _CONTOUR_STEEPNESS = 3.0  # squared slope, 60°, by which a surface recedes, and then no longer: a contour
 STRAIN = 0.07  # standard deviation of stretch, where none is measured: cloth has 0.03 to 0.1, skin up to 0.3
@@ -40,12 +40,20 @@ TURN = 0.1  # standard deviation of a slow turn in one step of the fit, radians
 _TURN_PASSES = 2  # of lattice smoothing: the turn in the image is that of the surroundings
 _WHOLE = 0.5  # mean weight of the slopes in a cell from which they are fully trusted
 _LEAST_RELIABLE = 1e-4  # of a node that is not measured, in the fit of one body
-_ROUNDS = 8  # of reweighting in that fit
-_RIDGE = np.array([0.1, 0.1, 0.1, 1e-3])  # in measured nodes, by unit coordinates: of the whole
-_PIECE_RIDGE = np.array([0.3, 0.3, 3.0, 0.03])  # of a piece's own motion beside the whole's
-_PIECE_LEAST = 4.0  # measured nodes that show a motion of their own
-_LEAST_SCALE_PX = 1.0  # of the fit's residuals; closer fits are not worth more
-_SIGMAS = 1.5  # of a normal distribution in the median of its size
+
+
+class LinkGuess(NamedTuple):
+    """steps: (links, 2). variance: (links,) by direction, px². field: of the body, for the frame's next step.
+
+    torn: (links,) the share of the variance that an occluding contour between the two adds. doubt: (links, 2,
+    k) deviations of all steps together: by which of the guesses holds, and by what is not known of the body.
+    """
+
+    steps: npt.NDArray[np.float64]
+    variance: npt.NDArray[np.float64]
+    torn: npt.NDArray[np.float64]
+    doubt: npt.NDArray[np.float64]
+    field: FittedField
 
 
 class LinkLengths:
@@ -71,7 +79,7 @@ class LinkLengths:
         self._root = _square_root(metric)
         self._inverse_root = np.linalg.inv(self._root)
         self._steepness = _steepness(metric)
-        self._motion = _BodyMotion(lattice, template, camera)
+        self._motion = BodyMotion(lattice, template, camera, self.links, self.along)
 
     def nodes(self, positions_px: Points2) -> npt.NDArray[np.float64]:
         """Return (nodes, 2) the means of positions (n, 2)."""
@@ -85,14 +93,12 @@ class LinkLengths:
         depth_map: DepthMap,
         hidden: FloatArray,
         measured: FloatArray,
-    ) -> tuple[npt.NDArray[np.float64], ...]:
-        """Return (links, 2) the steps from node to node, and (links,) their variance by direction, px².
-
-        The third: (links,) the share of the variance that an occluding contour between the two adds. The
-        fourth: (links, 2) one standard deviation of all steps together, by which of the guesses holds.
+        field: FittedField | None = None,
+    ) -> LinkGuess:
+        """Return the steps from node to node.
 
         around: (nodes, 4) Jacobians of positions (n, 2). hidden: (nodes,) share that is not seen. measured:
-        (nodes,) from 0 to 1, how far a node's place is known.
+        (nodes,) from 0 to 1, how far a node's place is known. field: of an earlier step in the same frame.
         """
         a, b = self.links.T
         by_lengths, steepness, seen, contour = self._by_lengths(positions_px, around, slopes, depth_map)
@@ -101,26 +107,40 @@ class LinkLengths:
         trusted = np.minimum(trust[a], trust[b])
         now = self.nodes(positions_px)
         reliable = (1.0 - hidden) * measured + _LEAST_RELIABLE
-        body = self._motion.fitted(now - self.centres, reliable)
-        by_body = self.along + body[b] - body[a]
+        tested = np.minimum(reliable[a], reliable[b])
+        likely = np.minimum((contour + self._contour) / _CONTOUR_STEEPNESS, 1.0)
+        whole, own, field = self._motion.guessed(now - self.centres, reliable, tested, likely, field)
+        by_whole = self.along + whole
+        by_body = by_whole + own
         steps = now[b] - now[a]
         square = np.sum(self.along**2, axis=1)
-        tested = np.minimum(reliable[a], reliable[b])
         grazing = _NORMAL_ERROR**2 * np.maximum(steepness[a], steepness[b])
         variances = [
             self._near_mean(_strain(steps - by_lengths, square), tested * trusted, STRAIN**2)
             + grazing
             + 1
             - trusted,
-            self._near_mean(_strain(steps - by_body, square), tested, _BODY_STRAIN**2),
+            self._near_mean(_strain(steps - by_body, square), tested, _BODY_STRAIN**2)
+            + np.square(field.errors).sum(axis=(1, 2)),
         ]
         share = variances[1] / (variances[0] + variances[1])
         mean = share[:, None] * by_lengths + (1.0 - share)[:, None] * by_body
-        doubt = np.sqrt(share * (1.0 - share))[:, None] * (by_lengths - by_body)
+        alone = self._near_mean(_strain(steps - by_whole, square), tested, _BODY_STRAIN**2)
+        local = variances[1] / (variances[1] + alone)
+        other = [
+            np.sqrt(share * (1.0 - share))[:, None] * (by_lengths - by_body),
+            ((1.0 - share) * np.sqrt(local * (1.0 - local)))[:, None] * own,
+        ]
+        drawn = ((1.0 - share) * np.sqrt(square))[:, None, None] * field.errors
         variance = square * np.minimum(*variances)
-        likely = np.minimum((contour + self._contour) / _CONTOUR_STEEPNESS, 1.0)
         slip = square * (_CONTOUR_STRAIN * likely) ** 2
-        return mean, variance + slip, slip / (variance + slip), doubt
+        return LinkGuess(
+            steps=mean,
+            variance=variance + slip,
+            torn=slip / (variance + slip),
+            doubt=np.concatenate([np.stack(other, axis=2), drawn], axis=2),
+            field=field,
+        )
 
     def between(self, left: FloatArray, torn: FloatArray) -> npt.NDArray[np.float64]:
         """Return (nodes,) the squared error of vertices between nodes that come apart, px².
@@ -219,56 +239,6 @@ def slow_monomials(places: FloatArray) -> npt.NDArray[np.float64]:
     x, y = ((places - places.mean(axis=0)) / np.maximum(places.std(axis=0), 1.0)).T
     powers = [(degree - j, j) for degree in range(_SLOW_DEGREE + 1) for j in range(degree + 1)]
     return np.stack([x**i * y**j for i, j in powers], axis=1)
-
-
-class _BodyMotion:
-    """Fits a motion in the image that is affine in (u, v, depth): of the whole, and on it of every piece."""
-
-    def __init__(self, lattice: TemplateLattice, template: TrackingTemplate, camera: Camera) -> None:
-        depth = template.vertices_in_camera[:, 2]
-        relief_px = template.pixels_per_length(camera) * (depth - np.median(depth))
-        points = np.column_stack([template.positions_px, relief_px])
-        points -= points.mean(axis=0)
-        points /= max(float(points[:, :2].std()), 1e-9)
-        counts = np.bincount(lattice.node_of_vertex, minlength=lattice.count)
-        self._nodes = lattice.sums(np.column_stack([points, np.ones(len(points))])) / counts[:, None]
-        links = sp.csr_array(
-            (np.ones(len(lattice.neighbours), dtype=np.int8), lattice.neighbours, lattice.starts),
-            shape=(lattice.count, lattice.count),
-        )
-        self._pieces, self._piece = connected_components(links, directed=False)
-
-    def fitted(self, displacements: FloatArray, weight: FloatArray) -> npt.NDArray[np.float64]:
-        """Return the motion (nodes, 2) of measured displacements (nodes, 2), weights (nodes,) from 0 to 1."""
-        motion: npt.NDArray[np.float64] = self._nodes @ _robust_fit(
-            self._nodes, displacements, weight, _RIDGE
-        )
-        if self._pieces == 1:
-            return motion
-        seen = np.bincount(self._piece, weight, minlength=self._pieces)
-        for piece in np.flatnonzero(seen >= _PIECE_LEAST):
-            inside = self._piece == piece
-            own = displacements[inside] - motion[inside]
-            motion[inside] += self._nodes[inside] @ _robust_fit(
-                self._nodes[inside], own, weight[inside], _PIECE_RIDGE
-            )
-        return motion
-
-
-def _robust_fit(
-    points: FloatArray, values: FloatArray, weight: FloatArray, ridge: FloatArray
-) -> npt.NDArray[np.float64]:
-    """Return the (4, k) map of points (m, 4) to values (m, k) by reweighted least squares (Cauchy)."""
-    trust = np.asarray(weight, dtype=np.float64)
-    counted = weight > 0.3 * float(weight.max(initial=0.0))
-    motion: npt.NDArray[np.floating] = np.zeros((points.shape[1], values.shape[1]))
-    for _ in range(_ROUNDS):
-        weighted = trust[:, None] * points
-        motion = np.linalg.solve(points.T @ weighted + np.diag(ridge), weighted.T @ values)
-        residual = np.linalg.norm(values - points @ motion, axis=1)
-        usual = float(np.median(residual[counted])) if counted.any() else 0.0
-        trust = weight / (1.0 + (residual / max(_LEAST_SCALE_PX, _SIGMAS * usual)) ** 2)
-    return np.asarray(motion)
 
 
 def _strain(difference: FloatArray, square: FloatArray) -> npt.NDArray[np.float64]:

@@ -17,12 +17,13 @@ import numpy.typing as npt
 from vntoolkit.arrays import FloatArray, Mask, Points2, VisibilityLabels
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
+from vntoolkit.tracking.body_motion import LINKS_ALIKE, FittedField
 from vntoolkit.tracking.contours import edges_beside, occluding_contours
 from vntoolkit.tracking.fit_errors import FitErrors
 from vntoolkit.tracking.flow import common_shift, dense_flow
 from vntoolkit.tracking.lattice import LocalJacobians, lattice_on_template
 from vntoolkit.tracking.lattice_system import LatticeSystem
-from vntoolkit.tracking.lengths import LINKS_ALIKE, STRAIN, TURN, LinkLengths, slow_turns, uniform_strains
+from vntoolkit.tracking.lengths import STRAIN, TURN, LinkLengths, slow_turns, uniform_strains
 from vntoolkit.tracking.outline import Outline, contour_distance, outline_of_figure
 from vntoolkit.tracking.registration import Measurement, TemplateRegistration, WindowSteps
 from vntoolkit.tracking.slopes import (
@@ -129,6 +130,7 @@ class SurfaceFit:
             positions, told = self._found_again(positions, around, told, lost, relief)
         around = self._jacobians.of(positions)
         enough = _CONVERGED * np.maximum(expected_px, _LEAST_ERROR_PX)
+        field: FittedField | None = None
         for number in range(_ITERATIONS):
             if number > 0:
                 around = self._jacobians.of(positions)
@@ -139,15 +141,13 @@ class SurfaceFit:
             pull = np.einsum("nji,nj->ni", inverse, told.pull)
             outline, outline_pull = self._outline.measure(positions, inverse, figure)
             measured = np.minimum(1.0, information[:, 0] + information[:, 2])
-            guess, variance, torn, doubt = lengths.guessed(
-                positions, around, slopes, depth_map, hidden, measured
-            )
-            now = lengths.nodes(positions)
-            steps = guess - (now[lengths.links[:, 1]] - now[lengths.links[:, 0]])
-            variance = variance + np.sum(steps**2, axis=1) / (LINKS_ALIKE * _TORN_SIGMAS**2)
+            guess = lengths.guessed(positions, around, slopes, depth_map, hidden, measured, field)
+            field, now = guess.field, lengths.nodes(positions)
+            steps = guess.steps - (now[lengths.links[:, 1]] - now[lengths.links[:, 0]])
+            variance = guess.variance + np.sum(steps**2, axis=1) / (LINKS_ALIKE * _TORN_SIGMAS**2)
             weight = 1.0 / (LINKS_ALIKE * variance)
-            strains = uniform_strains(guess)
-            turns = slow_turns(guess, lengths.middles)
+            strains = uniform_strains(guess.steps)
+            turns = slow_turns(guess.steps, lengths.middles)
             modes = np.concatenate([strains, turns], axis=2)
             precision = np.repeat([STRAIN**-2, TURN**-2], [strains.shape[2], turns.shape[2]])
             solution = self._system.solve(
@@ -159,9 +159,17 @@ class SurfaceFit:
                 break
         windows = _in_frame(told.windows, inverse)
         square = self._errors.square(
-            solution, windows, outline, np.sqrt(variance), strains, doubt, self._mismatched(told, _WARNING)
+            solution,
+            windows,
+            outline,
+            np.sqrt(variance),
+            strains,
+            guess.doubt,
+            self._mismatched(told, _WARNING),
         )
-        square = square + lengths.between(solution.left, torn) + self._of_the_whole(information + outline)
+        square = (
+            square + lengths.between(solution.left, guess.torn) + self._of_the_whole(information + outline)
+        )
         return FittedFrame(
             positions_px=positions,
             depth=self._depth(positions, depth_map, hidden),
