@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 
 from tests.tracking.test_tracking_information import CAMERA, GRID, HEIGHT, WIDTH, flat_depth, normals
@@ -48,6 +49,24 @@ def test_its_power_is_that_of_the_gradients_it_makes(rng: np.random.Generator) -
     for relief, at in ((0.0, frames), (0.1, frames), (0.1, [0] * 8)):  # relief that moves, and at rest
         none = pattern_of(relief, 0.0, at, rng)[0][inside].mean()
         assert none < 0.05 * own
+
+
+def test_paint_at_rest_is_none(rng: np.random.Generator) -> None:
+    """Freckles turn normals, with curl, at the same pixels while a face is at rest."""
+    whole = np.ones((HEIGHT, WIDTH), dtype=bool)
+    inside = np.s_[20:76, 20:108]
+    paint = cv2.GaussianBlur(rng.normal(0, 1, (HEIGHT, WIDTH)), (0, 0), 2.0)
+    paint *= 0.1 / paint.std()
+    fixed = rng.normal(0, NOISE, (2, HEIGHT, WIDTH))
+
+    def power(paint: np.ndarray, fixed: np.ndarray) -> float:
+        noise = rng.normal(0, NOISE, (8, 2, HEIGHT, WIDTH))
+        seen = [normals(paint + each[0] + fixed[0], each[1] + fixed[1], whole) for each in noise]
+        return float(fixed_pattern(slopes_from_normals(each, CAMERA) for each in seen)[0][inside].mean())
+
+    assert power(paint, 0 * fixed) < 0.1 * power(0 * paint, fixed)
+    curl = slopes_from_normals(normals(paint, 0 * paint, whole), CAMERA)[inside][..., 0]
+    assert np.square(np.diff(curl, axis=0)).mean() > 2 * power(0 * paint, fixed)  # strong as it is
 
 
 def test_too_few_frames_tell_nothing(rng: np.random.Generator) -> None:
