@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from tests.calibration.turning_egg import AXES, CAMERA, DISTANCE, render_egg, turning_poses
+from tests.calibration.turning_egg import CAMERA, DISTANCE, egg_surface, render_egg, turning_poses
 from vntoolkit.calibration.head.hull import SilhouetteView
 from vntoolkit.calibration.head.patches import detail_in_8_bits, find_again
 from vntoolkit.calibration.head.poses import HeadMotion, settle_head_motion
@@ -19,17 +18,10 @@ POSES = [RigidTransform(rotation=pose.rotation, translation=pose.translation / D
 IMAGES = [render_egg(pose) for pose in METRES]
 
 
-def egg(count=6000):
-    k = np.arange(count) + 0.5
-    height, around = 1 - 2 * k / count, np.pi * (1 + 5**0.5) * k
-    ring = np.sqrt(1 - height**2)
-    points = np.stack([ring * np.cos(around), height, ring * np.sin(around)], axis=1)
-    faces = ConvexHull(points).simplices
-    a, b, c = (points[faces[:, i]] for i in range(3))
-    inward = np.einsum("ij,ij->i", a, np.cross(b, c)) < 0
-    faces[inward] = faces[inward][:, ::-1]
-    points *= AXES / DISTANCE
-    return Mesh(vertices=points, faces=faces.astype(np.int32), normals=vertex_normals(points, faces))
+def egg():
+    points, faces = egg_surface(6000)
+    points = points / DISTANCE
+    return Mesh(vertices=points, faces=faces, normals=vertex_normals(points, faces))
 
 
 def views_of(poses):

@@ -2,9 +2,16 @@
 
 import numpy as np
 import pytest
-from scipy.spatial import ConvexHull
 
-from tests.calibration.turning_egg import AXES, CAMERA, DISTANCE, MATRIX, render_egg, turning_poses
+from tests.calibration.turning_egg import (
+    AXES,
+    CAMERA,
+    DISTANCE,
+    MATRIX,
+    egg_surface,
+    render_egg,
+    turning_poses,
+)
 from vntoolkit.calibration.fit import fit_quality
 from vntoolkit.calibration.head.light import HeadLight, LightOptions
 from vntoolkit.calibration.head.refinement import (
@@ -27,19 +34,6 @@ POSES = turning_poses(9, 60.0)
 WRONG = MATRIX * [[1.2, 0.9, 1.0], [1.0, 1.0, 1.06], [0.5, 1.1, 0.95]]
 
 
-def ellipsoid(count=2800):
-    """Points spread evenly over the egg, and the triangles between them."""
-    k = np.arange(count) + 0.5
-    height, around = 1 - 2 * k / count, np.pi * (1 + 5**0.5) * k
-    ring = np.sqrt(1 - height**2)
-    points = np.stack([ring * np.cos(around), height, ring * np.sin(around)], axis=1)
-    faces = ConvexHull(points).simplices
-    a, b, c = (points[faces[:, i]] for i in range(3))
-    inward = np.einsum("ij,ij->i", a, np.cross(b, c)) < 0
-    faces[inward] = faces[inward][:, ::-1]
-    return points * AXES, faces.astype(np.int32)
-
-
 def relative_error(matrix):
     scale = (matrix * MATRIX).sum() / np.square(matrix).sum()
     return np.linalg.norm(scale * matrix - MATRIX) / np.linalg.norm(MATRIX)
@@ -47,7 +41,7 @@ def relative_error(matrix):
 
 @pytest.fixture(scope="module")
 def rippled():
-    points, faces = ellipsoid()
+    points, faces = egg_surface(2800)
     directions = np.random.default_rng(1).standard_normal((6, 3))
     directions *= 2 * np.pi / (9 * PIXEL) / np.linalg.norm(directions, axis=1, keepdims=True)
     ripple = np.cos(points @ directions.T + np.arange(6)).mean(axis=1)
@@ -121,7 +115,7 @@ def skin_of(normals, noise):
 
 
 def test_stereo_tells_along_which_axis_normals_are_off():
-    points, faces = ellipsoid()
+    points, faces = egg_surface(2800)
     normals = vertex_normals(points, faces)
     axis = np.array([0.0, 1.0, 0.0])
     tilted = normals + 0.1 * (axis - normals * normals[:, 1:2])
@@ -133,7 +127,7 @@ def test_stereo_tells_along_which_axis_normals_are_off():
 
 
 def test_noisy_normals_are_drawn_to_the_surface_around_sure_ones_are_not():
-    points, faces = ellipsoid()
+    points, faces = egg_surface(2800)
     normals = vertex_normals(points, faces)
     egg = Mesh(vertices=points, faces=faces, normals=normals)
     noisy = normals + 0.2 * np.random.default_rng(5).standard_normal(normals.shape)
@@ -151,7 +145,7 @@ def test_noisy_normals_are_drawn_to_the_surface_around_sure_ones_are_not():
 
 
 def test_a_thinned_mesh_has_the_edges_asked_and_stays_closed_and_in_place():
-    points, faces = ellipsoid()
+    points, faces = egg_surface(2800)
     egg = Mesh(vertices=points, faces=faces, normals=vertex_normals(points, faces))
 
     def edge(mesh):
@@ -168,7 +162,7 @@ def test_a_thinned_mesh_has_the_edges_asked_and_stays_closed_and_in_place():
 
 
 def test_no_vertex_flies_off_where_stereo_is_folded():
-    points, faces = ellipsoid()
+    points, faces = egg_surface(2800)
     normals = points / AXES**2
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     folded = np.linalg.norm(points - points[1400], axis=1) < 20 * PIXEL

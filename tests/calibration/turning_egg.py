@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from vntoolkit.geometry.camera import Camera
@@ -29,6 +30,19 @@ def turning_poses(frames: int, widest_deg: float) -> list[RigidTransform]:
         )
         for a in angles
     ]
+
+
+def egg_surface(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points (n, 3) spread evenly over the egg, metres, and the triangles (m, 3) between them."""
+    k = np.arange(count) + 0.5
+    height, around = 1 - 2 * k / count, np.pi * (1 + 5**0.5) * k
+    ring = np.sqrt(1 - height**2)
+    points = np.stack([ring * np.cos(around), height, ring * np.sin(around)], axis=1)
+    faces = ConvexHull(points).simplices
+    a, b, c = (points[faces[:, i]] for i in range(3))
+    inward = np.einsum("ij,ij->i", a, np.cross(b, c)) < 0
+    faces[inward] = faces[inward][:, ::-1]
+    return points * AXES, faces.astype(np.int32)
 
 
 @cache

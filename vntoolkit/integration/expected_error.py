@@ -100,7 +100,7 @@ def _filled(spread: FloatArray, inside: Mask) -> FloatArray:
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def _range(depth: Any, mask: Mask, step: int) -> float:
-    """Return the largest depth of every so manieth row less the least; below 0 where no pixel is valid."""
+    """Return the largest depth less the least, over every `step`-th row; below 0 where none is valid."""
     width = mask.shape[1]
     least, most = np.full(width, _FARTHEST, depth.dtype), np.full(width, -_FARTHEST, depth.dtype)
     for v in range(0, mask.shape[0], step):
