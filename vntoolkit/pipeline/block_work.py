@@ -53,8 +53,8 @@ class ReconstructionJob:
     or None. sensor: how samples of the sensor itself are read. reflectances: (m, 3), of materials relative
     to the rig's; empty for the rig's alone. pigments: (m, 3), along which log reflectances change, 0 for
     none. surface: reflectances of a tracked surface, which count before those of the materials. threads: for
-    decoding; with 1, reading, processing and writing take turns, so that a worker is one
-    core's. limits: on what any process reads.
+    decoding; with 1, reading and processing take turns, so that a worker is one core's. limits: on what any
+    process reads.
     """
 
     source: str
@@ -153,7 +153,7 @@ class BlockWorker:
         waiting = _WAITING if self._job.threads > 1 else 0
         meanwhile = waiting if loops_may_overlap() else 0
         with (
-            WriteBehind(write, waiting) as writer,
+            WriteBehind(write, _WAITING) as writer,
             WriteBehind[_FrameAtWork](
                 lambda begun: writer.put(self._with_surface(begun)), meanwhile
             ) as second,

@@ -101,8 +101,8 @@ def test_frames_left_out_are_not_decoded(tmp_path, rng, monkeypatch, part):
     reader, decoded = VideoReader(tmp_path / "a.mkv", threads=1), []
     plain = reader._decoded
 
-    def counted(*arguments):
-        for shown in plain(*arguments):
+    def counted(*arguments, **how):
+        for shown in plain(*arguments, **how):
             decoded.append(shown)
             yield shown
 

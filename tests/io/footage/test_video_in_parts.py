@@ -68,7 +68,7 @@ def test_going_on_opens_the_file_no_more(camera_video, monkeypatch):
     list(reader.frames(0, 4))
     opened = []
     decoded = reader._decoded
-    monkeypatch.setattr(reader, "_decoded", lambda time: opened.append(time) or decoded(time))
+    monkeypatch.setattr(reader, "_decoded", lambda time, **how: opened.append(time) or decoded(time, **how))
     list(reader.frames(4, 8))
     list(reader.frames(12, 16))  # between key frames it is shorter to decode what is skipped
     assert opened == []

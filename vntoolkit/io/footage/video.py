@@ -214,9 +214,11 @@ class VideoReader:
             return
         numbers = range(start, last, step)
         left_out: set[int] = set()
+        alone = False
         if len(self.index.key_frames) == len(times):
             left_out = set(times[start:last]).difference(times[start:last:step])
-        decoded = self._decoded(times[start], left_out) if left_out else self._decoded_to(start)
+            alone = len(numbers) == 1
+        decoded = self._decoded(times[start], left_out) if left_out else self._decoded_to(start, alone=alone)
         for number in numbers:
             if number in self.index.damaged:
                 raise self._damaged(number, "its checksum is wrong, or that of a frame it builds on")
@@ -224,15 +226,19 @@ class VideoReader:
         if not left_out:
             self._waiting.append((numbers[-1] + 1, decoded))
 
-    def _decoded_to(self, start: int) -> Iterator[tuple[int | None, Any]]:
-        """Return a decoder that will come to frame `start`: the one that waits, if it need not go back."""
+    def _decoded_to(self, start: int, *, alone: bool) -> Iterator[tuple[int | None, Any]]:
+        """Return a decoder that will come to frame `start`: the one that waits, if it need not go back.
+
+        alone: no frame is asked for after it, so the threads share its slices instead of working ahead.
+        """
         with contextlib.suppress(IndexError):
             next_number, decoded = self._waiting.pop()
             if self.index.key_frame_before(start) <= next_number <= start:
                 return decoded
         if self._is_in_order:
             return zip(self.index.times, (frame for _, frame in self._decoded(None)), strict=False)
-        return self._decoded(self.index.times[self.index.key_frame_before(start)] if start else None)
+        from_time = self.index.times[self.index.key_frame_before(start)] if start else None
+        return self._decoded(from_time, threads_work_on="SLICE" if alone else "AUTO")
 
     def _frame_shown_at(self, time: int, number: int, decoded: Iterator[tuple[int | None, Any]]) -> Any:
         """Take frames until the one of that time; a frame that the decoder left out shifts no other."""
@@ -244,14 +250,17 @@ class VideoReader:
         raise self._breaks_off(number)
 
     def _decoded(
-        self, from_time: int | None, left_out: AbstractSet[int] = frozenset()
+        self, from_time: int | None, left_out: AbstractSet[int] = frozenset(), threads_work_on: str = "AUTO"
     ) -> Iterator[tuple[int | None, Any]]:
-        """Yield (time, frame) from a key frame's time on or before it, but for the times left out."""
+        """Yield (time, frame) from a key frame's time on or before it, but for the times left out.
+
+        threads_work_on: FFmpeg's word: "SLICE" of one frame, or "AUTO" for frames ahead where the codec can.
+        """
         damaged_times = {self.index.times[number] for number in self.index.damaged}
         errors = av_errors()  # here, since a decoder may be closed when nothing can be imported any more
         container, stream = open_video(self.path)
         with container:
-            stream.thread_type = "AUTO"
+            stream.thread_type = threads_work_on
             stream.codec_context.thread_count = self.threads
             try:
                 if from_time is not None:

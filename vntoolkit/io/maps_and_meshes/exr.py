@@ -19,6 +19,7 @@ from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.atomic import write_bytes
 from vntoolkit.io.files import opened, require_pixels
+from vntoolkit.io.large_files import aligned_memory, write_large
 from vntoolkit.native import silenced_native_output
 
 MAGIC = b"\x76\x2f\x31\x01"
@@ -184,7 +185,7 @@ def write_exr(
     for name, values in channels.items():
         start, row = exr.starts[name], np.ascontiguousarray(values).view(np.uint16)
         exr.scanlines[:, start : start + row.shape[1]] = row
-    write_bytes(path, exr.content)
+    write_large(path, exr.content)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -213,7 +214,7 @@ def uncompressed_exr(
         starts[name] = length
         length += shape[1] * np.dtype(kind).itemsize // 2
     size = len(head) + shape[0] * length * 2
-    memory = np.empty(size + 1, np.uint8)
+    memory = aligned_memory(size + 1)
     content = memory[len(head) % 2 :][:size]  # so that the scanlines begin at an even address
     content[: len(head)] = np.frombuffer(head, np.uint8)
     scanlines = content[len(head) :].view(np.uint16).reshape(shape[0], length)

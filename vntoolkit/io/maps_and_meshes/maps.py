@@ -12,9 +12,9 @@ from vntoolkit.arrays import FloatArray, Flow, Mask
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
-from vntoolkit.io.atomic import write_bytes
 from vntoolkit.io.conventions import NormalConvention
 from vntoolkit.io.footage.images import read_image_with_alpha, write_png
+from vntoolkit.io.large_files import write_large
 from vntoolkit.io.maps_and_meshes.exr import ExrCompression, read_exr, uncompressed_exr, write_exr
 from vntoolkit.native import njit
 
@@ -53,7 +53,7 @@ def write_normal_map(
                 exr = uncompressed_exr(normal_map.shape, dict.fromkeys(names, np.float16), attributes)
                 starts = np.array([exr.starts[name] for name in names])
                 _fill_halves(normal_map, convention.signs, exr.scanlines, starts)
-                write_bytes(path, exr.content)
+                write_large(path, exr.content)
                 return
             planes = half_planes_from_normals(normal_map, convention.signs)
             channels = dict(zip([*"RGBA", _ERROR_CHANNEL], planes, strict=False))
@@ -124,7 +124,7 @@ def write_depth_map(
     at, error_at = exr.starts["Z"], exr.starts.get(_DEPTH_ERROR_CHANNEL, 0)
     _fill_depth(depth, mask, error, exr.scanlines, at, error_at)
     if compression is ExrCompression.NONE:
-        write_bytes(path, exr.content)
+        write_large(path, exr.content)
         return
     channels: dict[str, npt.NDArray[Any]] = {}
     for name, kind in kinds.items():

@@ -14,8 +14,8 @@ import numpy.typing as npt
 from vntoolkit.arrays import Faces, FloatArray
 from vntoolkit.errors import BadMesh
 from vntoolkit.geometry.mesh import triangles_from_polygons
-from vntoolkit.io.atomic import write_bytes
 from vntoolkit.io.files import opened, require_file, require_vertices
+from vntoolkit.io.large_files import aligned_memory, write_large
 from vntoolkit.native import njit
 
 _KINDS = {
@@ -78,7 +78,7 @@ def write_ply(
     head = "\n".join(header).encode("ascii")
     row = np.dtype([(names[0], "<" + kind, (len(names),)) for names, kind, _ in columns])
     end = len(head) + row.itemsize * len(content.vertices)
-    memory = np.empty(end + _FACE.itemsize * len(faces), np.uint8)
+    memory = aligned_memory(end + _FACE.itemsize * len(faces))
     memory[: len(head)] = np.frombuffer(head, np.uint8)
     rows = memory[len(head) : end]
     if len(columns) == _ALL_COLUMNS:
@@ -87,7 +87,7 @@ def write_ply(
         for names, _, values in columns:
             rows.view(row)[names[0]] = values
     _fill_triangles(np.ascontiguousarray(faces, np.int32), memory[end:].view(_FACE))
-    write_bytes(path, memory.data)
+    write_large(path, memory.data)
 
 
 # numpy takes five to seven times as long for fields that lie at odd addresses.
