@@ -1,5 +1,7 @@
 """Each mistake that ruins normals without failing is found, its remedy named, and none is invented."""
 
+import re
+
 import cv2
 import numpy as np
 import pytest
@@ -10,9 +12,15 @@ from vntoolkit.diagnosis.evidence import FEW_PIXELS, PIXELS_BETWEEN_SEAMS, evide
 from vntoolkit.diagnosis.finding import FatalFinding, Finding, Level, judge
 from vntoolkit.diagnosis.inspection import findings_from_frames
 from vntoolkit.diagnosis.outline import check_cast_shadows
-from vntoolkit.diagnosis.over_time import check_flicker, findings_from_motion, findings_from_tracks
+from vntoolkit.diagnosis.over_time import (
+    check_bands,
+    check_flicker,
+    findings_from_motion,
+    findings_from_tracks,
+)
 from vntoolkit.diagnosis.rig_checks import check_residual, check_stated_focal, check_zoom
 from vntoolkit.diagnosis.transfer_match import check_transfer_of_samples
+from vntoolkit.diagnosis.white_balance import check_changing_gains
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse, ResponseVariation, rgb_from_normals
@@ -193,6 +201,33 @@ def test_another_hue_is_not_taken_for_another_curve():
     assert "another colour" in found.text
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("constant", [(0.03, 0.03, 0.03), (0.025, 0.0, 0.0)])
+def test_light_that_is_none_of_the_lamps_is_measured(constant, seed):
+    light, _, response = _shot(seed)
+    (found,) = _findings(np.clip(0.9 * light + constant, 0, 1), response.matrix)
+    assert (found.check, found.level) == ("black-level", Level.WARNING)
+    said = [float(part) for part in re.findall(r"([\d.]+)%", found.measured)]
+    np.testing.assert_allclose(said, 100 * np.array(constant), atol=0.4)
+    assert "--background" in found.text
+
+
+def test_a_backdrop_that_the_lamps_light_is_no_black_level():
+    light, inside, response = _shot(1)
+    cloth = 0.1 * response.matrix @ [0, 0, -1]
+    lit = np.where(inside[..., None], light, cloth)
+    assert np.percentile(lit, 1, axis=(0, 1)).min() > 0
+    assert not any(found.check == "black-level" for found in _findings(lit, response.matrix, mask=inside))
+
+
+def test_limited_range_read_as_full_is_named():
+    light, _, response = _shot(2)
+    codes = np.rint(16 + 219 * encoded_from_linear(light, SRGB)) / 255
+    (found,) = _findings(linear_from_encoded(codes, SRGB), response.matrix, SRGB)
+    assert found.check == "black-level"
+    assert "limited range, read as full" in found.text
+
+
 def _domes_in_a_row(rng):
     """Return light (h, w, 3) of domes on a plane with the shadows they cast, and M of three low lamps."""
     v, u = np.mgrid[:H, :W].astype(float)
@@ -267,6 +302,43 @@ def test_light_that_flickers_is_found_and_a_steady_one_or_a_slow_change_is_not()
         found = check_flicker(evidence_from_frames(frames, rig, Transfer()))
         assert len(found) == expected, gains
     assert "shutter time" in found[0].text
+
+
+@pytest.mark.parametrize(
+    ("gains", "named"), [((1, 1, 1), False), ((1.1, 1.1, 1.1), False), ((1.05, 1, 1), True)]
+)
+def test_a_lamp_that_drifts_is_found_on_the_subject_alone_and_exposure_disturbs_no_check(gains, named):
+    frames, rig = _in_a_row(shift_px=4.0)
+    later = LinearFrame(rgb=np.clip(0.9 * frames[4].rgb * gains, 0, 1).astype(np.float32), number=4)
+    evidence = evidence_from_frames([frames[0], later], rig, Transfer())
+    found = check_changing_gains(evidence)
+    assert findings_from_evidence(evidence) == found
+    assert len(found) == named
+    if named:
+        assert "from frame 0 to 4" in found[0].text
+        assert abs(float(found[0].measured.split()[0]) - 5) < 0.5
+
+
+@pytest.mark.parametrize("phases", [(0.0, 0.0, 0.0), (0.0, 2.1, 4.2)])
+def test_bands_of_a_rolling_shutter_are_found_and_a_subject_that_moves_has_none(phases):
+    frames, rig = _in_a_row(shift_px=1.0)
+    fast = _in_a_row(shift_px=4.0)[0]
+    down = [LinearFrame(rgb=np.roll(f.rgb, 5 * k, axis=0), number=k) for k, f in enumerate(frames)]
+    for moving in (frames, fast, down):
+        assert check_bands(evidence_from_frames(moving, rig, Transfer())) == []
+    rows = np.arange(H)[:, None] / H
+    banded = [
+        LinearFrame(
+            rgb=(f.rgb * (1 + 0.03 * np.sin(2 * np.pi * (1.7 * rows + 0.37 * k) + phases))[:, None]).astype(
+                np.float32
+            ),
+            number=k,
+        )
+        for k, f in enumerate(frames)
+    ]
+    (found,) = check_bands(evidence_from_frames(banded, rig, Transfer()))
+    assert found.check == "flicker"
+    assert "bands" in found.text
 
 
 def test_a_subject_that_jumps_is_found_and_one_that_moves_is_not():

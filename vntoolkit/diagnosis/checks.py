@@ -6,13 +6,14 @@ from collections.abc import Callable
 
 import numpy as np
 
+from vntoolkit.diagnosis.black_level import check_black_level
 from vntoolkit.diagnosis.evidence import Evidence, brightest_channel
 from vntoolkit.diagnosis.finding import Finding, Level
 from vntoolkit.diagnosis.outline import check_cast_shadows, check_outline
 from vntoolkit.diagnosis.rig_checks import check_coverage, check_lamps, check_residual, check_zoom
 from vntoolkit.diagnosis.surface_match import check_relatives, check_structure
 from vntoolkit.diagnosis.transfer_match import check_calibrated_transfer, check_transfer
-from vntoolkit.diagnosis.white_balance import check_white_balance
+from vntoolkit.diagnosis.white_balance import check_changing_gains, check_white_balance
 from vntoolkit.photometry.rig import Rig
 
 RIG_CHECKS: tuple[Callable[[Rig], list[Finding]], ...] = (
@@ -58,18 +59,19 @@ CAPTURE_CHECKS: tuple[tuple[Callable[[Evidence], list[Finding]], ...], ...] = (
     (check_structure,),
     (check_relatives,),
     (check_zoom,),
-    (check_outline, check_calibrated_transfer, check_transfer),
+    (check_outline, check_calibrated_transfer, check_transfer, check_black_level),
     (check_cast_shadows,),
-    (check_white_balance,),
+    (check_white_balance, check_changing_gains),
 )
 
 # They compare lengths of M⁻¹(r − a), which clipping cuts.
-_OF_LENGTHS = (check_zoom, check_transfer, check_white_balance)
+_OF_LENGTHS = (check_zoom, check_transfer, check_black_level, check_white_balance, check_changing_gains)
 _MOST_CLIPPED = 0.05  # of the subject
 
 # What `--allow` takes: every name that a finding of these checks, or one about the footage, can have.
 CHECK_NAMES: dict[str, str] = {
     "black": "a frame shows nothing",
+    "black-level": "light on every pixel that is none of the lamps'",
     "bits": "few bits per sample",
     "chroma": "colour at a lower resolution than brightness",
     "clipping": "pixels at the white level",

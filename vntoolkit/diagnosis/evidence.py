@@ -35,7 +35,7 @@ class Evidence:
     rig: camera and response as calibrated. transfer: the curve that the footage was read with. light:
     (k, h, w, 3) linear, background removed. clipped: (k, h, w), True where any pixel under it is. inside:
     (k, h, w), True where the mask covers all of it; all True without a mask. masked: whether there is a mask.
-    scale: averaged pixels per pixel of the footage, 0 to 1.
+    scale: averaged pixels per pixel of the footage, 0 to 1. numbers: of the k frames in the capture.
     """
 
     rig: Rig
@@ -45,6 +45,7 @@ class Evidence:
     inside: npt.NDArray[np.bool_]
     masked: bool
     scale: float
+    numbers: tuple[int, ...]
 
     @cached_property
     def directions(self) -> Single:
@@ -157,6 +158,7 @@ def evidence_from_frames(
         inside=np.broadcast_to(inside, (len(small), *inside.shape)),
         masked=mask is not None,
         scale=width / rig.camera.width,
+        numbers=tuple(frame.number for frame in frames),
     )
 
 

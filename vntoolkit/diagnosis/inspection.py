@@ -20,6 +20,7 @@ from vntoolkit.diagnosis.evidence import (
 from vntoolkit.diagnosis.finding import Finding, Level
 from vntoolkit.diagnosis.over_time import (
     FRAMES_IN_A_ROW,
+    check_bands,
     check_flicker,
     findings_from_drift,
     findings_from_motion,
@@ -363,7 +364,8 @@ def findings_from_capture(
         findings += findings_from_frames(few, rig, capture.transfer, mask, most)
         if rig.gel is not None:
             return findings
-    findings += findings_from_drift(small)
+    if drift := findings_from_drift(small):  # what stands still tells more than the subject did
+        findings = [*(finding for finding in findings if finding.check != "drift"), *drift]
     if any(finding.level is Level.FATAL for finding in findings):
         return findings
     return [*findings, *_findings_over_time(in_a_row, rig, capture.transfer, mask)]
@@ -398,7 +400,9 @@ def _findings_over_time(
     if rig is None or findings:
         return findings
     evidence = evidence_from_frames(in_a_row, rig, transfer, mask)
-    return check_flicker(evidence) if min(evidence.light.shape[1:3]) >= _NARROWEST_PX else []
+    if min(evidence.light.shape[1:3]) < _NARROWEST_PX:
+        return []
+    return check_flicker(evidence) or check_bands(evidence)
 
 
 def findings_from_calibration_footage(

@@ -8,7 +8,7 @@ nothing is said.
 Flicker: on one material |M⁻¹(r − a)| is the albedo, whatever the pose, so that its median over the subject
 is the same in every frame unless light or exposure change. A lamp on the mains beats with the shutter: the
 median goes up and down from frame to frame, which shows in how far a frame lies from the mean of its two
-neighbours.
+neighbours. Where the shutter rolls from row to row, other rows are bright in every frame: bands.
 
 A subject that moves farther than flow can follow is one whose pixels do not come back: forwards along the
 flow and backwards along the reverse flow ends elsewhere.
@@ -50,6 +50,14 @@ _LEAST_OF_BORDER = 0.3  # the static part surrounds the subject; a plane that ti
 _SAME_COLOUR = 0.01
 
 # Flicker and jumps.
+_STEADY_LIGHT = (
+    "film with a shutter time of a whole number of the mains' half periods (1/50 or 1/100 s at 50 Hz, 1/60 "
+    "or 1/120 s at 60 Hz), or feed the lamps with direct current"
+)
+_STRIPES, _ROUNDS_A_STRIPE = 24, 3
+_SPREAD_OF_GAINS, _INDEPENDENT = 0.05, 20  # of a stripe's pixels: neighbours share their errors
+_LARGEST_BANDS = 0.012  # clean footage of what moves has up to 1 %, and as much in columns
+_ROWS_OVER_COLUMNS = 2.0
 FRAMES_IN_A_ROW = 5
 _FEWEST_PIXELS = 400
 _Z = 4.0
@@ -150,11 +158,72 @@ def check_flicker(evidence: Evidence) -> list[Finding]:
             problem="the light flickers: the subject's brightness goes up and down from frame to frame",
             measured=f"{largest:.1%} ± {error:.1%} against the mean of the frames before and after",
             expected=f"less than {_LARGEST_CHANGE:.0%}",
-            remedy="film with a shutter time of a whole number of the mains' half periods (1/50 or 1/100 s "
-            "at 50 Hz, 1/60 or 1/120 s at 60 Hz), or feed the lamps with direct current",
+            remedy=_STEADY_LIGHT,
             certainty=certainty_from_z(largest / max(error, 1e-6)),
         )
     ]
+
+
+def check_bands(evidence: Evidence) -> list[Finding]:
+    """Find bands, which a rolling shutter makes of flicker. evidence: of consecutive frames.
+
+    Gains of the channels are fitted to what lengths do in every stripe of rows, and then of columns. What a
+    subject that moves changes depends on columns as on rows; what the shutter makes depends on rows alone.
+    """
+    seen = evidence.surface.all(axis=0)
+    if len(evidence.light) < 3 or int(seen.sum()) < _FEWEST_PIXELS:
+        return []
+    scaled = np.stack([scaled_normals(evidence, light)[seen] for light in evidence.light])
+    lengths = np.maximum(lengths_of(scaled), 1e-9)
+    logs = np.log(lengths)
+    beats = logs[1:-1] - 0.5 * (logs[:-2] + logs[2:])
+    inverse = evidence.inverse if evidence.inverse.ndim == 2 else evidence.inverse[seen]
+    follow = np.stack([_follow(inverse, each) for each in scaled[1:-1]])
+    change = []
+    for places in np.nonzero(seen):  # rows, then columns on what rows leave: a subject couples the two
+        stripes = np.array_split(np.argsort(places, kind="stable"), _STRIPES)
+        gains: FloatArray = np.zeros((len(beats), _STRIPES, 3))
+        for k, stripe in np.ndindex(gains.shape[:2]):
+            part = stripes[stripe]
+            gains[k, stripe] = _gains_of_stripe(follow[k][part], beats[k][part])
+            beats[k][part] -= follow[k][part] @ gains[k, stripe]
+        gains -= gains.mean(axis=1, keepdims=True)
+        change.append(np.sqrt(np.mean(gains**2, axis=1)).max(axis=1))
+    by_rows, by_columns = float(change[0].min()), float(change[1].max())
+    if by_rows < _LARGEST_BANDS or by_rows < _ROWS_OVER_COLUMNS * by_columns:
+        return []
+    return [
+        Finding(
+            check="flicker",
+            level=Level.WARNING,
+            problem="the light flickers while the shutter rolls: bands run over the picture from frame to "
+            "frame, and turn normals where the lamps do not flicker alike",
+            measured=f"{by_rows:.1%} from row to row, {by_columns:.1%} from column to column",
+            expected=f"less than {_LARGEST_BANDS:.1%}",
+            remedy=_STEADY_LIGHT,
+        )
+    ]
+
+
+def _follow(inverse: Single, scaled: Single) -> FloatArray:
+    n = scaled / np.maximum(lengths_of(scaled), 1e-9)[:, None]
+    colour = np.einsum("...ij,...j->...i", np.linalg.inv(inverse), n)
+    return np.asarray(np.einsum("...i,...ij->...j", n, inverse) * colour, np.float64)
+
+
+def _gains_of_stripe(follow: FloatArray, beats: FloatArray) -> FloatArray:
+    """Return the log gains (3,) of a stripe whose log lengths (n,) beat; outliers weighed down.
+
+    What the lengths do not tell is 0.
+    """
+    gains: FloatArray = np.zeros(3)
+    for _ in range(_ROUNDS_A_STRIPE):
+        left = np.abs(beats - follow @ gains)
+        scale = 1.5 * float(np.median(left)) + 1e-4
+        weighted = follow / (1.0 + (left / (2 * scale)) ** 2)[:, None]
+        spread = (scale / _SPREAD_OF_GAINS) ** 2 * len(beats) / _INDEPENDENT
+        gains = np.linalg.solve(weighted.T @ follow + spread * np.eye(3), weighted.T @ beats)
+    return gains
 
 
 def _lengths(evidence: Evidence, light: Single) -> Single:

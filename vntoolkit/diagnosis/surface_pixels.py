@@ -20,12 +20,17 @@ _PIXELS_A_FRAME = 4000
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SurfacePixels:
-    """rgb: (n, 3). inverse: M⁻¹, (3, 3) or (n, 3, 3). ambient: (3,) or (n, 3). blocks: (n,)."""
+    """rgb: (n, 3). inverse: M⁻¹, (3, 3) or (n, 3, 3). ambient: (3,) or (n, 3). blocks, frames: (n,) numbers.
+
+    positions: (n, 2) from the picture's centre, in halves of its larger side.
+    """
 
     rgb: FloatArray
     inverse: FloatArray
     ambient: FloatArray
     blocks: npt.NDArray[np.int64]
+    frames: npt.NDArray[np.int64]
+    positions: FloatArray
 
     def __len__(self) -> int:
         return len(self.rgb)
@@ -37,6 +42,8 @@ class SurfacePixels:
             inverse=self.inverse if self.inverse.ndim == 2 else self.inverse[chosen],
             ambient=self.ambient if self.ambient.ndim == 1 else self.ambient[chosen],
             blocks=self.blocks[chosen],
+            frames=self.frames[chosen],
+            positions=self.positions[chosen],
         )
 
     def scaled_normals(self, rgb: FloatArray) -> FloatArray:
@@ -70,11 +77,17 @@ def surface_pixels(evidence: Evidence, chosen: Callable[[int, Single], Mask]) ->
         places = places[:: max(1, len(places) // _PIXELS_A_FRAME)]
         rgb.append(light.reshape(-1, 3)[places])
         index.append(places)
+    frames = np.repeat(np.arange(len(index)), [len(places) for places in index])
     places = np.concatenate(index)
+    height, width = evidence.light.shape[1:3]
+    v, u = np.divmod(places, width)
+    centred = np.stack([u - (width - 1) / 2, v - (height - 1) / 2], axis=1)
     inverse, ambient = evidence.inverse.astype(np.float64), evidence.ambient.astype(np.float64)
     return SurfacePixels(
         rgb=np.concatenate(rgb).astype(np.float64),
         inverse=inverse if inverse.ndim == 2 else inverse.reshape(-1, 3, 3)[places],
         ambient=ambient if ambient.ndim == 1 else ambient.reshape(-1, 3)[places],
         blocks=evidence.blocks.ravel()[places],
+        frames=frames,
+        positions=centred / (max(height, width) / 2),
     )

@@ -26,8 +26,9 @@ from vntoolkit.diagnosis.evidence import (
     lengths_of,
 )
 from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
+from vntoolkit.diagnosis.length_regression import regress_lengths, spread_of_lengths
 from vntoolkit.diagnosis.surface_pixels import SurfacePixels, surface_pixels
-from vntoolkit.diagnosis.white_balance import fit_gains, spread_of_lengths
+from vntoolkit.diagnosis.white_balance import fit_gains
 from vntoolkit.photometry.transfer import (
     Transfer,
     TransferCurve,
@@ -159,9 +160,9 @@ def _gains_explain_less(evidence: Evidence, curve: str) -> bool:
     brighter, darker = (lengths_of(reread(factor)) for factor in (1.05, 1 / 1.05))
     growth = float(np.median(np.log(brighter / darker))) / (2 * math.log(1.05))
     undone = pixels.rgb * np.exp(-np.array([gains.logs[0], 0.0, gains.logs[1]]))
-    by_curve = spread_of_lengths(reread(1.0)) / growth
-    by_gains = spread_of_lengths(pixels.scaled_normals(undone))
-    mends = by_curve < _CLEARLY_LESS * spread_of_lengths(pixels.scaled_normals(pixels.rgb))
+    by_curve = spread_of_lengths(reread(1.0), pixels.frames) / growth
+    by_gains = spread_of_lengths(pixels.scaled_normals(undone), pixels.frames)
+    mends = by_curve < _CLEARLY_LESS * spread_of_lengths(pixels.scaled_normals(pixels.rgb), pixels.frames)
     return by_gains > (_CLEARLY_LESS * by_curve if mends else by_curve)
 
 
@@ -214,30 +215,10 @@ def _slope(
     foretold = log_length(1.0)
     growth = (log_length(1.05) - log_length(1 / 1.05)) / (2 * math.log(1.05))  # of log length with log albedo
     foretold = -(foretold - np.median(foretold)) / float(np.median(growth))
-    return _regress(foretold, np.log(length[lit] / typical), chosen.blocks)
-
-
-def _regress(x: FloatArray, y: FloatArray, blocks: npt.NDArray[np.int64]) -> tuple[float, float] | None:
-    """Fit y = slope x + constant, outliers weighed down; the error is from leaving out blocks."""
-    if float(x.std()) < _LEAST_EFFECT:
+    if float(foretold.std()) < _LEAST_EFFECT:
         return None
-    weight = np.ones_like(x)
-    for _ in range(_ROUNDS):
-        mean_x, mean_y = np.average(x, weights=weight), np.average(y, weights=weight)
-        slope = np.sum(weight * (x - mean_x) * (y - mean_y)) / np.sum(weight * (x - mean_x) ** 2)
-        residual = np.abs(y - mean_y - slope * (x - mean_x))
-        weight = 1.0 / (1.0 + (residual / (3.0 * np.median(residual) + 1e-6)) ** 2)
-    count = int(blocks.max()) + 1
-    terms = (weight, weight * x, weight * y, weight * x * x, weight * x * y)
-    sums = np.stack([np.bincount(blocks, term, count) for term in terms], axis=1)
-    sums = sums[sums[:, 0] > 0]
-    rows = np.concatenate([sums.sum(axis=0, keepdims=True), sums.sum(axis=0) - sums])
-    spread = rows[:, 0] * rows[:, 3] - rows[:, 1] ** 2
-    slopes = (rows[:, 0] * rows[:, 4] - rows[:, 1] * rows[:, 2]) / np.maximum(spread, 1e-12)
-    left_out = slopes[1:]
-    size = len(left_out)
-    error = math.sqrt((size - 1) / size * float(((left_out - left_out.mean()) ** 2).sum()))
-    return float(slopes[0]), max(error, 0.02)
+    found = regress_lengths(foretold[:, None], np.log(length[lit] / typical), chosen, _ROUNDS)
+    return None if found is None else (float(found.slopes[0]), max(float(found.errors[0]), 0.02))
 
 
 # At calibration the normals are known: the right curve is the one under which one M explains the colours.

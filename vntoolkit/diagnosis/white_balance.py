@@ -1,4 +1,4 @@
-"""Did the gains of the channels change between calibration and capture?
+"""Did the gains of the channels change between calibration and capture, or while filming?
 
 Gains on red and blue against green change the length of M⁻¹(r − a) with direction in a way that M foretells.
 The gains that make the lengths of one material equal are found by least squares on their logarithms, step by
@@ -18,6 +18,7 @@ import numpy.typing as npt
 from vntoolkit.arrays import FloatArray
 from vntoolkit.diagnosis.evidence import Evidence, lengths_of
 from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
+from vntoolkit.diagnosis.length_regression import regress_lengths, spread_of_lengths
 from vntoolkit.diagnosis.surface_match import agreement_of
 from vntoolkit.diagnosis.surface_pixels import SurfacePixels, surface_pixels
 
@@ -30,6 +31,9 @@ _LONGEST_STEP = 0.15
 _LARGEST_LOG_GAIN = 0.7
 _NOTED_LOG_GAIN = 0.07  # 7 % turn a normal by about a degree and a half
 _LEFT = 0.6  # of the spread of the lengths that gains must not leave: two free numbers always mend a little
+_ROUNDS_OF_CHANGE = 4
+_Z_OF_CHANGE, _LEAST_ERROR_OF_CHANGE = 4.0, 0.001
+_LARGEST_CHANGE = 0.02  # 2 % in one channel turn a normal by about half a degree
 _Z = 7.0  # a backdrop without a mask, of one colour and flat, reaches 6.5
 
 
@@ -53,6 +57,70 @@ def check_white_balance(evidence: Evidence) -> list[Finding]:
             certainty=certainty_from_z(found.z),
         )
     ]
+
+
+def check_changing_gains(evidence: Evidence) -> list[Finding]:
+    """Find gains of the channels, or lamps, that change from the first frame to others."""
+    pixels = surface_pixels(evidence, lambda k, _: evidence.surface[k])
+    seen = np.unique(pixels.frames)
+    if len(seen) < 2 or len(pixels) < _FEWEST_PIXELS * len(seen):
+        return []
+    changes = _changes(pixels, seen)
+    if changes is None:
+        return []
+    logs, errors = changes
+    sure = np.where(np.abs(logs) > _Z_OF_CHANGE * errors, np.abs(logs), 0.0).max(axis=1)
+    worst = int(sure.argmax())
+    if sure[worst] < _LARGEST_CHANGE:
+        return []
+    first, other = evidence.numbers[seen[0]], evidence.numbers[seen[worst + 1]]
+    red, blue = (
+        f"{100 * math.expm1(log):+.1f} ± {100 * error:.1f} %"
+        for log, error in zip(logs[worst], errors[worst], strict=True)
+    )
+    return [
+        Finding(
+            check="drift",
+            level=Level.WARNING,
+            problem=f"the white balance or a lamp changes from frame {first} to {other}: the subject's "
+            "colours do, whatever its pose",
+            measured=f"{red} red, {blue} blue against green",
+            expected=f"less than {_LARGEST_CHANGE:.0%}",
+            remedy="lock exposure and white balance, let the lamps warm up, and film again",
+            certainty=certainty_from_z(float((np.abs(logs) / errors)[worst].max())),
+        )
+    ]
+
+
+def _changes(pixels: SurfacePixels, seen: npt.NDArray[np.int64]) -> tuple[FloatArray, FloatArray] | None:
+    """Return log gains of red and blue in later frames against the first, and their errors, (frames - 1, 2).
+
+    What else makes lengths depend on direction and place is shared by all frames: faults of M, near lamps,
+    vignetting. A subject that moves under near lamps changes its lengths too, and some of it looks like
+    gains. So the change is estimated four times, with ever more that is shared; by how much the four differ
+    counts as an error.
+    """
+    scaled = pixels.scaled_normals(pixels.rgb)
+    lengths = np.maximum(lengths_of(scaled), 1e-12)
+    (x, y, z), (u, v) = (scaled / lengths[:, None]).T, pixels.positions.T
+    own = changes_with_gains(pixels, scaled)[:, [0, 2]]
+    columns = [own * (pixels.frames == frame)[:, None] for frame in seen[1:]]
+    count = 2 * len(columns)
+    found = []
+    for shared in (
+        [],
+        [x, y, x * x - z * z, y * y - z * z, x * y, x * z, y * z],
+        [u, v, u * u, v * v, u * v],
+        [u * x, u * y, v * x, v * y],
+    ):
+        columns += shared
+        fit = regress_lengths(np.column_stack(columns), np.log(lengths), pixels, _ROUNDS_OF_CHANGE)
+        if fit is None:
+            return None
+        found.append((fit.slopes[:count], fit.errors[:count]))
+    slopes, errors = (np.stack(parts) for parts in zip(*found, strict=True))
+    error = np.hypot(np.maximum(errors.max(axis=0), _LEAST_ERROR_OF_CHANGE), np.ptp(slopes, axis=0) / 2)
+    return slopes.mean(axis=0).reshape(-1, 2), error.reshape(-1, 2)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,7 +151,7 @@ def fit_gains(evidence: Evidence) -> Gains | None:
     as_read = pixels.scaled_normals(pixels.rgb)
     logs, error, spread = _refined(pixels, np.zeros(2))
     few = pixels.of(slice(None, None, max(1, len(pixels) // _PIXELS_A_START)))
-    start = _STARTS[int(np.argmin([spread_of_lengths(_with_gains(few, logs)) for logs in _STARTS]))]
+    start = _STARTS[int(np.argmin([_spread(few, logs) for logs in _STARTS]))]
     if np.abs(start - logs).max() > _APART:
         farther = _refined(pixels, start)
         # A backdrop of another colour can be as long as the subject under some gains, but is no surface then.
@@ -95,7 +163,7 @@ def fit_gains(evidence: Evidence) -> Gains | None:
     return Gains(
         logs=logs,
         z=float(np.max(np.abs(logs) / error)),
-        left=spread_of_lengths(with_gains) / max(spread_of_lengths(as_read), 1e-9),
+        left=_spread(pixels, logs) / max(spread_of_lengths(as_read, pixels.frames), 1e-9),
         turn_deg=float(np.degrees(np.median(np.arccos(np.clip(cosines, -1.0, 1.0))))),
     )
 
@@ -110,55 +178,32 @@ def _with_gains(pixels: SurfacePixels, logs: FloatArray) -> FloatArray:
     return pixels.scaled_normals(pixels.rgb * np.exp([-logs[0], 0.0, -logs[1]]))
 
 
+def _spread(pixels: SurfacePixels, logs: FloatArray) -> float:
+    return spread_of_lengths(_with_gains(pixels, logs), pixels.frames)
+
+
 def _refined(pixels: SurfacePixels, logs: FloatArray) -> tuple[FloatArray, FloatArray, float]:
     """Return the log gains that even the lengths out, their errors (2,), and the spread that is left."""
-    matrix = np.linalg.inv(pixels.inverse)
     error: FloatArray = np.ones(2)
-    spread = 0.0
     for _ in range(_STEPS):
         scaled = _with_gains(pixels, logs)
-        length = np.maximum(lengths_of(scaled), 1e-12)
-        direction = scaled / length[:, None]
-        colour = np.einsum("...ij,...j->...i", matrix, direction)
-        # n · M⁻¹ E_k M n: how the log length follows channel k's log gain
-        follow = np.einsum("...i,...ij->...j", direction, pixels.inverse) * colour
-        change, error, spread = _regress(follow[:, [0, 2]], np.log(length), pixels.blocks)
-        logs = np.clip(logs + np.clip(change, -_LONGEST_STEP, _LONGEST_STEP), -1.0, 1.0)
-    return logs, error, spread
+        found = regress_lengths(
+            changes_with_gains(pixels, scaled)[:, [0, 2]],
+            np.log(np.maximum(lengths_of(scaled), 1e-12)),
+            pixels,
+        )
+        if found is None:
+            break
+        error = np.maximum(found.errors, 0.005)
+        logs = np.clip(logs + np.clip(found.slopes, -_LONGEST_STEP, _LONGEST_STEP), -1.0, 1.0)
+    return logs, error, _spread(pixels, logs)
 
 
-def spread_of_lengths(scaled: FloatArray) -> float:
-    """Return the median departure of log lengths from their median; of those that face away the largest."""
-    logs = np.log(np.maximum(lengths_of(scaled), 1e-12))
-    departure = np.abs(logs - np.median(logs))
-    departure[scaled[:, 2] > 0] = np.inf
-    return float(np.median(departure))
+def changes_with_gains(pixels: SurfacePixels, scaled: FloatArray) -> FloatArray:
+    """Return how log lengths follow the channels' log gains, (n, 3): n · M⁻¹ E_k M n.
 
-
-def _regress(
-    x: FloatArray, y: FloatArray, blocks: npt.NDArray[np.int64]
-) -> tuple[FloatArray, FloatArray, float]:
-    """Fit y = x · slopes + constant, outliers weighed down.
-
-    Returns the slopes (2,), their errors (2,) from leaving out blocks, and the median departure of y from its
-    median.
+    scaled: M⁻¹(r − a), (n, 3).
     """
-    design = np.column_stack([x, np.ones(len(x))])
-    departure = np.abs(y - np.median(y))
-    weight = 1.0 / (1.0 + (departure / (3.0 * np.median(departure) + 1e-6)) ** 2)
-    count = int(blocks.max()) + 1
-    normal, right = np.zeros((count, 3, 3)), np.zeros((count, 3))
-    for i in range(3):
-        right[:, i] = np.bincount(blocks, weight * design[:, i] * y, count)
-        for j in range(3):
-            normal[:, i, j] = np.bincount(blocks, weight * design[:, i] * design[:, j], count)
-    kept = normal[:, 2, 2] > 0
-    normal, right = normal[kept], right[kept]
-    ridge = 1e-9 * np.eye(3) * len(x)
-    slopes = np.linalg.solve(normal.sum(axis=0) + ridge, right.sum(axis=0))
-    left_out = np.linalg.solve(normal.sum(axis=0) - normal + ridge, (right.sum(axis=0) - right)[..., None])[
-        ..., 0
-    ]
-    size = len(left_out)
-    error = np.sqrt((size - 1) / size * ((left_out - left_out.mean(axis=0)) ** 2).sum(axis=0))
-    return slopes[:2], np.maximum(error[:2], 0.005), float(np.median(departure))
+    direction = scaled / np.maximum(lengths_of(scaled), 1e-12)[:, None]
+    colour = np.einsum("...ij,...j->...i", np.linalg.inv(pixels.inverse), direction)
+    return np.asarray(np.einsum("...i,...ij->...j", direction, pixels.inverse) * colour)

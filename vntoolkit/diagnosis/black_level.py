@@ -1,0 +1,108 @@
+"""Does light that is none of the lamps' reach every pixel: a black level, daylight, flare of the lens?
+
+Light is never negative, so that a constant on top of a channel is at most the channel's darkest value in the
+picture. Whether the darkest values are such a constant, or a backdrop that the lamps light, the subject
+tells: a constant adds to the lengths |M⁻¹(r − a)| in a way that M foretells. The log lengths are regressed on
+what the darkest values foretell: the slope is 0 where these are the backdrop's alone, and 1 where all of them
+lies on the subject too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from vntoolkit.arrays import FloatArray
+from vntoolkit.diagnosis.evidence import Evidence, brightest_channel, lengths_of
+from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
+from vntoolkit.diagnosis.length_regression import regress_lengths
+from vntoolkit.diagnosis.surface_pixels import SurfacePixels, surface_pixels
+from vntoolkit.photometry.transfer import Transfer, encoded_from_linear, linear_from_encoded
+
+_DARKEST_PERCENT = 1.0  # of the picture: single pixels are noise's
+_FEWEST_PIXELS = 400
+_ROUNDS = 4
+_Z = 4.0
+_LEAST_SLOPE = 0.5
+_LARGEST_SLOPE = 1.6  # above it the subject has more of it than the darkest place
+_NOTED_TURN_DEG = 1.0
+# A file of limited range holds black as 16 of 255 and white as 235.
+_BLACK, _WHITE, _BESIDE = 16 / 255, 235 / 255, 1 / 255
+
+
+def check_black_level(evidence: Evidence) -> list[Finding]:
+    """Find light on every pixel that is none of the lamps'."""
+    darkest = np.percentile(evidence.light.reshape(-1, 3), _DARKEST_PERCENT, axis=0)
+    constant = np.maximum(darkest - evidence.rig.response.ambient, 0.0)
+    pixels = surface_pixels(evidence, lambda k, _: evidence.surface[k])
+    if len(pixels) < _FEWEST_PIXELS or not constant.any():
+        return []
+    limited = _looks_of_limited_range(evidence, darkest)
+    found = limited and _undoing(pixels, lambda light: _of_full_range(light, evidence.transfer))
+    if not found:
+        found, limited = _undoing(pixels, lambda light: light - constant), False
+    if not found:
+        return []
+    red, green, blue = (f"{value:.1%}" for value in darkest)
+    return [
+        Finding(
+            check="black-level",
+            level=Level.WARNING,
+            problem="the footage looks of limited range, read as full"
+            if limited
+            else "light that is none of the lamps' lies on the whole picture, the subject too",
+            measured=f"{red} red, {green} green, {blue} blue in the darkest places, {found.slope:.2f} ± "
+            f"{found.error:.2f} times that on the subject: normals turn by {found.turn_deg:.1f} degrees",
+            expected="0 %",
+            remedy="convert it with ffmpeg -vf scale=in_range=limited:out_range=full"
+            if limited
+            else "darken the room and shade the lens, or film once with the lamps off and give that picture "
+            "with --background",
+            certainty=certainty_from_z(found.slope / max(found.error, 1e-6)),
+        )
+    ]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Undone:
+    """slope ± error: of log lengths on what undoing foretells. turn_deg: of normals by it, in the median."""
+
+    slope: float
+    error: float
+    turn_deg: float
+
+
+def _undoing(pixels: SurfacePixels, undo: Callable[[FloatArray], FloatArray]) -> _Undone | None:
+    """Return what tells that light (n, 3) must be undone; None where nothing does, or normals hardly turn."""
+    scaled, undone = pixels.scaled_normals(pixels.rgb), pixels.scaled_normals(undo(pixels.rgb))
+    lengths = np.maximum(lengths_of(scaled), 1e-12)
+    cosines = (scaled * undone).sum(axis=1) / (lengths * np.maximum(lengths_of(undone), 1e-12))
+    turn_deg = math.degrees(float(np.median(np.arccos(np.clip(cosines, -1.0, 1.0)))))
+    if turn_deg < _NOTED_TURN_DEG:
+        return None
+    # of the directions alone: dark paint is no light that is missing
+    colours = pixels.colours(scaled * (np.median(lengths) / lengths)[:, None])
+    foretold = -np.log(np.maximum(lengths_of(pixels.scaled_normals(undo(colours))), 1e-12))
+    found = regress_lengths(foretold[:, None], np.log(lengths), pixels, _ROUNDS)
+    if found is None:
+        return None
+    slope, error = float(found.slopes[0]), float(found.errors[0])
+    if not max(_LEAST_SLOPE, _Z * error) < slope < _LARGEST_SLOPE:
+        return None
+    return _Undone(slope=slope, error=error, turn_deg=turn_deg)
+
+
+def _looks_of_limited_range(evidence: Evidence, darkest: FloatArray) -> bool:
+    """True where black is stored as 16 of 255 in every channel, and nothing is above 235."""
+    black = encoded_from_linear(darkest, evidence.transfer)
+    white = encoded_from_linear(np.array([brightest_channel(evidence.light).max()]), evidence.transfer)
+    return bool(np.all(np.abs(black - _BLACK) < _BESIDE) and white[0] < _WHITE + _BESIDE)
+
+
+def _of_full_range(light: FloatArray, transfer: Transfer) -> FloatArray:
+    """Return light, (n, 3), that was read as of full range, read as of limited range."""
+    codes = encoded_from_linear(np.maximum(light, 0.0), transfer)
+    return linear_from_encoded(np.clip((codes - _BLACK) / (_WHITE - _BLACK), 0.0, 1.0), transfer)
