@@ -270,18 +270,20 @@ def rotated(labels: np.ndarray, degrees: float) -> np.ndarray:
     return labels[tuple(places.round().astype(int).clip(0, len(labels) - 1))]
 
 
-def freckled(seed: int = 0) -> tuple[LinearFrame, np.ndarray, np.ndarray]:
+MELANIN = np.array([0.3, 0.62, 1.15])
+
+
+def freckled(seed: int = 0, noise: float = LEVEL) -> tuple[LinearFrame, np.ndarray, np.ndarray]:
     """A dome of skin with 300 freckles of melanin, in 8 bits; its normals and mask."""
     rng = np.random.default_rng(seed)
     normals, mask = dome(180)
-    melanin = np.array([0.3, 0.62, 1.15])
     v, u = np.indices(mask.shape)
     freckles = np.zeros(mask.shape)
     for a, b, strength in zip(*rng.uniform(0, 180, (2, 300)), rng.uniform(0.1, 0.5, 300), strict=True):
         freckles += strength * np.exp(-((v - a) ** 2 + (u - b) ** 2) / 2 / 2.5**2)
-    skin = np.array([0.9, 0.65, 0.5]) * np.exp(-freckles[..., None] * melanin)
+    skin = np.array([0.9, 0.65, 0.5]) * np.exp(-freckles[..., None] * MELANIN)
     light = np.maximum(normals @ DIRECTIONS.T, 0.0) * skin @ COLOURS
-    light += rng.normal(0.0, LEVEL, light.shape)
+    light += rng.normal(0.0, noise, light.shape)
     return LinearFrame((light * mask[..., None]).astype(np.float32)), normals, mask
 
 
@@ -302,6 +304,14 @@ def test_freckles_are_found_as_a_pigment_and_hardly_turn_normals() -> None:
         )
     )
     assert after < 0.7 * before
+
+
+def test_noise_does_not_bend_the_line_of_a_pigment() -> None:
+    frame, _, mask = freckled(noise=3.0 * LEVEL)
+    values = find_materials([frame], [mask], RESPONSE, count=1)[0].reflectance.values[None]
+    found = MaterialLabeller(RESPONSE, values).pigments(frame, mask, np.zeros(mask.shape, np.uint8))[0]
+    assert found is not None
+    assert angles_deg(found[0], MELANIN / np.linalg.norm(MELANIN)) < 10.0  # single pixels tell none
 
 
 def test_one_colour_has_no_pigment() -> None:

@@ -18,7 +18,7 @@ from vntoolkit.arrays import FloatArray, Mask, Points, Vector3
 from vntoolkit.materials.reflectance import CAP, Lamps, bias_of_noise, length_and_variance
 from vntoolkit.native import njit
 
-_PAIRS = 10_000  # of neighbouring pixels that tell how rough normals are
+_PAIRS = 10_000  # of neighbouring blocks that tell how rough normals are
 _FEWEST_PAIRS = 1000
 _STEEP = 0.08  # difference of normals of two neighbours from which a larger one hardly counts more
 _SMOOTHER = 0.95  # of the roughness: one line of two parameters always takes a little
@@ -48,11 +48,12 @@ def pigment_of(
     pairs = int((chosen[:, 1:] & chosen[:, :-1]).sum())
     if pairs < _FEWEST_PAIRS:
         return None
-    rows = slice(None, None, max(1, round(pairs / _PAIRS)))
-    s, mask = np.ascontiguousarray(contributions[rows]), np.ascontiguousarray(chosen[rows])
+    factor = max(1, round(float(np.sqrt(pairs / _PAIRS))))
+    s, mask = _means_of_blocks(contributions, chosen, factor)
+    mixing = lamps.mixing / factor
 
     def roughness(ends: Any) -> float:
-        return float(_roughness(s, mask, np.exp(-log), _along(ends), *lamps[1:3], lamps.mixing))
+        return float(_roughness(s, mask, np.exp(-log), _along(ends), *lamps[1:3], mixing))
 
     grey = np.ones(2)
     first = grey + _FIRST_STEP * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
@@ -63,6 +64,18 @@ def pigment_of(
     if not is_pigment:
         return None
     return direction, _of_least_pigment(log, contributions[chosen], lamps, direction)
+
+
+def _means_of_blocks(contributions: FloatArray, chosen: Mask, factor: int) -> tuple[FloatArray, Mask]:
+    """Return the means over blocks of factor × factor pixels, and the blocks of which every pixel is chosen.
+
+    Paint is coarser than noise. In single pixels the line along which normals are smoothest is half that of
+    the noisiest lamp.
+    """
+    h, w = (n // factor for n in chosen.shape)
+    parts = np.s_[: h * factor, : w * factor]
+    s = contributions[parts].reshape(h, factor, w, factor, 3).mean(axis=(1, 3))
+    return s, np.ascontiguousarray(chosen[parts].reshape(h, factor, w, factor).all(axis=(1, 3)))
 
 
 def _of_least_pigment(log: Vector3, s: Points, lamps: Lamps, direction: Vector3) -> Vector3:
