@@ -306,6 +306,23 @@ def test_freckles_are_found_as_a_pigment_and_hardly_turn_normals() -> None:
     assert after < 0.7 * before
 
 
+def test_a_pigment_is_taken_out_to_unit_length_inside_the_mask_alone() -> None:
+    frame, _, mask = freckled(noise=0.0)
+    line = MELANIN / np.linalg.norm(MELANIN)
+    labeller = MaterialLabeller(RESPONSE, np.array([[0.9, 0.65, 0.5]]), line[None])
+    labels = np.zeros(mask.shape, np.uint8)
+    half = mask & (np.indices(mask.shape)[1] < 90)
+    plain, part = labeller.relit(frame, labels), labeller.relit(frame, labels, half)
+    assert np.array_equal(plain.rgb[half], part.rgb[half])
+    bare = relit(frame, RESPONSE, labels, np.array([[0.9, 0.65, 0.5]]))
+    np.testing.assert_allclose(part.rgb[~half], bare.rgb[~half], atol=1e-6)
+    off = [
+        np.abs(np.linalg.norm(each.rgb[half] @ np.linalg.inv(RESPONSE.matrix).T, axis=1) - 1.0).mean()
+        for each in (bare, part)
+    ]
+    assert off[1] < 0.6 * off[0]  # what is left is trust in other reasons, such as gloss
+
+
 def test_noise_does_not_bend_the_line_of_a_pigment() -> None:
     frame, _, mask = freckled(noise=3.0 * LEVEL)
     values = find_materials([frame], [mask], RESPONSE, count=1)[0].reflectance.values[None]

@@ -18,7 +18,15 @@ from numba import prange
 from vntoolkit.arrays import FloatArray, IntArray, Mask, Points, Vector3
 from vntoolkit.materials.blurred_labels import MARGIN_PX, BlurredLabels
 from vntoolkit.materials.pigment import pigment_of
-from vntoolkit.materials.pixels import INDEPENDENT_PX, LineLabeller, MaterialLabels, Spread, near_seams, relit
+from vntoolkit.materials.pixels import (
+    INDEPENDENT_PX,
+    LineLabeller,
+    MaterialLabels,
+    Seams,
+    Spread,
+    near_seams,
+    relit,
+)
 from vntoolkit.materials.reflectance import CAP, Lamps, bias_of_noise, length_and_variance
 from vntoolkit.materials.regions import SHADING_STEP, Regions, regions_of
 from vntoolkit.materials.split_frame import SplitFrame, block_size, split_frame
@@ -116,10 +124,14 @@ class MaterialLabeller:
         _take_blocks(found, mask, split.factor, coarse)
         return np.where(mask, found, 0).astype(np.uint8)
 
-    def relit(self, frame: LinearFrame, labels: MaterialLabels) -> LinearFrame:
-        """Return the frame as it would be with the calibration material everywhere."""
-        seams = None if self._fine is None else self._fine.seams
-        return relit(frame, self._response, labels, self._reflectances, self._pigments, seams)
+    def relit(self, frame: LinearFrame, labels: MaterialLabels, mask: Mask | None = None) -> LinearFrame:
+        """Return the frame as it would be with the calibration material everywhere; mask: see `relit`."""
+        return relit(frame, self._response, labels, self._reflectances, self._pigments, self.seams, mask)
+
+    @property
+    def seams(self) -> Seams | None:
+        """How pixels beside seams are mixtures; None before a frame is labelled, and for one material."""
+        return None if self._fine is None else self._fine.seams
 
     def left_at_seams(self, frame: LinearFrame, mask: Mask, labels: MaterialLabels) -> float:
         """Return the share of the steps of normals at seams that remains, against one material all over.

@@ -15,7 +15,7 @@ from numba import prange
 from scipy.optimize import minimize
 
 from vntoolkit.arrays import FloatArray, Mask, Points, Vector3
-from vntoolkit.materials.reflectance import CAP, Lamps, bias_of_noise, length_and_variance
+from vntoolkit.materials.reflectance import CAP, Lamps, bias_of_noise
 from vntoolkit.native import njit
 
 _PAIRS = 10_000  # of neighbouring blocks that tell how rough normals are
@@ -32,9 +32,12 @@ _FIRST_STEP = 0.3
 # Spread of the lengths for other reasons (gloss, light between folds) over that of t, and the most of t, with
 # d of length 1. The line shows where t is free; pixels are corrected with care: eyes and lips are not of it.
 _TRUST_OF_SEARCH = (0.3, 1.5)
-TRUST = (0.5, 0.5)
+_TRUST = (np.float32(0.5), np.float32(0.5))
 _ROUNDS = 3
-_LEAST_SHARE = 0.06  # of the strongest lamp's light: less may be shadow, whose length tells nothing
+_LEAST_SHARE = np.float32(0.06)  # of the strongest lamp's light: less may be shadow, which tells nothing
+# Of the kernels, which count in single precision.
+_NONE, _TINY, _ONE = np.float32(0.0), np.float32(1e-12), np.float32(1.0)
+_QUARTER, _HALF, _SIXTH, _OF_FOURTH = np.float32(0.25), np.float32(0.5), np.float32(1 / 6), np.float32(1 / 24)
 
 
 def pigment_of(
@@ -108,51 +111,105 @@ def _along(ends: Any) -> Vector3:
 def _roughness(s: Any, mask: Any, q: Any, d: Any, haze: Any, inverse: Any, mixing: Any) -> float:
     """Mean of a robust squared difference of normals over neighbours in rows."""
     h, w = mask.shape
-    bias = bias_of_noise(q, inverse, mixing)
+    squared = 1.0 + bias_of_noise(q, inverse, mixing)
+    matrix, origin, line = _scalars(inverse * q, inverse @ haze, d)
     totals, counts = np.zeros(h), np.zeros(h)
     for v in prange(h):
-        x, j, here, before = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+        b0, b1, b2 = 0.0, 0.0, 0.0
         for u in range(w):
             if not mask[v, u]:
                 continue
-            t = amount(s[v, u], q, d, haze, inverse, mixing, bias, _TRUST_OF_SEARCH, x, j)
-            length = 0.0
-            for i in range(3):
-                here[i] = 0.0
-                for k in range(3):
-                    here[i] += inverse[i, k] * (s[v, u, k] * q[k] * np.exp(-t * d[k]) - haze[k])
-                length += here[i] * here[i]
-            length = np.sqrt(length) + 1e-12
-            apart = 0.0
-            for i in range(3):
-                here[i] /= length
-                apart += (here[i] - before[i]) ** 2
-                before[i] = here[i]
+            here = (s[v, u, 0], s[v, u, 1], s[v, u, 2])
+            t = _amount(here, matrix, origin, line, squared, _TRUST_OF_SEARCH)
+            _, n0, n1, n2 = _normal(t, here, matrix, origin, line)
+            length = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2) + 1e-12
+            n0, n1, n2 = n0 / length, n1 / length, n2 / length
+            apart = (n0 - b0) ** 2 + (n1 - b1) ** 2 + (n2 - b2) ** 2
+            b0, b1, b2 = n0, n1, n2
             if u > 0 and mask[v, u - 1]:
                 totals[v] += apart / (apart + _STEEP * _STEEP)
                 counts[v] += 1.0
     return totals.sum() / max(counts.sum(), 1.0)
 
 
-@njit(cache=True, error_model="numpy")
-def amount(
-    s: Any, q: Any, d: Any, haze: Any, inverse: Any, mixing: Any, bias: float, trust: Any, x: Any,
-    j: Any,
-) -> float:  # fmt: skip
-    """Return t with which the normal of contributions s (3,) is of unit length; 0 where a lamp is missing.
+@njit(cache=True, fastmath=True, error_model="numpy")
+def take_without_pigment(
+    rgb: Any, q: Any, d: Any, haze: Any, inverse: Any, split: Any, merge: Any, out: Any
+) -> None:
+    """Fill out (n, 3) with what pixels of colours rgb (n, 3) would show in the rig's material.
 
-    q: (3,), 1 / ρ. trust: spread of lengths for other reasons over that of t, and the most of t. x, j: (3,),
-    room.
+    q: (3,), 1 / ρ of their material, d: (3,), the line of its pigment. All in single precision.
     """
-    most = max(s[0], s[1], s[2])
-    if min(s[0], s[1], s[2]) < _LEAST_SHARE * most:
-        return 0.0
-    t = 0.0
+    matrix, origin, line = _scalars(inverse * q, inverse @ haze, d)
+    c00, c01, c02 = split[0]
+    c10, c11, c12 = split[1]
+    c20, c21, c22 = split[2]
+    m00, m01, m02 = merge[0] * q
+    m10, m11, m12 = merge[1] * q
+    m20, m21, m22 = merge[2] * q
+    for u in range(len(rgb)):
+        r, g, b = rgb[u, 0], rgb[u, 1], rgb[u, 2]
+        s = (c00 * r + c01 * g + c02 * b, c10 * r + c11 * g + c12 * b, c20 * r + c21 * g + c22 * b)
+        t = _amount(s, matrix, origin, line, _ONE, _TRUST)
+        x, _, _, _ = _normal(t, s, matrix, origin, line)
+        out[u, 0] = m00 * x[0] + m01 * x[1] + m02 * x[2]
+        out[u, 1] = m10 * x[0] + m11 * x[1] + m12 * x[2]
+        out[u, 2] = m20 * x[0] + m21 * x[1] + m22 * x[2]
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _scalars(matrix: Any, origin: Any, d: Any) -> Any:
+    """Return matrix (3, 3), origin and d (3,) as tuples, which stay in registers."""
+    m = matrix
+    return (
+        (m[0, 0], m[0, 1], m[0, 2], m[1, 0], m[1, 1], m[1, 2], m[2, 0], m[2, 1], m[2, 2]),
+        (origin[0], origin[1], origin[2]),
+        (d[0], d[1], d[2]),
+    )
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _amount(s: Any, matrix: Any, origin: Any, d: Any, squared: Any, trust: Any) -> Any:
+    """Return t with which the normal of contributions s is of unit length; 0 where a lamp is missing.
+
+    squared: the square of the length to expect, with noise. trust: spread of lengths for other reasons over
+    that of t, and the most of t.
+    """
+    t = _NONE
     for _ in range(_ROUNDS):
-        for k in range(3):
-            x[k] = q[k] * np.exp(-t * d[k])
-        e, _ = length_and_variance(s, x, haze, inverse, mixing, bias, j)
-        slope = j[0] * d[0] + j[1] * d[1] + j[2] * d[2]
-        t = slope * (slope * t - e) / (slope * slope + trust[0] * trust[0])
+        x, n0, n1, n2 = _normal(t, s, matrix, origin, d)
+        long = n0 * n0 + n1 * n1 + n2 * n2
+        length = np.sqrt(long) + _TINY
+        error = (long - squared) / (length + _ONE)
+        slope = (n0 * matrix[0] + n1 * matrix[3] + n2 * matrix[6]) * x[0] * d[0]
+        slope += (n0 * matrix[1] + n1 * matrix[4] + n2 * matrix[7]) * x[1] * d[1]
+        slope += (n0 * matrix[2] + n1 * matrix[5] + n2 * matrix[8]) * x[2] * d[2]
+        slope /= -length
+        t = slope * (slope * t - error) / (slope * slope + trust[0] * trust[0])
         t = min(max(t, -trust[1]), trust[1])
-    return t
+    return t if min(s[0], s[1], s[2]) >= _LEAST_SHARE * max(s[0], s[1], s[2]) else _NONE
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _normal(t: Any, s: Any, matrix: Any, origin: Any, d: Any) -> Any:
+    """Return s ∘ exp(−t d), a tuple, and the normal's three components, matrix times that, less origin."""
+    x0, x1, x2 = (
+        s[0] * _exponential(-t * d[0]),
+        s[1] * _exponential(-t * d[1]),
+        s[2] * _exponential(-t * d[2]),
+    )
+    return (
+        (x0, x1, x2),
+        matrix[0] * x0 + matrix[1] * x1 + matrix[2] * x2 - origin[0],
+        matrix[3] * x0 + matrix[4] * x1 + matrix[5] * x2 - origin[1],
+        matrix[6] * x0 + matrix[7] * x1 + matrix[8] * x2 - origin[2],
+    )
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _exponential(x: Any) -> Any:
+    """Return exp(x), to 3e-4 where |x| is at most 1.5, 1e-6 up to 0.5: a short series."""
+    y = _QUARTER * x
+    y = _ONE + y * (_ONE + y * (_HALF + y * (_SIXTH + y * _OF_FOURTH)))
+    y *= y
+    return y * y

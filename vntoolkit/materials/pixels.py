@@ -14,7 +14,7 @@ import numpy.typing as npt
 from numba import prange
 
 from vntoolkit.arrays import FloatArray, Mask, Points
-from vntoolkit.materials.pigment import TRUST, amount
+from vntoolkit.materials.pigment import take_without_pigment
 from vntoolkit.materials.reflectance import (
     CAP,
     Lamps,
@@ -154,12 +154,14 @@ def relit(
     reflectances: Points,
     pigments: Points | None = None,
     seams: Seams | None = None,
+    mask: Mask | None = None,
 ) -> LinearFrame:
     """Return the frame as it would be with the calibration material everywhere: r' = Cᵀ (C⁻ᵀ r ∘ 1/ρ).
 
     labels: (h, w), numbers of the reflectances (m, 3). pigments: (m, 3), the lines of log ρ along which
     materials change, 0 for none. seams: how pixels beside seams are mixtures; without it they are of one
-    material. Ambient light falls on the material too: it is divided by ρ with the rest.
+    material. mask: (h, w), where pigments count, since they cost time; None for everywhere. Ambient light
+    falls on the material too: it is divided by ρ with the rest.
     """
     values = np.asarray(reflectances, np.float64)
     lamps = lamps_from_response(response, np.zeros(3))
@@ -173,10 +175,12 @@ def relit(
         weights = blur_weights(seams.blur_px, reach_of_blur(seams.blur_px))
         near = near_seams(labels, reach_of_blur(seams.blur_px))
     out = np.empty(frame.rgb.shape, np.float32)
+    inside = np.ones(labels.shape, np.bool_) if mask is None else mask
+    of_pigments = (1.0 / values, along, lamps.haze, lamps.inverse, lamps.split, merge)
     _relight(
-        np.ascontiguousarray(frame.rgb), labels, matrices.astype(np.float32), values, along, lamps.split,
-        merge, weights, near, lamps.haze, lamps.inverse, lamps.mixing, seams.tolerance,
-        out,
+        np.ascontiguousarray(frame.rgb), labels, matrices.astype(np.float32),
+        tuple(each.astype(np.float32) for each in of_pigments), inside, values, lamps.split, merge, weights,
+        near, lamps.haze, lamps.inverse, lamps.mixing, seams.tolerance, out,
     )  # fmt: skip
     return LinearFrame(rgb=out, clipped=frame.clipped, number=frame.number)
 
@@ -590,46 +594,45 @@ def _cost_of_blur(
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def _relight(
-    rgb: Any, labels: Any, matrices: Any, rho: Any, along: Any, split: Any, merge: Any, weights: Any,
-    near: Any, haze: Any, inverse: Any, mixing: Any, tolerance: float, out: Any,
+    rgb: Any, labels: Any, matrices: Any, of_pigments: Any, inside: Any, rho: Any, split: Any, merge: Any,
+    weights: Any, near: Any, haze: Any, inverse: Any, mixing: Any, tolerance: float, out: Any,
 ) -> None:  # fmt: skip
     for v in prange(len(labels)):
         _relight_row(
-            rgb[v], labels, matrices, rho, along, split, merge, weights, near[v], haze, inverse, mixing,
-            tolerance, v, out[v],
+            rgb[v], labels, matrices, of_pigments, inside[v], rho, split, merge, weights, near[v], haze,
+            inverse, mixing, tolerance, v, out[v],
         )  # fmt: skip
 
 
 @njit(cache=True, error_model="numpy")
 def _relight_row(
-    rgb: Any, labels: Any, matrices: Any, rho: Any, along: Any, split: Any, merge: Any, weights: Any,
-    near: Any, haze: Any, inverse: Any, mixing: Any, tolerance: float, v: int, out: Any,
+    rgb: Any, labels: Any, matrices: Any, of_pigments: Any, inside: Any, rho: Any, split: Any, merge: Any,
+    weights: Any, near: Any, haze: Any, inverse: Any, mixing: Any, tolerance: float, v: int, out: Any,
 ) -> None:  # fmt: skip
-    """Fill row v. rgb, out: (w, 3). near: (w,). labels: of the whole frame."""
-    count = rho.shape[0]
-    mean, light, shares, x, j = np.empty(3), np.empty(3), np.empty(count), np.empty(3), np.empty(3)
-    q = 1.0 / rho
+    """Fill row v. rgb, out: (w, 3). inside, near: (w,). labels: of the whole frame. of_pigments: what
+    `take_without_pigment` needs, of all materials, in single precision.
+    """
+    mean, light, shares, x, j = np.empty(3), np.empty(3), np.empty(rho.shape[0]), np.empty(3), np.empty(3)
+    inverse_rho, along, haze_, inverse_, split_, merge_ = of_pigments
     u, w = 0, len(rgb)
     while u < w:
-        m = labels[v, u]
-        has_pigment = along[m, 0] != 0.0 or along[m, 2] != 0.0
-        if not near[u] and not has_pigment:  # as far as it is so: one matrix for all
-            stop = u + 1
-            while stop < w and labels[v, stop] == m and not near[stop]:
+        if not near[u]:  # as far as it is so: one matrix, or one line, for all
+            m, counts, stop = labels[v, u], inside[u], u + 1
+            while stop < w and labels[v, stop] == m and inside[stop] == counts and not near[stop]:
                 stop += 1
-            _take_through(matrices[m], rgb[u:stop], out[u:stop])
+            if counts and along[m].any():
+                take_without_pigment(
+                    rgb[u:stop], inverse_rho[m], along[m], haze_, inverse_, split_, merge_, out[u:stop]
+                )
+            else:
+                _take_through(matrices[m], rgb[u:stop], out[u:stop])
             u = stop
             continue
         r, g, b = rgb[u, 0], rgb[u, 1], rgb[u, 2]
         for k in range(3):
             light[k] = split[k, 0] * r + split[k, 1] * g + split[k, 2] * b
-        if near[u]:
-            _mix(v, u, labels, rho, weights, shares, mean)
-            _shift(light, rho, shares, haze, inverse, mixing, tolerance, mean, x, j)
-        else:
-            t = amount(light, q[m], along[m], haze, inverse, mixing, 0.0, TRUST, x, j)
-            for k in range(3):
-                mean[k] = rho[m, k] * np.exp(t * along[m, k])
+        _mix(v, u, labels, rho, weights, shares, mean)
+        _shift(light, rho, shares, haze, inverse, mixing, tolerance, mean, x, j)
         for k in range(3):
             light[k] /= mean[k]
         for c in range(3):

@@ -221,7 +221,7 @@ class FrameProcessor:
         if self._labeller is not None:
             self._mask = self.lit_subject(linear)
             self._materials = self._labeller.labels(self.by_strength(linear), self._mask)
-            linear = self._labeller.relit(linear, self._materials)
+            linear = self._labeller.relit(linear, self._materials, self._mask)
         if self._painted is not None:
             linear = self._painted.relit(filmed, linear, frame.number, self._materials)
         level = linear if self._leveller is None else self._leveller.frame(linear)

@@ -14,7 +14,7 @@ from vntoolkit.io.footage.captures import Capture
 from vntoolkit.io.footage.mattes import Mattes
 from vntoolkit.io.results.manifest import MaterialEntry
 from vntoolkit.materials.labelling import MaterialLabeller
-from vntoolkit.materials.pixels import MaterialLabels
+from vntoolkit.materials.pixels import MaterialLabels, relit
 from vntoolkit.materials.search import WORST_ERROR_DEG, Material, find_materials
 from vntoolkit.normals.inversion import relative_albedo_from_frame
 from vntoolkit.photometry.frame import LinearFrame
@@ -77,9 +77,7 @@ def measured_materials(
                 found, seen = one, _Labelled.by(one, *first)
         found = _told(found, choice)
         found, pigments = _with_pigments(found, seen)
-        if any(pigment is not None for pigment in pigments):
-            seen = _Labelled.by(found, *first, pigments)
-        found = _explaining(found, seen, choice)
+        found = _explaining(found, pigments, seen, choice)
         if choice is MaterialSearch.AUTO and len(found) == 1 and _is_of_rig(found[0], *first):
             found = []
     if found:
@@ -136,18 +134,9 @@ class _Labelled:
     labels: MaterialLabels
 
     @classmethod
-    def by(
-        cls,
-        found: list[Material],
-        frame: LinearFrame,
-        mask: Mask,
-        response: LightResponse,
-        pigments: list[Vector3 | None] | None = None,
-    ) -> _Labelled:
-        """Label a frame. pigments: lines (3,) along which materials change, None for none."""
-        values = np.array([each.reflectance.values for each in found])
-        along = np.array([np.zeros(3) if each is None else each for each in pigments or [None] * len(found)])
-        labeller = MaterialLabeller(response, values, along)
+    def by(cls, found: list[Material], frame: LinearFrame, mask: Mask, response: LightResponse) -> _Labelled:
+        """Label a frame."""
+        labeller = MaterialLabeller(response, np.array([each.reflectance.values for each in found]))
         labels = labeller.labels(frame, mask)
         return cls(frame=frame, mask=mask, response=response, labeller=labeller, labels=labels)
 
@@ -159,9 +148,14 @@ class _Labelled:
         """Return for each material the line along which it changes and log ρ, or None."""
         return self.labeller.pigments(self.frame, self.mask, self.labels)
 
-    def relit(self) -> FloatArray:
-        """Return the colours (n, 3) of sound pixels as they would be in the rig's material."""
-        rgb = self.labeller.relit(self.frame, self.labels).rgb
+    def relit(self, found: list[Material], pigments: list[Vector3 | None]) -> FloatArray:
+        """Return the colours (n, 3) of sound pixels as they would be in the rig's material.
+
+        found: the materials again, with their pigments: lines (3,) along which they change, None for none.
+        """
+        values = np.array([each.reflectance.values for each in found])
+        along = np.array([np.zeros(3) if each is None else each for each in pigments])
+        rgb = relit(self.frame, self.response, self.labels, values, along, self.labeller.seams, self.mask).rgb
         return rgb[self.mask & ~self.frame.clipped].astype(np.float64)
 
 
@@ -177,11 +171,16 @@ def _with_pigments(found: list[Material], seen: _Labelled) -> tuple[list[Materia
     return materials, pigments
 
 
-def _explaining(found: list[Material], seen: _Labelled, choice: MaterialSearch | int) -> list[Material]:
+def _explaining(
+    found: list[Material],
+    pigments: list[Vector3 | None],
+    seen: _Labelled,
+    choice: MaterialSearch | int,
+) -> list[Material]:
     """Return the materials; warn where they leave much of a frame unexplained, and return none where most."""
     if not found:
         return found
-    response, rgb = seen.response, seen.relit()
+    response, rgb = seen.response, seen.relit(found, pigments)
     lamps = rgb @ response.contributions_from_rgb.T
     lit = (lamps > _LIT_SHARE * lamps.max(axis=1, keepdims=True)).all(axis=1)
     length = np.linalg.norm((rgb[lit] - response.ambient) @ response.inverse.T, axis=1)
