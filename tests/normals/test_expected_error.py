@@ -46,6 +46,20 @@ def test_noise_is_foretold_to_a_tenth(rng, sigma):
     assert np.median(normal_map.error_deg) == pytest.approx(1.82 * np.median(error), rel=0.25)
 
 
+def test_the_edge_of_the_subject_is_no_noise(rng):
+    """Pixels that mix the subject with what lies behind: their error is not that of all pixels around."""
+    light = colours() + rng.normal(0, 0.01, (240, 240, 3))
+    whole, _ = seen(light)
+    mixed = light.copy()
+    mixed[:, :60] = 0
+    turned = rng.normal(0, 0.4, (240, 3, 3)) - [0, 0, 1]
+    mixed[:, 60:63] = colours(turned / np.linalg.norm(turned, axis=-1, keepdims=True)) * 0.6
+    beside, _ = seen(mixed)
+    there = (slice(8, -8), slice(70, 100))
+    assert np.median(beside.error_deg[there]) < 1.3 * np.median(whole.error_deg[there])
+    assert np.median(beside.error_deg[8:-8, 60:63]) > 3 * np.median(whole.error_deg[there])  # too dark
+
+
 def test_an_error_of_m_is_seen_without_any_truth(rng):
     """Four wrong rigs: the bound is neither broken nor ten times too wide."""
     light = colours() + rng.normal(0, 0.003, (240, 240, 3))

@@ -3,7 +3,8 @@
 Six independent errors add up in squares. Each is measured where it shows:
 
 - noise of every kind (shot, read, quantisation, codec) turns normals at random. A surface's slopes (p, q)
-  have no curl; noise of standard deviation σ on both gives ∂p/∂v − ∂q/∂u, by central differences, that σ;
+  have no curl; noise of standard deviation σ on both gives ∂p/∂v − ∂q/∂u, by central differences, that σ.
+  Pixels at the subject's edge mix it with what lies behind: they tell nothing of those farther in;
 - an error ΔM of the rig or of the material's colour moves M⁻¹r from the unit sphere onto an ellipsoid,
   |M⁻¹r| ≈ 1 + nᵀE n with E the symmetric part of M⁻¹ΔM. The ellipsoid that fits the frame tells E, and E the
   turn of every normal, but for the rotation in M⁻¹ΔM, which leaves no trace;
@@ -61,6 +62,8 @@ _LARGEST_DEG = np.float32(71.6)
 _HALF_WEIGHT_DEG = 12.0
 _CELL = NOISE_CELL_PX  # noise changes slowly: one row of every cell tells it
 _WIDER = 2  # cells around one that are asked where its neighbours know nothing
+_EDGE_PX = 4  # from the subject's edge, which blur and subsampled chroma mix with what lies behind …
+_EDGE_SHARE = np.float32(1e-4)  # … a pixel tells of noise only where none farther in does
 _BESIDE_PX = 2  # to either side: one departure is a poor sample of how far normals depart there
 _LEAST_FACING = np.float32(0.1)
 _SAMPLES = 1000
@@ -443,10 +446,13 @@ def _curl_row(image: Any, table: Any, mask: Mask, c: _Coefficients, v: int, sums
         np.zeros(width, np.float32),
     )
     above_known, below_known = np.zeros(width, np.float32), np.zeros(width, np.float32)
+    top_known, bottom_known = np.zeros(width, np.float32), np.zeros(width, np.float32)
+    top, bottom = max(v - _EDGE_PX, 0), min(v + _EDGE_PX, mask.shape[0] - 1)
     whole = len(sums) * _CELL
     found, places = np.zeros(whole, np.float32), np.zeros(whole, np.float32)
     for row, to_p, to_q, to_known in (
-        (v - 1, above, unused, above_known), (v + 1, below, unused, below_known), (v, p, q, known)
+        (top, unused, q, top_known), (bottom, unused, q, bottom_known),
+        (v - 1, above, unused, above_known), (v + 1, below, unused, below_known), (v, p, q, known),
     ):  # fmt: skip
         _slopes_row(
             image[row, 3 * first : 3 * last], table, mask[row, first:last], c, row, first, to_p[first:last],
@@ -457,12 +463,22 @@ def _curl_row(image: Any, table: Any, mask: Mask, c: _Coefficients, v: int, sums
     up, down, q_before, q_after = above[1 : inner + 1], below[1 : inner + 1], q[:inner], q[2:]
     up_known, down_known = above_known[1 : inner + 1], below_known[1 : inner + 1]
     to_found, to_places = found[1 : inner + 1], places[1 : inner + 1]
+    share = np.zeros(inner, np.float32)
+    reach = 2 * _EDGE_PX + 1
+    if width > reach:
+        left, right = known[: width - reach + 1], known[reach - 1 :]
+        over, under = top_known[_EDGE_PX:], bottom_known[_EDGE_PX:]
+        to_share = share[_EDGE_PX - 1 : width - _EDGE_PX - 1]
+        for u in range(len(to_share)):
+            farther = min(left[u], right[u], over[u], under[u]) > zero
+            to_share[u] = one if farther else zero
     for u in range(inner):
         across, along = min(before[u], after[u]), min(up_known[u], down_known[u])
         good = (across > zero) & (along > zero) & (here[u] > zero)
         angle = half * ((down[u] - up[u]) - (q_after[u] - q_before[u])) * here[u]
-        to_found[u] = min(angle * angle, one) if good else zero
-        to_places[u] = one if good else zero
+        counted = max(share[u], _EDGE_SHARE) if good else zero
+        to_found[u] = counted * min(angle * angle, one)
+        to_places[u] = counted
     for k in range(len(sums)):
         total, count = zero, zero
         for i in range(_CELL):
