@@ -10,6 +10,10 @@ along G and across it are s cos φ and s sin φ. As functions of φ, weighted by
 a + b cos 2φ and c sin 2φ to the first order: three filters of the detail, of which two are second
 differences. Chroma changes with the slopes. Luma is kept exactly; where G is small so is the change, and
 plain decoding is left. Chroma is taken to lie in the middle of the luma that it covers.
+
+Where the subject ends against the dark, detail is neither: less light arrives, and chroma falls with luma.
+Samples of chroma that lie across the edge hold both sides in the same shares as their luma, so that chroma
+over luma is the subject's.
 """
 
 from __future__ import annotations
@@ -29,7 +33,12 @@ from vntoolkit.photometry.transfer import Transfer, linear_from_encoded
 _NOISE_OVER_DETAIL = 0.01
 _CODES = 1024  # of the decoding table
 _DARKEST = 1e-3  # of M's own brightness: no direction is known below
-_KINDS = 6  # what the detail, its waves across against along, and its diagonal ones, change in Cb and in Cr
+# What the detail, its waves across against along, and its diagonal ones, change in Cb and in Cr; and how far
+# the detail is an edge.
+_KINDS = 7
+# Luma beside a place over the greatest there: below the first it is an edge, above the other one relief.
+_EDGE, _NO_EDGE = np.float32(0.25), np.float32(0.5)
+_FAINT = 0.02  # of full scale: less luma by chroma's samples is rounding, and tells no share
 # Filters of 3×3 whose response to a wave in the direction θ is nearest to cos 2θ and sin 2θ, for waves that
 # chroma does not hold: above a fourth of a cycle per pixel, across or along.
 _UPRIGHT = 0.2854  # of the neighbours above and below, less those to the left and right
@@ -64,14 +73,17 @@ class LumaDetail:
         turns = np.empty((_KINDS, *fewer.shape[1:]), np.float32)
         to_rgb, shift = matrix.astype(np.float32), offset.astype(np.float32)
         from_rgb = np.linalg.inv(matrix).astype(np.float32)
+        faint = _FAINT * from_rgb[0].sum()
+        dark = np.array([*(-from_rgb @ offset), faint], np.float32)  # the codes of black, and faint luma
         _chroma_per_luma(
             fewer, to_rgb, shift, from_rgb, self._light, self._slope, self._matrix, self._inverse,
             self._ambient, turns,
         )  # fmt: skip
+        _edges(fewer[0], dark[0], turns)
         rgb = np.empty((*luma.shape, 3), np.uint16)
         down, across = (_cubic_weights(step) for step in steps)
         full = np.float32(65535)
-        _sharpened(luma, coarse, turns, down, across, to_rgb * full, shift * full, rgb)
+        _sharpened(luma, coarse, turns, down, across, dark, to_rgb * full, shift * full, rgb)
         return rgb
 
 
@@ -164,7 +176,7 @@ def _chroma_per_luma(  # type: ignore[no-untyped-def]  # pragma: no cover
             x2 = i20 * r0 + i21 * r1 + i22 * r2
             squared = x0 * x0 + x1 * x1 + x2 * x2
             if squared < darkest * darkest:
-                for k in range(_KINDS):
+                for k in range(_KINDS - 1):
                     turns[k, v, u] = np.float32(0)
                 continue
             # n = (p, q, -1) / √(1 + p² + q²), x = ρ n: the slope along a unit vector e of the picture turns x
@@ -196,6 +208,24 @@ def _chroma_per_luma(  # type: ignore[no-untyped-def]  # pragma: no cover
                 turns[3 * k, v, u] = on_level * on
                 turns[3 * k + 1, v, u] = on_wave * cosine * on - beside_wave * sine * beside
                 turns[3 * k + 2, v, u] = on_wave * sine * on + beside_wave * cosine * beside
+
+
+@njit(cache=True, fastmath=True)
+def _edges(luma, dark, turns):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Fill the last of the turns, 0 to 1, by the luma (h, w) around, and take edges out of the others."""
+    height, width = luma.shape
+    one, zero = np.float32(1), np.float32(0)
+    for v in range(height):
+        for u in range(width):
+            least, most = luma[v, u], luma[v, u]
+            for row in range(max(v - 1, 0), min(v + 2, height)):
+                for column in range(max(u - 1, 0), min(u + 2, width)):
+                    least, most = min(least, luma[row, column]), max(most, luma[row, column])
+            share = (least - dark) / max(most - dark, np.float32(1e-6))
+            edge = min(max((_NO_EDGE - share) / (_NO_EDGE - _EDGE), zero), one)
+            for k in range(_KINDS - 1):
+                turns[k, v, u] *= one - edge
+            turns[_KINDS - 1, v, u] = edge
 
 
 @njit(cache=True, fastmath=True)
@@ -269,8 +299,19 @@ def _add_detail(turn, detail, straight, slanted, to):  # type: ignore[no-untyped
 
 
 @njit(cache=True, fastmath=True)
+def _fall_with_luma(edge, luma, smooth, dark, blue, red):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Scale the chroma of a row as luma exceeds its mean by chroma's samples, as far as there is an edge."""
+    y0, b0, r0, faint = dark[0], dark[1], dark[2], dark[3]
+    for u in range(len(luma)):
+        light = (np.float32(luma[u]) - y0) / max(smooth[u] - y0, faint)
+        more = edge[u] * (max(light, np.float32(0)) - np.float32(1))
+        blue[u] += more * (blue[u] - b0)
+        red[u] += more * (red[u] - r0)
+
+
+@njit(cache=True, fastmath=True)
 def _sharpened(  # type: ignore[no-untyped-def]  # pragma: no cover
-    luma, coarse, turns, down, across, matrix, offset, rgb
+    luma, coarse, turns, down, across, dark, matrix, offset, rgb
 ):
     height, width = luma.shape
     m00, m01, m02 = matrix[0, 0], matrix[0, 1], matrix[0, 2]
@@ -282,14 +323,16 @@ def _sharpened(  # type: ignore[no-untyped-def]  # pragma: no cover
     step = down.shape[0]
     whole = coarse.shape[2] * across.shape[0]
     row = np.empty(coarse.shape[2] + 4, np.float32)
-    smooth, blue, red = np.empty(whole, np.float32), np.empty(whole, np.float32), np.empty(whole, np.float32)
+    blue, red = np.empty(whole, np.float32), np.empty(whole, np.float32)
+    means = np.empty((2, whole), np.float32)  # of luma, rows v and v + 1, in turn
     turn = np.empty((_KINDS, whole), np.float32)
     straight, slanted = np.empty(width, np.float32), np.empty(width, np.float32)
     details = np.zeros((3, width + 2), np.float32)  # rows v - 1, v, v + 1, in turn, with a pixel on each side
     for v in range(-1, height):
         if v + 1 < height:
-            _smooth_row(coarse[0], (v + 1) // step, down[(v + 1) % step], across, row, smooth)
-            _detail_row(luma[v + 1], smooth, details[(v + 1) % 3])
+            mean = means[(v + 1) % 2]
+            _smooth_row(coarse[0], (v + 1) // step, down[(v + 1) % step], across, row, mean)
+            _detail_row(luma[v + 1], mean, details[(v + 1) % 3])
         else:
             details[(v + 1) % 3] = details[v % 3]
         if v < 0:
@@ -300,6 +343,7 @@ def _sharpened(  # type: ignore[no-untyped-def]  # pragma: no cover
                 _turns_of_row(turns[k], v // step, across.shape[0], row, turn[k])
         _smooth_row(coarse[1], v // step, down[v % step], across, row, blue)
         _smooth_row(coarse[2], v // step, down[v % step], across, row, red)
+        _fall_with_luma(turn[_KINDS - 1], luma[v], means[v % 2], dark, blue, red)
         above, here, below = details[(v + 2) % 3], details[v % 3], details[(v + 1) % 3]
         _filters_of_row(above, here, below, straight, slanted)
         _add_detail(turn[:3], here[1:], straight, slanted, blue)
