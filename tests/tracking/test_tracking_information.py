@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
@@ -51,6 +52,20 @@ def test_noise_tells_nothing(rng: np.random.Generator) -> None:
     told = measured(*frames)
     assert np.mean(told.information[:, 0] + told.information[:, 2] > 0) < 0.1
     assert np.median(told.expected) < 0.4  # nor is a match of it expected
+
+
+def test_noise_that_is_alike_over_pixels_tells_nothing(rng: np.random.Generator) -> None:
+    """As that of a codec, or of chroma of fewer pixels than luma: far more of it agrees by chance."""
+    frames = []
+    for _ in range(2):
+        p, q = (
+            cv2.GaussianBlur(rng.normal(0, 0.1, (2 * HEIGHT, 2 * WIDTH)), (0, 0), 2.0)[:HEIGHT, :WIDTH]
+            for _ in range(2)
+        )
+        frames.append(normals(p, q))
+    told = measured(*frames)
+    assert np.mean(told.windows[0].information[:, [0, 2]].sum(axis=1) > 0) < 0.1
+    assert np.mean(told.expected > 0.2) < 0.1
 
 
 def test_noise_is_not_expected_to_match_where_it_is_stronger_either(rng: np.random.Generator) -> None:

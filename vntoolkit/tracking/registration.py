@@ -33,6 +33,11 @@ from vntoolkit.tracking.template import TrackingTemplate
 
 _CHANCE = 2.5  # standard deviations of A without a common signal, below which nothing is told
 _CORRELATED_PX = 12.0  # pixels that agree by chance count as one, by H: so measured on white noise
+_APART_PX = 12  # of the band: noise so far apart has nothing in common, nor that of a codec's blocks
+_WHITE_SQUARE = 1.9  # pixels × squared correlation of curl so far apart, of white noise; measured
+_MOSTLY = 0.5  # share of noise from which its curl is asked: fine relief that is sampled has some, too
+_FEWEST_WINDOWS = 8  # that do not overlap, to tell it
+_MEDIAN_SQUARE = 0.455  # median of a squared normal variate
 _LONGEST_STEP_PX = 2.0  # in pixels of the band: about what one linearisation reaches
 _REACH_PX, _SEARCH_STEP_PX = 16, 2  # of the search for what is lost
 _PATCH_CELLS = 4  # side of the squares that it shifts
@@ -154,7 +159,8 @@ class TemplateRegistration:
         self._patch = np.unique(patches, axis=0, return_inverse=True)[1].ravel()
         identity = np.tile([1.0, 0.0, 0.0, 1.0], (lattice.count, 1))
         self._bands = self._banded(*self._pulled_back(template.positions_px, identity, relief))
-        self._expected = self._expected_match()
+        self._correlated_px = [self._correlated(windows) for windows in self.windows]
+        self._expected = self._expected_match(self._correlated_px[0])
         self._pixels = template.positions_px
         self._pattern = [self._at_nodes(power, k, low) for k, power in enumerate(pattern)]
 
@@ -177,11 +183,11 @@ class TemplateRegistration:
             for mine, theirs in zip(self._bands, frame, strict=True)
         ]  # fmt: skip
         moved_px = self._lattice.sums(np.hypot(*(positions_px - self._pixels).T)[:, None])[:, 0] / self._size
-        for windows in self.windows:
+        for windows, correlated_px in zip(self.windows, self._correlated_px, strict=True):
             own = self._with_pattern(moments[windows.halvings], windows.halvings, moved_px)
             whole = 3.0**windows.passes  # of the weights of a window
             terms = self._lattice.smoothed(own, windows.passes) / whole
-            step, ratio, sure, axis = _steps(terms, 2.0**windows.halvings, windows.nodes)
+            step, ratio, sure, axis = _steps(terms, 2.0**windows.halvings, windows.nodes, correlated_px)
             spread = self._lattice.smoothed(_scores(own, step), windows.passes) / whole
             told = _informed(own, terms, spread, sure, axis, windows.nodes, windows.accuracy_px)
             if windows is _RELIEF:
@@ -255,7 +261,8 @@ class TemplateRegistration:
         )
         product, first, second, pixels = np.moveaxis(sums, 2, 0)
         share = product / np.sqrt(np.maximum(first * second, 1e-30))
-        share -= _SURE * np.sqrt(_CORRELATED_PX / (2.0 * np.maximum(pixels, 1.0)))
+        alike_px = (np.bincount(patch, self._correlated_px[0]) / np.bincount(patch))[:, None]
+        share -= _SURE * np.sqrt(alike_px / (2.0 * np.maximum(pixels, 1.0)))
         best = np.argmax(share, axis=1)
         sure = lost & (share[np.arange(len(best)), best] > 0)[patch]
         return shifts[best][patch].astype(np.float64), sure
@@ -265,19 +272,51 @@ class TemplateRegistration:
         """The kinds of windows that the template is large enough for."""
         return [windows for windows in _WINDOWS if windows.halvings < len(self._bands)]
 
-    def _expected_match(self) -> npt.NDArray[np.float64]:
+    def _expected_match(self, correlated_px: FloatArray) -> npt.NDArray[np.float64]:
         """Return (nodes,) the share of gradients in common if only noise told template and frame apart.
 
-        Slopes of a surface have no curl. White noise of both slopes has half of its gradients' power in it.
+        Noise is known the less well the more of its pixels agree by chance, beyond those of white noise.
         """
-        fine = self._bands[0]
-        curl = fine.gradients[..., 2] - fine.gradients[..., 1]
-        inside = fine.node >= 0
-        node, weight = fine.node[inside], fine.weight[inside]
-        squares = (2.0 * np.square(curl), np.square(fine.gradients).sum(axis=-1))
-        own = [np.bincount(node, weight * square[inside], self._lattice.count) for square in squares]
-        noise, power = self._lattice.smoothed(np.stack(own, axis=1), _RELIEF.passes).T
-        return np.asarray(np.maximum(0.0, 1.0 - noise / np.maximum(power, 1e-30)))
+        pixels = self._lattice.smoothed(self._size[:, None].astype(np.float64), _RELIEF.passes)[:, 0]
+        pixels *= _RELIEF.nodes / 3.0**_RELIEF.passes
+        unsure = _CHANCE * np.sqrt((correlated_px - _CORRELATED_PX) / (2.0 * np.maximum(pixels, 1.0)))
+        return np.asarray(np.maximum(0.0, 1.0 - (1.0 + unsure) * self._noise_share(_RELIEF)))
+
+    def _noise_share(self, windows: Windows) -> npt.NDArray[np.float64]:
+        """Return (nodes,) the share of the template's gradients in a band, over windows, that is noise.
+
+        Slopes of a surface have no curl. Noise of both slopes has half of its gradients' power in it.
+        """
+        band, count = self._bands[windows.halvings], self._lattice.count
+        inside = band.node >= 0
+        node, weight = band.node[inside], band.weight[inside]
+        squares = (2.0 * np.square(_curl(band)), np.square(band.gradients).sum(axis=-1))
+        own = [np.bincount(node, weight * square[inside], count) for square in squares]
+        noise, power = self._lattice.smoothed(np.stack(own, axis=1), windows.passes).T
+        return np.asarray(np.minimum(noise / np.maximum(power, 1e-30), 1.0))
+
+    def _correlated(self, windows: Windows) -> npt.NDArray[np.float64]:
+        """Return (nodes,) how many pixels of a band agree by chance: those of white noise, or more.
+
+        A codec, and chroma of fewer pixels than luma, leave noise that is alike over several pixels. Noise
+        has curl and relief has none: how far sums over windows of curl(x) curl(x + d) scatter tells it.
+        """
+        band = self._bands[windows.halvings]
+        curl, whole = _curl(band), windows.nodes / 3.0**windows.passes
+        noise = self._noise_share(windows)
+        squares = []
+        for down, across in ((_APART_PX, 0), (0, _APART_PX)):
+            terms = _shifted_products(band.node, self._lattice.count, curl, band.weight, down, across)
+            product, power, pixels = whole * self._lattice.smoothed(terms, windows.passes).T
+            enough = (pixels > _CORRELATED_PX) & (power > 0) & (noise > _MOSTLY)
+            squares.append(pixels[enough] * (product[enough] / power[enough]) ** 2)
+        square = np.concatenate(squares)
+        if square.size < 2.0 * _FEWEST_WINDOWS * windows.nodes:
+            return np.full(self._lattice.count, _CORRELATED_PX)
+        found = max(float(np.median(square)) / (_MEDIAN_SQUARE * _WHITE_SQUARE), 1.0)
+        # products of two frames scatter by noise times noise, and by noise times relief twice
+        share = noise * (2.0 - noise)
+        return np.asarray(_CORRELATED_PX * (1.0 + (found - 1.0) * share))
 
     def _pulled_back(
         self, positions_px: Points2, jacobians: FloatArray, relief: Relief
@@ -305,6 +344,11 @@ class TemplateRegistration:
             out.append(Band(node=node, features=features, gradients=gradients, weight=kept, beside=beside))
             node = np.ascontiguousarray(node[::2, ::2])
         return out
+
+
+def _curl(band: Band) -> npt.NDArray[np.float32]:
+    """Curl (h, w) of the slopes of a band."""
+    return np.asarray(band.gradients[..., 2] - band.gradients[..., 1])
 
 
 @njit(cache=True, fastmath=True)
@@ -375,6 +419,24 @@ def _moments(node, count, f, df, wf, g, dg, wg):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
+def _shifted_products(node, count, values, weight, down, across):  # type: ignore[no-untyped-def]
+    """(count, 3): Σ w a(x) a(x + d), Σ w (a²(x) + a²(x + d)) / 2 and pixels, of an image a (h, w)."""
+    h, w = node.shape
+    out = np.zeros((count, 3))
+    for v in range(h - down):
+        for u in range(w - across):
+            j = node[v, u]
+            own = min(weight[v, u], weight[v + down, u + across])
+            if j < 0 or own <= 0:
+                continue
+            a, b = values[v, u], values[v + down, u + across]
+            out[j, 0] += own * a * b
+            out[j, 1] += own * 0.5 * (a * a + b * b)
+            out[j, 2] += 1.0
+    return out
+
+
+@njit(cache=True)
 def _correlations(node, lost, patch, f, wf, g, wg, shifts, out):  # type: ignore[no-untyped-def]
     """Add up f·g, |f|², |g|² and pixels into (patches, shifts, 4), of a ninth of the lost pixels."""
     h, w = node.shape
@@ -397,7 +459,7 @@ def _correlations(node, lost, patch, f, wf, g, wg, shifts, out):  # type: ignore
 
 
 @njit(cache=True)
-def _steps(terms, pixel, nodes):  # type: ignore[no-untyped-def]
+def _steps(terms, pixel, nodes, correlated_px):  # type: ignore[no-untyped-def]
     """Step measured (nodes, 2), gradients' common share (nodes,), what is sure of A's eigenvalues, its axis.
 
     Those two (nodes, 2): 0 where chance makes as much; and the cosine and sine of the first eigenvector.
@@ -410,7 +472,7 @@ def _steps(terms, pixel, nodes):  # type: ignore[no-untyped-def]
         a, b, c = terms[j, 0], terms[j, 1], terms[j, 2]
         mean, half = 0.5 * (a + c), np.sqrt(0.25 * (a - c) ** 2 + b * b)
         angle = 0.5 * np.arctan2(2 * b, a - c)
-        chance = _CHANCE * np.sqrt(_CORRELATED_PX / (2.0 * max(nodes * terms[j, 11], 1.0)))
+        chance = _CHANCE * np.sqrt(correlated_px[j] / (2.0 * max(nodes * terms[j, 11], 1.0)))
         ratio[j] = max(0.0, 2 * mean / max(terms[j, 10], 1e-30))
         axis[j, 0], axis[j, 1] = np.cos(angle), np.sin(angle)
         for k in range(2):
