@@ -90,6 +90,7 @@ CHECK_NAMES: dict[str, str] = {
     "lamps": "lamps behind the surface",
     "lost": "a surface that tracking has lost",
     "mask": "a mask off the subject",
+    "near-lamps": "lamps that stand near, where M is one for the whole picture",
     "noise": "footage of no surface",
     "outline": "a surface turned inside out",
     "relatives": "M mirrored, turned, transposed or with exchanged channels",

@@ -14,10 +14,12 @@ from vntoolkit.diagnosis.checks import findings_from_evidence, findings_from_rig
 from vntoolkit.diagnosis.evidence import (
     FEW_PIXELS,
     PIXELS_BETWEEN_SEAMS,
+    Evidence,
     averaged_down,
     evidence_from_frames,
 )
 from vntoolkit.diagnosis.finding import Finding, Level
+from vntoolkit.diagnosis.lamp_nearness import Nearness, finding_from_nearness, fit_nearness
 from vntoolkit.diagnosis.over_time import (
     FRAMES_IN_A_ROW,
     check_bands,
@@ -332,6 +334,14 @@ def _findings_from_range(brightest: float) -> list[Finding]:
 # What a user may have got wrong, told by the footage itself.
 
 
+@dataclass(frozen=True, kw_only=True)
+class Examination:
+    """findings: what a capture tells. nearness: of the lamps, as far as established; see `Nearness`."""
+
+    findings: list[Finding]
+    nearness: float = 0.0
+
+
 def findings_from_capture(
     capture: Capture,
     rig: Rig | None,
@@ -339,7 +349,18 @@ def findings_from_capture(
     numbers: range | None = None,
     in_one_material: Callable[[LinearFrame], LinearFrame] | None = None,
 ) -> list[Finding]:
-    """Check a capture: clipping and drift, and with a rig all that `checks` lists.
+    """Return the findings of `examine_capture`."""
+    return examine_capture(capture, rig, mask, numbers, in_one_material).findings
+
+
+def examine_capture(
+    capture: Capture,
+    rig: Rig | None,
+    mask: Mask | None = None,
+    numbers: range | None = None,
+    in_one_material: Callable[[LinearFrame], LinearFrame] | None = None,
+) -> Examination:
+    """Check a capture: clipping and drift, and with a rig all that `checks` lists, and how near lamps are.
 
     rig: its transfer is the one it was calibrated with; the capture's own options say how it is read. mask:
     (h, w) where the surface is. numbers: the frames that matter, default all; a few of them are read.
@@ -349,26 +370,35 @@ def findings_from_capture(
     frames, in_a_row = _frames_to_judge(capture, numbers, FRAMES_IN_A_ROW)
     findings = _findings_from_channels(capture.info) + findings_from_clipping(frames, mask)
     if capture.info.chroma == "grey" or not frames:
-        return findings
+        return Examination(findings=findings)
     small = [averaged_down(frame) for frame in frames]
+    near: Nearness | None = None
     if rig is not None:
         findings += _findings_from_tag(capture.info, capture.transfer, Level.FATAL)
         findings += check_stated_focal(rig, capture.info.stated_focal_px)
         height, width = frames[0].shape
         if (width, height) != rig.footage_size:
-            return [*findings, *findings_from_rig(rig), _other_size(width, height, rig)]
+            findings += [*findings_from_rig(rig), _other_size(width, height, rig)]
+            return Examination(findings=findings)
         places = sorted({0, len(frames) // 2, len(frames) - 1})
         few, most = [small[k] for k in places], FEW_PIXELS
         if in_one_material is not None and rig.gel is None:
             few, most = [in_one_material(frames[k]) for k in places], PIXELS_BETWEEN_SEAMS
-        findings += findings_from_frames(few, rig, capture.transfer, mask, most)
+        evidence = evidence_from_frames(few, rig, capture.transfer, mask, most)
+        told = _findings_with_rig(evidence)
+        findings += told
         if rig.gel is not None:
-            return findings
+            return Examination(findings=findings)
+        if all(finding.level is Level.NOTE for finding in told) and _is_wide(evidence):
+            near = fit_nearness(evidence)
     if drift := findings_from_drift(small):  # what stands still tells more than the subject did
         findings = [*(finding for finding in findings if finding.check != "drift"), *drift]
     if any(finding.level is Level.FATAL for finding in findings):
-        return findings
-    return [*findings, *_findings_over_time(in_a_row, rig, capture.transfer, mask)]
+        return Examination(findings=findings)
+    findings += _findings_over_time(in_a_row, rig, capture.transfer, mask)
+    if near is None or not near.established:
+        return Examination(findings=findings)
+    return Examination(findings=[*findings, finding_from_nearness(near)], nearness=near.established)
 
 
 def findings_from_frames(
@@ -382,12 +412,19 @@ def findings_from_frames(
 
     most_pixels: that frames are averaged down to.
     """
-    findings = findings_from_rig(rig)
-    if rig.gel is None:  # the response of a gel is to changes, which the checks do not look at
-        evidence = evidence_from_frames(frames, rig, transfer, mask, most_pixels)
-        if min(evidence.light.shape[1:3]) >= _NARROWEST_PX:
-            findings += findings_from_evidence(evidence)
+    return _findings_with_rig(evidence_from_frames(frames, rig, transfer, mask, most_pixels))
+
+
+def _findings_with_rig(evidence: Evidence) -> list[Finding]:
+    findings = findings_from_rig(evidence.rig)
+    # the response of a gel is to changes, which the checks do not look at
+    if evidence.rig.gel is None and _is_wide(evidence):
+        findings += findings_from_evidence(evidence)
     return findings
+
+
+def _is_wide(evidence: Evidence) -> bool:
+    return min(evidence.light.shape[1:3]) >= _NARROWEST_PX
 
 
 def _findings_over_time(
@@ -400,9 +437,7 @@ def _findings_over_time(
     if rig is None or findings:
         return findings
     evidence = evidence_from_frames(in_a_row, rig, transfer, mask)
-    if min(evidence.light.shape[1:3]) < _NARROWEST_PX:
-        return []
-    return check_flicker(evidence) or check_bands(evidence)
+    return (check_flicker(evidence) or check_bands(evidence)) if _is_wide(evidence) else []
 
 
 def findings_from_calibration_footage(

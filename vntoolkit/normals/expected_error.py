@@ -44,6 +44,7 @@ from vntoolkit.normals.inversion import (
     rows_of,
 )
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
+from vntoolkit.photometry.near_lamps import changes_of_near_lamps
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.transfer import Transfer
 
@@ -197,10 +198,7 @@ def _coefficients(
     spread = response.inverse @ response.inverse.T
     along = 2.0 * spread[2, 2] / max(float(np.trace(spread) - spread[2, 2]), 1e-12)
     rows = np.maximum(np.linalg.norm(response.matrix, axis=1) * relative_albedo, 1e-9)
-    lights, directions = response.lights, response.light_directions
-    strengths = np.linalg.norm(lights, axis=1)[:, None]
-    changes = 3 * directions.T[:2, :, None] * directions - np.eye(3)[:2, None]  # (2, lamp, 3)
-    nearness = np.einsum("ik,akj->akij", np.linalg.inv(lights), strengths * changes)
+    nearness = np.einsum("ij,akjl->akil", response.inverse, changes_of_near_lamps(response))
     return _Coefficients(
         inverse=(response.inverse / relative_albedo).astype(np.float32),
         ambient=response.ambient.astype(np.float32),

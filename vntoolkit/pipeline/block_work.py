@@ -52,7 +52,8 @@ class ReconstructionJob:
     image, or video, folder or pattern of mattes, or None. matting: how these become masks. background: file
     or None. sensor: how samples of the sensor itself are read. reflectances: (m, 3), of materials relative
     to the rig's; empty for the rig's alone. pigments: (m, 3), along which log reflectances change, 0 for
-    none. surface: reflectances of a tracked surface, which count before those of the materials. threads: for
+    none. surface: reflectances of a tracked surface, which count before those of the materials. nearness: of
+    the lamps, by which the rig's M was made to change over the picture; 0 for not at all. threads: for
     decoding; with 1, reading and processing take turns, so that a worker is one core's. limits: on what any
     process reads.
     """
@@ -71,6 +72,7 @@ class ReconstructionJob:
     reflectances: tuple[tuple[float, float, float], ...] = ()
     pigments: tuple[tuple[float, float, float], ...] = ()
     surface: TrackedReflectance | None = None
+    nearness: float = 0.0
     threads: int = 2
     limits: ReadingLimits = field(default_factory=reading_limits)
 

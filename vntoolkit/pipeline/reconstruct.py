@@ -16,7 +16,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 from vntoolkit.arrays import Mask
 from vntoolkit.diagnosis.finding import Finding, judge
-from vntoolkit.diagnosis.inspection import findings_from_capture
+from vntoolkit.diagnosis.inspection import Examination, examine_capture
 from vntoolkit.errors import BadCapture, BadInput, VntError
 from vntoolkit.io.atomic import remove_numbered, require_apart, sole_writer, write_text
 from vntoolkit.io.footage.captures import Capture, CaptureInfo
@@ -44,6 +44,7 @@ from vntoolkit.io.results.manifest import (
 from vntoolkit.io.rigs import entry_from_rig
 from vntoolkit.materials.labelling import MaterialLabeller
 from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.near_lamps import with_near_lamps
 from vntoolkit.photometry.response import leveller_of
 from vntoolkit.pipeline.block_work import Block, BlockWorker, ReconstructionJob
 from vntoolkit.pipeline.cluster import require_scheduler, run_blocks_on_cluster
@@ -58,6 +59,7 @@ Started = Callable[[int, int], None]
 Finished = Callable[[FrameEntry], None]
 Workers = Callable[[ReconstructionJob, list[Block]], Generator[FrameEntry]]
 BLOCK_FRAMES = 16
+_DIGITS_OF_NEARNESS = 4
 _SEAM_PX = 11  # side of the square in which one seam rules out judging a pixel
 _FOLDERS = {
     "normals": ".exr",
@@ -136,11 +138,11 @@ def reconstruct(
         names = text_of_names([path.name for path in capture.info.left_out])
         logger.warning("%s: left out, since the frames are named otherwise: %s", job.source, names)
     missing = _missing_frames(capture, mattes, numbers)
-    findings: list[Finding] = []
+    examined = Examination(findings=[])
     if not seeks_materials(job) and job.surface is None:
-        findings = _require_plausible(job, capture, mattes, numbers)
+        examined = _require_plausible(job, capture, mattes, numbers)
     with sole_writer(root):
-        job, manifest, log = _prepared(job, capture, mattes, frames, overwrite, findings)
+        job, manifest, log = _prepared(job, capture, mattes, frames, overwrite, examined)
         on_disk = _frames_on_disk(job, log)
         on_start(len(numbers), len(on_disk & set(numbers)))
         for record in missing:
@@ -170,11 +172,11 @@ def _prepared(
     mattes: Mattes,
     frames: FrameRange,
     overwrite: bool,
-    findings: list[Finding],
+    examined: Examination,
 ) -> tuple[ReconstructionJob, Manifest, FrameLog]:
     """Settle what a run does, and write its manifest into a folder that is free for it.
 
-    findings: what was found wrong so far.
+    examined: what the footage told so far.
     """
     root = job.folder.root
     numbers = frames.numbers(capture.info.frame_count)
@@ -184,8 +186,9 @@ def _prepared(
         earlier = read_manifest(job.surface.result)
     job, materials = resolve_options(job, capture, mattes, numbers, earlier)
     if seeks_materials(job) and job.surface is None:
-        findings = _require_plausible(job, capture, mattes, numbers)
-    manifest = manifest_of_run(job, capture, mattes, frames, materials, findings)
+        examined = _require_plausible(job, capture, mattes, numbers)
+    job = _with_near_lamps(job, examined, earlier)
+    manifest = manifest_of_run(job, capture, mattes, frames, materials, examined.findings)
     if resumes:
         require_resumable(root, manifest)
     if overwrite:
@@ -266,17 +269,32 @@ def _frames_on_disk(job: ReconstructionJob, log: FrameLog) -> set[int]:
 
 def _require_plausible(
     job: ReconstructionJob, capture: Capture, mattes: Mattes, numbers: range
-) -> list[Finding]:
+) -> Examination:
     """Log and return what the footage tells of mistakes; raise `FatalFinding` for one that ruins normals."""
     rig = job.rig if job.calibrated is None else replace(job.rig, transfer=job.calibrated)
     try:
         mask, numbers = mattes.judged(capture, numbers)
-        findings = findings_from_capture(capture, rig, mask, numbers, _in_one_material(job, mask))
+        examined = examine_capture(capture, rig, mask, numbers, _in_one_material(job, mask))
     except BadCapture as problem:  # a bad frame is reported when its turn comes
         logger.debug("plausibility not checked: %s", problem)
-        return []
-    judge(findings, job.allow)
-    return findings
+        return Examination(findings=[])
+    judge(examined.findings, job.allow)
+    return examined
+
+
+def _with_near_lamps(
+    job: ReconstructionJob, examined: Examination, earlier: Manifest | None
+) -> ReconstructionJob:
+    """Return the job with M changing over the picture as the lamps are near; as an earlier run found it."""
+    nearness = round(examined.nearness, _DIGITS_OF_NEARNESS)
+    if earlier is not None:
+        stored = earlier.options.get("lamps.nearness")
+        nearness = stored if isinstance(stored, float) else 0.0
+    if not nearness or job.rig.response.variation is not None or _was_pressed(job):
+        return job
+    size = (job.rig.camera.width, job.rig.camera.height)
+    response = with_near_lamps(job.rig.response, nearness, size)
+    return replace(job, rig=replace(job.rig, response=response), nearness=nearness)
 
 
 def _in_one_material(
@@ -432,6 +450,8 @@ def _options_that_shape(job: ReconstructionJob) -> dict[str, Any]:
         values.update(option_values(job.sensor, SENSOR_PREFIX))
     if job.matting != MatteOptions():
         values.update(option_values(job.matting, "matte."))
+    if job.nearness:
+        values["lamps.nearness"] = job.nearness
     if job.surface is not None:
         values["surface.reflectance"] = job.surface.sha256
     return values

@@ -1,0 +1,95 @@
+"""How near lamps stand is told by the lengths, within its error, and never where they are far."""
+
+import numpy as np
+import pytest
+
+from tests.faults.simulated_captures import random_response
+from vntoolkit.diagnosis.evidence import evidence_from_frames
+from vntoolkit.diagnosis.lamp_nearness import Nearness, fit_nearness
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.normals.inversion import normals_from_frame
+from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.near_lamps import with_near_lamps
+from vntoolkit.photometry.response import LightResponse, rgb_from_normals
+from vntoolkit.photometry.rig import Rig
+from vntoolkit.photometry.transfer import Transfer
+
+H, W = 150, 200
+CAMERA = Camera.orthographic(width=W, height=H)
+
+
+def _relief(rng):
+    """Normals (h, w, 3) of waves within some 35 degrees of the camera."""
+    v, u = np.mgrid[:H, :W].astype(float)
+    depth = np.zeros((H, W))
+    for _ in range(6):
+        angle, length = rng.uniform(0, np.pi), rng.uniform(30, 60)
+        k = 2 * np.pi / length
+        depth += 0.25 / k * np.cos(k * (u * np.cos(angle) + v * np.sin(angle)) + rng.uniform(0, 6))
+    slope_v, slope_u = np.gradient(depth)
+    normals = np.stack([slope_u, slope_v, -np.ones_like(depth)], axis=-1)
+    return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
+
+
+def _seen(normals, response, nearness, rng, vignetting=0.0):
+    """Light (h, w, 3) of relief under point lamps: exact, where the fit is of first order."""
+    v, u = np.mgrid[:H, :W].astype(float)
+    place = np.stack([(u - (W - 1) / 2) / (W / 2), (v - (H - 1) / 2) / (W / 2), np.zeros((H, W))], axis=-1)
+    light = np.zeros((H, W, 3))
+    colours = np.linalg.inv(response.contributions_from_rgb)  # column k: the colour of light k
+    for k, (lamp, direction) in enumerate(zip(response.lights, response.light_directions, strict=True)):
+        towards = direction - nearness * place
+        distance = np.linalg.norm(towards, axis=-1, keepdims=True)
+        shade = np.linalg.norm(lamp) * (normals * towards / distance**3).sum(axis=-1)
+        light += np.clip(shade, 0, None)[..., None] * colours[:, k]
+    light *= 1 - vignetting * (place[..., :2] ** 2).sum(axis=-1)[..., None]
+    return np.clip(light + rng.normal(0, 0.003, light.shape), 0, 1)
+
+
+def seen_under_lamps(seed, nearness, vignetting=0.0):
+    """Return light (h, w, 3), the response of the picture's centre, and the true normals."""
+    rng = np.random.default_rng([seed, 41])
+    response, normals = random_response(rng), _relief(rng)
+    scale = 0.6 / rgb_from_normals(normals, response).max()
+    response = LightResponse(matrix=scale * response.matrix, light_colours=response.light_colours)
+    return _seen(normals, response, nearness, rng, vignetting), response, normals
+
+
+def _fitted(seed, nearness, vignetting):
+    light, response, normals = seen_under_lamps(seed, nearness, vignetting)
+    frame = LinearFrame(rgb=light.astype(np.float32))
+    evidence = evidence_from_frames([frame], Rig(camera=CAMERA, response=response), Transfer())
+    found = fit_nearness(evidence)
+    assert found is not None
+    return found, frame, response, normals
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize(("nearness", "vignetting"), [(0.0, 0.0), (0.0, 0.3), (0.12, 0.0), (0.12, 0.3)])
+def test_nearness_is_measured_within_its_error_and_far_lamps_are_left_alone(seed, nearness, vignetting):
+    found, frame, response, normals = _fitted(seed, nearness, vignetting)
+    assert abs(found.value - nearness) < 2 * found.error
+    if not nearness:
+        assert found.established == 0
+        return
+    assert 0.5 * nearness < found.established < 1.3 * nearness
+
+    def error_deg(with_response):
+        read = normals_from_frame(frame, with_response)
+        cosine = (read.normals_in_camera * normals).sum(axis=-1)[read.mask]
+        return float(np.degrees(np.median(np.arccos(np.clip(cosine, -1, 1)))))
+
+    assert error_deg(with_near_lamps(response, found.established, (W, H))) < 0.6 * error_deg(response)
+
+
+def test_what_lies_within_two_errors_is_not_established():
+    assert Nearness(value=0.04, error=0.02).established == 0
+    assert Nearness(value=-0.2, error=0.02).established == 0
+    assert 0.95 < Nearness(value=0.2, error=0.02).established / 0.2 < 1
+
+
+def test_a_rig_whose_m_varies_already_is_not_asked():
+    response = with_near_lamps(random_response(np.random.default_rng(3)), 0.1, (W, H))
+    frame = LinearFrame(rgb=np.full((H, W, 3), 0.5, np.float32))
+    evidence = evidence_from_frames([frame], Rig(camera=CAMERA, response=response), Transfer())
+    assert fit_nearness(evidence) is None

@@ -1,0 +1,90 @@
+"""How near do the lamps stand? What M's change over the picture does to the lengths |M⁻¹(r − a)| tells.
+
+Lamps that are near light one side of the picture more, and from another direction than the other side. That
+changes the lengths with the place and the normal together, as nothing else does that is the same all over the
+picture: an M that is wrong (what depends on the normal), vignetting and paint (what depends on the place).
+Lamps of a rig stand about equally far: what the three tell is averaged.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from vntoolkit.diagnosis.evidence import Evidence, lengths_of
+from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
+from vntoolkit.diagnosis.length_regression import regress_lengths
+from vntoolkit.diagnosis.surface_pixels import surface_pixels
+from vntoolkit.photometry.near_lamps import changes_of_near_lamps
+
+_FEWEST_PIXELS = 400
+_ROUNDS = 4
+_LEAST_ERROR = 0.02  # what renderings and photographs under far lamps are off by, all three lamps alike
+_Z = 2.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Nearness:
+    """value ± error: half of the picture's larger side, at the surface, over the lamps' distance."""
+
+    value: float
+    error: float
+
+    @property
+    def established(self) -> float:
+        """What of it is established: 0 within two standard errors, and nearly all of it far beyond."""
+        if self.value <= _Z * self.error:
+            return 0.0
+        return self.value * (1.0 - (_Z * self.error / self.value) ** 2)
+
+
+def fit_nearness(evidence: Evidence) -> Nearness | None:
+    """Fit how near the lamps are; None where M varies already, or too little of the surface is in sight.
+
+    The fit is made three times, with other things allowed besides; by how much the three differ counts as an
+    error.
+    """
+    response = evidence.rig.response
+    if response.variation is not None:
+        return None
+    pixels = surface_pixels(evidence, lambda k, _: evidence.surface[k])
+    if len(pixels) < _FEWEST_PIXELS:
+        return None
+    scaled = pixels.scaled_normals(pixels.rgb)
+    lengths = np.maximum(lengths_of(scaled), 1e-12)
+    normals = scaled / lengths[:, None]
+    (x, y, z), (u, v) = normals.T, pixels.positions.T
+    changes = np.einsum("ij,akjl->akil", response.inverse, changes_of_near_lamps(response))
+    near = list(np.einsum("na,akij,ni,nj->kn", pixels.positions, changes, normals, normals, optimize=True))
+    wrong_m = [x * x - z * z, y * y - z * z, x * y, x * z, y * z]
+    vignetting = [u * u + v * v]
+    uneven = [u, v, u * u, v * v, u * v]
+    fits = []
+    for besides in (wrong_m + vignetting, wrong_m + uneven, [x, y, *wrong_m, *uneven]):
+        fit = regress_lengths(np.column_stack([*near, *besides]), np.log(lengths), pixels, _ROUNDS)
+        if fit is None:
+            return None
+        fits.append((fit.slopes[:3], fit.errors[:3]))
+    slopes, errors = (np.stack(parts) for parts in zip(*fits, strict=True))
+    each = np.hypot(np.maximum(errors.max(axis=0), 1e-4), np.ptp(slopes, axis=0) / 2)
+    worth = each**-2.0
+    value = float((worth * slopes.mean(axis=0)).sum() / worth.sum())
+    return Nearness(value=value, error=math.hypot(_LEAST_ERROR, 1.0 / math.sqrt(worth.sum())))
+
+
+def finding_from_nearness(found: Nearness) -> Finding:
+    """Note lamps that stand near, where M is one for the whole picture."""
+    sides = [0.5 / value for value in (found.value, found.value + found.error, found.value - found.error)]
+    return Finding(
+        check="near-lamps",
+        level=Level.NOTE,
+        problem="the lamps stand near, so that M changes over the picture; the rig's is one for all of it",
+        measured=f"a distance of {sides[0]:.1f} times the picture's larger side, {sides[1]:.1f} to "
+        f"{sides[2]:.1f}",
+        expected=f"more than {0.5 / (_Z * _LEAST_ERROR):.0f} times",
+        remedy="`reconstruct` corrects M by what is established; calibrate with --degree 2 for the rest, or "
+        "move the lamps away",
+        certainty=certainty_from_z(found.value / found.error),
+    )
