@@ -223,9 +223,10 @@ def _edges(luma, dark, turns):  # type: ignore[no-untyped-def]  # pragma: no cov
                     least, most = min(least, luma[row, column]), max(most, luma[row, column])
             share = (least - dark) / max(most - dark, np.float32(1e-6))
             edge = min(max((_NO_EDGE - share) / (_NO_EDGE - _EDGE), zero), one)
-            for k in range(_KINDS - 1):
-                turns[k, v, u] *= one - edge
             turns[_KINDS - 1, v, u] = edge
+            if edge > zero:
+                for k in range(_KINDS - 1):
+                    turns[k, v, u] *= one - edge
 
 
 @njit(cache=True, fastmath=True)
@@ -303,6 +304,8 @@ def _fall_with_luma(edge, luma, smooth, dark, blue, red):  # type: ignore[no-unt
     """Scale the chroma of a row as luma exceeds its mean by chroma's samples, as far as there is an edge."""
     y0, b0, r0, faint = dark[0], dark[1], dark[2], dark[3]
     for u in range(len(luma)):
+        if edge[u] == np.float32(0):  # as almost everywhere
+            continue
         light = (np.float32(luma[u]) - y0) / max(smooth[u] - y0, faint)
         more = edge[u] * (max(light, np.float32(0)) - np.float32(1))
         blue[u] += more * (blue[u] - b0)
