@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from tests.calibration.turning_egg import (
     AXES,
@@ -76,6 +77,19 @@ def test_silhouette_is_the_eggs_outline():
     assert found.cut_share == 0.0
     with pytest.raises(BadInput, match="threshold"):
         SilhouetteOptions(threshold=2.0)
+
+
+@pytest.mark.parametrize("glow", [0.0, 0.004])
+def test_silhouette_follows_the_edge_of_bright_skin_and_of_dark_hair(glow):
+    """A disc, bright to the left and thirty times darker to the right, blurred by a lens, with noise."""
+    v, u = np.mgrid[:240, :240] - 119.5
+    light = np.where(u < 0, 0.6, 0.02) * (np.hypot(u, v) < 80)
+    lens = gaussian_filter(light, 0.9) + 0.004 + glow * np.exp(-np.hypot(u, v) / 100)
+    noise = np.random.default_rng(3).normal(0, 0.0015, (240, 240, 3))
+    found = find_silhouette((lens[..., None] + noise).astype(np.float32), SilhouetteOptions())
+    for half in (u < -3, u > 3):
+        exact = (half & (np.hypot(u, v) < 80)).sum()
+        assert abs(found.mask[half].sum() - exact) / (np.pi * 80) < 0.35  # px along its half of the contour
 
 
 def egg_views(poses):

@@ -8,12 +8,16 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, LinearImage, Mask
 from vntoolkit.errors import BadCalibration, BadInput
 
 logger = logging.getLogger(__name__)
 _SIGMAS = 6.0  # of the background's noise
+_BAND_PX = 4  # to either side of the first contour, where it is moved to the subject's edge
+_EDGE_PX = 2  # inside of it; farther in the subject may be brighter by its shading
+_EDGE_HEIGHT = 0.4  # of the rise of brightness at the edge; a rim that turns away is darker than what is behind
 _LEAST_RISE = 0.01  # of the subject's brightness: stray light on the backdrop stays below
 _SMALLEST_SHARE = 0.01  # of the image: anything smaller is no head
 _LARGEST_SHARE = 0.75  # of the image: beyond, the background itself counts as subject
@@ -30,8 +34,8 @@ _MOST = 0.2  # share of the frames that may show a fault
 class SilhouetteOptions:
     """Options of the silhouettes.
 
-    threshold: mean of the channels, 0 to 1 of full scale, above which a pixel is subject; default: found from
-    the image's border.
+    threshold: mean of the channels, 0 to 1 of full scale, above which a pixel is subject, before the contour
+    is moved to the edge beside it; default: found from the image's border.
     """
 
     threshold: float | None = None
@@ -73,7 +77,7 @@ def find_silhouette(rgb: LinearImage, options: SilhouetteOptions) -> Silhouette:
         return Silhouette(mask=empty, rival_share=0.0, cut_share=0.0, backdrop=backdrop, unrest=unrest)
     areas = stats[1:, cv2.CC_STAT_AREA].astype(float)
     order = np.argsort(areas)[::-1]
-    mask = _without_holes(labels == 1 + order[0])
+    mask = _moved_to_edge(_without_holes(labels == 1 + order[0]), grey, level, threshold)
     rival = float(areas[order[1]] / areas[order[0]]) if len(order) > 1 else 0.0
     edge = np.concatenate([bright[0], *(bright[: int(_UPPER * len(bright)), k] for k in (0, -1))])
     return Silhouette(
@@ -143,6 +147,30 @@ def _level_and_threshold(grey: FloatArray) -> tuple[float, float, float]:
     noise = 1.4826 * float(np.median(np.abs(border - level)))
     rise = max(_SIGMAS * noise, _LEAST_RISE * (float(np.percentile(grey, 99)) - level), 1e-6)
     return level, noise, level + rise
+
+
+def _moved_to_edge(mask: Mask, grey: FloatArray, level: float, threshold: float) -> Mask:
+    """Return the mask (h, w) with its contour where brightness rises from the backdrop beside it.
+
+    One threshold for the whole picture lies outside the edge of bright skin, which is blurred, and inside
+    that of dark hair. Where nothing rises by more than noise the contour stays.
+    """
+    backdrop = grey[~mask & (grey < threshold)]
+    noise = float(np.sqrt(np.mean((backdrop - level) ** 2))) if backdrop.size else 0.0
+    highest = cv2.dilate(grey, _disc(_EDGE_PX))
+    lowest = cv2.erode(grey, _disc(_BAND_PX))
+    kernel, bits = _disc(_BAND_PX), mask.astype(np.uint8)
+    band = (cv2.dilate(bits, kernel) != cv2.erode(bits, kernel)) & (highest - lowest > _SIGMAS * noise)
+    moved = np.where(band, grey > lowest + _EDGE_HEIGHT * (highest - lowest), mask).astype(np.uint8)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(moved, connectivity=4)
+    if count < 2:
+        return mask
+    return _without_holes(labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])))
+
+
+def _disc(radius_px: int) -> npt.NDArray[np.uint8]:
+    size = 2 * radius_px + 1
+    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), np.uint8)
 
 
 def _without_holes(mask: Mask) -> Mask:
