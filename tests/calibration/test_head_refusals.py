@@ -25,7 +25,7 @@ CAMERA = Camera.pinhole(width=64, height=48, focal_px=100.0)
 def silhouette(share: float, rival: float = 0.0, cut: float = 0.0, **more: float) -> Silhouette:
     mask = np.zeros((10, 100), dtype=bool)
     mask.flat[: round(1000 * share)] = True
-    return Silhouette(mask=mask, rival_share=rival, cut_share=cut, **more)
+    return Silhouette(mask=mask, bright=mask, rival_share=rival, cut_share=cut, **more)
 
 
 @pytest.mark.parametrize(

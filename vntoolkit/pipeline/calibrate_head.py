@@ -330,7 +330,7 @@ def follow_frames(
     numbers, silhouettes, contrasts, details = [], [], [], []
     for frame in frames:
         silhouette = find_silhouette(frame.rgb, options.silhouettes)
-        builder.add(local_contrast(frame.rgb), silhouette.mask)
+        builder.add(local_contrast(frame.rgb), silhouette.bright)
         numbers.append(frame.number)
         silhouettes.append(silhouette)
         contrasts.append(builder.image)

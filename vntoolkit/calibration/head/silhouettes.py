@@ -17,7 +17,9 @@ logger = logging.getLogger(__name__)
 _SIGMAS = 6.0  # of the background's noise
 _BAND_PX = 4  # to either side of the first contour, where it is moved to the subject's edge
 _EDGE_PX = 2  # inside of it; farther in the subject may be brighter by its shading
-_EDGE_HEIGHT = 0.4  # of the rise of brightness at the edge; a rim that turns away is darker than what is behind
+_EDGE_HEIGHT = (
+    0.4  # of the rise of brightness at the edge; a rim that turns away is darker than what is behind
+)
 _LEAST_RISE = 0.01  # of the subject's brightness: stray light on the backdrop stays below
 _SMALLEST_SHARE = 0.01  # of the image: anything smaller is no head
 _LARGEST_SHARE = 0.75  # of the image: beyond, the background itself counts as subject
@@ -49,13 +51,15 @@ class SilhouetteOptions:
 class Silhouette:
     """One frame's silhouette.
 
-    mask: (h, w) bool, largest bright region without holes. rival_share: area of the second largest region
+    mask: (h, w) bool, largest region without holes, up to its edge. bright: the same up to the threshold, for
+    tracks: M and mesh gain by the edge, poses do not. rival_share: area of the second largest region
     over the largest's. cut_share: how much of its width or height lies on the image's top, left or right
     edge; shoulders may be cut. edge_share: how much of those edges is bright at all.
     backdrop, unrest: its level over the subject's, and the level's spread; 0 where the threshold was given.
     """
 
     mask: Mask
+    bright: Mask
     rival_share: float
     cut_share: float
     edge_share: float = 0.0
@@ -74,14 +78,18 @@ def find_silhouette(rgb: LinearImage, options: SilhouetteOptions) -> Silhouette:
     count, labels, stats, _ = cv2.connectedComponentsWithStats(bright, connectivity=4)
     if count < 2:
         empty = np.zeros(grey.shape, np.bool_)
-        return Silhouette(mask=empty, rival_share=0.0, cut_share=0.0, backdrop=backdrop, unrest=unrest)
+        return Silhouette(
+            mask=empty, bright=empty, rival_share=0.0, cut_share=0.0, backdrop=backdrop, unrest=unrest
+        )
     areas = stats[1:, cv2.CC_STAT_AREA].astype(float)
     order = np.argsort(areas)[::-1]
-    mask = _moved_to_edge(_without_holes(labels == 1 + order[0]), grey, level, threshold)
+    region = _without_holes(labels == 1 + order[0])
+    mask = _moved_to_edge(region, grey, level, threshold)
     rival = float(areas[order[1]] / areas[order[0]]) if len(order) > 1 else 0.0
     edge = np.concatenate([bright[0], *(bright[: int(_UPPER * len(bright)), k] for k in (0, -1))])
     return Silhouette(
         mask=mask,
+        bright=region,
         rival_share=rival,
         cut_share=_cut_share(mask),
         edge_share=float(edge.mean()),
