@@ -25,7 +25,7 @@ from vntoolkit.integration.integrate import DepthIntegrator
 from vntoolkit.integration.options import IntegrationOptions, Integrator
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.photometry.frame import LinearFrame, count_lit, lit_from_labels
-from vntoolkit.photometry.response import Leveller
+from vntoolkit.photometry.levelling import Leveller
 from vntoolkit.pipeline.referenced_captures import CAPTURES, ReferencedCapture, read_capture
 from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
 from vntoolkit.shadows.recovery import RecoveryMethod, recover_normals

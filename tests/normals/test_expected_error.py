@@ -10,7 +10,9 @@ from vntoolkit.io.maps_and_meshes.maps import read_normal_map, write_normal_map
 from vntoolkit.normals.expected_error import normals_and_errors_from_encoded, with_expected_error
 from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame
 from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.levelling import Leveller
+from vntoolkit.photometry.near_lamps import with_near_lamps
+from vntoolkit.photometry.response import LightResponse, rgb_from_normals
 from vntoolkit.photometry.transfer import Transfer
 
 MATRIX = np.array([[0.5, 0.06, -0.45], [-0.22, 0.4, -0.5], [-0.2, -0.35, -0.42]])
@@ -136,6 +138,35 @@ def test_stored_samples_give_the_same_in_one_pass(rng, size):
     apart = with_expected_error(plain, frame, RESPONSE, camera=camera, residual_deg=2.0)
     for name in ("error_deg", "weight", "noise_deg"):
         np.testing.assert_allclose(getattr(found, name), getattr(apart, name), rtol=0.02, atol=0.01)
+
+
+def test_m_that_varies_is_read_in_one_pass_too(rng):
+    """Near lamps: the same as where the frame is first made to look as the M of its centre would show it."""
+    response = with_near_lamps(RESPONSE, 0.15, (240, 240))
+    light = rgb_from_normals(waves(), response) + rng.normal(0, 0.01, (240, 240, 3))
+    stored = np.rint(65535 * np.clip(light, 0, 1)).astype(np.uint16)
+    found, _ = normals_and_errors_from_encoded(stored, response, Transfer())
+    plain = normals_from_encoded(stored, response, Transfer())
+    np.testing.assert_allclose(found.normals_in_camera, plain.normals_in_camera, atol=1e-5)
+    np.testing.assert_array_equal(found.mask, plain.mask)
+    rgb = (stored / 65535).astype(np.float32)
+    frame = LinearFrame(rgb=rgb, clipped=(stored == 65535).any(axis=2))
+    level = Leveller(response, frame.shape).frame(frame)
+    apart = with_expected_error(plain, level, RESPONSE)
+    for name in ("error_deg", "weight", "noise_deg"):
+        np.testing.assert_allclose(getattr(found, name), getattr(apart, name), rtol=0.02, atol=0.01)
+
+
+def test_vignetting_is_no_error_of_normals(rng):
+    """Brightness that falls off towards the corners, as behind most lenses, turns no normal."""
+    v, u = (np.mgrid[:240, :240] - 119.5) / 120
+    light = colours() + rng.normal(0, 0.005, (240, 240, 3))
+    plain, _ = seen(light)
+    fallen, error = seen(
+        RESPONSE.ambient + (light - RESPONSE.ambient) * (1 - 0.25 * (u**2 + v**2))[..., None]
+    )
+    assert np.median(fallen.error_deg) < 1.5 * np.median(plain.error_deg)
+    assert (error <= fallen.error_deg).mean() > 0.85
 
 
 def test_files_keep_it(tmp_path, rng):

@@ -15,8 +15,8 @@ from vntoolkit.normals.inversion import (
     relative_albedo_from_frame,
 )
 from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.levelling import Leveller
 from vntoolkit.photometry.response import (
-    Leveller,
     LightResponse,
     ResponseVariation,
     powers_to_degree,

@@ -25,11 +25,13 @@ class Regression:
 
 
 def regress_lengths(
-    columns: FloatArray, logs: FloatArray, pixels: SurfacePixels, rounds: int = 1
+    columns: FloatArray, logs: FloatArray, pixels: SurfacePixels, rounds: int = 1, *, widely: bool = False
 ) -> Regression | None:
     """Fit log lengths (n,) by the columns (n, k) and a level for each frame, outliers weighed down.
 
-    rounds: of weighing. None where what is seen lies in one block.
+    rounds: of weighing. widely: the errors are the largest of those from leaving out single blocks, squares
+    of 2×2, and so on up to quarters of the subject: what the columns do not explain may be alike over many
+    blocks. None where what is seen lies in one block.
     """
     width = columns.shape[1]
     order = np.argsort(pixels.blocks, kind="stable")
@@ -50,11 +52,18 @@ def regress_lengths(
         ridge = 1e-9 * np.eye(terms) * size
         found = np.linalg.solve(normal.sum(axis=0) + ridge, right.sum(axis=0))
         residual = y - design @ found
-    without = normal.sum(axis=0) - normal + ridge
-    left_out = np.linalg.solve(without, (right.sum(axis=0) - right)[..., None])[:, :width, 0]
-    share = (len(parts) - 1) / len(parts)
-    errors = np.sqrt(share * ((left_out - left_out.mean(axis=0)) ** 2).sum(axis=0))
-    return Regression(slopes=found[:width], errors=errors)
+    side = pixels.blocks_a_side
+    row, column = np.divmod(pixels.blocks[order][[part.start for part in parts]], side)
+    errors = []
+    for together in range(1, max(1, side // 2 if widely else 1) + 1):
+        squares = np.unique((row // together) * side + column // together, return_inverse=True)[1]
+        member = (squares == np.arange(squares.max() + 1)[:, None]).astype(float)
+        left_normal, left_right = (np.tensordot(member, sums, axes=1) for sums in (normal, right))
+        without = normal.sum(axis=0) - left_normal + ridge
+        left_out = np.linalg.solve(without, (right.sum(axis=0) - left_right)[..., None])[:, :width, 0]
+        share = (len(member) - 1) / len(member)
+        errors.append(np.sqrt(share * ((left_out - left_out.mean(axis=0)) ** 2).sum(axis=0)))
+    return Regression(slopes=found[:width], errors=np.max(errors, axis=0))
 
 
 def spread_of_lengths(scaled: FloatArray, frames: npt.NDArray[np.int64]) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -22,7 +23,8 @@ _PIXELS_A_FRAME = 4000
 class SurfacePixels:
     """rgb: (n, 3). inverse: M⁻¹, (3, 3) or (n, 3, 3). ambient: (3,) or (n, 3). blocks, frames: (n,) numbers.
 
-    positions: (n, 2) from the picture's centre, in halves of its larger side.
+    blocks_a_side: block k lies in row k // blocks_a_side. positions: (n, 2) from the picture's centre, in
+    halves of its larger side.
     """
 
     rgb: FloatArray
@@ -30,6 +32,7 @@ class SurfacePixels:
     ambient: FloatArray
     blocks: npt.NDArray[np.int64]
     frames: npt.NDArray[np.int64]
+    blocks_a_side: int
     positions: FloatArray
 
     def __len__(self) -> int:
@@ -43,6 +46,7 @@ class SurfacePixels:
             ambient=self.ambient if self.ambient.ndim == 1 else self.ambient[chosen],
             blocks=self.blocks[chosen],
             frames=self.frames[chosen],
+            blocks_a_side=self.blocks_a_side,
             positions=self.positions[chosen],
         )
 
@@ -89,5 +93,6 @@ def surface_pixels(evidence: Evidence, chosen: Callable[[int, Single], Mask]) ->
         ambient=ambient if ambient.ndim == 1 else ambient.reshape(-1, 3)[places],
         blocks=evidence.blocks.ravel()[places],
         frames=frames,
+        blocks_a_side=math.isqrt(int(evidence.blocks.max()) + 1),
         positions=centred / (max(height, width) / 2),
     )

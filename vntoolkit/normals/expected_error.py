@@ -34,7 +34,6 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NOISE_CELL_PX, NormalMap
 from vntoolkit.native import njit
 from vntoolkit.normals.inversion import (
-    FLAGS,
     InversionOptions,
     coefficients_from_response,
     decoding_of,
@@ -44,6 +43,7 @@ from vntoolkit.normals.inversion import (
     rows_of,
 )
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
+from vntoolkit.photometry.levelling import FLAGS, leveller_of, map_row
 from vntoolkit.photometry.near_lamps import changes_of_near_lamps
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.transfer import Transfer
@@ -110,7 +110,8 @@ def with_expected_error(
     if labels is not None:
         require_shape(labels, shape, "visibility labels")
         labels = np.ascontiguousarray(labels)
-    light = _Light(np.ascontiguousarray(frame.rgb), None, np.ascontiguousarray(frame.clipped), np.float32(0))
+    clipped = np.ascontiguousarray(frame.clipped)
+    light = _Light(np.ascontiguousarray(frame.rgb), None, clipped, np.float32(0), None)
     mask = np.ascontiguousarray(normal_map.mask)
     c = _coefficients(response, camera)
     noise_deg, noise, constants = _evidence(light, mask, labels, c, residual_deg)
@@ -132,12 +133,12 @@ def normals_and_errors_from_encoded(
 ) -> tuple[NormalMap, float]:
     """Decode, invert and tell the error in one pass; return the map and the share of clipped pixels.
 
-    The normals of `normals_from_encoded`, for one M all over the image, with the errors of
-    `with_expected_error`.
+    The normals of `normals_from_encoded` with the errors of `with_expected_error`.
     """
     shape = require_encoded(encoded)
     inside, decoding = require_mask_or_all(mask, shape), decoding_of(encoded, transfer, bits)
-    light = _Light(np.ascontiguousarray(encoded), decoding.table, None, decoding.white)
+    maps = None if response.variation is None else leveller_of(response, shape).maps
+    light = _Light(np.ascontiguousarray(encoded), decoding.table, None, decoding.white, maps)
     options = options or InversionOptions()
     c = _coefficients(response, camera, options.relative_albedo, options.darkest)
     noise_deg, noise, constants = _evidence(light, inside, None, c, residual_deg)
@@ -147,7 +148,8 @@ def normals_and_errors_from_encoded(
     error, weight = np.empty(shape, np.float32), np.empty(shape, np.float32)
     clipped = np.zeros(shape[0], np.int64)
     out = (rows_of(normals), valid, error, weight, clipped)
-    _normals_and_errors_kernel(rows_of(light.image), decoding.table, inside, noise, constants, limits, out)
+    image = rows_of(light.image)
+    _normals_and_errors_kernel(image, decoding.table, maps, inside, noise, constants, limits, out)
     found = NormalMap(
         normals_in_camera=normals,
         mask=valid,
@@ -161,22 +163,25 @@ def normals_and_errors_from_encoded(
 class _Light(NamedTuple):
     """Where light is read: linear (h, w, 3), or stored integers with the linear value of each.
 
-    clipped: (h, w) of linear light; stored light is clipped from `white` on.
+    clipped: (h, w) of linear light; stored light is clipped from `white` on. maps: of these colours to those
+    that the M of the picture's centre forms, or None where they are so.
     """
 
     image: Any
     table: Any
     clipped: Any
     white: np.float32
+    maps: Any
 
 
 class _Coefficients(NamedTuple):
     """What the loops need to know, float32.
 
-    inverse: M⁻¹, (3, 3). ambient: (3,). channel: 1 / |row of M|, (3,). rays: (6,), an affine map from a pixel
-    to its ray. along: variance of equal noise in all channels along a normal that faces the camera, over that
-    across it. darkest: length of M⁻¹(r − a) below which a pixel is black. nearness: (2, 3, 3, 3), M⁻¹ΔM a
-    step to the right or down makes with each lamp, times the lamp's distance over the step.
+    inverse: M⁻¹ at the centre, (3, 3). ambient: (3,). channel: 1 / |row of M|, (3,). rays: (6,), an affine
+    map from a pixel to its ray. along: variance of equal noise in all channels along a normal that faces the
+    camera, over that across it. darkest: length of M⁻¹(r − a) below which a pixel is black. nearness:
+    (2, 3, 3, 3), M⁻¹ΔM a step to the right or down makes with each lamp, times the lamp's distance over the
+    step.
     """
 
     inverse: Any
@@ -220,8 +225,8 @@ def _evidence(
     """
     cells = tuple(-(-n // _CELL) for n in mask.shape)
     found, noise = np.zeros((2, *cells), np.float32), np.empty(cells, np.float32)
-    _curl_kernel(rows_of(light.image), light.table, mask, c, found)
-    rows, ellipsoid = np.empty((cells[0], mask.shape[1]), np.float32), np.empty(25)
+    _curl_kernel(rows_of(light.image), light.table, light.maps, mask, c, found)
+    rows, ellipsoid = np.empty((cells[0], mask.shape[1]), np.float32), np.empty(31)
     _whole_frame_kernel(light, mask, labels, c, found, noise, rows, ellipsoid)
     fixed = (_OF_RESIDUAL * max(residual_deg, 0.0)) ** 2
     by_noise = 2.0 * c.along  # of a squared departure: what noise rarely makes
@@ -255,18 +260,19 @@ def _whole_frame_kernel(
     known = int(found[1].sum()) * _CELL
     step = max(1, int(math.sqrt(max(known, mask.size // _MOST_PER_KNOWN) // _SAMPLES)))
     samples = np.empty((5, -(-mask.shape[0] // step) * -(-mask.shape[1] // step)))
-    image, table, clipped, white = light
-    count = _samples_kernel(image, table, clipped, white, mask, labels, c, step, samples)
+    image, table, clipped, white, maps = light
+    count = _samples_kernel(image, table, clipped, white, maps, mask, labels, c, step, samples)
     _fit_ellipsoid(samples[:, :count], mask.shape, c.nearness, ellipsoid)
 
 
 @njit(cache=True, fastmath=FLAGS | {"reassoc"}, error_model="numpy")
 def _fit_ellipsoid(samples: Any, shape: tuple[int, int], nearness: Any, found: Any) -> None:
-    """Fill 1 / albedo, e00, e01, e02, e11, e12, e22 of |M⁻¹(r − a)| = albedo (1 + nᵀ(E + u U + v V) n), U, V.
+    """Fill 1 / albedo, e00, e01, e02, e11, e12, e22 of |M⁻¹(r − a)| = albedo (1 + nᵀ(E + u U + v V) n + f),
+    U, V, and the numbers of f, brightness that changes slowly over the image, by 1, u, v, u², v², u v.
 
-    Regress the log length of M⁻¹(r − a) on the normal's squares and on what near lamps make of them,
-    robustly; brightness that changes slowly over the image counts besides. samples: (5, n), M⁻¹(r − a) and
-    the place u, v. shape: of the image. E, symmetric and without trace, is that of the picture's centre.
+    Regress the log length of M⁻¹(r − a) on the normal's squares, on what near lamps make of them and on f,
+    robustly. samples: (5, n), M⁻¹(r − a) and the place u, v; here u and v count from the image's centre.
+    shape: of the image. E, symmetric and without trace, is that of the picture's centre.
     """
     count = samples.shape[1]
     design = np.ones((_TERMS + 1, count))  # what to regress on, and the log length
@@ -287,8 +293,10 @@ def _fit_ellipsoid(samples: Any, shape: tuple[int, int], nearness: Any, found: A
         s, t = (samples[3, i] - u_0) / half, (samples[4, i] - v_0) / half
         design[6, i], design[7, i] = s, t
         design[8, i], design[9, i], design[10, i] = s * s, t * t, s * t
-    for k in range(6, 11):
-        design[k] -= design[k].mean()
+    means = np.empty(5)
+    for k in range(5):
+        means[k] = design[6 + k].mean()
+        design[6 + k] -= means[k]
     for k in range(3):
         for i in range(count):
             s, t = (samples[3, i] - middle_u) / half, (samples[4, i] - middle_v) / half
@@ -331,6 +339,12 @@ def _fit_ellipsoid(samples: Any, shape: tuple[int, int], nearness: Any, found: A
                 for column in range(3):
                     change = best[11 + k] * nearness[axis, k, row, column] / half
                     found[7 + 9 * axis + 3 * row + column] += change
+    s, t, falloff = (middle_u - u_0) / half, (middle_v - v_0) / half, best[6:11]  # the centre, from the mean
+    found[25] = falloff[0] * s + falloff[1] * t + falloff[2] * s * s + falloff[3] * t * t + falloff[4] * s * t
+    found[25] -= (falloff * means).sum()
+    found[26] = (falloff[0] + 2 * falloff[2] * s + falloff[4] * t) / half
+    found[27] = (falloff[1] + 2 * falloff[3] * t + falloff[4] * s) / half
+    found[28:31] = falloff[2:5] / half**2
 
 
 @njit(cache=True)
@@ -351,11 +365,12 @@ def _solve_symmetric(a: Any, x: Any) -> None:
 
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")
 def _samples_kernel(
-    image: Any, table: Any, clipped: Any, white: Any, mask: Mask, labels: Any, c: _Coefficients, step: int,
-    samples: Any,
+    image: Any, table: Any, clipped: Any, white: Any, maps: Any, mask: Mask, labels: Any, c: _Coefficients,
+    step: int, samples: Any,
 ) -> int:  # fmt: skip
     """Fill (5, n) with M⁻¹(r − a) and the place u, v on a grid; return how many are lit all around."""
     height, width = mask.shape
+    mean = np.empty((3, 1), np.float32)
     inverse, ambient = c.inverse, c.ambient
     count = 0
     for v in range(step // 2, height, step):
@@ -378,8 +393,16 @@ def _samples_kernel(
                     else:
                         sound &= not clipped[near_v, near_u]
                     r, g, b = r + red, g + green, b + blue
+                    red, green, blue = red - ambient[0], green - ambient[1], blue - ambient[2]
+                    x = inverse[0, 0] * red + inverse[0, 1] * green + inverse[0, 2] * blue
+                    y = inverse[1, 0] * red + inverse[1, 1] * green + inverse[1, 2] * blue
+                    z = inverse[2, 0] * red + inverse[2, 1] * green + inverse[2, 2] * blue
+                    sound &= z < 0 and x * x + y * y + z * z > c.darkest * c.darkest  # no backdrop
             ninth = np.float32(1 / 9)
-            r, g, b = r * ninth - ambient[0], g * ninth - ambient[1], b * ninth - ambient[2]
+            mean[0, 0], mean[1, 0], mean[2, 0] = r * ninth, g * ninth, b * ninth
+            if maps is not None:
+                map_row(maps, v, u, mean[0], mean[1], mean[2])
+            r, g, b = mean[0, 0] - ambient[0], mean[1, 0] - ambient[1], mean[2, 0] - ambient[2]
             x = inverse[0, 0] * r + inverse[0, 1] * g + inverse[0, 2] * b
             y = inverse[1, 0] * r + inverse[1, 1] * g + inverse[1, 2] * b
             z = inverse[2, 0] * r + inverse[2, 1] * g + inverse[2, 2] * b
@@ -393,14 +416,17 @@ def _samples_kernel(
 
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")
 def _slopes_row(
-    line: Any, table: Any, inside: Any, c: _Coefficients, v: int, first: int, p: Any, q: Any, known: Any
-) -> None:
+    line: Any, table: Any, maps: Any, inside: Any, c: _Coefficients, v: int, first: int, p: Any, q: Any,
+    known: Any,
+) -> None:  # fmt: skip
     """Put in the slopes p, q of the colours' own normals, and cos^1.5 of their inclination; 0 for no normal.
 
     A turn by ε moves the slope by ε / cos² along the inclination and ε / cos across. v, first: the place of
     the first pixel.
     """
     read_row(line, table, p, q, known)
+    if maps is not None:
+        map_row(maps, v, first, p, q, known)
     inverse, ambient, rays, one = c.inverse, c.ambient, c.rays, np.float32(1.0)
     i00, i01, i02 = inverse[0, 0], inverse[0, 1], inverse[0, 2]
     i10, i11, i12 = inverse[1, 0], inverse[1, 1], inverse[1, 2]
@@ -424,16 +450,18 @@ def _slopes_row(
 
 
 @njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
-def _curl_kernel(image: Any, table: Any, mask: Mask, c: _Coefficients, found: Any) -> None:
+def _curl_kernel(image: Any, table: Any, maps: Any, mask: Mask, c: _Coefficients, found: Any) -> None:
     """Sum up the squared curl, as an angle in radians, and its places, along the middle row of cells."""
     for cell in prange(found.shape[1]):
         v = min(cell * _CELL + _CELL // 2 - 1, mask.shape[0] - 2)
         if v >= 1:
-            _curl_row(image, table, mask, c, v, found[0, cell], found[1, cell])
+            _curl_row(image, table, maps, mask, c, v, found[0, cell], found[1, cell])
 
 
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")
-def _curl_row(image: Any, table: Any, mask: Mask, c: _Coefficients, v: int, sums: Any, counts: Any) -> None:
+def _curl_row(
+    image: Any, table: Any, maps: Any, mask: Mask, c: _Coefficients, v: int, sums: Any, counts: Any
+) -> None:
     width = mask.shape[1]
     first, last = _span(mask[v])
     # one array each, whose slices have no stride: eight pixels at a time
@@ -453,8 +481,8 @@ def _curl_row(image: Any, table: Any, mask: Mask, c: _Coefficients, v: int, sums
         (v - 1, above, unused, above_known), (v + 1, below, unused, below_known), (v, p, q, known),
     ):  # fmt: skip
         _slopes_row(
-            image[row, 3 * first : 3 * last], table, mask[row, first:last], c, row, first, to_p[first:last],
-            to_q[first:last], to_known[first:last],
+            image[row, 3 * first : 3 * last], table, maps, mask[row, first:last], c, row, first,
+            to_p[first:last], to_q[first:last], to_known[first:last],
         )  # fmt: skip
     inner, zero, half, one = width - 2, np.float32(0.0), np.float32(0.5), np.float32(1.0)
     before, here, after = known[:inner], known[1 : inner + 1], known[2:]
@@ -538,15 +566,17 @@ def _noise_row(noise: Any, v: int, first: int, row: Any) -> None:
 
 
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")
-def _nearness_at(shape: Any, k: Any, u: int, v: int) -> Any:
-    """Return M⁻¹ΔM of near lamps at a pixel, (9,)."""
-    right, down = (
-        np.float32(u) - np.float32(0.5) * (shape[1] - 1),
-        np.float32(v) - np.float32(0.5) * (shape[0] - 1),
-    )
-    found = np.empty(9, np.float32)
+def _slow_changes_at(shape: Any, k: Any, u: int, v: int) -> Any:
+    """Return M⁻¹ΔM of near lamps at a pixel, (9,), then f of `_fit_ellipsoid` there and its slope along u."""
+    half, two = np.float32(0.5), np.float32(2.0)
+    right, down = np.float32(u) - half * (shape[1] - 1), np.float32(v) - half * (shape[0] - 1)
+    found = np.empty(11, np.float32)
     for i in range(9):
         found[i] = np.float32(right) * k[24 + i] + np.float32(down) * k[33 + i]
+    found[9] = (
+        k[42] + k[43] * right + k[44] * down + k[45] * right**2 + k[46] * down**2 + k[47] * right * down
+    )
+    found[10] = k[43] + two * k[45] * right + k[47] * down
     return found
 
 
@@ -557,8 +587,7 @@ def _bound_row(
 ) -> None:  # fmt: skip
     """Turn a row of colours into unit normals, in place, and fill their length, their bound and its weight.
 
-    unlit: squared bound of pixels that not all lights reach, else 0. m: M⁻¹ΔM of near lamps at the first
-    pixel, (9,).
+    unlit: squared bound of pixels that not all lights reach, else 0. m: slow changes at the first pixel.
     """
     zero, half, one = np.float32(0.0), np.float32(0.5), np.float32(1.0)
     i00, i01, i02, i10, i11, i12, i20, i21, i22 = k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7], k[8]
@@ -566,6 +595,7 @@ def _bound_row(
     fixed, by_noise, inverse_albedo = k[15], k[16], k[17]
     e00, e01, e02, e11, e12, e22 = k[18], k[19], k[20], k[21], k[22], k[23]
     m0, m1, m2, m3, m4, m5, m6, m7, m8 = m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]
+    f0, f1, f2 = m[9], m[10], k[45]
     s0, s1, s2, s3, s4, s5, s6, s7, s8 = k[24], k[25], k[26], k[27], k[28], k[29], k[30], k[31], k[32]
     count = len(r)
     departures, rest = np.zeros(count + 2 * _BESIDE_PX, np.float32), np.empty(count, np.float32)
@@ -593,7 +623,7 @@ def _bound_row(
         n2 = (m6 + at * s6) * x + (m7 + at * s7) * y + (m8 + at * s8) * z
         longer = n0 * x + n1 * y + n2 * z
         near = max(n0 * n0 + n1 * n1 + n2 * n2 - longer * longer, zero)
-        foretold = max(one + along + longer, _LEAST_FACING)
+        foretold = max(one + along + longer + f0 + at * (f1 + at * f2), _LEAST_FACING)
         measured = max(size * inverse_albedo, _SHORTEST)
         departure = abs(measured * measured - foretold * foretold) / (measured * foretold) * half
         departure = min(departure, one)  # sinh of the log length
@@ -626,6 +656,8 @@ def _error_kernel(
         first, last = _span(mask[v])
         if first == last:
             continue
+        # what departs just outside counts, as where stored samples are read
+        first, last = max(first - _BESIDE_PX, 0), min(last + _BESIDE_PX, mask.shape[1])
         count = last - first
         r, g, b = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
         length, unlit = np.empty(count, np.float32), np.zeros(count, np.float32)
@@ -638,14 +670,14 @@ def _error_kernel(
         read_row(rgb[v, 3 * first : 3 * last], None, r, g, b)
         _bound_row(
             r, g, b, unlit, row_noise, mask[v, first:last], constants,
-            _nearness_at(mask.shape, constants, first, v), length, error[v, first:last],
+            _slow_changes_at(mask.shape, constants, first, v), length, error[v, first:last],
             weight[v, first:last],
         )  # fmt: skip
 
 
 @njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
 def _normals_and_errors_kernel(
-    encoded: Any, table: Any, mask: Mask, noise: Any, constants: Any, limits: Any, out: Any
+    encoded: Any, table: Any, maps: Any, mask: Mask, noise: Any, constants: Any, limits: Any, out: Any
 ) -> None:
     """Fill normals (h, w, 3), valid, the bound in degrees and its weight (h, w), and clipped pixels a row."""
     height, width = mask.shape
@@ -664,7 +696,9 @@ def _normals_and_errors_kernel(
             count += top
             good[u] = mask[v, u] & ((not top) | (clipped_factor > zero))
         clipped[v] = count
-        near = _nearness_at(mask.shape, constants, 0, v)
+        if maps is not None:
+            map_row(maps, np.int64(v), 0, r, g, b)
+        near = _slow_changes_at(mask.shape, constants, 0, v)
         _bound_row(r, g, b, unlit, row_noise, good, constants, near, length, error[v], weight[v])
         to_error, to_weight, to_valid, to_normals = error[v], weight[v], valid[v], normals[v]
         for u in range(width):

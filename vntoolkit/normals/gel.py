@@ -19,8 +19,8 @@ from vntoolkit.checks import require_mask, require_shape
 from vntoolkit.geometry.maps import NOISE_CELL_PX, NormalMap
 from vntoolkit.native import njit
 from vntoolkit.normals.expected_error import NINE_OF_TEN
-from vntoolkit.normals.inversion import FLAGS
 from vntoolkit.photometry.gel import STEEPEST, GelResponse
+from vntoolkit.photometry.levelling import FLAGS
 from vntoolkit.photometry.response import LightResponse
 
 Array = npt.NDArray[Any]

@@ -22,11 +22,11 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.levelling import FLAGS, leveller_of, map_row
 from vntoolkit.photometry.response import LightResponse, scaled_normals_from_rgb
 from vntoolkit.photometry.transfer import Transfer, decoding_table
 
 Single = npt.NDArray[np.float32]
-FLAGS = {"contract", "arcp", "nsz"}  # reordering that keeps NaN and infinity meaningful
 _LONGEST = np.float32(1e18)  # squares beyond it overflow float32: treated as not finite
 _ZERO = np.float32(0)
 _ONE = np.float32(1)
@@ -188,9 +188,7 @@ def _inverted(
     """Return the normals of linear colours (h, w, 3) with their clipped pixels, or of stored ones."""
     options = options or InversionOptions()
     shape = inside.shape
-    field = None
-    if response.variation is not None:
-        field = field_from_response(response, options.relative_albedo)
+    maps = None if response.variation is None else leveller_of(response, shape).maps
     out = Outputs(
         normals=np.empty((*shape, 3), np.float32),
         weight=np.empty(shape, np.float32),
@@ -199,7 +197,7 @@ def _inverted(
     table, white = (None, np.float32(0)) if decoding is None else decoding
     c = coefficients_from_response(response, options)
     flat = out._replace(normals=rows_of(out.normals))
-    _normals_kernel(rows_of(image), table, white, clipped, inside, field, c, flat)
+    _normals_kernel(rows_of(image), table, white, clipped, inside, maps, c, flat)
     return NormalMap(normals_in_camera=out.normals, mask=out.valid, weight=out.weight)
 
 
@@ -238,27 +236,14 @@ class Outputs(NamedTuple):
     valid: Array
 
 
-class Field(NamedTuple):
-    """M and a over the image, all float32.
-
-    terms: (12, 4, 4): number e of (M row by row, then a), coefficient of x^i y^j; M is multiplied by the
-    expected albedo. x = (u − centre_u) × inverse_scale, y likewise.
-    """
-
-    terms: Array
-    centre_u: np.float32
-    centre_v: np.float32
-    inverse_scale: np.float32
-
-
-# Compiled loops: one pass over the image, row by row. A table of None stands for linear colours, a field of
+# Compiled loops: one pass over the image, row by row. A table of None stands for linear colours, maps of
 # None for one M all over the image: numba drops the branches for the other. Rows are flat slices, and what
 # every pixel shares is read before a loop: only such loops are done many pixels at a time.
 
 
 @njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
 def _normals_kernel(
-    image: Array, table: Any, white: Any, clipped: Any, inside: Array, field: Any, c: Coefficients,
+    image: Array, table: Any, white: Any, clipped: Any, inside: Array, maps: Any, c: Coefficients,
     out: Outputs,
 ) -> None:  # fmt: skip
     """Fill `out` from colours (h, 3 w): linear float32, or stored integers through a decoding table.
@@ -272,7 +257,9 @@ def _normals_kernel(
         read_row(image[v], table, x, y, z)
         top = np.empty(width, np.bool_)
         _clipped_row(clipped, v, white, x, y, z, top)
-        _invert_row(field, v, c, x, y, z)
+        if maps is not None:
+            map_row(maps, np.int64(v), 0, x, y, z)
+        _mix_row(c, x, y, z)
         _normalise_row(x, y, z, top, inside[v], c, weight[v], valid[v])
         to = normals[v]
         for u in range(width):
@@ -303,18 +290,8 @@ def _clipped_row(clipped: Any, v: int, white: Any, r: Array, g: Array, b: Array,
 
 
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")
-def _invert_row(field: Any, v: int, c: Coefficients, x: Array, y: Array, z: Array) -> None:
-    """Replace the colours in x, y, z by M⁻¹(r − a)."""
-    if field is None:
-        _mix_row(c, x, y, z)
-    else:
-        cubics = np.empty((12, 4), np.float32)
-        _cubics_of_row(field, v, cubics)
-        _solve_row(field, cubics, x, y, z)
-
-
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
 def _mix_row(c: Coefficients, x: Array, y: Array, z: Array) -> None:
+    """Replace the colours in x, y, z by M⁻¹(r − a)."""
     i00, i01, i02 = c.inverse[0, 0], c.inverse[0, 1], c.inverse[0, 2]
     i10, i11, i12 = c.inverse[1, 0], c.inverse[1, 1], c.inverse[1, 2]
     i20, i21, i22 = c.inverse[2, 0], c.inverse[2, 1], c.inverse[2, 2]
@@ -343,53 +320,3 @@ def _normalise_row(
         y[u] = y[u] * scale if good else _ZERO
         z[u] = z[u] * scale if good else _ZERO
         valid[u] = good
-
-
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
-def _cubics_of_row(field: Field, v: int, row: Array) -> None:
-    """Put y in: row[e, i] is the coefficient of x^i in row v."""
-    y = (np.float32(v) - field.centre_v) * field.inverse_scale
-    terms = field.terms
-    for e in range(12):
-        for i in range(4):
-            row[e, i] = ((terms[e, i, 3] * y + terms[e, i, 2]) * y + terms[e, i, 1]) * y + terms[e, i, 0]
-
-
-@njit(cache=True, inline="always", fastmath=FLAGS, error_model="numpy")
-def _cubic(row: Array, e: int, x: Any) -> Any:
-    return ((row[e, 3] * x + row[e, 2]) * x + row[e, 1]) * x + row[e, 0]
-
-
-@njit(cache=True, fastmath=FLAGS, error_model="numpy")
-def _solve_row(field: Field, row: Array, x: Array, y: Array, z: Array) -> None:
-    """Replace the colours in x, y, z by M⁻¹(r − a), by Cramer's rule."""
-    for u in range(x.shape[0]):
-        s = (np.float32(u) - field.centre_u) * field.inverse_scale
-        a, b, c = _cubic(row, 0, s), _cubic(row, 1, s), _cubic(row, 2, s)
-        d, e, f = _cubic(row, 3, s), _cubic(row, 4, s), _cubic(row, 5, s)
-        g, h, k = _cubic(row, 6, s), _cubic(row, 7, s), _cubic(row, 8, s)
-        red, green, blue = x[u] - _cubic(row, 9, s), y[u] - _cubic(row, 10, s), z[u] - _cubic(row, 11, s)
-        first, second, third = e * k - f * h, f * g - d * k, d * h - e * g
-        scale = _ONE / (a * first + b * second + c * third)
-        x[u] = (first * red + (c * h - b * k) * green + (b * f - c * e) * blue) * scale
-        y[u] = (second * red + (a * k - c * g) * green + (c * d - a * f) * blue) * scale
-        z[u] = (third * red + (b * g - a * h) * green + (a * e - b * d) * blue) * scale
-
-
-def field_from_response(response: LightResponse, relative_albedo: float) -> Field:
-    """Lay out a response for the loops."""
-    terms = np.zeros((12, 4, 4))
-    terms[:9, 0, 0] = response.matrix.ravel() * relative_albedo
-    terms[9:, 0, 0] = response.ambient
-    centre_u, centre_v, scale = 0.0, 0.0, 1.0
-    if response.variation is not None:
-        (centre_u, centre_v), scale = response.variation.centre_px.tolist(), response.variation.scale_px
-        i, j = response.variation.powers.T
-        terms[:9, i, j] = response.variation.matrices.reshape(-1, 9).T * relative_albedo
-        terms[9:, i, j] = response.variation.ambients.T
-    return Field(
-        terms=terms.astype(np.float32),
-        centre_u=np.float32(centre_u),
-        centre_v=np.float32(centre_v),
-        inverse_scale=np.float32(1.0 / scale),
-    )

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, LinearImage, Matrix3, Vector3, read_only
+from vntoolkit.arrays import FloatArray, Matrix3, Vector3, read_only
 from vntoolkit.checks import require_finite, require_shape
 from vntoolkit.errors import BadRig
-from vntoolkit.native import njit
-from vntoolkit.photometry.frame import LinearFrame
 
 _LARGEST_CONDITION_NUMBER = 1e4  # beyond it one grey level of noise turns a normal by tens of degrees
 HIGHEST_DEGREE = 3
@@ -199,58 +196,3 @@ def _positions(positions_px: FloatArray | None, values: FloatArray) -> FloatArra
         return positions_px
     v, u = np.indices(values.shape[:2])
     return np.stack([u, v], axis=-1).astype(np.float64)
-
-
-class Leveller:
-    """Converts a frame from M(u, v) to the M₀ of the centre: r' = M₀ M(u, v)⁻¹ (r − a(u, v)) + a₀.
-
-    For stages that need one M, such as shadow detection. Exact where all three lights reach the pixel. Where
-    one does not, the mixing adds a little of the other lights to it, less so the more the lights' directions
-    at the pixel resemble those at the centre. To detect missing lights, use `frame_by_strength`.
-    """
-
-    def __init__(self, response: LightResponse, shape: tuple[int, int]) -> None:
-        v, u = np.indices(shape)
-        matrices, ambients = response.at(np.stack([u, v], axis=-1))
-        mix = response.matrix @ np.linalg.inv(matrices)
-        offset = response.ambient - (mix @ ambients[..., None])[..., 0]
-        self._mix, self._offset = mix.astype(np.float32), offset.astype(np.float32)
-        split = response.contributions_from_rgb
-        gains = np.linalg.norm(response.lights, axis=1) / np.linalg.norm(split @ matrices, axis=-1)
-        scale = np.linalg.inv(split) @ (gains[..., None] * split)
-        self._scale = scale.astype(np.float32)
-        self._scale_offset = (response.ambient - (scale @ ambients[..., None])[..., 0]).astype(np.float32)
-
-    def frame(self, frame: LinearFrame) -> LinearFrame:
-        """Return the frame as the response of the centre would have formed it."""
-        return _mixed(frame, self._mix, self._offset)
-
-    def frame_by_strength(self, frame: LinearFrame) -> LinearFrame:
-        """Return the frame with every light as strong as at the centre; a missing light stays missing.
-
-        The lights' directions remain those of the pixel, so normals computed from it have a small error.
-        """
-        return _mixed(frame, self._scale, self._scale_offset)
-
-
-@lru_cache(maxsize=1)
-def leveller_of(response: LightResponse, shape: tuple[int, int]) -> Leveller:
-    """Return the leveller of frames (h, w); the last one is kept, since it takes longer than a frame."""
-    return Leveller(response, shape)
-
-
-def _mixed(frame: LinearFrame, mix: FloatArray, offset: FloatArray) -> LinearFrame:
-    rgb = np.empty(frame.rgb.shape, np.float32)
-    _mix_kernel(np.ascontiguousarray(frame.rgb), mix, offset, rgb)
-    return LinearFrame(rgb=rgb, clipped=frame.clipped, number=frame.number)
-
-
-@njit(cache=True)
-def _mix_kernel(rgb: LinearImage, mix: FloatArray, offset: FloatArray, out: LinearImage) -> None:
-    height, width = rgb.shape[:2]
-    for v in range(height):
-        for u in range(width):
-            r, g, b = rgb[v, u, 0], rgb[v, u, 1], rgb[v, u, 2]
-            for i in range(3):
-                mixed = mix[v, u, i, 0] * r + mix[v, u, i, 1] * g + mix[v, u, i, 2] * b
-                out[v, u, i] = mixed + offset[v, u, i]

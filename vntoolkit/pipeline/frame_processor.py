@@ -25,7 +25,7 @@ from vntoolkit.normals.expected_error import normals_and_errors_from_encoded, wi
 from vntoolkit.normals.gel import GelInverter, drift_of_change
 from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
-from vntoolkit.photometry.response import leveller_of
+from vntoolkit.photometry.levelling import leveller_of
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
 from vntoolkit.pipeline.contact import Contact, contact_from_depth, rested
@@ -284,7 +284,6 @@ class FrameProcessor:
         """True where the kernel that decodes and inverts in one pass may be used."""
         integers = frame.values.dtype in (np.uint8, np.uint16)
         plain = self._options.shadows is ShadowMethod.NONE and self._background is None
-        plain = plain and not (self._tells_errors and self._leveller is not None)
         plain = plain and self._labeller is None and self._painted is None
         return integers and plain and not self._resampler.changes_frames
 

@@ -28,7 +28,7 @@ from vntoolkit.materials.surface_reflectance import (
     fit_surface_reflectance,
 )
 from vntoolkit.photometry.frame import count_lit
-from vntoolkit.photometry.response import leveller_of
+from vntoolkit.photometry.levelling import leveller_of
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.opened_result import OpenedResult, open_result
 from vntoolkit.pipeline.options import OnError, Product, options_from_values, sensor_from_values
