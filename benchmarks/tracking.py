@@ -32,6 +32,12 @@ def sheet(width: int, height: int, mask: np.ndarray, frame: int) -> tuple[Normal
     return NormalMap(normals_in_camera=normals.astype(np.float32), mask=mask), depth
 
 
+def paint(width: int, height: int, frame: int) -> np.ndarray:
+    """Spots that slide with the wrinkles."""
+    u, v = np.meshgrid(np.arange(width) - 0.8 * frame, np.arange(height) - 0.3 * frame)
+    return np.float32(1.0 + 0.1 * np.sin(u / 3.0) * np.sin(v / 4.0))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--large", action="store_true")
@@ -48,13 +54,13 @@ def main() -> None:
     for name, options in cases.items():
         first = sheet(width, height, mask, 0)
         start = time.perf_counter()
-        tracker = SurfaceTracker(*first, camera, options)
+        tracker = SurfaceTracker(*first, camera, options, paint=paint(width, height, 0))
         set_up = time.perf_counter() - start
         times, busy = [], []
         for k in range(1, arguments.frames + 1):
-            maps = sheet(width, height, mask, k)
+            maps, painted = sheet(width, height, mask, k), paint(width, height, k)
             start, before = time.perf_counter(), time.process_time()
-            tracker.step(*maps)
+            tracker.step(*maps, paint=painted)
             times.append(time.perf_counter() - start)
             busy.append(time.process_time() - before)
         times, busy = times[2:], busy[2:]  # the first two compile and warm up

@@ -146,7 +146,7 @@ def test_relief_that_is_off_by_more_than_its_waves_is_searched_for() -> None:
     registration = TemplateRegistration(template, lattice, relief)
     jacobians = LocalJacobians(lattice, template.positions_px).of(template.positions_px)
     told = registration.measure(template.positions_px + np.array([11.0, -9.0]), jacobians, relief)
-    shift, sure = registration.searched(told.frame, np.ones(lattice.count, dtype=bool))
+    shift, sure = registration.searched(told, np.ones(lattice.count, dtype=bool))
     assert sure.mean() > 0.8
     np.testing.assert_allclose(np.median(shift[sure], axis=0), [-11.0, 9.0], atol=1.0)
 

@@ -72,6 +72,8 @@ def track(
         seams=() if seams is None else read_seams(seams),
         out=out,
         lost_px=lost_px,
+        footage=footage,
+        background=background,
     )
     with ProgressBars() as bars:
         summary = run(job, overwrite=overwrite, on_start=partial(bars.begin, "track"), on_frame=bars.step)

@@ -15,10 +15,11 @@ from vntoolkit.arrays import FloatArray, Points2
 from vntoolkit.checks import require_positive
 from vntoolkit.diagnosis.finding import judge
 from vntoolkit.diagnosis.over_time import findings_from_tracks
-from vntoolkit.errors import BadInput, BadMesh
+from vntoolkit.errors import BadInput, BadMesh, VntError
 from vntoolkit.geometry.mesh import MeshSequence
 from vntoolkit.io.atomic import sole_writer, undisturbed
 from vntoolkit.io.results.sequences import MeshSequenceWriter, read_mesh_sequence, remove_mesh_sequence
+from vntoolkit.pipeline.opened_result import open_result
 from vntoolkit.pipeline.options import option_values
 from vntoolkit.pipeline.tracked_folder import (
     TrackSource,
@@ -30,10 +31,13 @@ from vntoolkit.pipeline.tracked_folder import (
 )
 from vntoolkit.tracking.fixed_pattern import FRAMES_COMPARED, fixed_pattern
 from vntoolkit.tracking.options import Tracker, TrackingOptions
+from vntoolkit.tracking.paint import Paint, paint_image, paint_of_frame
 from vntoolkit.tracking.slopes import relief_slopes, slopes_from_normals
 from vntoolkit.tracking.tracker import SurfaceTracker, tracked_frame
 
 _LOGGER = logging.getLogger(__name__)
+
+PaintReader = Callable[[int], Paint]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -42,7 +46,8 @@ class TrackJob:
 
     folder: written by `reconstruct`. template: number of the template frame, None for the first one there.
     seams: polylines on the template image. out: None for folder/track. lost_px: a vertex is called lost
-    where its expected error is above this.
+    where its expected error is above this. footage, background: as for `open_result`; where the footage is
+    not at hand, relief and shape alone are tracked.
     """
 
     folder: Path
@@ -51,6 +56,8 @@ class TrackJob:
     seams: Sequence[Points2] = ()
     out: Path | None = None
     lost_px: float = 4.0
+    footage: str = ""
+    background: Path | None = None
 
     def __post_init__(self) -> None:
         require_positive(self.lost_px, "expected error from which a vertex is lost, in pixels")
@@ -101,21 +108,25 @@ def track(
             f"--template {template}: that frame is not in {job.folder}; "
             f"it holds {source.numbers[0]} to {source.numbers[-1]}"
         )
-    record = _record(job, source, template)
+    paint_of = _paint_reader(job, source)
+    record = _record(job, source, template) | {"paint": paint_of is not None}
     with undisturbed(job.folder), sole_writer(job.target) as target:
         require_free(target, record, overwrite=overwrite)
+        pattern, paint, paint_pattern = _registered_by(job, source, template, paint_of)
         tracker = SurfaceTracker(
             *source.maps(template),
             source.camera,
             job.options,
             job.seams,
             source.labels(template),
-            _pattern_of(source) if job.options.method is Tracker.DEFAULT else (),
+            pattern,
+            paint,
+            paint_pattern,
         )
         if overwrite:
             clear_track(target)
         write_track_record(target, record)
-        resumed = _run(tracker, source, template, target, on_start, on_frame)
+        resumed = _run(tracker, source, template, target, on_start, on_frame, paint_of)
     missing = tuple(n for n in source.numbers if not source.has(n))
     tracked = [n for n in source.numbers if source.has(n)]
     visible, error_px = _visible_shares(job, [source.numbers.index(n) for n in tracked])
@@ -135,14 +146,43 @@ def track(
     )
 
 
-def _pattern_of(source: TrackSource) -> tuple[FloatArray, ...]:
-    """Return the sensor's fixed pattern, by frames from all over the video."""
+def _paint_reader(job: TrackJob, source: TrackSource) -> PaintReader | None:
+    """Return what reads the paint of a frame from the footage; None where that is not at hand."""
+    if job.options.method is not Tracker.DEFAULT:
+        return None
+    try:
+        result = open_result(job.folder, footage=job.footage, background=job.background)
+        if result.rig.gel is not None or (
+            "background" in result.manifest.extra_files and result.background is None
+        ):
+            return None
+        result.linear(source.numbers[0])
+    except VntError as problem:
+        _LOGGER.info("%s; relief and shape alone are tracked", problem)
+        return None
+    return lambda number: paint_of_frame(result.linear(number), result.rig.response, source.labels(number))
+
+
+def _registered_by(
+    job: TrackJob, source: TrackSource, template: int, paint_of: PaintReader | None
+) -> tuple[Sequence[FloatArray], Paint | None, Sequence[FloatArray]]:
+    """Return the sensor's fixed pattern, the template's paint, and the pattern of paint.
+
+    By frames from all over the video.
+    """
+    if job.options.method is not Tracker.DEFAULT:
+        return (), None, ()
     there = [n for n in source.numbers if source.has(n)]
     chosen = np.unique(np.linspace(0, len(there) - 1, FRAMES_COMPARED).round().astype(int))
-    return fixed_pattern(
-        relief_slopes(slopes_from_normals(seen, source.camera), seen, source.labels(number))[..., :3]
-        for number, seen in ((there[k], source.normals(there[k])) for k in chosen)
-    )
+    reliefs = {}
+    for number in (there[k] for k in chosen):
+        seen = source.normals(number)
+        reliefs[number] = relief_slopes(slopes_from_normals(seen, source.camera), seen, source.labels(number))
+    of_relief = fixed_pattern(relief[..., :3] for relief in reliefs.values())
+    if paint_of is None:
+        return of_relief, None, ()
+    of_paint = fixed_pattern(paint_image(paint_of(n), relief) for n, relief in reliefs.items())
+    return of_relief, paint_of(template), of_paint
 
 
 def _visible_shares(job: TrackJob, rows: Sequence[int]) -> tuple[tuple[float, ...], tuple[float, ...]]:
@@ -161,6 +201,7 @@ def _run(
     target: Path,
     on_start: Callable[[int, int], None],
     on_frame: Callable[[], None],
+    paint_of: PaintReader | None,
 ) -> int:
     at = source.numbers.index(template)
     back, ahead = source.numbers[:at][::-1], source.numbers[at + 1 :]
@@ -172,14 +213,14 @@ def _run(
             with MeshSequenceWriter(target / "backwards", mesh, frame_rate_hz=rate, resume=True) as backwards:
                 resumed = backwards.frame_count
                 on_start(len(source.numbers), resumed)
-                _follow(tracker, source, (template, *back), backwards, on_frame, lead=0)
+                _follow(tracker, source, (template, *back), backwards, on_frame, paint_of, lead=0)
             _copy_reversed(target / "backwards", writer, tracker)
             writer.append(first.vertices_in_camera, first.uncertainty_px)
             on_frame()
         else:
             on_start(len(source.numbers), resumed)
         tracker.resume(first, first, source.normals(template))
-        _follow(tracker, source, (template, *ahead), writer, on_frame, lead=at + 1)
+        _follow(tracker, source, (template, *ahead), writer, on_frame, paint_of, lead=at + 1)
     remove_mesh_sequence(target / "backwards")
     return resumed
 
@@ -190,6 +231,7 @@ def _follow(
     numbers: tuple[int, ...],
     writer: MeshSequenceWriter,
     on_frame: Callable[[], None],
+    paint_of: PaintReader | None,
     lead: int,
 ) -> None:
     """Track numbers[1:] from numbers[0]; the writer holds `lead` frames that are not of this run."""
@@ -198,7 +240,8 @@ def _follow(
         _go_on(tracker, source, numbers[: done + 1], writer.folder, writer.frame_count - 1 - done)
     for number in numbers[done + 1 :]:
         if source.has(number):
-            tracked = tracker.step(*source.maps(number), source.labels(number))
+            paint = None if paint_of is None else paint_of(number)
+            tracked = tracker.step(*source.maps(number), source.labels(number), paint)
             writer.append(tracked.vertices_in_camera, tracked.uncertainty_px)
         else:
             held, told = tracker.state.vertices_in_camera, tracker.state.uncertainty_px

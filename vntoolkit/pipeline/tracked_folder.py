@@ -131,7 +131,7 @@ def require_free(folder: Path, record: dict[str, Any], *, overwrite: bool) -> No
     if overwrite:
         return
     now = json.loads(json.dumps(record))
-    unnamed = {"result_sha256": now["result_sha256"]}  # a record of before this was kept
+    unnamed = {"result_sha256": now["result_sha256"], "paint": False}  # a record of before these were kept
     before = unnamed | read_track_record(folder)
     grown = now["frames"][: len(before["frames"])] == before["frames"]
     free = ("frames", "lost_px")

@@ -86,7 +86,8 @@ class FitErrors:
         given = np.concatenate([size * self._slow, STRAIN * uniform, doubt], axis=2)
         shared = [
             each.slide_px[:, None, None] * each.information[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
-            for each in windows[1:]
+            for each in windows
+            if each.slide_px.any()
         ]
         nothing = np.zeros((len(outline), 2, _SAMPLES + given.shape[2]))
         unmoved = np.zeros((len(sd), 2, 2 * len(shared)))

@@ -6,7 +6,8 @@ a degree. On a smooth surface it is the strongest there is, and a mesh registere
 A surface's slopes have no curl. White noise of both slopes has as much curl as gradient along either axis.
 Noise of the frames' own has nothing in common at a pixel, the pattern has its curl. Where a painted surface
 is at rest in all frames its paint has curl in common too. But the pattern is as white as noise: of its power
-little is left at half the resolution, and of paint's a third and more.
+little is left at half the resolution, and of paint's a third and more. Paint itself is a scalar and has no
+curl: there the gradients along both axes stand for it.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from vntoolkit.tracking.paint import PaintImage
 from vntoolkit.tracking.slopes import Slopes, gradient_bands
 
 FRAMES_COMPARED = 8  # so many tell the pattern's power to a hundredth of the noise's
@@ -28,33 +30,34 @@ _OF_PAINT = 3.0  # power of paint over that in the next band, at most
 Power = npt.NDArray[np.float32]
 
 
-def fixed_pattern(frames: Iterable[Slopes]) -> tuple[Power, ...]:
+def fixed_pattern(frames: Iterable[Slopes | PaintImage]) -> tuple[Power, ...]:
     """Return, for each band, (h, w) the power of gradients along either axis that the pattern makes.
 
-    frames: (h, w, 3) slopes of frames from all over a video. Empty for fewer than four.
+    frames: (h, w, 3) slopes, or (h, w, 2) paint, of frames from all over a video. Empty for fewer than four.
     """
     sums: list[npt.NDArray[np.float32]] = []
     count = 0
-    for slopes in frames:
-        bands = gradient_bands(slopes[..., :2], slopes[..., 2])
+    for image in frames:
+        bands = gradient_bands(image[..., :-1], image[..., -1])
         for k, (_, gradients, weight) in enumerate(itertools.islice(bands, 2)):
-            seen = weight > 0
-            curl = np.where(seen, gradients[..., 2] - gradients[..., 1], np.float32(0.0))
+            seen = (weight > 0)[..., None]
+            common = gradients if gradients.shape[2] == 2 else gradients[..., 2:3] - gradients[..., 1:2]
+            common = np.where(seen, common, np.float32(0.0))
             if k == len(sums):
-                sums.append(np.zeros((*curl.shape, 3), np.float32))
-            sums[k] += np.stack([curl, curl * curl, seen], axis=-1, dtype=np.float32)
+                sums.append(np.zeros((3, *common.shape), np.float32))
+            sums[k] += np.stack([common, common * common, np.broadcast_to(seen, common.shape)])
         count += 1
     if count < _FEWEST_FRAMES or len(sums) < 2:
         return ()
-    fine, coarse = (_common_power(*np.moveaxis(each, 2, 0)) for each in sums)
+    fine, coarse = (_common_power(*each) for each in sums)
     paint = _OF_PAINT * np.asarray(cv2.resize(coarse, fine.shape[::-1]))
     white = np.asarray(np.maximum(fine - paint, 0.0) / (1.0 - _OF_PAINT * _WHITE[1]), np.float32)
     return tuple(np.float32(share) * white[:: 2**k, :: 2**k] for k, share in enumerate(_WHITE))
 
 
 def _common_power(total: Power, squares: Power, count: Power) -> Power:
-    """Return the mean product of two different frames' values around every pixel, at least 0."""
+    """Return (h, w) the mean product of two frames' values (h, w, k) around every pixel, at least 0."""
     window = (_AROUND_PX, _AROUND_PX)
-    products = cv2.blur(total * total - squares, window)
-    pairs = cv2.blur(count * (count - 1.0), window)
+    products = cv2.blur((total * total - squares).sum(axis=-1), window)
+    pairs = cv2.blur((count * (count - 1.0)).sum(axis=-1), window)
     return np.asarray(np.maximum(products, 0.0) / np.maximum(pairs, 1e-3), np.float32)

@@ -6,7 +6,8 @@ Gaussian is taken off three times, at full resolution and at halvings. A fine ba
 surface. A coarse one is its shape, which may bend: its residual then is large, and it tells little. Beside an
 occluding contour slopes grow without bound, on a smooth surface too. What a band finds there stays with the
 contour while the surface turns beneath it. The finest band is not compared there. The others are, and how far
-the surface may have slid enters the expected error.
+the surface may have slid enters the expected error. Paint (`paint`) is compared in the same way, as a
+measurement of its own: in all bands it stays in place.
 
 Template f and frame g differ by noise and by the displacement d: g − f = F d + noise. Over a window, with
 F = ½(∇f + ∇g), the moments b = −Σ Fᵀ(g − f), H = Σ FᵀF and A = Σ ∇fᵀ∇g give d = A⁻¹ b. A is made of what both
@@ -19,7 +20,7 @@ moves otherwise than the rest. White noise alone, of the residual's σ², makes 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,6 +29,7 @@ import numpy.typing as npt
 from vntoolkit.arrays import FloatArray, Mask, Points2
 from vntoolkit.native import njit
 from vntoolkit.tracking.lattice import NODES_BY_PASS, TemplateLattice
+from vntoolkit.tracking.paint import PaintImage
 from vntoolkit.tracking.slopes import LEAST_WEIGHT, Relief, gradient_bands
 from vntoolkit.tracking.template import TrackingTemplate
 
@@ -70,14 +72,15 @@ class Windows(NamedTuple):
 _RELIEF = Windows(0, 2, 0.1)
 _FAINT_RELIEF = Windows(1, 24, 0.3)  # under noise, so that chance is small; where the first tells nothing
 _WINDOWS = (_RELIEF, _FAINT_RELIEF, Windows(1, 5, 0.9), Windows(2, 8, 5.4))
+_PAINT = (Windows(0, 2, 0.1), Windows(1, 5, 0.3), Windows(2, 8, 0.9))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Band:
     """One band of the template, on its raster.
 
-    node: (h, w) int32, −1 outside. features: (h, w, 2). gradients: (h, w, 4) ∂f/∂u, ∂f/∂v of both. weight:
-    (h, w). beside: (h, w) True within reach of an occluding contour.
+    node: (h, w) int32, −1 outside. features: (h, w, k), two slopes or paint. gradients: (h, w, 2 k) ∂f/∂u of
+    all, ∂f/∂v of all. weight: (h, w). beside: (h, w) True within reach of an occluding contour.
     """
 
     node: npt.NDArray[np.int32]
@@ -107,6 +110,7 @@ class Measurement:
     match: (nodes,) the share of the finest band's gradients that template and frame have in common, 0 to 1;
     expected: (nodes,) the share they would have if only noise told them apart. found: (nodes,) the
     greatest share of any windows. windows: what those of each kind measured. frame: the finest band.
+    correlated_px: for each kind of windows on relief, (nodes,) how many pixels agree by chance.
     """
 
     information: npt.NDArray[np.float64]
@@ -116,6 +120,7 @@ class Measurement:
     found: npt.NDArray[np.float64]
     windows: tuple[WindowSteps, ...]
     frame: Band
+    correlated_px: tuple[npt.NDArray[np.float64], ...]
 
     def where(self, chosen: Mask, other: Measurement) -> Measurement:
         """Return this with what the other measured at the chosen nodes (nodes,)."""
@@ -133,7 +138,7 @@ class Measurement:
             )
             for own, new in zip(self.windows, other.windows, strict=True)
         )
-        return Measurement(**parts, windows=windows, frame=other.frame)
+        return Measurement(**parts, windows=windows, frame=other.frame, correlated_px=other.correlated_px)
 
 
 class TemplateRegistration:
@@ -145,8 +150,10 @@ class TemplateRegistration:
         lattice: TemplateLattice,
         relief: Relief,
         pattern: Sequence[FloatArray] = (),
+        paint: PaintImage | None = None,
+        paint_pattern: Sequence[FloatArray] = (),
     ) -> None:
-        """Prepare the template's bands; relief: of its frame. pattern: as `fixed_pattern` returns it."""
+        """Prepare the template's bands; relief, paint: of its frame. Patterns: by `fixed_pattern`."""
         self._lattice = lattice
         pixels = template.pixels
         low, high = pixels.min(axis=0), pixels.max(axis=0) + 1
@@ -159,59 +166,85 @@ class TemplateRegistration:
         self._patch = np.unique(patches, axis=0, return_inverse=True)[1].ravel()
         identity = np.tile([1.0, 0.0, 0.0, 1.0], (lattice.count, 1))
         self._bands = self._banded(*self._pulled_back(template.positions_px, identity, relief))
-        self._correlated_px = [self._correlated(windows) for windows in self.windows]
-        self._expected = self._expected_match(self._correlated_px[0])
+        self._noise = [self._noise_share(windows) for windows in self._relief_windows]
+        self._paint_bands = [] if paint is None else self._paint_banded(template.positions_px, paint, relief)
         self._pixels = template.positions_px
         self._pattern = [self._at_nodes(power, k, low) for k, power in enumerate(pattern)]
+        self._paint_pattern = [self._at_nodes(power, k, low) for k, power in enumerate(paint_pattern)]
 
-    def measure(self, positions_px: Points2, jacobians: FloatArray, relief: Relief) -> Measurement:
-        """Measure in the frame with this relief.
+    def measure(
+        self,
+        positions_px: Points2,
+        jacobians: FloatArray,
+        relief: Relief,
+        paint: PaintImage | None = None,
+        near: Measurement | None = None,
+    ) -> Measurement:
+        """Measure in the frame with this relief and paint.
 
-        jacobians: (nodes, 4) ∂u/∂x, ∂u/∂y, ∂v/∂x, ∂v/∂y of positions (n, 2) by the template's pixels.
+        jacobians: (nodes, 4) ∂u/∂x, ∂u/∂y, ∂v/∂x, ∂v/∂y of positions (n, 2) by the template's pixels. near: a
+        measurement a step away in the same frame, whose noise is the same.
         """
         count = self._lattice.count
-        information, pull = np.zeros((count, 3)), np.zeros((count, 2))
-        match, expected, found = np.zeros(count), np.zeros(count), np.zeros(count)
-        unknown = np.ones(count)
-        steps: list[WindowSteps] = []
         frame = self._banded(*self._pulled_back(positions_px, jacobians, relief))
-        moments = [
-            _moments(
-                mine.node, count, mine.features, mine.gradients, mine.weight,
-                theirs.features, theirs.gradients, theirs.weight,
-            )
-            for mine, theirs in zip(self._bands, frame, strict=True)
-        ]  # fmt: skip
+        moments = [_moments_of(*each, count) for each in zip(self._bands, frame, strict=True)]
         moved_px = self._lattice.sums(np.hypot(*(positions_px - self._pixels).T)[:, None])[:, 0] / self._size
-        for windows, correlated_px in zip(self.windows, self._correlated_px, strict=True):
-            own = self._with_pattern(moments[windows.halvings], windows.halvings, moved_px)
-            whole = 3.0**windows.passes  # of the weights of a window
-            terms = self._lattice.smoothed(own, windows.passes) / whole
-            step, ratio, sure, axis = _steps(terms, 2.0**windows.halvings, windows.nodes, correlated_px)
-            spread = self._lattice.smoothed(_scores(own, step), windows.passes) / whole
-            told = _informed(own, terms, spread, sure, axis, windows.nodes, windows.accuracy_px)
-            if windows is _RELIEF:
-                match, expected = ratio, self._expected
-            elif windows is _FAINT_RELIEF:
-                told[steps[0].information.any(axis=1)] = 0.0
-            found = np.maximum(found, ratio)
-            if windows is _RELIEF:
-                unknown, slide = self._unknown_around(told), np.zeros(count)
-            else:
-                reach_px = _RIM_PX * 2.0**windows.halvings
-                slide = reach_px * unknown * self._beside_contours(windows.halvings, frame)
-            steps.append(WindowSteps(information=told, step=step, slide_px=slide))
-            information += told
-            pull += np.einsum("nij,nj->ni", told[:, [0, 1, 1, 2]].reshape(-1, 2, 2), step)
+        correlated_px = (
+            tuple(
+                self._correlated(*each, frame) for each in zip(self._relief_windows, self._noise, strict=True)
+            )
+            if near is None
+            else near.correlated_px
+        )
+        steps: list[WindowSteps] = []
+        ratios = []
+        for windows, alike_px in zip(self._relief_windows, correlated_px, strict=True):
+            own = self._with_pattern(moments[windows.halvings], windows.halvings, moved_px, self._pattern)
+            told, ratio = self._told(own, windows, alike_px)
+            if windows is _FAINT_RELIEF:
+                told.information[steps[0].information.any(axis=1)] = 0.0
+            steps.append(told)
+            ratios.append(ratio)
+        painted = []
+        if self._paint_bands:
+            theirs = self._paint_banded(positions_px, paint, relief)
+            moments = [_moments_of(*each, count) for each in zip(self._paint_bands, theirs, strict=True)]
+            alike = {w.halvings: float(px.max()) for w, px in zip(_WINDOWS, correlated_px, strict=False)}
+            for windows in self._paint_windows:
+                own = moments[windows.halvings]
+                own = self._with_pattern(own, windows.halvings, moved_px, self._paint_pattern)
+                told, ratio = self._told(own, windows, np.full(count, alike[windows.halvings]))
+                painted.append(told)
+                ratios.append(ratio)
+        fine = sum((told.information for told in painted[:1]), steps[0].information)
+        unknown = self._unknown_around(fine)
+        for k, windows in enumerate(self._relief_windows[1:], 1):
+            beside = self._beside_contours(windows.halvings, frame)
+            slide_px = _RIM_PX * 2.0**windows.halvings * unknown * beside
+            steps[k] = replace(steps[k], slide_px=slide_px)
+        steps += painted
+        pulls = [np.einsum("nij,nj->ni", _symmetric(told.information), told.step) for told in steps]
         return Measurement(
-            information=information,
-            pull=pull,
-            match=match,
-            expected=expected,
-            found=found,
+            information=np.sum([told.information for told in steps], axis=0),
+            pull=np.sum(pulls, axis=0),
+            match=ratios[0],
+            expected=self._expected_match(correlated_px[0]),
+            found=np.max(ratios, axis=0),
             windows=tuple(steps),
             frame=frame[0],
+            correlated_px=correlated_px,
         )
+
+    def _told(
+        self, own: FloatArray, windows: Windows, correlated_px: FloatArray
+    ) -> tuple[WindowSteps, npt.NDArray[np.float64]]:
+        """What windows measure of nodes' own moments; (nodes,) the share that gradients have in common."""
+        whole = 3.0**windows.passes  # of the weights of a window
+        terms = self._lattice.smoothed(own, windows.passes) / whole
+        step, ratio, sure, axis = _steps(terms, 2.0**windows.halvings, windows.nodes, correlated_px)
+        spread = self._lattice.smoothed(_scores(own, step), windows.passes) / whole
+        told = _informed(own, terms, spread, sure, axis, windows.nodes, windows.accuracy_px)
+        return WindowSteps(information=told, step=step, slide_px=np.zeros(len(told))), ratio
 
     def _at_nodes(self, power: FloatArray, halvings: int, low: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
         """(nodes,) mean of an image of a band over each node's pixels of the template."""
@@ -224,13 +257,17 @@ class TemplateRegistration:
         return np.asarray(total / np.maximum(np.bincount(own, minlength=count), 1))
 
     def _with_pattern(
-        self, moments: npt.NDArray[np.float64], halvings: int, moved_px: FloatArray
+        self,
+        moments: npt.NDArray[np.float64],
+        halvings: int,
+        moved_px: FloatArray,
+        pattern: Sequence[FloatArray],
     ) -> npt.NDArray[np.float64]:
         """Moments and, last, what a fixed pattern adds to A along either axis where the mesh stands still."""
-        if halvings >= len(self._pattern):
+        if halvings >= len(pattern):
             return np.column_stack([moments, np.zeros(len(moments))])
         still = np.exp(-0.5 * (moved_px / (_PATTERN_PX * 2.0**halvings)) ** 2)
-        return np.column_stack([moments, _PATTERN_VARIES * still * self._pattern[halvings] * moments[:, 9]])
+        return np.column_stack([moments, _PATTERN_VARIES * still * pattern[halvings] * moments[:, 9]])
 
     def _beside_contours(self, halvings: int, frame: list[Band]) -> npt.NDArray[np.float64]:
         """(nodes,) share of a node's pixels within reach of a contour, in the template or in the frame."""
@@ -247,12 +284,12 @@ class TemplateRegistration:
         least = 0.5 * (a + c) - np.sqrt(0.25 * (a - c) ** 2 + b * b)
         return np.asarray(1.0 / (1.0 + _KNOWN_PX**2 * least))
 
-    def searched(self, frame: Band, lost: Mask) -> tuple[npt.NDArray[np.float64], Mask]:
+    def searched(self, told: Measurement, lost: Mask) -> tuple[npt.NDArray[np.float64], Mask]:
         """Return the shift (nodes, 2) at which relief that is lost correlates best, and where it surely does.
 
-        frame: as measured. lost: (nodes,). Pixels of the template, up to the reach of the search either way.
+        lost: (nodes,). Pixels of the template, up to the reach of the search either way.
         """
-        mine, patch = self._bands[0], self._patch
+        mine, frame, patch = self._bands[0], told.frame, self._patch
         along = np.arange(-_REACH_PX, _REACH_PX + 1, _SEARCH_STEP_PX)
         shifts = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
         sums = np.zeros((int(patch.max()) + 1, len(shifts), 4))
@@ -261,7 +298,7 @@ class TemplateRegistration:
         )
         product, first, second, pixels = np.moveaxis(sums, 2, 0)
         share = product / np.sqrt(np.maximum(first * second, 1e-30))
-        alike_px = (np.bincount(patch, self._correlated_px[0]) / np.bincount(patch))[:, None]
+        alike_px = (np.bincount(patch, told.correlated_px[0]) / np.bincount(patch))[:, None]
         share -= _SURE * np.sqrt(alike_px / (2.0 * np.maximum(pixels, 1.0)))
         best = np.argmax(share, axis=1)
         sure = lost & (share[np.arange(len(best)), best] > 0)[patch]
@@ -269,8 +306,16 @@ class TemplateRegistration:
 
     @property
     def windows(self) -> list[Windows]:
-        """The kinds of windows that the template is large enough for."""
+        """The kinds of windows, of relief and of paint, that the template is large enough for."""
+        return self._relief_windows + self._paint_windows
+
+    @property
+    def _relief_windows(self) -> list[Windows]:
         return [windows for windows in _WINDOWS if windows.halvings < len(self._bands)]
+
+    @property
+    def _paint_windows(self) -> list[Windows]:
+        return [windows for windows in _PAINT if windows.halvings < len(self._paint_bands)]
 
     def _expected_match(self, correlated_px: FloatArray) -> npt.NDArray[np.float64]:
         """Return (nodes,) the share of gradients in common if only noise told template and frame apart.
@@ -280,7 +325,7 @@ class TemplateRegistration:
         pixels = self._lattice.smoothed(self._size[:, None].astype(np.float64), _RELIEF.passes)[:, 0]
         pixels *= _RELIEF.nodes / 3.0**_RELIEF.passes
         unsure = _CHANCE * np.sqrt((correlated_px - _CORRELATED_PX) / (2.0 * np.maximum(pixels, 1.0)))
-        return np.asarray(np.maximum(0.0, 1.0 - (1.0 + unsure) * self._noise_share(_RELIEF)))
+        return np.asarray(np.maximum(0.0, 1.0 - (1.0 + unsure) * self._noise[0]))
 
     def _noise_share(self, windows: Windows) -> npt.NDArray[np.float64]:
         """Return (nodes,) the share of the template's gradients in a band, over windows, that is noise.
@@ -295,20 +340,25 @@ class TemplateRegistration:
         noise, power = self._lattice.smoothed(np.stack(own, axis=1), windows.passes).T
         return np.asarray(np.minimum(noise / np.maximum(power, 1e-30), 1.0))
 
-    def _correlated(self, windows: Windows) -> npt.NDArray[np.float64]:
+    def _correlated(self, windows: Windows, noise: FloatArray, frame: list[Band]) -> npt.NDArray[np.float64]:
         """Return (nodes,) how many pixels of a band agree by chance: those of white noise, or more.
 
         A codec, and chroma of fewer pixels than luma, leave noise that is alike over several pixels. Noise
-        has curl and relief has none: how far sums over windows of curl(x) curl(x + d) scatter tells it.
+        has curl and relief has none: how far sums over windows of curl(x) curl(x + d) scatter tells it. Paint
+        has curl, too, but the same in template and frame: the difference of the two is asked.
+        noise: (nodes,) its share in the template.
         """
-        band = self._bands[windows.halvings]
-        curl, whole = _curl(band), windows.nodes / 3.0**windows.passes
-        noise = self._noise_share(windows)
+        asked = noise > _MOSTLY
+        if np.count_nonzero(asked) < _FEWEST_WINDOWS * windows.nodes:
+            return np.full(self._lattice.count, _CORRELATED_PX)
+        mine, theirs = self._bands[windows.halvings], frame[windows.halvings]
+        curl, whole = _curl(theirs) - _curl(mine), windows.nodes / 3.0**windows.passes
+        weight = np.minimum(mine.weight, theirs.weight)
         squares = []
         for down, across in ((_APART_PX, 0), (0, _APART_PX)):
-            terms = _shifted_products(band.node, self._lattice.count, curl, band.weight, down, across)
+            terms = _shifted_products(mine.node, self._lattice.count, curl, weight, down, across)
             product, power, pixels = whole * self._lattice.smoothed(terms, windows.passes).T
-            enough = (pixels > _CORRELATED_PX) & (power > 0) & (noise > _MOSTLY)
+            enough = (pixels > _CORRELATED_PX) & (power > 0) & asked
             squares.append(pixels[enough] * (product[enough] / power[enough]) ** 2)
         square = np.concatenate(squares)
         if square.size < 2.0 * _FEWEST_WINDOWS * windows.nodes:
@@ -330,6 +380,14 @@ class TemplateRegistration:
         _pull_back(relief, positions_px, jacobians, *at, values, weight, from_contour_px)
         return values, weight, from_contour_px
 
+    def _paint_banded(self, positions_px: Points2, paint: PaintImage | None, relief: Relief) -> list[Band]:
+        """The bands of paint at the positions, on the template's raster; empty ones for None."""
+        values, weight = np.zeros((*self._shape, 1), np.float32), np.zeros(self._shape, np.float32)
+        from_contour_px = np.zeros(self._shape, np.float32)
+        if paint is not None:
+            _sample_paint(paint, relief, positions_px, *self._at, values, weight, from_contour_px)
+        return self._banded(values, weight, from_contour_px)
+
     def _banded(
         self,
         values: npt.NDArray[np.float32],
@@ -344,6 +402,17 @@ class TemplateRegistration:
             out.append(Band(node=node, features=features, gradients=gradients, weight=kept, beside=beside))
             node = np.ascontiguousarray(node[::2, ::2])
         return out
+
+
+def _moments_of(mine: Band, theirs: Band, count: int) -> npt.NDArray[np.float64]:
+    """Moments (nodes, 13) of a band of the template and one of the frame."""
+    first, second = ((band.features, band.gradients, band.weight) for band in (mine, theirs))
+    return np.asarray(_moments(mine.node, count, *first, *second))
+
+
+def _symmetric(information: FloatArray) -> npt.NDArray[np.float64]:
+    """(m, 2, 2) of (m, 3)."""
+    return np.asarray(information[:, [0, 1, 1, 2]].reshape(-1, 2, 2))
 
 
 def _curl(band: Band) -> npt.NDArray[np.float32]:
@@ -387,9 +456,34 @@ def _pull_back(relief, positions, jacobians, taps, shares, rows, columns, values
 
 
 @njit(cache=True, fastmath=True)
+def _sample_paint(paint, relief, positions, rows, columns, values, total, from_contour_px):  # type: ignore[no-untyped-def]
+    """Write paint times its weight, the weight, and the distance from a contour, as `_pull_back` does."""
+    h, w = relief.shape[:2]
+    for i in range(positions.shape[0]):
+        x, y = positions[i, 0], positions[i, 1]
+        if not (x > -0.5 and y > -0.5 and x < w - 0.5 and y < h - 0.5):
+            continue
+        x, y = min(max(x, 0.0), w - 1.0), min(max(y, 0.0), h - 1.0)
+        u, v = min(int(x), w - 2), min(int(y), h - 2)
+        a, b = x - u, y - v
+        value = weight = 0.0
+        for dv in range(2):
+            for du in range(2):
+                share = (a if du else 1 - a) * (b if dv else 1 - b)
+                value += share * paint[v + dv, u + du, 0]
+                weight += share * paint[v + dv, u + du, 1]
+        if weight > LEAST_WEIGHT:
+            row, column = rows[i], columns[i]
+            values[row, column, 0] = value
+            total[row, column] = weight
+            from_contour_px[row, column] = relief[int(y + 0.5), int(x + 0.5), 3]
+
+
+@njit(cache=True, fastmath=True)
 def _moments(node, count, f, df, wf, g, dg, wg):  # type: ignore[no-untyped-def]
     """(nodes, 13): A (3), H (3), b (2), Σ w |g − f|², Σ w, Σ w |∇f|², pixels, A's trace where positive."""
     h, w = node.shape
+    channels = f.shape[2]
     out = np.zeros((count, 13))
     for v in range(h):
         for u in range(w):
@@ -397,9 +491,10 @@ def _moments(node, count, f, df, wf, g, dg, wg):  # type: ignore[no-untyped-def]
             weight = min(wf[v, u], wg[v, u])
             if j < 0 or weight <= 0:
                 continue
-            for c in range(2):
+            for c in range(channels):
                 r = g[v, u, c] - f[v, u, c]
-                fx, fy, gx, gy = df[v, u, c], df[v, u, 2 + c], dg[v, u, c], dg[v, u, 2 + c]
+                fx, fy = df[v, u, c], df[v, u, channels + c]
+                gx, gy = dg[v, u, c], dg[v, u, channels + c]
                 mx, my = 0.5 * (fx + gx), 0.5 * (fy + gy)
                 out[j, 0] += weight * fx * gx
                 out[j, 1] += weight * 0.5 * (fx * gy + fy * gx)

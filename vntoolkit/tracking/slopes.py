@@ -21,7 +21,7 @@ from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.native import njit
 
 _STEEPEST = 0.15  # cosine to the viewing ray below which a slope is clamped, 81°
-_GRAZING = 0.3  # cosine below which a slope weighs less, 73°: there it is mostly noise
+GRAZING = 0.3  # cosine below which a slope weighs less, 73°: there it is mostly noise
 
 _EDGE_REACH_PX = 2  # of an edge that is off by a pixel, in a picture that is blurred by one
 _LEAST_DIVISOR = np.float32(1e-3)  # of what a weight is divided by
@@ -102,19 +102,20 @@ def metric_sums(
 def gradient_bands(
     values: npt.NDArray[np.float32], weight: npt.NDArray[np.float32]
 ) -> Iterator[tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.float32]]]:
-    """Yield, at full resolution and at halvings, slopes less their Gaussian mean, gradients and weight.
+    """Yield, at full resolution and at halvings, values less their Gaussian mean, gradients and weight.
 
-    values: (h, w, 2) slopes times weight (h, w). Yields (h, w, 2), (h, w, 4) ∂/∂u and ∂/∂v of both slopes per
-    pixel of full resolution, and (h, w), 0 where a neighbour is missing.
+    values: (h, w, k) slopes, or another quantity, times weight (h, w). Yields (h, w, k), (h, w, 2 k) all ∂/∂u
+    and then all ∂/∂v per pixel of full resolution, and (h, w), 0 where a neighbour is missing.
     """
     values, weight = values.copy(), weight.copy()
     for halvings in range(_MOST_HALVINGS + 1):
         if halvings > 0 and min(weight.shape) < 8:
             return
-        coarser = cv2.pyrDown(values), cv2.pyrDown(weight)
+        smaller = np.asarray(cv2.pyrDown(weight), np.float32)
+        coarser = np.asarray(cv2.pyrDown(values), np.float32).reshape(*smaller.shape, -1)
         _high_pass(values, weight)
         yield values, *_gradients(values, weight, np.float32(0.5 / 2.0**halvings))
-        values, weight = (np.asarray(image, dtype=np.float32) for image in coarser)
+        values, weight = coarser, smaller
 
 
 def sample_image(image: FloatArray, positions_px: Points2) -> npt.NDArray[np.float64]:
@@ -220,7 +221,7 @@ def _slopes(normals, mask, weight, rays):  # type: ignore[no-untyped-def]
                 n0, n1 = normals[v, u, 0], normals[v, u, 1]
                 towards = -(n0 * x + n1 * y + normals[v, u, 2])
                 facing = max(towards, _STEEPEST)
-                share = min(1.0, (facing / _GRAZING) ** 2)
+                share = min(1.0, (facing / GRAZING) ** 2)
                 if weighted:
                     share *= weight[v, u]
                 out[v, u, 0] = share * n0 / facing
@@ -302,10 +303,11 @@ def _sample_masked(image, mask, positions):  # type: ignore[no-untyped-def]
 
 
 def _high_pass(values: npt.NDArray[np.float32], weight: npt.NDArray[np.float32]) -> None:
-    """Take the Gaussian mean off values (h, w, 2) premultiplied by weight (h, w), thrice; divide by it."""
+    """Take the Gaussian mean off values (h, w, k) premultiplied by weight (h, w), thrice; divide by it."""
     share = cv2.GaussianBlur(weight, (_TAPS, _TAPS), _SIGMA_PX)
     for _ in range(_TIMES):
-        _take_off(values, weight, share, cv2.GaussianBlur(values, (_TAPS, _TAPS), _SIGMA_PX))
+        mean = cv2.GaussianBlur(values, (_TAPS, _TAPS), _SIGMA_PX).reshape(values.shape)
+        _take_off(values, weight, share, mean)
     _divide(values, weight)
 
 
@@ -315,8 +317,8 @@ def _take_off(values, weight, share, mean):  # type: ignore[no-untyped-def]
         for u in range(weight.shape[1]):
             if weight[v, u] > 0:
                 factor = weight[v, u] / share[v, u]
-                values[v, u, 0] -= factor * mean[v, u, 0]
-                values[v, u, 1] -= factor * mean[v, u, 1]
+                for c in range(values.shape[2]):
+                    values[v, u, c] -= factor * mean[v, u, c]
 
 
 @njit(cache=True)
@@ -324,22 +326,23 @@ def _divide(values, weight):  # type: ignore[no-untyped-def]
     for v in range(weight.shape[0]):
         for u in range(weight.shape[1]):
             factor = np.float32(1.0) / max(weight[v, u], np.float32(1e-3))
-            values[v, u, 0] *= factor
-            values[v, u, 1] *= factor
+            for c in range(values.shape[2]):
+                values[v, u, c] *= factor
 
 
 @njit(cache=True)
 def _gradients(values, weight, scale):  # type: ignore[no-untyped-def]
-    """Central differences (h, w, 4), and the weight where all four neighbours are there."""
+    """Central differences (h, w, 2 k), and the weight where all four neighbours are there."""
     h, w = weight.shape
-    out = np.zeros((h, w, 4), dtype=np.float32)
+    k = values.shape[2]
+    out = np.zeros((h, w, 2 * k), dtype=np.float32)
     kept = np.zeros((h, w), dtype=np.float32)
     for v in range(1, h - 1):
         for u in range(1, w - 1):
             least = min(weight[v, u], weight[v, u - 1], weight[v, u + 1], weight[v - 1, u], weight[v + 1, u])
             if least > LEAST_WEIGHT:
                 kept[v, u] = least
-                for c in range(2):
+                for c in range(k):
                     out[v, u, c] = scale * (values[v, u + 1, c] - values[v, u - 1, c])
-                    out[v, u, 2 + c] = scale * (values[v + 1, u, c] - values[v - 1, u, c])
+                    out[v, u, k + c] = scale * (values[v + 1, u, c] - values[v - 1, u, c])
     return out, kept

@@ -1,7 +1,7 @@
 """Where the template is in one frame: all that tells it, each with its information, solved for together.
 
-The unknowns are the displacements of the nodes of a lattice. Relief and shape (`registration`), the outline
-(`outline`) and lengths on the surface (`lengths`) enter one linear least-squares problem a step, each
+The unknowns are the displacements of the nodes of a lattice. Relief, shape and paint (`registration`), the
+outline (`outline`) and lengths on the surface (`lengths`) enter one linear least-squares problem a step, each
 with the inverse of its covariance, so that none acts where or in what direction it knows nothing. The
 expected error is that of the same problem (`fit_errors`).
 """
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +26,7 @@ from vntoolkit.tracking.lattice import LocalJacobians, lattice_on_template
 from vntoolkit.tracking.lattice_system import LatticeSystem
 from vntoolkit.tracking.lengths import STRAIN, TURN, LinkLengths, slow_turns, uniform_strains
 from vntoolkit.tracking.outline import Outline, contour_distance, outline_of_figure
+from vntoolkit.tracking.paint import Paint, PaintImage, paint_image
 from vntoolkit.tracking.registration import Measurement, TemplateRegistration, WindowSteps
 from vntoolkit.tracking.slopes import (
     Relief,
@@ -63,6 +65,13 @@ class FittedFrame:
     uncertainty_px: npt.NDArray[np.float64]
 
 
+class Seen(NamedTuple):
+    """relief: (h, w, 4) and paint: (h, w, 2), or None, of a frame: what registers it."""
+
+    relief: Relief
+    paint: PaintImage | None
+
+
 class SurfaceFit:
     """Fits one template to any frame, from where it was in the frame before."""
 
@@ -73,18 +82,22 @@ class SurfaceFit:
         camera: Camera,
         labels: VisibilityLabels | None = None,
         pattern: Sequence[FloatArray] = (),
+        paint: Paint | None = None,
+        paint_pattern: Sequence[FloatArray] = (),
     ) -> None:
-        """Prepare what hangs on the template alone; normal_map, labels: of its frame.
+        """Prepare what hangs on the template alone; normal_map, labels, paint: of its frame.
 
-        pattern: as `fixed_pattern` returns it.
+        pattern, paint_pattern: as `fixed_pattern` returns them.
         """
         slopes = slopes_from_normals(normal_map, camera)
-        figure, relief, contours = _seen(slopes, normal_map, labels)
+        figure, seen, contours = _seen(slopes, normal_map, labels, paint)
         within = replace(template, edges=edges_beside(template.edges, template.pixels, contours))
         lattice = lattice_on_template(within, _CELL_PX)
         self._lattice, self._camera = lattice, camera
         self._outline = Outline(template, lattice, figure)
-        self._registration = TemplateRegistration(template, lattice, relief, pattern)
+        self._registration = TemplateRegistration(
+            template, lattice, seen.relief, pattern, seen.paint, paint_pattern
+        )
         self._lengths = LinkLengths(lattice, template, camera, slopes)
         self._jacobians = LocalJacobians(lattice, template.positions_px)
         self._system = LatticeSystem(self._lengths.links, lattice.count)
@@ -100,15 +113,16 @@ class SurfaceFit:
         normal_map: NormalMap,
         depth_map: DepthMap,
         labels: VisibilityLabels | None = None,
+        paint: Paint | None = None,
     ) -> FittedFrame:
         """Fit to a frame, first from where the motion goes on to.
 
         before_px, last_px: (n, 2) in the last two frames. expected_px: (n,) the last one's expected error.
-        previous: its normals.
+        previous: its normals. paint: None where the frame's is not known.
         """
         lattice, lengths = self._lattice, self._lengths
         slopes = slopes_from_normals(normal_map, self._camera)
-        figure, relief, _ = _seen(slopes, normal_map, labels)
+        figure, seen, _ = _seen(slopes, normal_map, labels, paint)
         last = np.asarray(last_px, dtype=np.float64)
         positions: Points2 = 2.0 * last - before_px
         misfit = _misfit(positions, normal_map.mask)
@@ -117,24 +131,24 @@ class SurfaceFit:
             if _misfit(shifted, normal_map.mask) < misfit - _JUMPED:
                 positions = shifted
         around = self._jacobians.of(positions)
-        told = self._registration.measure(positions, around, relief)
+        told = self._registration.measure(positions, around, *seen)
         known = self._known_share(positions, positions - last, around, told, figure)
         if known < _WELL_KNOWN:
             positions = last + known * (positions - last)
             around = self._jacobians.of(positions)
-            told = self._registration.measure(positions, around, relief)
+            told = self._registration.measure(positions, around, *seen)
         if min(np.sum(told.found), np.sum(told.match)) < _LOST_MATCH * np.sum(told.expected):
-            positions, told = self._restarted(positions, last_px, told, previous, normal_map, relief)
+            positions, told = self._restarted(positions, last_px, told, previous, normal_map, seen)
         lost = told.match < _LOST_MATCH * told.expected
         if lost.any() and not lost.all():
-            positions, told = self._found_again(positions, around, told, lost, relief)
+            positions, told = self._found_again(positions, around, told, lost, seen)
         around = self._jacobians.of(positions)
         enough = _CONVERGED * np.maximum(expected_px, _LEAST_ERROR_PX)
         field: FittedField | None = None
         for number in range(_ITERATIONS):
             if number > 0:
                 around = self._jacobians.of(positions)
-                told = self._registration.measure(positions, around, relief)
+                told = self._registration.measure(positions, around, *seen, near=told)
             hidden = self._mismatched(told, _TELLING)
             inverse = _inverse(around)
             information = _congruent(told.information, inverse)
@@ -183,12 +197,12 @@ class SurfaceFit:
         told: Measurement,
         previous: NormalMap,
         normal_map: NormalMap,
-        relief: Relief,
+        seen: Seen,
     ) -> tuple[npt.NDArray[np.float64], Measurement]:
         """Where DIS flow (`kroeger2016`) leads, as far as the template matches better there."""
         flow = dense_flow(previous, normal_map)
         flown = last_px + sample_image(flow, last_px)
-        return self._where_better(positions, self._lengths.nodes(flown - positions), told, relief)
+        return self._where_better(positions, self._lengths.nodes(flown - positions), told, seen)
 
     def _found_again(
         self,
@@ -196,27 +210,27 @@ class SurfaceFit:
         around: FloatArray,
         told: Measurement,
         lost: npt.NDArray[np.bool_],
-        relief: Relief,
+        seen: Seen,
     ) -> tuple[npt.NDArray[np.float64], Measurement]:
         """Where a search finds what is lost, as far as it matches better there.
 
         What is off by more than a wave of its relief, comes back into the mask, or from behind something, may
         lie farther off than one step of the finest band reaches.
         """
-        shift, sure = self._registration.searched(told.frame, lost)
+        shift, sure = self._registration.searched(told, lost)
         if not sure.any():
             return np.asarray(positions), told
         jacobian = around.reshape(-1, 2, 2)
         found = np.einsum("nij,nj->ni", jacobian, np.where(sure[:, None], shift, 0.0))
-        return self._where_better(positions, found, told, relief)
+        return self._where_better(positions, found, told, seen)
 
     def _where_better(
-        self, positions: Points2, at_nodes: FloatArray, told: Measurement, relief: Relief
+        self, positions: Points2, at_nodes: FloatArray, told: Measurement, seen: Seen
     ) -> tuple[npt.NDArray[np.float64], Measurement]:
         """Positions moved by at_nodes (m, 2) where that matches better, and what is measured there."""
         lattice = self._lattice
         moved = positions + lattice.at_vertices(at_nodes)
-        there = self._registration.measure(moved, self._jacobians.of(moved), relief)
+        there = self._registration.measure(moved, self._jacobians.of(moved), *seen)
         better = np.maximum(there.found - told.found, there.match - told.match) > _BETTER_MATCH
         if not better.any():
             return np.asarray(positions), told
@@ -275,12 +289,14 @@ class SurfaceFit:
 
 
 def _seen(
-    slopes: Slopes, normal_map: NormalMap, labels: VisibilityLabels | None
-) -> tuple[npt.NDArray[np.float32], Relief, Mask]:
-    """Return a frame's outline (h, w, 4), its relief (h, w, 4), and the contours within its figure (h, w)."""
+    slopes: Slopes, normal_map: NormalMap, labels: VisibilityLabels | None, paint: Paint | None
+) -> tuple[npt.NDArray[np.float32], Seen, Mask]:
+    """Return a frame's outline (h, w, 4), what registers it, and the contours within its figure (h, w)."""
     figure = outline_of_figure(normal_map.mask, slopes)
     contours = occluding_contours(slopes, normal_map.mask)
-    return figure, relief_slopes(slopes, normal_map, labels, contour_distance(figure), contours), contours
+    relief = relief_slopes(slopes, normal_map, labels, contour_distance(figure), contours)
+    painted = None if paint is None else paint_image(paint, relief)
+    return figure, Seen(relief=relief, paint=painted), contours
 
 
 def _misfit(positions_px: Points2, mask: Mask) -> float:

@@ -23,6 +23,7 @@ from vntoolkit.tracking.flow import (
     targets_on_surface,
 )
 from vntoolkit.tracking.options import Tracker, TrackingOptions
+from vntoolkit.tracking.paint import Paint
 from vntoolkit.tracking.regularisers import (
     ArapRegulariser,
     LaplacianRegulariser,
@@ -77,12 +78,15 @@ class SurfaceTracker:
         seams: Sequence[Points2] = (),
         labels: VisibilityLabels | None = None,
         pattern: Sequence[FloatArray] = (),
+        paint: Paint | None = None,
+        paint_pattern: Sequence[FloatArray] = (),
     ) -> None:
         """Cut the template along the seams and prepare what every frame solves.
 
         template, depth: maps of the template frame. seams: polylines (k, 2) in its pixels. labels: (h, w),
-        bit k set where light k arrives; None where not known. pattern: of the sensor, by
-        `fixed_pattern`; empty for none. Raises BadInput where no pixel is valid or a seam leaves the mask.
+        bit k set where light k arrives; None where not known. paint: (h, w) by `paint_of_frame`; None to
+        track by relief alone. pattern, paint_pattern: of the sensor, by `fixed_pattern` of slopes and of
+        paint; empty for none. Raises BadInput where no pixel is valid or a seam leaves the mask.
         """
         self.options = options or TrackingOptions()
         self.camera = camera
@@ -91,7 +95,7 @@ class SurfaceTracker:
         self._solver: Solver | None = None
         told = None
         if self.options.method is Tracker.DEFAULT:
-            self._fit = SurfaceFit(self.template, template, camera, labels, pattern)
+            self._fit = SurfaceFit(self.template, template, camera, labels, pattern, paint, paint_pattern)
             told = np.zeros(len(self.template.pixels))
         else:
             self._solver = _solver(self.template, self.options)
@@ -105,9 +109,13 @@ class SurfaceTracker:
         return Mesh(vertices=self.template.vertices_in_camera, faces=self.template.faces)
 
     def step(
-        self, normal_map: NormalMap, depth_map: DepthMap, labels: VisibilityLabels | None = None
+        self,
+        normal_map: NormalMap,
+        depth_map: DepthMap,
+        labels: VisibilityLabels | None = None,
+        paint: Paint | None = None,
     ) -> TrackedFrame:
-        """Follow the surface into the next frame; labels: as of the template."""
+        """Follow the surface into the next frame; labels, paint: as of the template."""
         require_same_size(normal_map.mask, "normals", self._previous.mask, "the frame before")
         require_same_size(depth_map.mask, "depth", normal_map.mask, "normals")
         if self._fit is not None and self.state.uncertainty_px is not None:
@@ -119,6 +127,7 @@ class SurfaceTracker:
                 normal_map,
                 depth_map,
                 labels,
+                paint,
             )
             vertices, told = self.camera.unproject(fitted.positions_px, fitted.depth), fitted.uncertainty_px
         else:

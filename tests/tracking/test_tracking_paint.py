@@ -1,0 +1,110 @@
+"""Paint tells where a surface is that has no relief, and only where it is known."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.tracking.test_tracking_information import CAMERA, GRID, HEIGHT, WIDTH, flat_depth, normals
+from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.response import LightResponse
+from vntoolkit.tracking.fixed_pattern import fixed_pattern
+from vntoolkit.tracking.paint import Paint, paint_image, paint_of_frame
+from vntoolkit.tracking.slopes import relief_slopes, slopes_from_normals
+from vntoolkit.tracking.tracker import SurfaceTracker
+
+WHOLE = np.ones((HEIGHT, WIDTH), dtype=bool)
+RESPONSE = LightResponse(
+    matrix=np.array([[0.4, 0.1, -0.5], [-0.3, 0.3, -0.6], [0.0, -0.4, -0.4]]),
+    ambient=np.array([0.02, 0.01, 0.03]),
+)
+DARKEST = 0.3
+
+
+def smooth(frame: int) -> NormalMap:
+    """A plain sheet, noisy, without any relief."""
+    noise = np.random.default_rng(100 + frame).normal(0, 0.01, (2, HEIGHT, WIDTH))
+    return normals(*noise)
+
+
+def freckles(shift: np.ndarray) -> np.ndarray:
+    """A smooth random paint (h, w) around 1, moved by a shift."""
+    drawn = cv2.GaussianBlur(np.random.default_rng(5).normal(0, 1, (HEIGHT + 40, WIDTH + 40)), (0, 0), 3.0)
+    drawn = 1.0 + 0.1 * drawn / drawn.std()
+    at = np.float32(GRID + 20 - shift)
+    return np.maximum(cv2.remap(np.float32(drawn), at[..., 0], at[..., 1], cv2.INTER_CUBIC), DARKEST)
+
+
+def painted(frame: int, shift: np.ndarray, noise: float = 0.02) -> Paint:
+    random = np.random.default_rng(frame).normal(0, noise, (HEIGHT, WIDTH))
+    return np.float32(freckles(shift) + random)
+
+
+def test_it_is_the_reflectance_however_the_surface_is_turned(rng: np.random.Generator) -> None:
+    turned = normals(*rng.normal(0, 0.3, (2, HEIGHT, WIDTH))).normals_in_camera
+    reflectance = rng.uniform(0.5, 1.2, (HEIGHT, WIDTH, 1))
+    rgb = (reflectance * turned) @ RESPONSE.matrix.T + RESPONSE.ambient
+    labels = np.full((HEIGHT, WIDTH), 7, dtype=np.uint8)
+    labels[:, :10] = 5
+    clipped = GRID[..., 0] > WIDTH - 10
+    paint = paint_of_frame(LinearFrame(rgb=rgb, clipped=clipped), RESPONSE, labels)
+    known = (labels == 7) & ~clipped
+    np.testing.assert_allclose(paint[known], reflectance[known, 0], rtol=1e-4)
+    assert not paint[~known].any()
+
+
+@pytest.mark.parametrize("has_paint", [True, False])
+def test_a_sheet_without_relief_is_followed_by_its_paint_alone(has_paint: bool) -> None:
+    velocity = np.array([0.9, -0.6])
+    tracker = SurfaceTracker(
+        smooth(0), flat_depth(WHOLE), CAMERA, paint=painted(0, 0 * velocity) if has_paint else None
+    )
+    for frame in range(1, 9):
+        paint = painted(frame, frame * velocity) if has_paint else None
+        tracked = tracker.step(smooth(frame), flat_depth(WHOLE), paint=paint)
+    truth = tracker.template.positions_px + 8 * velocity
+    inner = np.all((truth > 8) & (truth < [WIDTH - 8, HEIGHT - 8]), axis=1)
+    error = np.linalg.norm(tracked.positions_px - truth, axis=1)[inner]
+    told = tracked.uncertainty_px[inner]
+    if has_paint:
+        assert np.percentile(error, 95) < 0.5
+        assert np.median(told) < 1.0
+    else:
+        assert np.median(told) > 4.0
+    assert np.mean(error < told) > 0.85
+
+
+def test_noise_of_paint_tells_nothing() -> None:
+    blank = [np.float32(1 + np.random.default_rng(k).normal(0, 0.03, (HEIGHT, WIDTH))) for k in range(2)]
+    tracker = SurfaceTracker(smooth(0), flat_depth(WHOLE), CAMERA, paint=blank[0])
+    tracked = tracker.step(smooth(1), flat_depth(WHOLE), paint=blank[1])
+    assert np.median(tracked.uncertainty_px) > 4.0
+
+
+def test_a_frame_whose_paint_is_not_known_is_carried(rng: np.random.Generator) -> None:
+    still = np.zeros(2)
+    tracker = SurfaceTracker(smooth(0), flat_depth(WHOLE), CAMERA, paint=painted(0, still))
+    known = tracker.step(smooth(1), flat_depth(WHOLE), paint=painted(1, still))
+    unknown = tracker.step(smooth(2), flat_depth(WHOLE), paint=None)
+    assert np.median(known.uncertainty_px) < 1.0
+    assert np.median(unknown.uncertainty_px) > 4.0
+
+
+def test_pixels_of_unlike_gain_are_no_paint() -> None:
+    """Gains that stay at the camera's pixels tell of no surface at rest."""
+    gain = np.random.default_rng(3).normal(0, 0.03, (HEIGHT, WIDTH))
+
+    def blank(frame: int) -> Paint:
+        return np.float32(1 + gain + np.random.default_rng(50 + frame).normal(0, 0.01, gain.shape))
+
+    seen = [smooth(frame) for frame in range(8)]
+    reliefs = [relief_slopes(slopes_from_normals(each, CAMERA), each) for each in seen]
+    pattern = fixed_pattern(paint_image(blank(k), relief) for k, relief in enumerate(reliefs))
+    told = []
+    for known in ((), pattern):
+        tracker = SurfaceTracker(seen[0], flat_depth(WHOLE), CAMERA, paint=blank(0), paint_pattern=known)
+        told.append(np.median(tracker.step(seen[1], flat_depth(WHOLE), paint=blank(1)).uncertainty_px))
+    assert told[0] < 0.5  # as if it were paint at rest
+    assert told[1] > 4.0
