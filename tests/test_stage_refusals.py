@@ -33,7 +33,7 @@ from vntoolkit.simulation.lights import WAVELENGTHS_NM, Lighting, Lights
 from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.scene import SceneOptions, build_scene
 from vntoolkit.skinning.fitting import GarmentFitOptions, fit_garment_to_figure
-from vntoolkit.tracking.sparse_factor import factor_symmetric
+from vntoolkit.tracking.regularisers import factor_symmetric
 from vntoolkit.tracking.template import template_from_maps
 
 MATRIX = np.array([[0.35, -0.02, -0.5], [-0.17, 0.3, -0.48], [-0.15, -0.28, -0.52]])

@@ -22,9 +22,9 @@ from vntoolkit.tracking.regularisers import (
     LaplacianRegulariser,
     TranslationRegulariser,
     beta_from_smoothing_length,
+    nested_dissection_order,
 )
 from vntoolkit.tracking.slopes import relief_slopes, slopes_from_normals
-from vntoolkit.tracking.sparse_factor import nested_dissection_order
 from vntoolkit.tracking.template import template_from_maps
 
 
