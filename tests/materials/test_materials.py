@@ -168,6 +168,27 @@ def test_one_paint_is_one_material_and_a_number_is_kept() -> None:
     assert len(find_materials([frame], [mask], RESPONSE, count=2)) == 2
 
 
+def test_print_of_the_rigs_hue_has_the_normals_of_the_rigs_material() -> None:
+    """Grey on white, on a surface so flat that it tells hues to some per cent, and a colour beside it."""
+    normals, mask = dome(160)
+    normals = np.stack([0.4 * normals[..., 0], 0.4 * normals[..., 1], -np.ones(mask.shape)], axis=-1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    paints = np.array([[0.9, 0.9, 0.9], [0.5, 0.5, 0.5], [0.8, 0.4, 0.6]])
+    rng = np.random.default_rng(3)
+    for colour_too in (False, True):
+        labels = sectors(160) % (3 if colour_too else 2)
+        light = np.maximum(normals @ DIRECTIONS.T, 0.0) * paints[labels] @ COLOURS
+        light += rng.normal(0.0, LEVEL, light.shape)
+        frame = LinearFrame((light * mask[..., None]).astype(np.float32))
+        found = sorted(
+            find_materials([frame], [mask], RESPONSE), key=lambda each: -each.reflectance.values[1]
+        )
+        values = np.array([each.reflectance.values for each in found])
+        assert len(found) == 2 + colour_too
+        assert np.allclose(values, paints[: len(found)], rtol=0.04)
+        assert np.allclose(np.ptp(values[:2], axis=1), 0.0, atol=1e-9)
+
+
 def test_frames_are_searched_together_and_again_with_the_same_result() -> None:
     frame, _, mask = painted(sectors(), seed=1)
     other, _, _ = painted(sectors()[::-1], seed=2)

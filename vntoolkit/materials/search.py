@@ -4,7 +4,8 @@ First every region has a reflectance of its own. Steps of paint between neighbou
 (land1971), and unit length of all normals tells the rest: flat regions learn from others. Reflectances that
 many regions share are proposed as materials, too many of them. Then materials are left out, one after the
 other, and the shortest description of the frame is taken: lengths and steps in units of their spread, the
-seams of the label map, and three numbers a material (rissanen1978).
+seams of the label map, and three numbers a material (rissanen1978), or one of a material that has the hue of
+the rig's: black and white print is of one hue.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from scipy import sparse
+from scipy.linalg import block_diag
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import spsolve
 
@@ -111,11 +113,15 @@ def find_materials(
     own, tolerance = _reflectances_of_regions(regions, split.lamps)
     found = _fewest(_proposals(own, regions, count), regions, split.lamps, tolerance, count)
     plain = _plain(regions, split.lamps, tolerance, found.spread)
+    of_rig = np.ones(1, np.bool_)
     if count is None and plain.length <= found.length:
         found = plain
+    else:
+        found, of_rig = _in_rigs_hue(found, regions, split.lamps, tolerance)
     labels = found.labels[regions.labels[split.lit]]
     s = split.contributions[split.lit]
     materials = []
+    # of a material of the rig's hue, too, the error is what the footage leaves open: its hue is the likeliest
     covariance = np.linalg.inv(found.normal_matrix + 1e-9 * np.eye(3 * len(found.logs)))
     for m, log in enumerate(found.logs):
         pixels = s[labels == m]
@@ -123,7 +129,7 @@ def find_materials(
         pixels = pixels if share else s  # a number was asked for that nothing supports
         pixels = np.ascontiguousarray(pixels[:: max(1, len(pixels) // _FIT_PIXELS)])
         block, own_log = covariance[3 * m : 3 * m + 3, 3 * m : 3 * m + 3], log
-        if found is not plain:
+        if not of_rig[m]:
             own_log, _, _ = best_fit(
                 pixels, split.lamps, tolerance, log[None], _OF_SEAMS, 1.0 / INDEPENDENT_PX
             )
@@ -437,6 +443,28 @@ def _woven(found: _Found, regions: Regions, lamps: Lamps) -> _Found:
     return _woven(more, regions, lamps)
 
 
+def _in_rigs_hue(
+    found: _Found, regions: Regions, lamps: Lamps, tolerance: float
+) -> tuple[_Found, npt.NDArray[np.bool_]]:
+    """Return the description in which materials have the hue of the rig's, where that makes it shorter.
+
+    And which (m,) do. Their normals are then those of the rig's own M.
+    """
+    of_rig = np.zeros(len(found.logs), np.bool_)
+    for m in np.ptp(found.logs, axis=1).argsort():
+        more = of_rig | (np.arange(len(of_rig)) == m)
+        other = _settled(found.logs, found.labels, regions, lamps, tolerance, 1, found.spread, more)
+        if other.length < found.length:
+            found, of_rig = other, more
+    return found, of_rig
+
+
+def _free_numbers(of_rig: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
+    """(3m, k), the log ρ of all materials by the k numbers that are free: one of those of the rig's hue."""
+    blocks = [np.ones((3, 1)) if is_one else np.eye(3) for is_one in of_rig]
+    return np.asarray(block_diag(*blocks))
+
+
 def _plain(regions: Regions, lamps: Lamps, tolerance: float, spread: Spread) -> _Found:
     """Describe the frame as of the calibration material, one number brighter or darker."""
     steps = np.linspace(*_BRIGHTNESS, _BRIGHTNESSES)
@@ -487,8 +515,15 @@ def _settled(
     tolerance: float,
     rounds: int,
     spread: Spread | None,
+    of_rig: Mask | None = None,
 ) -> _Found:
-    """Alternate between labels and reflectances, all of which are fitted together."""
+    """Alternate between labels and reflectances, all of which are fitted together.
+
+    of_rig: (m,), materials of the hue of the rig's, which are only brighter or darker; None for none.
+    """
+    of_rig = np.zeros(len(logs), np.bool_) if of_rig is None else of_rig
+    free = _free_numbers(of_rig)
+    logs = np.where(of_rig[:, None], logs.mean(axis=1, keepdims=True), logs)
     size = 3 * len(logs)
     matrix = np.zeros((size, size))
     weights = regions.sizes / INDEPENDENT_PX
@@ -519,11 +554,13 @@ def _settled(
                 labels, paid, logs, regions.starts, regions.neighbours, regions.steps, regions.contacts,
                 matrix, gradient,
             )  # fmt: skip
-            step = np.linalg.solve(matrix + _WEAK_PRIOR * np.eye(size), gradient).reshape(-1, 3)
+            bounded = free.T @ (matrix + _WEAK_PRIOR * np.eye(size)) @ free
+            step = (free @ np.linalg.solve(bounded, free.T @ gradient)).reshape(-1, 3)
             logs = logs + step.clip(-_LARGEST_STEP, _LARGEST_STEP)
     costs = prices_of_regions(lengths_of(regions, logs, lamps), spread)
     labels = _cheapest(costs, logs, regions, labels)
-    length = total_cost(costs, labels, logs, regions, _SEAM_PRICE) + _numbers(regions) * len(logs)
+    numbers = len(logs) - 2.0 / 3.0 * np.count_nonzero(of_rig)
+    length = total_cost(costs, labels, logs, regions, _SEAM_PRICE) + _numbers(regions) * numbers
     return _Found(logs=logs, labels=labels, costs=costs, length=length, normal_matrix=matrix, spread=spread)
 
 
