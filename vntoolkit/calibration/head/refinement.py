@@ -1,9 +1,10 @@
 """The head's shape refined by its own normals, and M fitted again (nehab2005; brostow2011, Section IV).
 
 Stereo knows where the skin is, but not its relief: windows of a dozen pixels blur it, and noise ripples it.
-Normals know the relief but not the place: their errors add up with distance. The positions sought agree
-with both, each as far as its own error allows. A vertex moves along its normal, by d. Every edge should be
-at right angles to its mean normal, and d should be small: linear in d.
+Normals know the relief but not the place: their errors add up with distance. Silhouettes know the place,
+where the surface turns away from a viewer. The positions sought agree with all three, each as far as its own
+error allows. A vertex moves along its normal, by d. Every edge should be at right angles to its mean normal,
+and d should be small, or what a contour tells: linear in d.
 
 An error of M, the same in all frames, bends the shape in patterns that are known. M is corrected until the
 frames agree on every normal and the normals, integrated, agree with the positions of stereo.
@@ -24,6 +25,7 @@ from scipy.spatial import cKDTree
 
 from vntoolkit.arrays import Faces, FloatArray, IntArray, Points
 from vntoolkit.calibration.head.light import HeadLight, LightOptions, light_of_response
+from vntoolkit.calibration.head.rims import RimTargets, rim_targets
 from vntoolkit.calibration.head.samples import HeadSamples, LightFrame
 from vntoolkit.calibration.head.skin import (
     SkinColours,
@@ -133,7 +135,9 @@ def refine_head(
         skin = skin_normals(colours, lit)
         follow = followed_normals(stereo, skin, pixel)
         shared = shared_errors(stereo, skin, pixel)
+        rims = rim_targets(surface, camera, frames(), lit.response)
         solver = PositionSolver(stereo.vertices, stereo.faces, follow, wave, shared)
+        solver.hold(rims, levels.stereo)
         surface = stereo.with_vertices(solver.positions())
     samples = patch_samples(surface, camera, colours, skin, _PATCH_PX * pixel)
     on_progress(_ROUNDS + 1, _ROUNDS + 1)
@@ -267,11 +271,23 @@ class PositionSolver:
             along = np.square(stereo[self._to] - stereo[self._from])
             variance += along @ shared**2 / np.maximum(along.sum(axis=1), _TINY)
         self._weight = np.clip(cotangents, _LEAST_COTANGENT, _MOST_COTANGENT) * _LEAST_NOISE**2 / variance
-        self._anchor = (2.0 * np.pi / crossover) ** 2 * areas(stereo, faces)
+        self._stiffness = (2.0 * np.pi / crossover) ** 2
+        self._anchor = self._stiffness * areas(stereo, faces)
         upright = normals[self._from] + normals[self._to]
         self._upright = upright / np.maximum(np.linalg.norm(upright, axis=1, keepdims=True), _TINY)
-        self._own = own
+        self._own, self._target = own, stereo
         self._move_along(own)
+
+    def hold(self, rims: RimTargets, density: float) -> None:
+        """Hold vertices to contours, too. density: of stereo's noise, as `NoiseLevels` has it.
+
+        Stereo holds a vertex by its area over the density, contours by 1 / variance, in the same unit.
+        """
+        pull = self._stiffness * density * rims.weight
+        held = np.maximum(self._anchor + pull, _TINY)[:, None]
+        self._target = (self._anchor[:, None] * self.stereo + pull[:, None] * rims.places) / held
+        self._anchor = self._anchor + pull
+        self._move_along(self._own)
 
     def positions(self) -> Points:
         """Return (n, 3). A few rounds, as the surface's own normals turn on the way."""
@@ -280,7 +296,7 @@ class PositionSolver:
             if step:
                 along = vertex_normals(x, self._faces)
                 self._move_along(along)
-            pull = self._anchor * ((x - self.stereo) * along).sum(axis=1)
+            pull = self._anchor * ((x - self._target) * along).sum(axis=1)
             x += self._solved(self._right(self._upright, x) - pull)[:, None] * along
         return x
 

@@ -24,7 +24,7 @@ from vntoolkit.native import njit
 from vntoolkit.photometry.response import LightResponse
 
 _ERRORS = 12  # of the light: nine of M, three of nearness
-_LEAST_COSINE = 0.08  # to a row of M: flatter, the shape's error decides whether light arrives
+LEAST_COSINE = 0.08  # to a row of M: flatter, the shape's error decides whether light arrives
 # Scatter of the logarithm of the tint: while nobody knows how it follows the darkness, and where it is held
 _FREE_TINT, _HELD_TINT = 1.0, 1e-4
 _LEAST_SCATTER, _MOST_SCATTER = 0.005, 0.05  # about what the darkness tells
@@ -83,12 +83,12 @@ def skin_colours(mesh: Mesh, camera: Camera, frames: Iterable[LightFrame]) -> Sk
         towards = -position / np.linalg.norm(position, axis=1, keepdims=True)
         facing = (pose.rotate(mesh.normals) * towards).sum(axis=1)
         pixel = camera.project(position).astype(np.float32)
-        trusted = _sampled(_trusted(each).astype(np.float32), pixel)
+        trusted = sampled(_trusted(each).astype(np.float32), pixel)
         seen = np.flatnonzero((facing > LEAST_FACING) & (trusted > 0.99))
         seen = seen[rays.free(seen, pose.inverse().rotate(towards[seen]))]
         shown = np.zeros(len(pixel), np.float32)
         shown[seen] = facing[seen]
-        rgb.append(_sampled(each.frame.rgb, pixel))
+        rgb.append(sampled(each.frame.rgb, pixel))
         weight.append(shown)
         poses.append(pose)
     return SkinColours(
@@ -107,10 +107,10 @@ def _trusted(each: LightFrame) -> Mask:
 _ROW = 1024  # OpenCV resamples images, no lists: points are laid out in rows
 
 
-def _sampled(image: Array, pixel: Array) -> Array:
+def sampled(image: Array, pixel: Array) -> Array:
     """Return the image (h, w) or (h, w, 3) at pixels (n, 2), bilinear, 0 outside."""
     count = len(pixel)
-    padded = np.full((-(-count // _ROW) * _ROW, 2), -9.0, np.float32)
+    padded = np.full((max(1, -(-count // _ROW)) * _ROW, 2), -9.0, np.float32)
     padded[:count] = pixel
     u, v = (np.ascontiguousarray(padded[:, k].reshape(-1, _ROW)) for k in range(2))
     sampled = cv2.remap(np.asarray(image), u, v, cv2.INTER_LINEAR, borderValue=0)
@@ -125,7 +125,7 @@ def without_shadow(colours: SkinColours, mesh: Mesh, response: LightResponse) ->
     for own, pose in zip(weight, colours.camera_from_head, strict=True):
         for direction in response.light_directions:
             in_head = pose.inverse().rotate(direction)
-            own[mesh.normals @ in_head < _LEAST_COSINE] = 0
+            own[mesh.normals @ in_head < LEAST_COSINE] = 0
             left = np.flatnonzero(own)
             own[left[~rays.free(left, np.broadcast_to(in_head, (len(left), 3)))]] = 0
     return replace(colours, weight=weight)

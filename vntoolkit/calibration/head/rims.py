@@ -1,0 +1,127 @@
+"""Where a shape's rim should lie: on the silhouette's contour, in every frame.
+
+Where a smooth surface turns away from the viewer, the rays along the contour touch it (cipolla2000). The
+place of a contour is known to a fraction of a pixel, better than stereo knows any depth, and a turn of the
+head sweeps the rim over most of its sides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.arrays import Faces, FloatArray, IntArray, Mask, Points, Vectors
+from vntoolkit.calibration.head.samples import LightFrame
+from vntoolkit.calibration.head.skin import LEAST_COSINE, sampled
+from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.photometry.response import LightResponse
+
+_REACH_PX, _STEP_PX = 4.0, 0.5  # how far a contour is looked for to both sides of the rim
+_SOFT_PX = 1.0  # standard deviation of the blur that makes a contour of whole pixels smooth
+_NOISE_PX = 0.3  # of a contour of whole pixels: √(1/12)
+_ALIKE_PX = 50.0  # along the contour: where it errs, as before dark hair, it errs alike over such lengths
+_LEAST_SLOPE = 1e-3  # of the typical brightness of the edges: less is no edge
+_BEHIND_PX = 0.1  # a rim so much farther inside than another beside it is hidden by it
+_TINY = 1e-30
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RimTargets:
+    """Where contours want the vertices of a mesh. places: (n, 3). weight: (n,) 1 / variance, 0 off rims."""
+
+    places: Points
+    weight: FloatArray
+
+
+def rim_targets(
+    mesh: Mesh, camera: Camera, frames: Iterable[LightFrame], response: LightResponse
+) -> RimTargets:
+    """Compare the rims of a mesh (head frame, with normals) with the contours of all frames.
+
+    A contour counts as much as the brightness rises there: before dark hair it is uncertain by more. Where no
+    lamp of M reaches the rim, light ends before the surface does.
+    """
+    assert mesh.normals is not None
+    edges = _edges(mesh.faces)
+    rims = [_rims(mesh, edges, camera, each, response.light_directions) for each in frames]
+    vertex, share, off, slope, unit = (np.concatenate(column) for column in zip(*rims, strict=True))
+    count = len(mesh.vertices)
+    if not len(vertex):
+        return RimTargets(places=mesh.vertices, weight=np.zeros(count))
+    typical = float(np.median(slope))
+    blunt = typical / np.maximum(slope, _LEAST_SLOPE * typical)
+    variance = _ALIKE_PX * np.square(_NOISE_PX * np.maximum(blunt, 1.0) * unit)
+    weight = np.asarray(np.bincount(vertex, share / variance, count), np.float64)
+    moved = np.bincount(vertex, share / variance * off * unit, count) / np.maximum(weight, _TINY)
+    return RimTargets(places=mesh.vertices + moved[:, None] * mesh.normals, weight=weight)
+
+
+def _edges(faces: Faces) -> IntArray:
+    """Return every edge once, (e, 2)."""
+    ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    return np.asarray(np.unique(np.sort(ends, axis=1), axis=0))
+
+
+def _rims(
+    mesh: Mesh, edges: IntArray, camera: Camera, frame: LightFrame, lamps: Vectors
+) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return vertices (r,) on the rim, their shares of it, how far outside of it the contour lies in pixels,
+    how steeply the brightness rises there, and the width of a pixel."""
+    assert mesh.normals is not None
+    pose = frame.camera_from_head
+    position, normal = pose.apply(mesh.vertices), pose.rotate(mesh.normals)
+    facing = -(normal * position).sum(axis=1)
+    near, far = edges[(facing[edges[:, 0]] > 0) != (facing[edges[:, 1]] > 0)].T
+    near, far = np.where(facing[near] > 0, near, far), np.where(facing[near] > 0, far, near)
+    convex = position[far, 2] > position[near, 2]  # else a valley, which covers nothing
+    near, far = near[convex], far[convex]
+    share = facing[near] / (facing[near] - facing[far])
+
+    def between(values: Points) -> Points:
+        return np.asarray(values[near] + share[:, None] * (values[far] - values[near]))
+
+    place, across = between(position), between(normal)
+    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), _TINY)
+    outward = across[:, :2] / np.maximum(np.linalg.norm(across[:, :2], axis=1, keepdims=True), _TINY)
+    pixel = camera.project(place)
+    off, found = _contour_beside(frame.mask, pixel, outward)
+    found &= (across @ lamps.T).max(axis=1) > LEAST_COSINE
+    near, far, share, off, outward = (each[found] for each in (near, far, share, off, outward))
+    contour, unit = pixel[found] + off[:, None] * outward, place[found, 2] / camera.matrix[0, 0]
+    column, row = np.round(contour).astype(int).T
+    outermost = np.full(frame.mask.shape, np.inf, np.float32)
+    np.minimum.at(outermost, (row, column), off)
+    outermost = np.asarray(cv2.erode(outermost, np.ones((3, 3), np.uint8)))  # the least around
+    grey = np.asarray(cv2.GaussianBlur(frame.frame.rgb.mean(axis=2), (0, 0), _SOFT_PX), np.float32)
+    slope = _at(grey, contour - outward) - _at(grey, contour + outward)
+    kept = off <= outermost[row, column] + _BEHIND_PX
+    near, far, share, off, slope, unit = (each[kept] for each in (near, far, share, off, slope, unit))
+    vertex, shares = np.concatenate([near, far]), np.concatenate([1.0 - share, share])
+    return vertex, shares, np.tile(off, 2), np.tile(slope, 2), np.tile(unit, 2)
+
+
+def _contour_beside(
+    mask: Mask, pixel: FloatArray, outward: FloatArray
+) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+    """Return how far outwards the contour lies from pixels (r, 2), and where there is just one to be met."""
+    soft = np.asarray(cv2.GaussianBlur(mask.astype(np.float32), (0, 0), _SOFT_PX), np.float32)
+    steps = np.arange(-_REACH_PX, _REACH_PX + 0.5 * _STEP_PX, _STEP_PX)
+    places = pixel[:, None] + steps[:, None] * outward[:, None]
+    inside = _at(soft, places).reshape(len(pixel), len(steps)) - 0.5
+    leaves = (inside[:, :-1] > 0) & (inside[:, 1:] <= 0)
+    enters = (inside[:, :-1] <= 0) & (inside[:, 1:] > 0)
+    size, margin = np.array(mask.shape[::-1]), _REACH_PX + 2.0 * _SOFT_PX
+    within = ((pixel > margin) & (pixel < size - 1.0 - margin)).all(axis=1)
+    at, rows = leaves.argmax(axis=1), np.arange(len(pixel))
+    before, after = inside[rows, at], inside[rows, at + 1]
+    off = steps[at] + _STEP_PX * before / np.where(before > after, before - after, 1.0)
+    return off, within & (leaves.sum(axis=1) == 1) & ~enters.any(axis=1)
+
+
+def _at(image: npt.NDArray[np.float32], pixel: FloatArray) -> FloatArray:
+    return np.asarray(sampled(image, np.asarray(pixel, np.float32).reshape(-1, 2)), np.float64)
