@@ -156,7 +156,7 @@ def _paint_reader(job: TrackJob, source: TrackSource) -> PaintReader | None:
             "background" in result.manifest.extra_files and result.background is None
         ):
             return None
-        result.linear(source.numbers[0])
+        result.linear(next(n for n in source.numbers if source.has(n)))
     except VntError as problem:
         _LOGGER.info("%s; relief and shape alone are tracked", problem)
         return None
