@@ -70,6 +70,7 @@ _LEAST_FACING = np.float32(0.1)
 _SAMPLES = 1000
 _MOST_PER_KNOWN = 20  # places of the grid that are looked at for a sample
 _ROUNDS = 4
+_GRID = 2.0**-16  # of log lengths that are fitted: finer than any bound, far coarser than their rounding
 _ELLIPSOID_SPREAD = 0.05  # prior standard deviation of E's entries …
 _FALLOFF_SPREAD = 0.1  # … of the slow change of brightness over the image …
 _NEARNESS_SPREAD = 0.3  # … and of half the picture's larger side over a lamp's distance
@@ -330,6 +331,8 @@ def _fit_ellipsoid(samples: Any, shape: tuple[int, int], nearness: Any, found: A
         spread = 1.48 * np.median(left) + 1e-3
         for i in range(count):
             worth[i] = 1.0 / (1.0 + (left[i] / (2 * spread)) ** 2)
+    for k in range(_TERMS):  # code compiled just now and code from numba's cache differ in the last bits
+        best[k] = np.floor(best[k] / _GRID + 0.5) * _GRID
     found[0] = np.exp(-best[0])
     found[1], found[2], found[3] = best[1], best[3], best[4]
     found[4], found[5], found[6] = best[2], best[5], -best[1] - best[2]
