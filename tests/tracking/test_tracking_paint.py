@@ -10,6 +10,7 @@ from tests.tracking.test_tracking_information import CAMERA, GRID, HEIGHT, WIDTH
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
+from vntoolkit.pipeline.track import paint_of_materials
 from vntoolkit.tracking.fixed_pattern import fixed_pattern
 from vntoolkit.tracking.paint import Paint, paint_image, paint_of_frame
 from vntoolkit.tracking.slopes import relief_slopes, slopes_from_normals
@@ -53,6 +54,20 @@ def test_it_is_the_reflectance_however_the_surface_is_turned(rng: np.random.Gene
     known = (labels == 7) & ~clipped
     np.testing.assert_allclose(paint[known], reflectance[known, 0], rtol=1e-4)
     assert not paint[~known].any()
+
+
+def test_paint_of_other_hues_is_their_reflectance_too(rng: np.random.Generator) -> None:
+    colours = np.array([[0.7, 0.1, 0.02], [0.08, 0.6, 0.1], [0.02, 0.12, 0.65]])
+    lights = np.array([[0.5, 0.0, -0.866], [-0.25, 0.433, -0.866], [-0.25, -0.433, -0.866]])
+    response = LightResponse(matrix=colours.T @ lights, light_colours=colours)
+    paints = np.array([[0.9, 0.4, 0.6], [0.3, 0.8, 0.5]])
+    materials = np.uint8(GRID[..., 0] > WIDTH // 2)
+    turned = normals(*rng.normal(0, 0.2, (2, HEIGHT, WIDTH))).normals_in_camera
+    frame = LinearFrame(rgb=((turned @ lights.T) * paints[materials] @ colours).astype(np.float32))
+    paint = paint_of_materials(frame, response, None, materials, paints)
+    np.testing.assert_allclose(paint, np.prod(paints, axis=1)[materials] ** (1 / 3), rtol=1e-4)
+    alone = paint_of_materials(frame, response, None, None, np.empty((0, 3)))
+    assert alone[materials == 0].std() > 0.05  # the turns of the surface, where hues are not known
 
 
 @pytest.mark.parametrize("has_paint", [True, False])

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from vntoolkit.arrays import FloatArray, Points2
+from vntoolkit.arrays import FloatArray, Points, Points2, VisibilityLabels
 from vntoolkit.checks import require_positive
 from vntoolkit.diagnosis.finding import judge
 from vntoolkit.diagnosis.over_time import findings_from_tracks
@@ -19,6 +19,9 @@ from vntoolkit.errors import BadInput, BadMesh, VntError
 from vntoolkit.geometry.mesh import MeshSequence
 from vntoolkit.io.atomic import sole_writer, undisturbed
 from vntoolkit.io.results.sequences import MeshSequenceWriter, read_mesh_sequence, remove_mesh_sequence
+from vntoolkit.materials.pixels import MaterialLabels, relit
+from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.response import LightResponse
 from vntoolkit.pipeline.opened_result import open_result
 from vntoolkit.pipeline.options import option_values
 from vntoolkit.pipeline.tracked_folder import (
@@ -160,7 +163,37 @@ def _paint_reader(job: TrackJob, source: TrackSource) -> PaintReader | None:
     except VntError as problem:
         _LOGGER.info("%s; relief and shape alone are tracked", problem)
         return None
-    return lambda number: paint_of_frame(result.linear(number), result.rig.response, source.labels(number))
+    reflectances = np.array([entry.reflectance for entry in result.manifest.materials]).reshape(-1, 3)
+
+    def paint_of(number: int) -> Paint:
+        return paint_of_materials(
+            result.linear(number),
+            result.rig.response,
+            source.labels(number),
+            result.materials(number),
+            reflectances,
+        )
+
+    return paint_of
+
+
+def paint_of_materials(
+    linear: LinearFrame,
+    response: LightResponse,
+    labels: VisibilityLabels | None,
+    materials: MaterialLabels | None,
+    reflectances: Points,
+) -> Paint:
+    """Return (h, w), `paint_of_frame` of a subject of several materials, each by its own reflectance.
+
+    materials: (h, w), numbers of the reflectances (m, 3), whose geometric mean over the lamps counts; None
+    for the rig's material alone, whose M would take the hue of another for a turn of the surface.
+    """
+    if materials is None or not len(reflectances):
+        return paint_of_frame(linear, response, labels)
+    brightness = np.exp(np.log(reflectances).mean(axis=1)).astype(np.float32)
+    alike = relit(linear, response.central, materials, reflectances)
+    return brightness[materials] * paint_of_frame(alike, response, labels)
 
 
 def _registered_by(
