@@ -7,7 +7,11 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map, write_normal_map
-from vntoolkit.normals.expected_error import normals_and_errors_from_encoded, with_expected_error
+from vntoolkit.normals.expected_error import (
+    _fit_ellipsoid,
+    normals_and_errors_from_encoded,
+    with_expected_error,
+)
 from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.levelling import Leveller
@@ -181,3 +185,17 @@ def test_a_frame_of_another_size_is_refused():
     empty = NormalMap(normals_in_camera=np.zeros((5, 4, 3)), mask=np.zeros((5, 4), bool))
     with pytest.raises(BadInput, match="frame of the normals: expected shape 5 × 4 × 3, got 4 × 5 × 3"):
         with_expected_error(empty, frame, RESPONSE)
+
+
+def test_another_order_of_the_samples_gives_the_same_bits(rng: np.random.Generator) -> None:
+    """As another order of sums does, between code that was compiled just now and code from the cache."""
+    normals = waves(96)[::3, ::3].reshape(-1, 3)
+    v, u = np.mgrid[:96:3, :96:3].reshape(2, -1)
+    lengths = 0.9 * (1.0 + 0.1 * normals[:, 0]) * np.exp(rng.normal(0.0, 0.01, len(normals)))
+    samples = np.vstack([normals.T * lengths, u, v])
+    nearness = rng.normal(0.0, 0.3, (2, 3, 3, 3))
+    found, other = np.empty(31), np.empty(31)
+    _fit_ellipsoid(samples, (96, 96), nearness, found)
+    _fit_ellipsoid(samples[:, rng.permutation(len(normals))], (96, 96), nearness, other)
+    assert found[1:25].any()
+    assert np.array_equal(found[:25], other[:25])

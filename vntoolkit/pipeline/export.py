@@ -576,7 +576,7 @@ class _Diligent(FrameExport):
 
     def __init__(self, result: OpenedResult, track: TrackedSurface | None, options: ExportOptions) -> None:
         super().__init__(result, track, options)
-        if "background" in result.manifest.extra_files and result.background is None:
+        if result.lacks_background:
             raise BadInput("diligent: the result was made with a background; give it as --background")
         result.capture  # noqa: B018 - refused before anything is written
         lights = result.rig.response.lights

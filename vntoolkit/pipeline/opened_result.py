@@ -89,6 +89,11 @@ class OpenedResult:
         """What was logged of each frame, skipped ones too."""
         return FrameLog(self.folder.root).entries()
 
+    @property
+    def lacks_background(self) -> bool:
+        """Whether a background was subtracted that is not at hand now, so that `linear` holds it."""
+        return "background" in self.manifest.extra_files and self.background is None
+
     def normals(self, number: int) -> NormalMap | None:
         """Read a frame's normals."""
         path = self.folder.normals(number)

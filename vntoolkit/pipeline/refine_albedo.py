@@ -119,7 +119,7 @@ def require_refinable(folder: Path, *, footage: str = "", background: Path | Non
             "--refine-albedo: the rig does not hold the colours of its lamps, so that nothing tells colour "
             "from shape: calibrate with one photograph per lamp (--single-light), and reconstruct again"
         )
-    if "background" in result.manifest.extra_files and result.background is None:
+    if result.lacks_background:
         raise BadInput("--refine-albedo: the reconstruction subtracted a background; give it as --background")
     return result
 

@@ -303,7 +303,7 @@ class _Colours:
         self._paints = (paints * strengths) @ np.linalg.inv(response.contributions_from_rgb).T
 
     def _has_background(self) -> bool:
-        if "background" not in self._result.manifest.extra_files or self._result.background is not None:
+        if not self._result.lacks_background:
             return True
         _LOGGER.warning(
             "texture: no colours, for the reconstruction subtracted a background; give it as --background"

@@ -155,10 +155,10 @@ def _paint_reader(job: TrackJob, source: TrackSource) -> PaintReader | None:
         return None
     try:
         result = open_result(job.folder, footage=job.footage, background=job.background)
-        if result.rig.gel is not None or (
-            "background" in result.manifest.extra_files and result.background is None
-        ):
+        if result.rig.gel is not None:  # a gel is of one reflectance
             return None
+        if result.lacks_background:
+            raise BadInput("the reconstruction subtracted a background; give it as --background")
         result.linear(next(n for n in source.numbers if source.has(n)))
     except VntError as problem:
         _LOGGER.info("%s; relief and shape alone are tracked", problem)

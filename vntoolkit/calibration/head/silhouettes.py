@@ -17,9 +17,7 @@ logger = logging.getLogger(__name__)
 _SIGMAS = 6.0  # of the background's noise
 _BAND_PX = 4  # to either side of the first contour, where it is moved to the subject's edge
 _EDGE_PX = 2  # inside of it; farther in the subject may be brighter by its shading
-_EDGE_HEIGHT = (
-    0.4  # of the rise of brightness at the edge; a rim that turns away is darker than what is behind
-)
+_EDGE_HEIGHT = 0.4  # of the rise of brightness there: below a half, since a rim that turns away is darker
 _LEAST_RISE = 0.01  # of the subject's brightness: stray light on the backdrop stays below
 _SMALLEST_SHARE = 0.01  # of the image: anything smaller is no head
 _LARGEST_SHARE = 0.75  # of the image: beyond, the background itself counts as subject
