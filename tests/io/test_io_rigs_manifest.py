@@ -210,6 +210,11 @@ def test_finished_frames_are_remembered_across_a_crash(tmp_path):
     log = FrameLog(tmp_path)
     assert log.done() == {0: 0.25, 1: 0.25, 5: 0.25}
     log.append(FrameEntry(number=7))
+    pressed = FrameEntry(number=8, error_deg=2.5, contact_mm2=3.0, contact_depth_mm=0.25)
+    log.append(pressed)
+    assert log.entries()[8] == pressed
+    assert log.entries()[7].error_deg is None
+    log.append(FrameEntry(number=8, failure="black"))
     assert set(log.done()) == {0, 1, 5, 7}
     assert log.entries()[5].clipped_share == 0.01
     log.append(FrameEntry(number=1, failure="f1.png is black:\nno light"))

@@ -190,6 +190,23 @@ def test_or_it_is_skipped_and_named(capture_with_black_frame: DomeCapture, tmp_p
     assert entries[3].valid_share == pytest.approx(capture_with_black_frame.masks[3].mean(), abs=1e-5)
 
 
+def test_the_run_tells_the_expected_error_and_warns_where_it_is_large(
+    dome_capture: DomeCapture, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    summary = reconstruct(job_of(dome_capture, tmp_path / "good"), frames=FrameRange.from_text("0:3"))
+    assert not caplog.records
+    maps = [read_normal_map(tmp_path / f"good/normals/{n:06d}.exr") for n in range(3)]
+    medians = [np.median(m.error_deg[::4, ::4][m.mask[::4, ::4]]) for m in maps]
+    assert summary.error_deg == pytest.approx(np.median(medians), abs=0.05)  # EXR holds half floats
+    assert read_manifest(tmp_path / "good").error_deg == summary.error_deg
+    dull = FitQuality(method="sphere", residual_deg=14.0, condition_number=2.0, samples=100, cone_deg=60.0)
+    worse = replace(job_of(dome_capture, tmp_path / "bad"), rig=replace(dome_capture.rig, quality=dull))
+    summary = reconstruct(worse, frames=FrameRange.from_text("0:3"))
+    assert summary.error_deg is not None
+    assert summary.error_deg > 14
+    assert [r.message for r in caplog.records if "half of the normals may be off by more than" in r.message]
+
+
 def test_refusals(dome_capture: DomeCapture, tmp_path: Path) -> None:
     job = job_of(dome_capture, tmp_path)
     with pytest.raises(BadInput, match="jobs: expected 1 or more"):

@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from vntoolkit.checks import require_positive
 from vntoolkit.errors import VntError
+from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io.files import ReadingLimits, reading_limits
 from vntoolkit.io.footage.captures import Capture, CaptureOptions, open_capture
 from vntoolkit.io.footage.decoding import EncodedFrame
@@ -39,6 +40,7 @@ from vntoolkit.shadows.detector import ShadowMethod
 _WAITING = 1  # frames that lie between one thread and the next
 Item = TypeVar("Item")
 Block = tuple[range, frozenset[int]]  # consecutive frames, and those of them that are on disk already
+_SAMPLED = 4  # every fourth pixel of every fourth row tells a frame's expected error
 _END = object()
 _FULL = 65535
 
@@ -223,9 +225,18 @@ def record_of(result: FrameResult, seconds: float) -> FrameEntry:
         valid_share=float(valid.mean()),
         clipped_share=result.clipped_share,
         shadowed_share=shadowed,
+        error_deg=_median_error(result.normal_map),
         contact_mm2=None if result.contact is None else result.contact.area_mm2,
         contact_depth_mm=None if result.contact is None else result.contact.depth_mm,
     )
+
+
+def _median_error(normal_map: NormalMap) -> float | None:
+    if normal_map.error_deg is None:
+        return None
+    sampled = (slice(None, None, _SAMPLED), slice(None, None, _SAMPLED))
+    errors = normal_map.error_deg[sampled][normal_map.mask[sampled]]
+    return float(np.median(errors)) if errors.size else None
 
 
 # Reading, normals, surfaces and writing run in a thread each, with bounded queues between them: of a frame

@@ -43,6 +43,7 @@ from vntoolkit.io.results.manifest import (
 )
 from vntoolkit.io.rigs import entry_from_rig
 from vntoolkit.materials.labelling import MaterialLabeller
+from vntoolkit.normals.expected_error import HALF_WEIGHT_DEG
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.levelling import leveller_of
 from vntoolkit.photometry.near_lamps import with_near_lamps
@@ -76,7 +77,8 @@ class ReconstructionSummary:
     """What a run did: frames asked for, found on disk already, newly done, and skipped with their reasons.
 
     lost: frames asked for that the video declares but does not hold. declared, came: frames that it
-    declares, and that can be read.
+    declares, and that can be read. error_deg: expected error of the normals, the median over the
+    pixels and then over the frames asked for; None where it is not known.
     """
 
     folder: Path
@@ -88,6 +90,7 @@ class ReconstructionSummary:
     lost: int = 0
     declared: int = 0
     came: int = 0
+    error_deg: float | None = None
 
     @property
     def loss(self) -> str:
@@ -150,7 +153,7 @@ def reconstruct(
             on_frame(record)
         records = _run(job, numbers, on_disk, _workers(jobs, scheduler), log, on_frame)
         seconds = time.perf_counter() - started
-        _finish(root, manifest, log, numbers, seconds)
+        error_deg = _finish(root, manifest, log, numbers, seconds)
     failed = [record for record in records if record.failure]
     skipped = tuple(sorted([*missing, *failed], key=lambda record: record.number))
     return ReconstructionSummary(
@@ -163,6 +166,7 @@ def reconstruct(
         lost=len(asked) - len(numbers),
         declared=capture.info.promised_frame_count,
         came=capture.info.frame_count,
+        error_deg=error_deg,
     )
 
 
@@ -321,13 +325,26 @@ def _in_one_material(
     return judged
 
 
-def _finish(root: Path, manifest: Manifest, log: FrameLog, numbers: range, seconds: float) -> None:
-    done = log.done()
-    spent = [done[number] for number in numbers if number in done]
-    if any(entry.contact_mm2 is not None for entry in log.entries().values()):
+def _finish(root: Path, manifest: Manifest, log: FrameLog, numbers: range, seconds: float) -> float | None:
+    """Write what the frames took and how good they are; return the expected error in degrees."""
+    entries = log.entries()
+    done = [entries[n] for n in numbers if n in entries and not entries[n].failure]
+    if any(entry.contact_mm2 is not None for entry in entries.values()):
         write_contacts(root, log)
+    spent = [entry.seconds for entry in done]
     timings = {"frame_s": float(np.median(spent)) if spent else 0.0, "wall_s": round(seconds, 3)}
-    write_manifest(root, manifest.model_copy(update={"finished": now_utc(), "timings": timings}))
+    errors = [entry.error_deg for entry in done if entry.error_deg is not None]
+    error_deg = round(float(np.median(errors)), 2) if errors else None
+    if error_deg is not None and error_deg > HALF_WEIGHT_DEG:
+        logger.warning(
+            "half of the normals may be off by more than %.0f degrees, their expected error (usual: below "
+            "%.0f): noise, gloss, near lamps or another colour than the rig's; `vntoolkit doctor` names "
+            "what it finds, `vntoolkit report` shows where",
+            error_deg, HALF_WEIGHT_DEG,
+        )  # fmt: skip
+    ended = {"finished": now_utc(), "timings": timings, "error_deg": error_deg}
+    write_manifest(root, manifest.model_copy(update=ended))
+    return error_deg
 
 
 def write_contacts(root: Path, log: FrameLog) -> None:

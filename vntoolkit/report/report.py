@@ -149,6 +149,9 @@ def _headline(result: OpenedResult) -> tuple[PageNumber, ...]:
         shares = np.array([[e.valid_share, e.shadowed_share, e.clipped_share] for e in done]).mean(axis=0)
         for share, label in zip(shares, ("with a normal", "shadowed", "clipped"), strict=True):
             numbers.append(PageNumber(value=f"{100 * share:.1f} %", label=label))
+    if result.manifest.error_deg is not None:
+        error = f"{result.manifest.error_deg:.1f}°"
+        numbers.append(PageNumber(value=error, label="expected error of the normals, median"))
     quality = result.rig.quality
     if quality is not None and quality.samples:
         numbers.append(PageNumber(value=f"{quality.residual_deg:.2f}°", label="calibration residual"))

@@ -23,8 +23,9 @@ class FrameEntry:
     """One finished or skipped frame.
 
     seconds: spent on it. valid_share: of all pixels, with a normal. clipped_share: of all pixels.
-    shadowed_share: of the valid ones, not reached by all three lights. failure: one line that says why the
-    frame was skipped, else empty. contact_mm2, contact_depth_mm: area in contact and depth of the deepest
+    shadowed_share: of the valid ones, not reached by all three lights. error_deg: expected error of the
+    normals, the median over the valid pixels; None where it is not known. failure: one line that says why
+    the frame was skipped, else empty. contact_mm2, contact_depth_mm: area in contact and depth of the deepest
     point, of a tactile gel; None of anything else.
     """
 
@@ -33,6 +34,7 @@ class FrameEntry:
     valid_share: float = 0.0
     clipped_share: float = 0.0
     shadowed_share: float = 0.0
+    error_deg: float | None = None
     failure: str = ""
     contact_mm2: float | None = None
     contact_depth_mm: float | None = None
@@ -43,6 +45,8 @@ class FrameEntry:
             return f"{self.number} {_SKIPPED} {' '.join(self.failure.split())}"
         shares = (self.valid_share, self.clipped_share, self.shadowed_share)
         line = f"{self.number} {self.seconds:.4f} " + " ".join(f"{share:.5f}" for share in shares)
+        if self.error_deg is not None:
+            line += f" {self.error_deg:.3f}"
         if self.contact_mm2 is None or self.contact_depth_mm is None:
             return line
         return f"{line} {self.contact_mm2:.3f} {self.contact_depth_mm:.4f}"
@@ -56,17 +60,19 @@ class FrameEntry:
         if rest.startswith(_SKIPPED + " "):
             return cls(number=int(number), failure=rest[len(_SKIPPED) + 1 :])
         try:
-            seconds, valid, clipped, shadowed, *contact = map(float, rest.split())
+            seconds, valid, clipped, shadowed, *more = map(float, rest.split())
         except ValueError:
             return None
-        if len(contact) not in (0, 2):
+        if len(more) > 3:
             return None
+        contact = more[-2:] if len(more) > 1 else []
         return cls(
             number=int(number),
             seconds=seconds,
             valid_share=valid,
             clipped_share=clipped,
             shadowed_share=shadowed,
+            error_deg=more[0] if len(more) % 2 else None,
             contact_mm2=contact[0] if contact else None,
             contact_depth_mm=contact[1] if contact else None,
         )
@@ -75,7 +81,8 @@ class FrameEntry:
 class FrameLog:
     """Appends a line a frame, `number seconds valid clipped shadowed` or `number skipped why`, and flushes.
 
-    A tactile gel's line goes on with `contact_mm2 contact_depth_mm`.
+    A line goes on with `error_deg` where it is known, and a tactile gel's with `contact_mm2
+    contact_depth_mm`.
 
     A line that a crash cut short is not counted, and is closed off by the next append, so that its frame is
     simply done again.

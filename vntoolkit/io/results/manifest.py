@@ -136,6 +136,11 @@ class Manifest(BaseModel):
     label_legend: dict[str, str] = Field(
         default_factory=lambda: dict(LABEL_LEGEND), description="Meaning of the values in shadows/*.png."
     )
+    error_deg: float | None = Field(
+        default=None,
+        description="Expected error of the normals: median over the pixels of a frame, then over the frames; "
+        "null where it is not known.",
+    )
     started: str = Field(default="", description="When the run began, UTC, ISO 8601.")
     finished: str = Field(default="", description="When the last frame was done; empty while it runs.")
     timings: dict[str, float] = Field(
