@@ -60,7 +60,7 @@ _DARK_CHANNEL_DEG = 20.0  # of a pixel with a channel without light, which falls
 _DARK_CHANNEL = 0.45  # … to 0 at this share of the channel's largest value
 # A sphere shows nine tenths of its image within this angle of the axis: what a guess without data is worth.
 _LARGEST_DEG = np.float32(71.6)
-HALF_WEIGHT_DEG = 12.0
+_HALF_WEIGHT_DEG = 12.0
 _CELL = NOISE_CELL_PX  # noise changes slowly: one row of every cell tells it
 _WIDER = 2  # cells around one that are asked where its neighbours know nothing
 _EDGE_PX = 4  # from the subject's edge, which blur and subsampled chroma mix with what lies behind …
@@ -86,7 +86,7 @@ _PER_NEARNESS = np.float32(np.degrees(_OF_NEARNESS) ** 2)
 _PER_DEPARTURE = np.float32(np.degrees(_OF_LENGTH) ** 2)
 _PER_FALL = np.float32(_DARK_CHANNEL_DEG**2)
 _PER_DARK_CHANNEL = np.float32(1.0 / _DARK_CHANNEL)
-_PER_HALF_WEIGHT = np.float32(1.0 / HALF_WEIGHT_DEG)
+_PER_HALF_WEIGHT = np.float32(1.0 / _HALF_WEIGHT_DEG)
 _BY_LABEL = np.array([_BY_LIGHTS_DEG[bin(label).count("1")] ** 2 for label in range(8)], np.float32)
 
 

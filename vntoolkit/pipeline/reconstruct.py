@@ -43,7 +43,6 @@ from vntoolkit.io.results.manifest import (
 )
 from vntoolkit.io.rigs import entry_from_rig
 from vntoolkit.materials.labelling import MaterialLabeller
-from vntoolkit.normals.expected_error import HALF_WEIGHT_DEG
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.levelling import leveller_of
 from vntoolkit.photometry.near_lamps import with_near_lamps
@@ -60,6 +59,7 @@ Started = Callable[[int, int], None]
 Finished = Callable[[FrameEntry], None]
 Workers = Callable[[ReconstructionJob, list[Block]], Generator[FrameEntry]]
 BLOCK_FRAMES = 16
+_LARGE_ERROR_DEG = 20.0  # in the median, as of pixels that one light hardly reaches
 _DIGITS_OF_NEARNESS = 4
 _SEAM_PX = 11  # side of the square in which one seam rules out judging a pixel
 _FOLDERS = {
@@ -335,12 +335,12 @@ def _finish(root: Path, manifest: Manifest, log: FrameLog, numbers: range, secon
     timings = {"frame_s": float(np.median(spent)) if spent else 0.0, "wall_s": round(seconds, 3)}
     errors = [entry.error_deg for entry in done if entry.error_deg is not None]
     error_deg = round(float(np.median(errors)), 2) if errors else None
-    if error_deg is not None and error_deg > HALF_WEIGHT_DEG:
+    if error_deg is not None and error_deg > _LARGE_ERROR_DEG:
         logger.warning(
             "half of the normals may be off by more than %.0f degrees, their expected error (usual: below "
             "%.0f): noise, gloss, near lamps or another colour than the rig's; `vntoolkit doctor` names "
             "what it finds, `vntoolkit report` shows where",
-            error_deg, HALF_WEIGHT_DEG,
+            error_deg, _LARGE_ERROR_DEG,
         )  # fmt: skip
     ended = {"finished": now_utc(), "timings": timings, "error_deg": error_deg}
     write_manifest(root, manifest.model_copy(update=ended))
