@@ -21,11 +21,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
 from vntoolkit.calibration.fit import fit_response
 from vntoolkit.diagnosis.finding import Finding, Level
 from vntoolkit.diagnosis.inspection import findings_from_clipping, findings_from_frames
 from vntoolkit.diagnosis.rig_checks import check_residual
+from vntoolkit.diagnosis.sharpness import findings_from_sharpness, fit_sharpness
 from vntoolkit.diagnosis.transfer_match import check_transfer_of_samples
 from vntoolkit.io.footage.captures import CaptureOptions, open_capture
 from vntoolkit.io.maps_and_meshes.label_images import read_mask
@@ -70,11 +72,18 @@ class Shot:
         ]
         clipping = findings_from_clipping(frames, self.mask)
         found = findings_from_frames(frames, self.rig, self.transfer, self.mask)
+        sharpness = fit_sharpness(frames, self.mask)
+        if sharpness is not None:
+            found += findings_from_sharpness(sharpness)
         return [f for f in (*clipping, *found) if f.level is not Level.NOTE]
 
 
 def in_8_bits(light: np.ndarray) -> np.ndarray:
     return np.rint(np.clip(light, 0.0, 1.0) * 255) / 255
+
+
+def blurred(light: np.ndarray, pixels: float) -> np.ndarray:
+    return np.stack([gaussian_filter(light[..., k], pixels) for k in range(3)], axis=-1)
 
 
 def turned(degrees: float) -> np.ndarray:
@@ -112,6 +121,12 @@ def mistakes(shot: Shot, subject: np.ndarray, rng: np.random.Generator) -> Itera
     yield "27 % clipped", "exposure", shot.with_light(lambda light: np.minimum(light / top, 1.0))
     yield "lamps behind", "sign of z", shot.with_matrix(lambda m: m @ np.diag([1, 1, -1]))
     # beyond the list
+    yield "* blurred by 2 pixels", "focus", shot.with_light(lambda light: blurred(light, 2.0))
+    yield (
+        "* sharpened",
+        "switch sharpening off",
+        shot.with_light(lambda light: np.clip(2 * light - blurred(light, 1.0), 0, 1)),
+    )
     yield "* x and y reversed", "look reversed", shot.with_matrix(lambda m: m @ np.diag([-1, -1, 1]))
     yield "* red and blue exchanged", "red and blue exchanged", shot.with_matrix(lambda m: m[[2, 1, 0]])
     hue = (1.0, 0.82, 0.68)

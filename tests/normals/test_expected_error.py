@@ -1,5 +1,6 @@
 """Nine of ten normals lie within their expected error, whatever the error's cause."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -125,21 +126,23 @@ def test_the_residual_of_the_rig_is_part_of_it_and_the_weight_follows():
     assert doubted.weight.max() < plain.weight.max() <= 1
 
 
-@pytest.mark.parametrize("size", [(240, 240), (37, 91)])
-def test_stored_samples_give_the_same_in_one_pass(rng, size):
+@pytest.mark.parametrize(
+    ("size", "blur_px"), [((240, 240), 0.0), ((37, 91), 0.0), ((240, 240), 1.0), ((37, 91), 2.2)]
+)
+def test_stored_samples_give_the_same_in_one_pass(rng, size, blur_px):
     light = (colours() + rng.normal(0, 0.01, (240, 240, 3)))[: size[0], : size[1]]
     stored = np.rint(65535 * np.clip(1.3 * light, 0, 1)).astype(np.uint16)
     mask = rng.random(size) > 0.05
     camera = Camera.pinhole(width=size[1], height=size[0], focal_px=300.0)
     found, clipped = normals_and_errors_from_encoded(
-        stored, RESPONSE, Transfer(), mask, camera=camera, residual_deg=2.0
+        stored, RESPONSE, Transfer(), mask, camera=camera, residual_deg=2.0, blur_px=blur_px
     )
     plain = normals_from_encoded(stored, RESPONSE, Transfer(), mask)
     np.testing.assert_allclose(found.normals_in_camera, plain.normals_in_camera, atol=1e-6)
     np.testing.assert_array_equal(found.mask, plain.mask)
     frame = LinearFrame(rgb=(stored / 65535).astype(np.float32))
     assert clipped == pytest.approx(frame.clipped.mean())
-    apart = with_expected_error(plain, frame, RESPONSE, camera=camera, residual_deg=2.0)
+    apart = with_expected_error(plain, frame, RESPONSE, camera=camera, residual_deg=2.0, blur_px=blur_px)
     for name in ("error_deg", "weight", "noise_deg"):
         np.testing.assert_allclose(getattr(found, name), getattr(apart, name), rtol=0.02, atol=0.01)
 
@@ -171,6 +174,43 @@ def test_vignetting_is_no_error_of_normals(rng):
     )
     assert np.median(fallen.error_deg) < 1.5 * np.median(plain.error_deg)
     assert (error <= fallen.error_deg).mean() > 0.85
+
+
+def relief(rng, size=240, steepness=0.15):
+    """Normals (size, size, 3) of waves 6 to 20 pixels long on top of `waves`, and the same without them."""
+    v, u = np.mgrid[:size, :size].astype(float)
+    smooth = waves(size)
+    slopes = smooth[..., :2] / -smooth[..., 2:]
+    fine = np.zeros_like(slopes)
+    for _ in range(40):
+        angle, k = rng.uniform(0, 2 * np.pi), 2 * np.pi / rng.uniform(6, 20)
+        along = np.array([np.cos(angle), np.sin(angle)])
+        fine += along * np.cos(k * (u * along[0] + v * along[1]) + rng.uniform(0, 2 * np.pi))[..., None]
+    slopes = slopes + steepness / np.sqrt(20) * fine
+    normals = np.dstack([slopes, -np.ones((size, size))])
+    return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
+
+
+@pytest.mark.parametrize("blur_px", [1.0, 1.5, 2.0])
+def test_relief_that_blur_has_lost_is_foretold(rng, blur_px):
+    truth = relief(rng)
+    light = cv2.GaussianBlur(truth @ MATRIX.T + RESPONSE.ambient, (0, 0), blur_px)
+    light = light + rng.normal(0, 0.003, light.shape)
+    without, error = seen(light, truth=truth)
+    found, _ = seen(light, truth=truth, blur_px=blur_px)
+    inner = (slice(10, -10), slice(10, -10))
+    assert (error <= without.error_deg)[inner].mean() < 0.75
+    assert (error <= found.error_deg)[inner].mean() > 0.8
+    assert np.median(found.error_deg[inner]) < 3 * np.median(error[inner])  # 1.8 where errors are alike
+
+
+def test_blur_takes_nothing_from_a_smooth_surface(rng):
+    light = cv2.GaussianBlur(colours(), (0, 0), 2.0) + rng.normal(0, 0.005, (240, 240, 3))
+    without, _ = seen(light)
+    found, _ = seen(light, blur_px=2.0)
+    assert np.median(found.error_deg) < 1.3 * np.median(without.error_deg)
+    sharp, _ = seen(light, blur_px=0.5)
+    np.testing.assert_array_equal(sharp.error_deg, without.error_deg)
 
 
 def test_files_keep_it(tmp_path, rng):

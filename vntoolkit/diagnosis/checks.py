@@ -71,6 +71,7 @@ _MOST_CLIPPED = 0.05  # of the subject
 # What `--allow` takes: every name that a finding of these checks, or one about the footage, can have.
 CHECK_NAMES: dict[str, str] = {
     "black": "a frame shows nothing",
+    "blur": "a picture out of focus, or of something that moved too fast",
     "black-level": "light on every pixel that is none of the lamps'",
     "bits": "few bits per sample",
     "chroma": "colour at a lower resolution than brightness",
@@ -95,6 +96,7 @@ CHECK_NAMES: dict[str, str] = {
     "outline": "a surface turned inside out",
     "relatives": "M mirrored, turned, transposed or with exchanged channels",
     "residual": "a calibration that contradicts its samples",
+    "sharpening": "a picture that was sharpened",
     "size": "frames of another size than the rig's",
     "stray": "files that are no frames",
     "tag": "a transfer curve that the file states against the one it is read with",

@@ -28,6 +28,7 @@ from vntoolkit.diagnosis.over_time import (
     findings_from_motion,
 )
 from vntoolkit.diagnosis.rig_checks import check_stated_focal
+from vntoolkit.diagnosis.sharpness import findings_from_sharpness, fit_sharpness
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.footage.captures import Capture, CaptureInfo, CaptureOptions, open_capture
 from vntoolkit.io.footage.mattes import MatteOptions, Mattes, open_mattes
@@ -336,10 +337,14 @@ def _findings_from_range(brightest: float) -> list[Finding]:
 
 @dataclass(frozen=True, kw_only=True)
 class Examination:
-    """findings: what a capture tells. nearness: of the lamps, as far as established; see `Nearness`."""
+    """findings: what a capture tells. nearness: of the lamps, as far as established; see `Nearness`.
+
+    blur_px: standard deviation of the picture's blur, 0 where nothing tells it; see `Sharpness`.
+    """
 
     findings: list[Finding]
     nearness: float = 0.0
+    blur_px: float = 0.0
 
 
 def findings_from_capture(
@@ -373,6 +378,7 @@ def examine_capture(
         return Examination(findings=findings)
     small = [averaged_down(frame) for frame in frames]
     near: Nearness | None = None
+    places = sorted({0, len(frames) // 2, len(frames) - 1})
     if rig is not None:
         findings += _findings_from_tag(capture.info, capture.transfer, Level.FATAL)
         findings += check_stated_focal(rig, capture.info.stated_focal_px)
@@ -380,7 +386,6 @@ def examine_capture(
         if (width, height) != rig.footage_size:
             findings += [*findings_from_rig(rig), _other_size(width, height, rig)]
             return Examination(findings=findings)
-        places = sorted({0, len(frames) // 2, len(frames) - 1})
         few, most = [small[k] for k in places], FEW_PIXELS
         if in_one_material is not None and rig.gel is None:
             few, most = [in_one_material(frames[k]) for k in places], PIXELS_BETWEEN_SEAMS
@@ -396,9 +401,16 @@ def examine_capture(
     if any(finding.level is Level.FATAL for finding in findings):
         return Examination(findings=findings)
     findings += _findings_over_time(in_a_row, rig, capture.transfer, mask)
-    if near is None or not near.established:
-        return Examination(findings=findings)
-    return Examination(findings=[*findings, finding_from_nearness(near)], nearness=near.established)
+    sharpness = fit_sharpness([frames[k] for k in places], mask)
+    if sharpness is not None:
+        findings += findings_from_sharpness(sharpness)
+    if near is not None and near.established:
+        findings.append(finding_from_nearness(near))
+    return Examination(
+        findings=findings,
+        nearness=0.0 if near is None else near.established,
+        blur_px=0.0 if sharpness is None else sharpness.over_all_px,
+    )
 
 
 def findings_from_frames(

@@ -1,6 +1,6 @@
 """How far off is each normal? The angle that nine of ten normals stay within, from the footage itself.
 
-Six independent errors add up in squares. Each is measured where it shows:
+Seven independent errors add up in squares. Each is measured where it shows:
 
 - noise of every kind (shot, read, quantisation, codec) turns normals at random. A surface's slopes (p, q)
   have no curl; noise of standard deviation σ on both gives ∂p/∂v − ∂q/∂u, by central differences, that σ.
@@ -11,6 +11,7 @@ Six independent errors add up in squares. Each is measured where it shows:
 - under near lamps M is right at the picture's centre only. A lamp in the direction l at the distance d has at
   a place δ beside the centre, to first order, the direction times strength l + (3 l (l·δ) − δ) / d. That
   changes the length of M⁻¹r with the place and the direction, which tells d of each lamp;
+- blur averages relief away. What it has left of relief as wide as itself foretells what is lost;
 - the rig's own residual is what its calibration could not explain;
 - what departs from the ellipsoid at a pixel or beside it is relief finer than pixels, another paint, gloss,
   saturation, or light from elsewhere;
@@ -42,6 +43,7 @@ from vntoolkit.normals.inversion import (
     require_mask_or_all,
     rows_of,
 )
+from vntoolkit.normals.lost_detail import NOISE_IN_DIFFERENCES, detail_kernel, side_of_squares
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
 from vntoolkit.photometry.levelling import FLAGS, leveller_of, map_row
 from vntoolkit.photometry.near_lamps import changes_of_near_lamps
@@ -55,6 +57,8 @@ _OF_ELLIPSOID = 3.4  # also stands for the rotation, which leaves no trace
 _OF_NEARNESS = 1.3
 _OF_RESIDUAL = 1.1  # of a median
 _OF_LENGTH = 2.5  # radians over log length
+_OF_DETAIL = 3.0  # of the variance of relief as wide as the blur; between own scenes and wider ones
+_LEAST_BLUR_PX = 0.75  # what a sharper picture loses is less than its other errors
 _BY_LIGHTS_DEG = (46.0, 34.0, 31.0, 0.0)  # of a pixel that 0, 1, 2, 3 lights reach
 _DARK_CHANNEL_DEG = 20.0  # of a pixel with a channel without light, which falls …
 _DARK_CHANNEL = 0.45  # … to 0 at this share of the channel's largest value
@@ -97,6 +101,7 @@ def with_expected_error(
     labels: VisibilityLabels | None = None,
     camera: Camera | None = None,
     residual_deg: float = 0.0,
+    blur_px: float = 0.0,
 ) -> NormalMap:
     """Return the map with the angle in degrees that nine of ten normals stay within, and the weight from it.
 
@@ -104,7 +109,8 @@ def with_expected_error(
 
     frame: the (h, w, 3) colours that the normals came from, as the central M of `response` forms them.
     labels: (h, w), bit k set where light k arrives; None for all. camera: None for orthographic; distortion
-    is ignored. residual_deg: median residual of the rig's calibration. Raises `BadInput` for other shapes.
+    is ignored. residual_deg: median residual of the rig's calibration. blur_px: standard deviation of the
+    picture's blur, 0 for unknown. Raises `BadInput` for other shapes.
     """
     shape = normal_map.shape
     require_shape(frame.rgb, (*shape, 3), "frame of the normals")
@@ -115,7 +121,7 @@ def with_expected_error(
     light = _Light(np.ascontiguousarray(frame.rgb), None, clipped, np.float32(0), None)
     mask = np.ascontiguousarray(normal_map.mask)
     c = _coefficients(response, camera)
-    noise_deg, noise, constants = _evidence(light, mask, labels, c, residual_deg)
+    noise_deg, noise, constants = _evidence(light, mask, labels, c, residual_deg, blur_px)
     error, weight = np.empty(shape, np.float32), np.empty(shape, np.float32)
     _error_kernel(rows_of(light.image), mask, labels, noise, constants, error, weight)
     return replace(normal_map, error_deg=error, noise_deg=noise_deg, weight=weight)
@@ -131,6 +137,7 @@ def normals_and_errors_from_encoded(
     options: InversionOptions | None = None,
     bits: int | None = None,
     residual_deg: float = 0.0,
+    blur_px: float = 0.0,
 ) -> tuple[NormalMap, float]:
     """Decode, invert and tell the error in one pass; return the map and the share of clipped pixels.
 
@@ -142,7 +149,7 @@ def normals_and_errors_from_encoded(
     light = _Light(np.ascontiguousarray(encoded), decoding.table, None, decoding.white, maps)
     options = options or InversionOptions()
     c = _coefficients(response, camera, options.relative_albedo, options.darkest)
-    noise_deg, noise, constants = _evidence(light, inside, None, c, residual_deg)
+    noise_deg, noise, constants = _evidence(light, inside, None, c, residual_deg, blur_px)
     inversion = coefficients_from_response(response, options)
     limits = np.array([inversion.darkest, inversion.clipped_factor, decoding.white], np.float32)
     normals, valid = np.empty((*shape, 3), np.float32), np.empty(shape, np.bool_)
@@ -217,7 +224,12 @@ def _coefficients(
 
 
 def _evidence(
-    light: _Light, mask: Mask, labels: VisibilityLabels | None, c: _Coefficients, residual_deg: float
+    light: _Light,
+    mask: Mask,
+    labels: VisibilityLabels | None,
+    c: _Coefficients,
+    residual_deg: float,
+    blur_px: float,
 ) -> tuple[Any, Any, Any]:
     """Return the frame's noise and what holds for all its pixels.
 
@@ -229,10 +241,30 @@ def _evidence(
     _curl_kernel(rows_of(light.image), light.table, light.maps, mask, c, found)
     rows, ellipsoid = np.empty((cells[0], mask.shape[1]), np.float32), np.empty(31)
     _whole_frame_kernel(light, mask, labels, c, found, noise, rows, ellipsoid)
+    if blur_px >= _LEAST_BLUR_PX:
+        rows += _lost_by_blur(light, mask, labels, c, noise, ellipsoid[0], blur_px)
     fixed = (_OF_RESIDUAL * max(residual_deg, 0.0)) ** 2
     by_noise = 2.0 * c.along  # of a squared departure: what noise rarely makes
     constants = np.concatenate([c.inverse.ravel(), c.ambient, c.channel, (fixed, by_noise), ellipsoid])
     return np.sqrt(_PER_NOISE * noise), rows, constants.astype(np.float32)
+
+
+def _lost_by_blur(
+    light: _Light, mask: Mask, labels: VisibilityLabels | None, c: _Coefficients, noise: Any,
+    inverse_albedo: float, blur_px: float,
+) -> Any:  # fmt: skip
+    """Return what blur has turned normals by, as noise would, by rows of cells: (⌈h/16⌉, w), radians²."""
+    image, table, clipped, white, maps = light
+    side, found = side_of_squares(blur_px), np.zeros((2, *noise.shape), np.float32)
+    detail_kernel(
+        rows_of(image), table, clipped, white, maps, mask, labels, c.inverse, c.ambient,
+        np.float32(inverse_albedo), side, found,
+    )  # fmt: skip
+    left, rows = np.empty_like(noise), np.empty((len(noise), mask.shape[1]), np.float32)
+    _noise_of_cells(found, left)
+    left = np.maximum(left - np.float32(NOISE_IN_DIFFERENCES / side**2) * noise, np.float32(0.0))
+    _along_rows(np.float32(_OF_DETAIL * (blur_px / side) ** 4) * left, rows)
+    return rows
 
 
 # Compiled loops. A table of None stands for linear light: numba drops the branches for another. Rows are

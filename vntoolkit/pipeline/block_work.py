@@ -55,9 +55,9 @@ class ReconstructionJob:
     or None. sensor: how samples of the sensor itself are read. reflectances: (m, 3), of materials relative
     to the rig's; empty for the rig's alone. pigments: (m, 3), along which log reflectances change, 0 for
     none. surface: reflectances of a tracked surface, which count before those of the materials. nearness: of
-    the lamps, by which the rig's M was made to change over the picture; 0 for not at all. threads: for
-    decoding; with 1, reading and processing take turns, so that a worker is one core's. limits: on what any
-    process reads.
+    the lamps, by which the rig's M was made to change over the picture; 0 for not at all. blur_px: standard
+    deviation of the picture's blur, which expected errors count; 0 for unknown. threads: for decoding; with
+    1, reading and processing take turns, so that a worker is one core's. limits: on what any process reads.
     """
 
     source: str
@@ -75,6 +75,7 @@ class ReconstructionJob:
     pigments: tuple[tuple[float, float, float], ...] = ()
     surface: TrackedReflectance | None = None
     nearness: float = 0.0
+    blur_px: float = 0.0
     threads: int = 2
     limits: ReadingLimits = field(default_factory=reading_limits)
 
@@ -131,6 +132,7 @@ class BlockWorker:
             reflectances=job.reflectances,
             pigments=job.pigments,
             painted=None if job.surface is None else PaintedSurface(job.surface, job.rig.response.central),
+            blur_px=job.blur_px,
         )
         reference = job.options.reference_frame
         if job.ties_depth and reference is not None:

@@ -75,15 +75,17 @@ class FrameProcessor:
         reflectances: Sequence[Sequence[float]] = (),
         pigments: Sequence[Sequence[float]] = (),
         painted: PaintedSurface | None = None,
+        blur_px: float = 0.0,
     ) -> None:
         """reflectances: (m, 3), of the subject's materials relative to the rig's; empty for the rig's alone.
         pigments: (m, 3), along which log reflectances change, 0 for none. painted: a tracked surface whose
-        own reflectances count before these.
+        own reflectances count before these. blur_px: standard deviation of the picture's blur, 0 for unknown.
 
         tells_errors: whether normals and depth carry their expected errors; a live view has no time."""
         keep_freed_memory()
         self._rig = rig
         self._tells_errors = tells_errors
+        self._blur_px = blur_px
         self._options = options
         self._background = background
         self._resampler = resampler_of(rig)
@@ -200,6 +202,7 @@ class FrameProcessor:
                 normal_map, clipped_share = normals_and_errors_from_encoded(
                     values, response, transfer, self._mask, camera=self.camera,
                     options=self._options.inversion, bits=frame.bits, residual_deg=residual_deg,
+                    blur_px=self._blur_px,
                 )  # fmt: skip
                 return normal_map, None, clipped_share
             normal_map = normals_from_encoded(
@@ -235,7 +238,9 @@ class FrameProcessor:
         clipped_share = float(linear.clipped.mean())
         if not self._tells_errors:
             return normal_map, labels, clipped_share
-        normal_map = with_expected_error(normal_map, level, self._central, labels, self.camera, residual_deg)
+        normal_map = with_expected_error(
+            normal_map, level, self._central, labels, self.camera, residual_deg, self._blur_px
+        )
         return normal_map, labels, clipped_share
 
     def _normals_under_shadow(

@@ -61,6 +61,7 @@ Workers = Callable[[ReconstructionJob, list[Block]], Generator[FrameEntry]]
 BLOCK_FRAMES = 16
 _LARGE_ERROR_DEG = 20.0  # in the median, as of pixels that one light hardly reaches
 _DIGITS_OF_NEARNESS = 4
+_DIGITS_OF_BLUR = 2
 _SEAM_PX = 11  # side of the square in which one seam rules out judging a pixel
 _FOLDERS = {
     "normals": ".exr",
@@ -191,7 +192,7 @@ def _prepared(
     job, materials = resolve_options(job, capture, mattes, numbers, earlier)
     if seeks_materials(job) and job.surface is None:
         examined = _require_plausible(job, capture, mattes, numbers)
-    job = _with_near_lamps(job, examined, earlier)
+    job = _with_blur(_with_near_lamps(job, examined, earlier), examined, earlier)
     manifest = manifest_of_run(job, capture, mattes, frames, materials, examined.findings)
     if resumes:
         require_resumable(root, manifest)
@@ -299,6 +300,15 @@ def _with_near_lamps(
     size = (job.rig.camera.width, job.rig.camera.height)
     response = with_near_lamps(job.rig.response, nearness, size)
     return replace(job, rig=replace(job.rig, response=response), nearness=nearness)
+
+
+def _with_blur(job: ReconstructionJob, examined: Examination, earlier: Manifest | None) -> ReconstructionJob:
+    """Return the job with the blur that expected errors count; as an earlier run found it."""
+    blur_px = round(examined.blur_px, _DIGITS_OF_BLUR)
+    if earlier is not None:
+        stored = earlier.options.get("lens.blur_px")
+        blur_px = stored if isinstance(stored, float) else 0.0
+    return replace(job, blur_px=blur_px)
 
 
 def _in_one_material(
@@ -469,6 +479,8 @@ def _options_that_shape(job: ReconstructionJob) -> dict[str, Any]:
         values.update(option_values(job.matting, "matte."))
     if job.nearness:
         values["lamps.nearness"] = job.nearness
+    if job.blur_px:
+        values["lens.blur_px"] = job.blur_px
     if job.surface is not None:
         values["surface.reflectance"] = job.surface.sha256
     return values

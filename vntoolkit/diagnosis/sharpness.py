@@ -1,0 +1,237 @@
+"""How sharp is the picture? The subject's silhouette tells.
+
+Where the subject ends before something darker, light falls in one step, which blur of standard deviation b
+spreads over some b pixels. After a further blur of s pixels the steepest slope is the step over
+√(2π (b² + s²)): the slopes after two such blurs tell b whatever the step (zhuo2011). Where a surface turns
+away it gets darker before it ends, over more pixels than the blur. The slopes after a third blur then tell of
+a wider one: such places do not count, and of what remains the sharper quarter does. Motion blurs only edges
+across its direction.
+
+Sharpening, in a camera or after it, makes steps steeper than a pixel's own area does, with a rim inside them
+that is too bright. A picture made smaller is steep too, but has no such rim.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from vntoolkit.arrays import FloatArray, Mask
+from vntoolkit.diagnosis.evidence import Single, brightest_channel
+from vntoolkit.diagnosis.finding import Finding, Level
+from vntoolkit.photometry.frame import LinearFrame
+
+_LIT = 0.1  # of the brightest hundredth: the subject and what is lit like it
+_CLOSING_PX = 5
+_REACH_PX = 4  # of an edge from the outline
+_BORDER_PX = 10  # an outline made by the picture's border is none
+_SCALES_PX = (1.0, 2.0, 3.0)
+# Squared widths that no blur made: a pixel's own area, and differences between the pixels on either side.
+_OF_PIXELS = 1 / 12 + 1 / 3
+_ALIKE = 0.25  # of 1 + b²: what the two measurements of one step may differ by
+_WIDEST_PX = 4.0  # of a blur whose steps are looked for
+_LEAST_STEP = 0.2  # of the channel's brightest hundredth
+_DARKEST_SIDE = 0.4  # of the brighter side: the darker one is behind the subject
+_PROFILE_PX = 7
+_FEWEST, _MOST = 100, 20_000  # places in a channel
+_SHARPER = 25  # per cent of the places …
+_SHARPEST = 5  # … of one direction only, which may be that of a limb, whose sides all turn away
+_DIRECTIONS = 4
+_OF_WIDE = 0.5  # of what is as wide as blur: where the picture is sharp, nearly all of it turns away
+_FLAT = 0.015  # a pixel, of the step: beside a surface that turns away nothing tells what is too bright
+# Own scenes, another renderer's and photographs have 0.5 to 1.0 pixels, and up to 1.3 along a limb.
+_BLURRED_PX = 1.5
+_STEEP_PX, _OVERSHOOT = 0.4, 0.03  # a picture made smaller has 0.3 and 0.01, the noisiest 0.5 and 0.03
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sharpness:
+    """blur_px: standard deviation of the blur beyond a pixel's own area. overshoot: beside a step, over it.
+
+    widest_px: the blur across the edges of the direction in which it is widest: more than the rest where
+    something moved. edges: at how many places it was measured.
+    """
+
+    blur_px: float
+    widest_px: float
+    overshoot: float
+    edges: int
+
+    @property
+    def over_all_px(self) -> float:
+        """The mean of all directions, as for a blur that is alike in all."""
+        return math.sqrt((self.blur_px**2 + self.widest_px**2) / 2.0)
+
+
+def fit_sharpness(frames: Sequence[LinearFrame], mask: Mask | None = None) -> Sharpness | None:
+    """Measure how sharp frames of full resolution are, the median; None where too little outline shows.
+
+    mask: (h, w) where the subject is, or None.
+    """
+    found = [seen for frame in frames if (seen := _of_frame(frame, mask)) is not None]
+    if not found:
+        return None
+    return Sharpness(
+        blur_px=float(np.median([seen.blur_px for seen in found])),
+        widest_px=float(np.median([seen.widest_px for seen in found])),
+        overshoot=float(np.median([seen.overshoot for seen in found])),
+        edges=sum(seen.edges for seen in found),
+    )
+
+
+def findings_from_sharpness(seen: Sharpness) -> list[Finding]:
+    """Find footage that is blurred, or sharpened."""
+    if seen.widest_px > _BLURRED_PX:
+        return [
+            Finding(
+                check="blur",
+                level=Level.WARNING,
+                problem="the picture is blurred: fine relief is lost, normals are too smooth",
+                measured=f"a blur of {seen.widest_px:.1f} pixels (standard deviation) at {seen.edges} places "
+                "of the outline",
+                expected=f"less than {_BLURRED_PX:g}",
+                remedy="focus on the subject and close the lens; where it moves, expose shorter",
+            )
+        ]
+    if seen.blur_px < _STEEP_PX and seen.overshoot > _OVERSHOOT:
+        return [
+            Finding(
+                check="sharpening",
+                level=Level.WARNING,
+                problem="the picture was sharpened: noise and fine relief are steeper than the surface",
+                measured=f"{seen.overshoot:.1%} of a step too bright beside it, at {seen.edges} places "
+                "of the outline",
+                expected=f"less than {_OVERSHOOT:.0%}",
+                remedy="switch sharpening off in the camera, or in the program that converted its files",
+            )
+        ]
+    return []
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Edges:
+    """Of each place (n,): b² by the first two scales, and by the last two, the direction, the overshoot.
+
+    overshoot: NaN where nothing tells it.
+    """
+
+    squares: FloatArray
+    others: FloatArray
+    directions: FloatArray
+    overshoots: FloatArray
+
+
+def _of_frame(frame: LinearFrame, mask: Mask | None) -> Sharpness | None:
+    near = _near_outline(frame, mask)
+    channels = [np.ascontiguousarray(frame.rgb[..., k], np.float32) for k in range(3)]
+    parts = [_edges(channel, near) for channel in channels]
+    squares, others, directions, overshoots = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("squares", "others", "directions", "overshoots")
+    )
+    told = overshoots[np.isfinite(overshoots)]
+    overshoot = float(np.median(told)) if len(told) >= _FEWEST else 0.0
+    if len(squares) >= 4 * _FEWEST and float(np.median(squares)) <= 0.0:
+        return Sharpness(blur_px=0.0, widest_px=0.0, overshoot=overshoot, edges=len(squares))
+    blur = _width(squares, others, _SHARPER)
+    if blur is None:
+        return None
+    widest = blur
+    for k in range(_DIRECTIONS):
+        apart = directions - k * math.pi / _DIRECTIONS
+        here = np.abs(np.sin(apart)) < math.sin(math.pi / (2 * _DIRECTIONS))
+        widest = max(widest, _width(squares[here], others[here], _SHARPEST) or 0.0)
+    return Sharpness(blur_px=blur, widest_px=widest, overshoot=overshoot, edges=len(squares))
+
+
+def _width(squares: FloatArray, others: FloatArray, percentile: float) -> float | None:
+    """Return the blur at places whose two measurements agree, or None for too few, or one of limbs alone.
+
+    The blur of long motion, or of a lens far out of focus, has a flat top: the second measurement is then the
+    smaller, and nearer.
+    """
+    tolerance = _ALIKE * (1.0 + np.maximum(squares, 0.0))
+    steps = others - squares < tolerance
+    wide = squares > _BLURRED_PX**2
+    alike = steps & ((squares - others < tolerance) | wide)
+    if int(alike.sum()) < _FEWEST:
+        return None
+    told = np.where(wide, np.minimum(squares, others), squares)[alike]
+    width = math.sqrt(max(float(np.percentile(told, percentile)), 0.0))
+    if width > _BLURRED_PX and float(steps[wide].mean()) < _OF_WIDE:
+        return None
+    return width
+
+
+def _near_outline(frame: LinearFrame, mask: Mask | None) -> Mask:
+    """Return (h, w), pixels on either side of the subject's outline, far from clipped ones."""
+    brightest = cv2.GaussianBlur(brightest_channel(np.asarray(frame.rgb, np.float32)), (0, 0), 1.0)
+    subject = (brightest > _LIT * np.percentile(brightest[::4, ::4], 99)).astype(np.uint8)
+    if mask is not None:
+        subject &= mask.astype(np.uint8)
+    kernel = np.ones((_CLOSING_PX, _CLOSING_PX), np.uint8)
+    for operation in (cv2.MORPH_CLOSE, cv2.MORPH_OPEN):
+        subject = np.asarray(cv2.morphologyEx(subject, operation, kernel), np.uint8)
+    around = np.ones((2 * _REACH_PX + 1, 2 * _REACH_PX + 1), np.uint8)
+    near = np.asarray(cv2.dilate(subject, around)) > np.asarray(cv2.erode(subject, around, borderValue=1))
+    if frame.clipped.any():
+        near &= np.asarray(cv2.dilate(frame.clipped.astype(np.uint8), around)) == 0
+    near[:_BORDER_PX] = near[-_BORDER_PX:] = False
+    near[:, :_BORDER_PX] = near[:, -_BORDER_PX:] = False
+    return near
+
+
+def _edges(channel: Single, near: Mask) -> _Edges:
+    """Measure one channel, (h, w), where its slope is steepest across a step."""
+    slopes = [_slopes(channel, scale) for scale in _SCALES_PX]
+    steep = np.asarray(cv2.magnitude(*slopes[0]), np.float32)
+    bright = float(np.percentile(channel[::4, ::4], 99))
+    least = _LEAST_STEP * bright / math.sqrt(2 * math.pi * (_WIDEST_PX**2 + _SCALES_PX[0] ** 2))
+    v, u = np.nonzero(near & (steep > max(least, 1e-9)))
+    v, u = (places[:: 1 + len(v) // _MOST] for places in (v, u))
+    towards = np.stack([slopes[0][axis][v, u] / steep[v, u] for axis in range(2)])
+
+    def along(image: Single, steps: float) -> Single:
+        at_u, at_v = (
+            (place + steps * part).astype(np.float32) for place, part in zip((u, v), towards, strict=True)
+        )
+        if not len(v):
+            return np.empty(0, np.float32)
+        moved = cv2.remap(image, at_u[:, None], at_v[:, None], cv2.INTER_LINEAR)
+        return np.asarray(moved[:, 0], np.float32)
+
+    ridge = (steep[v, u] >= along(steep, 1.0)) & (steep[v, u] >= along(steep, -1.0))
+    v, u, towards = v[ridge], u[ridge], towards[:, ridge]
+    profile = np.stack([along(channel, t) for t in range(-_PROFILE_PX, _PROFILE_PX + 1)])
+    dark, lit = profile[:4].mean(axis=0), profile[-4:].mean(axis=0)
+    step = np.maximum(lit - dark, 1e-9)
+    slope = (profile[-1] - profile[-4]) / 3.0
+    beside = _PROFILE_PX + np.arange(1, 4)
+    foretold = profile[-4] - (2 * _PROFILE_PX - 3 - beside[:, None]) * slope
+    overshoots = (profile[beside] - foretold).max(axis=0) / step
+    overshoots[np.abs(slope) > _FLAT * step] = np.nan
+    squared = [along_u[v, u] ** 2 + along_v[v, u] ** 2 for along_u, along_v in slopes]
+    widths = []
+    for k in range(2):
+        ratio = squared[k] / np.maximum(squared[k + 1], 1e-20)
+        wide, narrow = _SCALES_PX[k + 1] ** 2, _SCALES_PX[k] ** 2
+        widths.append((wide - ratio * narrow) / np.maximum(ratio - 1.0, 1e-3) - _OF_PIXELS)
+    good = (lit - dark > _LEAST_STEP * bright) & (dark < _DARKEST_SIDE * lit)
+    return _Edges(
+        squares=widths[0][good],
+        others=widths[1][good],
+        directions=np.arctan2(towards[1], towards[0])[good],
+        overshoots=overshoots[good],
+    )
+
+
+def _slopes(channel: Single, scale: float) -> tuple[Single, Single]:
+    """Return the slopes to the right and down after a blur, (h, w) each."""
+    smooth = cv2.GaussianBlur(channel, (0, 0), scale, borderType=cv2.BORDER_REPLICATE)
+    across = np.array([[-0.5, 0.0, 0.5]], np.float32)
+    right, down = (cv2.filter2D(smooth, -1, k, borderType=cv2.BORDER_REPLICATE) for k in (across, across.T))
+    return np.asarray(right, np.float32), np.asarray(down, np.float32)
