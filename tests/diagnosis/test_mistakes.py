@@ -1,6 +1,8 @@
 """Each mistake that ruins normals without failing is found, its remedy named, and none is invented."""
 
+import itertools
 import re
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -19,7 +21,7 @@ from vntoolkit.diagnosis.over_time import (
     findings_from_tracks,
 )
 from vntoolkit.diagnosis.rig_checks import check_residual, check_stated_focal, check_zoom
-from vntoolkit.diagnosis.transfer_match import check_transfer_of_samples
+from vntoolkit.diagnosis.transfer_match import check_transfer, check_transfer_of_samples
 from vntoolkit.diagnosis.white_balance import check_changing_gains
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.photometry.frame import LinearFrame
@@ -401,3 +403,35 @@ def test_tracks_that_end_or_jump_are_said_and_others_are_not() -> None:
     (cut,) = findings_from_tracks([1, 0.98, 0.97, 0.01, 0.02, 0.1], [0, 0.3, 0.3, 14, 12, 8], numbers)
     assert cut.check == "jump"
     assert "at once between frames 12 and 13" in cut.text
+
+
+def test_light_between_parts_of_a_statue_is_no_transfer_curve(real_data: Path) -> None:
+    """Photographs of plaster under every three lamps that stand apart: linear is not sRGB, and sRGB is."""
+    folder = real_data / "photometric_stereo"
+    lamps = np.loadtxt(folder / "lights.txt", skiprows=1) * [1, -1, -1]
+    found = []
+    for name in ("buddha", "cat"):
+        single = [cv2.imread(str(folder / name / f"{name}.{k}.png")).mean(axis=2) / 255 for k in range(12)]
+        mask = cv2.imread(str(folder / name / f"{name}.mask.png"), cv2.IMREAD_GRAYSCALE) > 127
+        for three in itertools.combinations(
+            range(2, 12), 3
+        ):  # two lamps of the list are off by 6 and 8 degrees
+            matrix = 0.6 * lamps[list(three)]
+            if np.linalg.cond(matrix) > 8:
+                continue
+            light = np.stack([single[k] for k in three], axis=-1)
+            light = np.minimum(0.95 * light / np.percentile(light[mask], 99.8), 1)
+            in_srgb = np.rint(255 * encoded_from_linear(light, SRGB)) / 255
+            rig = Rig(
+                camera=Camera.orthographic(width=mask.shape[1], height=mask.shape[0]),
+                response=LightResponse(matrix=matrix),
+            )
+            linear, encoded = (
+                check_transfer(
+                    evidence_from_frames([LinearFrame(rgb=rgb.astype(np.float32))], rig, Transfer(), mask)
+                )
+                for rgb in (light, in_srgb)
+            )
+            assert not linear, (name, three)
+            found.append(bool(encoded))
+    assert np.mean(found) > 0.6
