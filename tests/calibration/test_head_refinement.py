@@ -15,10 +15,12 @@ from tests.calibration.turning_egg import (
 from vntoolkit.calibration.fit import fit_quality
 from vntoolkit.calibration.head.light import HeadLight, LightOptions
 from vntoolkit.calibration.head.refinement import (
+    NoiseLevels,
     PositionSolver,
     followed_normals,
     refine_head,
     shared_errors,
+    stereo_support,
     thinned,
 )
 from vntoolkit.calibration.head.samples import LightFrame
@@ -68,7 +70,7 @@ def refined(rippled):
     light = HeadLight(
         response=response, quality=quality, inliers=nothing, shadowed=nothing, albedo=np.zeros((0, 3))
     )
-    return refine_head(rippled, SMALL, frames, light, LightOptions(), rng)
+    return refine_head(rippled, rippled.vertices, SMALL, frames, light, LightOptions(), rng)
 
 
 def errors(mesh):
@@ -170,6 +172,29 @@ def test_no_vertex_flies_off_where_stereo_is_folded():
     stereo[folded] = points[folded] + 10 * PIXEL * np.random.default_rng(3).standard_normal((folded.sum(), 3))
     moved = PositionSolver(stereo, faces, skin_of(normals, 0.01), 200 * PIXEL).positions()
     assert np.linalg.norm(moved - points, axis=1).max() < 1.25 * np.linalg.norm(stereo - points, axis=1).max()
+
+
+def test_stereo_holds_a_vertex_as_far_as_its_points_are_near():
+    vertices = PIXEL * np.array([[0, 0, 0], [2, 0, 0], [3, 0, 0], [12, 0, 0]])
+    noise = NoiseLevels(stereo=(0.5 * PIXEL) ** 2 * (16 * PIXEL) ** 2, shared=0.03)  # half a pixel in a patch
+    held = stereo_support(vertices, vertices[:1], noise, PIXEL)
+    assert held == pytest.approx([1.0, 1.0, 0.5, 0.25 / (0.25 + 25.0)])
+
+
+def test_what_is_filled_in_without_stereo_follows_the_normals():
+    points, faces = egg_surface(2800)
+    normals = points / AXES**2
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    away = np.linalg.norm(points - points[1400], axis=1) / (25 * PIXEL)
+    filled = away < 1
+    stereo = points + 6 * PIXEL * np.where(filled, np.cos(0.5 * np.pi * away) ** 2, 0)[:, None] * normals
+    skin = skin_of(normals, 0.01)
+
+    def left(support):
+        moved = PositionSolver(stereo, faces, skin, 100 * PIXEL, support=support).positions()
+        return np.linalg.norm(moved - points, axis=1)[filled].mean()
+
+    assert left(np.where(filled, 0.02, 1.0)) < 0.5 * left(np.ones(len(points)))
 
 
 @pytest.fixture(scope="module")

@@ -111,8 +111,8 @@ def test_default_stereo_fits_silhouettes_and_neighbouring_photographs(
     views, images, box = load(real_data / "turntable" / name)
     contrasts = [np.clip(127.5 + 32 * local_contrast(image), 0, 255).astype(np.uint8) for image in images]
     grid = fit_hull(views, box, HullOptions(hull_cells=cells))
-    rough = fit_shape(views, contrasts, grid, StereoOptions(), FusionOptions())
-    mesh = fit_shape(views, contrasts, grid, StereoOptions().closely(), FusionOptions(), about=rough)
+    rough = fit_shape(views, contrasts, grid, StereoOptions(), FusionOptions()).mesh
+    mesh = fit_shape(views, contrasts, grid, StereoOptions().closely(), FusionOptions(), about=rough).mesh
     whole = slice(0, 480), slice(0, 640)
     overlaps = []
     for view in views:

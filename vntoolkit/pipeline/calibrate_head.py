@@ -174,11 +174,12 @@ def calibrate_head(
         views, grid = _carved(footage, motion, options.hull)
         on_progress("hull", 1, 1)
     fused = hull = mesh_of_grid(grid)
+    points = hull.vertices
     if options.head_shape is not HeadShape.HULL:
         with clock.stage("stereo"):
             searched = partial(fit_shape, contrasts=footage.contrasts, fusion=options.fusion)
             told = partial(on_progress, "stereo")
-            rough = searched(views, hull=grid, stereo=options.stereo, on_progress=told)
+            rough = searched(views, hull=grid, stereo=options.stereo, on_progress=told).mesh
         with clock.stage("poses again"):
             on_progress("poses again", 0, 1)
             again = find_again(views, footage.details, rough, motion.points_in_head)
@@ -189,7 +190,8 @@ def calibrate_head(
         with clock.stage("stereo again"):
             told = partial(on_progress, "stereo again")
             closely = options.stereo.closely()
-            fused = searched(views, hull=grid, stereo=closely, on_progress=told, about=rough)
+            shape = searched(views, hull=grid, stereo=closely, on_progress=told, about=rough)
+            fused, points = shape.mesh, shape.points
 
     def light_frames(numbers: IntArray) -> Iterator[LightFrame]:
         wanted = {footage.numbers[k]: k for k in numbers.tolist()}
@@ -215,6 +217,7 @@ def calibrate_head(
             chosen = spread_over_turn(views, _NORMAL_FRAMES)
             refined = refine_head(
                 fused,
+                points,
                 motion.camera,
                 partial(light_frames, chosen),
                 light,

@@ -61,6 +61,8 @@ _LOOSE = 2.0  # of the diagonal: where normals are to show their errors, stereo 
 _PATCH_PX = 16.0  # side: larger than the windows of stereo blur, smaller than a nose
 _REGION_PX = 96.0  # side: so large that stereo's ripples average out, smaller than a cheek
 _DRAWS, _PATTERNS = 8, 9
+_SPACING_PX = 2.0  # of the points of stereo, about
+_STRAY = 0.5  # of the way to the next point: so far off may be what is filled in between points
 _FLATTENED = 2.0  # slopes of relief as fine as stereo's windows, over what stereo leaves of them
 _TINY, _SMALLEST_SINE = 1e-30, 1e-9
 _STEPS = 2  # of the positions: more change nothing
@@ -94,6 +96,7 @@ class RefinedHead:
 
 def refine_head(
     mesh: Mesh,
+    points: Points,
     camera: Camera,
     frames: Callable[[], Iterable[LightFrame]],
     light: HeadLight,
@@ -103,8 +106,9 @@ def refine_head(
 ) -> RefinedHead:
     """Alternate normals from colours, positions from normals and stereo, and M, then do all once more finely.
 
-    mesh: of stereo, head frame. frames: reads the frames that normals are taken from, in passes. light: M and
-    what the first fit made of the samples.
+    mesh: of stereo, head frame. points: (p, 3) that stereo found; the rest of the mesh is filled in. frames:
+    reads the frames that normals are taken from, in passes. light: M and what the first fit made of the
+    samples.
     """
     pixel = _pixel_size(mesh, camera, frames())
     coarse = _COARSE * _EDGE_PX * pixel
@@ -129,6 +133,7 @@ def refine_head(
     spread = solver.spread(surface, levels, rng)
     near = cKDTree(surface.vertices)
     surface = stereo = divided(mesh, _EDGE_PX * pixel)
+    support = stereo_support(surface.vertices, points, levels, pixel)
     wave = crossover * _CROSSOVER_NOISE / _LEAST_NOISE  # errors as they are measured make it shorter
     for _ in range(_PASSES):
         colours = without_shadow(skin_colours(surface, camera, frames()), surface, lit.response)
@@ -136,7 +141,7 @@ def refine_head(
         follow = followed_normals(stereo, skin, pixel)
         shared = shared_errors(stereo, skin, pixel)
         rims = rim_targets(surface, camera, frames(), lit.response)
-        solver = PositionSolver(stereo.vertices, stereo.faces, follow, wave, shared)
+        solver = PositionSolver(stereo.vertices, stereo.faces, follow, wave, shared, support)
         solver.hold(rims, levels.stereo)
         surface = stereo.with_vertices(solver.positions())
     samples = patch_samples(surface, camera, colours, skin, _PATCH_PX * pixel)
@@ -249,7 +254,8 @@ class PositionSolver:
     position by stereo, and λ the crossover, the wavelength at which both count the same for the surest
     normals. Vertices move along the surface's own normals, which makes the sum quadratic in how far: folds of
     stereo lead nowhere. shared: (3,) standard deviation of errors that neighbours share, for edges along
-    each axis: they do not average out, and make the wavelength shorter.
+    each axis: they do not average out, and make the wavelength shorter. support: (n,) how far stereo holds
+    each vertex, 0 to 1, a factor of a_i.
     """
 
     def __init__(
@@ -259,6 +265,7 @@ class PositionSolver:
         skin: SkinNormals,
         crossover: float,
         shared: FloatArray | None = None,
+        support: FloatArray | None = None,
     ) -> None:
         self.stereo, self._faces = stereo, faces
         pairs, cosines, sines = edge_cotangents(stereo, faces)
@@ -272,7 +279,7 @@ class PositionSolver:
             variance += along @ shared**2 / np.maximum(along.sum(axis=1), _TINY)
         self._weight = np.clip(cotangents, _LEAST_COTANGENT, _MOST_COTANGENT) * _LEAST_NOISE**2 / variance
         self._stiffness = (2.0 * np.pi / crossover) ** 2
-        self._anchor = self._stiffness * areas(stereo, faces)
+        self._anchor = self._stiffness * areas(stereo, faces) * (1.0 if support is None else support)
         upright = normals[self._from] + normals[self._to]
         self._upright = upright / np.maximum(np.linalg.norm(upright, axis=1, keepdims=True), _TINY)
         self._own, self._target = own, stereo
@@ -393,6 +400,18 @@ def measured_noise(mesh: Mesh, stereo: Points, skin: SkinNormals, pixel: float) 
     density = mean_square(moved[:, None], side) / _MEDIAN_OF_ONE * side**2
     shared = mean_square(skin.normals - mesh.normals, 3.0 * side) / _MEDIAN_OF_TWO
     return NoiseLevels(stereo=density, shared=float(np.sqrt(max(shared, _SHARED_NOISE**2))))
+
+
+def stereo_support(vertices: Points, points: Points, levels: NoiseLevels, pixel: float) -> FloatArray:
+    """Return how far stereo holds vertices (n, 3), from 1 at the points (p, 3) that it found towards 0.
+
+    Where it found none, as in the fold behind an ear, the mesh is filled in, and errs by more the farther off
+    the next point is. Each vertex counts by its variance.
+    """
+    gap = cKDTree(points).query(vertices, workers=1)[0]
+    stray = _STRAY * np.maximum(gap - _SPACING_PX * pixel, 0.0)
+    variance = levels.stereo / (_PATCH_PX * pixel) ** 2
+    return np.asarray(variance / np.maximum(variance + stray**2, _TINY))
 
 
 def followed_normals(stereo: Mesh, skin: SkinNormals, pixel: float) -> SkinNormals:

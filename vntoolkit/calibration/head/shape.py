@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
+from vntoolkit.arrays import Points
 from vntoolkit.calibration.head.hull import DistanceGrid, SilhouetteView, mesh_of_grid, spread_over_turn
 from vntoolkit.calibration.head.stereo import OrientedPoints, StereoOptions, stereo_points
 from vntoolkit.errors import BadCalibration, BadInput
@@ -19,6 +20,14 @@ from vntoolkit.native import import_open3d
 _LEAST_POINTS = 500
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FusedShape:
+    """A closed mesh, and the points of stereo (n, 3) that hold it: elsewhere it is filled in. Head frame."""
+
+    mesh: Mesh
+    points: Points
+
+
 def fit_shape(
     views: Sequence[SilhouetteView],
     contrasts: Sequence[npt.NDArray[np.uint8]],
@@ -27,8 +36,8 @@ def fit_shape(
     fusion: FusionOptions,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
     about: Mesh | None = None,
-) -> Mesh:
-    """Search depths of evenly spread views about the hull, or a mesh, and fuse them; returns a closed mesh.
+) -> FusedShape:
+    """Search depths of evenly spread views about the hull, or a mesh, and fuse them.
 
     contrasts: (h, w) local contrast of every view, 8 bits. on_progress is told depth maps done and in all.
     Raises `BadCalibration` where hardly two views agree on a depth.
@@ -70,23 +79,24 @@ class FusionOptions:
 
 def fuse_points(
     maps: Sequence[OrientedPoints], hull: Mesh, grid: DistanceGrid, options: FusionOptions
-) -> Mesh:
+) -> FusedShape:
     """Fuse: points that other views confirm, the hull where there are none, screened Poisson over both.
 
-    Points outside the hull are dropped: no silhouette allows them. Returns a closed mesh in the head frame.
-    Raises `BadCalibration` where hardly a point is confirmed.
+    Points outside the hull are dropped: no silhouette allows them. Raises `BadCalibration` where
+    hardly a point is confirmed.
     """
     kept = confirmed_maps(maps, hull.diagonal, grid, options)
+    found = np.concatenate([each.points for each in kept])
     corrected = np.concatenate([each.on_hull for each in kept])
     distance, _ = cKDTree(corrected).query(hull.vertices, workers=1)
     rest = distance > options.hull_gap * hull.diagonal
     normals = vertex_normals(hull.vertices, hull.faces)
     rest &= normals.any(axis=1)  # vertices of slivers have none
     cloud = PointCloud(
-        points=np.concatenate([*(each.points for each in kept), hull.vertices[rest]]),
+        points=np.concatenate([found, hull.vertices[rest]]),
         normals=np.concatenate([*(each.normals for each in kept), normals[rest]]),
     )
-    return _poisson(cloud, options.fusion_depth)
+    return FusedShape(mesh=_poisson(cloud, options.fusion_depth), points=found)
 
 
 def confirmed_maps(
