@@ -1,5 +1,8 @@
 """How near lamps stand is told by the lengths, within its error, and never where they are far."""
 
+import re
+
+import cv2
 import numpy as np
 import pytest
 
@@ -93,3 +96,32 @@ def test_a_rig_whose_m_varies_already_is_not_asked():
     frame = LinearFrame(rgb=np.full((H, W, 3), 0.5, np.float32))
     evidence = evidence_from_frames([frame], Rig(camera=CAMERA, response=response), Transfer())
     assert fit_nearness(evidence) is None
+
+
+def test_faces_under_far_lamps_are_left_alone(real_data):
+    """Photographs of skin under one flash each: gloss and light between parts are no near lamps."""
+    rng = np.random.default_rng(3)
+    for folder in sorted((real_data / "faces").iterdir()):
+        lamps, photographs = [], []
+        for path in sorted(folder.glob("*.pgm")):
+            named = re.search(r"A([+-]\d+)E([+-]\d+)", path.name)
+            if named is None or abs(int(named[1])) > 50 or abs(int(named[2])) > 45:
+                continue
+            around, up = np.deg2rad(int(named[1])), np.deg2rad(int(named[2]))
+            lamps.append([-np.sin(around) * np.cos(up), -np.sin(up), -np.cos(around) * np.cos(up)])
+            photographs.append(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) / 255)
+        height, width = photographs[0].shape
+        v, u = np.mgrid[:height, :width]
+        face = ((u - width / 2) / (0.4 * width)) ** 2 + ((v - height / 2) / (0.44 * height)) ** 2 < 1
+        for _ in range(12):
+            three = rng.choice(len(lamps), 3, replace=False)
+            matrix = 0.6 * np.array(lamps)[three]
+            if np.linalg.cond(matrix) > 10:
+                continue
+            light = np.stack([photographs[k] for k in three], axis=-1)
+            frame = LinearFrame(rgb=np.minimum(light, 1).astype(np.float32))
+            rig = Rig(
+                camera=Camera.orthographic(width=width, height=height), response=LightResponse(matrix=matrix)
+            )
+            found = fit_nearness(evidence_from_frames([frame], rig, Transfer(), face))
+            assert found is None or not found.established, (folder.name, three)

@@ -42,7 +42,7 @@ def regress_lengths(
     parts = [slice(start, end) for start, end in zip(np.append(0, ends[:-1]), ends, strict=True)]
     if len(parts) < 2:
         return None
-    residual = _without_levels(y, frames)
+    residual = without_levels(y, frames)
     for _ in range(rounds):
         departure = np.abs(residual)
         weight = 1.0 / (1.0 + (departure / (3.0 * np.median(departure) + 1e-6)) ** 2)
@@ -71,12 +71,12 @@ def spread_of_lengths(scaled: FloatArray, frames: npt.NDArray[np.int64]) -> floa
 
     scaled: (n, 3). frames: (n,) numbers.
     """
-    departure = np.abs(_without_levels(np.log(np.maximum(lengths_of(scaled), 1e-12)), frames))
+    departure = np.abs(without_levels(np.log(np.maximum(lengths_of(scaled), 1e-12)), frames))
     departure[scaled[:, 2] > 0] = math.inf
     return float(np.median(departure))
 
 
-def _without_levels(logs: FloatArray, frames: npt.NDArray[np.int64]) -> FloatArray:
+def without_levels(logs: FloatArray, frames: npt.NDArray[np.int64]) -> FloatArray:
     """Return log lengths, (n,), less the median of their frame."""
     left = logs.copy()
     for frame in np.unique(frames):
