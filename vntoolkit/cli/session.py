@@ -147,9 +147,9 @@ def _line(outcome: CaptureOutcome) -> str:
         return f"failed: {outcome.failure}"
     text = f"{made.done} of {made.frames + made.lost} frames done"
     text += f", {made.resumed} from before" if made.resumed else ""
-    text += "" if made.error_deg is None else f"; normals expected within {made.error_deg:.1f} degrees"
     text += "".join(f"; skipped frame {record.number}: {record.failure}" for record in made.skipped)
     text += f"; {_loss(outcome)}" if _loss(outcome) else ""
+    text += "" if made.error_deg is None else f"; normals expected within {made.error_deg:.1f} degrees"
     if outcome.failure:
         return f"{text}; failed: {outcome.failure}"
     return text if outcome.tracks is None else f"{text}; {outcome.tracks.vertices} vertices tracked"
