@@ -6,8 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from vntoolkit.__main__ import main
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.footage.images import write_png
+from vntoolkit.io.results.manifest import Manifest, read_manifest
+from vntoolkit.io.rigs import write_rig
 from vntoolkit.photometry.response import LightResponse, rgb_from_normals
 from vntoolkit.photometry.rig import Rig
 
@@ -49,3 +52,19 @@ def write_dome_capture(folder: Path, count: int = 20) -> DomeCapture:
 @pytest.fixture(scope="session")
 def dome_capture(tmp_path_factory: pytest.TempPathFactory) -> DomeCapture:
     return write_dome_capture(tmp_path_factory.mktemp("dome"))
+
+
+def reconstructed_twice(folder: Path, lights: list[np.ndarray], rig: Rig) -> tuple[Manifest, Manifest]:
+    """Return the manifests of a run over the first frame of linear lights, and of one that goes on to all."""
+    frames = folder / "frames"
+    frames.mkdir()
+    for k, light in enumerate(lights):
+        write_png(frames / f"{k}.png", np.rint(light * 65535).astype(np.uint16))
+    write_rig(folder / "rig.json", rig)
+    command = ["reconstruct", str(frames), "--rig", str(folder / "rig.json"), "--out", str(folder / "out")]
+    command += ["--to", "normals", "--shadows", "none", "--materials", "calibrated"]
+    manifests = []
+    for count in (1, len(lights)):
+        assert main([*command, "--frames", f"0:{count}"]) == 0
+        manifests.append(read_manifest(folder / "out"))
+    return manifests[0], manifests[1]

@@ -66,20 +66,19 @@ def fit_nearness(evidence: Evidence) -> Nearness | None:
     vignetting = [u * u + v * v]
     uneven = [u, v, u * u, v * v, u * v]
     logs = np.log(lengths)
-    fits, by_patterns = [], 0.0
+    fits = []
     for besides in (wrong_m + vignetting, wrong_m + uneven, [x, y, *wrong_m, *uneven]):
         columns = np.column_stack([*near, *besides])
         fit = regress_lengths(columns, logs, pixels, _ROUNDS, widely=True)
         if fit is None:
             return None
-        fits.append((fit.slopes[:3], fit.errors[:3]))
-        by_patterns = _error_of_patterns(
-            columns, logs, fit.slopes, pixels
-        )  # of the last: most is allowed there
-    slopes, errors = (np.stack(parts) for parts in zip(*fits, strict=True))
+        fits.append(fit)
+    slopes = np.stack([fit.slopes[:3] for fit in fits])
+    errors = np.stack([fit.errors[:3] for fit in fits])
     each = np.hypot(np.maximum(errors.max(axis=0), 1e-4), np.ptp(slopes, axis=0) / 2)
     worth = each**-2.0
     value = float((worth * slopes.mean(axis=0)).sum() / worth.sum())
+    by_patterns = _error_of_patterns(columns, logs, fits[-1].slopes, pixels)  # the last fit allows most
     error = max(1.0 / math.sqrt(worth.sum()), by_patterns)
     return Nearness(value=value, error=math.hypot(_LEAST_ERROR, error))
 

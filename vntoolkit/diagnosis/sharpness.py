@@ -112,27 +112,10 @@ def findings_from_sharpness(seen: Sharpness) -> list[Finding]:
     return []
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Edges:
-    """Of each place (n,): b² by the first two scales, and by the last two, the direction, the overshoot.
-
-    overshoot: NaN where nothing tells it.
-    """
-
-    squares: FloatArray
-    others: FloatArray
-    directions: FloatArray
-    overshoots: FloatArray
-
-
 def _of_frame(frame: LinearFrame, mask: Mask | None) -> Sharpness | None:
     near = _near_outline(frame, mask)
     channels = [np.ascontiguousarray(frame.rgb[..., k], np.float32) for k in range(3)]
-    parts = [_edges(channel, near) for channel in channels]
-    squares, others, directions, overshoots = (
-        np.concatenate([getattr(part, name) for part in parts])
-        for name in ("squares", "others", "directions", "overshoots")
-    )
+    squares, others, directions, overshoots = np.hstack([_edges(channel, near) for channel in channels])
     told = overshoots[np.isfinite(overshoots)]
     overshoot = float(np.median(told)) if len(told) >= _FEWEST else 0.0
     if len(squares) >= 4 * _FEWEST and float(np.median(squares)) <= 0.0:
@@ -185,8 +168,12 @@ def _near_outline(frame: LinearFrame, mask: Mask | None) -> Mask:
     return near
 
 
-def _edges(channel: Single, near: Mask) -> _Edges:
-    """Measure one channel, (h, w), where its slope is steepest across a step."""
+def _edges(channel: Single, near: Mask) -> FloatArray:
+    """Measure one channel, (h, w), at the n places where its slope is steepest across a step.
+
+    Returns (4, n): b² in pixels² by the first two scales, and by the last two; the direction in radians; the
+    overshoot, NaN where nothing tells it.
+    """
     slopes = [_slopes(channel, scale) for scale in _SCALES_PX]
     steep = np.asarray(cv2.magnitude(*slopes[0]), np.float32)
     bright = float(np.percentile(channel[::4, ::4], 99))
@@ -221,12 +208,8 @@ def _edges(channel: Single, near: Mask) -> _Edges:
         wide, narrow = _SCALES_PX[k + 1] ** 2, _SCALES_PX[k] ** 2
         widths.append((wide - ratio * narrow) / np.maximum(ratio - 1.0, 1e-3) - _OF_PIXELS)
     good = (lit - dark > _LEAST_STEP * bright) & (dark < _DARKEST_SIDE * lit)
-    return _Edges(
-        squares=widths[0][good],
-        others=widths[1][good],
-        directions=np.arctan2(towards[1], towards[0])[good],
-        overshoots=overshoots[good],
-    )
+    directions = np.arctan2(towards[1], towards[0])
+    return np.stack([*widths, directions, overshoots])[:, good]
 
 
 def _slopes(channel: Single, scale: float) -> tuple[Single, Single]:

@@ -58,7 +58,7 @@ def _detail_row(
     image: Any, table: Any, clipped: Any, white: Any, maps: Any, mask: Any, labels: Any, inverse: Any,
     ambient: Any, inverse_albedo: Any, side: int, top: int, sums: Any, counts: Any,
 ) -> None:  # fmt: skip
-    width, zero, half, one = mask.shape[1], np.float32(0.0), np.float32(0.5), np.float32(1.0)
+    width, zero, half = mask.shape[1], np.float32(0.0), np.float32(0.5)
     # one array each, whose slices have no stride: eight pixels at a time
     x, y, z = np.zeros(width, np.float32), np.zeros(width, np.float32), np.zeros(width, np.float32)
     x_up, y_up, z_up = np.zeros(width, np.float32), np.zeros(width, np.float32), np.zeros(width, np.float32)
@@ -98,7 +98,7 @@ def _detail_row(
     for i in range(inner):
         into = min(((i + 1) * side + side // 2) // _CELL, len(sums) - 1)
         sums[into] += places[i] * min(found[i], _MOST)
-        counts[into] += places[i] * one
+        counts[into] += places[i]
 
 
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")
