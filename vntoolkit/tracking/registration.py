@@ -21,16 +21,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, Mask, Points2
 from vntoolkit.native import njit
+from vntoolkit.tracking.bands import RIM_PX, Band, TemplateRaster
 from vntoolkit.tracking.lattice import NODES_BY_PASS, TemplateLattice
 from vntoolkit.tracking.paint import PaintImage
-from vntoolkit.tracking.slopes import LEAST_WEIGHT, Relief, gradient_bands
+from vntoolkit.tracking.remembered import Finest, Remembered, remembered_template
+from vntoolkit.tracking.slopes import Relief
 from vntoolkit.tracking.template import TrackingTemplate
 
 _CHANCE = 2.5  # standard deviations of A without a common signal, below which nothing is told
@@ -44,7 +46,6 @@ _LONGEST_STEP_PX = 2.0  # in pixels of the band: about what one linearisation re
 _REACH_PX, _SEARCH_STEP_PX = 16, 2  # of the search for what is lost
 _PATCH_CELLS = 4  # side of the squares that it shifts
 _SURE = 5.0  # standard deviations of a correlation by chance: there are some 300 shifts
-_RIM_PX = 12.0  # of the band: nearer to an occluding contour, slopes belong to the contour
 _KNOWN_PX = 4.0  # error by the finest relief around, at which half of the slide remains possible
 _LEAST_NOISE = 1e-3  # slope: what interpolation leaves
 _PATTERN_PX = 2.0  # of the band, and of motion: a fixed pattern has nothing in common with itself farther off
@@ -76,30 +77,16 @@ _PAINT = (Windows(0, 2, 0.1), Windows(1, 5, 0.3), Windows(2, 8, 0.9))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Band:
-    """One band of the template, on its raster.
-
-    node: (h, w) int32, −1 outside. features: (h, w, k), two slopes or paint. gradients: (h, w, 2 k) ∂f/∂u of
-    all, ∂f/∂v of all. weight: (h, w). beside: (h, w) True within reach of an occluding contour.
-    """
-
-    node: npt.NDArray[np.int32]
-    features: npt.NDArray[np.float32]
-    gradients: npt.NDArray[np.float32]
-    weight: npt.NDArray[np.float32]
-    beside: Mask
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class WindowSteps:
     """What windows of one kind measured around the nodes.
 
-    information: (nodes, 3) of the share of its window that is a node's own, in 1/px² of the template. step:
-    (nodes, 2). slide_px: (nodes,) how far the surface may have slid under what was measured beside contours.
+    information: (nodes, 3) I of the share of its window that is a node's own, in 1/px² of the template. pull:
+    (nodes, 2) I d. slide_px: (nodes,) how far the surface may have slid under what was measured beside
+    contours.
     """
 
     information: npt.NDArray[np.float64]
-    step: npt.NDArray[np.float64]
+    pull: npt.NDArray[np.float64]
     slide_px: npt.NDArray[np.float64]
 
 
@@ -109,8 +96,8 @@ class Measurement:
 
     match: (nodes,) the share of the finest band's gradients that template and frame have in common, 0 to 1;
     expected: (nodes,) the share they would have if only noise told them apart. found: (nodes,) the
-    greatest share of any windows. windows: what those of each kind measured. frame: the finest band.
-    correlated_px: for each kind of windows on relief, (nodes,) how many pixels agree by chance.
+    greatest share of any windows. windows: what those of each kind measured. finest: what the finest bands
+    tell. correlated_px: for each kind of windows on relief, (nodes,) how many pixels agree by chance.
     """
 
     information: npt.NDArray[np.float64]
@@ -119,7 +106,7 @@ class Measurement:
     expected: npt.NDArray[np.float64]
     found: npt.NDArray[np.float64]
     windows: tuple[WindowSteps, ...]
-    frame: Band
+    finest: Finest
     correlated_px: tuple[npt.NDArray[np.float64], ...]
 
     def where(self, chosen: Mask, other: Measurement) -> Measurement:
@@ -133,12 +120,16 @@ class Measurement:
         windows = tuple(
             WindowSteps(
                 information=mixed(own.information, new.information),
-                step=mixed(own.step, new.step),
+                pull=mixed(own.pull, new.pull),
                 slide_px=mixed(own.slide_px, new.slide_px),
             )
             for own, new in zip(self.windows, other.windows, strict=True)
         )
-        return Measurement(**parts, windows=windows, frame=other.frame, correlated_px=other.correlated_px)
+        finest = Finest(
+            other.finest.bands,
+            *(mixed(*pair) for pair in zip(self.finest[1:], other.finest[1:], strict=True)),
+        )
+        return Measurement(**parts, windows=windows, finest=finest, correlated_px=other.correlated_px)
 
 
 class TemplateRegistration:
@@ -155,22 +146,17 @@ class TemplateRegistration:
     ) -> None:
         """Prepare the template's bands; relief, paint: of its frame. Patterns: by `fixed_pattern`."""
         self._lattice = lattice
-        pixels = template.pixels
-        low, high = pixels.min(axis=0), pixels.max(axis=0) + 1
-        self._shape = (int(high[1] - low[1]), int(high[0] - low[0]))
-        self._at = (pixels[:, 1] - low[1], pixels[:, 0] - low[0])
-        self._node = np.full(self._shape, -1, dtype=np.int32)
-        self._node[self._at] = lattice.node_of_vertex
+        self._raster = TemplateRaster(template, lattice)
         patches = lattice.cells // _PATCH_CELLS
         self._size = np.bincount(lattice.node_of_vertex, minlength=lattice.count)
         self._patch = np.unique(patches, axis=0, return_inverse=True)[1].ravel()
         identity = np.tile([1.0, 0.0, 0.0, 1.0], (lattice.count, 1))
-        self._bands = self._banded(*self._pulled_back(template.positions_px, identity, relief))
+        self._bands = self._raster.relief(template.positions_px, identity, relief)
         self._noise = [self._noise_share(windows) for windows in self._relief_windows]
-        self._paint_bands = [] if paint is None else self._paint_banded(template.positions_px, paint, relief)
+        self._paint_bands = [] if paint is None else self._raster.paint(template.positions_px, paint, relief)
         self._pixels = template.positions_px
-        self._pattern = [self._at_nodes(power, k, low) for k, power in enumerate(pattern)]
-        self._paint_pattern = [self._at_nodes(power, k, low) for k, power in enumerate(paint_pattern)]
+        self._pattern = [self._at_nodes(power, k) for k, power in enumerate(pattern)]
+        self._paint_pattern = [self._at_nodes(power, k) for k, power in enumerate(paint_pattern)]
 
     def measure(
         self,
@@ -179,14 +165,15 @@ class TemplateRegistration:
         relief: Relief,
         paint: PaintImage | None = None,
         near: Measurement | None = None,
+        remembered: Remembered | None = None,
     ) -> Measurement:
-        """Measure in the frame with this relief and paint.
+        """Measure in the frame with this relief and paint, by the template and by what is remembered of it.
 
         jacobians: (nodes, 4) ∂u/∂x, ∂u/∂y, ∂v/∂x, ∂v/∂y of positions (n, 2) by the template's pixels. near: a
         measurement a step away in the same frame, whose noise is the same.
         """
         count = self._lattice.count
-        frame = self._banded(*self._pulled_back(positions_px, jacobians, relief))
+        frame = self._raster.relief(positions_px, jacobians, relief)
         moments = [_moments_of(*each, count) for each in zip(self._bands, frame, strict=True)]
         moved_px = self._lattice.sums(np.hypot(*(positions_px - self._pixels).T)[:, None])[:, 0] / self._size
         correlated_px = (
@@ -202,12 +189,13 @@ class TemplateRegistration:
             own = self._with_pattern(moments[windows.halvings], windows.halvings, moved_px, self._pattern)
             told, ratio = self._told(own, windows, alike_px)
             if windows is _FAINT_RELIEF:
-                told.information[steps[0].information.any(axis=1)] = 0.0
+                elsewhere = ~steps[0].information.any(axis=1, keepdims=True)
+                told = replace(told, information=elsewhere * told.information, pull=elsewhere * told.pull)
             steps.append(told)
             ratios.append(ratio)
         painted = []
         if self._paint_bands:
-            theirs = self._paint_banded(positions_px, paint, relief)
+            theirs = self._raster.paint(positions_px, paint, relief)
             moments = [_moments_of(*each, count) for each in zip(self._paint_bands, theirs, strict=True)]
             alike = {w.halvings: float(px.max()) for w, px in zip(_WINDOWS, correlated_px, strict=False)}
             for windows in self._paint_windows:
@@ -216,24 +204,68 @@ class TemplateRegistration:
                 told, ratio = self._told(own, windows, np.full(count, alike[windows.halvings]))
                 painted.append(told)
                 ratios.append(ratio)
-        fine = sum((told.information for told in painted[:1]), steps[0].information)
-        unknown = self._unknown_around(fine)
+        seen = (frame, theirs) if self._paint_bands else (frame,)
+        finest = self._finest([steps[0], *painted[:1]], tuple(bands[0] for bands in seen))
+        if remembered is not None:
+            finest = self._with_remembered(finest, remembered, positions_px, correlated_px[0])
+            steps[0] = replace(steps[0], information=steps[0].information + finest.more)
+        unknown = self._unknown_around(finest.information)
         for k, windows in enumerate(self._relief_windows[1:], 1):
             beside = self._beside_contours(windows.halvings, frame)
-            slide_px = _RIM_PX * 2.0**windows.halvings * unknown * beside
+            slide_px = RIM_PX * 2.0**windows.halvings * unknown * beside
             steps[k] = replace(steps[k], slide_px=slide_px)
+        coarser = steps[1:] + painted[1:]
         steps += painted
-        pulls = [np.einsum("nij,nj->ni", _symmetric(told.information), told.step) for told in steps]
         return Measurement(
-            information=np.sum([told.information for told in steps], axis=0),
-            pull=np.sum(pulls, axis=0),
+            information=finest.information + sum(told.information for told in coarser),
+            pull=finest.pull + sum(told.pull for told in coarser),
             match=ratios[0],
             expected=self._expected_match(correlated_px[0]),
             found=np.max(ratios, axis=0),
             windows=tuple(steps),
-            frame=frame[0],
+            finest=finest,
             correlated_px=correlated_px,
         )
+
+    def remembered(self) -> Remembered:
+        """Return what is remembered before any frame was seen."""
+        paint = self._paint_bands[:1]
+        return remembered_template((self._bands[0], *paint), self._nodes(self._pixels))
+
+    def mixed_in(self, remembered: Remembered, told: Measurement, positions_px: Points2) -> Remembered:
+        """Return what is remembered after a frame that was measured at positions (n, 2)."""
+        return remembered.with_frame(told.finest, self._nodes(positions_px))
+
+    def _finest(self, told: list[WindowSteps], bands: tuple[Band, ...]) -> Finest:
+        information = np.sum([each.information for each in told], axis=0)
+        nothing = np.zeros_like(information)
+        pull = np.sum([each.pull for each in told], axis=0)
+        return Finest(bands=bands, information=information, pull=pull, against=nothing, more=nothing)
+
+    def _with_remembered(
+        self, finest: Finest, remembered: Remembered, positions_px: Points2, correlated_px: FloatArray
+    ) -> Finest:
+        """Compare the finest bands with what is remembered, too; a fixed pattern is in both."""
+        moved_px = np.hypot(*(self._nodes(positions_px) - remembered.nodes_px).T)
+        alike = (correlated_px, np.full(len(correlated_px), float(correlated_px.max())))
+        patterns = (self._pattern, self._paint_pattern)
+        told = []
+        for k, pair in enumerate(zip(remembered.bands(self._raster.node), finest.bands, strict=True)):
+            own = self._with_pattern(_moments_of(*pair, self._lattice.count), 0, moved_px, patterns[k])
+            told.append(self._told(own, _RELIEF, alike[k])[0])
+        against = self._finest(told, finest.bands)
+        more, pull = remembered.beyond(finest.information, against.information, against.pull)
+        return Finest(
+            bands=finest.bands,
+            information=finest.information + more,
+            pull=finest.pull + pull,
+            against=against.information,
+            more=more,
+        )
+
+    def _nodes(self, positions_px: Points2) -> npt.NDArray[np.float64]:
+        """(nodes, 2) means of positions (n, 2)."""
+        return self._lattice.sums(positions_px) / self._size[:, None]
 
     def _told(
         self, own: FloatArray, windows: Windows, correlated_px: FloatArray
@@ -244,12 +276,14 @@ class TemplateRegistration:
         step, ratio, sure, axis = _steps(terms, 2.0**windows.halvings, windows.nodes, correlated_px)
         spread = self._lattice.smoothed(_scores(own, step), windows.passes) / whole
         told = _informed(own, terms, spread, sure, axis, windows.nodes, windows.accuracy_px)
-        return WindowSteps(information=told, step=step, slide_px=np.zeros(len(told))), ratio
+        pull = np.einsum("nij,nj->ni", _symmetric(told), step)
+        return WindowSteps(information=told, pull=pull, slide_px=np.zeros(len(told))), ratio
 
-    def _at_nodes(self, power: FloatArray, halvings: int, low: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+    def _at_nodes(self, power: FloatArray, halvings: int) -> npt.NDArray[np.float64]:
         """(nodes,) mean of an image of a band over each node's pixels of the template."""
-        node = self._bands[halvings].node if halvings < len(self._bands) else self._node[:0]
+        node = self._bands[halvings].node if halvings < len(self._bands) else self._raster.node[:0]
         rows, columns = np.nonzero(node >= 0)
+        low = self._raster.origin_px
         at = np.minimum(rows + (low[1] >> halvings), power.shape[0] - 1)
         beside = np.minimum(columns + (low[0] >> halvings), power.shape[1] - 1)
         count, own = self._lattice.count, node[rows, columns]
@@ -289,7 +323,7 @@ class TemplateRegistration:
 
         lost: (nodes,). Pixels of the template, up to the reach of the search either way.
         """
-        mine, frame, patch = self._bands[0], told.frame, self._patch
+        mine, frame, patch = self._bands[0], told.finest.bands[0], self._patch
         along = np.arange(-_REACH_PX, _REACH_PX + 1, _SEARCH_STEP_PX)
         shifts = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
         sums = np.zeros((int(patch.max()) + 1, len(shifts), 4))
@@ -368,41 +402,6 @@ class TemplateRegistration:
         share = noise * (2.0 - noise)
         return np.asarray(_CORRELATED_PX * (1.0 + (found - 1.0) * share))
 
-    def _pulled_back(
-        self, positions_px: Points2, jacobians: FloatArray, relief: Relief
-    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-        """(h, w, 2) w Jᵀ a, (h, w) w, (h, w) pixels from a contour, at the positions, on the template's
-        raster.
-        """
-        values, weight = np.zeros((*self._shape, 2), dtype=np.float32), np.zeros(self._shape, np.float32)
-        lattice, from_contour_px = self._lattice, np.zeros(self._shape, np.float32)
-        at = (lattice.taps, lattice.shares, *self._at)
-        _pull_back(relief, positions_px, jacobians, *at, values, weight, from_contour_px)
-        return values, weight, from_contour_px
-
-    def _paint_banded(self, positions_px: Points2, paint: PaintImage | None, relief: Relief) -> list[Band]:
-        """The bands of paint at the positions, on the template's raster; empty ones for None."""
-        values, weight = np.zeros((*self._shape, 1), np.float32), np.zeros(self._shape, np.float32)
-        from_contour_px = np.zeros(self._shape, np.float32)
-        if paint is not None:
-            _sample_paint(paint, relief, positions_px, *self._at, values, weight, from_contour_px)
-        return self._banded(values, weight, from_contour_px)
-
-    def _banded(
-        self,
-        values: npt.NDArray[np.float32],
-        weight: npt.NDArray[np.float32],
-        from_contour_px: npt.NDArray[np.float32],
-    ) -> list[Band]:
-        node, out = self._node, []
-        for halvings, (features, gradients, kept) in enumerate(gradient_bands(values, weight)):
-            beside = from_contour_px[:: 2**halvings, :: 2**halvings] < _RIM_PX * 2.0**halvings
-            if halvings == 0:
-                kept[beside] = 0.0
-            out.append(Band(node=node, features=features, gradients=gradients, weight=kept, beside=beside))
-            node = np.ascontiguousarray(node[::2, ::2])
-        return out
-
 
 def _moments_of(mine: Band, theirs: Band, count: int) -> npt.NDArray[np.float64]:
     """Moments (nodes, 13) of a band of the template and one of the frame."""
@@ -418,65 +417,6 @@ def _symmetric(information: FloatArray) -> npt.NDArray[np.float64]:
 def _curl(band: Band) -> npt.NDArray[np.float32]:
     """Curl (h, w) of the slopes of a band."""
     return np.asarray(band.gradients[..., 2] - band.gradients[..., 1])
-
-
-@njit(cache=True, fastmath=True)
-def _pull_back(relief, positions, jacobians, taps, shares, rows, columns, values, total, from_contour_px):  # type: ignore[no-untyped-def]
-    """Write w Jᵀ a at the positions, w and the distance from a contour into the vertices' rows and columns.
-
-    Within half a pixel beyond the outermost centres, which is still the picture, the outermost pixels count.
-    """
-    h, w = relief.shape[:2]
-    n = positions.shape[0]
-    jacobian = np.empty(4)
-    for i in range(n):
-        x, y = positions[i, 0], positions[i, 1]
-        if not (x > -0.5 and y > -0.5 and x < w - 0.5 and y < h - 0.5):
-            continue
-        x, y = min(max(x, 0.0), w - 1.0), min(max(y, 0.0), h - 1.0)
-        u, v = min(int(x), w - 2), min(int(y), h - 2)
-        a, b = x - u, y - v
-        p = q = weight = 0.0
-        for dv in range(2):
-            for du in range(2):
-                share = (a if du else 1 - a) * (b if dv else 1 - b)
-                p += share * relief[v + dv, u + du, 0]
-                q += share * relief[v + dv, u + du, 1]
-                weight += share * relief[v + dv, u + du, 2]
-        if weight > LEAST_WEIGHT:
-            jacobian[:] = 0.0
-            for corner in range(4):
-                for c in range(4):
-                    jacobian[c] += shares[i, corner] * jacobians[taps[i, corner], c]
-            row, column = rows[i], columns[i]
-            values[row, column, 0] = jacobian[0] * p + jacobian[2] * q
-            values[row, column, 1] = jacobian[1] * p + jacobian[3] * q
-            total[row, column] = weight
-            from_contour_px[row, column] = relief[int(y + 0.5), int(x + 0.5), 3]
-
-
-@njit(cache=True, fastmath=True)
-def _sample_paint(paint, relief, positions, rows, columns, values, total, from_contour_px):  # type: ignore[no-untyped-def]
-    """Write paint times its weight, the weight, and the distance from a contour, as `_pull_back` does."""
-    h, w = relief.shape[:2]
-    for i in range(positions.shape[0]):
-        x, y = positions[i, 0], positions[i, 1]
-        if not (x > -0.5 and y > -0.5 and x < w - 0.5 and y < h - 0.5):
-            continue
-        x, y = min(max(x, 0.0), w - 1.0), min(max(y, 0.0), h - 1.0)
-        u, v = min(int(x), w - 2), min(int(y), h - 2)
-        a, b = x - u, y - v
-        value = weight = 0.0
-        for dv in range(2):
-            for du in range(2):
-                share = (a if du else 1 - a) * (b if dv else 1 - b)
-                value += share * paint[v + dv, u + du, 0]
-                weight += share * paint[v + dv, u + du, 1]
-        if weight > LEAST_WEIGHT:
-            row, column = rows[i], columns[i]
-            values[row, column, 0] = value
-            total[row, column] = weight
-            from_contour_px[row, column] = relief[int(y + 0.5), int(x + 0.5), 3]
 
 
 @njit(cache=True, fastmath=True)

@@ -114,7 +114,7 @@ def gradient_bands(
         smaller = np.asarray(cv2.pyrDown(weight), np.float32)
         coarser = np.asarray(cv2.pyrDown(values), np.float32).reshape(*smaller.shape, -1)
         _high_pass(values, weight)
-        yield values, *_gradients(values, weight, np.float32(0.5 / 2.0**halvings))
+        yield values, *gradients(values, weight, np.float32(0.5 / 2.0**halvings))
         values, weight = coarser, smaller
 
 
@@ -331,7 +331,7 @@ def _divide(values, weight):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _gradients(values, weight, scale):  # type: ignore[no-untyped-def]
+def gradients(values, weight, scale):  # type: ignore[no-untyped-def]
     """Central differences (h, w, 2 k), and the weight where all four neighbours are there."""
     h, w = weight.shape
     k = values.shape[2]

@@ -101,6 +101,7 @@ class SurfaceFit:
         self._lengths = LinkLengths(lattice, template, camera, slopes)
         self._jacobians = LocalJacobians(lattice, template.positions_px)
         self._system = LatticeSystem(self._lengths.links, lattice.count)
+        self.remembered = self._registration.remembered()
         self._errors = FitErrors(lattice, self._registration, self._lengths)
         self._template_depth = template.vertices_in_camera[:, 2]
 
@@ -131,12 +132,12 @@ class SurfaceFit:
             if _misfit(shifted, normal_map.mask) < misfit - _JUMPED:
                 positions = shifted
         around = self._jacobians.of(positions)
-        told = self._registration.measure(positions, around, *seen)
+        told = self._measured(positions, around, seen)
         known = self._known_share(positions, positions - last, around, told, figure)
         if known < _WELL_KNOWN:
             positions = last + known * (positions - last)
             around = self._jacobians.of(positions)
-            told = self._registration.measure(positions, around, *seen)
+            told = self._measured(positions, around, seen)
         if min(np.sum(told.found), np.sum(told.match)) < _LOST_MATCH * np.sum(told.expected):
             positions, told = self._restarted(positions, last_px, told, previous, normal_map, seen)
         lost = told.match < _LOST_MATCH * told.expected
@@ -148,7 +149,7 @@ class SurfaceFit:
         for number in range(_ITERATIONS):
             if number > 0:
                 around = self._jacobians.of(positions)
-                told = self._registration.measure(positions, around, *seen, near=told)
+                told = self._measured(positions, around, seen, told)
             hidden = self._mismatched(told, _TELLING)
             inverse = _inverse(around)
             information = _congruent(told.information, inverse)
@@ -167,10 +168,11 @@ class SurfaceFit:
             solution = self._system.solve(
                 information + outline, pull + outline_pull, weight, steps, modes, precision
             )
-            step = lattice.at_vertices(solution.displacement)
+            measured_at, step = positions, lattice.at_vertices(solution.displacement)
             positions = positions + step
             if np.mean(np.maximum(*np.abs(step.T)) < enough) > _MOST:
                 break
+        self.remembered = self._registration.mixed_in(self.remembered, told, measured_at)
         windows = _in_frame(told.windows, inverse)
         square = self._errors.square(
             solution,
@@ -189,6 +191,11 @@ class SurfaceFit:
             depth=self._depth(positions, depth_map, hidden),
             uncertainty_px=self._uncertainty(square),
         )
+
+    def _measured(
+        self, positions: Points2, around: FloatArray, seen: Seen, near: Measurement | None = None
+    ) -> Measurement:
+        return self._registration.measure(positions, around, *seen, near=near, remembered=self.remembered)
 
     def _restarted(
         self,
@@ -230,7 +237,7 @@ class SurfaceFit:
         """Positions moved by at_nodes (m, 2) where that matches better, and what is measured there."""
         lattice = self._lattice
         moved = positions + lattice.at_vertices(at_nodes)
-        there = self._registration.measure(moved, self._jacobians.of(moved), *seen)
+        there = self._measured(moved, self._jacobians.of(moved), seen)
         better = np.maximum(there.found - told.found, there.match - told.match) > _BETTER_MATCH
         if not better.any():
             return np.asarray(positions), told
@@ -312,16 +319,8 @@ def _misfit(positions_px: Points2, mask: Mask) -> float:
 
 
 def _in_frame(windows: tuple[WindowSteps, ...], inverse: FloatArray) -> list[WindowSteps]:
-    """Return what windows measured, in pixels of the frame; inverse: (m, 2, 2) J⁻¹."""
-    jacobian = np.linalg.inv(inverse)
-    return [
-        WindowSteps(
-            information=_congruent(each.information, inverse),
-            step=np.einsum("nij,nj->ni", jacobian, each.step),
-            slide_px=each.slide_px,
-        )
-        for each in windows
-    ]
+    """Return what windows know, in pixels of the frame; inverse: (m, 2, 2) J⁻¹."""
+    return [replace(each, information=_congruent(each.information, inverse)) for each in windows]
 
 
 def _inverse(around: FloatArray) -> npt.NDArray[np.float64]:

@@ -1,0 +1,165 @@
+"""Relief and paint as the frames so far show them: a second template, which follows the light.
+
+The template is one frame. A neck that comes out of the chin's shadow, or a flank that turns to the lamps,
+soon looks otherwise than there, though it hardly differs from one frame to the next. So what frames show is
+laid on the template where the fit puts it, and remembered as a running mean. What is fixed to the surface
+stays in it. Noise, the steps of dark bytes and the edges of shadows move over the surface and average out: a
+comparison with the frame before alone would follow them.
+
+What is remembered may lie off its place, by errors of variance P. A frame registered by it, with information
+J, has these errors and η of variance J⁻¹ besides. Mixed in at a rate α it leaves α η: P grows by α² J⁻¹, and
+falls where the template tells again. The template's errors and these come from the same frames. So they do
+not add: in every direction the one counts that tells more.
+
+The fit also obeys lengths, which only guess. What was measured alone would have put a node elsewhere: that
+`offset` is kept, else a guess would pull anew in each frame, and the surface would creep there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from vntoolkit.arrays import FloatArray, Points2
+from vntoolkit.native import njit
+from vntoolkit.tracking.bands import Band
+from vntoolkit.tracking.slopes import gradients
+
+_RATE = 0.1  # of a frame in the mean: noise of ten averages out, light changes over more
+_LEAST_VARIANCE = 0.08 * np.eye(2)  # px²: a node's share of a window's is no less, by the windows' accuracy
+_LEAST_INFORMATION = 1e-8 * np.eye(2)  # 1/px², so that all can be inverted
+
+
+class Finest(NamedTuple):
+    """What one frame's finest bands tell, in 1/px² of the template.
+
+    bands: of relief and, where it is read, of paint. information: (nodes, 3) and pull: (nodes, 2) I d, of
+    template and memory together. against: (nodes, 3) J of the comparison with the memory. more: (nodes, 3)
+    what the memory adds.
+    """
+
+    bands: tuple[Band, ...]
+    information: npt.NDArray[np.float64]
+    pull: npt.NDArray[np.float64]
+    against: npt.NDArray[np.float64]
+    more: npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Remembered:
+    """What is remembered of one template's surface.
+
+    features: of relief (h, w, 2) and of paint (h, w, 1), where it is read, on the template's raster. weights:
+    (h, w) theirs. variance: (nodes, 2, 2) P in px² of the template. offset: (nodes, 2). nodes_px: (nodes, 2)
+    where the nodes were when last seen.
+    """
+
+    features: tuple[npt.NDArray[np.float32], ...]
+    weights: tuple[npt.NDArray[np.float32], ...]
+    variance: npt.NDArray[np.float64]
+    offset: npt.NDArray[np.float64]
+    nodes_px: npt.NDArray[np.float64]
+
+    def beyond(
+        self, fine: FloatArray, against: FloatArray, pull: FloatArray
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Return information (nodes, 3) and pull (nodes, 2) that this adds to what the template tells.
+
+        fine: (nodes, 3) of the template. against, pull: (nodes, 3), (nodes, 2) J and J d of a comparison.
+        """
+        told = _full(against) + _LEAST_INFORMATION
+        found = np.linalg.solve(told, pull[..., None])[..., 0] + self.offset
+        information = np.linalg.inv(self.variance + np.linalg.inv(told))
+        root = np.linalg.cholesky(_full(fine) + _LEAST_INFORMATION)
+        back = np.linalg.inv(root)
+        value, vector = np.linalg.eigh(back @ information @ _transposed(back))
+        kept = root @ vector
+        more = (kept * np.maximum(value - 1.0, 0.0)[:, None, :]) @ _transposed(kept)
+        return _upper(more), np.einsum("nij,nj->ni", more, found)
+
+    def with_frame(self, told: Finest, nodes_px: Points2) -> Remembered:
+        """Mix in a frame, where it was measured; nodes_px: (nodes, 2) there."""
+        whole = np.linalg.inv(_full(told.information) + _LEAST_INFORMATION)
+        gain = whole @ _full(told.more)  # share of the errors of what is remembered in those of the frame
+        noise = gain @ np.linalg.inv(_full(told.against) + _LEAST_INFORMATION) @ _transposed(gain)
+        noise += whole @ _full(told.information - told.more) @ whole
+        grown = _largest(np.linalg.inv(self.variance + _LEAST_VARIANCE) @ noise)
+        rate = np.minimum(_RATE, np.sqrt(_RATE / np.maximum(grown, 1e-12)))  # P grows by a tenth at most
+        rate *= told.information[:, [0, 2]].any(axis=1)
+        each = rate[:, None, None]
+        kept = (1.0 - each) * np.eye(2) + each * gain
+        offset = np.einsum("nij,nj->ni", whole, told.pull)
+        mixed = [
+            _mixed(band.node, rate, features, weight, band.features, band.weight)
+            for features, weight, band in zip(self.features, self.weights, told.bands, strict=True)
+        ]
+        return replace(
+            self,
+            features=tuple(features for features, _ in mixed),
+            weights=tuple(weight for _, weight in mixed),
+            variance=kept @ self.variance @ _transposed(kept) + each**2 * noise,
+            offset=self.offset + rate[:, None] * (offset - self.offset),
+            nodes_px=np.asarray(nodes_px),
+        )
+
+    def bands(self, node: npt.NDArray[np.int32]) -> tuple[Band, ...]:
+        """Return the same as bands to compare with; node: (h, w) of the raster."""
+        nowhere = np.zeros(node.shape, dtype=np.bool_)
+        out = []
+        for features, own in zip(self.features, self.weights, strict=True):
+            slopes, weight = gradients(features, own, np.float32(0.5))
+            out.append(Band(node=node, features=features, gradients=slopes, weight=weight, beside=nowhere))
+        return tuple(out)
+
+
+def remembered_template(bands: tuple[Band, ...], nodes_px: Points2) -> Remembered:
+    """Return the memory of the template frame alone, in which everything is in its place."""
+    count = len(nodes_px)
+    return Remembered(
+        features=tuple(band.features for band in bands),
+        weights=tuple(band.weight for band in bands),
+        variance=np.zeros((count, 2, 2)),
+        offset=np.zeros((count, 2)),
+        nodes_px=np.asarray(nodes_px),
+    )
+
+
+def _full(information: FloatArray) -> npt.NDArray[np.float64]:
+    """(m, 2, 2) of (m, 3)."""
+    return np.asarray(information[:, [0, 1, 1, 2]].reshape(-1, 2, 2))
+
+
+def _upper(matrix: FloatArray) -> npt.NDArray[np.float64]:
+    """(m, 3) of symmetric (m, 2, 2)."""
+    return np.stack([matrix[:, 0, 0], matrix[:, 0, 1], matrix[:, 1, 1]], axis=1)
+
+
+def _transposed(matrix: FloatArray) -> npt.NDArray[np.float64]:
+    return np.swapaxes(matrix, 1, 2)
+
+
+def _largest(matrix: FloatArray) -> npt.NDArray[np.float64]:
+    """Largest eigenvalue (m,) of products (m, 2, 2) of two positive definite matrices."""
+    half = 0.5 * np.trace(matrix, axis1=1, axis2=2)
+    return np.asarray(half + np.sqrt(np.maximum(half**2 - np.linalg.det(matrix), 0.0)))
+
+
+@njit(cache=True)
+def _mixed(node, rate, features, weight, new_features, new_weight):  # type: ignore[no-untyped-def]
+    """Weighted means (h, w, k) and weights (h, w), each node's new ones at its rate."""
+    h, w = node.shape
+    out, total = features.copy(), weight.copy()
+    for v in range(h):
+        for u in range(w):
+            j = node[v, u]
+            if j < 0 or rate[j] <= 0:
+                continue
+            own, new = (1.0 - rate[j]) * weight[v, u], rate[j] * new_weight[v, u]
+            total[v, u] = own + new
+            if own + new > 0:
+                for c in range(features.shape[2]):
+                    out[v, u, c] = (own * features[v, u, c] + new * new_features[v, u, c]) / (own + new)
+    return out, total
