@@ -18,7 +18,7 @@ from vntoolkit.diagnosis.over_time import findings_from_tracks
 from vntoolkit.errors import BadInput, BadMesh, VntError
 from vntoolkit.geometry.mesh import MeshSequence
 from vntoolkit.io.atomic import sole_writer, undisturbed
-from vntoolkit.io.results.sequences import MeshSequenceWriter, read_mesh_sequence, remove_mesh_sequence
+from vntoolkit.io.results.sequences import MeshSequenceWriter, read_mesh_sequence
 from vntoolkit.materials.pixels import MaterialLabels, relit
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
@@ -29,7 +29,10 @@ from vntoolkit.pipeline.tracked_folder import (
     camera_record,
     clear_track,
     open_track_source,
+    read_remembered,
+    remove_backwards,
     require_free,
+    write_remembered,
     write_track_record,
 )
 from vntoolkit.tracking.fixed_pattern import FRAMES_COMPARED, fixed_pattern
@@ -39,6 +42,7 @@ from vntoolkit.tracking.slopes import relief_slopes, slopes_from_normals
 from vntoolkit.tracking.tracker import SurfaceTracker, tracked_frame
 
 _LOGGER = logging.getLogger(__name__)
+_MEMORY_EVERY = 16  # frames that a run killed on the way does again, at most
 
 PaintReader = Callable[[int], Paint]
 
@@ -240,10 +244,12 @@ def _run(
     back, ahead = source.numbers[:at][::-1], source.numbers[at + 1 :]
     rate, mesh, first = source.frame_rate_hz, tracker.mesh, tracker.state
     with MeshSequenceWriter(target, mesh, frame_rate_hz=rate, resume=True) as writer:
+        _as_remembered(writer, tracker, at + 1)
         resumed = writer.frame_count
         if resumed <= at:  # the part before the template is not yet in place
             writer.truncate(0)
             with MeshSequenceWriter(target / "backwards", mesh, frame_rate_hz=rate, resume=True) as backwards:
+                _as_remembered(backwards, tracker, 0)
                 resumed = backwards.frame_count
                 on_start(len(source.numbers), resumed)
                 _follow(tracker, source, (template, *back), backwards, on_frame, paint_of, lead=0)
@@ -254,7 +260,7 @@ def _run(
             on_start(len(source.numbers), resumed)
         tracker.resume(first, first, source.normals(template))
         _follow(tracker, source, (template, *ahead), writer, on_frame, paint_of, lead=at + 1)
-    remove_mesh_sequence(target / "backwards")
+    remove_backwards(target)
     return resumed
 
 
@@ -271,15 +277,31 @@ def _follow(
     done = writer.frame_count - lead
     if done > 0:
         _go_on(tracker, source, numbers[: done + 1], writer.folder, writer.frame_count - 1 - done)
-    for number in numbers[done + 1 :]:
-        if source.has(number):
-            paint = None if paint_of is None else paint_of(number)
-            tracked = tracker.step(*source.maps(number), source.labels(number), paint)
-            writer.append(tracked.vertices_in_camera, tracked.uncertainty_px)
-        else:
-            held, told = tracker.state.vertices_in_camera, tracker.state.uncertainty_px
-            writer.append(held, None if told is None else np.full(len(held), np.inf, dtype=np.float32))
-        on_frame()
+    kept = None
+    try:
+        for number in numbers[done + 1 :]:
+            if source.has(number):
+                paint = None if paint_of is None else paint_of(number)
+                tracked = tracker.step(*source.maps(number), source.labels(number), paint)
+                writer.append(tracked.vertices_in_camera, tracked.uncertainty_px)
+            else:
+                held, told = tracker.state.vertices_in_camera, tracker.state.uncertainty_px
+                writer.append(held, None if told is None else np.full(len(held), np.inf, dtype=np.float32))
+            if tracker.remembered is not None:
+                kept = writer.frame_count, tracker.remembered
+                if writer.frame_count % _MEMORY_EVERY == 0:
+                    write_remembered(writer.folder, *kept)
+            on_frame()
+    finally:
+        if kept is not None:
+            write_remembered(writer.folder, *kept)
+
+
+def _as_remembered(writer: MeshSequenceWriter, tracker: SurfaceTracker, lead: int) -> None:
+    """Forget the frames after the one whose memory is on disk; lead: how many are kept in any case."""
+    if tracker.remembered is not None and writer.frame_count > lead:
+        count, _ = read_remembered(writer.folder, tracker.remembered)
+        writer.truncate(max(count if count <= writer.frame_count else 0, lead))
 
 
 def _go_on(
@@ -297,7 +319,9 @@ def _go_on(
     for i in present[1:][-2:]:
         told = None if sequence.uncertainty_px is None else np.array(sequence.uncertainty_px[row + i])
         states.append(tracked_frame(np.array(sequence.vertices[row + i]), told, source.camera))
-    tracker.resume(states[-2], states[-1], source.normals(done[present[-1]]))
+    kept = tracker.remembered
+    remembered = None if kept is None else read_remembered(folder, kept)[1]
+    tracker.resume(states[-2], states[-1], source.normals(done[present[-1]]), remembered)
 
 
 def _copy_reversed(folder: Path, writer: MeshSequenceWriter, tracker: SurfaceTracker) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,17 +16,20 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.geometry.mesh import Mesh
-from vntoolkit.io.atomic import write_text
+from vntoolkit.io.atomic import atomic_path, write_text
 from vntoolkit.io.files import parse_json, read_text
 from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.maps_and_meshes.arrays import read_npz
 from vntoolkit.io.maps_and_meshes.label_images import read_labels
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
 from vntoolkit.io.results.manifest import read_manifest, result_digest
 from vntoolkit.io.results.sequences import remove_mesh_sequence
 from vntoolkit.io.rigs import camera_from_content, entry_from_camera, rig_from_entry
 from vntoolkit.pipeline.outputs import ReconstructionFolder
+from vntoolkit.tracking.remembered import Remembered
 
 _RECORD = "track.json"
+_MEMORY_NAME = "remembered.npz"  # of the last frame, for a run that goes on
 REFLECTANCE_NAME = "reflectance.npy"  # of every vertex, what `track --refine-albedo` found
 REFINED_NAME = "refined"  # the folder with what it reconstructed again
 _VERSION = 1
@@ -149,6 +152,7 @@ def clear_track(folder: Path) -> None:
     for name in (
         _RECORD,
         REFLECTANCE_NAME,
+        _MEMORY_NAME,
         "checkerboard.mkv",
         "checkerboard.png",
         *(f"texture/{name}" for name in made),
@@ -156,8 +160,40 @@ def clear_track(folder: Path) -> None:
         (folder / name).unlink(missing_ok=True)
     with suppress(OSError):  # something else is left
         (folder / "texture").rmdir()
-    remove_mesh_sequence(folder / "backwards")
+    remove_backwards(folder)
     remove_mesh_sequence(folder)
+
+
+def remove_backwards(folder: Path) -> None:
+    """Remove what was tracked backwards from the template, and is in place now."""
+    (folder / "backwards" / _MEMORY_NAME).unlink(missing_ok=True)
+    remove_mesh_sequence(folder / "backwards")
+
+
+def write_remembered(folder: Path, frame_count: int, remembered: Remembered) -> None:
+    """Write what is remembered after so many frames of the moving mesh in the folder."""
+    with atomic_path(folder / _MEMORY_NAME) as path, path.open("wb") as stream:
+        np.savez(stream, frame_count=frame_count, **vars(remembered))
+
+
+def read_remembered(folder: Path, like: Remembered) -> tuple[int, Remembered]:
+    """Return what `write_remembered` wrote, and after how many frames.
+
+    like: of the same template. Where the folder holds none that is whole and of this template: 0, and that.
+    """
+    path = folder / _MEMORY_NAME
+    if not path.exists():
+        return 0, like
+    try:
+        found = {name: read_npz(path, name) for name in vars(like)}
+        frame_count = int(read_npz(path, "frame_count"))
+        whole = all(
+            found[name].shape == array.shape and np.isfinite(found[name]).all()
+            for name, array in vars(like).items()
+        )
+    except (BadInput, TypeError):
+        return 0, like
+    return (frame_count, replace(like, **found)) if whole else (0, like)
 
 
 def colours_at(vertices: Points, coloured: Mesh) -> Colours:

@@ -30,6 +30,7 @@ from vntoolkit.tracking.slopes import gradients
 
 _RATE = 0.1  # of a frame in the mean: noise of ten averages out, light changes over more
 _LEAST_VARIANCE = 0.08 * np.eye(2)  # px²: a node's share of a window's is no less, by the windows' accuracy
+_CHANNELS = (slice(0, 2), slice(2, 3))  # of relief and of paint
 _LEAST_INFORMATION = 1e-8 * np.eye(2)  # 1/px², so that all can be inverted
 
 
@@ -52,13 +53,13 @@ class Finest(NamedTuple):
 class Remembered:
     """What is remembered of one template's surface.
 
-    features: of relief (h, w, 2) and of paint (h, w, 1), where it is read, on the template's raster. weights:
-    (h, w) theirs. variance: (nodes, 2, 2) P in px² of the template. offset: (nodes, 2). nodes_px: (nodes, 2)
-    where the nodes were when last seen.
+    features: (h, w, 2) of relief, or (h, w, 3) of relief and paint, on the template's raster. weights:
+    (h, w, 1) or (h, w, 2) theirs. variance: (nodes, 2, 2) P in px² of the template. offset: (nodes, 2).
+    nodes_px: (nodes, 2) where the nodes were when last seen.
     """
 
-    features: tuple[npt.NDArray[np.float32], ...]
-    weights: tuple[npt.NDArray[np.float32], ...]
+    features: npt.NDArray[np.float32]
+    weights: npt.NDArray[np.float32]
     variance: npt.NDArray[np.float64]
     offset: npt.NDArray[np.float64]
     nodes_px: npt.NDArray[np.float64]
@@ -92,14 +93,14 @@ class Remembered:
         each = rate[:, None, None]
         kept = (1.0 - each) * np.eye(2) + each * gain
         offset = np.einsum("nij,nj->ni", whole, told.pull)
-        mixed = [
-            _mixed(band.node, rate, features, weight, band.features, band.weight)
-            for features, weight, band in zip(self.features, self.weights, told.bands, strict=True)
-        ]
+        features, weights = self.features.copy(), self.weights.copy()
+        for k, band in enumerate(told.bands):
+            parts = features[..., _CHANNELS[k]], weights[..., k]
+            _mix_in(band.node, rate, *parts, band.features, band.weight)
         return replace(
             self,
-            features=tuple(features for features, _ in mixed),
-            weights=tuple(weight for _, weight in mixed),
+            features=features,
+            weights=weights,
             variance=kept @ self.variance @ _transposed(kept) + each**2 * noise,
             offset=self.offset + rate[:, None] * (offset - self.offset),
             nodes_px=np.asarray(nodes_px),
@@ -109,8 +110,9 @@ class Remembered:
         """Return the same as bands to compare with; node: (h, w) of the raster."""
         nowhere = np.zeros(node.shape, dtype=np.bool_)
         out = []
-        for features, own in zip(self.features, self.weights, strict=True):
-            slopes, weight = gradients(features, own, np.float32(0.5))
+        for k in range(self.weights.shape[2]):
+            features = np.ascontiguousarray(self.features[..., _CHANNELS[k]])
+            slopes, weight = gradients(features, np.ascontiguousarray(self.weights[..., k]), np.float32(0.5))
             out.append(Band(node=node, features=features, gradients=slopes, weight=weight, beside=nowhere))
         return tuple(out)
 
@@ -119,8 +121,8 @@ def remembered_template(bands: tuple[Band, ...], nodes_px: Points2) -> Remembere
     """Return the memory of the template frame alone, in which everything is in its place."""
     count = len(nodes_px)
     return Remembered(
-        features=tuple(band.features for band in bands),
-        weights=tuple(band.weight for band in bands),
+        features=np.concatenate([band.features for band in bands], axis=-1),
+        weights=np.stack([band.weight for band in bands], axis=-1),
         variance=np.zeros((count, 2, 2)),
         offset=np.zeros((count, 2)),
         nodes_px=np.asarray(nodes_px),
@@ -148,18 +150,16 @@ def _largest(matrix: FloatArray) -> npt.NDArray[np.float64]:
 
 
 @njit(cache=True)
-def _mixed(node, rate, features, weight, new_features, new_weight):  # type: ignore[no-untyped-def]
-    """Weighted means (h, w, k) and weights (h, w), each node's new ones at its rate."""
+def _mix_in(node, rate, features, weight, new_features, new_weight):  # type: ignore[no-untyped-def]
+    """Overwrite weighted means (h, w, k) and weights (h, w): new ones come in at each node's rate."""
     h, w = node.shape
-    out, total = features.copy(), weight.copy()
     for v in range(h):
         for u in range(w):
             j = node[v, u]
             if j < 0 or rate[j] <= 0:
                 continue
             own, new = (1.0 - rate[j]) * weight[v, u], rate[j] * new_weight[v, u]
-            total[v, u] = own + new
+            weight[v, u] = own + new
             if own + new > 0:
                 for c in range(features.shape[2]):
-                    out[v, u, c] = (own * features[v, u, c] + new * new_features[v, u, c]) / (own + new)
-    return out, total
+                    features[v, u, c] = (own * features[v, u, c] + new * new_features[v, u, c]) / (own + new)

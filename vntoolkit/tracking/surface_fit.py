@@ -28,6 +28,7 @@ from vntoolkit.tracking.lengths import STRAIN, TURN, LinkLengths, slow_turns, un
 from vntoolkit.tracking.outline import Outline, contour_distance, outline_of_figure
 from vntoolkit.tracking.paint import Paint, PaintImage, paint_image
 from vntoolkit.tracking.registration import Measurement, TemplateRegistration, WindowSteps
+from vntoolkit.tracking.remembered import Remembered
 from vntoolkit.tracking.slopes import (
     Relief,
     Slopes,
@@ -104,6 +105,10 @@ class SurfaceFit:
         self.remembered = self._registration.remembered()
         self._errors = FitErrors(lattice, self._registration, self._lengths)
         self._template_depth = template.vertices_in_camera[:, 2]
+
+    def remember(self, remembered: Remembered | None) -> None:
+        """Go on with what was remembered after an earlier frame; None for the template alone."""
+        self.remembered = self._registration.remembered() if remembered is None else remembered
 
     def fit(
         self,

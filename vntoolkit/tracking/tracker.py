@@ -30,6 +30,7 @@ from vntoolkit.tracking.regularisers import (
     TranslationRegulariser,
     beta_from_smoothing_length,
 )
+from vntoolkit.tracking.remembered import Remembered
 from vntoolkit.tracking.surface_fit import SurfaceFit
 from vntoolkit.tracking.template import TrackingTemplate, template_from_maps
 
@@ -136,10 +137,26 @@ class SurfaceTracker:
         self._previous = normal_map
         return self.state
 
-    def resume(self, before: TrackedFrame, state: TrackedFrame, previous: NormalMap) -> None:
-        """Continue from the results of the last two frames and the last one's normals."""
+    @property
+    def remembered(self) -> Remembered | None:
+        """What the frames so far have shown of the surface; None for a published method."""
+        return None if self._fit is None else self._fit.remembered
+
+    def resume(
+        self,
+        before: TrackedFrame,
+        state: TrackedFrame,
+        previous: NormalMap,
+        remembered: Remembered | None = None,
+    ) -> None:
+        """Continue from the results of the last two frames, the last one's normals, and what is remembered.
+
+        Without the last, nothing but the template is.
+        """
         self._before, self.state, self._previous = before, state, previous
         self._relief = None
+        if self._fit is not None:
+            self._fit.remember(remembered)
 
     def _published_step(self, normal_map: NormalMap, depth_map: DepthMap) -> npt.NDArray[np.floating]:
         """Equations 5 and 6 (flow, and the surface where it leads), then a regulariser."""
