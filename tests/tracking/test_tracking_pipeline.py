@@ -60,8 +60,11 @@ def test_any_frame_can_be_the_template(folder: Path, video: WrinkledVideo, templ
         assert np.median(np.linalg.norm(ended - video.warp(material, k), axis=1)[inside]) < 0.1
 
 
+@pytest.mark.parametrize("killed", [False, True])
 @pytest.mark.parametrize("stop_after", [2, 5])
-def test_an_interrupted_run_ends_in_the_same_bytes(folder: Path, stop_after: int) -> None:
+def test_an_interrupted_run_ends_in_the_same_bytes(folder: Path, stop_after: int, killed: bool) -> None:
+    """One that was killed has no memory of its last frames, and does them again."""
+
     def interrupt() -> None:
         left.pop()
         if not left:
@@ -71,8 +74,12 @@ def test_an_interrupted_run_ends_in_the_same_bytes(folder: Path, stop_after: int
     left = [None] * stop_after
     with pytest.raises(KeyboardInterrupt):
         track(job(folder, template=3, out=folder / "parts"), on_frame=interrupt)
+    memories = list((folder / "parts").rglob("remembered.npz"))
+    assert memories
+    for memory in memories if killed else ():
+        memory.unlink()
     summary = track(job(folder, template=3, out=folder / "parts"))
-    assert summary.resumed > 0
+    assert (summary.resumed > 0) is not (killed and stop_after == 2)
     for name in ("vertices.npy", "uncertainty_px.npy"):
         assert (folder / "parts" / name).read_bytes() == (folder / "whole" / name).read_bytes()
     assert not (folder / "parts" / "backwards").exists()

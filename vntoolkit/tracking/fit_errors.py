@@ -47,6 +47,7 @@ class FitErrors:
         for windows in registration.windows:
             alike = _unit(lattice.smoothed(rng.standard_normal((m, 2 * _SAMPLES)), windows.passes))
             self._windows.append((alike / np.sqrt(windows.nodes)).reshape(shape))
+        self._windows.append(self._windows[0])  # of what is remembered: it errs as the finest relief does
         self._outline = rng.standard_normal(shape)
         local = _unit(lattice.smoothed(rng.standard_normal((m, 4 * _SAMPLES)), STRAIN_PASSES))
         terms = _polynomials(lengths.centres)[:, 1:]  # the first is uniform: it is solved for

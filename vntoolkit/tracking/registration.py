@@ -1,13 +1,13 @@
 """What a frame tells about where the template is, with the information that it really has.
 
-The frame's slopes are sampled at the vertices, pulled back into the template by the transposed Jacobian (they
-are the gradient of log Z) and compared with the template's, band by band: what is left of them after a
-Gaussian is taken off three times, at full resolution and at halvings. A fine band is relief that sits on the
-surface. A coarse one is its shape, which may bend: its residual then is large, and it tells little. Beside an
-occluding contour slopes grow without bound, on a smooth surface too. What a band finds there stays with the
-contour while the surface turns beneath it. The finest band is not compared there. The others are, and how far
-the surface may have slid enters the expected error. Paint (`paint`) is compared in the same way, as a
-measurement of its own: in all bands it stays in place.
+The frame's slopes, pulled back into the template (`bands`), are compared with the template's, band by band:
+what is left of them after a Gaussian is taken off three times, at full resolution and at halvings. A fine
+band is relief that sits on the surface. A coarse one is its shape, which may bend: its residual then is
+large, and it tells little. Beside an occluding contour slopes grow without bound, on a smooth surface too.
+What a band finds there stays with the contour while the surface turns beneath it. The finest band is not
+compared there. The others are, and how far the surface may have slid enters the expected error. Paint
+(`paint`) is compared in the same way, as a measurement of its own: in all bands it stays in place. The finest
+bands are also compared with what earlier frames have shown (`remembered`).
 
 Template f and frame g differ by noise and by the displacement d: g − f = F d + noise. Over a window, with
 F = ½(∇f + ∇g), the moments b = −Σ Fᵀ(g − f), H = Σ FᵀF and A = Σ ∇fᵀ∇g give d = A⁻¹ b. A is made of what both
@@ -31,7 +31,7 @@ from vntoolkit.native import njit
 from vntoolkit.tracking.bands import RIM_PX, Band, TemplateRaster
 from vntoolkit.tracking.lattice import NODES_BY_PASS, TemplateLattice
 from vntoolkit.tracking.paint import PaintImage
-from vntoolkit.tracking.remembered import Finest, Remembered, remembered_template
+from vntoolkit.tracking.remembered import Finest, Remembered, remembered_template, what_exceeds
 from vntoolkit.tracking.slopes import Relief
 from vntoolkit.tracking.template import TrackingTemplate
 
@@ -71,6 +71,7 @@ class Windows(NamedTuple):
 
 
 _RELIEF = Windows(0, 2, 0.1)
+_WIDE_RELIEF = Windows(0, 6, 0.3)  # against what is remembered, where the narrow ones tell less
 _FAINT_RELIEF = Windows(1, 24, 0.3)  # under noise, so that chance is small; where the first tells nothing
 _WINDOWS = (_RELIEF, _FAINT_RELIEF, Windows(1, 5, 0.9), Windows(2, 8, 5.4))
 _PAINT = (Windows(0, 2, 0.1), Windows(1, 5, 0.3), Windows(2, 8, 0.9))
@@ -96,8 +97,9 @@ class Measurement:
 
     match: (nodes,) the share of the finest band's gradients that template and frame have in common, 0 to 1;
     expected: (nodes,) the share they would have if only noise told them apart. found: (nodes,) the
-    greatest share of any windows. windows: what those of each kind measured. finest: what the finest bands
-    tell. correlated_px: for each kind of windows on relief, (nodes,) how many pixels agree by chance.
+    greatest share of any windows. windows: what those of each kind measured, and last what is remembered
+    adds. finest: what the finest bands tell. correlated_px: for each kind of windows on relief, (nodes,) how
+    many pixels agree by chance.
     """
 
     information: npt.NDArray[np.float64]
@@ -205,17 +207,18 @@ class TemplateRegistration:
                 painted.append(told)
                 ratios.append(ratio)
         seen = (frame, theirs) if self._paint_bands else (frame,)
-        finest = self._finest([steps[0], *painted[:1]], tuple(bands[0] for bands in seen))
+        alone = self._finest([steps[0], *painted[:1]], tuple(bands[0] for bands in seen))
+        finest = alone
         if remembered is not None:
-            finest = self._with_remembered(finest, remembered, positions_px, correlated_px[0])
-            steps[0] = replace(steps[0], information=steps[0].information + finest.more)
+            finest = self._with_remembered(alone, remembered, positions_px, correlated_px[0])
         unknown = self._unknown_around(finest.information)
         for k, windows in enumerate(self._relief_windows[1:], 1):
             beside = self._beside_contours(windows.halvings, frame)
             slide_px = RIM_PX * 2.0**windows.halvings * unknown * beside
             steps[k] = replace(steps[k], slide_px=slide_px)
         coarser = steps[1:] + painted[1:]
-        steps += painted
+        pull = finest.pull - alone.pull
+        steps += [*painted, WindowSteps(information=finest.more, pull=pull, slide_px=np.zeros(count))]
         return Measurement(
             information=finest.information + sum(told.information for told in coarser),
             pull=finest.pull + sum(told.pull for told in coarser),
@@ -249,17 +252,22 @@ class TemplateRegistration:
         moved_px = np.hypot(*(self._nodes(positions_px) - remembered.nodes_px).T)
         alike = (correlated_px, np.full(len(correlated_px), float(correlated_px.max())))
         patterns = (self._pattern, self._paint_pattern)
-        told = []
-        for k, pair in enumerate(zip(remembered.bands(self._raster.node), finest.bands, strict=True)):
-            own = self._with_pattern(_moments_of(*pair, self._lattice.count), 0, moved_px, patterns[k])
-            told.append(self._told(own, _RELIEF, alike[k])[0])
-        against = self._finest(told, finest.bands)
-        more, pull = remembered.beyond(finest.information, against.information, against.pull)
+        own = [
+            self._with_pattern(_moments_of(*pair, self._lattice.count), 0, moved_px, patterns[k])
+            for k, pair in enumerate(zip(remembered.bands(self._raster.node), finest.bands, strict=True))
+        ]
+        narrow, wide = (
+            self._finest([self._told(each, windows, alike[k])[0] for k, each in enumerate(own)], finest.bands)
+            for windows in (_RELIEF, _WIDE_RELIEF)
+        )
+        against, against_pull = what_exceeds(narrow.information, wide.information, wide.pull)
+        against, against_pull = against + narrow.information, against_pull + narrow.pull
+        more, pull = remembered.beyond(finest.information, against, against_pull)
         return Finest(
             bands=finest.bands,
             information=finest.information + more,
             pull=finest.pull + pull,
-            against=against.information,
+            against=against,
             more=more,
         )
 

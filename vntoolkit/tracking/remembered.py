@@ -7,9 +7,10 @@ stays in it. Noise, the steps of dark bytes and the edges of shadows move over t
 comparison with the frame before alone would follow them.
 
 What is remembered may lie off its place, by errors of variance P. A frame registered by it, with information
-J, has these errors and η of variance J⁻¹ besides. Mixed in at a rate α it leaves α η: P grows by α² J⁻¹, and
-falls where the template tells again. The template's errors and these come from the same frames. So they do
-not add: in every direction the one counts that tells more.
+J, has these errors and η of variance J⁻¹ besides. Mixed in at a rate α it leaves α η: P grows with α² J⁻¹,
+and falls where the template tells again. Where J is so small that P would grow fast, α is less. The
+template's errors and these come from the same frames. So they do not add: in every direction the one counts
+that tells more.
 
 The fit also obeys lengths, which only guess. What was measured alone would have put a node elsewhere: that
 `offset` is kept, else a guess would pull anew in each frame, and the surface would creep there.
@@ -29,6 +30,7 @@ from vntoolkit.tracking.bands import Band
 from vntoolkit.tracking.slopes import gradients
 
 _RATE = 0.1  # of a frame in the mean: noise of ten averages out, light changes over more
+_ALIKE = 3.0  # frames that follow one another err alike, by the same light: so many count as one
 _LEAST_VARIANCE = 0.08 * np.eye(2)  # px²: a node's share of a window's is no less, by the windows' accuracy
 _CHANNELS = (slice(0, 2), slice(2, 3))  # of relief and of paint
 _LEAST_INFORMATION = 1e-8 * np.eye(2)  # 1/px², so that all can be inverted
@@ -74,12 +76,7 @@ class Remembered:
         told = _full(against) + _LEAST_INFORMATION
         found = np.linalg.solve(told, pull[..., None])[..., 0] + self.offset
         information = np.linalg.inv(self.variance + np.linalg.inv(told))
-        root = np.linalg.cholesky(_full(fine) + _LEAST_INFORMATION)
-        back = np.linalg.inv(root)
-        value, vector = np.linalg.eigh(back @ information @ _transposed(back))
-        kept = root @ vector
-        more = (kept * np.maximum(value - 1.0, 0.0)[:, None, :]) @ _transposed(kept)
-        return _upper(more), np.einsum("nij,nj->ni", more, found)
+        return what_exceeds(fine, _upper(information), np.einsum("nij,nj->ni", information, found))
 
     def with_frame(self, told: Finest, nodes_px: Points2) -> Remembered:
         """Mix in a frame, where it was measured; nodes_px: (nodes, 2) there."""
@@ -101,7 +98,7 @@ class Remembered:
             self,
             features=features,
             weights=weights,
-            variance=kept @ self.variance @ _transposed(kept) + each**2 * noise,
+            variance=kept @ self.variance @ _transposed(kept) + _ALIKE * each**2 * noise,
             offset=self.offset + rate[:, None] * (offset - self.offset),
             nodes_px=np.asarray(nodes_px),
         )
@@ -115,6 +112,23 @@ class Remembered:
             slopes, weight = gradients(features, np.ascontiguousarray(self.weights[..., k]), np.float32(0.5))
             out.append(Band(node=node, features=features, gradients=slopes, weight=weight, beside=nowhere))
         return tuple(out)
+
+
+def what_exceeds(
+    information: FloatArray, other: FloatArray, pull: FloatArray
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return by how much the other information (m, 3) exceeds, in every direction, and its pull (m, 2).
+
+    pull: (m, 2) all of the other's.
+    """
+    whole = _full(other) + _LEAST_INFORMATION
+    root = np.linalg.cholesky(_full(information) + _LEAST_INFORMATION)
+    back = np.linalg.inv(root)
+    value, vector = np.linalg.eigh(back @ whole @ _transposed(back))
+    kept = root @ vector
+    more = (kept * np.maximum(value - 1.0, 0.0)[:, None, :]) @ _transposed(kept)
+    found = np.linalg.solve(whole, pull[..., None])
+    return _upper(more), (more @ found)[..., 0]
 
 
 def remembered_template(bands: tuple[Band, ...], nodes_px: Points2) -> Remembered:
