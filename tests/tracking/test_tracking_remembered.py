@@ -7,6 +7,7 @@ import pytest
 
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
+from vntoolkit.tracking import surface_fit
 from vntoolkit.tracking.bands import Band
 from vntoolkit.tracking.remembered import Finest, Remembered, remembered_template, what_exceeds
 from vntoolkit.tracking.tracker import SurfaceTracker
@@ -47,20 +48,31 @@ def frame(number: int) -> tuple[NormalMap, DepthMap]:
     )
 
 
-def error_on_disc(last: int = 30) -> float:
+def on_disc(last: int = 30) -> tuple[float, float]:
+    """Median error on the disc, and median of what is expected."""
     tracker = SurfaceTracker(*frame(0), CAMERA)
     for number in range(1, last + 1):
         tracked = tracker.step(*frame(number))
     pixels = tracker.template.positions_px
     inner = np.hypot(*(pixels - [80, 60]).T) < 20
-    return float(np.median(np.hypot(*(tracked.positions_px - pixels - [0.3 * last, 0.0])[inner].T)))
+    error = np.hypot(*(tracked.positions_px - pixels - [0.3 * last, 0.0]).T)
+    return float(np.median(error[inner])), float(np.median(tracked.uncertainty_px[inner]))
 
 
 def test_relief_that_turns_into_another_is_followed(monkeypatch: pytest.MonkeyPatch) -> None:
     """As under light that changes: the template tells nothing of it any more."""
-    assert error_on_disc() < 1.5
+    assert on_disc()[0] < 1.5
     monkeypatch.setattr(Remembered, "with_frame", lambda self, told, nodes_px: self)
-    assert error_on_disc() > 3.0
+    assert on_disc()[0] > 3.0
+
+
+def test_what_is_remembered_is_doubted_where_the_template_does_not_match(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """That it follows another relief rightly, nothing but itself says."""
+    doubted = on_disc()[1]
+    monkeypatch.setattr(surface_fit, "_HALF_WAVE_PX", 0.0)
+    assert on_disc()[1] < 0.5 * doubted
 
 
 def finest(information: float, more: float, against: float, offset: tuple[float, float] = (0, 0)) -> Finest:

@@ -8,8 +8,9 @@ Where relief that should match does not, the surface has departed from what is f
 matches elsewhere tells how far: strain counts there as given, and more.
 
 The finest relief sits on the surface. Shapes beside an occluding contour may stay in place while the surface
-turns beneath them: windows that see them then all have the same error. All lengths share one error too: the
-difference between their two guesses.
+turns beneath them: windows that see them then all have the same error. So have those on what is remembered of
+a place that the template no longer matches: it may have been remembered off its place. All lengths share one
+error too: the difference between their two guesses.
 
 A share of the strain varies as slowly as the figure is large. It adds up farthest, along borders that
 nothing holds most of all, and leaves next to nothing that could be compared: it counts as given.

@@ -55,6 +55,7 @@ _BETTER_MATCH = 0.1  # by which that must match better
 _HIDDEN = 0.25  # share hidden from which a depth is not that of the pixel that a vertex lies in
 _TELLING = (0.2, 0.5)  # expected match from which a mismatch begins to tell that the surface is hidden …
 _WARNING = (0.1, 0.3)  # … or that it is not known where it is: a vertex too many in doubt does less harm
+_HALF_WAVE_PX = 8.0  # of the longest relief in the finest band: where that does not match, it is so far off
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -178,15 +179,17 @@ class SurfaceFit:
             if np.mean(np.maximum(*np.abs(step.T)) < enough) > _MOST:
                 break
         self.remembered = self._registration.mixed_in(self.remembered, told, measured_at)
-        windows = _in_frame(told.windows, inverse)
+        mismatched = self._mismatched(told, _WARNING)
+        *measured_by, by_memory = _in_frame(told.windows, inverse)
+        by_memory = replace(by_memory, slide_px=_HALF_WAVE_PX * mismatched)
         square = self._errors.square(
             solution,
-            windows,
+            [*measured_by, by_memory],
             outline,
             np.sqrt(variance),
             strains,
             guess.doubt,
-            self._mismatched(told, _WARNING),
+            mismatched,
         )
         square = (
             square + lengths.between(solution.left, guess.torn) + self._of_the_whole(information + outline)
