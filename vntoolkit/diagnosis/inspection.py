@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,7 +29,13 @@ from vntoolkit.diagnosis.over_time import (
     findings_from_motion,
 )
 from vntoolkit.diagnosis.rig_checks import check_stated_focal
-from vntoolkit.diagnosis.sharpness import findings_from_sharpness, fit_sharpness
+from vntoolkit.diagnosis.sharpness import (
+    OF_INTERPOLATION_PX,
+    Sharpness,
+    colour_is_interpolated,
+    findings_from_sharpness,
+    fit_sharpness,
+)
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.footage.captures import Capture, CaptureInfo, CaptureOptions, open_capture
 from vntoolkit.io.footage.mattes import MatteOptions, Mattes, open_mattes
@@ -339,7 +346,7 @@ def _findings_from_range(brightest: float) -> list[Finding]:
 class Examination:
     """findings: what a capture tells. nearness: of the lamps, as far as established; see `Nearness`.
 
-    blur_px: standard deviation of the picture's blur, 0 where nothing tells it; see `Sharpness`.
+    blur_px: standard deviation of the blur of the picture's colours, 0 where nothing tells it; see `Sharpness`.
     """
 
     findings: list[Finding]
@@ -409,8 +416,15 @@ def examine_capture(
     return Examination(
         findings=findings,
         nearness=0.0 if near is None else near.established,
-        blur_px=0.0 if sharpness is None else sharpness.over_all_px,
+        blur_px=_blur_of_colours(sharpness, capture.info.chroma, frames[places[0]]),
     )
+
+
+def _blur_of_colours(sharpness: Sharpness | None, chroma: str, frame: LinearFrame) -> float:
+    blur_px = 0.0 if sharpness is None else sharpness.over_all_px
+    if chroma in _CHROMA_COST_DEG or colour_is_interpolated(frame):
+        return math.hypot(blur_px, OF_INTERPOLATION_PX)
+    return blur_px
 
 
 def findings_from_frames(

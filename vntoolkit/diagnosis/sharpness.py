@@ -7,6 +7,10 @@ away it gets darker before it ends, over more pixels than the blur. The slopes a
 a wider one: such places do not count, and of what remains the sharper quarter does. Motion blurs only edges
 across its direction.
 
+Colour is often told by every second pixel only: through a mosaic of filters, or by a codec that halves it. What
+lies between is interpolated, which blurs by ½ px², and leaves pixels that are smoother than those beside them, at
+every second place (popescu2005).
+
 Sharpening, in a camera or after it, makes steps steeper than a pixel's own area does, with a rim inside them
 that is too bright. A picture made smaller is steep too, but has no such rim.
 """
@@ -42,9 +46,12 @@ _SHARPER = 25  # per cent of the places …
 _SHARPEST = 5  # … of one direction only, which may be that of a limb, whose sides all turn away
 _DIRECTIONS = 4
 _OF_WIDE = 0.5  # of what is as wide as blur: where the picture is sharp, nearly all of it turns away
+_MOST_ROUGH = 10.0  # times the median: an outline is no noise
 _FLAT = 0.015  # a pixel, of the step: beside a surface that turns away nothing tells what is too bright
 # Own scenes, another renderer's and photographs have 0.5 to 1.0 pixels, and up to 1.3 along a limb.
 _BLURRED_PX = 1.5
+OF_INTERPOLATION_PX = math.sqrt(0.5)
+_EVERY_SECOND = 1.2  # the rougher pixels over the smoother; mosaics make 1.28 to 1.8, other footage up to 1.17
 _STEEP_PX, _OVERSHOOT = 0.4, 0.03  # a picture made smaller has 0.3 and 0.01, the noisiest 0.5 and 0.03
 
 
@@ -81,6 +88,23 @@ def fit_sharpness(frames: Sequence[LinearFrame], mask: Mask | None = None) -> Sh
         overshoot=float(np.median([seen.overshoot for seen in found])),
         edges=sum(seen.edges for seen in found),
     )
+
+
+def colour_is_interpolated(frame: LinearFrame) -> bool:
+    """True where red and green differ more smoothly at every second pixel of a frame of full resolution."""
+    rgb = np.asarray(frame.rgb, np.float32)
+    brightest = cv2.GaussianBlur(brightest_channel(rgb), (0, 0), 2.0)
+    subject = ((brightest > _LIT * np.percentile(brightest[::4, ::4], 99)) & ~frame.clipped).astype(np.uint8)
+    subject = np.asarray(cv2.erode(subject, np.ones((5, 5), np.uint8), borderValue=0))
+    difference = rgb[..., 0] - rgb[..., 1]
+    beside = np.array([[0, 0.25, 0], [0.25, -1, 0.25], [0, 0.25, 0]], np.float32)
+    rough = np.abs(cv2.filter2D(difference, -1, beside))
+    rough = np.minimum(rough, _MOST_ROUGH * float(np.median(rough[subject > 0])) if subject.any() else 0.0)
+    four = [(rough[v::2, u::2], subject[v::2, u::2] > 0) for v in range(2) for u in range(2)]
+    if min(int(inside.sum()) for _, inside in four) < _FEWEST:
+        return False
+    means = [float(values[inside].mean()) for values, inside in four]
+    return max(means) > _EVERY_SECOND * max(min(means), 1e-9)
 
 
 def findings_from_sharpness(seen: Sharpness) -> list[Finding]:

@@ -43,7 +43,7 @@ from vntoolkit.normals.inversion import (
     require_mask_or_all,
     rows_of,
 )
-from vntoolkit.normals.lost_detail import NOISE_IN_DIFFERENCES, detail_kernel, side_of_squares
+from vntoolkit.normals.lost_detail import LEAST_BLUR_PX, detail_kernel, lost_over_left, side_of_squares
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
 from vntoolkit.photometry.levelling import FLAGS, leveller_of, map_row
 from vntoolkit.photometry.near_lamps import changes_of_near_lamps
@@ -57,8 +57,6 @@ _OF_ELLIPSOID = 3.4  # also stands for the rotation, which leaves no trace
 _OF_NEARNESS = 1.3
 _OF_RESIDUAL = 1.1  # of a median
 _OF_LENGTH = 2.5  # radians over log length
-_OF_DETAIL = 3.0  # of the variance of relief as wide as the blur; between own scenes and wider ones
-_LEAST_BLUR_PX = 0.75  # what a sharper picture loses is less than its other errors
 _BY_LIGHTS_DEG = (46.0, 34.0, 31.0, 0.0)  # of a pixel that 0, 1, 2, 3 lights reach
 _DARK_CHANNEL_DEG = 20.0  # of a pixel with a channel without light, which falls …
 _DARK_CHANNEL = 0.45  # … to 0 at this share of the channel's largest value
@@ -71,6 +69,9 @@ _EDGE_PX = 4  # from the subject's edge, which blur and subsampled chroma mix wi
 _EDGE_SHARE = np.float32(1e-4)  # … a pixel tells of noise only where none farther in does
 _BESIDE_PX = 2  # to either side: one departure is a poor sample of how far normals depart there
 _LEAST_FACING = np.float32(0.1)
+# Standard deviations over the median size of 16 normally distributed numbers.
+_PER_MEDIAN = np.float32(1.4826 / math.sqrt(1.085))
+_LEAST_LIGHT = 0.3  # of the length that a twentieth exceeds: what is darker is backdrop, hair, another paint
 _SAMPLES = 1000
 _MOST_PER_KNOWN = 20  # places of the grid that are looked at for a sample
 _ROUNDS = 4
@@ -241,7 +242,7 @@ def _evidence(
     _curl_kernel(rows_of(light.image), light.table, light.maps, mask, c, found)
     rows, ellipsoid = np.empty((cells[0], mask.shape[1]), np.float32), np.empty(31)
     _whole_frame_kernel(light, mask, labels, c, found, noise, rows, ellipsoid)
-    if blur_px >= _LEAST_BLUR_PX:
+    if blur_px >= LEAST_BLUR_PX:
         rows += _lost_by_blur(light, mask, labels, c, noise, ellipsoid[0], blur_px)
     fixed = (_OF_RESIDUAL * max(residual_deg, 0.0)) ** 2
     by_noise = 2.0 * c.along  # of a squared departure: what noise rarely makes
@@ -255,15 +256,14 @@ def _lost_by_blur(
 ) -> Any:  # fmt: skip
     """Return what blur has turned normals by, as noise would, by rows of cells: (⌈h/16⌉, w), radians²."""
     image, table, clipped, white, maps = light
-    side, found = side_of_squares(blur_px), np.zeros((2, *noise.shape), np.float32)
+    side, found = side_of_squares(blur_px), np.zeros((3, *noise.shape), np.float32)
     detail_kernel(
         rows_of(image), table, clipped, white, maps, mask, labels, c.inverse, c.ambient,
         np.float32(inverse_albedo), side, found,
     )  # fmt: skip
     left, rows = np.empty_like(noise), np.empty((len(noise), mask.shape[1]), np.float32)
-    _noise_of_cells(found, left)
-    left = np.maximum(left - np.float32(NOISE_IN_DIFFERENCES / side**2) * noise, np.float32(0.0))
-    _along_rows(np.float32(_OF_DETAIL * (blur_px / side) ** 4) * left, rows)
+    _noise_of_cells(found[:2], left)
+    _along_rows(np.float32(lost_over_left(found, blur_px, side)) * np.maximum(left, np.float32(0.0)), rows)
     return rows
 
 
@@ -295,7 +295,23 @@ def _whole_frame_kernel(
     samples = np.empty((5, -(-mask.shape[0] // step) * -(-mask.shape[1] // step)))
     image, table, clipped, white, maps = light
     count = _samples_kernel(image, table, clipped, white, maps, mask, labels, c, step, samples)
+    count = _bright_samples(samples[:, :count])
     _fit_ellipsoid(samples[:, :count], mask.shape, c.nearness, ellipsoid)
+
+
+@njit(cache=True)
+def _bright_samples(samples: Any) -> int:
+    """Move the samples, (5, n), that are no backdrop to the front; return how many there are."""
+    count = samples.shape[1]
+    if not count:
+        return 0
+    squares = samples[0] ** 2 + samples[1] ** 2 + samples[2] ** 2
+    least, kept = _LEAST_LIGHT**2 * np.sort(squares)[count - 1 - count // 20], 0
+    for i in range(count):
+        if squares[i] > least:
+            samples[:, kept] = samples[:, i]
+            kept += 1
+    return kept
 
 
 @njit(cache=True, fastmath=FLAGS | {"reassoc"}, error_model="numpy")
@@ -524,12 +540,12 @@ def _curl_row(
     up, down, q_before, q_after = above[1 : inner + 1], below[1 : inner + 1], q[:inner], q[2:]
     up_known, down_known = above_known[1 : inner + 1], below_known[1 : inner + 1]
     to_found, to_places = found[1 : inner + 1], places[1 : inner + 1]
-    share = np.zeros(inner, np.float32)
+    counted = np.zeros(inner, np.float32)
     reach = 2 * _EDGE_PX + 1
     if width > reach:
         left, right = known[: width - reach + 1], known[reach - 1 :]
         over, under = top_known[_EDGE_PX:], bottom_known[_EDGE_PX:]
-        to_share = share[_EDGE_PX - 1 : width - _EDGE_PX - 1]
+        to_share = counted[_EDGE_PX - 1 : width - _EDGE_PX - 1]
         for u in range(len(to_share)):
             farther = min(left[u], right[u], over[u], under[u]) > zero
             to_share[u] = one if farther else zero
@@ -537,15 +553,31 @@ def _curl_row(
         across, along = min(before[u], after[u]), min(up_known[u], down_known[u])
         good = (across > zero) & (along > zero) & (here[u] > zero)
         angle = half * ((down[u] - up[u]) - (q_after[u] - q_before[u])) * here[u]
-        counted = max(share[u], _EDGE_SHARE) if good else zero
-        to_found[u] = counted * min(angle * angle, one)
-        to_places[u] = counted
+        to_found[u] = abs(angle)
+        to_places[u] = max(counted[u], _EDGE_SHARE) if good else zero
     for k in range(len(sums)):
-        total, count = zero, zero
-        for i in range(_CELL):
-            total += found[k * _CELL + i]
-            count += places[k * _CELL + i]
-        sums[k], counts[k] = total, count
+        sums[k], counts[k] = _median_square(found[k * _CELL : (k + 1) * _CELL], places[k * _CELL : (k + 1) * _CELL])
+
+
+@njit(cache=True)
+def _median_square(angles: Any, weights: Any) -> tuple[np.float32, np.float32]:
+    """Return the variance of normal angles whose absolute values these are, by their median, and its weight.
+
+    Of those with the largest weight. The variance comes times the weight, as a sum.
+    """
+    largest, count = weights.max(), 0
+    ordered = np.empty(len(angles), np.float32)
+    for i in range(len(angles)):
+        if weights[i] == largest:
+            at = count
+            while at > 0 and ordered[at - 1] > angles[i]:
+                ordered[at] = ordered[at - 1]
+                at -= 1
+            ordered[at] = angles[i]
+            count += 1
+    median = np.float32(0.5) * (ordered[(count - 1) // 2] + ordered[count // 2]) * _PER_MEDIAN
+    weight = largest * np.float32(count)
+    return weight * min(median * median, np.float32(1.0)), weight
 
 
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")
