@@ -15,8 +15,7 @@ Seven independent errors add up in squares. Each is measured where it shows:
 - the rig's own residual is what its calibration could not explain;
 - what departs from the ellipsoid at a pixel or beside it is relief finer than pixels, another paint, gloss,
   saturation, or light from elsewhere;
-- where a light is missing the normal rests on its surroundings. A channel that is nearly dark may be such a
-  place that no label tells of.
+- where a light is missing the normal rests on its surroundings.
 """
 
 from __future__ import annotations
@@ -58,8 +57,6 @@ _OF_NEARNESS = 1.3
 _OF_RESIDUAL = 1.1  # of a median
 _OF_LENGTH = 2.5  # radians over log length
 _BY_LIGHTS_DEG = (46.0, 34.0, 31.0, 0.0)  # of a pixel that 0, 1, 2, 3 lights reach
-_DARK_CHANNEL_DEG = 20.0  # of a pixel with a channel without light, which falls …
-_DARK_CHANNEL = 0.45  # … to 0 at this share of the channel's largest value
 # A sphere shows nine tenths of its image within this angle of the axis: what a guess without data is worth.
 _LARGEST_DEG = np.float32(71.6)
 _HALF_WEIGHT_DEG = 12.0
@@ -71,7 +68,7 @@ _BESIDE_PX = 2  # to either side: one departure is a poor sample of how far norm
 _LEAST_FACING = np.float32(0.1)
 # Standard deviations over the median size of 16 normally distributed numbers.
 _PER_MEDIAN = np.float32(1.4826 / math.sqrt(1.085))
-_LEAST_LIGHT = 0.3  # of the length that a twentieth exceeds: what is darker is backdrop, hair, another paint
+_LEAST_LIGHT, _GRID_PIXELS = 0.3, 4000  # of the length that a fiftieth exceeds, over a grid of pixels
 _SAMPLES = 1000
 _MOST_PER_KNOWN = 20  # places of the grid that are looked at for a sample
 _ROUNDS = 4
@@ -89,8 +86,6 @@ _PER_NOISE = np.float32(np.degrees(NINE_OF_TEN) ** 2)
 _PER_TURN = np.float32(np.degrees(_OF_ELLIPSOID) ** 2)
 _PER_NEARNESS = np.float32(np.degrees(_OF_NEARNESS) ** 2)
 _PER_DEPARTURE = np.float32(np.degrees(_OF_LENGTH) ** 2)
-_PER_FALL = np.float32(_DARK_CHANNEL_DEG**2)
-_PER_DARK_CHANNEL = np.float32(1.0 / _DARK_CHANNEL)
 _PER_HALF_WEIGHT = np.float32(1.0 / _HALF_WEIGHT_DEG)
 _BY_LABEL = np.array([_BY_LIGHTS_DEG[bin(label).count("1")] ** 2 for label in range(8)], np.float32)
 
@@ -186,7 +181,7 @@ class _Light(NamedTuple):
 class _Coefficients(NamedTuple):
     """What the loops need to know, float32.
 
-    inverse: M⁻¹ at the centre, (3, 3). ambient: (3,). channel: 1 / |row of M|, (3,). rays: (6,), an affine
+    inverse: M⁻¹ at the centre, (3, 3). ambient: (3,). rays: (6,), an affine
     map from a pixel to its ray. along: variance of equal noise in all channels along a normal that faces the
     camera, over that across it. darkest: length of M⁻¹(r − a) below which a pixel is black. nearness:
     (2, 3, 3, 3), M⁻¹ΔM a step to the right or down makes with each lamp, times the lamp's distance over the
@@ -195,7 +190,6 @@ class _Coefficients(NamedTuple):
 
     inverse: Any
     ambient: Any
-    channel: Any
     rays: Any
     along: np.float32
     darkest: np.float32
@@ -211,12 +205,10 @@ def _coefficients(
         rays = np.column_stack([inverse, -inverse @ camera.matrix[:2, 2]]).ravel()
     spread = response.inverse @ response.inverse.T
     along = 2.0 * spread[2, 2] / max(float(np.trace(spread) - spread[2, 2]), 1e-12)
-    rows = np.maximum(np.linalg.norm(response.matrix, axis=1) * relative_albedo, 1e-9)
     nearness = np.einsum("ij,akjl->akil", response.inverse, changes_of_near_lamps(response))
     return _Coefficients(
         inverse=(response.inverse / relative_albedo).astype(np.float32),
         ambient=response.ambient.astype(np.float32),
-        channel=(1.0 / rows).astype(np.float32),
         rays=rays.astype(np.float32),
         along=np.float32(along),
         darkest=np.float32(darkest),
@@ -239,14 +231,16 @@ def _evidence(
     """
     cells = tuple(-(-n // _CELL) for n in mask.shape)
     found, noise = np.zeros((2, *cells), np.float32), np.empty(cells, np.float32)
+    least = _least_length(light.image, light.table, mask, c)
+    c = c._replace(darkest=np.float32(least))
     _curl_kernel(rows_of(light.image), light.table, light.maps, mask, c, found)
     rows, ellipsoid = np.empty((cells[0], mask.shape[1]), np.float32), np.empty(31)
     _whole_frame_kernel(light, mask, labels, c, found, noise, rows, ellipsoid)
     if blur_px >= LEAST_BLUR_PX:
         rows += _lost_by_blur(light, mask, labels, c, noise, ellipsoid[0], blur_px)
     fixed = (_OF_RESIDUAL * max(residual_deg, 0.0)) ** 2
-    by_noise = 2.0 * c.along  # of a squared departure: what noise rarely makes
-    constants = np.concatenate([c.inverse.ravel(), c.ambient, c.channel, (fixed, by_noise), ellipsoid])
+    by_noise = 2.0 * c.along  # of a squared departure: what noise rarely makes where normals face the camera
+    constants = np.concatenate([c.inverse.ravel(), c.ambient, (fixed, by_noise), ellipsoid])
     return np.sqrt(_PER_NOISE * noise), rows, constants.astype(np.float32)
 
 
@@ -295,23 +289,43 @@ def _whole_frame_kernel(
     samples = np.empty((5, -(-mask.shape[0] // step) * -(-mask.shape[1] // step)))
     image, table, clipped, white, maps = light
     count = _samples_kernel(image, table, clipped, white, maps, mask, labels, c, step, samples)
-    count = _bright_samples(samples[:, :count])
     _fit_ellipsoid(samples[:, :count], mask.shape, c.nearness, ellipsoid)
-
-
-@njit(cache=True)
-def _bright_samples(samples: Any) -> int:
-    """Move the samples, (5, n), that are no backdrop to the front; return how many there are."""
-    count = samples.shape[1]
-    if not count:
-        return 0
-    squares = samples[0] ** 2 + samples[1] ** 2 + samples[2] ** 2
-    least, kept = _LEAST_LIGHT**2 * np.sort(squares)[count - 1 - count // 20], 0
+    departures, around = np.zeros((2, *noise.shape), np.float32), np.empty_like(noise)
     for i in range(count):
-        if squares[i] > least:
-            samples[:, kept] = samples[:, i]
-            kept += 1
-    return kept
+        v, u = int(samples[4, i]) // _CELL, int(samples[3, i]) // _CELL
+        departures[0, v, u] += np.float32(samples[0, i])
+        departures[1, v, u] += np.float32(1.0)
+    _noise_of_cells(departures, around)
+    widths = np.empty_like(rows)
+    _along_rows(around, widths)
+    rows += np.float32(_OF_LENGTH**2 / NINE_OF_TEN**2) * widths
+
+
+@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+def _least_length(image: Any, table: Any, mask: Mask, c: _Coefficients) -> np.float32:
+    """Return the length of M⁻¹(r − a) below which a pixel is backdrop, hair, or another paint."""
+    step = max(1, int(math.sqrt(mask.size // _GRID_PIXELS)))
+    squares = np.empty(-(-mask.shape[0] // step) * -(-mask.shape[1] // step), np.float32)
+    inverse, ambient, count = c.inverse, c.ambient, 0
+    for v in range(step // 2, mask.shape[0], step):
+        for u in range(step // 2, mask.shape[1], step):
+            pixel = image[v, u]
+            if table is None:
+                r, g, b = pixel[0], pixel[1], pixel[2]
+            else:
+                r, g, b = table[pixel[0]], table[pixel[1]], table[pixel[2]]
+            r, g, b = r - ambient[0], g - ambient[1], b - ambient[2]
+            x = inverse[0, 0] * r + inverse[0, 1] * g + inverse[0, 2] * b
+            y = inverse[1, 0] * r + inverse[1, 1] * g + inverse[1, 2] * b
+            z = inverse[2, 0] * r + inverse[2, 1] * g + inverse[2, 2] * b
+            if mask[v, u] and z < 0:
+                squares[count] = x * x + y * y + z * z
+                count += 1
+    if not count:
+        return c.darkest
+    ordered = np.sort(squares[:count])
+    brightest = np.sqrt(min(ordered[count - 1 - count // 50], _LONGEST))
+    return max(c.darkest, np.float32(_LEAST_LIGHT) * brightest)
 
 
 @njit(cache=True, fastmath=FLAGS | {"reassoc"}, error_model="numpy")
@@ -320,7 +334,8 @@ def _fit_ellipsoid(samples: Any, shape: tuple[int, int], nearness: Any, found: A
     U, V, and the numbers of f, brightness that changes slowly over the image, by 1, u, v, u², v², u v.
 
     Regress the log length of M⁻¹(r − a) on the normal's squares, on what near lamps make of them and on f,
-    robustly. samples: (5, n), M⁻¹(r − a) and the place u, v; here u and v count from the image's centre.
+    robustly. samples: (5, n), M⁻¹(r − a) and the place u, v; here u and v count from the image's centre. The
+    first row is overwritten with the squared departures.
     shape: of the image. E, symmetric and without trace, is that of the picture's centre.
     """
     count = samples.shape[1]
@@ -335,6 +350,7 @@ def _fit_ellipsoid(samples: Any, shape: tuple[int, int], nearness: Any, found: A
     found[:] = 0.0
     found[0] = np.exp(-np.median(logs)) if count else 1.0
     if count < 2 * _INDEPENDENT:
+        samples[0] = 0.0
         return
     half, middle_u, middle_v = max(shape[0], shape[1]) / 2, (shape[1] - 1) / 2, (shape[0] - 1) / 2
     u_0, v_0 = samples[3].mean(), samples[4].mean()
@@ -379,6 +395,7 @@ def _fit_ellipsoid(samples: Any, shape: tuple[int, int], nearness: Any, found: A
         spread = 1.48 * np.median(left) + 1e-3
         for i in range(count):
             worth[i] = 1.0 / (1.0 + (left[i] / (2 * spread)) ** 2)
+    samples[0] = left**2
     for k in range(_TERMS):  # code compiled just now and code from numba's cache differ in the last bits
         best[k] = np.floor(best[k] / _GRID + 0.5) * _GRID
     found[0] = np.exp(-best[0])
@@ -639,11 +656,11 @@ def _slow_changes_at(shape: Any, k: Any, u: int, v: int) -> Any:
     right, down = np.float32(u) - half * (shape[1] - 1), np.float32(v) - half * (shape[0] - 1)
     found = np.empty(11, np.float32)
     for i in range(9):
-        found[i] = np.float32(right) * k[24 + i] + np.float32(down) * k[33 + i]
+        found[i] = np.float32(right) * k[21 + i] + np.float32(down) * k[30 + i]
     found[9] = (
-        k[42] + k[43] * right + k[44] * down + k[45] * right**2 + k[46] * down**2 + k[47] * right * down
+        k[39] + k[40] * right + k[41] * down + k[42] * right**2 + k[43] * down**2 + k[44] * right * down
     )
-    found[10] = k[43] + two * k[45] * right + k[47] * down
+    found[10] = k[40] + two * k[42] * right + k[44] * down
     return found
 
 
@@ -656,14 +673,14 @@ def _bound_row(
 
     unlit: squared bound of pixels that not all lights reach, else 0. m: slow changes at the first pixel.
     """
-    zero, half, one = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+    zero, half, one, two = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
     i00, i01, i02, i10, i11, i12, i20, i21, i22 = k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7], k[8]
-    a0, a1, a2, c0, c1, c2 = k[9], k[10], k[11], k[12], k[13], k[14]
-    fixed, by_noise, inverse_albedo = k[15], k[16], k[17]
-    e00, e01, e02, e11, e12, e22 = k[18], k[19], k[20], k[21], k[22], k[23]
+    a0, a1, a2 = k[9], k[10], k[11]
+    fixed, by_noise, inverse_albedo = k[12], k[13], k[14]
+    e00, e01, e02, e11, e12, e22 = k[15], k[16], k[17], k[18], k[19], k[20]
     m0, m1, m2, m3, m4, m5, m6, m7, m8 = m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]
-    f0, f1, f2 = m[9], m[10], k[45]
-    s0, s1, s2, s3, s4, s5, s6, s7, s8 = k[24], k[25], k[26], k[27], k[28], k[29], k[30], k[31], k[32]
+    f0, f1, f2 = m[9], m[10], k[42]
+    s0, s1, s2, s3, s4, s5, s6, s7, s8 = k[21], k[22], k[23], k[24], k[25], k[26], k[27], k[28], k[29]
     count = len(r)
     departures, rest = np.zeros(count + 2 * _BESIDE_PX, np.float32), np.empty(count, np.float32)
     for u in range(count):  # without a branch: eight pixels at a time
@@ -675,10 +692,6 @@ def _bound_row(
         seen = (size > _SHORTEST) & (size < _LONGEST)
         scale = one / size if seen else one
         x, y, z = x * scale, y * scale, z * scale
-        darkest = min(red * c0, green * c1)
-        darkest = min(darkest, blue * c2)  # of two at a time: numba makes SIMD of that
-        fall = max(one - max(darkest * scale, zero) * _PER_DARK_CHANNEL, zero)
-        fall = fall * fall
         t0 = e00 * x + e01 * y + e02 * z
         t1 = e01 * x + e11 * y + e12 * z
         t2 = e02 * x + e12 * y + e22 * z
@@ -696,7 +709,6 @@ def _bound_row(
         departure = min(departure, one)  # sinh of the log length
         departures[u + _BESIDE_PX] = departure * departure if seen else zero
         rest[u] = fixed + _PER_TURN * turn + _PER_NEARNESS * near + _PER_NOISE * noise[u]
-        rest[u] += _PER_FALL * fall * fall
         r[u], g[u], b[u], length[u] = x, y, z, size
     share_of_one = one / np.float32(2 * _BESIDE_PX + 1)
     for u in range(count):
@@ -704,7 +716,8 @@ def _bound_row(
         for i in range(1, 2 * _BESIDE_PX + 1):
             around += departures[u + i]
         departure = max(departures[u + _BESIDE_PX], around * share_of_one)
-        own = max(departure - by_noise * noise[u], zero)
+        # of a normal that leans away noise changes the length as it turns one that faces the camera
+        own = max(departure - (by_noise + (two - by_noise) * (one - b[u] * b[u])) * noise[u], zero)
         total = rest[u] + (_PER_DEPARTURE * own if unlit[u] == zero else unlit[u])
         angle = min(np.sqrt(total), _LARGEST_DEG) if length[u] > _SHORTEST else _LARGEST_DEG
         share = angle * _PER_HALF_WEIGHT
