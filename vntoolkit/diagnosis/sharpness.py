@@ -41,6 +41,7 @@ _WIDEST_PX = 4.0  # of a blur whose steps are looked for
 _LEAST_STEP = 0.2  # of the channel's brightest hundredth
 _DARKEST_SIDE = 0.4  # of the brighter side: the darker one is behind the subject
 _PROFILE_PX = 7
+_MARGIN_PX = 16  # beyond the profiles and the blurs
 _FEWEST, _MOST = 100, 20_000  # places in a channel
 _SHARPER = 25  # per cent of the places …
 _SHARPEST = 5  # … of one direction only, which may be that of a limb, whose sides all turn away
@@ -138,7 +139,9 @@ def findings_from_sharpness(seen: Sharpness) -> list[Finding]:
 
 def _of_frame(frame: LinearFrame, mask: Mask | None) -> Sharpness | None:
     near = _near_outline(frame, mask)
-    channels = [np.ascontiguousarray(frame.rgb[..., k], np.float32) for k in range(3)]
+    seen = tuple(_span(near.any(axis=1 - axis), near.shape[axis]) for axis in range(2))
+    near = near[seen]
+    channels = [np.ascontiguousarray(frame.rgb[..., k][seen], np.float32) for k in range(3)]
     squares, others, directions, overshoots = np.hstack([_edges(channel, near) for channel in channels])
     told = overshoots[np.isfinite(overshoots)]
     overshoot = float(np.median(told)) if len(told) >= _FEWEST else 0.0
@@ -153,6 +156,14 @@ def _of_frame(frame: LinearFrame, mask: Mask | None) -> Sharpness | None:
         here = np.abs(np.sin(apart)) < math.sin(math.pi / (2 * _DIRECTIONS))
         widest = max(widest, _width(squares[here], others[here], _SHARPEST) or 0.0)
     return Sharpness(blur_px=blur, widest_px=widest, overshoot=overshoot, edges=len(squares))
+
+
+def _span(wanted: Mask, size: int) -> slice:
+    """Return where the wanted rows or columns lie, and what is read beside them."""
+    places = np.flatnonzero(wanted)
+    if not len(places):
+        return slice(0, 1)
+    return slice(max(int(places[0]) - _MARGIN_PX, 0), min(int(places[-1]) + _MARGIN_PX + 1, size))
 
 
 def _width(squares: FloatArray, others: FloatArray, percentile: float) -> float | None:
@@ -198,13 +209,13 @@ def _edges(channel: Single, near: Mask) -> FloatArray:
     Returns (4, n): b² in pixels² by the first two scales, and by the last two; the direction in radians; the
     overshoot, NaN where nothing tells it.
     """
-    slopes = [_slopes(channel, scale) for scale in _SCALES_PX]
-    steep = np.asarray(cv2.magnitude(*slopes[0]), np.float32)
+    slopes = _slopes(channel)
+    steep = np.asarray(cv2.magnitude(*slopes), np.float32)
     bright = float(np.percentile(channel[::4, ::4], 99))
     least = _LEAST_STEP * bright / math.sqrt(2 * math.pi * (_WIDEST_PX**2 + _SCALES_PX[0] ** 2))
     v, u = np.nonzero(near & (steep > max(least, 1e-9)))
     v, u = (places[:: 1 + len(v) // _MOST] for places in (v, u))
-    towards = np.stack([slopes[0][axis][v, u] / steep[v, u] for axis in range(2)])
+    towards = np.stack([slope[v, u] / steep[v, u] for slope in slopes])
 
     def along(image: Single, steps: float) -> Single:
         at_u, at_v = (
@@ -225,7 +236,12 @@ def _edges(channel: Single, near: Mask) -> FloatArray:
     foretold = profile[-4] - (2 * _PROFILE_PX - 3 - beside[:, None]) * slope
     overshoots = (profile[beside] - foretold).max(axis=0) / step
     overshoots[np.abs(slope) > _FLAT * step] = np.nan
-    squared = [along_u[v, u] ** 2 + along_v[v, u] ** 2 for along_u, along_v in slopes]
+    squared = [steep[v, u] ** 2]
+    for scale in _SCALES_PX[1:]:
+        smooth = _blurred(channel, scale)
+        squared.append(
+            0.25 * ((smooth[v, u + 1] - smooth[v, u - 1]) ** 2 + (smooth[v + 1, u] - smooth[v - 1, u]) ** 2)
+        )
     widths = []
     for k in range(2):
         ratio = squared[k] / np.maximum(squared[k + 1], 1e-20)
@@ -236,9 +252,13 @@ def _edges(channel: Single, near: Mask) -> FloatArray:
     return np.stack([*widths, directions, overshoots])[:, good]
 
 
-def _slopes(channel: Single, scale: float) -> tuple[Single, Single]:
-    """Return the slopes to the right and down after a blur, (h, w) each."""
-    smooth = cv2.GaussianBlur(channel, (0, 0), scale, borderType=cv2.BORDER_REPLICATE)
+def _slopes(channel: Single) -> tuple[Single, Single]:
+    """Return the slopes to the right and down after the least blur, (h, w) each."""
+    smooth = _blurred(channel, _SCALES_PX[0])
     across = np.array([[-0.5, 0.0, 0.5]], np.float32)
     right, down = (cv2.filter2D(smooth, -1, k, borderType=cv2.BORDER_REPLICATE) for k in (across, across.T))
     return np.asarray(right, np.float32), np.asarray(down, np.float32)
+
+
+def _blurred(channel: Single, scale: float) -> Single:
+    return np.asarray(cv2.GaussianBlur(channel, (0, 0), scale, borderType=cv2.BORDER_REPLICATE), np.float32)
