@@ -395,7 +395,8 @@ def examine_capture(
             return Examination(findings=findings)
         few, most = [small[k] for k in places], FEW_PIXELS
         if in_one_material is not None and rig.gel is None:
-            few, most = [in_one_material(frames[k]) for k in places], PIXELS_BETWEEN_SEAMS
+            apart = sorted({places[0], places[-1]})  # labels take a quarter of a second a frame
+            few, most = [in_one_material(frames[k]) for k in apart], PIXELS_BETWEEN_SEAMS
         evidence = evidence_from_frames(few, rig, capture.transfer, mask, most)
         told = _findings_with_rig(evidence)
         findings += told
