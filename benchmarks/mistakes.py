@@ -127,6 +127,12 @@ def mistakes(shot: Shot, subject: np.ndarray, rng: np.random.Generator) -> Itera
         "switch sharpening off",
         shot.with_light(lambda light: np.clip(2 * light - blurred(light, 1.0), 0, 1)),
     )
+    yield "* full range read as limited", "full range", shot.with_light(
+        lambda light: in_8_bits((255 * in_8_bits(light) - 16) / 219)
+    )
+    yield "* limited range read as full", "limited range", shot.with_light(
+        lambda light: in_8_bits((219 * light + 16) / 255)
+    )
     yield "* x and y reversed", "look reversed", shot.with_matrix(lambda m: m @ np.diag([-1, -1, 1]))
     yield "* red and blue exchanged", "red and blue exchanged", shot.with_matrix(lambda m: m[[2, 1, 0]])
     hue = (1.0, 0.82, 0.68)
