@@ -86,6 +86,23 @@ def blurred(light: np.ndarray, pixels: float) -> np.ndarray:
     return np.stack([gaussian_filter(light[..., k], pixels) for k in range(3)], axis=-1)
 
 
+def glossy(light: np.ndarray, rig: Rig) -> np.ndarray:
+    """Add highlights of a fifth of the matte light, by the normals that the rig finds."""
+    normals = (light - rig.response.ambient) @ rig.response.inverse.T
+    normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-9)
+    rows = rig.response.matrix
+    strengths = np.linalg.norm(rows, axis=1)
+    colours = np.diag(strengths) if rig.response.light_colours is None else rig.response.light_colours
+    towards = rows / strengths[:, None] if rig.response.light_colours is None else rig.response.light_directions
+    bright = light.max(axis=2) > 0.1 * light.max()
+    added = light.copy()
+    for colour, lamp in zip(colours, towards, strict=True):
+        between = (lamp + [0, 0, -1]) / np.linalg.norm(lamp + [0, 0, -1])
+        lobe = np.clip(blurred(normals, 1.0) @ between, 0, 1) ** 40 * bright
+        added += 0.2 * lobe[..., None] * colour
+    return in_8_bits(added / max(1.0, np.percentile(added.max(axis=2), 99.9)))
+
+
 def turned(degrees: float) -> np.ndarray:
     c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
     return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
@@ -133,6 +150,7 @@ def mistakes(shot: Shot, subject: np.ndarray, rng: np.random.Generator) -> Itera
     yield "* limited range read as full", "limited range", shot.with_light(
         lambda light: in_8_bits((219 * light + 16) / 255)
     )
+    yield "* glossy", "powder", replace(shot, frames=[glossy(frame, shot.rig) for frame in shot.frames])
     yield "* x and y reversed", "look reversed", shot.with_matrix(lambda m: m @ np.diag([-1, -1, 1]))
     yield "* red and blue exchanged", "red and blue exchanged", shot.with_matrix(lambda m: m[[2, 1, 0]])
     hue = (1.0, 0.82, 0.68)
