@@ -235,7 +235,7 @@ def test_another_order_of_the_samples_gives_the_same_bits(rng: np.random.Generat
     samples = np.vstack([normals.T * lengths, u, v])
     nearness = rng.normal(0.0, 0.3, (2, 3, 3, 3))
     found, other = np.empty(31), np.empty(31)
-    _fit_ellipsoid(samples, (96, 96), nearness, found)
+    _fit_ellipsoid(samples.copy(), (96, 96), nearness, found)
     _fit_ellipsoid(samples[:, rng.permutation(len(normals))], (96, 96), nearness, other)
     assert found[1:25].any()
     assert np.array_equal(found[:25], other[:25])

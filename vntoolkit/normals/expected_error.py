@@ -69,7 +69,7 @@ _LEAST_FACING = np.float32(0.1)
 # Standard deviations over the median size of 16 normally distributed numbers.
 _PER_MEDIAN = np.float32(1.4826 / math.sqrt(1.085))
 _LEAST_LIGHT, _GRID_PIXELS = 0.3, 4000  # of the length that a fiftieth exceeds, over a grid of pixels
-_SAMPLES = 1000
+_SAMPLES, _NEAR_PIXELS = 1000, 9
 _MOST_PER_KNOWN = 20  # places of the grid that are looked at for a sample
 _ROUNDS = 4
 _GRID = 2.0**-16  # of log lengths that are fitted: finer than any bound, far coarser than their rounding
@@ -293,11 +293,12 @@ def _whole_frame_kernel(
     departures, around = np.zeros((2, *noise.shape), np.float32), np.empty_like(noise)
     for i in range(count):
         v, u = int(samples[4, i]) // _CELL, int(samples[3, i]) // _CELL
-        departures[0, v, u] += np.float32(samples[0, i])
+        departures[0, v, u] += np.float32(samples[0, i] ** 2)
         departures[1, v, u] += np.float32(1.0)
     _noise_of_cells(departures, around)
     widths = np.empty_like(rows)
-    _along_rows(around, widths)
+    by_noise = np.float32(1 / _NEAR_PIXELS) * noise  # at most, in a mean of nine
+    _along_rows(np.maximum(around - by_noise, np.float32(0.0)), widths)
     rows += np.float32(_OF_LENGTH**2 / NINE_OF_TEN**2) * widths
 
 
@@ -305,21 +306,12 @@ def _whole_frame_kernel(
 def _least_length(image: Any, table: Any, mask: Mask, c: _Coefficients) -> np.float32:
     """Return the length of M⁻¹(r − a) below which a pixel is backdrop, hair, or another paint."""
     step = max(1, int(math.sqrt(mask.size // _GRID_PIXELS)))
-    squares = np.empty(-(-mask.shape[0] // step) * -(-mask.shape[1] // step), np.float32)
-    inverse, ambient, count = c.inverse, c.ambient, 0
+    squares, count = np.empty(-(-mask.shape[0] // step) * -(-mask.shape[1] // step), np.float32), 0
     for v in range(step // 2, mask.shape[0], step):
         for u in range(step // 2, mask.shape[1], step):
-            pixel = image[v, u]
-            if table is None:
-                r, g, b = pixel[0], pixel[1], pixel[2]
-            else:
-                r, g, b = table[pixel[0]], table[pixel[1]], table[pixel[2]]
-            r, g, b = r - ambient[0], g - ambient[1], b - ambient[2]
-            x = inverse[0, 0] * r + inverse[0, 1] * g + inverse[0, 2] * b
-            y = inverse[1, 0] * r + inverse[1, 1] * g + inverse[1, 2] * b
-            z = inverse[2, 0] * r + inverse[2, 1] * g + inverse[2, 2] * b
-            if mask[v, u] and z < 0:
-                squares[count] = x * x + y * y + z * z
+            square = _light_at(image, table, c, v, u)[3]
+            if mask[v, u] and square > 0:
+                squares[count] = square
                 count += 1
     if not count:
         return c.darkest
@@ -335,7 +327,7 @@ def _fit_ellipsoid(samples: Any, shape: tuple[int, int], nearness: Any, found: A
 
     Regress the log length of M⁻¹(r − a) on the normal's squares, on what near lamps make of them and on f,
     robustly. samples: (5, n), M⁻¹(r − a) and the place u, v; here u and v count from the image's centre. The
-    first row is overwritten with the squared departures.
+    first row is overwritten with the departures' sizes.
     shape: of the image. E, symmetric and without trace, is that of the picture's centre.
     """
     count = samples.shape[1]
@@ -395,7 +387,8 @@ def _fit_ellipsoid(samples: Any, shape: tuple[int, int], nearness: Any, found: A
         spread = 1.48 * np.median(left) + 1e-3
         for i in range(count):
             worth[i] = 1.0 / (1.0 + (left[i] / (2 * spread)) ** 2)
-    samples[0] = left**2
+    for i in range(count):
+        samples[0, i] = np.floor(left[i] / _GRID + 0.5) * _GRID
     for k in range(_TERMS):  # code compiled just now and code from numba's cache differ in the last bits
         best[k] = np.floor(best[k] / _GRID + 0.5) * _GRID
     found[0] = np.exp(-best[0])
@@ -432,6 +425,21 @@ def _solve_symmetric(a: Any, x: Any) -> None:
 
 
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")
+def _light_at(image: Any, table: Any, c: _Coefficients, v: int, u: int) -> tuple[Any, Any, Any, Any]:
+    """Return r − a of a pixel, and the squared length of M⁻¹(r − a), 0 where it faces away."""
+    pixel, inverse, ambient = image[v, u], c.inverse, c.ambient
+    if table is None:
+        r, g, b = pixel[0], pixel[1], pixel[2]
+    else:
+        r, g, b = table[pixel[0]], table[pixel[1]], table[pixel[2]]
+    r, g, b = r - ambient[0], g - ambient[1], b - ambient[2]
+    x = inverse[0, 0] * r + inverse[0, 1] * g + inverse[0, 2] * b
+    y = inverse[1, 0] * r + inverse[1, 1] * g + inverse[1, 2] * b
+    z = inverse[2, 0] * r + inverse[2, 1] * g + inverse[2, 2] * b
+    return r, g, b, x * x + y * y + z * z if z < 0 else np.float32(0.0)
+
+
+@njit(cache=True, fastmath=FLAGS, error_model="numpy")
 def _samples_kernel(
     image: Any, table: Any, clipped: Any, white: Any, maps: Any, mask: Mask, labels: Any, c: _Coefficients,
     step: int, samples: Any,
@@ -440,34 +448,29 @@ def _samples_kernel(
     height, width = mask.shape
     mean = np.empty((3, 1), np.float32)
     inverse, ambient = c.inverse, c.ambient
-    count = 0
+    count, least = 0, c.darkest * c.darkest
     for v in range(step // 2, height, step):
         for u in range(step // 2, width, step):
             if v < 2 or u < 2 or v >= height - 2 or u >= width - 2 or not mask[v, u]:
                 continue
             r, g, b, sound = np.float32(0), np.float32(0), np.float32(0), True
+            for far_v, far_u in ((-_EDGE_PX, 0), (_EDGE_PX, 0), (0, -_EDGE_PX), (0, _EDGE_PX)):
+                at_v, at_u = min(max(v + far_v, 0), height - 1), min(max(u + far_u, 0), width - 1)
+                sound &= _light_at(image, table, c, at_v, at_u)[3] > least  # no backdrop
             for near_v in range(v - 2, v + 3, 2):  # a mean of nine has less noise
                 for near_u in range(u - 2, u + 3, 2):
-                    sound &= mask[near_v, near_u]
+                    red, green, blue, square = _light_at(image, table, c, near_v, near_u)
+                    sound &= mask[near_v, near_u] and square > least
                     if labels is not None:
                         sound &= labels[near_v, near_u] == ALL_LIT
-                    pixel = image[near_v, near_u]
-                    if table is None:
-                        red, green, blue = pixel[0], pixel[1], pixel[2]
-                    else:
-                        red, green, blue = table[pixel[0]], table[pixel[1]], table[pixel[2]]
                     if clipped is None:
-                        sound &= max(red, green, blue) < white
+                        sound &= max(red + ambient[0], green + ambient[1], blue + ambient[2]) < white
                     else:
                         sound &= not clipped[near_v, near_u]
                     r, g, b = r + red, g + green, b + blue
-                    red, green, blue = red - ambient[0], green - ambient[1], blue - ambient[2]
-                    x = inverse[0, 0] * red + inverse[0, 1] * green + inverse[0, 2] * blue
-                    y = inverse[1, 0] * red + inverse[1, 1] * green + inverse[1, 2] * blue
-                    z = inverse[2, 0] * red + inverse[2, 1] * green + inverse[2, 2] * blue
-                    sound &= z < 0 and x * x + y * y + z * z > c.darkest * c.darkest  # no backdrop
-            ninth = np.float32(1 / 9)
-            mean[0, 0], mean[1, 0], mean[2, 0] = r * ninth, g * ninth, b * ninth
+            ninth = np.float32(1 / _NEAR_PIXELS)
+            mean[0, 0], mean[1, 0] = r * ninth + ambient[0], g * ninth + ambient[1]
+            mean[2, 0] = b * ninth + ambient[2]
             if maps is not None:
                 map_row(maps, v, u, mean[0], mean[1], mean[2])
             r, g, b = mean[0, 0] - ambient[0], mean[1, 0] - ambient[1], mean[2, 0] - ambient[2]
