@@ -70,7 +70,7 @@ def detail_kernel(
     for cell in prange(found.shape[1]):
         found[:, cell] = np.float32(0.0)
         top = cell * _CELL + (_CELL - _ROWS * side) // 2
-        if top >= 0 and top + _ROWS * side <= height:
+        if cell % 2 == 0 and top >= 0 and top + _ROWS * side <= height:  # neighbours tell the others
             _detail_row(
                 image, table, clipped, white, maps, mask, labels, inverse, ambient, inverse_albedo, side,
                 top, found[:, cell],
