@@ -23,8 +23,8 @@ from vntoolkit.geometry.garment_fit import GarmentFit
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.motion import Motion, Skeleton
+from vntoolkit.integration.discontinuity import hierarchy_from_graph, solve_laplacian
 from vntoolkit.integration.edges import graph_from_domain
-from vntoolkit.integration.multigrid import hierarchy_from_graph, solve_laplacian
 from vntoolkit.io.conventions import MeshUpAxis
 from vntoolkit.io.maps_and_meshes.usd import write_usd_sequence
 from vntoolkit.meshing.clean import clean_mesh

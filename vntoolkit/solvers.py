@@ -2,7 +2,7 @@
 
 The matrix is L = Σ_edges w_ij (e_i − e_j)(e_i − e_j)ᵀ + ground · I over the eight-neighbour edges of a grid.
 Edge weights may be zero (pixels outside the mask, cut edges) or negative as long as L stays positive
-semidefinite, which the assembly in `surface_kernels` guarantees.
+semidefinite, which the assembly in `shadows/surface.py` guarantees.
 
 The upper and the lower half of a large grid are swept at the same time, each as if the other stood still;
 for every number of threads the sums are the same. On small grids one thread works: two would meet thousands
@@ -160,7 +160,7 @@ def _grid_of(
     )
 
 
-# Compiled loops of `grid_solver`. Edges (4, h, w): see `GridLevel`.
+# Compiled loops. Edges (4, h, w): see `GridHierarchy`.
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")

@@ -7,9 +7,9 @@ from analytic_surfaces import disc_with_hole, largest_error, normals_from_gradie
 from vntoolkit.errors import SolverFailed
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
+from vntoolkit.integration.discontinuity import hierarchy_from_graph, solve_laplacian
 from vntoolkit.integration.edges import divergence_on_graph, edges_from_slopes, graph_from_domain
 from vntoolkit.integration.integrate import DepthIntegrator
-from vntoolkit.integration.multigrid import hierarchy_from_graph, solve_laplacian
 from vntoolkit.integration.options import IntegrationOptions, Integrator
 from vntoolkit.integration.poisson import MaskedSolver
 

@@ -1,7 +1,7 @@
 """Fit of one cylinder to a sequence of normal maps and silhouettes (brostow2011, Figure 7).
 
 Normals find the axis from nothing. Then silhouettes and normals are weighed against each other: outlines are
-sharp, their sides tell the axis in the image and their ends (`cylinder_ends`) its tilt in depth; normals tell
+sharp, their sides tell the axis in the image and their ends its tilt in depth; normals tell
 both directly, but have errors in common, which no number of pixels averages out.
 """
 

@@ -74,7 +74,7 @@ class RayScene:
     ) -> npt.NDArray[np.bool_]:
         """Return (p,) True where a surface lies in the direction of origins (p, 3), or before their targets.
 
-        Origins must lie off the surface (see `Samples.shadow_origins`), or it blocks itself.
+        Origins must lie off the surface (a little before it), or it blocks itself.
         """
         rays = np.empty((len(origins), 6), dtype=np.float32)
         rays[:, :3] = origins

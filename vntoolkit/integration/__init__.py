@@ -5,7 +5,7 @@
 (`edges`), and a solver finds the depth whose differences fit best. The solvers differ in which edges
 count and how much:
 
-- `spectral`: all of them, equally, on a full rectangle (cosine transform, and Fourier for comparison);
-- `masked`: those inside a mask, weighted by confidence (conjugate gradients);
+- `poisson`: all of them, equally, on a full rectangle (cosine transform, and Fourier for comparison); or
+  those inside a mask, weighted by confidence (conjugate gradients);
 - `discontinuity`: those that do not cross a depth discontinuity (iteratively reweighted).
 """

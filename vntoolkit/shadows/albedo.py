@@ -8,7 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from vntoolkit.arrays import FloatArray, Mask, Weight
+from vntoolkit.arrays import FloatArray, Mask
 from vntoolkit.native import njit
 
 _DARKEST = 1e-3  # of the albedo scale; keeps the logarithm finite
@@ -17,7 +17,6 @@ _LEAST_TRUST = 1e-4  # weight of the coarser level where a pixel's block holds a
 _FINEST_LEVEL = 3  # detail below 2³ pixels counts as shading, not as paint
 _OUTLIER = 0.3  # departure of a pixel's log albedo from its surroundings at which it counts half
 _ROUNDS = 2  # reweightings; a third changes nothing
-_GLOSS = 0.2  # excess of log albedo that paint may have; twice that halves the trust in the colour
 _MARGIN_PX = 1  # lit pixels this close to a shadow's edge do not count: penumbra darkens them
 
 
@@ -42,31 +41,6 @@ def albedo_from_lit(length: FloatArray, lit: Mask, factor: int = 1) -> FloatArra
         trust = core / (1.0 + ((logarithm - filled) / _OUTLIER) ** 2)
         filled = fill_smoothly(logarithm, trust, finest)
     return np.exp(filled)
-
-
-def gloss_trust(length: FloatArray, albedo: FloatArray, lit: Mask) -> Weight:
-    """Return (h, w): 1, less where a pixel of `lit` outshines matte paint of the surrounding albedo."""
-    given = (np.ascontiguousarray(image, np.float32) for image in (length, albedo))
-    out: Weight = np.empty(lit.shape, np.float32)
-    _gloss_kernel(*given, np.asarray(lit), out)
-    return out
-
-
-@njit(cache=True, error_model="numpy")
-def _gloss_kernel(length: FloatArray, albedo: FloatArray, lit: Mask, out: Weight) -> None:
-    for v in range(lit.shape[0]):
-        long, around, inside, to = length[v], albedo[v], lit[v], out[v]
-        for u in range(lit.shape[1]):
-            trust = trust_beside_gloss(long[u], around[u])
-            to[u] = trust if inside[u] else np.float32(1.0)
-
-
-@njit(cache=True, forceinline=True, error_model="numpy")
-def trust_beside_gloss(length: Any, albedo: Any) -> Any:
-    """Return the same of one lit pixel."""
-    excess = (departure(length, albedo) - np.float32(_GLOSS)) * np.float32(1.0 / _GLOSS)
-    excess = max(excess, np.float32(0.0))
-    return np.float32(1.0) / (np.float32(1.0) + excess * excess)
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")

@@ -1,8 +1,8 @@
 """The surface from the better of two starts.
 
-Where two lights arrive the energy has two valleys, as the quadratic of `two_lights` has two roots. A smooth
-continuation of the lit surroundings and the roots chosen by continuity lead into one each; every shadow keeps
-the one whose surface returns the light that is seen.
+Where two lights arrive the energy has two minima, since the quadratic of `roots_from_two_lights` has two
+roots. A smooth continuation of the lit surroundings leads to one of them, and the roots chosen by continuity
+lead to the other. Every shadow keeps the one whose surface returns the light that is seen.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Mask, Normals, VisibilityLabels, Weight
+from vntoolkit.arrays import FloatArray, Mask, Normals, VisibilityLabels
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame, count_lit
@@ -52,18 +52,16 @@ def solve_from_best_initialisation(
     albedo: FloatArray,
     mask: Mask,
     *,
-    trust: Weight,
     camera: Camera | None,
     options: SurfaceOptions,
     start: Surface | None = None,
 ) -> Surface:
     """Solve the surface of a frame on its working size, coarse to fine.
 
-    albedo: (h, w), that of the surroundings. trust: (h, w), beyond that of `measured`. start: the surface
-    that the labels came from, or None.
+    albedo: (h, w), that of the surroundings. start: the surface that the labels came from, or None.
     """
     by_lights = np.asarray(TRUST_BY_LIGHTS, dtype=np.float32)[count_lit(labels)]
-    measured = replace(measured, trust=(measured.trust * trust * by_lights).astype(np.float32))
+    measured = replace(measured, trust=(measured.trust * by_lights).astype(np.float32))
     if start is not None and start.settled:
         few = replace(options, iterations=_LARGE_ITERATIONS)
         return _solver(measured, labels, albedo, mask, camera)(

@@ -18,13 +18,7 @@ from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
 from vntoolkit.photometry.response import LightResponse
-from vntoolkit.shadows.albedo import (
-    albedo_from_lit,
-    departure,
-    fill_smoothly,
-    gloss_trust,
-    trust_beside_gloss,
-)
+from vntoolkit.shadows.albedo import albedo_from_lit, departure, fill_smoothly
 from vntoolkit.shadows.contributions import (
     CLIPPED_TRUST,
     FLAGS,
@@ -191,11 +185,10 @@ def _with_surface(
         labels = labels_without_penumbra(labels, relative, inside, near)
         small_labels = _shrunk(labels, small_mask.shape)
     options = options_with_noise(noise_of_frame(rgb, response, inside & (labels == ALL_LIT)))
-    known = small_mask & (small_labels == ALL_LIT)
     surface = solve_from_best_initialisation(
         small, small_labels, albedo, small_mask,
         camera=None if camera is None else camera.scaled(1.0 / factor), start=start,
-        trust=gloss_trust(small.length, albedo, known), options=options,
+        options=options,
     )  # fmt: skip
     solved = np.stack([*np.moveaxis(surface.normals, -1, 0), albedo, surface.agreement]).astype(np.float32)
     normals, weight = np.zeros_like(rgb), np.zeros(frame.shape, np.float32)
@@ -301,7 +294,6 @@ def _refine_row(
         r, g, b = turned(split, finite(line[3 * u]), finite(line[3 * u + 1]), finite(line[3 * u + 2]))
         scale = one / max(length[u] if is_lit else albedo[u], least)
         trust = np.float32(CLIPPED_TRUST) if clipped[u] else one
-        trust *= trust_beside_gloss(length[u], albedo[u]) if is_lit else one
         trust *= by_lights(label, TRUST_BY_LIGHTS)
         ray = x + step * np.float32(u)
         n0, n1, n2 = normal_x[u], normal_y[u], normal_z[u]
@@ -379,7 +371,7 @@ def _towards_viewer(normals: FloatArray, mask: Mask) -> FloatArray:
     return np.where(mask[..., None], turned / lengths_of(turned), 0.0).astype(np.float32)
 
 
-# How far each pixel's normal may be trusted: saturation, shadow, gloss, an albedo that does not fit.
+# How far each pixel's normal may be trusted: saturation, shadow, an albedo that does not fit.
 
 
 def confidence_weight(

@@ -4,7 +4,7 @@ Hernández, Vogiatzis and Cipolla (hernandez2008) let depth supply the one degre
 takes away: the two remaining lights leave a line of slopes, integrability picks the point. Here the same
 holds for any number of lights. Every pixel asks the depth gradient to explain the light that arrives,
 f_k(s) = L_k · n(s) = r_k / albedo for each light k of its label, with an albedo that is the pixel's own where
-all three lights arrive and known to `albedo_spread` from the surroundings where not. Without light a weak
+all three lights arrive and known to 15 % from the surroundings where not. Without light a weak
 prior asks for a smooth slope. Gauss–Newton steps solve one weighted Poisson equation each.
 
 Under a perspective camera the unknown is f · log z, whose gradient takes the place of the slope.
