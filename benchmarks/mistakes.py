@@ -93,12 +93,14 @@ def glossy(light: np.ndarray, rig: Rig) -> np.ndarray:
     rows = rig.response.matrix
     strengths = np.linalg.norm(rows, axis=1)
     colours = np.diag(strengths) if rig.response.light_colours is None else rig.response.light_colours
-    towards = rows / strengths[:, None] if rig.response.light_colours is None else rig.response.light_directions
+    towards = (
+        rows / strengths[:, None] if rig.response.light_colours is None else rig.response.light_directions
+    )
     bright = light.max(axis=2) > 0.1 * light.max()
     added = light.copy()
     for colour, lamp in zip(colours, towards, strict=True):
-        between = (lamp + [0, 0, -1]) / np.linalg.norm(lamp + [0, 0, -1])
-        lobe = np.clip(blurred(normals, 1.0) @ between, 0, 1) ** 40 * bright
+        between = lamp + np.array([0, 0, -1])
+        lobe = np.clip(blurred(normals, 1.0) @ between / np.linalg.norm(between), 0, 1) ** 40 * bright
         added += 0.2 * lobe[..., None] * colour
     return in_8_bits(added / max(1.0, np.percentile(added.max(axis=2), 99.9)))
 
@@ -144,11 +146,15 @@ def mistakes(shot: Shot, subject: np.ndarray, rng: np.random.Generator) -> Itera
         "switch sharpening off",
         shot.with_light(lambda light: np.clip(2 * light - blurred(light, 1.0), 0, 1)),
     )
-    yield "* full range read as limited", "full range", shot.with_light(
-        lambda light: in_8_bits((255 * in_8_bits(light) - 16) / 219)
+    yield (
+        "* full range read as limited",
+        "full range",
+        shot.with_light(lambda light: in_8_bits((255 * in_8_bits(light) - 16) / 219)),
     )
-    yield "* limited range read as full", "limited range", shot.with_light(
-        lambda light: in_8_bits((219 * light + 16) / 255)
+    yield (
+        "* limited range read as full",
+        "limited range",
+        shot.with_light(lambda light: in_8_bits((219 * light + 16) / 255)),
     )
     yield "* glossy", "powder", replace(shot, frames=[glossy(frame, shot.rig) for frame in shot.frames])
     yield "* x and y reversed", "look reversed", shot.with_matrix(lambda m: m @ np.diag([-1, -1, 1]))

@@ -6,8 +6,8 @@ tells: a constant adds to the lengths |M⁻¹(r − a)| in a way that M foretell
 what the darkest values foretell: the slope is 0 where these are the backdrop's alone, and 1 where all of them
 lies on the subject too.
 
-Video in the wrong range is told in the same way: where limited range is read as full, black is 16 of 255; where
-full range is read as limited, all that was darker than 16 is 0, and contrast is too high.
+Video in the wrong range is told in the same way: where limited range is read as full, black is 16 of 255;
+where full range is read as limited, all that was darker than 16 is 0, and contrast is too high.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from vntoolkit.diagnosis.evidence import Evidence, brightest_channel, lengths_of
 from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
 from vntoolkit.diagnosis.length_regression import regress_lengths
 from vntoolkit.diagnosis.surface_pixels import SurfacePixels, surface_pixels
-from vntoolkit.photometry.transfer import Transfer, encoded_from_linear, linear_from_encoded
+from vntoolkit.photometry.transfer import encoded_from_linear, linear_from_encoded
 
 _DARKEST_PERCENT = 1.0  # of the picture: single pixels are noise's
 _FEWEST_PIXELS = 400

@@ -1,9 +1,9 @@
 """Does the surface reflect the lamps as a mirror does, if dimly? Highlights pull normals towards the lamps.
 
-A highlight adds the lamp's colour where the normal lies near the half of the ways to the lamp and to the camera.
-M⁻¹(r − a) grows there by a length that M, the lamps and the width of the lobe foretell. The log lengths are
-regressed on it, beside all that depends on the direction or the place slowly: faults of M, light from elsewhere,
-vignetting. The slope is how strong the lobe is, as a share of the matte light.
+A highlight adds the lamp's colour where the normal lies near the half of the ways to the lamp and to the
+camera. M⁻¹(r − a) grows there by a length that M, the lamps and the width of the lobe foretell. The log
+lengths are regressed on it, beside all that depends on the direction or the place slowly: faults of M, light
+from elsewhere, vignetting. The slope is how strong the lobe is, as a share of the matte light.
 """
 
 from __future__ import annotations

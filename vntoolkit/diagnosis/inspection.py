@@ -346,7 +346,7 @@ def _findings_from_range(brightest: float) -> list[Finding]:
 class Examination:
     """findings: what a capture tells. nearness: of the lamps, as far as established; see `Nearness`.
 
-    blur_px: standard deviation of the blur of the picture's colours, 0 where nothing tells it; see `Sharpness`.
+    blur_px: standard deviation of the blur of colours, 0 where nothing tells it; see `Sharpness`.
     """
 
     findings: list[Finding]

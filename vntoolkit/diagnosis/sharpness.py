@@ -1,19 +1,20 @@
 """How sharp is the picture? The subject's silhouette tells.
 
 Where the subject ends before something darker, light falls in one step, which blur of standard deviation b
-spreads over some b pixels. After a further blur of s pixels the steepest slope is the step over
-√(2π (b² + s²)): the slopes after two such blurs tell b whatever the step (zhuo2011). Where a surface turns
-away it gets darker before it ends, over more pixels than the blur. The slopes after a third blur then tell of
-a wider one: such places do not count, and of what remains the sharper quarter does. Motion blurs only edges
-across its direction.
+spreads over some b pixels. After a further blur of s pixels the steepest slope is the step over √(2π (b² +
+s²)): the slopes after two such blurs tell b whatever the step (zhuo2011). Where a surface turns away it gets
+darker before it ends, over more pixels than the blur. The slopes after a third blur then tell of a wider one:
+such places do not count, and of what remains the sharper quarter does. Motion blurs only edges across its
+direction.
 
-Colour is often told by every second pixel only: through a mosaic of filters, or by a codec that halves it. What
-lies between is interpolated, which blurs by ½ px², and leaves pixels that are smoother than those beside them, at
-every second place (popescu2005).
+Colour is often told by every second pixel only: through a mosaic of filters, or by a codec that halves it.
+What lies between is interpolated, which blurs by ½ px², and leaves pixels that are smoother than those beside
+them, at every second place (popescu2005).
 
 Sharpening, in a camera or after it, makes the background darker beside a step than farther away, where every
-lens makes it brighter. Where the background is black, steps that are steeper than a pixel's own area makes them
-tell, with a rim inside them that is too bright. A picture made smaller is steep too, but has no such rim.
+lens makes it brighter. Where the background is black, steps that are steeper than a pixel's own area makes
+them tell, with a rim inside them that is too bright. A picture made smaller is steep too, but has no such
+rim.
 """
 
 from __future__ import annotations
@@ -21,9 +22,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, Mask
 from vntoolkit.diagnosis.evidence import Single, brightest_channel
@@ -53,7 +56,9 @@ _FLAT = 0.015  # a pixel, of the step: beside a surface that turns away nothing 
 # Own scenes, another renderer's and photographs have 0.5 to 1.0 pixels, and up to 1.3 along a limb.
 _BLURRED_PX = 1.5
 OF_INTERPOLATION_PX = math.sqrt(0.5)
-_EVERY_SECOND = 1.2  # the rougher pixels over the smoother; mosaics make 1.28 to 1.8, other footage up to 1.17
+_EVERY_SECOND = (
+    1.2  # the rougher pixels over the smoother; mosaics make 1.28 to 1.8, other footage up to 1.17
+)
 _LEAST_BACKGROUND = 0.001  # of the step: what is blacker shows no halo
 _HALO = 0.55  # clean footage has 0.6 behind a mosaic and 0.8 to 1.2, sharpened by a half 0.1 to 0.6
 _STEEP_PX, _OVERSHOOT = 0.4, 0.03  # a picture made smaller has 0.3 and 0.01, the noisiest 0.5 and 0.03
@@ -149,7 +154,7 @@ def findings_from_sharpness(seen: Sharpness) -> list[Finding]:
 
 def _of_frame(frame: LinearFrame, mask: Mask | None) -> Sharpness | None:
     near = _near_outline(frame, mask)
-    seen = tuple(_span(near.any(axis=1 - axis), near.shape[axis]) for axis in range(2))
+    seen = tuple(_span(np.asarray(near.any(axis=1 - axis)), near.shape[axis]) for axis in range(2))
     near = near[seen]
     channels = [np.ascontiguousarray(frame.rgb[..., k][seen], np.float32) for k in range(3)]
     measured = np.hstack([_edges(channel, near) for channel in channels])
@@ -159,9 +164,7 @@ def _of_frame(frame: LinearFrame, mask: Mask | None) -> Sharpness | None:
     told = overshoots[np.isfinite(overshoots)]
     overshoot = float(np.median(told)) if len(told) >= _FEWEST else 0.0
     if len(squares) >= 4 * _FEWEST and float(np.median(squares)) <= 0.0:
-        return Sharpness(
-            blur_px=0.0, widest_px=0.0, overshoot=overshoot, halo=halo, edges=len(squares)
-        )
+        return Sharpness(blur_px=0.0, widest_px=0.0, overshoot=overshoot, halo=halo, edges=len(squares))
     blur = _width(squares, others, _SHARPER)
     if blur is None:
         alone = Sharpness(blur_px=0.0, widest_px=0.0, overshoot=0.0, halo=halo, edges=len(squares))
@@ -171,9 +174,7 @@ def _of_frame(frame: LinearFrame, mask: Mask | None) -> Sharpness | None:
         apart = directions - k * math.pi / _DIRECTIONS
         here = np.abs(np.sin(apart)) < math.sin(math.pi / (2 * _DIRECTIONS))
         widest = max(widest, _width(squares[here], others[here], _SHARPEST) or 0.0)
-    return Sharpness(
-        blur_px=blur, widest_px=widest, overshoot=overshoot, halo=halo, edges=len(squares)
-    )
+    return Sharpness(blur_px=blur, widest_px=widest, overshoot=overshoot, halo=halo, edges=len(squares))
 
 
 def _span(wanted: Mask, size: int) -> slice:
@@ -254,7 +255,7 @@ def _edges(channel: Single, near: Mask) -> FloatArray:
     foretold = profile[-4] - (2 * _PROFILE_PX - 3 - beside[:, None]) * slope
     overshoots = (profile[beside] - foretold).max(axis=0) / step
     overshoots[np.abs(slope) > _FLAT * step] = np.nan
-    squared = [steep[v, u] ** 2]
+    squared: list[npt.NDArray[Any]] = [steep[v, u] ** 2]
     for scale in _SCALES_PX[1:]:
         smooth = _blurred(channel, scale)
         squared.append(

@@ -5,11 +5,11 @@ was written with has a length that depends on the direction in a way that M and 
 logarithms of the lengths are regressed on what is foretold: the slope is 0 where the curve is right and 1
 where the other one is. Paint, gloss and shade scatter the lengths but do not follow the lamps' colours: they
 widen the error of the slope and hardly shift it. Light from one part of a subject on another does follow
-them: it lifts what is dark as an encoding curve does. So a curve is called wrong where the slope holds although
-light may come from elsewhere, unevenly over the picture. Where such light and the curve cannot be told apart,
-the curve must leave the lengths clearly less spread, and gains of the channels, which another hue of the
-subject looks like, must not leave less. The spread of the lengths alone tells nothing: a curve that compresses
-light compresses paint too.
+them: it lifts what is dark as an encoding curve does. So a curve is called wrong where the slope holds
+although light may come from elsewhere, unevenly over the picture. Where such light and the curve cannot be
+told apart, the curve must leave the lengths clearly less spread, and gains of the channels, which another hue
+of the subject looks like, must not leave less. The spread of the lengths alone tells nothing: a curve that
+compresses light compresses paint too.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ _Z = 4.0
 _CLEARLY_LESS = 0.65  # two free numbers always mend more than none, so a curve that mends this much may tie
 # Photographs of plaster read rightly have 0.94 and more, and 0.6; the same in sRGB 0.9 and less, and 1.4.
 _LESS = 0.92
-# Where light may come from elsewhere, faces and statues read rightly reach 0.7, in sRGB most of them 1.1 to 2.8.
+# Where light may come from elsewhere, faces and statues read rightly reach 0.7, in sRGB most have 1.1 to 2.8.
 _HOLDS = 1.1
 # Neither curve explains a slope that the other reading turns round by as much: other materials make it, such
 # as a tartan or a backdrop without a mask.
@@ -73,9 +73,11 @@ def check_transfer(evidence: Evidence) -> list[Finding]:
     unevenly = _against_the_other_kind(evidence, unevenly=True)
     if unevenly is not None and unevenly.score > max(_HOLDS, _Z * unevenly.error):
         written = max(written, unevenly, key=lambda each: each.score / each.error)
-    elif written.score < max(_NOTED, _Z * written.error) or (unevenly is not None and unevenly.score < 0.0):
-        return []
-    elif not _Spreads.of(evidence, written.curve).curve_is_best:
+    elif (
+        written.score < max(_NOTED, _Z * written.error)
+        or (unevenly is not None and unevenly.score < 0.0)
+        or not _Spreads.of(evidence, written.curve).curve_is_best
+    ):
         return []
     stated = evidence.transfer.to_text()
     return [

@@ -576,7 +576,9 @@ def _curl_row(
         to_found[u] = abs(angle)
         to_places[u] = max(counted[u], _EDGE_SHARE) if good else zero
     for k in range(len(sums)):
-        sums[k], counts[k] = _median_square(found[k * _CELL : (k + 1) * _CELL], places[k * _CELL : (k + 1) * _CELL])
+        sums[k], counts[k] = _median_square(
+            found[k * _CELL : (k + 1) * _CELL], places[k * _CELL : (k + 1) * _CELL]
+        )
 
 
 @njit(cache=True)

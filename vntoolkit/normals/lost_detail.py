@@ -1,15 +1,16 @@
 """Relief that the camera has averaged away, foretold by what the same averaging takes from what is left.
 
-A wave of slopes keeps the share a of its height in a blur of ½ px², as by weights ¼, ½, ¼. A second and a third
-such blur take a (1 − a) and a² (1 − a) of what the picture has: their ratio is a, and a tells the wave's length.
-A camera's blur of b px² kept a^(2b) of the wave, so that what the second blur takes, times (a^(−2b) − 1) /
-(1 − a) / a, is what the camera took. Nothing of it is fitted to footage.
+A wave of slopes keeps the share a of its height in a blur of ½ px², as by weights ¼, ½, ¼. A second and a
+third such blur take a (1 − a) and a² (1 − a) of what the picture has: their ratio is a, and a tells the
+wave's length. A camera's blur of b px² kept a^(2b) of the wave, so that what the second blur takes, times
+(a^(−2b) − 1) / (1 − a) / a, is what the camera took. Nothing of it is fitted to footage.
 
 Noise turns normals in all directions alike, relief only along its slope: the curl of what a blur takes is
-noise's alone, and tells how much of the rest is noise's too. The first blur's share is the noisiest and not used.
+noise's alone, and tells how much of the rest is noise's too. The first blur's share is the noisiest and not
+used.
 
-Relief of one wavelength is foretold exactly. Of many, the short ones are lost first, and more is lost than the
-ratio says: up to 4.8 times the variance where every octave holds as much. The mean of the two is taken.
+Relief of one wavelength is foretold exactly. Of many, the short ones are lost first, and more is lost than
+the ratio says: up to 4.8 times the variance where every octave holds as much. The mean of the two is taken.
 """
 
 from __future__ import annotations
@@ -95,9 +96,9 @@ def _detail_row(
         )  # fmt: skip
     near = np.ones(inner, np.float32)
     for k in range(2 * _BESIDE + 2):
-        beside = sound[k : k + inner]
+        shifted = sound[k : k + inner]
         for i in range(inner):
-            near[i] *= beside[i]
+            near[i] *= shifted[i]
     # what one, two, three blurs make of the two rows in the middle
     blurred = np.empty((3, 2, 3, squares), np.float32)
     for times in range(3):
