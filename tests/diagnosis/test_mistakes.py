@@ -230,6 +230,36 @@ def test_limited_range_read_as_full_is_named():
     assert "limited range, read as full" in found.text
 
 
+def test_full_range_read_as_limited_is_named():
+    light, _, response = _shot(2)
+    codes = np.clip((255 * encoded_from_linear(light, SRGB) - 16) / 219, 0, 1)
+    (found,) = _findings(linear_from_encoded(np.rint(255 * codes) / 255, SRGB), response.matrix, SRGB)
+    assert found.check == "black-level"
+    assert "full range, read as limited" in found.text
+
+
+@pytest.mark.parametrize("seed", [1, 4])
+@pytest.mark.parametrize(("strength", "exponent"), [(0.1, 30), (0.25, 80)])
+def test_gloss_is_measured_and_a_matte_surface_has_none(seed, strength, exponent):
+    light, inside, response = _shot(seed)
+    normals = (light @ np.linalg.inv(response.matrix).T) * inside[..., None]
+    normals = cv2.GaussianBlur(normals, (0, 0), 1.0)
+    normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-9)
+    strengths = np.linalg.norm(response.matrix, axis=1)
+    glossy = light.copy()
+    for lamp, colour in zip(response.matrix / strengths[:, None], np.diag(strengths), strict=True):
+        between = lamp + np.array([0, 0, -1])
+        lobe = np.clip(normals @ between / np.linalg.norm(between), 0, 1) ** exponent
+        glossy += strength * lobe[..., None] * colour * inside[..., None]
+    top = max(1.0, glossy.max())
+    assert not any(found.check == "gloss" for found in _findings(light, response.matrix))
+    found = [each for each in _findings(glossy / top, response.matrix / top) if each.check == "gloss"]
+    assert len(found) == 1
+    said = float(re.findall(r"highlights of ([\d.]+)%", found[0].measured)[0]) / 100
+    assert 0.25 * strength < said < 1.5 * strength  # of a lobe of one width
+    assert "powder" in found[0].remedy
+
+
 def _domes_in_a_row(rng):
     """Return light (h, w, 3) of domes on a plane with the shadows they cast, and M of three low lamps."""
     v, u = np.mgrid[:H, :W].astype(float)
