@@ -140,8 +140,7 @@ def findings_from_sharpness(seen: Sharpness) -> list[Finding]:
                 check="sharpening",
                 level=Level.WARNING,
                 problem="the picture was sharpened: noise and fine relief are steeper than the surface",
-                measured=f"{seen.overshoot:.1%} of a step too bright beside it, at {seen.edges} places of the "
-                "outline"
+                measured=f"{seen.overshoot:.1%} of a step too bright beside it, at {seen.edges} places"
                 if too_bright
                 else f"a background {1 - seen.halo:.0%} darker beside the outline than six pixels away, at "
                 f"{seen.edges} places",
