@@ -30,7 +30,7 @@ _FEWEST_PIXELS = 400
 _ROUNDS = 4
 _Z = 4.0
 _SLOPES = (0.5, 1.6)  # above it the subject has more of it than the darkest place
-# A black backdrop proves no stretch, whose size is known: statues with deep folds have 1.4 ± 0.2 to 4.0 ± 0.3.
+# A black backdrop proves no stretch. Its size is known: statues with deep folds have 1.4 ± 0.2 to 4.0 ± 0.3.
 _SLOPES_OF_STRETCH, _Z_OF_STRETCH = (0.8, 1.2), 8.0
 _NOTED_TURN_DEG = 1.0
 # A file of limited range holds black as 16 of 255 and white as 235.
