@@ -417,11 +417,12 @@ def examine_capture(
     return Examination(
         findings=findings,
         nearness=0.0 if near is None else near.established,
-        blur_px=_blur_of_colours(sharpness, capture.info.chroma, frames[places[0]]),
+        blur_px=blur_of_colours(sharpness, capture.info.chroma, frames[places[0]]),
     )
 
 
-def _blur_of_colours(sharpness: Sharpness | None, chroma: str, frame: LinearFrame) -> float:
+def blur_of_colours(sharpness: Sharpness | None, chroma: str, frame: LinearFrame) -> float:
+    """Return the blur of a frame's colours in pixels: the lens's, and that of what was interpolated."""
     blur_px = 0.0 if sharpness is None else sharpness.over_all_px
     if chroma in _CHROMA_COST_DEG or colour_is_interpolated(frame):
         return math.hypot(blur_px, OF_INTERPOLATION_PX)

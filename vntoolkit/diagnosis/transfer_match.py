@@ -75,7 +75,7 @@ def check_transfer(evidence: Evidence) -> list[Finding]:
         written = max(written, unevenly, key=lambda each: each.score / each.error)
     elif (
         written.score < max(_NOTED, _Z * written.error)
-        or (unevenly is not None and unevenly.score < 0.0)
+        or (unevenly is not None and unevenly.score < -_HOLDS)
         or not _Spreads.of(evidence, written.curve).curve_is_best
     ):
         return []
