@@ -3,9 +3,9 @@
 python -m benchmarks.expected_errors [--scenes sweater jacket] [--seeds 1 2] [--far] [--out FILE]   # 1 min
 
 Up to two frames of each scene of the simulator, 480×360, every nuisance of a camera on, the true M of the
-picture's middle, shadows looked for, near lamps and blur told by the footage as `reconstruct` does. A number is
-the share of the pixels said to be within x degrees, a quarter more or less, that are within what is said of
-them; 0.85 to 0.95 is meant. --far: lamps far away.
+picture's middle, shadows looked for, near lamps and blur told by the footage as `reconstruct` does. A number
+is the share of the pixels said to be within x degrees, a quarter more or less, that are within what is said
+of them; 0.85 to 0.95 is meant. --far: lamps far away.
 """
 
 from __future__ import annotations

@@ -11,10 +11,11 @@ Seven independent errors add up in squares. Each is measured where it shows:
 - under near lamps M is right at the picture's centre only. A lamp in the direction l at the distance d has at
   a place δ beside the centre, to first order, the direction times strength l + (3 l (l·δ) − δ) / d. That
   changes the length of M⁻¹r with the place and the direction, which tells d of each lamp;
-- blur averages relief away. What it has left of relief as wide as itself foretells what is lost;
+- blur averages relief away: of a lens, of motion, of colours that were interpolated. What it has left of
+  relief as wide as itself foretells what is lost;
 - the rig's own residual is what its calibration could not explain;
-- what departs from the ellipsoid at a pixel or beside it is relief finer than pixels, another paint, gloss,
-  saturation, or light from elsewhere;
+- what departs from the ellipsoid at a pixel, beside it, or in its cell on average is relief finer than
+  pixels, another paint, gloss, saturation, or light from elsewhere;
 - where a light is missing the normal rests on its surroundings.
 """
 
