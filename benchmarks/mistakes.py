@@ -6,8 +6,9 @@ Every scene of the simulator is filmed (four frames of 480×360) with the true M
 FOLDER: a capture of your own with its right rig, `rig.json`, the frames as `capture.mkv` or in `frames/`, and
 `mask.png` where there is one; the first eight frames are taken. Each mistake is made in memory, and the
 checks of `reconstruct` and `doctor` are asked; those with a star are beyond the list of which 95
-% are to be found. A mistake counts as found where a warning or an error names its remedy. A capture counts as
-clean where no warning is given, but for clipped pixels that are there.
+% are to be found. A mistake counts as found where a warning or an error names its remedy, and as silent where
+there is neither. A capture counts as clean where no warning is given, but for clipped pixels that are there;
+those of a tartan are no clean ones: a rig of one material gives wrong normals there.
 """
 
 from __future__ import annotations
@@ -242,12 +243,15 @@ def main() -> None:
         for seed in arguments.seeds:
             sources.append((f"{name}, seed {seed}", lambda name=name, seed=seed: simulated(name, seed)))
     found: dict[str, list[bool]] = defaultdict(list)
+    silent: dict[str, int] = defaultdict(int)
     missed: list[str] = []
     seconds: list[float] = []
     for name, load in sources:
         shot, subject = load()
         rng = np.random.default_rng(0)
         for clean in clean_ones(shot, subject):
+            if name.startswith("sweater_tartan"):
+                break
             started = time.process_time()
             said = [f.text for f in clean.findings() if f.check != "clipping"]
             seconds.append(time.process_time() - started)
@@ -261,6 +265,7 @@ def main() -> None:
             texts = [f.text for f in findings]
             named = any(words in text for text in texts)
             found[what].append(named)
+            silent[what] += not texts
             if not named:
                 missed.append(f"{name}: {what}: {' | '.join(texts) or 'nothing said'}")
         print(f"{name}: done", flush=True)
@@ -269,7 +274,8 @@ def main() -> None:
             arguments.out.write_text(json.dumps({"counts": counts, "missed": missed}, indent=1) + "\n")
     print("\n".join(missed))
     for what, each in found.items():
-        print(f"{what:38s} {sum(each):4d} of {len(each):4d}")
+        without = f"   {silent[what]} silent" if silent[what] else ""
+        print(f"{what:38s} {sum(each):4d} of {len(each):4d}{without}")
     print(f"processor time of the checks of a clean capture: median {np.median(seconds):.2f} s, ", end="")
     print(f"most {max(seconds):.2f} s")
 

@@ -80,7 +80,7 @@ def test_stripes_of_paint_are_no_slopes_and_hide_no_mirrored_axis(seed):
 
 
 @pytest.mark.parametrize("seed", [0, 2, 3, 5])
-def test_where_paint_leaves_no_surface_it_is_noted_that_m_was_not_checked(seed):
+def test_where_paint_leaves_no_surface_a_warning_says_that_m_was_not_checked(seed):
     """A weave of many colours, finer than what slopes are compared over."""
     light, inside, response = _shot(seed)
     rng = np.random.default_rng(seed)
@@ -88,8 +88,9 @@ def test_where_paint_leaves_no_surface_it_is_noted_that_m_was_not_checked(seed):
     for change in (np.eye(3), np.diag([-1, 1, 1])):
         found = _findings(woven, response.matrix @ change, mask=inside)
         noted = [finding for finding in found if finding.check == "relatives"]
-        assert [finding.level for finding in noted] == [Level.NOTE], found
+        assert [finding.level for finding in noted] == [Level.WARNING], found
         assert "could not be checked" in noted[0].problem
+        assert "--single-light" in noted[0].remedy
 
 
 @pytest.mark.parametrize("seed", [0, 2])

@@ -71,11 +71,15 @@ def check_transfer(evidence: Evidence) -> list[Finding]:
     if -written.under_other > _TURNED_ROUND * written.as_read:
         return []
     unevenly = _against_the_other_kind(evidence, unevenly=True)
-    if unevenly is not None and unevenly.score > max(_HOLDS, _Z * unevenly.error):
-        written = max(written, unevenly, key=lambda each: each.score / each.error)
+    if (
+        unevenly is not None
+        and unevenly.score > max(_HOLDS, _Z * unevenly.error)
+        and unevenly.as_read > _Z * unevenly.read_error
+    ):
+        written = max(written, unevenly, key=lambda each: each.z)
     elif (
         written.score < max(_NOTED, _Z * written.error)
-        or (unevenly is not None and unevenly.score < -_HOLDS)
+        or (unevenly is not None and unevenly.score < -_HOLDS and -unevenly.z > written.z)
         or not _Spreads.of(evidence, written.curve).curve_is_best
     ):
         return []
@@ -83,15 +87,15 @@ def check_transfer(evidence: Evidence) -> list[Finding]:
     return [
         Finding(
             check="transfer",
-            level=Level.FATAL if written.score > 2 * _Z * written.error else Level.WARNING,
+            level=Level.FATAL if written.z > 2 * _Z else Level.WARNING,
             problem=f"the transfer curve looks like {written.curve}, not {stated}: the brightness of one "
             "material changes with its direction as between these two",
-            measured=f"a slope of {written.as_read:.2f} ± {written.error:.2f}",
+            measured=f"a slope of {written.as_read:.2f} ± {written.read_error:.2f}",
             expected="0",
             remedy=f"give --transfer {written.curve} if the rig was calibrated so, else calibrate again; a "
             "subject of several colours looks so too: calibrate it with one photograph per lamp "
             "(--single-light)",
-            certainty=certainty_from_z(written.score / written.error),
+            certainty=certainty_from_z(written.z),
         )
     ]
 
@@ -111,7 +115,9 @@ def check_calibrated_transfer(evidence: Evidence) -> list[Finding]:
     else:
         level, says = Level.WARNING, "and the footage does not tell which is right"
     slope = (
-        "no surface to measure on" if back is None else f"a slope of {back.as_read:.2f} ± {back.error:.2f}"
+        "no surface to measure on"
+        if back is None
+        else f"a slope of {back.as_read:.2f} ± {back.read_error:.2f}"
     )
     return [
         Finding(
@@ -128,10 +134,13 @@ def check_calibrated_transfer(evidence: Evidence) -> list[Finding]:
 
 @dataclass(frozen=True, kw_only=True)
 class _Comparison:
-    """How two curves compare: slope of the lengths as read, of those under `curve`, and their error."""
+    """How two curves compare: slope of the lengths as read and its error, of those under `curve`, and the
+    error of the difference.
+    """
 
     curve: str
     as_read: float
+    read_error: float
     under_other: float
     error: float
 
@@ -139,6 +148,11 @@ class _Comparison:
     def score(self) -> float:
         """−1 where the curve is right, +1 where the other one is."""
         return self.as_read - self.under_other
+
+    @property
+    def z(self) -> float:
+        """The score in standard errors."""
+        return self.score / self.error
 
 
 def _against_the_other_kind(evidence: Evidence, *, unevenly: bool = False) -> _Comparison | None:
@@ -158,7 +172,11 @@ def _comparison(evidence: Evidence, other: Transfer, *, unevenly: bool = False) 
     if one is None or two is None:
         return None
     return _Comparison(
-        curve=other.to_text(), as_read=one[0], under_other=two[0], error=math.hypot(one[1], two[1])
+        curve=other.to_text(),
+        as_read=one[0],
+        read_error=one[1],
+        under_other=two[0],
+        error=math.hypot(one[1], two[1]),
     )
 
 
