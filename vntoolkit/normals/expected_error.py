@@ -603,6 +603,18 @@ def _curl_row(
 
 
 @njit(cache=True)
+def _median_of(values: Any, count: int) -> np.float32:
+    """Sort the first of a few values in place; return their median."""
+    for i in range(1, count):
+        value, at = values[i], i
+        while at > 0 and values[at - 1] > value:
+            values[at] = values[at - 1]
+            at -= 1
+        values[at] = value
+    return np.float32(0.5) * (values[(count - 1) // 2] + values[count // 2])
+
+
+@njit(cache=True)
 def _median_square(angles: Any, weights: Any) -> tuple[np.float32, np.float32]:
     """Return the variance of normally distributed angles by the median departure from their median.
 
@@ -615,9 +627,10 @@ def _median_square(angles: Any, weights: Any) -> tuple[np.float32, np.float32]:
         if weights[i] == largest:
             ordered[count] = angles[i]
             count += 1
-    found = np.sort(ordered[:count])
-    found = np.sort(np.abs(found - np.float32(0.5) * (found[(count - 1) // 2] + found[count // 2])))
-    median = np.float32(0.5) * (found[(count - 1) // 2] + found[count // 2]) * _PER_MEDIAN
+    middle = _median_of(ordered, count)
+    for i in range(count):
+        ordered[i] = abs(ordered[i] - middle)
+    median = _median_of(ordered, count) * _PER_MEDIAN
     weight = largest * np.float32(count)
     return weight * min(median * median, np.float32(1.0)), weight
 
