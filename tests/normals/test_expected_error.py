@@ -227,6 +227,14 @@ def test_what_blur_takes_from_one_wave_follows_from_two_more_blurs(rng, length_p
     assert taken == pytest.approx(true, rel=0.25)  # squares blur, too; a normal is no slope
 
 
+def test_noise_that_is_alike_over_several_pixels_counts(rng):
+    """As that of a codec: neighbours hardly differ by it."""
+    noise = cv2.GaussianBlur(rng.normal(0, 0.08, (240, 240, 3)), (0, 0), 1.5)
+    found, error = seen(colours() + noise)
+    inner = (slice(20, -20), slice(20, -20))
+    assert np.mean(error[inner] <= found.error_deg[inner]) > 0.8
+
+
 def test_blur_takes_nothing_from_a_smooth_surface(rng):
     light = cv2.GaussianBlur(colours(), (0, 0), 2.0) + rng.normal(0, 0.005, (240, 240, 3))
     without, _ = seen(light)

@@ -3,7 +3,8 @@
 Seven independent errors add up in squares. Each is measured where it shows:
 
 - noise of every kind (shot, read, quantisation, codec) turns normals at random. A surface's slopes (p, q)
-  have no curl; noise of standard deviation σ on both gives ∂p/∂v − ∂q/∂u, by central differences, that σ.
+  add up to 0 around a square, p along the rows and q along the columns; noise does not. Squares of 4 pixels
+  show a codec's noise, too, which is alike over several pixels.
   Pixels at the subject's edge mix it with what lies behind: they tell nothing of those farther in;
 - an error ΔM of the rig or of the material's colour moves M⁻¹r from the unit sphere onto an ellipsoid,
   |M⁻¹r| ≈ 1 + nᵀE n with E the symmetric part of M⁻¹ΔM. The ellipsoid that fits the frame tells E, and E the
@@ -67,6 +68,9 @@ _EDGE_PX = 4  # from the subject's edge, which blur and subsampled chroma mix wi
 _EDGE_SHARE = np.float32(1e-4)  # … a pixel tells of noise only where none farther in does
 _BESIDE_PX = 2  # to either side: one departure is a poor sample of how far normals depart there
 _LEAST_FACING = np.float32(0.1)
+_LOOP_PX = 2  # half a side of the squares: a codec's noise is alike over 4 pixels, its smallest blocks
+# Noise of variance 1 adds up to 4 (1/4 + 3 + 1/4) around a square: the pixels at its corners count half.
+_PER_CIRCULATION = np.float32(1.0 / math.sqrt(14.0))
 # Standard deviations over the median size of 16 normally distributed numbers.
 _PER_MEDIAN = np.float32(1.4826 / math.sqrt(1.085))
 _LEAST_LIGHT, _GRID_PIXELS = 0.3, 4000  # of the length that a fiftieth exceeds, over a grid of pixels
@@ -523,10 +527,10 @@ def _slopes_row(
 
 @njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
 def _curl_kernel(image: Any, table: Any, maps: Any, mask: Mask, c: _Coefficients, found: Any) -> None:
-    """Sum up the squared curl, as an angle in radians, and its places, along the middle row of cells."""
+    """Sum up the squared circulation, as an angle in radians, and its places, along the middle of cells."""
     for cell in prange(found.shape[1]):
-        v = min(cell * _CELL + _CELL // 2 - 1, mask.shape[0] - 2)
-        if v >= 1:
+        v = min(cell * _CELL + _CELL // 2 - 1, mask.shape[0] - 1 - _LOOP_PX)
+        if v >= _LOOP_PX:
             _curl_row(image, table, maps, mask, c, v, found[0, cell], found[1, cell])
 
 
@@ -534,48 +538,64 @@ def _curl_kernel(image: Any, table: Any, maps: Any, mask: Mask, c: _Coefficients
 def _curl_row(
     image: Any, table: Any, maps: Any, mask: Mask, c: _Coefficients, v: int, sums: Any, counts: Any
 ) -> None:
-    width = mask.shape[1]
+    width, zero, half, one = mask.shape[1], np.float32(0.0), np.float32(0.5), np.float32(1.0)
     first, last = _span(mask[v])
     # one array each, whose slices have no stride: eight pixels at a time
     p, q, known = np.zeros(width, np.float32), np.zeros(width, np.float32), np.zeros(width, np.float32)
-    above, below, unused = (
+    down, right, all_known = (
         np.zeros(width, np.float32),
         np.zeros(width, np.float32),
-        np.zeros(width, np.float32),
+        np.ones(width, np.float32),
     )
-    above_known, below_known = np.zeros(width, np.float32), np.zeros(width, np.float32)
     top_known, bottom_known = np.zeros(width, np.float32), np.zeros(width, np.float32)
+    here = np.zeros(width, np.float32)
     top, bottom = max(v - _EDGE_PX, 0), min(v + _EDGE_PX, mask.shape[0] - 1)
     whole = len(sums) * _CELL
     found, places = np.zeros(whole, np.float32), np.zeros(whole, np.float32)
-    for row, to_p, to_q, to_known in (
-        (top, unused, q, top_known), (bottom, unused, q, bottom_known),
-        (v - 1, above, unused, above_known), (v + 1, below, unused, below_known), (v, p, q, known),
-    ):  # fmt: skip
+    for row, to_known in ((top, top_known), (bottom, bottom_known)):
         _slopes_row(
             image[row, 3 * first : 3 * last], table, maps, mask[row, first:last], c, row, first,
-            to_p[first:last], to_q[first:last], to_known[first:last],
+            p[first:last], q[first:last], to_known[first:last],
         )  # fmt: skip
-    inner, zero, half, one = width - 2, np.float32(0.0), np.float32(0.5), np.float32(1.0)
-    before, here, after = known[:inner], known[1 : inner + 1], known[2:]
-    up, down, q_before, q_after = above[1 : inner + 1], below[1 : inner + 1], q[:inner], q[2:]
-    up_known, down_known = above_known[1 : inner + 1], below_known[1 : inner + 1]
-    to_found, to_places = found[1 : inner + 1], places[1 : inner + 1]
-    counted = np.zeros(inner, np.float32)
-    reach = 2 * _EDGE_PX + 1
+    for step in range(-_LOOP_PX, _LOOP_PX + 1):
+        _slopes_row(
+            image[v + step, 3 * first : 3 * last], table, maps, mask[v + step, first:last], c, v + step,
+            first, p[first:last], q[first:last], known[first:last],
+        )  # fmt: skip
+        is_end = abs(step) == _LOOP_PX
+        share, sign = half if is_end else one, one if step > 0 else -one
+        for u in range(width):
+            right[u] += share * q[u]
+            all_known[u] = min(all_known[u], known[u])
+        if is_end:
+            for u in range(width):
+                down[u] += sign * p[u]
+        if step == 0:
+            here[:] = known
+    inner, reach = width - 2 * _LOOP_PX, 2 * _EDGE_PX + 1
+    if inner < 1:
+        return
+    counted = np.zeros(width, np.float32)
     if width > reach:
-        left, right = known[: width - reach + 1], known[reach - 1 :]
+        before, after = here[: width - reach + 1], here[reach - 1 :]
         over, under = top_known[_EDGE_PX:], bottom_known[_EDGE_PX:]
-        to_share = counted[_EDGE_PX - 1 : width - _EDGE_PX - 1]
+        to_share = counted[_EDGE_PX : width - _EDGE_PX]
         for u in range(len(to_share)):
-            farther = min(left[u], right[u], over[u], under[u]) > zero
+            farther = min(before[u], after[u], over[u], under[u]) > zero
             to_share[u] = one if farther else zero
+    around, good = np.zeros(inner, np.float32), np.ones(inner, np.float32)
+    for i in range(2 * _LOOP_PX + 1):
+        along, whole_known = down[i : i + inner], all_known[i : i + inner]
+        share = half if i == 0 or i == 2 * _LOOP_PX else one
+        for u in range(inner):
+            around[u] += share * along[u]
+            good[u] = min(good[u], whole_known[u])
+    q_before, q_after = right[:inner], right[2 * _LOOP_PX :]
+    to_found, to_places = found[_LOOP_PX : _LOOP_PX + inner], places[_LOOP_PX : _LOOP_PX + inner]
+    of_here, of_counted = here[_LOOP_PX : _LOOP_PX + inner], counted[_LOOP_PX : _LOOP_PX + inner]
     for u in range(inner):
-        across, along = min(before[u], after[u]), min(up_known[u], down_known[u])
-        good = (across > zero) & (along > zero) & (here[u] > zero)
-        angle = half * ((down[u] - up[u]) - (q_after[u] - q_before[u])) * here[u]
-        to_found[u] = abs(angle)
-        to_places[u] = max(counted[u], _EDGE_SHARE) if good else zero
+        to_found[u] = _PER_CIRCULATION * (around[u] - (q_after[u] - q_before[u])) * of_here[u]
+        to_places[u] = max(of_counted[u], _EDGE_SHARE) if good[u] > zero else zero
     for k in range(len(sums)):
         sums[k], counts[k] = _median_square(
             found[k * _CELL : (k + 1) * _CELL], places[k * _CELL : (k + 1) * _CELL]
@@ -583,22 +603,34 @@ def _curl_row(
 
 
 @njit(cache=True)
-def _median_square(angles: Any, weights: Any) -> tuple[np.float32, np.float32]:
-    """Return the variance of normal angles whose absolute values these are, by their median, and its weight.
+def _median_of(values: Any, count: int) -> np.float32:
+    """Sort the first of a few values in place; return their median."""
+    for i in range(1, count):
+        value, at = values[i], i
+        while at > 0 and values[at - 1] > value:
+            values[at] = values[at - 1]
+            at -= 1
+        values[at] = value
+    return np.float32(0.5) * (values[(count - 1) // 2] + values[count // 2])
 
-    Of those with the largest weight. The variance comes times the weight, as a sum.
+
+@njit(cache=True)
+def _median_square(angles: Any, weights: Any) -> tuple[np.float32, np.float32]:
+    """Return the variance of normally distributed angles by the median departure from their median.
+
+    Of those with the largest weight. The variance comes times the weight, as a sum, and with it. What all of
+    them share is no noise: shadows and errors of M give normals that belong to no surface, either.
     """
     largest, count = weights.max(), 0
     ordered = np.empty(len(angles), np.float32)
     for i in range(len(angles)):
         if weights[i] == largest:
-            at = count
-            while at > 0 and ordered[at - 1] > angles[i]:
-                ordered[at] = ordered[at - 1]
-                at -= 1
-            ordered[at] = angles[i]
+            ordered[count] = angles[i]
             count += 1
-    median = np.float32(0.5) * (ordered[(count - 1) // 2] + ordered[count // 2]) * _PER_MEDIAN
+    middle = _median_of(ordered, count)
+    for i in range(count):
+        ordered[i] = abs(ordered[i] - middle)
+    median = _median_of(ordered, count) * _PER_MEDIAN
     weight = largest * np.float32(count)
     return weight * min(median * median, np.float32(1.0)), weight
 
