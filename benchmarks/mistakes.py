@@ -6,8 +6,9 @@ Every scene of the simulator is filmed (four frames of 480×360) with the true M
 FOLDER: a capture of your own with its right rig, `rig.json`, the frames as `capture.mkv` or in `frames/`, and
 `mask.png` where there is one; the first eight frames are taken. Each mistake is made in memory, and the
 checks of `reconstruct` and `doctor` are asked; those with a star are beyond the list of which 95
-% are to be found. A mistake counts as found where a warning or an error names its remedy. A capture counts as
-clean where no warning is given, but for clipped pixels that are there.
+% are to be found. A mistake counts as found where a warning or an error names its remedy, and as silent where
+there is neither. A capture counts as clean where no warning is given, but for clipped pixels that are there;
+those of a tartan are no clean ones: a rig of one material gives wrong normals there.
 """
 
 from __future__ import annotations
@@ -86,6 +87,25 @@ def blurred(light: np.ndarray, pixels: float) -> np.ndarray:
     return np.stack([gaussian_filter(light[..., k], pixels) for k in range(3)], axis=-1)
 
 
+def glossy(light: np.ndarray, rig: Rig) -> np.ndarray:
+    """Add highlights of a fifth of the matte light, by the normals that the rig finds."""
+    normals = (light - rig.response.ambient) @ rig.response.inverse.T
+    normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-9)
+    rows = rig.response.matrix
+    strengths = np.linalg.norm(rows, axis=1)
+    colours = np.diag(strengths) if rig.response.light_colours is None else rig.response.light_colours
+    towards = (
+        rows / strengths[:, None] if rig.response.light_colours is None else rig.response.light_directions
+    )
+    bright = light.max(axis=2) > 0.1 * light.max()
+    added = light.copy()
+    for colour, lamp in zip(colours, towards, strict=True):
+        between = lamp + np.array([0, 0, -1])
+        lobe = np.clip(blurred(normals, 1.0) @ between / np.linalg.norm(between), 0, 1) ** 40 * bright
+        added += 0.2 * lobe[..., None] * colour
+    return in_8_bits(added / max(1.0, np.percentile(added.max(axis=2), 99.9)))
+
+
 def turned(degrees: float) -> np.ndarray:
     c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
     return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
@@ -127,6 +147,17 @@ def mistakes(shot: Shot, subject: np.ndarray, rng: np.random.Generator) -> Itera
         "switch sharpening off",
         shot.with_light(lambda light: np.clip(2 * light - blurred(light, 1.0), 0, 1)),
     )
+    yield (
+        "* full range read as limited",
+        "full range",
+        shot.with_light(lambda light: in_8_bits((255 * in_8_bits(light) - 16) / 219)),
+    )
+    yield (
+        "* limited range read as full",
+        "limited range",
+        shot.with_light(lambda light: in_8_bits((219 * light + 16) / 255)),
+    )
+    yield "* glossy", "powder", replace(shot, frames=[glossy(frame, shot.rig) for frame in shot.frames])
     yield "* x and y reversed", "look reversed", shot.with_matrix(lambda m: m @ np.diag([-1, -1, 1]))
     yield "* red and blue exchanged", "red and blue exchanged", shot.with_matrix(lambda m: m[[2, 1, 0]])
     hue = (1.0, 0.82, 0.68)
@@ -212,12 +243,15 @@ def main() -> None:
         for seed in arguments.seeds:
             sources.append((f"{name}, seed {seed}", lambda name=name, seed=seed: simulated(name, seed)))
     found: dict[str, list[bool]] = defaultdict(list)
+    silent: dict[str, int] = defaultdict(int)
     missed: list[str] = []
     seconds: list[float] = []
     for name, load in sources:
         shot, subject = load()
         rng = np.random.default_rng(0)
         for clean in clean_ones(shot, subject):
+            if name.startswith("sweater_tartan"):
+                break
             started = time.process_time()
             said = [f.text for f in clean.findings() if f.check != "clipping"]
             seconds.append(time.process_time() - started)
@@ -231,6 +265,7 @@ def main() -> None:
             texts = [f.text for f in findings]
             named = any(words in text for text in texts)
             found[what].append(named)
+            silent[what] += not texts
             if not named:
                 missed.append(f"{name}: {what}: {' | '.join(texts) or 'nothing said'}")
         print(f"{name}: done", flush=True)
@@ -239,7 +274,8 @@ def main() -> None:
             arguments.out.write_text(json.dumps({"counts": counts, "missed": missed}, indent=1) + "\n")
     print("\n".join(missed))
     for what, each in found.items():
-        print(f"{what:38s} {sum(each):4d} of {len(each):4d}")
+        without = f"   {silent[what]} silent" if silent[what] else ""
+        print(f"{what:38s} {sum(each):4d} of {len(each):4d}{without}")
     print(f"processor time of the checks of a clean capture: median {np.median(seconds):.2f} s, ", end="")
     print(f"most {max(seconds):.2f} s")
 

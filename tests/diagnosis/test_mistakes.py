@@ -80,7 +80,7 @@ def test_stripes_of_paint_are_no_slopes_and_hide_no_mirrored_axis(seed):
 
 
 @pytest.mark.parametrize("seed", [0, 2, 3, 5])
-def test_where_paint_leaves_no_surface_it_is_noted_that_m_was_not_checked(seed):
+def test_where_paint_leaves_no_surface_a_warning_says_that_m_was_not_checked(seed):
     """A weave of many colours, finer than what slopes are compared over."""
     light, inside, response = _shot(seed)
     rng = np.random.default_rng(seed)
@@ -88,8 +88,9 @@ def test_where_paint_leaves_no_surface_it_is_noted_that_m_was_not_checked(seed):
     for change in (np.eye(3), np.diag([-1, 1, 1])):
         found = _findings(woven, response.matrix @ change, mask=inside)
         noted = [finding for finding in found if finding.check == "relatives"]
-        assert [finding.level for finding in noted] == [Level.NOTE], found
+        assert [finding.level for finding in noted] == [Level.WARNING], found
         assert "could not be checked" in noted[0].problem
+        assert "--single-light" in noted[0].remedy
 
 
 @pytest.mark.parametrize("seed", [0, 2])
@@ -228,6 +229,36 @@ def test_limited_range_read_as_full_is_named():
     (found,) = _findings(linear_from_encoded(codes, SRGB), response.matrix, SRGB)
     assert found.check == "black-level"
     assert "limited range, read as full" in found.text
+
+
+def test_full_range_read_as_limited_is_named():
+    light, _, response = _shot(2)
+    codes = np.clip((255 * encoded_from_linear(light, SRGB) - 16) / 219, 0, 1)
+    (found,) = _findings(linear_from_encoded(np.rint(255 * codes) / 255, SRGB), response.matrix, SRGB)
+    assert found.check == "black-level"
+    assert "full range, read as limited" in found.text
+
+
+@pytest.mark.parametrize("seed", [1, 4])
+@pytest.mark.parametrize(("strength", "exponent"), [(0.1, 30), (0.25, 80)])
+def test_gloss_is_measured_and_a_matte_surface_has_none(seed, strength, exponent):
+    light, inside, response = _shot(seed)
+    normals = (light @ np.linalg.inv(response.matrix).T) * inside[..., None]
+    normals = cv2.GaussianBlur(normals, (0, 0), 1.0)
+    normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-9)
+    strengths = np.linalg.norm(response.matrix, axis=1)
+    glossy = light.copy()
+    for lamp, colour in zip(response.matrix / strengths[:, None], np.diag(strengths), strict=True):
+        between = lamp + np.array([0, 0, -1])
+        lobe = np.clip(normals @ between / np.linalg.norm(between), 0, 1) ** exponent
+        glossy += strength * lobe[..., None] * colour * inside[..., None]
+    top = max(1.0, glossy.max())
+    assert not any(found.check == "gloss" for found in _findings(light, response.matrix))
+    found = [each for each in _findings(glossy / top, response.matrix / top) if each.check == "gloss"]
+    assert len(found) == 1
+    said = float(re.findall(r"highlights of ([\d.]+)%", found[0].measured)[0]) / 100
+    assert 0.25 * strength < said < 1.5 * strength  # of a lobe of one width
+    assert "powder" in found[0].remedy
 
 
 def _domes_in_a_row(rng):

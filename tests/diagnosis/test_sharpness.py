@@ -4,8 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from vntoolkit.diagnosis.sharpness import findings_from_sharpness, fit_sharpness
+from vntoolkit.diagnosis.sharpness import colour_is_interpolated, findings_from_sharpness, fit_sharpness
 from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.simulation.nuisances import mosaic_from_rgb, rgb_from_mosaic
 
 SIZE, FINER = 240, 6
 LIGHTS = np.array([[0.5, 0.1, -0.85], [-0.4, 0.45, -0.8], [-0.1, -0.5, -0.85]])
@@ -79,6 +80,25 @@ def test_sharpening_is_told_from_a_smaller_picture_and_from_noise(rng):
     for smaller in (cv2.INTER_AREA, cv2.INTER_LANCZOS4):
         assert not names(LinearFrame(rgb=np.clip(cv2.resize(light, (160, 160), interpolation=smaller), 0, 1)))
     assert not names(filmed(finely(sheet), rng, noise=0.03))
+
+
+def test_sharpening_makes_the_background_darker_beside_a_ball(rng):
+    """Light that falls towards the outline hides a bright rim; the background shows a dark one."""
+    dark = filmed(finely(lambda x, y: ball(x, y) + 0.02), rng)
+    light = np.asarray(dark.rgb)
+    rim = light - cv2.GaussianBlur(light, (0, 0), 1.0)
+    assert not names(dark)
+    assert names(LinearFrame(rgb=np.clip(light + rim, 0, 1))) == ["sharpening"]
+    blurred = cv2.GaussianBlur(light, (0, 0), 1.0)
+    assert not names(LinearFrame(rgb=blurred))
+
+
+def test_a_mosaic_is_told_from_noise_and_from_blur(rng):
+    light = np.asarray(filmed(finely(sheet), rng, noise=0.0).rgb)
+    noisy = np.clip(light + rng.normal(0, 0.01, light.shape), 0, 1).astype(np.float32)
+    assert colour_is_interpolated(LinearFrame(rgb=rgb_from_mosaic(mosaic_from_rgb(noisy))))
+    assert not colour_is_interpolated(LinearFrame(rgb=noisy))
+    assert not colour_is_interpolated(LinearFrame(rgb=cv2.GaussianBlur(noisy, (0, 0), 0.7)))
 
 
 def test_nothing_is_said_without_an_outline(rng):

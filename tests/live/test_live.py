@@ -70,7 +70,7 @@ def test_shadows_are_found_live_as_in_a_run() -> None:
     options = ReconstructOptions(
         to=Product.NORMALS, shadows=ShadowMethod.ROBUST, materials=MaterialSearch.CALIBRATED
     )
-    expected = FrameProcessor(dome_rig(), options, tells_errors=False).process(encoded(values)).normal_map
+    expected = FrameProcessor(dome_rig(), options, with_errors=False).process(encoded(values)).normal_map
     found = LiveProcessor(dome_rig(), shadows=ShadowMethod.ROBUST).process(encoded(values)).normal_map
     np.testing.assert_array_equal(found.normals_in_camera, expected.normals_in_camera)
     plain = LiveProcessor(dome_rig()).process(encoded(values)).normal_map

@@ -13,7 +13,8 @@ from vntoolkit.normals.expected_error import (
     normals_and_errors_from_encoded,
     with_expected_error,
 )
-from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame
+from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame, rows_of
+from vntoolkit.normals.lost_detail import _OF_MANY_WAVES, detail_kernel, lost_over_left, side_of_squares
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.levelling import Leveller
 from vntoolkit.photometry.near_lamps import with_near_lamps
@@ -204,12 +205,34 @@ def test_relief_that_blur_has_lost_is_foretold(rng, blur_px):
     assert np.median(found.error_deg[inner]) < 3 * np.median(error[inner])  # 1.8 where errors are alike
 
 
+@pytest.mark.parametrize(("length_px", "blur_px"), [(5.0, 0.6), (6.0, 1.0), (8.0, 1.3), (14.0, 2.5)])
+def test_what_blur_takes_from_one_wave_follows_from_two_more_blurs(rng, length_px, blur_px):
+    """exp(b²k²/2) − 1 times what is left, whatever the wave; noise is told from it."""
+    v, u = np.mgrid[:240, :240].astype(float)
+    k, height = 2 * np.pi / length_px, 0.1
+    slope = height * np.cos(k * (0.8 * u + 0.6 * v))
+    normals = np.dstack([0.8 * slope, 0.6 * slope, -np.ones_like(slope)])
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    light = cv2.GaussianBlur(colours(normals), (0, 0), blur_px) + rng.normal(0, 0.002, (240, 240, 3))
+    side = side_of_squares(blur_px)
+    inverse = np.linalg.inv(MATRIX).astype(np.float32)
+    found, whole = np.zeros((3, 15, 15), np.float32), np.ones((240, 240), bool)
+    detail_kernel(
+        rows_of(light.astype(np.float32)), None, np.zeros((240, 240), bool), np.float32(0), None, whole, None,
+        inverse, RESPONSE.ambient.astype(np.float32), np.float32(1), side, found,
+    )  # fmt: skip
+    left = found[0].sum() / found[1].sum()
+    taken = np.sqrt(2 * lost_over_left(found, blur_px, side) * left / _OF_MANY_WAVES)
+    true = height / np.sqrt(2) * (1 - np.exp(-0.5 * (blur_px * k) ** 2))
+    assert taken == pytest.approx(true, rel=0.25)  # squares blur, too; a normal is no slope
+
+
 def test_blur_takes_nothing_from_a_smooth_surface(rng):
     light = cv2.GaussianBlur(colours(), (0, 0), 2.0) + rng.normal(0, 0.005, (240, 240, 3))
     without, _ = seen(light)
     found, _ = seen(light, blur_px=2.0)
     assert np.median(found.error_deg) < 1.3 * np.median(without.error_deg)
-    sharp, _ = seen(light, blur_px=0.5)
+    sharp, _ = seen(light, blur_px=0.2)
     np.testing.assert_array_equal(sharp.error_deg, without.error_deg)
 
 
@@ -235,7 +258,7 @@ def test_another_order_of_the_samples_gives_the_same_bits(rng: np.random.Generat
     samples = np.vstack([normals.T * lengths, u, v])
     nearness = rng.normal(0.0, 0.3, (2, 3, 3, 3))
     found, other = np.empty(31), np.empty(31)
-    _fit_ellipsoid(samples, (96, 96), nearness, found)
+    _fit_ellipsoid(samples.copy(), (96, 96), nearness, found)
     _fit_ellipsoid(samples[:, rng.permutation(len(normals))], (96, 96), nearness, other)
     assert found[1:25].any()
     assert np.array_equal(found[:25], other[:25])

@@ -174,8 +174,8 @@ def build_app(arguments: Sequence[str] = ()) -> App:
     for group, (line, verbs) in GROUPS.items():
         sub = App(name=group, help=line, help_format="markdown", version_flags=())
         for verb, (target, verb_line) in verbs.items():
-            told = None if arguments[:2] == [group, verb] else verb_line
-            sub.command(target, name=verb, help=told, **_epilogue(f"{group} {verb}"))
+            help_line = None if arguments[:2] == [group, verb] else verb_line
+            sub.command(target, name=verb, help=help_line, **_epilogue(f"{group} {verb}"))
         app.command(sub)
     return app
 

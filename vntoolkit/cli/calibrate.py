@@ -243,11 +243,11 @@ def report_rig(out: Path, rig: Rig, seen: str) -> None:
         print("  M varies over the image; the condition number is that of the centre")
         return
     tilts = np.rad2deg(np.arccos(np.clip(-rig.response.light_directions[:, 2], -1, 1)))
-    told = f"{', '.join(f'{tilt:.0f}' for tilt in tilts)} degrees from the optical axis"
+    tilts_text = f"{', '.join(f'{tilt:.0f}' for tilt in tilts)} degrees from the optical axis"
     if rig.response.light_colours is not None:
-        print(f"  lights            {told}")
+        print(f"  lights            {tilts_text}")
     else:
-        print(f"  rows of M         {told} (red, green, blue channel;")
+        print(f"  rows of M         {tilts_text} (red, green, blue channel;")
         print("                    the lights lie further out where a channel sees several of them)")
 
 

@@ -24,7 +24,8 @@ def demo(
 ) -> None:
     """Simulate a board and a dancer's sweater, calibrate, reconstruct, and compare with the truth.
 
-    Takes a minute on two cores, and 20 s more the first time. An interrupted run continues where it stopped.
+    Takes a minute on two cores; where set-up has not compiled the loops, 20 s more the first time. An
+    interrupted run continues where it stopped.
 
     Parameters
     ----------

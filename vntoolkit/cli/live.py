@@ -190,8 +190,8 @@ def _watch(
     rate, (median, high) = shown.meter.figures()
     print(f"{source.name}: {run.figures().line()}")
     if shown.meter.count:
-        told = f"{rate:.1f} frames/s, {1000 * median:.0f} ms (95 %: {1000 * high:.0f} ms) after arrival"
-        print(f"drawn {shown.meter.count}: {told}")
+        timing = f"{rate:.1f} frames/s, {1000 * median:.0f} ms (95 %: {1000 * high:.0f} ms) after arrival"
+        print(f"drawn {shown.meter.count}: {timing}")
     for path in recorder.files:
         print(f"recorded {path}")
     if recorder.lost:

@@ -67,8 +67,8 @@ def print_next_program(written: Path) -> None:
         print(f"next: {shlex.join(['meshlab', str(written)])}")
         return
     reader = "import_scene.gltf" if suffix == ".glb" else "wm.usd_import"
-    told = f"import bpy; bpy.ops.{reader}(filepath={str(written)!r})"
-    print(f"next: {shlex.join(['blender', '--python-expr', told])}")
+    command = f"import bpy; bpy.ops.{reader}(filepath={str(written)!r})"
+    print(f"next: {shlex.join(['blender', '--python-expr', command])}")
 
 
 def write_json(path: Path, content: Any) -> None:

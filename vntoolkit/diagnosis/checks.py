@@ -9,6 +9,7 @@ import numpy as np
 from vntoolkit.diagnosis.black_level import check_black_level
 from vntoolkit.diagnosis.evidence import Evidence, brightest_channel
 from vntoolkit.diagnosis.finding import Finding, Level
+from vntoolkit.diagnosis.gloss import check_gloss
 from vntoolkit.diagnosis.outline import check_cast_shadows, check_outline
 from vntoolkit.diagnosis.rig_checks import check_coverage, check_lamps, check_residual, check_zoom
 from vntoolkit.diagnosis.surface_match import check_relatives, check_structure
@@ -53,26 +54,31 @@ def check_mask(evidence: Evidence) -> list[Finding]:
 
 
 # Each group is asked only where no check of a group before it found more than a note: a mask on the backdrop
-# explains noise, noise explains a surface that cannot be, and exchanged channels explain lengths that vary.
+# explains noise, noise explains a surface that cannot be, exchanged channels explain lengths that vary, and
+# highlights explain contrast that is too high.
 CAPTURE_CHECKS: tuple[tuple[Callable[[Evidence], list[Finding]], ...], ...] = (
     (check_mask,),
     (check_structure,),
     (check_relatives,),
     (check_zoom,),
-    (check_outline, check_calibrated_transfer, check_transfer, check_black_level),
+    (check_outline, check_calibrated_transfer, check_transfer),
+    (check_gloss,),
+    (check_black_level,),
     (check_cast_shadows,),
     (check_white_balance, check_changing_gains),
 )
 
 # They compare lengths of M⁻¹(r − a), which clipping cuts.
-_OF_LENGTHS = (check_zoom, check_transfer, check_black_level, check_white_balance, check_changing_gains)
+_OF_LENGTHS = (
+    check_zoom, check_transfer, check_black_level, check_gloss, check_white_balance, check_changing_gains,
+)  # fmt: skip
 _MOST_CLIPPED = 0.05  # of the subject
 
 # What `--allow` takes: every name that a finding of these checks, or one about the footage, can have.
 CHECK_NAMES: dict[str, str] = {
     "black": "a frame shows nothing",
     "blur": "a picture out of focus, or of something that moved too fast",
-    "black-level": "light on every pixel that is none of the lamps'",
+    "black-level": "light on every pixel that is none of the lamps', or another range than the file's",
     "bits": "few bits per sample",
     "chroma": "colour at a lower resolution than brightness",
     "clipping": "pixels at the white level",
@@ -85,6 +91,7 @@ CHECK_NAMES: dict[str, str] = {
     "flat": "a subject without shape",
     "flicker": "light that goes up and down from frame to frame",
     "gaps": "files of a sequence that are missing",
+    "gloss": "a surface that reflects the lamps",
     "grey": "footage without colour",
     "jump": "a subject that moves too far between two frames",
     "labels": "labels of presses that do not lie on the dents",

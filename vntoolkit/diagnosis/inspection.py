@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,7 +29,13 @@ from vntoolkit.diagnosis.over_time import (
     findings_from_motion,
 )
 from vntoolkit.diagnosis.rig_checks import check_stated_focal
-from vntoolkit.diagnosis.sharpness import findings_from_sharpness, fit_sharpness
+from vntoolkit.diagnosis.sharpness import (
+    OF_INTERPOLATION_PX,
+    Sharpness,
+    colour_is_interpolated,
+    findings_from_sharpness,
+    fit_sharpness,
+)
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.footage.captures import Capture, CaptureInfo, CaptureOptions, open_capture
 from vntoolkit.io.footage.mattes import MatteOptions, Mattes, open_mattes
@@ -339,7 +346,7 @@ def _findings_from_range(brightest: float) -> list[Finding]:
 class Examination:
     """findings: what a capture tells. nearness: of the lamps, as far as established; see `Nearness`.
 
-    blur_px: standard deviation of the picture's blur, 0 where nothing tells it; see `Sharpness`.
+    blur_px: standard deviation of the blur of colours, 0 where nothing tells it; see `Sharpness`.
     """
 
     findings: list[Finding]
@@ -388,7 +395,8 @@ def examine_capture(
             return Examination(findings=findings)
         few, most = [small[k] for k in places], FEW_PIXELS
         if in_one_material is not None and rig.gel is None:
-            few, most = [in_one_material(frames[k]) for k in places], PIXELS_BETWEEN_SEAMS
+            apart = sorted({places[0], places[-1]})  # labels take a quarter of a second a frame
+            few, most = [in_one_material(frames[k]) for k in apart], PIXELS_BETWEEN_SEAMS
         evidence = evidence_from_frames(few, rig, capture.transfer, mask, most)
         told = _findings_with_rig(evidence)
         findings += told
@@ -409,8 +417,16 @@ def examine_capture(
     return Examination(
         findings=findings,
         nearness=0.0 if near is None else near.established,
-        blur_px=0.0 if sharpness is None else sharpness.over_all_px,
+        blur_px=blur_of_colours(sharpness, capture.info.chroma, frames[places[0]]),
     )
+
+
+def blur_of_colours(sharpness: Sharpness | None, chroma: str, frame: LinearFrame) -> float:
+    """Return the blur of a frame's colours in pixels: the lens's, and that of what was interpolated."""
+    blur_px = 0.0 if sharpness is None else sharpness.over_all_px
+    if chroma in _CHROMA_COST_DEG or colour_is_interpolated(frame):
+        return math.hypot(blur_px, OF_INTERPOLATION_PX)
+    return blur_px
 
 
 def findings_from_frames(

@@ -39,6 +39,7 @@ _FATAL_GAIN = 0.2  # of agreement
 _NOTED_TURN_DEG = 12.0  # photographs with lamps measured on a chrome ball show up to 7
 # A step of log colour over four averaged pixels that is of paint, not shape; slopes beside it tell nothing.
 _PAINT_STEP, _PAINT_REACH_PX, _BESIDE_PX = 0.5, 2, 1
+_SEVERAL_COLOURS = 0.1  # of the subject beside such steps
 _LAG_PX = 4
 _LEAST_COHERENCE = 0.25
 _FLATTEST_DEG = 2.5
@@ -171,21 +172,29 @@ def check_relatives(evidence: Evidence) -> list[Finding]:
 
 
 def _undecided(evidence: Evidence, own: _Reading, mirrored: _Reading) -> list[Finding]:
-    """Note where M agrees hardly with the footage, and its mirror image alike: nothing was checked then."""
+    """Tell where M agrees hardly with the footage, and its mirror image alike: nothing was checked then."""
     if own.agreement > _LEAST_AGREEMENT or abs(own.z_above(mirrored)) > _Z:
         return []
     painted = float(_seams_of_paint(evidence)[evidence.surface].mean())
+    several = painted > _SEVERAL_COLOURS
     return [
         Finding(
             check="relatives",
-            level=Level.NOTE,
-            problem="M's axes, the order of the channels and the lamps' places could not be checked: the "
-            f"normals tell too little of a surface; {painted:.0%} of the subject lies beside steps of paint",
-            measured=f"an agreement of mixed derivatives of {own.agreement:.2f} ± {own.standard_error:.2f}, "
-            f"and {mirrored.agreement:.2f} if M is mirrored",
+            level=Level.WARNING if several else Level.NOTE,
+            problem="M's axes, the order of the channels, the lamps' places and the curve could not be "
+            "checked: the normals tell too little of a surface"
+            + ("; a rig of one material gives wrong normals beside paint" if several else ""),
+            measured=f"{painted:.0%} of the subject beside steps of paint, and an agreement of mixed "
+            f"derivatives of {own.agreement:.2f} ± {own.standard_error:.2f}, {mirrored.agreement:.2f} if "
+            "mirrored",
             expected=_EXPECTED,
-            remedy="check the rig on a subject of one colour, or look whether the normals are convex where "
-            "the subject is",
+            remedy=(
+                "calibrate with one photograph per lamp (--single-light), so that paints are told apart, and "
+                "check this rig on a subject of one colour"
+                if several
+                else "check the rig on a subject of one colour, or look whether the normals are convex where "
+                "the subject is"
+            ),
         )
     ]
 

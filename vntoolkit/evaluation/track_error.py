@@ -123,8 +123,10 @@ def track_errors(
         points = anchors.points(true_vertices)
         judged = anchors.found & visible(points, true_vertices, faces, camera)
         distance = np.linalg.norm(pixels.positions_px[judged] - camera.project(points[judged]), axis=1)
-        told = np.zeros(len(points)) if pixels.uncertainty_px is None else np.asarray(pixels.uncertainty_px)
-        yield error_of_frame(number, distance, told[judged] <= lost_px)
+        uncertainty = (
+            np.zeros(len(points)) if pixels.uncertainty_px is None else np.asarray(pixels.uncertainty_px)
+        )
+        yield error_of_frame(number, distance, uncertainty[judged] <= lost_px)
 
 
 def error_of_frame(number: int, distance_px: FloatArray, found: npt.NDArray[np.bool_]) -> TrackError:

@@ -120,7 +120,7 @@ class LiveProcessor:
             reconstruction,
             mask,
             self._background if key is None else None,
-            tells_errors=False,
+            with_errors=False,
         )
         self._step = max(1, -(-max(self.camera.width, self.camera.height) // depth_px))
         height, width = (n // self._step * self._step for n in (self.camera.height, self.camera.width))

@@ -110,8 +110,8 @@ class LiveViewer:
 
     def show_failure(self, problem: VntError, timed: TimedFrame) -> None:
         """Say that a frame gave no normals, and what to change; returns at once."""
-        told = exposure_warnings(timed.frame) or (f"no normals in this frame: {problem}",)
-        self._hand_over(None, timed, told)
+        warnings = exposure_warnings(timed.frame) or (f"no normals in this frame: {problem}",)
+        self._hand_over(None, timed, warnings)
 
     def close(self) -> None:
         """Stop serving."""

@@ -11,12 +11,12 @@ Seven independent errors add up in squares. Each is measured where it shows:
 - under near lamps M is right at the picture's centre only. A lamp in the direction l at the distance d has at
   a place δ beside the centre, to first order, the direction times strength l + (3 l (l·δ) − δ) / d. That
   changes the length of M⁻¹r with the place and the direction, which tells d of each lamp;
-- blur averages relief away. What it has left of relief as wide as itself foretells what is lost;
+- blur averages relief away: of a lens, of motion, of colours that were interpolated. What it has left of
+  relief as wide as itself foretells what is lost;
 - the rig's own residual is what its calibration could not explain;
-- what departs from the ellipsoid at a pixel or beside it is relief finer than pixels, another paint, gloss,
-  saturation, or light from elsewhere;
-- where a light is missing the normal rests on its surroundings. A channel that is nearly dark may be such a
-  place that no label tells of.
+- what departs from the ellipsoid at a pixel, beside it, or in its cell on average is relief finer than
+  pixels, another paint, gloss, saturation, or light from elsewhere;
+- where a light is missing the normal rests on its surroundings.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from vntoolkit.normals.inversion import (
     require_mask_or_all,
     rows_of,
 )
-from vntoolkit.normals.lost_detail import NOISE_IN_DIFFERENCES, detail_kernel, side_of_squares
+from vntoolkit.normals.lost_detail import LEAST_BLUR_PX, detail_kernel, lost_over_left, side_of_squares
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
 from vntoolkit.photometry.levelling import FLAGS, leveller_of, map_row
 from vntoolkit.photometry.near_lamps import changes_of_near_lamps
@@ -57,11 +57,7 @@ _OF_ELLIPSOID = 3.4  # also stands for the rotation, which leaves no trace
 _OF_NEARNESS = 1.3
 _OF_RESIDUAL = 1.1  # of a median
 _OF_LENGTH = 2.5  # radians over log length
-_OF_DETAIL = 3.0  # of the variance of relief as wide as the blur; between own scenes and wider ones
-_LEAST_BLUR_PX = 0.75  # what a sharper picture loses is less than its other errors
 _BY_LIGHTS_DEG = (46.0, 34.0, 31.0, 0.0)  # of a pixel that 0, 1, 2, 3 lights reach
-_DARK_CHANNEL_DEG = 20.0  # of a pixel with a channel without light, which falls …
-_DARK_CHANNEL = 0.45  # … to 0 at this share of the channel's largest value
 # A sphere shows nine tenths of its image within this angle of the axis: what a guess without data is worth.
 _LARGEST_DEG = np.float32(71.6)
 _HALF_WEIGHT_DEG = 12.0
@@ -71,7 +67,10 @@ _EDGE_PX = 4  # from the subject's edge, which blur and subsampled chroma mix wi
 _EDGE_SHARE = np.float32(1e-4)  # … a pixel tells of noise only where none farther in does
 _BESIDE_PX = 2  # to either side: one departure is a poor sample of how far normals depart there
 _LEAST_FACING = np.float32(0.1)
-_SAMPLES = 1000
+# Standard deviations over the median size of 16 normally distributed numbers.
+_PER_MEDIAN = np.float32(1.4826 / math.sqrt(1.085))
+_LEAST_LIGHT, _GRID_PIXELS = 0.3, 4000  # of the length that a fiftieth exceeds, over a grid of pixels
+_SAMPLES, _NEAR_PIXELS = 1000, 9
 _MOST_PER_KNOWN = 20  # places of the grid that are looked at for a sample
 _ROUNDS = 4
 _GRID = 2.0**-16  # of log lengths that are fitted: finer than any bound, far coarser than their rounding
@@ -88,8 +87,6 @@ _PER_NOISE = np.float32(np.degrees(NINE_OF_TEN) ** 2)
 _PER_TURN = np.float32(np.degrees(_OF_ELLIPSOID) ** 2)
 _PER_NEARNESS = np.float32(np.degrees(_OF_NEARNESS) ** 2)
 _PER_DEPARTURE = np.float32(np.degrees(_OF_LENGTH) ** 2)
-_PER_FALL = np.float32(_DARK_CHANNEL_DEG**2)
-_PER_DARK_CHANNEL = np.float32(1.0 / _DARK_CHANNEL)
 _PER_HALF_WEIGHT = np.float32(1.0 / _HALF_WEIGHT_DEG)
 _BY_LABEL = np.array([_BY_LIGHTS_DEG[bin(label).count("1")] ** 2 for label in range(8)], np.float32)
 
@@ -185,7 +182,7 @@ class _Light(NamedTuple):
 class _Coefficients(NamedTuple):
     """What the loops need to know, float32.
 
-    inverse: M⁻¹ at the centre, (3, 3). ambient: (3,). channel: 1 / |row of M|, (3,). rays: (6,), an affine
+    inverse: M⁻¹ at the centre, (3, 3). ambient: (3,). rays: (6,), an affine
     map from a pixel to its ray. along: variance of equal noise in all channels along a normal that faces the
     camera, over that across it. darkest: length of M⁻¹(r − a) below which a pixel is black. nearness:
     (2, 3, 3, 3), M⁻¹ΔM a step to the right or down makes with each lamp, times the lamp's distance over the
@@ -194,7 +191,6 @@ class _Coefficients(NamedTuple):
 
     inverse: Any
     ambient: Any
-    channel: Any
     rays: Any
     along: np.float32
     darkest: np.float32
@@ -210,12 +206,10 @@ def _coefficients(
         rays = np.column_stack([inverse, -inverse @ camera.matrix[:2, 2]]).ravel()
     spread = response.inverse @ response.inverse.T
     along = 2.0 * spread[2, 2] / max(float(np.trace(spread) - spread[2, 2]), 1e-12)
-    rows = np.maximum(np.linalg.norm(response.matrix, axis=1) * relative_albedo, 1e-9)
     nearness = np.einsum("ij,akjl->akil", response.inverse, changes_of_near_lamps(response))
     return _Coefficients(
         inverse=(response.inverse / relative_albedo).astype(np.float32),
         ambient=response.ambient.astype(np.float32),
-        channel=(1.0 / rows).astype(np.float32),
         rays=rays.astype(np.float32),
         along=np.float32(along),
         darkest=np.float32(darkest),
@@ -238,14 +232,16 @@ def _evidence(
     """
     cells = tuple(-(-n // _CELL) for n in mask.shape)
     found, noise = np.zeros((2, *cells), np.float32), np.empty(cells, np.float32)
+    least = _least_length(light.image, light.table, mask, c)
+    c = c._replace(darkest=np.float32(least))
     _curl_kernel(rows_of(light.image), light.table, light.maps, mask, c, found)
     rows, ellipsoid = np.empty((cells[0], mask.shape[1]), np.float32), np.empty(31)
     _whole_frame_kernel(light, mask, labels, c, found, noise, rows, ellipsoid)
-    if blur_px >= _LEAST_BLUR_PX:
+    if blur_px >= LEAST_BLUR_PX:
         rows += _lost_by_blur(light, mask, labels, c, noise, ellipsoid[0], blur_px)
     fixed = (_OF_RESIDUAL * max(residual_deg, 0.0)) ** 2
-    by_noise = 2.0 * c.along  # of a squared departure: what noise rarely makes
-    constants = np.concatenate([c.inverse.ravel(), c.ambient, c.channel, (fixed, by_noise), ellipsoid])
+    by_noise = 2.0 * c.along  # of a squared departure: what noise rarely makes where normals face the camera
+    constants = np.concatenate([c.inverse.ravel(), c.ambient, (fixed, by_noise), ellipsoid])
     return np.sqrt(_PER_NOISE * noise), rows, constants.astype(np.float32)
 
 
@@ -255,15 +251,14 @@ def _lost_by_blur(
 ) -> Any:  # fmt: skip
     """Return what blur has turned normals by, as noise would, by rows of cells: (⌈h/16⌉, w), radians²."""
     image, table, clipped, white, maps = light
-    side, found = side_of_squares(blur_px), np.zeros((2, *noise.shape), np.float32)
+    side, found = side_of_squares(blur_px), np.zeros((3, *noise.shape), np.float32)
     detail_kernel(
         rows_of(image), table, clipped, white, maps, mask, labels, c.inverse, c.ambient,
         np.float32(inverse_albedo), side, found,
     )  # fmt: skip
     left, rows = np.empty_like(noise), np.empty((len(noise), mask.shape[1]), np.float32)
-    _noise_of_cells(found, left)
-    left = np.maximum(left - np.float32(NOISE_IN_DIFFERENCES / side**2) * noise, np.float32(0.0))
-    _along_rows(np.float32(_OF_DETAIL * (blur_px / side) ** 4) * left, rows)
+    _noise_of_cells(found[:2], left)
+    _along_rows(np.float32(lost_over_left(found, blur_px, side)) * np.maximum(left, np.float32(0.0)), rows)
     return rows
 
 
@@ -296,6 +291,34 @@ def _whole_frame_kernel(
     image, table, clipped, white, maps = light
     count = _samples_kernel(image, table, clipped, white, maps, mask, labels, c, step, samples)
     _fit_ellipsoid(samples[:, :count], mask.shape, c.nearness, ellipsoid)
+    departures, around = np.zeros((2, *noise.shape), np.float32), np.empty_like(noise)
+    for i in range(count):
+        v, u = int(samples[4, i]) // _CELL, int(samples[3, i]) // _CELL
+        departures[0, v, u] += np.float32(samples[0, i] ** 2)
+        departures[1, v, u] += np.float32(1.0)
+    _noise_of_cells(departures, around)
+    widths = np.empty_like(rows)
+    by_noise = np.float32(1 / _NEAR_PIXELS) * noise  # at most, in a mean of nine
+    _along_rows(np.maximum(around - by_noise, np.float32(0.0)), widths)
+    rows += np.float32(_OF_LENGTH**2 / NINE_OF_TEN**2) * widths
+
+
+@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+def _least_length(image: Any, table: Any, mask: Mask, c: _Coefficients) -> np.float32:
+    """Return the length of M⁻¹(r − a) below which a pixel is backdrop, hair, or another paint."""
+    step = max(1, int(math.sqrt(mask.size // _GRID_PIXELS)))
+    squares, count = np.empty(-(-mask.shape[0] // step) * -(-mask.shape[1] // step), np.float32), 0
+    for v in range(step // 2, mask.shape[0], step):
+        for u in range(step // 2, mask.shape[1], step):
+            square = _light_at(image, table, c, v, u)[3]
+            if mask[v, u] and square > 0:
+                squares[count] = square
+                count += 1
+    if not count:
+        return c.darkest
+    ordered = np.sort(squares[:count])
+    brightest = np.sqrt(min(ordered[count - 1 - count // 50], _LONGEST))
+    return max(c.darkest, np.float32(_LEAST_LIGHT) * brightest)
 
 
 @njit(cache=True, fastmath=FLAGS | {"reassoc"}, error_model="numpy")
@@ -304,7 +327,8 @@ def _fit_ellipsoid(samples: Any, shape: tuple[int, int], nearness: Any, found: A
     U, V, and the numbers of f, brightness that changes slowly over the image, by 1, u, v, u², v², u v.
 
     Regress the log length of M⁻¹(r − a) on the normal's squares, on what near lamps make of them and on f,
-    robustly. samples: (5, n), M⁻¹(r − a) and the place u, v; here u and v count from the image's centre.
+    robustly. samples: (5, n), M⁻¹(r − a) and the place u, v; here u and v count from the image's centre. The
+    first row is overwritten with the departures' sizes.
     shape: of the image. E, symmetric and without trace, is that of the picture's centre.
     """
     count = samples.shape[1]
@@ -319,6 +343,7 @@ def _fit_ellipsoid(samples: Any, shape: tuple[int, int], nearness: Any, found: A
     found[:] = 0.0
     found[0] = np.exp(-np.median(logs)) if count else 1.0
     if count < 2 * _INDEPENDENT:
+        samples[0] = 0.0
         return
     half, middle_u, middle_v = max(shape[0], shape[1]) / 2, (shape[1] - 1) / 2, (shape[0] - 1) / 2
     u_0, v_0 = samples[3].mean(), samples[4].mean()
@@ -363,6 +388,8 @@ def _fit_ellipsoid(samples: Any, shape: tuple[int, int], nearness: Any, found: A
         spread = 1.48 * np.median(left) + 1e-3
         for i in range(count):
             worth[i] = 1.0 / (1.0 + (left[i] / (2 * spread)) ** 2)
+    for i in range(count):
+        samples[0, i] = np.floor(left[i] / _GRID + 0.5) * _GRID
     for k in range(_TERMS):  # code compiled just now and code from numba's cache differ in the last bits
         best[k] = np.floor(best[k] / _GRID + 0.5) * _GRID
     found[0] = np.exp(-best[0])
@@ -399,6 +426,21 @@ def _solve_symmetric(a: Any, x: Any) -> None:
 
 
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")
+def _light_at(image: Any, table: Any, c: _Coefficients, v: int, u: int) -> tuple[Any, Any, Any, Any]:
+    """Return r − a of a pixel, and the squared length of M⁻¹(r − a), 0 where it faces away."""
+    pixel, inverse, ambient = image[v, u], c.inverse, c.ambient
+    if table is None:
+        r, g, b = pixel[0], pixel[1], pixel[2]
+    else:
+        r, g, b = table[pixel[0]], table[pixel[1]], table[pixel[2]]
+    r, g, b = r - ambient[0], g - ambient[1], b - ambient[2]
+    x = inverse[0, 0] * r + inverse[0, 1] * g + inverse[0, 2] * b
+    y = inverse[1, 0] * r + inverse[1, 1] * g + inverse[1, 2] * b
+    z = inverse[2, 0] * r + inverse[2, 1] * g + inverse[2, 2] * b
+    return r, g, b, x * x + y * y + z * z if z < 0 else np.float32(0.0)
+
+
+@njit(cache=True, fastmath=FLAGS, error_model="numpy")
 def _samples_kernel(
     image: Any, table: Any, clipped: Any, white: Any, maps: Any, mask: Mask, labels: Any, c: _Coefficients,
     step: int, samples: Any,
@@ -407,34 +449,29 @@ def _samples_kernel(
     height, width = mask.shape
     mean = np.empty((3, 1), np.float32)
     inverse, ambient = c.inverse, c.ambient
-    count = 0
+    count, least = 0, c.darkest * c.darkest
     for v in range(step // 2, height, step):
         for u in range(step // 2, width, step):
             if v < 2 or u < 2 or v >= height - 2 or u >= width - 2 or not mask[v, u]:
                 continue
             r, g, b, sound = np.float32(0), np.float32(0), np.float32(0), True
+            for far_v, far_u in ((-_EDGE_PX, 0), (_EDGE_PX, 0), (0, -_EDGE_PX), (0, _EDGE_PX)):
+                at_v, at_u = min(max(v + far_v, 0), height - 1), min(max(u + far_u, 0), width - 1)
+                sound &= _light_at(image, table, c, at_v, at_u)[3] > least  # no backdrop
             for near_v in range(v - 2, v + 3, 2):  # a mean of nine has less noise
                 for near_u in range(u - 2, u + 3, 2):
-                    sound &= mask[near_v, near_u]
+                    red, green, blue, square = _light_at(image, table, c, near_v, near_u)
+                    sound &= mask[near_v, near_u] and square > least
                     if labels is not None:
                         sound &= labels[near_v, near_u] == ALL_LIT
-                    pixel = image[near_v, near_u]
-                    if table is None:
-                        red, green, blue = pixel[0], pixel[1], pixel[2]
-                    else:
-                        red, green, blue = table[pixel[0]], table[pixel[1]], table[pixel[2]]
                     if clipped is None:
-                        sound &= max(red, green, blue) < white
+                        sound &= max(red + ambient[0], green + ambient[1], blue + ambient[2]) < white
                     else:
                         sound &= not clipped[near_v, near_u]
                     r, g, b = r + red, g + green, b + blue
-                    red, green, blue = red - ambient[0], green - ambient[1], blue - ambient[2]
-                    x = inverse[0, 0] * red + inverse[0, 1] * green + inverse[0, 2] * blue
-                    y = inverse[1, 0] * red + inverse[1, 1] * green + inverse[1, 2] * blue
-                    z = inverse[2, 0] * red + inverse[2, 1] * green + inverse[2, 2] * blue
-                    sound &= z < 0 and x * x + y * y + z * z > c.darkest * c.darkest  # no backdrop
-            ninth = np.float32(1 / 9)
-            mean[0, 0], mean[1, 0], mean[2, 0] = r * ninth, g * ninth, b * ninth
+            ninth = np.float32(1 / _NEAR_PIXELS)
+            mean[0, 0], mean[1, 0] = r * ninth + ambient[0], g * ninth + ambient[1]
+            mean[2, 0] = b * ninth + ambient[2]
             if maps is not None:
                 map_row(maps, v, u, mean[0], mean[1], mean[2])
             r, g, b = mean[0, 0] - ambient[0], mean[1, 0] - ambient[1], mean[2, 0] - ambient[2]
@@ -524,12 +561,12 @@ def _curl_row(
     up, down, q_before, q_after = above[1 : inner + 1], below[1 : inner + 1], q[:inner], q[2:]
     up_known, down_known = above_known[1 : inner + 1], below_known[1 : inner + 1]
     to_found, to_places = found[1 : inner + 1], places[1 : inner + 1]
-    share = np.zeros(inner, np.float32)
+    counted = np.zeros(inner, np.float32)
     reach = 2 * _EDGE_PX + 1
     if width > reach:
         left, right = known[: width - reach + 1], known[reach - 1 :]
         over, under = top_known[_EDGE_PX:], bottom_known[_EDGE_PX:]
-        to_share = share[_EDGE_PX - 1 : width - _EDGE_PX - 1]
+        to_share = counted[_EDGE_PX - 1 : width - _EDGE_PX - 1]
         for u in range(len(to_share)):
             farther = min(left[u], right[u], over[u], under[u]) > zero
             to_share[u] = one if farther else zero
@@ -537,15 +574,33 @@ def _curl_row(
         across, along = min(before[u], after[u]), min(up_known[u], down_known[u])
         good = (across > zero) & (along > zero) & (here[u] > zero)
         angle = half * ((down[u] - up[u]) - (q_after[u] - q_before[u])) * here[u]
-        counted = max(share[u], _EDGE_SHARE) if good else zero
-        to_found[u] = counted * min(angle * angle, one)
-        to_places[u] = counted
+        to_found[u] = abs(angle)
+        to_places[u] = max(counted[u], _EDGE_SHARE) if good else zero
     for k in range(len(sums)):
-        total, count = zero, zero
-        for i in range(_CELL):
-            total += found[k * _CELL + i]
-            count += places[k * _CELL + i]
-        sums[k], counts[k] = total, count
+        sums[k], counts[k] = _median_square(
+            found[k * _CELL : (k + 1) * _CELL], places[k * _CELL : (k + 1) * _CELL]
+        )
+
+
+@njit(cache=True)
+def _median_square(angles: Any, weights: Any) -> tuple[np.float32, np.float32]:
+    """Return the variance of normal angles whose absolute values these are, by their median, and its weight.
+
+    Of those with the largest weight. The variance comes times the weight, as a sum.
+    """
+    largest, count = weights.max(), 0
+    ordered = np.empty(len(angles), np.float32)
+    for i in range(len(angles)):
+        if weights[i] == largest:
+            at = count
+            while at > 0 and ordered[at - 1] > angles[i]:
+                ordered[at] = ordered[at - 1]
+                at -= 1
+            ordered[at] = angles[i]
+            count += 1
+    median = np.float32(0.5) * (ordered[(count - 1) // 2] + ordered[count // 2]) * _PER_MEDIAN
+    weight = largest * np.float32(count)
+    return weight * min(median * median, np.float32(1.0)), weight
 
 
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")
@@ -607,11 +662,11 @@ def _slow_changes_at(shape: Any, k: Any, u: int, v: int) -> Any:
     right, down = np.float32(u) - half * (shape[1] - 1), np.float32(v) - half * (shape[0] - 1)
     found = np.empty(11, np.float32)
     for i in range(9):
-        found[i] = np.float32(right) * k[24 + i] + np.float32(down) * k[33 + i]
+        found[i] = np.float32(right) * k[21 + i] + np.float32(down) * k[30 + i]
     found[9] = (
-        k[42] + k[43] * right + k[44] * down + k[45] * right**2 + k[46] * down**2 + k[47] * right * down
+        k[39] + k[40] * right + k[41] * down + k[42] * right**2 + k[43] * down**2 + k[44] * right * down
     )
-    found[10] = k[43] + two * k[45] * right + k[47] * down
+    found[10] = k[40] + two * k[42] * right + k[44] * down
     return found
 
 
@@ -624,14 +679,14 @@ def _bound_row(
 
     unlit: squared bound of pixels that not all lights reach, else 0. m: slow changes at the first pixel.
     """
-    zero, half, one = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+    zero, half, one, two = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
     i00, i01, i02, i10, i11, i12, i20, i21, i22 = k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7], k[8]
-    a0, a1, a2, c0, c1, c2 = k[9], k[10], k[11], k[12], k[13], k[14]
-    fixed, by_noise, inverse_albedo = k[15], k[16], k[17]
-    e00, e01, e02, e11, e12, e22 = k[18], k[19], k[20], k[21], k[22], k[23]
+    a0, a1, a2 = k[9], k[10], k[11]
+    fixed, by_noise, inverse_albedo = k[12], k[13], k[14]
+    e00, e01, e02, e11, e12, e22 = k[15], k[16], k[17], k[18], k[19], k[20]
     m0, m1, m2, m3, m4, m5, m6, m7, m8 = m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]
-    f0, f1, f2 = m[9], m[10], k[45]
-    s0, s1, s2, s3, s4, s5, s6, s7, s8 = k[24], k[25], k[26], k[27], k[28], k[29], k[30], k[31], k[32]
+    f0, f1, f2 = m[9], m[10], k[42]
+    s0, s1, s2, s3, s4, s5, s6, s7, s8 = k[21], k[22], k[23], k[24], k[25], k[26], k[27], k[28], k[29]
     count = len(r)
     departures, rest = np.zeros(count + 2 * _BESIDE_PX, np.float32), np.empty(count, np.float32)
     for u in range(count):  # without a branch: eight pixels at a time
@@ -643,10 +698,6 @@ def _bound_row(
         seen = (size > _SHORTEST) & (size < _LONGEST)
         scale = one / size if seen else one
         x, y, z = x * scale, y * scale, z * scale
-        darkest = min(red * c0, green * c1)
-        darkest = min(darkest, blue * c2)  # of two at a time: numba makes SIMD of that
-        fall = max(one - max(darkest * scale, zero) * _PER_DARK_CHANNEL, zero)
-        fall = fall * fall
         t0 = e00 * x + e01 * y + e02 * z
         t1 = e01 * x + e11 * y + e12 * z
         t2 = e02 * x + e12 * y + e22 * z
@@ -664,7 +715,6 @@ def _bound_row(
         departure = min(departure, one)  # sinh of the log length
         departures[u + _BESIDE_PX] = departure * departure if seen else zero
         rest[u] = fixed + _PER_TURN * turn + _PER_NEARNESS * near + _PER_NOISE * noise[u]
-        rest[u] += _PER_FALL * fall * fall
         r[u], g[u], b[u], length[u] = x, y, z, size
     share_of_one = one / np.float32(2 * _BESIDE_PX + 1)
     for u in range(count):
@@ -672,7 +722,8 @@ def _bound_row(
         for i in range(1, 2 * _BESIDE_PX + 1):
             around += departures[u + i]
         departure = max(departures[u + _BESIDE_PX], around * share_of_one)
-        own = max(departure - by_noise * noise[u], zero)
+        # of a normal that leans away noise changes the length as it turns one that faces the camera
+        own = max(departure - (by_noise + (two - by_noise) * (one - b[u] * b[u])) * noise[u], zero)
         total = rest[u] + (_PER_DEPARTURE * own if unlit[u] == zero else unlit[u])
         angle = min(np.sqrt(total), _LARGEST_DEG) if length[u] > _SHORTEST else _LARGEST_DEG
         share = angle * _PER_HALF_WEIGHT

@@ -71,7 +71,7 @@ class FrameProcessor:
         mask: Mask | None = None,
         background: LinearImage | None = None,
         *,
-        tells_errors: bool = True,
+        with_errors: bool = True,
         reflectances: Sequence[Sequence[float]] = (),
         pigments: Sequence[Sequence[float]] = (),
         painted: PaintedSurface | None = None,
@@ -81,10 +81,10 @@ class FrameProcessor:
         pigments: (m, 3), along which log reflectances change, 0 for none. painted: a tracked surface whose
         own reflectances count before these. blur_px: standard deviation of the picture's blur, 0 for unknown.
 
-        tells_errors: whether normals and depth carry their expected errors; a live view has no time."""
+        with_errors: whether normals and depth carry their expected errors; a live view has no time."""
         keep_freed_memory()
         self._rig = rig
-        self._tells_errors = tells_errors
+        self._with_errors = with_errors
         self._blur_px = blur_px
         self._options = options
         self._background = background
@@ -198,7 +198,7 @@ class FrameProcessor:
         residual_deg = self._residual_deg
         if self._is_plain(frame):
             values, transfer, response = frame.values, self._rig.transfer, self._rig.response
-            if self._tells_errors:
+            if self._with_errors:
                 normal_map, clipped_share = normals_and_errors_from_encoded(
                     values, response, transfer, self._mask, camera=self.camera,
                     options=self._options.inversion, bits=frame.bits, residual_deg=residual_deg,
@@ -215,7 +215,7 @@ class FrameProcessor:
             drift = drift_of_change(change, self._mask & ~filled)
             clipped_share = float(np.count_nonzero(linear.clipped)) / linear.clipped.size
             normal_map = self._gel.normals(change, drift, self._mask)
-            if self._tells_errors:
+            if self._with_errors:
                 normal_map = self._gel.with_expected_error(normal_map)
             return normal_map, None, clipped_share
         filmed = linear
@@ -236,7 +236,7 @@ class FrameProcessor:
         else:
             normal_map, labels = self._normals_under_shadow(linear, level)
         clipped_share = float(linear.clipped.mean())
-        if not self._tells_errors:
+        if not self._with_errors:
             return normal_map, labels, clipped_share
         normal_map = with_expected_error(
             normal_map, level, self._central, labels, self.camera, residual_deg, self._blur_px
@@ -296,7 +296,7 @@ class FrameProcessor:
         depth_map = self._integrator.integrate(normal_map)
         if self._anchor is not None and self._gel is None:  # a gel rests at 0 in every frame
             depth_map = self._anchor.align(depth_map, self._integrator.parts)
-        if self._tells_errors and normal_map.error_deg is not None:
+        if self._with_errors and normal_map.error_deg is not None:
             depth_map = with_expected_depth_error(depth_map, normal_map, self.camera)
         if depth_map.unit is LengthUnit.FREE and self._options.distance_m is not None:
             scaled = depth_map.depth * self._options.distance_m

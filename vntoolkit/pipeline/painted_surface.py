@@ -116,8 +116,12 @@ class PaintedSurface:
         faces = self._sequence.template.faces
         vertices = np.array(self._sequence.vertices[row], dtype=np.float64)
         texels = texels_of(camera.project(vertices), faces, shape, vertices[:, 2])
-        told = self._sequence.uncertainty_px
-        known = np.ones(len(vertices)) if told is None else (told[row] <= self._lost_px).astype(np.float64)
+        uncertainty = self._sequence.uncertainty_px
+        known = (
+            np.ones(len(vertices))
+            if uncertainty is None
+            else (uncertainty[row] <= self._lost_px).astype(np.float64)
+        )
         _, depth_map = self._source.maps(number)
         is_there = texels.of_vertices(known, faces) > 1.0 - 1e-9
         depth = texels.of_vertices(vertices[:, 2], faces)

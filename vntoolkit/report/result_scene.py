@@ -184,11 +184,11 @@ class _ResultScene:
         header: dict[str, Any] = {"pictures": self._pictures(packet, number)}
         track = self._track
         if track is not None and surface != "own" and number in track.numbers:
-            row, told = track.numbers.index(number), track.sequence.uncertainty_px
+            row, uncertainty = track.numbers.index(number), track.sequence.uncertainty_px
             facts, steps = vertices_block(np.asarray(track.sequence.vertices[row])[self._thinned.kept])
             header["registered"] = {"at": packet.add(steps), **facts}
-            if told is not None:
-                errors = errors_block(np.asarray(told[row])[self._thinned.kept], track.lost_px)
+            if uncertainty is not None:
+                errors = errors_block(np.asarray(uncertainty[row])[self._thinned.kept], track.lost_px)
                 header["registered"]["errors"] = packet.add(errors)
         depth_map = None if surface == "registered" and "registered" in header else self._depth(number)
         if depth_map is not None:
