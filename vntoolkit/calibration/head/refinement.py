@@ -1,6 +1,6 @@
 """The head's shape refined by its own normals, and M fitted again (nehab2005; brostow2011, Section IV).
 
-Stereo knows where the skin is, but not its relief: windows of a dozen pixels blur it, and noise ripples it.
+Stereo knows where the skin is, but not its relief: its windows blur it, and noise ripples it.
 Normals know the relief but not the place: their errors add up with distance. Silhouettes know the place,
 where the surface turns away from a viewer. The positions sought agree with all three, each as far as its own
 error allows. A vertex moves along its normal, by d. Every edge should be at right angles to its mean normal,
