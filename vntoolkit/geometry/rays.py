@@ -90,6 +90,11 @@ class RayScene:
         answer: FloatArray = self._scene.compute_distance(self._rays(points), nthreads=self._threads).numpy()
         return answer
 
+    def closest(self, points: Points) -> Points:
+        """Return (p, 3) the points of the surfaces that are nearest to points (p, 3)."""
+        answer = self._scene.compute_closest_points(self._rays(points), nthreads=self._threads)
+        return np.asarray(answer["points"].numpy(), dtype=np.float64)
+
     def _rays(self, values: FloatArray) -> object:
         return self._tensor(np.ascontiguousarray(values, dtype=np.float32))
 

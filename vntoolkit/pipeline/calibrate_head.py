@@ -33,7 +33,7 @@ from vntoolkit.calibration.head.poses import (
 )
 from vntoolkit.calibration.head.refinement import RefinedHead, refine_head
 from vntoolkit.calibration.head.samples import HeadRays, HeadSamples, LightFrame, SampleOptions, sample_head
-from vntoolkit.calibration.head.shape import FusionOptions, fit_shape
+from vntoolkit.calibration.head.shape import FusedShape, FusionOptions, fit_shape
 from vntoolkit.calibration.head.sift import SiftBuilder, require_features
 from vntoolkit.calibration.head.silhouettes import (
     Silhouette,
@@ -173,13 +173,15 @@ def calibrate_head(
         on_progress("hull", 0, 1)
         views, grid = _carved(footage, motion, options.hull)
         on_progress("hull", 1, 1)
-    fused = hull = mesh_of_grid(grid)
-    points = hull.vertices
+    hull = mesh_of_grid(grid)
+    shape = FusedShape(mesh=hull, points=hull.vertices)
+    searched = partial(fit_shape, contrasts=footage.contrasts)
     if options.head_shape is not HeadShape.HULL:
         with clock.stage("stereo"):
-            searched = partial(fit_shape, contrasts=footage.contrasts, fusion=options.fusion)
             told = partial(on_progress, "stereo")
-            rough = searched(views, hull=grid, stereo=options.stereo, on_progress=told).mesh
+            rough = searched(
+                views, hull=grid, stereo=options.stereo, fusion=options.fusion, on_progress=told
+            ).mesh
         with clock.stage("poses again"):
             on_progress("poses again", 0, 1)
             again = find_again(views, footage.details, rough, motion.points_in_head)
@@ -190,8 +192,9 @@ def calibrate_head(
         with clock.stage("stereo again"):
             told = partial(on_progress, "stereo again")
             closely = options.stereo.closely()
-            shape = searched(views, hull=grid, stereo=closely, on_progress=told, about=rough)
-            fused, points = shape.mesh, shape.points
+            shape = searched(
+                views, hull=grid, stereo=closely, fusion=options.fusion, on_progress=told, about=rough
+            )
 
     def light_frames(numbers: IntArray) -> Iterator[LightFrame]:
         wanted = {footage.numbers[k]: k for k in numbers.tolist()}
@@ -208,16 +211,17 @@ def calibrate_head(
     with clock.stage("light"):
         chosen = spread_over_turn(views, options.samples.light_frames)
         frames = list(light_frames(chosen))
-        samples = sample_head(fused, motion.camera, frames, options.samples, rng)
-        light = fit_light(samples, HeadRays(fused), options.light, rng)
+        samples = sample_head(shape.mesh, motion.camera, frames, options.samples, rng)
+        light = fit_light(samples, HeadRays(shape.mesh), options.light, rng)
         on_progress("light", 1, 1)
-    mesh, refined = fused, None
+    mesh, refined = shape.mesh, None
     if options.head_shape is HeadShape.REFINED:
         with clock.stage("refinement"):
             chosen = spread_over_turn(views, _NORMAL_FRAMES)
+            finely = partial(searched, stereo=options.stereo.finely(), fusion=options.fusion.finely())
             refined = refine_head(
-                fused,
-                points,
+                shape,
+                lambda mesh: finely(views, hull=grid, about=mesh),
                 motion.camera,
                 partial(light_frames, chosen),
                 light,
@@ -240,7 +244,7 @@ def calibrate_head(
         tracks=tracks,
         motion=motion,
         hull=hull,
-        fused=fused,
+        fused=shape.mesh,
         mesh=mesh,
         refined=refined,
         light_numbers=tuple(footage.numbers[k] for k in chosen),

@@ -1,6 +1,6 @@
 """The head's shape refined by its own normals, and M fitted again (nehab2005; brostow2011, Section IV).
 
-Stereo knows where the skin is, but not its relief: windows of a dozen pixels blur it, and noise ripples it.
+Stereo knows where the skin is, but not its relief: its windows blur it, and noise ripples it.
 Normals know the relief but not the place: their errors add up with distance. Silhouettes know the place,
 where the surface turns away from a viewer. The positions sought agree with all three, each as far as its own
 error allows. A vertex moves along its normal, by d. Every edge should be at right angles to its mean normal,
@@ -27,6 +27,7 @@ from vntoolkit.arrays import Faces, FloatArray, IntArray, Points
 from vntoolkit.calibration.head.light import HeadLight, LightOptions, light_of_response
 from vntoolkit.calibration.head.rims import RimTargets, rim_targets
 from vntoolkit.calibration.head.samples import HeadSamples, LightFrame
+from vntoolkit.calibration.head.shape import FusedShape
 from vntoolkit.calibration.head.skin import (
     SkinColours,
     SkinLight,
@@ -39,6 +40,7 @@ from vntoolkit.calibration.head.skin import (
 from vntoolkit.errors import SolverFailed
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh, edge_cotangents, face_normals, vertex_normals
+from vntoolkit.geometry.rays import RayScene
 from vntoolkit.photometry.response import LightResponse
 
 _ROUNDS, _PASSES = 6, 2  # colours are taken anew in so many: later, vertices hardly move
@@ -95,8 +97,8 @@ class RefinedHead:
 
 
 def refine_head(
-    mesh: Mesh,
-    points: Points,
+    shape: FusedShape,
+    again: Callable[[Mesh], FusedShape],
     camera: Camera,
     frames: Callable[[], Iterable[LightFrame]],
     light: HeadLight,
@@ -106,13 +108,12 @@ def refine_head(
 ) -> RefinedHead:
     """Alternate normals from colours, positions from normals and stereo, and M, then do all once more finely.
 
-    mesh: of stereo, head frame. points: (p, 3) that stereo found; the rest of the mesh is filled in. frames:
-    reads the frames that normals are taken from, in passes. light: M and what the first fit made of the
-    samples.
+    shape: of stereo. again: repeats stereo about a better mesh. frames: reads the frames that normals are
+    taken from, in passes. light: M and what the first fit made of the samples.
     """
-    pixel = _pixel_size(mesh, camera, frames())
+    pixel = _pixel_size(shape.mesh, camera, frames())
     coarse = _COARSE * _EDGE_PX * pixel
-    stereo = thinned(divided(mesh, coarse), coarse)
+    stereo = thinned(divided(shape.mesh, coarse), coarse)
     crossover = min(_CROSSOVER_PX * pixel, _LARGEST_CROSSOVER * stereo.diagonal)
     lit, surface, seen = SkinLight(response=light.response), stereo, None
     changes: list[float] = []
@@ -126,26 +127,31 @@ def refine_head(
         solver = PositionSolver(stereo.vertices, stereo.faces, skin, crossover)
         surface = stereo.with_vertices(solver.positions())
         changes.append(_relative_change(before, lit.response))
-        on_progress(number + 1, _ROUNDS + 1)
+        on_progress(number + 1, _ROUNDS + _PASSES)
         if changes[-1] < _SETTLED:
             break
     levels = measured_noise(surface, stereo.vertices, skin, pixel)
     spread = solver.spread(surface, levels, rng)
     near = cKDTree(surface.vertices)
-    surface = stereo = divided(mesh, _EDGE_PX * pixel)
-    support = stereo_support(surface.vertices, points, levels, pixel)
     wave = crossover * _CROSSOVER_NOISE / _LEAST_NOISE  # errors as they are measured make it shorter
-    for _ in range(_PASSES):
-        colours = without_shadow(skin_colours(surface, camera, frames()), surface, lit.response)
+    for number in range(_PASSES):
+        if number:
+            finer, count = again(surface), len(shape.points)
+            shape, fewer = finer, count / len(finer.points)  # noise of stereo averages out over its points
+            levels, wave = replace(levels, stereo=fewer * levels.stereo), np.sqrt(fewer) * wave
+        stereo = divided(shape.mesh, _EDGE_PX * pixel)
+        nearest = RayScene((surface.vertices, surface.faces)).closest(stereo.vertices)
+        placed = stereo.with_vertices(nearest)  # stereo's ripples would mix the colours of what lies around
+        colours = without_shadow(skin_colours(placed, camera, frames()), placed, lit.response)
         skin = skin_normals(colours, lit)
         follow = followed_normals(stereo, skin, pixel)
         shared = shared_errors(stereo, skin, pixel)
-        rims = rim_targets(surface, camera, frames(), lit.response)
+        support = stereo_support(stereo.vertices, shape.points, levels, pixel)
         solver = PositionSolver(stereo.vertices, stereo.faces, follow, wave, shared, support)
-        solver.hold(rims, levels.stereo)
+        solver.hold(rim_targets(placed, camera, frames(), lit.response), levels.stereo)
         surface = stereo.with_vertices(solver.positions())
+        on_progress(_ROUNDS + 1 + number, _ROUNDS + _PASSES)
     samples = patch_samples(surface, camera, colours, skin, _PATCH_PX * pixel)
-    on_progress(_ROUNDS + 1, _ROUNDS + 1)
     return RefinedHead(
         mesh=replace(surface, colours=_skin_colour(skin, lit.response), error_deg=_expected_error_deg(skin)),
         light=light_of_response(samples, lit.response, options),

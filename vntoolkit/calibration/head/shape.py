@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +19,7 @@ from vntoolkit.geometry.point_cloud import PointCloud
 from vntoolkit.native import import_open3d
 
 _LEAST_POINTS = 500
+_DEEPEST = 12  # levels of an octree
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,10 +70,14 @@ class FusionOptions:
     hull_gap: float = 0.008
 
     def __post_init__(self) -> None:
-        if not 4 <= self.fusion_depth <= 12 or self.confirmations < 0:
+        if not 4 <= self.fusion_depth <= _DEEPEST or self.confirmations < 0:
             raise BadInput("fusion: expected a depth of 4 to 12 and no negative number of confirmations")
         if min(self.agreement, self.hull_gap) <= 0:
             raise BadInput("fusion: expected a positive agreement and hull gap")
+
+    def finely(self) -> Self:
+        """Return the options for the points of small windows: cells of half the size."""
+        return replace(self, fusion_depth=min(_DEEPEST, self.fusion_depth + 1))
 
 
 # One closed mesh from the stereo points of many views and the hull behind them (kazhdan2013).

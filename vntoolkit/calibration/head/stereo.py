@@ -21,8 +21,9 @@ from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.rays import RayScene, pixel_rays
 
 _CLOSER_ANGLES_DEG = (6.0, 12.0, 18.0)  # of the second pass: from well correlated to precise in depth
-_CLOSER_WINDOW_PX = 9
-_CLOSE = 0.012  # of the diagonal: how far the second pass searches to both sides
+# What wide windows and smooth depths flatten is alike in all views. Noise is not, and averages out over them.
+_CLOSER_WINDOW_PX, _LESS_SMOOTH, _MORE_VIEWS = 5, 0.5, 2
+_CLOSE = 0.012  # of the diagonal: how far the second and third pass search to both sides
 _BORDER_PX = 12  # beyond the silhouette's box, for windows
 _STEP_PX = 0.6  # that a point moves in the furthest neighbour from shell to shell
 _LEAST_SLANT = 0.25  # cosine between ray and hull below which a window mixes too many depths
@@ -62,14 +63,19 @@ class StereoOptions:
             raise BadInput("stereo: expected a correlation from 0 to 1")
 
     def closely(self) -> Self:
-        """Return the options of the second pass: about the mesh of the first, whose slant it knows."""
+        """Return the options of the second pass, about the mesh of the first, in small windows."""
         return replace(
             self,
             before=_CLOSE,
             behind=_CLOSE,
             neighbour_angles_deg=_CLOSER_ANGLES_DEG,
             stereo_window_px=_CLOSER_WINDOW_PX,
+            smoothing_px=_LESS_SMOOTH * self.smoothing_px,
         )
+
+    def finely(self) -> Self:
+        """Return the options of the third pass: as the second, from more views."""
+        return replace(self.closely(), references=_MORE_VIEWS * self.references)
 
 
 def stereo_points(
