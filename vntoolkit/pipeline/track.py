@@ -224,11 +224,11 @@ def _registered_by(
 
 def _visible_shares(job: TrackJob, rows: Sequence[int]) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Of these rows, the share of the vertices that are reported visible, and the median expected error."""
-    told = read_mesh_sequence(job.target).uncertainty_px
-    if told is None:
+    uncertainty = read_mesh_sequence(job.target).uncertainty_px
+    if uncertainty is None:
         return (), ()
-    shares = tuple(float((told[row] <= job.lost_px).mean()) for row in rows)
-    return shares, tuple(float(np.median(told[row])) for row in rows)
+    shares = tuple(float((uncertainty[row] <= job.lost_px).mean()) for row in rows)
+    return shares, tuple(float(np.median(uncertainty[row])) for row in rows)
 
 
 def _run(
@@ -285,8 +285,10 @@ def _follow(
                 tracked = tracker.step(*source.maps(number), source.labels(number), paint)
                 writer.append(tracked.vertices_in_camera, tracked.uncertainty_px)
             else:
-                held, told = tracker.state.vertices_in_camera, tracker.state.uncertainty_px
-                writer.append(held, None if told is None else np.full(len(held), np.inf, dtype=np.float32))
+                held, uncertainty = tracker.state.vertices_in_camera, tracker.state.uncertainty_px
+                writer.append(
+                    held, None if uncertainty is None else np.full(len(held), np.inf, dtype=np.float32)
+                )
             if tracker.remembered is not None:
                 kept = writer.frame_count, tracker.remembered
                 if writer.frame_count % _MEMORY_EVERY == 0:
@@ -317,8 +319,8 @@ def _go_on(
     sequence = _tracked_before(folder, tracker)
     states = [tracker.state]  # of the template
     for i in present[1:][-2:]:
-        told = None if sequence.uncertainty_px is None else np.array(sequence.uncertainty_px[row + i])
-        states.append(tracked_frame(np.array(sequence.vertices[row + i]), told, source.camera))
+        uncertainty = None if sequence.uncertainty_px is None else np.array(sequence.uncertainty_px[row + i])
+        states.append(tracked_frame(np.array(sequence.vertices[row + i]), uncertainty, source.camera))
     kept = tracker.remembered
     remembered = None if kept is None else read_remembered(folder, kept)[1]
     tracker.resume(states[-2], states[-1], source.normals(done[present[-1]]), remembered)
@@ -329,8 +331,8 @@ def _copy_reversed(folder: Path, writer: MeshSequenceWriter, tracker: SurfaceTra
         return
     sequence = _tracked_before(folder, tracker)
     for row in range(len(sequence) - 1, -1, -1):
-        told = None if sequence.uncertainty_px is None else np.array(sequence.uncertainty_px[row])
-        writer.append(np.array(sequence.vertices[row]), told)
+        uncertainty = None if sequence.uncertainty_px is None else np.array(sequence.uncertainty_px[row])
+        writer.append(np.array(sequence.vertices[row]), uncertainty)
 
 
 def _tracked_before(folder: Path, tracker: SurfaceTracker) -> MeshSequence:

@@ -174,8 +174,8 @@ class _AffineField:
         usual = float(known @ square) / max(float(known.sum()), 1e-9)
         field = max(_LEAST**2, _with_usual(usual, float(known.sum())))
         weight = tested / (LINKS_ALIKE * noise)
-        factor, told = self._factored(x, weight, field, held)
-        errors = np.sqrt(2.0 / _SAMPLES) * self._along(x, self._drawn(factor, told, field, held))
+        factor, information = self._factored(x, weight, field, held)
+        errors = np.sqrt(2.0 / _SAMPLES) * self._along(x, self._drawn(factor, information, field, held))
         return FittedField(
             weight=np.asarray(weight), factor=factor, errors=errors.reshape(len(x), 2, _SAMPLES // 2)
         )
@@ -190,21 +190,21 @@ class _AffineField:
 
     def _factored(self, x, weight, field, held):  # type: ignore[no-untyped-def]
         """The factor, and (m, 6) what links tell of the maps, upper triangles."""
-        told = self._at_nodes(0.5 * weight[:, None] * (x[:, self._upper] * x[:, self._lower]))
+        information = self._at_nodes(0.5 * weight[:, None] * (x[:, self._upper] * x[:, self._lower]))
         precision = _PER_SQUARE / field
         degree = precision * (_REACH_CELLS**-2 + self._at_nodes(held[:, None])[:, 0])
         diagonal = [
-            told[:, k] + (degree if p == q else 0.0)
+            information[:, k] + (degree if p == q else 0.0)
             for k, (p, q) in enumerate(zip(self._upper, self._lower, strict=True))
         ]
         mirrored = [diagonal[k] for k in (1, 2, 4)]
-        return self._pattern.factored([*diagonal, *mirrored, *[-precision * held] * 6]), told
+        return self._pattern.factored([*diagonal, *mirrored, *[-precision * held] * 6]), information
 
-    def _drawn(self, factor, told, field, held):  # type: ignore[no-untyped-def]
+    def _drawn(self, factor, information, field, held):  # type: ignore[no-untyped-def]
         """(m, 3, k) errors of the maps: what the solution makes of noise and fields as large as expected."""
         precision = _PER_SQUARE / field
         full = np.zeros((self._count, 3, 3))
-        full[:, self._upper, self._lower] = full[:, self._lower, self._upper] = told
+        full[:, self._upper, self._lower] = full[:, self._lower, self._upper] = information
         right = np.linalg.cholesky(full + 1e-9 * np.eye(3)) @ self._noise
         right += np.sqrt(precision) / _REACH_CELLS * self._own
         pulls = np.sqrt(precision * held)[:, None] * self._between

@@ -189,11 +189,13 @@ class TemplateRegistration:
         ratios = []
         for windows, alike_px in zip(self._relief_windows, correlated_px, strict=True):
             own = self._with_pattern(moments[windows.halvings], windows.halvings, moved_px, self._pattern)
-            told, ratio = self._told(own, windows, alike_px)
+            of_band, ratio = self._window_steps(own, windows, alike_px)
             if windows is _FAINT_RELIEF:
                 elsewhere = ~steps[0].information.any(axis=1, keepdims=True)
-                told = replace(told, information=elsewhere * told.information, pull=elsewhere * told.pull)
-            steps.append(told)
+                of_band = replace(
+                    of_band, information=elsewhere * of_band.information, pull=elsewhere * of_band.pull
+                )
+            steps.append(of_band)
             ratios.append(ratio)
         painted = []
         if self._paint_bands:
@@ -203,8 +205,8 @@ class TemplateRegistration:
             for windows in self._paint_windows:
                 own = moments[windows.halvings]
                 own = self._with_pattern(own, windows.halvings, moved_px, self._paint_pattern)
-                told, ratio = self._told(own, windows, np.full(count, alike[windows.halvings]))
-                painted.append(told)
+                of_band, ratio = self._window_steps(own, windows, np.full(count, alike[windows.halvings]))
+                painted.append(of_band)
                 ratios.append(ratio)
         seen = (frame, theirs) if self._paint_bands else (frame,)
         alone = self._finest([steps[0], *painted[:1]], tuple(bands[0] for bands in seen))
@@ -220,8 +222,8 @@ class TemplateRegistration:
         pull = finest.pull - alone.pull
         steps += [*painted, WindowSteps(information=finest.more, pull=pull, slide_px=np.zeros(count))]
         return Measurement(
-            information=finest.information + sum(told.information for told in coarser),
-            pull=finest.pull + sum(told.pull for told in coarser),
+            information=finest.information + sum(each.information for each in coarser),
+            pull=finest.pull + sum(each.pull for each in coarser),
             match=ratios[0],
             expected=self._expected_match(correlated_px[0]),
             found=np.max(ratios, axis=0),
@@ -235,14 +237,14 @@ class TemplateRegistration:
         paint = self._paint_bands[:1]
         return remembered_template((self._bands[0], *paint), self._nodes(self._pixels))
 
-    def mixed_in(self, remembered: Remembered, told: Measurement, positions_px: Points2) -> Remembered:
+    def mixed_in(self, remembered: Remembered, measurement: Measurement, positions_px: Points2) -> Remembered:
         """Return what is remembered after a frame that was measured at positions (n, 2)."""
-        return remembered.with_frame(told.finest, self._nodes(positions_px))
+        return remembered.with_frame(measurement.finest, self._nodes(positions_px))
 
-    def _finest(self, told: list[WindowSteps], bands: tuple[Band, ...]) -> Finest:
-        information = np.sum([each.information for each in told], axis=0)
+    def _finest(self, steps: list[WindowSteps], bands: tuple[Band, ...]) -> Finest:
+        information = np.sum([each.information for each in steps], axis=0)
         nothing = np.zeros_like(information)
-        pull = np.sum([each.pull for each in told], axis=0)
+        pull = np.sum([each.pull for each in steps], axis=0)
         return Finest(bands=bands, information=information, pull=pull, against=nothing, more=nothing)
 
     def _with_remembered(
@@ -257,7 +259,9 @@ class TemplateRegistration:
             for k, pair in enumerate(zip(remembered.bands(self._raster.node), finest.bands, strict=True))
         ]
         narrow, wide = (
-            self._finest([self._told(each, windows, alike[k])[0] for k, each in enumerate(own)], finest.bands)
+            self._finest(
+                [self._window_steps(each, windows, alike[k])[0] for k, each in enumerate(own)], finest.bands
+            )
             for windows in (_RELIEF, _WIDE_RELIEF)
         )
         against, against_pull = what_exceeds(narrow.information, wide.information, wide.pull)
@@ -275,7 +279,7 @@ class TemplateRegistration:
         """(nodes, 2) means of positions (n, 2)."""
         return self._lattice.sums(positions_px) / self._size[:, None]
 
-    def _told(
+    def _window_steps(
         self, own: FloatArray, windows: Windows, correlated_px: FloatArray
     ) -> tuple[WindowSteps, npt.NDArray[np.float64]]:
         """What windows measure of nodes' own moments; (nodes,) the share that gradients have in common."""
@@ -283,9 +287,9 @@ class TemplateRegistration:
         terms = self._lattice.smoothed(own, windows.passes) / whole
         step, ratio, sure, axis = _steps(terms, 2.0**windows.halvings, windows.nodes, correlated_px)
         spread = self._lattice.smoothed(_scores(own, step), windows.passes) / whole
-        told = _informed(own, terms, spread, sure, axis, windows.nodes, windows.accuracy_px)
-        pull = np.einsum("nij,nj->ni", _symmetric(told), step)
-        return WindowSteps(information=told, pull=pull, slide_px=np.zeros(len(told))), ratio
+        information = _informed(own, terms, spread, sure, axis, windows.nodes, windows.accuracy_px)
+        pull = np.einsum("nij,nj->ni", _symmetric(information), step)
+        return WindowSteps(information=information, pull=pull, slide_px=np.zeros(len(information))), ratio
 
     def _at_nodes(self, power: FloatArray, halvings: int) -> npt.NDArray[np.float64]:
         """(nodes,) mean of an image of a band over each node's pixels of the template."""
@@ -326,12 +330,12 @@ class TemplateRegistration:
         least = 0.5 * (a + c) - np.sqrt(0.25 * (a - c) ** 2 + b * b)
         return np.asarray(1.0 / (1.0 + _KNOWN_PX**2 * least))
 
-    def searched(self, told: Measurement, lost: Mask) -> tuple[npt.NDArray[np.float64], Mask]:
+    def searched(self, measurement: Measurement, lost: Mask) -> tuple[npt.NDArray[np.float64], Mask]:
         """Return the shift (nodes, 2) at which relief that is lost correlates best, and where it surely does.
 
         lost: (nodes,). Pixels of the template, up to the reach of the search either way.
         """
-        mine, frame, patch = self._bands[0], told.finest.bands[0], self._patch
+        mine, frame, patch = self._bands[0], measurement.finest.bands[0], self._patch
         along = np.arange(-_REACH_PX, _REACH_PX + 1, _SEARCH_STEP_PX)
         shifts = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
         sums = np.zeros((int(patch.max()) + 1, len(shifts), 4))
@@ -340,7 +344,7 @@ class TemplateRegistration:
         )
         product, first, second, pixels = np.moveaxis(sums, 2, 0)
         share = product / np.sqrt(np.maximum(first * second, 1e-30))
-        alike_px = (np.bincount(patch, told.correlated_px[0]) / np.bincount(patch))[:, None]
+        alike_px = (np.bincount(patch, measurement.correlated_px[0]) / np.bincount(patch))[:, None]
         share -= _SURE * np.sqrt(alike_px / (2.0 * np.maximum(pixels, 1.0)))
         best = np.argmax(share, axis=1)
         sure = lost & (share[np.arange(len(best)), best] > 0)[patch]
@@ -553,7 +557,7 @@ def _scores(terms, steps):  # type: ignore[no-untyped-def]
 def _informed(own, terms, spread, kept, axis, nodes, accuracy):  # type: ignore[no-untyped-def]
     """Information (nodes, 3) of one node's share of its window: it tells of where its relief lies."""
     m = terms.shape[0]
-    told = np.zeros((m, 3))
+    information = np.zeros((m, 3))
     for j in range(m):
         part = own[j, 12] / max(terms[j, 12], 1e-30)
         telling = nodes * (terms[j, 0] + terms[j, 2]) ** 2 / max(spread[j, 3], 1e-30)  # nodes of the window
@@ -569,7 +573,7 @@ def _informed(own, terms, spread, kept, axis, nodes, accuracy):  # type: ignore[
             pull = spread[j, 0] * x * x + 2 * spread[j, 1] * x * y + spread[j, 2] * y * y
             noise = terms[j, 8] / terms[j, 9] + _LEAST_NOISE**2
             info = part / (max(few * pull, power * noise) / (sure * sure) + accuracy**2)
-            told[j, 0] += info * x * x
-            told[j, 1] += info * x * y
-            told[j, 2] += info * y * y
-    return told
+            information[j, 0] += info * x * x
+            information[j, 1] += info * x * y
+            information[j, 2] += info * y * y
+    return information

@@ -73,25 +73,25 @@ class Remembered:
 
         fine: (nodes, 3) of the template. against, pull: (nodes, 3), (nodes, 2) J and J d of a comparison.
         """
-        told = _full(against) + _LEAST_INFORMATION
-        found = np.linalg.solve(told, pull[..., None])[..., 0] + self.offset
-        information = np.linalg.inv(self.variance + np.linalg.inv(told))
+        compared = _full(against) + _LEAST_INFORMATION
+        found = np.linalg.solve(compared, pull[..., None])[..., 0] + self.offset
+        information = np.linalg.inv(self.variance + np.linalg.inv(compared))
         return what_exceeds(fine, _upper(information), np.einsum("nij,nj->ni", information, found))
 
-    def with_frame(self, told: Finest, nodes_px: Points2) -> Remembered:
+    def with_frame(self, frame: Finest, nodes_px: Points2) -> Remembered:
         """Mix in a frame, where it was measured; nodes_px: (nodes, 2) there."""
-        whole = np.linalg.inv(_full(told.information) + _LEAST_INFORMATION)
-        gain = whole @ _full(told.more)  # share of the errors of what is remembered in those of the frame
-        noise = gain @ np.linalg.inv(_full(told.against) + _LEAST_INFORMATION) @ _transposed(gain)
-        noise += whole @ _full(told.information - told.more) @ whole
+        whole = np.linalg.inv(_full(frame.information) + _LEAST_INFORMATION)
+        gain = whole @ _full(frame.more)  # share of the errors of what is remembered in those of the frame
+        noise = gain @ np.linalg.inv(_full(frame.against) + _LEAST_INFORMATION) @ _transposed(gain)
+        noise += whole @ _full(frame.information - frame.more) @ whole
         grown = _largest(np.linalg.inv(self.variance + _LEAST_VARIANCE) @ noise)
         rate = np.minimum(_RATE, np.sqrt(_RATE / np.maximum(grown, 1e-12)))  # P grows by a tenth at most
-        rate *= told.information[:, [0, 2]].any(axis=1)
+        rate *= frame.information[:, [0, 2]].any(axis=1)
         each = rate[:, None, None]
         kept = (1.0 - each) * np.eye(2) + each * gain
-        offset = np.einsum("nij,nj->ni", whole, told.pull)
+        offset = np.einsum("nij,nj->ni", whole, frame.pull)
         features, weights = self.features.copy(), self.weights.copy()
-        for k, band in enumerate(told.bands):
+        for k, band in enumerate(frame.bands):
             parts = features[..., _CHANNELS[k]], weights[..., k]
             _mix_in(band.node, rate, *parts, band.features, band.weight)
         return replace(

@@ -138,28 +138,32 @@ class SurfaceFit:
             if _misfit(shifted, normal_map.mask) < misfit - _JUMPED:
                 positions = shifted
         around = self._jacobians.of(positions)
-        told = self._measured(positions, around, seen)
-        known = self._known_share(positions, positions - last, around, told, figure)
+        measurement = self._measured(positions, around, seen)
+        known = self._known_share(positions, positions - last, around, measurement, figure)
         if known < _WELL_KNOWN:
             positions = last + known * (positions - last)
             around = self._jacobians.of(positions)
-            told = self._measured(positions, around, seen)
-        if min(np.sum(told.found), np.sum(told.match)) < _LOST_MATCH * np.sum(told.expected):
-            positions, told = self._restarted(positions, last_px, told, previous, normal_map, seen)
-        lost = told.match < _LOST_MATCH * told.expected
+            measurement = self._measured(positions, around, seen)
+        if min(np.sum(measurement.found), np.sum(measurement.match)) < _LOST_MATCH * np.sum(
+            measurement.expected
+        ):
+            positions, measurement = self._restarted(
+                positions, last_px, measurement, previous, normal_map, seen
+            )
+        lost = measurement.match < _LOST_MATCH * measurement.expected
         if lost.any() and not lost.all():
-            positions, told = self._found_again(positions, around, told, lost, seen)
+            positions, measurement = self._found_again(positions, around, measurement, lost, seen)
         around = self._jacobians.of(positions)
         enough = _CONVERGED * np.maximum(expected_px, _LEAST_ERROR_PX)
         field: FittedField | None = None
         for number in range(_ITERATIONS):
             if number > 0:
                 around = self._jacobians.of(positions)
-                told = self._measured(positions, around, seen, told)
-            hidden = self._mismatched(told, _TELLING)
+                measurement = self._measured(positions, around, seen, measurement)
+            hidden = self._mismatched(measurement, _TELLING)
             inverse = _inverse(around)
-            information = _congruent(told.information, inverse)
-            pull = np.einsum("nji,nj->ni", inverse, told.pull)
+            information = _congruent(measurement.information, inverse)
+            pull = np.einsum("nji,nj->ni", inverse, measurement.pull)
             outline, outline_pull = self._outline.measure(positions, inverse, figure)
             measured = np.minimum(1.0, information[:, 0] + information[:, 2])
             guess = lengths.guessed(positions, around, slopes, depth_map, hidden, measured, field)
@@ -178,9 +182,9 @@ class SurfaceFit:
             positions = positions + step
             if np.mean(np.maximum(*np.abs(step.T)) < enough) > _MOST:
                 break
-        self.remembered = self._registration.mixed_in(self.remembered, told, measured_at)
-        mismatched = self._mismatched(told, _WARNING)
-        *measured_by, by_memory = _in_frame(told.windows, inverse)
+        self.remembered = self._registration.mixed_in(self.remembered, measurement, measured_at)
+        mismatched = self._mismatched(measurement, _WARNING)
+        *measured_by, by_memory = _in_frame(measurement.windows, inverse)
         by_memory = replace(by_memory, slide_px=_HALF_WAVE_PX * mismatched)
         square = self._errors.square(
             solution,
@@ -209,7 +213,7 @@ class SurfaceFit:
         self,
         positions: Points2,
         last_px: Points2,
-        told: Measurement,
+        measurement: Measurement,
         previous: NormalMap,
         normal_map: NormalMap,
         seen: Seen,
@@ -217,13 +221,13 @@ class SurfaceFit:
         """Where DIS flow (`kroeger2016`) leads, as far as the template matches better there."""
         flow = dense_flow(previous, normal_map)
         flown = last_px + sample_image(flow, last_px)
-        return self._where_better(positions, self._lengths.nodes(flown - positions), told, seen)
+        return self._where_better(positions, self._lengths.nodes(flown - positions), measurement, seen)
 
     def _found_again(
         self,
         positions: Points2,
         around: FloatArray,
-        told: Measurement,
+        measurement: Measurement,
         lost: npt.NDArray[np.bool_],
         seen: Seen,
     ) -> tuple[npt.NDArray[np.float64], Measurement]:
@@ -232,36 +236,41 @@ class SurfaceFit:
         What is off by more than a wave of its relief, comes back into the mask, or from behind something, may
         lie farther off than one step of the finest band reaches.
         """
-        shift, sure = self._registration.searched(told, lost)
+        shift, sure = self._registration.searched(measurement, lost)
         if not sure.any():
-            return np.asarray(positions), told
+            return np.asarray(positions), measurement
         jacobian = around.reshape(-1, 2, 2)
         found = np.einsum("nij,nj->ni", jacobian, np.where(sure[:, None], shift, 0.0))
-        return self._where_better(positions, found, told, seen)
+        return self._where_better(positions, found, measurement, seen)
 
     def _where_better(
-        self, positions: Points2, at_nodes: FloatArray, told: Measurement, seen: Seen
+        self, positions: Points2, at_nodes: FloatArray, measurement: Measurement, seen: Seen
     ) -> tuple[npt.NDArray[np.float64], Measurement]:
         """Positions moved by at_nodes (m, 2) where that matches better, and what is measured there."""
         lattice = self._lattice
         moved = positions + lattice.at_vertices(at_nodes)
         there = self._measured(moved, self._jacobians.of(moved), seen)
-        better = np.maximum(there.found - told.found, there.match - told.match) > _BETTER_MATCH
+        better = np.maximum(there.found - measurement.found, there.match - measurement.match) > _BETTER_MATCH
         if not better.any():
-            return np.asarray(positions), told
-        return positions + lattice.at_vertices(np.where(better[:, None], at_nodes, 0.0)), told.where(
+            return np.asarray(positions), measurement
+        return positions + lattice.at_vertices(np.where(better[:, None], at_nodes, 0.0)), measurement.where(
             better, there
         )
 
     def _known_share(
-        self, positions: Points2, motion: Points2, around: FloatArray, told: Measurement, figure: FloatArray
+        self,
+        positions: Points2,
+        motion: Points2,
+        around: FloatArray,
+        measurement: Measurement,
+        figure: FloatArray,
     ) -> float:
         """How far the motion so far may go on, 0 to 1: a Wiener filter, by what is known of the whole.
 
         Where next to nothing tells where the surface is, it would drift off by the errors of its own motion.
         """
         inverse = _inverse(around)
-        information = _congruent(told.information, inverse)
+        information = _congruent(measurement.information, inverse)
         square = float(np.square(motion).sum(axis=1).mean())
         known = square / (square + 2.0 * self._of_the_whole(information))
         if known < _WELL_KNOWN:
@@ -274,11 +283,13 @@ class SurfaceFit:
         least = np.eye(2) / float(self._camera.width**2 + self._camera.height**2)
         return float(np.trace(np.linalg.inv(_full(information).sum(axis=0) + least)))
 
-    def _mismatched(self, told: Measurement, telling: tuple[float, float]) -> npt.NDArray[np.float64]:
+    def _mismatched(self, measurement: Measurement, telling: tuple[float, float]) -> npt.NDArray[np.float64]:
         """(nodes,) from 0 to 1: relief that should match and does not."""
         low, high = telling
-        counted = np.clip((told.expected - low) / (high - low), 0.0, 1.0)
-        missing = np.clip(1.0 - told.match / (_LOST_MATCH * np.maximum(told.expected, low)), 0.0, 1.0)
+        counted = np.clip((measurement.expected - low) / (high - low), 0.0, 1.0)
+        missing = np.clip(
+            1.0 - measurement.match / (_LOST_MATCH * np.maximum(measurement.expected, low)), 0.0, 1.0
+        )
         sums = self._lattice.smoothed(np.column_stack([counted * missing, np.ones(len(missing))]), 1)
         return np.asarray(sums[:, 0] / sums[:, 1])
 

@@ -59,11 +59,11 @@ def tracked_frame(
     same bytes as one that was not.
     """
     vertices = np.asarray(vertices_in_camera, dtype=np.float32)
-    told = None if uncertainty_px is None else read_only(np.asarray(uncertainty_px, dtype=np.float32))
+    uncertainty = None if uncertainty_px is None else read_only(np.asarray(uncertainty_px, dtype=np.float32))
     return TrackedFrame(
         vertices_in_camera=read_only(vertices),
         positions_px=read_only(camera.project(vertices)),
-        uncertainty_px=told,
+        uncertainty_px=uncertainty,
     )
 
 
@@ -94,13 +94,13 @@ class SurfaceTracker:
         self.template = template_from_maps(template, depth, camera, seams)
         self._fit: SurfaceFit | None = None
         self._solver: Solver | None = None
-        told = None
+        uncertainty = None
         if self.options.method is Tracker.DEFAULT:
             self._fit = SurfaceFit(self.template, template, camera, labels, pattern, paint, paint_pattern)
-            told = np.zeros(len(self.template.pixels))
+            uncertainty = np.zeros(len(self.template.pixels))
         else:
             self._solver = _solver(self.template, self.options)
-        self.state = tracked_frame(self.template.vertices_in_camera, told, camera)
+        self.state = tracked_frame(self.template.vertices_in_camera, uncertainty, camera)
         self._before, self._previous = self.state, template
         self._relief: Relief | None = None  # of the frame before
 
@@ -130,10 +130,13 @@ class SurfaceTracker:
                 labels,
                 paint,
             )
-            vertices, told = self.camera.unproject(fitted.positions_px, fitted.depth), fitted.uncertainty_px
+            vertices, uncertainty = (
+                self.camera.unproject(fitted.positions_px, fitted.depth),
+                fitted.uncertainty_px,
+            )
         else:
-            vertices, told = self._published_step(normal_map, depth_map), None
-        self._before, self.state = self.state, tracked_frame(vertices, told, self.camera)
+            vertices, uncertainty = self._published_step(normal_map, depth_map), None
+        self._before, self.state = self.state, tracked_frame(vertices, uncertainty, self.camera)
         self._previous = normal_map
         return self.state
 
