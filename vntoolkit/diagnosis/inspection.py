@@ -398,11 +398,11 @@ def examine_capture(
             apart = sorted({places[0], places[-1]})  # labels take a quarter of a second a frame
             few, most = [in_one_material(frames[k]) for k in apart], PIXELS_BETWEEN_SEAMS
         evidence = evidence_from_frames(few, rig, capture.transfer, mask, most)
-        told = _findings_with_rig(evidence)
-        findings += told
+        with_rig = _findings_with_rig(evidence)
+        findings += with_rig
         if rig.gel is not None:
             return Examination(findings=findings)
-        if all(finding.level is Level.NOTE for finding in told) and _is_wide(evidence):
+        if all(finding.level is Level.NOTE for finding in with_rig) and _is_wide(evidence):
             near = fit_nearness(evidence)
     if drift := findings_from_drift(small):  # what stands still tells more than the subject did
         findings = [*(finding for finding in findings if finding.check != "drift"), *drift]

@@ -160,8 +160,8 @@ def _of_frame(frame: LinearFrame, mask: Mask | None) -> Sharpness | None:
     squares, others, directions, overshoots = measured[:4]
     beside = np.median(measured[4:], axis=1) if len(squares) >= _FEWEST else np.zeros(3)
     halo = float(beside[:2].min() / beside[2]) if beside[2] > _LEAST_BACKGROUND else 1.0
-    told = overshoots[np.isfinite(overshoots)]
-    overshoot = float(np.median(told)) if len(told) >= _FEWEST else 0.0
+    known = overshoots[np.isfinite(overshoots)]
+    overshoot = float(np.median(known)) if len(known) >= _FEWEST else 0.0
     if len(squares) >= 4 * _FEWEST and float(np.median(squares)) <= 0.0:
         return Sharpness(blur_px=0.0, widest_px=0.0, overshoot=overshoot, halo=halo, edges=len(squares))
     blur = _width(squares, others, _SHARPER)
@@ -196,8 +196,8 @@ def _width(squares: FloatArray, others: FloatArray, percentile: float) -> float 
     alike = steps & ((squares - others < tolerance) | wide)
     if int(alike.sum()) < _FEWEST:
         return None
-    told = np.where(wide, np.minimum(squares, others), squares)[alike]
-    width = math.sqrt(max(float(np.percentile(told, percentile)), 0.0))
+    squares_there = np.where(wide, np.minimum(squares, others), squares)[alike]
+    width = math.sqrt(max(float(np.percentile(squares_there, percentile)), 0.0))
     if width > _BLURRED_PX and float(steps[wide].mean()) < _OF_WIDE:
         return None
     return width

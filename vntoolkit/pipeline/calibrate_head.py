@@ -178,9 +178,9 @@ def calibrate_head(
     searched = partial(fit_shape, contrasts=footage.contrasts)
     if options.head_shape is not HeadShape.HULL:
         with clock.stage("stereo"):
-            told = partial(on_progress, "stereo")
+            progress = partial(on_progress, "stereo")
             rough = searched(
-                views, hull=grid, stereo=options.stereo, fusion=options.fusion, on_progress=told
+                views, hull=grid, stereo=options.stereo, fusion=options.fusion, on_progress=progress
             ).mesh
         with clock.stage("poses again"):
             on_progress("poses again", 0, 1)
@@ -190,10 +190,10 @@ def calibrate_head(
             hull, rough = mesh_of_grid(grid), rough.with_vertices(moved.apply(rough.vertices))
             on_progress("poses again", 1, 1)
         with clock.stage("stereo again"):
-            told = partial(on_progress, "stereo again")
+            progress = partial(on_progress, "stereo again")
             closely = options.stereo.closely()
             shape = searched(
-                views, hull=grid, stereo=closely, fusion=options.fusion, on_progress=told, about=rough
+                views, hull=grid, stereo=closely, fusion=options.fusion, on_progress=progress, about=rough
             )
 
     def light_frames(numbers: IntArray) -> Iterator[LightFrame]:

@@ -206,8 +206,8 @@ def _corrected(
         step = np.linalg.solve(system + near, right - weighted.T @ moved + back)
     pulls = np.stack([np.bincount(region, column) for column in (weighted * left[:, None]).T], axis=1)
     pulls += systems @ step - rights
-    told = system @ np.linalg.solve(agreement + pulls.T @ pulls, system)  # 1 / variance
-    step = np.linalg.solve(told + near, told @ step + back)
+    information = system @ np.linalg.solve(agreement + pulls.T @ pulls, system)  # 1 / variance
+    step = np.linalg.solve(information + near, information @ step + back)
     entries = _FREE @ step
     matrix = response.matrix @ (np.eye(3) + entries[:9].reshape(3, 3))
     scale = np.linalg.norm(response.matrix) / np.linalg.norm(matrix)
@@ -476,8 +476,8 @@ def shared_errors(stereo: Mesh, skin: SkinNormals, pixel: float) -> FloatArray:
     off -= normal * (off * normal).sum(axis=1, keepdims=True)
     across = np.sqrt(np.maximum(1.0 - normal**2, 0.5))  # what of an axis lies in the surface
     slopes = np.abs(off) / across
-    told = [column[steep <= 0.5] for column, steep in zip(slopes.T, normal.T**2, strict=True)]
-    return np.array([1.4826 * np.median(each) if each.size else _SHARED_NOISE for each in told])
+    facing = [column[steep <= 0.5] for column, steep in zip(slopes.T, normal.T**2, strict=True)]
+    return np.array([1.4826 * np.median(each) if each.size else _SHARED_NOISE for each in facing])
 
 
 def _normals_and_noise(own: Points, skin: SkinNormals) -> tuple[Points, FloatArray]:
