@@ -45,11 +45,6 @@ def test_cotangent_weights_are_those_of_the_grid_on_a_flat_one() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    strict=False,
-    reason="slope noise of 0.05: 0.13 to 0.3 px in 80 frames (expected error 0.7 px), flow alone 0.26 px; "
-    "half of that is asked",
-)
 def test_registration_to_the_template_stops_the_drift_of_flow() -> None:
     video = WrinkledVideo(noise=0.05)
     errors = {}
