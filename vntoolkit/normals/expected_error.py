@@ -17,7 +17,8 @@ Seven independent errors add up in squares. Each is measured where it shows:
 - the rig's own residual is what its calibration could not explain;
 - what departs from the ellipsoid at a pixel, beside it, or in its cell on average is relief finer than
   pixels, another paint, gloss, saturation, or light from elsewhere;
-- where a light is missing the normal rests on its surroundings.
+- where a light is missing the normal rests on its surroundings. Two lights leave two normals, mirror images
+  across the plane of the two: which one was taken is often wrong, and then the error is what lies between.
 """
 
 from __future__ import annotations
@@ -58,7 +59,9 @@ _OF_ELLIPSOID = 3.4  # also stands for the rotation, which leaves no trace
 _OF_NEARNESS = 1.3
 _OF_RESIDUAL = 1.1  # of a median
 _OF_LENGTH = 2.5  # radians over log length
-_BY_LIGHTS_DEG = (46.0, 34.0, 31.0, 0.0)  # of a pixel that 0, 1, 2, 3 lights reach
+_BY_LIGHTS_DEG = (46.0, 34.0, 26.0, 0.0)  # of a pixel that 0, 1, 2, 3 lights reach
+_OF_OTHER_ROOT = 0.8  # radians over the chord between the two normals that two lights leave …
+_LONGEST_CHORD = 1.2  # … up to here: surroundings tell which one where they lie farther apart
 # A sphere shows nine tenths of its image within this angle of the axis: what a guess without data is worth.
 _LARGEST_DEG = np.float32(71.6)
 _HALF_WEIGHT_DEG = 12.0
@@ -92,6 +95,8 @@ _PER_TURN = np.float32(np.degrees(_OF_ELLIPSOID) ** 2)
 _PER_NEARNESS = np.float32(np.degrees(_OF_NEARNESS) ** 2)
 _PER_DEPARTURE = np.float32(np.degrees(_OF_LENGTH) ** 2)
 _PER_HALF_WEIGHT = np.float32(1.0 / _HALF_WEIGHT_DEG)
+_PER_CHORD = np.float32(np.degrees(_OF_OTHER_ROOT) ** 2)
+_MOST_CHORD = np.float32(_LONGEST_CHORD**2)
 _BY_LABEL = np.array([_BY_LIGHTS_DEG[bin(label).count("1")] ** 2 for label in range(8)], np.float32)
 
 
@@ -124,8 +129,21 @@ def with_expected_error(
     c = _coefficients(response, camera)
     noise_deg, noise, constants = _evidence(light, mask, labels, c, residual_deg, blur_px)
     error, weight = np.empty(shape, np.float32), np.empty(shape, np.float32)
-    _error_kernel(rows_of(light.image), mask, labels, noise, constants, error, weight)
+    found = rows_of(np.ascontiguousarray(normal_map.normals_in_camera, np.float32))
+    _error_kernel(
+        rows_of(light.image), found, mask, labels, _planes_of_two(response), noise, constants, error, weight
+    )
     return replace(normal_map, error_deg=error, noise_deg=noise_deg, weight=weight)
+
+
+def _planes_of_two(response: LightResponse) -> npt.NDArray[np.float32]:
+    """Return (8, 3): for labels of two lights the unit normal of the plane that both lie in, else 0."""
+    planes = np.zeros((8, 3))
+    for missing in range(3):
+        one, other = np.delete(response.light_directions, missing, axis=0)
+        across = np.cross(one, other)
+        planes[ALL_LIT - (1 << missing)] = across / max(float(np.linalg.norm(across)), 1e-12)
+    return planes.astype(np.float32)
 
 
 def normals_and_errors_from_encoded(
@@ -765,9 +783,13 @@ def _bound_row(
 
 @njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
 def _error_kernel(
-    rgb: Any, mask: Mask, labels: Any, noise: Any, constants: Any, error: Any, weight: Any
-) -> None:
-    """Fill (h, w) with the bound in degrees and its weight; 0 outside the mask."""
+    rgb: Any, normals: Any, mask: Mask, labels: Any, planes: Any, noise: Any, constants: Any, error: Any,
+    weight: Any,
+) -> None:  # fmt: skip
+    """Fill (h, w) with the bound in degrees and its weight; 0 outside the mask.
+
+    normals: (h, 3 w), found. planes: of `_planes_of_two`.
+    """
     for v in prange(len(mask)):
         error[v, :] = np.float32(0.0)
         weight[v, :] = np.float32(0.0)
@@ -781,9 +803,7 @@ def _error_kernel(
         length, unlit = np.empty(count, np.float32), np.zeros(count, np.float32)
         row_noise = np.empty(count, np.float32)
         if labels is not None:
-            label = labels[v, first:last]
-            for u in range(count):
-                unlit[u] = _BY_LABEL[label[u]]
+            _unlit_row(normals[v, 3 * first : 3 * last], labels[v, first:last], planes, unlit)
         _noise_row(noise, np.int64(v), first, row_noise)
         read_row(rgb[v, 3 * first : 3 * last], None, r, g, b)
         _bound_row(
@@ -791,6 +811,18 @@ def _error_kernel(
             _slow_changes_at(mask.shape, constants, first, v), length, error[v, first:last],
             weight[v, first:last],
         )  # fmt: skip
+
+
+@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+def _unlit_row(normals: Any, label: Any, planes: Any, unlit: Any) -> None:
+    """Fill the squared bounds of a row of pixels that not all lights reach, 0 of the others."""
+    zero, two = np.float32(0.0), np.float32(2.0)
+    for u in range(len(label)):
+        plane = planes[label[u]]
+        off = normals[3 * u] * plane[0] + normals[3 * u + 1] * plane[1] + normals[3 * u + 2] * plane[2]
+        facing = normals[3 * u + 2] - two * off * plane[2] < zero  # of the other normal
+        chord = min(two * two * off * off, _MOST_CHORD) if facing else zero
+        unlit[u] = _BY_LABEL[label[u]] + _PER_CHORD * chord
 
 
 @njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
