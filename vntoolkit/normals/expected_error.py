@@ -59,8 +59,8 @@ _OF_ELLIPSOID = 3.4  # also stands for the rotation, which leaves no trace
 _OF_NEARNESS = 1.3
 _OF_RESIDUAL = 1.1  # of a median
 _OF_LENGTH = 2.5  # radians over log length
-_BY_LIGHTS_DEG = (46.0, 34.0, 26.0, 0.0)  # of a pixel that 0, 1, 2, 3 lights reach
-_OF_OTHER_ROOT = 0.8  # radians over the chord between the two normals that two lights leave …
+_BY_LIGHTS_DEG = (46.0, 34.0, 31.0, 0.0)  # of a pixel that 0, 1, 2, 3 lights reach
+_OF_OTHER_ROOT = 0.75  # radians over the chord between the two normals that two lights leave …
 _LONGEST_CHORD = 1.2  # … up to here: surroundings tell which one where they lie farther apart
 # A sphere shows nine tenths of its image within this angle of the axis: what a guess without data is worth.
 _LARGEST_DEG = np.float32(71.6)
