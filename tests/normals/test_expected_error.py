@@ -110,9 +110,19 @@ def test_clipped_painted_and_shadowed_pixels_are_doubted(rng):
     labels = np.full((240, 240), 7, np.uint8)
     labels[:, :40], labels[:, 40:80], labels[:, 80:120] = 3, 4, 0
     shadowed, _ = seen(light, labels=labels)
-    bounds = [np.median(shadowed.error_deg[:, k : k + 40]) for k in (120, 0, 40, 80)]
-    assert bounds == sorted(bounds)
-    assert bounds[1] > 25
+    lit, two, one, none = (np.median(shadowed.error_deg[:, k : k + 40]) for k in (120, 0, 40, 80))
+    assert lit < 25 < min(two, one)
+    assert max(two, one) < none * 1.2
+
+
+def test_of_two_lights_the_bound_grows_with_the_distance_of_the_other_normal():
+    normal_map, _ = seen(colours(), labels=np.full((240, 240), 6, np.uint8))
+    across = np.cross(*RESPONSE.light_directions[1:])
+    across /= np.linalg.norm(across)
+    off, bound = np.abs(normal_map.normals_in_camera @ across), normal_map.error_deg
+    near, far = off < 0.1, off > 0.4
+    assert min(near.sum(), far.sum()) > 1000
+    assert bound[near].max() < 36 < 44 < bound[far].min()
 
 
 def test_the_residual_of_the_rig_is_part_of_it_and_the_weight_follows():
