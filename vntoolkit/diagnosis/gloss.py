@@ -1,9 +1,9 @@
 """Does the surface reflect the lamps as a mirror does, if dimly? Highlights pull normals towards the lamps.
 
-A highlight adds the lamp's colour where the normal lies near the half of the ways to the lamp and to the
-camera. M⁻¹(r − a) grows there by a length that M, the lamps and the width of the lobe foretell. The log
-lengths are regressed on it, beside all that depends on the direction or the place slowly: faults of M, light
-from elsewhere, vignetting. The slope is how strong the lobe is, as a share of the matte light.
+A highlight adds the lamp's colour where the normal is nearly halfway between the directions to the lamp and
+to the camera. M⁻¹(r − a) grows there by a length that M, the lamps and the width of the lobe foretell. The
+log lengths are regressed on it, beside all that depends on the direction or the place slowly: faults of M,
+light from elsewhere, vignetting. The slope is how strong the lobe is, as a share of the matte light.
 """
 
 from __future__ import annotations
@@ -64,20 +64,13 @@ def check_gloss(evidence: Evidence) -> list[Finding]:
 def _highlights(evidence: Evidence, pixels: SurfacePixels, normals: FloatArray) -> FloatArray:
     """Return what lobes of strength 1 add to M⁻¹(r − a) over the albedo, (n, 3)."""
     response, camera = evidence.rig.response, evidence.rig.camera
-    if response.light_colours is None:
-        strengths = np.linalg.norm(response.matrix, axis=1)
-        colours, towards = np.diag(strengths), response.matrix / strengths[:, None]
-    else:
-        colours, towards = response.light_colours, response.light_directions
     view = np.tile([0.0, 0.0, -1.0], (len(normals), 1))
     if camera.is_perspective:
         half = max(camera.width, camera.height) / 2
         view[:, :2] = -pixels.positions * half / camera.matrix[[0, 1], [0, 1]]
         view /= lengths_of(view)[:, None]
-    added: FloatArray = np.zeros_like(normals)
-    for colour, lamp in zip(colours, towards, strict=True):
-        between = lamp + view
-        between /= lengths_of(between)[:, None]
-        lobe = np.maximum((normals * between).sum(axis=1), 0.0) ** _EXPONENT
-        added += lobe[:, None] * (response.inverse @ colour)
-    return added
+    halfway = response.light_directions + view[:, None]  # (n, 3 lamps, 3)
+    cosines = np.einsum("ni,nki->nk", normals, halfway) / np.linalg.norm(halfway, axis=2)
+    lobes = np.maximum(cosines, 0.0) ** _EXPONENT
+    strengths = np.linalg.norm(response.lights, axis=1)
+    return np.asarray((lobes * strengths) @ np.linalg.inv(response.lights).T)

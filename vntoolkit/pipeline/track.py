@@ -244,12 +244,12 @@ def _run(
     back, ahead = source.numbers[:at][::-1], source.numbers[at + 1 :]
     rate, mesh, first = source.frame_rate_hz, tracker.mesh, tracker.state
     with MeshSequenceWriter(target, mesh, frame_rate_hz=rate, resume=True) as writer:
-        _as_remembered(writer, tracker, at + 1)
+        _truncate_to_memory(writer, tracker, at + 1)
         resumed = writer.frame_count
         if resumed <= at:  # the part before the template is not yet in place
             writer.truncate(0)
             with MeshSequenceWriter(target / "backwards", mesh, frame_rate_hz=rate, resume=True) as backwards:
-                _as_remembered(backwards, tracker, 0)
+                _truncate_to_memory(backwards, tracker, 0)
                 resumed = backwards.frame_count
                 on_start(len(source.numbers), resumed)
                 _follow(tracker, source, (template, *back), backwards, on_frame, paint_of, lead=0)
@@ -299,8 +299,8 @@ def _follow(
             write_remembered(writer.folder, *kept)
 
 
-def _as_remembered(writer: MeshSequenceWriter, tracker: SurfaceTracker, lead: int) -> None:
-    """Forget the frames after the one whose memory is on disk; lead: how many are kept in any case."""
+def _truncate_to_memory(writer: MeshSequenceWriter, tracker: SurfaceTracker, lead: int) -> None:
+    """Drop the frames after the one whose memory is on disk; lead: how many stay in any case."""
     if tracker.remembered is not None and writer.frame_count > lead:
         count, _ = read_remembered(writer.folder, tracker.remembered)
         writer.truncate(max(count if count <= writer.frame_count else 0, lead))

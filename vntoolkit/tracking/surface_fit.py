@@ -144,9 +144,8 @@ class SurfaceFit:
             positions = last + known * (positions - last)
             around = self._jacobians.of(positions)
             measurement = self._measured(positions, around, seen)
-        if min(np.sum(measurement.found), np.sum(measurement.match)) < _LOST_MATCH * np.sum(
-            measurement.expected
-        ):
+        matched = min(np.sum(measurement.found), np.sum(measurement.match))
+        if matched < _LOST_MATCH * np.sum(measurement.expected):
             positions, measurement = self._restarted(
                 positions, last_px, measurement, previous, normal_map, seen
             )
