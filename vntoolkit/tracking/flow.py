@@ -126,16 +126,28 @@ def _shift_of_best_correlation(
 ) -> npt.NDArray[np.float32]:
     """Return the shift (2,) of all of `before` (h, w, k) at which both correlate best, however far.
 
-    0 where the correlation is less than `sure` standard deviations over all shifts: it may be chance.
+    0 where the correlation is less than `sure` standard deviations over all shifts of the picture: it may be
+    chance. Only what is not 0 is transformed, since the rest correlates with nothing.
     """
-    size = [scipy.fft.next_fast_len(2 * n, real=True) for n in before.shape[:2]]  # nothing wraps around
-    first, second = (scipy.fft.rfft2(each, s=size, axes=(0, 1)) for each in (before, after))
+    first_box, second_box = (_box(np.any(each, axis=-1), 0.0) for each in (before, after))
+    sides = np.add(before[first_box].shape[:2], after[second_box].shape[:2])
+    size = [scipy.fft.next_fast_len(int(side), real=True) for side in sides]  # nothing wraps around
+    first, second = (
+        scipy.fft.rfft2(each, s=size, axes=(0, 1)) for each in (before[first_box], after[second_box])
+    )
     correlation = scipy.fft.irfft2((np.conj(first) * second).sum(axis=-1), s=size)
-    if correlation.max() < sure * correlation.std():
+    shifts = 4.0 * before[..., 0].size
+    deviation = np.sqrt(
+        max(np.vdot(correlation, correlation) / shifts - (correlation.sum() / shifts) ** 2, 0)
+    )
+    if correlation.max() < sure * deviation:
         return np.zeros(2, dtype=np.float32)
-    v, u = np.unravel_index(int(np.argmax(correlation)), correlation.shape)
-    signed = [n - length if n > length // 2 else n for n, length in ((u, size[1]), (v, size[0]))]
-    return np.array(signed, dtype=np.float32)
+    best = np.unravel_index(int(np.argmax(correlation)), correlation.shape)
+    v, u = (
+        int(n) - (length if n >= there.stop - there.start else 0) + there.start - here.start
+        for n, length, here, there in zip(best, size, first_box, second_box, strict=True)
+    )
+    return np.array([u, v], dtype=np.float32)
 
 
 def _dis(before: npt.NDArray[np.uint8], after: npt.NDArray[np.uint8]) -> Flow:
