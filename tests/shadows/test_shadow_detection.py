@@ -14,9 +14,8 @@ from vntoolkit.errors import BadInput
 from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.photometry.frame import LinearFrame, count_lit, lit_from_labels
 from vntoolkit.shadows import robust
-from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
+from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod, lit_by_edges
 from vntoolkit.shadows.graph_cut import bonds_of_light, lit_by_cut
-from vntoolkit.shadows.published import lit_by_edges
 from vntoolkit.shadows.recovery import recover_surface
 
 

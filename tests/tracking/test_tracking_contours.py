@@ -8,7 +8,7 @@ from scipy.sparse.csgraph import connected_components
 
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
-from vntoolkit.tracking.contours import edges_beside, occluding_contours
+from vntoolkit.tracking.outline import edges_beside, occluding_contours
 from vntoolkit.tracking.slopes import slopes_from_normals
 from vntoolkit.tracking.template import template_from_maps
 from vntoolkit.tracking.tracker import SurfaceTracker

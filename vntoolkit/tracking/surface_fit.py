@@ -19,13 +19,18 @@ from vntoolkit.arrays import FloatArray, Mask, Points2, VisibilityLabels
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.tracking.body_motion import LINKS_ALIKE, FittedField
-from vntoolkit.tracking.contours import edges_beside, occluding_contours
 from vntoolkit.tracking.fit_errors import FitErrors
 from vntoolkit.tracking.flow import common_shift, dense_flow
 from vntoolkit.tracking.lattice import LocalJacobians, lattice_on_template
 from vntoolkit.tracking.lattice_system import LatticeSystem
 from vntoolkit.tracking.lengths import STRAIN, TURN, LinkLengths, slow_turns, uniform_strains
-from vntoolkit.tracking.outline import Outline, contour_distance, outline_of_figure
+from vntoolkit.tracking.outline import (
+    Outline,
+    contour_distance,
+    edges_beside,
+    occluding_contours,
+    outline_of_figure,
+)
 from vntoolkit.tracking.paint import Paint, PaintImage, paint_image
 from vntoolkit.tracking.registration import Measurement, TemplateRegistration, WindowSteps
 from vntoolkit.tracking.remembered import Remembered
