@@ -1,7 +1,8 @@
 """Work shared out to processes: the same results, and a process that dies is named."""
 
 import os
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 
 import pytest
 
@@ -22,9 +23,31 @@ def _begin(threads: int | None) -> Work:
     return work
 
 
+def _begin_slowly(threads: int | None) -> Work:
+    def work(item: int) -> list[int]:
+        time.sleep(0.01)
+        return [item]
+
+    return work
+
+
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_results_do_not_depend_on_the_processes(jobs: int) -> None:
     assert sorted(shared_out(_begin, [1, 2, 3], jobs)) == [1, 2, 3, 10, 20, 30]
+
+
+def test_items_are_made_while_earlier_ones_are_worked_on() -> None:
+    made = []
+
+    def items() -> Iterator[int]:
+        for item in range(40):
+            made.append(item)
+            yield item
+
+    results = shared_out(_begin_slowly, items(), 2)
+    next(results)
+    assert len(made) < 10
+    assert sorted([0, *results]) == list(range(40))
 
 
 def test_what_the_work_raises_is_raised() -> None:

@@ -7,7 +7,7 @@ import itertools
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any, TypeVar
@@ -27,26 +27,25 @@ _begun: tuple[int, Work[Any, Any]] | None = None
 
 
 def shared_out(
-    begin: Callable[[int | None], Work[Item, Result]], items: Sequence[Item], jobs: int
+    begin: Callable[[int | None], Work[Item, Result]], items: Iterable[Item], jobs: int
 ) -> Generator[Result]:
     """Yield what the work makes of each item; the results of one item in order, items as they finish.
 
-    begin: makes the work, once in each process; it is told how many threads it may use, None for all. jobs:
-    processes; with 1 the work is done here. Closing the iterator ends the processes. Raises what the work
-    raises, and `VntError` where a process dies.
+    begin: makes the work, once in each process; it is told how many threads it may use, None for all. items:
+    taken from their iterable while earlier ones are worked on. jobs: processes; with 1 the work is done here.
+    Closing the iterator ends the processes. Raises what the work raises, and `VntError` where a process dies.
     """
-    if jobs == 1 or len(items) < 2:
-        work = begin(None) if items else None
+    if jobs == 1:
+        work: Work[Item, Result] | None = None
         for item in items:
-            assert work is not None
+            work = work or begin(None)
             yield from work(item)
         return
-    workers = min(jobs, len(items))
-    pool = _kept.pop(workers, None) if _kept else None
-    pool = pool or _pool_of(workers)
+    pool = _kept.pop(jobs, None) if _kept else None
+    pool = pool or _pool_of(jobs)
     finished = False
     try:
-        yield from _collect(pool, begin, items, _AHEAD * workers)
+        yield from _collect(pool, begin, items, _AHEAD * jobs)
         finished = True
     except BrokenProcessPool as error:
         raise VntError(
@@ -55,7 +54,7 @@ def shared_out(
         ) from error
     finally:
         if finished and _kept is not None:
-            _kept[workers] = pool
+            _kept[jobs] = pool
         else:
             pool.shutdown(wait=True, cancel_futures=True)
 

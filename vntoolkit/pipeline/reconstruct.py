@@ -224,7 +224,7 @@ def clear(root: Path) -> None:
 
 def _workers(jobs: int, scheduler: str | None) -> Workers:
     if scheduler is None:
-        return lambda job, blocks: shared_out(partial(_begin, job), blocks, jobs)
+        return lambda job, blocks: shared_out(partial(_begin, job), blocks, min(jobs, len(blocks)))
     return partial(run_blocks_on_cluster, scheduler=scheduler, workers=jobs)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -98,16 +98,25 @@ def simulate(
                 _clear(folder)
             write_text(folder.description, job.description())
         write_fixed_truth(job)
-        write_moving_mesh(job, resume)
         missing = [place for place in range(count) if not folder.staged(place).exists()]
         on_start(count, count - len(missing))
         work = partial(_begin, job if jobs == 1 else replace(job))  # a copy: built scenes cannot be sent
-        for place in shared_out(work, missing, jobs):
+        moments = write_moving_mesh(job, resume, missing)
+        for place in shared_out(work, moments, min(jobs, max(1, len(missing)))):
             on_frame(place)
         _write_contact_sheet(job)
         write_video(folder.video, _staged_frames(folder, count), job.built.frame_rate_hz / job.numbers.step)
         remove_numbered(folder.staged(0).parent, ".png", range(count))
     return SimulationSummary(folder=folder.root, frames=count, rendered=len(missing))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Moment:
+    """A frame to render: its place in the video, its vertices (n, 3), and those of the next, if any."""
+
+    place: int
+    vertices: FloatArray
+    following: FloatArray | None
 
 
 class FrameWorker:
@@ -116,21 +125,17 @@ class FrameWorker:
     def __init__(self, job: SimulationJob) -> None:
         self._job = job
         self._renderer = Renderer(job.built, job.nuisances, job.rendering)
-        self._vertices_file = job.folder.truth / "vertices.npy"
 
-    def render(self, place: int) -> Iterator[int]:
+    def render(self, moment: Moment) -> Iterator[int]:
         """Render and write one frame; yield its place."""
-        number = self._job.numbers[place]
-        # Mapped anew for every frame: a map kept open holds on to every page it ever showed.
-        vertices = np.load(self._vertices_file, mmap_mode="r", allow_pickle=False)
-        following = vertices[place + 1] if place + 1 < len(self._job.numbers) else None
+        number = self._job.numbers[moment.place]
         generator = frame_generator(self._job.options.seed, number)
-        frame = self._renderer.render(vertices[place], following, generator, number)
-        write_frame(self._job.folder, place, frame)
-        yield place
+        frame = self._renderer.render(moment.vertices, moment.following, generator, number)
+        write_frame(self._job.folder, moment.place, frame)
+        yield moment.place
 
 
-def _begin(job: SimulationJob, threads: int | None) -> Callable[[int], Iterator[int]]:
+def _begin(job: SimulationJob, threads: int | None) -> Callable[[Moment], Iterator[int]]:
     if threads is not None:
         job = replace(job, rendering=replace(job.rendering, threads=threads))
     return FrameWorker(job).render
@@ -301,15 +306,29 @@ def write_fixed_truth(job: SimulationJob) -> None:
         write_text(truth / "poses.json", json.dumps({"camera_from_object": poses}, indent=1) + "\n")
 
 
-def write_moving_mesh(job: SimulationJob, resume: bool) -> None:
-    """Write the mesh of every frame, in order, a frame in memory at a time: vertices.npy and template.ply."""
+def write_moving_mesh(job: SimulationJob, resume: bool, missing: Sequence[int]) -> Iterator[Moment]:
+    """Write the mesh of every frame, in order: vertices.npy and template.ply.
+
+    Yields the missing frames as soon as their vertices are there: one is rendered while the next is moved.
+    """
     scene, numbers = job.built, job.numbers
     first = scene.vertices(numbers[0])
     template = Mesh(vertices=first, faces=scene.surface.faces)
     rate = scene.frame_rate_hz / numbers.step
     with MeshSequenceWriter(job.folder.truth, template, frame_rate_hz=rate, resume=resume) as writer:
-        for place in range(writer.frame_count, len(numbers)):
-            writer.append(first if place == 0 else scene.vertices(numbers[place]))
+
+        def write_until(place: int) -> None:
+            for k in range(writer.frame_count, min(place + 1, len(numbers))):
+                writer.append(first if k == 0 else scene.vertices(numbers[k]))
+
+        for place in missing:
+            write_until(place + 1)
+            # Mapped anew for every frame: a map kept open holds on to every page it ever showed.
+            written = map_npy(job.folder.truth / "vertices.npy", BadMotion)[place : place + 2]
+            vertices = np.array(written)
+            following = vertices[1] if len(vertices) == 2 else None
+            yield Moment(place=place, vertices=vertices[0], following=following)
+        write_until(len(numbers))
 
 
 def write_frame(folder: SimulationFolder, place: int, frame: SimulatedFrame) -> None:
