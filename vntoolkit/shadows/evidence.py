@@ -20,7 +20,6 @@ from vntoolkit.native import njit
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.shadows.contributions import (
     FLAGS,
-    LightContributions,
     Numbers,
     columns_between,
     finite,
@@ -163,36 +162,6 @@ def _missing_cosines(
 # What the albedo says about a weak light: missing, or only fading where the surface turns from it.
 
 
-def evidence_from_albedo(
-    measured: LightContributions, cosines: FloatArray, predicted: FloatArray, albedo: FloatArray, mask: Mask
-) -> FloatArray:
-    """Return (h, w, 3) evidence, positive for light, 0 where it is not asked.
-
-    cosines, predicted: (h, w, 3), measured and to be expected where the light arrives. albedo: (h, w), that
-    of the surroundings.
-    """
-    evidence: FloatArray = np.zeros(cosines.shape, dtype=np.float32)
-    _evidence_kernel(
-        measured.length, albedo, mask, cosines, predicted, np.linalg.inv(measured.directions), evidence,
-    )  # fmt: skip
-    return evidence
-
-
-@njit(cache=True, parallel=True, error_model="numpy")
-def _evidence_kernel(
-    length: FloatArray, albedo: FloatArray, mask: Mask, cosines: FloatArray, predicted: FloatArray,
-    duals: Matrix3, out: FloatArray,
-) -> None:  # fmt: skip
-    """Fill out (h, w, 3) at each pixel's weakest light. duals: (3, 3), they make a normal of its cosines."""
-    h, w = mask.shape
-    for v in prange(h):
-        for u in range(w):
-            k = _weakest(cosines[v, u, 0], cosines[v, u, 1], cosines[v, u, 2])
-            if mask[v, u] and cosines[v, u, k] < WEAK_COSINE:
-                ratio = length[v, u] / max(albedo[v, u], _SMALLEST_RATIO)
-                out[v, u, k] = _from_albedo(k, cosines[v, u, k], predicted[v, u], ratio, duals)
-
-
 @njit(cache=True, forceinline=True, error_model="numpy")
 def _weakest(a: Any, b: Any, c: Any) -> int:
     if b < a:
@@ -201,8 +170,12 @@ def _weakest(a: Any, b: Any, c: Any) -> int:
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")
-def _from_albedo(k: int, cosine: Any, predicted: FloatArray, ratio: Any, duals: Matrix3) -> Any:
-    """Evidence for light k from a length `ratio` times the albedo around."""
+def evidence_from_albedo(k: int, cosine: Any, predicted: FloatArray, ratio: Any, duals: Matrix3) -> Any:
+    """Return the evidence for light k, positive for light, of a length `ratio` times the albedo around.
+
+    cosine: of light k as measured. predicted: (3,), to be expected where lights arrive. duals: (3, 3), they
+    make a normal of its cosines.
+    """
     lost = max(predicted[k] - max(cosine, 0.0), 0.0)
     squared = 0.0
     for i in range(3):
@@ -450,7 +423,7 @@ def _albedo_row(
             r, g, b = finite(line[3 * u]), finite(line[3 * u + 1]), finite(line[3 * u + 2])
             _, _, _, length = scaled_normal(r, g, b, inverse, haze, rest)
             ratio = length / max(rows[3, u], np.float32(_SMALLEST_RATIO))
-            total = evidence[k, u] + _from_albedo(k, seen[k, u], predicted, ratio, duals)
+            total = evidence[k, u] + evidence_from_albedo(k, seen[k, u], predicted, ratio, duals)
             evidence[k, u] = min(max(total, -STRONGEST_EVIDENCE), STRONGEST_EVIDENCE)
 
 

@@ -187,7 +187,11 @@ def _better_regions(first: FloatArray, second: FloatArray, shadow: Mask) -> Mask
 
 
 def noise_of_frame(rgb: FloatArray, response: LightResponse, known: Mask) -> float | None:
-    """Return `slope_noise` of a frame's colours (h, w, 3), told by pairs of its rows."""
+    """Return the standard deviation of a facing normal's slope, or None with too few `known` pixels.
+
+    rgb: (h, w, 3), of which pairs of rows are read. A slope's noise grows with 1 / n_z², which is taken out.
+    The median makes steps in depth, where loops do not close either, count for little.
+    """
     pairs = max(len(known) // _FEWEST_PAIRS, 2)
     last = len(known) - len(known) % pairs
 
@@ -197,15 +201,6 @@ def noise_of_frame(rgb: FloatArray, response: LightResponse, known: Mask) -> flo
         return contributions_from_frame(frame, response).normals, known[first:last:pairs]
 
     return _noise_between(*rows(0), *rows(1))
-
-
-def slope_noise(normals: FloatArray, known: Mask) -> float | None:
-    """Return the standard deviation of a facing normal's slope, or None with too few `known` pixels.
-
-    normals: (h, w, 3), camera frame. A slope's noise grows with 1 / n_z², which is taken out. The median
-    makes steps in depth, where loops do not close either, count for little.
-    """
-    return _noise_between(normals[:-1], known[:-1], normals[1:], known[1:])
 
 
 def _noise_between(upper: FloatArray, known: Mask, lower: FloatArray, also: Mask) -> float | None:

@@ -14,7 +14,6 @@ from vntoolkit.skinning.alignment import SleevedArm
 from vntoolkit.skinning.stretch import edge_lengths, greatest_growth
 
 STRETCHED, TORN = 2.0, 3.0  # a knit bears about the first; the second shows as a web
-_MOST_STRETCHED = 0.005  # of the triangles: more of them in a frame are seen
 _LEAST_VERTICES = 6  # of a sleeve's section, for its motion
 _SIDES = {1: "left", -1: "right"}
 
@@ -60,12 +59,6 @@ class DressingFindings:
             f"(at most {100 * self.stretched[worst]:.2f} %, frame {worst})"
         )
         return "; ".join(parts)
-
-    @property
-    def is_followed(self) -> bool:
-        """Whether every arm stays in its sleeve and hardly a triangle is overstretched."""
-        inside = all(is_short or self.off_axis[:, arm].max() <= 1 for arm, is_short in enumerate(self.short))
-        return inside and float(self.stretched.max(initial=0.0)) <= _MOST_STRETCHED
 
 
 class DressingMeter:
