@@ -254,6 +254,23 @@ def test_labels_that_no_longer_fit_are_decided_anew_and_forgotten_ones_do_not_co
     )
 
 
+def test_stripes_that_jump_in_half_of_a_blurred_picture_are_decided_anew() -> None:
+    normals, mask, _ = knitted_with_logo()
+    yarns = np.array([[0.66, 0.63, 0.58], [0.2, 0.25, 0.46]])
+    labeller, rng = MaterialLabeller(RESPONSE, yarns), np.random.default_rng(5)
+    _, u = np.indices(mask.shape)
+    smooth = gaussian_filter(rng.normal(size=mask.shape), 5.0)
+    strange = smooth > np.quantile(smooth, 0.9)  # of no material, and so doubtful in every frame
+    for jump in (0, 20):
+        stripes = (u + jump * (u < 60)) // 20 % 2
+        light = np.maximum(normals @ DIRECTIONS.T, 0.0) * yarns[stripes]
+        light = np.where(strange[..., None], light * [1.0, 0.3, 2.0], light) @ COLOURS * mask[..., None]
+        light = gaussian_filter(light, (1.0, 1.0, 0.0)) + rng.normal(0.0, LEVEL, light.shape)
+        labels = labeller.labels(LinearFrame(light.astype(np.float32)), mask)
+        plain = mask & ~strange
+        assert np.mean(labels[plain] == stripes[plain]) > 0.97
+
+
 def test_labels_are_carried_along_with_a_subject_that_crosses_the_picture() -> None:
     labels = sectors()
     labeller, unlike = MaterialLabeller(RESPONSE, PAINTS), []

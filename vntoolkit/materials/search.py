@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from numba import prange
 from scipy import sparse
-from scipy.linalg import block_diag
-from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import spsolve
+from scipy.linalg import block_diag, solveh_banded
+from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 
 from vntoolkit.arrays import FloatArray, IntArray, Mask, Points, Vector3
 from vntoolkit.errors import BadInput
@@ -176,10 +176,7 @@ def _reflectances_of_regions(regions: Regions, lamps: Lamps) -> tuple[Points, fl
     target = np.where(is_paint[:, None], steps, 0.0)
     spread = np.where(is_paint, 1.0, 0.5) * SHADING_STEP
     weights = regions.sizes / INDEPENDENT_PX
-    index = np.arange(3 * regions.count).reshape(-1, 3)
-    first, second = index[a].ravel(), index[b].ravel()
-    rows = np.concatenate([np.repeat(index, 3, axis=1).ravel(), first, second, first, second])
-    columns = np.concatenate([np.tile(index, (1, 3)).ravel(), first, second, second, first])
+    system = _BandedSystem(a, b, regions.count)
     known = np.arange(regions.samples.shape[1]) < regions.counts[:, None]
     x: Points = np.zeros((regions.count, 3))
     centre: Vector3 = np.zeros(3)
@@ -202,19 +199,43 @@ def _reflectances_of_regions(regions: Regions, lamps: Lamps) -> tuple[Points, fl
         reach = max(1.0, CAP * _FALL**done) * spread
         falling = 1.0 / (1.0 + np.sum(rest**2, axis=1) / (CAP * reach) ** 2)
         weight = contacts * (falling / spread) ** 2
-        thrice = np.repeat(weight, 3)
-        entries = [(matrices + _WEAK * np.eye(3)).ravel(), thrice, thrice, -thrice, -thrice]
-        system = sparse.coo_array((np.concatenate(entries), (rows, columns))).tocsc()
         right = gradients + _WEAK * (centre - x)
         np.add.at(right, b, weight[:, None] * rest)
         np.add.at(right, a, -weight[:, None] * rest)
-        x = x + spsolve(system, right.ravel()).reshape(-1, 3).clip(-3.0, 3.0)
+        x = x + system.solved(matrices + _WEAK * np.eye(3), weight, right).clip(-3.0, 3.0)
     lengths = (regions.samples * np.exp(-x)[:, None] - lamps.haze)[known] @ lamps.inverse.T
     residual = 1.4826 * float(np.median(np.abs(np.linalg.norm(lengths, axis=1) - 1.0)))
     return x, float(np.clip(residual, *_TOLERANCES))
 
 
-@njit(cache=True, error_model="numpy")
+class _BandedSystem:
+    """Normal equations of three numbers a region and of steps between neighbours a, b (e,) of n regions.
+
+    Neighbours get numbers near to each other (cuthill1969), so that all stands in a band.
+    """
+
+    def __init__(self, a: IntArray, b: IntArray, n: int) -> None:
+        graph = sparse.coo_array((np.ones(len(a)), (a, b)), shape=(n, n))
+        order = reverse_cuthill_mckee((graph + graph.T).tocsr(), symmetric_mode=True)
+        self._index = index = 3 * np.argsort(order)[:, None] + np.arange(3)
+        first, second = index[a].ravel(), index[b].ravel()
+        rows = np.concatenate([np.repeat(index, 3, axis=1).ravel(), first, second, np.maximum(first, second)])
+        columns = np.concatenate([np.tile(index, (1, 3)).ravel(), first, second, np.minimum(first, second)])
+        self._below = rows >= columns
+        self._size, self._band = 3 * n, int((rows - columns).max()) + 1
+        self._places = ((rows - columns) * self._size + columns)[self._below]
+
+    def solved(self, blocks: FloatArray, weights: FloatArray, right: FloatArray) -> FloatArray:
+        """(n, 3), the solution. blocks: (n, 3, 3), of each region. weights: (e,), of steps. right: (n, 3)."""
+        thrice = np.repeat(weights, 3)
+        entries = np.concatenate([blocks.ravel(), thrice, thrice, -thrice])[self._below]
+        band = np.bincount(self._places, entries, self._band * self._size).reshape(self._band, self._size)
+        ordered = np.empty(self._size)
+        ordered[self._index] = right
+        return np.asarray(solveh_banded(band, ordered, lower=True, check_finite=False)[self._index])
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
 def _gather_regions(
     samples: Any, counts: Any, weights: Any, x: Any, haze: Any, inverse: Any, mixing: Any, spread: float,
     reach: float, matrices: Any, gradients: Any,
@@ -224,10 +245,10 @@ def _gather_regions(
     spread: standard deviation of lengths beyond noise. reach: from CAP times this, or times the whole
     standard deviation where that is more, a length counts less.
     """
-    j = np.empty(3)
     matrices[:] = 0.0
     gradients[:] = 0.0
-    for i in range(samples.shape[0]):
+    for i in prange(samples.shape[0]):
+        j = np.empty(3)
         q = np.exp(-x[i])
         bias = bias_of_noise(q, inverse, mixing)
         for p in range(counts[i]):
