@@ -317,8 +317,8 @@ def _in_one_material(
     """Return what makes a frame look as if its subject were of the rig's material; None where it is."""
     if not job.reflectances:
         return None
-    response, reflectances = job.rig.response, np.array(job.reflectances)
-    labeller = MaterialLabeller(response.central, reflectances)
+    response = job.rig.response
+    labeller = MaterialLabeller(response.central, np.array(job.reflectances), np.array(job.pigments))
 
     def judged(frame: LinearFrame) -> LinearFrame:
         level = frame
