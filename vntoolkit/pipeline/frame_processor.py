@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from numba import prange
 
 from vntoolkit.arrays import Colours, LinearImage, Mask, VisibilityLabels
 from vntoolkit.checks import require_shape
@@ -20,7 +22,7 @@ from vntoolkit.io.footage.gel_dots import DotFilter
 from vntoolkit.materials.labelling import MaterialLabeller
 from vntoolkit.materials.pixels import MaterialLabels, colours_of
 from vntoolkit.meshing.surface import mesh_from_depth
-from vntoolkit.native import keep_freed_memory
+from vntoolkit.native import keep_freed_memory, njit
 from vntoolkit.normals.expected_error import normals_and_errors_from_encoded, with_expected_error
 from vntoolkit.normals.gel import GelInverter, drift_of_change
 from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame
@@ -269,7 +271,7 @@ class FrameProcessor:
 
     def lit_subject(self, linear: LinearFrame) -> Mask:
         """Return (h, w), the pixels of interest without the backdrop, whose noise is like dark paint."""
-        brightness = (linear.rgb - self._central.ambient.astype(np.float32)).max(axis=2)
+        brightness = _brightest(linear.rgb, self._central.ambient.astype(np.float32))
         sampled = brightness[::_SAMPLED, ::_SAMPLED][self._mask[::_SAMPLED, ::_SAMPLED]]
         if not sampled.size:
             return self._mask
@@ -314,3 +316,14 @@ class FrameProcessor:
             return shown
         nothing: npt.NDArray[np.bool_] = np.zeros(shown.shape[:2], dtype=np.bool_)
         return self._resampler.frame(LinearFrame(rgb=shown, clipped=nothing)).rgb
+
+
+@njit(cache=True, parallel=True)
+def _brightest(rgb: Any, ambient: Any) -> Any:
+    """(h, w), the brightest channel without ambient light; numpy takes 25 ms for it at 1280 × 720."""
+    out = np.empty(rgb.shape[:2], np.float32)
+    for v in prange(len(rgb)):
+        for u in range(rgb.shape[1]):
+            r, g, b = rgb[v, u]
+            out[v, u] = max(r - ambient[0], g - ambient[1], b - ambient[2])
+    return out
