@@ -308,6 +308,8 @@ def _fewest(logs: Points, regions: Regions, lamps: Lamps, tolerance: float, coun
     Materials are left out one after the other; then what is still unexplained proposes others, as long as
     that makes the description shorter.
     """
+    if count == 1:  # the most voted for: no number of others needs to be left out one after the other
+        logs = logs[:1]
     found = _settled(logs, None, regions, lamps, tolerance, 4, None)
     found = _thinned(found, regions, lamps, tolerance, count)
     for _ in range(_SPLITS):
