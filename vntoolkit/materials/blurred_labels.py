@@ -16,11 +16,13 @@ from numba import prange
 from vntoolkit.arrays import FloatArray, Mask, Points
 from vntoolkit.materials.pixels import (
     MaterialLabels,
+    Seams,
     Single,
     Spread,
     blur_weights,
     likeliest_blur_px,
     near_seams,
+    variance_of_lengths,
 )
 from vntoolkit.materials.reflectance import CAP, Lamps
 from vntoolkit.native import njit
@@ -51,15 +53,15 @@ class BlurredLabels:
     def __init__(self, lamps: Lamps, logs: Points, spread: Spread) -> None:
         self._lamps, self._logs, self._spread = lamps, logs, spread
         self._reflectances = np.exp(logs)
-        self._blur_px: float | None = None
+        self._seams: Seams | None = None
         self._precision = 1.0
         self._room: Single | None = None
 
     @property
-    def blur_px(self) -> float:
-        """Standard deviation of the blur."""
-        assert self._blur_px is not None
-        return self._blur_px
+    def seams(self) -> Seams:
+        """What tells the mixtures beside seams."""
+        assert self._seams is not None
+        return self._seams
 
     def settled(self, values: FloatArray, lit: Mask, labels: MaterialLabels) -> MaterialLabels:
         """Return labels (h, w) from labels that may be wrong in patches, block by block, then by pixel.
@@ -78,14 +80,16 @@ class BlurredLabels:
     def _decided(
         self, values: FloatArray, lit: Mask, labels: MaterialLabels, near: Mask, of_blocks: int, sweeps: int
     ) -> MaterialLabels:
-        if self._blur_px is not None:
-            return self._moved(values, lit, labels, near, self._blur_px, of_blocks, sweeps)
+        if self._seams is not None:
+            return self._moved(values, lit, labels, near, self._seams.blur_px, of_blocks, sweeps)
         known = lit, self._lamps, self._logs
+        tolerance = variance_of_lengths(values, *known, labels)
         self._precision = 1.0 / (_SHARED * _variance_of_steps(values, *known, labels))
         found = self._moved(values, lit, labels, near, _FIRST_BLUR_PX, of_blocks, sweeps)
-        self._blur_px = likeliest_blur_px(values, *known, self._spread, found)
-        if self._blur_px != _FIRST_BLUR_PX:
-            found = self._moved(values, lit, labels, near, self._blur_px, of_blocks, sweeps)
+        blur_px = likeliest_blur_px(values, *known, self._spread, found)
+        if blur_px != _FIRST_BLUR_PX:
+            found = self._moved(values, lit, labels, near, blur_px, of_blocks, sweeps)
+        self._seams = Seams(blur_px, tolerance)
         return found
 
     def _moved(

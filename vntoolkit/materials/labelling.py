@@ -22,6 +22,7 @@ from vntoolkit.materials.pixels import (
     INDEPENDENT_PX,
     LineLabeller,
     MaterialLabels,
+    Seams,
     Spread,
     near_seams,
     relit,
@@ -126,12 +127,12 @@ class MaterialLabeller:
 
     def relit(self, frame: LinearFrame, labels: MaterialLabels, mask: Mask | None = None) -> LinearFrame:
         """Return the frame as it would be with the calibration material everywhere; mask: see `relit`."""
-        return relit(frame, self._response, labels, self._reflectances, self._pigments, self.blur_px, mask)
+        return relit(frame, self._response, labels, self._reflectances, self._pigments, self.seams, mask)
 
     @property
-    def blur_px(self) -> float:
-        """Standard deviation of the picture's blur; 0 before a frame is labelled, and for one material."""
-        return 0.0 if self._fine is None else self._fine.blur_px
+    def seams(self) -> Seams | None:
+        """How pixels beside seams are mixtures; None before a frame is labelled, and for one material."""
+        return None if self._fine is None else self._fine.seams
 
     def left_at_seams(self, frame: LinearFrame, mask: Mask, labels: MaterialLabels) -> float:
         """Return the share of the steps of normals at seams that remains, against one material all over.

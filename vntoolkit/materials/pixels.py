@@ -36,6 +36,8 @@ _SWEEPS, _SETTLED = 4, 0.002  # at most, and share of the pixels that change whe
 _BLURS_PX = (0.0, 0.5, 0.7, 1.0, 1.4)  # standard deviations that are tried
 _BLURRED_PX = 0.6  # from where a step of paint takes three pixels
 _REACH_BLURRED = 3
+_UNSURE = 0.3  # standard deviation of a pixel's share, over the root of the product of both shares
+_LEAST_SHARE = 0.01
 _REACH_OF_BLUR = 2.5  # standard deviations
 _WINDOW = 3  # pixels to either side over which a seam is blurred
 _JUDGED = 4000  # pixels beside seams that tell the blur
@@ -50,6 +52,16 @@ class Spread(NamedTuple):
 
     of_regions: float
     of_pixels: float
+
+
+class Seams(NamedTuple):
+    """What tells the mixture of two materials that a pixel beside a seam shows.
+
+    blur_px: standard deviation of the picture's blur. tolerance: variance of normals' lengths, with noise.
+    """
+
+    blur_px: float
+    tolerance: float
 
 
 class LineLabeller:
@@ -141,14 +153,14 @@ def relit(
     labels: MaterialLabels,
     reflectances: Points,
     pigments: Points | None = None,
-    blur_px: float = 0.0,
+    seams: Seams | None = None,
     mask: Mask | None = None,
 ) -> LinearFrame:
     """Return the frame as it would be with the calibration material everywhere: r' = Cᵀ (C⁻ᵀ r ∘ 1/ρ).
 
     labels: (h, w), numbers of the reflectances (m, 3). pigments: (m, 3), the lines of log ρ along which
-    materials change, 0 for none. blur_px: standard deviation of the picture's blur, which mixes reflectances
-    beside seams. mask: (h, w), where pigments count, since they cost time; None for everywhere. Ambient light
+    materials change, 0 for none. seams: how pixels beside seams are mixtures; without it they are of one
+    material. mask: (h, w), where pigments count, since they cost time; None for everywhere. Ambient light
     falls on the material too: it is divided by ρ with the rest.
     """
     values = np.asarray(reflectances, np.float64)
@@ -156,17 +168,31 @@ def relit(
     merge = np.linalg.inv(lamps.split)
     matrices = np.array([merge @ np.diag(1.0 / rho) @ lamps.split for rho in values])
     along = np.zeros_like(values) if pigments is None else np.asarray(pigments, np.float64)
-    reach = reach_of_blur(blur_px) if blur_px > 0.0 and len(values) > 1 else 0
-    near = near_seams(labels, reach) if reach else np.zeros(labels.shape, np.bool_)
+    if seams is None or seams.blur_px == 0.0 or len(values) == 1:
+        seams, near = Seams(0.0, 1.0), np.zeros(labels.shape, np.bool_)
+        weights = blur_weights(0.0, 0)
+    else:
+        weights = blur_weights(seams.blur_px, reach_of_blur(seams.blur_px))
+        near = near_seams(labels, reach_of_blur(seams.blur_px))
     out = np.empty(frame.rgb.shape, np.float32)
     inside = np.ones(labels.shape, np.bool_) if mask is None else mask
     of_pigments = (1.0 / values, along, lamps.haze, lamps.inverse, lamps.split, merge)
     _relight(
         np.ascontiguousarray(frame.rgb), labels, matrices.astype(np.float32),
-        tuple(each.astype(np.float32) for each in of_pigments), inside, values.astype(np.float32),
-        blur_weights(blur_px, reach).astype(np.float32), near, out,
+        tuple(each.astype(np.float32) for each in of_pigments), inside, values, lamps.split, merge, weights,
+        near, lamps.haze, lamps.inverse, lamps.mixing, seams.tolerance, out,
     )  # fmt: skip
     return LinearFrame(rgb=out, clipped=frame.clipped, number=frame.number)
+
+
+def variance_of_lengths(
+    values: FloatArray, lit: Mask, lamps: Lamps, logs: Points, labels: MaterialLabels
+) -> float:
+    """Robust variance of the normals' lengths: of noise, texture, gloss, and light between folds."""
+    chosen = np.flatnonzero(lit)[:: max(1, lit.size // _JUDGED_STEPS)]
+    s = values.reshape(-1, 3)[chosen] @ lamps.split.T
+    normals = (s * np.exp(-logs[labels.ravel()[chosen]]) - lamps.haze) @ lamps.inverse.T
+    return max((1.4826 * float(np.median(np.abs(np.linalg.norm(normals, axis=1) - 1.0)))) ** 2, 1e-6)
 
 
 def colours_of(reflectances: Points, response: LightResponse) -> FloatArray:
@@ -495,17 +521,57 @@ def _beside_seams(labels: Any, lit: Any) -> Any:
 
 
 @njit(cache=True, error_model="numpy")
-def _mix(v: int, u: int, labels: Any, rho: Any, weights: Any, out: Any) -> None:
-    """Fill the mean reflectance of the window around a pixel."""
+def _mix(v: int, u: int, labels: Any, rho: Any, weights: Any, shares: Any, out: Any) -> None:
+    """Fill each material's share of the window around a pixel (m,), and the mean reflectance."""
     h, w = labels.shape
     reach = weights.size // 2
-    out[:] = 0.0
+    shares[:] = 0.0
     for a in range(-reach, reach + 1):
         row = min(max(v + a, 0), h - 1)
         for b in range(-reach, reach + 1):
-            m = labels[row, min(max(u + b, 0), w - 1)]
+            shares[labels[row, min(max(u + b, 0), w - 1)]] += weights[a + reach] * weights[b + reach]
+    out[:] = 0.0
+    for m in range(shares.size):
+        if shares[m] > 0.0:
             for k in range(3):
-                out[k] += weights[a + reach] * weights[b + reach] * rho[m, k]
+                out[k] += shares[m] * rho[m, k]
+
+
+@njit(cache=True, error_model="numpy")
+def _shift(
+    s: Any, rho: Any, shares: Any, haze: Any, inverse: Any, mixing: Any, tolerance: float, mean: Any,
+    q: Any, j: Any,
+) -> None:  # fmt: skip
+    """Change a mean reflectance along the line of the two materials mixed, towards a normal of unit length.
+
+    Where a seam runs is known to a part of a pixel. So the shares are uncertain, and the length, itself
+    uncertain, corrects them (Gauss and Newton, twice).
+    """
+    own = shares.argmax()
+    first = shares[own]
+    shares[own] = 0.0
+    other = shares.argmax()
+    second = shares[other]
+    if second < _LEAST_SHARE:
+        return
+    ratio = tolerance / (_UNSURE * _UNSURE * first * second)
+    moved, bias = 0.0, 0.0
+    for k in range(3):
+        q[k] = 1.0 / mean[k]
+    bias = bias_of_noise(q, inverse, mixing)
+    for i in range(2):
+        if i:
+            for k in range(3):
+                q[k] = 1.0 / mean[k]
+        e, _ = length_and_variance(s, q, haze, inverse, mixing, bias, j)
+        slope = 0.0
+        for k in range(3):
+            slope += j[k] * (rho[other, k] - rho[own, k]) * q[k]
+        step = slope * (slope * moved - e) / (slope * slope + ratio)
+        step = min(max(step, -second), first) - moved
+        moved += step
+        for k in range(3):
+            mean[k] += step * (rho[other, k] - rho[own, k])
 
 
 @njit(cache=True, error_model="numpy")
@@ -514,9 +580,9 @@ def _cost_of_blur(
     tolerance: float,
 ) -> float:  # fmt: skip
     total = 0.0
-    mean, q, j = np.empty(3), np.empty(3), np.empty(3)
+    mean, q, j, shares = np.empty(3), np.empty(3), np.empty(3), np.empty(rho.shape[0])
     for i in range(v.size):
-        _mix(v[i], u[i], labels, rho, weights, mean)
+        _mix(v[i], u[i], labels, rho, weights, shares, mean)
         for k in range(3):
             q[k] = 1.0 / mean[k]
         bias = bias_of_noise(q, inverse, mixing)
@@ -528,65 +594,50 @@ def _cost_of_blur(
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def _relight(
-    rgb: Any, labels: Any, matrices: Any, of_pigments: Any, inside: Any, rho: Any, weights: Any, near: Any,
-    out: Any,
+    rgb: Any, labels: Any, matrices: Any, of_pigments: Any, inside: Any, rho: Any, split: Any, merge: Any,
+    weights: Any, near: Any, haze: Any, inverse: Any, mixing: Any, tolerance: float, out: Any,
 ) -> None:  # fmt: skip
     for v in prange(len(labels)):
-        _relight_row(rgb[v], labels, matrices, of_pigments, inside[v], rho, weights, near[v], v, out[v])
+        _relight_row(
+            rgb[v], labels, matrices, of_pigments, inside[v], rho, split, merge, weights, near[v], haze,
+            inverse, mixing, tolerance, v, out[v],
+        )  # fmt: skip
 
 
 @njit(cache=True, error_model="numpy")
 def _relight_row(
-    rgb: Any, labels: Any, matrices: Any, of_pigments: Any, inside: Any, rho: Any, weights: Any, near: Any,
-    v: int, out: Any,
+    rgb: Any, labels: Any, matrices: Any, of_pigments: Any, inside: Any, rho: Any, split: Any, merge: Any,
+    weights: Any, near: Any, haze: Any, inverse: Any, mixing: Any, tolerance: float, v: int, out: Any,
 ) -> None:  # fmt: skip
     """Fill row v. rgb, out: (w, 3). inside, near: (w,). labels: of the whole frame. of_pigments: what
-    `take_without_pigment` needs, of all materials. All in single precision.
+    `take_without_pigment` needs, of all materials, in single precision.
     """
-    inverse_rho, along, haze, inverse, split, merge = of_pigments
-    means = np.empty((len(rgb), 3), np.float32)
+    mean, light, shares, x, j = np.empty(3), np.empty(3), np.empty(rho.shape[0]), np.empty(3), np.empty(3)
+    inverse_rho, along, haze_, inverse_, split_, merge_ = of_pigments
     u, w = 0, len(rgb)
-    while u < w:  # as far as it is so: one matrix, one line, or mixtures for all
-        m, counts, mixed, stop = labels[v, u], inside[u], near[u], u + 1
-        while stop < w and near[stop] == mixed and (
-            mixed or (labels[v, stop] == m and inside[stop] == counts)
-        ):  # fmt: skip
-            stop += 1
-        if mixed:
-            _take_mixed(rgb, labels, rho, weights, split, merge, v, u, stop, means, out)
-        elif counts and along[m].any():
-            take_without_pigment(
-                rgb[u:stop], inverse_rho[m], along[m], haze, inverse, split, merge, out[u:stop]
-            )
-        else:
-            _take_through(matrices[m], rgb[u:stop], out[u:stop])
-        u = stop
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
-def _take_mixed(
-    rgb: Any, labels: Any, rho: Any, weights: Any, split: Any, merge: Any, v: int, start: int, stop: int,
-    means: Any, out: Any,
-) -> None:  # fmt: skip
-    """Fill part of row v by mean reflectances under the blur. means: (w, 3), room for those of columns."""
-    h, w = labels.shape
-    reach = weights.size // 2
-    light = np.empty(3, np.float32)
-    for u in range(max(start - reach, 0), min(stop + reach, w)):
-        means[u] = 0.0
-        for a in range(-reach, reach + 1):
-            m = labels[min(max(v + a, 0), h - 1), u]
-            for k in range(3):
-                means[u, k] += weights[a + reach] * rho[m, k]
-    for u in range(start, stop):
+    while u < w:
+        if not near[u]:  # as far as it is so: one matrix, or one line, for all
+            m, counts, stop = labels[v, u], inside[u], u + 1
+            while stop < w and labels[v, stop] == m and inside[stop] == counts and not near[stop]:
+                stop += 1
+            if counts and along[m].any():
+                take_without_pigment(
+                    rgb[u:stop], inverse_rho[m], along[m], haze_, inverse_, split_, merge_, out[u:stop]
+                )
+            else:
+                _take_through(matrices[m], rgb[u:stop], out[u:stop])
+            u = stop
+            continue
+        r, g, b = rgb[u, 0], rgb[u, 1], rgb[u, 2]
         for k in range(3):
-            mean = np.float32(0.0)
-            for b in range(-reach, reach + 1):
-                mean += weights[b + reach] * means[min(max(u + b, 0), w - 1), k]
-            s = split[k, 0] * rgb[u, 0] + split[k, 1] * rgb[u, 1] + split[k, 2] * rgb[u, 2]
-            light[k] = s / mean
+            light[k] = split[k, 0] * r + split[k, 1] * g + split[k, 2] * b
+        _mix(v, u, labels, rho, weights, shares, mean)
+        _shift(light, rho, shares, haze, inverse, mixing, tolerance, mean, x, j)
+        for k in range(3):
+            light[k] /= mean[k]
         for c in range(3):
             out[u, c] = merge[c, 0] * light[0] + merge[c, 1] * light[1] + merge[c, 2] * light[2]
+        u += 1
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")

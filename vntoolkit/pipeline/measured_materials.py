@@ -155,9 +155,7 @@ class _Labelled:
         """
         values = np.array([each.reflectance.values for each in found])
         along = np.array([np.zeros(3) if each is None else each for each in pigments])
-        rgb = relit(
-            self.frame, self.response, self.labels, values, along, self.labeller.blur_px, self.mask
-        ).rgb
+        rgb = relit(self.frame, self.response, self.labels, values, along, self.labeller.seams, self.mask).rgb
         return rgb[self.mask & ~self.frame.clipped].astype(np.float64)
 
 
