@@ -267,6 +267,19 @@ def test_the_distance_to_an_outline_has_its_sign_and_size() -> None:
     assert distance[9, 14] < -3
 
 
+def test_dark_gaps_between_strands_of_hair_are_no_outline_and_a_gap_between_two_parts_is() -> None:
+    mask = np.zeros((80, 120), dtype=bool)
+    mask[20:70, 10:110] = True
+    whole = signed_distance(mask)
+    strands = mask.copy()
+    strands[20:60, 30:50:5] = False  # they reach the outside
+    np.testing.assert_allclose(signed_distance(strands)[25:70], whole[25:70], atol=2.1)  # their mouths
+    mask[20:60, 70:84] = False
+    assert signed_distance(mask)[40, 77] > 6
+    slanted = np.add.outer(np.arange(80), 0.2 * np.arange(120)) > 40  # its steps stay
+    np.testing.assert_array_equal(signed_distance(slanted) < 0, slanted)
+
+
 class SmoothSheet:
     """A sheet without relief that stretches by 4 % while wrinkles travel over it, 2 px a frame."""
 

@@ -29,6 +29,8 @@ _PER_BOX = np.float32(_BOXES_PX[0] / (_BOXES_PX[1] - _BOXES_PX[0]))
 _HALF_OPEN = 0.5
 _BORDER_PX = 4  # beside the image's own border there is no outline
 _SMALL_HOLE_PX = 200  # area of holes that are no part of the outline
+_NARROW_GAP_PX = 9  # width of gaps that are none either: dark pixels, as between strands of hair, come and go
+_MOUTH_PX = 2  # of a gap: so near to the outline none is filled, lest a slanted outline lose its steps
 _INSIDE_SIGMA_PX = 2.0  # of a node whose vertices lie off the figure
 _HUBER_PX = 6.0
 _FAR_PX = 12.0  # of a border from its outline: beyond, it has likely lost it
@@ -142,7 +144,7 @@ def _outside(field, positions):  # type: ignore[no-untyped-def]
 
 def signed_distance(mask: Mask) -> npt.NDArray[np.float32]:
     """Return (h, w) distance in pixels from the outline: positive outside, negative inside."""
-    filled = _without_small_holes(mask).astype(np.uint8)
+    filled = _without_gaps(mask).astype(np.uint8)
     outside = (
         cv2.distanceTransform(1 - filled, cv2.DIST_L2, 5)
         if not filled.all()
@@ -154,17 +156,19 @@ def signed_distance(mask: Mask) -> npt.NDArray[np.float32]:
     return np.asarray(np.where(filled, 0.5 - inside, outside - 0.5), dtype=np.float32)
 
 
-def _without_small_holes(mask: Mask) -> Mask:
+def _without_gaps(mask: Mask) -> Mask:
+    """Fill narrow gaps, also those that reach the outside, and small holes."""
     if not mask.any():
         return mask
     box = (_reach(np.any(mask, axis=1)), _reach(np.any(mask, axis=0)))
-    count, labels = cv2.connectedComponents((~mask[box]).astype(np.uint8), connectivity=4)
+    grow, shrink = (np.ones((n, n), np.uint8) for n in (_NARROW_GAP_PX, _NARROW_GAP_PX + 2 * _MOUTH_PX))
+    deep = cv2.erode(cv2.dilate(mask[box].astype(np.uint8), grow), shrink) > 0
+    outside = ~(mask[box] | deep)
+    count, labels = cv2.connectedComponents(outside.astype(np.uint8), connectivity=4)
     small = np.bincount(labels.ravel(), minlength=count) < _SMALL_HOLE_PX
-    small[0] = False  # the figure
-    if not small.any():
-        return mask
+    small[0] = True  # the figure
     filled = mask.copy()
-    filled[box] |= small[labels]
+    filled[box] = small[labels]
     return filled
 
 
