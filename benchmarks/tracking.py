@@ -22,14 +22,31 @@ from vntoolkit.tracking.tracker import SurfaceTracker
 
 
 def sheet(width: int, height: int, mask: np.ndarray, frame: int) -> tuple[NormalMap, DepthMap]:
-    """Wrinkles that slide by 0.8 px a frame."""
+    """Wrinkles, fine and coarse, of a sheet (h, w) that slides by 0.8 px a frame.
+
+    The slopes are those of one height: of others the tracker would take the curl for noise.
+    """
     u, v = np.meshgrid(np.arange(width) - 0.8 * frame, np.arange(height) - 0.3 * frame)
-    p = 0.2 * np.sin(u / 2.1) * np.cos(v / 2.7) + 0.1 * np.sin((u + 2 * v) / 9)
-    q = 0.2 * np.cos(u / 3.1 + 1) * np.sin(v / 1.9) + 0.1 * np.cos((2 * u - v) / 7)
+    depth, p, q = 500.0 + 0.0 * u, 0.0 * u, 0.0 * u
+    for slope, x, y in (
+        (0.2, 0.45, 0.2),
+        (0.2, -0.3, 0.4),
+        (0.15, 0.1, -0.6),
+        (0.1, 0.11, 0.22),
+        (0.1, 0.14, -0.05),
+    ):
+        phase, size = x * u + y * v, slope / np.hypot(x, y)
+        depth += size * np.sin(phase)
+        p += size * x * np.cos(phase)
+        q += size * y * np.cos(phase)
     normals = np.stack([p, q, -np.ones_like(p)], axis=-1)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-    depth = DepthMap(depth=500 + np.cos(u / 9), mask=mask)
-    return NormalMap(normals_in_camera=normals.astype(np.float32), mask=mask), depth
+    if not mask.all():  # a sheet that fills the picture does so in every frame
+        columns, rows = np.flatnonzero(mask.any(axis=0)), np.flatnonzero(mask.any(axis=1))
+        mask = (u >= columns[0]) & (u <= columns[-1]) & (v >= rows[0]) & (v <= rows[-1])
+    return NormalMap(normals_in_camera=normals.astype(np.float32), mask=mask), DepthMap(
+        depth=depth, mask=mask
+    )
 
 
 def paint(width: int, height: int, frame: int) -> np.ndarray:
