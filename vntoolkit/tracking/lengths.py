@@ -243,7 +243,8 @@ def slow_monomials(places: FloatArray) -> npt.NDArray[np.float64]:
 
 def _strain(difference: FloatArray, square: FloatArray) -> npt.NDArray[np.float64]:
     """Squared departure of a link by its squared length, by direction, bounded: beyond, it is just wrong."""
-    return np.asarray(np.minimum(np.sum(difference**2, axis=1) / square, 1.0))
+    u, v = difference.T
+    return np.asarray(np.minimum((u * u + v * v) / square, 1.0))
 
 
 def _steepness(metric: FloatArray) -> npt.NDArray[np.float64]:
