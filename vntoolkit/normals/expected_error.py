@@ -256,7 +256,8 @@ def _evidence(
     found, noise = np.zeros((2, *cells), np.float32), np.empty(cells, np.float32)
     least = _least_length(light.image, light.table, mask, c)
     c = c._replace(darkest=np.float32(least))
-    _curl_kernel(rows_of(light.image), light.table, light.maps, mask, c, found)
+    lit = mask if labels is None else mask & (labels == ALL_LIT)  # a shadow's normals belong to no surface
+    _curl_kernel(rows_of(light.image), light.table, light.maps, lit, c, found)
     rows, ellipsoid = np.empty((cells[0], mask.shape[1]), np.float32), np.empty(31)
     _whole_frame_kernel(light, mask, labels, c, found, noise, rows, ellipsoid)
     if blur_px >= LEAST_BLUR_PX:
