@@ -115,14 +115,52 @@ def test_clipped_painted_and_shadowed_pixels_are_doubted(rng):
     assert max(two, one) < none * 1.2
 
 
-def test_of_two_lights_the_bound_grows_with_the_distance_of_the_other_normal():
+def beside_the_plane_of_two():
+    """Return the unit normal of the plane of lights 1 and 2, and the direction of light 0."""
+    missing, *two = RESPONSE.light_directions
+    across = np.cross(*two)
+    return across / np.linalg.norm(across), missing
+
+
+def test_of_two_lights_the_bound_is_the_distance_of_the_other_normal():
+    """Where the normal faces the light that is missing: something throws a shadow."""
     normal_map, _ = seen(colours(), labels=np.full((240, 240), 6, np.uint8))
-    across = np.cross(*RESPONSE.light_directions[1:])
-    across /= np.linalg.norm(across)
-    off, bound = np.abs(normal_map.normals_in_camera @ across), normal_map.error_deg
-    near, far = off < 0.1, off > 0.4
-    assert min(near.sum(), far.sum()) > 1000
-    assert bound[near].max() < 36 < 44 < bound[far].min()
+    across, missing = beside_the_plane_of_two()
+    found = normal_map.normals_in_camera
+    off, bound = found @ across, normal_map.error_deg
+    other = found - 2 * off[..., None] * across
+    faces = (found @ missing > 0.05) & (other[..., 2] < 0)
+    apart = np.degrees(1.1 * 2 * np.abs(off))
+    middle = faces & (apart > 10) & (apart < 60)
+    assert middle.sum() > 1000
+    np.testing.assert_allclose(bound[middle], apart[middle], rtol=0.1)
+
+
+def test_of_two_lights_and_a_normal_behind_the_third_the_bound_is_how_far_it_departs_from_their_light(rng):
+    """The normal explains the shadow: the other one cannot be meant."""
+    across, missing = beside_the_plane_of_two()
+    behind = -0.3 * missing + 0.9 * np.array([0, 0, -1.0])
+    behind += (-0.2 - behind @ missing) * missing
+    behind /= np.linalg.norm(behind)
+    assert behind @ missing < -0.1
+    assert behind[2] < -0.2
+    light = colours()
+    light[60:180, 60:180] = np.maximum(MATRIX @ behind, 0) + RESPONSE.ambient
+    labels = np.full((240, 240), 7, np.uint8)
+    labels[60:180, 60:180] = 6
+    turn = np.radians(8.0)
+    side = np.cross(behind, across)
+    turned = np.cos(turn) * behind + np.sin(turn) * side / np.linalg.norm(side)
+    frame = LinearFrame(rgb=light, clipped=np.zeros((240, 240), bool))
+    for normal, least, most in ((behind, 0.0, 3.0), (turned, 7.0, 12.0)):
+        plain = normals_from_frame(frame, RESPONSE)
+        normals = np.array(plain.normals_in_camera)
+        normals[60:180, 60:180] = normal
+        given = NormalMap(normals_in_camera=normals, mask=np.ones((240, 240), bool), weight=plain.weight)
+        bound = with_expected_error(given, frame, RESPONSE, labels).error_deg[80:160, 80:160]
+        assert least <= np.median(bound) <= most
+    other = with_expected_error(given, frame, RESPONSE, np.where(labels == 6, 4, 7).astype(np.uint8))
+    assert (other.error_deg[80:160, 80:160] > 70).all()  # one light tells next to nothing
 
 
 def test_the_residual_of_the_rig_is_part_of_it_and_the_weight_follows():

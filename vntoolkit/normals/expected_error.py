@@ -18,7 +18,9 @@ Seven independent errors add up in squares. Each is measured where it shows:
 - what departs from the ellipsoid at a pixel, beside it, or in its cell on average is relief finer than
   pixels, another paint, gloss, saturation, or light from elsewhere;
 - where a light is missing the normal rests on its surroundings. Two lights leave two normals, mirror images
-  across the plane of the two: which one was taken is often wrong, and then the error is what lies between.
+  across the plane of the two. How far the one that was taken lies from the nearer of them is an error that
+  shows. The other may be the right one: then the error is what lies between. It is not where the nearer one
+  turns its back to the missing light, since that explains the shadow. Of one light nothing is known.
 """
 
 from __future__ import annotations
@@ -59,9 +61,7 @@ _OF_ELLIPSOID = 3.4  # also stands for the rotation, which leaves no trace
 _OF_NEARNESS = 1.3
 _OF_RESIDUAL = 1.1  # of a median
 _OF_LENGTH = 2.5  # radians over log length
-_BY_LIGHTS_DEG = (46.0, 34.0, 31.0, 0.0)  # of a pixel that 0, 1, 2, 3 lights reach
-_OF_OTHER_ROOT = 0.75  # radians over the chord between the two normals that two lights leave …
-_LONGEST_CHORD = 1.2  # … up to here: surroundings tell which one where they lie farther apart
+_OF_TWO_LIGHTS = 1.1  # radians over the distances to the normals that two lights leave
 # A sphere shows nine tenths of its image within this angle of the axis: what a guess without data is worth.
 _LARGEST_DEG = np.float32(71.6)
 _HALF_WEIGHT_DEG = 12.0
@@ -95,9 +95,7 @@ _PER_TURN = np.float32(np.degrees(_OF_ELLIPSOID) ** 2)
 _PER_NEARNESS = np.float32(np.degrees(_OF_NEARNESS) ** 2)
 _PER_DEPARTURE = np.float32(np.degrees(_OF_LENGTH) ** 2)
 _PER_HALF_WEIGHT = np.float32(1.0 / _HALF_WEIGHT_DEG)
-_PER_CHORD = np.float32(np.degrees(_OF_OTHER_ROOT) ** 2)
-_MOST_CHORD = np.float32(_LONGEST_CHORD**2)
-_BY_LABEL = np.array([_BY_LIGHTS_DEG[bin(label).count("1")] ** 2 for label in range(8)], np.float32)
+_PER_DISTANCE = np.float32(np.degrees(_OF_TWO_LIGHTS) ** 2)
 
 
 def with_expected_error(
@@ -131,19 +129,20 @@ def with_expected_error(
     error, weight = np.empty(shape, np.float32), np.empty(shape, np.float32)
     found = rows_of(np.ascontiguousarray(normal_map.normals_in_camera, np.float32))
     _error_kernel(
-        rows_of(light.image), found, mask, labels, _planes_of_two(response), noise, constants, error, weight
+        rows_of(light.image), found, mask, labels, _pairs_of_lights(response), noise, constants, error, weight
     )
     return replace(normal_map, error_deg=error, noise_deg=noise_deg, weight=weight)
 
 
-def _planes_of_two(response: LightResponse) -> npt.NDArray[np.float32]:
-    """Return (8, 3): for labels of two lights the unit normal of the plane that both lie in, else 0."""
-    planes = np.zeros((8, 3))
+def _pairs_of_lights(response: LightResponse) -> npt.NDArray[np.float32]:
+    """Return (8, 6): for labels of two lights the normal of the plane of both and the third's direction."""
+    pairs = np.zeros((8, 6))
     for missing in range(3):
         one, other = np.delete(response.light_directions, missing, axis=0)
         across = np.cross(one, other)
-        planes[ALL_LIT - (1 << missing)] = across / max(float(np.linalg.norm(across)), 1e-12)
-    return planes.astype(np.float32)
+        pairs[ALL_LIT - (1 << missing), :3] = across / max(float(np.linalg.norm(across)), 1e-12)
+        pairs[ALL_LIT - (1 << missing), 3:] = response.light_directions[missing]
+    return pairs.astype(np.float32)
 
 
 def normals_and_errors_from_encoded(
@@ -784,12 +783,12 @@ def _bound_row(
 
 @njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
 def _error_kernel(
-    rgb: Any, normals: Any, mask: Mask, labels: Any, planes: Any, noise: Any, constants: Any, error: Any,
+    rgb: Any, normals: Any, mask: Mask, labels: Any, pairs: Any, noise: Any, constants: Any, error: Any,
     weight: Any,
 ) -> None:  # fmt: skip
     """Fill (h, w) with the bound in degrees and its weight; 0 outside the mask.
 
-    normals: (h, 3 w), found. planes: of `_planes_of_two`.
+    normals: (h, 3 w), found. pairs: of `_pairs_of_lights`.
     """
     for v in prange(len(mask)):
         error[v, :] = np.float32(0.0)
@@ -803,10 +802,12 @@ def _error_kernel(
         r, g, b = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
         length, unlit = np.empty(count, np.float32), np.zeros(count, np.float32)
         row_noise = np.empty(count, np.float32)
-        if labels is not None:
-            _unlit_row(normals[v, 3 * first : 3 * last], labels[v, first:last], planes, unlit)
         _noise_row(noise, np.int64(v), first, row_noise)
         read_row(rgb[v, 3 * first : 3 * last], None, r, g, b)
+        if labels is not None:
+            _unlit_row(
+                r, g, b, normals[v, 3 * first : 3 * last], labels[v, first:last], pairs, constants, unlit
+            )
         _bound_row(
             r, g, b, unlit, row_noise, mask[v, first:last], constants,
             _slow_changes_at(mask.shape, constants, first, v), length, error[v, first:last],
@@ -815,15 +816,40 @@ def _error_kernel(
 
 
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")
-def _unlit_row(normals: Any, label: Any, planes: Any, unlit: Any) -> None:
+def _unlit_row(
+    r: Any, g: Any, b: Any, normals: Any, label: Any, pairs: Any, k: Any, unlit: Any
+) -> None:  # fmt: skip
     """Fill the squared bounds of a row of pixels that not all lights reach, 0 of the others."""
-    zero, two = np.float32(0.0), np.float32(2.0)
+    zero, one = np.float32(0.0), np.float32(1.0)
     for u in range(len(label)):
-        plane = planes[label[u]]
-        off = normals[3 * u] * plane[0] + normals[3 * u + 1] * plane[1] + normals[3 * u + 2] * plane[2]
-        facing = normals[3 * u + 2] - two * off * plane[2] < zero  # of the other normal
-        chord = min(two * two * off * off, _MOST_CHORD) if facing else zero
-        unlit[u] = _BY_LABEL[label[u]] + _PER_CHORD * chord
+        if label[u] == ALL_LIT:
+            unlit[u] = zero
+            continue
+        pair = pairs[label[u]]
+        a0, a1, a2, l0, l1, l2 = pair[0], pair[1], pair[2], pair[3], pair[4], pair[5]
+        if l0 * l0 + l1 * l1 + l2 * l2 == zero:
+            unlit[u] = _LARGEST_DEG * _LARGEST_DEG
+            continue
+        n0, n1, n2 = normals[3 * u], normals[3 * u + 1], normals[3 * u + 2]
+        red, green, blue, scale = r[u] - k[9], g[u] - k[10], b[u] - k[11], k[14]
+        # M⁻¹(r − a) says in the plane of the two lights what the normal is, and nothing across it
+        x = scale * (k[0] * red + k[1] * green + k[2] * blue)
+        y = scale * (k[3] * red + k[4] * green + k[5] * blue)
+        z = scale * (k[6] * red + k[7] * green + k[8] * blue)
+        across = x * a0 + y * a1 + z * a2
+        x, y, z = x - across * a0, y - across * a1, z - across * a2
+        off = n0 * a0 + n1 * a1 + n2 * a2
+        height = np.sqrt(max(one - x * x - y * y - z * z, zero))
+        height = height if off > zero else -height
+        x, y, z = x + height * a0, y + height * a1, z + height * a2
+        size = max(np.sqrt(x * x + y * y + z * z), _SHORTEST)
+        x, y, z = x / size, y / size, z / size
+        squared = (x - n0) * (x - n0) + (y - n1) * (y - n1) + (z - n2) * (z - n2)
+        behind = (x * l0 + y * l1 + z * l2 < zero) & (n0 * l0 + n1 * l1 + n2 * l2 < zero)
+        if not behind and n2 - (off + off) * a2 < zero:  # the other normal faces the camera
+            squared += np.float32(4.0) * off * off
+        known = squared < np.float32(8.0)  # no NaN
+        unlit[u] = max(_PER_DISTANCE * squared, _SHORTEST) if known else _LARGEST_DEG * _LARGEST_DEG
 
 
 @njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
