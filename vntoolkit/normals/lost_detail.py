@@ -6,7 +6,8 @@ wave's length. A camera's blur of b px² kept a^(2b) of the wave, so that what t
 (a^(−2b) − 1) / (1 − a) / a, is what the camera took. Nothing of it is fitted to footage.
 
 Noise turns normals in all directions alike, relief only along its slope: the curl of what a blur takes is
-noise's alone, and tells how much of the rest is noise's too. The first blur's share is the noisiest and not
+noise's alone, and tells how much of the rest is noise's too. Of a normal that leans away, the picture
+foreshortens noise along the inclination, and with it the curl. The first blur's share is the noisiest and not
 used.
 
 Relief of one wavelength is foretold exactly. Of many, the short ones are lost first, and more is lost than
@@ -118,7 +119,12 @@ def _detail_row(
         for k in range(2):
             _taken(blurred[level, k], blurred[level + 1, k], p[level, k], q[level, k], square[level, k])
     first = _BESIDE + 1
-    taken = np.empty((2, inner), np.float32)
+    taken, of_tilt = np.empty((2, inner), np.float32), np.empty(inner, np.float32)
+    x, y, z = blurred[0, 0, 0], blurred[0, 0, 1], blurred[0, 0, 2]
+    for i in range(inner):
+        at, one = i + _BESIDE, np.float32(1.0)
+        facing = z[at] * z[at] / (x[at] * x[at] + y[at] * y[at] + z[at] * z[at] + np.float32(1e-9))
+        of_tilt[i] = (one + facing) / (one + facing * facing)
     for level in range(2):
         up, down, p_up, p_down = square[level, 0], square[level, 1], p[level, 0], p[level, 1]
         q_up, q_down, to, of_noise = q[level, 0], q[level, 1], taken[level], _OF_NOISE[level]
@@ -128,7 +134,7 @@ def _detail_row(
             near[i] = near[i] if total < np.float32(4.0) * _STEEPEST_STEP else zero
             curl = p_down[at] + p_down[beside] - p_up[at] - p_up[beside]
             curl -= q_up[beside] + q_down[beside] - q_up[at] - q_down[at]
-            to[i] = np.float32(0.25) * (total - of_noise * curl * curl)
+            to[i] = np.float32(0.25) * (total - of_noise * of_tilt[i] * curl * curl)
     for i in range(inner):
         into = min(((i + first) * side) // _CELL, found.shape[1] - 1)
         found[0, into] += near[i] * taken[0, i]
