@@ -56,9 +56,9 @@ from vntoolkit.photometry.transfer import Transfer
 
 # Nine of ten angles of a two-dimensional normal distribution lie within √(2 ln 10) standard deviations.
 NINE_OF_TEN = 2.146
-# The bounds of nine of ten pixels over each measured error, fitted on the package's own simulated scenes.
+_OF_NEARNESS = NINE_OF_TEN / math.sqrt(2.0)  # of a length in two dimensions
+# The bounds of nine of ten pixels over each measured error, fitted on simulated scenes.
 _OF_ELLIPSOID = 3.4  # also stands for the rotation, which leaves no trace
-_OF_NEARNESS = 1.3
 _OF_RESIDUAL = 1.1  # of a median
 _OF_LENGTH = 2.5  # radians over log length
 _OF_TWO_LIGHTS = 1.1  # radians over the distances to the normals that two lights leave
