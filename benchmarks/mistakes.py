@@ -148,6 +148,11 @@ def mistakes(shot: Shot, subject: np.ndarray, rng: np.random.Generator) -> Itera
         shot.with_light(lambda light: np.clip(2 * light - blurred(light, 1.0), 0, 1)),
     )
     yield (
+        "* full range read as limited",
+        "full range",
+        shot.with_light(lambda light: in_8_bits((255 * in_8_bits(light) - 16) / 219)),
+    )
+    yield (
         "* limited range read as full",
         "limited range",
         shot.with_light(lambda light: in_8_bits((219 * light + 16) / 255)),

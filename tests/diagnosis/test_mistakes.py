@@ -231,6 +231,14 @@ def test_limited_range_read_as_full_is_named():
     assert "limited range, read as full" in found.text
 
 
+def test_full_range_read_as_limited_is_named():
+    light, _, response = _shot(2)
+    codes = np.clip((255 * encoded_from_linear(light, SRGB) - 16) / 219, 0, 1)
+    (found,) = _findings(linear_from_encoded(np.rint(255 * codes) / 255, SRGB), response.matrix, SRGB)
+    assert found.check == "black-level"
+    assert "full range, read as limited" in found.text
+
+
 @pytest.mark.parametrize("seed", [1, 4])
 @pytest.mark.parametrize(("strength", "exponent"), [(0.1, 30), (0.25, 80)])
 def test_gloss_is_measured_and_a_matte_surface_has_none(seed, strength, exponent):
