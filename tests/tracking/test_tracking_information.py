@@ -273,7 +273,9 @@ def test_dark_gaps_between_strands_of_hair_are_no_outline_and_a_gap_between_two_
     whole = signed_distance(mask)
     strands = mask.copy()
     strands[20:60, 30:50:5] = False  # they reach the outside
-    np.testing.assert_allclose(signed_distance(strands)[25:70], whole[25:70], atol=2.1)  # their mouths
+    np.testing.assert_allclose(
+        signed_distance(strands)[25:70], whole[25:70], atol=2.1
+    )  # but for their open ends
     mask[20:60, 70:84] = False
     assert signed_distance(mask)[40, 77] > 6
     slanted = np.add.outer(np.arange(80), 0.2 * np.arange(120)) > 40  # its steps stay

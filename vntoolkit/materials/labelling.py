@@ -45,7 +45,7 @@ _DOUBTFUL = 1.5  # price of a region from which its pixels are decided one by on
 _BESIDE = 4  # … and those that near to a seam
 # Share of the pixels of a frame that is decided as a whole: in later frames what costs more is doubtful.
 _DOUBTFUL_SHARE = 0.05
-_WORSE = 1.03  # times the mean price then: the labels of the frame before do not lead to those of this one
+_WORSE = 1.03  # times the mean price of that frame: where carried labels cost more, all are decided anew
 _CARRIED_SWEEPS = 2
 _BOX_BLOCKS = 32  # that a subject moves before another part of the frame is looked at
 # Two pixels with a seam between them, farther apart than its blur and its labels' errors reach.
@@ -53,7 +53,7 @@ _APART_PX = 6
 _BEFORE, _AFTER = slice(None, -_APART_PX), slice(_APART_PX, None)
 _PAIRS = ((np.s_[_BEFORE, :], np.s_[_AFTER, :]), (np.s_[:, _BEFORE], np.s_[:, _AFTER]))
 _JUDGED = 20_000  # of each kind tell how far normals step
-_MOST_STEP = (CAP * SHADING_STEP) ** 2  # squared, from which a step of log s hardly costs more
+_MOST_STEP = (CAP * SHADING_STEP) ** 2  # square of a step of log s; longer ones hardly cost more
 _STEEP = 0.5  # difference of two such normals from which a larger one hardly counts more
 _LEAST_STEP = 0.02  # excess of the mean step at seams that tells something
 
@@ -81,7 +81,7 @@ class MaterialLabeller:
         self._coarse: LineLabeller | None = None
         self._beside_seams: BlurredLabels | None = None
         self._fine: BlurredLabels | None = None
-        self._doubtful = self._usual = np.inf
+        self._doubtful = self._mean_price = np.inf
 
     def forget(self) -> None:
         """Drop the labels of the frame before, so that a sequence may start anywhere."""
@@ -221,7 +221,7 @@ class MaterialLabeller:
             any_label=doubtful, sweeps=_CARRIED_SWEEPS,
         )  # fmt: skip
         paid = self._coarse.prices(split.colours, split.lit, found).sum()
-        if paid > _WORSE * self._usual * split.lit.sum():
+        if paid > _WORSE * self._mean_price * split.lit.sum():
             return None
         if split.factor > 1:  # pixels are decided after blocks
             return found
@@ -251,7 +251,7 @@ class MaterialLabeller:
         found = self._beside_seams.settled(split.colours, split.lit, found)
         paid = self._coarse.prices(split.colours, split.lit, found)[split.lit]
         self._doubtful = float(np.quantile(paid, 1.0 - _DOUBTFUL_SHARE)) if paid.size else np.inf
-        self._usual = float(paid.mean()) if paid.size else np.inf
+        self._mean_price = float(paid.mean()) if paid.size else np.inf
         return found
 
 

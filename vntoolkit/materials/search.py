@@ -202,16 +202,16 @@ def _reflectances_of_regions(regions: Regions, lamps: Lamps) -> tuple[Points, fl
         right = gradients + _WEAK * (centre - x)
         np.add.at(right, b, weight[:, None] * rest)
         np.add.at(right, a, -weight[:, None] * rest)
-        x = x + system.solved(matrices + _WEAK * np.eye(3), weight, right).clip(-3.0, 3.0)
+        x = x + system.solve(matrices + _WEAK * np.eye(3), weight, right).clip(-3.0, 3.0)
     lengths = (regions.samples * np.exp(-x)[:, None] - lamps.haze)[known] @ lamps.inverse.T
     residual = 1.4826 * float(np.median(np.abs(np.linalg.norm(lengths, axis=1) - 1.0)))
     return x, float(np.clip(residual, *_TOLERANCES))
 
 
 class _BandedSystem:
-    """Normal equations of three numbers a region and of steps between neighbours a, b (e,) of n regions.
+    """Normal equations of n regions with three unknowns each, and of the steps between neighbours a, b (e,).
 
-    Neighbours get numbers near to each other (cuthill1969), so that all stands in a band.
+    Neighbours get numbers near to each other (cuthill1969): all entries lie in a band.
     """
 
     def __init__(self, a: IntArray, b: IntArray, n: int) -> None:
@@ -225,8 +225,8 @@ class _BandedSystem:
         self._size, self._band = 3 * n, int((rows - columns).max()) + 1
         self._places = ((rows - columns) * self._size + columns)[self._below]
 
-    def solved(self, blocks: FloatArray, weights: FloatArray, right: FloatArray) -> FloatArray:
-        """(n, 3), the solution. blocks: (n, 3, 3), of each region. weights: (e,), of steps. right: (n, 3)."""
+    def solve(self, blocks: FloatArray, weights: FloatArray, right: FloatArray) -> FloatArray:
+        """Return (n, 3). blocks: (n, 3, 3), of each region. weights: (e,), of the steps. right: (n, 3)."""
         thrice = np.repeat(weights, 3)
         entries = np.concatenate([blocks.ravel(), thrice, thrice, -thrice])[self._below]
         band = np.bincount(self._places, entries, self._band * self._size).reshape(self._band, self._size)
@@ -308,7 +308,7 @@ def _fewest(logs: Points, regions: Regions, lamps: Lamps, tolerance: float, coun
     Materials are left out one after the other; then what is still unexplained proposes others, as long as
     that makes the description shorter.
     """
-    if count == 1:  # the most voted for: no number of others needs to be left out one after the other
+    if count == 1:  # start from the proposal with most votes; all others would be left out again
         logs = logs[:1]
     found = _settled(logs, None, regions, lamps, tolerance, 4, None)
     found = _thinned(found, regions, lamps, tolerance, count)

@@ -18,9 +18,9 @@ Seven independent errors add up in squares. Each is measured where it shows:
 - what departs from the ellipsoid at a pixel, beside it, or in its cell on average is relief finer than
   pixels, another paint, gloss, saturation, or light from elsewhere;
 - where a light is missing the normal rests on its surroundings. Two lights leave two normals, mirror images
-  across the plane of the two. How far the one that was taken lies from the nearer of them is an error that
-  shows. The other may be the right one: then the error is what lies between. It is not where the nearer one
-  turns its back to the missing light, since that explains the shadow. Of one light nothing is known.
+  across the plane of the two. The distance from the found normal to the nearer of them counts. So does the
+  distance to the other one, which may be the right one, unless found and nearer one both face away from the
+  missing light: that explains the shadow. One light leaves a cone of normals, which tells next to nothing.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, VisibilityLabels
-from vntoolkit.errors import BadInput, BadMotion, BadRig
+from vntoolkit.errors import BadInput, BadMesh, BadMotion, BadRig
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.atomic import remove_numbered, require_apart, sole_writer, write_text
@@ -324,7 +324,7 @@ def write_moving_mesh(job: SimulationJob, resume: bool, missing: Sequence[int]) 
         for place in missing:
             write_until(place + 1)
             # Mapped anew for every frame: a map kept open holds on to every page it ever showed.
-            written = map_npy(job.folder.truth / "vertices.npy", BadMotion)[place : place + 2]
+            written = map_npy(job.folder.truth / "vertices.npy", BadMesh)[place : place + 2]
             vertices = np.array(written)
             following = vertices[1] if len(vertices) == 2 else None
             yield Moment(place=place, vertices=vertices[0], following=following)

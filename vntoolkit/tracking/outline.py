@@ -30,7 +30,7 @@ _HALF_OPEN = 0.5
 _BORDER_PX = 4  # beside the image's own border there is no outline
 _SMALL_HOLE_PX = 200  # area of holes that are no part of the outline
 _NARROW_GAP_PX = 9  # width of gaps that are none either: dark pixels, as between strands of hair, come and go
-_MOUTH_PX = 2  # of a gap: so near to the outline none is filled, lest a slanted outline lose its steps
+_UNFILLED_PX = 2  # from the outline: gaps are filled farther in only, or a slanted outline would move
 _INSIDE_SIGMA_PX = 2.0  # of a node whose vertices lie off the figure
 _HUBER_PX = 6.0
 _FAR_PX = 12.0  # of a border from its outline: beyond, it has likely lost it
@@ -161,7 +161,7 @@ def _without_gaps(mask: Mask) -> Mask:
     if not mask.any():
         return mask
     box = (_reach(np.any(mask, axis=1)), _reach(np.any(mask, axis=0)))
-    grow, shrink = (np.ones((n, n), np.uint8) for n in (_NARROW_GAP_PX, _NARROW_GAP_PX + 2 * _MOUTH_PX))
+    grow, shrink = (np.ones((n, n), np.uint8) for n in (_NARROW_GAP_PX, _NARROW_GAP_PX + 2 * _UNFILLED_PX))
     deep = cv2.erode(cv2.dilate(mask[box].astype(np.uint8), grow), shrink) > 0
     outside = ~(mask[box] | deep)
     count, labels = cv2.connectedComponents(outside.astype(np.uint8), connectivity=4)
