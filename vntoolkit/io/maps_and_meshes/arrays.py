@@ -68,7 +68,9 @@ def _require_size(archive: Any, key: str, path: Path, error: type[BadInput]) -> 
 
 
 def _reason(problem: BaseException) -> str:
-    return " ".join(str(problem).split())[:_LONGEST_REASON] or type(problem).__name__
+    reason = " ".join(str(problem).split())[:_LONGEST_REASON] or type(problem).__name__
+    # numpy takes every file without its mark for a pickle, and advises to load it unsafely
+    return "it has no mark of a NumPy file" if "pickle.load" in reason else reason
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
