@@ -60,6 +60,7 @@ def test_a_worker_that_dies_costs_nothing_but_time(tmp_path: Path) -> None:
             if not struck:
                 struck.append(next(iter(processes.values())))
                 os.kill(struck[0], signal.SIGKILL)
+                (many / "normals" / f".000033.{struck[0]}.part.exr").touch()  # as if it had been writing
 
         address = client.scheduler.address
         job = job_of(capture, many)

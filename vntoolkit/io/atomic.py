@@ -10,7 +10,7 @@ import os
 import re
 import socket
 import sys
-from collections.abc import Container, Iterable, Iterator
+from collections.abc import Callable, Container, Iterable, Iterator
 from pathlib import Path
 
 from vntoolkit.errors import BadInput, CannotWrite
@@ -80,29 +80,29 @@ def require_writable_folder(folder: Path | str) -> Path:
             probe.write_bytes(b"0")
         finally:
             probe.unlink(missing_ok=True)
-        _remove_leftovers(folder)
+        remove_leftovers(folder, _has_ended)
     except OSError as error:
         raise cannot_write(folder, error) from error
     return folder
 
 
-def _remove_leftovers(folder: Path) -> None:
-    """Remove the temporary files of `atomic_path` and `require_writable_folder` whose process has ended."""
+def remove_leftovers(folder: Path, is_left_by: Callable[[int], bool]) -> None:
+    """Remove temporary files in `folder`, or one folder below, by the number of the process they are of."""
     for pattern in (".*", "*/.*"):
         for path in folder.glob(pattern):
             match = _TEMPORARY.fullmatch(path.name)
-            if match and not _is_running(int(match[1] or match[2])):
+            if match and is_left_by(int(match[1] or match[2])):
                 path.unlink(missing_ok=True)
 
 
-def _is_running(process: int) -> bool:
+def _has_ended(process: int) -> bool:
     try:
         os.kill(process, 0)
     except ProcessLookupError:
-        return False
-    except OSError:
         return True
-    return True
+    except OSError:
+        return False
+    return False
 
 
 def cannot_write(path: Path | str, error: OSError) -> CannotWrite:

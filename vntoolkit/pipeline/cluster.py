@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from vntoolkit.errors import BadInput, MissingDependency, VntError
+from vntoolkit.io.atomic import remove_leftovers
 from vntoolkit.io.results.frame_log import FrameEntry
 from vntoolkit.native import limit_threads
 from vntoolkit.pipeline.block_work import Block, BlockWorker, ReconstructionJob
@@ -48,6 +49,8 @@ def run_blocks_on_cluster(
     """
     with connected(scheduler, workers) as client:
         yield from _collect(client, _for_anywhere(job), blocks)
+        # Every block is written, so what is half-written was left by workers that died, here or elsewhere.
+        remove_leftovers(job.folder.root, lambda process: process != os.getpid())
 
 
 def require_scheduler(scheduler: str) -> None:
