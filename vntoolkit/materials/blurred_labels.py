@@ -14,12 +14,12 @@ import numpy as np
 from numba import prange
 
 from vntoolkit.arrays import FloatArray, Mask, Points
+from vntoolkit.materials.mixtures import blur_weights
 from vntoolkit.materials.pixels import (
     MaterialLabels,
     Seams,
     Single,
     Spread,
-    blur_weights,
     likeliest_blur_px,
     near_seams,
     variance_of_lengths,

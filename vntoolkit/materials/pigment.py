@@ -15,6 +15,7 @@ from numba import prange
 from scipy.optimize import minimize
 
 from vntoolkit.arrays import FloatArray, Mask, Points, Vector3
+from vntoolkit.materials.mixtures import CHUNK_PX
 from vntoolkit.materials.reflectance import CAP, Lamps, bias_of_noise
 from vntoolkit.native import njit
 
@@ -33,7 +34,6 @@ _FIRST_STEP = 0.3
 # d of length 1. The line shows where t is free; pixels are corrected with care: eyes and lips are not of it.
 _TRUST_OF_SEARCH = (0.3, 1.5)
 _TRUST = (np.float32(0.5), np.float32(0.5))
-_ROUNDS = 3
 _LEAST_SHARE = np.float32(0.06)  # of the strongest lamp's light: less may be shadow, which tells nothing
 # Of the kernels, which count in single precision.
 _NONE, _TINY, _ONE = np.float32(0.0), np.float32(1e-12), np.float32(1.0)
@@ -134,30 +134,47 @@ def _roughness(s: Any, mask: Any, q: Any, d: Any, haze: Any, inverse: Any, mixin
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def take_without_pigment(
-    rgb: Any, q: Any, d: Any, haze: Any, inverse: Any, split: Any, merge: Any, out: Any
+    rgb: Any, matrix: Any, origin: Any, d: Any, split: Any, merge: Any, work: Any, out: Any
 ) -> None:
     """Fill out (n, 3) with what pixels of colours rgb (n, 3) would show in the rig's material.
 
-    q: (3,), 1 / ρ of their material, d: (3,), the line of its pigment. All in single precision.
+    matrix: (3, 3), L⁻¹ / ρ of their material, origin: (3,), L⁻¹ w, d: (3,), the line of the pigment. merge:
+    (3, 3), from contributions as they are to colours without ρ. work: (3 · CHUNK_PX,), for what is underway.
+    All in single precision.
     """
-    matrix, origin, line = _scalars(inverse * q, inverse @ haze, d)
     c00, c01, c02 = split[0]
     c10, c11, c12 = split[1]
     c20, c21, c22 = split[2]
-    m00, m01, m02 = merge[0] * q
-    m10, m11, m12 = merge[1] * q
-    m20, m21, m22 = merge[2] * q
-    for u in range(len(rgb)):
-        r, g, b = rgb[u, 0], rgb[u, 1], rgb[u, 2]
-        s = (c00 * r + c01 * g + c02 * b, c10 * r + c11 * g + c12 * b, c20 * r + c21 * g + c22 * b)
-        t = _amount(s, matrix, origin, line, _ONE, _TRUST)
-        x, _, _, _ = _normal(t, s, matrix, origin, line)
-        out[u, 0] = m00 * x[0] + m01 * x[1] + m02 * x[2]
-        out[u, 1] = m10 * x[0] + m11 * x[1] + m12 * x[2]
-        out[u, 2] = m20 * x[0] + m21 * x[1] + m22 * x[2]
+    m00, m01, m02 = merge[0]
+    m10, m11, m12 = merge[1]
+    m20, m21, m22 = merge[2]
+    scalars = _scalars(matrix, origin, d)
+    for start in range(0, len(rgb), CHUNK_PX):
+        stop = min(len(rgb) - start, CHUNK_PX)
+        for j in range(stop):
+            r, g, b = rgb[start + j, 0], rgb[start + j, 1], rgb[start + j, 2]
+            work[j] = c00 * r + c01 * g + c02 * b
+            work[CHUNK_PX + j] = c10 * r + c11 * g + c12 * b
+            work[2 * CHUNK_PX + j] = c20 * r + c21 * g + c22 * b
+        _take_pigment(*scalars, work)
+        for j in range(stop):
+            x, y, z = work[j], work[CHUNK_PX + j], work[2 * CHUNK_PX + j]
+            out[start + j, 0] = m00 * x + m01 * y + m02 * z
+            out[start + j, 1] = m10 * x + m11 * y + m12 * z
+            out[start + j, 2] = m20 * x + m21 * y + m22 * z
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
+def _take_pigment(matrix: Any, origin: Any, line: Any, work: Any) -> None:
+    """Replace contributions, at fixed places so that many are done at a time, by those without pigment."""
+    for j in range(CHUNK_PX):
+        s = (work[j], work[CHUNK_PX + j], work[2 * CHUNK_PX + j])
+        t = _amount(s, matrix, origin, line, _ONE, _TRUST)
+        x, _, _, _ = _normal(t, s, matrix, origin, line)
+        work[j], work[CHUNK_PX + j], work[2 * CHUNK_PX + j] = x
+
+
+@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
 def _scalars(matrix: Any, origin: Any, d: Any) -> Any:
     """Return matrix (3, 3), origin and d (3,) as tuples, which stay in registers."""
     m = matrix
@@ -168,29 +185,36 @@ def _scalars(matrix: Any, origin: Any, d: Any) -> Any:
     )
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
 def _amount(s: Any, matrix: Any, origin: Any, d: Any, squared: Any, trust: Any) -> Any:
     """Return t with which the normal of contributions s is of unit length; 0 where a lamp is missing.
 
     squared: the square of the length to expect, with noise. trust: spread of lengths for other reasons over
     that of t, and the most of t.
     """
-    t = _NONE
-    for _ in range(_ROUNDS):
-        x, n0, n1, n2 = _normal(t, s, matrix, origin, d)
-        long = n0 * n0 + n1 * n1 + n2 * n2
-        length = np.sqrt(long) + _TINY
-        error = (long - squared) / (length + _ONE)
-        slope = (n0 * matrix[0] + n1 * matrix[3] + n2 * matrix[6]) * x[0] * d[0]
-        slope += (n0 * matrix[1] + n1 * matrix[4] + n2 * matrix[7]) * x[1] * d[1]
-        slope += (n0 * matrix[2] + n1 * matrix[5] + n2 * matrix[8]) * x[2] * d[2]
-        slope /= -length
-        t = slope * (slope * t - error) / (slope * slope + trust[0] * trust[0])
-        t = min(max(t, -trust[1]), trust[1])
-    return t if min(s[0], s[1], s[2]) >= _LEAST_SHARE * max(s[0], s[1], s[2]) else _NONE
+    t = _step(_NONE, s, matrix, origin, d, squared, trust)  # no loop: only the innermost one is made SIMD
+    t = _step(t, s, matrix, origin, d, squared, trust)
+    t = _step(t, s, matrix, origin, d, squared, trust)
+    least, most = min(min(s[0], s[1]), s[2]), max(max(s[0], s[1]), s[2])  # of two at a time: SIMD again
+    return t if least >= _LEAST_SHARE * most else _NONE
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+def _step(t: Any, s: Any, matrix: Any, origin: Any, d: Any, squared: Any, trust: Any) -> Any:
+    """Return t after a step of Gauss and Newton's."""
+    x, n0, n1, n2 = _normal(t, s, matrix, origin, d)
+    long = n0 * n0 + n1 * n1 + n2 * n2
+    length = np.sqrt(long) + _TINY
+    error = (long - squared) / (length + _ONE)
+    slope = (n0 * matrix[0] + n1 * matrix[3] + n2 * matrix[6]) * x[0] * d[0]
+    slope += (n0 * matrix[1] + n1 * matrix[4] + n2 * matrix[7]) * x[1] * d[1]
+    slope += (n0 * matrix[2] + n1 * matrix[5] + n2 * matrix[8]) * x[2] * d[2]
+    slope /= -length
+    t = slope * (slope * t - error) / (slope * slope + trust[0] * trust[0])
+    return min(max(t, -trust[1]), trust[1])
+
+
+@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
 def _normal(t: Any, s: Any, matrix: Any, origin: Any, d: Any) -> Any:
     """Return s ∘ exp(−t d), a tuple, and the normal's three components, matrix times that, less origin."""
     x0, x1, x2 = (
@@ -206,7 +230,7 @@ def _normal(t: Any, s: Any, matrix: Any, origin: Any, d: Any) -> Any:
     )
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
 def _exponential(x: Any) -> Any:
     """Return exp(x), to 3e-4 where |x| is at most 1.5, 1e-6 up to 0.5: a short series."""
     y = _QUARTER * x

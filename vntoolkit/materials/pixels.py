@@ -14,6 +14,15 @@ import numpy.typing as npt
 from numba import prange
 
 from vntoolkit.arrays import FloatArray, Mask, Points
+from vntoolkit.materials.mixtures import (
+    CHUNK_PX,
+    MOST_REACH_PX,
+    blur_weights,
+    reach_of_blur,
+    relight_mixtures,
+    room_for,
+    wide_weights,
+)
 from vntoolkit.materials.pigment import take_without_pigment
 from vntoolkit.materials.reflectance import (
     CAP,
@@ -36,10 +45,6 @@ _SWEEPS, _SETTLED = 4, 0.002  # at most, and share of the pixels that change whe
 _BLURS_PX = (0.0, 0.5, 0.7, 1.0, 1.4)  # standard deviations that are tried
 _BLURRED_PX = 0.6  # from where a step of paint takes three pixels
 _REACH_BLURRED = 3
-_UNSURE = 0.3  # standard deviation of a pixel's share, over the root of the product of both shares
-_LEAST_SHARE = 0.01
-_REACH_OF_BLUR = 2.5  # standard deviations
-_WINDOW = 3  # pixels to either side over which a seam is blurred
 _JUDGED = 4000  # pixels beside seams that tell the blur
 _JUDGED_STEPS = 60_000  # pixels of the rows that tell how far shading changes
 
@@ -176,11 +181,13 @@ def relit(
         near = near_seams(labels, reach_of_blur(seams.blur_px))
     out = np.empty(frame.rgb.shape, np.float32)
     inside = np.ones(labels.shape, np.bool_) if mask is None else mask
-    of_pigments = (1.0 / values, along, lamps.haze, lamps.inverse, lamps.split, merge)
+    of_lamps = (lamps.haze, lamps.inverse, lamps.split, merge, lamps.inverse @ lamps.haze)
+    of_materials = (values, along, lamps.inverse / values[:, None], merge / values[:, None])
     _relight(
         np.ascontiguousarray(frame.rgb), labels, matrices.astype(np.float32),
-        tuple(each.astype(np.float32) for each in of_pigments), inside, values, lamps.split, merge, weights,
-        near, lamps.haze, lamps.inverse, lamps.mixing, seams.tolerance, out,
+        tuple(each.astype(np.float32) for each in of_lamps),
+        tuple(each.astype(np.float32) for each in of_materials), inside, wide_weights(weights), near,
+        np.float32(seams.tolerance), out,
     )  # fmt: skip
     return LinearFrame(rgb=out, clipped=frame.clipped, number=frame.number)
 
@@ -295,8 +302,8 @@ def _labels_around(labels: Any, active: Any, allowed: Any) -> None:
         for u in range(w):
             if active[v, u]:
                 found = 0
-                for a in range(max(v - _WINDOW, 0), min(v + _WINDOW + 1, h)):
-                    for b in range(max(u - _WINDOW, 0), min(u + _WINDOW + 1, w)):
+                for a in range(max(v - MOST_REACH_PX, 0), min(v + MOST_REACH_PX + 1, h)):
+                    for b in range(max(u - MOST_REACH_PX, 0), min(u + MOST_REACH_PX + 1, w)):
                         found |= 1 << labels[a, b]
                 allowed[v, u] = found
 
@@ -414,18 +421,6 @@ def _decide_lines(
 # Blur.
 
 
-def reach_of_blur(blur_px: float) -> int:
-    """Pixels to either side that a blur takes light from, but for a hundredth."""
-    return min(max(1, int(np.ceil(_REACH_OF_BLUR * blur_px))), _WINDOW)
-
-
-def blur_weights(blur_px: float, reach: int = _WINDOW) -> FloatArray:
-    """(n,), weights of a blur over the pixels of a window, `reach` to either side."""
-    places = np.arange(-reach, reach + 1)
-    found = np.exp(-0.5 * (places / max(blur_px, 1e-3)) ** 2)
-    return np.asarray(found / found.sum())
-
-
 def likeliest_blur_px(
     values: FloatArray, lit: Mask, lamps: Lamps, logs: Points, spread: Spread, labels: MaterialLabels
 ) -> float:
@@ -538,43 +533,6 @@ def _mix(v: int, u: int, labels: Any, rho: Any, weights: Any, shares: Any, out: 
 
 
 @njit(cache=True, error_model="numpy")
-def _shift(
-    s: Any, rho: Any, shares: Any, haze: Any, inverse: Any, mixing: Any, tolerance: float, mean: Any,
-    q: Any, j: Any,
-) -> None:  # fmt: skip
-    """Change a mean reflectance along the line of the two materials mixed, towards a normal of unit length.
-
-    Where a seam runs is known to a part of a pixel. So the shares are uncertain, and the length, itself
-    uncertain, corrects them (Gauss and Newton, twice).
-    """
-    own = shares.argmax()
-    first = shares[own]
-    shares[own] = 0.0
-    other = shares.argmax()
-    second = shares[other]
-    if second < _LEAST_SHARE:
-        return
-    ratio = tolerance / (_UNSURE * _UNSURE * first * second)
-    moved, bias = 0.0, 0.0
-    for k in range(3):
-        q[k] = 1.0 / mean[k]
-    bias = bias_of_noise(q, inverse, mixing)
-    for i in range(2):
-        if i:
-            for k in range(3):
-                q[k] = 1.0 / mean[k]
-        e, _ = length_and_variance(s, q, haze, inverse, mixing, bias, j)
-        slope = 0.0
-        for k in range(3):
-            slope += j[k] * (rho[other, k] - rho[own, k]) * q[k]
-        step = slope * (slope * moved - e) / (slope * slope + ratio)
-        step = min(max(step, -second), first) - moved
-        moved += step
-        for k in range(3):
-            mean[k] += step * (rho[other, k] - rho[own, k])
-
-
-@njit(cache=True, error_model="numpy")
 def _cost_of_blur(
     v: Any, u: Any, s: Any, labels: Any, rho: Any, weights: Any, haze: Any, inverse: Any, mixing: Any,
     tolerance: float,
@@ -594,50 +552,53 @@ def _cost_of_blur(
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def _relight(
-    rgb: Any, labels: Any, matrices: Any, of_pigments: Any, inside: Any, rho: Any, split: Any, merge: Any,
-    weights: Any, near: Any, haze: Any, inverse: Any, mixing: Any, tolerance: float, out: Any,
+    rgb: Any, labels: Any, matrices: Any, of_lamps: Any, of_materials: Any, inside: Any, weights: Any,
+    near: Any, tolerance: Any, out: Any,
 ) -> None:  # fmt: skip
+    """Fill out (h, w, 3) from colours rgb (h, w, 3), all in single precision.
+
+    matrices: (m, 3, 3), from colour to colour. of_lamps: w, L⁻¹, split and its inverse, and L⁻¹ w.
+    of_materials: ρ, the lines of pigments, L⁻¹ / ρ, and that inverse over ρ. inside: (h, w), where pigments count. near: (h, w),
+    where pixels are mixtures.
+    """
     for v in prange(len(labels)):
         _relight_row(
-            rgb[v], labels, matrices, of_pigments, inside[v], rho, split, merge, weights, near[v], haze,
-            inverse, mixing, tolerance, v, out[v],
-        )  # fmt: skip
+            rgb[v], labels, matrices, of_lamps, of_materials, inside[v], weights, near[v], tolerance, v, out[v]
+        )
 
 
 @njit(cache=True, error_model="numpy")
 def _relight_row(
-    rgb: Any, labels: Any, matrices: Any, of_pigments: Any, inside: Any, rho: Any, split: Any, merge: Any,
-    weights: Any, near: Any, haze: Any, inverse: Any, mixing: Any, tolerance: float, v: int, out: Any,
+    rgb: Any, labels: Any, matrices: Any, of_lamps: Any, of_materials: Any, inside: Any, weights: Any,
+    near: Any, tolerance: Any, v: int, out: Any,
 ) -> None:  # fmt: skip
-    """Fill row v. rgb, out: (w, 3). inside, near: (w,). labels: of the whole frame. of_pigments: what
-    `take_without_pigment` needs, of all materials, in single precision.
-    """
-    mean, light, shares, x, j = np.empty(3), np.empty(3), np.empty(rho.shape[0]), np.empty(3), np.empty(3)
-    inverse_rho, along, haze_, inverse_, split_, merge_ = of_pigments
+    """Fill row v. rgb, out: (w, 3). inside, near: (w,). labels: of the whole frame."""
+    haze, inverse, split, merge, origin = of_lamps
+    rho, along, to_normal, merges = of_materials
+    room, mixed = room_for(len(rho)), 0  # up to where mixtures are done
     u, w = 0, len(rgb)
     while u < w:
-        if not near[u]:  # as far as it is so: one matrix, or one line, for all
-            m, counts, stop = labels[v, u], inside[u], u + 1
-            while stop < w and labels[v, stop] == m and inside[stop] == counts and not near[stop]:
+        is_near, m, counts, stop = near[u], labels[v, u], inside[u], u + 1
+        if is_near:
+            while stop < w and near[stop]:
                 stop += 1
-            if counts and along[m].any():
-                take_without_pigment(
-                    rgb[u:stop], inverse_rho[m], along[m], haze_, inverse_, split_, merge_, out[u:stop]
-                )
-            else:
-                _take_through(matrices[m], rgb[u:stop], out[u:stop])
+            mixed = max(mixed, u)
+            while mixed < stop:  # a chunk may reach over the next seams, too
+                relight_mixtures(
+                    rgb, labels, v, mixed, near, rho, haze, inverse, split, merge, weights, tolerance, room, out
+                )  # fmt: skip
+                mixed += CHUNK_PX
             u = stop
             continue
-        r, g, b = rgb[u, 0], rgb[u, 1], rgb[u, 2]
-        for k in range(3):
-            light[k] = split[k, 0] * r + split[k, 1] * g + split[k, 2] * b
-        _mix(v, u, labels, rho, weights, shares, mean)
-        _shift(light, rho, shares, haze, inverse, mixing, tolerance, mean, x, j)
-        for k in range(3):
-            light[k] /= mean[k]
-        for c in range(3):
-            out[u, c] = merge[c, 0] * light[0] + merge[c, 1] * light[1] + merge[c, 2] * light[2]
-        u += 1
+        while stop < w and labels[v, stop] == m and inside[stop] == counts and not near[stop]:
+            stop += 1  # as far as it is so: one matrix, or one line, for all
+        if counts and along[m].any():
+            take_without_pigment(
+                rgb[u:stop], to_normal[m], origin, along[m], split, merges[m], room[1], out[u:stop]
+            )
+        else:
+            _take_through(matrices[m], rgb[u:stop], out[u:stop])
+        u = stop
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
