@@ -14,7 +14,7 @@ import numpy as np
 from numba import prange
 
 from vntoolkit.arrays import FloatArray, Mask, Points
-from vntoolkit.materials.mixtures import blur_weights
+from vntoolkit.materials.mixtures import CHUNK_PX, blur_weights, fill_means, room_for, wide_weights
 from vntoolkit.materials.pixels import (
     MaterialLabels,
     Seams,
@@ -38,9 +38,13 @@ _JUDGED = 20_000  # pixels that tell how shading changes
 _LEAST_LIGHT = np.float32(1e-4)
 _LEAST_GAIN = 1e-4  # in nats: less is rounding
 _REACH_PX = 2  # of the blur
+_MARGIN_PX = _REACH_PX + 1  # of a window around a block
+_STRIP = 16  # rows, of pixels or of blocks
+LANES = 8  # rows of windows take a multiple of it, and are done so many pixels at a time
 MARGIN_PX = _REACH_PX + 3  # around a pixel that may change, where its change is felt
 # Of the kernels, which count in single precision. The series of 2 artanh(z) / z in z².
 _NONE, _HALF, _ONE, _MOST = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(CAP * CAP)
+_ROOT, _LOG_2 = np.float32(np.sqrt(2.0)), np.float32(np.log(2.0))
 _SERIES = np.array([2.0, 2.0 / 3.0, 2.0 / 5.0, 2.0 / 7.0, 2.0 / 9.0], np.float32)
 
 
@@ -96,32 +100,31 @@ class BlurredLabels:
         self, values: FloatArray, lit: Mask, labels: MaterialLabels, near: Mask, blur_px: float,
         of_blocks: int, sweeps: int,
     ) -> MaterialLabels:  # fmt: skip
-        weights = blur_weights(blur_px, _REACH_PX if blur_px > 0.0 else 0).astype(np.float32)
+        weights = blur_weights(blur_px, _REACH_PX).astype(np.float32)
         lamps, found = self._lamps, labels.copy()
         split, rho, haze, inverse = (
             part.astype(np.float32) for part in (lamps.split, self._reflectances, lamps.haze, lamps.inverse)
         )
         room, near = self._room_for(lit.shape), lit & near
-        _mix_all(values, found, near, split, rho, weights, room)
+        _mix_all(values, found, near, split, rho, wide_weights(weights), room)
         most_left = _ENOUGH * near_seams(labels, 1).sum() if sweeps > 1 else 0
         length = 1.0 / (self._spread.of_pixels**2 + _SHARED * self._spread.of_regions**2)
-        for side, stride, look, most in (
-            (_BLOCK_PX, _BLOCK_PX // 2, _LOOK_PX, of_blocks),
-            (1, 1, 1, sweeps),
-        ):
+        for move, most in ((_move_blocks, of_blocks), (_move_pixels, sweeps)):
             for _ in range(most):
-                changed = _move(
+                changed = move(
                     found, near, room, rho, weights, haze, inverse, np.float32(length),
-                    np.float32(self._precision), side, stride, look,
+                    np.float32(self._precision),
                 )  # fmt: skip
                 if changed <= most_left:
                     break
         return found
 
     def _room_for(self, shape: tuple[int, int]) -> Single:
-        """(h, w, 9), the state of `_mix_all`."""
-        if self._room is None or self._room.shape[:2] != shape:
-            self._room = np.ones((*shape, 9), np.float32)
+        """(10, h, w + …), the state of `_mix_all`; windows reach over the right edge."""
+        h, w = shape[0], shape[1] + 2 * LANES
+        if self._room is None or self._room.shape[1:] != (h, w):
+            self._room = np.ones((10, h, w), np.float32)
+            self._room[9] = 0.0
         return self._room
 
 
@@ -143,84 +146,270 @@ def _variance_of_steps(
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def _mix_all(values: Any, labels: Any, wanted: Any, split: Any, rho: Any, weights: Any, state: Any) -> None:
-    """Fill state (h, w, 9): what each lamp contributes, the mean reflectance under the blur, log of the ratio
-    of the two.
+    """Fill state (10, h, w + …): what each lamp contributes, the mean reflectance under the blur, log of the
+    ratio of the two, three planes each, and 1 where it is wanted, 0 elsewhere.
 
-    split: (3, 3), rho: (m, 3) and weights in single precision.
+    split: (3, 3), rho: (m, 3) and weights, of `wide_weights`, in single precision.
     """
     h, w = labels.shape
-    reach = weights.size // 2
     for v in prange(h):
-        for u in range(w):
+        light, logs = np.ones(3 * CHUNK_PX, np.float32), np.empty((3, 3 * CHUNK_PX), np.float32)
+        room, u = room_for(len(rho)), 0
+        _take_wanted(wanted[v], state[9, v])
+        while u < w:
             if not wanted[v, u]:
+                u += 1
                 continue
-            own, is_mixed = labels[v, u], False
-            for a in range(max(v - reach, 0), min(v + reach + 1, h)):
-                for b in range(max(u - reach, 0), min(u + reach + 1, w)):
-                    is_mixed |= labels[a, b] != own
+            fill_means(labels, v, u, weights, rho, room)
+            stop = min(w - u, CHUNK_PX)
+            for j in range(stop):
+                r, g, b = values[v, u + j, 0], values[v, u + j, 1], values[v, u + j, 2]
+                for k in range(3):
+                    s = split[k, 0] * r + split[k, 1] * g + split[k, 2] * b
+                    light[CHUNK_PX * k + j] = s if s > _LEAST_LIGHT else _LEAST_LIGHT
+            _take_log_ratios(light, room[1], logs[0], logs[0].view(np.int32), logs[1], logs[2])
             for k in range(3):
-                s = split[k, 0] * values[v, u, 0] + split[k, 1] * values[v, u, 1]
-                s = max(s + split[k, 2] * values[v, u, 2], _LEAST_LIGHT)
-                mean = rho[own, k]
-                if is_mixed:
-                    mean = _NONE
-                    for a in range(-reach, reach + 1):
-                        part = _NONE
-                        for b in range(-reach, reach + 1):
-                            m = labels[min(max(v + a, 0), h - 1), min(max(u + b, 0), w - 1)]
-                            part += weights[b + reach] * rho[m, k]
-                        mean += weights[a + reach] * part
-                state[v, u, k] = s
-                state[v, u, 3 + k] = mean
-                state[v, u, 6 + k] = np.log(s / mean)
+                part = slice(CHUNK_PX * k, CHUNK_PX * k + stop)
+                state[k, v, u : u + stop] = light[part]
+                state[3 + k, v, u : u + stop] = room[1][part]
+                state[6 + k, v, u : u + stop] = logs[2, part]
+            u += CHUNK_PX
+
+
+@njit(cache=True)
+def _take_wanted(wanted: Any, out: Any) -> None:
+    for u in range(len(wanted)):
+        out[u] = _ONE if wanted[u] else _NONE
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _price_of(
-    light: Any, mixed: Any, shade: Any, inside: Any, across: Any, down: Any, size: int, haze: Any,
-    inverse: Any, length: Any, precision: Any,
-) -> Any:  # fmt: skip
-    """Price of a window's lengths and of its steps of shading, all in single precision.
+def _take_log_ratios(one: Any, other: Any, ratio: Any, bits: Any, exponent: Any, out: Any) -> None:
+    """Fill log(one / other), (3 · CHUNK_PX,), from the exponent and a series of the rest; bits: of ratio."""
+    for j in range(3 * CHUNK_PX):
+        ratio[j] = one[j] / other[j]
+    for j in range(3 * CHUNK_PX):
+        exponent[j] = np.float32((bits[j] >> 23) - 127)
+        bits[j] = (bits[j] & 0x7FFFFF) | 0x3F800000
+    for j in range(3 * CHUNK_PX):
+        z = (ratio[j] - _ROOT) / (ratio[j] + _ROOT)
+        y = z * z
+        series = _SERIES[0] + y * (_SERIES[1] + y * (_SERIES[2] + y * (_SERIES[3] + y * _SERIES[4])))
+        out[j] = (exponent[j] + _HALF) * _LOG_2 + z * series
 
-    light, mixed, shade: (3, size²). inside, across, down: (size²,), 1 where the length counts, and where the
-    step to the right and that below do. The loops are so that eight pixels are taken at a time.
+
+@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+def _move_pixels(
+    labels: Any, lit: Any, state: Any, rho: Any, weights: Any, haze: Any, inverse: Any, length: Any,
+    precision: Any,
+) -> int:  # fmt: skip
+    """Give each pixel the label around it that costs least; return how many changed.
+
+    Every second strip of rows is decided at the same time: what is between keeps what they see apart. state:
+    of `_mix_all`; all numbers in single precision.
     """
-    l0, l1, l2, m0, m1, m2 = light[0], light[1], light[2], mixed[0], mixed[1], mixed[2]
-    i00, i01, i02 = inverse[0, 0], inverse[0, 1], inverse[0, 2]
-    i10, i11, i12 = inverse[1, 0], inverse[1, 1], inverse[1, 2]
-    i20, i21, i22 = inverse[2, 0], inverse[2, 1], inverse[2, 2]
-    h0, h1, h2 = haze[0], haze[1], haze[2]
+    rows = max(len(labels) - 2 * _MARGIN_PX - 1, 0)
+    strips = (rows + _STRIP - 1) // _STRIP
+    changes = np.zeros(max(strips, 1), np.int64)
+    for first in range(2):
+        for step in prange((strips - first + 1) // 2):
+            strip = 2 * step + first
+            for row in range(strip * _STRIP, min((strip + 1) * _STRIP, rows)):
+                changes[strip] += _move_row(
+                    labels, lit, state, rho, weights, haze, inverse, length, precision, 1, 1, 1, LANES,
+                    _MARGIN_PX + row,
+                )  # fmt: skip
+    return changes.sum()
+
+
+@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+def _move_blocks(
+    labels: Any, lit: Any, state: Any, rho: Any, weights: Any, haze: Any, inverse: Any, length: Any,
+    precision: Any,
+) -> int:  # fmt: skip
+    """`_move_pixels` for overlapping blocks of pixels."""
+    stride = _BLOCK_PX // 2
+    rows = max((len(labels) - 2 * _MARGIN_PX - _BLOCK_PX - _LOOK_PX) // stride + 1, 0)
+    strips = (rows + _STRIP - 1) // _STRIP
+    changes = np.zeros(max(strips, 1), np.int64)
+    for first in range(2):
+        for step in prange((strips - first + 1) // 2):
+            strip = 2 * step + first
+            for row in range(strip * _STRIP, min((strip + 1) * _STRIP, rows)):
+                changes[strip] += _move_row(
+                    labels, lit, state, rho, weights, haze, inverse, length, precision, _BLOCK_PX, stride,
+                    _LOOK_PX, 2 * LANES, _MARGIN_PX + stride * row,
+                )  # fmt: skip
+    return changes.sum()
+
+
+# What follows is compiled into the two above, for which the sizes of windows are constants: only so are
+# many pixels done at a time. One array (parts, n) holds all of a window, rows of `lanes` pixels: parts are
+# contributions, mixtures and shading of the lamps, where there are pixels, where lengths and steps count and
+# where they may, the mixtures and the shading of another label, and what a pixel adds to mixtures around it.
+_LIGHT, _MIXED, _SHADE, _THERE, _SIDES, _WHICH, _NEW, _NEW_SHADE, _KERNEL, _PARTS = (
+    0, 3, 6, 9, 10, 13, 16, 19, 22, 23
+)  # fmt: skip
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _move_row(
+    labels: Any, lit: Any, state: Any, rho: Any, weights: Any, haze: Any, inverse: Any, length: Any,
+    precision: Any, side: int, stride: int, look: int, lanes: int, v: int,
+) -> int:  # fmt: skip
+    """Move the blocks whose first row is v."""
+    count, margin = rho.shape[0], _MARGIN_PX
+    size = side + 2 * margin
+    n = (size * lanes + 31) // 32 * 32
+    near, window, changed = np.zeros(count, np.bool_), np.zeros(_PARTS * n, np.float32), 0
+    _fill_constants(window, weights, size, lanes, n)
+    matrix = (
+        inverse[0, 0], inverse[0, 1], inverse[0, 2], inverse[1, 0], inverse[1, 1], inverse[1, 2],
+        inverse[2, 0], inverse[2, 1], inverse[2, 2],
+    )  # fmt: skip
+    ambient = (haze[0], haze[1], haze[2])
+    for u in range(margin, lit.shape[1] - side - margin - look, stride):
+        if side == 1 and not lit[v, u]:
+            continue
+        same, is_alone = labels[v, u], True
+        for a in range(v - look, v + side + look):
+            for b in range(u - look, u + side + look):
+                is_alone &= labels[a, b] == same
+        if is_alone or not _find_labels(labels, lit, v, u, side, look, near):
+            continue
+        for k in range(10):
+            for a in range(size):
+                line = window[k * n + a * lanes : k * n + (a + 1) * lanes]
+                values = state[k, v - margin + a, u - margin : u - margin + lanes]
+                for j in range(len(line)):
+                    line[j] = values[j]
+        _fill_sides(window, lanes, n)
+        least = _price_of(window, _MIXED, _SHADE, lanes, n, ambient, matrix, length, precision)
+        least += _SEAM_PRICE * _length_of_seam(labels, v, u, side, -1)
+        best, last = -1, -1
+        for m in range(count):
+            if not near[m]:
+                continue
+            _mix_again(window, labels, v, u, side, m, rho, lanes, n)
+            price = _price_of(window, _NEW, _NEW_SHADE, lanes, n, ambient, matrix, length, precision)
+            price += _SEAM_PRICE * _length_of_seam(labels, v, u, side, m)
+            last = m
+            if price < least - _LEAST_GAIN:
+                least, best = price, m
+        if best < 0:
+            continue
+        changed += 1
+        if best != last:
+            _mix_again(window, labels, v, u, side, best, rho, lanes, n)
+        for k in range(6):
+            for a in range(size):
+                for j in range(size):
+                    state[3 + k, v - margin + a, u - margin + j] = window[(_NEW + k) * n + a * lanes + j]
+        for a in range(side):
+            for b in range(side):
+                labels[v + a, u + b] = best
+    return changed
+
+
+@njit(cache=True)
+def _find_labels(labels: Any, lit: Any, v: int, u: int, side: int, look: int, near: Any) -> bool:
+    """Fill near (m,), which labels a block may get; return whether there are any."""
+    same, is_lit, is_one = labels[v, u], False, True
+    for a in range(v, v + side):
+        for b in range(u, u + side):
+            is_lit |= lit[a, b]
+            is_one &= labels[a, b] == same
+    near[:] = False
+    for a in range(v - look, v + side + look):
+        for b in range(u - look, u + side + look):
+            near[labels[a, b]] |= lit[a, b]
+    if is_one:
+        near[same] = False
+    return is_lit and near.any()
+
+
+@njit(cache=True)
+def _fill_constants(window: Any, weights: Any, size: int, lanes: int, n: int) -> None:
+    """Fill where a window's lengths, steps to the right, and steps below may count, and the kernel."""
+    for i in range(_NEW * n):
+        window[i] = _ONE
+    for i in range(n):
+        a, b = i // lanes, i % lanes
+        window[_WHICH * n + i] = 0 < a < size - 1 and 0 < b < size - 1
+        window[(_WHICH + 1) * n + i] = a < size and b + 1 < size
+        window[(_WHICH + 2) * n + i] = a + 1 < size and b < size
+    for a in range(weights.size):
+        for b in range(weights.size):
+            window[_KERNEL * n + a * lanes + b] = weights[a] * weights[b]
+
+
+@njit(cache=True, inline="always")
+def _fill_sides(window: Any, lanes: int, n: int) -> None:
+    """Fill where lengths and steps count: where pixels are, and both of a step's."""
+    for i in range(n):
+        window[_SIDES * n + i] = window[_THERE * n + i] * window[_WHICH * n + i]
+    for i in range(n - 1):
+        both = window[_THERE * n + i] * window[_THERE * n + i + 1]
+        window[(_SIDES + 1) * n + i] = both * window[(_WHICH + 1) * n + i]
+    for i in range(n - lanes):
+        both = window[_THERE * n + i] * window[_THERE * n + i + lanes]
+        window[(_SIDES + 2) * n + i] = both * window[(_WHICH + 2) * n + i]
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _price_of(
+    window: Any, mixed: int, shade: int, lanes: int, n: int, haze: Any, matrix: Any, length: Any,
+    precision: Any,
+) -> Any:  # fmt: skip
+    """Price of a window's lengths and of its steps of shading, with the mixtures and shading of those parts."""
     total = _NONE
-    for i in range(size * size):
-        x0, x1, x2 = l0[i] / m0[i] - h0, l1[i] / m1[i] - h1, l2[i] / m2[i] - h2
-        n0 = i00 * x0 + i01 * x1 + i02 * x2
-        n1 = i10 * x0 + i11 * x1 + i12 * x2
-        n2 = i20 * x0 + i21 * x1 + i22 * x2
+    for i in range(n):
+        x0 = window[_LIGHT * n + i] / window[mixed * n + i] - haze[0]
+        x1 = window[(_LIGHT + 1) * n + i] / window[(mixed + 1) * n + i] - haze[1]
+        x2 = window[(_LIGHT + 2) * n + i] / window[(mixed + 2) * n + i] - haze[2]
+        n0 = matrix[0] * x0 + matrix[1] * x1 + matrix[2] * x2
+        n1 = matrix[3] * x0 + matrix[4] * x1 + matrix[5] * x2
+        n2 = matrix[6] * x0 + matrix[7] * x1 + matrix[8] * x2
         e = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2) - _ONE
         t = e * e * length
-        total += inside[i] * t / (_MOST + t)
-    s0, s1, s2 = shade[0], shade[1], shade[2]
-    for i in range(size * size - 1):
-        d0, d1, d2 = s0[i + 1] - s0[i], s1[i + 1] - s1[i], s2[i + 1] - s2[i]
+        total += window[_SIDES * n + i] * t / (_MOST + t)
+    for i in range(n - 1):
+        d0 = window[shade * n + i + 1] - window[shade * n + i]
+        d1 = window[(shade + 1) * n + i + 1] - window[(shade + 1) * n + i]
+        d2 = window[(shade + 2) * n + i + 1] - window[(shade + 2) * n + i]
         t = (d0 * d0 + d1 * d1 + d2 * d2) * precision
-        total += across[i] * t / (_MOST + t)
-    for i in range(size * size - size):
-        d0, d1, d2 = s0[i + size] - s0[i], s1[i + size] - s1[i], s2[i + size] - s2[i]
+        total += window[(_SIDES + 1) * n + i] * t / (_MOST + t)
+    for i in range(n - lanes):
+        d0 = window[shade * n + i + lanes] - window[shade * n + i]
+        d1 = window[(shade + 1) * n + i + lanes] - window[(shade + 1) * n + i]
+        d2 = window[(shade + 2) * n + i + lanes] - window[(shade + 2) * n + i]
         t = (d0 * d0 + d1 * d1 + d2 * d2) * precision
-        total += down[i] * t / (_MOST + t)
+        total += window[(_SIDES + 2) * n + i] * t / (_MOST + t)
     return _HALF * _MOST * total
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
-def _shade_again(shade: Any, mixed: Any, new: Any, out: Any) -> None:
-    """Fill log s less log of the new mixture: log(b / a) = 2 artanh((b − a) / (b + a)), by its series."""
+@njit(cache=True, inline="always", error_model="numpy")
+def _mix_again(
+    window: Any, labels: Any, v: int, u: int, side: int, m: int, rho: Any, lanes: int, n: int
+) -> None:
+    """Fill the mixtures around a block with label m in all of it, and the shading.
+
+    log(b / a) = 2 artanh((b − a) / (b + a)), by its series.
+    """
     for k in range(3):
-        was, a, b, become = shade[k], mixed[k], new[k], out[k]
-        for i in range(was.size):
-            z = (b[i] - a[i]) / (b[i] + a[i])
+        for i in range(n):
+            window[(_NEW + k) * n + i] = window[(_MIXED + k) * n + i]
+        for a in range(side):
+            for b in range(side):
+                step, to = rho[m, k] - rho[labels[v + a, u + b], k], (_NEW + k) * n + (a + 1) * lanes + b + 1
+                if step != _NONE:
+                    for i in range((2 * _REACH_PX + 1) * lanes):
+                        window[to + i] += step * window[_KERNEL * n + i]
+        for i in range(n):
+            was, become = window[(_MIXED + k) * n + i], window[(_NEW + k) * n + i]
+            z = (become - was) / (become + was)
             y = z * z
             series = _SERIES[0] + y * (_SERIES[1] + y * (_SERIES[2] + y * (_SERIES[3] + y * _SERIES[4])))
-            become[i] = was[i] - z * series
+            window[(_NEW_SHADE + k) * n + i] = window[(_SHADE + k) * n + i] - z * series
 
 
 @njit(cache=True)
@@ -238,133 +427,3 @@ def _length_of_seam(labels: Any, v: int, u: int, side: int, m: int) -> float:
                 there = m if b + 1 < side and m >= 0 else labels[v + a, u + b + 1]
                 count += here != there
     return count
-
-
-@njit(cache=True, parallel=True, error_model="numpy")
-def _move(
-    labels: Any, lit: Any, state: Any, rho: Any, weights: Any, haze: Any, inverse: Any, length: Any,
-    precision: Any, side: int, stride: int, look: int,
-) -> int:  # fmt: skip
-    """Give each block the label around it that costs least; return how many changed.
-
-    Rows of blocks so far apart that they do not touch what the other sees are decided at the same time.
-    state: of `_mix_all`; all numbers in single precision.
-    """
-    h, w = lit.shape
-    margin = weights.size // 2 + 1
-    size = side + 2 * margin
-    first, rim = max(margin, look), margin + look
-    rows = max((h - first - side - rim) // stride + 1, 0)
-    apart = (size + margin + look) // stride + 1
-    changes = np.zeros(max(rows, 1), np.int64)
-    for phase in range(apart):
-        for step in prange((rows - phase + apart - 1) // apart):
-            row = phase + step * apart
-            changes[row] = _move_row(
-                labels, lit, state, rho, weights, haze, inverse, length, precision, side, stride,
-                look, first + row * stride, first, w - side - rim,
-            )  # fmt: skip
-    return changes.sum()
-
-
-@njit(cache=True, error_model="numpy")
-def _move_row(
-    labels: Any, lit: Any, state: Any, rho: Any, weights: Any, haze: Any, inverse: Any, length: Any,
-    precision: Any, side: int, stride: int, look: int, v: int, start: int, stop: int,
-) -> int:  # fmt: skip
-    """`_move` for the blocks whose first row is v."""
-    count, reach = rho.shape[0], weights.size // 2
-    margin = reach + 1
-    size = side + 2 * margin
-    near = np.zeros(count, np.bool_)
-    window = np.empty((5, 3, size * size), np.float32)
-    own_light, own, own_shade, new, new_shade = window[0], window[1], window[2], window[3], window[4]
-    sides = np.zeros((3, size * size), np.float32)
-    inside, across, down = sides[0], sides[1], sides[2]
-    changed = 0
-    for u in range(start, stop, stride):
-        is_lit = lit[v, u]
-        if not is_lit and side == 1:
-            continue
-        for a in range(side):
-            for b in range(side):
-                is_lit |= lit[v + a, u + b]
-        if not is_lit:
-            continue
-        for m in range(count):
-            near[m] = False
-        for a in range(-look, side + look):
-            for b in range(-look, side + look):
-                near[labels[v + a, u + b]] |= lit[v + a, u + b]
-        same = labels[v, u]
-        for a in range(side):
-            for b in range(side):
-                if labels[v + a, u + b] != same:
-                    same = -1
-        if same >= 0:
-            near[same] = False
-        if not near.any():
-            continue
-        top, left, i = v - margin, u - margin, 0
-        for a in range(top, top + size):
-            for b in range(left, left + size):
-                is_there = lit[a, b]  # else nothing may be there, and 0 times nothing is not 0
-                for k in range(3):
-                    own_light[k, i] = state[a, b, k] if is_there else _ONE
-                    own[k, i] = state[a, b, 3 + k] if is_there else _ONE
-                    own_shade[k, i] = state[a, b, 6 + k] if is_there else _NONE
-                is_rim = a == top or b == left or a == top + size - 1 or b == left + size - 1
-                inside[i] = is_there and not is_rim
-                across[i] = is_there and b < left + size - 1 and lit[a, b + 1]
-                down[i] = is_there and a < top + size - 1 and lit[a + 1, b]
-                i += 1
-        least = _price_of(
-            own_light, own, own_shade, inside, across, down, size, haze, inverse, length, precision
-        ) + _SEAM_PRICE * _length_of_seam(labels, v, u, side, -1)  # fmt: skip
-        best = -1
-        for m in range(count):
-            if not near[m]:
-                continue
-            _shift_mixtures(own, labels, v, u, side, m, rho, weights, size, new)
-            _shade_again(own_shade, own, new, new_shade)
-            price = _price_of(
-                own_light, new, new_shade, inside, across, down, size, haze, inverse, length, precision
-            ) + _SEAM_PRICE * _length_of_seam(labels, v, u, side, m)  # fmt: skip
-            if price < least - _LEAST_GAIN:
-                least, best = price, m
-        if best < 0:
-            continue
-        changed += 1
-        _shift_mixtures(own, labels, v, u, side, best, rho, weights, size, new)
-        for i in range(size * size):
-            a, b = top + i // size, left + i % size
-            if lit[a, b]:
-                for k in range(3):
-                    state[a, b, 3 + k] = new[k, i]
-                    state[a, b, 6 + k] = np.log(own_light[k, i] / new[k, i])
-        for a in range(side):
-            for b in range(side):
-                labels[v + a, u + b] = best
-    return changed
-
-
-@njit(cache=True, error_model="numpy")
-def _shift_mixtures(
-    window: Any, labels: Any, v: int, u: int, side: int, m: int, rho: Any, weights: Any, size: int, out: Any
-) -> None:
-    """Fill mixtures (3, size²) around a block from its own: those with label m in all of it."""
-    width = weights.size
-    for k in range(3):
-        for i in range(size * size):
-            out[k, i] = window[k, i]
-    for a in range(side):
-        for b in range(side):
-            old = labels[v + a, u + b]
-            if old == m:
-                continue
-            for k in range(3):
-                step = rho[m, k] - rho[old, k]
-                for i in range(width):
-                    start = (a + i + 1) * size + b + 1
-                    for j in range(width):
-                        out[k, start + j] += weights[i] * weights[j] * step
