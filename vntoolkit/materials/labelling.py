@@ -214,13 +214,13 @@ class MaterialLabeller:
             or self._before.shape != split.lit.shape
         ):
             return None
-        doubtful = self._coarse.prices(split.colours, split.lit, self._before) > self._doubtful
+        self._coarse.look_at(split.colours, split.lit)
+        doubtful = self._coarse.prices(self._before) > self._doubtful
         doubtful |= ~self._split.lit
         found = self._coarse.decided(
-            split.colours, split.lit, self._before, doubtful | near_seams(self._before, _BESIDE),
-            any_label=doubtful, sweeps=_CARRIED_SWEEPS,
+            self._before, doubtful | near_seams(self._before, _BESIDE), any_label=doubtful, sweeps=_CARRIED_SWEEPS
         )  # fmt: skip
-        paid = self._coarse.prices(split.colours, split.lit, found).sum()
+        paid = self._coarse.prices(found).sum(dtype=np.float64)
         if paid > _WORSE * self._mean_price * split.lit.sum():
             return None
         if split.factor > 1:  # pixels are decided after blocks
@@ -245,11 +245,12 @@ class MaterialLabeller:
         coarse = of_regions[regions.labels].astype(np.uint8)
         doubtful = np.take_along_axis(costs, of_regions[:, None], 1)[:, 0] > _DOUBTFUL
         active = ~regions.plain | doubtful[regions.labels] | near_seams(coarse, _BESIDE)
-        found = self._coarse.decided(split.colours, split.lit, coarse, active)
+        self._coarse.look_at(split.colours, split.lit)
+        found = self._coarse.decided(coarse, active)
         if self._beside_seams is None:
             self._beside_seams = BlurredLabels(split.lamps, self._logs, self._coarse.spread)
         found = self._beside_seams.settled(split.colours, split.lit, found)
-        paid = self._coarse.prices(split.colours, split.lit, found)[split.lit]
+        paid = self._coarse.prices(found)[split.lit].astype(np.float64)
         self._doubtful = float(np.quantile(paid, 1.0 - _DOUBTFUL_SHARE)) if paid.size else np.inf
         self._mean_price = float(paid.mean()) if paid.size else np.inf
         return found

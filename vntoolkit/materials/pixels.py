@@ -38,7 +38,9 @@ from vntoolkit.photometry.response import LightResponse
 Single = npt.NDArray[np.float32]
 MaterialLabels = npt.NDArray[np.uint8]
 INDEPENDENT_PX = 64.0  # pixels that share their errors: lamps, gloss and ambient light change slowly
-_SEAM_PRICE = 1.0  # of two pixels of two materials side by side
+_SEAM_PRICE = np.float32(1.0)  # of two pixels of two materials side by side
+_NO_LABEL = 255
+_HALF, _ONE, _OF_CAP, _INFINITE = np.float32(0.5), np.float32(1.0), np.float32(CAP**-2), np.float32(np.inf)
 _LEAST_STEP = 0.01  # of log s from pixel to pixel
 _MOST, _MOST_SIGMAS = 0.8, 1.2816  # quantile of the steps that is of shading, not of paint, and its distance
 _SWEEPS, _SETTLED = 4, 0.002  # at most, and share of the pixels that change when all is settled
@@ -70,7 +72,7 @@ class Seams(NamedTuple):
 
 
 class LineLabeller:
-    """Decides labels of pixels line by line. Its first frame tells the blur and how far shading changes.
+    """Decides labels of pixels line by line, of the frame that it looks at. Its first frame tells the blur and how far shading changes.
 
     lamps: with the noise of the pixels. logs: (m, 3), log ρ. blur_px: standard deviation of seams' blur.
     """
@@ -82,62 +84,76 @@ class LineLabeller:
         self._variance: float | None = None
         self._tolerance = spread.of_pixels**2 + INDEPENDENT_PX * spread.of_regions**2
         self.blur_px = 0.0
+        self._values: FloatArray = np.empty((0, 0, 3))
+        self._lit: Mask = np.empty((0, 0), np.bool_)
+        self._of_lengths: tuple[Single, MaterialLabels]
+
+    def look_at(self, values: FloatArray, lit: Mask) -> None:
+        """Take the frame that is decided next. values: (h, w, 3), colours. lit: (h, w), where they count."""
+        self._values, self._lit = values, lit
+        self._of_lengths = np.zeros(lit.shape, np.float32), np.full(lit.shape, _NO_LABEL, np.uint8)
+        light, noise, _ = self._room_for(values)
+        lamps = self._lamps
+        _take_logs(values, lit, *(each.astype(np.float32) for each in (lamps.split, lamps.noise)), light, noise)
 
     def decided(
-        self, values: FloatArray, lit: Mask, labels: MaterialLabels, active: Mask, *,
-        any_label: Mask | None = None, sweeps: int = _SWEEPS,
-    ) -> MaterialLabels:  # fmt: skip
+        self, labels: MaterialLabels, active: Mask, *, any_label: Mask | None = None, sweeps: int = _SWEEPS
+    ) -> MaterialLabels:
         """Return labels (h, w) of little cost, from labels (h, w).
 
-        values: (h, w, 3), colours. active: pixels that are decided, among the labels around them, or, where
-        `any_label`, a mask, is True, among all.
+        active: pixels that are decided, among the labels around them, or, where `any_label`, a mask, is True,
+        among all.
         """
-        active = active & lit
+        active = active & self._lit
         allowed = np.full(labels.shape, 2 ** len(self._logs) - 1, np.uint16)
         if any_label is not None:
             _labels_around(labels, active & ~any_label, allowed)
         if self._variance is not None:
-            return self._of_least_cost(values, lit, labels, active, allowed, sweeps)
-        found = self._of_least_cost(values, lit, labels, active, allowed, _SWEEPS)
-        self.blur_px = likeliest_blur_px(values, lit, self._lamps, self._logs, self.spread, found)
+            return self._of_least_cost(labels, active, allowed, sweeps)
+        known = self._values, self._lit, self._lamps, self._logs, self.spread
+        found = self._of_least_cost(labels, active, allowed, _SWEEPS)
+        self.blur_px = likeliest_blur_px(*known, found)
         if self.blur_px >= _BLURRED_PX:
             self._reach, self._variance = _REACH_BLURRED, None
-            found = self._of_least_cost(values, lit, labels, active, allowed, _SWEEPS)
-            self.blur_px = likeliest_blur_px(values, lit, self._lamps, self._logs, self.spread, found)
+            found = self._of_least_cost(labels, active, allowed, _SWEEPS)
+            self.blur_px = likeliest_blur_px(*known, found)
         return found
 
-    def prices(self, values: FloatArray, lit: Mask, labels: MaterialLabels) -> FloatArray:
-        """(h, w), nats that each pixel's length costs under its label, and the steps to right and below."""
+    def prices(self, labels: MaterialLabels) -> Single:
+        """(h, w), nats that each pixel's length costs under its label, and the steps to right and below.
+
+        They are kept, and found again where labels change.
+        """
         assert self._variance is not None
-        lamps, out = self._lamps, np.zeros(labels.shape)
-        light, noise, _ = self._room_for(values)
+        lamps, (out, before) = self._lamps, self._of_lengths
+        light, noise, _ = self._room_for(self._values)
         _price(
-            values, lit, labels, lamps.split, self._logs, lamps.haze, lamps.inverse, lamps.mixing,
-            lamps.noise, self._tolerance, self._variance, self._reach, light, noise, out,
+            self._values, self._lit, labels, before, lamps.split, self._logs, lamps.haze, lamps.inverse,
+            lamps.mixing, lamps.noise, self._tolerance, self._variance, self._reach, light, noise, out,
         )  # fmt: skip
+        before[...] = labels
         return out
 
     def _of_least_cost(
-        self, values: FloatArray, lit: Mask, labels: MaterialLabels, active: Mask,
-        allowed: npt.NDArray[np.uint16], sweeps: int,
-    ) -> MaterialLabels:  # fmt: skip
+        self, labels: MaterialLabels, active: Mask, allowed: npt.NDArray[np.uint16], sweeps: int
+    ) -> MaterialLabels:
         """Decide rows and columns in turn, each whole line at once (viterbi1967), until hardly any change."""
         lamps, logs, reach = self._lamps, self._logs, self._reach
-        light, noise, unary = self._room_for(values)
-        _prepare(
-            values, lamps.split, np.exp(-logs), lamps.haze, lamps.inverse, lamps.mixing, lamps.noise,
-            self._tolerance, active, lit, reach, light, noise, unary,
+        light, noise, unary = self._room_for(self._values)
+        _price_lengths(
+            self._values, lamps.split, np.exp(-logs), lamps.haze, lamps.inverse, lamps.mixing, lamps.noise,
+            self._tolerance, active, allowed, unary,
         )  # fmt: skip
         if self._variance is None:
-            self._variance = _shading_variance(values, lit, lamps, reach)
+            self._variance = _shading_variance(self._values, self._lit, lamps, reach)
         found, extents = labels.copy(), _extents(active)
         for _ in range(sweeps):
             changed = 0
             for upright in (True, False):
                 for first in (0, 1):
                     changed += _decide_lines(
-                        found, light, noise, lit, unary, active, allowed, logs, self._variance, reach,
-                        upright, first, extents[0 if upright else 1],
+                        found, light, noise, self._lit, unary, active, allowed, logs.astype(np.float32),
+                        np.float32(self._variance), reach, upright, first, extents[0 if upright else 1],
                     )  # fmt: skip
             if changed <= _SETTLED * active.sum():
                 break
@@ -227,37 +243,44 @@ def _shading_variance(values: FloatArray, lit: Mask, lamps: Lamps, reach: int) -
     return float(max((np.quantile(steps, _MOST) / _MOST_SIGMAS) ** 2 - noise, _LEAST_STEP**2))
 
 
-@njit(cache=True, error_model="numpy")
-def _take_log(rgb: Any, split: Any, deviation: Any, s: Any, light: Any, noise: Any) -> None:
-    """Fill, (3,) each, what every lamp contributes to a colour, its logarithm, and the variance of that."""
+@njit(cache=True, parallel=True, error_model="numpy")
+def _take_logs(values: Any, lit: Any, split: Any, deviation: Any, light: Any, noise: Any) -> None:
+    """Fill log s (h, w, 3) and its variance by noise, where lit; all but values in single precision."""
+    h, w = lit.shape
+    for v in prange(h):
+        for u in range(w):
+            if lit[v, u]:
+                r, g, b = np.float32(values[v, u, 0]), np.float32(values[v, u, 1]), np.float32(values[v, u, 2])
+                for k in range(3):
+                    s = max(split[k, 0] * r + split[k, 1] * g + split[k, 2] * b, deviation[k])
+                    light[v, u, k] = np.log(s)
+                    noise[v, u, k] = (deviation[k] / s) * (deviation[k] / s)
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _take_light(rgb: Any, split: Any, deviation: Any, s: Any) -> None:
+    """Fill s (3,), what every lamp contributes to a colour."""
     for k in range(3):
         s[k] = max(split[k, 0] * rgb[0] + split[k, 1] * rgb[1] + split[k, 2] * rgb[2], deviation[k])
-        light[k] = np.log(s[k])
-        noise[k] = (deviation[k] / s[k]) ** 2
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def _prepare(
+def _price_lengths(
     values: Any, split: Any, q: Any, haze: Any, inverse: Any, mixing: Any, deviation: Any, tolerance: float,
-    active: Any, lit: Any, reach: int, light: Any, noise: Any, unary: Any,
+    active: Any, allowed: Any, unary: Any,
 ) -> None:  # fmt: skip
-    """Fill log s and its variance by noise where it is asked for, and each material's price of the length."""
+    """Fill the price of the length of active pixels for each material that is allowed."""
     h, w = active.shape
     count = q.shape[0]
     bias = np.array([bias_of_noise(q[m], inverse, mixing) for m in range(count)])
     for v in prange(h):
         j, s = np.empty(3), np.empty(3)
         for u in range(w):
-            wanted = active[v, u]
-            for way in range(4):
-                a = v + (way == 3) * reach - (way == 2) * reach
-                b = u + (way == 1) * reach - (way == 0) * reach
-                wanted |= 0 <= a < h and 0 <= b < w and active[a, b]
-            if not (wanted and lit[v, u]):
+            if not active[v, u]:
                 continue
-            _take_log(values[v, u], split, deviation, s, light[v, u], noise[v, u])
-            if active[v, u]:
-                for m in range(count):
+            _take_light(values[v, u], split, deviation, s)
+            for m in range(count):
+                if (allowed[v, u] >> m) & 1:
                     e, variance = length_and_variance(s, q[m], haze, inverse, mixing, bias[m], j)
                     t = e * e / (variance + tolerance)
                     unary[v, u, m] = 0.5 * t / (1.0 + t / (CAP * CAP))
@@ -265,33 +288,39 @@ def _prepare(
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def _price(
-    values: Any, lit: Any, labels: Any, split: Any, z: Any, haze: Any, inverse: Any, mixing: Any,
-    deviation: Any, tolerance: float, variance: float, reach: int, light: Any, noise: Any, out: Any,
+    values: Any, lit: Any, labels: Any, before: Any, split: Any, z: Any, haze: Any, inverse: Any,
+    mixing: Any, deviation: Any, tolerance: float, variance: float, reach: int, light: Any, noise: Any,
+    out: Any,
 ) -> None:  # fmt: skip
-    """Fill `out` with each pixel's price of its length and of its steps to right and below."""
+    """Fill `out` with each pixel's price of its length and of its steps to right and below.
+
+    before: labels under which `out` is filled already.
+    """
     h, w = lit.shape
     q = np.exp(-z)
     bias = np.array([bias_of_noise(q[m], inverse, mixing) for m in range(z.shape[0])])
     for v in prange(h):
-        j, s = np.empty(3), np.empty(3)
+        j, s, weight = np.empty(3), np.empty(3), np.empty(3)
         for u in range(w):
-            if not lit[v, u]:
+            m, is_new = labels[v, u], labels[v, u] != before[v, u]
+            if u + reach < w:
+                is_new |= labels[v, u + reach] != before[v, u + reach]
+            if v + reach < h:
+                is_new |= labels[v + reach, u] != before[v + reach, u]
+            if not is_new or not lit[v, u]:
                 continue
-            _take_log(values[v, u], split, deviation, s, light[v, u], noise[v, u])
-            m = labels[v, u]
+            _take_light(values[v, u], split, deviation, s)
             e, spread = length_and_variance(s, q[m], haze, inverse, mixing, bias[m], j)
             t = e * e / (spread + tolerance)
-            out[v, u] = 0.5 * t / (1.0 + t / (CAP * CAP))
-    for v in prange(h):
-        weight = np.empty(3)
-        for u in range(w):
+            total = 0.5 * t / (1.0 + t / (CAP * CAP))
             for way in range(2):
                 a, b = v + way * reach, u + (1 - way) * reach
-                if not lit[v, u] or a >= h or b >= w or not lit[a, b]:
+                if a >= h or b >= w or not lit[a, b]:
                     continue
                 for k in range(3):
                     weight[k] = 1.0 / (variance + noise[v, u, k] + noise[a, b, k])
-                out[v, u] += _change(light[v, u], light[a, b], weight, z[labels[v, u]], z[labels[a, b]])
+                total += _change(light[v, u], light[a, b], weight, z[m], z[labels[a, b]])
+            out[v, u] = total
 
 
 @njit(cache=True, parallel=True)
@@ -337,12 +366,13 @@ def _change(here: Any, there: Any, weight: Any, one: Any, other: Any) -> float:
 @njit(cache=True, parallel=True, error_model="numpy")
 def _decide_lines(
     labels: Any, light: Any, noise: Any, lit: Any, unary: Any, active: Any, allowed: Any, z: Any,
-    variance: float, reach: int, upright: bool, first: int, extents: Any,
+    variance: Any, reach: int, upright: bool, first: int, extents: Any,
 ) -> int:  # fmt: skip
     """Give every second row or column its labels of least cost, those beside it being as they are.
 
     Return how many changed. upright: rows. A chain goes over every pixel, or leaps over blurred ones: then
-    chains alternate. extents: (lines, 2), where the active pixels of each line begin and end.
+    chains alternate. extents: (lines, 2), where the active pixels of each line begin and end. z, variance,
+    light, noise, unary: in single precision.
     """
     h, w, count = unary.shape
     lines, length = (h, w) if upright else (w, h)
@@ -352,16 +382,20 @@ def _decide_lines(
         begin, end = extents[line]
         if begin >= end:
             continue
-        weight = np.empty(3)
-        total = np.empty((length, count))
-        source = np.zeros((length, count), np.uint8)
+        weight, apart = np.empty(3, np.float32), np.empty(3, np.float32)
+        # Of every pixel: the labels that it may get, what each costs, and which of the pixel before it needs.
+        number, kinds = np.zeros(length, np.int64), np.empty((length, count), np.int64)
+        total, source = np.empty((length, count), np.float32), np.zeros((length, count), np.int64)
         for offset in range(reach):
             for t in range(begin + offset, end, reach):
                 v, u = (line, t) if upright else (t, line)
                 if not active[v, u]:
                     continue
+                number[t] = 0
                 for m in range(count):
-                    total[t, m] = unary[v, u, m] if (allowed[v, u] >> m) & 1 else np.inf
+                    if (allowed[v, u] >> m) & 1:
+                        kinds[t, number[t]], total[t, number[t]] = m, unary[v, u, m]
+                        number[t] += 1
                 for way in range(4):  # back and on along the line, then to either side
                     along = (way == 1) * reach - (way == 0) * reach
                     aside = (way == 3) * reach - (way == 2) * reach
@@ -369,46 +403,45 @@ def _decide_lines(
                     if a < 0 or b < 0 or a >= h or b >= w or not lit[a, b] or (way == 1 and active[a, b]):
                         continue
                     for k in range(3):
-                        weight[k] = 1.0 / (variance + noise[v, u, k] + noise[a, b, k])
+                        weight[k] = _ONE / (variance + noise[v, u, k] + noise[a, b, k])
+                        apart[k] = light[v, u, k] - light[a, b, k]
                     if way == 0 and active[a, b]:
-                        for m in range(count):
-                            if not (allowed[v, u] >> m) & 1:
-                                continue
-                            least = np.inf
-                            for n in range(count):
-                                if total[t - reach, n] < least:
-                                    cost = total[t - reach, n]
-                                    cost += _change(light[a, b], light[v, u], weight, z[n], z[m])
+                        for p in range(number[t]):
+                            m, least = kinds[t, p], _INFINITE
+                            for q in range(number[t - reach]):
+                                cost = total[t - reach, q]
+                                if cost < least:
+                                    n = kinds[t - reach, q]
+                                    cost += _change_again(apart, weight, z[n], z[m])
                                     if reach == 1 and n != m:
                                         cost += _SEAM_PRICE
                                     if cost < least:
                                         least = cost
-                                        source[t, m] = n
-                            total[t, m] += least
+                                        source[t, p] = q
+                            total[t, p] += least
                     else:
                         n = labels[a, b]
-                        for m in range(count):
-                            if total[t, m] == np.inf:
-                                continue
-                            total[t, m] += _change(light[a, b], light[v, u], weight, z[n], z[m])
+                        for p in range(number[t]):
+                            m = kinds[t, p]
+                            total[t, p] += _change_again(apart, weight, z[n], z[m])
                             if reach == 1 and n != m:
-                                total[t, m] += _SEAM_PRICE
+                                total[t, p] += _SEAM_PRICE
                     if reach > 1:
                         n = labels[v + (a - v) // reach, u + (b - u) // reach]
-                        for m in range(count):
-                            if n != m:
-                                total[t, m] += _SEAM_PRICE
+                        for p in range(number[t]):
+                            if n != kinds[t, p]:
+                                total[t, p] += _SEAM_PRICE
                 goes_on = t + reach < length
                 if goes_on:
                     goes_on = active[v, u + reach] if upright else active[v + reach, u]
                 if goes_on:
                     continue
-                best = total[t].argmin()
+                best = total[t, : number[t]].argmin()
                 back = t
                 while True:
                     v, u = (line, back) if upright else (back, line)
-                    changes[line] += labels[v, u] != best
-                    labels[v, u] = best
+                    changes[line] += labels[v, u] != kinds[back, best]
+                    labels[v, u] = kinds[back, best]
                     best = source[back, best]
                     back -= reach
                     if back < 0:
@@ -416,6 +449,14 @@ def _decide_lines(
                     if not (active[line, back] if upright else active[back, line]):
                         break
     return changes.sum()
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _change_again(apart: Any, weight: Any, one: Any, other: Any) -> Any:
+    """`_change`, in single precision. apart: (3,), log s there less log s here."""
+    x, y, z = apart[0] - other[0] + one[0], apart[1] - other[1] + one[1], apart[2] - other[2] + one[2]
+    t = x * x * weight[0] + y * y * weight[1] + z * z * weight[2]
+    return _HALF * t / (_ONE + t * _OF_CAP)
 
 
 # Blur.
