@@ -22,6 +22,8 @@ from vntoolkit.materials.pixels import (
     Spread,
     likeliest_blur_px,
     near_seams,
+    spread,
+    spread_over,
     variance_of_lengths,
 )
 from vntoolkit.materials.reflectance import CAP, Lamps
@@ -211,8 +213,8 @@ def _move_pixels(
     strips = (rows + _STRIP - 1) // _STRIP
     changes = np.zeros(max(strips, 1), np.int64)
     for first in range(2):
-        for step in prange((strips - first + 1) // 2):
-            strip = 2 * step + first
+        for step in prange(spread_over((strips - first + 1) // 2)):
+            strip = 2 * spread(step, (strips - first + 1) // 2) + first
             for row in range(strip * _STRIP, min((strip + 1) * _STRIP, rows)):
                 changes[strip] += _move_row(
                     labels, lit, state, rho, weights, haze, inverse, length, precision, 1, 1, 1, LANES,
@@ -232,8 +234,8 @@ def _move_blocks(
     strips = (rows + _STRIP - 1) // _STRIP
     changes = np.zeros(max(strips, 1), np.int64)
     for first in range(2):
-        for step in prange((strips - first + 1) // 2):
-            strip = 2 * step + first
+        for step in prange(spread_over((strips - first + 1) // 2)):
+            strip = 2 * spread(step, (strips - first + 1) // 2) + first
             for row in range(strip * _STRIP, min((strip + 1) * _STRIP, rows)):
                 changes[strip] += _move_row(
                     labels, lit, state, rho, weights, haze, inverse, length, precision, _BLOCK_PX, stride,
@@ -267,21 +269,18 @@ def _move_row(
         inverse[2, 0], inverse[2, 1], inverse[2, 2],
     )  # fmt: skip
     ambient = (haze[0], haze[1], haze[2])
+    beside, last_moved = np.zeros(lit.shape[1], np.bool_), -2
+    if side == 1:
+        _find_beside(labels[v - 1], labels[v], labels[v + 1], beside)
     for u in range(margin, lit.shape[1] - side - margin - look, stride):
-        if side == 1 and not lit[v, u]:
+        if side == 1 and not (beside[u] and lit[v, u]) and u > last_moved + 1:
             continue
-        same, is_alone = labels[v, u], True
-        for a in range(v - look, v + side + look):
-            for b in range(u - look, u + side + look):
-                is_alone &= labels[a, b] == same
-        if is_alone or not _find_labels(labels, lit, v, u, side, look, near):
+        if not _find_labels(labels, lit, v, u, side, look, near):
             continue
         for k in range(10):
             for a in range(size):
-                line = window[k * n + a * lanes : k * n + (a + 1) * lanes]
-                values = state[k, v - margin + a, u - margin : u - margin + lanes]
-                for j in range(len(line)):
-                    line[j] = values[j]
+                for b in range(0, lanes, LANES):
+                    _copy(state[k, v - margin + a], u - margin + b, window, k * n + a * lanes + b)
         _fill_sides(window, lanes, n)
         least = _price_of(window, _MIXED, _SHADE, lanes, n, ambient, matrix, length, precision)
         least += _SEAM_PRICE * _length_of_seam(labels, v, u, side, -1)
@@ -297,13 +296,13 @@ def _move_row(
                 least, best = price, m
         if best < 0:
             continue
-        changed += 1
+        changed, last_moved = changed + 1, u
         if best != last:
             _mix_again(window, labels, v, u, side, best, rho, lanes, n)
         for k in range(6):
-            for a in range(size):
-                for j in range(size):
-                    state[3 + k, v - margin + a, u - margin + j] = window[(_NEW + k) * n + a * lanes + j]
+            for a in range(1, size - 1):
+                for b in range(1, size - 1):
+                    state[3 + k, v - margin + a, u - margin + b] = window[(_NEW + k) * n + a * lanes + b]
         for a in range(side):
             for b in range(side):
                 labels[v + a, u + b] = best
@@ -311,9 +310,30 @@ def _move_row(
 
 
 @njit(cache=True)
+def _find_beside(above: Any, row: Any, below: Any, out: Any) -> None:
+    """Fill where around a row's pixels labels differ; nothing at the ends."""
+    for u in range(1, len(out) - 1):
+        left = (above[u - 1] != row[u - 1]) | (below[u - 1] != row[u - 1]) | (row[u - 1] != row[u])
+        right = (above[u + 1] != row[u + 1]) | (below[u + 1] != row[u + 1]) | (row[u + 1] != row[u])
+        out[u] = left | right | (above[u] != row[u]) | (below[u] != row[u])
+
+
+@njit(cache=True, inline="always")
+def _copy(values: Any, begin: int, out: Any, to: int) -> None:
+    """Copy LANES numbers at once: all are read before any is written, which may be the same place."""
+    v, o = values[begin : begin + LANES], out[to : to + LANES]
+    o[0], o[1], o[2], o[3], o[4], o[5], o[6], o[7] = v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7]
+
+
+@njit(cache=True)
 def _find_labels(labels: Any, lit: Any, v: int, u: int, side: int, look: int, near: Any) -> bool:
     """Fill near (m,), which labels a block may get; return whether there are any."""
-    same, is_lit, is_one = labels[v, u], False, True
+    same, is_lit, is_one, is_alone = labels[v, u], False, True, True
+    for a in range(v - look, v + side + look):
+        for b in range(u - look, u + side + look):
+            is_alone &= labels[a, b] == same
+    if is_alone:
+        return False
     for a in range(v, v + side):
         for b in range(u, u + side):
             is_lit |= lit[a, b]

@@ -40,6 +40,7 @@ MaterialLabels = npt.NDArray[np.uint8]
 INDEPENDENT_PX = 64.0  # pixels that share their errors: lamps, gloss and ambient light change slowly
 _SEAM_PRICE = np.float32(1.0)  # of two pixels of two materials side by side
 _NO_LABEL = 255
+_SHARED_BY = 8  # threads at most, evenly
 _HALF, _ONE, _OF_CAP, _INFINITE = np.float32(0.5), np.float32(1.0), np.float32(CAP**-2), np.float32(np.inf)
 _LEAST_STEP = 0.01  # of log s from pixel to pixel
 _MOST, _MOST_SIGMAS = 0.8, 1.2816  # quantile of the steps that is of shading, not of paint, and its distance
@@ -363,6 +364,21 @@ def _change(here: Any, there: Any, weight: Any, one: Any, other: Any) -> float:
     return 0.5 * t / (1.0 + t / (CAP * CAP))
 
 
+@njit(cache=True, inline="always")
+def spread_over(count: int) -> int:
+    """How many numbers `spread` takes for so many."""
+    return (count + _SHARED_BY - 1) // _SHARED_BY * _SHARED_BY
+
+
+@njit(cache=True, inline="always")
+def spread(number: int, count: int) -> int:
+    """Return each of 0 … count − 1 once, some larger, so that threads that share numbers in a row share the
+    work of what is beside each other.
+    """
+    each = (count + _SHARED_BY - 1) // _SHARED_BY
+    return number % each * _SHARED_BY + number // each
+
+
 @njit(cache=True, parallel=True, error_model="numpy")
 def _decide_lines(
     labels: Any, light: Any, noise: Any, lit: Any, unary: Any, active: Any, allowed: Any, z: Any,
@@ -377,11 +393,11 @@ def _decide_lines(
     h, w, count = unary.shape
     lines, length = (h, w) if upright else (w, h)
     changes = np.zeros(lines, np.int64)
-    for i in prange((lines - first + 1) // 2):
-        line = 2 * i + first
-        begin, end = extents[line]
-        if begin >= end:
+    for i in prange(spread_over((lines - first + 1) // 2)):
+        line = 2 * spread(i, (lines - first + 1) // 2) + first
+        if line >= lines or extents[line, 0] >= extents[line, 1]:
             continue
+        begin, end = extents[line]
         weight, apart = np.empty(3, np.float32), np.empty(3, np.float32)
         # Of every pixel: the labels that it may get, what each costs, and which of the pixel before it needs.
         number, kinds = np.zeros(length, np.int64), np.empty((length, count), np.int64)
