@@ -380,7 +380,7 @@ def _price_of(
     window: Any, mixed: int, shade: int, lanes: int, n: int, haze: Any, matrix: Any, length: Any,
     precision: Any,
 ) -> Any:  # fmt: skip
-    """Price of a window's lengths and of its steps of shading, with the mixtures and shading of those parts."""
+    """Price of a window's lengths and of its steps of shading; mixed, shade: the parts that count."""
     total = _NONE
     for i in range(n):
         x0 = window[_LIGHT * n + i] / window[mixed * n + i] - haze[0]

@@ -218,8 +218,11 @@ class MaterialLabeller:
         doubtful = self._coarse.prices(self._before) > self._doubtful
         doubtful |= ~self._split.lit
         found = self._coarse.decided(
-            self._before, doubtful | near_seams(self._before, _BESIDE), any_label=doubtful, sweeps=_CARRIED_SWEEPS
-        )  # fmt: skip
+            self._before,
+            doubtful | near_seams(self._before, _BESIDE),
+            any_label=doubtful,
+            sweeps=_CARRIED_SWEEPS,
+        )
         paid = self._coarse.prices(found).sum(dtype=np.float64)
         if paid > _WORSE * self._mean_price * split.lit.sum():
             return None

@@ -18,7 +18,7 @@ MOST_REACH_PX = 3  # to either side, over which a seam is blurred
 _REACH_OF_BLUR = 2.5  # standard deviations
 _WIDE = 48  # at least CHUNK_PX + 2 MOST_REACH_PX
 _WINDOW = _WIDE * (2 * MOST_REACH_PX + 1)
-_UNSURE = np.float32(0.3)  # standard deviation of a pixel's share, over the root of the product of both shares
+_UNSURE = np.float32(0.3)  # standard deviation of a pixel's share, over the root of both shares' product
 _LEAST_SHARE = np.float32(0.01)
 _NONE, _ONE, _TINY = np.float32(0.0), np.float32(1.0), np.float32(1e-12)
 # Places in the array that a chunk works in: means and contributions of the lamps, three rows each, both

@@ -120,8 +120,7 @@ def _roughness(s: Any, mask: Any, q: Any, d: Any, haze: Any, inverse: Any, mixin
             if not mask[v, u]:
                 continue
             here = (s[v, u, 0], s[v, u, 1], s[v, u, 2])
-            t = _amount(here, matrix, origin, line, squared, _TRUST_OF_SEARCH)
-            _, n0, n1, n2 = _normal(t, here, matrix, origin, line)
+            n0, n1, n2 = _without_pigment(here, matrix, origin, line, squared)
             length = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2) + 1e-12
             n0, n1, n2 = n0 / length, n1 / length, n2 / length
             apart = (n0 - b0) ** 2 + (n1 - b1) ** 2 + (n2 - b2) ** 2
@@ -130,6 +129,14 @@ def _roughness(s: Any, mask: Any, q: Any, d: Any, haze: Any, inverse: Any, mixin
                 totals[v] += apart / (apart + _STEEP * _STEEP)
                 counts[v] += 1.0
     return totals.sum() / max(counts.sum(), 1.0)
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _without_pigment(s: Any, matrix: Any, origin: Any, line: Any, squared: Any) -> Any:
+    """Return the normal of contributions s without the pigment that its length tells; tuples."""
+    t = _amount(s, matrix, origin, line, squared, _TRUST_OF_SEARCH)
+    _, n0, n1, n2 = _normal(t, s, matrix, origin, line)
+    return n0, n1, n2
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
@@ -174,7 +181,7 @@ def _take_pigment(matrix: Any, origin: Any, line: Any, work: Any) -> None:
         work[j], work[CHUNK_PX + j], work[2 * CHUNK_PX + j] = x
 
 
-@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+@njit(cache=True, fastmath=True, error_model="numpy")
 def _scalars(matrix: Any, origin: Any, d: Any) -> Any:
     """Return matrix (3, 3), origin and d (3,) as tuples, which stay in registers."""
     m = matrix
@@ -195,7 +202,8 @@ def _amount(s: Any, matrix: Any, origin: Any, d: Any, squared: Any, trust: Any) 
     t = _step(_NONE, s, matrix, origin, d, squared, trust)  # no loop: only the innermost one is made SIMD
     t = _step(t, s, matrix, origin, d, squared, trust)
     t = _step(t, s, matrix, origin, d, squared, trust)
-    least, most = min(min(s[0], s[1]), s[2]), max(max(s[0], s[1]), s[2])  # of two at a time: SIMD again
+    first_two, most_of_two = min(s[0], s[1]), max(s[0], s[1])  # numba makes SIMD of two at a time
+    least, most = min(first_two, s[2]), max(most_of_two, s[2])
     return t if least >= _LEAST_SHARE * most else _NONE
 
 

@@ -73,7 +73,9 @@ class Seams(NamedTuple):
 
 
 class LineLabeller:
-    """Decides labels of pixels line by line, of the frame that it looks at. Its first frame tells the blur and how far shading changes.
+    """Decides labels of pixels line by line, of the frame that it looks at.
+
+    The first frame tells the blur and how far shading changes.
 
     lamps: with the noise of the pixels. logs: (m, 3), log ρ. blur_px: standard deviation of seams' blur.
     """
@@ -94,8 +96,8 @@ class LineLabeller:
         self._values, self._lit = values, lit
         self._of_lengths = np.zeros(lit.shape, np.float32), np.full(lit.shape, _NO_LABEL, np.uint8)
         light, noise, _ = self._room_for(values)
-        lamps = self._lamps
-        _take_logs(values, lit, *(each.astype(np.float32) for each in (lamps.split, lamps.noise)), light, noise)
+        split, deviation = self._lamps.split.astype(np.float32), self._lamps.noise.astype(np.float32)
+        _take_logs(values, lit, split, deviation, light, noise)
 
     def decided(
         self, labels: MaterialLabels, active: Mask, *, any_label: Mask | None = None, sweeps: int = _SWEEPS
@@ -251,9 +253,9 @@ def _take_logs(values: Any, lit: Any, split: Any, deviation: Any, light: Any, no
     for v in prange(h):
         for u in range(w):
             if lit[v, u]:
-                r, g, b = np.float32(values[v, u, 0]), np.float32(values[v, u, 1]), np.float32(values[v, u, 2])
+                r, g, b = values[v, u]
                 for k in range(3):
-                    s = max(split[k, 0] * r + split[k, 1] * g + split[k, 2] * b, deviation[k])
+                    s = max(np.float32(split[k, 0] * r + split[k, 1] * g + split[k, 2] * b), deviation[k])
                     light[v, u, k] = np.log(s)
                     noise[v, u, k] = (deviation[k] / s) * (deviation[k] / s)
 
@@ -615,13 +617,14 @@ def _relight(
     """Fill out (h, w, 3) from colours rgb (h, w, 3), all in single precision.
 
     matrices: (m, 3, 3), from colour to colour. of_lamps: w, L⁻¹, split and its inverse, and L⁻¹ w.
-    of_materials: ρ, the lines of pigments, L⁻¹ / ρ, and that inverse over ρ. inside: (h, w), where pigments count. near: (h, w),
-    where pixels are mixtures.
+    of_materials: ρ, the lines of pigments, L⁻¹ / ρ, and that inverse over ρ. inside: (h, w), where pigments
+    count. near: (h, w), where pixels are mixtures.
     """
     for v in prange(len(labels)):
         _relight_row(
-            rgb[v], labels, matrices, of_lamps, of_materials, inside[v], weights, near[v], tolerance, v, out[v]
-        )
+            rgb[v], labels, matrices, of_lamps, of_materials, inside[v], weights, near[v], tolerance, v,
+            out[v],
+        )  # fmt: skip
 
 
 @njit(cache=True, error_model="numpy")
@@ -642,7 +645,8 @@ def _relight_row(
             mixed = max(mixed, u)
             while mixed < stop:  # a chunk may reach over the next seams, too
                 relight_mixtures(
-                    rgb, labels, v, mixed, near, rho, haze, inverse, split, merge, weights, tolerance, room, out
+                    rgb, labels, v, mixed, near, rho, haze, inverse, split, merge, weights, tolerance, room,
+                    out,
                 )  # fmt: skip
                 mixed += CHUNK_PX
             u = stop

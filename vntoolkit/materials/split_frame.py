@@ -89,16 +89,16 @@ def _blocks(rgb: Any, mask: Any, clipped: Any, factor: int) -> Any:
     inside = np.zeros((height, width), np.bool_)
     for i in prange(height):
         for j in range(width):
-            count = 0
+            count, r, g, b = 0, 0.0, 0.0, 0.0
             for v in range(i * factor, min((i + 1) * factor, h)):
                 for u in range(j * factor, min((j + 1) * factor, w)):
                     if mask[v, u] and not clipped[v, u]:
                         count += 1
-                        for c in range(3):
-                            mean[i, j, c] += rgb[v, u, c]
+                        r += rgb[v, u, 0]
+                        g += rgb[v, u, 1]
+                        b += rgb[v, u, 2]
             if count > 0:
-                for c in range(3):
-                    mean[i, j, c] /= count
+                mean[i, j, 0], mean[i, j, 1], mean[i, j, 2] = r / count, g / count, b / count
             inside[i, j] = 2 * count >= factor * factor and count > 0
     return mean, inside
 
