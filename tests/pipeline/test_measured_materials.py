@@ -17,13 +17,14 @@ from vntoolkit.io.maps_and_meshes.maps import read_normal_map
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
 from vntoolkit.io.results.manifest import read_manifest
 from vntoolkit.materials.search import Material, find_materials
+from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline import measured_materials
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.options import MaterialSearch, Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
-from vntoolkit.pipeline.reconstruct import reconstruct
+from vntoolkit.pipeline.reconstruct import _in_one_material, reconstruct
 from vntoolkit.pipeline.referenced_captures import read_capture
 from vntoolkit.shadows.detector import ShadowMethod
 
@@ -93,6 +94,24 @@ def test_a_run_goes_on_with_the_materials_that_it_found(striped: ReconstructionJ
     striped.folder.materials(3).unlink()
     assert reconstruct(striped).done == 1
     assert digest(striped.folder.root) == before
+
+
+def test_footage_is_judged_without_the_pigment_of_its_materials(striped: ReconstructionJob) -> None:
+    """Where it counted as shape, lengths of normals would be off as under a wrong M."""
+    line, skin = np.array([0.22, 0.46, 0.86]), np.array([0.9, 0.65, 0.5])
+    normals, mask = dome()
+    v, u = np.indices(mask.shape)
+    freckles = 0.5 * (np.sin(v / 3) * np.sin(u / 3) > 0.3)
+    light = np.maximum(normals @ DIRECTIONS.T, 0) * skin * np.exp(-freckles[..., None] * line)
+    frame = LinearFrame((light @ COLOURS * mask[..., None]).astype(np.float32))
+    job = replace(striped, reflectances=(tuple(skin),), pigments=(tuple(line / np.linalg.norm(line)),))
+    off = []
+    for each in (job, replace(job, pigments=((0.0, 0.0, 0.0),))):
+        judged = _in_one_material(each, mask)
+        assert judged is not None
+        lengths = np.linalg.norm(judged(frame).rgb[mask] @ np.linalg.inv(RESPONSE.matrix).T, axis=1)
+        off.append(np.abs(lengths - 1).mean())
+    assert off[0] < 0.6 * off[1]
 
 
 @pytest.mark.slow
