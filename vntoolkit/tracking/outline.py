@@ -243,21 +243,25 @@ def _receding(slopes, mask):  # type: ignore[no-untyped-def]
     """(h, w) pixels between two, of which one recedes towards the other: at least faintly, and surely."""
     h, w = mask.shape
     faint, sure = np.zeros((h, w), dtype=np.bool_), np.zeros((h, w), dtype=np.bool_)
-    steep = np.tan(_STEEP)
-    for v in range(h):
-        for u in range(w):
-            if not mask[v, u]:
-                continue
-            for c in range(2):
+    steep, slope = np.tan(_STEEP), np.empty((h, w), dtype=np.float32)
+    for c in range(2):
+        for v in range(h):
+            for u in range(w):
+                known = slopes[v, u, 2] >= _LEAST_SLOPE_WEIGHT
+                slope[v, u] = slopes[v, u, c] / slopes[v, u, 2] if known else np.nan
+        for v in range(h):
+            for u in range(w):
+                if not mask[v, u]:
+                    continue
                 for k in range(1, _REACH_PX + 1):
                     left, right = (u - k, u + k - 1) if c == 0 else (u, u)
                     above, below = (v, v) if c == 0 else (v - k, v + k - 1)
                     if left < 0 or above < 0 or right >= w or below >= h:
                         continue
-                    a, b = slopes[above, left], slopes[below, right]
-                    if min(a[2], b[2]) < _LEAST_SLOPE_WEIGHT or max(a[c] / a[2], -b[c] / b[2]) < steep:
+                    a, b = slope[above, left], slope[below, right]
+                    if not (a >= steep or b <= -steep):
                         continue
-                    before, after = np.arctan(a[c] / a[2]), np.arctan(b[c] / b[2])
+                    before, after = np.arctan(a), np.arctan(b)  # all comparisons fail where one is unknown
                     faint[v, u] |= before - after > _TURN
                     sure[v, u] |= before - after > _SURE_TURN and max(before, -after) > _SURELY_STEEP
     return faint, sure
