@@ -22,8 +22,7 @@ from vntoolkit.materials.pixels import (
     Spread,
     likeliest_blur_px,
     near_seams,
-    spread,
-    spread_over,
+    scattering,
     variance_of_lengths,
 )
 from vntoolkit.materials.reflectance import CAP, Lamps
@@ -41,7 +40,7 @@ _LEAST_LIGHT = np.float32(1e-4)
 _LEAST_GAIN = 1e-4  # in nats: less is rounding
 _REACH_PX = 2  # of the blur
 _MARGIN_PX = _REACH_PX + 1  # of a window around a block
-_STRIP = 16  # rows, of pixels or of blocks
+_STRIP = 8  # rows, of pixels or of blocks: strips with one between them do not touch what the other sees
 LANES = 8  # rows of windows take a multiple of it, and are done so many pixels at a time
 MARGIN_PX = _REACH_PX + 3  # around a pixel that may change, where its change is felt
 # Of the kernels, which count in single precision. The series of 2 artanh(z) / z in z².
@@ -213,8 +212,10 @@ def _move_pixels(
     strips = (rows + _STRIP - 1) // _STRIP
     changes = np.zeros(max(strips, 1), np.int64)
     for first in range(2):
-        for step in prange(spread_over((strips - first + 1) // 2)):
-            strip = 2 * spread(step, (strips - first + 1) // 2) + first
+        half = (strips - first + 1) // 2
+        jump = scattering(half)
+        for i in prange(half):
+            strip = 2 * (i * jump % half) + first
             for row in range(strip * _STRIP, min((strip + 1) * _STRIP, rows)):
                 changes[strip] += _move_row(
                     labels, lit, state, rho, weights, haze, inverse, length, precision, 1, 1, 1, LANES,
@@ -234,8 +235,10 @@ def _move_blocks(
     strips = (rows + _STRIP - 1) // _STRIP
     changes = np.zeros(max(strips, 1), np.int64)
     for first in range(2):
-        for step in prange(spread_over((strips - first + 1) // 2)):
-            strip = 2 * spread(step, (strips - first + 1) // 2) + first
+        half = (strips - first + 1) // 2
+        jump = scattering(half)
+        for i in prange(half):
+            strip = 2 * (i * jump % half) + first
             for row in range(strip * _STRIP, min((strip + 1) * _STRIP, rows)):
                 changes[strip] += _move_row(
                     labels, lit, state, rho, weights, haze, inverse, length, precision, _BLOCK_PX, stride,

@@ -46,7 +46,7 @@ _BESIDE = 4  # … and those that near to a seam
 # Share of the pixels of a frame that is decided as a whole: in later frames what costs more is doubtful.
 _DOUBTFUL_SHARE = 0.05
 _WORSE = 1.03  # times the mean price of that frame: where carried labels cost more, all are decided anew
-_CARRIED_SWEEPS = 1
+_CARRIED_SWEEPS = 2
 _BOX_BLOCKS = 32  # that a subject moves before another part of the frame is looked at
 # Two pixels with a seam between them, farther apart than its blur and its labels' errors reach.
 _APART_PX = 6

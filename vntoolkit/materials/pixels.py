@@ -40,7 +40,8 @@ MaterialLabels = npt.NDArray[np.uint8]
 INDEPENDENT_PX = 64.0  # pixels that share their errors: lamps, gloss and ambient light change slowly
 _SEAM_PRICE = np.float32(1.0)  # of two pixels of two materials side by side
 _NO_LABEL = 255
-_SHARED_BY = 8  # threads at most, evenly
+_GOLDEN = 0.618  # section: its multiples lie evenly
+_SHARES = 16  # that threads add up alone
 _HALF, _ONE, _OF_CAP, _INFINITE = np.float32(0.5), np.float32(1.0), np.float32(CAP**-2), np.float32(np.inf)
 _LEAST_STEP = 0.01  # of log s from pixel to pixel
 _MOST, _MOST_SIGMAS = 0.8, 1.2816  # quantile of the steps that is of shading, not of paint, and its distance
@@ -366,19 +367,20 @@ def _change(here: Any, there: Any, weight: Any, one: Any, other: Any) -> float:
     return 0.5 * t / (1.0 + t / (CAP * CAP))
 
 
-@njit(cache=True, inline="always")
-def spread_over(count: int) -> int:
-    """How many numbers `spread` takes for so many."""
-    return (count + _SHARED_BY - 1) // _SHARED_BY * _SHARED_BY
+@njit(cache=True)
+def scattering(count: int) -> int:
+    """Return k so that i k mod count, i = 0, 1 … count − 1, takes every number once and neighbours far apart.
 
-
-@njit(cache=True, inline="always")
-def spread(number: int, count: int) -> int:
-    """Return each of 0 … count − 1 once, some larger, so that threads that share numbers in a row share the
-    work of what is beside each other.
+    Threads get i in a row each. So they share the work evenly wherever in a picture it is.
     """
-    each = (count + _SHARED_BY - 1) // _SHARED_BY
-    return number % each * _SHARED_BY + number // each
+    k = max(int(_GOLDEN * count), 1)
+    while True:
+        a, b = k, count
+        while b:
+            a, b = b, a % b
+        if a <= 1:
+            return k
+        k += 1
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
@@ -395,11 +397,13 @@ def _decide_lines(
     h, w, count = unary.shape
     lines, length = (h, w) if upright else (w, h)
     changes = np.zeros(lines, np.int64)
-    for i in prange(spread_over((lines - first + 1) // 2)):
-        line = 2 * spread(i, (lines - first + 1) // 2) + first
-        if line >= lines or extents[line, 0] >= extents[line, 1]:
-            continue
+    half = (lines - first + 1) // 2
+    jump = scattering(half)
+    for i in prange(half):
+        line = 2 * (i * jump % half) + first
         begin, end = extents[line]
+        if begin >= end:
+            continue
         weight, apart = np.empty(3, np.float32), np.empty(3, np.float32)
         # Of every pixel: the labels that it may get, what each costs, and which of the pixel before it needs.
         number, kinds = np.zeros(length, np.int64), np.empty((length, count), np.int64)
@@ -591,22 +595,23 @@ def _mix(v: int, u: int, labels: Any, rho: Any, weights: Any, shares: Any, out: 
                 out[k] += shares[m] * rho[m, k]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, parallel=True, error_model="numpy")
 def _cost_of_blur(
     v: Any, u: Any, s: Any, labels: Any, rho: Any, weights: Any, haze: Any, inverse: Any, mixing: Any,
     tolerance: float,
 ) -> float:  # fmt: skip
-    total = 0.0
-    mean, q, j, shares = np.empty(3), np.empty(3), np.empty(3), np.empty(rho.shape[0])
-    for i in range(v.size):
-        _mix(v[i], u[i], labels, rho, weights, shares, mean)
-        for k in range(3):
-            q[k] = 1.0 / mean[k]
-        bias = bias_of_noise(q, inverse, mixing)
-        e, variance = length_and_variance(s[i], q, haze, inverse, mixing, bias, j)
-        t = e * e / (variance + tolerance)
-        total += 0.5 * t / (1.0 + t / (CAP * CAP))
-    return total
+    totals = np.zeros(_SHARES)
+    for share in prange(_SHARES):
+        mean, q, j, shares = np.empty(3), np.empty(3), np.empty(3), np.empty(rho.shape[0])
+        for i in range(share, v.size, _SHARES):
+            _mix(v[i], u[i], labels, rho, weights, shares, mean)
+            for k in range(3):
+                q[k] = 1.0 / mean[k]
+            bias = bias_of_noise(q, inverse, mixing)
+            e, variance = length_and_variance(s[i], q, haze, inverse, mixing, bias, j)
+            t = e * e / (variance + tolerance)
+            totals[share] += 0.5 * t / (1.0 + t / (CAP * CAP))
+    return totals.sum()
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
