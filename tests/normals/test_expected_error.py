@@ -1,5 +1,7 @@
 """Nine of ten normals lie within their expected error, whatever the error's cause."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -173,6 +175,23 @@ def test_the_residual_of_the_rig_is_part_of_it_and_the_weight_follows():
     assert (np.diff(doubted.weight.ravel()[order]) <= 0).all()
     assert doubted.weight.min() > 0
     assert doubted.weight.max() < plain.weight.max() <= 1
+
+
+def test_noise_that_the_normals_do_not_have_is_left_out(rng):
+    """Means over 3×3 pixels have a third of the noise of the colours' own normals, and a bound to match."""
+    light = colours() + rng.normal(0, 0.03, (240, 240, 3))
+    frame = LinearFrame(rgb=light, clipped=np.zeros((240, 240), bool))
+    own = normals_from_frame(frame, RESPONSE)
+    smooth = normals_from_frame(replace(frame, rgb=cv2.blur(light, (3, 3))), RESPONSE)
+    labels = np.full((240, 240), 7, np.uint8)
+    bounds = []
+    for found, most in ((own, 0.95), (smooth, 0.99)):
+        bound = with_expected_error(found, frame, RESPONSE, labels).error_deg
+        cosine = np.einsum("vui,vui->vu", found.normals_in_camera, waves())
+        within = np.degrees(np.arccos(np.clip(cosine, -1, 1))) <= bound
+        assert 0.85 < within.mean() < most
+        bounds.append(np.median(bound))
+    assert bounds[1] < 0.6 * bounds[0]
 
 
 @pytest.mark.parametrize(

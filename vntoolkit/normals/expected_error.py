@@ -6,17 +6,19 @@ Seven independent errors add up in squares. Each is measured where it shows:
   add up to 0 around a square, p along the rows and q along the columns; noise does not. Squares of 4 pixels
   show a codec's noise, too, which is alike over several pixels.
   Pixels at the subject's edge mix it with what lies behind: they tell nothing of those farther in;
+- normals that were solved together with a surface have less noise than the colours' own. The noise left out
+  and the noise kept are uncorrelated: the mean squared distance between the two normals is the former;
 - an error ΔM of the rig or of the material's colour moves M⁻¹r from the unit sphere onto an ellipsoid,
   |M⁻¹r| ≈ 1 + nᵀE n with E the symmetric part of M⁻¹ΔM. The ellipsoid that fits the frame tells E, and E the
-  turn of every normal, but for the rotation in M⁻¹ΔM, which leaves no trace;
+  turn of every normal, but for the rotation in M⁻¹ΔM, which leaves no trace. Its size is taken to be E's;
 - under near lamps M is right at the picture's centre only. A lamp in the direction l at the distance d has at
   a place δ beside the centre, to first order, the direction times strength l + (3 l (l·δ) − δ) / d. That
   changes the length of M⁻¹r with the place and the direction, which tells d of each lamp;
 - blur averages relief away: of a lens, of motion, of colours that were interpolated. What it has left of
   relief as wide as itself foretells what is lost;
 - the rig's own residual is what its calibration could not explain;
-- what departs from the ellipsoid at a pixel, beside it, or in its cell on average is relief finer than
-  pixels, another paint, gloss, saturation, or light from elsewhere;
+- what departs from the ellipsoid at a pixel, beside it, or in its cell on average, the largest of the three,
+  is relief finer than pixels, another paint, gloss, saturation, or light from elsewhere;
 - where a light is missing the normal rests on its surroundings. Two lights leave two normals, mirror images
   across the plane of the two. The distance from the found normal to the nearer of them counts. So does the
   distance to the other one, which may be the right one, unless found and nearer one both face away from the
@@ -57,11 +59,15 @@ from vntoolkit.photometry.transfer import Transfer
 # Nine of ten angles of a two-dimensional normal distribution lie within √(2 ln 10) standard deviations.
 NINE_OF_TEN = 2.146
 _OF_NEARNESS = NINE_OF_TEN / math.sqrt(2.0)  # of a length in two dimensions
+# Over the root of the sum of E's squared entries: where all nine entries of M⁻¹ΔM are equally uncertain, the
+# variance of the rotation about an axis is a tenth of that sum.
+_OF_ROTATION = NINE_OF_TEN / math.sqrt(10.0)
 # The bounds of nine of ten pixels over each measured error, fitted on simulated scenes.
-_OF_ELLIPSOID = 3.4  # also stands for the rotation, which leaves no trace
+_OF_ELLIPSOID = 2.5
 _OF_RESIDUAL = 1.1  # of a median
-_OF_LENGTH = 2.5  # radians over log length
-_OF_TWO_LIGHTS = 1.1  # radians over the distances to the normals that two lights leave
+_OF_LENGTH = 2.75  # radians over log length
+_OF_LENGTHS = _OF_LENGTH / 2.0  # the same, over the root of the mean square in a cell
+_OF_TWO_LIGHTS = 1.2  # radians over the distances to the normals that two lights leave
 # A sphere shows nine tenths of its image within this angle of the axis: what a guess without data is worth.
 _LARGEST_DEG = np.float32(71.6)
 _HALF_WEIGHT_DEG = 12.0
@@ -70,6 +76,8 @@ _WIDER = 2  # cells around one that are asked where its neighbours know nothing
 _EDGE_PX = 4  # from the subject's edge, which blur and subsampled chroma mix with what lies behind …
 _EDGE_SHARE = np.float32(1e-4)  # … a pixel tells of noise only where none farther in does
 _BESIDE_PX = 2  # to either side: one departure is a poor sample of how far normals depart there
+_LEFT_OUT_PX = 16  # in a row, over which the noise that a surface leaves out is averaged, …
+_KEPT = np.float32(1 / 8)  # … which is not all of it
 _LEAST_FACING = np.float32(0.1)
 _LOOP_PX = 2  # half a side of the squares: a codec's noise is alike over 4 pixels, its smallest blocks
 # Noise of variance 1 adds up to 4 (1/4 + 3 + 1/4) around a square: the pixels at its corners count half.
@@ -94,6 +102,7 @@ _PER_NOISE = np.float32(np.degrees(NINE_OF_TEN) ** 2)
 _PER_TURN = np.float32(np.degrees(_OF_ELLIPSOID) ** 2)
 _PER_NEARNESS = np.float32(np.degrees(_OF_NEARNESS) ** 2)
 _PER_DEPARTURE = np.float32(np.degrees(_OF_LENGTH) ** 2)
+_PER_DEPARTURES = np.float32(np.degrees(_OF_LENGTHS) ** 2)
 _PER_HALF_WEIGHT = np.float32(1.0 / _HALF_WEIGHT_DEG)
 _PER_DISTANCE = np.float32(np.degrees(_OF_TWO_LIGHTS) ** 2)
 
@@ -112,9 +121,10 @@ def with_expected_error(
     The weight is 1 without error and 1/2 at 12 degrees.
 
     frame: the (h, w, 3) colours that the normals came from, as the central M of `response` forms them.
-    labels: (h, w), bit k set where light k arrives; None for all. camera: None for orthographic; distortion
-    is ignored. residual_deg: median residual of the rig's calibration. blur_px: standard deviation of the
-    picture's blur, 0 for unknown. Raises `BadInput` for other shapes.
+    labels: (h, w), bit k set where light k arrives; None for all, and for normals of the colours alone.
+    camera: None for orthographic; distortion is ignored. residual_deg: median residual of the rig's
+    calibration. blur_px: standard deviation of the picture's blur, 0 for unknown.
+    Raises `BadInput` for other shapes.
     """
     shape = normal_map.shape
     require_shape(frame.rgb, (*shape, 3), "frame of the normals")
@@ -248,8 +258,8 @@ def _evidence(
 ) -> tuple[Any, Any, Any]:
     """Return the frame's noise and what holds for all its pixels.
 
-    The noise by cells, (⌈h/16⌉, ⌈w/16⌉), in degrees as the bounds are, and by rows of cells, (⌈h/16⌉, w), in
-    radians².
+    The noise by cells, (⌈h/16⌉, ⌈w/16⌉), in degrees as the bounds are, and by rows of cells, (3, ⌈h/16⌉, w):
+    noise, lost relief, both in radians², and squared departures.
     """
     cells = tuple(-(-n // _CELL) for n in mask.shape)
     found, noise = np.zeros((2, *cells), np.float32), np.empty(cells, np.float32)
@@ -257,31 +267,32 @@ def _evidence(
     c = c._replace(darkest=np.float32(least))
     lit = mask if labels is None else mask & (labels == ALL_LIT)  # a shadow's normals belong to no surface
     _curl_kernel(rows_of(light.image), light.table, light.maps, lit, c, found)
-    rows, ellipsoid = np.empty((cells[0], mask.shape[1]), np.float32), np.empty(31)
+    rows, ellipsoid = np.zeros((3, cells[0], mask.shape[1]), np.float32), np.empty(31)
     _whole_frame_kernel(light, mask, labels, c, found, noise, rows, ellipsoid)
     if blur_px >= LEAST_BLUR_PX:
-        rows += _lost_by_blur(light, mask, labels, c, noise, ellipsoid[0], blur_px)
-    fixed = (_OF_RESIDUAL * max(residual_deg, 0.0)) ** 2
-    by_noise = 2.0 * c.along  # of a squared departure: what noise rarely makes where normals face the camera
+        _lost_by_blur(light, mask, labels, c, noise.shape, ellipsoid[0], blur_px, rows[1])
+    e00, e01, e02, e11, e12, e22 = ellipsoid[1:7]
+    squares = e00**2 + e11**2 + e22**2 + 2.0 * (e01**2 + e02**2 + e12**2)
+    fixed = (_OF_RESIDUAL * max(residual_deg, 0.0)) ** 2 + np.degrees(_OF_ROTATION) ** 2 * squares
+    by_noise = 4.0 * c.along  # of a squared departure: what noise rarely makes where normals face the camera
     constants = np.concatenate([c.inverse.ravel(), c.ambient, (fixed, by_noise), ellipsoid])
     return np.sqrt(_PER_NOISE * noise), rows, constants.astype(np.float32)
 
 
 def _lost_by_blur(
-    light: _Light, mask: Mask, labels: VisibilityLabels | None, c: _Coefficients, noise: Any,
-    inverse_albedo: float, blur_px: float,
-) -> Any:  # fmt: skip
-    """Return what blur has turned normals by, as noise would, by rows of cells: (⌈h/16⌉, w), radians²."""
+    light: _Light, mask: Mask, labels: VisibilityLabels | None, c: _Coefficients, cells: tuple[int, ...],
+    inverse_albedo: float, blur_px: float, rows: Any,
+) -> None:  # fmt: skip
+    """Fill what blur has turned normals by, as noise would, by rows of cells: (⌈h/16⌉, w), radians²."""
     image, table, clipped, white, maps = light
-    side, found = side_of_squares(blur_px), np.zeros((3, *noise.shape), np.float32)
+    side, found = side_of_squares(blur_px), np.zeros((3, *cells), np.float32)
     detail_kernel(
         rows_of(image), table, clipped, white, maps, mask, labels, c.inverse, c.ambient,
         np.float32(inverse_albedo), side, found,
     )  # fmt: skip
-    left, rows = np.empty_like(noise), np.empty((len(noise), mask.shape[1]), np.float32)
+    left = np.empty(cells, np.float32)
     _noise_of_cells(found[:2], left)
     _along_rows(np.float32(lost_over_left(found, blur_px, side)) * np.maximum(left, np.float32(0.0)), rows)
-    return rows
 
 
 # Compiled loops. A table of None stands for linear light: numba drops the branches for another. Rows are
@@ -306,7 +317,7 @@ def _whole_frame_kernel(
 ) -> None:  # fmt: skip
     """Fill noise and rows from the cells' curl, and the ellipsoid; see `_noise_of_cells` and its like."""
     _noise_of_cells(found, noise)
-    _along_rows(noise, rows)
+    _along_rows(noise, rows[0])
     known = int(found[1].sum()) * _CELL
     step = max(1, int(math.sqrt(max(known, mask.size // _MOST_PER_KNOWN) // _SAMPLES)))
     samples = np.empty((5, -(-mask.shape[0] // step) * -(-mask.shape[1] // step)))
@@ -319,10 +330,8 @@ def _whole_frame_kernel(
         departures[0, v, u] += np.float32(samples[0, i] ** 2)
         departures[1, v, u] += np.float32(1.0)
     _noise_of_cells(departures, around)
-    widths = np.empty_like(rows)
     by_noise = np.float32(1 / _NEAR_PIXELS) * noise  # at most, in a mean of nine
-    _along_rows(np.maximum(around - by_noise, np.float32(0.0)), widths)
-    rows += np.float32(_OF_LENGTH**2 / NINE_OF_TEN**2) * widths
+    _along_rows(np.maximum(around - by_noise, np.float32(0.0)), rows[2])
 
 
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")
@@ -696,13 +705,15 @@ def _along_rows(noise: Any, rows: Any) -> None:
 
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")
 def _noise_row(noise: Any, v: int, first: int, row: Any) -> None:
-    """Fill a row from pixel `first` on, between the centres of the rows of cells; linear too."""
+    """Fill (3, n) from pixel `first` on, between the centres of the rows of cells; linear too."""
     y = max((np.float32(v) + np.float32(0.5)) / np.float32(_CELL) - np.float32(0.5), np.float32(0.0))
-    up = min(int(y), len(noise) - 1)
-    above, below = noise[up, first:], noise[min(up + 1, len(noise) - 1), first:]
+    last = noise.shape[1] - 1
+    up = min(int(y), last)
     t, one = y - np.float32(up), np.float32(1.0)
-    for u in range(len(row)):
-        row[u] = (one - t) * above[u] + t * below[u]
+    for k in range(3):
+        above, below, to = noise[k, up, first:], noise[k, min(up + 1, last), first:], row[k]
+        for u in range(len(to)):
+            to[u] = (one - t) * above[u] + t * below[u]
 
 
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")
@@ -722,14 +733,16 @@ def _slow_changes_at(shape: Any, k: Any, u: int, v: int) -> Any:
 
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")
 def _bound_row(
-    r: Any, g: Any, b: Any, unlit: Any, noise: Any, inside: Any, k: Any, m: Any, length: Any, bound: Any,
-    weight: Any,
+    r: Any, g: Any, b: Any, found: Any, unlit: Any, rows: Any, inside: Any, k: Any, m: Any, length: Any,
+    bound: Any, weight: Any,
 ) -> None:  # fmt: skip
     """Turn a row of colours into unit normals, in place, and fill their length, their bound and its weight.
 
-    unlit: squared bound of pixels that not all lights reach, else 0. m: slow changes at the first pixel.
+    found: the normals to judge, or None for these. unlit: squared bound of pixels that not all lights reach,
+    else 0. m: slow changes at the first pixel.
     """
-    zero, half, one, two = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
+    noise, lost, around_cell = rows[0], rows[1], rows[2]
+    zero, half, one, four = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(4.0)
     i00, i01, i02, i10, i11, i12, i20, i21, i22 = k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7], k[8]
     a0, a1, a2 = k[9], k[10], k[11]
     fixed, by_noise, inverse_albedo = k[12], k[13], k[14]
@@ -764,8 +777,10 @@ def _bound_row(
         departure = abs(measured * measured - foretold * foretold) / (measured * foretold) * half
         departure = min(departure, one)  # sinh of the log length
         departures[u + _BESIDE_PX] = departure * departure if seen else zero
-        rest[u] = fixed + _PER_TURN * turn + _PER_NEARNESS * near + _PER_NOISE * noise[u]
+        rest[u] = fixed + _PER_TURN * turn + _PER_NEARNESS * near + _PER_NOISE * (noise[u] + lost[u])
         r[u], g[u], b[u], length[u] = x, y, z, size
+    if found is not None:
+        _leave_out(r, g, b, found, unlit, noise, inside, rest)
     share_of_one = one / np.float32(2 * _BESIDE_PX + 1)
     for u in range(count):
         around = departures[u]
@@ -773,12 +788,41 @@ def _bound_row(
             around += departures[u + i]
         departure = max(departures[u + _BESIDE_PX], around * share_of_one)
         # of a normal that leans away noise changes the length as it turns one that faces the camera
-        own = max(departure - (by_noise + (two - by_noise) * (one - b[u] * b[u])) * noise[u], zero)
-        total = rest[u] + (_PER_DEPARTURE * own if unlit[u] == zero else unlit[u])
+        own = departure - (by_noise + (four - by_noise) * (one - b[u] * b[u])) * noise[u]
+        own = max(_PER_DEPARTURE * own if unlit[u] == zero else zero, _PER_DEPARTURES * around_cell[u])
+        total = rest[u] + own + unlit[u]
         angle = min(np.sqrt(total), _LARGEST_DEG) if length[u] > _SHORTEST else _LARGEST_DEG
         share = angle * _PER_HALF_WEIGHT
         bound[u] = angle if inside[u] else zero
         weight[u] = one / (one + share * share) if inside[u] else zero
+
+
+@njit(cache=True, fastmath=FLAGS, error_model="numpy")
+def _leave_out(
+    r: Any, g: Any, b: Any, found: Any, unlit: Any, noise: Any, inside: Any, rest: Any
+) -> None:  # fmt: skip
+    """Take from a row of squared bounds the noise of the colours' normals that those found do not have."""
+    count, zero, four = len(r), np.float32(0.0), np.float32(4.0)
+    reach = _LEFT_OUT_PX // 2
+    apart = np.zeros(count + _LEFT_OUT_PX, np.float32)
+    x, y, z = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
+    read_row(found, None, x, y, z)
+    for u in range(count):
+        square = (r[u] - x[u]) ** 2 + (g[u] - y[u]) ** 2 + (b[u] - z[u]) ** 2
+        # in two directions; what is farther off is no noise
+        square = min(square, four * noise[u])
+        apart[u + reach] = square if inside[u] & (unlit[u] == zero) else zero
+    step = 1
+    while step < _LEFT_OUT_PX:  # sums of 2, 4, 8, 16
+        ahead = apart[step:]
+        sums = np.empty(len(ahead), np.float32)
+        for u in range(len(sums)):
+            sums[u] = apart[u] + ahead[u]
+        apart, step = sums, 2 * step
+    share, kept = np.float32(0.5 / _LEFT_OUT_PX), np.float32(1.0) - _KEPT
+    for u in range(count):
+        left_out = min(share * apart[u], kept * noise[u])
+        rest[u] -= _PER_NOISE * left_out if unlit[u] == zero else zero
 
 
 @njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
@@ -801,15 +845,14 @@ def _error_kernel(
         count = last - first
         r, g, b = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
         length, unlit = np.empty(count, np.float32), np.zeros(count, np.float32)
-        row_noise = np.empty(count, np.float32)
+        row_noise = np.empty((3, count), np.float32)
         _noise_row(noise, np.int64(v), first, row_noise)
         read_row(rgb[v, 3 * first : 3 * last], None, r, g, b)
+        found = None if labels is None else normals[v, 3 * first : 3 * last]
         if labels is not None:
-            _unlit_row(
-                r, g, b, normals[v, 3 * first : 3 * last], labels[v, first:last], pairs, constants, unlit
-            )
+            _unlit_row(r, g, b, found, labels[v, first:last], pairs, constants, unlit)
         _bound_row(
-            r, g, b, unlit, row_noise, mask[v, first:last], constants,
+            r, g, b, found, unlit, row_noise, mask[v, first:last], constants,
             _slow_changes_at(mask.shape, constants, first, v), length, error[v, first:last],
             weight[v, first:last],
         )  # fmt: skip
@@ -862,7 +905,7 @@ def _normals_and_errors_kernel(
     darkest, clipped_factor, white, zero = limits[0], limits[1], limits[2], np.float32(0.0)
     for v in prange(height):
         r, g, b = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
-        length, row_noise = np.empty(width, np.float32), np.empty(width, np.float32)
+        length, row_noise = np.empty(width, np.float32), np.empty((3, width), np.float32)
         unlit, good = np.zeros(width, np.float32), np.empty(width, np.bool_)
         _noise_row(noise, np.int64(v), 0, row_noise)
         read_row(encoded[v], table, r, g, b)
@@ -876,7 +919,7 @@ def _normals_and_errors_kernel(
         if maps is not None:
             map_row(maps, np.int64(v), 0, r, g, b)
         near = _slow_changes_at(mask.shape, constants, 0, v)
-        _bound_row(r, g, b, unlit, row_noise, good, constants, near, length, error[v], weight[v])
+        _bound_row(r, g, b, None, unlit, row_noise, good, constants, near, length, error[v], weight[v])
         to_error, to_weight, to_valid, to_normals = error[v], weight[v], valid[v], normals[v]
         for u in range(width):
             kept = good[u] & (length[u] > darkest) & (length[u] < _LONGEST) & (b[u] < zero)

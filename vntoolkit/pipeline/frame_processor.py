@@ -230,27 +230,29 @@ class FrameProcessor:
         if self._painted is not None:
             linear = self._painted.relit(filmed, linear, frame.number, self._materials)
         level = linear if self._leveller is None else self._leveller.frame(linear)
-        labels = None
+        labels, solved = None, False
         if self._options.shadows is ShadowMethod.NONE:
             normal_map = normals_from_frame(
                 linear, self._rig.response, self._mask, options=self._options.inversion
             )
         else:
-            normal_map, labels = self._normals_under_shadow(linear, level)
+            normal_map, labels, solved = self._normals_under_shadow(linear, level)
         clipped_share = float(np.count_nonzero(linear.clipped)) / linear.clipped.size
         if not self._with_errors:
             return normal_map, labels, clipped_share
         normal_map = with_expected_error(
-            normal_map, level, self._central, labels, self.camera, residual_deg, self._blur_px
-        )
+            normal_map, level, self._central, labels if solved else None, self.camera, residual_deg,
+            self._blur_px,
+        )  # fmt: skip
         return normal_map, labels, clipped_share
 
     def _normals_under_shadow(
         self, linear: LinearFrame, frame: LinearFrame
-    ) -> tuple[NormalMap, VisibilityLabels]:
+    ) -> tuple[NormalMap, VisibilityLabels, bool]:
         """Find the shadows, then normals from whichever lights arrive; black pixels are the backdrop.
 
-        frame: `linear` as the central M would have formed it.
+        Also whether they were solved together with a surface. frame: `linear` as the central M would have
+        formed it.
         """
         response, inversion = self._central, self._options.inversion
         seen = self.by_strength(linear)
@@ -260,10 +262,10 @@ class FrameProcessor:
         labels = self._detector.labels(seen, mask)
         surface = self._detector.surface
         if surface is None and not np.any(labels != ALL_LIT):
-            return normals_from_frame(frame, response, mask, options=inversion), labels
+            return normals_from_frame(frame, response, mask, options=inversion), labels, False
         found = recover_surface(frame, labels, response, mask, self.camera, start=surface)
         self._detector.go_on_from(found.surface)
-        return found.normal_map, labels
+        return found.normal_map, labels, True
 
     def by_strength(self, linear: LinearFrame) -> LinearFrame:
         """Return a linear frame with every lamp as strong as at the image's centre."""
