@@ -144,6 +144,25 @@ def test_under_shadow_recovery_starts_halfway_to_what_it_found_of_the_frame_befo
     assert np.abs(found[~lit] - expected).max() < 1e-5
 
 
+def test_a_wrong_answer_under_shadow_is_not_handed_on(stage) -> None:
+    alone, after = ShadowDetector(stage.response), ShadowDetector(stage.response)
+    shadow = alone.labels(stage.frame, stage.mask) != 7
+    after.labels(stage.frame, stage.mask)
+    memory = after._memory
+    assert memory is not None and memory.surface is not None
+    turned = memory.surface.normals * np.array([-1.0, -1.0, 1.0], np.float32)
+    normals = np.where(shadow[..., None], turned, memory.surface.normals)
+    after._memory = replace(memory, surface=replace(memory.surface, normals=normals))
+    errors = []
+    for detector in (alone, after):
+        labels = detector.labels(stage.frame, stage.mask)
+        assert overlap(labels, stage.labels).min() > 0.9
+        found = recover_surface(stage.frame, labels, stage.response, stage.mask, start=detector.surface)
+        angles = angles_between_deg(found.normal_map.normals_in_camera, stage.normals)
+        errors.append(angles[shadow].mean())
+    assert errors[1] < 1.2 * errors[0]
+
+
 def test_a_frame_of_something_else_starts_anew(stage) -> None:
     other = LinearFrame(rgb=stage.frame.rgb[::-1, ::-1, ::-1].copy(), clipped=stage.frame.clipped)
     detector = ShadowDetector(stage.response)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numba
 import numpy as np
@@ -10,7 +12,7 @@ import pytest
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.photometry.frame import LinearFrame, count_lit
-from vntoolkit.shadows import surface
+from vntoolkit.shadows import initialisation, surface
 from vntoolkit.shadows.albedo import albedo_from_lit, fill_smoothly
 from vntoolkit.shadows.detector import ShadowDetector
 from vntoolkit.shadows.initialisation import continue_with_two_lights, roots_from_two_lights
@@ -134,6 +136,23 @@ def test_perspective_sphere_keeps_its_normals_and_distances(monkeypatch) -> None
     assert degrees(solved.normals, normals)[inner].max() < 0.6
     ratio = np.exp(solved.depth[mask] / 180.0) / depth[mask]
     assert ratio.std() / ratio.mean() < 0.002
+
+
+def test_what_wins_on_a_small_image_must_explain_the_light_on_the_large_one_too(stage, monkeypatch) -> None:
+    detector = ShadowDetector(stage.response)
+    labels = detector.labels(stage.frame, stage.mask)
+
+    def mean_error() -> float:
+        found = recover_normals(stage.frame, labels, stage.response, stage.mask, start=detector.surface)
+        return degrees(found.normals_in_camera, stage.normals)[labels != 7].mean()
+
+    def worse(start: surface.Surface, *_) -> surface.Surface:
+        turned = start.normals * np.array([-1.0, -1.0, 1.0], np.float32)
+        return replace(start, normals=np.where((labels != 7)[..., None], turned, start.normals))
+
+    own = mean_error()
+    monkeypatch.setattr(initialisation, "_better_than", worse)
+    assert mean_error() < 1.2 * own
 
 
 def test_grid_solver_solves_what_a_dense_solver_solves(rng: np.random.Generator) -> None:

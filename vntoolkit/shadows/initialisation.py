@@ -88,13 +88,18 @@ def _coarse_to_fine(
     options: SurfaceOptions,
     start: Surface | None,
 ) -> Surface:
-    """Compare the starts on a small image; go on from the better one at twice the size, and so on."""
+    """Compare the starts on a small image; go on from the better one at twice the size, and so on.
+
+    What won on the small image must leave less of the light unexplained on this one, too.
+    """
     found = _better_than(start, measured, labels, albedo, mask, camera, options)
-    return _solver(measured, labels, albedo, mask, camera)(
-        first_normals=measured.normals,
-        start=start if found is None else found,
-        options=replace(options, iterations=_LARGE_ITERATIONS),
-    )
+    solve = partial(
+        _solver(measured, labels, albedo, mask, camera),
+        first_normals=measured.normals, options=replace(options, iterations=_LARGE_ITERATIONS),
+    )  # fmt: skip
+    surfaces = [solve(start=each) for each in (start, found) if each is not None]
+    shadow = mask & (labels != ALL_LIT)
+    return min(surfaces, key=lambda surface: np.minimum(surface.misfit, _LARGEST_MISFIT)[shadow].sum())
 
 
 def _better_than(

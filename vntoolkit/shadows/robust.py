@@ -4,13 +4,15 @@ Start, on a small image: a light is doubted where its cosine, its contribution o
 too small for the surrounding albedo. Then alternate: solve the surface from the lights that are not doubted
 (`surface`), predict each light's cosine on it, compare with the cosine measured, and cut (`graph_cut`). Go on
 from that surface at twice the size, and so on up to the working size; on the frame itself only pixels in
-doubt are looked at again. A frame after another goes on from that one's surface. A pixel that is dark in all
-three lights alike is dark paint; paint that changes within eight pixels is told from shadow by that.
+doubt are looked at again. A frame after another goes on from that one's surface, as far as the small image
+agrees. A pixel that is dark in all three lights alike is dark paint; paint that changes within eight pixels
+is told from shadow by that.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -47,7 +49,7 @@ from vntoolkit.shadows.evidence import (
 )
 from vntoolkit.shadows.graph_cut import Nodes, bonds_of_light, lit_by_cut
 from vntoolkit.shadows.shadow_edges import labels_beyond_half, turned_from_lights
-from vntoolkit.shadows.surface import Surface, SurfaceOptions, solve_surface
+from vntoolkit.shadows.surface import Surface, SurfaceOptions, solve_surface, with_normals
 
 # A cosine is 1 where a surface of the local albedo faces the light.
 _WEAK_COSINE = 0.35  # a frame without any that is less has no shadow
@@ -62,7 +64,8 @@ _CHANGED = 0.25  # of the light: a frame that differs by more from the one befor
 # Of a surface whose labels may still be wrong.
 _FIRST_SURFACE = SurfaceOptions(iterations=3, noise=0.08, smoothness=1.5)
 _FINER_SURFACE = SurfaceOptions(iterations=2, noise=0.08, smoothness=1.5)
-_NEXT_SURFACE = SurfaceOptions(iterations=1, noise=0.08, smoothness=1.5, cycles=3)
+_NEXT_SURFACE = SurfaceOptions(iterations=2, noise=0.08, smoothness=1.5, cycles=3)
+_SAME_VALLEY = 0.85  # cosine between two normals below which they are two answers, not one
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -110,8 +113,9 @@ def labels_by_surface(
     if last is None or last.surface is None:
         surface, albedo = _surface_by_rounds(small, small_mask, small_camera)
     else:
-        lit = _lit_on(last.surface, small, last.albedo, small_mask)
-        surface, albedo = _solved(small, small_mask, small_camera, lit, _NEXT_SURFACE, last.surface)
+        start = _in_this_frames_valley(last.surface, small, small_mask, small_camera)
+        lit = _lit_on(start, small, last.albedo, small_mask)
+        surface, albedo = _solved(small, small_mask, small_camera, lit, _NEXT_SURFACE, start)
     predicted = _predicted(surface, small)
     raw = small.cosines(albedo)
     kept = np.zeros(small_mask.shape, np.float32)
@@ -137,6 +141,26 @@ def labels_by_surface(
         window=window, evidence=found.memory, colours=small.contributions, surface=surface, albedo=albedo,
         start=_between(surface, None if last is None else last.recovered, labels),
     )  # fmt: skip
+
+
+def _in_this_frames_valley(
+    last: Surface, measured: LightContributions, mask: Mask, camera: Camera | None
+) -> Surface:
+    """Return the surface of the frame before; under shadow, this frame's own where the two differ much.
+
+    A wrong answer would be handed on from frame to frame, and grow as the subject moves. This frame's own
+    comes from a small image, which costs little.
+    """
+    small, small_mask = measured, mask
+    while small_mask.size > _START_PIXELS:
+        small, small_mask = small.shrunk(small_mask, 2)
+        camera = None if camera is None else camera.scaled(0.5)
+    own, albedo = _surface_by_rounds(small, small_mask, camera, _FINER_ROUNDS)
+    shadow: Mask = small_mask & ~all_of_three(_lit_on(own, small, albedo, small_mask))
+    near = np.asarray(cv2.dilate(shadow.astype(np.float32), np.ones((3, 3), np.uint8)), dtype=np.float32)
+    normals = _enlarged(own.normals.astype(np.float32), mask.shape)
+    differs = np.einsum("vuc,vuc->vu", normals, last.normals) < _SAME_VALLEY
+    return with_normals(last, normals, _enlarged(near, mask.shape) * differs)
 
 
 def _between(surface: Surface, recovered: FloatArray | None, labels: VisibilityLabels) -> Surface:
@@ -219,11 +243,11 @@ def _sameness(
 
 
 def _surface_by_rounds(
-    measured: LightContributions, mask: Mask, camera: Camera | None
+    measured: LightContributions, mask: Mask, camera: Camera | None, rounds: int = _ROUNDS
 ) -> tuple[Surface, FloatArray]:
     """Alternate between surface and labels, coarse to fine; return the surface and the albedo (h, w)."""
     if mask.size <= _START_PIXELS:
-        surface, rounds, options = None, _ROUNDS, _FIRST_SURFACE
+        surface, options = None, _FIRST_SURFACE
         lit = _first_doubts(measured, mask)
     else:
         small, small_mask = measured.shrunk(mask, 2)
@@ -277,7 +301,7 @@ def _cut_light(evidence: FloatArray, cosines: FloatArray, k: int, mask: Mask) ->
     return lit_by_cut(evidence, bonds, mask, _SMOOTHNESS)
 
 
-def _enlarged(image: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+def _enlarged(image: Any, shape: tuple[int, ...]) -> FloatArray:
     if image.shape[:2] == shape:
         return image
     return np.asarray(cv2.resize(image, shape[::-1], interpolation=cv2.INTER_LINEAR), dtype=np.float32)

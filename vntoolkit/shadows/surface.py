@@ -121,6 +121,12 @@ class Surface:
         )
 
 
+def with_normals(surface: Surface, normals: FloatArray, where: FloatArray) -> Surface:
+    """Return a surface with other normals (h, w, 3), as far as `where` (h, w), 0 to 1, says."""
+    mixed_normals = surface.normals + where[..., None] * (normals - surface.normals)
+    return replace(surface, normals=_unit_or_facing(mixed_normals))
+
+
 def _unit_or_facing(normals: FloatArray) -> FloatArray:
     length = lengths_of(normals)
     unit = np.where(length > 1e-3, normals / np.maximum(length, 1e-3), TOWARDS_VIEWER)
