@@ -9,7 +9,7 @@ learned from the frame: a knit scatters them, flat paint hardly does.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +27,8 @@ from vntoolkit.materials.pixels import (
     near_seams,
     relit,
 )
-from vntoolkit.materials.reflectance import CAP, Lamps, bias_of_noise, length_and_variance
+from vntoolkit.materials.reflectance import CAP
+from vntoolkit.materials.region_lengths import Lengths, lengths_of
 from vntoolkit.materials.regions import SHADING_STEP, Regions, regions_of
 from vntoolkit.materials.split_frame import SplitFrame, block_size, split_frame
 from vntoolkit.native import njit
@@ -304,30 +305,6 @@ def _take_blocks(labels: MaterialLabels, mask: Mask, factor: int, coarse: Materi
 # Labels of regions.
 
 
-class Lengths(NamedTuple):
-    """How far the normals of each region are from unit length as each material, arrays (n, m).
-
-    error: mean of |n| − 1 over the samples. scatter: variance about it. noise: of one sample's.
-
-    counts: (n, 1).
-    """
-
-    error: FloatArray
-    scatter: FloatArray
-    noise: FloatArray
-    counts: FloatArray
-
-
-def lengths_of(regions: Regions, logs: Points, lamps: Lamps) -> Lengths:
-    """Return how far normals are from unit length as each material. logs: (m, 3), log ρ."""
-    error, scatter, noise = np.empty((3, regions.count, len(logs)))
-    _lengths(
-        regions.samples, regions.counts, np.exp(-logs), lamps.haze, lamps.inverse, lamps.mixing, error,
-        scatter, noise,
-    )  # fmt: skip
-    return Lengths(error, scatter, noise, np.maximum(regions.counts, 1)[:, None].astype(np.float64))
-
-
 def prices_of_regions(lengths: Lengths, spread: Spread) -> FloatArray:
     """Return (n, m), nats of each material for each region, at most of a region that is of no material.
 
@@ -381,35 +358,6 @@ def total_cost(costs: FloatArray, labels: IntArray, logs: Points, regions: Regio
             regions.steps, regions.contacts, seam,
         )
     )  # fmt: skip
-
-
-@njit(cache=True, parallel=True, error_model="numpy")
-def _lengths(
-    samples: Any,
-    counts: Any,
-    q: Any,
-    haze: Any,
-    inverse: Any,
-    mixing: Any,
-    error: Any,
-    scatter: Any,
-    noise: Any,
-) -> None:
-    materials = q.shape[0]
-    bias = np.array([bias_of_noise(q[m], inverse, mixing) for m in range(materials)])
-    for i in prange(samples.shape[0]):
-        j = np.empty(3)
-        for m in range(materials):
-            first, second, variances = 0.0, 0.0, 0.0
-            for p in range(counts[i]):
-                e, variance = length_and_variance(samples[i, p], q[m], haze, inverse, mixing, bias[m], j)
-                first += e
-                second += e * e
-                variances += variance
-            n = max(counts[i], 1)
-            error[i, m] = first / n
-            scatter[i, m] = max(second / n - (first / n) ** 2, 0.0)
-            noise[i, m] = variances / n
 
 
 @njit(cache=True, inline="always")

@@ -142,16 +142,46 @@ def _fit(
     s: Points, lamps: Lamps, tolerance: float, start: Vector3, centre: Vector3, prior: Matrix3
 ) -> tuple[Vector3, Matrix3, float]:
     """Gauss–Newton in log ρ with Geman and McClure's weights, from rough to fine."""
-    z, normal_matrix, gradient = start.copy(), np.zeros((3, 3)), np.zeros(3)
-    cost = 0.0
+    z, normal_matrix = np.array(start, np.float64), np.zeros((3, 3))
+    cost = _go_down(s, *lamps[1:3], lamps.mixing, tolerance, centre, prior, z, normal_matrix)
+    return z, normal_matrix, cost / max(s.shape[0], 1)
+
+
+@njit(cache=True, error_model="numpy")
+def _go_down(
+    s: Any, haze: Any, inverse: Any, mixing: Any, tolerance: float, centre: Any, prior: Any, z: Any,
+    normal_matrix: Any,
+) -> float:  # fmt: skip
+    """Move z (3,) to the least cost, which is returned, and fill the normal matrix there."""
+    cost, gradient, step = 0.0, np.zeros(3), np.zeros(3)
     for i in range(_ROUNDS):
         rough = max(tolerance, _FIRST_TOLERANCE * 0.5**i)
-        normal_matrix[:], gradient[:] = 0.0, 0.0
-        cost = _gather(s, np.exp(-z), *lamps[1:3], lamps.mixing, rough, normal_matrix, gradient)
-        if i + 1 < _ROUNDS:  # solved outside the kernel, where a solver would take ten seconds to compile
-            step = np.linalg.solve(normal_matrix + prior, gradient + prior @ (centre - z))
-            z = z + step.clip(-_LARGEST_STEP, _LARGEST_STEP)
-    return z, normal_matrix, cost / max(s.shape[0], 1)
+        normal_matrix[:] = 0.0
+        gradient[:] = 0.0
+        cost = _gather(s, np.exp(-z), haze, inverse, mixing, rough, normal_matrix, gradient)
+        if i + 1 < _ROUNDS:
+            for a in range(3):
+                for b in range(3):
+                    gradient[a] += prior[a, b] * (centre[b] - z[b])
+            _solve(normal_matrix + prior, gradient, step)
+            for a in range(3):
+                z[a] += min(max(step[a], -_LARGEST_STEP), _LARGEST_STEP)
+    return cost
+
+
+@njit(cache=True, error_model="numpy")
+def _solve(m: Any, right: Any, out: Any) -> None:
+    """Solve three equations by cofactors: numpy's solver would take ten seconds to compile."""
+    c0 = m[1, 1] * m[2, 2] - m[1, 2] * m[2, 1]
+    c1 = m[1, 2] * m[2, 0] - m[1, 0] * m[2, 2]
+    c2 = m[1, 0] * m[2, 1] - m[1, 1] * m[2, 0]
+    determinant = m[0, 0] * c0 + m[0, 1] * c1 + m[0, 2] * c2
+    r0, r1, r2 = right[0], right[1], right[2]
+    out[0] = r0 * c0 + m[0, 1] * (m[1, 2] * r2 - r1 * m[2, 2]) + m[0, 2] * (r1 * m[2, 1] - m[1, 1] * r2)
+    out[1] = m[0, 0] * (r1 * m[2, 2] - m[1, 2] * r2) + r0 * c1 + m[0, 2] * (m[1, 0] * r2 - r1 * m[2, 0])
+    out[2] = m[0, 0] * (m[1, 1] * r2 - r1 * m[2, 1]) + m[0, 1] * (r1 * m[2, 0] - m[1, 0] * r2) + r0 * c2
+    for a in range(3):
+        out[a] /= determinant
 
 
 @njit(cache=True, error_model="numpy")

@@ -41,6 +41,7 @@ class Regions:
 
     labels: (h, w) int64, the nearest region to every pixel. plain: (h, w), not on an edge.
     samples: (n, SAMPLES, 3), contributions at pixels of each region. counts: (n,), how many. sizes: (n,).
+    planes: (n, 4, SAMPLES) float32, the same, then 1 where there is a sample and 0 where there is none.
     logs: (n, 3), mean log s. starts: (n + 1,), where the neighbours of each begin in `neighbours` (e,).
     steps: (e, 3), log s of the neighbour less its own. contacts: (e,), weights of the steps. twins: (e,), the
     number of the same step from the neighbour's side.
@@ -49,6 +50,7 @@ class Regions:
     labels: IntArray
     plain: Mask
     samples: FloatArray
+    planes: FloatArray
     counts: IntArray
     sizes: FloatArray
     logs: FloatArray
@@ -89,6 +91,7 @@ def regions_of(split: SplitFrame) -> Regions:
         labels=labels,
         plain=plain,
         samples=samples,
+        planes=_planes(samples, counts),
         counts=counts,
         sizes=sizes[kept].astype(np.float64),
         logs=means,
@@ -222,6 +225,11 @@ def _sampled(s: Any, logs: Any, labels: Any, count: int) -> Any:
         for k in range(3):
             means[i, k] /= sizes[i]
     return samples, taken, means
+
+
+def _planes(samples: FloatArray, counts: IntArray) -> FloatArray:
+    there = np.arange(SAMPLES) < counts[:, None]
+    return np.concatenate([samples.transpose(0, 2, 1), there[:, None]], axis=1).astype(np.float32)
 
 
 def _neighbours(labels: IntArray, logs: FloatArray) -> dict[str, Any]:

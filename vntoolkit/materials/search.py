@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 from scipy import sparse
 from scipy.linalg import block_diag, solveh_banded
 from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
@@ -25,7 +24,6 @@ from vntoolkit.arrays import FloatArray, IntArray, Mask, Points, Vector3
 from vntoolkit.errors import BadInput
 from vntoolkit.materials.labelling import (
     agreed,
-    lengths_of,
     prices_of_regions,
     spread_of,
     step_cost,
@@ -37,10 +35,9 @@ from vntoolkit.materials.reflectance import (
     Lamps,
     Reflectance,
     best_fit,
-    bias_of_noise,
-    length_and_variance,
     reflectance_from_fit,
 )
+from vntoolkit.materials.region_lengths import lengths_of, normal_equations
 from vntoolkit.materials.regions import SHADING_STEP, Regions, regions_of
 from vntoolkit.materials.split_frame import SplitFrame, split_frame
 from vntoolkit.native import njit
@@ -180,7 +177,8 @@ def _reflectances_of_regions(regions: Regions, lamps: Lamps) -> tuple[Points, fl
     known = np.arange(regions.samples.shape[1]) < regions.counts[:, None]
     x: Points = np.zeros((regions.count, 3))
     centre: Vector3 = np.zeros(3)
-    matrices, gradients = np.zeros((regions.count, 3, 3)), np.zeros((regions.count, 3))
+    matrices: FloatArray = np.zeros((regions.count, 3, 3))
+    gradients: FloatArray = np.zeros((regions.count, 3))
     tolerance = _FIRST_TOLERANCE
     for i in range(_SEAM_ROUNDS + _ROUNDS):
         done = max(i - _SEAM_ROUNDS, 0)
@@ -191,10 +189,7 @@ def _reflectances_of_regions(regions: Regions, lamps: Lamps) -> tuple[Points, fl
             x = x + centre
         if i >= _SEAM_ROUNDS:
             rough = max(tolerance, _ROUGH * _FALL**done)
-            _gather_regions(
-                regions.samples, regions.counts, weights, x, lamps.haze, lamps.inverse, lamps.mixing, rough,
-                0.0, matrices, gradients,
-            )  # fmt: skip
+            matrices, gradients = normal_equations(regions, x, lamps, weights, rough)
         rest = target - (x[b] - x[a])
         reach = max(1.0, CAP * _FALL**done) * spread
         falling = 1.0 / (1.0 + np.sum(rest**2, axis=1) / (CAP * reach) ** 2)
@@ -235,37 +230,10 @@ class _BandedSystem:
         return np.asarray(solveh_banded(band, ordered, lower=True, check_finite=False)[self._index])
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
-def _gather_regions(
-    samples: Any, counts: Any, weights: Any, x: Any, haze: Any, inverse: Any, mixing: Any, spread: float,
-    reach: float, matrices: Any, gradients: Any,
-) -> None:  # fmt: skip
-    """Fill the normal matrix (n, 3, 3) and the gradient (n, 3) of each region's lengths.
-
-    spread: standard deviation of lengths beyond noise. reach: from CAP times this, or times the whole
-    standard deviation where that is more, a length counts less.
-    """
-    matrices[:] = 0.0
-    gradients[:] = 0.0
-    for i in prange(samples.shape[0]):
-        j = np.empty(3)
-        q = np.exp(-x[i])
-        bias = bias_of_noise(q, inverse, mixing)
-        for p in range(counts[i]):
-            e, variance = length_and_variance(samples[i, p], q, haze, inverse, mixing, bias, j)
-            variance += spread * spread
-            falling = 1.0 / (1.0 + e * e / max(variance, reach * reach) / (CAP * CAP))
-            weight = falling * falling / variance * weights[i] / counts[i]
-            for a in range(3):
-                gradients[i, a] -= weight * j[a] * e
-                for b in range(3):
-                    matrices[i, a, b] += weight * j[a] * j[b]
-
-
 def _proposals(own: Points, regions: Regions, count: int | None) -> Points:
     """Return (m, 3), log ρ that many regions share, from the most votes down."""
     weights = regions.sizes / INDEPENDENT_PX
-    apart = np.sum((own[:, None] - own) ** 2, axis=2)
+    apart = sum((each[:, None] - each) ** 2 for each in own.T)
     found: list[Any] = []
     alike = _ALIKE
     while True:
@@ -496,11 +464,7 @@ def _plain(regions: Regions, lamps: Lamps, tolerance: float, spread: Spread) -> 
     best = int((weights @ costs).argmin())
     logs, costs = np.full((1, 3), steps[best]), costs[:, best : best + 1]
     labels = np.zeros(regions.count, np.int64)
-    matrices, gradients = np.zeros((regions.count, 3, 3)), np.zeros((regions.count, 3))
-    _gather_regions(
-        regions.samples, regions.counts, weights, np.repeat(logs, regions.count, axis=0), lamps.haze,
-        lamps.inverse, lamps.mixing, tolerance, 0.0, matrices, gradients,
-    )  # fmt: skip
+    matrices, _ = normal_equations(regions, np.repeat(logs, regions.count, axis=0), lamps, weights, tolerance)
     return _Found(
         logs=logs,
         labels=labels,
@@ -550,7 +514,6 @@ def _settled(
     size = 3 * len(logs)
     matrix = np.zeros((size, size))
     weights = regions.sizes / INDEPENDENT_PX
-    own_matrices, own_gradients = np.zeros((regions.count, 3, 3)), np.zeros((regions.count, 3))
     is_given = spread is not None
     spread = spread or Spread(_FIRST_TOLERANCE, _FIRST_TOLERANCE)
     for _ in range(rounds):
@@ -562,17 +525,11 @@ def _settled(
         paid = np.take_along_axis(costs, labels[:, None], 1)[:, 0]
         for i in range(_FIT_ROUNDS):
             reach = _ROUGH * 0.5**i  # at first nothing is an outlier that two merged materials hold
-            _gather_regions(
-                regions.samples, regions.counts, weights, logs[labels], lamps.haze, lamps.inverse,
-                lamps.mixing, tolerance, reach, own_matrices, own_gradients,
-            )  # fmt: skip
-            blocks, slopes = np.zeros((len(logs), 3, 3)), np.zeros((len(logs), 3))
-            np.add.at(blocks, labels, own_matrices)
-            np.add.at(slopes, labels, own_gradients)
-            each = np.arange(len(logs))
-            matrix[:] = 0.0
-            matrix.reshape(len(logs), 3, len(logs), 3)[each, :, each] = blocks
-            gradient = slopes.ravel()
+            own_matrices, own_gradients = normal_equations(
+                regions, logs[labels], lamps, weights, tolerance, reach
+            )
+            matrix[:], gradient = 0.0, np.zeros(size)
+            _add_lengths(labels, own_matrices, own_gradients, matrix, gradient)
             _add_steps(
                 labels, paid, logs, regions.starts, regions.neighbours, regions.steps, regions.contacts,
                 matrix, gradient,
@@ -626,6 +583,17 @@ def _gains(
                 other += contacts[e] * step_cost(steps[e], thought[p], logs[n], _SEAM_PRICE)
             gains[p] += max(own - other, 0.0)
     return gains
+
+
+@njit(cache=True)
+def _add_lengths(labels: Any, matrices: Any, gradients: Any, matrix: Any, gradient: Any) -> None:
+    """Add the normal equations of lengths, (n, 3, 3) and (n, 3) of the regions, to those of the materials."""
+    for i in range(labels.size):
+        first = 3 * labels[i]
+        for a in range(3):
+            gradient[first + a] += gradients[i, a]
+            for b in range(3):
+                matrix[first + a, first + b] += matrices[i, a, b]
 
 
 @njit(cache=True, error_model="numpy")
