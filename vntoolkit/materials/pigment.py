@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import prange
+import numpy.typing as npt
 from scipy.optimize import minimize
 
 from vntoolkit.arrays import FloatArray, Mask, Points, Vector3
@@ -19,20 +19,22 @@ from vntoolkit.materials.mixtures import CHUNK_PX
 from vntoolkit.materials.reflectance import CAP, Lamps, bias_of_noise
 from vntoolkit.native import njit
 
+Single = npt.NDArray[np.float32]
 _PAIRS = 10_000  # of neighbouring blocks that tell how rough normals are
 _FEWEST_PAIRS = 1000
-_STEEP = 0.08  # difference of normals of two neighbours from which a larger one hardly counts more
+_STEEP = np.float32(0.08)  # difference of two neighbours' normals from which a larger one hardly counts more
 _SMOOTHER = 0.95  # of the roughness: one line of two parameters always takes a little
 _LEAST_TAKEN = 0.1  # of what it takes from the darkest band: a line along one band alone is its noise
 _EVALUATIONS = 35
 _SPREAD, _PIGMENT_SPREAD = 0.04, 0.3  # of lengths, and of t
 _INDEPENDENT_PX = 64.0  # pixels that share their errors
 _KNOWN_BEFORE = 0.5  # standard deviation of log ρ as it was found before
+_FIT_PIXELS = 10_000  # of the material
 _FIT_ROUNDS, _LONGEST_STEP = 12, 0.1
 _FIRST_STEP = 0.3
 # Spread of the lengths for other reasons (gloss, light between folds) over that of t, and the most of t, with
 # d of length 1. The line shows where t is free; pixels are corrected with care: eyes and lips are not of it.
-_TRUST_OF_SEARCH = (0.3, 1.5)
+_TRUST_OF_SEARCH = (np.float32(0.3), np.float32(1.5))
 _TRUST = (np.float32(0.5), np.float32(0.5))
 _LEAST_SHARE = np.float32(0.06)  # of the strongest lamp's light: less may be shadow, which tells nothing
 # Of the kernels, which count in single precision.
@@ -53,10 +55,13 @@ def pigment_of(
         return None
     factor = max(1, round(float(np.sqrt(pairs / _PAIRS))))
     s, mask = _means_of_blocks(contributions, chosen, factor)
-    mixing = lamps.mixing / factor
+    chunks, pairs_of = _in_chunks(s, mask)
+    matrix, origin = lamps.inverse * np.exp(-log), lamps.inverse @ lamps.haze
+    squared = np.float32(1.0 + bias_of_noise(np.exp(-log), lamps.inverse, lamps.mixing / factor))
+    known = matrix.astype(np.float32), origin.astype(np.float32)
 
     def roughness(ends: Any) -> float:
-        return float(_roughness(s, mask, np.exp(-log), _along(ends), *lamps[1:3], mixing))
+        return float(_roughness(chunks, pairs_of, *known, _along(ends).astype(np.float32), squared))
 
     grey = np.ones(2)
     first = grey + _FIRST_STEP * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
@@ -66,7 +71,9 @@ def pigment_of(
     is_pigment = direction.min() > _LEAST_TAKEN * direction.max() and found.fun < _SMOOTHER * roughness(grey)
     if not is_pigment:
         return None
-    return direction, _of_least_pigment(log, contributions[chosen], lamps, direction)
+    pixels = contributions[chosen]
+    pixels = pixels[:: max(1, len(pixels) // _FIT_PIXELS)]
+    return direction, _of_least_pigment(log, pixels, lamps, direction)
 
 
 def _means_of_blocks(contributions: FloatArray, chosen: Mask, factor: int) -> tuple[FloatArray, Mask]:
@@ -75,10 +82,24 @@ def _means_of_blocks(contributions: FloatArray, chosen: Mask, factor: int) -> tu
     Paint is coarser than noise. In single pixels the line along which normals are smoothest is half that of
     the noisiest lamp.
     """
+    if factor == 1:
+        return contributions, chosen
     h, w = (n // factor for n in chosen.shape)
     parts = np.s_[: h * factor, : w * factor]
     s = contributions[parts].reshape(h, factor, w, factor, 3).mean(axis=(1, 3))
     return s, np.ascontiguousarray(chosen[parts].reshape(h, factor, w, factor).all(axis=(1, 3)))
+
+
+def _in_chunks(s: FloatArray, mask: Mask) -> tuple[Single, Single]:
+    """Return contributions (n, 3, CHUNK_PX) of the pixels in the mask, (h, w), row by row, then zeros.
+
+    And (n · CHUNK_PX,), 1 where a pixel is beside the one before it, else 0.
+    """
+    beside = np.zeros(mask.shape, np.float32)
+    beside[:, 1:] = mask[:, 1:] & mask[:, :-1]
+    empty = -int(mask.sum()) % CHUNK_PX
+    chunks = np.pad(s[mask].astype(np.float32), ((0, empty), (0, 0))).reshape(-1, CHUNK_PX, 3)
+    return np.ascontiguousarray(chunks.transpose(0, 2, 1)), np.pad(beside[mask], (0, empty))
 
 
 def _of_least_pigment(log: Vector3, s: Points, lamps: Lamps, direction: Vector3) -> Vector3:
@@ -107,36 +128,48 @@ def _along(ends: Any) -> Vector3:
     return np.asarray(direction / np.linalg.norm(direction))
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
-def _roughness(s: Any, mask: Any, q: Any, d: Any, haze: Any, inverse: Any, mixing: Any) -> float:
-    """Mean of a robust squared difference of normals over neighbours in rows."""
-    h, w = mask.shape
-    squared = 1.0 + bias_of_noise(q, inverse, mixing)
-    matrix, origin, line = _scalars(inverse * q, inverse @ haze, d)
-    totals, counts = np.zeros(h), np.zeros(h)
-    for v in prange(h):
-        b0, b1, b2 = 0.0, 0.0, 0.0
-        for u in range(w):
-            if not mask[v, u]:
-                continue
-            here = (s[v, u, 0], s[v, u, 1], s[v, u, 2])
-            n0, n1, n2 = _without_pigment(here, matrix, origin, line, squared)
-            length = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2) + 1e-12
-            n0, n1, n2 = n0 / length, n1 / length, n2 / length
-            apart = (n0 - b0) ** 2 + (n1 - b1) ** 2 + (n2 - b2) ** 2
-            b0, b1, b2 = n0, n1, n2
-            if u > 0 and mask[v, u - 1]:
-                totals[v] += apart / (apart + _STEEP * _STEEP)
-                counts[v] += 1.0
-    return totals.sum() / max(counts.sum(), 1.0)
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _roughness(s: Any, pairs: Any, matrix: Any, origin: Any, d: Any, squared: Any) -> float:
+    """Mean of a robust squared difference of normals over neighbours; see `take_without_pigment`.
+
+    s: (n, 3, CHUNK_PX), contributions. pairs: (n · CHUNK_PX,), 1 where a pixel is beside the one before it,
+    else 0. squared: the square of the length to expect, with noise. All in single precision.
+    """
+    scalars = _scalars(matrix, origin, d)
+    normals, work = np.empty((3, pairs.size), np.float32), np.empty(3 * CHUNK_PX, np.float32)
+    for i in range(len(s)):
+        for k in range(3):
+            for j in range(CHUNK_PX):
+                work[k * CHUNK_PX + j] = s[i, k, j]
+        _take_normals(*scalars, squared, work)
+        for k in range(3):
+            for j in range(CHUNK_PX):
+                normals[k, i * CHUNK_PX + j] = work[k * CHUNK_PX + j]
+    return _mean_step(normals, pairs)
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _without_pigment(s: Any, matrix: Any, origin: Any, line: Any, squared: Any) -> Any:
-    """Return the normal of contributions s without the pigment that its length tells; tuples."""
-    t = _amount(s, matrix, origin, line, squared, _TRUST_OF_SEARCH)
-    _, n0, n1, n2 = _normal(t, s, matrix, origin, line)
-    return n0, n1, n2
+def _take_normals(matrix: Any, origin: Any, line: Any, squared: Any, work: Any) -> None:
+    """Replace contributions, as in `_take_pigment`, by normals without pigment."""
+    for j in range(CHUNK_PX):
+        s = (work[j], work[CHUNK_PX + j], work[2 * CHUNK_PX + j])
+        t = _amount(s, matrix, origin, line, squared, _TRUST_OF_SEARCH)
+        _, n0, n1, n2 = _normal(t, s, matrix, origin, line)
+        over = _ONE / (np.sqrt(n0 * n0 + n1 * n1 + n2 * n2) + _TINY)
+        work[j], work[CHUNK_PX + j], work[2 * CHUNK_PX + j] = n0 * over, n1 * over, n2 * over
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _mean_step(normals: Any, pairs: Any) -> float:
+    steep, total, count = _STEEP * _STEEP, _NONE, _NONE
+    for u in range(1, len(pairs)):
+        d0 = normals[0, u] - normals[0, u - 1]
+        d1 = normals[1, u] - normals[1, u - 1]
+        d2 = normals[2, u] - normals[2, u - 1]
+        apart = d0 * d0 + d1 * d1 + d2 * d2
+        total += pairs[u] * apart / (apart + steep)
+        count += pairs[u]
+    return float(total / max(count, _ONE))
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
