@@ -126,6 +126,24 @@ class MaterialLabeller:
         _take_blocks(found, mask, split.factor, coarse)
         return np.where(mask, found, 0).astype(np.uint8)
 
+    def rough_labels(self, frame: LinearFrame, mask: Mask) -> MaterialLabels:
+        """Return (h, w), `labels` to a block, of a frame alone; also outside the mask, of what is nearest."""
+        self.forget()
+        if len(self._logs) == 1 or not mask.any():
+            return np.zeros(mask.shape, np.uint8)
+        box = self._boxed(mask)
+        rgb, clipped = np.ascontiguousarray(frame.rgb[box]), np.ascontiguousarray(frame.clipped[box])
+        part = LinearFrame(rgb=rgb, clipped=clipped)
+        split = split_frame(part, self._response, np.ascontiguousarray(mask[box]))
+        coarse = self._decided_anew(split)
+        if coarse is None:
+            return np.zeros(mask.shape, np.uint8)
+        rows, columns = (
+            np.clip((np.arange(size) - side.start) // split.factor, 0, count - 1)
+            for size, side, count in zip(mask.shape, box, coarse.shape, strict=True)
+        )
+        return coarse[rows[:, None], columns]
+
     def relit(self, frame: LinearFrame, labels: MaterialLabels, mask: Mask | None = None) -> LinearFrame:
         """Return the frame as it would be with the calibration material everywhere; mask: see `relit`."""
         return relit(frame, self._response, labels, self._reflectances, self._pigments, self.seams, mask)
@@ -170,7 +188,7 @@ class MaterialLabeller:
         self, frame: LinearFrame, mask: Mask, labels: MaterialLabels
     ) -> list[tuple[Vector3, Vector3] | None]:
         """Return for each material the line (3,) along which it changes and log ρ, or None for no change."""
-        split = split_frame(frame, self._response, mask)
+        split = split_frame(frame, self._response, mask, like=self._split)
         middle = split.factor // 2
         places = (
             np.minimum(np.arange(n) * split.factor + middle, size - 1)

@@ -40,6 +40,7 @@ _MOST_UNEXPLAINED_OF_ANY = 0.4  # more, and nothing that was found can be truste
 # Of the steps of normals at seams: printed cloth, a made-up face and painted objects left 0 to 0.7, gloss on
 # photographs of faces and plaster, taken for paint, 0.97 to 1.6.
 _MOST_LEFT = 0.85
+_JUDGED = 40_000  # pixels tell how much is not explained
 _LIT_SHARE = 0.06  # of the strongest lamp's light that reaches a pixel: less may be shadow
 _REMEDY = "film the subject while it turns, or calibrate on its own material"
 
@@ -149,14 +150,15 @@ class _Labelled:
         return self.labeller.pigments(self.frame, self.mask, self.labels)
 
     def relit(self, found: list[Material], pigments: list[Vector3 | None]) -> FloatArray:
-        """Return the colours (n, 3) of sound pixels as they would be in the rig's material.
+        """Return the colours (n, 3) of some sound pixels as they would be in the rig's material.
 
         found: the materials again, with their pigments: lines (3,) along which they change, None for none.
         """
         values = np.array([each.reflectance.values for each in found])
         along = np.array([np.zeros(3) if each is None else each for each in pigments])
         rgb = relit(self.frame, self.response, self.labels, values, along, self.labeller.seams, self.mask).rgb
-        return rgb[self.mask & ~self.frame.clipped].astype(np.float64)
+        sound = np.flatnonzero(self.mask & ~self.frame.clipped)
+        return rgb.reshape(-1, 3)[sound[:: max(1, len(sound) // _JUDGED)]].astype(np.float64)
 
 
 def _with_pigments(found: list[Material], seen: _Labelled) -> tuple[list[Material], list[Vector3 | None]]:

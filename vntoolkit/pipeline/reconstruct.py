@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import maximum_filter, minimum_filter
 
 from vntoolkit.arrays import Mask
 from vntoolkit.diagnosis.finding import Finding, judge
@@ -43,6 +42,7 @@ from vntoolkit.io.results.manifest import (
 )
 from vntoolkit.io.rigs import entry_from_rig
 from vntoolkit.materials.labelling import MaterialLabeller
+from vntoolkit.materials.pixels import near_seams
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.levelling import leveller_of
 from vntoolkit.photometry.near_lamps import with_near_lamps
@@ -62,7 +62,7 @@ BLOCK_FRAMES = 16
 _LARGE_ERROR_DEG = 20.0  # in the median, as of pixels that one light hardly reaches
 _DIGITS_OF_NEARNESS = 4
 _DIGITS_OF_BLUR = 2
-_SEAM_PX = 11  # side of the square in which one seam rules out judging a pixel
+_SEAM_PX = 5  # to either side, within which a seam rules out judging a pixel
 _FOLDERS = {
     "normals": ".exr",
     "depth": ".exr",
@@ -324,12 +324,11 @@ def _in_one_material(
         level = frame
         if response.variation is not None:
             level = leveller_of(response, frame.shape).frame_by_strength(frame)
-        labeller.forget()
         inside = np.ones(frame.shape, np.bool_) if mask is None else mask
-        labels = labeller.labels(level, inside)
-        seen = labeller.relit(frame, labels)
+        labels = labeller.rough_labels(level, inside)
+        seen = labeller.relit(frame, labels, inside)
         # Beside seams a blurred pixel is of no material: it would pass for a wrong curve.
-        seams = maximum_filter(labels, _SEAM_PX) != minimum_filter(labels, _SEAM_PX)
+        seams = near_seams(labels, _SEAM_PX)
         return replace(seen, clipped=seen.clipped | seams)
 
     return judged
