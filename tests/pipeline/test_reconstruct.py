@@ -11,6 +11,7 @@ from tests.pipeline.conftest import DomeCapture, write_dome_capture
 from vntoolkit.errors import BadCapture, BadInput, BadRig
 from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.geometry.camera import Camera
+from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.maps_and_meshes.label_images import write_mask
@@ -20,6 +21,7 @@ from vntoolkit.io.results.frame_log import FrameEntry, FrameLog
 from vntoolkit.io.results.manifest import read_manifest
 from vntoolkit.photometry.rig import FitQuality
 from vntoolkit.pipeline.block_work import ReconstructionJob
+from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.pipeline.options import OnError, Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.reconstruct import reconstruct
@@ -46,6 +48,15 @@ def whole_run(dome_capture: DomeCapture, tmp_path_factory: pytest.TempPathFactor
     out = tmp_path_factory.mktemp("whole")
     reconstruct(job_of(dome_capture, out))
     return out
+
+
+@pytest.mark.parametrize("shadows", [ShadowMethod.NONE, ShadowMethod.ROBUST])
+def test_a_frame_of_another_size_than_the_rigs_is_refused(dome_capture: DomeCapture, shadows) -> None:
+    processor = FrameProcessor(dome_capture.rig, ReconstructOptions(shadows=shadows))
+    frame = EncodedFrame(values=np.zeros((50, 64, 3), np.uint8), bits=8, number=0, name="a.png")
+    for work in (processor.process, processor.anchor_to):
+        with pytest.raises(BadInput, match=r"a\.png: expected shape 48 × 64 × 3, got 50 × 64 × 3"):
+            work(frame)
 
 
 def test_normals_depth_and_mesh_are_those_of_the_dome(dome_capture: DomeCapture, whole_run: Path) -> None:

@@ -197,6 +197,7 @@ class FrameProcessor:
             self._mask = self._whole_mask & self._resampler.mask(matte)
 
     def _normals(self, frame: EncodedFrame) -> tuple[NormalMap, VisibilityLabels | None, float]:
+        require_shape(frame.values, (*self._rig.footage_size[::-1], 3), frame.name)
         residual_deg = self._residual_deg
         if self._is_plain(frame):
             values, transfer, response = frame.values, self._rig.transfer, self._rig.response
