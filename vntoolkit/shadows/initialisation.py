@@ -41,6 +41,7 @@ _NOISE_PER_SLOPE, _LEAST_NOISE = (
 )  # noise of a cosine per noise of a slope on cleaner frames; its bound
 _START_PIXELS = 15_000  # frames are halved until they are not larger; there the starts are compared
 _CHECKING_ITERATIONS = 4  # steps there of a surface that is given
+_COMPARING_ITERATIONS = 2  # steps of two surfaces of one frame, before their misfits are compared
 _MIDDLE_ITERATIONS, _LARGE_ITERATIONS = 4, 3  # steps at every larger size, and at the largest
 # The roots win a shadow where they leave so much less than the start does, and it has so many pixels there.
 _CLEAR_GAIN, _FEWEST_PIXELS = 0.85, 50
@@ -60,14 +61,18 @@ def solve_from_best_initialisation(
 
     albedo: (h, w), that of the surroundings. start: the surface that the labels came from, or None.
     """
-    by_lights = np.asarray(TRUST_BY_LIGHTS, dtype=np.float32)[count_lit(labels)]
-    measured = replace(measured, trust=(measured.trust * by_lights).astype(np.float32))
+    measured = _trusted(measured, labels)
     if start is not None and start.settled:
         few = replace(options, iterations=_LARGE_ITERATIONS)
         return _solver(measured, labels, albedo, mask, camera)(
             first_normals=measured.normals, start=start, options=few
         )
     return _coarse_to_fine(measured, labels, albedo, mask, camera, options, start)
+
+
+def _trusted(measured: LightContributions, labels: VisibilityLabels) -> LightContributions:
+    by_lights = np.asarray(TRUST_BY_LIGHTS, dtype=np.float32)[count_lit(labels)]
+    return replace(measured, trust=(measured.trust * by_lights).astype(np.float32))
 
 
 def _shrunk(
@@ -125,6 +130,19 @@ def _better_than(
     return solve(first_normals=small.normals, start=found, options=middle).enlarged(mask.shape, 2)
 
 
+def better_shadows(
+    second: Surface, first: Surface, measured: LightContributions, labels: VisibilityLabels,
+    albedo: FloatArray, mask: Mask, camera: Camera | None,
+) -> Mask:  # fmt: skip
+    """Return the shadows (h, w) whose light the second surface explains better than the first."""
+    solve = partial(
+        _solver(_trusted(measured, labels), labels, albedo, mask, camera),
+        first_normals=measured.normals, options=SurfaceOptions(iterations=_COMPARING_ITERATIONS),
+    )  # fmt: skip
+    shadow = mask & (labels != ALL_LIT)
+    return _better_regions(solve(start=second).misfit, solve(start=first).misfit, shadow, gain=1.0)
+
+
 def options_with_noise(slope: float | None) -> SurfaceOptions:
     """Return what recovery asks of a surface whose slopes have this noise, None where it is not known."""
     options = SurfaceOptions()
@@ -176,15 +194,15 @@ def _by_either_root(
     return solve(first_normals=measured.normals, start=replace(base, normals=merged), options=options)
 
 
-def _better_regions(first: FloatArray, second: FloatArray, shadow: Mask) -> Mask:
-    """Connected regions of `shadow` in which `first` sums to clearly less than `second`."""
+def _better_regions(first: FloatArray, second: FloatArray, shadow: Mask, gain: float = _CLEAR_GAIN) -> Mask:
+    """Connected regions of `shadow` in which `first` sums to less than `gain` times `second`."""
     _, region = cv2.connectedComponents(shadow.astype(np.uint8), connectivity=4)
     count = int(region.max()) + 1
     first_sum, second_sum, pixels = (
         np.bincount(region[shadow], weights=values[shadow], minlength=count)
         for values in (np.minimum(first, _LARGEST_MISFIT), np.minimum(second, _LARGEST_MISFIT), shadow)
     )
-    clear = (first_sum < _CLEAR_GAIN * second_sum) & (pixels >= _FEWEST_PIXELS)
+    clear = (first_sum < gain * second_sum) & (pixels >= _FEWEST_PIXELS)
     return np.asarray(shadow & clear[region])
 
 

@@ -4,9 +4,9 @@ Start, on a small image: a light is doubted where its cosine, its contribution o
 too small for the surrounding albedo. Then alternate: solve the surface from the lights that are not doubted
 (`surface`), predict each light's cosine on it, compare with the cosine measured, and cut (`graph_cut`). Go on
 from that surface at twice the size, and so on up to the working size; on the frame itself only pixels in
-doubt are looked at again. A frame after another goes on from that one's surface, as far as the small image
-agrees. A pixel that is dark in all three lights alike is dark paint; paint that changes within eight pixels
-is told from shadow by that.
+doubt are looked at again. A frame after another goes on from that one's surface, but in shadows that a small
+image of its own explains better. A pixel that is dark in all three lights alike is dark paint; paint that
+changes within eight pixels is told from shadow by that.
 """
 
 from __future__ import annotations
@@ -48,6 +48,7 @@ from vntoolkit.shadows.evidence import (
     typical_dark_cosine,
 )
 from vntoolkit.shadows.graph_cut import Nodes, bonds_of_light, lit_by_cut
+from vntoolkit.shadows.initialisation import better_shadows
 from vntoolkit.shadows.shadow_edges import labels_beyond_half, turned_from_lights
 from vntoolkit.shadows.surface import Surface, SurfaceOptions, solve_surface, with_normals
 
@@ -61,11 +62,11 @@ _FINER_ROUNDS = 2  # the same on every larger one
 _START_PIXELS = 15_000  # images are halved until they are not larger; there the labels start
 _PERSISTENCE = 0.25  # weight of the previous frame's evidence
 _CHANGED = 0.25  # of the light: a frame that differs by more from the one before has nothing to do with it
+_SAME_ANSWER = 0.85  # cosine between two normals below which they are two answers, not one
 # Of a surface whose labels may still be wrong.
 _FIRST_SURFACE = SurfaceOptions(iterations=3, noise=0.08, smoothness=1.5)
 _FINER_SURFACE = SurfaceOptions(iterations=2, noise=0.08, smoothness=1.5)
-_NEXT_SURFACE = SurfaceOptions(iterations=2, noise=0.08, smoothness=1.5, cycles=3)
-_SAME_VALLEY = 0.85  # cosine between two normals below which they are two answers, not one
+_NEXT_SURFACE = SurfaceOptions(iterations=1, noise=0.08, smoothness=1.5, cycles=3)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -113,7 +114,7 @@ def labels_by_surface(
     if last is None or last.surface is None:
         surface, albedo = _surface_by_rounds(small, small_mask, small_camera)
     else:
-        start = _in_this_frames_valley(last.surface, small, small_mask, small_camera)
+        start = _corrected(last.surface, small, small_mask, small_camera)
         lit = _lit_on(start, small, last.albedo, small_mask)
         surface, albedo = _solved(small, small_mask, small_camera, lit, _NEXT_SURFACE, start)
     predicted = _predicted(surface, small)
@@ -143,23 +144,25 @@ def labels_by_surface(
     )  # fmt: skip
 
 
-def _in_this_frames_valley(
-    last: Surface, measured: LightContributions, mask: Mask, camera: Camera | None
-) -> Surface:
-    """Return the surface of the frame before; under shadow, this frame's own where the two differ much.
+def _corrected(last: Surface, measured: LightContributions, mask: Mask, camera: Camera | None) -> Surface:
+    """Return the surface of the frame before, with this frame's own in shadows that this explains better.
 
     A wrong answer would be handed on from frame to frame, and grow as the subject moves. This frame's own
-    comes from a small image, which costs little.
+    comes from a small image, which costs little, and counts only where it is another answer.
     """
-    small, small_mask = measured, mask
+    small, small_mask, before = measured, mask, last
     while small_mask.size > _START_PIXELS:
+        before = before.shrunk(small_mask, 2)
         small, small_mask = small.shrunk(small_mask, 2)
         camera = None if camera is None else camera.scaled(0.5)
-    own, albedo = _surface_by_rounds(small, small_mask, camera, _FINER_ROUNDS)
-    shadow: Mask = small_mask & ~all_of_three(_lit_on(own, small, albedo, small_mask))
-    near = np.asarray(cv2.dilate(shadow.astype(np.float32), np.ones((3, 3), np.uint8)), dtype=np.float32)
+    own, albedo = _surface_by_rounds(small, small_mask, camera, rounds=1)
+    labels = labels_from_lit(_lit_on(own, small, albedo, small_mask))
+    better = better_shadows(own, before, small, labels, albedo, small_mask, camera)
+    if not better.any():
+        return last
+    near = np.asarray(cv2.dilate(better.astype(np.float32), np.ones((3, 3), np.uint8)), dtype=np.float32)
     normals = _enlarged(own.normals.astype(np.float32), mask.shape)
-    differs = np.einsum("vuc,vuc->vu", normals, last.normals) < _SAME_VALLEY
+    differs = np.einsum("vuc,vuc->vu", normals, last.normals) < _SAME_ANSWER
     return with_normals(last, normals, _enlarged(near, mask.shape) * differs)
 
 
