@@ -167,10 +167,11 @@ class MaterialLabeller:
         alone = one.relit(frame, np.zeros(mask.shape, np.uint8))
         inside, at_seams, at_seams_alone = [], [], []
         for before, after in _PAIRS:
-            is_seam = labels[before] != labels[after]
+            both, is_seam = mask[before] & mask[after], labels[before] != labels[after]
             for seam in (False, True):
-                places = np.nonzero(mask[before] & mask[after] & (is_seam == seam))
-                places = tuple(each[:: max(1, len(each) // _JUDGED)] for each in places)
+                chosen = np.flatnonzero(both & (is_seam == seam))
+                chosen = chosen[:: max(1, len(chosen) // _JUDGED)]
+                places = np.unravel_index(chosen, both.shape)
                 steps = _steps(found, before, after, places, self._response)
                 if not seam:
                     inside.append(steps)

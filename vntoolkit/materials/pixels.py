@@ -50,7 +50,7 @@ _BLURS_PX = (0.0, 0.5, 0.7, 1.0, 1.4)  # standard deviations that are tried
 _BLURRED_PX = 0.6  # from where a step of paint takes three pixels
 _REACH_BLURRED = 3
 _JUDGED = 4000  # pixels beside seams that tell the blur
-_JUDGED_STEPS = 60_000  # pixels of the rows that tell how far shading changes
+_JUDGED_STEPS = 20_000  # pixels of the rows that tell how far shading changes
 
 
 class Spread(NamedTuple):
@@ -488,9 +488,8 @@ def likeliest_blur_px(
     values: FloatArray, lit: Mask, lamps: Lamps, logs: Points, spread: Spread, labels: MaterialLabels
 ) -> float:
     """The standard deviation of the blur under which normals beside seams are most nearly of unit length."""
-    v, u = np.nonzero(_beside_seams(labels, lit))
-    step = max(1, len(v) // _JUDGED)
-    v, u = v[::step], u[::step]
+    beside = np.flatnonzero(_beside_seams(labels, lit))
+    v, u = np.unravel_index(beside[:: max(1, len(beside) // _JUDGED)], labels.shape)
     if not len(v):
         return 0.0
     tolerance = spread.of_pixels**2 + spread.of_regions**2
