@@ -62,6 +62,7 @@ _FINER_ROUNDS = 2  # the same on every larger one
 _START_PIXELS = 15_000  # images are halved until they are not larger; there the labels start
 _PERSISTENCE = 0.25  # weight of the previous frame's evidence
 _CHANGED = 0.25  # of the light: a frame that differs by more from the one before has nothing to do with it
+_CORRECTED_EVERY = 2  # frames: a wrong answer takes several to grow, and asking costs a tenth of a frame
 _SAME_ANSWER = 0.85  # cosine between two normals below which they are two answers, not one
 # Of a surface whose labels may still be wrong.
 _FIRST_SURFACE = SurfaceOptions(iterations=3, noise=0.08, smoothness=1.5)
@@ -76,7 +77,7 @@ class FrameMemory:
     evidence: (3, h, w) of the window, see `evidence_of_frame`; None where nothing was in doubt. colours:
     (h', w', 3), contributions on the working size. surface: on that size, where the labels came from.
     albedo: (h', w'). recovered: (h', w', 3), normals that recovery found, or None. start: what recovery goes
-    on from.
+    on from. age: frames since the first that it goes on from.
     """
 
     window: Window
@@ -86,6 +87,7 @@ class FrameMemory:
     albedo: FloatArray
     recovered: FloatArray | None = None
     start: Surface | None = None
+    age: int = 0
 
 
 def labels_by_surface(
@@ -114,7 +116,9 @@ def labels_by_surface(
     if last is None or last.surface is None:
         surface, albedo = _surface_by_rounds(small, small_mask, small_camera)
     else:
-        start = _corrected(last.surface, small, small_mask, small_camera)
+        start = last.surface
+        if last.age % _CORRECTED_EVERY == 0:
+            start = _corrected(start, small, small_mask, small_camera)
         lit = _lit_on(start, small, last.albedo, small_mask)
         surface, albedo = _solved(small, small_mask, small_camera, lit, _NEXT_SURFACE, start)
     predicted = _predicted(surface, small)
@@ -140,6 +144,7 @@ def labels_by_surface(
         labels = labels_beyond_half(labels, found.cosines, found.facing, mask, found.near)
     return labels, FrameMemory(
         window=window, evidence=found.memory, colours=small.contributions, surface=surface, albedo=albedo,
+        age=0 if last is None else last.age + 1,
         start=_between(surface, None if last is None else last.recovered, labels),
     )  # fmt: skip
 
@@ -224,7 +229,7 @@ def _placed(last: FrameMemory, window: Window, shape: tuple[int, ...], small: tu
     return FrameMemory(
         window=window, evidence=evidence, colours=moved(last.colours), albedo=moved(last.albedo),
         surface=None if last.surface is None else last.surface.moved(moved, 1.0 / down),
-        recovered=None if last.recovered is None else moved(last.recovered),
+        recovered=None if last.recovered is None else moved(last.recovered), age=last.age,
     )  # fmt: skip
 
 
