@@ -23,7 +23,7 @@ _LEAST_SHARE = np.float32(0.01)
 _NONE, _ONE, _TINY = np.float32(0.0), np.float32(1.0), np.float32(1e-12)
 # Places in the array that a chunk works in: means and contributions of the lamps, three rows each, both
 # largest shares, and the reflectances that these are of.
-_MEAN, _LIGHT, _FIRST, _SECOND, _OWN, _OTHER, _ROOM = 0, 96, 192, 224, 256, 352, 448
+_MEAN, _LIGHT, _FIRST, _SECOND, _OWN, _OTHER, _ROOM = (CHUNK_PX * row for row in (0, 3, 6, 7, 8, 11, 14))
 
 
 def reach_of_blur(blur_px: float) -> int:
