@@ -80,28 +80,32 @@ def require_writable_folder(folder: Path | str) -> Path:
             probe.write_bytes(b"0")
         finally:
             probe.unlink(missing_ok=True)
-        remove_leftovers(folder, _has_ended)
     except OSError as error:
         raise cannot_write(folder, error) from error
+    remove_leftovers(folder, _has_ended)
     return folder
 
 
 def remove_leftovers(folder: Path, is_left_by: Callable[[int], bool]) -> None:
-    """Remove temporary files in `folder`, or one folder below, by the number of the process they are of."""
-    for pattern in (".*", "*/.*"):
-        for path in folder.glob(pattern):
-            match = _TEMPORARY.fullmatch(path.name)
-            if match and is_left_by(int(match[1] or match[2])):
-                path.unlink(missing_ok=True)
+    """Remove the temporary files of processes that `is_left_by` names, in `folder` and one folder below.
+
+    Raises `CannotWrite`.
+    """
+    try:
+        for pattern in (".*", "*/.*"):
+            for path in folder.glob(pattern):
+                match = _TEMPORARY.fullmatch(path.name)
+                if match and is_left_by(int(match[1] or match[2])):
+                    path.unlink(missing_ok=True)
+    except OSError as error:
+        raise cannot_write(folder, error) from error
 
 
 def _has_ended(process: int) -> bool:
     try:
         os.kill(process, 0)
-    except ProcessLookupError:
-        return True
-    except OSError:
-        return False
+    except OSError as error:  # another's process, which may not be asked, is running
+        return isinstance(error, ProcessLookupError)
     return False
 
 

@@ -110,11 +110,11 @@ class BlurredLabels:
         _mix_all(values, found, near, split, rho, wide_weights(weights), room)
         most_left = _ENOUGH * near_seams(labels, 1).sum() if sweeps > 1 else 0
         length = 1.0 / (self._spread.of_pixels**2 + _SHARED * self._spread.of_regions**2)
-        for move, most in ((_move_blocks, of_blocks), (_move_pixels, sweeps)):
+        for by_blocks, most in ((True, of_blocks), (False, sweeps)):
             for _ in range(most):
-                changed = move(
+                changed = _move(
                     found, near, room, rho, weights, haze, inverse, np.float32(length),
-                    np.float32(self._precision),
+                    np.float32(self._precision), by_blocks,
                 )  # fmt: skip
                 if changed <= most_left:
                     break
@@ -199,16 +199,18 @@ def _take_log_ratios(one: Any, other: Any, ratio: Any, bits: Any, exponent: Any,
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
-def _move_pixels(
+def _move(
     labels: Any, lit: Any, state: Any, rho: Any, weights: Any, haze: Any, inverse: Any, length: Any,
-    precision: Any,
+    precision: Any, of_blocks: bool,
 ) -> int:  # fmt: skip
-    """Give each pixel the label around it that costs least; return how many changed.
+    """Give each pixel, or each of overlapping blocks, the label around it that costs least.
 
-    Every second strip of rows is decided at the same time: what is between keeps what they see apart. state:
-    of `_mix_all`; all numbers in single precision.
+    Returns how many changed. Every second strip of rows is decided at the same time: what is between keeps
+    what they see apart. state: of `_mix_all`; all numbers in single precision.
     """
-    rows = max(len(labels) - 2 * _MARGIN_PX - 1, 0)
+    stride = _BLOCK_PX // 2 if of_blocks else 1
+    beyond = _BLOCK_PX + _LOOK_PX - stride if of_blocks else 1
+    rows = max((len(labels) - 2 * _MARGIN_PX - beyond) // stride, 0)
     strips = (rows + _STRIP - 1) // _STRIP
     changes = np.zeros(max(strips, 1), np.int64)
     for first in range(2):
@@ -217,38 +219,21 @@ def _move_pixels(
         for i in prange(half):
             strip = 2 * (i * jump % half) + first
             for row in range(strip * _STRIP, min((strip + 1) * _STRIP, rows)):
-                changes[strip] += _move_row(
-                    labels, lit, state, rho, weights, haze, inverse, length, precision, 1, 1, 1, LANES,
-                    _MARGIN_PX + row,
-                )  # fmt: skip
+                if of_blocks:
+                    changes[strip] += _move_row(
+                        labels, lit, state, rho, weights, haze, inverse, length, precision, _BLOCK_PX,
+                        _BLOCK_PX // 2, _LOOK_PX, 2 * LANES, _MARGIN_PX + stride * row,
+                    )  # fmt: skip
+                else:
+                    changes[strip] += _move_row(
+                        labels, lit, state, rho, weights, haze, inverse, length, precision, 1, 1, 1, LANES,
+                        _MARGIN_PX + row,
+                    )  # fmt: skip
     return changes.sum()
 
 
-@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
-def _move_blocks(
-    labels: Any, lit: Any, state: Any, rho: Any, weights: Any, haze: Any, inverse: Any, length: Any,
-    precision: Any,
-) -> int:  # fmt: skip
-    """`_move_pixels` for overlapping blocks of pixels."""
-    stride = _BLOCK_PX // 2
-    rows = max((len(labels) - 2 * _MARGIN_PX - _BLOCK_PX - _LOOK_PX) // stride + 1, 0)
-    strips = (rows + _STRIP - 1) // _STRIP
-    changes = np.zeros(max(strips, 1), np.int64)
-    for first in range(2):
-        half = (strips - first + 1) // 2
-        jump = scattering(half)
-        for i in prange(half):
-            strip = 2 * (i * jump % half) + first
-            for row in range(strip * _STRIP, min((strip + 1) * _STRIP, rows)):
-                changes[strip] += _move_row(
-                    labels, lit, state, rho, weights, haze, inverse, length, precision, _BLOCK_PX, stride,
-                    _LOOK_PX, 2 * LANES, _MARGIN_PX + stride * row,
-                )  # fmt: skip
-    return changes.sum()
-
-
-# What follows is compiled into the two above, for which the sizes of windows are constants: only so are
-# many pixels done at a time. One array (parts, n) holds all of a window, rows of `lanes` pixels: parts are
+# What follows is compiled twice into `_move`, where the sizes of windows are constants: only so are many
+# pixels done at a time. One array (parts, n) holds all of a window, rows of `lanes` pixels: parts are
 # contributions, mixtures and shading of the lamps, where there are pixels, where lengths and steps count and
 # where they may, the mixtures and the shading of another label, and what a pixel adds to mixtures around it.
 _LIGHT, _MIXED, _SHADE, _THERE, _SIDES, _WHICH, _NEW, _NEW_SHADE, _KERNEL, _PARTS = (

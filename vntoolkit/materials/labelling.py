@@ -97,8 +97,7 @@ class MaterialLabeller:
             return np.zeros(mask.shape, np.uint8)
         labels = np.zeros(mask.shape, np.uint8)
         box = self._boxed(mask)
-        rgb, clipped = np.ascontiguousarray(frame.rgb[box]), np.ascontiguousarray(frame.clipped[box])
-        labels[box] = self._labels(LinearFrame(rgb=rgb, clipped=clipped), np.ascontiguousarray(mask[box]))
+        labels[box] = self._labels(*_inside(frame, mask, box))
         return labels
 
     def _labels(self, frame: LinearFrame, mask: Mask) -> MaterialLabels:
@@ -132,9 +131,8 @@ class MaterialLabeller:
         if len(self._logs) == 1 or not mask.any():
             return np.zeros(mask.shape, np.uint8)
         box = self._boxed(mask)
-        rgb, clipped = np.ascontiguousarray(frame.rgb[box]), np.ascontiguousarray(frame.clipped[box])
-        part = LinearFrame(rgb=rgb, clipped=clipped)
-        split = split_frame(part, self._response, np.ascontiguousarray(mask[box]))
+        part, inside = _inside(frame, mask, box)
+        split = split_frame(part, self._response, inside)
         coarse = self._decided_anew(split)
         if coarse is None:
             return np.zeros(mask.shape, np.uint8)
@@ -277,6 +275,12 @@ class MaterialLabeller:
         self._doubtful = float(np.quantile(paid, 1.0 - _DOUBTFUL_SHARE)) if paid.size else np.inf
         self._mean_price = float(paid.mean()) if paid.size else np.inf
         return found
+
+
+def _inside(frame: LinearFrame, mask: Mask, box: tuple[slice, slice]) -> tuple[LinearFrame, Mask]:
+    """Return the rows and columns of a box alone, of a frame and of its mask."""
+    rgb, clipped = np.ascontiguousarray(frame.rgb[box]), np.ascontiguousarray(frame.clipped[box])
+    return LinearFrame(rgb=rgb, clipped=clipped), np.ascontiguousarray(mask[box])
 
 
 def _shifted(image: npt.NDArray[Any], shape: tuple[int, ...], down: int, right: int) -> npt.NDArray[Any]:
