@@ -20,9 +20,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from vntoolkit.geometry.mesh import MeshSequence
-from vntoolkit.geometry.motion import Motion
+from vntoolkit.geometry.motion import Motion, pose_of_frame
 from vntoolkit.pipeline.dress import DressedFigure, DressOptions, dress, read_motion, read_tracked_cloth
-from vntoolkit.skinning.blending import pose_of_frame
 from vntoolkit.skinning.clock import ClockOptions, Loop
 from vntoolkit.skinning.gait import walking_motion
 

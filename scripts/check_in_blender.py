@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from vntoolkit.geometry.motion import pose_of_frame
 from vntoolkit.pipeline.dress import (
     CapturedLook,
     DressedFigure,
@@ -28,7 +29,7 @@ from vntoolkit.pipeline.dress import (
     read_tracked_cloth,
     write_dressed_figure,
 )
-from vntoolkit.skinning.blending import pose_of_frame, skinned_vertices
+from vntoolkit.skinning.blending import skinned_vertices
 from vntoolkit.skinning.clock import ClockOptions
 
 BLENDER_FROM_CAMERA = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # z up, away from the viewer is +y

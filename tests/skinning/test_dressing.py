@@ -14,14 +14,14 @@ from vntoolkit.__main__ import main
 from vntoolkit.errors import BadInput, BadMotion
 from vntoolkit.geometry.garment_fit import GarmentFit, Landmark, fit_similarity
 from vntoolkit.geometry.mesh import Mesh, MeshSequence
-from vntoolkit.geometry.motion import Motion, Skeleton
+from vntoolkit.geometry.motion import Motion, Skeleton, bone_segments, pose_of_frame
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
 from vntoolkit.io.motion.bvh import write_bvh
 from vntoolkit.pipeline.dress import DressedFigure, DressOptions, MotionUpAxis, dress, read_motion
 from vntoolkit.skinning.alignment import Anchor
 from vntoolkit.skinning.anatomy import anatomy_of, facing_of, shoulders_of
-from vntoolkit.skinning.blending import Blend, bone_segments, pose_of_frame
+from vntoolkit.skinning.blending import Blend
 from vntoolkit.skinning.clock import ClockOptions
 from vntoolkit.skinning.fitting import Garment, GarmentFitOptions
 from vntoolkit.skinning.gait import walking_motion

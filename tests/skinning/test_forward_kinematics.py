@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from vntoolkit.errors import BadMotion
-from vntoolkit.geometry.motion import Motion, Skeleton
+from vntoolkit.geometry.motion import Motion, Skeleton, bone_segments, forward_kinematics, pose_of_frame
 from vntoolkit.io.motion.asf import read_asf_amc
 from vntoolkit.io.motion.bvh import read_bvh, write_bvh
-from vntoolkit.skinning.blending import bone_segments, forward_kinematics, pose_of_frame
 from vntoolkit.skinning.gait import walking_motion
 
 DISK_FROM_MEMORY = np.array([1.0, -1.0, -1.0])

@@ -15,12 +15,12 @@ from tests.skinning.conftest import tube
 from vntoolkit.__main__ import main
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import Mesh, MeshSequence, vertex_normals
-from vntoolkit.geometry.motion import Motion, Skeleton, rest_pose
+from vntoolkit.geometry.motion import Motion, Skeleton, bone_segments, pose_of_frame, rest_pose
 from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.io.motion.bvh import write_bvh
 from vntoolkit.pipeline.dress import DressedFigure, DressOptions, dress, read_motion
 from vntoolkit.skinning.attachment import covered_bones, weights_of_garment
-from vntoolkit.skinning.blending import Blend, bone_segments, pose_of_frame, skinned_vertices
+from vntoolkit.skinning.blending import Blend, skinned_vertices
 from vntoolkit.skinning.clock import ClockOptions, Loop
 from vntoolkit.skinning.fitting import ArmPose, GarmentFitOptions
 from vntoolkit.skinning.gait import walking_motion

@@ -9,15 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from vntoolkit.errors import BadInput
-from vntoolkit.geometry.motion import Motion, Skeleton, rest_pose
+from vntoolkit.geometry.motion import Motion, Skeleton, bone_segments, pose_of_frame, rest_pose
 from vntoolkit.geometry.rigid import RigidTransform
-from vntoolkit.skinning.blending import (
-    Blend,
-    bone_segments,
-    dual_quaternions,
-    pose_of_frame,
-    skinned_vertices,
-)
+from vntoolkit.skinning.blending import Blend, dual_quaternions, skinned_vertices
 from vntoolkit.skinning.gait import walking_motion
 from vntoolkit.skinning.weights import Falloff, SkinWeights, WeightOptions, weights_from_distances
 

@@ -14,10 +14,9 @@ from tests.skinning.test_heat_weights import of_arms, raised_arms, sheet_seen_fr
 from vntoolkit.__main__ import main
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.mesh import Mesh, MeshSequence, edges_from_faces
-from vntoolkit.geometry.motion import Motion
+from vntoolkit.geometry.motion import Motion, pose_of_frame
 from vntoolkit.pipeline.dress import DressedFigure, DressOptions, dress
 from vntoolkit.skinning.anatomy import anatomy_of, arms_of
-from vntoolkit.skinning.blending import pose_of_frame
 from vntoolkit.skinning.findings import DressingFindings
 from vntoolkit.skinning.fitting import Garment, GarmentFitOptions
 from vntoolkit.skinning.gait import walking_motion

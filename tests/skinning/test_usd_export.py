@@ -13,10 +13,10 @@ from tests.skinning.test_heat_weights import raised_arms, sheet_seen_from_the_fr
 from tests.usd_reading import read_usd_sequence
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.geometry.mesh import Mesh, MeshSequence
+from vntoolkit.geometry.motion import pose_of_frame
 from vntoolkit.io.maps_and_meshes import usd
 from vntoolkit.io.maps_and_meshes.usd import write_usd_meshes, write_usd_sequence
 from vntoolkit.pipeline.dress import dress, write_dressed_figure
-from vntoolkit.skinning.blending import pose_of_frame
 from vntoolkit.skinning.gait import walking_motion
 
 

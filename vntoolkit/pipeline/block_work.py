@@ -31,9 +31,9 @@ from vntoolkit.native import loops_may_overlap, njit
 from vntoolkit.photometry.frame import ALL_LIT
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer
-from vntoolkit.pipeline.frame_processor import FrameProcessor, FrameResult
+from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.pipeline.options import DepthOffset, OnError, Product, ReconstructOptions
-from vntoolkit.pipeline.outputs import ReconstructionFolder
+from vntoolkit.pipeline.outputs import FrameResult, ReconstructionFolder
 from vntoolkit.pipeline.painted_surface import PaintedSurface, TrackedReflectance
 from vntoolkit.shadows.detector import ShadowMethod
 

@@ -19,7 +19,7 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.garment_fit import GarmentFit
 from vntoolkit.geometry.mesh import Mesh, MeshSequence, vertex_normals
-from vntoolkit.geometry.motion import Motion, Skeleton
+from vntoolkit.geometry.motion import Motion, Skeleton, bone_segments, pose_of_frame
 from vntoolkit.geometry.rigid import Similarity
 from vntoolkit.geometry.skinned_clip import SkinnedClip, ViewedFrom, blend_shapes
 from vntoolkit.io.atomic import require_writable_folder
@@ -35,7 +35,7 @@ from vntoolkit.pipeline.tracked_folder import colours_at, read_track_record, rec
 from vntoolkit.skinning.alignment import Anchor, CapturedMotion, parts_of
 from vntoolkit.skinning.anatomy import anatomy_of, legs_of
 from vntoolkit.skinning.attachment import GarmentCover, SleeveCover, weights_without_web
-from vntoolkit.skinning.blending import Blend, bone_segments, pose_of_frame, skinned_vertices
+from vntoolkit.skinning.blending import Blend, skinned_vertices
 from vntoolkit.skinning.clock import (
     Clock,
     ClockOptions,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,6 @@ from vntoolkit.arrays import Colours, LinearImage, Mask, VisibilityLabels
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadCapture
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
-from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.integration.expected_error import with_expected_depth_error
 from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded, resampler_of
@@ -30,32 +29,15 @@ from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
 from vntoolkit.photometry.levelling import leveller_of
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
-from vntoolkit.pipeline.contact import Contact, contact_from_depth, rested
+from vntoolkit.pipeline.contact import contact_from_depth, rested
 from vntoolkit.pipeline.options import Product, ReconstructOptions
+from vntoolkit.pipeline.outputs import FrameResult
 from vntoolkit.pipeline.painted_surface import PaintedSurface
 from vntoolkit.shadows.contributions import brighter_than
 from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
 from vntoolkit.shadows.recovery import recover_surface
 
 _SAMPLED = 4  # every fourth pixel of every fourth row tells how bright a subject is
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class FrameResult:
-    """What one frame became; None for what was not asked for. clipped_share: of all pixels, 0 to 1.
-
-    contact: what touches a tactile gel, where its depth was asked for. materials: (h, w) numbers of
-    materials, where there are others than the rig's.
-    """
-
-    number: int
-    normal_map: NormalMap
-    depth_map: DepthMap | None
-    labels: VisibilityLabels | None
-    mesh: Mesh | None
-    clipped_share: float
-    contact: Contact | None = None
-    materials: MaterialLabels | None = None
 
 
 class FrameProcessor:

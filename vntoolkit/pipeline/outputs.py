@@ -1,18 +1,37 @@
-"""The files of a reconstruction: their paths, and the writing of one frame."""
+"""What one frame became, and the files of a reconstruction: their paths, and the writing of a frame."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from vntoolkit.arrays import VisibilityLabels
+from vntoolkit.geometry.maps import DepthMap, NormalMap
+from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.maps_and_meshes.label_images import write_labels, write_mask, write_materials
 from vntoolkit.io.maps_and_meshes.maps import write_depth_map, write_normal_map
 from vntoolkit.io.maps_and_meshes.meshes import write_mesh
+from vntoolkit.materials.pixels import MaterialLabels
+from vntoolkit.pipeline.contact import Contact
 from vntoolkit.pipeline.options import Product
 
-if TYPE_CHECKING:
-    from vntoolkit.pipeline.frame_processor import FrameResult
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FrameResult:
+    """What one frame became; None for what was not asked for. clipped_share: of all pixels, 0 to 1.
+
+    contact: what touches a tactile gel, where its depth was asked for. materials: (h, w) numbers of
+    materials, where there are others than the rig's.
+    """
+
+    number: int
+    normal_map: NormalMap
+    depth_map: DepthMap | None
+    labels: VisibilityLabels | None
+    mesh: Mesh | None
+    clipped_share: float
+    contact: Contact | None = None
+    materials: MaterialLabels | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,10 +16,10 @@ from vntoolkit.arrays import Colours, FloatArray, IntArray, Points, Vector3
 from vntoolkit.checks import require_finite
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.geometry.motion import bone_segments, pose_of_frame
 from vntoolkit.io.footage.video import write_video
 from vntoolkit.pipeline.dress import DressedFigure, floor_height
 from vntoolkit.report.pictures import write_tiles
-from vntoolkit.skinning.blending import bone_segments, pose_of_frame
 from vntoolkit.skinning.findings import STRETCHED
 
 BACKGROUND = (0.93, 0.94, 0.96)

@@ -13,7 +13,7 @@ from vntoolkit.arrays import FloatArray, Points, Vector3
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.garment_fit import GarmentFit, fit_similarity
 from vntoolkit.geometry.mesh import Mesh, face_normals
-from vntoolkit.geometry.motion import Motion, Skeleton
+from vntoolkit.geometry.motion import Motion, Skeleton, forward_kinematics
 from vntoolkit.geometry.rigid import RigidTransform, Similarity
 from vntoolkit.skinning.alignment import (
     SleevedArm,
@@ -31,7 +31,6 @@ from vntoolkit.skinning.anatomy import (
     shoulders_of,
     thigh_of,
 )
-from vntoolkit.skinning.blending import forward_kinematics
 from vntoolkit.skinning.sleeves import GarmentRegions, regions_of_garment
 
 _WAIST_RISE = 0.1  # of the way from feet to hips: trousers reach above the joints of the hips

@@ -13,8 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from vntoolkit.arrays import FloatArray
 from vntoolkit.errors import BadInput
-from vntoolkit.geometry.motion import Motion, Skeleton
-from vntoolkit.skinning.blending import forward_kinematics
+from vntoolkit.geometry.motion import Motion, Skeleton, forward_kinematics
 
 # joint, its parent, and the way from there in centimetres (x to the figure's left, y up, z forwards)
 _JOINTS = (

@@ -12,9 +12,8 @@ import numpy as np
 from vntoolkit.arrays import FloatArray, IntArray, Points, read_only
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput
-from vntoolkit.geometry.motion import Skeleton
+from vntoolkit.geometry.motion import Skeleton, bone_segments
 from vntoolkit.native import njit
-from vntoolkit.skinning.blending import bone_segments
 
 _NEAREST = 1e-6  # of the skeleton's height: nearer counts as this near, so that 1/distance stays finite
 
