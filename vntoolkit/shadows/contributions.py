@@ -12,6 +12,7 @@ import numpy.typing as npt
 from numba import prange
 
 from vntoolkit.arrays import FloatArray, Mask, Matrix3, Vector3, Weight
+from vntoolkit.geometry.camera import Camera
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
@@ -79,6 +80,36 @@ class LightContributions:
         return small, cover > 0.5
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WorkingImage:
+    """A frame at the size on which its surface is solved.
+
+    light: of (h, w) pixels, what the frame says of each light. mask: (h, w), the subject. camera: that sees
+    this image, None for orthographic.
+    """
+
+    light: LightContributions
+    mask: Mask
+    camera: Camera | None
+
+    def halved(self) -> WorkingImage:
+        """Return the image at half the size."""
+        light, mask = self.light.shrunk(self.mask, 2)
+        return WorkingImage(
+            light=light, mask=mask, camera=None if self.camera is None else self.camera.scaled(0.5)
+        )
+
+
+def working_image(
+    frame: LinearFrame, response: LightResponse, mask: Mask, camera: Camera | None
+) -> tuple[WorkingImage, int]:
+    """Split a frame by light, at a size that suffices; return also its pixels per pixel of that size."""
+    factor = shrinking(mask)
+    light, small_mask = _small_contributions(frame, response, mask, factor)
+    small_camera = None if camera is None else camera.scaled(1.0 / factor)
+    return WorkingImage(light=light, mask=small_mask, camera=small_camera), factor
+
+
 def mean_inside(mask: Mask, factor: int) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
     """Return how to average an image over the mask at 1/factor of the size, and how much is mask there."""
     size = (max(1, round(mask.shape[1] / factor)), max(1, round(mask.shape[0] / factor)))
@@ -126,7 +157,7 @@ def haze_of(response: LightResponse) -> tuple[FloatArray, float]:
     return haze, max(1.0 - float(haze @ haze), _SMALLEST_REST)
 
 
-def small_contributions(
+def _small_contributions(
     frame: LinearFrame, response: LightResponse, mask: Mask, factor: int
 ) -> tuple[LightContributions, Mask]:
     """Split a frame by light at 1/factor of the size, its colours averaged over the mask; also its mask."""

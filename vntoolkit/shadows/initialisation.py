@@ -8,19 +8,17 @@ lead to the other. Every shadow keeps the one whose surface returns the light th
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, Mask, Normals, VisibilityLabels
-from vntoolkit.geometry.camera import Camera
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame, count_lit
 from vntoolkit.photometry.response import LightResponse
-from vntoolkit.shadows.contributions import LightContributions, contributions_from_frame, lengths_of
-from vntoolkit.shadows.surface import Surface, SurfaceOptions, solve_surface
+from vntoolkit.shadows.contributions import contributions_from_frame, lengths_of
+from vntoolkit.shadows.surface import LabelledImage, Surface, SurfaceOptions
 
 _LARGEST_MISFIT = 25.0  # χ² of one pixel beyond which it says no more about its region
 _FLATTEST_FACING = 0.12  # |n_z| below which a slope is held
@@ -28,17 +26,11 @@ _MEDIAN_TO_DEVIATION = 1.4826
 _FEWEST_LOOPS = 100
 _FEWEST_PAIRS = 60  # of rows, whose noise stands for the frame's
 _PAIRS = ((1, 2, 6), (0, 2, 5), (0, 1, 3))  # the two lights that remain, and the label that says so
-TRUST_BY_LIGHTS = (
-    1.0,
-    0.2,
-    2.0,
-    1.0,
-)  # of a pixel that 0 … 3 lights reach: one alone hangs on the albedo; few
-# pixels under two must hold against many around
-_NOISE_PER_SLOPE, _LEAST_NOISE = (
-    1.7,
-    0.01,
-)  # noise of a cosine per noise of a slope on cleaner frames; its bound
+# Of a pixel that 0 … 3 lights reach: one alone hangs on the albedo; few pixels under two must hold against
+# many around.
+TRUST_BY_LIGHTS = (1.0, 0.2, 2.0, 1.0)
+_NOISE_PER_SLOPE = 1.7  # noise of a cosine per noise of a slope, on cleaner frames
+_LEAST_NOISE = 0.01  # of a cosine
 _START_PIXELS = 15_000  # frames are halved until they are not larger; there the starts are compared
 _CHECKING_ITERATIONS = 4  # steps there of a surface that is given
 _COMPARING_ITERATIONS = 2  # steps of two surfaces of one frame, before their misfits are compared
@@ -48,99 +40,56 @@ _CLEAR_GAIN, _FEWEST_PIXELS = 0.85, 50
 
 
 def solve_from_best_initialisation(
-    measured: LightContributions,
-    labels: VisibilityLabels,
-    albedo: FloatArray,
-    mask: Mask,
-    *,
-    camera: Camera | None,
-    options: SurfaceOptions,
-    start: Surface | None = None,
+    image: LabelledImage, options: SurfaceOptions, start: Surface | None = None
 ) -> Surface:
     """Solve the surface of a frame on its working size, coarse to fine.
 
-    albedo: (h, w), that of the surroundings. start: the surface that the labels came from, or None.
+    start: the surface that the labels came from, or None.
     """
-    measured = _trusted(measured, labels)
+    image = _trusted(image)
     if start is not None and start.settled:
-        few = replace(options, iterations=_LARGE_ITERATIONS)
-        return _solver(measured, labels, albedo, mask, camera)(
-            first_normals=measured.normals, start=start, options=few
-        )
-    return _coarse_to_fine(measured, labels, albedo, mask, camera, options, start)
+        return image.solve(replace(options, iterations=_LARGE_ITERATIONS), start)
+    return _coarse_to_fine(image, options, start)
 
 
-def _trusted(measured: LightContributions, labels: VisibilityLabels) -> LightContributions:
-    by_lights = np.asarray(TRUST_BY_LIGHTS, dtype=np.float32)[count_lit(labels)]
-    return replace(measured, trust=(measured.trust * by_lights).astype(np.float32))
+def _trusted(labelled: LabelledImage) -> LabelledImage:
+    """Return the image with the trust in its colours by the number of lights that arrive."""
+    by_lights = np.asarray(TRUST_BY_LIGHTS, dtype=np.float32)[count_lit(labelled.labels)]
+    light = labelled.image.light
+    light = replace(light, trust=(light.trust * by_lights).astype(np.float32))
+    return replace(labelled, image=replace(labelled.image, light=light))
 
 
-def _shrunk(
-    measured: LightContributions, labels: VisibilityLabels, albedo: FloatArray, mask: Mask, factor: int
-) -> tuple[LightContributions, Mask, VisibilityLabels, FloatArray]:
-    small, small_mask = measured.shrunk(mask, factor)
-    size = small_mask.shape[::-1]
-    small_labels = cv2.resize(labels, size, interpolation=cv2.INTER_NEAREST).astype(np.uint8)
-    return small, small_mask, small_labels, np.asarray(cv2.resize(albedo, size, interpolation=cv2.INTER_AREA))
-
-
-def _coarse_to_fine(
-    measured: LightContributions,
-    labels: VisibilityLabels,
-    albedo: FloatArray,
-    mask: Mask,
-    camera: Camera | None,
-    options: SurfaceOptions,
-    start: Surface | None,
-) -> Surface:
+def _coarse_to_fine(image: LabelledImage, options: SurfaceOptions, start: Surface | None) -> Surface:
     """Compare the starts on a small image; go on from the better one at twice the size, and so on.
 
     What won on the small image must leave less of the light unexplained on this one, too.
     """
-    found = _better_than(start, measured, labels, albedo, mask, camera, options)
-    solve = partial(
-        _solver(measured, labels, albedo, mask, camera),
-        first_normals=measured.normals, options=replace(options, iterations=_LARGE_ITERATIONS),
-    )  # fmt: skip
-    surfaces = [solve(start=each) for each in (start, found) if each is not None]
-    shadow = mask & (labels != ALL_LIT)
-    return min(surfaces, key=lambda surface: np.minimum(surface.misfit, _LARGEST_MISFIT)[shadow].sum())
+    found = _better_than(start, image, options)
+    large = replace(options, iterations=_LARGE_ITERATIONS)
+    surfaces = [image.solve(large, each) for each in (start, found) if each is not None]
+    return min(surfaces, key=lambda surface: np.minimum(surface.misfit, _LARGEST_MISFIT)[image.shadow].sum())
 
 
-def _better_than(
-    start: Surface | None,
-    measured: LightContributions,
-    labels: VisibilityLabels,
-    albedo: FloatArray,
-    mask: Mask,
-    camera: Camera | None,
-    options: SurfaceOptions,
-) -> Surface | None:
+def _better_than(start: Surface | None, image: LabelledImage, options: SurfaceOptions) -> Surface | None:
     """Return a surface to go on from, found on a smaller image; None where `start` is as good."""
+    mask = image.image.mask
     if mask.size <= _START_PIXELS:
-        return _by_either_root(start, measured, labels, albedo, mask, camera, options)
-    small, small_mask, small_labels, small_albedo = _shrunk(measured, labels, albedo, mask, 2)
-    half = None if camera is None else camera.scaled(0.5)
-    small_start = None if start is None else start.shrunk(mask, 2)
-    found = _better_than(small_start, small, small_labels, small_albedo, small_mask, half, options)
+        return _by_either_root(start, image, options)
+    small = image.halved()
+    found = _better_than(None if start is None else start.shrunk(mask, 2), small, options)
     if found is None:
         return None
-    solve = _solver(small, small_labels, small_albedo, small_mask, half)
-    middle = replace(options, iterations=_MIDDLE_ITERATIONS)
-    return solve(first_normals=small.normals, start=found, options=middle).enlarged(mask.shape, 2)
+    return small.solve(replace(options, iterations=_MIDDLE_ITERATIONS), found).enlarged(mask.shape, 2)
 
 
-def better_shadows(
-    second: Surface, first: Surface, measured: LightContributions, labels: VisibilityLabels,
-    albedo: FloatArray, mask: Mask, camera: Camera | None,
-) -> Mask:  # fmt: skip
+def better_shadows(second: Surface, first: Surface, image: LabelledImage) -> Mask:
     """Return the shadows (h, w) whose light the second surface explains better than the first."""
-    solve = partial(
-        _solver(_trusted(measured, labels), labels, albedo, mask, camera),
-        first_normals=measured.normals, options=SurfaceOptions(iterations=_COMPARING_ITERATIONS),
-    )  # fmt: skip
-    shadow = mask & (labels != ALL_LIT)
-    return _better_regions(solve(start=second).misfit, solve(start=first).misfit, shadow, gain=1.0)
+    image = _trusted(image)
+    few = SurfaceOptions(iterations=_COMPARING_ITERATIONS)
+    return _better_regions(
+        image.solve(few, second).misfit, image.solve(few, first).misfit, image.shadow, gain=1.0
+    )
 
 
 def options_with_noise(slope: float | None) -> SurfaceOptions:
@@ -151,47 +100,27 @@ def options_with_noise(slope: float | None) -> SurfaceOptions:
     return replace(options, noise=min(options.noise, max(_NOISE_PER_SLOPE * slope, _LEAST_NOISE)))
 
 
-def _solver(
-    measured: LightContributions,
-    labels: VisibilityLabels,
-    albedo: FloatArray,
-    mask: Mask,
-    camera: Camera | None,
-) -> partial[Surface]:
-    own = np.where(mask & (labels == ALL_LIT), measured.length, albedo)
-    return partial(
-        solve_surface, measured.relative_to(own), labels, measured.lights, mask,
-        weight=measured.trust, camera=camera,
-    )  # fmt: skip
-
-
-def _by_either_root(
-    start: Surface | None,
-    measured: LightContributions,
-    labels: VisibilityLabels,
-    albedo: FloatArray,
-    mask: Mask,
-    camera: Camera | None,
-    options: SurfaceOptions,
-) -> Surface | None:
+def _by_either_root(start: Surface | None, image: LabelledImage, options: SurfaceOptions) -> Surface | None:
     """Solve from `start`, or a smooth continuation, and from the roots; take every shadow's better one."""
-    solve = _solver(measured, labels, albedo, mask, camera)
-    shadow = mask & (labels != ALL_LIT)
+    shadow = image.shadow
     if start is not None and not shadow.any():
         return None
-    few = options if start is None else replace(options, iterations=_CHECKING_ITERATIONS)
-    smooth: Surface = solve(first_normals=measured.normals, start=start, options=few)
+    smooth = image.solve(
+        options if start is None else replace(options, iterations=_CHECKING_ITERATIONS), start
+    )
     if not shadow.any():
         return smooth
-    relative = measured.relative_to(albedo)
-    roots, decided = continue_with_two_lights(measured.normals, relative, labels, measured.lights, mask)
-    rooted: Surface = solve(first_normals=roots, guessed=decided, options=options)
+    light = image.image.light
+    roots, decided = continue_with_two_lights(
+        light.normals, light.relative_to(image.albedo), image.labels, light.lights, image.image.mask
+    )
+    rooted = image.solve(options, first_normals=roots, guessed=decided)
     better = _better_regions(rooted.misfit, smooth.misfit, shadow)
     if not better.any():
         return smooth if start is None else None
     base = rooted if 2 * np.count_nonzero(better) > np.count_nonzero(shadow) else smooth
     merged = np.where(better[..., None], rooted.normals, smooth.normals)
-    return solve(first_normals=measured.normals, start=replace(base, normals=merged), options=options)
+    return image.solve(options, replace(base, normals=merged))
 
 
 def _better_regions(first: FloatArray, second: FloatArray, shadow: Mask, gain: float = _CLEAR_GAIN) -> Mask:

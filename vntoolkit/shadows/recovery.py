@@ -36,10 +36,10 @@ from vntoolkit.shadows.contributions import (
     row_between,
     scaled_normal,
     shrinking,
-    small_contributions,
     turned,
     used_of,
     window_around,
+    working_image,
 )
 from vntoolkit.shadows.evidence import Lamps, lamps_of
 from vntoolkit.shadows.initialisation import (
@@ -53,6 +53,7 @@ from vntoolkit.shadows.shadow_edges import labels_without_penumbra
 from vntoolkit.shadows.surface import (
     FLATTEST_Z,
     STEEPEST,
+    LabelledImage,
     Model,
     RayGrid,
     Surface,
@@ -171,10 +172,9 @@ def _with_surface(
     start: Surface | None,
 ) -> tuple[FloatArray, Weight, Surface]:
     """Return normals (h, w, 3), weights, and the surface on the working size."""
-    factor = shrinking(inside)
-    small, small_mask = small_contributions(frame, response, inside, factor)
-    small_labels = _shrunk(labels, small_mask.shape)
-    albedo = albedo_from_lit(small.length, small_mask & (small_labels == ALL_LIT), factor)
+    image, factor = working_image(frame, response, inside, camera)
+    small_labels = _shrunk(labels, image.mask.shape)
+    albedo = albedo_from_lit(image.light.length, image.mask & (small_labels == ALL_LIT), factor)
     lamps, rgb = lamps_of(response), np.ascontiguousarray(frame.rgb)
     near = cv2.dilate(((labels != ALL_LIT) & inside).astype(np.uint8), _AROUND) > 0
     if near.any():
@@ -183,13 +183,10 @@ def _with_surface(
             flat(rgb), near, lamps, np.ascontiguousarray(albedo[None], np.float32), flat(relative)
         )
         labels = labels_without_penumbra(labels, relative, inside, near)
-        small_labels = _shrunk(labels, small_mask.shape)
+        small_labels = _shrunk(labels, image.mask.shape)
     options = options_with_noise(noise_of_frame(rgb, response, inside & (labels == ALL_LIT)))
-    surface = solve_from_best_initialisation(
-        small, small_labels, albedo, small_mask,
-        camera=None if camera is None else camera.scaled(1.0 / factor), start=start,
-        options=options,
-    )  # fmt: skip
+    labelled = LabelledImage(image=image, labels=small_labels, albedo=albedo)
+    surface = solve_from_best_initialisation(labelled, options, start)
     solved = np.stack([*np.moveaxis(surface.normals, -1, 0), albedo, surface.agreement]).astype(np.float32)
     normals, weight = np.zeros_like(rgb), np.zeros(frame.shape, np.float32)
     _detail_kernel(

@@ -27,12 +27,12 @@ from vntoolkit.shadows.albedo import albedo_from_lit
 from vntoolkit.shadows.contributions import (
     LightContributions,
     Window,
+    WorkingImage,
     all_of_three,
     flat,
     largest_of_three,
     lengths_of,
-    shrinking,
-    small_contributions,
+    working_image,
 )
 from vntoolkit.shadows.evidence import (
     PAINT_COSINE,
@@ -50,7 +50,7 @@ from vntoolkit.shadows.evidence import (
 from vntoolkit.shadows.graph_cut import Nodes, bonds_of_light, lit_by_cut
 from vntoolkit.shadows.initialisation import better_shadows
 from vntoolkit.shadows.shadow_edges import labels_beyond_half, turned_from_lights
-from vntoolkit.shadows.surface import Surface, SurfaceOptions, solve_surface, with_normals
+from vntoolkit.shadows.surface import LabelledImage, Surface, SurfaceOptions, with_normals
 
 # A cosine is 1 where a surface of the local albedo faces the light.
 _WEAK_COSINE = 0.35  # a frame without any that is less has no shadow
@@ -102,33 +102,31 @@ def labels_by_surface(
 
     Also return what the next frame may remember; its surface is that of the labels, on the working size.
     """
-    factor = shrinking(mask)
-    small, small_mask = small_contributions(frame, response, mask, factor)
-    small_camera = None if camera is None else camera.scaled(1.0 / factor)
+    image, factor = working_image(frame, response, mask, camera)
+    small = image.light
     labels: VisibilityLabels = np.full(mask.shape, ALL_LIT, np.uint8)
-    if not _is_doubted(small, small_mask):
+    if not _is_doubted(image):
         return labels, FrameMemory(
             window=window, evidence=None, colours=small.contributions, surface=None, albedo=small.length
         )
-    last = None if last is None else _placed(last, window, mask.shape, small_mask.shape)
-    if last is not None and not _goes_on(last, small, small_mask):
+    last = None if last is None else _placed(last, window, mask.shape, image.mask.shape)
+    if last is not None and not _goes_on(last, image):
         last = None
     if last is None or last.surface is None:
-        surface, albedo = _surface_by_rounds(small, small_mask, small_camera)
+        surface, albedo = _surface_by_rounds(image)
     else:
         start = last.surface
         if last.age % _CORRECTED_EVERY == 0:
-            start = _corrected(start, small, small_mask, small_camera)
-        lit = _lit_on(start, small, last.albedo, small_mask)
-        surface, albedo = _solved(small, small_mask, small_camera, lit, _NEXT_SURFACE, start)
+            start = _corrected(start, image)
+        surface, albedo = _solved(image, _lit_on(start, image, last.albedo), _NEXT_SURFACE, start)
     predicted = _predicted(surface, small)
     raw = small.cosines(albedo)
-    kept = np.zeros(small_mask.shape, np.float32)
+    kept = np.zeros(image.mask.shape, np.float32)
     if last is not None:
         kept = _PERSISTENCE * _sameness(raw, last, small, albedo)
     if factor == 1:
-        raw = sharpened_cosines(raw, small_mask)
-    dark = typical_dark_cosine(_without_paint(raw, predicted), predicted, albedo, small_mask)
+        raw = sharpened_cosines(raw, image.mask)
+    dark = typical_dark_cosine(_without_paint(raw, predicted), predicted, albedo, image.mask)
     expected = np.stack([*np.moveaxis(predicted, -1, 0), albedo, kept]).astype(np.float32)
     inset = inset_of(mask)
     found = evidence_of_frame(
@@ -149,26 +147,25 @@ def labels_by_surface(
     )  # fmt: skip
 
 
-def _corrected(last: Surface, measured: LightContributions, mask: Mask, camera: Camera | None) -> Surface:
+def _corrected(last: Surface, image: WorkingImage) -> Surface:
     """Return the surface of the frame before, with this frame's own in shadows that this explains better.
 
     A wrong answer would be handed on from frame to frame, and grow as the subject moves. This frame's own
     comes from a small image, which costs little, and counts only where it is another answer.
     """
-    small, small_mask, before = measured, mask, last
-    while small_mask.size > _START_PIXELS:
-        before = before.shrunk(small_mask, 2)
-        small, small_mask = small.shrunk(small_mask, 2)
-        camera = None if camera is None else camera.scaled(0.5)
-    own, albedo = _surface_by_rounds(small, small_mask, camera, rounds=1)
-    labels = labels_from_lit(_lit_on(own, small, albedo, small_mask))
-    better = better_shadows(own, before, small, labels, albedo, small_mask, camera)
+    small, before = image, last
+    while small.mask.size > _START_PIXELS:
+        before, small = before.shrunk(small.mask, 2), small.halved()
+    own, albedo = _surface_by_rounds(small, rounds=1)
+    labels = labels_from_lit(_lit_on(own, small, albedo))
+    better = better_shadows(own, before, LabelledImage(image=small, labels=labels, albedo=albedo))
     if not better.any():
         return last
+    shape = image.mask.shape
     near = np.asarray(cv2.dilate(better.astype(np.float32), np.ones((3, 3), np.uint8)), dtype=np.float32)
-    normals = _enlarged(own.normals.astype(np.float32), mask.shape)
+    normals = _enlarged(own.normals.astype(np.float32), shape)
     differs = np.einsum("vuc,vuc->vu", normals, last.normals) < _SAME_ANSWER
-    return with_normals(last, normals, _enlarged(near, mask.shape) * differs)
+    return with_normals(last, normals, _enlarged(near, shape) * differs)
 
 
 def _between(surface: Surface, recovered: FloatArray | None, labels: VisibilityLabels) -> Surface:
@@ -186,11 +183,11 @@ def _between(surface: Surface, recovered: FloatArray | None, labels: VisibilityL
     return replace(surface, normals=normals)
 
 
-def _is_doubted(small: LightContributions, mask: Mask) -> bool:
+def _is_doubted(image: WorkingImage) -> bool:
     """Tell whether any light is weak anywhere, so that a surface must say whether it is missing."""
-    cosines = small.cosines(albedo_from_lit(small.length, mask))
+    cosines = image.light.cosines(albedo_from_lit(image.light.length, image.mask))
     weak = cosines < _WEAK_COSINE
-    return bool(((weak[..., 0] | weak[..., 1] | weak[..., 2]) & mask).any())
+    return bool(((weak[..., 0] | weak[..., 1] | weak[..., 2]) & image.mask).any())
 
 
 def _placed(last: FrameMemory, window: Window, shape: tuple[int, ...], small: tuple[int, ...]) -> FrameMemory:
@@ -233,10 +230,10 @@ def _placed(last: FrameMemory, window: Window, shape: tuple[int, ...], small: tu
     )  # fmt: skip
 
 
-def _goes_on(last: FrameMemory, small: LightContributions, mask: Mask) -> bool:
+def _goes_on(last: FrameMemory, image: WorkingImage) -> bool:
     """Tell whether a frame shows what the one before it showed, about in the same place."""
-    inside = mask[::2, ::2, None]
-    now, before = small.contributions[::2, ::2], last.colours[::2, ::2]
+    inside = image.mask[::2, ::2, None]
+    now, before = image.light.contributions[::2, ::2], last.colours[::2, ::2]
     change, light = np.abs(now - before) * inside, np.abs(now) * inside
     return float(change.sum()) <= _CHANGED * float(light.sum())
 
@@ -250,40 +247,31 @@ def _sameness(
     return np.exp(-change * change)
 
 
-def _surface_by_rounds(
-    measured: LightContributions, mask: Mask, camera: Camera | None, rounds: int = _ROUNDS
-) -> tuple[Surface, FloatArray]:
+def _surface_by_rounds(image: WorkingImage, rounds: int = _ROUNDS) -> tuple[Surface, FloatArray]:
     """Alternate between surface and labels, coarse to fine; return the surface and the albedo (h, w)."""
-    if mask.size <= _START_PIXELS:
+    shape = image.mask.shape
+    if image.mask.size <= _START_PIXELS:
         surface, options = None, _FIRST_SURFACE
-        lit = _first_doubts(measured, mask)
+        lit = _first_doubts(image)
     else:
-        small, small_mask = measured.shrunk(mask, 2)
-        half = None if camera is None else camera.scaled(0.5)
-        coarse, albedo = _surface_by_rounds(small, small_mask, half)
-        surface, rounds, options = coarse.enlarged(mask.shape, 2), _FINER_ROUNDS, _FINER_SURFACE
-        lit = _lit_on(surface, measured, _enlarged(albedo, mask.shape), mask)
+        coarse, albedo = _surface_by_rounds(image.halved())
+        surface, rounds, options = coarse.enlarged(shape, 2), _FINER_ROUNDS, _FINER_SURFACE
+        lit = _lit_on(surface, image, _enlarged(albedo, shape))
     for i in range(rounds):
-        surface, albedo = _solved(measured, mask, camera, lit, options, surface)
+        surface, albedo = _solved(image, lit, options, surface)
         if i + 1 < rounds:
-            lit = _lit_on(surface, measured, albedo, mask)
+            lit = _lit_on(surface, image, albedo)
     assert surface is not None
     return surface, albedo
 
 
 def _solved(
-    measured: LightContributions, mask: Mask, camera: Camera | None, lit: npt.NDArray[np.bool_],
-    options: SurfaceOptions, start: Surface | None,
-) -> tuple[Surface, FloatArray]:  # fmt: skip
+    image: WorkingImage, lit: npt.NDArray[np.bool_], options: SurfaceOptions, start: Surface | None
+) -> tuple[Surface, FloatArray]:
     """Return the surface (h, w) under these labels, and the albedo."""
-    full = all_of_three(lit) & mask
-    albedo = albedo_from_lit(measured.length, full)
-    surface = solve_surface(
-        measured.relative_to(np.where(full, measured.length, albedo)), labels_from_lit(lit),
-        measured.lights, mask, first_normals=measured.normals, weight=measured.trust, camera=camera,
-        options=options, start=start,
-    )  # fmt: skip
-    return surface, albedo
+    albedo = albedo_from_lit(image.light.length, all_of_three(lit) & image.mask)
+    labelled = LabelledImage(image=image, labels=labels_from_lit(lit), albedo=albedo)
+    return labelled.solve(options, start), albedo
 
 
 def _predicted(surface: Surface, measured: LightContributions) -> FloatArray:
@@ -292,14 +280,12 @@ def _predicted(surface: Surface, measured: LightContributions) -> FloatArray:
     return normals @ measured.directions.T.astype(np.float32)
 
 
-def _lit_on(
-    surface: Surface, measured: LightContributions, albedo: FloatArray, mask: Mask
-) -> npt.NDArray[np.bool_]:
+def _lit_on(surface: Surface, image: WorkingImage, albedo: FloatArray) -> npt.NDArray[np.bool_]:
     """Label by what the surface would return."""
-    predicted = _predicted(surface, measured)
-    cosines = _without_paint(measured.cosines(albedo), predicted)
-    evidence = _evidence(cosines, predicted, albedo, mask)
-    return np.stack([_cut_light(evidence[k], cosines, k, mask) for k in range(3)], axis=-1)
+    predicted = _predicted(surface, image.light)
+    cosines = _without_paint(image.light.cosines(albedo), predicted)
+    evidence = _evidence(cosines, predicted, albedo, image.mask)
+    return np.stack([_cut_light(evidence[k], cosines, k, image.mask) for k in range(3)], axis=-1)
 
 
 def _cut_light(evidence: FloatArray, cosines: FloatArray, k: int, mask: Mask) -> npt.NDArray[np.bool_]:
@@ -315,7 +301,8 @@ def _enlarged(image: Any, shape: tuple[int, ...]) -> FloatArray:
     return np.asarray(cv2.resize(image, shape[::-1], interpolation=cv2.INTER_LINEAR), dtype=np.float32)
 
 
-def _first_doubts(measured: LightContributions, mask: Mask) -> npt.NDArray[np.bool_]:
+def _first_doubts(image: WorkingImage) -> npt.NDArray[np.bool_]:
+    measured, mask = image.light, image.mask
     inside = measured.length[mask]
     typical = float(np.median(inside)) if inside.size else 1.0
     albedo: FloatArray = np.full(mask.shape, max(typical, SMALLEST_ALBEDO), dtype=np.float32)

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import cv2
@@ -30,6 +31,7 @@ from vntoolkit.shadows.albedo import fill_smoothly
 from vntoolkit.shadows.contributions import (
     TOWARDS_VIEWER,
     Numbers,
+    WorkingImage,
     flat,
     lengths_of,
     mean_inside,
@@ -131,6 +133,55 @@ def _unit_or_facing(normals: FloatArray) -> FloatArray:
     length = lengths_of(normals)
     unit = np.where(length > 1e-3, normals / np.maximum(length, 1e-3), TOWARDS_VIEWER)
     return np.asarray(unit, dtype=np.float32)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LabelledImage:
+    """A frame at its working size with the lights that arrive: what its surface is solved from.
+
+    labels: (h, w), bit k set where light k arrives. albedo: (h, w), that of the surroundings, which counts
+    under shadow.
+    """
+
+    image: WorkingImage
+    labels: VisibilityLabels
+    albedo: FloatArray
+
+    @cached_property
+    def shadow(self) -> Mask:
+        """(h, w), pixels of the subject that a light is missing on."""
+        return self.image.mask & (self.labels != ALL_LIT)
+
+    @cached_property
+    def _cosines(self) -> FloatArray:
+        lit = self.image.mask & (self.labels == ALL_LIT)
+        return self.image.light.relative_to(np.where(lit, self.image.light.length, self.albedo))
+
+    def halved(self) -> LabelledImage:
+        """Return the image at half the size."""
+        image = self.image.halved()
+        size = image.mask.shape[::-1]
+        labels = cv2.resize(self.labels, size, interpolation=cv2.INTER_NEAREST).astype(np.uint8)
+        albedo: FloatArray = np.asarray(
+            cv2.resize(self.albedo, size, interpolation=cv2.INTER_AREA), np.float32
+        )
+        return LabelledImage(image=image, labels=labels, albedo=albedo)
+
+    def solve(
+        self,
+        options: SurfaceOptions,
+        start: Surface | None = None,
+        *,
+        first_normals: FloatArray | None = None,
+        guessed: Mask | None = None,
+    ) -> Surface:
+        """Return the surface as `solve_surface` does; without first normals from those of full light."""
+        light = self.image.light
+        return solve_surface(
+            self._cosines, self.labels, light.lights, self.image.mask,
+            first_normals=light.normals if first_normals is None else first_normals, guessed=guessed,
+            weight=light.trust, camera=self.image.camera, options=options, start=start,
+        )  # fmt: skip
 
 
 def solve_surface(
