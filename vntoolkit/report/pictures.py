@@ -28,7 +28,7 @@ from vntoolkit.pipeline.opened_result import OpenedResult
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-INK, FAINT, PAPER = "#27313f", "#7d8999", "#ffffff"
+INK, FAINT = "#27313f", "#7d8999"
 # Told apart by all common kinds of colour vision (okabe2008).
 BLUE, ORANGE, GREEN, RED, PURPLE, SKY = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#cc79a7", "#56b4e9"
 SERIES = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY)

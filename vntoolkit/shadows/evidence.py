@@ -34,7 +34,6 @@ from vntoolkit.shadows.contributions import (
 
 Memory = npt.NDArray[np.int8]
 _SMALLEST_ALBEDO = 0.02
-_SMALLEST_COSINE = 1e-6
 _UNKNOWN_SPREAD = 0.02
 _LARGEST_EXCESS = 0.8  # of log albedo: beyond, it is paint or gloss
 _SMALLEST_RATIO = 1e-3

@@ -21,6 +21,7 @@ from vntoolkit.arrays import Points
 from vntoolkit.checks import require_finite, require_positive, require_shape
 from vntoolkit.errors import BadMesh, CannotWrite
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
+from vntoolkit.geometry.motion import Motion
 from vntoolkit.geometry.skinned_clip import SkinnedClip, ViewedFrom
 from vntoolkit.io.atomic import atomic_path
 from vntoolkit.io.conventions import graphics_from_camera, motion_with_axes_turned
@@ -34,6 +35,7 @@ _TYPES = {
 }
 _SKIN_BYTES = 28 * 2**20  # of a clip with skin: the blend shapes take what the surface leaves
 _INFLUENCES = 8  # of joints on a vertex: two sets of four; some viewers read the first set alone
+_FIRST_JOINT = 1  # of the nodes of a clip with skin: node 0 is the cloth
 _ARRAY_BUFFER, _INDEX_BUFFER = 34962, 34963
 _HEADER = struct.Struct("<4sII")
 _CHUNK = struct.Struct("<I4s")
@@ -136,17 +138,34 @@ def write_glb_skin(
 
     Eight joints a vertex, and as many blend shapes as keep the file below 30 MB. Raises `CannotWrite`.
     """
-    clip, name, count = clip.with_influences(_INFLUENCES), str(path), len(clip.mesh.vertices)
+    require_positive(clip.motion.frame_rate_hz, f"{path}: frame rate")
+    if not len(clip.mesh.faces):
+        raise BadMesh(f"{path}: a GLB needs at least one frame and one triangle")
+    clip = _of_moderate_size(clip, texture)
+    motion = motion_with_axes_turned(clip.motion)
+    binary = _Binary()
+    mesh = _skinned_mesh(binary, clip)
+    nodes = [{"mesh": 0, "skin": 0, "name": "Cloth"}, *_joint_nodes(motion)]
+    document = _document(mesh, nodes, [0, _FIRST_JOINT], camera, texture, binary)
+    document["skins"] = [_skin(binary, clip)]
+    document["animations"] = [_skin_animation(binary, clip, motion)]
+    _write(path, _pieces(document, binary))
+    return len(motion)
+
+
+def _of_moderate_size(clip: SkinnedClip, texture: Texture | None) -> SkinnedClip:
+    """Return the clip with eight joints a vertex, and as many blend shapes as the surface leaves room for."""
+    clip, count = clip.with_influences(_INFLUENCES), len(clip.mesh.vertices)
     surface = 80 * count + 12 * len(clip.mesh.faces)  # bytes of a vertex with all attributes, of a triangle
     if texture is not None:
         surface += len(texture.albedo or b"") + len(texture.normal or b"")
         if texture.albedo is not None:
             clip = replace(clip, mesh=replace(clip.mesh, colours=None))
-    clip = clip.with_shapes(max(0, (_SKIN_BYTES - surface) // (12 * max(count, 1))))
-    require_positive(clip.motion.frame_rate_hz, f"{name}: frame rate")
-    if not len(clip.mesh.faces):
-        raise BadMesh(f"{name}: a GLB needs at least one frame and one triangle")
-    binary = _Binary()
+    return clip.with_shapes(max(0, (_SKIN_BYTES - surface) // (12 * max(count, 1))))
+
+
+def _skinned_mesh(binary: _Binary, clip: SkinnedClip) -> dict[str, Any]:
+    """Add the surface with its joints, weights and blend shapes; return the mesh that refers to them."""
     primitive: dict[str, Any] = {"attributes": {}, "mode": 4, "material": 0}
     positions = graphics_from_camera(np.asarray(clip.mesh.vertices)).astype(np.float32)
     _add_surface(binary, primitive, clip.mesh, positions)
@@ -157,78 +176,77 @@ def write_glb_skin(
     attributes = primitive["attributes"]
     for number in range(_INFLUENCES // 4 if weights[:, 4:].any() else 1):
         four = slice(4 * number, 4 * number + 4)
-        for name, values in ((f"JOINTS_{number}", joints), (f"WEIGHTS_{number}", weights)):
-            attributes[name] = binary.add(
-                values[:, four], "VEC4", target=_ARRAY_BUFFER, normalised=values is weights
-            )
-    shapes = clip.shapes
-    if len(shapes):
-        primitive["targets"] = [
-            {
-                "POSITION": binary.add(
-                    graphics_from_camera(shape).astype(np.float32), "VEC3", target=_ARRAY_BUFFER
-                )
-            }
-            for shape in shapes
-        ]
+        attributes[f"JOINTS_{number}"] = binary.add(joints[:, four], "VEC4", target=_ARRAY_BUFFER)
+        attributes[f"WEIGHTS_{number}"] = binary.add(
+            weights[:, four], "VEC4", target=_ARRAY_BUFFER, normalised=True
+        )
     mesh: dict[str, Any] = {"primitives": [primitive], "name": "Cloth"}
-    if len(shapes):
+    if len(clip.shapes):
+        steps = (graphics_from_camera(shape).astype(np.float32) for shape in clip.shapes)
+        primitive["targets"] = [
+            {"POSITION": binary.add(step, "VEC3", target=_ARRAY_BUFFER)} for step in steps
+        ]
         mesh["weights"] = clip.shape_weights[0].tolist()
-    motion = motion_with_axes_turned(clip.motion)
+    return mesh
+
+
+def _joint_nodes(motion: Motion) -> list[dict[str, Any]]:
+    """Return the joints as nodes, in the pose of the first frame."""
+    nodes, skeleton = [], motion.skeleton
+    for joint, name in enumerate(skeleton.names):
+        children = (_FIRST_JOINT + np.flatnonzero(skeleton.parents == joint)).tolist()
+        place = motion.root_positions[0] if joint == 0 else skeleton.offsets[joint]
+        turn = motion.rotations[0, joint]
+        node = {
+            "name": name,
+            "translation": place.tolist(),
+            "rotation": (turn / np.linalg.norm(turn)).tolist(),
+        }
+        nodes.append(node | ({"children": children} if children else {}))
+    return nodes
+
+
+def _skin(binary: _Binary, clip: SkinnedClip) -> dict[str, Any]:
     turn = graphics_from_camera(np.eye(3))
-    skeleton, first = motion.skeleton, 1  # the joints are the nodes from 1 on
     bind = np.array(clip.rest_from_model)
     bind[:, :3, :3] = turn @ bind[:, :3, :3] @ turn.T
     bind[:, :3, 3] = bind[:, :3, 3] @ turn.T
     inverse = np.linalg.inv(bind)
     inverse[:, 3] = [0, 0, 0, 1]
-    nodes: list[dict[str, Any]] = [{"mesh": 0, "skin": 0, "name": "Cloth"}]
-    for joint, joint_name in enumerate(skeleton.names):
-        children = (first + np.flatnonzero(skeleton.parents == joint)).tolist()
-        place = motion.root_positions[0] if joint == 0 else skeleton.offsets[joint]
-        node = {
-            "name": joint_name,
-            "translation": place.tolist(),
-            "rotation": (motion.rotations[0, joint] / np.linalg.norm(motion.rotations[0, joint])).tolist(),
-        }
-        nodes.append(node | ({"children": children} if children else {}))
-    document = _document(mesh, nodes, [0, first], camera, texture, binary)
-    document["skins"] = [
-        {
-            "joints": list(range(first, first + len(skeleton.names))),
-            "skeleton": first,
-            "inverseBindMatrices": binary.add(
-                inverse.transpose(0, 2, 1).reshape(-1, 16).astype(np.float32), "MAT4"
-            ),
-        }
-    ]
+    columns = inverse.transpose(0, 2, 1).reshape(-1, 16).astype(np.float32)
+    return {
+        "joints": list(range(_FIRST_JOINT, _FIRST_JOINT + len(bind))),
+        "skeleton": _FIRST_JOINT,
+        "inverseBindMatrices": binary.add(columns, "MAT4"),
+    }
+
+
+def _skin_animation(binary: _Binary, clip: SkinnedClip, motion: Motion) -> dict[str, Any]:
+    """Return the turns of the joints, the path of the root, and the weights of the blend shapes."""
     times = binary.add((np.arange(len(motion)) / motion.frame_rate_hz).astype(np.float32), "SCALAR")
     outputs: list[tuple[int, str, int]] = [
-        (first + joint, "rotation", binary.add(motion.rotations[:, joint].astype(np.float32), "VEC4"))
-        for joint in range(len(skeleton.names))
+        (_FIRST_JOINT + joint, "rotation", binary.add(motion.rotations[:, joint].astype(np.float32), "VEC4"))
+        for joint in range(len(motion.skeleton.names))
     ]
-    outputs.append((first, "translation", binary.add(motion.root_positions.astype(np.float32), "VEC3")))
-    if len(shapes):
+    path = binary.add(motion.root_positions.astype(np.float32), "VEC3")
+    outputs.append((_FIRST_JOINT, "translation", path))
+    if len(clip.shapes):
         sliders = clip.shape_weights.astype(np.float32).ravel()
         outputs.append((0, "weights", binary.add(sliders, "SCALAR")))
-    document["animations"] = [
-        {
-            "name": "Motion",
-            "samplers": [
-                {"input": times, "output": accessor, "interpolation": "LINEAR"} for *_, accessor in outputs
-            ],
-            "channels": [
-                {"sampler": number, "target": {"node": node, "path": way}}
-                for number, (node, way, _) in enumerate(outputs)
-            ],
-        }
-    ]
-    _write(path, _pieces(document, binary))
-    return len(motion)
+    return {
+        "name": "Motion",
+        "samplers": [
+            {"input": times, "output": accessor, "interpolation": "LINEAR"} for *_, accessor in outputs
+        ],
+        "channels": [
+            {"sampler": number, "target": {"node": node, "path": way}}
+            for number, (node, way, _) in enumerate(outputs)
+        ],
+    }
 
 
 def _whole_weights(weights: npt.NDArray[Any]) -> npt.NDArray[np.uint16]:
-    """Return (n, 4) weights of 65535 in all: the heaviest takes what rounding leaves."""
+    """Return (n, 8) weights of 65535 in all: the heaviest takes what rounding leaves."""
     whole = np.zeros((len(weights), _INFLUENCES), np.int64)
     whole[:, : weights.shape[1]] = np.floor(weights * 65535)
     whole[:, 0] += 65535 - whole.sum(axis=1)
