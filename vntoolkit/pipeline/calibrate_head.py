@@ -53,6 +53,7 @@ from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.files import source_file
+from vntoolkit.io.footage.captures import Capture
 from vntoolkit.io.footage.decoding import Undistorter
 from vntoolkit.io.footage.frame_range import Gaps
 from vntoolkit.photometry.frame import LinearFrame
@@ -155,7 +156,7 @@ def calibrate_head(
     """
     options = options or HeadOptions()
     rng = np.random.default_rng(_SEED)
-    clock = _Clock()
+    clock = _Clock(on_progress)
     capture = job.open()
     job.judge(capture)
     given = job.camera_for(capture.info)
@@ -165,74 +166,39 @@ def calibrate_head(
     )
     with clock.stage("tracks"):
         footage, tracks = _follow(job, undistorter, options, on_progress)
-    with clock.stage("poses"):
-        on_progress("poses", 0, 1)
+    with clock.whole_stage("poses"):
         motion = _moved(tracks, undistorter.camera, options, rng, refine_focal=given is None)
-        on_progress("poses", 1, 1)
-    with clock.stage("hull"):
-        on_progress("hull", 0, 1)
-        views, grid = _carved(footage, motion, options.hull)
-        on_progress("hull", 1, 1)
-    hull = mesh_of_grid(grid)
-    shape = FusedShape(mesh=hull, points=hull.vertices)
-    searched = partial(fit_shape, contrasts=footage.contrasts)
+    with clock.whole_stage("hull"):
+        carved = _carve(footage, motion, options.hull)
+    shape = FusedShape(mesh=carved.mesh, points=carved.mesh.vertices)
     if options.head_shape is not HeadShape.HULL:
-        with clock.stage("stereo"):
-            progress = partial(on_progress, "stereo")
-            rough = searched(
-                views, hull=grid, stereo=options.stereo, fusion=options.fusion, on_progress=progress
-            ).mesh
-        with clock.stage("poses again"):
-            on_progress("poses again", 0, 1)
-            again = find_again(views, footage.details, rough, motion.points_in_head)
-            motion, moved = settle_head_motion(motion, *again, refine_focal=given is None)
-            views, grid = _carved(footage, motion, options.hull)
-            hull, rough = mesh_of_grid(grid), rough.with_vertices(moved.apply(rough.vertices))
-            on_progress("poses again", 1, 1)
-        with clock.stage("stereo again"):
-            progress = partial(on_progress, "stereo again")
-            closely = options.stereo.closely()
-            shape = searched(
-                views, hull=grid, stereo=closely, fusion=options.fusion, on_progress=progress, about=rough
-            )
-
-    def light_frames(numbers: IntArray) -> Iterator[LightFrame]:
-        wanted = {footage.numbers[k]: k for k in numbers.tolist()}
-        # one pass: to seek in a video costs more than to decode what lies between
-        for frame in capture.frames(min(wanted), max(wanted) + 1):
-            if frame.number in wanted:
-                k = wanted[frame.number]
-                yield LightFrame(
-                    frame=undistorter.frame(frame),
-                    camera_from_head=motion.camera_from_head[k],
-                    mask=footage.silhouettes[k].mask,
-                )
-
+        carved, shape = _with_stereo(footage, carved, options, clock, refine_focal=given is None)
+    turn = _Turn(capture=capture, undistorter=undistorter, footage=footage, motion=carved.motion)
     with clock.stage("light"):
-        chosen = spread_over_turn(views, options.samples.light_frames)
-        frames = list(light_frames(chosen))
-        samples = sample_head(shape.mesh, motion.camera, frames, options.samples, rng)
+        chosen = spread_over_turn(carved.views, options.samples.light_frames)
+        samples = sample_head(
+            shape.mesh, carved.motion.camera, list(turn.frames(chosen)), options.samples, rng
+        )
         light = fit_light(samples, HeadRays(shape.mesh), options.light, rng)
         on_progress("light", 1, 1)
     mesh, refined = shape.mesh, None
     if options.head_shape is HeadShape.REFINED:
+        chosen = spread_over_turn(carved.views, _NORMAL_FRAMES)
         with clock.stage("refinement"):
-            chosen = spread_over_turn(views, _NORMAL_FRAMES)
-            finely = partial(searched, stereo=options.stereo.finely(), fusion=options.fusion.finely())
             refined = refine_head(
                 shape,
-                lambda mesh: finely(views, hull=grid, about=mesh),
-                motion.camera,
-                partial(light_frames, chosen),
+                lambda mesh: _finely_fused(footage, carved, options, about=mesh),
+                carved.motion.camera,
+                partial(turn.frames, chosen),
                 light,
                 options.light,
                 rng,
                 partial(on_progress, "refinement"),
             )
-            mesh, samples, light = refined.mesh, refined.samples, refined.light
+        mesh, samples, light = refined.mesh, refined.samples, refined.light
     extra = [path for path in (job.background,) if path is not None]
     rig = Rig(
-        camera=motion.camera if given is None else given,
+        camera=carved.motion.camera if given is None else given,
         response=light.response,
         transfer=capture.transfer,
         quality=light.quality,
@@ -242,8 +208,8 @@ def calibrate_head(
     return rig, HeadCalibration(
         footage=footage,
         tracks=tracks,
-        motion=motion,
-        hull=hull,
+        motion=carved.motion,
+        hull=carved.mesh,
         fused=shape.mesh,
         mesh=mesh,
         refined=refined,
@@ -254,15 +220,79 @@ def calibrate_head(
     )
 
 
-def _carved(
-    footage: HeadFootage, motion: HeadMotion, options: HullOptions
-) -> tuple[list[SilhouetteView], DistanceGrid]:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Carved:
+    """The head's motion, and its silhouettes' hull: views of all frames, grid and mesh."""
+
+    motion: HeadMotion
+    views: list[SilhouetteView]
+    grid: DistanceGrid
+    mesh: Mesh
+
+
+def _carve(footage: HeadFootage, motion: HeadMotion, options: HullOptions) -> _Carved:
     views = [
         SilhouetteView(camera=motion.camera, camera_from_head=pose, mask=silhouette.mask)
         for pose, silhouette in zip(motion.camera_from_head, footage.silhouettes, strict=True)
     ]
     box = box_about_points(motion.points_in_head)
-    return views, fit_hull([views[k] for k in spread_over_turn(views, _HULL_VIEWS)], box, options)
+    grid = fit_hull([views[k] for k in spread_over_turn(views, _HULL_VIEWS)], box, options)
+    return _Carved(motion=motion, views=views, grid=grid, mesh=mesh_of_grid(grid))
+
+
+def _with_stereo(
+    footage: HeadFootage, carved: _Carved, options: HeadOptions, clock: _Clock, *, refine_focal: bool
+) -> tuple[_Carved, FusedShape]:
+    """Fuse stereo into the hull twice: what the first pass finds settles the poses for the second."""
+    fuse = partial(fit_shape, contrasts=footage.contrasts, fusion=options.fusion)
+    with clock.stage("stereo"):
+        progress = partial(clock.on_progress, "stereo")
+        rough = fuse(carved.views, hull=carved.grid, stereo=options.stereo, on_progress=progress).mesh
+    with clock.whole_stage("poses again"):
+        again = find_again(carved.views, footage.details, rough, carved.motion.points_in_head)
+        motion, moved = settle_head_motion(carved.motion, *again, refine_focal=refine_focal)
+        carved = _carve(footage, motion, options.hull)
+        rough = rough.with_vertices(moved.apply(rough.vertices))
+    with clock.stage("stereo again"):
+        progress = partial(clock.on_progress, "stereo again")
+        closely = options.stereo.closely()
+        shape = fuse(carved.views, hull=carved.grid, stereo=closely, on_progress=progress, about=rough)
+    return carved, shape
+
+
+def _finely_fused(footage: HeadFootage, carved: _Carved, options: HeadOptions, about: Mesh) -> FusedShape:
+    """Fuse stereo once more about a refined mesh, which tells where to look."""
+    return fit_shape(
+        carved.views,
+        hull=carved.grid,
+        about=about,
+        contrasts=footage.contrasts,
+        stereo=options.stereo.finely(),
+        fusion=options.fusion.finely(),
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Turn:
+    """The frames of the turn, with the head's pose and silhouette in each."""
+
+    capture: Capture
+    undistorter: Undistorter
+    footage: HeadFootage
+    motion: HeadMotion
+
+    def frames(self, numbers: IntArray) -> Iterator[LightFrame]:
+        """Yield those frames, counted among the frames used."""
+        wanted = {self.footage.numbers[k]: k for k in numbers.tolist()}
+        # one pass: to seek in a video costs more than to decode what lies between
+        for frame in self.capture.frames(min(wanted), max(wanted) + 1):
+            if frame.number in wanted:
+                k = wanted[frame.number]
+                yield LightFrame(
+                    frame=self.undistorter.frame(frame),
+                    camera_from_head=self.motion.camera_from_head[k],
+                    mask=self.footage.silhouettes[k].mask,
+                )
 
 
 def _follow(
@@ -305,7 +335,10 @@ def _moved(
 
 
 class _Clock:
-    def __init__(self) -> None:
+    """Seconds that each stage takes, and what is told of its progress."""
+
+    def __init__(self, on_progress: Progress) -> None:
+        self.on_progress = on_progress
         self.seconds: dict[str, float] = {}
 
     @contextmanager
@@ -313,6 +346,14 @@ class _Clock:
         start = time.perf_counter()
         yield
         self.seconds[name] = time.perf_counter() - start
+
+    @contextmanager
+    def whole_stage(self, name: str) -> Iterator[None]:
+        """Time a stage that tells nothing of its progress but that it begins and ends."""
+        self.on_progress(name, 0, 1)
+        with self.stage(name):
+            yield
+        self.on_progress(name, 1, 1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
