@@ -177,6 +177,43 @@ def test_the_residual_of_the_rig_is_part_of_it_and_the_weight_follows():
     assert doubted.weight.max() < plain.weight.max() <= 1
 
 
+def test_the_noise_in_the_residual_of_a_ball_counts_once(rng):
+    """A ball's pixels are off by the noise that this footage has, too; a board's colours are means."""
+    light = colours() + rng.normal(0, 0.01, (240, 240, 3))
+    plain, error = seen(light)
+    of_noise = float(np.median(error))
+    assert of_noise > 0.5
+    ball, _ = seen(light, residual_deg=of_noise, residual_of_pixels=True)
+    board, _ = seen(light, residual_deg=of_noise)
+    worse, _ = seen(light, residual_deg=4 * of_noise, residual_of_pixels=True)
+    bounds = [float(np.median(found.error_deg)) for found in (plain, ball, board, worse)]
+    assert bounds[1] < 1.05 * bounds[0]
+    assert bounds[2] > 1.1 * bounds[0]
+    assert bounds[3] > 2 * bounds[0]
+
+
+def test_an_error_of_m_is_what_its_uncertainty_does_not_explain(rng):
+    """A hundred independent lengths: E is small where M is right, and most of what is left is told."""
+    z, azimuth = rng.uniform(0.4, 1.0, 200), rng.uniform(0, 2 * np.pi, 200)
+    across = np.sqrt(1 - z**2)
+    normals = np.column_stack([across * np.cos(azimuth), across * np.sin(azimuth), -z])
+    place = rng.uniform(0, 96, (2, 200))
+    told = {}
+    for size in (0.0, 0.08):
+        e = size * np.array([[1.0, 0.3, 0], [0.3, -0.6, 0], [0, 0, -0.4]])
+        foretold = 1 + np.einsum("ni,ij,nj->n", normals, e, normals)
+        squares = []
+        for _ in range(20):
+            length = foretold * np.exp(rng.normal(0, 0.02, 200))
+            found = np.empty(32)
+            _fit_ellipsoid(np.vstack([normals.T * length, place]), (96, 96), np.zeros((2, 3, 3, 3)), found)
+            squares.append((found[1:7] ** 2 @ [1, 2, 2, 1, 2, 1], found[31]))
+        whole, share = np.transpose(squares)
+        told[size] = (whole * share).mean() / whole.mean()
+    assert told[0.0] < 0.3
+    assert told[0.08] > 0.9
+
+
 def test_noise_that_the_normals_do_not_have_is_left_out(rng):
     """Means over 3×3 pixels have a third of the noise of the colours' own normals, and a bound to match."""
     light = colours() + rng.normal(0, 0.03, (240, 240, 3))
@@ -332,7 +369,7 @@ def test_another_order_of_the_samples_gives_the_same_bits(rng: np.random.Generat
     lengths = 0.9 * (1.0 + 0.1 * normals[:, 0]) * np.exp(rng.normal(0.0, 0.01, len(normals)))
     samples = np.vstack([normals.T * lengths, u, v])
     nearness = rng.normal(0.0, 0.3, (2, 3, 3, 3))
-    found, other = np.empty(31), np.empty(31)
+    found, other = np.empty(32), np.empty(32)
     _fit_ellipsoid(samples.copy(), (96, 96), nearness, found)
     _fit_ellipsoid(samples[:, rng.permutation(len(normals))], (96, 96), nearness, other)
     assert found[1:25].any()

@@ -10,13 +10,15 @@ Seven independent errors add up in squares. Each is measured where it shows:
   and the noise kept are uncorrelated: the mean squared distance between the two normals is the former;
 - an error ΔM of the rig or of the material's colour moves M⁻¹r from the unit sphere onto an ellipsoid,
   |M⁻¹r| ≈ 1 + nᵀE n with E the symmetric part of M⁻¹ΔM. The ellipsoid that fits the frame tells E, and E the
-  turn of every normal, but for the rotation in M⁻¹ΔM, which leaves no trace. Its size is taken to be E's;
+  turn of every normal, but for the rotation in M⁻¹ΔM, which leaves no trace. Its size is taken to be E's.
+  Of E's squares those are taken away that a fit to so few independent samples has where E is 0;
 - under near lamps M is right at the picture's centre only. A lamp in the direction l at the distance d has at
   a place δ beside the centre, to first order, the direction times strength l + (3 l (l·δ) − δ) / d. That
   changes the length of M⁻¹r with the place and the direction, which tells d of each lamp;
 - blur averages relief away: of a lens, of motion, of colours that were interpolated. What it has left of
   relief as wide as itself foretells what is lost;
-- the rig's own residual is what its calibration could not explain;
+- the rig's own residual is what its calibration could not explain. That of a ball's pixels holds the noise of
+  the calibration, too, which would count twice: as much as this footage has is taken away;
 - what departs from the ellipsoid at a pixel, beside it, or in its cell on average, the largest of the three,
   is relief finer than pixels, another paint, gloss, saturation, or light from elsewhere;
 - where a light is missing the normal rests on its surroundings. Two lights leave two normals, mirror images
@@ -82,8 +84,9 @@ _LEAST_FACING = np.float32(0.1)
 _LOOP_PX = 2  # half a side of the squares: a codec's noise is alike over 4 pixels, its smallest blocks
 # Noise of variance 1 adds up to 4 (1/4 + 3 + 1/4) around a square: the pixels at its corners count half.
 _PER_CIRCULATION = np.float32(1.0 / math.sqrt(14.0))
-# Standard deviations over the median size of 16 normally distributed numbers.
-_PER_MEDIAN = np.float32(1.4826 / math.sqrt(1.085))
+# Standard deviations over a cell's median departure, of white noise. That of 16 squares that overlap, from
+# the mean of the medians of 3×3 cells, is 1.138 times that of many that do not, both squared.
+_PER_MEDIAN = np.float32(1.4826 / math.sqrt(1.138))
 _LEAST_LIGHT, _GRID_PIXELS = 0.3, 4000  # of the length that a fiftieth exceeds, over a grid of pixels
 _SAMPLES, _NEAR_PIXELS = 1000, 9
 _MOST_PER_KNOWN = 20  # places of the grid that are looked at for a sample
@@ -115,6 +118,7 @@ def with_expected_error(
     camera: Camera | None = None,
     residual_deg: float = 0.0,
     blur_px: float = 0.0,
+    residual_of_pixels: bool = False,
 ) -> NormalMap:
     """Return the map with the angle in degrees that nine of ten normals stay within, and the weight from it.
 
@@ -123,7 +127,8 @@ def with_expected_error(
     frame: the (h, w, 3) colours that the normals came from, as the central M of `response` forms them.
     labels: (h, w), bit k set where light k arrives; None for all, and for normals of the colours alone.
     camera: None for orthographic; distortion is ignored. residual_deg: median residual of the rig's
-    calibration. blur_px: standard deviation of the picture's blur, 0 for unknown.
+    calibration. blur_px: standard deviation of the picture's blur, 0 for unknown. residual_of_pixels: whether
+    the residual is that of single pixels, noise included, for which this frame's own stands.
     Raises `BadInput` for other shapes.
     """
     shape = normal_map.shape
@@ -135,7 +140,7 @@ def with_expected_error(
     light = _Light(np.ascontiguousarray(frame.rgb), None, clipped, np.float32(0), None)
     mask = np.ascontiguousarray(normal_map.mask)
     c = _coefficients(response, camera)
-    noise_deg, noise, constants = _evidence(light, mask, labels, c, residual_deg, blur_px)
+    noise_deg, noise, constants = _evidence(light, mask, labels, c, residual_deg, blur_px, residual_of_pixels)
     error, weight = np.empty(shape, np.float32), np.empty(shape, np.float32)
     found = rows_of(np.ascontiguousarray(normal_map.normals_in_camera, np.float32))
     _error_kernel(
@@ -166,6 +171,7 @@ def normals_and_errors_from_encoded(
     bits: int | None = None,
     residual_deg: float = 0.0,
     blur_px: float = 0.0,
+    residual_of_pixels: bool = False,
 ) -> tuple[NormalMap, float]:
     """Decode, invert and tell the error in one pass; return the map and the share of clipped pixels.
 
@@ -177,7 +183,7 @@ def normals_and_errors_from_encoded(
     light = _Light(np.ascontiguousarray(encoded), decoding.table, None, decoding.white, maps)
     options = options or InversionOptions()
     c = _coefficients(response, camera, options.relative_albedo, options.darkest)
-    noise_deg, noise, constants = _evidence(light, inside, None, c, residual_deg, blur_px)
+    noise_deg, noise, constants = _evidence(light, inside, None, c, residual_deg, blur_px, residual_of_pixels)
     inversion = coefficients_from_response(response, options)
     limits = np.array([inversion.darkest, inversion.clipped_factor, decoding.white], np.float32)
     normals, valid = np.empty((*shape, 3), np.float32), np.empty(shape, np.bool_)
@@ -255,6 +261,7 @@ def _evidence(
     c: _Coefficients,
     residual_deg: float,
     blur_px: float,
+    of_pixels: bool,
 ) -> tuple[Any, Any, Any]:
     """Return the frame's noise and what holds for all its pixels.
 
@@ -266,17 +273,25 @@ def _evidence(
     least = _least_length(light.image, light.table, mask, c)
     c = c._replace(darkest=np.float32(least))
     lit = mask if labels is None else mask & (labels == ALL_LIT)  # a shadow's normals belong to no surface
-    _curl_kernel(rows_of(light.image), light.table, light.maps, lit, c, found)
-    rows, ellipsoid = np.zeros((3, cells[0], mask.shape[1]), np.float32), np.empty(31)
+    _curl_kernel(rows_of(light.image), light.table, light.maps, lit, c, *_whole_cells(cells), found)
+    rows, ellipsoid = np.zeros((3, cells[0], mask.shape[1]), np.float32), np.empty(32)
     _whole_frame_kernel(light, mask, labels, c, found, noise, rows, ellipsoid)
     if blur_px >= LEAST_BLUR_PX:
         _lost_by_blur(light, mask, labels, c, noise.shape, ellipsoid[0], blur_px, rows[1])
     e00, e01, e02, e11, e12, e22 = ellipsoid[1:7]
     squares = e00**2 + e11**2 + e22**2 + 2.0 * (e01**2 + e02**2 + e12**2)
-    fixed = (_OF_RESIDUAL * max(residual_deg, 0.0)) ** 2 + np.degrees(_OF_ROTATION) ** 2 * squares
-    by_noise = 4.0 * c.along  # of a squared departure: what noise rarely makes where normals face the camera
-    constants = np.concatenate([c.inverse.ravel(), c.ambient, (fixed, by_noise), ellipsoid])
+    squares *= ellipsoid[31]
+    residual = (_OF_RESIDUAL * max(residual_deg, 0.0)) ** 2
+    if of_pixels and found[1].any():
+        residual = max(residual - float(_PER_NOISE * np.median(noise[found[1] > 0])), 0.0)
+    fixed = residual + np.degrees(_OF_ROTATION) ** 2 * squares
+    constants = np.concatenate([c.inverse.ravel(), c.ambient, (fixed, c.along), ellipsoid])
     return np.sqrt(_PER_NOISE * noise), rows, constants.astype(np.float32)
+
+
+def _whole_cells(cells: tuple[int, ...]) -> npt.NDArray[np.float32]:
+    """Return two (⌈h/16⌉, 16 ⌈w/16⌉) arrays of zeros."""
+    return np.zeros((2, cells[0], cells[1] * _CELL), np.float32)
 
 
 def _lost_by_blur(
@@ -355,7 +370,8 @@ def _least_length(image: Any, table: Any, mask: Mask, c: _Coefficients) -> np.fl
 @njit(cache=True, fastmath=FLAGS | {"reassoc"}, error_model="numpy")
 def _fit_ellipsoid(samples: Any, shape: tuple[int, int], nearness: Any, found: Any) -> None:
     """Fill 1 / albedo, e00, e01, e02, e11, e12, e22 of |M⁻¹(r − a)| = albedo (1 + nᵀ(E + u U + v V) n + f),
-    U, V, and the numbers of f, brightness that changes slowly over the image, by 1, u, v, u², v², u v.
+    U, V, the numbers of f, brightness that changes slowly over the image, by 1, u, v, u², v², u v, and the
+    share of E's squares that its own uncertainty does not explain.
 
     Regress the log length of M⁻¹(r − a) on the normal's squares, on what near lamps make of them and on f,
     robustly. samples: (5, n), M⁻¹(r − a) and the place u, v; here u and v count from the image's centre. The
@@ -397,6 +413,7 @@ def _fit_ellipsoid(samples: Any, shape: tuple[int, int], nearness: Any, found: A
             design[11 + k, i] = total * np.exp(-2 * logs[i])
     worth, left, best = np.ones(count), np.empty(count), np.empty(_TERMS)
     spread, normal = max(logs.std(), 1e-3), np.empty((_TERMS, _TERMS + 1))
+    information = np.empty_like(normal)
     weighted = np.empty(count)
     for _ in range(_ROUNDS):
         scale = _INDEPENDENT / count / spread**2
@@ -409,6 +426,7 @@ def _fit_ellipsoid(samples: Any, shape: tuple[int, int], nearness: Any, found: A
                     total += weighted[i] * other[i]
                 normal[j, k] = total
             normal[j, j] += _PRIOR[j]
+        information[:] = normal
         _solve_symmetric(normal, best)
         left[:] = logs
         for k in range(_TERMS):
@@ -438,6 +456,27 @@ def _fit_ellipsoid(samples: Any, shape: tuple[int, int], nearness: Any, found: A
     found[26] = (falloff[0] + 2 * falloff[2] * s + falloff[4] * t) / half
     found[27] = (falloff[1] + 2 * falloff[3] * t + falloff[4] * s) / half
     found[28:31] = falloff[2:5] / half**2
+    squares = 2.0 * ((best[1:6] ** 2).sum() + best[1] * best[2])
+    unsure = _squares_of_uncertainty(information) / max(squares, _GRID**2)
+    found[31] = np.floor(max(1.0 - unsure, 0.0) / _GRID + 0.5) * _GRID
+
+
+@njit(cache=True)
+def _squares_of_uncertainty(information: Any) -> float:
+    """Return the sum of E's squared entries that its estimate has where E is 0.
+
+    information: inverse covariance of the terms, (n, n + 1), of which the upper half is read.
+    """
+    total, column = 0.0, np.empty(len(information))
+    for k in range(1, 6):
+        given = information.copy()
+        given[:, -1] = 0.0
+        given[k, -1] = 1.0
+        _solve_symmetric(given, column)
+        total += 2.0 * column[k]
+        if k == 1:
+            total += 2.0 * column[2]  # e22 = -e00 - e11
+    return total
 
 
 @njit(cache=True)
@@ -553,17 +592,27 @@ def _slopes_row(
 
 
 @njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
-def _curl_kernel(image: Any, table: Any, maps: Any, mask: Mask, c: _Coefficients, found: Any) -> None:
-    """Sum up the squared circulation, as an angle in radians, and its places, along the middle of cells."""
+def _curl_kernel(
+    image: Any, table: Any, maps: Any, mask: Mask, c: _Coefficients, angles: Any, places: Any, found: Any
+) -> None:  # fmt: skip
+    """Sum up the squared circulation, as an angle in radians, and its places, along the middle of cells.
+
+    angles, places: (⌈h/16⌉, 16 ⌈w/16⌉), zeros, filled with every circulation and how much it counts.
+    """
     for cell in prange(found.shape[1]):
         v = min(cell * _CELL + _CELL // 2 - 1, mask.shape[0] - 1 - _LOOP_PX)
         if v >= _LOOP_PX:
-            _curl_row(image, table, maps, mask, c, v, found[0, cell], found[1, cell])
+            _curl_row(image, table, maps, mask, c, v, angles[cell], places[cell])
+            _medians_of_cells(angles[cell], places[cell], found[0, cell], found[1, cell])
+    medians = found.copy()
+    for cell in prange(found.shape[1]):
+        around = medians[:, max(cell - 1, 0) : cell + 2]
+        _squares_of_cells(angles[cell], places[cell], around, found[0, cell], found[1, cell])
 
 
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")
 def _curl_row(
-    image: Any, table: Any, maps: Any, mask: Mask, c: _Coefficients, v: int, sums: Any, counts: Any
+    image: Any, table: Any, maps: Any, mask: Mask, c: _Coefficients, v: int, found: Any, places: Any
 ) -> None:
     width, zero, half, one = mask.shape[1], np.float32(0.0), np.float32(0.5), np.float32(1.0)
     first, last = _span(mask[v])
@@ -577,8 +626,6 @@ def _curl_row(
     top_known, bottom_known = np.zeros(width, np.float32), np.zeros(width, np.float32)
     here = np.zeros(width, np.float32)
     top, bottom = max(v - _EDGE_PX, 0), min(v + _EDGE_PX, mask.shape[0] - 1)
-    whole = len(sums) * _CELL
-    found, places = np.zeros(whole, np.float32), np.zeros(whole, np.float32)
     for row, to_known in ((top, top_known), (bottom, bottom_known)):
         _slopes_row(
             image[row, 3 * first : 3 * last], table, maps, mask[row, first:last], c, row, first,
@@ -623,10 +670,6 @@ def _curl_row(
     for u in range(inner):
         to_found[u] = _PER_CIRCULATION * (around[u] - (q_after[u] - q_before[u])) * of_here[u]
         to_places[u] = max(of_counted[u], _EDGE_SHARE) if good[u] > zero else zero
-    for k in range(len(sums)):
-        sums[k], counts[k] = _median_square(
-            found[k * _CELL : (k + 1) * _CELL], places[k * _CELL : (k + 1) * _CELL]
-        )
 
 
 @njit(cache=True)
@@ -642,24 +685,45 @@ def _median_of(values: Any, count: int) -> np.float32:
 
 
 @njit(cache=True)
-def _median_square(angles: Any, weights: Any) -> tuple[np.float32, np.float32]:
-    """Return the variance of normally distributed angles by the median departure from their median.
+def _medians_of_cells(angles: Any, places: Any, sums: Any, counts: Any) -> None:
+    """Fill the median angle of every cell of a row times its weight, and the weight.
 
-    Of those with the largest weight. The variance comes times the weight, as a sum, and with it. What all of
-    them share is no noise: shadows and errors of M give normals that belong to no surface, either.
+    Only the angles with a cell's largest weight count.
     """
-    largest, count = weights.max(), 0
-    ordered = np.empty(len(angles), np.float32)
-    for i in range(len(angles)):
-        if weights[i] == largest:
-            ordered[count] = angles[i]
-            count += 1
-    middle = _median_of(ordered, count)
-    for i in range(count):
-        ordered[i] = abs(ordered[i] - middle)
-    median = _median_of(ordered, count) * _PER_MEDIAN
-    weight = largest * np.float32(count)
-    return weight * min(median * median, np.float32(1.0)), weight
+    ordered = np.empty(_CELL, np.float32)
+    for cell in range(len(sums)):
+        here, weights = angles[cell * _CELL : (cell + 1) * _CELL], places[cell * _CELL : (cell + 1) * _CELL]
+        largest, count = weights.max(), 0
+        for i in range(_CELL):
+            if weights[i] == largest:
+                ordered[count] = here[i]
+                count += 1
+        counts[cell] = largest * np.float32(count)
+        sums[cell] = counts[cell] * _median_of(ordered, count)
+
+
+@njit(cache=True)
+def _squares_of_cells(angles: Any, places: Any, medians: Any, sums: Any, counts: Any) -> None:
+    """Fill every cell's variance of normally distributed angles times its weight, by the median departure.
+
+    medians: (2, 2 or 3, w), of this row of cells and those beside it, from `_medians_of_cells`. What the
+    angles of 3×3 cells have in common is no noise: an error of M gives normals that belong to no surface,
+    either. A codec's noise is alike all over a block, but not over 3×3 cells.
+    """
+    ordered = np.empty(_CELL, np.float32)
+    for cell in range(len(sums)):
+        here, weights = angles[cell * _CELL : (cell + 1) * _CELL], places[cell * _CELL : (cell + 1) * _CELL]
+        largest, count = weights.max(), 0
+        for i in range(_CELL):
+            if weights[i] == largest:
+                ordered[count] = here[i]
+                count += 1
+        beside = medians[:, :, max(cell - 1, 0) : cell + 2]
+        shared = beside[0].sum() / max(beside[1].sum(), _EDGE_SHARE)
+        for i in range(count):
+            ordered[i] = abs(ordered[i] - shared)
+        median = _median_of(ordered, count) * _PER_MEDIAN
+        sums[cell] = counts[cell] * min(median * median, np.float32(1.0))
 
 
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")
@@ -742,13 +806,13 @@ def _bound_row(
     else 0. m: slow changes at the first pixel.
     """
     noise, lost, around_cell = rows[0], rows[1], rows[2]
-    zero, half, one, four = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(4.0)
+    zero, half, one, eight = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(8.0)
     i00, i01, i02, i10, i11, i12, i20, i21, i22 = k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7], k[8]
     a0, a1, a2 = k[9], k[10], k[11]
-    fixed, by_noise, inverse_albedo = k[12], k[13], k[14]
+    fixed, along_noise, inverse_albedo = k[12], k[13], k[14]
     e00, e01, e02, e11, e12, e22 = k[15], k[16], k[17], k[18], k[19], k[20]
     m0, m1, m2, m3, m4, m5, m6, m7, m8 = m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]
-    f0, f1, f2 = m[9], m[10], k[42]
+    f0, f1, f2, told = m[9], m[10], k[42], k[45]
     s0, s1, s2, s3, s4, s5, s6, s7, s8 = k[21], k[22], k[23], k[24], k[25], k[26], k[27], k[28], k[29]
     count = len(r)
     departures, rest = np.zeros(count + 2 * _BESIDE_PX, np.float32), np.empty(count, np.float32)
@@ -777,7 +841,7 @@ def _bound_row(
         departure = abs(measured * measured - foretold * foretold) / (measured * foretold) * half
         departure = min(departure, one)  # sinh of the log length
         departures[u + _BESIDE_PX] = departure * departure if seen else zero
-        rest[u] = fixed + _PER_TURN * turn + _PER_NEARNESS * near + _PER_NOISE * (noise[u] + lost[u])
+        rest[u] = fixed + _PER_TURN * told * turn + _PER_NEARNESS * near + _PER_NOISE * (noise[u] + lost[u])
         r[u], g[u], b[u], length[u] = x, y, z, size
     if found is not None:
         _leave_out(r, g, b, found, unlit, noise, inside, rest)
@@ -787,8 +851,13 @@ def _bound_row(
         for i in range(1, 2 * _BESIDE_PX + 1):
             around += departures[u + i]
         departure = max(departures[u + _BESIDE_PX], around * share_of_one)
-        # of a normal that leans away noise changes the length as it turns one that faces the camera
-        own = departure - (by_noise + (four - by_noise) * (one - b[u] * b[u])) * noise[u]
+        # Noise across the axis has one variance, along it `along_noise` times that. A normal that leans away
+        # by t is turned by (1 + cos² t + along sin² t) / 2 of it, its length by sin² t + along cos² t, and
+        # rarely by more than two standard deviations.
+        facing = b[u] * b[u]
+        leaning = one - facing
+        of_turn = eight * noise[u] / (one + facing + along_noise * leaning)
+        own = departure - of_turn * (leaning + along_noise * facing)
         own = max(_PER_DEPARTURE * own if unlit[u] == zero else zero, _PER_DEPARTURES * around_cell[u])
         total = rest[u] + own + unlit[u]
         angle = min(np.sqrt(total), _LARGEST_DEG) if length[u] > _SHORTEST else _LARGEST_DEG

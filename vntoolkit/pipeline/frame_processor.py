@@ -92,6 +92,8 @@ class FrameProcessor:
         self._central = rig.response.central
         fitted = rig.quality is not None and rig.quality.samples
         self._residual_deg = rig.quality.residual_deg if rig.quality is not None and fitted else 0.0
+        # a board's colours are means over its hole, a ball's are its pixels'
+        self._residual_of_pixels = rig.quality is not None and rig.quality.method == "sphere"
         self._leveller = None
         if rig.response.variation is not None:
             self._leveller = leveller_of(rig.response, shape)
@@ -187,7 +189,7 @@ class FrameProcessor:
                 normal_map, clipped_share = normals_and_errors_from_encoded(
                     values, response, transfer, self._mask, camera=self.camera,
                     options=self._options.inversion, bits=frame.bits, residual_deg=residual_deg,
-                    blur_px=self._blur_px,
+                    blur_px=self._blur_px, residual_of_pixels=self._residual_of_pixels,
                 )  # fmt: skip
                 return normal_map, None, clipped_share
             normal_map = normals_from_encoded(
@@ -225,7 +227,7 @@ class FrameProcessor:
             return normal_map, labels, clipped_share
         normal_map = with_expected_error(
             normal_map, level, self._central, labels if solved else None, self.camera, residual_deg,
-            self._blur_px,
+            self._blur_px, self._residual_of_pixels,
         )  # fmt: skip
         return normal_map, labels, clipped_share
 
