@@ -269,15 +269,20 @@ def _move_row(
             for a in range(size):
                 for b in range(0, lanes, LANES):
                     _copy(state[k, v - margin + a], u - margin + b, window, k * n + a * lanes + b)
+        for k in range(_NEW_SHADE, _NEW_SHADE + 3):  # first and last row, which no change reaches
+            for i in range(lanes):
+                window[k * n + i] = window[(k - _NEW_SHADE + _SHADE) * n + i]
+                to = (size - 1) * lanes + i
+                window[k * n + to] = window[(k - _NEW_SHADE + _SHADE) * n + to]
         _fill_sides(window, lanes, n)
-        least = _price_of(window, _MIXED, _SHADE, lanes, n, ambient, matrix, length, precision)
+        least = _price_of(window, _MIXED, _SHADE, size, lanes, n, ambient, matrix, length, precision)
         least += _SEAM_PRICE * _length_of_seam(labels, v, u, side, -1)
         best, last = -1, -1
         for m in range(count):
             if not near[m]:
                 continue
-            _mix_again(window, labels, v, u, side, m, rho, lanes, n)
-            price = _price_of(window, _NEW, _NEW_SHADE, lanes, n, ambient, matrix, length, precision)
+            _mix_again(window, labels, v, u, side, m, rho, size, lanes, n)
+            price = _price_of(window, _NEW, _NEW_SHADE, size, lanes, n, ambient, matrix, length, precision)
             price += _SEAM_PRICE * _length_of_seam(labels, v, u, side, m)
             last = m
             if price < least - _LEAST_GAIN:
@@ -286,7 +291,7 @@ def _move_row(
             continue
         changed, last_moved = changed + 1, u
         if best != last:
-            _mix_again(window, labels, v, u, side, best, rho, lanes, n)
+            _mix_again(window, labels, v, u, side, best, rho, size, lanes, n)
         for k in range(6):
             for a in range(1, size - 1):
                 for b in range(1, size - 1):
@@ -365,12 +370,15 @@ def _fill_sides(window: Any, lanes: int, n: int) -> None:
 
 @njit(cache=True, inline="always", error_model="numpy")
 def _price_of(
-    window: Any, mixed: int, shade: int, lanes: int, n: int, haze: Any, matrix: Any, length: Any,
+    window: Any, mixed: int, shade: int, size: int, lanes: int, n: int, haze: Any, matrix: Any, length: Any,
     precision: Any,
 ) -> Any:  # fmt: skip
-    """Price of a window's lengths and of its steps of shading; mixed, shade: the parts that count."""
+    """Price of a window's lengths and of its steps of shading; mixed, shade: the parts that count.
+
+    Only the steps down from its first row and to its last one count there: others stay as they are.
+    """
     total = _NONE
-    for i in range(n):
+    for i in range(lanes, (size - 1) * lanes):
         x0 = window[_LIGHT * n + i] / window[mixed * n + i] - haze[0]
         x1 = window[(_LIGHT + 1) * n + i] / window[(mixed + 1) * n + i] - haze[1]
         x2 = window[(_LIGHT + 2) * n + i] / window[(mixed + 2) * n + i] - haze[2]
@@ -380,13 +388,13 @@ def _price_of(
         e = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2) - _ONE
         t = e * e * length
         total += window[_SIDES * n + i] * t / (_MOST + t)
-    for i in range(n - 1):
+    for i in range(lanes, (size - 1) * lanes):
         d0 = window[shade * n + i + 1] - window[shade * n + i]
         d1 = window[(shade + 1) * n + i + 1] - window[(shade + 1) * n + i]
         d2 = window[(shade + 2) * n + i + 1] - window[(shade + 2) * n + i]
         t = (d0 * d0 + d1 * d1 + d2 * d2) * precision
         total += window[(_SIDES + 1) * n + i] * t / (_MOST + t)
-    for i in range(n - lanes):
+    for i in range((size - 1) * lanes):
         d0 = window[shade * n + i + lanes] - window[shade * n + i]
         d1 = window[(shade + 1) * n + i + lanes] - window[(shade + 1) * n + i]
         d2 = window[(shade + 2) * n + i + lanes] - window[(shade + 2) * n + i]
@@ -397,14 +405,14 @@ def _price_of(
 
 @njit(cache=True, inline="always", error_model="numpy")
 def _mix_again(
-    window: Any, labels: Any, v: int, u: int, side: int, m: int, rho: Any, lanes: int, n: int
+    window: Any, labels: Any, v: int, u: int, side: int, m: int, rho: Any, size: int, lanes: int, n: int
 ) -> None:
     """Fill the mixtures around a block with label m in all of it, and the shading.
 
     log(b / a) = 2 artanh((b − a) / (b + a)), by its series.
     """
     for k in range(3):
-        for i in range(n):
+        for i in range(lanes, (size - 1) * lanes):
             window[(_NEW + k) * n + i] = window[(_MIXED + k) * n + i]
         for a in range(side):
             for b in range(side):
@@ -412,7 +420,7 @@ def _mix_again(
                 if step != _NONE:
                     for i in range((2 * _REACH_PX + 1) * lanes):
                         window[to + i] += step * window[_KERNEL * n + i]
-        for i in range(n):
+        for i in range(lanes, (size - 1) * lanes):
             was, become = window[(_MIXED + k) * n + i], window[(_NEW + k) * n + i]
             z = (become - was) / (become + was)
             y = z * z

@@ -142,9 +142,15 @@ class MaterialLabeller:
         )
         return coarse[rows[:, None], columns]
 
-    def relit(self, frame: LinearFrame, labels: MaterialLabels, mask: Mask | None = None) -> LinearFrame:
-        """Return the frame as it would be with the calibration material everywhere; mask: see `relit`."""
-        return relit(frame, self._response, labels, self._reflectances, self._pigments, self.seams, mask)
+    def relit(
+        self,
+        frame: LinearFrame,
+        labels: MaterialLabels,
+        mask: Mask | None = None,
+        box: tuple[slice, slice] | None = None,
+    ) -> LinearFrame:
+        """Return the frame as it would be with the calibration material everywhere; see `relit`."""
+        return relit(frame, self._response, labels, self._reflectances, self._pigments, self.seams, mask, box)
 
     @property
     def seams(self) -> Seams | None:
@@ -312,10 +318,12 @@ def _steps(
 def _enlarge(coarse: Any, near: Any, mask: Any, factor: int, labels: Any, active: Any) -> None:
     h, w = mask.shape
     for v in prange(h):
-        for u in range(w):
-            if mask[v, u]:
-                labels[v, u] = coarse[v // factor, u // factor]
-                active[v, u] = near[v // factor, u // factor]
+        row = v // factor
+        for column in range(coarse.shape[1]):
+            label, is_near = coarse[row, column], near[row, column]
+            for u in range(column * factor, min((column + 1) * factor, w)):
+                labels[v, u] = label if mask[v, u] else 0
+                active[v, u] = mask[v, u] & is_near
 
 
 def _take_blocks(labels: MaterialLabels, mask: Mask, factor: int, coarse: MaterialLabels) -> None:

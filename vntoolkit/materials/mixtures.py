@@ -54,11 +54,12 @@ def room_for(count: int) -> Any:
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def fill_means(labels: Any, v: int, u: int, weights: Any, rho: Any, room: Any) -> None:
+def fill_means(labels: Any, v: int, u: int, weights: Any, rho: Any, room: Any) -> int:
     """Fill shares and mean reflectances under the blur of CHUNK_PX pixels of row v from u on.
 
     weights: of `wide_weights`. room: of `room_for`; the means are at the beginning of its second array,
-    (3 · CHUNK_PX,).
+    (3 · CHUNK_PX,). Returns the labels that are there, bit m for label m; the shares of others are not
+    filled.
     """
     shares, work, window, columns = room
     h, w = labels.shape
@@ -74,10 +75,22 @@ def fill_means(labels: Any, v: int, u: int, weights: Any, rho: Any, room: Any) -
                 line[j] = row[min(max(left + j, 0), w - 1)]
     for j in range(3 * CHUNK_PX):
         work[j] = _NONE
+    there = _labels_in(window)
     for m in range(len(rho)):
-        _blur_columns(window, np.float32(m), weights, columns)
-        _blur_row(columns, weights, shares[m])
-        _add(shares[m], rho[m, 0], rho[m, 1], rho[m, 2], work)
+        if (there >> m) & 1:
+            _blur_columns(window, np.float32(m), weights, columns)
+            _blur_row(columns, weights, shares[m])
+            _add(shares[m], rho[m, 0], rho[m, 1], rho[m, 2], work)
+    return there
+
+
+@njit(cache=True)
+def _labels_in(window: Any) -> int:
+    """Return the labels of a window, bit m for label m."""
+    found = 0
+    for j in range(_WINDOW):
+        found |= 1 << int(window[j])
+    return found
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
@@ -116,9 +129,9 @@ def relight_mixtures(
     merge: Any, weights: Any, tolerance: Any, room: Any, out: Any,
 ) -> None:  # fmt: skip
     """Fill out (w, 3) where `near` (w,) among CHUNK_PX pixels of row v from u on: see `pixels.relit`."""
-    fill_means(labels, v, u, weights, rho, room)
+    there = fill_means(labels, v, u, weights, rho, room)
     shares, work, _, _ = room
-    _fill_largest(shares, rho, work)
+    _fill_largest(shares, there, rho, work)
     stop = min(len(rgb) - u, CHUNK_PX)
     for j in range(stop):
         r, g, b = rgb[u + j, 0], rgb[u + j, 1], rgb[u + j, 2]
@@ -133,12 +146,13 @@ def relight_mixtures(
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _fill_largest(shares: Any, rho: Any, work: Any) -> None:
-    """Fill the largest and the second largest share, and the reflectances of the two."""
+def _fill_largest(shares: Any, there: int, rho: Any, work: Any) -> None:
+    """Fill the largest and the second largest share, and the reflectances of the two; there: the labels."""
     for j in range(_FIRST, _ROOM):
         work[j] = _NONE
     for m in range(len(rho)):
-        _take_larger(shares[m], rho[m, 0], rho[m, 1], rho[m, 2], work)
+        if (there >> m) & 1:
+            _take_larger(shares[m], rho[m, 0], rho[m, 1], rho[m, 2], work)
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")

@@ -42,7 +42,8 @@ _SEAM_PRICE = np.float32(1.0)  # of two pixels of two materials side by side
 _NO_LABEL = 255
 _GOLDEN = 0.618  # section: its multiples lie evenly
 _SHARES = 16  # that threads add up alone
-_HALF, _ONE, _OF_CAP, _INFINITE = np.float32(0.5), np.float32(1.0), np.float32(CAP**-2), np.float32(np.inf)
+_NONE, _HALF, _ONE, _OF_CAP = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(CAP**-2)
+_INFINITE = np.float32(np.inf)
 _LEAST_STEP = 0.01  # of log s from pixel to pixel
 _MOST, _MOST_SIGMAS = 0.8, 1.2816  # quantile of the steps that is of shading, not of paint, and its distance
 _SWEEPS, _SETTLED = 4, 0.002  # at most, and share of the pixels that change when all is settled
@@ -180,36 +181,48 @@ def relit(
     pigments: Points | None = None,
     seams: Seams | None = None,
     mask: Mask | None = None,
+    box: tuple[slice, slice] | None = None,
 ) -> LinearFrame:
     """Return the frame as it would be with the calibration material everywhere: r' = Cᵀ (C⁻ᵀ r ∘ 1/ρ).
 
     labels: (h, w), numbers of the reflectances (m, 3). pigments: (m, 3), the lines of log ρ along which
     materials change, 0 for none. seams: how pixels beside seams are mixtures; without it they are of one
-    material. mask: (h, w), where pigments count, since they cost time; None for everywhere. Ambient light
-    falls on the material too: it is divided by ρ with the rest.
+    material. mask: (h, w), where pigments count, since they cost time; None for everywhere. box: rows and
+    columns beyond which the result is 0; None for none. Ambient light falls on the material too: it is
+    divided by ρ with the rest.
     """
     values = np.asarray(reflectances, np.float64)
     lamps = lamps_from_response(response, np.zeros(3))
     merge = np.linalg.inv(lamps.split)
     matrices = np.array([merge @ np.diag(1.0 / rho) @ lamps.split for rho in values])
     along = np.zeros_like(values) if pigments is None else np.asarray(pigments, np.float64)
-    if seams is None or seams.blur_px == 0.0 or len(values) == 1:
-        seams, near = Seams(0.0, 1.0), np.zeros(labels.shape, np.bool_)
-        weights = blur_weights(0.0, 0)
-    else:
-        weights = blur_weights(seams.blur_px, reach_of_blur(seams.blur_px))
-        near = near_seams(labels, reach_of_blur(seams.blur_px))
     out = np.empty(frame.rgb.shape, np.float32)
     inside = np.ones(labels.shape, np.bool_) if mask is None else mask
+    h, w = labels.shape
+    box = box or (slice(0, h), slice(0, w))
+    near = np.zeros(labels.shape, np.bool_)
+    if seams is None or seams.blur_px == 0.0 or len(values) == 1:
+        seams, weights = Seams(0.0, 1.0), blur_weights(0.0, 0)
+    else:
+        weights = blur_weights(seams.blur_px, reach_of_blur(seams.blur_px))
+        near[box] = near_seams(np.ascontiguousarray(labels[box]), reach_of_blur(seams.blur_px))
     of_lamps = (lamps.haze, lamps.inverse, lamps.split, merge, lamps.inverse @ lamps.haze)
     of_materials = (values, along, lamps.inverse / values[:, None], merge / values[:, None])
     _relight(
         np.ascontiguousarray(frame.rgb), labels, matrices.astype(np.float32),
         tuple(each.astype(np.float32) for each in of_lamps),
         tuple(each.astype(np.float32) for each in of_materials), inside, wide_weights(weights), near,
-        np.float32(seams.tolerance), out,
+        np.float32(seams.tolerance), (box[0].start, box[0].stop, box[1].start, box[1].stop), out,
     )  # fmt: skip
     return LinearFrame(rgb=out, clipped=frame.clipped, number=frame.number)
+
+
+def box_of(mask: Mask) -> tuple[slice, slice]:
+    """Return the rows and the columns that a mask reaches over."""
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    if not len(rows):
+        return slice(0, 0), slice(0, 0)
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
 
 
 def variance_of_lengths(
@@ -616,31 +629,38 @@ def _cost_of_blur(
 @njit(cache=True, parallel=True, error_model="numpy")
 def _relight(
     rgb: Any, labels: Any, matrices: Any, of_lamps: Any, of_materials: Any, inside: Any, weights: Any,
-    near: Any, tolerance: Any, out: Any,
+    near: Any, tolerance: Any, box: Any, out: Any,
 ) -> None:  # fmt: skip
     """Fill out (h, w, 3) from colours rgb (h, w, 3), all in single precision.
 
     matrices: (m, 3, 3), from colour to colour. of_lamps: w, L⁻¹, split and its inverse, and L⁻¹ w.
     of_materials: ρ, the lines of pigments, L⁻¹ / ρ, and that inverse over ρ. inside: (h, w), where pigments
-    count. near: (h, w), where pixels are mixtures.
+    count. near: (h, w), where pixels are mixtures. box: first and last row, first and last column, the last
+    ones not included; 0 beyond.
     """
+    top, bottom, left, right = box
     for v in prange(len(labels)):
-        _relight_row(
-            rgb[v], labels, matrices, of_lamps, of_materials, inside[v], weights, near[v], tolerance, v,
-            out[v],
-        )  # fmt: skip
+        if top <= v < bottom:
+            out[v, :left] = _NONE
+            out[v, right:] = _NONE
+            _relight_row(
+                rgb[v], labels, matrices, of_lamps, of_materials, inside[v], weights, near[v], tolerance, v,
+                left, right, out[v],
+            )  # fmt: skip
+        else:
+            out[v] = _NONE
 
 
 @njit(cache=True, error_model="numpy")
 def _relight_row(
     rgb: Any, labels: Any, matrices: Any, of_lamps: Any, of_materials: Any, inside: Any, weights: Any,
-    near: Any, tolerance: Any, v: int, out: Any,
+    near: Any, tolerance: Any, v: int, begin: int, end: int, out: Any,
 ) -> None:  # fmt: skip
-    """Fill row v. rgb, out: (w, 3). inside, near: (w,). labels: of the whole frame."""
+    """Fill row v from one column to another. rgb, out: (w, 3). inside, near: (w,). labels: of the frame."""
     haze, inverse, split, merge, origin = of_lamps
     rho, along, to_normal, merges = of_materials
-    room, mixed = room_for(len(rho)), 0  # up to where mixtures are done
-    u, w = 0, len(rgb)
+    room, mixed = room_for(len(rho)), begin  # up to where mixtures are done
+    u, w = begin, end
     while u < w:
         is_near, m, counts, stop = near[u], labels[v, u], inside[u], u + 1
         if is_near:

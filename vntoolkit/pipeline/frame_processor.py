@@ -19,7 +19,7 @@ from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded, resampler_of
 from vntoolkit.io.footage.gel_dots import DotFilter
 from vntoolkit.materials.labelling import MaterialLabeller
-from vntoolkit.materials.pixels import MaterialLabels, colours_of
+from vntoolkit.materials.pixels import MaterialLabels, box_of, colours_of
 from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.native import keep_freed_memory, njit
 from vntoolkit.normals.expected_error import normals_and_errors_from_encoded, with_expected_error
@@ -211,7 +211,7 @@ class FrameProcessor:
         if self._labeller is not None:
             self._mask = self.lit_subject(linear)
             self._materials = self._labeller.labels(self.by_strength(linear), self._mask)
-            linear = self._labeller.relit(linear, self._materials, self._mask)
+            linear = self._labeller.relit(linear, self._materials, self._mask, box_of(self._mask))
         if self._painted is not None:
             linear = self._painted.relit(filmed, linear, frame.number, self._materials)
         level = linear if self._leveller is None else self._leveller.frame(linear)
