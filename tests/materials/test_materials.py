@@ -285,18 +285,33 @@ def test_labels_are_carried_along_with_a_subject_that_crosses_the_picture() -> N
     assert max(unlike) < 0.03
 
 
-def test_a_yarn_of_a_tartan_that_is_seen_in_small_squares_only_is_found_by_its_mixtures() -> None:
-    normals, mask, _ = knitted_with_logo(180)
-    yarns = np.array([[0.86, 0.28, 0.25], [0.26, 0.62, 0.39], [0.25, 0.33, 0.66]])
-    of_thread = np.searchsorted([20, 35, 43], np.arange(180) % 43, side="right")
-    cloth = 0.5 * (yarns[of_thread][:, None] + yarns[of_thread])
+YARNS = np.array([[0.86, 0.28, 0.25], [0.26, 0.62, 0.39], [0.25, 0.33, 0.66]])
+
+
+def tartan(size: int, seed: int) -> tuple[LinearFrame, np.ndarray]:
+    """A knitted dome in a tartan of three yarns, of squares of 8 to 20 pixels, blurred; and its mask."""
+    normals, mask, _ = knitted_with_logo(size)
+    of_thread = np.searchsorted([20, 35, 43], np.arange(size) % 43, side="right")
+    cloth = 0.5 * (YARNS[of_thread][:, None] + YARNS[of_thread])
     light = np.maximum(normals @ DIRECTIONS.T, 0.0) * cloth @ COLOURS * mask[..., None]
     light = gaussian_filter(light, (0.7, 0.7, 0.0))
-    light += np.random.default_rng(3).normal(0.0, LEVEL, light.shape)
-    found = find_materials([LinearFrame(light.astype(np.float32))], [mask], RESPONSE)
+    light += np.random.default_rng(seed).normal(0.0, LEVEL, light.shape)
+    return LinearFrame(light.astype(np.float32)), mask
+
+
+def test_a_yarn_of_a_tartan_that_is_seen_in_small_squares_only_is_found_by_its_mixtures() -> None:
+    frame, mask = tartan(180, seed=3)
+    found = find_materials([frame], [mask], RESPONSE)
     values = np.array([each.reflectance.values for each in found])
     assert len(found) == 6
-    assert np.abs(np.log(values[:, None] / yarns)).max(axis=2).min(axis=0).max() < 0.1
+    assert np.abs(np.log(values[:, None] / YARNS)).max(axis=2).min(axis=0).max() < 0.1
+
+
+def test_a_tartan_too_fine_for_the_blocks_of_three_frames_is_looked_at_in_one() -> None:
+    frames, masks = zip(*(tartan(240, seed) for seed in (3, 4, 5)), strict=True)
+    found = find_materials(frames, masks, RESPONSE)
+    values = np.array([each.reflectance.values for each in found])
+    assert np.abs(np.log(values[:, None] / YARNS)).max(axis=2).min(axis=0).max() < 0.1
 
 
 def rotated(labels: np.ndarray, degrees: float) -> np.ndarray:

@@ -46,6 +46,7 @@ from vntoolkit.photometry.response import LightResponse
 
 MOST_MATERIALS = 12
 _SEARCHED_PIXELS = 40_000  # of the subject
+_LEAST_INSIDE = 1 / 3  # of the blocks, that lie inside patches, as of squares that hold a region each
 WORST_ERROR_DEG = 5.0  # of normals, by what their spread leaves open of a reflectance
 _LARGEST_RATIO = np.log(12.0)  # of the reflectances of one material
 _FEWEST_PIXELS = 300
@@ -95,13 +96,7 @@ def find_materials(
     frames, masks: of one size (h, w), every lamp as strong as at the centre. Raises `BadInput` where the
     lamps' colours are not known, or no pixel is reached by all three lamps.
     """
-    split = _stacked(
-        [
-            split_frame(frame, response, mask, _SEARCHED_PIXELS // len(frames))
-            for frame, mask in zip(frames, masks, strict=True)
-        ]
-    )
-    regions = regions_of(split)
+    split, regions = _seen(frames, masks, response)
     if split.lit.sum() < _FEWEST_PIXELS or regions.count < _FEWEST_REGIONS:
         raise BadInput(
             "materials: hardly any pixel is reached by all three lamps and not clipped; look at exposure, "
@@ -133,6 +128,26 @@ def find_materials(
         fitted = reflectance_from_fit(own_log, block, pixels, split.lamps)
         materials.append(Material(reflectance=fitted, share=share))
     return sorted(materials, key=lambda material: -material.share)
+
+
+def _seen(
+    frames: Sequence[LinearFrame], masks: Sequence[Mask], response: LightResponse
+) -> tuple[SplitFrame, Regions]:
+    """Return frames in blocks, as small as the number of searched pixels allows, and their regions.
+
+    More frames show other normals, but in larger blocks. Where most blocks lie on edges, patches of one paint
+    are hardly larger than blocks: then the first frame alone is looked at, in smaller ones.
+    """
+    split = _stacked(
+        [
+            split_frame(frame, response, mask, _SEARCHED_PIXELS // len(frames))
+            for frame, mask in zip(frames, masks, strict=True)
+        ]
+    )
+    regions = regions_of(split)
+    if len(frames) > 1 and regions.sizes.sum() < _LEAST_INSIDE * split.lit.sum():
+        return _seen(frames[:1], masks[:1], response)
+    return split, regions
 
 
 def _stacked(splits: Sequence[SplitFrame]) -> SplitFrame:
