@@ -361,19 +361,47 @@ def test_freckles_are_found_as_a_pigment_and_hardly_turn_normals() -> None:
 
 def test_a_pigment_is_taken_out_to_unit_length_inside_the_mask_alone() -> None:
     frame, _, mask = freckled(noise=0.0)
-    line = MELANIN / np.linalg.norm(MELANIN)
-    labeller = MaterialLabeller(RESPONSE, np.array([[0.9, 0.65, 0.5]]), line[None])
+    line, skin = (MELANIN / np.linalg.norm(MELANIN))[None], np.array([[0.9, 0.65, 0.5]])
     labels = np.zeros(mask.shape, np.uint8)
     half = mask & (np.indices(mask.shape)[1] < 90)
-    plain, part = labeller.relit(frame, labels), labeller.relit(frame, labels, half)
+    plain, part = (relit(frame, RESPONSE, labels, skin, line, mask=each) for each in (mask, half))
     assert np.array_equal(plain.rgb[half], part.rgb[half])
-    bare = relit(frame, RESPONSE, labels, np.array([[0.9, 0.65, 0.5]]))
+    bare = relit(frame, RESPONSE, labels, skin)
     np.testing.assert_allclose(part.rgb[~half], bare.rgb[~half], atol=1e-6)
     off = [
         np.abs(np.linalg.norm(each.rgb[half] @ np.linalg.inv(RESPONSE.matrix).T, axis=1) - 1.0).mean()
         for each in (bare, part)
     ]
     assert off[1] < 0.6 * off[0]  # what is left is trust in other reasons, such as gloss
+
+
+@pytest.mark.parametrize("colour", [MELANIN, np.array([0.31, 0.77, 0.58]), np.array([1.3, 1.4, 1.6])])
+def test_neighbours_tell_spots_of_any_colour_better_than_lengths_do(colour: np.ndarray) -> None:
+    frame, normals, mask = freckled()  # of melanin; then spots of melanin, of lips, of brows
+    v, u = np.indices(mask.shape)
+    spots = (np.hypot(v % 30 - 15, u % 30 - 15) < 4) & mask
+    contributions = frame.rgb @ RESPONSE.contributions_from_rgb.T * np.exp(-0.6 * spots[..., None] * colour)
+    frame = LinearFrame((contributions @ COLOURS).astype(np.float32))
+    line, skin = (MELANIN / np.linalg.norm(MELANIN))[None], np.array([[0.9, 0.65, 0.5]])
+    labels = np.zeros(mask.shape, np.uint8)
+    told = MaterialLabeller(RESPONSE, skin, line).relit(frame, labels, mask)
+    by_lengths = relit(frame, RESPONSE, labels, skin, line, mask=mask)
+    assert np.array_equal(told.rgb[~mask], by_lengths.rgb[~mask])
+    off = [
+        angles_deg(normals_from_frame(each, RESPONSE, mask).normals_in_camera, normals)[mask]
+        for each in (told, by_lengths)
+    ]
+    assert off[0].mean() < 0.8 * off[1].mean()
+
+
+def test_neighbours_tell_nothing_where_normals_are_noise() -> None:
+    frame, _, mask = freckled()
+    noise = np.random.default_rng(0).normal(0.0, LEVEL, frame.rgb.shape) * mask[..., None]
+    dark = LinearFrame((0.05 * frame.rgb + noise).astype(np.float32))
+    line, hair = (MELANIN / np.linalg.norm(MELANIN))[None], 0.05 * np.array([[0.9, 0.65, 0.5]])
+    labels = np.zeros(mask.shape, np.uint8)
+    told = MaterialLabeller(RESPONSE, hair, line).relit(dark, labels, mask)
+    assert np.array_equal(told.rgb, relit(dark, RESPONSE, labels, hair, line, mask=mask).rgb)
 
 
 def test_noise_does_not_bend_the_line_of_a_pigment() -> None:

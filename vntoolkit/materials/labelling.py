@@ -17,6 +17,7 @@ from numba import prange
 
 from vntoolkit.arrays import FloatArray, IntArray, Mask, Points, Vector3
 from vntoolkit.materials.blurred_labels import MARGIN_PX, BlurredLabels
+from vntoolkit.materials.paint import told_by_neighbours, without_paint
 from vntoolkit.materials.pigment import pigment_of
 from vntoolkit.materials.pixels import (
     INDEPENDENT_PX,
@@ -82,11 +83,14 @@ class MaterialLabeller:
         self._coarse: LineLabeller | None = None
         self._beside_seams: BlurredLabels | None = None
         self._fine: BlurredLabels | None = None
+        self._by_neighbours: Mask | None = None
+        self._plain: npt.NDArray[np.float32] | None = None
         self._doubtful = self._mean_price = np.inf
 
     def forget(self) -> None:
         """Drop the labels of the frame before, so that a sequence may start anywhere."""
         self._before = self._split = self._coarse = self._beside_seams = self._fine = self._box = None
+        self._by_neighbours = None
 
     def labels(self, frame: LinearFrame, mask: Mask) -> MaterialLabels:
         """Return (h, w), numbers of the materials; 0 outside the mask. mask: (h, w).
@@ -149,8 +153,23 @@ class MaterialLabeller:
         mask: Mask | None = None,
         box: tuple[slice, slice] | None = None,
     ) -> LinearFrame:
-        """Return the frame as it would be with the calibration material everywhere; see `relit`."""
-        return relit(frame, self._response, labels, self._reflectances, self._pigments, self.seams, mask, box)
+        """Return the frame as it would be with the calibration material everywhere.
+
+        mask: (h, w), where paint is told; None for everywhere. box: see `relit`.
+        """
+        known = self._response, labels, self._reflectances
+        mask = np.ones(labels.shape, np.bool_) if mask is None else mask
+        if self._pigments is None or not self._pigments.any() or not mask.any():
+            return relit(frame, *known, seams=self.seams, box=box)
+        seen = frame, labels, mask, self._response, self._reflectances
+        if self._by_neighbours is None:
+            self._by_neighbours = told_by_neighbours(*seen, self._pigments)
+        lines = self._pigments * self._by_neighbours[:, None]
+        if lines.any():
+            if self._plain is None or self._plain.shape != frame.rgb.shape:
+                self._plain = np.empty(frame.rgb.shape, np.float32)  # new ones would cost a frame 2 ms
+            frame = without_paint(*seen, lines, self._plain)
+        return relit(frame, *known, self._pigments - lines, self.seams, mask, box)
 
     @property
     def seams(self) -> Seams | None:

@@ -259,9 +259,9 @@ def _step(t: Any, s: Any, matrix: Any, origin: Any, d: Any, squared: Any, trust:
 def _normal(t: Any, s: Any, matrix: Any, origin: Any, d: Any) -> Any:
     """Return s ∘ exp(−t d), a tuple, and the normal's three components, matrix times that, less origin."""
     x0, x1, x2 = (
-        s[0] * _exponential(-t * d[0]),
-        s[1] * _exponential(-t * d[1]),
-        s[2] * _exponential(-t * d[2]),
+        s[0] * exponential(-t * d[0]),
+        s[1] * exponential(-t * d[1]),
+        s[2] * exponential(-t * d[2]),
     )
     return (
         (x0, x1, x2),
@@ -272,7 +272,7 @@ def _normal(t: Any, s: Any, matrix: Any, origin: Any, d: Any) -> Any:
 
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
-def _exponential(x: Any) -> Any:
+def exponential(x: Any) -> Any:
     """Return exp(x), to 3e-4 where |x| is at most 1.5, 1e-6 up to 0.5: a short series."""
     y = _QUARTER * x
     y = _ONE + y * (_ONE + y * (_HALF + y * (_SIXTH + y * _OF_FOURTH)))
