@@ -13,7 +13,9 @@ from vntoolkit.evaluation.angular_error import angular_error_map
 from vntoolkit.io.maps_and_meshes.label_images import read_labels
 from vntoolkit.io.maps_and_meshes.maps import read_normal_map
 from vntoolkit.io.results.manifest import read_manifest
+from vntoolkit.materials import labelling
 from vntoolkit.photometry.frame import ALL_LIT
+from vntoolkit.pipeline import painted_surface
 from vntoolkit.pipeline.opened_result import open_result
 from vntoolkit.pipeline.options import (
     ReconstructOptions,
@@ -33,11 +35,18 @@ def bare_face(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A bare face, four frames of 320 by 240 pixels, with the true lamps and camera; tracked."""
     root = tmp_path_factory.mktemp("face")
     vt.simulate("face", out=root / "film", frames="0:16:4", size="320x240")
-    rig = root / "film/truth/rig.json"
-    vt.reconstruct(root / "film/capture.mkv", rig=rig, out=root / "out", to="depth", allow=("transfer",))
-    track(TrackJob(folder=root / "out", options=TrackingOptions()))
-    refine_albedo(root / "out")
+    refined_face(root, "out")
     return root
+
+
+def refined_face(root: Path, name: str) -> Path:
+    """Reconstruct the film of `root`, track it, and refine it; return the reconstruction's folder."""
+    film = root / "film"
+    rig = film / "truth/rig.json"
+    vt.reconstruct(film / "capture.mkv", rig=rig, out=root / name, to="depth", allow=("transfer",))
+    track(TrackJob(folder=root / name, options=TrackingOptions()))
+    refine_albedo(root / name)
+    return root / name
 
 
 def mean_error_deg(folder: Path, film: Path) -> float:
@@ -55,6 +64,18 @@ def mean_error_deg(folder: Path, film: Path) -> float:
 @pytest.mark.slow
 def test_normals_of_a_bare_face_are_better_after_it(bare_face: Path) -> None:
     film, out = bare_face / "film", bare_face / "out"
+    before, after = mean_error_deg(out, film), mean_error_deg(out / "track/refined", film)
+    assert after < before  # by little: most of what many frames tell, the neighbours in one have told
+
+
+@pytest.mark.slow
+def test_frames_tell_paint_that_the_lengths_of_one_do_not(
+    bare_face: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without neighbours, as on knit and hair."""
+    for module in (labelling, painted_surface):
+        monkeypatch.setattr(module, "told_by_neighbours", lambda *seen: np.zeros(len(seen[-1]), np.bool_))
+    film, out = bare_face / "film", refined_face(bare_face, "lengths")
     before, after = mean_error_deg(out, film), mean_error_deg(out / "track/refined", film)
     assert after < before - 0.4
 

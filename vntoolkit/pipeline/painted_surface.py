@@ -13,6 +13,7 @@ from vntoolkit.errors import BadCapture
 from vntoolkit.geometry.maps import DepthMap
 from vntoolkit.io.maps_and_meshes.arrays import map_npy
 from vntoolkit.io.results.sequences import read_mesh_sequence
+from vntoolkit.materials.paint import told_by_neighbours, without_paint
 from vntoolkit.materials.pixels import MaterialLabels, relit
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
@@ -93,17 +94,25 @@ class PaintedSurface:
 
         filmed: the frame as it is. by_materials: in one material, as far as materials tell: it stays where
         the tracked surface is not, or is lost, and on materials that are not painted. materials: (h, w),
-        their numbers. What the track puts beside its place by a part of a pixel, the length of the normal
-        corrects, along the line of the paint.
+        their numbers. What the track puts beside its place by a part of a pixel is taken out as
+        the paint of a single frame is.
         """
         rho, share = self.reflectance(number)
         rgb = (filmed.rgb @ self._split.T / rho) @ np.linalg.inv(self._split).T
         labels = np.zeros(share.shape, np.uint8) if materials is None else materials
         share = share * self._is_painted[labels]
-        ones = np.ones_like(self._lines)
-        plain = relit(replace(filmed, rgb=rgb.astype(np.float32)), self._response, labels, ones, self._lines)
+        plain = self._corrected(replace(filmed, rgb=rgb.astype(np.float32)), labels, share > 0)
         rgb = by_materials.rgb + share[..., None] * (self._unit * plain.rgb - by_materials.rgb)
         return LinearFrame(rgb=rgb.astype(np.float32), clipped=filmed.clipped, number=filmed.number)
+
+    def _corrected(self, frame: LinearFrame, labels: MaterialLabels, mask: Mask) -> LinearFrame:
+        """Return a frame without the paint that the surface's reflectances leave, as one frame tells it."""
+        ones = np.ones_like(self._lines)
+        near = told_by_neighbours(frame, labels, mask, self._response, ones, self._lines)
+        lines = self._lines * near[:, None]
+        if lines.any():
+            frame = without_paint(frame, labels, mask, self._response, ones, lines, np.empty_like(frame.rgb))
+        return relit(frame, self._response, labels, ones, self._lines - lines)
 
     def reflectance(self, number: int) -> tuple[FloatArray, FloatArray]:
         """Return (h, w, 3), 1 beside the surface, and (h, w), how far it counts, 0 to 1."""
