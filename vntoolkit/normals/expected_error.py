@@ -685,6 +685,18 @@ def _median_of(values: Any, count: int) -> np.float32:
 
 
 @njit(cache=True)
+def _take_cell(angles: Any, places: Any, cell: int, out: Any) -> tuple[np.float32, int]:
+    """Fill out (16,) with the angles of a cell that have its largest weight; return it and their number."""
+    here, weights = angles[cell * _CELL : (cell + 1) * _CELL], places[cell * _CELL : (cell + 1) * _CELL]
+    largest, count = weights.max(), 0
+    for i in range(_CELL):
+        if weights[i] == largest:
+            out[count] = here[i]
+            count += 1
+    return largest, count
+
+
+@njit(cache=True)
 def _medians_of_cells(angles: Any, places: Any, sums: Any, counts: Any) -> None:
     """Fill the median angle of every cell of a row times its weight, and the weight.
 
@@ -692,12 +704,7 @@ def _medians_of_cells(angles: Any, places: Any, sums: Any, counts: Any) -> None:
     """
     ordered = np.empty(_CELL, np.float32)
     for cell in range(len(sums)):
-        here, weights = angles[cell * _CELL : (cell + 1) * _CELL], places[cell * _CELL : (cell + 1) * _CELL]
-        largest, count = weights.max(), 0
-        for i in range(_CELL):
-            if weights[i] == largest:
-                ordered[count] = here[i]
-                count += 1
+        largest, count = _take_cell(angles, places, cell, ordered)
         counts[cell] = largest * np.float32(count)
         sums[cell] = counts[cell] * _median_of(ordered, count)
 
@@ -712,12 +719,7 @@ def _squares_of_cells(angles: Any, places: Any, medians: Any, sums: Any, counts:
     """
     ordered = np.empty(_CELL, np.float32)
     for cell in range(len(sums)):
-        here, weights = angles[cell * _CELL : (cell + 1) * _CELL], places[cell * _CELL : (cell + 1) * _CELL]
-        largest, count = weights.max(), 0
-        for i in range(_CELL):
-            if weights[i] == largest:
-                ordered[count] = here[i]
-                count += 1
+        _, count = _take_cell(angles, places, cell, ordered)
         beside = medians[:, :, max(cell - 1, 0) : cell + 2]
         shared = beside[0].sum() / max(beside[1].sum(), _EDGE_SHARE)
         for i in range(count):
