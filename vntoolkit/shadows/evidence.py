@@ -32,7 +32,6 @@ from vntoolkit.shadows.contributions import (
     used_of,
 )
 
-Memory = npt.NDArray[np.int8]
 _SMALLEST_ALBEDO = 0.02
 _UNKNOWN_SPREAD = 0.02
 _LARGEST_EXCESS = 0.8  # of log albedo: beyond, it is paint or gloss
@@ -63,8 +62,6 @@ _PAINT_PART = 0.5  # dark paint: all three cosines are below this part of the pr
 PAINT_COSINE = 0.12  # … and above this one
 SMALLEST_ALBEDO = 1e-3
 CAST_FACING = 0.2  # predicted cosine from which a shadow counts as cast
-MEMORY_UNIT = STRONGEST_EVIDENCE / 127
-_NOTHING = 127  # of what was not near: it was lit
 _DOUBT = 2.5  # units below which a light is in doubt: above, no neighbour and no sharpening turns a label
 _AROUND_PX = 4  # how far around a doubt pixels are looked at
 
@@ -228,26 +225,23 @@ class FrameEvidence:
 
     near: (h, w), pixels in doubt and those around them; all others are lit. evidence: (3, h, w), positive for
     light, known where `near`. cosines: (h, w, 3), without paint where `near`. facing: (h, w), bit k set where
-    the surface surely faces light k, known where `near`. memory: (3, h, w), the evidence in units of
-    `MEMORY_UNIT`, for the next frame; None where nothing is near.
+    the surface surely faces light k, known where `near`.
     """
 
     near: Mask
     evidence: FloatArray
     cosines: FloatArray
     facing: npt.NDArray[np.uint8]
-    memory: Memory | None
 
 
 def evidence_of_frame(
     rgb: FloatArray, mask: Mask, inset: FloatArray | None, lamps: Lamps, expected: FloatArray,
-    dark: tuple[float, float], memory: Memory | None,
+    dark: tuple[float, float],
 ) -> FrameEvidence:  # fmt: skip
     """Compare a frame (h, w, 3) with what a surface would return.
 
-    inset: see `inset_of`. expected: (5, h', w'), on a smaller image of the same field: each light's cosine,
-    the albedo, and what the frame before counts, 0 to 1. dark: of a missing light, the typical cosine and its
-    spread. memory: (3, h, w) evidence of the frame before, in units of `MEMORY_UNIT`, or None.
+    inset: see `inset_of`. expected: (4, h', w'), on a smaller image of the same field: each light's cosine
+    and the albedo. dark: of a missing light, the typical cosine and its spread.
     """
     shape = mask.shape
     cosines, doubt = np.empty((*shape, 3), np.float32), np.zeros(shape, np.uint8)
@@ -256,16 +250,12 @@ def evidence_of_frame(
     side = 2 * _AROUND_PX + 1
     near: Mask = (cv2.dilate(doubt, np.ones((side, side), np.uint8)) > 0) & mask
     evidence, facing = np.empty((3, *shape), np.float32), np.zeros(shape, np.uint8)
-    new: Memory | None = None
     if near.any():
         sharp = _sharpened(cosines, near, inset)
-        old = np.zeros((0, 0, 0), np.int8) if memory is None else memory
-        new = np.full((3, *shape), _NOTHING, np.int8)
         _frame_kernel(
-            flat(rgb), near, lamps, expected, typical, spread, flat(sharp), old, flat(cosines), evidence,
-            facing, new,
-        )  # fmt: skip
-    return FrameEvidence(near=near, evidence=evidence, cosines=cosines, facing=facing, memory=new)
+            flat(rgb), near, lamps, expected, typical, spread, flat(sharp), flat(cosines), evidence, facing
+        )
+    return FrameEvidence(near=near, evidence=evidence, cosines=cosines, facing=facing)
 
 
 class Lamps(NamedTuple):
@@ -339,8 +329,7 @@ def _doubt_kernel(
 @njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
 def _frame_kernel(
     rgb: FloatArray, near: Mask, lamps: Lamps, expected: FloatArray, typical: Any, spread: Any,
-    sharp: FloatArray, memory: Memory, cosines: FloatArray, evidence: FloatArray,
-    facing: npt.NDArray[np.uint8], new: Memory,
+    sharp: FloatArray, cosines: FloatArray, evidence: FloatArray, facing: npt.NDArray[np.uint8],
 ) -> None:  # fmt: skip
     h, w = near.shape
     inverse, haze, rest, duals = lamps.inverse, lamps.haze, lamps.rest, lamps.duals
@@ -349,35 +338,18 @@ def _frame_kernel(
         first, last = used_of(near[v])
         if first == last:
             continue
-        rows = np.empty((8, last - first), np.float32)
-        row_between(expected, np.int64(v), h, left[first:last], part[first:last], rows[:5])
-        inside, seen = near[v, first:last], rows[5:]
+        rows = np.empty((7, last - first), np.float32)
+        row_between(expected, np.int64(v), h, left[first:last], part[first:last], rows[:4])
+        inside, seen = near[v, first:last], rows[4:]
         _evidence_row(
             inside, rows, sharp[v, 3 * first : 3 * last], typical, spread,
             cosines[v, 3 * first : 3 * last], seen, evidence[0, v, first:last],
             evidence[1, v, first:last], evidence[2, v, first:last], facing[v, first:last],
         )  # fmt: skip
         _albedo_row(
-            inside,
-            rgb[v, 3 * first : 3 * last],
-            inverse,
-            haze,
-            rest,
-            duals,
-            rows,
-            seen,
+            inside, rgb[v, 3 * first : 3 * last], inverse, haze, rest, duals, rows, seen,
             evidence[:, v, first:last],
-        )
-        for k in range(3):
-            found, noted = evidence[k, v, first:last], new[k, v, first:last]
-            if memory.size:
-                before, persistence = memory[k, v, first:last], rows[4]
-                for u in range(last - first):
-                    old = np.float32(before[u]) * np.float32(MEMORY_UNIT)
-                    found[u] += persistence[u] * (old - found[u])
-            for u in range(last - first):
-                units = np.int8(np.rint(found[u] * np.float32(1.0 / MEMORY_UNIT)))
-                noted[u] = units if inside[u] else np.int8(_NOTHING)
+        )  # fmt: skip
 
 
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")

@@ -33,7 +33,6 @@ _NOISE_PER_SLOPE = 1.7  # noise of a cosine per noise of a slope, on cleaner fra
 _LEAST_NOISE = 0.01  # of a cosine
 _START_PIXELS = 15_000  # frames are halved until they are not larger; there the starts are compared
 _CHECKING_ITERATIONS = 4  # steps there of a surface that is given
-_COMPARING_ITERATIONS = 2  # steps of two surfaces of one frame, before their misfits are compared
 _MIDDLE_ITERATIONS, _LARGE_ITERATIONS = 4, 3  # steps at every larger size, and at the largest
 # The roots win a shadow where they leave so much less than the start does, and it has so many pixels there.
 _CLEAR_GAIN, _FEWEST_PIXELS = 0.85, 50
@@ -46,10 +45,7 @@ def solve_from_best_initialisation(
 
     start: the surface that the labels came from, or None.
     """
-    image = _trusted(image)
-    if start is not None and start.settled:
-        return image.solve(replace(options, iterations=_LARGE_ITERATIONS), start)
-    return _coarse_to_fine(image, options, start)
+    return _coarse_to_fine(_trusted(image), options, start)
 
 
 def _trusted(labelled: LabelledImage) -> LabelledImage:
@@ -83,15 +79,6 @@ def _better_than(start: Surface | None, image: LabelledImage, options: SurfaceOp
     return small.solve(replace(options, iterations=_MIDDLE_ITERATIONS), found).enlarged(mask.shape, 2)
 
 
-def better_shadows(second: Surface, first: Surface, image: LabelledImage) -> Mask:
-    """Return the shadows (h, w) whose light the second surface explains better than the first."""
-    image = _trusted(image)
-    few = SurfaceOptions(iterations=_COMPARING_ITERATIONS)
-    return _better_regions(
-        image.solve(few, second).misfit, image.solve(few, first).misfit, image.shadow, gain=1.0
-    )
-
-
 def options_with_noise(slope: float | None) -> SurfaceOptions:
     """Return what recovery asks of a surface whose slopes have this noise, None where it is not known."""
     options = SurfaceOptions()
@@ -123,15 +110,15 @@ def _by_either_root(start: Surface | None, image: LabelledImage, options: Surfac
     return image.solve(options, replace(base, normals=merged))
 
 
-def _better_regions(first: FloatArray, second: FloatArray, shadow: Mask, gain: float = _CLEAR_GAIN) -> Mask:
-    """Connected regions of `shadow` in which `first` sums to less than `gain` times `second`."""
+def _better_regions(first: FloatArray, second: FloatArray, shadow: Mask) -> Mask:
+    """Connected regions of `shadow` in which `first` is clearly less than `second` in sum."""
     _, region = cv2.connectedComponents(shadow.astype(np.uint8), connectivity=4)
     count = int(region.max()) + 1
     first_sum, second_sum, pixels = (
         np.bincount(region[shadow], weights=values[shadow], minlength=count)
         for values in (np.minimum(first, _LARGEST_MISFIT), np.minimum(second, _LARGEST_MISFIT), shadow)
     )
-    clear = (first_sum < gain * second_sum) & (pixels >= _FEWEST_PIXELS)
+    clear = (first_sum < _CLEAR_GAIN * second_sum) & (pixels >= _FEWEST_PIXELS)
     return np.asarray(shadow & clear[region])
 
 

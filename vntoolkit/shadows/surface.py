@@ -12,8 +12,7 @@ Under a perspective camera the unknown is f · log z, whose gradient takes the p
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -78,15 +77,13 @@ class Surface:
     normals: (h, w, 3) unit, camera frame. depth: (h, w) float32, pixels (orthographic) or f · log z.
     agreement: (h, w), 0 to 1, how far depth and colour agree on a fully lit pixel's slope, 0 at the border.
     misfit: (h, w), χ² of the light that arrives against the light that the surface would return, before the
-    last step. settled: whether it comes from a frame after the first, which goes on from the one
-    before; of a first frame, every shadow takes the better of its two roots.
+    last step.
     """
 
     normals: FloatArray
     depth: Grid
     agreement: Grid
     misfit: Grid
-    settled: bool = False
 
     def enlarged(self, shape: tuple[int, ...], factor: int) -> Surface:
         """Return the same surface on a grid `factor` times finer; depth counts pixels, so it grows too."""
@@ -102,16 +99,6 @@ class Surface:
             misfit=enlarge(self.misfit),
         )
 
-    def moved(self, move: Callable[[FloatArray], FloatArray], scale: float) -> Surface:
-        """Return the same surface on another grid, with `scale` pixels per pixel of this one."""
-        return replace(
-            self,
-            normals=_unit_or_facing(move(self.normals)),
-            depth=np.ascontiguousarray(move(self.depth) * np.float32(scale)),
-            agreement=move(self.agreement),
-            misfit=move(self.misfit),
-        )
-
     def shrunk(self, mask: Mask, factor: int) -> Surface:
         """Return the same surface on a grid `factor` times coarser, averaged over the mask."""
         mean, _ = mean_inside(mask, factor)
@@ -121,12 +108,6 @@ class Surface:
             agreement=mean(self.agreement),
             misfit=mean(self.misfit),
         )
-
-
-def with_normals(surface: Surface, normals: FloatArray, where: FloatArray) -> Surface:
-    """Return a surface with other normals (h, w, 3), as far as `where` (h, w), 0 to 1, says."""
-    mixed_normals = surface.normals + where[..., None] * (normals - surface.normals)
-    return replace(surface, normals=_unit_or_facing(mixed_normals))
 
 
 def _unit_or_facing(normals: FloatArray) -> FloatArray:
