@@ -5,12 +5,13 @@ too small for the surrounding albedo. Then alternate: solve the surface from the
 (`surface`), predict each light's cosine on it, compare with the cosine measured, and cut (`graph_cut`). Go on
 from that surface at twice the size, and so on up to the working size; on the frame itself only pixels in
 doubt are looked at again. A pixel that is dark in all three lights alike is dark paint; paint that changes
-within eight pixels is told from shadow by that. Every frame stands alone: the surface of the frame before lies
-beside a moving shadow, and leads into the wrong one of two valleys.
+within eight pixels is told from shadow by that. Every frame stands alone: the surface of the frame before
+lies beside a moving shadow, and leads into the wrong one of two valleys.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -56,9 +57,8 @@ _ROUNDS = 3  # alternations of surface and labels on the smallest image; most of
 _FINER_ROUNDS = 2  # the same on every larger one
 _START_PIXELS = 15_000  # images are halved until they are not larger; there the labels start
 # Of a surface whose labels may still be wrong.
-_FIRST_SURFACE = SurfaceOptions(iterations=3, noise=0.08, smoothness=1.5)
-_FINER_SURFACE = SurfaceOptions(iterations=2, noise=0.08, smoothness=1.5)
-_LARGEST_SURFACE = SurfaceOptions(iterations=1, noise=0.08, smoothness=1.5)
+_SURFACE = SurfaceOptions(noise=0.08, smoothness=1.5)
+_ITERATIONS = (3, 2, 1)  # on the smallest image, the next, and all larger ones, which start nearer
 
 
 def labels_by_surface(
@@ -101,21 +101,19 @@ def _is_doubted(image: WorkingImage) -> bool:
     return bool(((weak[..., 0] | weak[..., 1] | weak[..., 2]) & image.mask).any())
 
 
-def _surface_by_rounds(
-    image: WorkingImage, options: SurfaceOptions = _LARGEST_SURFACE
-) -> tuple[Surface, FloatArray]:
-    """Alternate between surface and labels, coarse to fine; return the surface and the albedo (h, w).
-
-    options: of this size, where it is not the smallest.
-    """
-    shape, rounds = image.mask.shape, _FINER_ROUNDS
-    if image.mask.size <= _START_PIXELS:
-        surface, rounds, options = None, _ROUNDS, _FIRST_SURFACE
+def _surface_by_rounds(image: WorkingImage) -> tuple[Surface, FloatArray]:
+    """Alternate between surface and labels, coarse to fine; return the surface and the albedo (h, w)."""
+    size, halvings = image.mask.size, 0
+    while size > _START_PIXELS:
+        size, halvings = size // 4, halvings + 1
+    options = replace(_SURFACE, iterations=_ITERATIONS[min(halvings, 2)])
+    if halvings == 0:
+        surface, rounds = None, _ROUNDS
         lit = _first_doubts(image)
     else:
-        coarse, albedo = _surface_by_rounds(image.halved(), _FINER_SURFACE)
-        surface = coarse.enlarged(shape, 2)
-        lit = _lit_on(surface, image, _enlarged(albedo, shape))
+        coarse, albedo = _surface_by_rounds(image.halved())
+        surface, rounds = coarse.enlarged(image.mask.shape, 2), _FINER_ROUNDS
+        lit = _lit_on(surface, image, _enlarged(albedo, image.mask.shape))
     for i in range(rounds):
         surface, albedo = _solved(image, lit, options, surface)
         if i + 1 < rounds:
