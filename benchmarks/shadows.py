@@ -153,7 +153,6 @@ def stages(capture: ReferencedCapture, camera: Camera, repeats: int = 8) -> None
         labels = detector.labels(capture.frame, mask)
         ticks.append(time.perf_counter())
         found = recover_surface(capture.frame, labels, response, mask, camera, start=detector.surface)
-        detector.go_on_from(found.surface)
         ticks.append(time.perf_counter())
         normals = with_expected_error(found.normal_map, capture.frame, response, labels, camera)
         ticks.append(time.perf_counter())

@@ -122,7 +122,6 @@ class FrameProcessor:
     def forget(self) -> None:
         """Drop everything that one frame hands to the next, so that a run may start at any block."""
         self._integrator = DepthIntegrator(self.camera, self._options.integration)
-        self._detector.forget()
         if self._labeller is not None:
             self._labeller.forget()
 
@@ -249,7 +248,6 @@ class FrameProcessor:
         if surface is None and not np.any(labels != ALL_LIT):
             return normals_from_frame(frame, response, mask, options=inversion), labels, False
         found = recover_surface(frame, labels, response, mask, self.camera, start=surface)
-        self._detector.go_on_from(found.surface)
         return found.normal_map, labels, True
 
     def by_strength(self, linear: LinearFrame) -> LinearFrame:
