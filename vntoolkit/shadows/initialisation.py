@@ -76,7 +76,9 @@ def _better_than(start: Surface | None, image: LabelledImage, options: SurfaceOp
     found = _better_than(None if start is None else start.shrunk(mask, 2), small, options)
     if found is None:
         return None
-    return small.solve(replace(options, iterations=_MIDDLE_ITERATIONS), found).enlarged(mask.shape, 2)
+    if small.image.mask.size > _START_PIXELS:  # the smallest is solved already
+        found = small.solve(replace(options, iterations=_MIDDLE_ITERATIONS), found)
+    return found.enlarged(mask.shape, 2)
 
 
 def options_with_noise(slope: float | None) -> SurfaceOptions:
