@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from itertools import pairwise
-
 import numpy as np
 import pytest
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_flow
 
 from vntoolkit.errors import BadInput
-from vntoolkit.evaluation.angular_error import angles_between_deg
-from vntoolkit.photometry.frame import LinearFrame, count_lit, lit_from_labels
-from vntoolkit.shadows import robust
+from vntoolkit.photometry.frame import LinearFrame, lit_from_labels
 from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod, lit_by_edges
 from vntoolkit.shadows.graph_cut import bonds_of_light, lit_by_cut
-from vntoolkit.shadows.recovery import recover_surface
 
 
 def overlap(found: np.ndarray, true: np.ndarray) -> np.ndarray:
@@ -80,98 +74,16 @@ def test_uniform_frames_pass_through(stage, method: ShadowMethod, level: float) 
     assert labels.max() <= 7
 
 
-def test_memory_steadies_a_sequence_and_can_be_dropped(
-    stage, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def noisy() -> LinearFrame:
-        rgb = stage.frame.rgb + rng.normal(0, 0.03, stage.frame.rgb.shape).astype(np.float32)
-        return LinearFrame(rgb=rgb, clipped=stage.frame.clipped)
-
-    frames = [noisy() for _ in range(4)]
-
-    def flicker(persistence: float) -> float:
-        monkeypatch.setattr(robust, "_PERSISTENCE", persistence)
-        detector = ShadowDetector(stage.response)
-        labels = [detector.labels(frame) for frame in frames]
-        return float(np.mean([(a != b).mean() for a, b in pairwise(labels)]))
-
-    assert flicker(0.25) < flicker(0.0)
-    monkeypatch.undo()
-    detector = ShadowDetector(stage.response)
-    first = detector.labels(frames[0])
-    detector.labels(frames[1])
-    detector.forget()
-    assert np.array_equal(detector.labels(frames[0]), first)
-
-
-def in_a_corner(stage, left: int) -> tuple[LinearFrame, np.ndarray]:
-    """The stage at a place of a larger, dark frame, and its mask."""
-    h, w = stage.mask.shape
-    rgb, mask = np.zeros((h + 20, w + 40, 3), np.float32), np.zeros((h + 20, w + 40), bool)
-    rgb[10 : 10 + h, left : left + w], mask[10 : 10 + h, left : left + w] = stage.frame.rgb, True
-    return LinearFrame(rgb=rgb, clipped=np.zeros(mask.shape, bool)), mask
-
-
-def test_a_frame_goes_on_from_the_one_before_wherever_its_figure_went(stage) -> None:
-    detector = ShadowDetector(stage.response)
-    found = []
-    for left in (12, 12, 14, 14):  # the window around the mask moves with it
-        frame, mask = in_a_corner(stage, left)
-        labels = detector.labels(frame, mask)
-        surface = recover_surface(frame, labels, stage.response, mask, start=detector.surface)
-        detector.go_on_from(surface.surface)
-        part = np.s_[10 : 10 + stage.mask.shape[0], left : left + stage.mask.shape[1]]
-        angles = angles_between_deg(surface.normal_map.normals_in_camera[part], stage.normals)
-        found.append((overlap(labels[part], stage.labels).min(), angles[count_lit(stage.labels) == 2].mean()))
-    (first, error), *rest = found
-    assert first >= 0.8
-    assert all(other > first - 0.03 and angle < 1.1 * error for other, angle in rest)
-
-
-def test_under_shadow_recovery_starts_halfway_to_what_it_found_of_the_frame_before(stage) -> None:
-    alone, after = ShadowDetector(stage.response), ShadowDetector(stage.response)
-    for detector in (alone, after):
-        detector.labels(stage.frame, stage.mask)
-    across = np.zeros_like(after.surface.normals)
-    across[..., 0] = 1.0
-    after.go_on_from(replace(after.surface, normals=across))
-    labels = [detector.labels(stage.frame, stage.mask) for detector in (alone, after)]
-    assert np.array_equal(*labels)
-    own, found, lit = alone.surface.normals, after.surface.normals, labels[0] == 7
-    assert np.array_equal(found[lit], own[lit])
-    between = (own + across)[~lit]
-    expected = between / np.linalg.norm(between, axis=-1, keepdims=True)
-    assert np.abs(found[~lit] - expected).max() < 1e-5
-
-
-def test_a_wrong_answer_under_shadow_is_not_handed_on(stage) -> None:
-    alone, after = ShadowDetector(stage.response), ShadowDetector(stage.response)
-    shadow = alone.labels(stage.frame, stage.mask) != 7
-    after.labels(stage.frame, stage.mask)
-    memory = after._memory
-    assert memory is not None
-    assert memory.surface is not None
-    turned = memory.surface.normals * np.array([-1.0, -1.0, 1.0], np.float32)
-    normals = np.where(shadow[..., None], turned, memory.surface.normals)
-    after._memory = replace(memory, surface=replace(memory.surface, normals=normals))
-    errors = []
-    for detector in (alone, after):
-        for _ in range(4):
-            labels = detector.labels(stage.frame, stage.mask)
-            found = recover_surface(stage.frame, labels, stage.response, stage.mask, start=detector.surface)
-            detector.go_on_from(found.surface)
-        assert overlap(labels, stage.labels).min() > 0.9
-        angles = angles_between_deg(found.normal_map.normals_in_camera, stage.normals)
-        errors.append(angles[shadow].mean())
-    assert errors[1] < 1.2 * errors[0]
-
-
-def test_a_frame_of_something_else_starts_anew(stage) -> None:
+def test_a_frame_owes_nothing_to_the_frame_before(stage) -> None:
+    """What another subject, turned and of other colours, left behind leads into the wrong valley."""
     other = LinearFrame(rgb=stage.frame.rgb[::-1, ::-1, ::-1].copy(), clipped=stage.frame.clipped)
     detector = ShadowDetector(stage.response)
-    detector.labels(stage.frame, stage.mask)
-    alone = ShadowDetector(stage.response).labels(other, stage.mask)
-    assert np.array_equal(detector.labels(other, stage.mask), alone)
+    detector.labels(other, stage.mask)
+    labels = detector.labels(stage.frame, stage.mask)
+    alone = ShadowDetector(stage.response)
+    assert np.array_equal(labels, alone.labels(stage.frame, stage.mask))
+    assert alone.surface is not None
+    assert np.array_equal(detector.surface.normals, alone.surface.normals)
 
 
 def test_where_no_light_is_weak_nothing_is_solved(build_stage) -> None:

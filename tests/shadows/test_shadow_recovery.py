@@ -266,13 +266,11 @@ def test_the_place_of_a_figure_in_its_frame_changes_nothing(stage) -> None:
     assert np.allclose(shift @ camera.cropped(slice(4, 124), slice(4, 164)).matrix, camera.matrix)
     assert (near.width, near.height) == (168, 128)
     detector = ShadowDetector(stage.response, camera=camera)
-    for _ in range(2):  # the second time with a memory
-        labels = detector.labels(large, mask)
+    labels = detector.labels(large, mask)
     found = recover_surface(large, labels, stage.response, mask, camera=camera)
     part = LinearFrame(rgb=rgb[:128, :168], clipped=large.clipped[:128, :168])
     alone = ShadowDetector(stage.response, camera=near)
-    for _ in range(2):
-        labels_alone = alone.labels(part, mask[:128, :168])
+    labels_alone = alone.labels(part, mask[:128, :168])
     expected = recover_surface(part, labels_alone, stage.response, mask[:128, :168], camera=near)
     assert (labels[~mask] == 7).all()
     assert np.array_equal(labels[:128, :168], labels_alone)

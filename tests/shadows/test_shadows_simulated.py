@@ -6,15 +6,16 @@ import pytest
 from vntoolkit.evaluation.angular_error import angles_between_deg
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.photometry.frame import count_lit, lit_from_labels
+from vntoolkit.photometry.levelling import Leveller
 from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
 from vntoolkit.shadows.recovery import recover_normals
-from vntoolkit.simulation.image_formation import true_response
+from vntoolkit.simulation.image_formation import true_response, true_varying_response
 from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.render import render_frame
 from vntoolkit.simulation.scene import SceneOptions, build_scene
 
-# Overlap with the true shadow of each light. Measured: 0.796, 0.812, 0.911; 0.831, 0.937, 0.866.
-OVERLAPS = {"face": (0.79, 0.8, 0.89), "spandex": (0.8, 0.92, 0.84)}
+# Overlap with the true shadow of each light. Measured: 0.790, 0.802, 0.907; 0.837, 0.941, 0.886.
+OVERLAPS = {"face": (0.78, 0.79, 0.89), "spandex": (0.82, 0.93, 0.87)}
 
 
 @pytest.mark.slow
@@ -44,3 +45,24 @@ def test_shadows_are_found_and_halved(name: str) -> None:
     one_shadow, lit = both & (lights == 2), both & (lights == 3)
     assert 2 * errors[1][one_shadow].mean() < errors[0][one_shadow].mean()
     assert errors[1][lit].mean() < errors[0][lit].mean() + 0.2
+
+
+@pytest.mark.slow
+def test_shadows_that_move_cost_a_running_video_nothing() -> None:
+    """A dancer whose shadows shrink by pixels from frame to frame: the last frame is as good as the first."""
+    scene = build_scene("spandex", SceneOptions(width=480, height=360, seed=131))
+    response = true_varying_response(scene, Nuisances())
+    detector, leveller = ShadowDetector(response.central, camera=scene.camera), None
+    errors = []
+    for number in range(30, 35):
+        rendered = render_frame(scene, number)
+        truth, frame = rendered.truth, rendered.linear
+        leveller = leveller or Leveller(response, frame.shape)
+        mask = truth.normals.mask
+        labels = detector.labels(leveller.frame_by_strength(frame), mask)
+        found = recover_normals(
+            leveller.frame(frame), labels, response.central, mask, camera=scene.camera, start=detector.surface
+        )
+        angles = angles_between_deg(found.normals_in_camera, truth.normals.normals_in_camera)
+        errors.append(angles[mask & (count_lit(truth.labels) == 2)].mean())
+    assert max(errors[1:]) < errors[0] + 2.0

@@ -134,7 +134,7 @@ class FrameProcessor:
         return self.with_surface(self.normals(frame, matte), frame)
 
     def normals(self, frame: EncodedFrame, matte: Mask | None = None) -> FrameResult:
-        """The first half of `process`: normals and labels, which the next frame's may start from."""
+        """The first half of `process`: normals and labels."""
         self._look_inside(matte)
         normal_map, labels, clipped_share = self._normals(frame)
         if not normal_map.mask.any():
