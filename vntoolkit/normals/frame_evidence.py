@@ -148,7 +148,7 @@ def _means_of_cells(found: Any) -> Any:
     for side in (5, 3):
         total, count = (cv2.boxFilter(k, -1, (side, side), normalize=False, borderType=0) for k in found)
         known = count > 0.5  # sums of whole numbers that slide
-        mean[known] = total[known] / count[known]
+        mean[known] = np.maximum(total[known], 0.0) / count[known]
     return mean
 
 
