@@ -65,6 +65,21 @@ def test_an_error_of_m_is_seen_without_any_truth(rng):
         assert np.median(normal_map.error_deg) < 8 * np.median(error)
 
 
+def test_an_error_of_m_is_seen_on_a_subject_that_is_nearly_flat(rng):
+    """Most of E's entries are not told there, nor do they turn these normals; two are, and do."""
+    truth = waves() * [0.12, 0.12, 1.0]
+    truth /= np.linalg.norm(truth, axis=-1, keepdims=True)
+    light = colours(truth) + rng.normal(0, 0.004, (240, 240, 3))
+    right, error = seen(light, truth=truth)
+    assert np.median(right.error_deg) < 2.5 * np.median(error)
+    within = []
+    for _ in range(6):
+        wrong = LightResponse(matrix=MATRIX * (1 + rng.normal(0, 0.04, (3, 3))), ambient=RESPONSE.ambient)
+        normal_map, error = seen(light, wrong, truth)
+        within.append((error <= normal_map.error_deg).mean())
+    assert np.median(within) > 0.9, within
+
+
 @pytest.mark.parametrize("distance", [5.0, 10.0])
 def test_near_lamps_are_seen_without_any_truth(rng, distance):
     """Point lamps a few half pictures away, under a rig that is right at the centre: light from two sides."""

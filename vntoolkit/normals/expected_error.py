@@ -60,9 +60,8 @@ from vntoolkit.photometry.transfer import Transfer
 # Nine of ten angles of a two-dimensional normal distribution lie within √(2 ln 10) standard deviations.
 NINE_OF_TEN = 2.146
 _OF_NEARNESS = NINE_OF_TEN / math.sqrt(2.0)  # of a length in two dimensions
-# Over the root of the sum of E's squared entries: where all nine entries of M⁻¹ΔM are equally uncertain, the
-# variance of the rotation about an axis is a tenth of that sum.
-_OF_ROTATION = NINE_OF_TEN / math.sqrt(10.0)
+# Where all nine entries of M⁻¹ΔM have variance 1, the rotation in it has 1/2 about every axis.
+_OF_ROTATION = NINE_OF_TEN / math.sqrt(2.0)
 # The bounds of nine of ten pixels over each measured error, fitted on simulated scenes.
 _OF_ELLIPSOID = 2.5
 _OF_RESIDUAL = 1.1  # of a median
@@ -181,17 +180,14 @@ def _judged(
 ) -> tuple[Any, Any, Any]:  # fmt: skip
     """Return the noise by cells, in degrees as the bounds are, what `evidence_row` reads, and constants.
 
-    Constants, (46,): M⁻¹, the ambient light, the squared bound that all pixels share, noise along a normal
+    Constants, (47,): M⁻¹, the ambient light, the squared bound that all pixels share, noise along a normal
     over that across it, and the ellipsoid.
     """
     noise, seen, rows, ellipsoid = evidence_of_frame(light, mask, labels, c, blur_px)
-    e00, e01, e02, e11, e12, e22 = ellipsoid[1:7]
-    squares = e00**2 + e11**2 + e22**2 + 2.0 * (e01**2 + e02**2 + e12**2)
-    squares *= ellipsoid[31]
     residual = (_OF_RESIDUAL * max(residual_deg, 0.0)) ** 2
     if of_pixels and seen.any():
         residual = max(residual - float(_PER_NOISE * np.median(noise[seen > 0])), 0.0)
-    fixed = residual + np.degrees(_OF_ROTATION) ** 2 * squares
+    fixed = residual + (np.degrees(_OF_ROTATION) * ellipsoid[32]) ** 2
     constants = np.concatenate([c.inverse.ravel(), c.ambient, (fixed, c.along), ellipsoid])
     return np.sqrt(_PER_NOISE * noise), rows, constants.astype(np.float32)
 

@@ -5,8 +5,9 @@
   show a codec's noise, too, which is alike over several pixels.
 - An error ΔM of the rig or of the material's colour moves M⁻¹r from the unit sphere onto an ellipsoid,
   |M⁻¹r| ≈ 1 + nᵀE n with E the symmetric part of M⁻¹ΔM. The ellipsoid that fits the frame tells E, and E the
-  turn of every normal, but for the rotation in M⁻¹ΔM, which leaves no trace. Of E's squares those are taken
-  away that a fit to so few independent samples has where E is 0.
+  turn of every normal, but for the rotation in M⁻¹ΔM, which leaves no trace. Of the turns, squared, those
+  are taken away that a fit to so few independent samples has where E is 0. On a flat subject E02 and E12 are
+  told well and turn its normals; the other entries are hardly told and hardly turn them.
 - Under near lamps M is right at the picture's centre only. A lamp in the direction l at the distance d has at
   a place δ beside the centre, to first order, the direction times strength l + (3 l (l·δ) − δ) / d. That
   changes the length of M⁻¹r with the place and the direction, which tells d of each lamp.
@@ -55,6 +56,12 @@ _FALLOFF_SPREAD = 0.1  # … of the slow change of brightness over the image …
 _NEARNESS_SPREAD = 0.3  # … and of half the picture's larger side over a lamp's distance
 _TERMS = 14
 _PRIOR = np.repeat([0.0, _ELLIPSOID_SPREAD**-2, _FALLOFF_SPREAD**-2, _NEARNESS_SPREAD**-2], [1, 5, 5, 3])
+# E by its five entries e00, e11, e01, e02, e12, and their covariance where the nine of M⁻¹ΔM have variance 1.
+_ENTRIES = np.zeros((5, 3, 3))
+_ENTRIES[[0, 0, 1, 1], [0, 2, 1, 2], [0, 2, 1, 2]] = 1, -1, 1, -1
+_ENTRIES[[2, 2, 3, 3, 4, 4], [0, 1, 0, 2, 1, 2], [1, 0, 2, 0, 2, 1]] = 1
+_OF_EQUAL_ENTRIES = np.diag([2 / 3, 2 / 3, 1 / 2, 1 / 2, 1 / 2])
+_OF_EQUAL_ENTRIES[[0, 1], [1, 0]] = -1 / 3
 _INDEPENDENT = 100  # of the samples: neighbours share their errors
 
 
@@ -116,7 +123,7 @@ def evidence_of_frame(
     """Return noise, where it was seen, what `evidence_row` reads, and the ellipsoid.
 
     Noise: (⌈h/16⌉, ⌈w/16⌉), radians²; seen: the same, 0 where neighbours tell it. Rows: (2, ⌈h/16⌉, w), noise
-    and lost relief, radians². Ellipsoid: (32,), see `fit_ellipsoid`.
+    and lost relief, radians². Ellipsoid: (33,), see `fit_ellipsoid`.
     """
     height, width = mask.shape
     cells = (-(-height // _CELL), -(-width // _CELL))
@@ -160,14 +167,15 @@ def _along_rows(cells: Any, width: int) -> Any:
 
 def fit_ellipsoid(samples: FloatArray, shape: tuple[int, int], nearness: FloatArray) -> FloatArray:
     """Fit 1 / albedo, e00, e01, e02, e11, e12, e22 of |M⁻¹(r − a)| = albedo (1 + nᵀ(E + u U + v V) n + f),
-    U, V, the numbers of f, brightness that changes slowly over the image, by 1, u, v, u², v², u v, and the
-    share of E's squares that its own uncertainty does not explain: (32,).
+    U, V, the numbers of f, brightness that changes slowly over the image, by 1, u, v, u², v², u v, the share
+    of the turns by E, squared, that its own uncertainty does not explain, and the standard deviation of the
+    nine entries of M⁻¹ΔM that makes such turns: (33,).
 
     Regress the log length of M⁻¹(r − a) on the normal's squares, on what near lamps make of them and on f,
     robustly. samples: (5, n), M⁻¹(r − a) and the place u, v; here u and v count from the image's centre.
     shape: of the image. E, symmetric and without trace, is that of the picture's centre.
     """
-    found, count = np.zeros(32), samples.shape[1]
+    found, count = np.zeros(33), samples.shape[1]
     lengths = np.sqrt((samples[:3] ** 2).sum(axis=0))
     logs = np.log(lengths)
     found[0] = np.exp(-np.median(logs)) if count else 1.0
@@ -198,10 +206,13 @@ def fit_ellipsoid(samples: FloatArray, shape: tuple[int, int], nearness: FloatAr
     found[25] = f @ (np.array([s, t, s * s, t * t, s * t]) - means)
     found[26:28] = (f[0] + 2 * f[2] * s + f[4] * t) / half, (f[1] + 2 * f[3] * t + f[4] * s) / half
     found[28:31] = f[2:] / half**2
-    # the trace of E² is 2 (e00² + e00 e11 + e11² + e01² + e02² + e12²)
-    unsure = np.linalg.inv(information)[1:6, 1:6]
-    explained = (np.trace(unsure) + unsure[0, 1]) / max((best[1:6] ** 2).sum() + e00 * e11, _GRID**2)
-    found[31] = _rounded(max(1.0 - explained, 0.0))
+    # what E's entries turn these normals by, squared: as they were found, and by their uncertainty alone
+    parts = _ENTRIES @ n
+    turns = np.einsum("jin,kin->jk", parts, parts) - design[1:6] @ design[1:6].T
+    turned = best[1:6] @ turns @ best[1:6]
+    established = max(turned - np.sum(turns * np.linalg.inv(information)[1:6, 1:6]), 0.0)
+    found[31] = _rounded(established / max(turned, _GRID**2))
+    found[32] = _rounded(math.sqrt(established / np.sum(turns * _OF_EQUAL_ENTRIES)))
     return found
 
 
