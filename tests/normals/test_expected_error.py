@@ -204,7 +204,7 @@ def test_an_error_of_m_is_what_its_uncertainty_does_not_explain(rng):
         for _ in range(20):
             length = foretold * np.exp(rng.normal(0, 0.02, 200))
             samples = np.vstack([normals.T * length, place])
-            found = fit_ellipsoid(samples, (96, 96), np.zeros((2, 3, 3, 3)))
+            found, _ = fit_ellipsoid(samples, (96, 96), np.zeros((2, 3, 3, 3)))
             squares.append((found[1:7] ** 2 @ [1, 2, 2, 1, 2, 1], found[31]))
         whole, share = np.transpose(squares)
         told[size] = (whole * share).mean() / whole.mean()
@@ -367,7 +367,7 @@ def test_another_order_of_the_samples_gives_the_same_bits(rng: np.random.Generat
     lengths = 0.9 * (1.0 + 0.1 * normals[:, 0]) * np.exp(rng.normal(0.0, 0.01, len(normals)))
     samples = np.vstack([normals.T * lengths, u, v])
     nearness = rng.normal(0.0, 0.3, (2, 3, 3, 3))
-    found = fit_ellipsoid(samples, (96, 96), nearness)
-    other = fit_ellipsoid(samples[:, rng.permutation(len(normals))], (96, 96), nearness)
+    found, _ = fit_ellipsoid(samples, (96, 96), nearness)
+    other, _ = fit_ellipsoid(samples[:, rng.permutation(len(normals))], (96, 96), nearness)
     assert found[1:25].any()
     assert np.array_equal(found[:25], other[:25])

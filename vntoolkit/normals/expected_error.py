@@ -8,8 +8,8 @@ error of M, near lamps. Beside them
 - the rotation in M⁻¹ΔM leaves no trace; its size is taken to be E's, the symmetric part's;
 - the rig's own residual is what its calibration could not explain. That of a ball's pixels holds the noise of
   the calibration, too, which would count twice: as much as this footage has is taken away;
-- what a pixel departs from the ellipsoid is relief finer than pixels, another paint, gloss, saturation, or
-  light from elsewhere;
+- what departs from the ellipsoid, at a pixel or in its cell on average, the larger of the two, is relief
+  finer than pixels, another paint, gloss, saturation, or light from elsewhere;
 - where a light is missing the normal rests on its surroundings. Two lights leave two normals, mirror images
   across the plane of the two. The distance from the found normal to the nearer of them counts. So does the
   distance to the other one, which may be the right one, unless found and nearer one both face away from the
@@ -66,6 +66,7 @@ _OF_ROTATION = NINE_OF_TEN / math.sqrt(2.0)
 _OF_ELLIPSOID = 2.5
 _OF_RESIDUAL = 1.1  # of a median
 _OF_LENGTH = 2.75  # radians over log length
+_OF_LENGTHS = _OF_LENGTH / 2.0  # the same, over the root of the mean square in a cell
 _OF_TWO_LIGHTS = 1.2  # radians over the distances to the normals that two lights leave
 # A sphere shows nine tenths of its image within this angle of the axis: what a guess without data is worth.
 _LARGEST_DEG = np.float32(71.6)
@@ -78,6 +79,7 @@ _PER_NOISE = np.float32(np.degrees(NINE_OF_TEN) ** 2)
 _PER_TURN = np.float32(np.degrees(_OF_ELLIPSOID) ** 2)
 _PER_NEARNESS = np.float32(np.degrees(_OF_NEARNESS) ** 2)
 _PER_DEPARTURE = np.float32(np.degrees(_OF_LENGTH) ** 2)
+_PER_DEPARTURES = np.float32(np.degrees(_OF_LENGTHS) ** 2)
 _PER_HALF_WEIGHT = np.float32(1.0 / _HALF_WEIGHT_DEG)
 _PER_DISTANCE = np.float32(np.degrees(_OF_TWO_LIGHTS) ** 2)
 
@@ -206,7 +208,7 @@ def _bound_row(
     found: the normals to judge, or None for these. unlit: squared bound of pixels that not all lights reach,
     else 0. m: slow changes at the first pixel.
     """
-    noise, lost = rows[0], rows[1]
+    noise, lost, around_cell = rows[0], rows[1], rows[2]
     zero, half, one, eight = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(8.0)
     i00, i01, i02, i10, i11, i12, i20, i21, i22 = k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7], k[8]
     a0, a1, a2 = k[9], k[10], k[11]
@@ -254,8 +256,8 @@ def _bound_row(
         leaning = one - facing
         of_turn = eight * noise[u] / (one + facing + along_noise * leaning)
         own = departures[u] - of_turn * (leaning + along_noise * facing)
-        own = _PER_DEPARTURE * max(own, zero) if unlit[u] == zero else unlit[u]
-        total = rest[u] + own
+        own = max(_PER_DEPARTURE * own if unlit[u] == zero else zero, _PER_DEPARTURES * around_cell[u])
+        total = rest[u] + own + unlit[u]
         angle = min(np.sqrt(total), _LARGEST_DEG) if length[u] > SHORTEST else _LARGEST_DEG
         share = angle * _PER_HALF_WEIGHT
         bound[u] = angle if inside[u] else zero
@@ -308,7 +310,7 @@ def _error_kernel(
         count = last - first
         r, g, b = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
         length, unlit = np.empty(count, np.float32), np.zeros(count, np.float32)
-        row_noise = np.empty((2, count), np.float32)
+        row_noise = np.empty((3, count), np.float32)
         evidence_row(noise, np.int64(v), first, row_noise)
         read_row(rgb[v, 3 * first : 3 * last], None, r, g, b)
         found = None if labels is None else normals[v, 3 * first : 3 * last]
@@ -368,7 +370,7 @@ def _normals_and_errors_kernel(
     darkest, clipped_factor, white, zero = limits[0], limits[1], limits[2], np.float32(0.0)
     for v in prange(height):
         r, g, b = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
-        length, row_noise = np.empty(width, np.float32), np.empty((2, width), np.float32)
+        length, row_noise = np.empty(width, np.float32), np.empty((3, width), np.float32)
         unlit, good = np.zeros(width, np.float32), np.empty(width, np.bool_)
         evidence_row(noise, np.int64(v), 0, row_noise)
         read_row(encoded[v], table, r, g, b)

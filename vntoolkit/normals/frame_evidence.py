@@ -122,8 +122,8 @@ def evidence_of_frame(
 ) -> tuple[Any, Any, Any, Any]:
     """Return noise, where it was seen, what `evidence_row` reads, and the ellipsoid.
 
-    Noise: (⌈h/16⌉, ⌈w/16⌉), radians²; seen: the same, 0 where neighbours tell it. Rows: (2, ⌈h/16⌉, w), noise
-    and lost relief, radians². Ellipsoid: (33,), see `fit_ellipsoid`.
+    Noise: (⌈h/16⌉, ⌈w/16⌉), radians²; seen: the same, 0 where neighbours tell it. Rows: (3, ⌈h/16⌉, w), noise
+    and lost relief, radians², and squared departures from the ellipsoid. Ellipsoid: see `fit_ellipsoid`.
     """
     height, width = mask.shape
     cells = (-(-height // _CELL), -(-width // _CELL))
@@ -131,13 +131,18 @@ def evidence_of_frame(
     c = c._replace(darkest=np.float32(_least_length(light.image, light.table, mask, c)))
     lit = mask if labels is None else mask & (labels == ALL_LIT)  # a shadow's normals belong to no surface
     _curl_kernel(rows_of(light.image), light.table, light.maps, lit, c, found)
-    noise, rows = _means_of_cells(found), np.zeros((2, cells[0], width), np.float32)
+    noise, rows = _means_of_cells(found), np.zeros((3, cells[0], width), np.float32)
     rows[0] = _along_rows(noise, width)
     known = int(found[1].sum()) * _CELL
     step = max(1, int(math.sqrt(max(known, mask.size // _MOST_PER_KNOWN) // _SAMPLES)))
     samples = np.empty((5, -(-height // step) * -(-width // step)))
     count = _samples_kernel(*light, mask, labels, c, step, samples)
-    ellipsoid = fit_ellipsoid(samples[:, :count], (height, width), c.nearness)
+    ellipsoid, departures = fit_ellipsoid(samples[:, :count], (height, width), c.nearness)
+    u, v = samples[3:, :count].astype(np.intp) // _CELL
+    sums = [np.bincount(v * cells[1] + u, weights, math.prod(cells)) for weights in (departures**2, None)]
+    around = _means_of_cells(np.array(sums, np.float32).reshape(2, *cells))
+    by_noise = np.float32(1 / _NEAR_PIXELS) * noise  # at most, in a mean of nine
+    rows[2] = _along_rows(np.maximum(around - by_noise, np.float32(0)), width)
     if blur_px >= LEAST_BLUR_PX:
         side, left = side_of_squares(blur_px), np.zeros((3, *cells), np.float32)
         detail_kernel(
@@ -165,11 +170,13 @@ def _along_rows(cells: Any, width: int) -> Any:
     return cv2.resize(cells, (across * _CELL, height), interpolation=cv2.INTER_LINEAR)[:, :width]
 
 
-def fit_ellipsoid(samples: FloatArray, shape: tuple[int, int], nearness: FloatArray) -> FloatArray:
+def fit_ellipsoid(
+    samples: FloatArray, shape: tuple[int, int], nearness: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Fit 1 / albedo, e00, e01, e02, e11, e12, e22 of |M⁻¹(r − a)| = albedo (1 + nᵀ(E + u U + v V) n + f),
     U, V, the numbers of f, brightness that changes slowly over the image, by 1, u, v, u², v², u v, the share
     of the turns by E, squared, that its own uncertainty does not explain, and the standard deviation of the
-    nine entries of M⁻¹ΔM that makes such turns: (33,).
+    nine entries of M⁻¹ΔM that makes such turns: (33,). Return it and how far the samples' log lengths depart.
 
     Regress the log length of M⁻¹(r − a) on the normal's squares, on what near lamps make of them and on f,
     robustly. samples: (5, n), M⁻¹(r − a) and the place u, v; here u and v count from the image's centre.
@@ -180,7 +187,7 @@ def fit_ellipsoid(samples: FloatArray, shape: tuple[int, int], nearness: FloatAr
     logs = np.log(lengths)
     found[0] = np.exp(-np.median(logs)) if count else 1.0
     if count < 2 * _INDEPENDENT:
-        return found
+        return found, np.zeros(count)
     x, y, z = n = samples[:3] / lengths
     half, middle, mean = max(shape) / 2, (np.array(shape[::-1]) - 1) / 2, samples[3:].mean(axis=1)
     s, t = (samples[3:] - mean[:, None]) / half
@@ -213,7 +220,7 @@ def fit_ellipsoid(samples: FloatArray, shape: tuple[int, int], nearness: FloatAr
     established = max(turned - np.sum(turns * np.linalg.inv(information)[1:6, 1:6]), 0.0)
     found[31] = _rounded(established / max(turned, _GRID**2))
     found[32] = _rounded(math.sqrt(established / np.sum(turns * _OF_EQUAL_ENTRIES)))
-    return found
+    return found, _rounded(left)
 
 
 def _rounded(values: Any) -> Any:
@@ -437,12 +444,12 @@ def _squares_of_cells(sizes: Any, places: Any, sums: Any, counts: Any) -> None:
 
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")
 def evidence_row(noise: Any, v: int, first: int, row: Any) -> None:
-    """Fill (2, n), noise and lost relief, from pixel `first` on, between the rows of cells; linear too."""
+    """Fill (3, n) from pixel `first` on, between the rows of cells; linear too."""
     y = max((np.float32(v) + np.float32(0.5)) / np.float32(_CELL) - np.float32(0.5), np.float32(0.0))
     last = noise.shape[1] - 1
     up = min(int(y), last)
     t, one = y - np.float32(up), np.float32(1.0)
-    for k in range(2):
+    for k in range(3):
         above, below, to = noise[k, up, first:], noise[k, min(up + 1, last), first:], row[k]
         for u in range(len(to)):
             to[u] = (one - t) * above[u] + t * below[u]
