@@ -54,7 +54,6 @@ _GRID = 2.0**-16  # of log lengths that are fitted: finer than any bound, far co
 _ELLIPSOID_SPREAD = 0.05  # prior standard deviation of E's entries …
 _FALLOFF_SPREAD = 0.1  # … of the slow change of brightness over the image …
 _NEARNESS_SPREAD = 0.3  # … and of half the picture's larger side over a lamp's distance
-_TERMS = 14
 _PRIOR = np.repeat([0.0, _ELLIPSOID_SPREAD**-2, _FALLOFF_SPREAD**-2, _NEARNESS_SPREAD**-2], [1, 5, 5, 3])
 # E by its five entries e00, e11, e01, e02, e12, and their covariance where the nine of M⁻¹ΔM have variance 1.
 _ENTRIES = np.zeros((5, 3, 3))
@@ -149,7 +148,7 @@ def evidence_of_frame(
             rows_of(light.image), *light[1:], mask, labels, c.inverse, c.ambient, np.float32(ellipsoid[0]),
             side, left,
         )  # fmt: skip
-        lost = np.float32(lost_over_left(left, blur_px, side)) * np.maximum(_means_of_cells(left[:2]), 0)
+        lost = np.float32(lost_over_left(left, blur_px, side)) * _means_of_cells(left[:2])
         rows[1] = _along_rows(lost, width)
     return noise, found[1], rows, ellipsoid
 
