@@ -41,7 +41,7 @@ DOORS = {
         "diagnosis/",
         "live/",
         "calibration/",
-        "normals/expected_error",
+        "normals/frame_evidence",
         "report/mesh_views",
         "tracking/",
         "shadows/",
