@@ -12,7 +12,12 @@ from vntoolkit.diagnosis.finding import Finding, Level
 from vntoolkit.diagnosis.gloss import check_gloss
 from vntoolkit.diagnosis.outline import check_cast_shadows, check_outline
 from vntoolkit.diagnosis.rig_checks import check_coverage, check_lamps, check_residual, check_zoom
-from vntoolkit.diagnosis.surface_match import check_relatives, check_structure
+from vntoolkit.diagnosis.surface_match import (
+    check_relatives,
+    check_structure,
+    note_of_levelled_paint,
+    paint_may_hide_surface,
+)
 from vntoolkit.diagnosis.transfer_match import check_calibrated_transfer, check_transfer
 from vntoolkit.diagnosis.white_balance import check_changing_gains, check_white_balance
 from vntoolkit.photometry.rig import Rig
@@ -68,7 +73,7 @@ CAPTURE_CHECKS: tuple[tuple[Callable[[Evidence], list[Finding]], ...], ...] = (
     (check_white_balance, check_changing_gains),
 )
 
-# They compare lengths of M⁻¹(r − a), which clipping cuts.
+# They compare lengths of M⁻¹(r − a), which clipping cuts, and of which levelled paint leaves little.
 _OF_LENGTHS = (
     check_zoom, check_transfer, check_black_level, check_gloss, check_white_balance, check_changing_gains,
 )  # fmt: skip
@@ -118,11 +123,20 @@ def findings_from_rig(rig: Rig) -> list[Finding]:
     return [finding for check in RIG_CHECKS for finding in check(rig)]
 
 
-def findings_from_evidence(evidence: Evidence) -> list[Finding]:
-    """Return what a few frames tell of the rig, the mask and the transfer curve."""
-    asks_lengths = evidence.clipped_share < _MOST_CLIPPED
+def findings_from_evidence(evidence: Evidence, closer: Callable[[], Evidence] | None = None) -> list[Finding]:
+    """Return what a few frames tell of the rig, the mask and the transfer curve.
+
+    closer: gives the same frames averaged less, which are judged as if of one paint where that makes more of
+    a surface.
+    """
     noted: list[Finding] = []
     for group in CAPTURE_CHECKS:
+        if check_relatives in group and closer is not None and paint_may_hide_surface(evidence):
+            levelled = closer().levelled
+            if note := note_of_levelled_paint(levelled, evidence):
+                evidence = levelled
+                noted.append(note)
+        asks_lengths = evidence.painted is None and evidence.clipped_share < _MOST_CLIPPED
         asked = [check for check in group if asks_lengths or check not in _OF_LENGTHS]
         found = [finding for check in asked for finding in check(evidence)]
         if any(finding.level is not Level.NOTE for finding in found):

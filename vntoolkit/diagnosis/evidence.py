@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -13,9 +13,15 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, Mask, Matrix3
+from vntoolkit.materials.paint_levels import in_one_paint
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
-from vntoolkit.photometry.transfer import Transfer
+from vntoolkit.photometry.transfer import (
+    Transfer,
+    TransferCurve,
+    encoded_from_linear,
+    linear_from_encoded,
+)
 
 Single = npt.NDArray[np.float32]
 FEW_PIXELS = 50_000  # of an averaged frame: enough for every statistic here, and a run starts within a second
@@ -23,6 +29,7 @@ FEW_PIXELS = 50_000  # of an averaged frame: enough for every statistic here, an
 # remained but some 60 pixels, in two places, which looked like turned lamps.
 PIXELS_BETWEEN_SEAMS = 200_000
 _LIT = 0.3  # of the length that the brightest twentieth exceeds: what is darker is backdrop or in shadow
+_SUBJECT = 0.1  # of the brightest hundredth of the picture: dark paint is surface, too
 _LEAST_CHANNEL = 0.01  # of full scale; below it noise and the black level decide the colour
 _BLOCKS = 6  # along each side: standard errors come from leaving out one of 36 blocks …
 _LEAST_BLOCK_PX = 144  # … or of fewer: the surface of smaller ones is not independent of their neighbours'
@@ -36,6 +43,7 @@ class Evidence:
     (k, h, w, 3) linear, background removed. clipped: (k, h, w), True where any pixel under it is. inside:
     (k, h, w), True where the mask covers all of it; all True without a mask. masked: whether there is a mask.
     scale: averaged pixels per pixel of the footage, 0 to 1. numbers: of the k frames in the capture.
+    painted: what this was levelled from, see `levelled`; None for footage as it is.
     """
 
     rig: Rig
@@ -46,6 +54,7 @@ class Evidence:
     masked: bool
     scale: float
     numbers: tuple[int, ...]
+    painted: Evidence | None = None
 
     @cached_property
     def directions(self) -> Single:
@@ -96,6 +105,29 @@ class Evidence:
         chosen &= brightest > _LIT * np.percentile(brightest[chosen], 95)
         return np.asarray(chosen)
 
+    @cached_property
+    def levelled(self) -> Evidence:
+        """The same footage as if its subject were of one paint; the steps of paint are told without M."""
+        brightest = brightest_channel(self.light)
+        subject = self.inside & ~self.clipped & (brightest > _SUBJECT * np.percentile(brightest, 99))
+        levelled = [
+            in_one_paint(LinearFrame(rgb=light, clipped=clipped), there, self.rig.response)
+            for light, clipped, there in zip(self.light, self.clipped, subject, strict=True)
+        ]
+        return replace(
+            self,
+            light=np.stack([np.asarray(frame.rgb) for frame in levelled]),
+            clipped=np.stack([frame.clipped for frame in levelled]),
+            painted=self,
+        )
+
+    @cached_property
+    def read_otherwise(self) -> Evidence:
+        """The same footage read with a curve of the other kind."""
+        other = of_the_other_kind(self.transfer)
+        encoded = encoded_from_linear(np.maximum(self.light, 0.0), self.transfer)
+        return replace(self, light=linear_from_encoded(encoded, other).astype(np.float32), transfer=other)
+
     @property
     def clipped_share(self) -> float:
         """Of the subject's pixels, the share that is clipped; 0 to 1."""
@@ -125,6 +157,11 @@ class Evidence:
     @property
     def _rows(self) -> FloatArray:
         return (np.arange(self.light.shape[1]) + 0.5) / self.scale - 0.5
+
+
+def of_the_other_kind(read: Transfer) -> Transfer:
+    """Return an encoding curve for linear, else linear; the encoding ones differ too little to be told."""
+    return Transfer.from_text("srgb" if read.curve is TransferCurve.LINEAR else "linear")
 
 
 def _equal_parts(counts: npt.NDArray[np.int64], parts: int) -> npt.NDArray[np.int64]:

@@ -398,7 +398,12 @@ def examine_capture(
             apart = sorted({places[0], places[-1]})  # labels take a quarter of a second a frame
             few, most = [in_one_material(frames[k]) for k in apart], PIXELS_BETWEEN_SEAMS
         evidence = evidence_from_frames(few, rig, capture.transfer, mask, most)
-        with_rig = _findings_with_rig(evidence)
+        with_rig = _findings_with_rig(
+            evidence,
+            lambda: evidence_from_frames(
+                [frames[k] for k in places], rig, capture.transfer, mask, PIXELS_BETWEEN_SEAMS
+            ),
+        )
         findings += with_rig
         if rig.gel is not None:
             return Examination(findings=findings)
@@ -440,14 +445,17 @@ def findings_from_frames(
 
     most_pixels: that frames are averaged down to.
     """
-    return _findings_with_rig(evidence_from_frames(frames, rig, transfer, mask, most_pixels))
+    return _findings_with_rig(
+        evidence_from_frames(frames, rig, transfer, mask, most_pixels),
+        lambda: evidence_from_frames(frames, rig, transfer, mask, PIXELS_BETWEEN_SEAMS),
+    )
 
 
-def _findings_with_rig(evidence: Evidence) -> list[Finding]:
+def _findings_with_rig(evidence: Evidence, closer: Callable[[], Evidence]) -> list[Finding]:
     findings = findings_from_rig(evidence.rig)
     # the response of a gel is to changes, which the checks do not look at
     if evidence.rig.gel is None and _is_wide(evidence):
-        findings += findings_from_evidence(evidence)
+        findings += findings_from_evidence(evidence, closer)
     return findings
 
 

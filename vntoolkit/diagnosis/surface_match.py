@@ -12,7 +12,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import cv2
@@ -35,6 +35,7 @@ _Z = 3.0
 _LOG_FACTOR = 0.4
 _LEAST_AGREEMENT = 0.25  # of a reading that is worth more than chance
 _CERTAIN = 0.75  # an agreement above it that no mirror image comes near needs no relatives tried
+_SOUND = 0.9  # agreement of a surface that nothing dilutes, at least
 _FATAL_GAIN = 0.2  # of agreement
 _NOTED_TURN_DEG = 12.0  # photographs with lamps measured on a chrome ball show up to 7
 # A step of log colour over four averaged pixels that is of paint, not shape; slopes beside it tell nothing.
@@ -44,6 +45,7 @@ _LAG_PX = 4
 _LEAST_COHERENCE = 0.25
 _FLATTEST_DEG = 2.5
 _CHANNELS = ("red", "green", "blue")
+_SINGLE_LIGHT = "calibrate with one photograph per lamp (--single-light), so that paints are told apart"
 
 
 def check_structure(evidence: Evidence) -> list[Finding]:
@@ -148,15 +150,15 @@ def check_relatives(evidence: Evidence) -> list[Finding]:
     seen = structure(evidence)
     if seen.pixels < _FEWEST_PIXELS or (seen.faces_camera and (seen.is_noise or seen.is_flat)):
         return []
-    own = _Sums.of(evidence)
+    own = _own_sums(evidence)
     as_calibrated = _Reading.of("as calibrated", "", own)
     if as_calibrated.leaves_no_doubt(own):
         return []
     better = []
     if own.pixels >= _FEWEST_PIXELS or own.front_share < 0.5:
-        better = [r for r in _relatives(evidence, own) if r.explains_better(as_calibrated)]
+        better = _better(evidence, as_calibrated, _relatives_of(evidence))
     if better:
-        return [_finding(as_calibrated, sorted(better, key=lambda reading: reading.misfit))]
+        return [_finding(as_calibrated, better)]
     if own.front_share >= 0.5:
         return _undecided(evidence, as_calibrated, _Reading.of("", "", own, mirrored=True))
     return [
@@ -171,9 +173,47 @@ def check_relatives(evidence: Evidence) -> list[Finding]:
     ]
 
 
+def paint_may_hide_surface(evidence: Evidence) -> bool:
+    """Tell where footage makes hardly a surface under this M."""
+    seen = structure(evidence)
+    if seen.pixels < _FEWEST_PIXELS or seen.is_noise or seen.is_flat:
+        return False
+    own = _Reading.of("", "", _own_sums(evidence))
+    return own.front_share >= 0.5 and own.agreement <= _LEAST_AGREEMENT
+
+
+def note_of_levelled_paint(levelled: Evidence, plain: Evidence) -> Finding | None:
+    """Return a note where footage makes more of a surface in one paint than as it is, under its best M."""
+    before, after = _most_of_a_surface(plain), _most_of_a_surface(levelled)
+    if after <= before:
+        after = _most_of_a_surface(_read_otherwise(levelled))
+    if after <= before:
+        return None
+    apart = levelled.rig.response.light_colours is not None  # then `reconstruct` tells the paints
+    return Finding(
+        check="relatives",
+        level=Level.NOTE if apart else Level.WARNING,
+        problem="paint hides the surface: M was checked as if all of it were of one paint; white balance, "
+        "gloss and black level, which lengths tell, were not checked"
+        + ("" if apart else "; a rig of one material gives wrong normals beside paint"),
+        measured=f"an agreement of mixed derivatives of {before:.2f} as of one material, {after:.2f} with "
+        "paint levelled",
+        expected=_EXPECTED,
+        remedy="check them on a subject of one colour" if apart else _SINGLE_LIGHT,
+    )
+
+
+def _most_of_a_surface(evidence: Evidence) -> float:
+    own = _own_sums(evidence)
+    if own.pixels < _FEWEST_PIXELS:
+        return 0.0
+    return max(reading.agreement for reading in (_Reading.of("", "", own), *_relatives_of(evidence)))
+
+
 def _undecided(evidence: Evidence, own: _Reading, mirrored: _Reading) -> list[Finding]:
     """Tell where M agrees hardly with the footage, and its mirror image alike: nothing was checked then."""
-    if own.agreement > _LEAST_AGREEMENT or abs(own.z_above(mirrored)) > _Z:
+    tells = own.agreement > _LEAST_AGREEMENT and evidence.painted is None
+    if tells or abs(own.z_above(mirrored)) > _Z:
         return []
     painted = float(_seams_of_paint(evidence)[evidence.surface].mean())
     several = painted > _SEVERAL_COLOURS
@@ -189,8 +229,7 @@ def _undecided(evidence: Evidence, own: _Reading, mirrored: _Reading) -> list[Fi
             "mirrored",
             expected=_EXPECTED,
             remedy=(
-                "calibrate with one photograph per lamp (--single-light), so that paints are told apart, and "
-                "check this rig on a subject of one colour"
+                f"{_SINGLE_LIGHT}, and check this rig on a subject of one colour"
                 if several
                 else "check the rig on a subject of one colour, or look whether the normals are convex where "
                 "the subject is"
@@ -317,13 +356,18 @@ def _gradient(values: Single) -> tuple[Single, Single]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Reading:
-    """The footage under one idea of M: agreement and misfit on the whole, and without each block."""
+    """The footage under one idea of M.
+
+    agreements: (1 + b,), on the whole, and without each block. besides: logarithm of what else does not fit.
+    sound: the agreement that a surface has in this light.
+    """
 
     name: str
     remedy: str
-    agreements: FloatArray  # (1 + b,)
-    misfits: FloatArray  # (1 + b,)
+    agreements: FloatArray
+    besides: float
     front_share: float
+    sound: float = 1.0
 
     @classmethod
     def of(
@@ -335,15 +379,14 @@ class _Reading:
         if turned:
             squares = np.hypot(rows[:, 0], rows[:, 1])
         agreements = squares / np.maximum(powers, 1e-12)
-        spread = rows[:, 8] / np.maximum(rows[:, 6], 1.0)
-        facing = rows[:, 6] / np.maximum(rows[:, 7], 1.0)
-        misfits = np.log(1.05 - agreements) + np.log(spread + 0.03) - np.log(facing + 0.01)
+        spread = float(rows[0, 8] / max(rows[0, 6], 1.0))
+        facing = float(rows[0, 6] / max(rows[0, 7], 1.0))
         return cls(
             name=name,
             remedy=remedy,
             agreements=agreements,
-            misfits=misfits,
-            front_share=float(facing[0]),
+            besides=math.log((spread + 0.03) / (facing + 0.01)),
+            front_share=facing,
         )
 
     def leaves_no_doubt(self, sums: _Sums) -> bool:
@@ -363,7 +406,7 @@ class _Reading:
 
     @property
     def misfit(self) -> float:
-        return float(self.misfits[0])
+        return math.log(max(1.05 - self.agreement / self.sound, 0.05)) + self.besides
 
     @property
     def standard_error(self) -> float:
@@ -387,6 +430,16 @@ class _Reading:
 def _jackknife_error(left_out: FloatArray) -> float:
     count = len(left_out)
     return math.sqrt((count - 1) / count * float(((left_out - left_out.mean()) ** 2).sum())) if count else 1.0
+
+
+@lru_cache(maxsize=4)  # as it is, levelled, and both read otherwise
+def _own_sums(evidence: Evidence) -> _Sums:
+    return _Sums.of(evidence)
+
+
+@lru_cache(maxsize=4)
+def _relatives_of(evidence: Evidence) -> tuple[_Reading, ...]:
+    return tuple(_relatives(evidence, _own_sums(evidence)))
 
 
 def _relatives(evidence: Evidence, own: _Sums) -> Iterator[_Reading]:
@@ -444,6 +497,35 @@ def _relatives(evidence: Evidence, own: _Sums) -> Iterator[_Reading]:
             yield from looked_at(f"with {_exchanged(order, lamps)}", in_one_order, mix, None)
 
 
+def _read_otherwise(evidence: Evidence) -> Evidence:
+    """Return the footage read with another curve; where it is levelled, paint is told anew."""
+    if evidence.painted is None:
+        return evidence.read_otherwise
+    return evidence.painted.read_otherwise.levelled
+
+
+def _better(evidence: Evidence, own: _Reading, relatives: tuple[_Reading, ...]) -> list[_Reading]:
+    """Return the readings that explain the footage better than M does, best first.
+
+    Another curve makes hardly less of a surface of one paint, and lengths tell it better. But it can look
+    like turned lamps, and of several paints it makes none: then it competes, by agreement alone.
+    """
+    found = [reading for reading in relatives if reading.explains_better(own)]
+    levelled = evidence.painted is not None
+    if found or (levelled and own.agreement <= _LEAST_AGREEMENT):
+        other = _read_otherwise(evidence)
+        curve = other.transfer.to_text()
+        remedy = f"give --transfer {curve} if the rig was calibrated so, else calibrate again"
+        read = _Reading.of(f"with the footage read as {curve}", remedy, _own_sums(other))
+        relatives = (*relatives, replace(read, besides=own.besides))
+    if levelled:
+        # What errors of levelled paint add agrees with no M, and dilutes all readings alike.
+        best = max(reading.agreement for reading in (own, *relatives))
+        sound = min(1.0, max(best, _LEAST_AGREEMENT) / _SOUND)
+        own, relatives = replace(own, sound=sound), tuple(replace(r, sound=sound) for r in relatives)
+    return sorted((r for r in relatives if r.explains_better(own)), key=lambda reading: reading.misfit)
+
+
 def _rotation(degrees: float) -> FloatArray:
     cosine, sine = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
     return np.array([[cosine, -sine], [sine, cosine]])
@@ -462,7 +544,8 @@ def _exchanged(order: tuple[int, ...], names: tuple[str, ...]) -> str:
 
 def _finding(own: _Reading, better: list[_Reading]) -> Finding:
     best = better[0]
-    named = [best, *(r for r in better[1:3] if r.misfit < best.misfit + _LOG_FACTOR)]
+    alike = (r for r in better[1:3] if r.misfit < best.misfit + _LOG_FACTOR or best.z_above(r) < _Z)
+    named = [best, *alike]
     alone = own.front_share < 0.5
     z = _Z * 2 if alone else best.z_above(own)
     fatal = alone or best.agreement - own.agreement > _FATAL_GAIN

@@ -27,6 +27,7 @@ from vntoolkit.diagnosis.evidence import (
     brightest_channel,
     darkest_channel,
     lengths_of,
+    of_the_other_kind,
 )
 from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
 from vntoolkit.diagnosis.length_regression import regress_lengths, spread_of_lengths
@@ -156,9 +157,8 @@ class _Comparison:
 
 
 def _against_the_other_kind(evidence: Evidence, *, unevenly: bool = False) -> _Comparison | None:
-    """Compare linear with encoded; which of the encoding curves it is makes too little difference to tell."""
-    linear = evidence.transfer.curve is TransferCurve.LINEAR
-    return _comparison(evidence, Transfer.from_text("srgb" if linear else "linear"), unevenly=unevenly)
+    """Compare linear with encoded."""
+    return _comparison(evidence, of_the_other_kind(evidence.transfer), unevenly=unevenly)
 
 
 def _comparison(evidence: Evidence, other: Transfer, *, unevenly: bool = False) -> _Comparison | None:
@@ -296,7 +296,7 @@ def check_transfer_of_samples(normals: FloatArray, rgb: FloatArray, transfer: Tr
     normals, rgb = normals[::step], rgb[::step]
     if len(normals) < _FEWEST_SAMPLES:
         return []
-    other = Transfer.from_text("srgb" if transfer.curve is TransferCurve.LINEAR else "linear")
+    other = of_the_other_kind(transfer)
     as_read = _residuals_deg(normals, rgb)
     under_other = _residuals_deg(normals, _reread(rgb, transfer, other))
     if not np.median(under_other) < _LEFT * np.median(as_read):

@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from scipy import sparse
-from scipy.linalg import block_diag, solveh_banded
-from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
+from scipy.linalg import block_diag
+from scipy.sparse.csgraph import connected_components
 
-from vntoolkit.arrays import FloatArray, IntArray, Mask, Points, Vector3
+from vntoolkit.arrays import FloatArray, IntArray, Mask, Points
 from vntoolkit.errors import BadInput
 from vntoolkit.materials.labelling import (
     agreed,
@@ -29,6 +29,7 @@ from vntoolkit.materials.labelling import (
     step_cost,
     total_cost,
 )
+from vntoolkit.materials.paint_levels import FALL, PAINT_STEP, Seams
 from vntoolkit.materials.pixels import INDEPENDENT_PX, Spread
 from vntoolkit.materials.reflectance import (
     CAP,
@@ -52,17 +53,14 @@ _LARGEST_RATIO = np.log(12.0)  # of the reflectances of one material
 _FEWEST_PIXELS = 300
 _FEWEST_REGIONS = 3
 _FIT_PIXELS = 2000
-_PAINT_STEP = 2.5 * SHADING_STEP  # of log s between neighbours: a larger one is of paint
 _TOLERANCES = (
     0.02,
     0.1,
 )  # least and most of a normal's length beyond noise that is no sign of another material
 _FIRST_TOLERANCE = 0.04
-_ROUGH = 0.2  # first tolerance of the regions' own reflectances, which falls by …
-_FALL = 0.6  # … a round
-_SEAM_ROUNDS, _ROUNDS = 2, 9
+_ROUGH = 0.2  # first tolerance of the regions' own reflectances, which falls by `FALL` a round
+_ROUNDS = 9
 _FIT_ROUNDS = 5
-_WEAK = 0.05  # weight of the mean reflectance where nothing tells a region's own
 _ALIKE = 0.1  # spread of log ρ of the regions of one material
 _TWINS = 0.08  # log ρ that two materials differ by at least
 _MOST_PROPOSALS = 24
@@ -181,68 +179,21 @@ def _reflectances_of_regions(regions: Regions, lamps: Lamps) -> tuple[Points, fl
     The seams alone tell log ρ up to one constant. With it taken off, all samples are of one material, whose
     reflectance is that constant. Then lengths and steps are balanced by Gauss–Newton, from rough to fine.
     """
-    once = regions.sources < regions.neighbours
-    a, b = regions.sources[once], regions.neighbours[once]
-    steps, contacts = regions.steps[once], regions.contacts[once]
-    is_paint = np.abs(steps).max(axis=1) > _PAINT_STEP
-    target = np.where(is_paint[:, None], steps, 0.0)
-    spread = np.where(is_paint, 1.0, 0.5) * SHADING_STEP
+    seams = Seams(regions)
+    x = seams.levels()
     weights = regions.sizes / INDEPENDENT_PX
-    system = _BandedSystem(a, b, regions.count)
     known = np.arange(regions.samples.shape[1]) < regions.counts[:, None]
-    x: Points = np.zeros((regions.count, 3))
-    centre: Vector3 = np.zeros(3)
-    matrices: FloatArray = np.zeros((regions.count, 3, 3))
-    gradients: FloatArray = np.zeros((regions.count, 3))
-    tolerance = _FIRST_TOLERANCE
-    for i in range(_SEAM_ROUNDS + _ROUNDS):
-        done = max(i - _SEAM_ROUNDS, 0)
-        if i == _SEAM_ROUNDS:
-            samples = (regions.samples * np.exp(-x)[:, None])[known]
-            samples = np.ascontiguousarray(samples[:: max(1, len(samples) // _FIT_PIXELS)])
-            centre = best_fit(samples, lamps, tolerance)[0]
-            x = x + centre
-        if i >= _SEAM_ROUNDS:
-            rough = max(tolerance, _ROUGH * _FALL**done)
-            matrices, gradients = normal_equations(regions, x, lamps, weights, rough)
-        rest = target - (x[b] - x[a])
-        reach = max(1.0, CAP * _FALL**done) * spread
-        falling = 1.0 / (1.0 + np.sum(rest**2, axis=1) / (CAP * reach) ** 2)
-        weight = contacts * (falling / spread) ** 2
-        right = gradients + _WEAK * (centre - x)
-        np.add.at(right, b, weight[:, None] * rest)
-        np.add.at(right, a, -weight[:, None] * rest)
-        x = x + system.solve(matrices + _WEAK * np.eye(3), weight, right).clip(-3.0, 3.0)
+    samples = (regions.samples * np.exp(-x)[:, None])[known]
+    samples = np.ascontiguousarray(samples[:: max(1, len(samples) // _FIT_PIXELS)])
+    centre = best_fit(samples, lamps, _FIRST_TOLERANCE)[0]
+    x = x + centre
+    for done in range(_ROUNDS):
+        rough = max(_FIRST_TOLERANCE, _ROUGH * FALL**done)
+        matrices, gradients = normal_equations(regions, x, lamps, weights, rough)
+        x = seams.balanced(x, centre, max(1.0, CAP * FALL**done), matrices, gradients)
     lengths = (regions.samples * np.exp(-x)[:, None] - lamps.haze)[known] @ lamps.inverse.T
     residual = 1.4826 * float(np.median(np.abs(np.linalg.norm(lengths, axis=1) - 1.0)))
     return x, float(np.clip(residual, *_TOLERANCES))
-
-
-class _BandedSystem:
-    """Normal equations of n regions with three unknowns each, and of the steps between neighbours a, b (e,).
-
-    Neighbours get numbers near to each other (cuthill1969): all entries lie in a band.
-    """
-
-    def __init__(self, a: IntArray, b: IntArray, n: int) -> None:
-        graph = sparse.coo_array((np.ones(len(a)), (a, b)), shape=(n, n))
-        order = reverse_cuthill_mckee((graph + graph.T).tocsr(), symmetric_mode=True)
-        self._index = index = 3 * np.argsort(order)[:, None] + np.arange(3)
-        first, second = index[a].ravel(), index[b].ravel()
-        rows = np.concatenate([np.repeat(index, 3, axis=1).ravel(), first, second, np.maximum(first, second)])
-        columns = np.concatenate([np.tile(index, (1, 3)).ravel(), first, second, np.minimum(first, second)])
-        self._below = rows >= columns
-        self._size, self._band = 3 * n, int((rows - columns).max()) + 1
-        self._places = ((rows - columns) * self._size + columns)[self._below]
-
-    def solve(self, blocks: FloatArray, weights: FloatArray, right: FloatArray) -> FloatArray:
-        """Return (n, 3). blocks: (n, 3, 3), of each region. weights: (e,), of the steps. right: (n, 3)."""
-        thrice = np.repeat(weights, 3)
-        entries = np.concatenate([blocks.ravel(), thrice, thrice, -thrice])[self._below]
-        band = np.bincount(self._places, entries, self._band * self._size).reshape(self._band, self._size)
-        ordered = np.empty(self._size)
-        ordered[self._index] = right
-        return np.asarray(solveh_banded(band, ordered, lower=True, check_finite=False)[self._index])
 
 
 def _proposals(own: Points, regions: Regions, count: int | None) -> Points:
@@ -374,7 +325,7 @@ def _of_unexplained(found: _Found, regions: Regions, lamps: Lamps, tolerance: fl
     paid = np.take_along_axis(found.costs, found.labels[:, None], 1)[:, 0]
     doubtful = paid > _DOUBTFUL
     a, b = regions.sources, regions.neighbours
-    alike = doubtful[a] & doubtful[b] & (np.abs(regions.steps).max(axis=1) < _PAINT_STEP)
+    alike = doubtful[a] & doubtful[b] & (np.abs(regions.steps).max(axis=1) < PAINT_STEP)
     graph = sparse.coo_array(
         (np.ones(alike.sum()), (a[alike], b[alike])), shape=(regions.count, regions.count)
     )
