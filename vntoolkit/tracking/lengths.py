@@ -45,13 +45,12 @@ _LEAST_RELIABLE = 1e-4  # of a node that is not measured, in the fit of one body
 class LinkGuess(NamedTuple):
     """steps: (links, 2). variance: (links,) by direction, px². field: of the body, for the frame's next step.
 
-    torn: (links,) the share of the variance that an occluding contour between the two adds. doubt: (links, 2,
-    k) deviations of all steps together: by which of the guesses holds, and by what is not known of the body.
+    doubt: (links, 2, k) deviations of all steps together: by which of the guesses holds, and by what is not
+    known of the body.
     """
 
     steps: npt.NDArray[np.float64]
     variance: npt.NDArray[np.float64]
-    torn: npt.NDArray[np.float64]
     doubt: npt.NDArray[np.float64]
     field: FittedField
 
@@ -132,27 +131,12 @@ class LinkLengths:
             ((1.0 - share) * np.sqrt(local * (1.0 - local)))[:, None] * own,
         ]
         drawn = ((1.0 - share) * np.sqrt(square))[:, None, None] * field.errors
-        variance = square * np.minimum(*variances)
-        slip = square * (_CONTOUR_STRAIN * likely) ** 2
         return LinkGuess(
             steps=mean,
-            variance=variance + slip,
-            torn=slip / (variance + slip),
+            variance=square * (np.minimum(*variances) + (_CONTOUR_STRAIN * likely) ** 2),
             doubt=np.concatenate([np.stack(other, axis=2), drawn], axis=2),
             field=field,
         )
-
-    def between(self, left: FloatArray, torn: FloatArray) -> npt.NDArray[np.float64]:
-        """Return (nodes,) the squared error of vertices between nodes that come apart, px².
-
-        left: (links, 2) by how much. torn: (links,) from 0 to 1, how likely an occluding contour runs there:
-        a vertex is then of one side or the other, and interpolation puts it between.
-        """
-        square = torn * np.sum((0.5 * left) ** 2, axis=1)
-        largest = np.zeros(self._lattice.count)
-        for end in self.links.T:
-            np.maximum.at(largest, end, square)
-        return largest
 
     def _by_lengths(
         self, positions_px: Points2, around: FloatArray, slopes: Slopes, depth_map: DepthMap
