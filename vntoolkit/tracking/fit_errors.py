@@ -10,9 +10,6 @@ The finest relief sits on the surface. Shapes beside an occluding contour may st
 turns beneath them: windows that see them then all have the same error. So have those on what is remembered of
 a place that the template no longer matches: it may have been remembered off its place. All lengths share one
 error too: the difference between their two guesses.
-
-A share of the strain varies as slowly as the figure is large. It adds up farthest, along borders that
-nothing holds most of all, and leaves next to nothing that could be compared: it counts as given.
 """
 
 from __future__ import annotations
@@ -28,7 +25,6 @@ from vntoolkit.tracking.registration import TemplateRegistration, WindowSteps
 
 _SAMPLES = 16
 _PRIOR = 0.1  # share of the given strain in what is found
-_SLOW_SHARE = 0.05  # of its variance that varies slowly
 _NEAR_PASSES = 8  # of lattice smoothing: how far around departures of links tell of a place
 
 
@@ -38,7 +34,7 @@ class FitErrors:
     def __init__(
         self, lattice: TemplateLattice, registration: TemplateRegistration, lengths: LinkLengths
     ) -> None:
-        """Draw what every frame's errors are made of; of slow strain there is little: each is solved with."""
+        """Draw what every frame's errors are made of."""
         self._lattice, self._links = lattice, lengths.links
         m = lattice.count
         rng = np.random.default_rng(0)
@@ -50,17 +46,9 @@ class FitErrors:
         self._windows.append(self._windows[0])  # of what is remembered: it errs as the finest relief does
         self._outline = rng.standard_normal(shape)
         local = _unit(lattice.smoothed(rng.standard_normal((m, 4 * _SAMPLES)), STRAIN_PASSES))
-        terms = _polynomials(lengths.centres)[:, 1:]  # the first is uniform: it is solved for
-        each = np.sqrt(m * _SLOW_SHARE / max(terms.shape[1], 1)) * terms
-        slow = np.einsum("mt,cd->mcdt", each, np.eye(4)).reshape(m, -1)
+        strain = local.reshape(m, 2, 2, _SAMPLES)[self._links].mean(axis=1)
         along = lengths.along / np.linalg.norm(lengths.along, axis=1, keepdims=True)
-        a, b = self._links.T
-
-        def on_links(strain: FloatArray) -> npt.NDArray[np.float64]:
-            whole = strain.reshape(m, 2, 2, -1)
-            return np.asarray(np.einsum("eijk,ej->eik", 0.5 * (whole[a] + whole[b]), along))
-
-        self._local, self._slow = on_links(local), on_links(slow)
+        self._local = np.einsum("eijk,ej->eik", strain, along)
         self._compared = _compared(lengths)
 
     def square(
@@ -81,17 +69,16 @@ class FitErrors:
             measured += np.einsum("nij,njk->nik", cholesky(each.information), drawn)
         size = sd[:, None, None]
         straight = np.zeros_like(self._local)
-        given = np.concatenate([size * self._slow, doubt], axis=2)
         shared = [
             each.slide_px[:, None, None] * each.information[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
             for each in windows
             if each.slide_px.any()
         ]
-        nothing = np.zeros((len(outline), 2, _SAMPLES + given.shape[2]))
+        nothing = np.zeros((len(outline), 2, _SAMPLES + doubt.shape[2]))
         unmoved = np.zeros((len(sd), 2, 2 * len(shared)))
         errors, left = solution.solved(
             np.concatenate([measured, nothing, *shared], axis=2),
-            np.concatenate([straight, size * self._local, given, unmoved], axis=2),
+            np.concatenate([straight, size * self._local, doubt, unmoved], axis=2),
         )
         by_measurement, by_local, by_given = np.split(errors, [_SAMPLES, 2 * _SAMPLES], axis=2)
         foreseen = (left[:, :, :_SAMPLES] + left[:, :, _SAMPLES : 2 * _SAMPLES]) / size

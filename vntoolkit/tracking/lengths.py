@@ -45,12 +45,13 @@ _LEAST_RELIABLE = 1e-4  # of a node that is not measured, in the fit of one body
 class LinkGuess(NamedTuple):
     """steps: (links, 2). variance: (links,) by direction, px². field: of the body, for the frame's next step.
 
-    doubt: (links, 2, k) deviations of all steps together: by which of the guesses holds, and by what is not
-    known of the body.
+    torn: (links,) the share of the variance that an occluding contour between the two adds. doubt: (links, 2,
+    k) deviations of all steps together: by which of the guesses holds, and by what is not known of the body.
     """
 
     steps: npt.NDArray[np.float64]
     variance: npt.NDArray[np.float64]
+    torn: npt.NDArray[np.float64]
     doubt: npt.NDArray[np.float64]
     field: FittedField
 
@@ -131,9 +132,12 @@ class LinkLengths:
             ((1.0 - share) * np.sqrt(local * (1.0 - local)))[:, None] * own,
         ]
         drawn = ((1.0 - share) * np.sqrt(square))[:, None, None] * field.errors
+        variance = square * np.minimum(*variances)
+        slip = square * (_CONTOUR_STRAIN * likely) ** 2
         return LinkGuess(
             steps=mean,
-            variance=square * (np.minimum(*variances) + (_CONTOUR_STRAIN * likely) ** 2),
+            variance=variance + slip,
+            torn=slip / (variance + slip),
             doubt=np.concatenate([np.stack(other, axis=2), drawn], axis=2),
             field=field,
         )

@@ -50,9 +50,10 @@ _ITERATIONS = 3
 _CONVERGED = 0.1  # steps by the expected error, after which no other follows
 _LEAST_ERROR_PX = 0.3
 _MOST = 0.9  # share of the vertices for which that holds: the rest is lost, or creeps
-_TORN_SIGMAS = 3.0  # departure of a link from its length at which it holds half as much
+_TORN_SIGMAS = 3.0  # of links that err together, by which they depart where they hold half as much; at a
+# likely contour each gives way by its own: few of them cross it
 _LEAST_SINGULAR = 0.2  # of a Jacobian: steps are not taken through a surface seen more nearly edge-on
-_COVERAGE = 2.1  # expected error over the root mean square of what is drawn: about nine in ten errors are
+_COVERAGE = 2.2  # expected error over the root mean square of what is drawn: about nine in ten errors are
 # then below it, as measured on a sweater and a head; 1.5 would do if nothing but what is drawn went wrong
 _ERROR_PASSES = 1  # of lattice smoothing of the samples' variance
 _WELL_KNOWN = 0.9  # share of the motion, from which all of it goes on
@@ -175,7 +176,8 @@ class SurfaceFit:
             guess = lengths.guessed(positions, around, slopes, depth_map, hidden, measured, field)
             field, now = guess.field, lengths.nodes(positions)
             steps = guess.steps - (now[lengths.links[:, 1]] - now[lengths.links[:, 0]])
-            variance = guess.variance + np.sum(steps**2, axis=1) / (LINKS_ALIKE * _TORN_SIGMAS**2)
+            alone = guess.torn + (1.0 - guess.torn) / LINKS_ALIKE
+            variance = guess.variance + alone * np.sum(steps**2, axis=1) / _TORN_SIGMAS**2
             weight = 1.0 / (LINKS_ALIKE * variance)
             strains = uniform_strains(guess.steps)
             turns = slow_turns(guess.steps, lengths.middles)
