@@ -70,7 +70,7 @@ def relief_slopes(
     """
     if from_contour_px is None:
         from_contour_px = np.full(normal_map.shape, np.inf, dtype=np.float32)
-    out = np.asarray(cv2.merge([*cv2.split(slopes), from_contour_px]))
+    out = np.asarray(cv2.merge([*cv2.split(slopes), from_contour_px]), dtype=np.float32)
     if labels is not None:
         out[label_edges(labels, normal_map.mask), :3] = 0.0
     elif normal_map.weight is not None:

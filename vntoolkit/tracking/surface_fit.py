@@ -50,11 +50,13 @@ _ITERATIONS = 3
 _CONVERGED = 0.1  # steps by the expected error, after which no other follows
 _LEAST_ERROR_PX = 0.3
 _MOST = 0.9  # share of the vertices for which that holds: the rest is lost, or creeps
-_TORN_SIGMAS = 3.0  # of links that err together, by which they depart where they hold half as much; at a
-# likely contour each gives way by its own: few of them cross it
+# Departure of links at which they hold half as much. Where they err together it is shared by so many; at a
+# likely contour, which few of them cross, each gives way alone.
+_TORN_SIGMAS = 3.0
 _LEAST_SINGULAR = 0.2  # of a Jacobian: steps are not taken through a surface seen more nearly edge-on
-_COVERAGE = 2.2  # expected error over the root mean square of what is drawn: about nine in ten errors are
-# then below it, as measured on a sweater and a head; 1.5 would do if nothing but what is drawn went wrong
+# Expected error over the root mean square of what is drawn: about nine in ten errors are then below it, as
+# measured on a sweater, a head and a sheet. Were nothing wrong but what is drawn, 1.5 would do.
+_COVERAGE = 2.2
 _ERROR_PASSES = 1  # of lattice smoothing of the samples' variance
 _WELL_KNOWN = 0.9  # share of the motion, from which all of it goes on
 _JUMPED = 0.05  # share of the figure that no motion of before uncovers in one frame
