@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.linalg import eigh
 
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
@@ -126,3 +127,12 @@ def test_of_two_informations_the_greater_counts_in_every_direction(rng: np.rando
     np.testing.assert_allclose(more, [[0.0, 0.0, 2.0]], atol=1e-6)
     np.testing.assert_allclose(pull, [[0.0, 0.6]], atol=1e-6)  # it pulls to where the second found it
     assert not what_exceeds(first, 0.5 * first, np.zeros((1, 2)))[0].any()
+    roots = rng.normal(size=(2, 50, 2, 2))
+    matrices = roots @ np.swapaxes(roots, 2, 3)
+    (a, b), triples = matrices, matrices[..., [0, 0, 1], [0, 1, 1]]
+    more, _ = what_exceeds(*triples, np.zeros((50, 2)))
+    for k, known in enumerate(more):
+        value, vector = eigh(b[k], a[k])
+        across = a[k] @ vector
+        exceeding = (across * np.maximum(value - 1.0, 0.0)) @ across.T
+        np.testing.assert_allclose(known, exceeding[[0, 0, 1], [0, 1, 1]], atol=1e-4)

@@ -4,16 +4,12 @@ Windows overlap, and strain goes on from link to link: errors of neighbours are 
 as white noise, smoothed as far as it reaches. How large the strain is that nothing foresees is read from what
 the solution leaves of it (a variance component, `foerstner1979`): as much as drawn strain leaves, if it is as
 large as given. Only the part that varies slowly over the figure is compared: that part adds up to errors.
-Where relief that should match does not, the surface has departed from what is foreseen, and nothing that
-matches elsewhere tells how far: strain counts there as given, and more.
+Where links depart farther than elsewhere, as along an arm that opens, the strain is larger than the mean.
 
 The finest relief sits on the surface. Shapes beside an occluding contour may stay in place while the surface
 turns beneath them: windows that see them then all have the same error. So have those on what is remembered of
 a place that the template no longer matches: it may have been remembered off its place. All lengths share one
 error too: the difference between their two guesses.
-
-A share of the strain varies as slowly as the figure is large. It adds up farthest, along borders that
-nothing holds most of all, and leaves next to nothing that could be compared: it counts as given.
 """
 
 from __future__ import annotations
@@ -24,13 +20,12 @@ import numpy.typing as npt
 from vntoolkit.arrays import FloatArray
 from vntoolkit.tracking.lattice import TemplateLattice
 from vntoolkit.tracking.lattice_system import LatticeSolution
-from vntoolkit.tracking.lengths import STRAIN, STRAIN_PASSES, LinkLengths, slow_monomials
+from vntoolkit.tracking.lengths import STRAIN_PASSES, LinkLengths, slow_monomials
 from vntoolkit.tracking.registration import TemplateRegistration, WindowSteps
 
 _SAMPLES = 16
 _PRIOR = 0.1  # share of the given strain in what is found
-_SLOW_SHARE = 0.05  # of its variance that varies slowly
-_MISMATCHED = 1.5  # strain over the given one where relief does not match: it has moved farther than usual
+_NEAR_PASSES = 8  # of lattice smoothing: how far around departures of links tell of a place
 
 
 class FitErrors:
@@ -39,7 +34,7 @@ class FitErrors:
     def __init__(
         self, lattice: TemplateLattice, registration: TemplateRegistration, lengths: LinkLengths
     ) -> None:
-        """Draw what every frame's errors are made of; of slow strain there is little: each is solved with."""
+        """Draw what every frame's errors are made of."""
         self._lattice, self._links = lattice, lengths.links
         m = lattice.count
         rng = np.random.default_rng(0)
@@ -51,17 +46,9 @@ class FitErrors:
         self._windows.append(self._windows[0])  # of what is remembered: it errs as the finest relief does
         self._outline = rng.standard_normal(shape)
         local = _unit(lattice.smoothed(rng.standard_normal((m, 4 * _SAMPLES)), STRAIN_PASSES))
-        terms = _polynomials(lengths.centres)[:, 1:]  # the first is uniform: it is solved for
-        each = np.sqrt(m * _SLOW_SHARE / max(terms.shape[1], 1)) * terms
-        slow = np.einsum("mt,cd->mcdt", each, np.eye(4)).reshape(m, -1)
+        strain = local.reshape(m, 2, 2, _SAMPLES)[self._links].mean(axis=1)
         along = lengths.along / np.linalg.norm(lengths.along, axis=1, keepdims=True)
-        a, b = self._links.T
-
-        def on_links(strain: FloatArray) -> npt.NDArray[np.float64]:
-            whole = strain.reshape(m, 2, 2, -1)
-            return np.asarray(np.einsum("eijk,ej->eik", 0.5 * (whole[a] + whole[b]), along))
-
-        self._local, self._slow = on_links(local), on_links(slow)
+        self._local = np.einsum("eijk,ej->eik", strain, along)
         self._compared = _compared(lengths)
 
     def square(
@@ -70,41 +57,47 @@ class FitErrors:
         windows: list[WindowSteps],
         outline: FloatArray,
         sd: FloatArray,
-        uniform: FloatArray,
         doubt: FloatArray,
-        mismatched: FloatArray,
     ) -> npt.NDArray[np.float64]:
         """Return (nodes,) the expected squared error, px².
 
         windows: in pixels of the frame, as the information (nodes, 3) of the outline. sd: (links,) standard
-        deviation of the steps. uniform: (links, 2, 3) as solved with. doubt: (links, 2, k) as guessed.
-        mismatched: (nodes,) from 0 to 1, how far relief that should match does not.
+        deviation of the steps. doubt: (links, 2, k) as guessed.
         """
         measured = np.einsum("nij,njk->nik", cholesky(outline), self._outline)
         for each, drawn in zip(windows, self._windows, strict=False):
             measured += np.einsum("nij,njk->nik", cholesky(each.information), drawn)
         size = sd[:, None, None]
         straight = np.zeros_like(self._local)
-        given = np.concatenate([size * self._slow, STRAIN * uniform, doubt], axis=2)
         shared = [
             each.slide_px[:, None, None] * each.information[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
             for each in windows
             if each.slide_px.any()
         ]
-        nothing = np.zeros((len(outline), 2, _SAMPLES + given.shape[2]))
+        nothing = np.zeros((len(outline), 2, _SAMPLES + doubt.shape[2]))
         unmoved = np.zeros((len(sd), 2, 2 * len(shared)))
         errors, left = solution.solved(
             np.concatenate([measured, nothing, *shared], axis=2),
-            np.concatenate([straight, size * self._local, given, unmoved], axis=2),
+            np.concatenate([straight, size * self._local, doubt, unmoved], axis=2),
         )
         by_measurement, by_local, by_given = np.split(errors, [_SAMPLES, 2 * _SAMPLES], axis=2)
         foreseen = (left[:, :, :_SAMPLES] + left[:, :, _SAMPLES : 2 * _SAMPLES]) / size
         usual = np.square(self._compared @ foreseen.reshape(len(sd), 2 * _SAMPLES)).sum() / _SAMPLES
-        found = np.square(self._compared @ (solution.left / sd[:, None])).sum()
-        factor = np.sqrt(_PRIOR + (1.0 - _PRIOR) * (found / usual if usual > 0 else 1.0))
-        strain = factor + mismatched * np.maximum(_MISMATCHED - factor, 0.0)
+        departs = solution.left / sd[:, None]
+        found = np.square(self._compared @ departs).sum()
+        whole = np.sqrt(_PRIOR + (1.0 - _PRIOR) * (found / usual if usual > 0 else 1.0))
+        strain = whole * self._varies(departs[:, :, None], foreseen)
         drawn = np.square(by_measurement + strain[:, None, None] * by_local).sum(axis=1).mean(axis=1)
         return np.asarray(drawn + np.square(by_given).sum(axis=(1, 2)))
+
+    def _varies(self, *departures: FloatArray) -> npt.NDArray[np.float64]:
+        """(nodes,) strain around each over its root mean square, by departures (links, 2, k) of links."""
+        m, (a, b) = self._lattice.count, self._links.T
+        squares = [np.square(each).sum(axis=(1, 2)) for each in departures]
+        sums = np.stack([np.bincount(a, x, m) + np.bincount(b, x, m) for x in squares], axis=1)
+        found, usual = self._lattice.smoothed(sums, _NEAR_PASSES).T
+        square = _PRIOR + (1.0 - _PRIOR) * _SAMPLES * found / np.maximum(usual, 1e-12)
+        return np.asarray(np.sqrt(square / square.mean()))
 
 
 def _compared(lengths: LinkLengths) -> npt.NDArray[np.float64]:

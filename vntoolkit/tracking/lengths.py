@@ -142,18 +142,6 @@ class LinkLengths:
             field=field,
         )
 
-    def between(self, left: FloatArray, torn: FloatArray) -> npt.NDArray[np.float64]:
-        """Return (nodes,) the squared error of vertices between nodes that come apart, px².
-
-        left: (links, 2) by how much. torn: (links,) from 0 to 1, how likely an occluding contour runs there:
-        a vertex is then of one side or the other, and interpolation puts it between.
-        """
-        square = torn * np.sum((0.5 * left) ** 2, axis=1)
-        largest = np.zeros(self._lattice.count)
-        for end in self.links.T:
-            np.maximum.at(largest, end, square)
-        return largest
-
     def _by_lengths(
         self, positions_px: Points2, around: FloatArray, slopes: Slopes, depth_map: DepthMap
     ) -> tuple[npt.NDArray[np.float64], ...]:

@@ -119,8 +119,11 @@ def outline_of_figure(mask: Mask, slopes: Slopes) -> npt.NDArray[np.float32]:
     """(h, w, 4): signed distance, its gradient, and openness, of one frame."""
     distance = signed_distance(mask)
     smooth = cv2.GaussianBlur(distance, (0, 0), 2.0)
-    near, far = (cv2.blur(slopes, (px, px)) for px in _BOXES_PX)
-    return _figure(cv2.GaussianBlur(distance, (0, 0), 1.0), smooth, near, far)
+    figure = _directed(cv2.GaussianBlur(distance, (0, 0), 1.0), smooth)
+    box = _around(mask)
+    near, far = (cv2.blur(slopes[box], (px, px)) for px in _BOXES_PX)
+    figure[(*box, 3)] = _openness(near, far)
+    return figure
 
 
 def contour_distance(figure: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
@@ -145,22 +148,20 @@ def _outside(field, positions):  # type: ignore[no-untyped-def]
 def signed_distance(mask: Mask) -> npt.NDArray[np.float32]:
     """Return (h, w) distance in pixels from the outline: positive outside, negative inside."""
     filled = _without_gaps(mask).astype(np.uint8)
-    outside = (
-        cv2.distanceTransform(1 - filled, cv2.DIST_L2, 5)
-        if not filled.all()
-        else np.zeros(mask.shape, np.float32)
-    )
     if filled.all():
         return np.full(mask.shape, -1e3, dtype=np.float32)
-    inside = cv2.distanceTransform(filled, cv2.DIST_L2, 5)
-    return np.asarray(np.where(filled, 0.5 - inside, outside - 0.5), dtype=np.float32)
+    distance = np.asarray(cv2.distanceTransform(1 - filled, cv2.DIST_L2, 5), np.float32) - np.float32(0.5)
+    box = _around(mask)
+    inside = cv2.distanceTransform(filled[box], cv2.DIST_L2, 5)
+    distance[box] = np.where(filled[box], np.float32(0.5) - inside, distance[box])
+    return distance
 
 
 def _without_gaps(mask: Mask) -> Mask:
     """Fill narrow gaps, also those that reach the outside, and small holes."""
     if not mask.any():
         return mask
-    box = (_reach(np.any(mask, axis=1)), _reach(np.any(mask, axis=0)))
+    box = _around(mask)
     grow, shrink = (np.ones((n, n), np.uint8) for n in (_NARROW_GAP_PX, _NARROW_GAP_PX + 2 * _UNFILLED_PX))
     deep = cv2.erode(cv2.dilate(mask[box].astype(np.uint8), grow), shrink) > 0
     outside = ~(mask[box] | deep)
@@ -172,20 +173,27 @@ def _without_gaps(mask: Mask) -> Mask:
     return filled
 
 
-def _reach(used: Mask) -> slice:
-    """From the first to the last True, and a margin.
+def _around(mask: Mask) -> tuple[slice, slice]:
+    """Return the box of the figure with a margin; of an empty mask, one pixel.
 
-    What lies around is then of one piece, and larger than a hole: 4 margin² and more.
+    What lies around is then of one piece, and larger than a hole: 4 margin² and more. No box of means and no
+    step across a contour that touches the figure reaches beyond.
     """
-    at, margin = np.flatnonzero(used), _SMALL_HOLE_PX // 8
-    return slice(max(0, int(at[0]) - margin), int(at[-1]) + 1 + margin)
+    margin = _SMALL_HOLE_PX // 8
+    rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    if not len(rows):
+        return slice(1), slice(1)
+    low, high = (rows[0], columns[0]), (rows[-1], columns[-1])
+    row, column = (
+        slice(max(0, int(a) - margin), int(b) + 1 + margin) for a, b in zip(low, high, strict=True)
+    )
+    return row, column
 
 
 @njit(cache=True)
-def _figure(distance, smooth, near, far):  # type: ignore[no-untyped-def]
-    """(h, w, 4): distance, the direction in which the smooth one grows, and openness by mean slopes."""
+def _directed(distance, smooth):  # type: ignore[no-untyped-def]
+    """(h, w, 4): distance, the direction in which the smooth one grows, and room for the openness."""
     h, w = distance.shape
-    low, high = _OPEN_FACING
     out = np.zeros((h, w, 4), dtype=np.float32)
     for v in range(h):
         above, below = max(v - 1, 0), min(v + 1, h - 1)
@@ -194,11 +202,22 @@ def _figure(distance, smooth, near, far):  # type: ignore[no-untyped-def]
             x, y = smooth[v, right] - smooth[v, left], smooth[below, u] - smooth[above, u]
             length = max(np.sqrt(x * x + y * y), np.float32(1e-6))
             out[v, u, 0], out[v, u, 1], out[v, u, 2] = distance[v, u], x / length, y / length
+    return out
+
+
+@njit(cache=True)
+def _openness(near, far):  # type: ignore[no-untyped-def]
+    """(h, w) from 0 to 1, by mean slopes."""
+    h, w = near.shape[:2]
+    low, high = _OPEN_FACING
+    out = np.zeros((h, w), dtype=np.float32)
+    for v in range(h):
+        for u in range(w):
             if near[v, u, 2] > _LEAST_WEIGHT:
                 square = _squared_facing(near[v, u])
                 rim = square + _PER_BOX * (square - _squared_facing(far[v, u]))
                 facing = np.sqrt(min(max(rim, 0.0), 1.0))
-                out[v, u, 3] = min(max((facing - low) / (high - low), 0.0), 1.0)
+                out[v, u] = min(max((facing - low) / (high - low), 0.0), 1.0)
     return out
 
 
@@ -214,13 +233,15 @@ def occluding_contours(slopes: Slopes, mask: Mask) -> Mask:
 
     A faint one counts where it prolongs a sure one.
     """
-    faint, sure = _receding(slopes, mask)
+    contours, box = np.zeros_like(mask), _around(mask)
+    faint, sure = _receding(slopes[box], mask[box])
     if not sure.any():
-        return np.zeros_like(mask)
+        return contours
     count, labels = cv2.connectedComponents(faint.astype(np.uint8), connectivity=8)
     kept = np.zeros(count, dtype=np.bool_)
     kept[labels[sure]] = True
-    return np.asarray(kept[labels] & faint)
+    contours[box] = kept[labels] & faint
+    return contours
 
 
 def edges_beside(

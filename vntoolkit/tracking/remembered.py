@@ -121,14 +121,16 @@ def what_exceeds(
 
     pull: (m, 2) all of the other's.
     """
-    whole = _full(other) + _LEAST_INFORMATION
-    root = np.linalg.cholesky(_full(information) + _LEAST_INFORMATION)
-    back = np.linalg.inv(root)
-    value, vector = np.linalg.eigh(back @ whole @ _transposed(back))
-    kept = root @ vector
-    more = (kept * np.maximum(value - 1.0, 0.0)[:, None, :]) @ _transposed(kept)
-    found = np.linalg.solve(whole, pull[..., None])
-    return _upper(more), (more @ found)[..., 0]
+    # More are the parts along generalised eigenvectors of the two, of which the eigenvalue is above 1.
+    (a, b, c), (d, e, f) = (_upper(_full(each) + _LEAST_INFORMATION).T for each in (information, other))
+    size, other_size = a * c - b * b, d * f - e * e
+    half = 0.5 * (c * d - 2.0 * b * e + a * f) / size
+    greater = half + np.sqrt(np.maximum(half**2 - other_size / size, 0.0))
+    less = other_size / (size * greater)
+    share = np.where(less < 1.0, np.maximum(greater - 1.0, 0.0) / np.maximum(greater - less, 1e-12), 1.0)
+    more = np.stack([share * (x - np.minimum(less, 1.0) * y) for x, y in ((d, a), (e, b), (f, c))], axis=1)
+    found = np.stack([f * pull[:, 0] - e * pull[:, 1], d * pull[:, 1] - e * pull[:, 0]], axis=1)
+    return more, np.einsum("nij,nj->ni", _full(more), found / other_size[:, None])
 
 
 def remembered_template(bands: tuple[Band, ...], nodes_px: Points2) -> Remembered:

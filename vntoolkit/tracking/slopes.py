@@ -68,10 +68,9 @@ def relief_slopes(
     does not. from_contour_px: (h, w) distance from the nearest occluding contour on the outline; None for
     none. contours: (h, w), those within the figure.
     """
-    h, w = normal_map.shape
-    out = np.empty((h, w, 4), dtype=np.float32)
-    out[..., :3] = slopes
-    out[..., 3] = np.inf if from_contour_px is None else from_contour_px
+    if from_contour_px is None:
+        from_contour_px = np.full(normal_map.shape, np.inf, dtype=np.float32)
+    out = np.asarray(cv2.merge([*cv2.split(slopes), from_contour_px]), dtype=np.float32)
     if labels is not None:
         out[label_edges(labels, normal_map.mask), :3] = 0.0
     elif normal_map.weight is not None:
