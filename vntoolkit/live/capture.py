@@ -1,8 +1,9 @@
 """The camera's frames while filming: sources, watching them, recording them.
 
-One thread takes frames, one works on them, and what comes too fast is dropped. Between the two stands a slot
-for the newest frames. A frame that finds it full pushes the oldest out, which is counted; so the picture on
-the screen is never more than a few frames old."""
+One thread takes frames, one works on them, or two under shadow, and what comes too fast is dropped. Between
+them stands a slot for the newest frames. A frame that finds it full pushes the oldest out, which is counted;
+so the picture on the screen is never more than a few frames old.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +15,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -25,7 +27,8 @@ from vntoolkit.io.atomic import require_writable_folder
 from vntoolkit.io.footage.captures import Capture
 from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.footage.video import write_video
-from vntoolkit.live.frames import LiveProcessor, LiveResult
+from vntoolkit.live.frames import Begun, LiveProcessor, LiveResult
+from vntoolkit.pipeline.block_work import side_by_side
 
 _MOST_CAMERAS = 100  # OpenCV reads the hundreds of a number as the driver to take; a negative one crashes it
 _FAILED_READS = 30  # in a row: the camera is gone
@@ -258,9 +261,10 @@ class LiveRun:
         taker = threading.Thread(target=self._take, name="live-source", daemon=True)
         taker.start()
         try:
-            while (timed := self._next()) is not None:
+            begin = [partial(_of_timed, lane) for lane in self._processor.lanes]
+            for timed, begun in side_by_side(iter(self._next, None), begin):
                 try:
-                    result = self._processor.process(timed.frame)
+                    result = self._processor.finish(begun.result())
                 except VntError as problem:  # mostly that nothing lit is in view: watch on
                     self._failed += 1
                     failure = problem
@@ -332,6 +336,10 @@ class LiveRun:
             timed = self._waiting.popleft()
             self._changed.notify_all()
             return timed
+
+
+def _of_timed(lane: Callable[[EncodedFrame], Begun], timed: TimedFrame) -> Begun:
+    return lane(timed.frame)
 
 
 _BUFFERED = 90  # frames; 3 seconds at 30 a second ride out a slow disk

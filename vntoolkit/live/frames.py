@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -17,13 +18,15 @@ from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded, rectify_frame
 from vntoolkit.io.footage.mattes import PlateKey
-from vntoolkit.native import njit
+from vntoolkit.native import loops_may_overlap, njit
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.contact import Contact, contact_from_depth, rested
 from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.pipeline.options import MaterialSearch, Product, ReconstructOptions
+from vntoolkit.pipeline.outputs import FrameResult
 from vntoolkit.shadows.detector import ShadowMethod
 
+Begun = tuple[FrameResult, tuple[str, ...]]  # normals, and warnings of the exposure
 _CLIPPED_SHARE = 0.01  # of all pixels: more ruins normals
 _DARK_SHARE = 0.05  # of full scale: the 99th percentile of a picture that is too dark
 _FEW = 0.02  # of all pixels: fewer normals than that mean that nothing is lit
@@ -115,13 +118,16 @@ class LiveProcessor:
             if self._background is None or rig.gel is not None:
                 raise BadInput("live: --key needs a --background without the subject, and no gel's rig")
             self._key = PlateKey(self._background, read.transfer, key)
-        self._processor = FrameProcessor(
-            read,
-            reconstruction,
-            mask,
-            self._background if key is None else None,
-            with_errors=False,
-        )
+
+        def processor() -> FrameProcessor:
+            subtracted = self._background if key is None else None
+            return FrameProcessor(read, reconstruction, mask, subtracted, with_errors=False)
+
+        self._processor = processor()
+        lanes = [self._processor]
+        if self._processor.frames_stand_alone and self._key is None and loops_may_overlap():
+            lanes.append(processor())
+        self.lanes = tuple(partial(self._begin, lane) for lane in lanes)
         self._step = max(1, -(-max(self.camera.width, self.camera.height) // depth_px))
         height, width = (n // self._step * self._step for n in (self.camera.height, self.camera.width))
         self.depth_camera = self.camera.cropped(slice(0, height), slice(0, width)).scaled(1 / self._step)
@@ -144,11 +150,19 @@ class LiveProcessor:
 
     def process(self, frame: EncodedFrame) -> LiveResult:
         """Return normals and depth of one frame; raise as `FrameProcessor.process` does."""
+        return self.finish(self.lanes[0](frame))
+
+    def _begin(self, processor: FrameProcessor, frame: EncodedFrame) -> Begun:
+        """The first half of `process`, in `lanes` for as many frames at a time: normals, and warnings."""
         cut = self.view.cut(frame)
         warnings = exposure_warnings(cut)
         if self.view.rectification is not None:
             cut = replace(cut, values=self._linear_values(frame), bits=32)
-        result = self._processor.process(cut, None if self._key is None else self._key(cut))
+        return processor.process(cut, None if self._key is None else self._key(cut)), warnings
+
+    def finish(self, begun: Begun) -> LiveResult:
+        """The second half, frame after frame: depth, tied to that of the first."""
+        result, warnings = begun
         depth_map = self._integrator.integrate(reduced(result.normal_map, self._step))
         contact = None
         if self.rig.gel is not None:

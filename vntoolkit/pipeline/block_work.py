@@ -7,9 +7,10 @@ import queue
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Generic, TypeVar
@@ -39,6 +40,7 @@ from vntoolkit.shadows.detector import ShadowMethod
 
 _WAITING = 1  # frames that lie between one thread and the next
 Item = TypeVar("Item")
+Result = TypeVar("Result")
 Block = tuple[range, frozenset[int]]  # consecutive frames, and those of them that are on disk already
 _SAMPLED = 4  # every fourth pixel of every fourth row tells a frame's expected error
 _END = object()
@@ -124,7 +126,22 @@ class BlockWorker:
         self._job = job
         self._capture = job.open_capture()
         self._mattes = job.open_mattes(self._capture)
-        self._processor = FrameProcessor(
+        self._processor = self._new_processor()
+        self._lanes = [self._processor]  # each finds the normals of one frame at a time
+        is_alone = self._processor.frames_stand_alone and not self._mattes.changes
+        if is_alone and job.threads > 1 and loops_may_overlap():
+            self._lanes.append(self._new_processor())
+        reference = job.options.reference_frame
+        if job.ties_depth and reference is not None:
+            with contextlib.suppress(VntError):  # where it is met as a frame, it is reported
+                frame = next(
+                    smoothed_frames(self._capture, range(reference, reference + 1), job.options.smoothing)
+                )
+                self._processor.anchor_to(frame, self._mattes.of(frame))
+
+    def _new_processor(self) -> FrameProcessor:
+        job = self._job
+        return FrameProcessor(
             job.rig,
             job.options,
             self._mattes.still,
@@ -134,13 +151,6 @@ class BlockWorker:
             painted=None if job.surface is None else PaintedSurface(job.surface, job.rig.response.central),
             blur_px=job.blur_px,
         )
-        reference = job.options.reference_frame
-        if job.ties_depth and reference is not None:
-            with contextlib.suppress(VntError):  # where it is met as a frame, it is reported
-                frame = next(
-                    smoothed_frames(self._capture, range(reference, reference + 1), job.options.smoothing)
-                )
-                self._processor.anchor_to(frame, self._mattes.of(frame))
 
     def run(self, block: range, already_done: frozenset[int] = frozenset()) -> Iterator[FrameEntry]:
         """Process a block and write its frames, but for those already on disk; yield a record per new frame.
@@ -164,18 +174,20 @@ class BlockWorker:
                 lambda begun: writer.put(self._with_surface(begun)), meanwhile
             ) as second,
         ):
-            for frame in read_ahead(frames, waiting):
-                if self._mattes.missing([frame.number]):
-                    continue
-                second.put(self._with_normals(frame))
+            shown = (
+                frame for frame in read_ahead(frames, waiting) if not self._mattes.missing([frame.number])
+            )
+            finders = [partial(self._with_normals, lane) for lane in self._lanes]
+            for _, begun in side_by_side(shown, finders):
+                second.put(begun.result())
                 while written:
                     yield written.pop(0)
         yield from written
 
-    def _with_normals(self, frame: EncodedFrame) -> _FrameAtWork:
+    def _with_normals(self, processor: FrameProcessor, frame: EncodedFrame) -> _FrameAtWork:
         def normals() -> FrameResult:
             matte = self._mattes.of(frame) if self._mattes.changes else None
-            return self._processor.normals(frame, matte)
+            return processor.normals(frame, matte)
 
         return self._tried(normals, _FrameAtWork(frame=frame))
 
@@ -241,8 +253,36 @@ def _median_error(normal_map: NormalMap) -> float | None:
     return float(np.median(errors)) if errors.size else None
 
 
-# Reading, normals, surfaces and writing run in a thread each, with bounded queues between them: of a frame
-# only the normals wait for the frame before, and few of the steps keep two cores busy.
+# Reading, normals, surfaces and writing run in a thread each, with bounded queues between them, since few of
+# the steps keep two cores busy. Normals under shadow owe nothing to the frame before: two are found at once.
+
+
+def side_by_side(
+    items: Iterable[Item], lanes: Sequence[Callable[[Item], Result]]
+) -> Iterator[tuple[Item, Future[Result]]]:
+    """Yield `items` in order with what becomes of them, as many at work at a time as there are `lanes`.
+
+    Each lane works on one item at a time in a thread of its own, where compiled loops take one core. One lane
+    alone has no thread. The caller asks for a result before it asks for the next item.
+    """
+    if len(lanes) == 1:
+        for item in items:
+            done: Future[Result] = Future()
+            try:
+                done.set_result(lanes[0](item))
+            except VntError as error:
+                done.set_exception(error)
+            yield item, done
+        return
+    import numba
+
+    at_work: deque[tuple[Item, Future[Result]]] = deque()
+    with ThreadPoolExecutor(len(lanes), "lane", numba.set_num_threads, (1,)) as pool:
+        for number, item in enumerate(items):
+            at_work.append((item, pool.submit(lanes[number % len(lanes)], item)))
+            if len(at_work) == len(lanes):
+                yield at_work.popleft()
+        yield from at_work
 
 
 def read_ahead(items: Iterable[Item], depth: int = 2) -> Iterator[Item]:

@@ -110,6 +110,12 @@ class FrameProcessor:
                 colours_of(self._reflectances, self._central), Transfer(curve=TransferCurve.SRGB)
             )
 
+    @property
+    def frames_stand_alone(self) -> bool:
+        """True where a frame's normals take long and owe nothing to the frame before."""
+        is_shadowed = self._options.shadows is not ShadowMethod.NONE
+        return is_shadowed and self._gel is None and self._labeller is None and self._painted is None
+
     def anchor_to(self, frame: EncodedFrame, matte: Mask | None = None) -> None:
         """Tie the depth of all later frames to this one's; see `DepthAnchor`. Raises as `process` does."""
         self.forget()
