@@ -41,7 +41,6 @@ from vntoolkit.normals.frame_evidence import (
     evidence_of_frame,
     evidence_row,
     slow_changes_at,
-    span_of,
 )
 from vntoolkit.normals.inversion import (
     InversionOptions,
@@ -53,7 +52,7 @@ from vntoolkit.normals.inversion import (
     rows_of,
 )
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
-from vntoolkit.photometry.levelling import FLAGS, leveller_of, map_row
+from vntoolkit.photometry.levelling import FLAGS, leveller_of, map_row, span_of
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.transfer import Transfer
 

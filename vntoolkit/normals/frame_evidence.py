@@ -33,7 +33,7 @@ from vntoolkit.native import njit
 from vntoolkit.normals.inversion import read_row, rows_of
 from vntoolkit.normals.lost_detail import LEAST_BLUR_PX, detail_kernel, lost_over_left, side_of_squares
 from vntoolkit.photometry.frame import ALL_LIT
-from vntoolkit.photometry.levelling import FLAGS, map_row
+from vntoolkit.photometry.levelling import FLAGS, map_row, span_of
 from vntoolkit.photometry.near_lamps import changes_of_near_lamps
 from vntoolkit.photometry.response import LightResponse
 
@@ -228,17 +228,6 @@ def _rounded(values: Any) -> Any:
 
 # Compiled loops. A table of None stands for linear light: numba drops the branches for another. Rows are
 # flat slices, whose loops begin at 0: only such loops are done eight pixels at a time.
-
-
-@njit(cache=True)
-def span_of(inside: Any) -> tuple[int, int]:
-    """Return the first pixel of a row that is inside and the one after the last; (0, 0) for none."""
-    first, last = 0, len(inside)
-    while first < last and not inside[first]:
-        first += 1
-    while last > first and not inside[last - 1]:
-        last -= 1
-    return (first, last) if first < last else (0, 0)
 
 
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")

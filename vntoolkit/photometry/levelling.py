@@ -130,6 +130,17 @@ def _map_kernel(rgb: Any, maps: ColourMaps, out: Any) -> None:
             to[u, 0], to[u, 1], to[u, 2] = r[u], g[u], b[u]
 
 
+@njit(cache=True, error_model="numpy")
+def span_of(inside: Any) -> tuple[int, int]:
+    """Return the first pixel of a row that is inside and the one after the last; (0, 0) for none."""
+    first, last = 0, len(inside)
+    while first < last and not inside[first]:
+        first += 1
+    while last > first and not inside[last - 1]:
+        last -= 1
+    return (first, last) if first < last else (0, 0)
+
+
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")
 def map_row(maps: ColourMaps, v: int, first: int, r: Any, g: Any, b: Any) -> None:
     """Map the colours of a row from pixel `first` on, in place."""

@@ -15,6 +15,7 @@ from vntoolkit.arrays import FloatArray, Mask, Matrix3, Vector3, Weight
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.levelling import FLAGS
 from vntoolkit.photometry.response import LightResponse
 
 _WORKING_PIXELS = 100_000  # surfaces are solved on images of about this size: more show no other shadows
@@ -24,7 +25,6 @@ _SMALLEST_REST = 0.05  # 1 − |M⁻¹a|²: an ambient light as strong as the la
 _MARGIN_PX = 4  # room for filters around the mask
 Window = tuple[slice, slice]
 Numbers = tuple[Any, ...]  # float32
-FLAGS = {"contract", "arcp", "nsz"}  # of compiled loops: NaN and infinity keep their meaning
 TOWARDS_VIEWER = np.array([0.0, 0.0, -1.0], dtype=np.float32)  # single, so that images stay so
 
 
@@ -361,17 +361,6 @@ def row_between(
         for u in range(len(to)):
             left = line[first[u]]
             to[u] = left + part[u] * (line[first[u] + np.uint32(1)] - left)
-
-
-@njit(cache=True, error_model="numpy")
-def used_of(inside: Mask) -> tuple[int, int]:
-    """Return the first pixel of a row that is inside and the one after the last; (0, 0) for none."""
-    first, last = 0, len(inside)
-    while first < last and not inside[first]:
-        first += 1
-    while last > first and not inside[last - 1]:
-        last -= 1
-    return (first, last) if first < last else (0, 0)
 
 
 def _length_and_direction(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:

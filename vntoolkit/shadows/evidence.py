@@ -17,9 +17,9 @@ from numba import prange
 
 from vntoolkit.arrays import FloatArray, Mask, Matrix3
 from vntoolkit.native import njit
+from vntoolkit.photometry.levelling import FLAGS, span_of
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.shadows.contributions import (
-    FLAGS,
     Numbers,
     columns_between,
     finite,
@@ -29,7 +29,6 @@ from vntoolkit.shadows.contributions import (
     row_between,
     scaled_normal,
     turned,
-    used_of,
 )
 
 _SMALLEST_ALBEDO = 0.02
@@ -335,7 +334,7 @@ def _frame_kernel(
     inverse, haze, rest, duals = lamps.inverse, lamps.haze, lamps.rest, lamps.duals
     left, part = columns_between(w, expected.shape[2])
     for v in prange(h):
-        first, last = used_of(near[v])
+        first, last = span_of(near[v])
         if first == last:
             continue
         rows = np.empty((7, last - first), np.float32)
@@ -447,11 +446,11 @@ def _sharpen_kernel(
     for v in prange(h):
         start, end = w, 0
         for y in range(max(v - 1, 0), min(v + 2, h)):
-            first, last = used_of(near[y])
+            first, last = span_of(near[y])
             if first < last:
                 start, end = min(start, max(first - 1, 0)), max(end, min(last + 1, w))
         out[v, 3 * start : 3 * end] = cosines[v, 3 * start : 3 * end]
-        first, last = used_of(near[v])
+        first, last = span_of(near[v])
         if first == last:
             continue
         down, rim = (
@@ -485,7 +484,7 @@ def _median_kernel(values: FloatArray, near: Mask, out: FloatArray) -> None:
     """Fill out (h, 3 w) with the median of 3×3 pixels wherever a row is near."""
     h, _ = near.shape
     for v in prange(h):
-        first, last = used_of(near[v])
+        first, last = span_of(near[v])
         if first == last:
             continue
         count = 3 * (last - first)

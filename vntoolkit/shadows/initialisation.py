@@ -43,9 +43,14 @@ def solve_from_best_initialisation(
 ) -> Surface:
     """Solve the surface of a frame on its working size, coarse to fine.
 
-    start: the surface that the labels came from, or None.
+    start: the surface that the labels came from, or None. It competes with what a smaller image prefers: that
+    must leave less of the light unexplained on this one, too.
     """
-    return _coarse_to_fine(_trusted(image), options, start)
+    image = _trusted(image)
+    found = _better_than(start, image, options)
+    large = replace(options, iterations=_LARGE_ITERATIONS)
+    surfaces = [image.solve(large, each) for each in (start, found) if each is not None]
+    return min(surfaces, key=lambda surface: np.minimum(surface.misfit, _LARGEST_MISFIT)[image.shadow].sum())
 
 
 def _trusted(labelled: LabelledImage) -> LabelledImage:
@@ -54,17 +59,6 @@ def _trusted(labelled: LabelledImage) -> LabelledImage:
     light = labelled.image.light
     light = replace(light, trust=(light.trust * by_lights).astype(np.float32))
     return replace(labelled, image=replace(labelled.image, light=light))
-
-
-def _coarse_to_fine(image: LabelledImage, options: SurfaceOptions, start: Surface | None) -> Surface:
-    """Compare the starts on a small image; go on from the better one at twice the size, and so on.
-
-    What won on the small image must leave less of the light unexplained on this one, too.
-    """
-    found = _better_than(start, image, options)
-    large = replace(options, iterations=_LARGE_ITERATIONS)
-    surfaces = [image.solve(large, each) for each in (start, found) if each is not None]
-    return min(surfaces, key=lambda surface: np.minimum(surface.misfit, _LARGEST_MISFIT)[image.shadow].sum())
 
 
 def _better_than(start: Surface | None, image: LabelledImage, options: SurfaceOptions) -> Surface | None:

@@ -17,11 +17,11 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
+from vntoolkit.photometry.levelling import FLAGS, span_of
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.shadows.albedo import albedo_from_lit, departure, fill_smoothly
 from vntoolkit.shadows.contributions import (
     CLIPPED_TRUST,
-    FLAGS,
     LightContributions,
     Numbers,
     Window,
@@ -37,7 +37,6 @@ from vntoolkit.shadows.contributions import (
     scaled_normal,
     shrinking,
     turned,
-    used_of,
     window_around,
     working_image,
 )
@@ -210,7 +209,7 @@ def _relative_kernel(rgb: FloatArray, near: Mask, lamps: Lamps, albedo: FloatArr
     split, ambient = lamps.split, lamps.ambient
     left, part = columns_between(w, albedo.shape[2])
     for v in prange(h):
-        first, last = used_of(near[v])
+        first, last = span_of(near[v])
         if first == last:
             continue
         row = np.empty((1, last - first), np.float32)
@@ -244,7 +243,7 @@ def _detail_kernel(
     inverse, haze, rest = lamps.inverse, lamps.haze, lamps.rest
     left, part = columns_between(w, solved.shape[2])
     for v in prange(h):
-        first, last = used_of(mask[v])
+        first, last = span_of(mask[v])
         if first == last:
             continue
         rows = np.empty((9, last - first), np.float32)
