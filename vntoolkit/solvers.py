@@ -4,13 +4,14 @@ The matrix is L = Σ_edges w_ij (e_i − e_j)(e_i − e_j)ᵀ + ground · I over
 Edge weights may be zero (pixels outside the mask, cut edges) or negative as long as L stays positive
 semidefinite, which the assembly in `shadows/surface.py` guarantees.
 
-The upper and the lower half of a large grid are swept at the same time, each as if the other stood still;
-for every number of threads the sums are the same. On small grids one thread works: two would meet thousands
-of times a frame, and on a busy machine every meeting can cost a time slice (measured: 35 s instead of 2).
+Pixels are swept in four colours, by whether row and column are even: no two of one colour share an edge, so
+that the compiler does eight at a time. Every image is read once on the way down and once on the way up, in
+each row from the first to the last pixel that has an edge.
 
 A coarser level sums the edges between blocks of 2×2 pixels and halves them: in two dimensions that is the
-matrix the coarse grid itself would have, while the plain Galerkin sum is twice too stiff for piecewise
-constant prolongation (over-correction of aggregation multigrid, braess1995).
+matrix the coarse grid itself would have. Corrections are interpolated linearly between blocks, less across
+an edge that is weaker than the one inside the block, not at all across a cut one. Each pixel's value taken
+from its block alone needs half as many cycles more, or two thirds.
 """
 
 from __future__ import annotations
@@ -19,59 +20,52 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
 from vntoolkit.native import njit
 
 _SMALLEST_SIDE = 4
-_LAST_SWEEPS = 20  # on the coarsest grid, each way
-_LARGE = 40_000  # pixels from which on a grid is swept in two halves
+_LAST_SWEEPS = 4  # on the coarsest grid, each way
 Grid = npt.NDArray[np.float32]
 Row = npt.NDArray[np.float32]
+Places = npt.NDArray[np.int64]
 _GROUND = 1e-6  # pins the free constant of every connected piece; far below any data weight
+_IMAGES = 5  # of a grid beside its edges: inverse, shares, right-hand side, solution
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GridHierarchy:
     """Grids, each about half as high and wide as the one before.
 
-    edges: per grid (4, h, w) float32 to the east, south, south-east and (stored at the upper left pixel of
-    the 2×2 block) from the upper right to the lower left pixel, or (2, h, w), without the diagonal ones.
-    inverse: per grid (h, w), 1 over the diagonal, 0 where a pixel has no edge. shapes: (n, 2), first:
-    (n + 1,), where each grid begins in `flat`: kinds of edges, inverse, right-hand side and solution.
+    edges: (4, h, w) float32 of the finest grid, to the east, south, south-east and (stored at the upper left
+    pixel of the 2×2 block) from the upper right to the lower left pixel, or (2, h, w), without the diagonal
+    ones. places: (n, 4), height and width of each grid and where it begins in `flat` and in `spans`. flat:
+    1 over the diagonal, 0 where a pixel has no edge; the shares (2, h, w) of the block beside and of the
+    block above or below in a pixel's correction; right-hand side; solution; and, of all but the finest, the
+    edges. spans: (rows, 2), the first pixel with an edge, even, and the one after the last.
     """
 
-    edges: list[Grid]
-    inverse: list[Grid]
-    shapes: npt.NDArray[np.int64]
-    first: npt.NDArray[np.int64]
-    flat: Grid
+    edges: Grid
+    places: Places
+    flat: Row
+    spans: Places
 
 
 def grid_hierarchy(edges: Grid) -> GridHierarchy:
-    """Build all grids from the finest edges, (4, h, w) or (2, h, w)."""
-    kinds, height, width = edges.shape
-    shapes = [(height, width)]
-    while min(shapes[-1]) > _SMALLEST_SIDE:
-        shapes.append(((shapes[-1][0] + 1) // 2, (shapes[-1][1] + 1) // 2))
-    first = np.concatenate([[0], np.cumsum([h * w for h, w in shapes])])
-    flat = np.empty((kinds + 3) * int(first[-1]), np.float32)
-    all_edges: list[Grid] = []
-    all_inverse: list[Grid] = []
-    for i, (h, w) in enumerate(shapes):
-        start = (kinds + 3) * int(first[i])
-        own = flat[start : start + kinds * h * w].reshape(kinds, h, w)
-        if i == 0:
-            own[...] = edges
-        else:
-            coarse_edges_kernel(all_edges[-1], own)
-        inverse = flat[start + kinds * h * w :][: h * w].reshape(h, w)
-        inverse_kernel(own, inverse)
-        all_edges.append(own)
-        all_inverse.append(inverse)
-    return GridHierarchy(
-        edges=all_edges, inverse=all_inverse, shapes=np.array(shapes), first=first, flat=flat
+    """Build all grids from the finest edges, (4, h, w) or (2, h, w); those that leave the grid are 0."""
+    given: Grid = np.ascontiguousarray(edges, np.float32)
+    kinds, height, width = given.shape
+    places, start, row = [], 0, 0
+    while True:
+        places.append((height, width, start, row))
+        start, row = start + (_IMAGES + (kinds if row else 0)) * height * width, row + height
+        if min(height, width) <= _SMALLEST_SIDE:
+            break
+        height, width = (height + 1) // 2, (width + 1) // 2
+    levels = GridHierarchy(
+        edges=given, places=np.array(places), flat=np.empty(start, np.float32), spans=np.empty((row, 2), np.int64)
     )
+    _build_kernel(levels.edges, levels.places, levels.flat, levels.spans)
+    return levels
 
 
 def solve_grid(
@@ -82,92 +76,123 @@ def solve_grid(
     right, start: (h, w) float32. Returns (h, w) float32, which after `most_iterations` may be short of the
     tolerance: a Gauss–Newton step need not be solved to the end.
     """
-    x = start.astype(np.float32).copy()
-    residual = right - apply_kernel(levels.edges[0], x)
-    target = tolerance * float(np.linalg.norm(right))
-    direction = np.zeros_like(x)
-    previous = 0.0
-    for _ in range(most_iterations):
-        if float(np.linalg.norm(residual)) <= target:
-            break
-        cleaned = multigrid_cycle(levels, residual)
-        now = _dot(residual, cleaned)
-        if not now > 0.0:
-            break
-        direction = cleaned if previous == 0.0 else cleaned + np.float32(now / previous) * direction
-        previous = now
-        image = apply_kernel(levels.edges[0], direction)
-        curvature = _dot(direction, image)
-        if not curvature > 0.0:
-            break
-        step = np.float32(now / curvature)
-        x += step * direction
-        residual -= step * image
+    x: Grid = np.array(start, np.float32, order="C")
+    _solve_kernel(
+        levels.edges, levels.places, levels.flat, levels.spans, right, tolerance, most_iterations, x
+    )
     return x
-
-
-def _dot(first: Grid, second: Grid) -> float:
-    return float(np.vdot(first, second))
 
 
 def multigrid_cycle(levels: GridHierarchy, right: Grid) -> Grid:
     """Approximate the x of L x = right by one symmetric V cycle."""
-    x = np.empty_like(right)
-    _cycle_kernel(levels.flat, levels.shapes, levels.first, len(levels.edges[0]), right, x)
+    x = np.zeros_like(right)
+    _cycle_kernel(levels.edges, levels.places, levels.flat, levels.spans, right, x)
     return x
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _cycle_kernel(
-    flat: Row, shapes: npt.NDArray[np.int64], first: npt.NDArray[np.int64], kinds: int, right: Grid, x: Grid
-) -> None:
-    count = len(shapes)
-    last = count - 1
-    for i in range(count):
-        edges, inverse, asked, solution = _grid_of(flat, shapes, first, kinds, i)
-        if i == 0:
-            asked[...] = right
-        first_sweep_kernel(edges, inverse, asked, solution)
-        if i < last:
-            _, _, coarse_right, _ = _grid_of(flat, shapes, first, kinds, i + 1)
-            restrict_rest_kernel(edges, solution, coarse_right)
-    edges, inverse, asked, solution = _grid_of(flat, shapes, first, kinds, last)
-    for i in range(2 * (_LAST_SWEEPS - 1)):
-        sweep_kernel(edges, inverse, asked, solution, i < _LAST_SWEEPS - 1)
-    for k in range(count):
-        i = last - k
-        edges, inverse, asked, solution = _grid_of(flat, shapes, first, kinds, i)
-        if i < last:
-            _, _, _, coarse = _grid_of(flat, shapes, first, kinds, i + 1)
-            prolong_add_kernel(coarse, inverse, solution)
-        last_sweep_kernel(edges, inverse, asked, solution)
-    x[...] = solution
+def _solve_kernel(
+    edges: Grid, places: Places, flat: Row, spans: Places, right: Grid, tolerance: float,
+    most_iterations: int, x: Grid,
+) -> None:  # fmt: skip
+    h, w = right.shape
+    residual, image, cleaned = np.empty_like(x), np.empty_like(x), np.zeros_like(x)
+    direction = np.zeros_like(x)
+    apply_kernel(edges, x, residual)
+    asked, left = 0.0, 0.0
+    for v in range(h):
+        for u in range(w):
+            rest = right[v, u] - residual[v, u]
+            residual[v, u] = rest
+            asked += right[v, u] * right[v, u]
+            left += rest * rest
+    target, previous = tolerance * tolerance * asked, 0.0
+    for _ in range(most_iterations):
+        if left <= target:
+            return
+        _cycle_kernel(edges, places, flat, spans, residual, cleaned)
+        now = _dot(residual, cleaned)
+        if not now > 0.0:
+            return
+        share = np.float32(now / previous if previous > 0.0 else 0.0)
+        previous = now
+        for v in range(h):
+            to, more = direction[v], cleaned[v]
+            for u in range(w):
+                to[u] = share * to[u] + more[u]
+        apply_kernel(edges, direction, image)
+        curvature = _dot(direction, image)
+        if not curvature > 0.0:
+            return
+        step, left = np.float32(now / curvature), 0.0
+        for v in range(h):
+            to, way, rest, taken = x[v], direction[v], residual[v], image[v]
+            for u in range(w):
+                to[u] += step * way[u]
+                rest[u] -= step * taken[u]
+            for u in range(w):
+                left += rest[u] * rest[u]
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _dot(first: Grid, second: Grid) -> float:
+    total = 0.0
+    for v in range(len(first)):
+        one, two = first[v], second[v]
+        for u in range(len(one)):
+            total += one[u] * two[u]
+    return total
 
 
 @njit(cache=True, error_model="numpy")
 def _grid_of(
-    flat: Row, shapes: npt.NDArray[np.int64], first: npt.NDArray[np.int64], kinds: int, i: int
-) -> tuple[Grid, Grid, Grid, Grid]:
-    """Return edges, inverse, right-hand side and solution of one grid."""
-    h, w = shapes[i, 0], shapes[i, 1]
-    size, start = h * w, (kinds + 3) * first[i]
-    after = start + kinds * size
+    finest: Grid, places: Places, flat: Row, spans: Places, i: int
+) -> tuple[Grid, Grid, Grid, Grid, Grid, Places]:
+    """Return edges, inverse, shares, right-hand side, solution and spans of one grid."""
+    h, w, start, row = places[i]
+    size, kinds = h * w, len(finest)
+    after = start + _IMAGES * size
     return (
-        flat[start:after].reshape((kinds, h, w)),
-        flat[after : after + size].reshape((h, w)),
-        flat[after + size : after + 2 * size].reshape((h, w)),
-        flat[after + 2 * size : after + 3 * size].reshape((h, w)),
+        flat[after : after + kinds * size].reshape((kinds, h, w)) if i else finest,
+        flat[start : start + size].reshape((h, w)),
+        flat[start + size : start + 3 * size].reshape((2, h, w)),
+        flat[start + 3 * size : start + 4 * size].reshape((h, w)),
+        flat[start + 4 * size : after].reshape((h, w)),
+        spans[row : row + h],
     )
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _cycle_kernel(
+    finest: Grid, places: Places, flat: Row, spans: Places, right: Grid, x: Grid
+) -> None:
+    """Fill x, 0 where its pixels have no edge, with one cycle."""
+    last = len(places) - 1
+    edges, inverse, shares, _, _, inside = _grid_of(finest, places, flat, spans, 0)
+    asked, solution = right, x
+    for i in range(last):
+        _, _, _, coarse, _, _ = _grid_of(finest, places, flat, spans, i + 1)
+        _descend(edges, inverse, shares, inside, asked, solution, coarse)
+        edges, inverse, shares, asked, solution, inside = _grid_of(finest, places, flat, spans, i + 1)
+    solution[...] = np.float32(0.0)
+    for k in range(2 * _LAST_SWEEPS):
+        sweep_kernel(edges, inverse, inside, asked, solution, k < _LAST_SWEEPS)
+    for k in range(last):
+        i = last - 1 - k
+        _, _, _, _, correction, _ = _grid_of(finest, places, flat, spans, i + 1)
+        edges, inverse, shares, asked, solution, inside = _grid_of(finest, places, flat, spans, i)
+        if i == 0:
+            asked, solution = right, x
+        _ascend(edges, inverse, shares, inside, asked, correction, solution)
 
 
 # Compiled loops. Edges (4, h, w): see `GridHierarchy`.
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def apply_kernel(edges: Grid, x: Grid) -> Grid:
-    """L x."""
+def apply_kernel(edges: Grid, x: Grid, out: Grid) -> None:
+    """Fill out with L x."""
     h, w = x.shape
-    out = np.empty_like(x)
     pull = np.empty(w, np.float32)
     for v in range(h):
         row, to = x[v], out[v]
@@ -184,7 +209,6 @@ def apply_kernel(edges: Grid, x: Grid) -> Grid:
             if len(edges) == 4:
                 _add_difference(edges[2, v - 1, : w - 1], row[1:], x[v - 1, : w - 1], to[1:])
                 _add_difference(edges[3, v - 1, : w - 1], row[: w - 1], x[v - 1, 1:], to[: w - 1])
-    return out
 
 
 @njit(cache=True, fastmath=True, inline="always", error_model="numpy")
@@ -202,6 +226,35 @@ def _add_differences(weight: Row, first: Row, second: Row, out: Row, other: Row,
         out[u] += pull[u]
     for u in range(len(weight)):
         other[u] -= pull[u]
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _build_kernel(finest: Grid, places: Places, flat: Row, spans: Places) -> None:
+    kinds = len(finest)
+    for i in range(len(places)):
+        edges, inverse, shares, _, solution, inside = _grid_of(finest, places, flat, spans, i)
+        if i > 0:
+            finer, _, _, _, _, _ = _grid_of(finest, places, flat, spans, i - 1)
+            coarse_edges_kernel(finer, edges)
+            solution[...] = np.float32(0.0)
+        inverse_kernel(edges, inverse)
+        _span_kernel(inverse, 2 if kinds == 4 else 0, inside)
+        _shares_kernel(edges, inside, shares)
+
+
+@njit(cache=True, error_model="numpy")
+def _span_kernel(inverse: Grid, rim: int, out: Places) -> None:
+    """Fill the spans, with a rim: diagonal edges lead a pixel further than the row's own span."""
+    h, w = inverse.shape
+    for v in range(h):
+        row, first, last = inverse[v], 0, w
+        while last > 0 and row[last - 1] == np.float32(0.0):
+            last -= 1
+        while first < last and row[first] == np.float32(0.0):
+            first += 1
+        rim_here = rim if first < last else 0
+        out[v, 0] = max(first - first % 2 - rim_here, 0)
+        out[v, 1] = min(last + last % 2 + rim_here, w)
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
@@ -237,261 +290,245 @@ def _add(weight: Row, out: Row) -> None:
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def sweep_kernel(edges: Grid, inverse: Grid, right: Grid, x: Grid, forward: bool) -> None:
-    """One Gauss–Seidel sweep, row by row; backward, the reverse of that.
-
-    All of a row but the neighbour just solved is gathered first, in loops that the compiler vectorises; what
-    remains is one multiplication and one addition a pixel (six times faster than pixel by pixel).
-    """
-    h, w = x.shape
-    known, pull = np.empty(w, np.float32), np.empty(w, np.float32)
-    for i in range(h):
-        v = i if forward else h - 1 - i
-        _gather_rows(edges, right, x, v, known)
-        scale, bond, row = inverse[v], edges[0, v], x[v]
-        if forward:
-            for u in range(w - 1):
-                known[u] = (known[u] + bond[u] * row[u + 1]) * scale[u]
-            known[w - 1] *= scale[w - 1]
-            for u in range(1, w):
-                pull[u] = bond[u - 1] * scale[u]
-            last = known[0]
-            row[0] = last
-            for u in range(1, w):
-                last = known[u] + pull[u] * last
-                row[u] = last
-        else:
-            for u in range(1, w):
-                known[u] = (known[u] + bond[u - 1] * row[u - 1]) * scale[u]
-            known[0] *= scale[0]
-            for u in range(w - 1):
-                pull[u] = bond[u] * scale[u]
-            last = known[w - 1]
-            row[w - 1] = last
-            for u in range(w - 2, -1, -1):
-                last = known[u] + pull[u] * last
-                row[u] = last
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
-def _gather_rows(edges: Grid, right: Grid, x: Grid, v: int, out: Row) -> None:
-    """Fill out (w,) with the right-hand side of row v and what the rows above and below pull."""
-    for u in range(x.shape[1]):
-        out[u] = right[v, u]
-    if v + 1 < len(x):
-        _pull_from_below(edges, x[v + 1], v, out)
-    if v > 0:
-        _pull_from_above(edges, x[v - 1], v, out)
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
-def _pull_from_below(edges: Grid, below: Row, v: int, out: Row) -> None:
-    """Add to out (w,) what the row below v pulls."""
-    w = len(below)
-    down = edges[1, v]
-    for u in range(w):
-        out[u] += down[u] * below[u]
-    if len(edges) == 4:
-        east, west, ahead, beside = edges[2, v], edges[3, v], below[1:], out[1:]
-        for u in range(w - 1):
-            out[u] += east[u] * ahead[u]
-        for u in range(w - 1):
-            beside[u] += west[u] * below[u]
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
-def _pull_from_above(edges: Grid, above: Row, v: int, out: Row) -> None:
-    """Add to out (w,) what the row above v pulls."""
-    w = len(above)
-    up = edges[1, v - 1]
-    for u in range(w):
-        out[u] += up[u] * above[u]
-    if len(edges) == 4:
-        west, east, ahead, beside = edges[2, v - 1], edges[3, v - 1], above[1:], out[1:]
-        for u in range(w - 1):
-            beside[u] += west[u] * above[u]
-        for u in range(w - 1):
-            out[u] += east[u] * ahead[u]
-
-
-@njit(cache=True, error_model="numpy")
-def _middle(h: int, w: int) -> int:
-    """Return the row where the lower half begins; 0 where a grid is swept in one."""
-    return 2 * (h // 4) if h * w >= _LARGE else 0
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
 def coarse_edges_kernel(edges: Grid, out: Grid) -> None:
     """Fill out with half the sum of the edges between blocks of 2×2 pixels; those inside one drop out."""
     kinds, h, w = edges.shape
-    out[...] = np.float32(0.0)
-    if kinds == 2:
-        _halve_edges(edges, out)
-        return
-    for v in range(h):
-        for u in range(w):
-            for kind in range(4):
-                weight = edges[kind, v, u]
-                if weight == 0.0:
-                    continue
-                u1 = u + (1 if kind == 3 else 0)
-                v2 = v + (0 if kind == 0 else 1)
-                u2 = u + (1 if kind == 0 or kind == 2 else 0)
-                a, b = u1 // 2, v // 2
-                c, d = u2 // 2, v2 // 2
-                half = np.float32(0.5) * weight
-                if a == c and b == d:
-                    continue
-                if b == d:
-                    out[0, b, min(a, c)] += half
-                elif a == c:
-                    out[1, b, a] += half
-                elif c > a:
-                    out[2, b, a] += half
-                else:
-                    out[3, b, c] += half
+    half, zero = np.float32(0.5), np.float32(0.0)
+    for b in range(out.shape[1]):
+        upper, has_lower = 2 * b, 2 * b + 1 < h
+        lower = 2 * b + 1 if has_lower else upper
+        for kind in range(kinds):
+            out[kind, b, :] = zero
+        pairs = w // 2
+        east, south, above, below = out[0, b], out[1, b], edges[0, upper], edges[0, lower]
+        part = half if has_lower else zero
+        for a in range(pairs):
+            east[a] = half * above[2 * a + 1] + part * below[2 * a + 1]
+        if kinds == 4:
+            down, back = edges[2, upper], edges[3, upper]
+            for a in range(pairs):
+                east[a] += half * (down[2 * a + 1] + back[2 * a + 1])
+        if not has_lower:
+            continue
+        below = edges[1, lower]
+        for a in range(pairs):
+            south[a] = half * (below[2 * a] + below[2 * a + 1])
+        if w % 2:
+            south[pairs] = half * below[w - 1]
+        if kinds == 4:
+            down, back, first, second = edges[2, lower], edges[3, lower], out[2, b], out[3, b]
+            for a in range(pairs):
+                south[a] += half * (down[2 * a] + back[2 * a])
+                first[a], second[a] = half * down[2 * a + 1], half * back[2 * a + 1]
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _halve_edges(edges: Grid, out: Grid) -> None:
-    """The same without diagonals: an edge between blocks starts at every second pixel."""
+def _shares_kernel(edges: Grid, spans: Places, out: Grid) -> None:
+    """Fill out (2, h, w): a quarter where all edges are alike, as between the centres of two blocks."""
     _, h, w = edges.shape
-    half = np.float32(0.5)
+    zero, one, three, tiny = np.float32(0.0), np.float32(1.0), np.float32(3.0), np.float32(1e-30)
+    east = np.empty(w + 1, np.float32)
     for v in range(h):
-        for column in range((w - 1) // 2):
-            out[0, v // 2, column] += half * edges[0, v, 2 * column + 1]
-    for v in range(1, h - 1, 2):
-        for u in range(w):
-            out[1, v // 2, u // 2] += half * edges[1, v, u]
-
-
-@njit(cache=True, fastmath=True, error_model="numpy", parallel=True)
-def _two_first_sweeps(edges: Grid, inverse: Grid, right: Grid, x: Grid, middle: int) -> None:
-    for half in prange(2):
-        _first_sweep(edges, inverse, right, x, half * middle, middle if half == 0 else len(x))
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
-def first_sweep_kernel(edges: Grid, inverse: Grid, right: Grid, x: Grid) -> None:
-    """Fill x with the forward sweep from 0: a pixel sees only those before it, in its half."""
-    middle = _middle(*x.shape)
-    if middle:
-        _two_first_sweeps(edges, inverse, right, x, middle)
-    else:
-        _first_sweep(edges, inverse, right, x, np.int64(0), len(x))
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
-def _first_sweep(edges: Grid, inverse: Grid, right: Grid, x: Grid, top: int, end: int) -> None:
-    w = x.shape[1]
-    known, pull = np.empty(w, np.float32), np.empty(w, np.float32)
-    for v in range(top, end):
-        scale, row, asked = inverse[v], x[v], right[v]
-        for u in range(w):
-            known[u] = asked[u]
-        if v > top:
-            _pull_from_above(edges, x[v - 1], v, known)
-        _scale_row(known, edges[0, v], scale[1:], scale, pull[1:])
-        last = known[0]
-        row[0] = last
-        for u in range(1, w):
-            last = known[u] + pull[u] * last
-            row[u] = last
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
-def _scale_row(known: Row, bond: Row, beside: Row, scale: Row, pull: Row) -> None:
-    for u in range(len(known)):
-        known[u] *= scale[u]
-    for u in range(len(pull)):
-        pull[u] = bond[u] * beside[u]
-
-
-@njit(cache=True, fastmath=True, error_model="numpy", parallel=True)
-def _two_last_sweeps(edges: Grid, inverse: Grid, right: Grid, x: Grid, middle: int) -> None:
-    above, below = x[middle - 1].copy(), x[middle].copy()
-    for half in prange(2):
-        if half == 0:
-            _last_sweep(edges, inverse, right, x, 0, middle, above, below)
+        a, b = spans[v]
+        if a == b:
+            continue
+        bond, beside, above = edges[0, v, a:b], out[0, v, a:b], out[1, v, a:b]
+        for u in range(b - a):
+            east[u + 1] = max(bond[u], zero)
+        east[0] = east[b - a] = zero  # nothing is beyond the span
+        west, own = east[: b - a], east[1:]
+        for u in range(b - a):
+            is_odd = u & 1
+            outer, within = (own[u] if is_odd else west[u]), (west[u] if is_odd else own[u])
+            beside[u] = outer / (outer + three * within + tiny)
+        outwards, inwards = (v, v - 1) if v % 2 else (v - 1, v)
+        if 0 <= outwards < h - 1:
+            outer_bond, inner_bond = edges[1, outwards, a:b], edges[1, inwards, a:b]
+            for u in range(b - a):
+                outer, within = max(outer_bond[u], zero), max(inner_bond[u], zero)
+                above[u] = outer / (outer + three * within + tiny)
         else:
-            _last_sweep(edges, inverse, right, x, middle, len(x), above, below)
+            above[:] = zero
+        for u in range(b - a):
+            over = one / max(beside[u] + above[u], one)
+            beside[u] *= over
+            above[u] *= over
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def last_sweep_kernel(edges: Grid, inverse: Grid, right: Grid, x: Grid) -> None:
-    """One sweep back: the transpose of `first_sweep_kernel`."""
-    middle = _middle(*x.shape)
-    if middle:
-        _two_last_sweeps(edges, inverse, right, x, middle)
-    else:
-        _last_sweep(edges, inverse, right, x, np.int64(0), len(x), x[0], x[0])
+def _gather_rows(edges: Grid, x: Grid, v: int, a: int, b: int, out: Row) -> None:
+    """Add to out (b - a,) what the rows above and below pull at the pixels from a to b of row v."""
+    w = b - a
+    if v + 1 < len(x):
+        below, down = x[v + 1, a:b], edges[1, v, a:b]
+        for u in range(w):
+            out[u] += down[u] * below[u]
+        if len(edges) == 4:
+            east, west, ahead, beside = edges[2, v, a:b], edges[3, v, a:b], below[1:], out[1:]
+            for u in range(w - 1):
+                out[u] += east[u] * ahead[u]
+            for u in range(w - 1):
+                beside[u] += west[u] * below[u]
+    if v > 0:
+        above, up = x[v - 1, a:b], edges[1, v - 1, a:b]
+        for u in range(w):
+            out[u] += up[u] * above[u]
+        if len(edges) == 4:
+            west, east, ahead, beside = edges[2, v - 1, a:b], edges[3, v - 1, a:b], above[1:], out[1:]
+            for u in range(w - 1):
+                beside[u] += west[u] * above[u]
+            for u in range(w - 1):
+                out[u] += east[u] * ahead[u]
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _last_sweep(
-    edges: Grid, inverse: Grid, right: Grid, x: Grid, top: int, end: int, above: Row, below: Row
+def _pull_along(bond: Row, row: Row, out: Row) -> None:
+    """Fill out (w,) with what each pixel's neighbours in its row pull."""
+    last = len(row) - 1
+    if last < 1:
+        out[:] = np.float32(0.0)
+        return
+    inner, west, ahead, own = out[1:last], bond, row[2:], bond[1:]
+    out[0], out[last] = bond[0] * row[1], bond[last - 1] * row[last - 1]
+    for u in range(last - 1):
+        inner[u] = own[u] * ahead[u] + west[u] * row[u]
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _solve_row(
+    edges: Grid, inverse: Grid, spans: Places, right: Grid, x: Grid, v: int, first: int, known: Row, pull: Row
 ) -> None:
-    """above, below: the rows before and from the middle on as they were: what the other half holds."""
+    """Solve the pixels of one row whose column is even (first = 0) or odd (1), then the others."""
+    a, b = spans[v]
+    row, scale, asked, bond = x[v, a:b], inverse[v, a:b], right[v, a:b], edges[0, v, a:b]
+    for u in range(len(row)):
+        known[u] = asked[u]
+    _gather_rows(edges, x, v, a, b, known[: b - a])
+    for k in range(2):
+        parity = first ^ k
+        _pull_along(bond, row, pull[: b - a])
+        for u in range(len(row)):
+            row[u] = (known[u] + pull[u]) * scale[u] if (u & 1) == parity else row[u]
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def sweep_kernel(
+    edges: Grid, inverse: Grid, spans: Places, right: Grid, x: Grid, forward: bool
+) -> None:
+    """One Gauss–Seidel sweep over the four colours; backward, the reverse of that."""
     h, w = x.shape
     known, pull = np.empty(w, np.float32), np.empty(w, np.float32)
-    for i in range(end - top):
-        v = end - 1 - i
-        scale, row, bond = inverse[v], x[v], edges[0, v]
-        for u in range(w):
-            known[u] = right[v, u]
-        if v + 1 < h:
-            _pull_from_below(edges, below if v + 1 == end else x[v + 1], v, known)
-        if v > 0:
-            _pull_from_above(edges, above if v == top else x[v - 1], v, known)
-        beside = known[1:]
-        for u in range(w - 1):
-            beside[u] += bond[u] * row[u]
-        _scale_row(known, bond, scale[: w - 1], scale, pull[: w - 1])
-        last = known[w - 1]
-        row[w - 1] = last
-        for u in range(w - 2, -1, -1):
-            last = known[u] + pull[u] * last
-            row[u] = last
+    for k in range(2):
+        for v in range(k if forward else 1 - k, h, 2):
+            _solve_row(edges, inverse, spans, right, x, v, 0 if forward else 1, known, pull)
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def restrict_rest_kernel(edges: Grid, x: Grid, out: Grid) -> None:
-    """Fill out with the sums over blocks of 2×2 pixels of what `first_sweep_kernel` leaves.
+def _descend(
+    edges: Grid, inverse: Grid, shares: Grid, spans: Places, right: Grid, x: Grid, coarse: Grid
+) -> None:
+    """Fill x with the forward sweep from 0, and coarse with what is left, by the transpose of `_ascend`.
 
-    Every pixel was right when it was solved; what is left is what the pixels after it, and the other half,
-    pull.
+    Every pixel was right when it was solved; what is left is what the colours after its own pull.
     """
-    middle = _middle(*x.shape)
-    _restrict(edges, x, out, np.int64(0), middle)
-    _restrict(edges, x, out, middle, len(x))
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
-def _restrict(edges: Grid, x: Grid, out: Grid, top: int, end: int) -> None:
     h, w = x.shape
-    left = np.empty(w + 1, np.float32)
-    for v in range(top, end):
-        bond, row, to = edges[0, v], x[v], out[v // 2]
-        beside = row[1:]
-        for u in range(w - 1):
-            left[u] = bond[u] * beside[u]
-        left[w - 1] = left[w] = np.float32(0.0)
-        if v + 1 < h:
-            _pull_from_below(edges, x[v + 1], v, left[:w])
-        if v == top and v > 0:
-            _pull_from_above(edges, x[v - 1], v, left[:w])
-        if v % 2 == 0:
-            for u in range(len(to)):
-                to[u] = np.float32(0.0)
-        for u in range(len(to)):
-            to[u] += left[2 * u] + left[2 * u + 1]
+    known, pull = np.empty(w, np.float32), np.empty(w, np.float32)
+    own, beside = np.empty(w + 1, np.float32), np.empty(w + 5, np.float32)
+    coarse[...] = np.float32(0.0)
+    for v in range(0, h + 3, 2):
+        if v < h:
+            _first_row(edges, inverse, spans, right, x, v, known, pull)
+        if 0 < v <= h:
+            _first_row(edges, inverse, spans, right, x, v - 1, known, pull)
+        for i in range(max(v - 2, 0), min(v, h)):
+            a, b = spans[i]
+            left = pull[: b - a]
+            _pull_along(edges[0, i, a:b], x[i, a:b], left)
+            for u in range(len(left)):
+                left[u] = np.float32(0.0) if u & 1 else left[u]
+            if i % 2 == 0:
+                _gather_rows(edges, x, i, a, b, left)
+            _restrict_row(left, shares[0, i, a:b], shares[1, i, a:b], i, a // 2, coarse, own, beside)
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def prolong_add_kernel(coarse: Grid, inverse: Grid, x: Grid) -> None:
-    """Add to every pixel that has an edge the value of its block."""
-    for v in range(len(x)):
-        row, to, some = coarse[v // 2], x[v], inverse[v]
-        for u in range(len(to)):
-            value = row[u // 2]
-            to[u] += value if some[u] > np.float32(0.0) else np.float32(0.0)
+def _first_row(
+    edges: Grid, inverse: Grid, spans: Places, right: Grid, x: Grid, v: int, known: Row, pull: Row
+) -> None:
+    """`_solve_row` forward from 0, where even rows come first."""
+    a, b = spans[v]
+    row, scale, asked, bond = x[v, a:b], inverse[v, a:b], right[v, a:b], edges[0, v, a:b]
+    for u in range(len(row)):
+        known[u] = asked[u]
+    if v % 2:
+        _gather_rows(edges, x, v, a, b, known[: b - a])
+    for u in range(len(row)):
+        row[u] = known[u] * scale[u]
+    _pull_along(bond, row, pull[: b - a])
+    for u in range(len(row)):
+        row[u] += pull[u] * scale[u] if u & 1 else np.float32(0.0)
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _restrict_row(
+    left: Row, side: Row, along: Row, v: int, first: int, coarse: Grid, own: Row, beside: Row
+) -> None:
+    """Add what is left in one row to the blocks, from the `first` on, that its corrections come from."""
+    block, count, one = v // 2, (len(left) + 1) // 2, np.float32(1.0)
+    other = block + 1 if v % 2 else block - 1
+    to, before, middle, after = coarse[block, first : first + count], beside[1:], beside[2:], beside[4:]
+    own[2 * count - 1 : 2 * count] = np.float32(0.0)  # beside the last pixel of an odd row
+    beside[:2], beside[len(left) + 2 : len(left) + 5] = np.float32(0.0), np.float32(0.0)
+    for u in range(len(left)):
+        own[u] = left[u] * (one - side[u] - along[u])
+        middle[u] = left[u] * side[u]
+    for u in range(count):
+        to[u] += (own[2 * u] + own[2 * u + 1]) + (before[2 * u] + after[2 * u])
+    if 0 <= other < len(coarse):
+        to = coarse[other, first : first + count]
+        for u in range(len(left)):
+            own[u] = left[u] * along[u]
+        for u in range(count):
+            to[u] += own[2 * u] + own[2 * u + 1]
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _ascend(
+    edges: Grid, inverse: Grid, shares: Grid, spans: Places, right: Grid, coarse: Grid, x: Grid
+) -> None:
+    """Add the coarser grid's correction to x, and sweep back: the transpose of `_descend`."""
+    h, w = x.shape
+    known, pull = np.empty(w, np.float32), np.empty(w, np.float32)
+    own, beside = np.empty(w + 1, np.float32), np.empty(w + 1, np.float32)
+    _prolong_row(coarse, shares, spans, 0, own, beside, pull, x)
+    for v in range(1, h + 1, 2):
+        for i in range(v, min(v + 2, h)):
+            _prolong_row(coarse, shares, spans, i, own, beside, pull, x)
+        if v < h:
+            _solve_row(edges, inverse, spans, right, x, v, 1, known, pull)
+        _solve_row(edges, inverse, spans, right, x, v - 1, 1, known, pull)
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _prolong_row(
+    coarse: Grid, shares: Grid, spans: Places, v: int, own: Row, beside: Row, other: Row, x: Grid
+) -> None:
+    a, b = spans[v]
+    if a == b:
+        return
+    block, first, end = v // 2, a // 2, (b + 1) // 2
+    line, row, side, along = coarse[block, first:end], x[v, a:b], shares[0, v, a:b], shares[1, v, a:b]
+    near = coarse[min(max(block + 1 if v % 2 else block - 1, 0), len(coarse) - 1), first:end]
+    last, inner, after = len(line) - 1, beside[2:], line[2:]
+    for u in range(len(line)):
+        own[2 * u] = own[2 * u + 1] = line[u]
+    beside[0], beside[1] = line[0], line[min(1, last)]
+    for u in range(last - 1):
+        inner[2 * u], inner[2 * u + 1] = line[u], after[u]
+    if last > 0:
+        beside[2 * last] = beside[2 * last + 1] = line[last - 1]  # the share of what is beyond is 0
+    for u in range(len(row)):
+        other[u] = near[u // 2]
+    for u in range(len(row)):
+        here = own[u]
+        row[u] += here + side[u] * (beside[u] - here) + along[u] * (other[u] - here)

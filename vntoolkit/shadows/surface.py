@@ -67,7 +67,7 @@ class SurfaceOptions:
     noise: float = 0.03
     smoothness: float = 3.0
     iterations: int = 8
-    cycles: int = 5
+    cycles: int = 3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
