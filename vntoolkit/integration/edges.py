@@ -270,25 +270,42 @@ def _accumulate(tail, head, flow, out):  # type: ignore[no-untyped-def]
 
 
 class Components:
-    """Connected components (over shared pixel sides) of a domain, (h, w) bool."""
+    """Connected components (over shared pixel sides) of a domain, (h, w) bool; box: its rows and columns."""
 
     def __init__(self, domain: Mask) -> None:
-        self.labels, self.count = ndimage.label(domain)
-        self._domain = domain
+        rows, columns = np.flatnonzero(domain.any(axis=1)), np.flatnonzero(domain.any(axis=0))
+        self.box = np.s_[:0, :0]
+        if len(rows):
+            self.box = np.s_[int(rows[0]) : int(rows[-1]) + 1, int(columns[0]) : int(columns[-1]) + 1]
+        self._inside = np.ascontiguousarray(domain[self.box])
+        self._labels, self.count = ndimage.label(self._inside)
+        self._shape = domain.shape
+
+    @property
+    def labels(self) -> Int32:
+        """(h, w), the component of each pixel, from 1 on; 0 outside the domain."""
+        return self._whole(self._labels)
 
     def remove_means(self, values: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.float64]:
         """Shift `values` (h, w) to mean 0 over each component; 0 outside the domain."""
-        return np.where(self._domain, values - self._means(values), 0.0)
+        here = values[self.box]
+        return self._whole(np.where(self._inside, here - self._means(here), 0.0))
 
     def scale_means(self, values: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.float64]:
         """Scale `values` (h, w) to mean 1 over each component; 0 outside the domain."""
-        return np.where(self._domain, values / self._means(values), 0.0)
+        here = values[self.box]
+        return self._whole(np.where(self._inside, here / self._means(here), 0.0))
+
+    def _whole(self, part: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        whole = np.zeros(self._shape, part.dtype)
+        whole[self.box] = part
+        return whole
 
     def _means(self, values: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.float64]:
-        """Mean over the component of each pixel, (h, w) or a scalar."""
+        """Mean over the component of each pixel of the box, or a scalar."""
         if self.count == 1:
-            return np.asarray(values[self._domain].mean(dtype=np.float64))
-        flat = self.labels.ravel()
+            return np.asarray(values.mean(dtype=np.float64, where=self._inside))
+        flat = self._labels.ravel()
         sums = np.bincount(flat, weights=values.ravel(), minlength=self.count + 1)
         means = sums / np.maximum(np.bincount(flat, minlength=self.count + 1), 1)
-        return np.where(self._domain, means[self.labels], 1.0)
+        return np.where(self._inside, means[self._labels], 1.0)

@@ -158,9 +158,12 @@ class DomainSolver:
 
     @cached_property
     def _masked(self) -> MaskedSolver:
-        return MaskedSolver(
-            self.domain, tolerance=self._options.tolerance, most_iterations=self._options.most_iterations
-        )
+        inside, options = self.domain[self.components.box], self._options
+        return MaskedSolver(inside, tolerance=options.tolerance, most_iterations=options.most_iterations)
+
+    @cached_property
+    def _near(self) -> RayField:
+        return self._rays.cropped(*self.components.box)
 
     @cached_property
     def _graph(self) -> PixelGraph:
@@ -175,9 +178,12 @@ class DomainSolver:
 
         Conjugate gradients: the cosine transform is the preconditioner without weights, multigrid with them.
         """
-        p, q = slopes_from_normals(normals, self._rays, self._options.steepest_slope_deg)
-        edges = edges_from_slopes(p, q, self.domain, weight)
-        solution = self._masked.solve(edges, self._last, weighted=weight is not None)
+        box = self.components.box
+        p, q = slopes_from_normals(normals[box], self._near, self._options.steepest_slope_deg)
+        edges = edges_from_slopes(p, q, self.domain[box], None if weight is None else weight[box])
+        start = None if self._last is None else self._last[box]
+        solution = np.zeros(self.domain.shape)
+        solution[box] = self._masked.solve(edges, start, weighted=weight is not None)
         self.iterations = self._masked.iterations
         return self._keep(solution)
 
@@ -283,8 +289,9 @@ class DepthAnchor:
         if not mask.all():
             parts = parts or Components(mask)
             if parts.count > 1:
-                for label, box in enumerate(ndimage.find_objects(parts.labels), start=1):
-                    self._align_part(depth[box], parts.labels[box] == label, box, depth_map.unit)
+                labels = parts.labels
+                for label, box in enumerate(ndimage.find_objects(labels), start=1):
+                    self._align_part(depth[box], labels[box] == label, box, depth_map.unit)
                 return replace(depth_map, depth=depth)
         self._align_part(depth, mask, np.s_[:, :], depth_map.unit)
         return replace(depth_map, depth=depth)

@@ -8,7 +8,7 @@ perspective case as linear as the other (Durou, Aujol and Courteille 2009, `duro
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numba
 import numpy as np
@@ -38,6 +38,13 @@ class RayField:
     def pixels_per_unit(self) -> float:
         """Focal length, or scale of an orthographic camera: turns slopes into pixels per pixel."""
         return 1.0 / float(self.affine[0])
+
+    def cropped(self, rows: slice, columns: slice) -> RayField:
+        """Return the rays of a window of the image."""
+        affine = self.affine.copy()
+        affine[2::3] += affine[0::3] * np.float32(columns.start) + affine[1::3] * np.float32(rows.start)
+        table = None if self.table is None else np.ascontiguousarray(self.table[rows, columns])
+        return replace(self, affine=affine, table=table)
 
     def image_plane_points(self, height: int, width: int) -> FloatArray:
         """Return (x, y) of every pixel, (h, w, 2) float64, at unit depth."""

@@ -202,8 +202,12 @@ def bonds_of_light(
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")
-def _log_of(cosine: Any) -> Any:
-    return np.log(max(cosine, np.float32(0.0)) + np.float32(_DARK_COSINE))
+def _change(first: Any, second: Any, other_first: Any, other_second: Any) -> Any:
+    """Return by what factor, at least 1, one cosine changes more than another from pixel to pixel."""
+    dark, zero = np.float32(_DARK_COSINE), np.float32(0.0)
+    one = (max(second, zero) + dark) * (max(other_first, zero) + dark)
+    two = (max(first, zero) + dark) * (max(other_second, zero) + dark)
+    return max(one, two) / min(one, two)
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
@@ -224,12 +228,12 @@ def _bonds_kernel(
                 i, n = v + j, u + 1 - j
                 if i >= h or n >= w or (here[u] < 0 and number[i, n] < 0):
                     continue
-                own = _log_of(cosines[i, n, light]) - _log_of(cosines[v, u, light])
+                one, two = cosines[v, u], cosines[i, n]
                 alone = min(
-                    abs(own - _log_of(cosines[i, n, second]) + _log_of(cosines[v, u, second])),
-                    abs(own - _log_of(cosines[i, n, third]) + _log_of(cosines[v, u, third])),
+                    _change(one[light], two[light], one[second], two[second]),
+                    _change(one[light], two[light], one[third], two[third]),
                 )
-                sharp = alone * sharpness
+                sharp = np.log(alone) * sharpness
                 bond = strength * (weakest + rest * np.exp(-sharp * sharp))
                 if j == 0:
                     east[v, u] = bond

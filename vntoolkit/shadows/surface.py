@@ -28,11 +28,9 @@ from vntoolkit.native import njit
 from vntoolkit.photometry.frame import ALL_LIT
 from vntoolkit.shadows.albedo import fill_smoothly
 from vntoolkit.shadows.contributions import (
-    TOWARDS_VIEWER,
     Numbers,
     WorkingImage,
     flat,
-    lengths_of,
     mean_inside,
     numbers_of,
 )
@@ -77,7 +75,7 @@ class Surface:
     normals: (h, w, 3) unit, camera frame. depth: (h, w) float32, pixels (orthographic) or f · log z.
     agreement: (h, w), 0 to 1, how far depth and colour agree on a fully lit pixel's slope, 0 at the border.
     misfit: (h, w), χ² of the light that arrives against the light that the surface would return, before the
-    last step.
+    last step. Both are 0 on another grid than the surface was solved on.
     """
 
     normals: FloatArray
@@ -86,34 +84,35 @@ class Surface:
     misfit: Grid
 
     def enlarged(self, shape: tuple[int, ...], factor: int) -> Surface:
-        """Return the same surface on a grid `factor` times finer; depth counts pixels, so it grows too."""
-        size = shape[1::-1]
+        """Return a start on a grid `factor` times finer; depth counts pixels, so it grows too."""
+        size, nothing = shape[1::-1], np.zeros(shape[:2], np.float32)
 
         def enlarge(image: FloatArray) -> FloatArray:
             return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_LINEAR), dtype=np.float32)
 
         return Surface(
-            normals=_unit_or_facing(enlarge(self.normals.astype(np.float32))),
-            depth=np.ascontiguousarray(enlarge(self.depth) * np.float32(factor)),
-            agreement=enlarge(self.agreement),
-            misfit=enlarge(self.misfit),
+            normals=_unit_or_facing(enlarge(self.normals)),
+            depth=enlarge(self.depth) * np.float32(factor),
+            agreement=nothing,
+            misfit=nothing,
         )
 
     def shrunk(self, mask: Mask, factor: int) -> Surface:
-        """Return the same surface on a grid `factor` times coarser, averaged over the mask."""
-        mean, _ = mean_inside(mask, factor)
+        """Return a start on a grid `factor` times coarser, averaged over the mask."""
+        mean, cover = mean_inside(mask, factor)
+        nothing = np.zeros_like(cover)
         return Surface(
             normals=_unit_or_facing(mean(self.normals)),
             depth=np.ascontiguousarray(mean(self.depth) / np.float32(factor)),
-            agreement=mean(self.agreement),
-            misfit=mean(self.misfit),
+            agreement=nothing,
+            misfit=nothing,
         )
 
 
-def _unit_or_facing(normals: FloatArray) -> FloatArray:
-    length = lengths_of(normals)
-    unit = np.where(length > 1e-3, normals / np.maximum(length, 1e-3), TOWARDS_VIEWER)
-    return np.asarray(unit, dtype=np.float32)
+def _unit_or_facing(vectors: FloatArray) -> FloatArray:
+    out: FloatArray = np.empty(vectors.shape, np.float32)
+    _unit_kernel(flat(vectors), flat(out))
+    return out
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -559,6 +558,21 @@ def _slope_row(
         slope_q[u] = q * hold if some else slope_q[u]
         whole = (a > zero) & (b > zero) & (c > zero) & (d > zero)
         agreement[u] = np.float32(0.25) * total if whole else zero
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _unit_kernel(vectors: Grid, out: Grid) -> None:
+    """Fill unit vectors (h, w, 3); towards the viewer where there is no length."""
+    zero, one, least = np.float32(0.0), np.float32(1.0), np.float32(1e-3)
+    for v in range(len(out)):
+        line, to = vectors[v], out[v]
+        for u in range(len(to) // 3):
+            a, b, c = line[3 * u], line[3 * u + 1], line[3 * u + 2]
+            length = np.sqrt(a * a + b * b + c * c)
+            some = length > least
+            over = one / max(length, least)
+            to[3 * u], to[3 * u + 1] = (a * over if some else zero), (b * over if some else zero)
+            to[3 * u + 2] = c * over if some else -one
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
