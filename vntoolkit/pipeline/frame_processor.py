@@ -251,6 +251,8 @@ class FrameProcessor:
             mask &= ~frame.clipped
         labels = self._detector.labels(seen, mask)
         surface = self._detector.surface
+        if surface is not None and seen is not frame:
+            surface = replace(surface, image=None)
         if surface is None and not np.any(labels != ALL_LIT):
             return normals_from_frame(frame, response, mask, options=inversion), labels, False
         found = recover_surface(frame, labels, response, mask, self.camera, start=surface)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import cv2
@@ -92,8 +93,9 @@ class WorkingImage:
     mask: Mask
     camera: Camera | None
 
+    @cached_property
     def halved(self) -> WorkingImage:
-        """Return the image at half the size."""
+        """The image at half the size; made once, for all who ask."""
         light, mask = self.light.shrunk(self.mask, 2)
         return WorkingImage(
             light=light, mask=mask, camera=None if self.camera is None else self.camera.scaled(0.5)

@@ -56,9 +56,7 @@ def solve_from_best_initialisation(
 def _trusted(labelled: LabelledImage) -> LabelledImage:
     """Return the image with the trust in its colours by the number of lights that arrive."""
     by_lights = np.asarray(TRUST_BY_LIGHTS, dtype=np.float32)[count_lit(labelled.labels)]
-    light = labelled.image.light
-    light = replace(light, trust=(light.trust * by_lights).astype(np.float32))
-    return replace(labelled, image=replace(labelled.image, light=light))
+    return replace(labelled, trust=(labelled.image.light.trust * by_lights).astype(np.float32))
 
 
 def _better_than(start: Surface | None, image: LabelledImage, options: SurfaceOptions) -> Surface | None:

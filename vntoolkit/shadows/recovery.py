@@ -126,6 +126,7 @@ def recover_normals(
 
     labels: (h, w), bit k set where light k arrives. camera: None for orthographic. start:
     `ShadowDetector.surface` where the labels are that detector's, of the same frame and mask; spares a solve.
+    Where the detector was given other colours, that with `image` None.
     """
     return recover_surface(frame, labels, response, mask, camera, method, start).normal_map
 
@@ -171,7 +172,10 @@ def _with_surface(
     start: Surface | None,
 ) -> tuple[FloatArray, Weight, Surface]:
     """Return normals (h, w, 3), weights, and the surface on the working size."""
-    image, factor = working_image(frame, response, inside, camera)
+    if start is not None and start.image is not None:
+        image, factor = start.image, shrinking(inside)
+    else:
+        image, factor = working_image(frame, response, inside, camera)
     small_labels = _shrunk(labels, image.mask.shape)
     albedo = albedo_from_lit(image.light.length, image.mask & (small_labels == ALL_LIT), factor)
     lamps, rgb = lamps_of(response), np.ascontiguousarray(frame.rgb)

@@ -91,7 +91,7 @@ def labels_by_surface(
         if inset is not None:
             labels &= ~turned_from_lights(surface.normals, found.cosines, small.directions, inset, found.near)
         labels = labels_beyond_half(labels, found.cosines, found.facing, mask, found.near)
-    return labels, surface
+    return labels, replace(surface, image=image)
 
 
 def _is_doubted(image: WorkingImage) -> bool:
@@ -111,7 +111,7 @@ def _surface_by_rounds(image: WorkingImage) -> tuple[Surface, FloatArray]:
         surface, rounds = None, _ROUNDS
         lit = _first_doubts(image)
     else:
-        coarse, albedo = _surface_by_rounds(image.halved())
+        coarse, albedo = _surface_by_rounds(image.halved)
         surface, rounds = coarse.enlarged(image.mask.shape, 2), _FINER_ROUNDS
         lit = _lit_on(surface, image, _enlarged(albedo, image.mask.shape))
     for i in range(rounds):

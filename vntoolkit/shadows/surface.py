@@ -75,13 +75,15 @@ class Surface:
     normals: (h, w, 3) unit, camera frame. depth: (h, w) float32, pixels (orthographic) or f · log z.
     agreement: (h, w), 0 to 1, how far depth and colour agree on a fully lit pixel's slope, 0 at the border.
     misfit: (h, w), χ² of the light that arrives against the light that the surface would return, before the
-    last step. Both are 0 on another grid than the surface was solved on.
+    last step. Both are 0 on another grid than the surface was solved on. image: that it was solved from, where
+    others go on from both.
     """
 
     normals: FloatArray
     depth: Grid
     agreement: Grid
     misfit: Grid
+    image: WorkingImage | None = None
 
     def enlarged(self, shape: tuple[int, ...], factor: int) -> Surface:
         """Return a start on a grid `factor` times finer; depth counts pixels, so it grows too."""
@@ -120,12 +122,13 @@ class LabelledImage:
     """A frame at its working size with the lights that arrive: what its surface is solved from.
 
     labels: (h, w), bit k set where light k arrives. albedo: (h, w), that of the surroundings, which counts
-    under shadow.
+    under shadow. trust: (h, w), how far each pixel's light counts; None for what the image says.
     """
 
     image: WorkingImage
     labels: VisibilityLabels
     albedo: FloatArray
+    trust: Weight | None = None
 
     @cached_property
     def shadow(self) -> Mask:
@@ -139,13 +142,14 @@ class LabelledImage:
 
     def halved(self) -> LabelledImage:
         """Return the image at half the size."""
-        image = self.image.halved()
+        image = self.image.halved
         size = image.mask.shape[::-1]
         labels = cv2.resize(self.labels, size, interpolation=cv2.INTER_NEAREST).astype(np.uint8)
         albedo: FloatArray = np.asarray(
             cv2.resize(self.albedo, size, interpolation=cv2.INTER_AREA), np.float32
         )
-        return LabelledImage(image=image, labels=labels, albedo=albedo)
+        trust = None if self.trust is None else mean_inside(self.image.mask, 2)[0](self.trust)
+        return LabelledImage(image=image, labels=labels, albedo=albedo, trust=trust)
 
     def solve(
         self,
@@ -160,7 +164,7 @@ class LabelledImage:
         return solve_surface(
             self._cosines, self.labels, light.lights, self.image.mask,
             first_normals=light.normals if first_normals is None else first_normals, guessed=guessed,
-            weight=light.trust, camera=self.image.camera, options=options, start=start,
+            weight=light.trust if self.trust is None else self.trust, camera=self.image.camera, options=options, start=start,
         )  # fmt: skip
 
 
