@@ -287,9 +287,8 @@ class Components:
         return self._whole(self._labels)
 
     def remove_means(self, values: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.float64]:
-        """Shift `values` (h, w) to mean 0 over each component; 0 outside the domain."""
-        here = values[self.box]
-        return self._whole(np.where(self._inside, here - self._means(here), 0.0))
+        """Shift `values`, of the box, to mean 0 over each component; (h, w), 0 outside the domain."""
+        return self._whole(np.where(self._inside, values - self._means(values), 0.0))
 
     def scale_means(self, values: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.float64]:
         """Scale `values` (h, w) to mean 1 over each component; 0 outside the domain."""

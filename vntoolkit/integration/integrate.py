@@ -182,8 +182,7 @@ class DomainSolver:
         p, q = slopes_from_normals(normals[box], self._near, self._options.steepest_slope_deg)
         edges = edges_from_slopes(p, q, self.domain[box], None if weight is None else weight[box])
         start = None if self._last is None else self._last[box]
-        solution = np.zeros(self.domain.shape)
-        solution[box] = self._masked.solve(edges, start, weighted=weight is not None)
+        solution = self._masked.solve(edges, start, weighted=weight is not None)
         self.iterations = self._masked.iterations
         return self._keep(solution)
 
@@ -206,7 +205,7 @@ class DomainSolver:
             start=self._start() * scale,
             most_iterations=self._options.most_iterations,
         )
-        return self._keep(self._image(nodes) / scale)
+        return self._keep(self._image(nodes)[self.components.box] / scale)
 
     def _start(self) -> Float64:
         return np.zeros(len(self._graph.pixels)) if self._last is None else self._last[self.domain]

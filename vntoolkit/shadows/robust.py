@@ -57,7 +57,7 @@ _ROUNDS = 3  # alternations of surface and labels on the smallest image; most of
 _FINER_ROUNDS = 2  # the same on every larger one
 _START_PIXELS = 15_000  # images are halved until they are not larger; there the labels start
 # Of a surface whose labels may still be wrong.
-_SURFACE = SurfaceOptions(noise=0.08, smoothness=1.5, cycles=2)
+_SURFACE = SurfaceOptions(noise=0.08, smoothness=1.5, cycles=3)
 _ITERATIONS = (3, 2, 1)  # on the smallest image, the next, and all larger ones, which start nearer
 
 

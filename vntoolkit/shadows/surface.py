@@ -65,7 +65,7 @@ class SurfaceOptions:
     noise: float = 0.03
     smoothness: float = 3.0
     iterations: int = 8
-    cycles: int = 3
+    cycles: int = 4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
