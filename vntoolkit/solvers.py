@@ -6,7 +6,9 @@ semidefinite, which the assembly in `shadows/surface.py` guarantees.
 
 Pixels are swept in four colours, by whether row and column are even: no two of one colour share an edge, so
 that the compiler does eight at a time. Every image is read once on the way down and once on the way up, in
-each row from the first to the last pixel that has an edge.
+each row from the first to the last pixel that has an edge. The two halves of a large grid are swept at once,
+all but what both touch: the same bytes for any number of threads. On small grids one thread works: two would
+meet thousands of times a frame.
 
 A coarser level sums the edges between blocks of 2×2 pixels and halves them: in two dimensions that is the
 matrix the coarse grid itself would have. Corrections are interpolated linearly between blocks, less across
@@ -20,11 +22,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from numba import prange
 
 from vntoolkit.native import njit
 
 _SMALLEST_SIDE = 4
 _LAST_SWEEPS = 4  # on the coarsest grid, each way
+_LARGE = 40_000  # pixels from which on a grid is swept in two halves
 Grid = npt.NDArray[np.float32]
 Row = npt.NDArray[np.float32]
 Places = npt.NDArray[np.int64]
@@ -427,28 +431,56 @@ def sweep_kernel(
 def _descend(
     edges: Grid, inverse: Grid, shares: Grid, spans: Places, right: Grid, x: Grid, coarse: Grid
 ) -> None:
-    """Fill x with the forward sweep from 0, and coarse with what is left, by the transpose of `_ascend`.
-
-    Every pixel was right when it was solved; what is left is what the colours after its own pull.
-    """
+    """Fill x with the forward sweep from 0, and coarse with what is left, by the transpose of `_ascend`."""
     h, w = x.shape
-    known, pull = np.empty(w, np.float32), np.empty(w, np.float32)
-    own, beside = np.empty(w + 1, np.float32), np.empty(w + 5, np.float32)
+    middle, room = _middle(h, w), _room(w)
     coarse[...] = np.float32(0.0)
-    for v in range(0, h + 3, 2):
-        if v < h:
+    if middle:
+        _first_row(edges, inverse, spans, right, x, middle, room[0], room[1])
+        _two_descents(edges, inverse, shares, spans, right, x, middle, coarse)
+        for v in range(middle - 1, middle + 1):
+            _restrict_row(edges, shares, spans, x, v, coarse, room)
+    else:
+        _descend_rows(edges, inverse, shares, spans, right, x, np.int64(0), h, coarse)
+
+
+@njit(cache=True, error_model="numpy")
+def _middle(h: int, w: int) -> int:
+    """Return the even row where the lower half begins; 0 where a grid is swept in one."""
+    return 2 * (h // 4) if h * w >= _LARGE else 0
+
+
+@njit(cache=True, error_model="numpy")
+def _room(w: int) -> Grid:
+    return np.empty((5, w + 5), np.float32)
+
+
+@njit(cache=True, fastmath=True, error_model="numpy", parallel=True)
+def _two_descents(
+    edges: Grid, inverse: Grid, shares: Grid, spans: Places, right: Grid, x: Grid, middle: int, coarse: Grid
+) -> None:
+    for half in prange(2):
+        end = middle if half == 0 else len(x)
+        _descend_rows(edges, inverse, shares, spans, right, x, half * middle, end, coarse)
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _descend_rows(
+    edges: Grid, inverse: Grid, shares: Grid, spans: Places, right: Grid, x: Grid, top: int, end: int,
+    coarse: Grid,
+) -> None:  # fmt: skip
+    """`_descend` from row top, solved already where it is not 0, to row end; what both halves touch is left."""
+    h, w = x.shape
+    room = _room(w)
+    known, pull = room[0], room[1]
+    for v in range(top, end + 3, 2):
+        if v < end and (v > top or top == 0):
             _first_row(edges, inverse, spans, right, x, v, known, pull)
-        if 0 < v <= h:
+        if top < v <= end:
             _first_row(edges, inverse, spans, right, x, v - 1, known, pull)
-        for i in range(max(v - 2, 0), min(v, h)):
-            a, b = spans[i]
-            left = pull[: b - a]
-            _pull_along(edges[0, i, a:b], x[i, a:b], left)
-            for u in range(len(left)):
-                left[u] = np.float32(0.0) if u & 1 else left[u]
-            if i % 2 == 0:
-                _gather_rows(edges, x, i, a, b, left)
-            _restrict_row(left, shares[0, i, a:b], shares[1, i, a:b], i, a // 2, coarse, own, beside)
+        for i in range(max(v - 2, top), min(v, end)):
+            if (i > top or top == 0) and (i < end - 1 or end == h):
+                _restrict_row(edges, shares, spans, x, i, coarse, room)
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
@@ -471,9 +503,20 @@ def _first_row(
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def _restrict_row(
-    left: Row, side: Row, along: Row, v: int, first: int, coarse: Grid, own: Row, beside: Row
+    edges: Grid, shares: Grid, spans: Places, x: Grid, v: int, coarse: Grid, room: Grid
 ) -> None:
-    """Add what is left in one row to the blocks, from the `first` on, that its corrections come from."""
+    """Add what `_first_row` leaves in one row to the blocks that its corrections come from.
+
+    Every pixel was right when it was solved; what is left is what the colours after its own pull.
+    """
+    a, b = spans[v]
+    left, own, beside, first = room[1, : b - a], room[2], room[3], a // 2
+    side, along = shares[0, v, a:b], shares[1, v, a:b]
+    _pull_along(edges[0, v, a:b], x[v, a:b], left)
+    for u in range(len(left)):
+        left[u] = np.float32(0.0) if u & 1 else left[u]
+    if v % 2 == 0:
+        _gather_rows(edges, x, v, a, b, left)
     block, count, one = v // 2, (len(left) + 1) // 2, np.float32(1.0)
     other = block + 1 if v % 2 else block - 1
     to, before, middle, after = coarse[block, first : first + count], beside[1:], beside[2:], beside[4:]
@@ -498,22 +541,46 @@ def _ascend(
 ) -> None:
     """Add the coarser grid's correction to x, and sweep back: the transpose of `_descend`."""
     h, w = x.shape
-    known, pull = np.empty(w, np.float32), np.empty(w, np.float32)
-    own, beside = np.empty(w + 1, np.float32), np.empty(w + 1, np.float32)
-    _prolong_row(coarse, shares, spans, 0, own, beside, pull, x)
-    for v in range(1, h + 1, 2):
-        for i in range(v, min(v + 2, h)):
-            _prolong_row(coarse, shares, spans, i, own, beside, pull, x)
-        if v < h:
-            _solve_row(edges, inverse, spans, right, x, v, 1, known, pull)
-        _solve_row(edges, inverse, spans, right, x, v - 1, 1, known, pull)
+    middle, room = _middle(h, w), _room(w)
+    if middle:
+        _prolong_row(coarse, shares, spans, middle, room, x)
+        _two_ascents(edges, inverse, shares, spans, right, coarse, middle, x)
+        _solve_row(edges, inverse, spans, right, x, middle, 1, room[0], room[1])
+    else:
+        _ascend_rows(edges, inverse, shares, spans, right, coarse, np.int64(0), h, x)
+
+
+@njit(cache=True, fastmath=True, error_model="numpy", parallel=True)
+def _two_ascents(
+    edges: Grid, inverse: Grid, shares: Grid, spans: Places, right: Grid, coarse: Grid, middle: int, x: Grid
+) -> None:
+    for half in prange(2):
+        end = middle if half == 0 else len(x)
+        _ascend_rows(edges, inverse, shares, spans, right, coarse, half * middle, end, x)
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _prolong_row(
-    coarse: Grid, shares: Grid, spans: Places, v: int, own: Row, beside: Row, other: Row, x: Grid
-) -> None:
+def _ascend_rows(
+    edges: Grid, inverse: Grid, shares: Grid, spans: Places, right: Grid, coarse: Grid, top: int, end: int,
+    x: Grid,
+) -> None:  # fmt: skip
+    """`_ascend` from row top, corrected already and solved later where it is not 0, to row end."""
+    room = _room(x.shape[1])
+    if top == 0:
+        _prolong_row(coarse, shares, spans, 0, room, x)
+    for v in range(top + 1, end + 1, 2):
+        for i in range(v, min(v + 2, end)):
+            _prolong_row(coarse, shares, spans, i, room, x)
+        if v < end:
+            _solve_row(edges, inverse, spans, right, x, v, 1, room[0], room[1])
+        if v - 1 > top or top == 0:
+            _solve_row(edges, inverse, spans, right, x, v - 1, 1, room[0], room[1])
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _prolong_row(coarse: Grid, shares: Grid, spans: Places, v: int, room: Grid, x: Grid) -> None:
     a, b = spans[v]
+    own, beside, other = room[2], room[3], room[4]
     if a == b:
         return
     block, first, end = v // 2, a // 2, (b + 1) // 2
