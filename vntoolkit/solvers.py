@@ -66,7 +66,10 @@ def grid_hierarchy(edges: Grid) -> GridHierarchy:
             break
         height, width = (height + 1) // 2, (width + 1) // 2
     levels = GridHierarchy(
-        edges=given, places=np.array(places), flat=np.empty(start, np.float32), spans=np.empty((row, 2), np.int64)
+        edges=given,
+        places=np.array(places),
+        flat=np.empty(start, np.float32),
+        spans=np.empty((row, 2), np.int64),
     )
     _build_kernel(levels.edges, levels.places, levels.flat, levels.spans)
     return levels
@@ -167,9 +170,7 @@ def _grid_of(
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _cycle_kernel(
-    finest: Grid, places: Places, flat: Row, spans: Places, right: Grid, x: Grid
-) -> None:
+def _cycle_kernel(finest: Grid, places: Places, flat: Row, spans: Places, right: Grid, x: Grid) -> None:
     """Fill x, 0 where its pixels have no edge, with one cycle."""
     last = len(places) - 1
     edges, inverse, shares, _, _, inside = _grid_of(finest, places, flat, spans, 0)
@@ -416,9 +417,7 @@ def _solve_row(
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def sweep_kernel(
-    edges: Grid, inverse: Grid, spans: Places, right: Grid, x: Grid, forward: bool
-) -> None:
+def sweep_kernel(edges: Grid, inverse: Grid, spans: Places, right: Grid, x: Grid, forward: bool) -> None:
     """One Gauss–Seidel sweep over the four colours; backward, the reverse of that."""
     h, w = x.shape
     known, pull = np.empty(w, np.float32), np.empty(w, np.float32)
@@ -469,7 +468,7 @@ def _descend_rows(
     edges: Grid, inverse: Grid, shares: Grid, spans: Places, right: Grid, x: Grid, top: int, end: int,
     coarse: Grid,
 ) -> None:  # fmt: skip
-    """`_descend` from row top, solved already where it is not 0, to row end; what both halves touch is left."""
+    """`_descend` from row top, solved before where that is not 0, to end; what both halves touch is left."""
     h, w = x.shape
     room = _room(w)
     known, pull = room[0], room[1]

@@ -274,9 +274,8 @@ class Components:
 
     def __init__(self, domain: Mask) -> None:
         rows, columns = np.flatnonzero(domain.any(axis=1)), np.flatnonzero(domain.any(axis=0))
-        self.box = np.s_[:0, :0]
-        if len(rows):
-            self.box = np.s_[int(rows[0]) : int(rows[-1]) + 1, int(columns[0]) : int(columns[-1]) + 1]
+        ends = (rows[0], rows[-1] + 1, columns[0], columns[-1] + 1) if len(rows) else (0, 0, 0, 0)
+        self.box = slice(int(ends[0]), int(ends[1])), slice(int(ends[2]), int(ends[3]))
         self._inside = np.ascontiguousarray(domain[self.box])
         self._labels, self.count = ndimage.label(self._inside)
         self._shape = domain.shape

@@ -75,8 +75,8 @@ class Surface:
     normals: (h, w, 3) unit, camera frame. depth: (h, w) float32, pixels (orthographic) or f · log z.
     agreement: (h, w), 0 to 1, how far depth and colour agree on a fully lit pixel's slope, 0 at the border.
     misfit: (h, w), χ² of the light that arrives against the light that the surface would return, before the
-    last step. Both are 0 on another grid than the surface was solved on. image: that it was solved from, where
-    others go on from both.
+    last step. Both are 0 on another grid than the surface was solved on. image: what it was solved from,
+    where others go on from it.
     """
 
     normals: FloatArray
@@ -160,11 +160,11 @@ class LabelledImage:
         guessed: Mask | None = None,
     ) -> Surface:
         """Return the surface as `solve_surface` does; without first normals from those of full light."""
-        light = self.image.light
+        light, trust = self.image.light, self.image.light.trust if self.trust is None else self.trust
         return solve_surface(
             self._cosines, self.labels, light.lights, self.image.mask,
             first_normals=light.normals if first_normals is None else first_normals, guessed=guessed,
-            weight=light.trust if self.trust is None else self.trust, camera=self.image.camera, options=options, start=start,
+            weight=trust, camera=self.image.camera, options=options, start=start,
         )  # fmt: skip
 
 
