@@ -166,7 +166,7 @@ class MaskedSolver:
         self._levels = _levels_of(right, down) if weighted else None
         load, depth = np.zeros(right.shape), np.zeros(right.shape)
         _load(self._padded(edges.right), self._padded(edges.down), right, down, load)
-        if start is not None:
+        if start is not None and load.any():  # else 0 is the solution
             depth[1:-1, 1:-1] = self._padded(start)[1:-1, 1:-1]
         self._iterate(right, down, depth, load)
         out = np.zeros(self._shape)
