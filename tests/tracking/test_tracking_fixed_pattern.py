@@ -85,8 +85,7 @@ def test_a_smooth_sheet_without_borders_is_lost_and_not_held_by_it(rng: np.rando
     for known in ((), pattern):
         tracker = SurfaceTracker(filling(100), flat_depth(whole), CAMERA, pattern=known)
         told.append(np.median(tracker.step(filling(101), flat_depth(whole)).uncertainty_px))
-    assert told[0] < 0.5  # as if the pattern were relief at rest
-    assert told[1] > 4.0
+    assert min(told) > 4.0  # two frames tell it by their common curl, too
 
 
 def test_relief_is_followed_across_it(rng: np.random.Generator) -> None:

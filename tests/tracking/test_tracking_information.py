@@ -68,6 +68,20 @@ def test_noise_that_is_alike_over_pixels_tells_nothing(rng: np.random.Generator)
     assert np.mean(told.expected > 0.2) < 0.1
 
 
+def test_what_two_frames_have_in_common_with_curl_is_no_relief(rng: np.random.Generator) -> None:
+    """As what a mosaic makes of strands finer than its pixels: it moves otherwise than they do."""
+    shared = rng.normal(0, 0.05, (2, HEIGHT, WIDTH))
+    frames = [normals(*(shared + rng.normal(0, 0.02, shared.shape))) for _ in range(2)]
+    told = measured(*frames).windows[0].information
+    assert np.mean(told.sum(axis=1) > 0) < 0.2
+    height = cv2.GaussianBlur(rng.normal(0, 1, (HEIGHT, WIDTH)), (0, 0), 1.5)
+    relief = np.stack([np.gradient(height, axis=1), np.gradient(height, axis=0)])
+    relief *= 0.05 / relief.std()
+    frames = [normals(*(relief + rng.normal(0, 0.02, shared.shape))) for _ in range(2)]
+    told = measured(*frames).windows[0].information
+    assert np.mean(told.sum(axis=1) > 0) > 0.9
+
+
 def test_noise_is_not_expected_to_match_where_it_is_stronger_either(rng: np.random.Generator) -> None:
     strength = np.where(GRID[..., 0] < 64, 0.01, 0.06)
     frames = [normals(*(strength * rng.normal(0, 1, (2, HEIGHT, WIDTH)))) for _ in range(2)]

@@ -43,8 +43,14 @@ def painted(frame: int, shift: np.ndarray, noise: float = 0.02) -> Paint:
     return np.float32(freckles(shift) + random)
 
 
+def rolling(rng: np.random.Generator, slope: float) -> np.ndarray:
+    """Normals (h, w, 3) of a surface that turns slowly, by slopes of that standard deviation."""
+    drawn = (cv2.GaussianBlur(each, (0, 0), 12.0) for each in rng.normal(0, 1, (2, HEIGHT, WIDTH)))
+    return normals(*(slope * each / each.std() for each in drawn)).normals_in_camera
+
+
 def test_it_is_the_reflectance_however_the_surface_is_turned(rng: np.random.Generator) -> None:
-    turned = normals(*rng.normal(0, 0.3, (2, HEIGHT, WIDTH))).normals_in_camera
+    turned = rolling(rng, 0.3)
     reflectance = rng.uniform(0.5, 1.2, (HEIGHT, WIDTH, 1))
     rgb = (reflectance * turned) @ RESPONSE.matrix.T + RESPONSE.ambient
     labels = np.full((HEIGHT, WIDTH), 7, dtype=np.uint8)
@@ -52,8 +58,18 @@ def test_it_is_the_reflectance_however_the_surface_is_turned(rng: np.random.Gene
     clipped = GRID[..., 0] > WIDTH - 10
     paint = paint_of_frame(LinearFrame(rgb=rgb, clipped=clipped), RESPONSE, labels)
     known = (labels == 7) & ~clipped
-    np.testing.assert_allclose(paint[known], reflectance[known, 0], rtol=1e-4)
+    np.testing.assert_allclose(paint[known], reflectance[known, 0], rtol=0.05)
     assert not paint[~known].any()
+
+
+def test_it_is_as_noisy_as_the_brightness_where_the_surface_turns_away(rng: np.random.Generator) -> None:
+    """M⁻¹ makes more of the noise there."""
+    tilted = np.array([0.0, 0.77, -0.64])
+    noise = 0.01 * rng.standard_normal((HEIGHT, WIDTH, 3))
+    light = RESPONSE.matrix @ tilted
+    frame = LinearFrame(rgb=np.float32(light + RESPONSE.ambient + noise))
+    inner = np.s_[10:-10, 10:-10]
+    assert paint_of_frame(frame, RESPONSE)[inner].std() < 1.1 * 0.01 / np.linalg.norm(light)
 
 
 def test_paint_of_other_hues_is_their_reflectance_too(rng: np.random.Generator) -> None:
@@ -62,10 +78,10 @@ def test_paint_of_other_hues_is_their_reflectance_too(rng: np.random.Generator) 
     response = LightResponse(matrix=colours.T @ lights, light_colours=colours)
     paints = np.array([[0.9, 0.4, 0.6], [0.3, 0.8, 0.5]])
     materials = np.uint8(GRID[..., 0] > WIDTH // 2)
-    turned = normals(*rng.normal(0, 0.2, (2, HEIGHT, WIDTH))).normals_in_camera
+    turned = rolling(rng, 0.2)
     frame = LinearFrame(rgb=((turned @ lights.T) * paints[materials] @ colours).astype(np.float32))
     paint = paint_of_materials(frame, response, None, materials, paints)
-    np.testing.assert_allclose(paint, np.prod(paints, axis=1)[materials] ** (1 / 3), rtol=1e-4)
+    np.testing.assert_allclose(paint, np.prod(paints, axis=1)[materials] ** (1 / 3), rtol=0.05)
     alone = paint_of_materials(frame, response, None, None, np.empty((0, 3)))
     assert alone[materials == 0].std() > 0.05  # the turns of the surface, where hues are not known
 

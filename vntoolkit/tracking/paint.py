@@ -3,6 +3,11 @@
 r − a = ρ M n: the length of M⁻¹ (r − a) is the reflectance ρ, which the normal leaves out. Freckles, hair and
 prints tell where a surface is that has no relief. Under any motion a point keeps its paint: nothing is turned
 with the surface, as slopes are, and what spreads over many pixels stays with the surface, too.
+
+Pixel by pixel that length takes all noise for paint, and M⁻¹ makes much of it where a surface turns away. Nor
+is noise all: a mosaic has fewer red and blue pixels than strands of hair have lights, and what it makes of
+them wanders along the strands by pixels while they move by tenths. So n is that of the colours around, and ρ
+the least-squares one of a pixel's colour, by M n: it reads brightness, which a mosaic leaves as it is.
 """
 
 from __future__ import annotations
@@ -21,6 +26,10 @@ from vntoolkit.tracking.slopes import GRAZING, Relief
 Paint = npt.NDArray[np.float32]  # (h, w): ρ, 0 where it is not known
 PaintImage = npt.NDArray[np.float32]  # (h, w, 2): w ρ and w
 
+_AROUND_PX = 2.5  # of the Gaussian: it is the one that bands are made with, so that they hold what it leaves
+_TAPS = 15  # to 3 sigma
+_LEAST_SQUARE = np.float32(1e-12)  # of a colour that is divided by
+
 
 def paint_of_frame(
     linear: LinearFrame, response: LightResponse, labels: VisibilityLabels | None = None
@@ -31,7 +40,9 @@ def paint_of_frame(
     """
     level = linear if response.variation is None else leveller_of(response, linear.shape).frame(linear)
     central = response.central
-    paint = _lengths(level.rgb, central.ambient.astype(np.float32), central.inverse.astype(np.float32))
+    rgb = level.rgb - central.ambient.astype(np.float32)
+    around = np.asarray(cv2.GaussianBlur(rgb, (_TAPS, _TAPS), _AROUND_PX), np.float32)
+    paint = _reflectances(rgb, around, central.inverse.astype(np.float32))
     known = ~linear.clipped if labels is None else ~linear.clipped & (labels & ALL_LIT == ALL_LIT)
     return np.asarray(paint * known, np.float32)
 
@@ -48,17 +59,21 @@ def paint_image(paint: Paint, relief: Relief) -> PaintImage:
 
 
 @njit(cache=True)
-def _lengths(rgb, ambient, inverse):  # type: ignore[no-untyped-def]
+def _reflectances(rgb, around, inverse):  # type: ignore[no-untyped-def]
+    """(h, w) ρ of colours and of those around (h, w, 3): |M⁻¹ r̄| (r · r̄) / |r̄|²."""
     h, w = rgb.shape[:2]
     out = np.empty((h, w), dtype=np.float32)
     for v in range(h):
         for u in range(w):
-            r, g, b = rgb[v, u, 0] - ambient[0], rgb[v, u, 1] - ambient[1], rgb[v, u, 2] - ambient[2]
-            square = np.float32(0.0)
+            length = along = square = np.float32(0.0)
             for k in range(3):
-                n = inverse[k, 0] * r + inverse[k, 1] * g + inverse[k, 2] * b
-                square += n * n
-            out[v, u] = np.sqrt(square)
+                n = np.float32(0.0)
+                for c in range(3):
+                    n += inverse[k, c] * around[v, u, c]
+                length += n * n
+                along += rgb[v, u, k] * around[v, u, k]
+                square += around[v, u, k] * around[v, u, k]
+            out[v, u] = np.sqrt(length) * along / max(square, _LEAST_SQUARE)
     return out
 
 

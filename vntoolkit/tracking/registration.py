@@ -12,6 +12,8 @@ bands are also compared with what earlier frames have shown (`remembered`).
 Template f and frame g differ by noise and by the displacement d: g − f = F d + noise. Over a window, with
 F = ½(∇f + ∇g), the moments b = −Σ Fᵀ(g − f), H = Σ FᵀF and A = Σ ∇fᵀ∇g give d = A⁻¹ b. A is made of what both
 have in common: noise is not, and raises H alone. Where A is no larger than chance makes it, nothing is told.
+Nor does A count as far as it goes with curl that both have in common: a surface's slopes have none. What a
+mosaic makes of strands finer than its pixels has, is alike in both, and wanders along the strands.
 Else, along an eigenvector of A, d has the variance S / A², with S = Σ s² over the nodes of the window, s what
 the pixels of one still pull by at d (the sandwich of `white1980`, clustered): it counts noise, and whatever
 moves otherwise than the rest. White noise alone, of the residual's σ², makes S = σ² H, the least it can be.
@@ -416,7 +418,7 @@ class TemplateRegistration:
 
 
 def _moments_of(mine: Band, theirs: Band, count: int) -> npt.NDArray[np.float64]:
-    """Moments (nodes, 13) of a band of the template and one of the frame."""
+    """Moments (nodes, 14) of a band of the template and one of the frame."""
     first, second = ((band.features, band.gradients, band.weight) for band in (mine, theirs))
     return np.asarray(_moments(mine.node, count, *first, *second))
 
@@ -433,10 +435,12 @@ def _curl(band: Band) -> npt.NDArray[np.float32]:
 
 @njit(cache=True, fastmath=True)
 def _moments(node, count, f, df, wf, g, dg, wg):  # type: ignore[no-untyped-def]
-    """(nodes, 13): A (3), H (3), b (2), Σ w |g − f|², Σ w, Σ w |∇f|², pixels, A's trace where positive."""
+    """(nodes, 14): A (3), H (3), b (2), Σ w |g − f|², Σ w, Σ w |∇f|², pixels, A's trace where positive, and
+    the common product of curls: half of what noise of both slopes adds to A's trace, so all along one axis.
+    """
     h, w = node.shape
     channels = f.shape[2]
-    out = np.zeros((count, 13))
+    out = np.zeros((count, 14))
     for v in range(h):
         for u in range(w):
             j = node[v, u]
@@ -459,6 +463,8 @@ def _moments(node, count, f, df, wf, g, dg, wg):  # type: ignore[no-untyped-def]
                 out[j, 8] += weight * r * r
                 out[j, 9] += weight
                 out[j, 10] += weight * (fx * fx + fy * fy + gx * gx + gy * gy) * 0.5
+            if channels == 2:
+                out[j, 13] += weight * (df[v, u, 2] - df[v, u, 1]) * (dg[v, u, 2] - dg[v, u, 1])
             out[j, 11] += 1.0
     for j in range(count):
         out[j, 12] = max(out[j, 0] + out[j, 2], 0.0)
@@ -528,7 +534,7 @@ def _steps(terms, pixel, nodes, correlated_px):  # type: ignore[no-untyped-def]
             if k == 1:
                 x, y = -y, x
             power = terms[j, 3] * x * x + 2 * terms[j, 4] * x * y + terms[j, 5] * y * y
-            sure = value - chance * power - terms[j, 13]
+            sure = value - chance * power - max(terms[j, 13], terms[j, 14])
             if sure <= 0 or power <= 0:
                 continue
             kept[j, k] = sure
