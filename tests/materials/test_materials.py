@@ -1,10 +1,13 @@
 """Reflectances from the unit length of normals: exact without noise, bounded with it, or refused."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
 from vntoolkit.errors import BadInput
+from vntoolkit.materials import pixels
 from vntoolkit.materials.labelling import MaterialLabeller
 from vntoolkit.materials.pixels import colours_of, relit
 from vntoolkit.materials.reflectance import (
@@ -15,6 +18,7 @@ from vntoolkit.materials.reflectance import (
     reflectance_from_fit,
 )
 from vntoolkit.materials.search import WORST_ERROR_DEG, find_materials
+from vntoolkit.materials.split_frame import split_frame
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse, rgb_from_normals
@@ -297,6 +301,31 @@ def tartan(size: int, seed: int) -> tuple[LinearFrame, np.ndarray]:
     light = gaussian_filter(light, (0.7, 0.7, 0.0))
     light += np.random.default_rng(seed).normal(0.0, LEVEL, light.shape)
     return LinearFrame(light.astype(np.float32)), mask
+
+
+@pytest.mark.parametrize("blur_px", [0.0, 1.0])
+def test_lines_beside_which_nothing_changed_are_left_as_deciding_them_again_would(
+    monkeypatch: pytest.MonkeyPatch, blur_px: float
+) -> None:
+    labels, rng = sectors(), np.random.default_rng(1)
+    frame, _, mask = painted(labels, noise=10 * LEVEL)
+    frame = LinearFrame(gaussian_filter(frame.rgb, (blur_px, blur_px, 0.0)))
+    split = split_frame(frame, RESPONSE, mask)
+    start = rng.integers(0, 3, labels.shape)
+    decide, reaches, found = pixels._decide_lines, set(), []
+
+    def decide_all(*given: Any) -> int:
+        reaches.add(given[9])
+        return decide(*given[:-1], np.full_like(given[-1], 255))
+
+    for of_lines in (decide, decide_all):
+        monkeypatch.setattr(pixels, "_decide_lines", of_lines)
+        labeller = pixels.LineLabeller(split.lamps, np.log(PAINTS), pixels.Spread(0.02, 0.02))
+        labeller.look_at(split.colours, split.lit)
+        found.append(labeller.decided(start.astype(np.uint8), split.lit))
+    assert np.array_equal(*found)
+    assert not np.array_equal(found[0], start)
+    assert max(reaches) == (3 if blur_px else 1)
 
 
 def test_a_yarn_of_a_tartan_that_is_seen_in_small_squares_only_is_found_by_its_mixtures() -> None:

@@ -275,16 +275,20 @@ def _move_row(
                 to = (size - 1) * lanes + i
                 window[k * n + to] = window[(k - _NEW_SHADE + _SHADE) * n + to]
         _fill_sides(window, lanes, n)
-        least = _price_of(window, _MIXED, _SHADE, size, lanes, n, ambient, matrix, length, precision)
+        least = _price_of_lengths(window, _MIXED, size, lanes, n, ambient, matrix, length)
+        least += _price_of_steps(window, _SHADE, size, lanes, n, precision)
         least += _SEAM_PRICE * _length_of_seam(labels, v, u, side, -1)
         best, last = -1, -1
         for m in range(count):
             if not near[m]:
                 continue
             _mix_again(window, labels, v, u, side, m, rho, size, lanes, n)
-            price = _price_of(window, _NEW, _NEW_SHADE, size, lanes, n, ambient, matrix, length, precision)
-            price += _SEAM_PRICE * _length_of_seam(labels, v, u, side, m)
             last = m
+            price = _price_of_steps(window, _NEW_SHADE, size, lanes, n, precision)
+            price += _SEAM_PRICE * _length_of_seam(labels, v, u, side, m)
+            if price >= least:
+                continue
+            price += _price_of_lengths(window, _NEW, size, lanes, n, ambient, matrix, length)
             if price < least - _LEAST_GAIN:
                 least, best = price, m
         if best < 0:
@@ -369,25 +373,12 @@ def _fill_sides(window: Any, lanes: int, n: int) -> None:
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def _price_of(
-    window: Any, mixed: int, shade: int, size: int, lanes: int, n: int, haze: Any, matrix: Any, length: Any,
-    precision: Any,
-) -> Any:  # fmt: skip
-    """Price of a window's lengths and of its steps of shading; mixed, shade: the parts that count.
+def _price_of_steps(window: Any, shade: int, size: int, lanes: int, n: int, precision: Any) -> Any:
+    """Price of a window's steps of shading; shade: the part that counts.
 
     Only the steps down from its first row and to its last one count there: others stay as they are.
     """
     total = _NONE
-    for i in range(lanes, (size - 1) * lanes):
-        x0 = window[_LIGHT * n + i] / window[mixed * n + i] - haze[0]
-        x1 = window[(_LIGHT + 1) * n + i] / window[(mixed + 1) * n + i] - haze[1]
-        x2 = window[(_LIGHT + 2) * n + i] / window[(mixed + 2) * n + i] - haze[2]
-        n0 = matrix[0] * x0 + matrix[1] * x1 + matrix[2] * x2
-        n1 = matrix[3] * x0 + matrix[4] * x1 + matrix[5] * x2
-        n2 = matrix[6] * x0 + matrix[7] * x1 + matrix[8] * x2
-        e = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2) - _ONE
-        t = e * e * length
-        total += window[_SIDES * n + i] * t / (_MOST + t)
     for i in range(lanes, (size - 1) * lanes):
         d0 = window[shade * n + i + 1] - window[shade * n + i]
         d1 = window[(shade + 1) * n + i + 1] - window[(shade + 1) * n + i]
@@ -400,6 +391,25 @@ def _price_of(
         d2 = window[(shade + 2) * n + i + lanes] - window[(shade + 2) * n + i]
         t = (d0 * d0 + d1 * d1 + d2 * d2) * precision
         total += window[(_SIDES + 2) * n + i] * t / (_MOST + t)
+    return _HALF * _MOST * total
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _price_of_lengths(
+    window: Any, mixed: int, size: int, lanes: int, n: int, haze: Any, matrix: Any, length: Any
+) -> Any:
+    """Price of a window's lengths; mixed: the part that counts."""
+    total = _NONE
+    for i in range(lanes, (size - 1) * lanes):
+        x0 = window[_LIGHT * n + i] / window[mixed * n + i] - haze[0]
+        x1 = window[(_LIGHT + 1) * n + i] / window[(mixed + 1) * n + i] - haze[1]
+        x2 = window[(_LIGHT + 2) * n + i] / window[(mixed + 2) * n + i] - haze[2]
+        n0 = matrix[0] * x0 + matrix[1] * x1 + matrix[2] * x2
+        n1 = matrix[3] * x0 + matrix[4] * x1 + matrix[5] * x2
+        n2 = matrix[6] * x0 + matrix[7] * x1 + matrix[8] * x2
+        e = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2) - _ONE
+        t = e * e * length
+        total += window[_SIDES * n + i] * t / (_MOST + t)
     return _HALF * _MOST * total
 
 

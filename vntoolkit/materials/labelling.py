@@ -47,7 +47,6 @@ _DOUBTFUL = 1.5  # price of a region from which its pixels are decided one by on
 _BESIDE = 4  # … and those that near to a seam
 # Share of the pixels of a frame that is decided as a whole: in later frames what costs more is doubtful.
 _DOUBTFUL_SHARE = 0.05
-_WORSE = 1.03  # times the mean price of that frame: where carried labels cost more, all are decided anew
 _CARRIED_SWEEPS = 2
 _BOX_BLOCKS = 32  # that a subject moves before another part of the frame is looked at
 # Two pixels with a seam between them, farther apart than its blur and its labels' errors reach.
@@ -267,7 +266,7 @@ class MaterialLabeller:
             sweeps=_CARRIED_SWEEPS,
         )
         paid = self._coarse.prices(found).sum(dtype=np.float64)
-        if paid > _WORSE * self._mean_price * split.lit.sum():
+        if paid > self._mean_price * split.lit.sum():
             return None
         if split.factor > 1:  # pixels are decided after blocks
             return found

@@ -112,7 +112,7 @@ class LineLabeller:
         active = active & self._lit
         allowed = np.full(labels.shape, 2 ** len(self._logs) - 1, np.uint16)
         if any_label is not None:
-            _labels_around(labels, active & ~any_label, allowed)
+            _labels_around(labels, any_label, active, allowed)
         if self._variance is not None:
             return self._of_least_cost(labels, active, allowed, sweeps)
         known = self._values, self._lit, self._lamps, self._logs, self.spread
@@ -151,15 +151,16 @@ class LineLabeller:
         )  # fmt: skip
         if self._variance is None:
             self._variance = _shading_variance(self._values, self._lit, lamps, reach)
-        found, extents = labels.copy(), _extents(active)
-        for _ in range(sweeps):
+        found, extents, when = labels.copy(), _extents(active), np.zeros(labels.shape, np.uint8)
+        for sweep in range(sweeps):
             changed = 0
-            for upright in (True, False):
-                for first in (0, 1):
-                    changed += _decide_lines(
-                        found, light, noise, self._lit, unary, active, allowed, logs.astype(np.float32),
-                        np.float32(self._variance), reach, upright, first, extents[0 if upright else 1],
-                    )  # fmt: skip
+            for k in range(4):
+                upright, first = k < 2, k % 2
+                changed += _decide_lines(
+                    found, light, noise, self._lit, unary, active, allowed, logs.astype(np.float32),
+                    np.float32(self._variance), reach, upright, first, extents[0 if upright else 1],
+                    4 * sweep + k + 1, when,
+                )  # fmt: skip
             if changed <= _SETTLED * active.sum():
                 break
         return found
@@ -341,17 +342,21 @@ def _price(
 
 
 @njit(cache=True, parallel=True)
-def _labels_around(labels: Any, active: Any, allowed: Any) -> None:
-    """Leave each active pixel the labels that are within the window around it."""
+def _labels_around(labels: Any, any_label: Any, active: Any, allowed: Any) -> None:
+    """Leave each active pixel the labels that are within the window around it, and none active that has one.
+
+    any_label: (h, w), pixels that are left all.
+    """
     h, w = labels.shape
     for v in prange(h):
         for u in range(w):
-            if active[v, u]:
+            if active[v, u] and not any_label[v, u]:
                 found = 0
                 for a in range(max(v - MOST_REACH_PX, 0), min(v + MOST_REACH_PX + 1, h)):
                     for b in range(max(u - MOST_REACH_PX, 0), min(u + MOST_REACH_PX + 1, w)):
                         found |= 1 << labels[a, b]
                 allowed[v, u] = found
+                active[v, u] = found & (found - 1) != 0
 
 
 @njit(cache=True)
@@ -399,13 +404,15 @@ def scattering(count: int) -> int:
 @njit(cache=True, parallel=True, error_model="numpy")
 def _decide_lines(
     labels: Any, light: Any, noise: Any, lit: Any, unary: Any, active: Any, allowed: Any, z: Any,
-    variance: Any, reach: int, upright: bool, first: int, extents: Any,
+    variance: Any, reach: int, upright: bool, first: int, extents: Any, now: int, changed: Any,
 ) -> int:  # fmt: skip
     """Give every second row or column its labels of least cost, those beside it being as they are.
 
     Return how many changed. upright: rows. A chain goes over every pixel, or leaps over blurred ones: then
     chains alternate. extents: (lines, 2), where the active pixels of each line begin and end. z, variance,
-    light, noise, unary: in single precision.
+    light, noise, unary: in single precision. changed: (h, w), number of the call, counted from 1, in which a
+    label changed last. now: number of this call. The fourth before it was of the same lines; chains beside
+    which nothing changed since are left as they are, which is what deciding them again would do.
     """
     h, w, count = unary.shape
     lines, length = (h, w) if upright else (w, h)
@@ -417,81 +424,96 @@ def _decide_lines(
         begin, end = extents[line]
         if begin >= end:
             continue
-        weight, apart = np.empty(3, np.float32), np.empty(3, np.float32)
         # Of every pixel: the labels that it may get, what each costs, and which of the pixel before it needs.
         number, kinds = np.zeros(length, np.int64), np.empty((length, count), np.int64)
         total, source = np.empty((length, count), np.float32), np.zeros((length, count), np.int64)
         for offset in range(reach):
-            for t in range(begin + offset, end, reach):
-                v, u = (line, t) if upright else (t, line)
-                if not active[v, u]:
+            t = begin + offset
+            while t < end:
+                start = t
+                while t < end and (active[line, t] if upright else active[t, line]):
+                    t += reach
+                if t == start:
+                    t += reach
                     continue
-                number[t] = 0
-                for m in range(count):
-                    if (allowed[v, u] >> m) & 1:
-                        kinds[t, number[t]], total[t, number[t]] = m, unary[v, u, m]
-                        number[t] += 1
-                for way in range(4):  # back and on along the line, then to either side
-                    along = (way == 1) * reach - (way == 0) * reach
-                    aside = (way == 3) * reach - (way == 2) * reach
-                    a, b = (v + aside, u + along) if upright else (v + along, u + aside)
-                    if a < 0 or b < 0 or a >= h or b >= w or not lit[a, b] or (way == 1 and active[a, b]):
-                        continue
-                    for k in range(3):
-                        weight[k] = _ONE / (variance + noise[v, u, k] + noise[a, b, k])
-                        apart[k] = light[v, u, k] - light[a, b, k]
-                    if way == 0 and active[a, b]:
-                        for p in range(number[t]):
-                            m, least = kinds[t, p], _INFINITE
-                            for q in range(number[t - reach]):
-                                cost = total[t - reach, q]
-                                if cost < least:
-                                    n = kinds[t - reach, q]
-                                    cost += _change_again(apart, weight, z[n], z[m])
-                                    if reach == 1 and n != m:
-                                        cost += _SEAM_PRICE
-                                    if cost < least:
-                                        least = cost
-                                        source[t, p] = q
-                            total[t, p] += least
-                    else:
-                        n = labels[a, b]
-                        for p in range(number[t]):
-                            m = kinds[t, p]
-                            total[t, p] += _change_again(apart, weight, z[n], z[m])
-                            if reach == 1 and n != m:
-                                total[t, p] += _SEAM_PRICE
-                    if reach > 1:
-                        n = labels[v + (a - v) // reach, u + (b - u) // reach]
-                        for p in range(number[t]):
-                            if n != kinds[t, p]:
-                                total[t, p] += _SEAM_PRICE
-                goes_on = t + reach < length
-                if goes_on:
-                    goes_on = active[v, u + reach] if upright else active[v + reach, u]
-                if goes_on:
+                if now > 4 and not _is_touched(changed, line, start, t, reach, upright, now - 4):
                     continue
-                best = total[t, : number[t]].argmin()
-                back = t
-                while True:
+                for at in range(start, t, reach):
+                    v, u = (line, at) if upright else (at, line)
+                    found = 0
+                    for m in range(count):
+                        if (allowed[v, u] >> m) & 1:
+                            kinds[at, found], total[at, found] = m, unary[v, u, m]
+                            found += 1
+                    number[at] = found
+                    for way in range(4):  # back and on along the line, then to either side
+                        along = (way == 1) * reach - (way == 0) * reach
+                        aside = (way == 3) * reach - (way == 2) * reach
+                        a, b = (v + aside, u + along) if upright else (v + along, u + aside)
+                        if a < 0 or b < 0 or a >= h or b >= w or not lit[a, b]:
+                            continue
+                        if way == 1 and at + reach < t:  # the pixel there asks back
+                            continue
+                        w0 = _ONE / (variance + noise[v, u, 0] + noise[a, b, 0])
+                        w1 = _ONE / (variance + noise[v, u, 1] + noise[a, b, 1])
+                        w2 = _ONE / (variance + noise[v, u, 2] + noise[a, b, 2])
+                        d0, d1 = light[v, u, 0] - light[a, b, 0], light[v, u, 1] - light[a, b, 1]
+                        d2 = light[v, u, 2] - light[a, b, 2]
+                        if way == 0 and at > start:
+                            for p in range(found):
+                                m, least, best = kinds[at, p], _INFINITE, 0
+                                x0, x1, x2 = d0 - z[m, 0], d1 - z[m, 1], d2 - z[m, 2]
+                                for q in range(number[at - reach]):
+                                    n = kinds[at - reach, q]
+                                    y0, y1, y2 = x0 + z[n, 0], x1 + z[n, 1], x2 + z[n, 2]
+                                    rest = y0 * y0 * w0 + y1 * y1 * w1 + y2 * y2 * w2
+                                    cost = total[at - reach, q] + _HALF * rest / (_ONE + rest * _OF_CAP)
+                                    cost += _SEAM_PRICE if reach == 1 and n != m else _NONE
+                                    best = q if cost < least else best
+                                    least = min(cost, least)
+                                total[at, p] += least
+                                source[at, p] = best
+                        else:
+                            n = labels[a, b]
+                            for p in range(found):
+                                m = kinds[at, p]
+                                y0, y1 = d0 - z[m, 0] + z[n, 0], d1 - z[m, 1] + z[n, 1]
+                                y2 = d2 - z[m, 2] + z[n, 2]
+                                rest = y0 * y0 * w0 + y1 * y1 * w1 + y2 * y2 * w2
+                                total[at, p] += _HALF * rest / (_ONE + rest * _OF_CAP)
+                                total[at, p] += _SEAM_PRICE if reach == 1 and n != m else _NONE
+                        if reach > 1 and way != 1:
+                            n = labels[v + (a - v) // reach, u + (b - u) // reach]
+                            for p in range(found):
+                                total[at, p] += _SEAM_PRICE if n != kinds[at, p] else _NONE
+                taken = total[t - reach, : number[t - reach]].argmin()
+                for back in range(t - reach, start - 1, -reach):
                     v, u = (line, back) if upright else (back, line)
-                    changes[line] += labels[v, u] != kinds[back, best]
-                    labels[v, u] = kinds[back, best]
-                    best = source[back, best]
-                    back -= reach
-                    if back < 0:
-                        break
-                    if not (active[line, back] if upright else active[back, line]):
-                        break
+                    if labels[v, u] != kinds[back, taken]:
+                        labels[v, u], changed[v, u] = kinds[back, taken], now
+                        changes[line] += 1
+                    taken = source[back, taken]
     return changes.sum()
 
 
-@njit(cache=True, inline="always", error_model="numpy")
-def _change_again(apart: Any, weight: Any, one: Any, other: Any) -> Any:
-    """`_change`, in single precision. apart: (3,), log s there less log s here."""
-    x, y, z = apart[0] - other[0] + one[0], apart[1] - other[1] + one[1], apart[2] - other[2] + one[2]
-    t = x * x * weight[0] + y * y * weight[1] + z * z * weight[2]
-    return _HALF * t / (_ONE + t * _OF_CAP)
+@njit(cache=True)
+def _is_touched(
+    changed: Any, line: int, start: int, stop: int, reach: int, upright: bool, since: int
+) -> bool:
+    """True where a label of a chain, or one that it is decided beside, changed after the chain was decided.
+
+    since: number of the call that decided it, in which other chains of its line may have changed later.
+    changed: see `_decide_lines`.
+    """
+    h, w = changed.shape
+    lines, length = (h, w) if upright else (w, h)
+    for at in (line, line - 1, line + 1, line - reach, line + reach):
+        if 0 <= at < lines:
+            for t in range(max(start - reach, 0), min(stop + 1, length)):
+                when = changed[at, t] if upright else changed[t, at]
+                if when > since or (when == since and (t - start) % reach != 0):
+                    return True
+    return False
 
 
 # Blur.
