@@ -16,8 +16,9 @@ import numpy.typing as npt
 from numba import prange
 
 from vntoolkit.arrays import FloatArray, IntArray, Mask, Points, Vector3
+from vntoolkit.geometry.camera import Camera
 from vntoolkit.materials.blurred_labels import MARGIN_PX, BlurredLabels
-from vntoolkit.materials.paint import told_by_neighbours, without_paint
+from vntoolkit.materials.paint import without_paint
 from vntoolkit.materials.pigment import pigment_of
 from vntoolkit.materials.pixels import (
     INDEPENDENT_PX,
@@ -68,12 +69,19 @@ class MaterialLabeller:
     a whole, too.
 
     response: with light colours. reflectances: (m, 3), relative to the calibration material. pigments:
-    (m, 3), the lines of log ρ along which they change, 0 for none.
+    (m, 3), the lines of log ρ along which they change, 0 for none. camera: None for orthographic.
     """
 
-    def __init__(self, response: LightResponse, reflectances: Points, pigments: Points | None = None) -> None:
+    def __init__(
+        self,
+        response: LightResponse,
+        reflectances: Points,
+        pigments: Points | None = None,
+        camera: Camera | None = None,
+    ) -> None:
         self._response = response
         self._pigments = pigments
+        self._camera = camera
         self._reflectances = np.asarray(reflectances, dtype=np.float64)
         self._logs = np.log(self._reflectances)
         self._before: MaterialLabels | None = None
@@ -82,14 +90,13 @@ class MaterialLabeller:
         self._coarse: LineLabeller | None = None
         self._beside_seams: BlurredLabels | None = None
         self._fine: BlurredLabels | None = None
-        self._by_neighbours: Mask | None = None
+        self.turned_deg: npt.NDArray[np.float32] | None = None  # by paint that was taken out last
         self._plain: npt.NDArray[np.float32] | None = None
         self._doubtful = self._mean_price = np.inf
 
     def forget(self) -> None:
         """Drop the labels of the frame before, so that a sequence may start anywhere."""
         self._before = self._split = self._coarse = self._beside_seams = self._fine = self._box = None
-        self._by_neighbours = None
 
     def labels(self, frame: LinearFrame, mask: Mask) -> MaterialLabels:
         """Return (h, w), numbers of the materials; 0 outside the mask. mask: (h, w).
@@ -157,18 +164,14 @@ class MaterialLabeller:
         mask: (h, w), where paint is told; None for everywhere. box: see `relit`.
         """
         known = self._response, labels, self._reflectances
+        self.turned_deg = None
         mask = np.ones(labels.shape, np.bool_) if mask is None else mask
-        if self._pigments is None or not self._pigments.any() or not mask.any():
-            return relit(frame, *known, seams=self.seams, box=box)
-        seen = frame, labels, mask, self._response, self._reflectances
-        if self._by_neighbours is None:
-            self._by_neighbours = told_by_neighbours(*seen, self._pigments)
-        lines = self._pigments * self._by_neighbours[:, None]
-        if lines.any():
+        if self._pigments is not None and self._pigments.any() and mask.any():
             if self._plain is None or self._plain.shape != frame.rgb.shape:
                 self._plain = np.empty(frame.rgb.shape, np.float32)  # new ones would cost a frame 2 ms
-            frame = without_paint(*seen, lines, self._plain)
-        return relit(frame, *known, self._pigments - lines, self.seams, mask, box)
+            seen = frame, labels, mask, self._response, self._reflectances
+            frame, self.turned_deg = without_paint(*seen, self._pigments, self._camera, self._plain)
+        return relit(frame, *known, seams=self.seams, box=box)
 
     @property
     def seams(self) -> Seams | None:

@@ -1,75 +1,51 @@
-"""Paint that varies inside a material, told by the lengths of normals and by their neighbours.
+"""Paint that varies inside a material, told from the surface: what is printed on it is no relief.
 
-One length a pixel tells one number; freckles, lips and brows are of several colours. So a pixel's log s is
-held against the normal that its neighbourhood lets expect. What is left is a turn of the normal, or paint.
-Each has a covariance. Paint is of one of three kinds (none, the material's pigment, darkening of nearly any
-hue), weighed by their likelihoods. The neighbourhood is that of the pixels without paint, from coarse to
-fine: a level that shows few of them takes its normals from the level above (push and pull, gortler1996).
+Light split by lamp and over ρ is s = (l · n) × paint. Without paint, the slopes are those of one depth. So the
+depth is sought whose paint log s − log (l · n) is least, in a norm that lets painted places go (Geman and
+McClure's): there the surface goes on from around. A block has three lights; depth leaves it one unknown, so
+that two numbers are left for its paint. Paint along the material's pigment costs less than paint across it.
+
+Gauss–Newton steps solve one weighted Poisson equation each, from coarse to fine.
 """
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 from numba import prange
 
 from vntoolkit.arrays import FloatArray, Mask, Points
-from vntoolkit.materials.pigment import exponential
+from vntoolkit.geometry.camera import Camera
 from vntoolkit.materials.reflectance import Lamps, lamps_from_response
 from vntoolkit.materials.split_frame import block_size
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
+from vntoolkit.shadows.surface import RayGrid, STEEPEST, edges_kernel, ray_at, ray_grid, slopes_kernel
+from vntoolkit.solvers import grid_hierarchy, solve_grid
 
 Single = npt.NDArray[np.float32]
 MaterialLabels = npt.NDArray[np.uint8]
-_BLOCKS = 20_000  # of the subject; noise is finer than these, and freckles are not
-_LEVELS, _ROUNDS = 5, 2
-# Variances of a normal's two components: of its change over one block, which doubles with twice the distance,
-# and of what one block tells of its surroundings.
-_CHANGE, _OF_BLOCK = np.float32(np.radians(5.0) ** 2), np.float32(np.radians(3.0) ** 2)
-_LENGTH = np.float32(0.03)  # standard deviation of lengths for other reasons: gloss, light between folds
-_PLAIN_LENGTH = np.float32(0.06)  # from where a length is a sign of paint
-_LEAST_VARIANCE = np.float32(1e-5)
-# The kinds of paint: standard deviation of log ρ along the pigment's line, and across it over that; of a
-# grey, and of its hue over that; how frequent each is.
-_NO_PAINT, _PIGMENT, _GREY = (0.06, 0.29), (0.4, 0.2), (0.7, 0.4)
-_FREQUENT = np.log(np.array([0.7, 0.2, 0.1])).astype(np.float32)
-_USUAL = np.float32(1.0)  # squared deviation of three numbers that needs no paint
+_BLOCKS = 60_000  # of the subject; noise is finer than these, and freckles are not
+_LEVELS = 2  # coarser ones, each of half the size: a lip is wide for steps that only reach its neighbours
+_STEPS, _CYCLES = 4, 4  # of Gauss–Newton on each level, and of multigrid in each
+_TOLERANCE = 3e-3
+# Standard deviations of log ρ from which paint counts as such: across the pigment's line, and along it.
+_ACROSS, _ALONG = 0.15, 0.3
+# Weight of a block's normal being the mean of those beside it, over that of light. Where paint hides the
+# surface, it decides.
+_SMOOTH = np.float32(7.0)
+_DAMPING = np.float32(0.02)  # of a step; keeps the equations definite
+_AROUND = 5  # blocks that share the doubt of a turn
 _LEAST_SHARE = np.float32(0.06)  # of the strongest lamp's light: less may be shadow, which tells nothing
 _LEAST_LIGHT, _TINY = np.float32(0.02), np.float32(1e-9)
-_NONE, _HALF, _ONE, _FAR = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(80.0)
-_MOST = np.float32(2.5)  # of log ρ
+_NONE, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+_DEGREES = np.float32(np.degrees(1.0))
 _NO_LABEL = 255
-
-
-def told_by_neighbours(
-    frame: LinearFrame,
-    labels: MaterialLabels,
-    mask: Mask,
-    response: LightResponse,
-    rho: Points,
-    lines: Points,
-) -> Mask:
-    """(m,), True for materials whose normals change no more from block to block than is counted on.
-
-    Of knit and of dark hair, which is noise, neighbours tell less than lengths do. The arguments are those of
-    `without_paint`.
-    """
-    lamps = lamps_from_response(response, np.zeros(3))
-    blocks = _blocks_of(np.ascontiguousarray(frame.rgb), labels, mask, lamps, rho, lines)
-    smooth = np.zeros(len(rho), np.bool_)
-    sums, of = blocks.sums, blocks.labels
-    normals = sums[..., :3] / np.maximum(sums[..., 3:], _TINY)
-    squares = ((normals[:, 1:] - normals[:, :-1]) ** 2).sum(axis=2)
-    both = (sums[:, 1:, 3] > 0) & (sums[:, :-1, 3] > 0) & (of[:, 1:] == of[:, :-1])
-    for m in range(len(rho)):
-        steps = squares[both & (of[:, 1:] == m)]
-        smooth[m] = steps.size > 0 and np.median(steps) < _CHANGE
-    return smooth
+_DOWN, _RIGHT = (-1, 1, 0, 0), (0, 0, -1, 1)  # to those beside a block
 
 
 def without_paint(
@@ -79,33 +55,44 @@ def without_paint(
     response: LightResponse,
     rho: Points,
     lines: Points,
+    camera: Camera | None,
     out: Single,
-) -> LinearFrame:
+) -> tuple[LinearFrame, Single]:
     """Return the frame as it would be without the paint of its subject, a mask (h, w).
 
+    And (h, w), by how many degrees that turns normals: the paint may be relief, so far are they in doubt.
+
     labels: (h, w), numbers of the materials. rho: (m, 3), their reflectances. lines: (m, 3), of length 1,
-    their pigments; one of 0 has no paint. out: (h, w, 3), which the frame's colours are written to.
+    their pigments; one of 0 has no paint. camera: None for orthographic. out: (h, w, 3), which the frame's
+    colours are written to.
     """
     lamps = lamps_from_response(response, np.zeros(3))
     rgb, merge = np.ascontiguousarray(frame.rgb), np.linalg.inv(lamps.split)
     blocks = _blocks_of(rgb, labels, mask, lamps, rho, lines)
-    gains = _gains_of(blocks, lamps, lines)
+    gains, turns = _gains_of(blocks, lamps, lines, camera)
     split = lamps.split.astype(np.float32)
     _take_out(rgb, labels, mask, split, merge.astype(np.float32), gains, blocks.labels, blocks.factor, out)
-    return LinearFrame(rgb=out, clipped=frame.clipped, number=frame.number)
+    turns = turns.repeat(blocks.factor, 0).repeat(blocks.factor, 1)[: len(rgb), : rgb.shape[1]]
+    return LinearFrame(rgb=out, clipped=frame.clipped, number=frame.number), turns
 
 
 class _Blocks(NamedTuple):
     """Blocks of factor × factor pixels.
 
-    light: (h, w, 3), over ρ, without ambient light; 0 where a lamp is missing. labels: (h, w), the material
-    of each, 255 for none. sums: (h, w, 4), normals, weighed by how likely each is without paint, and weights.
+    light: (h, w, 3), over ρ, without ambient light. labels: (h, w), the material of each, 255 for none, or
+    where a lamp is missing.
     """
 
     light: Single
     labels: MaterialLabels
-    sums: Single
     factor: int
+
+    def halved(self) -> _Blocks:
+        """Return blocks of twice the side, of the material that is most often in them."""
+        h, w = (-(-n // 2) for n in self.labels.shape)
+        light, of = np.zeros((h, w, 3), np.float32), np.full((h, w), _NO_LABEL, np.uint8)
+        _halve(self.light, self.labels, light, of)
+        return _Blocks(light, of, 2 * self.factor)
 
 
 def _blocks_of(
@@ -114,48 +101,76 @@ def _blocks_of(
     factor = block_size(mask, _BLOCKS)
     h, w = (-(-n // factor) for n in mask.shape)
     light, of = np.zeros((h, w, 3), np.float32), np.full((h, w), _NO_LABEL, np.uint8)
-    sums = np.zeros((h, w, 4), np.float32)
-    split, haze, inverse = (each.astype(np.float32) for each in (lamps.split, lamps.haze, lamps.inverse))
+    split, haze = lamps.split.astype(np.float32), lamps.haze.astype(np.float32)
     over, has_paint = (1.0 / np.asarray(rho)).astype(np.float32), np.asarray(lines).any(axis=1)
-    _take_blocks(rgb, labels, mask, factor, split, over, haze, inverse, has_paint, light, of, sums)
-    return _Blocks(light, of, sums, factor)
+    _take_blocks(rgb, labels, mask, factor, split, over, haze, has_paint, light, of)
+    return _Blocks(light, of, factor)
 
 
-def _gains_of(blocks: _Blocks, lamps: Lamps, lines: Points) -> Single:
-    """(h, w, 3), 1 / ρ of the paint of each block."""
+def _gains_of(blocks: _Blocks, lamps: Lamps, lines: Points, camera: Camera | None) -> tuple[Single, Single]:
+    """(h, w, 3), 1 / ρ of the paint of each block, and (h, w), by how many degrees it turned the normal."""
     lights, inverse = np.linalg.inv(lamps.inverse).astype(np.float32), lamps.inverse.astype(np.float32)
-    kinds = np.array([_kinds(line) for line in np.asarray(lines)], np.float32)
-    sums, gains = [blocks.sums], np.ones(blocks.light.shape, np.float32)
+    prices = np.array([_price(line) for line in np.asarray(lines)], np.float32)
+    pyramid = [blocks]
     for _ in range(_LEVELS):
-        sums.append(np.zeros((*(-(-n // 2) for n in sums[-1].shape[:2]), 4), np.float32))
-    expected = [np.empty_like(each) for each in sums]
-    for _ in range(_ROUNDS):
-        for fine, coarse in pairwise(sums):
-            _add_up(fine, coarse)
-        _begin(sums[-1], expected[-1])
-        for level in range(_LEVELS - 1, -1, -1):
-            _expect(expected[level + 1], sums[level], level, expected[level])
-        _tell(blocks.light, blocks.labels, expected[0], lights, inverse, kinds, gains, sums[0])
-    return gains
+        pyramid.append(pyramid[-1].halved())
+    slopes, depth = np.zeros((2, 1, 1), np.float32), np.zeros((1, 1), np.float32)
+    known = np.zeros((1, 1), np.bool_)
+    for level in reversed(pyramid):
+        shape, inside = level.labels.shape, level.labels != _NO_LABEL
+        rays = _rays_of_blocks(camera, level.factor)
+        depth = np.ascontiguousarray(cv2.resize(2.0 * depth, shape[::-1], interpolation=cv2.INTER_LINEAR))
+        before, slopes = slopes, np.empty((2, *shape), np.float32)
+        _begin(level.light, inside, inverse, rays, before, known, slopes)
+        quadratics, targets = np.zeros((6, *shape), np.float32), np.zeros((2, *shape), np.float32)
+        edges, right, agreement = np.empty((4, *shape), np.float32), *np.empty((2, *shape), np.float32)
+        weights = _quadrants(inside)
+        smooth = _SMOOTH / np.float32((level.factor // blocks.factor) ** 2)
+        logs = np.log(np.maximum(level.light, _TINY))
+        for _ in range(_STEPS):
+            _ask(logs, level.labels, slopes, rays, lights, prices, smooth, quadratics, targets)
+            edges_kernel(quadratics, targets, weights, edges, right)
+            depth = solve_grid(grid_hierarchy(edges), right, depth, _TOLERANCE, _CYCLES)
+            slopes_kernel(depth, weights, np.float32(STEEPEST), slopes, agreement)
+        known = inside
+    gains, turns = np.empty(blocks.light.shape, np.float32), np.empty(blocks.labels.shape, np.float32)
+    _fill_gains(blocks.light, blocks.labels, slopes, rays, lights, inverse, gains, turns)
+    return gains, np.maximum(turns, np.sqrt(cv2.blur(turns * turns, (_AROUND, _AROUND))))
 
 
-def _kinds(line: FloatArray) -> FloatArray:
-    """(3, 3, 3), the covariance of log ρ of each kind of paint."""
-    along, grey = np.outer(line, line), np.full((3, 3), 1.0 / 3.0)
-    return np.array([
-        spread**2 * (main + across**2 * (np.eye(3) - main))
-        for (spread, across), main in ((_NO_PAINT, along), (_PIGMENT, along), (_GREY, grey))
-    ])  # fmt: skip
+def _price(line: FloatArray) -> FloatArray:
+    """(3, 3), the inverse covariance of the log ρ of paint of a material with a pigment along a line (3,)."""
+    along = np.outer(line, line)
+    return np.asarray(along / _ALONG**2 + (np.eye(3) - along) / _ACROSS**2)
+
+
+def _rays_of_blocks(camera: Camera | None, factor: int) -> RayGrid:
+    rays = ray_grid(camera)
+    middle = np.float32((factor - 1) / 2)
+    return RayGrid(
+        (rays.centre_u - middle) / np.float32(factor), (rays.centre_v - middle) / np.float32(factor),
+        rays.per_pixel_u * np.float32(factor), rays.per_pixel_v * np.float32(factor),
+    )  # fmt: skip
+
+
+def _quadrants(inside: Mask) -> Single:
+    """(4, h, w), 1 where a block and those beside it along u and v are inside, as in `edges_kernel`."""
+    out = np.zeros((4, *inside.shape), np.float32)
+    right, below = np.zeros_like(inside), np.zeros_like(inside)
+    right[:, :-1], below[:-1] = inside[:, 1:] & inside[:, :-1], inside[1:] & inside[:-1]
+    left, above = np.zeros_like(inside), np.zeros_like(inside)
+    left[:, 1:], above[1:] = right[:, :-1], below[:-1]
+    for i, (across, along) in enumerate(((right, below), (left, below), (right, above), (left, above))):
+        out[i] = across & along
+    return out
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def _take_blocks(
-    rgb: Any, labels: Any, mask: Any, factor: int, split: Any, over: Any, haze: Any, inverse: Any,
-    has_paint: Any, s: Any, of: Any, sums: Any,
+    rgb: Any, labels: Any, mask: Any, factor: int, split: Any, over: Any, haze: Any, has_paint: Any, s: Any,
+    of: Any,
 ) -> None:  # fmt: skip
-    """Fill s (h, w, 3), the blocks' light over ρ without ambient light, their materials, and, weighed by how
-    likely each is without paint, their normals and these weights, (h, w, 4).
-    """
+    """Fill s (h, w, 3), the blocks' light over ρ without ambient light, and their materials."""
     h, w = of.shape
     for i in prange(h):
         for j in range(w):
@@ -172,21 +187,14 @@ def _take_blocks(
                         r, g, b, count = r + rgb[v, u, 0], g + rgb[v, u, 1], b + rgb[v, u, 2], count + 1
             if 2 * count <= factor * factor:
                 continue
-            of[i, j] = m
             share = _ONE / np.float32(count)
             most, least = _NONE, np.float32(np.inf)
             for k in range(3):
                 x = (split[k, 0] * r + split[k, 1] * g + split[k, 2] * b) * share * over[m, k] - haze[k]
                 s[i, j, k] = x
                 most, least = max(most, x), min(least, x)
-            if not least > _LEAST_SHARE * most:
-                s[i, j] = _NONE
-                continue
-            n0, n1, n2 = _times(inverse, s[i, j, 0], s[i, j, 1], s[i, j, 2])
-            length = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
-            off = (length - _ONE) / _PLAIN_LENGTH
-            weight = _ONE / (_ONE + off * off)
-            _weigh(n0 / length, n1 / length, n2 / length, weight * weight, sums[i, j])
+            if least > _LEAST_SHARE * most:
+                of[i, j] = m
 
 
 @njit(cache=True, inline="always", error_model="numpy")
@@ -198,127 +206,144 @@ def _times(matrix: Any, x: Any, y: Any, z: Any) -> Any:
     )
 
 
-@njit(cache=True, inline="always", error_model="numpy")
-def _weigh(x: Any, y: Any, z: Any, weight: Any, out: Any) -> None:
-    out[0], out[1], out[2], out[3] = weight * x, weight * y, weight * z, weight
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
-def _add_up(fine: Any, coarse: Any) -> None:
-    """Fill the sums over 2 × 2 cells."""
-    h, w = fine.shape[:2]
-    for i in range(coarse.shape[0]):
-        coarse[i] = _NONE
-        for v in range(2 * i, min(2 * i + 2, h)):
-            for u in range(w):
-                for k in range(4):
-                    coarse[i, u // 2, k] += fine[v, u, k]
-
-
 @njit(cache=True, error_model="numpy")
-def _begin(sums: Any, out: Any) -> None:
-    """Fill the expected normals and their variances, (h, w, 4), of the coarsest level."""
+def _halve(light: Any, of: Any, out: Any, labels: Any) -> None:
+    h, w = of.shape
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
-            weight = sums[i, j, 3]
-            for k in range(3):
-                out[i, j, k] = sums[i, j, k] / max(weight, _TINY)
-            out[i, j, 3] = _OF_BLOCK / (weight + _OF_BLOCK)
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
-def _expect(above: Any, sums: Any, level: int, out: Any) -> None:
-    """Fill the expected normals and variances of a level, from those above it and, but for single blocks,
-    from its own.
-    """
-    h, w = out.shape[:2]
-    change = _CHANGE * np.float32(2**level)
-    for i in range(h):
-        near, far = i // 2, min(max(i // 2 - 1 + 2 * (i % 2), 0), above.shape[0] - 1)
-        for j in range(w):
-            here, there = j // 2, min(max(j // 2 - 1 + 2 * (j % 2), 0), above.shape[1] - 1)
-            for k in range(4):
-                out[i, j, k] = np.float32(0.5625) * above[near, here, k] + np.float32(0.0625) * above[
-                    far, there, k
-                ] + np.float32(0.1875) * (above[near, there, k] + above[far, here, k])  # fmt: skip
-            variance = out[i, j, 3] + change
-            weight = sums[i, j, 3]
-            if level and weight > _TINY:
-                gain = variance / (variance + _OF_BLOCK / weight)
-                for k in range(3):
-                    out[i, j, k] += gain * (sums[i, j, k] / weight - out[i, j, k])
-                variance *= _ONE - gain
-            out[i, j, 3] = variance
+            most = 1
+            for v in range(2 * i, min(2 * i + 2, h)):
+                for u in range(2 * j, min(2 * j + 2, w)):
+                    m, count = of[v, u], 0
+                    if m == _NO_LABEL:
+                        continue
+                    r, g, b = _NONE, _NONE, _NONE
+                    for y in range(2 * i, min(2 * i + 2, h)):
+                        for x in range(2 * j, min(2 * j + 2, w)):
+                            if of[y, x] == m:
+                                r, g, b = r + light[y, x, 0], g + light[y, x, 1], b + light[y, x, 2]
+                                count += 1
+                    if count > most:
+                        most, labels[i, j] = count, m
+                        share = _ONE / np.float32(count)
+                        out[i, j, 0], out[i, j, 1], out[i, j, 2] = share * r, share * g, share * b
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
-def _tell(
-    s: Any, of: Any, expected: Any, lights: Any, inverse: Any, kinds: Any, gains: Any, sums: Any
-) -> None:
-    """Fill 1 / ρ of the paint, (h, w, 3), and the normals without it, weighed by how likely there is none."""
-    h, w = of.shape
-    g = lights @ lights.T
-    level = _LENGTH * _LENGTH
-    for i in prange(h):
-        x, y, z = np.empty(3, np.float32), np.empty(3, np.float32), np.empty(3, np.float32)
-        chance = np.empty(3, np.float32)
-        for j in range(w):
-            m = of[i, j]
-            if m == _NO_LABEL or not s[i, j, 0] > _NONE:
+def _begin(light: Any, inside: Any, inverse: Any, rays: Any, before: Any, known: Any, out: Any) -> None:
+    """Fill slopes (2, h, w) with those of the level before, or of the light itself where it has none."""
+    h, w = inside.shape
+    flattest = np.float32(0.12)
+    for v in prange(h):
+        x0, y = ray_at(rays, v, 0)
+        for u in range(w):
+            out[0, v, u] = out[1, v, u] = _NONE
+            if not inside[v, u]:
                 continue
-            n0, n1, n2, variance = expected[i, j]
-            over = _ONE / (np.sqrt(n0 * n0 + n1 * n1 + n2 * n2) + _TINY)
-            e0, e1, e2 = _times(lights, n0 * over, n1 * over, n2 * over)
-            e0, e1, e2 = max(e0, _LEAST_LIGHT), max(e1, _LEAST_LIGHT), max(e2, _LEAST_LIGHT)
-            d0, d1, d2 = np.log(s[i, j, 0] / e0), np.log(s[i, j, 1] / e1), np.log(s[i, j, 2] / e2)
-            # Covariance of log (l · n) where n turns, and where all light is off alike.
-            v00 = variance * (g[0, 0] / (e0 * e0) - _ONE) + level + _LEAST_VARIANCE
-            v11 = variance * (g[1, 1] / (e1 * e1) - _ONE) + level + _LEAST_VARIANCE
-            v22 = variance * (g[2, 2] / (e2 * e2) - _ONE) + level + _LEAST_VARIANCE
-            v01 = variance * (g[0, 1] / (e0 * e1) - _ONE) + level
-            v02 = variance * (g[0, 2] / (e0 * e2) - _ONE) + level
-            v12 = variance * (g[1, 2] / (e1 * e2) - _ONE) + level
-            for kind in range(3):
-                k = kinds[m, kind]
-                a, b, c = v00 + k[0, 0], v11 + k[1, 1], v22 + k[2, 2]
-                f, q, r = v01 + k[0, 1], v02 + k[0, 2], v12 + k[1, 2]
-                c00, c01, c02 = b * c - r * r, q * r - f * c, f * r - q * b
-                c11, c12, c22 = a * c - q * q, f * q - a * r, a * b - f * f
-                determinant = max(a * c00 + f * c01 + q * c02, _TINY * _TINY)
-                one = _ONE / determinant
-                p0 = (c00 * d0 + c01 * d1 + c02 * d2) * one
-                p1 = (c01 * d0 + c11 * d1 + c12 * d2) * one
-                p2 = (c02 * d0 + c12 * d1 + c22 * d2) * one
-                squares = d0 * p0 + d1 * p1 + d2 * p2
-                x[kind], y[kind], z[kind] = _times(k, p0, p1, p2)
-                if kind == 0 and squares < _USUAL:
-                    chance[0], chance[1], chance[2] = _NONE, -_FAR, -_FAR
-                    x[1:], y[1:], z[1:] = _NONE, _NONE, _NONE
-                    break
-                chance[kind] = _FREQUENT[kind] - _HALF * (squares + np.log(determinant))
-            most = max(chance[0], chance[1], chance[2])
-            total, l0, l1, l2 = _NONE, _NONE, _NONE, _NONE
-            for kind in range(3):
-                chance[kind] = np.exp(chance[kind] - most)
-                total += chance[kind]
-                l0, l1, l2 = (
-                    l0 + chance[kind] * x[kind], l1 + chance[kind] * y[kind], l2 + chance[kind] * z[kind]
-                )  # fmt: skip
-            over = -_ONE / total
-            l0, l1, l2 = (
-                exponential(_bounded(l0 * over)),
-                exponential(_bounded(l1 * over)),
-                exponential(_bounded(l2 * over)),
-            )
-            gains[i, j, 0], gains[i, j, 1], gains[i, j, 2] = l0, l1, l2
-            n0, n1, n2 = _times(inverse, s[i, j, 0] * l0, s[i, j, 1] * l1, s[i, j, 2] * l2)
-            over = _ONE / (np.sqrt(n0 * n0 + n1 * n1 + n2 * n2) + _TINY)
-            _weigh(n0 * over, n1 * over, n2 * over, chance[0] / total, sums[i, j])
+            i, j = min(v // 2, known.shape[0] - 1), min(u // 2, known.shape[1] - 1)
+            if known[i, j]:
+                out[0, v, u], out[1, v, u] = before[0, i, j], before[1, i, j]
+                continue
+            x = x0 + rays.per_pixel_u * np.float32(u)
+            n0, n1, n2 = _times(inverse, light[v, u, 0], light[v, u, 1], light[v, u, 2])
+            length = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2) + _TINY
+            along = _ONE / max(-(n2 + x * n0 + y * n1), flattest * length)
+            out[0, v, u], out[1, v, u] = n0 * along, n1 * along
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def _bounded(x: Any) -> Any:
-    return min(max(x, -_MOST), _MOST)
+def _normal(p: Any, q: Any, x: Any, y: Any) -> Any:
+    """Return the unit normal of slopes along a ray (x, y, 1), and what makes it so short."""
+    n2 = -_ONE - x * p - y * q
+    s = _ONE / np.sqrt(p * p + q * q + n2 * n2)
+    return p * s, q * s, n2 * s, s
+
+
+@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+def _ask(
+    logs: Any, of: Any, slopes: Any, rays: Any, lights: Any, prices: Any, smooth: Any, out: Any, targets: Any
+) -> None:
+    """Fill out (6, h, w) and targets (2, h, w) with what each block asks of its slopes, see `edges_kernel`.
+
+    A block asks for the slopes that leave least paint, and for those of the blocks beside it.
+    """
+    h, w = of.shape
+    for v in prange(h):
+        x0, y = ray_at(rays, v, 0)
+        for u in range(w):
+            m = of[v, u]
+            if m == _NO_LABEL:
+                for k in range(6):
+                    out[k, v, u] = _NONE
+                targets[0, v, u] = targets[1, v, u] = _NONE
+                continue
+            x = x0 + rays.per_pixel_u * np.float32(u)
+            p, q = slopes[0, v, u], slopes[1, v, u]
+            n0, n1, n2, s = _normal(p, q, x, y)
+            along_p, along_q = n0 - x * n2, n1 - y * n2
+            # of all normals beside it
+            count, sum_p, sum_q = _NONE, _NONE, _NONE
+            for k in range(4):
+                i, j = np.int64(v) + _DOWN[k], u + _RIGHT[k]
+                if 0 <= i < h and 0 <= j < w and of[i, j] != _NO_LABEL:
+                    count, sum_p, sum_q = count + _ONE, sum_p + slopes[0, i, j], sum_q + slopes[1, i, j]
+            towards_p, towards_q = _NONE, _NONE
+            if count > _NONE:
+                towards_p, towards_q = sum_p / count - p, sum_q / count - q
+            s2 = smooth * s * s
+            a00 = s2 * (_ONE + x * x - along_p * along_p)
+            a01 = s2 * (x * y - along_p * along_q)
+            a11 = s2 * (_ONE + y * y - along_q * along_q)
+            b0, b1 = a00 * towards_p + a01 * towards_q, a01 * towards_p + a11 * towards_q
+            e0, e1, e2 = _times(lights, n0, n1, n2)
+            e0, e1, e2 = max(e0, _LEAST_LIGHT), max(e1, _LEAST_LIGHT), max(e2, _LEAST_LIGHT)
+            d0, d1, d2 = logs[v, u, 0] - np.log(e0), logs[v, u, 1] - np.log(e1), logs[v, u, 2] - np.log(e2)
+            price = prices[m]
+            x_0, x_1, x_2 = _times(price, d0, d1, d2)
+            left = _ONE / (_ONE + x_0 * d0 + x_1 * d1 + x_2 * d2)
+            left *= left
+            g0, g1, g2 = (
+                s * ((lights[0, 0] - x * lights[0, 2]) / e0 - along_p),
+                s * ((lights[1, 0] - x * lights[1, 2]) / e1 - along_p),
+                s * ((lights[2, 0] - x * lights[2, 2]) / e2 - along_p),
+            )
+            h0, h1, h2 = (
+                s * ((lights[0, 1] - y * lights[0, 2]) / e0 - along_q),
+                s * ((lights[1, 1] - y * lights[1, 2]) / e1 - along_q),
+                s * ((lights[2, 1] - y * lights[2, 2]) / e2 - along_q),
+            )
+            y0, y1, y2 = _times(price, g0, g1, g2)
+            z0, z1, z2 = _times(price, h0, h1, h2)
+            a00 += left * (y0 * g0 + y1 * g1 + y2 * g2) + _DAMPING
+            a01 += left * (y0 * h0 + y1 * h1 + y2 * h2)
+            a11 += left * (z0 * h0 + z1 * h1 + z2 * h2) + _DAMPING
+            b0 += left * (y0 * d0 + y1 * d1 + y2 * d2)
+            b1 += left * (z0 * d0 + z1 * d1 + z2 * d2)
+            out[0, v, u], out[1, v, u], out[2, v, u] = a00, a01, a11
+            targets[0, v, u], targets[1, v, u] = a00 * p + a01 * q + b0, a01 * p + a11 * q + b1
+
+
+@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+def _fill_gains(
+    light: Any, of: Any, slopes: Any, rays: Any, lights: Any, inverse: Any, gains: Any, turns: Any
+) -> None:
+    """Fill (h, w, 3), what turns each block's light into its surface's, and (h, w), the turn in degrees."""
+    h, w = of.shape
+    for v in prange(h):
+        x0, y = ray_at(rays, v, 0)
+        for u in range(w):
+            gains[v, u, 0] = gains[v, u, 1] = gains[v, u, 2] = _ONE
+            turns[v, u] = _NONE
+            if of[v, u] == _NO_LABEL:
+                continue
+            x = x0 + rays.per_pixel_u * np.float32(u)
+            n0, n1, n2, _ = _normal(slopes[0, v, u], slopes[1, v, u], x, y)
+            m0, m1, m2 = _times(inverse, light[v, u, 0], light[v, u, 1], light[v, u, 2])
+            cosine = (n0 * m0 + n1 * m1 + n2 * m2) / np.sqrt(m0 * m0 + m1 * m1 + m2 * m2)
+            turns[v, u] = _DEGREES * np.arccos(min(max(cosine, -_ONE), _ONE))
+            e = _times(lights, n0, n1, n2)
+            for k in range(3):
+                gains[v, u, k] = max(e[k], _LEAST_LIGHT) / light[v, u, k]
 
 
 @njit(cache=True, error_model="numpy")

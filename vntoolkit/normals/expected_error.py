@@ -122,6 +122,14 @@ def with_expected_error(
     return replace(normal_map, error_deg=error, noise_deg=noise_deg, weight=weight)
 
 
+def with_doubt(normal_map: NormalMap, doubt_deg: npt.NDArray[np.float32]) -> NormalMap:
+    """Return the map with a further, independent error (h, w) in degrees, and the weight from both."""
+    assert normal_map.error_deg is not None
+    error = np.minimum(np.hypot(normal_map.error_deg, doubt_deg), _LARGEST_DEG)
+    weight = 1.0 / (1.0 + (error * _PER_HALF_WEIGHT) ** 2)
+    return replace(normal_map, error_deg=error, weight=np.where(normal_map.mask, weight, 0.0))
+
+
 def _pairs_of_lights(response: LightResponse) -> npt.NDArray[np.float32]:
     """Return (8, 6): for labels of two lights the normal of the plane of both and the third's direction."""
     pairs = np.zeros((8, 6))

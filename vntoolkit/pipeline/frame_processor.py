@@ -22,7 +22,11 @@ from vntoolkit.materials.labelling import MaterialLabeller
 from vntoolkit.materials.pixels import MaterialLabels, box_of, colours_of
 from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.native import keep_freed_memory, njit
-from vntoolkit.normals.expected_error import normals_and_errors_from_encoded, with_expected_error
+from vntoolkit.normals.expected_error import (
+    normals_and_errors_from_encoded,
+    with_doubt,
+    with_expected_error,
+)
 from vntoolkit.normals.gel import GelInverter, drift_of_change
 from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
@@ -104,8 +108,9 @@ class FrameProcessor:
         self._labeller: MaterialLabeller | None = None
         if len(self._reflectances):
             self._labeller = MaterialLabeller(
-                self._central, self._reflectances, np.array(pigments, dtype=np.float64).reshape(-1, 3)
-            )
+                self._central, self._reflectances, np.array(pigments, dtype=np.float64).reshape(-1, 3),
+                self.camera,
+            )  # fmt: skip
             self._paints = encoded_from_linear(
                 colours_of(self._reflectances, self._central), Transfer(curve=TransferCurve.SRGB)
             )
@@ -210,15 +215,17 @@ class FrameProcessor:
             if self._with_errors:
                 normal_map = self._gel.with_expected_error(normal_map)
             return normal_map, None, clipped_share
-        filmed = linear
+        filmed, turned_deg = linear, None
         if self._painted is not None:
             self._mask = self._mask & self._painted.mask(frame.number)
         if self._labeller is not None:
             self._mask = self.lit_subject(linear)
             self._materials = self._labeller.labels(self.by_strength(linear), self._mask)
             linear = self._labeller.relit(linear, self._materials, self._mask, box_of(self._mask))
+            turned_deg = self._labeller.turned_deg
         if self._painted is not None:
             linear = self._painted.relit(filmed, linear, frame.number, self._materials)
+            turned_deg = self._painted.turned_deg
         level = linear if self._leveller is None else self._leveller.frame(linear)
         labels, solved = None, False
         if self._options.shadows is ShadowMethod.NONE:
@@ -234,6 +241,8 @@ class FrameProcessor:
             normal_map, level, self._central, labels if solved else None, self.camera, residual_deg,
             self._blur_px, self._residual_of_pixels,
         )  # fmt: skip
+        if turned_deg is not None:
+            normal_map = with_doubt(normal_map, turned_deg)
         return normal_map, labels, clipped_share
 
     def _normals_under_shadow(

@@ -13,8 +13,8 @@ from vntoolkit.errors import BadCapture
 from vntoolkit.geometry.maps import DepthMap
 from vntoolkit.io.maps_and_meshes.arrays import map_npy
 from vntoolkit.io.results.sequences import read_mesh_sequence
-from vntoolkit.materials.paint import told_by_neighbours, without_paint
-from vntoolkit.materials.pixels import MaterialLabels, relit
+from vntoolkit.materials.paint import without_paint
+from vntoolkit.materials.pixels import MaterialLabels
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.pipeline.texture import AGREES_PX, texels_of
@@ -80,6 +80,7 @@ class PaintedSurface:
         self._response, self._split, self._unit = response, response.contributions_from_rgb, known.unit
         self._is_painted = np.array(known.is_painted)
         self._lines = np.array(known.lines)
+        self.turned_deg: FloatArray | None = None  # by paint that was taken out last
 
     def mask(self, number: int) -> Mask:
         """Return (h, w), the pixels that have normals in the reconstruction. Raises `BadCapture`."""
@@ -107,12 +108,9 @@ class PaintedSurface:
 
     def _corrected(self, frame: LinearFrame, labels: MaterialLabels, mask: Mask) -> LinearFrame:
         """Return a frame without the paint that the surface's reflectances leave, as one frame tells it."""
-        ones = np.ones_like(self._lines)
-        near = told_by_neighbours(frame, labels, mask, self._response, ones, self._lines)
-        lines = self._lines * near[:, None]
-        if lines.any():
-            frame = without_paint(frame, labels, mask, self._response, ones, lines, np.empty_like(frame.rgb))
-        return relit(frame, self._response, labels, ones, self._lines - lines)
+        seen = frame, labels, mask, self._response, np.ones_like(self._lines), self._lines
+        frame, self.turned_deg = without_paint(*seen, self._source.camera, np.empty_like(frame.rgb))
+        return frame
 
     def reflectance(self, number: int) -> tuple[FloatArray, FloatArray]:
         """Return (h, w, 3), 1 beside the surface, and (h, w), how far it counts, 0 to 1."""

@@ -42,7 +42,7 @@ from vntoolkit.io.results.manifest import (
 )
 from vntoolkit.io.rigs import entry_from_rig
 from vntoolkit.materials.labelling import MaterialLabeller
-from vntoolkit.materials.pixels import near_seams
+from vntoolkit.materials.pixels import near_seams, relit
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.levelling import leveller_of
 from vntoolkit.photometry.near_lamps import with_near_lamps
@@ -318,7 +318,8 @@ def _in_one_material(
     if not job.reflectances:
         return None
     response = job.rig.response
-    labeller = MaterialLabeller(response.central, np.array(job.reflectances), np.array(job.pigments))
+    labeller = MaterialLabeller(response.central, np.array(job.reflectances))
+    known = np.array(job.reflectances), np.array(job.pigments)
 
     def judged(frame: LinearFrame) -> LinearFrame:
         level = frame
@@ -326,7 +327,8 @@ def _in_one_material(
             level = leveller_of(response, frame.shape).frame_by_strength(frame)
         inside = np.ones(frame.shape, np.bool_) if mask is None else mask
         labels = labeller.rough_labels(level, inside)
-        seen = labeller.relit(frame, labels, inside)
+        # lengths alone tell paint here: a surface without paint would fit any M
+        seen = relit(frame, response.central, labels, *known, labeller.seams, inside)
         # Beside seams a blurred pixel is of no material: it would pass for a wrong curve.
         seams = near_seams(labels, _SEAM_PX)
         return replace(seen, clipped=seen.clipped | seams)
