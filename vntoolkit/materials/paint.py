@@ -24,14 +24,14 @@ from vntoolkit.materials.split_frame import block_size
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
-from vntoolkit.shadows.surface import RayGrid, STEEPEST, edges_kernel, ray_at, ray_grid, slopes_kernel
+from vntoolkit.shadows.surface import STEEPEST, RayGrid, edges_kernel, ray_at, ray_grid, slopes_kernel
 from vntoolkit.solvers import grid_hierarchy, solve_grid
 
 Single = npt.NDArray[np.float32]
 MaterialLabels = npt.NDArray[np.uint8]
 _BLOCKS = 60_000  # of the subject; noise is finer than these, and freckles are not
 _LEVELS = 2  # coarser ones, each of half the size: a lip is wide for steps that only reach its neighbours
-_STEPS, _CYCLES = 4, 4  # of Gauss–Newton on each level, and of multigrid in each
+_STEPS, _CYCLES = 2, 4  # of Gauss–Newton on each level, and of multigrid in each
 _TOLERANCE = 3e-3
 # Standard deviations of log ρ from which paint counts as such: across the pigment's line, and along it.
 _ACROSS, _ALONG = 0.15, 0.3
@@ -43,6 +43,7 @@ _AROUND = 5  # blocks that share the doubt of a turn
 _LEAST_SHARE = np.float32(0.06)  # of the strongest lamp's light: less may be shadow, which tells nothing
 _LEAST_LIGHT, _TINY = np.float32(0.02), np.float32(1e-9)
 _NONE, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+_DARK = np.float32(-20.0)  # log of no light
 _DEGREES = np.float32(np.degrees(1.0))
 _NO_LABEL = 255
 _DOWN, _RIGHT = (-1, 1, 0, 0), (0, 0, -1, 1)  # to those beside a block
@@ -79,8 +80,8 @@ def without_paint(
 class _Blocks(NamedTuple):
     """Blocks of factor × factor pixels.
 
-    light: (h, w, 3), over ρ, without ambient light. labels: (h, w), the material of each, 255 for none, or
-    where a lamp is missing.
+    light: (h, w, 3), over ρ, without ambient light; 0 where a lamp is missing. labels: (h, w), the material of
+    each, 255 for none.
     """
 
     light: Single
@@ -135,7 +136,9 @@ def _gains_of(blocks: _Blocks, lamps: Lamps, lines: Points, camera: Camera | Non
         known = inside
     gains, turns = np.empty(blocks.light.shape, np.float32), np.empty(blocks.labels.shape, np.float32)
     _fill_gains(blocks.light, blocks.labels, slopes, rays, lights, inverse, gains, turns)
-    return gains, np.maximum(turns, np.sqrt(cv2.blur(turns * turns, (_AROUND, _AROUND))))
+    _spread(blocks.light, blocks.labels, gains)
+    turns = np.maximum(turns, np.sqrt(cv2.blur(turns * turns, (_AROUND, _AROUND))))
+    return gains, np.where(blocks.labels == _NO_LABEL, _NONE, turns)
 
 
 def _price(line: FloatArray) -> FloatArray:
@@ -187,14 +190,15 @@ def _take_blocks(
                         r, g, b, count = r + rgb[v, u, 0], g + rgb[v, u, 1], b + rgb[v, u, 2], count + 1
             if 2 * count <= factor * factor:
                 continue
+            of[i, j] = m
             share = _ONE / np.float32(count)
             most, least = _NONE, np.float32(np.inf)
             for k in range(3):
                 x = (split[k, 0] * r + split[k, 1] * g + split[k, 2] * b) * share * over[m, k] - haze[k]
                 s[i, j, k] = x
                 most, least = max(most, x), min(least, x)
-            if least > _LEAST_SHARE * most:
-                of[i, j] = m
+            if not least > _LEAST_SHARE * most:
+                s[i, j] = _NONE
 
 
 @njit(cache=True, inline="always", error_model="numpy")
@@ -214,18 +218,17 @@ def _halve(light: Any, of: Any, out: Any, labels: Any) -> None:
             most = 1
             for v in range(2 * i, min(2 * i + 2, h)):
                 for u in range(2 * j, min(2 * j + 2, w)):
-                    m, count = of[v, u], 0
-                    if m == _NO_LABEL:
-                        continue
+                    m, count, lit = of[v, u], 0, _NONE
                     r, g, b = _NONE, _NONE, _NONE
                     for y in range(2 * i, min(2 * i + 2, h)):
                         for x in range(2 * j, min(2 * j + 2, w)):
-                            if of[y, x] == m:
-                                r, g, b = r + light[y, x, 0], g + light[y, x, 1], b + light[y, x, 2]
+                            if of[y, x] == m != _NO_LABEL:
                                 count += 1
+                                r, g, b = r + light[y, x, 0], g + light[y, x, 1], b + light[y, x, 2]
+                                lit += np.float32(light[y, x, 0] > _NONE)
                     if count > most:
                         most, labels[i, j] = count, m
-                        share = _ONE / np.float32(count)
+                        share = _ONE / max(lit, _ONE)
                         out[i, j, 0], out[i, j, 1], out[i, j, 2] = share * r, share * g, share * b
 
 
@@ -301,7 +304,7 @@ def _ask(
             price = prices[m]
             x_0, x_1, x_2 = _times(price, d0, d1, d2)
             left = _ONE / (_ONE + x_0 * d0 + x_1 * d1 + x_2 * d2)
-            left *= left
+            left = left * left if logs[v, u, 0] > _DARK else _NONE
             g0, g1, g2 = (
                 s * ((lights[0, 0] - x * lights[0, 2]) / e0 - along_p),
                 s * ((lights[1, 0] - x * lights[1, 2]) / e1 - along_p),
@@ -334,7 +337,7 @@ def _fill_gains(
         for u in range(w):
             gains[v, u, 0] = gains[v, u, 1] = gains[v, u, 2] = _ONE
             turns[v, u] = _NONE
-            if of[v, u] == _NO_LABEL:
+            if not light[v, u, 0] > _NONE:
                 continue
             x = x0 + rays.per_pixel_u * np.float32(u)
             n0, n1, n2, _ = _normal(slopes[0, v, u], slopes[1, v, u], x, y)
@@ -344,6 +347,28 @@ def _fill_gains(
             e = _times(lights, n0, n1, n2)
             for k in range(3):
                 gains[v, u, k] = max(e[k], _LEAST_LIGHT) / light[v, u, k]
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def _spread(light: Any, of: Any, gains: Any) -> None:
+    """Fill the gains of blocks that a lamp misses with the mean of those beside them."""
+    h, w = of.shape
+    for v in prange(h):
+        for u in range(w):
+            if of[v, u] == _NO_LABEL or light[v, u, 0] > _NONE:
+                continue
+            count, r, g, b = _NONE, _NONE, _NONE, _NONE
+            for i in range(max(np.int64(v) - 1, 0), min(np.int64(v) + 2, h)):
+                for j in range(max(u - 1, 0), min(u + 2, w)):
+                    if of[i, j] == of[v, u] and light[i, j, 0] > _NONE:
+                        r, g, b, count = (
+                            r + gains[i, j, 0],
+                            g + gains[i, j, 1],
+                            b + gains[i, j, 2],
+                            count + _ONE,
+                        )
+            if count > _NONE:
+                gains[v, u, 0], gains[v, u, 1], gains[v, u, 2] = r / count, g / count, b / count
 
 
 @njit(cache=True, error_model="numpy")

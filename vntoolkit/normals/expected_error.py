@@ -127,7 +127,8 @@ def with_doubt(normal_map: NormalMap, doubt_deg: npt.NDArray[np.float32]) -> Nor
     assert normal_map.error_deg is not None
     error = np.minimum(np.hypot(normal_map.error_deg, doubt_deg), _LARGEST_DEG)
     weight = 1.0 / (1.0 + (error * _PER_HALF_WEIGHT) ** 2)
-    return replace(normal_map, error_deg=error, weight=np.where(normal_map.mask, weight, 0.0))
+    mask = normal_map.mask
+    return replace(normal_map, error_deg=np.where(mask, error, 0.0), weight=np.where(mask, weight, 0.0))
 
 
 def _pairs_of_lights(response: LightResponse) -> npt.NDArray[np.float32]:

@@ -25,9 +25,7 @@ from vntoolkit.pipeline.tracked_folder import (
     read_track_record,
 )
 
-# Spread of log ρ along the line of paint: with less a material is of one colour, with more it is no paint
-# that spreads but gloss and relief, as in hair.
-_LEAST_PAINT, _MOST_PAINT = 0.05, 0.35
+_LEAST_PAINT = 0.05  # spread of log ρ along the line of paint: with less a material is of one colour
 _FEATHER_PX = 5  # over which the surface's reflectance takes over from that of the materials
 
 
@@ -51,16 +49,16 @@ class TrackedReflectance:
 
     @property
     def is_painted(self) -> tuple[bool, ...]:
-        """Of each material, whether its paint varies, and as paint does: only there normals change."""
-        return tuple(_LEAST_PAINT < spread < _MOST_PAINT for spread in self.spreads)
+        """Of each material, whether its paint varies: only there normals change."""
+        return tuple(spread > _LEAST_PAINT for spread in self.spreads)
 
     def described(self) -> str:
         """How far paint varies, in words."""
         if not any(self.is_painted):
             spread = ", ".join(f"{s:.0%}" for s in self.spreads)
             return (
-                f"paint varies by {spread} (less than {_LEAST_PAINT:.0%} is one colour, more than "
-                f"{_MOST_PAINT:.0%} is hair or gloss): the normals are as before"
+                f"paint varies by {spread} (less than {_LEAST_PAINT:.0%} is one colour): the normals are as "
+                "before"
             )
         varied = ", ".join(
             f"{s:.0%}" for s, painted in zip(self.spreads, self.is_painted, strict=True) if painted

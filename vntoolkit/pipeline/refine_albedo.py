@@ -1,8 +1,7 @@
 """Normals, depth and meshes again, with the reflectance that a tracked surface has over all its frames.
 
-A freckle looks like a dent in one frame. Over many frames the same vertex keeps its paint while it turns:
-`fit_surface_reflectance` tells the two apart, and the footage is reconstructed once more with it, into
-TRACK/refined, a folder as any that `reconstruct` writes.
+A vertex keeps its paint while it moves. What the frames tell of it is averaged, and the footage is
+reconstructed once more with the mean, into TRACK/refined, a folder as any that `reconstruct` writes.
 """
 
 from __future__ import annotations
@@ -15,9 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from vntoolkit.arrays import IntArray, Mask, Points, Points2
+from vntoolkit.arrays import FloatArray, IntArray, Mask, Points, Points2
 from vntoolkit.errors import BadInput
-from vntoolkit.geometry.mesh import MeshSequence
 from vntoolkit.io.atomic import write_bytes
 from vntoolkit.io.footage.frame_range import FrameRange, Gaps
 from vntoolkit.io.results.frame_log import FrameEntry
@@ -25,7 +23,7 @@ from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.materials.surface_reflectance import (
     SurfaceLooks,
     SurfaceReflectance,
-    fit_surface_reflectance,
+    mean_surface_reflectance,
 )
 from vntoolkit.photometry.frame import count_lit
 from vntoolkit.photometry.levelling import leveller_of
@@ -39,7 +37,6 @@ from vntoolkit.pipeline.texture import (
     Texels,
     all_inside,
     has_maps,
-    tangent_frames,
     texels_in_frame,
     unit_vectors,
 )
@@ -49,7 +46,6 @@ from vntoolkit.tracking.slopes import sample_image
 _FRAMES = 24  # evenly spread: twice as many turn normals by less than a tenth of a degree
 _FEWEST_SEEN = 0.1  # of the vertices: with less the surface was not followed
 _LEAST_SHARE = 0.06  # of the strongest lamp's light: the rest may be shadow
-_TURN_ROUNDS = 16  # of averaging with neighbours: turns of the surface, without the noise of its vertices
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +79,7 @@ def refine_albedo(
     unit = 1.0 if materials else float(result.manifest.options.get("inversion.relative_albedo", 1.0))
     logs = np.log([entry.reflectance for entry in materials] or [(unit, unit, unit)])
     looks, frames = _looks(result, target, logs)
-    found = fit_surface_reflectance(looks, result.rig.response.central.lights)
+    found = mean_surface_reflectance(looks, result.rig.response.central.lights)
     known = _written(found, looks, folder, target, unit, frames)
     outputs = result.manifest.outputs
     to = Product.MESH if "mesh" in outputs else Product.DEPTH if "depth" in outputs else Product.NORMALS
@@ -134,12 +130,7 @@ def _looks(result: OpenedResult, target: Path, logs: Points) -> tuple[SurfaceLoo
     vertices = _vertices_as_texels(places, faces, shape)
     there = [row for row, number in enumerate(numbers) if has_maps(result, number)]
     evenly = np.unique(np.linspace(0, len(there) - 1, min(_FRAMES, len(there))).round().astype(int))
-    edges = np.unique(
-        np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), 1), axis=0
-    )
-    poses = _Poses(sequence, edges, places)
-    start = poses.at(at)
-    contributions, seen, turns = [], [], []
+    contributions, seen, normals, errors = [], [], [], []
     for row in (there[place] for place in evenly):
         looked = texels_in_frame(result, sequence, row, numbers[row], vertices, places)
         if looked is None:
@@ -147,14 +138,17 @@ def _looks(result: OpenedResult, target: Path, logs: Points) -> tuple[SurfaceLoo
         lamps, is_lit = _lamps(result, numbers[row], looked.pixels)
         contributions.append(lamps)
         seen.append(is_lit & (looked.weight > 0))
-        turns.append(np.einsum("nij,nkj->nik", poses.at(row), start).astype(np.float32))
+        found, error_deg = _normals(result, numbers[row], looked.pixels)
+        normals.append(found)
+        errors.append(error_deg)
     labels = result.materials(numbers[at])
     materials = np.zeros(len(places), np.int64)
     if labels is not None and len(logs) > 1:
         materials = labels.ravel()[vertices.places].astype(np.int64)
     looks = SurfaceLooks(
-        contributions=np.array(contributions, np.float32), seen=np.array(seen), turns=np.array(turns),
-        edges=edges, materials=materials, logs=logs[materials],
+        contributions=np.array(contributions, np.float32), seen=np.array(seen),
+        normals=np.array(normals, np.float32), error_deg=np.array(errors, np.float32), materials=materials,
+        logs=logs[materials],
     )  # fmt: skip
     if not len(seen) or looks.seen.any(axis=0).mean() < _FEWEST_SEEN:
         raise BadInput(
@@ -188,31 +182,14 @@ def _lamps(result: OpenedResult, number: int, pixels: Points2) -> tuple[Points, 
     return lamps, arrive & all_inside(is_sound, pixels)
 
 
-class _Poses:
-    """How the surface lies around each vertex: (n, 3, 3), columns along u, along v and outwards."""
-
-    def __init__(self, sequence: MeshSequence, edges: IntArray, places: Points2) -> None:
-        self._sequence, self._places = sequence, places
-        self._ends = np.concatenate([edges, edges[:, ::-1]])
-        self._neighbours = np.bincount(self._ends[:, 0], minlength=len(places))[:, None]
-
-    def at(self, row: int) -> Points:
-        vertices = np.array(self._sequence.vertices[row], dtype=np.float64)
-        along = np.concatenate(
-            tangent_frames(vertices, self._sequence.template.faces, self._places)[:2], axis=1
-        )
-        along = np.concatenate([unit_vectors(along[:, :3]), unit_vectors(along[:, 3:])], axis=1)
-        for _ in range(_TURN_ROUNDS):
-            along = self._averaged(along)
-        u, v = along[:, :3], along[:, 3:]
-        outward = unit_vectors(np.cross(u, v))
-        u = unit_vectors(u - np.sum(u * outward, axis=1, keepdims=True) * outward)
-        return np.stack([u, np.cross(outward, u), outward], axis=-1)
-
-    def _averaged(self, values: Points) -> Points:
-        first, second = self._ends.T
-        total = [np.bincount(first, column[second], len(values)) for column in values.T]
-        return np.asarray((values + np.stack(total, axis=1)) / (1 + self._neighbours))
+def _normals(result: OpenedResult, number: int, pixels: Points2) -> tuple[Points, FloatArray]:
+    """Return the normals of a frame at places (n, 2), and their expected errors in degrees."""
+    normal_map = result.normals(number)
+    assert normal_map is not None, "frames without maps are left out"
+    found = unit_vectors(sample_image(normal_map.normals_in_camera, pixels))
+    if normal_map.error_deg is None:
+        return found, np.ones(len(pixels))
+    return found, sample_image(normal_map.error_deg[..., None], pixels)[:, 0]
 
 
 def _written(
