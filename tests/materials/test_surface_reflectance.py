@@ -1,4 +1,4 @@
-"""Reflectance of a surface's vertices over many frames: the mean of what the frames tell, the sure ones most."""
+"""Reflectance of vertices over many frames: the mean of what the frames tell, the sure ones most."""
 
 import numpy as np
 import pytest

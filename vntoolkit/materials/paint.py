@@ -1,7 +1,7 @@
 """Paint that varies inside a material, told from the surface: what is printed on it is no relief.
 
-Light split by lamp and over ρ is s = (l · n) × paint. Without paint, the slopes are those of one depth. So the
-depth is sought whose paint log s − log (l · n) is least, in a norm that lets painted places go (Geman and
+Light split by lamp and over ρ is s = (l · n) × paint. Without paint, the slopes are those of one depth. So
+the depth is sought whose paint log s − log (l · n) is least, in a norm that lets painted places go (Geman and
 McClure's): there the surface goes on from around. A block has three lights; depth leaves it one unknown, so
 that two numbers are left for its paint. Paint along the material's pigment costs less than paint across it.
 
@@ -19,12 +19,12 @@ from numba import prange
 
 from vntoolkit.arrays import FloatArray, Mask, Points
 from vntoolkit.geometry.camera import Camera
+from vntoolkit.geometry.slope_grid import STEEPEST, RayGrid, edges_kernel, ray_at, ray_grid, slopes_kernel
 from vntoolkit.materials.reflectance import Lamps, lamps_from_response
 from vntoolkit.materials.split_frame import block_size
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
-from vntoolkit.shadows.surface import STEEPEST, RayGrid, edges_kernel, ray_at, ray_grid, slopes_kernel
 from vntoolkit.solvers import grid_hierarchy, solve_grid
 
 Single = npt.NDArray[np.float32]
@@ -80,8 +80,8 @@ def without_paint(
 class _Blocks(NamedTuple):
     """Blocks of factor × factor pixels.
 
-    light: (h, w, 3), over ρ, without ambient light; 0 where a lamp is missing. labels: (h, w), the material of
-    each, 255 for none.
+    light: (h, w, 3), over ρ, without ambient light; 0 where a lamp is missing. labels: (h, w), the material
+    of each, 255 for none.
     """
 
     light: Single
@@ -358,15 +358,11 @@ def _spread(light: Any, of: Any, gains: Any) -> None:
             if of[v, u] == _NO_LABEL or light[v, u, 0] > _NONE:
                 continue
             count, r, g, b = _NONE, _NONE, _NONE, _NONE
-            for i in range(max(np.int64(v) - 1, 0), min(np.int64(v) + 2, h)):
-                for j in range(max(u - 1, 0), min(u + 2, w)):
-                    if of[i, j] == of[v, u] and light[i, j, 0] > _NONE:
-                        r, g, b, count = (
-                            r + gains[i, j, 0],
-                            g + gains[i, j, 1],
-                            b + gains[i, j, 2],
-                            count + _ONE,
-                        )
+            for k in range(4):
+                i, j = np.int64(v) + _DOWN[k], u + _RIGHT[k]
+                if 0 <= i < h and 0 <= j < w and of[i, j] == of[v, u] and light[i, j, 0] > _NONE:
+                    r, g, b = r + gains[i, j, 0], g + gains[i, j, 1], b + gains[i, j, 2]
+                    count += _ONE
             if count > _NONE:
                 gains[v, u, 0], gains[v, u, 1], gains[v, u, 2] = r / count, g / count, b / count
 
