@@ -12,10 +12,10 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 from numba import prange
+from scipy.ndimage import uniform_filter
 
 from vntoolkit.arrays import FloatArray, Mask, Points
 from vntoolkit.geometry.camera import Camera
@@ -120,7 +120,11 @@ def _gains_of(blocks: _Blocks, lamps: Lamps, lines: Points, camera: Camera | Non
     for level in reversed(pyramid):
         shape, inside = level.labels.shape, level.labels != _NO_LABEL
         rays = _rays_of_blocks(camera, level.factor)
-        depth = np.ascontiguousarray(cv2.resize(2.0 * depth, shape[::-1], interpolation=cv2.INTER_LINEAR))
+        depth = (
+            2.0 * depth.repeat(2, 0).repeat(2, 1)[: shape[0], : shape[1]]
+            if known.any()
+            else np.zeros(shape, np.float32)
+        )
         before, slopes = slopes, np.empty((2, *shape), np.float32)
         _begin(level.light, inside, inverse, rays, before, known, slopes)
         quadratics, targets = np.zeros((6, *shape), np.float32), np.zeros((2, *shape), np.float32)
@@ -137,7 +141,7 @@ def _gains_of(blocks: _Blocks, lamps: Lamps, lines: Points, camera: Camera | Non
     gains, turns = np.empty(blocks.light.shape, np.float32), np.empty(blocks.labels.shape, np.float32)
     _fill_gains(blocks.light, blocks.labels, slopes, rays, lights, inverse, gains, turns)
     _spread(blocks.light, blocks.labels, gains)
-    turns = np.maximum(turns, np.sqrt(cv2.blur(turns * turns, (_AROUND, _AROUND))))
+    turns = np.maximum(turns, np.sqrt(uniform_filter(turns * turns, _AROUND)))
     return gains, np.where(blocks.labels == _NO_LABEL, _NONE, turns)
 
 
