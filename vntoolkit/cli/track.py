@@ -55,9 +55,9 @@ def track(
     lost_px
         A vertex is called lost where its expected error is above this, in pixels.
     refine_albedo
-        Find the reflectance of every vertex over all frames, and write normals, depth and meshes again with
-        it into refined/ beside the tracks: freckles, lips and prints stop being relief. Needs a rig with the
-        colours of its lamps.
+        Average over the frames what they tell of every vertex's reflectance, and write normals, depth and
+        meshes again with it into refined/ beside the tracks: paint is then the same in all frames. Needs a
+        rig with the colours of its lamps.
     background
         The background image that the reconstruction subtracted, for the colours of the texture.
     overwrite

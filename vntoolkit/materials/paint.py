@@ -4,6 +4,7 @@ Light split by lamp and over ρ is s = (l · n) × paint. Without paint, the slo
 the depth is sought whose paint log s − log (l · n) is least, in a norm that lets painted places go (Geman and
 McClure's): there the surface goes on from around. A block has three lights; depth leaves it one unknown, so
 that two numbers are left for its paint. Paint along the material's pigment costs less than paint across it.
+For one light a shape and a paint that are both likely are sought in a like way (barron2015).
 
 Gauss–Newton steps solve one weighted Poisson equation each, from coarse to fine.
 """
