@@ -16,10 +16,13 @@ import numpy as np
 import numpy.typing as npt
 from numba import prange
 
+from vntoolkit.arrays import Mask
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.native import njit
 
 Grid = npt.NDArray[np.float32]
+Labels = npt.NDArray[np.uint8]
+NO_STEP = 1e30  # so soft that nothing is a step
 STEEPEST = 8.0  # largest slope: the tangent of the angle from the viewing ray
 
 
@@ -46,6 +49,60 @@ def ray_at(rays: RayGrid, v: int, u: int) -> tuple[Any, Any]:
     """Return (x, y) of the pixel's ray at depth 1."""
     x = (np.float32(u) - rays.centre_u) * rays.per_pixel_u
     return x, (np.float32(v) - rays.centre_v) * rays.per_pixel_v
+
+
+@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+def weights_kernel(
+    quadratics: Grid, labels: Labels, mask: Mask, slopes: Grid, depth: Grid, softness: Any,
+    shadow_softness: Any, out: Grid,
+) -> None:  # fmt: skip
+    """Fill out (4, h, w): how far each quadrant's gradient belongs to the pixel's own surface, 0 to 1.
+
+    Where lights arrive the pixel knows its slope; a quadrant whose depth gradient disagrees crosses a step:
+    weight (s / (s + χ²))² (Geman and McClure's: a step has no pull at all), where s = softness under three
+    lights and shadow_softness under two. Other pixels take what they are given.
+    """
+    h, w = labels.shape
+    for v in prange(h):
+        soft, label = np.empty(w, np.float32), labels[v]
+        a00, a01, a11 = quadratics[0, v], quadratics[1, v], quadratics[2, v]
+        b0, b1, c = quadratics[3, v], quadratics[4, v], quadratics[5, v]
+        for u in range(w):
+            bits = label[u]
+            lights = (bits & 1) + ((bits >> 1) & 1) + (bits >> 2)
+            known = softness if lights == 3 else shadow_softness
+            soft[u] = known if lights >= 2 else np.float32(NO_STEP)
+        for i in range(4):
+            y, to = (v + 1 if i < 2 else v - 1), out[i, v]
+            for u in range(w):
+                to[u] = np.float32(0.0)
+            if y < 0 or y >= h or w < 2:
+                continue
+            here = slice(0, w - 1) if i % 2 == 0 else slice(1, w)
+            there = slice(1, w) if i % 2 == 0 else slice(0, w - 1)
+            _quadrant_row(
+                depth[v, here], depth[v, there], depth[y, here], mask[v, here], mask[v, there], mask[y, here],
+                slopes[0, v, here], slopes[1, v, here], a00[here], a01[here], a11[here], b0[here], b1[here],
+                c[here], soft[here], np.float32(1 - 2 * (i % 2)), np.float32(1.0 if i < 2 else -1.0),
+                to[here],
+            )  # fmt: skip
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _quadrant_row(
+    depth: Grid, beside: Grid, below: Grid, mask: Mask, mask_beside: Mask, mask_below: Mask, p: Grid,
+    q: Grid, a00: Grid, a01: Grid, a11: Grid, b0: Grid, b1: Grid, c: Grid, soft: Grid, right: Any, down: Any,
+    out: Grid,
+) -> None:  # fmt: skip
+    zero, two = np.float32(0.0), np.float32(2.0)
+    for u in range(len(out)):
+        d0 = right * (beside[u] - depth[u]) - p[u]
+        d1 = down * (below[u] - depth[u]) - q[u]
+        chi = c[u] - two * (b0[u] * d0 + b1[u] * d1)
+        chi += a00[u] * d0 * d0 + two * a01[u] * d0 * d1 + a11[u] * d1 * d1
+        weight = soft[u] / (soft[u] + max(chi, zero))
+        inside = mask[u] & mask_beside[u] & mask_below[u]
+        out[u] = weight * weight if inside else zero
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")

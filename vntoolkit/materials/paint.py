@@ -20,11 +20,20 @@ from scipy.ndimage import uniform_filter
 
 from vntoolkit.arrays import FloatArray, Mask, Points
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.geometry.slope_grid import STEEPEST, RayGrid, edges_kernel, ray_at, ray_grid, slopes_kernel
+from vntoolkit.geometry.slope_grid import (
+    NO_STEP,
+    STEEPEST,
+    RayGrid,
+    edges_kernel,
+    ray_at,
+    ray_grid,
+    slopes_kernel,
+    weights_kernel,
+)
 from vntoolkit.materials.reflectance import Lamps, lamps_from_response
 from vntoolkit.materials.split_frame import block_size
 from vntoolkit.native import njit
-from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.solvers import grid_hierarchy, solve_grid
 
@@ -32,19 +41,21 @@ Single = npt.NDArray[np.float32]
 MaterialLabels = npt.NDArray[np.uint8]
 _BLOCKS = 60_000  # of the subject; noise is finer than these, and freckles are not
 _LEVELS = 2  # coarser ones, each of half the size: a lip is wide for steps that only reach its neighbours
-_STEPS, _CYCLES = 2, 4  # of Gauss–Newton on each level, and of multigrid in each
+_STEPS, _CYCLES = 3, 4  # of Gauss–Newton on each level, and of multigrid in each
 _TOLERANCE = 3e-3
 # Standard deviations of log ρ from which paint counts as such: across the pigment's line, and along it.
 _ACROSS, _ALONG = 0.15, 0.3
 # Weight of a block's normal being the mean of those beside it, over that of light. Where paint hides the
 # surface, it decides.
 _SMOOTH = np.float32(7.0)
+_STEP_SOFTNESS = 10.0  # χ² at which a depth gradient counts a quarter, as it crosses a step in depth
 _DAMPING = np.float32(0.02)  # of a step; keeps the equations definite
 _AROUND = 5  # blocks that share the doubt of a turn
 _LEAST_SHARE = np.float32(0.06)  # of the strongest lamp's light: less may be shadow, which tells nothing
 _LEAST_LIGHT, _TINY = np.float32(0.02), np.float32(1e-9)
 _NONE, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 _DARK = np.float32(-20.0)  # log of no light
+_FLATTEST = np.float32(0.12)  # |n_z| below which a first slope is held
 _DEGREES = np.float32(np.degrees(1.0))
 _NO_LABEL = 255
 _DOWN, _RIGHT = (-1, 1, 0, 0), (0, 0, -1, 1)  # to those beside a block
@@ -89,6 +100,11 @@ class _Blocks(NamedTuple):
     labels: MaterialLabels
     factor: int
 
+    @property
+    def lit(self) -> MaterialLabels:
+        """(h, w), 7 where all three lamps arrive, else 0."""
+        return np.where(self.light[..., 0] > 0, ALL_LIT, 0).astype(np.uint8)
+
     def halved(self) -> _Blocks:
         """Return blocks of twice the side, of the material that is most often in them."""
         h, w = (-(-n // 2) for n in self.labels.shape)
@@ -118,6 +134,7 @@ def _gains_of(blocks: _Blocks, lamps: Lamps, lines: Points, camera: Camera | Non
         pyramid.append(pyramid[-1].halved())
     slopes, depth = np.zeros((2, 1, 1), np.float32), np.zeros((1, 1), np.float32)
     known = np.zeros((1, 1), np.bool_)
+    softness = np.float32(NO_STEP)  # the first depth must hold together before it may show steps
     for level in reversed(pyramid):
         shape, inside = level.labels.shape, level.labels != _NO_LABEL
         rays = _rays_of_blocks(camera, level.factor)
@@ -127,17 +144,19 @@ def _gains_of(blocks: _Blocks, lamps: Lamps, lines: Points, camera: Camera | Non
             else np.zeros(shape, np.float32)
         )
         before, slopes = slopes, np.empty((2, *shape), np.float32)
-        _begin(level.light, inside, inverse, rays, before, known, slopes)
+        _begin(level.light, level.labels, inverse, rays, prices, before, known, slopes)
         quadratics, targets = np.zeros((6, *shape), np.float32), np.zeros((2, *shape), np.float32)
         edges, right, agreement = np.empty((4, *shape), np.float32), *np.empty((2, *shape), np.float32)
-        weights = _quadrants(inside)
+        weights, lit = np.empty((4, *shape), np.float32), level.lit
         smooth = _SMOOTH / np.float32((level.factor // blocks.factor) ** 2)
         logs = np.log(np.maximum(level.light, _TINY))
         for _ in range(_STEPS):
             _ask(logs, level.labels, slopes, rays, lights, prices, smooth, quadratics, targets)
+            weights_kernel(quadratics, lit, inside, slopes, depth, softness, softness, weights)
             edges_kernel(quadratics, targets, weights, edges, right)
             depth = solve_grid(grid_hierarchy(edges), right, depth, _TOLERANCE, _CYCLES)
             slopes_kernel(depth, weights, np.float32(STEEPEST), slopes, agreement)
+            softness = np.float32(_STEP_SOFTNESS)
         known = inside
     gains, turns = np.empty(blocks.light.shape, np.float32), np.empty(blocks.labels.shape, np.float32)
     _fill_gains(blocks.light, blocks.labels, slopes, rays, lights, inverse, gains, turns)
@@ -159,18 +178,6 @@ def _rays_of_blocks(camera: Camera | None, factor: int) -> RayGrid:
         (rays.centre_u - middle) / np.float32(factor), (rays.centre_v - middle) / np.float32(factor),
         rays.per_pixel_u * np.float32(factor), rays.per_pixel_v * np.float32(factor),
     )  # fmt: skip
-
-
-def _quadrants(inside: Mask) -> Single:
-    """(4, h, w), 1 where a block and those beside it along u and v are inside, as in `edges_kernel`."""
-    out = np.zeros((4, *inside.shape), np.float32)
-    right, below = np.zeros_like(inside), np.zeros_like(inside)
-    right[:, :-1], below[:-1] = inside[:, 1:] & inside[:, :-1], inside[1:] & inside[:-1]
-    left, above = np.zeros_like(inside), np.zeros_like(inside)
-    left[:, 1:], above[1:] = right[:, :-1], below[:-1]
-    for i, (across, along) in enumerate(((right, below), (left, below), (right, above), (left, above))):
-        out[i] = across & along
-    return out
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
@@ -238,25 +245,31 @@ def _halve(light: Any, of: Any, out: Any, labels: Any) -> None:
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
-def _begin(light: Any, inside: Any, inverse: Any, rays: Any, before: Any, known: Any, out: Any) -> None:
-    """Fill slopes (2, h, w) with those of the level before, or of the light itself where it has none."""
-    h, w = inside.shape
-    flattest = np.float32(0.12)
+def _begin(
+    light: Any, of: Any, inverse: Any, rays: Any, prices: Any, before: Any, known: Any, out: Any
+) -> None:
+    """Fill slopes (2, h, w) with those of the light itself as far as its length is 1, as without paint, and
+    else with those of the level before.
+    """
+    h, w = of.shape
     for v in prange(h):
         x0, y = ray_at(rays, v, 0)
         for u in range(w):
             out[0, v, u] = out[1, v, u] = _NONE
-            if not inside[v, u]:
-                continue
-            i, j = min(v // 2, known.shape[0] - 1), min(u // 2, known.shape[1] - 1)
-            if known[i, j]:
-                out[0, v, u], out[1, v, u] = before[0, i, j], before[1, i, j]
+            if of[v, u] == _NO_LABEL:
                 continue
             x = x0 + rays.per_pixel_u * np.float32(u)
             n0, n1, n2 = _times(inverse, light[v, u, 0], light[v, u, 1], light[v, u, 2])
             length = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2) + _TINY
-            along = _ONE / max(-(n2 + x * n0 + y * n1), flattest * length)
-            out[0, v, u], out[1, v, u] = n0 * along, n1 * along
+            along = _ONE / max(-(n2 + x * n0 + y * n1), _FLATTEST * length)
+            grey = np.log(length)
+            left = _ONE / (_ONE + grey * grey * prices[of[v, u]].sum())
+            left = left * left if light[v, u, 0] > _NONE else _NONE
+            i, j = min(v // 2, known.shape[0] - 1), min(u // 2, known.shape[1] - 1)
+            if not known[i, j]:
+                left = _ONE
+            out[0, v, u] = left * n0 * along + (_ONE - left) * before[0, i, j]
+            out[1, v, u] = left * n1 * along + (_ONE - left) * before[1, i, j]
 
 
 @njit(cache=True, inline="always", error_model="numpy")
@@ -308,7 +321,8 @@ def _ask(
             d0, d1, d2 = logs[v, u, 0] - np.log(e0), logs[v, u, 1] - np.log(e1), logs[v, u, 2] - np.log(e2)
             price = prices[m]
             x_0, x_1, x_2 = _times(price, d0, d1, d2)
-            left = _ONE / (_ONE + x_0 * d0 + x_1 * d1 + x_2 * d2)
+            chi = x_0 * d0 + x_1 * d1 + x_2 * d2
+            left = _ONE / (_ONE + chi)
             left = left * left if logs[v, u, 0] > _DARK else _NONE
             g0, g1, g2 = (
                 s * ((lights[0, 0] - x * lights[0, 2]) / e0 - along_p),
@@ -328,6 +342,7 @@ def _ask(
             b0 += left * (y0 * d0 + y1 * d1 + y2 * d2)
             b1 += left * (z0 * d0 + z1 * d1 + z2 * d2)
             out[0, v, u], out[1, v, u], out[2, v, u] = a00, a01, a11
+            out[3, v, u], out[4, v, u], out[5, v, u] = b0, b1, left * chi
             targets[0, v, u], targets[1, v, u] = a00 * p + a01 * q + b0, a01 * p + a11 * q + b1
 
 

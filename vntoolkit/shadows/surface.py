@@ -24,7 +24,16 @@ from numba import prange
 from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels, Weight
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, LengthUnit
-from vntoolkit.geometry.slope_grid import STEEPEST, RayGrid, edges_kernel, ray_at, ray_grid, slopes_kernel
+from vntoolkit.geometry.slope_grid import (
+    NO_STEP,
+    STEEPEST,
+    RayGrid,
+    edges_kernel,
+    ray_at,
+    ray_grid,
+    slopes_kernel,
+    weights_kernel,
+)
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import ALL_LIT
 from vntoolkit.shadows.albedo import fill_smoothly
@@ -45,7 +54,6 @@ _ALBEDO_SPREAD = 0.15  # relative standard deviation of the albedo continued int
 _OWN_ALBEDO_SPREAD = 3.0  # the same where all three lights arrive: there the colour's length is the albedo
 _STEP_SOFTNESS = 10.0  # χ² at which a depth gradient counts a quarter, as it crosses a step in depth
 _SHADOW_STEP_SOFTNESS = 40.0  # the same under two lights, where the slope hangs on the albedo around
-_NO_STEP = 1e30  # so soft that nothing is a step
 _SMOOTH_PX = 2.0  # standard deviation of the surroundings whose mean slope a shadowed pixel is drawn to
 _MISSING_LIGHT_WEIGHT = 0.3  # of a light labelled missing where the surface would return what is seen …
 _MISSING_LIGHT_CUTOFF = 0.2  # … and the difference of cosines at which that weight ends
@@ -204,7 +212,7 @@ def solve_surface(
     edges, right = np.empty((4, *shape), np.float32), np.empty(shape, np.float32)
     rows, model = numbers_of(lights), model_of(options)
     prior_weights = _prior_weights(mask, known)
-    softness = shadow_softness = _NO_STEP  # the first depth must hold together before it may show steps
+    softness = shadow_softness = NO_STEP  # the first depth must hold together before it may show steps
     for _ in range(options.iterations):
         prior = _surrounding_slope(slopes, prior_weights)
         quadratics_kernel(flat(data), seen, trust, slopes, prior, rows, rays, model, quadratics, targets)
@@ -384,60 +392,6 @@ def quadratics_kernel(
             a00, a01, a11, b0, b1 = some * a00, some * a01, some * a11, some * b0, some * b1
             o00[u], o01[u], o11[u], o0[u], o1[u], oc[u] = a00, a01, a11, b0, b1, some * c
             to_p[u], to_q[u] = a00 * p + a01 * q + b0, a01 * p + a11 * q + b1
-
-
-@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
-def weights_kernel(
-    quadratics: Grid, labels: Labels, mask: Mask, slopes: Grid, depth: Grid, softness: Any,
-    shadow_softness: Any, out: Grid,
-) -> None:  # fmt: skip
-    """Fill out (4, h, w): how far each quadrant's gradient belongs to the pixel's own surface, 0 to 1.
-
-    Where lights arrive the pixel knows its slope; a quadrant whose depth gradient disagrees crosses a step:
-    weight (s / (s + χ²))² (Geman and McClure's: a step has no pull at all), where s = softness under three
-    lights and shadow_softness under two. Other pixels take what they are given.
-    """
-    h, w = labels.shape
-    for v in prange(h):
-        soft, label = np.empty(w, np.float32), labels[v]
-        a00, a01, a11 = quadratics[0, v], quadratics[1, v], quadratics[2, v]
-        b0, b1, c = quadratics[3, v], quadratics[4, v], quadratics[5, v]
-        for u in range(w):
-            bits = label[u]
-            lights = (bits & 1) + ((bits >> 1) & 1) + (bits >> 2)
-            known = softness if lights == 3 else shadow_softness
-            soft[u] = known if lights >= 2 else np.float32(_NO_STEP)
-        for i in range(4):
-            y, to = (v + 1 if i < 2 else v - 1), out[i, v]
-            for u in range(w):
-                to[u] = np.float32(0.0)
-            if y < 0 or y >= h or w < 2:
-                continue
-            here = slice(0, w - 1) if i % 2 == 0 else slice(1, w)
-            there = slice(1, w) if i % 2 == 0 else slice(0, w - 1)
-            _quadrant_row(
-                depth[v, here], depth[v, there], depth[y, here], mask[v, here], mask[v, there], mask[y, here],
-                slopes[0, v, here], slopes[1, v, here], a00[here], a01[here], a11[here], b0[here], b1[here],
-                c[here], soft[here], np.float32(1 - 2 * (i % 2)), np.float32(1.0 if i < 2 else -1.0),
-                to[here],
-            )  # fmt: skip
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
-def _quadrant_row(
-    depth: Grid, beside: Grid, below: Grid, mask: Mask, mask_beside: Mask, mask_below: Mask, p: Grid,
-    q: Grid, a00: Grid, a01: Grid, a11: Grid, b0: Grid, b1: Grid, c: Grid, soft: Grid, right: Any, down: Any,
-    out: Grid,
-) -> None:  # fmt: skip
-    zero, two = np.float32(0.0), np.float32(2.0)
-    for u in range(len(out)):
-        d0 = right * (beside[u] - depth[u]) - p[u]
-        d1 = down * (below[u] - depth[u]) - q[u]
-        chi = c[u] - two * (b0[u] * d0 + b1[u] * d1)
-        chi += a00[u] * d0 * d0 + two * a01[u] * d0 * d1 + a11[u] * d1 * d1
-        weight = soft[u] / (soft[u] + max(chi, zero))
-        inside = mask[u] & mask_beside[u] & mask_below[u]
-        out[u] = weight * weight if inside else zero
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
