@@ -132,17 +132,14 @@ def _gains_of(blocks: _Blocks, lamps: Lamps, lines: Points, camera: Camera | Non
     pyramid = [blocks]
     for _ in range(_LEVELS):
         pyramid.append(pyramid[-1].halved())
-    slopes, depth = np.zeros((2, 1, 1), np.float32), np.zeros((1, 1), np.float32)
-    known = np.zeros((1, 1), np.bool_)
+    half = tuple(-(-n // 2) for n in pyramid[-1].labels.shape)
+    slopes, depth = np.zeros((2, *half), np.float32), np.zeros(half, np.float32)
+    known = np.zeros(half, np.bool_)
     softness = np.float32(NO_STEP)  # the first depth must hold together before it may show steps
     for level in reversed(pyramid):
         shape, inside = level.labels.shape, level.labels != _NO_LABEL
         rays = _rays_of_blocks(camera, level.factor)
-        depth = (
-            2.0 * depth.repeat(2, 0).repeat(2, 1)[: shape[0], : shape[1]]
-            if known.any()
-            else np.zeros(shape, np.float32)
-        )
+        depth = np.float32(2.0) * depth.repeat(2, 0).repeat(2, 1)[: shape[0], : shape[1]]
         before, slopes = slopes, np.empty((2, *shape), np.float32)
         _begin(level.light, level.labels, inverse, rays, prices, before, known, slopes)
         quadratics, targets = np.zeros((6, *shape), np.float32), np.zeros((2, *shape), np.float32)
@@ -265,7 +262,7 @@ def _begin(
             grey = np.log(length)
             left = _ONE / (_ONE + grey * grey * prices[of[v, u]].sum())
             left = left * left if light[v, u, 0] > _NONE else _NONE
-            i, j = min(v // 2, known.shape[0] - 1), min(u // 2, known.shape[1] - 1)
+            i, j = v // 2, u // 2
             if not known[i, j]:
                 left = _ONE
             out[0, v, u] = left * n0 * along + (_ONE - left) * before[0, i, j]
@@ -284,9 +281,11 @@ def _normal(p: Any, q: Any, x: Any, y: Any) -> Any:
 def _ask(
     logs: Any, of: Any, slopes: Any, rays: Any, lights: Any, prices: Any, smooth: Any, out: Any, targets: Any
 ) -> None:
-    """Fill out (6, h, w) and targets (2, h, w) with what each block asks of its slopes, see `edges_kernel`.
+    """Fill out (6, h, w) = A00, A01, A11, b0, b1, χ² of what each block asks of its slopes s;
+    targets (2, h, w) = A s + b; as `edges_kernel` takes them.
 
-    A block asks for the slopes that leave least paint, and for those of the blocks beside it.
+    A block asks for the slopes that leave least paint, and for those of the blocks beside it. logs: (h, w, 3)
+    of light. prices: (m, 3, 3) of paint. smooth: weight of the blocks beside.
     """
     h, w = of.shape
     for v in prange(h):
@@ -302,7 +301,6 @@ def _ask(
             p, q = slopes[0, v, u], slopes[1, v, u]
             n0, n1, n2, s = _normal(p, q, x, y)
             along_p, along_q = n0 - x * n2, n1 - y * n2
-            # of all normals beside it
             count, sum_p, sum_q = _NONE, _NONE, _NONE
             for k in range(4):
                 i, j = np.int64(v) + _DOWN[k], u + _RIGHT[k]
@@ -320,8 +318,8 @@ def _ask(
             e0, e1, e2 = max(e0, _LEAST_LIGHT), max(e1, _LEAST_LIGHT), max(e2, _LEAST_LIGHT)
             d0, d1, d2 = logs[v, u, 0] - np.log(e0), logs[v, u, 1] - np.log(e1), logs[v, u, 2] - np.log(e2)
             price = prices[m]
-            x_0, x_1, x_2 = _times(price, d0, d1, d2)
-            chi = x_0 * d0 + x_1 * d1 + x_2 * d2
+            k0, k1, k2 = _times(price, d0, d1, d2)
+            chi = k0 * d0 + k1 * d1 + k2 * d2
             left = _ONE / (_ONE + chi)
             left = left * left if logs[v, u, 0] > _DARK else _NONE
             g0, g1, g2 = (
