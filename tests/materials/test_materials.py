@@ -7,6 +7,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from vntoolkit.errors import BadInput
+from vntoolkit.geometry.camera import Camera
 from vntoolkit.materials import pixels
 from vntoolkit.materials.labelling import MaterialLabeller
 from vntoolkit.materials.pixels import colours_of, relit
@@ -451,6 +452,29 @@ def test_how_far_paint_turned_normals_is_how_far_they_are_in_doubt() -> None:
     wrong = mask & (off > 3.0)
     assert wrong.any()
     assert np.mean(doubt[wrong]) > 1.4 * np.mean(doubt[mask & (off < 1.0)])
+
+
+def test_a_surface_without_paint_stays_as_it_is_through_a_wide_lens_too() -> None:
+    size, focal_px = 180, 108.0
+    camera = Camera.pinhole(width=size, height=size, focal_px=focal_px)
+    v, u = np.indices((size, size)) - (size - 1) / 2
+    depth = np.exp(0.3 * np.sin(u / 25) * np.cos(v / 20) + 0.4 * (u**2 + v**2) / size**2)
+    places = np.stack([u, v, np.full(u.shape, focal_px)], axis=-1) * depth[..., None]
+    normals = np.cross(np.gradient(places, axis=0), np.gradient(places, axis=1))
+    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+    light = np.maximum(normals @ DIRECTIONS.T, 0.0)
+    mask, labels = light.min(axis=2) > 0.1, np.zeros(u.shape, np.uint8)
+    frame = LinearFrame((light @ COLOURS).astype(np.float32))
+    line, rho = (MELANIN / np.linalg.norm(MELANIN))[None], np.ones((1, 3))
+    through, flat = (
+        MaterialLabeller(RESPONSE, rho, line, each).relit(frame, labels, mask) for each in (camera, None)
+    )
+    off, off_flat = (
+        angles_deg(normals_from_frame(each, RESPONSE, mask).normals_in_camera, normals)[mask].mean()
+        for each in (through, flat)
+    )
+    assert off < 0.3
+    assert off_flat > 2.0  # slopes along parallel rays are those of no depth
 
 
 def test_noise_does_not_bend_the_line_of_a_pigment() -> None:
