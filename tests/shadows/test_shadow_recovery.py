@@ -316,4 +316,4 @@ def test_a_step_in_depth_does_not_bend_the_surface_beside_it(monkeypatch) -> Non
 
     plain = float(degrees(first, normals)[away].mean())
     assert error(10.0) < 0.5 * plain  # noise is averaged away, the step is not
-    assert error(surface._NO_STEP) > plain  # without breaking, the step spreads over both planes
+    assert error(surface.NO_STEP) > plain  # without breaking, the step spreads over both planes
