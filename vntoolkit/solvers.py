@@ -2,7 +2,7 @@
 
 The matrix is L = Σ_edges w_ij (e_i − e_j)(e_i − e_j)ᵀ + ground · I over the eight-neighbour edges of a grid.
 Edge weights may be zero (pixels outside the mask, cut edges) or negative as long as L stays positive
-semidefinite, which the assembly in `shadows/surface.py` guarantees.
+semidefinite, which the assembly in `geometry/slope_grid.py` guarantees.
 
 Pixels are swept in four colours, by whether row and column are even: no two of one colour share an edge, so
 that the compiler does eight at a time. Every image is read once on the way down and once on the way up, in

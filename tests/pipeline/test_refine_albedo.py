@@ -67,6 +67,20 @@ def test_normals_of_a_bare_face_are_no_worse_after_it(bare_face: Path) -> None:
 
 
 @pytest.mark.slow
+def test_paint_that_was_averaged_is_in_doubt_as_in_one_frame(bare_face: Path) -> None:
+    film, out = bare_face / "film", bare_face / "out"
+    within = []
+    for folder in (out, out / "track/refined"):
+        for path in sorted((folder / "normals").glob("*.exr")):
+            found = read_normal_map(path)
+            error, both = angular_error_map(found, read_normal_map(film / "truth/normals" / path.name))
+            assert found.error_deg is not None
+            within.append(np.mean(error[both] <= found.error_deg[both]))
+    before, after = np.split(np.array(within), 2)
+    assert after.mean() > before.mean() - 0.05
+
+
+@pytest.mark.slow
 def test_the_folder_is_as_any_other_and_says_what_it_is(bare_face: Path) -> None:
     out, refined = bare_face / "out", bare_face / "out/track/refined"
     of, own = read_manifest(out), read_manifest(refined)

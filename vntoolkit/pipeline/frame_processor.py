@@ -225,7 +225,9 @@ class FrameProcessor:
             turned_deg = self._labeller.turned_deg
         if self._painted is not None:
             linear = self._painted.relit(filmed, linear, frame.number, self._materials)
-            turned_deg = self._painted.turned_deg
+            # the mean over frames is in doubt as what one frame tells: frames err alike
+            told = self._painted.turned_deg
+            turned_deg = told if turned_deg is None or told is None else np.maximum(told, turned_deg)
         level = linear if self._leveller is None else self._leveller.frame(linear)
         labels, solved = None, False
         if self._options.shadows is ShadowMethod.NONE:
