@@ -33,6 +33,7 @@ Grid = npt.NDArray[np.float32]
 Row = npt.NDArray[np.float32]
 Places = npt.NDArray[np.int64]
 _GROUND = 1e-6  # pins the free constant of every connected piece; far below any data weight
+_WEAK = 0.05  # share of an edge in all edges of its pixel; .03 to .1 need as many cycles
 _IMAGES = 5  # of a grid beside its edges: inverse, shares, right-hand side, solution
 
 
@@ -244,7 +245,7 @@ def _build_kernel(finest: Grid, places: Places, flat: Row, spans: Places) -> Non
             solution[...] = np.float32(0.0)
         inverse_kernel(edges, inverse)
         _span_kernel(inverse, 2 if kinds == 4 else 0, inside)
-        _shares_kernel(edges, inside, shares)
+        _shares_kernel(edges, inverse, inside, shares)
 
 
 @njit(cache=True, error_model="numpy")
@@ -328,30 +329,35 @@ def coarse_edges_kernel(edges: Grid, out: Grid) -> None:
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _shares_kernel(edges: Grid, spans: Places, out: Grid) -> None:
-    """Fill out (2, h, w): a quarter where all edges are alike, as between the centres of two blocks."""
+def _shares_kernel(edges: Grid, inverse: Grid, spans: Places, out: Grid) -> None:
+    """Fill out (2, h, w): a quarter where all edges are alike, as between the centres of two blocks.
+
+    And less where an edge is weak among all edges of its pixel: what hangs by a thread is no guide, and a
+    correction that is taken from it grows from grid to grid.
+    """
     _, h, w = edges.shape
     zero, one, three, tiny = np.float32(0.0), np.float32(1.0), np.float32(3.0), np.float32(1e-30)
-    east = np.empty(w + 1, np.float32)
+    east, weak = np.empty(w + 1, np.float32), np.empty(w, np.float32)
     for v in range(h):
         a, b = spans[v]
         if a == b:
             continue
-        bond, beside, above = edges[0, v, a:b], out[0, v, a:b], out[1, v, a:b]
+        bond, beside, above, rest = edges[0, v, a:b], out[0, v, a:b], out[1, v, a:b], weak[: b - a]
         for u in range(b - a):
             east[u + 1] = max(bond[u], zero)
+            rest[u] = np.float32(_WEAK) / max(inverse[v, a + u], tiny)
         east[0] = east[b - a] = zero  # nothing is beyond the span
         west, own = east[: b - a], east[1:]
         for u in range(b - a):
             is_odd = u & 1
             outer, within = (own[u] if is_odd else west[u]), (west[u] if is_odd else own[u])
-            beside[u] = outer / (outer + three * within + tiny)
+            beside[u] = outer / (outer + three * within + rest[u])
         outwards, inwards = (v, v - 1) if v % 2 else (v - 1, v)
         if 0 <= outwards < h - 1:
             outer_bond, inner_bond = edges[1, outwards, a:b], edges[1, inwards, a:b]
             for u in range(b - a):
                 outer, within = max(outer_bond[u], zero), max(inner_bond[u], zero)
-                above[u] = outer / (outer + three * within + tiny)
+                above[u] = outer / (outer + three * within + rest[u])
         else:
             above[:] = zero
         for u in range(b - a):

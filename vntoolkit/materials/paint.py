@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 from numba import prange
-from scipy.ndimage import uniform_filter
+from scipy.ndimage import find_objects, uniform_filter
 
 from vntoolkit.arrays import FloatArray, Mask, Points
 from vntoolkit.geometry.camera import Camera
@@ -41,7 +41,7 @@ Single = npt.NDArray[np.float32]
 MaterialLabels = npt.NDArray[np.uint8]
 _BLOCKS = 60_000  # of the subject; noise is finer than these, and freckles are not
 _LEVELS = 2  # coarser ones, each of half the size: a lip is wide for steps that only reach its neighbours
-_STEPS, _CYCLES = 3, 4  # of Gauss–Newton on each level, and of multigrid in each
+_STEPS, _CYCLES = 2, 3  # of Gauss–Newton on each level, and of multigrid in each
 _TOLERANCE = 3e-3
 # Standard deviations of log ρ from which paint counts as such: across the pigment's line, and along it.
 _ACROSS, _ALONG = 0.15, 0.3
@@ -53,8 +53,7 @@ _DAMPING = np.float32(0.02)  # of a step; keeps the equations definite
 _AROUND = 5  # blocks that share the doubt of a turn
 _LEAST_SHARE = np.float32(0.06)  # of the strongest lamp's light: less may be shadow, which tells nothing
 _LEAST_LIGHT, _TINY = np.float32(0.02), np.float32(1e-9)
-_NONE, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
-_DARK = np.float32(-20.0)  # log of no light
+_NONE, _HALF, _ONE, _TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
 _FLATTEST = np.float32(0.12)  # |n_z| below which a first slope is held
 _DEGREES = np.float32(np.degrees(1.0))
 _NO_LABEL = 255
@@ -82,35 +81,58 @@ def without_paint(
     lamps = lamps_from_response(response, np.zeros(3))
     rgb, merge = np.ascontiguousarray(frame.rgb), np.linalg.inv(lamps.split)
     blocks = _blocks_of(rgb, labels, mask, lamps, rho, lines)
-    gains, turns = _gains_of(blocks, lamps, lines, camera)
+    gains, turns = np.ones_like(blocks.light), np.zeros(blocks.labels.shape, np.float32)
+    for around in find_objects(np.int8(blocks.labels != _NO_LABEL)):  # one, the rectangle of them all
+        inside = blocks.within(around)
+        gains[around], turns[around] = _gains_of(inside, lamps, lines, ray_grid(camera))
     split = lamps.split.astype(np.float32)
-    _take_out(rgb, labels, mask, split, merge.astype(np.float32), gains, blocks.labels, blocks.factor, out)
-    turns = turns.repeat(blocks.factor, 0).repeat(blocks.factor, 1)[: len(rgb), : rgb.shape[1]]
-    return LinearFrame(rgb=out, clipped=frame.clipped, number=frame.number), turns
+    turned = np.zeros(mask.shape, np.float32)
+    _take_out(
+        rgb, labels, mask, split, merge.astype(np.float32), gains, turns, blocks.labels, blocks.factor, out,
+        turned,
+    )  # fmt: skip
+    return LinearFrame(rgb=out, clipped=frame.clipped, number=frame.number), turned
 
 
 class _Blocks(NamedTuple):
     """Blocks of factor × factor pixels.
 
     light: (h, w, 3), over ρ, without ambient light; 0 where a lamp is missing. labels: (h, w), the material
-    of each, 255 for none.
+    of each, 255 for none. left, top: pixels before the first.
     """
 
     light: Single
     labels: MaterialLabels
     factor: int
+    left: int = 0
+    top: int = 0
 
     @property
     def lit(self) -> MaterialLabels:
         """(h, w), 7 where all three lamps arrive, else 0."""
         return np.where(self.light[..., 0] > 0, ALL_LIT, 0).astype(np.uint8)
 
+    def within(self, around: tuple[slice, ...]) -> _Blocks:
+        """Return those of a rectangle, (rows, columns)."""
+        light, labels = np.ascontiguousarray(self.light[around]), np.ascontiguousarray(self.labels[around])
+        return _Blocks(light, labels, self.factor, *(self.factor * side.start for side in around[::-1]))
+
+    def rays(self, rays: RayGrid) -> RayGrid:
+        """Return the rays through the middles of blocks, of those through pixels."""
+        side, middle = np.float32(self.factor), np.float32((self.factor - 1) / 2)
+        return RayGrid(
+            (rays.centre_u - np.float32(self.left) - middle) / side,
+            (rays.centre_v - np.float32(self.top) - middle) / side,
+            rays.per_pixel_u * side,
+            rays.per_pixel_v * side,
+        )
+
     def halved(self) -> _Blocks:
         """Return blocks of twice the side, of the material that is most often in them."""
         h, w = (-(-n // 2) for n in self.labels.shape)
         light, of = np.zeros((h, w, 3), np.float32), np.full((h, w), _NO_LABEL, np.uint8)
         _halve(self.light, self.labels, light, of)
-        return _Blocks(light, of, 2 * self.factor)
+        return _Blocks(light, of, 2 * self.factor, self.left, self.top)
 
 
 def _blocks_of(
@@ -125,7 +147,7 @@ def _blocks_of(
     return _Blocks(light, of, factor)
 
 
-def _gains_of(blocks: _Blocks, lamps: Lamps, lines: Points, camera: Camera | None) -> tuple[Single, Single]:
+def _gains_of(blocks: _Blocks, lamps: Lamps, lines: Points, of_pixels: RayGrid) -> tuple[Single, Single]:
     """(h, w, 3), 1 / ρ of the paint of each block, and (h, w), by how many degrees it turned the normal."""
     lights, inverse = np.linalg.inv(lamps.inverse).astype(np.float32), lamps.inverse.astype(np.float32)
     prices = np.array([_price(line) for line in np.asarray(lines)], np.float32)
@@ -138,17 +160,16 @@ def _gains_of(blocks: _Blocks, lamps: Lamps, lines: Points, camera: Camera | Non
     softness = np.float32(NO_STEP)  # the first depth must hold together before it may show steps
     for level in reversed(pyramid):
         shape, inside = level.labels.shape, level.labels != _NO_LABEL
-        rays = _rays_of_blocks(camera, level.factor)
-        depth = np.float32(2.0) * depth.repeat(2, 0).repeat(2, 1)[: shape[0], : shape[1]]
-        before, slopes = slopes, np.empty((2, *shape), np.float32)
-        _begin(level.light, level.labels, inverse, rays, prices, before, known, slopes)
+        rays = level.rays(of_pixels)
+        before, slopes = (depth, slopes), np.empty((2, *shape), np.float32)
+        depth = np.zeros(shape, np.float32)
+        _begin(level.light, level.labels, inverse, rays, prices, before, known, depth, slopes)
         quadratics, targets = np.zeros((6, *shape), np.float32), np.zeros((2, *shape), np.float32)
         edges, right, agreement = np.empty((4, *shape), np.float32), *np.empty((2, *shape), np.float32)
         weights, lit = np.empty((4, *shape), np.float32), level.lit
         smooth = _SMOOTH / np.float32((level.factor // blocks.factor) ** 2)
-        logs = np.log(np.maximum(level.light, _TINY))
         for _ in range(_STEPS):
-            _ask(logs, level.labels, slopes, rays, lights, prices, smooth, quadratics, targets)
+            _ask(level.light, level.labels, slopes, rays, lights, prices, smooth, quadratics, targets)
             weights_kernel(quadratics, lit, inside, slopes, depth, softness, softness, weights)
             edges_kernel(quadratics, targets, weights, edges, right)
             depth = solve_grid(grid_hierarchy(edges), right, depth, _TOLERANCE, _CYCLES)
@@ -166,15 +187,6 @@ def _price(line: FloatArray) -> FloatArray:
     """(3, 3), the inverse covariance of the log ρ of paint of a material with a pigment along a line (3,)."""
     along = np.outer(line, line)
     return np.asarray(along / _ALONG**2 + (np.eye(3) - along) / _ACROSS**2)
-
-
-def _rays_of_blocks(camera: Camera | None, factor: int) -> RayGrid:
-    rays = ray_grid(camera)
-    middle = np.float32((factor - 1) / 2)
-    return RayGrid(
-        (rays.centre_u - middle) / np.float32(factor), (rays.centre_v - middle) / np.float32(factor),
-        rays.per_pixel_u * np.float32(factor), rays.per_pixel_v * np.float32(factor),
-    )  # fmt: skip
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
@@ -243,11 +255,12 @@ def _halve(light: Any, of: Any, out: Any, labels: Any) -> None:
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
 def _begin(
-    light: Any, of: Any, inverse: Any, rays: Any, prices: Any, before: Any, known: Any, out: Any
+    light: Any, of: Any, inverse: Any, rays: Any, prices: Any, before: Any, known: Any, depth: Any, out: Any
 ) -> None:
     """Fill slopes (2, h, w) with those of the light itself as far as its length is 1, as without paint, and
-    else with those of the level before.
+    else with those of the level before. And depth (h, w) with that level's, sloping inside its blocks.
     """
+    coarse, slope = before
     h, w = of.shape
     for v in prange(h):
         x0, y = ray_at(rays, v, 0)
@@ -263,10 +276,13 @@ def _begin(
             left = _ONE / (_ONE + grey * grey * prices[of[v, u]].sum())
             left = left * left if light[v, u, 0] > _NONE else _NONE
             i, j = v // 2, u // 2
-            if not known[i, j]:
+            if known[i, j]:
+                aside, below = np.float32(u % 2) - _HALF, np.float32(v % 2) - _HALF
+                depth[v, u] = _TWO * coarse[i, j] + aside * slope[0, i, j] + below * slope[1, i, j]
+            else:
                 left = _ONE
-            out[0, v, u] = left * n0 * along + (_ONE - left) * before[0, i, j]
-            out[1, v, u] = left * n1 * along + (_ONE - left) * before[1, i, j]
+            out[0, v, u] = left * n0 * along + (_ONE - left) * slope[0, i, j]
+            out[1, v, u] = left * n1 * along + (_ONE - left) * slope[1, i, j]
 
 
 @njit(cache=True, inline="always", error_model="numpy")
@@ -279,13 +295,13 @@ def _normal(p: Any, q: Any, x: Any, y: Any) -> Any:
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
 def _ask(
-    logs: Any, of: Any, slopes: Any, rays: Any, lights: Any, prices: Any, smooth: Any, out: Any, targets: Any
+    light: Any, of: Any, slopes: Any, rays: Any, lights: Any, prices: Any, smooth: Any, out: Any, targets: Any
 ) -> None:
     """Fill out (6, h, w) = A00, A01, A11, b0, b1, χ² of what each block asks of its slopes s;
     targets (2, h, w) = A s + b; as `edges_kernel` takes them.
 
-    A block asks for the slopes that leave least paint, and for those of the blocks beside it. logs: (h, w, 3)
-    of light. prices: (m, 3, 3) of paint. smooth: weight of the blocks beside.
+    A block asks for the slopes that leave least paint, and for those of the blocks beside it. light: (h, w, 3).
+    prices: (m, 3, 3) of paint. smooth: weight of the blocks beside.
     """
     h, w = of.shape
     for v in prange(h):
@@ -316,12 +332,13 @@ def _ask(
             b0, b1 = a00 * towards_p + a01 * towards_q, a01 * towards_p + a11 * towards_q
             e0, e1, e2 = _times(lights, n0, n1, n2)
             e0, e1, e2 = max(e0, _LEAST_LIGHT), max(e1, _LEAST_LIGHT), max(e2, _LEAST_LIGHT)
-            d0, d1, d2 = logs[v, u, 0] - np.log(e0), logs[v, u, 1] - np.log(e1), logs[v, u, 2] - np.log(e2)
+            s0, s1, s2 = max(light[v, u, 0], _TINY), max(light[v, u, 1], _TINY), max(light[v, u, 2], _TINY)
+            d0, d1, d2 = np.log(s0 / e0), np.log(s1 / e1), np.log(s2 / e2)
             price = prices[m]
             k0, k1, k2 = _times(price, d0, d1, d2)
             chi = k0 * d0 + k1 * d1 + k2 * d2
             left = _ONE / (_ONE + chi)
-            left = left * left if logs[v, u, 0] > _DARK else _NONE
+            left = left * left if light[v, u, 0] > _NONE else _NONE
             g0, g1, g2 = (
                 s * ((lights[0, 0] - x * lights[0, 2]) / e0 - along_p),
                 s * ((lights[1, 0] - x * lights[1, 2]) / e1 - along_p),
@@ -400,9 +417,12 @@ def _between(count: int, blocks: int, factor: int) -> Any:
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
 def _take_out(
-    rgb: Any, labels: Any, mask: Any, split: Any, merge: Any, gains: Any, of: Any, factor: int, out: Any
-) -> None:
-    """Fill out (h, w, 3). Between the middles of blocks paint is interpolated, within each material."""
+    rgb: Any, labels: Any, mask: Any, split: Any, merge: Any, gains: Any, turns: Any, of: Any, factor: int,
+    out: Any, turned: Any,
+) -> None:  # fmt: skip
+    """Fill out (h, w, 3) and turned (h, w). Between the middles of blocks paint is interpolated, within each
+    material.
+    """
     h, w = mask.shape
     rows, columns = of.shape
     down, above, under = _between(h, rows, factor)
@@ -414,6 +434,7 @@ def _take_out(
             if not mask[v, u]:
                 out[v, u, 0], out[v, u, 1], out[v, u, 2] = red, green, blue
                 continue
+            turned[v, u] = turns[v // factor, u // factor]
             x, left, right, m = across[u], before[u], after[u], labels[v, u]
             w00 = (_ONE - y) * (_ONE - x) * np.float32(of[top, left] == m)
             w01 = (_ONE - y) * x * np.float32(of[top, right] == m)
