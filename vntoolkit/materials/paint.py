@@ -300,8 +300,8 @@ def _ask(
     """Fill out (6, h, w) = A00, A01, A11, b0, b1, χ² of what each block asks of its slopes s;
     targets (2, h, w) = A s + b; as `edges_kernel` takes them.
 
-    A block asks for the slopes that leave least paint, and for those of the blocks beside it. light: (h, w, 3).
-    prices: (m, 3, 3) of paint. smooth: weight of the blocks beside.
+    A block asks for the slopes that leave least paint, and for those of the blocks beside it. light:
+    (h, w, 3). prices: (m, 3, 3) of paint. smooth: weight of the blocks beside.
     """
     h, w = of.shape
     for v in prange(h):
