@@ -5,7 +5,8 @@ First every region has a reflectance of its own. Steps of paint between neighbou
 many regions share are proposed as materials, too many of them. Then materials are left out, one after the
 other, and the shortest description of the frame is taken: lengths and steps in units of their spread, the
 seams of the label map, and three numbers a material (rissanen1978), or one of a material that has the hue of
-the rig's: black and white print is of one hue.
+the rig's: black and white print is of one hue. Light that changes slowly over the subject is told with them:
+where its numbers make the description shorter, they take the place of materials.
 """
 
 from __future__ import annotations
@@ -16,9 +17,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import sparse
 from scipy.linalg import block_diag
-from scipy.sparse.csgraph import connected_components
 
 from vntoolkit.arrays import FloatArray, IntArray, Mask, Points
 from vntoolkit.errors import BadInput
@@ -30,6 +29,7 @@ from vntoolkit.materials.labelling import (
     total_cost,
 )
 from vntoolkit.materials.paint_levels import FALL, PAINT_STEP, Seams
+from vntoolkit.materials.patches import one_as_two, patches_of
 from vntoolkit.materials.pixels import INDEPENDENT_PX, Spread
 from vntoolkit.materials.reflectance import (
     CAP,
@@ -40,7 +40,8 @@ from vntoolkit.materials.reflectance import (
 )
 from vntoolkit.materials.region_lengths import lengths_of, normal_equations
 from vntoolkit.materials.regions import SHADING_STEP, Regions, regions_of
-from vntoolkit.materials.split_frame import SplitFrame, split_frame
+from vntoolkit.materials.split_frame import SplitFrame, split_frame, stacked
+from vntoolkit.materials.uneven_light import CHANGES, UNEVEN, changes_of_light, levelled
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
@@ -62,11 +63,11 @@ _ROUGH = 0.2  # first tolerance of the regions' own reflectances, which falls by
 _ROUNDS = 9
 _FIT_ROUNDS = 5
 _ALIKE = 0.1  # spread of log ρ of the regions of one material
-_TWINS = 0.08  # log ρ that two materials differ by at least
+# Log ρ that two materials differ by at least, in spreads of lengths from region to region.
+_TWINS = 2.0
 _MOST_PROPOSALS = 24
 _FEWEST_VOTES = 1.0  # regions of full size
 _WEAK_PRIOR = 0.5  # of log ρ, in a joint fit
-_BRIGHTNESS, _BRIGHTNESSES = (-2.5, 1.5), 201  # log ρ of the calibration material, brighter or darker
 _DOUBTFUL = 1.5  # price from which a region's seams tell nothing of its label
 _LARGEST_STEP = 0.3
 _FEW = 5.0
@@ -101,15 +102,20 @@ def find_materials(
             "mask and rig"
         )
     own, tolerance = _reflectances_of_regions(regions, split.lamps)
-    found = _fewest(_proposals(own, regions, count), regions, split.lamps, tolerance, count)
-    plain = _plain(regions, split.lamps, tolerance, found.spread)
-    of_rig = np.ones(1, np.bool_)
+    changes = changes_of_light(regions, split, len(split.lit) // -(-len(masks[0]) // split.factor))
+    found = _fewest(_proposals(own, regions, count), regions, changes, split.lamps, tolerance, count)
+    change, even = found.change, levelled(regions, found.change)
+    known = even, split.lamps, tolerance, 1, found.spread
+    found, of_rig = _settled(found.logs, found.labels, *known), np.ones(1, np.bool_)
+    if count is None:
+        found = _woven(found, even, split.lamps)
+    plain = _settled(np.zeros((1, 3)), np.zeros(regions.count, np.int64), *known, of_rig)
     if count is None and plain.length <= found.length:
         found = plain
     else:
-        found, of_rig = _in_rigs_hue(found, regions, split.lamps, tolerance)
+        found, of_rig = _in_rigs_hue(found, even, split.lamps, tolerance)
     labels = found.labels[regions.labels[split.lit]]
-    s = split.contributions[split.lit]
+    s = split.contributions[split.lit] * np.exp(-change)[regions.labels[split.lit]]
     materials = []
     # of a material of the rig's hue, too, the error is what the footage leaves open: its hue is the likeliest
     covariance = np.linalg.inv(found.normal_matrix + 1e-9 * np.eye(3 * len(found.logs)))
@@ -136,7 +142,7 @@ def _seen(
     More frames show other normals, but in larger blocks. Where most blocks lie on edges, patches of one paint
     are hardly larger than blocks: then the first frame alone is looked at, in smaller ones.
     """
-    split = _stacked(
+    split = stacked(
         [
             split_frame(frame, response, mask, _SEARCHED_PIXELS // len(frames))
             for frame, mask in zip(frames, masks, strict=True)
@@ -146,28 +152,6 @@ def _seen(
     if len(frames) > 1 and regions.sizes.sum() < _LEAST_INSIDE * split.lit.sum():
         return _seen(frames[:1], masks[:1], response)
     return split, regions
-
-
-def _stacked(splits: Sequence[SplitFrame]) -> SplitFrame:
-    """Put frames below each other, a dark row between: the same materials, other normals."""
-    if len(splits) == 1:
-        return splits[0]
-
-    def joined(images: list[npt.NDArray[Any]]) -> npt.NDArray[Any]:
-        width = max(image.shape[1] for image in images)
-        pads = [((0, 1), (0, width - image.shape[1])) + ((0, 0),) * (image.ndim - 2) for image in images]
-        return np.concatenate([np.pad(image, pad) for image, pad in zip(images, pads, strict=True)])
-
-    lamps = splits[0].lamps
-    mixing = np.sqrt(np.mean([split.lamps.mixing**2 for split in splits], axis=0)) * np.sign(lamps.mixing)
-    return replace(
-        splits[0],
-        contributions=joined([split.contributions for split in splits]),
-        colours=joined([split.colours for split in splits]),
-        inside=joined([split.inside for split in splits]),
-        lit=joined([split.lit for split in splits]),
-        lamps=lamps._replace(mixing=mixing, noise=np.linalg.norm(mixing, axis=1)),
-    )
 
 
 # A reflectance for every region.
@@ -226,7 +210,10 @@ def _proposals(own: Points, regions: Regions, count: int | None) -> Points:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Found:
-    """Materials so far. logs: (m, 3). labels: (n,). costs: (n, m). length: nats. normal_matrix: of logs."""
+    """Materials so far. logs: (m, 3). labels: (n,). costs: (n, m). length: nats. normal_matrix: of logs.
+
+    change: (n, 3), of log light.
+    """
 
     logs: Points
     labels: IntArray
@@ -234,13 +221,17 @@ class _Found:
     length: float
     normal_matrix: FloatArray
     spread: Spread
+    change: FloatArray
 
 
-def _fewest(logs: Points, regions: Regions, lamps: Lamps, tolerance: float, count: int | None) -> _Found:
+def _fewest(
+    logs: Points, regions: Regions, changes: FloatArray, lamps: Lamps, tolerance: float, count: int | None
+) -> _Found:
     """Return the shortest description, or that of `count` materials.
 
     Materials are left out one after the other; then what is still unexplained proposes others, as long as
-    that makes the description shorter.
+    that makes the description shorter; so do patches of one material that differ. Last, light may be uneven.
+    changes: of `changes_of_light`.
     """
     if count == 1:  # start from the proposal with most votes; all others would be left out again
         logs = logs[:1]
@@ -255,12 +246,25 @@ def _fewest(logs: Points, regions: Regions, lamps: Lamps, tolerance: float, coun
         if again.length >= found.length - _LEAST_GAIN:
             break
         found = again
-    return found if count is not None else _woven(found, regions, lamps)
+    while count is None and len(found.logs) < MOST_MATERIALS:
+        gain, more, labels = one_as_two(found.logs, found.labels, regions, lamps, tolerance)
+        if gain < _numbers(regions):
+            break
+        again = _settled(more, labels, regions, lamps, tolerance, 2, found.spread)
+        if again.length >= found.length or _has_twins(again):
+            break
+        found = again
+    known = regions, lamps, tolerance, 2, found.spread
+    again = _settled(found.logs, found.labels, *known, changes=changes)
+    if again.length < found.length:
+        found = _thinned(again, regions, lamps, tolerance, count, changes=changes)
+    return found
 
 
 def _thinned(
-    found: _Found, regions: Regions, lamps: Lamps, tolerance: float, count: int | None, least: float = np.inf
-) -> _Found:
+    found: _Found, regions: Regions, lamps: Lamps, tolerance: float, count: int | None,
+    least: float = np.inf, changes: FloatArray | None = None,
+) -> _Found:  # fmt: skip
     """Leave out materials one after the other, and return the shortest description on the way.
 
     Fewer materials explain no more. So the end is reached where what is unexplained is as long as the
@@ -270,7 +274,7 @@ def _thinned(
     while True:
         if count is None:
             found = _used(found, regions)
-        allowed = len(found.logs) <= (count or MOST_MATERIALS) and (count or not _has_twins(found.logs))
+        allowed = len(found.logs) <= (count or MOST_MATERIALS) and (count or not _has_twins(found))
         if allowed and (best is None or found.length < best.length):
             best = found
         if len(found.logs) <= (count or 1):
@@ -279,7 +283,7 @@ def _thinned(
         if count is None and unexplained >= min(least, np.inf if best is None else best.length):
             break
         fewer = [
-            _settled(logs, labels, regions, lamps, tolerance, 1, found.spread)
+            _settled(logs, labels, regions, lamps, tolerance, 1, found.spread, changes=changes)
             for logs, labels in (_without_one(found, regions), _merged(found))
         ]
         found = min(fewer, key=lambda each: each.length)
@@ -326,10 +330,7 @@ def _of_unexplained(found: _Found, regions: Regions, lamps: Lamps, tolerance: fl
     doubtful = paid > _DOUBTFUL
     a, b = regions.sources, regions.neighbours
     alike = doubtful[a] & doubtful[b] & (np.abs(regions.steps).max(axis=1) < PAINT_STEP)
-    graph = sparse.coo_array(
-        (np.ones(alike.sum()), (a[alike], b[alike])), shape=(regions.count, regions.count)
-    )
-    patches = connected_components(graph, directed=False)[1]
+    patches = patches_of(regions, alike)
     sizes = np.bincount(patches, weights=regions.sizes * doubtful)
     proposals: list[Any] = []
     for patch in np.argsort(-sizes)[:_MOST_PATCHES]:
@@ -348,7 +349,7 @@ def _of_unexplained(found: _Found, regions: Regions, lamps: Lamps, tolerance: fl
     kept: list[Any] = []
     for log in proposals:
         others = np.array([*found.logs, *kept])
-        if np.abs(others - log).max(axis=1).min() > _TWINS:
+        if np.abs(others - log).max(axis=1).min() > _TWINS * found.spread.of_regions:
             kept.append(log)
     return np.array(kept).reshape(-1, 3)
 
@@ -372,7 +373,9 @@ def _woven(found: _Found, regions: Regions, lamps: Lamps) -> _Found:
     is_paint = thought.min(axis=1) > _DARKEST
     thought = np.log(np.where(is_paint[:, None], thought, 1.0))
     is_paint &= np.ptp(thought, axis=1) < _LARGEST_RATIO
-    is_paint &= np.abs(thought[:, None] - found.logs).max(axis=2).min(axis=1) > _TWINS
+    is_paint &= (
+        np.abs(thought[:, None] - found.logs).max(axis=2).min(axis=1) > _TWINS * found.spread.of_regions
+    )
     if not is_paint.any():
         return found
     costs = prices_of_regions(lengths_of(regions, thought, lamps), found.spread)
@@ -422,28 +425,9 @@ def _free_numbers(of_rig: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
     return np.asarray(block_diag(*blocks))
 
 
-def _plain(regions: Regions, lamps: Lamps, tolerance: float, spread: Spread) -> _Found:
-    """Describe the frame as of the calibration material, one number brighter or darker."""
-    steps = np.linspace(*_BRIGHTNESS, _BRIGHTNESSES)
-    weights = regions.sizes / INDEPENDENT_PX
-    costs = prices_of_regions(lengths_of(regions, np.repeat(steps[:, None], 3, axis=1), lamps), spread)
-    best = int((weights @ costs).argmin())
-    logs, costs = np.full((1, 3), steps[best]), costs[:, best : best + 1]
-    labels = np.zeros(regions.count, np.int64)
-    matrices, _ = normal_equations(regions, np.repeat(logs, regions.count, axis=0), lamps, weights, tolerance)
-    return _Found(
-        logs=logs,
-        labels=labels,
-        costs=costs,
-        length=total_cost(costs, labels, logs, regions, _SEAM_PRICE) + _numbers(regions) / 3.0,
-        normal_matrix=matrices.sum(axis=0),
-        spread=spread,
-    )
-
-
-def _has_twins(logs: Points) -> bool:
-    apart = np.abs(logs[:, None] - logs).max(axis=2) + np.eye(len(logs))
-    return bool(apart.min() < _TWINS)
+def _has_twins(found: _Found) -> bool:
+    apart = np.abs(found.logs[:, None] - found.logs).max(axis=2) + np.eye(len(found.logs))
+    return bool(apart.min() < _TWINS * found.spread.of_regions)
 
 
 def _without_one(found: _Found, regions: Regions) -> tuple[Points, IntArray]:
@@ -469,21 +453,30 @@ def _settled(
     rounds: int,
     spread: Spread | None,
     of_rig: Mask | None = None,
+    changes: FloatArray | None = None,
 ) -> _Found:
     """Alternate between labels and reflectances, all of which are fitted together.
 
     of_rig: (m,), materials of the hue of the rig's, which are only brighter or darker; None for none.
+    changes: (n, CHANGES, 3), of light, which are fitted as well; None for even light.
     """
     of_rig = np.zeros(len(logs), np.bool_) if of_rig is None else of_rig
     free = _free_numbers(of_rig)
     logs = np.where(of_rig[:, None], logs.mean(axis=1, keepdims=True), logs)
-    size = 3 * len(logs)
-    matrix = np.zeros((size, size))
-    weights = regions.sizes / INDEPENDENT_PX
+    size, weights = 3 * len(logs), regions.sizes / INDEPENDENT_PX
+    numbers = _numbers(regions) * (len(logs) - 2.0 / 3.0 * np.count_nonzero(of_rig))
+    if changes is None:
+        changes = np.zeros((regions.count, 0, 3))
+    else:
+        free = block_diag(free, np.eye(CHANGES))
+        numbers += CHANGES / 3.0 * (_numbers(regions) - _FEW)
+    uneven, change = np.zeros(changes.shape[1]), np.zeros((regions.count, 3))
+    damping = np.diag(np.repeat([_WEAK_PRIOR, UNEVEN**-2], [size, len(uneven)]))
+    matrix = np.zeros_like(damping)
     is_given = spread is not None
     spread = spread or Spread(_FIRST_TOLERANCE, _FIRST_TOLERANCE)
     for _ in range(rounds):
-        lengths = lengths_of(regions, logs, lamps)
+        lengths = lengths_of(levelled(regions, change), logs, lamps)
         costs = prices_of_regions(lengths, spread)
         labels = _cheapest(costs, logs, regions, labels)
         if not is_given:
@@ -492,22 +485,26 @@ def _settled(
         for i in range(_FIT_ROUNDS):
             reach = _ROUGH * 0.5**i  # at first nothing is an outlier that two merged materials hold
             own_matrices, own_gradients = normal_equations(
-                regions, logs[labels], lamps, weights, tolerance, reach
+                regions, logs[labels] + change, lamps, weights, tolerance, reach
             )
-            matrix[:], gradient = 0.0, np.zeros(size)
-            _add_lengths(labels, own_matrices, own_gradients, matrix, gradient)
+            matrix[:], gradient = 0.0, np.zeros(len(matrix))
+            _add_lengths(labels, changes, own_matrices, own_gradients, matrix, gradient)
+            gradient[size:] -= uneven / UNEVEN**2
             _add_steps(
                 labels, paid, logs, regions.starts, regions.neighbours, regions.steps, regions.contacts,
                 matrix, gradient,
             )  # fmt: skip
-            bounded = free.T @ (matrix + _WEAK_PRIOR * np.eye(size)) @ free
-            step = (free @ np.linalg.solve(bounded, free.T @ gradient)).reshape(-1, 3)
-            logs = logs + step.clip(-_LARGEST_STEP, _LARGEST_STEP)
-    costs = prices_of_regions(lengths_of(regions, logs, lamps), spread)
+            bounded = free.T @ (matrix + damping) @ free
+            step = (free @ np.linalg.solve(bounded, free.T @ gradient)).clip(-_LARGEST_STEP, _LARGEST_STEP)
+            logs, uneven = logs + step[:size].reshape(-1, 3), uneven + step[size:]
+            change = np.einsum("npk,p->nk", changes, uneven)
+    costs = prices_of_regions(lengths_of(levelled(regions, change), logs, lamps), spread)
     labels = _cheapest(costs, logs, regions, labels)
-    numbers = len(logs) - 2.0 / 3.0 * np.count_nonzero(of_rig)
-    length = total_cost(costs, labels, logs, regions, _SEAM_PRICE) + _numbers(regions) * numbers
-    return _Found(logs=logs, labels=labels, costs=costs, length=length, normal_matrix=matrix, spread=spread)
+    length = total_cost(costs, labels, logs, regions, _SEAM_PRICE) + numbers
+    return _Found(
+        logs=logs, labels=labels, costs=costs, length=length + 0.5 * float(uneven @ uneven) / UNEVEN**2,
+        normal_matrix=matrix[:size, :size], spread=spread, change=change,
+    )  # fmt: skip
 
 
 def _cheapest(costs: FloatArray, logs: Points, regions: Regions, labels: IntArray | None) -> IntArray:
@@ -552,14 +549,33 @@ def _gains(
 
 
 @njit(cache=True)
-def _add_lengths(labels: Any, matrices: Any, gradients: Any, matrix: Any, gradient: Any) -> None:
-    """Add the normal equations of lengths, (n, 3, 3) and (n, 3) of the regions, to those of the materials."""
+def _add_lengths(
+    labels: Any, changes: Any, matrices: Any, gradients: Any, matrix: Any, gradient: Any
+) -> None:  # fmt: skip
+    """Add the normal equations of lengths, (n, 3, 3) and (n, 3) of the regions, to those of the materials.
+
+    And of the numbers with which log s of the regions changes by changes (n, p, 3).
+    """
+    count = changes.shape[1]
+    last = len(gradient) - count
+    along = np.empty((count, 3))
     for i in range(labels.size):
         first = 3 * labels[i]
         for a in range(3):
             gradient[first + a] += gradients[i, a]
             for b in range(3):
                 matrix[first + a, first + b] += matrices[i, a, b]
+        for p in range(count):
+            along[p] = 0.0
+            for a in range(3):
+                gradient[last + p] += changes[i, p, a] * gradients[i, a]
+                for b in range(3):
+                    along[p, a] += matrices[i, a, b] * changes[i, p, b]
+            for a in range(3):
+                matrix[first + a, last + p] += along[p, a]
+                matrix[last + p, first + a] += along[p, a]
+                for q in range(count):
+                    matrix[last + q, last + p] += changes[i, q, a] * along[p, a]
 
 
 @njit(cache=True, error_model="numpy")

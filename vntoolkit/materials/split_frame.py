@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from numba import prange
 
 from vntoolkit.arrays import FloatArray, Mask, Vector3
@@ -55,6 +57,28 @@ def split_frame(
     contributions, lit = _lit(rgb, inside, lamps.split, _LEAST_SIGNAL * lamps.noise)
     return SplitFrame(
         contributions=contributions, colours=rgb, inside=inside, lit=lit, lamps=lamps, factor=factor
+    )
+
+
+def stacked(splits: Sequence[SplitFrame]) -> SplitFrame:
+    """Put frames below each other, a dark row between: the same materials, other normals."""
+    if len(splits) == 1:
+        return splits[0]
+
+    def joined(images: list[npt.NDArray[Any]]) -> npt.NDArray[Any]:
+        width = max(image.shape[1] for image in images)
+        pads = [((0, 1), (0, width - image.shape[1])) + ((0, 0),) * (image.ndim - 2) for image in images]
+        return np.concatenate([np.pad(image, pad) for image, pad in zip(images, pads, strict=True)])
+
+    lamps = splits[0].lamps
+    mixing = np.sqrt(np.mean([split.lamps.mixing**2 for split in splits], axis=0)) * np.sign(lamps.mixing)
+    return replace(
+        splits[0],
+        contributions=joined([split.contributions for split in splits]),
+        colours=joined([split.colours for split in splits]),
+        inside=joined([split.inside for split in splits]),
+        lit=joined([split.lit for split in splits]),
+        lamps=lamps._replace(mixing=mixing, noise=np.linalg.norm(mixing, axis=1)),
     )
 
 
