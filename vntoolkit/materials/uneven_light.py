@@ -1,7 +1,7 @@
 """Light that changes slowly over a subject, which no paint does.
 
 Lamps are near: their light changes from one side of the subject to the other, and falls with its depth. To
-first order log light changes along rows and columns for each lamp alone, and with the depth, which on a body is
+first order log light changes along rows and columns for each lamp alone, and with the depth, on a body
 about a square of the place, for all lamps together.
 """
 
