@@ -418,7 +418,7 @@ def _decide_lines(
     lines, length = (h, w) if upright else (w, h)
     changes = np.zeros(lines, np.int64)
     half = (lines - first + 1) // 2
-    jump = scattering(half)
+    jump, seam = scattering(half), _SEAM_PRICE / np.float32(reach)  # so many pairs have a seam between them
     for i in prange(half):
         line = 2 * (i * jump % half) + first
         begin, end = extents[line]
@@ -468,7 +468,7 @@ def _decide_lines(
                                     y0, y1, y2 = x0 + z[n, 0], x1 + z[n, 1], x2 + z[n, 2]
                                     rest = y0 * y0 * w0 + y1 * y1 * w1 + y2 * y2 * w2
                                     cost = total[at - reach, q] + _HALF * rest / (_ONE + rest * _OF_CAP)
-                                    cost += _SEAM_PRICE if reach == 1 and n != m else _NONE
+                                    cost += seam if n != m else _NONE
                                     best = q if cost < least else best
                                     least = min(cost, least)
                                 total[at, p] += least
@@ -481,11 +481,7 @@ def _decide_lines(
                                 y2 = d2 - z[m, 2] + z[n, 2]
                                 rest = y0 * y0 * w0 + y1 * y1 * w1 + y2 * y2 * w2
                                 total[at, p] += _HALF * rest / (_ONE + rest * _OF_CAP)
-                                total[at, p] += _SEAM_PRICE if reach == 1 and n != m else _NONE
-                        if reach > 1 and way != 1:
-                            n = labels[v + (a - v) // reach, u + (b - u) // reach]
-                            for p in range(found):
-                                total[at, p] += _SEAM_PRICE if n != kinds[at, p] else _NONE
+                                total[at, p] += seam if n != m else _NONE
                 taken = total[t - reach, : number[t - reach]].argmin()
                 for back in range(t - reach, start - 1, -reach):
                     v, u = (line, back) if upright else (back, line)
@@ -507,7 +503,7 @@ def _is_touched(
     """
     h, w = changed.shape
     lines, length = (h, w) if upright else (w, h)
-    for at in (line, line - 1, line + 1, line - reach, line + reach):
+    for at in (line, line - reach, line + reach):
         if 0 <= at < lines:
             for t in range(max(start - reach, 0), min(stop + 1, length)):
                 when = changed[at, t] if upright else changed[t, at]
