@@ -173,6 +173,33 @@ def test_one_paint_is_one_material_and_a_number_is_kept() -> None:
     assert len(find_materials([frame], [mask], RESPONSE, count=2)) == 2
 
 
+def test_light_that_changes_slowly_over_a_subject_is_no_further_material() -> None:
+    """Lamps that stand six times half the subject's size away, which are taken for far ones."""
+    normals, mask = dome(200)
+    v, u = (np.indices(mask.shape) - 99.5) / 100.0
+    places, shares = np.stack([u, v, (normals[..., 2] + 1.0) / 0.75], axis=-1), []
+    for direction in DIRECTIONS:
+        away = 6.0 * direction - places
+        squared = (away**2).sum(axis=-1)
+        shares.append(36.0 * np.maximum((normals * away).sum(axis=-1), 0.0) / squared**1.5)
+    light = 0.8 * (np.stack(shares, axis=-1) * PAINTS[0]) @ COLOURS
+    light += np.random.default_rng(0).normal(0.0, LEVEL, light.shape)
+    frame = LinearFrame((light * mask[..., None]).astype(np.float32))
+    assert len(find_materials([frame], [mask], RESPONSE)) == 1
+
+
+def test_paints_that_differ_by_six_per_cent_are_two_where_lengths_are_exact() -> None:
+    paints = np.array([*PAINTS[:2], PAINTS[0] * np.exp([0.06, -0.03, 0.03])])
+    normals, mask = dome()
+    light = np.maximum(normals @ DIRECTIONS.T, 0.0) * paints[sectors()] @ COLOURS
+    light += np.random.default_rng(0).normal(0.0, LEVEL, light.shape)
+    frame = LinearFrame((light * mask[..., None]).astype(np.float32))
+    found = find_materials([frame], [mask], RESPONSE)
+    values = np.array([each.reflectance.values for each in found])
+    assert len(values) == 3
+    assert np.abs(np.log(values[:, None] / paints)).max(axis=2).min(axis=0).max() < 0.02
+
+
 def test_print_of_the_rigs_hue_has_the_normals_of_the_rigs_material() -> None:
     """Grey on white, on a surface so flat that it tells hues to some per cent, and a colour beside it."""
     normals, mask = dome(160)
