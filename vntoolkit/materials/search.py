@@ -29,7 +29,6 @@ from vntoolkit.materials.labelling import (
     total_cost,
 )
 from vntoolkit.materials.paint_levels import FALL, PAINT_STEP, Seams
-from vntoolkit.materials.patches import one_as_two, patches_of
 from vntoolkit.materials.pixels import INDEPENDENT_PX, Spread
 from vntoolkit.materials.reflectance import (
     CAP,
@@ -38,10 +37,23 @@ from vntoolkit.materials.reflectance import (
     best_fit,
     reflectance_from_fit,
 )
-from vntoolkit.materials.region_lengths import lengths_of, normal_equations
-from vntoolkit.materials.regions import SHADING_STEP, Regions, regions_of
+from vntoolkit.materials.region_lengths import (
+    gather_lengths,
+    lengths_of,
+    normal_equations,
+    one_as_two,
+    patches_of,
+)
+from vntoolkit.materials.regions import (
+    CHANGES,
+    SHADING_STEP,
+    UNEVEN,
+    Regions,
+    changes_of_light,
+    levelled,
+    regions_of,
+)
 from vntoolkit.materials.split_frame import SplitFrame, split_frame, stacked
-from vntoolkit.materials.uneven_light import CHANGES, UNEVEN, changes_of_light, levelled
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
@@ -488,7 +500,7 @@ def _settled(
                 regions, logs[labels] + change, lamps, weights, tolerance, reach
             )
             matrix[:], gradient = 0.0, np.zeros(len(matrix))
-            _add_lengths(labels, changes, own_matrices, own_gradients, matrix, gradient)
+            gather_lengths(labels, changes, own_matrices, own_gradients, matrix, gradient)
             gradient[size:] -= uneven / UNEVEN**2
             _add_steps(
                 labels, paid, logs, regions.starts, regions.neighbours, regions.steps, regions.contacts,
@@ -546,36 +558,6 @@ def _gains(
                 other += contacts[e] * step_cost(steps[e], thought[p], logs[n], _SEAM_PRICE)
             gains[p] += max(own - other, 0.0)
     return gains
-
-
-@njit(cache=True)
-def _add_lengths(
-    labels: Any, changes: Any, matrices: Any, gradients: Any, matrix: Any, gradient: Any
-) -> None:  # fmt: skip
-    """Add the normal equations of lengths, (n, 3, 3) and (n, 3) of the regions, to those of the materials.
-
-    And of the numbers with which log s of the regions changes by changes (n, p, 3).
-    """
-    count = changes.shape[1]
-    last = len(gradient) - count
-    along = np.empty((count, 3))
-    for i in range(labels.size):
-        first = 3 * labels[i]
-        for a in range(3):
-            gradient[first + a] += gradients[i, a]
-            for b in range(3):
-                matrix[first + a, first + b] += matrices[i, a, b]
-        for p in range(count):
-            along[p] = 0.0
-            for a in range(3):
-                gradient[last + p] += changes[i, p, a] * gradients[i, a]
-                for b in range(3):
-                    along[p, a] += matrices[i, a, b] * changes[i, p, b]
-            for a in range(3):
-                matrix[first + a, last + p] += along[p, a]
-                matrix[last + p, first + a] += along[p, a]
-                for q in range(count):
-                    matrix[last + q, last + p] += changes[i, q, a] * along[p, a]
 
 
 @njit(cache=True, error_model="numpy")
