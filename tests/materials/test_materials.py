@@ -516,3 +516,14 @@ def test_one_colour_has_no_pigment() -> None:
     frame, _, mask = painted(np.full((120, 120), 1))
     labeller = MaterialLabeller(RESPONSE, PAINTS[1:2])
     assert labeller.pigments(frame, mask, np.zeros(mask.shape, np.uint8)) == [None]
+
+
+def test_a_material_too_small_to_tell_shares_the_pigment_of_the_largest() -> None:
+    frame, _, mask = freckled()
+    values = find_materials([frame], [mask], RESPONSE, count=1)[0].reflectance.values[None]
+    labels = (np.indices(mask.shape)[0] < 32).astype(np.uint8)
+    large, small = MaterialLabeller(RESPONSE, values.repeat(2, 0)).pigments(frame, mask, labels)
+    assert large is not None
+    assert small is not None
+    assert np.array_equal(large[0], small[0])
+    assert MaterialLabeller(RESPONSE, values).pigments(frame, mask & (labels > 0), 0 * labels) == [None]

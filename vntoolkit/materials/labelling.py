@@ -213,7 +213,10 @@ class MaterialLabeller:
     def pigments(
         self, frame: LinearFrame, mask: Mask, labels: MaterialLabels
     ) -> list[tuple[Vector3, Vector3] | None]:
-        """Return for each material the line (3,) along which it changes and log ρ, or None for no change."""
+        """Return for each material the line (3,) along which it changes and log ρ, or None for no change.
+
+        A small one shares the line of the largest that has one: skin and hair hold the same pigment.
+        """
         split = split_frame(frame, self._response, mask, like=self._split)
         middle = split.factor // 2
         places = (
@@ -222,10 +225,14 @@ class MaterialLabeller:
         )
         blocks = labels[np.ix_(*places)]
         plain = split.lit & ~near_seams(blocks, _BESIDE)
-        return [
-            pigment_of(split.contributions, plain & (blocks == m), log, split.lamps)
-            for m, log in enumerate(self._logs)
-        ]
+        of = [plain & (blocks == m) for m in range(len(self._logs))]
+        found: list[tuple[Vector3, Vector3] | None] = [None] * len(of)
+        largest: Vector3 | None = None
+        for m in sorted(range(len(of)), key=lambda m: -np.count_nonzero(of[m])):
+            told = pigment_of(split.contributions, of[m], self._logs[m], split.lamps, largest)
+            largest = told[0] if largest is None and told is not None else largest
+            found[m] = told
+        return found
 
     def _boxed(self, mask: Mask) -> tuple[slice, slice]:
         """Return rows and columns that hold the subject; what is known of the frame before moves along."""

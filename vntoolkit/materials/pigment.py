@@ -21,7 +21,7 @@ from vntoolkit.native import njit
 
 Single = npt.NDArray[np.float32]
 _PAIRS = 10_000  # of neighbouring blocks that tell how rough normals are
-_FEWEST_PAIRS = 1000
+_FEWEST_PAIRS = 1000  # fewer show lines where there are none
 _STEEP = np.float32(0.08)  # difference of two neighbours' normals from which a larger one hardly counts more
 _SMOOTHER = 0.95  # of the roughness: one line of two parameters always takes a little
 _LEAST_TAKEN = 0.1  # of what it takes from the darkest band: a line along one band alone is its noise
@@ -43,18 +43,19 @@ _QUARTER, _HALF, _SIXTH, _OF_FOURTH = np.float32(0.25), np.float32(0.5), np.floa
 
 
 def pigment_of(
-    contributions: FloatArray, chosen: Mask, log: Vector3, lamps: Lamps
+    contributions: FloatArray, chosen: Mask, log: Vector3, lamps: Lamps, of_others: Vector3 | None = None
 ) -> tuple[Vector3, Vector3] | None:
     """Return d (3,), of length 1, along which a material changes, and log ρ; None where it hardly does.
 
     contributions: (h, w, 3). chosen: (h, w), lit pixels of the material. log: (3,), of its reflectance as of
-    one colour.
+    one colour. of_others: (3,), the line of the subject's other materials, taken where too few pixels tell.
     """
-    pairs = int((chosen[:, 1:] & chosen[:, :-1]).sum())
-    if pairs < _FEWEST_PAIRS:
-        return None
-    factor = max(1, round(float(np.sqrt(pairs / _PAIRS))))
+    pixels = contributions[chosen]
+    pixels = pixels[:: max(1, len(pixels) // _FIT_PIXELS)]
+    factor = max(2, round(float(np.sqrt(_pairs(chosen) / _PAIRS))))
     s, mask = _means_of_blocks(contributions, chosen, factor)
+    if _pairs(mask) < _FEWEST_PAIRS:
+        return None if of_others is None else (of_others, _of_least_pigment(log, pixels, lamps, of_others))
     chunks, pairs_of = _in_chunks(s, mask)
     matrix, origin = lamps.inverse * np.exp(-log), lamps.inverse @ lamps.haze
     squared = np.float32(1.0 + bias_of_noise(np.exp(-log), lamps.inverse, lamps.mixing / factor))
@@ -71,19 +72,19 @@ def pigment_of(
     is_pigment = direction.min() > _LEAST_TAKEN * direction.max() and found.fun < _SMOOTHER * roughness(grey)
     if not is_pigment:
         return None
-    pixels = contributions[chosen]
-    pixels = pixels[:: max(1, len(pixels) // _FIT_PIXELS)]
     return direction, _of_least_pigment(log, pixels, lamps, direction)
+
+
+def _pairs(chosen: Mask) -> int:
+    return int((chosen[:, 1:] & chosen[:, :-1]).sum())
 
 
 def _means_of_blocks(contributions: FloatArray, chosen: Mask, factor: int) -> tuple[FloatArray, Mask]:
     """Return the means over blocks of factor × factor pixels, and the blocks of which every pixel is chosen.
 
     Paint is coarser than noise. In single pixels the line along which normals are smoothest is half that of
-    the noisiest lamp.
+    the noisiest lamp, and of a red yarn, dark in two bands, it passes for a pigment.
     """
-    if factor == 1:
-        return contributions, chosen
     h, w = (n // factor for n in chosen.shape)
     parts = np.s_[: h * factor, : w * factor]
     s = contributions[parts].reshape(h, factor, w, factor, 3).mean(axis=(1, 3))
