@@ -77,7 +77,7 @@ def imports_of(tree: ast.AST) -> list[str]:
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, "imports are absolute"
             names.append(node.module or "")
-            if node.module in ("vntoolkit", "numba"):
+            if names[-1].split(".")[0] in ("vntoolkit", "numba"):
                 names += [f"{node.module}.{alias.name}" for alias in node.names]
     return [name for name in names if name != "vntoolkit.__version__"]
 

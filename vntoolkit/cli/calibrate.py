@@ -15,23 +15,7 @@ from vntoolkit.calibration.fit import ResponseFit
 from vntoolkit.calibration.lights import LightColours
 from vntoolkit.calibration.presses import GelFit, PressOptions
 from vntoolkit.calibration.sphere import SphereOptions
-from vntoolkit.cli.flags import (
-    Allow,
-    AmbientImage,
-    Corners,
-    Curve,
-    Flags,
-    FocalPx,
-    Frames,
-    Overwrite,
-    Sensor,
-    SingleLight,
-    SizeMm,
-    curve_from_text,
-    rectification_from_flags,
-    rig_with_corners,
-    verb,
-)
+from vntoolkit.cli import flags
 from vntoolkit.cli.output import JSON, MESH, PAGE, PICTURE, ProgressBars, print_next, require_output
 from vntoolkit.diagnosis.checks import CHECK_NAMES
 from vntoolkit.diagnosis.finding import judge, require_known_checks
@@ -51,26 +35,26 @@ from vntoolkit.pipeline import calibrate_presses as pipeline
 from vntoolkit.pipeline.calibrate import CalibrationJob
 from vntoolkit.pipeline.calibrate_head import HeadOptions, calibrate_head
 
-_FIT = Flags(renamed={"method": "fit-method"})
+_FIT = flags.Flags(renamed={"method": "fit-method"})
 SizePx: TypeAlias = Annotated[tuple[int, int] | None, Parameter(consume_multiple=True, negative=())]
 
 
-@verb("max_megapixels")
+@flags.verb("max_megapixels")
 def sphere(
     source: str,
     /,
     *,
     out: Path,
     mask: Path | None = None,
-    matting: Annotated[MatteOptions | None, Flags()] = None,
-    background: AmbientImage = None,
-    transfer: Curve = None,
-    sensor: Sensor = None,
+    matting: Annotated[MatteOptions | None, flags.Flags()] = None,
+    background: flags.AmbientImage = None,
+    transfer: flags.Curve = None,
+    sensor: flags.Sensor = None,
     camera: Path | None = None,
-    focal_px: FocalPx = None,
-    single_light: SingleLight = None,
-    frames: Frames = "::",
-    allow: Allow = (),
+    focal_px: flags.FocalPx = None,
+    single_light: flags.SingleLight = None,
+    frames: flags.Frames = "::",
+    allow: flags.Allow = (),
     options: Annotated[SphereOptions | None, _FIT] = None,
 ) -> None:
     """Calibrate on a matte ball of the subject's material, at rest under all three lights.
@@ -99,21 +83,21 @@ def sphere(
     _print_what_is_next(out)
 
 
-@verb("max_megapixels")
+@flags.verb("max_megapixels")
 def board(
     source: str,
     /,
     *,
     out: Path,
-    background: AmbientImage = None,
-    transfer: Curve = None,
-    sensor: Sensor = None,
+    background: flags.AmbientImage = None,
+    transfer: flags.Curve = None,
+    sensor: flags.Sensor = None,
     camera: Path | None = None,
-    focal_px: FocalPx = None,
-    single_light: SingleLight = None,
-    frames: Frames = "::",
-    allow: Allow = (),
-    layout: Annotated[BoardLayout | None, Flags()] = None,
+    focal_px: flags.FocalPx = None,
+    single_light: flags.SingleLight = None,
+    frames: flags.Frames = "::",
+    allow: flags.Allow = (),
+    layout: Annotated[BoardLayout | None, flags.Flags()] = None,
     options: Annotated[BoardOptions | None, _FIT] = None,
 ) -> None:
     """Calibrate on the printed board, tilted in all directions, with the subject's material in its hole.
@@ -142,7 +126,7 @@ def board(
     _print_what_is_next(out)
 
 
-@verb("max_megapixels")
+@flags.verb("max_megapixels")
 def lights(
     source: Path,
     /,
@@ -151,11 +135,11 @@ def lights(
     like: str | None = None,
     lights: Annotated[tuple[int, int, int], Parameter(consume_multiple=True, negative=())] = (0, 1, 2),
     light_colours: LightColours = LightColours.CHANNELS,
-    transfer: Curve = None,
-    sensor: Sensor = None,
+    transfer: flags.Curve = None,
+    sensor: flags.Sensor = None,
     camera: Path | None = None,
-    focal_px: FocalPx = None,
-    allow: Allow = (),
+    focal_px: flags.FocalPx = None,
+    allow: flags.Allow = (),
 ) -> None:
     """Compute a rig from known light directions and strengths.
 
@@ -201,7 +185,7 @@ def _job(
         source=source,
         mask=mask,
         background=background,
-        transfer=curve_from_text(transfer),
+        transfer=flags.curve_from_text(transfer),
         camera=camera,
         focal_px=focal_px,
         single_light=single_light or (),
@@ -251,23 +235,23 @@ def report_rig(out: Path, rig: Rig, seen: str) -> None:
         print("                    the lights lie further out where a channel sees several of them)")
 
 
-@verb("max_megapixels")
+@flags.verb("max_megapixels")
 def head(
     source: str,
     /,
     *,
     out: Path,
-    background: AmbientImage = None,
-    transfer: Curve = None,
-    sensor: Sensor = None,
+    background: flags.AmbientImage = None,
+    transfer: flags.Curve = None,
+    sensor: flags.Sensor = None,
     camera: Path | None = None,
-    focal_px: FocalPx = None,
-    frames: Frames = "::",
-    allow: Allow = (),
+    focal_px: flags.FocalPx = None,
+    frames: flags.Frames = "::",
+    allow: flags.Allow = (),
     mesh: Path | None = None,
     figure: Path | None = None,
     report: Path | None = None,
-    options: Annotated[HeadOptions | None, Flags(without=("neighbour_angles_deg",))] = None,
+    options: Annotated[HeadOptions | None, flags.Flags(without=("neighbour_angles_deg",))] = None,
 ) -> None:
     """Calibrate on a bare head that turns fully left and right, with a fixed expression, in a dark room.
 
@@ -328,21 +312,21 @@ def head(
     _print_what_is_next(out)
 
 
-@verb("max_megapixels")
+@flags.verb("max_megapixels")
 def presses(
     source: str,
     /,
     *,
     out: Path,
     background: Path,
-    options: Annotated[PressOptions, Flags()],
+    options: Annotated[PressOptions, flags.Flags()],
     labels: Path | None = None,
-    corners: Corners = None,
-    size_mm: SizeMm = None,
+    corners: flags.Corners = None,
+    size_mm: flags.SizeMm = None,
     label_size: SizePx = None,
-    transfer: Curve = None,
-    allow: Allow = (),
-    sensor: Sensor = None,
+    transfer: flags.Curve = None,
+    allow: flags.Allow = (),
+    sensor: flags.Sensor = None,
 ) -> None:
     """Calibrate a tactile sensor on presses of a ball of known size into its gel.
 
@@ -375,9 +359,9 @@ def presses(
         source=source,
         background=background,
         labels=labels,
-        transfer=curve_from_text(transfer),
+        transfer=flags.curve_from_text(transfer),
         sensor=sensor or SensorOptions(),
-        rectification=rectification_from_flags(corners, size_mm, options.pixel_mm),
+        rectification=flags.rectification_from_flags(corners, size_mm, options.pixel_mm),
         label_size=label_size,
         allow=allow,
     )
@@ -418,19 +402,19 @@ def _moves(fit: GelFit) -> str:
     return f"; moved to their dents,{common} each by {fit.label_scatter_px:.1f} (median)"
 
 
-@verb("max_megapixels")
+@flags.verb("max_megapixels")
 def rectify(
     source: str,
     /,
     *,
     out: Path,
     rig: Path | None = None,
-    corners: Corners = None,
-    size_mm: SizeMm = None,
+    corners: flags.Corners = None,
+    size_mm: flags.SizeMm = None,
     pixel_mm: float | None = None,
-    transfer: Curve = None,
-    sensor: Sensor = None,
-    overwrite: Overwrite = False,
+    transfer: flags.Curve = None,
+    sensor: flags.Sensor = None,
+    overwrite: flags.Overwrite = False,
 ) -> None:
     """Resample footage of a tilted plane to square pixels of known size.
 
@@ -453,7 +437,7 @@ def rectify(
         Replace the images that the folder holds.
     """
     known = None if rig is None else read_rig(rig)
-    curve = curve_from_text(transfer) or (None if known is None else known.transfer)
+    curve = flags.curve_from_text(transfer) or (None if known is None else known.transfer)
     capture = open_capture(source, CaptureOptions(transfer=curve, sensor=sensor or SensorOptions()))
     filmed = (capture.info.width, capture.info.height)
     if known is None:
@@ -461,11 +445,11 @@ def rectify(
             raise BadInput(
                 "rectify: expected --corners, --size-mm and --pixel-mm, or the --rig of a tactile gel"
             )
-        rectification = rectification_from_flags(corners, size_mm, pixel_mm)
+        rectification = flags.rectification_from_flags(corners, size_mm, pixel_mm)
     else:
         if pixel_mm is not None:
             raise BadInput("rectify: --pixel-mm is the rig's; leave it out, or leave out --rig")
-        known = rig_with_corners(known, corners, size_mm, filmed)
+        known = flags.rig_with_corners(known, corners, size_mm, filmed)
         rectification = None if known.gel is None else known.gel.rectification
         if rectification is None:
             raise BadInput(f"{rig}: holds no corners of a gel; give --corners, --size-mm and --pixel-mm")

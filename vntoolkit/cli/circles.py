@@ -10,16 +10,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from vntoolkit.cli.flags import (
-    Corners,
-    Curve,
-    Flags,
-    Sensor,
-    SizeMm,
-    curve_from_text,
-    rectification_from_flags,
-    verb,
-)
+from vntoolkit.cli import flags
 from vntoolkit.cli.output import ProgressBars, print_next
 from vntoolkit.errors import BadInput
 from vntoolkit.io.atomic import sole_writer
@@ -30,20 +21,20 @@ from vntoolkit.report.circles_page import CirclesViewer
 from vntoolkit.report.local_server import ViewerOptions
 
 
-@verb("max_megapixels")
+@flags.verb("max_megapixels")
 def circles(
     source: str,
     /,
     *,
     background: Path,
     out: Path,
-    corners: Corners = None,
-    size_mm: SizeMm = None,
+    corners: flags.Corners = None,
+    size_mm: flags.SizeMm = None,
     pixel_mm: float | None = None,
-    transfer: Curve = None,
-    sensor: Sensor = None,
+    transfer: flags.Curve = None,
+    sensor: flags.Sensor = None,
     page: Annotated[bool, Parameter(negative="--no-page")] = True,
-    viewer: Annotated[ViewerOptions | None, Flags()] = None,
+    viewer: Annotated[ViewerOptions | None, flags.Flags()] = None,
 ) -> None:
     """Find the contact circles of presses, and correct them, and the gel's corners, on a page in the browser.
 
@@ -74,9 +65,9 @@ def circles(
         source=source,
         background=background,
         labels=out,
-        transfer=curve_from_text(transfer),
+        transfer=flags.curve_from_text(transfer),
         sensor=sensor or SensorOptions(),
-        rectification=rectification_from_flags(corners, size_mm, pixel_mm or 1.0),
+        rectification=flags.rectification_from_flags(corners, size_mm, pixel_mm or 1.0),
     )
     with sole_writer(out):
         with ProgressBars() as bars:
@@ -89,13 +80,13 @@ def circles(
             shown.close()
     _report(out, found)
     view = found.rectification
-    flags: list[str | Path] = ["--background", background, "--labels", out]
+    words: list[str | Path] = ["--background", background, "--labels", out]
     if view is not None:
-        flags += ["--corners", *(f"{at:g}" for at in view.corners_px)]
-        flags += ["--size-mm", f"{view.width_mm:g}", f"{view.height_mm:g}"]
+        words += ["--corners", *(f"{at:g}" for at in view.corners_px)]
+        words += ["--size-mm", f"{view.width_mm:g}", f"{view.height_mm:g}"]
     scale = "0.03" if pixel_mm is None else f"{pixel_mm:g}"
     ball = ["--ball-radius-mm", "2", "--pixel-mm", scale]
-    print_next("calibrate", "presses", source, *flags, *ball, "--out", "gel.json")
+    print_next("calibrate", "presses", source, *words, *ball, "--out", "gel.json")
 
 
 def _report(out: Path, found: PressCircles) -> None:

@@ -13,20 +13,8 @@ import numpy as np
 from vntoolkit.cli.flags import Flags, Footage, Frames, verb
 from vntoolkit.cli.output import print_next, print_table, progress_bar, require_output, write_json
 from vntoolkit.errors import BadInput, BadMesh
+from vntoolkit.evaluation import mesh_comparison
 from vntoolkit.evaluation.angular_error import AngularError
-from vntoolkit.evaluation.mesh_comparison import (
-    Alignment,
-    AlignmentOptions,
-    Compared,
-    MeasuredBy,
-    MeshDistance,
-    MeshQuality,
-    align_mesh,
-    mesh_quality,
-    mismatch,
-    positions,
-    vertex_distances,
-)
 from vntoolkit.evaluation.track_error import TrackError
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.geometry.point_cloud import PointCloud
@@ -34,24 +22,10 @@ from vntoolkit.io.atomic import sole_writer
 from vntoolkit.io.conventions import NormalConvention
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh
-from vntoolkit.pipeline.evaluate import (
-    CylinderEvaluation,
-    compare_normal_files,
-    evaluate_tracks,
-    objects_in,
-    pairs_of,
-    real_object_errors,
-    surface_cases,
-    write_track_errors,
-)
+from vntoolkit.pipeline import evaluate
 from vntoolkit.pipeline.evaluate import evaluate_cylinder as run
 from vntoolkit.pipeline.opened_result import open_result
-from vntoolkit.report.figures import (
-    write_cumulative_errors,
-    write_error_map,
-    write_error_over_time,
-    write_error_plot,
-)
+from vntoolkit.report import figures
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -90,17 +64,19 @@ def normals(
     """
     require_output(out / "normals.json")
     with sole_writer(out):
-        pairs = pairs_of(measured, reference)
+        pairs = evaluate.pairs_of(measured, reference)
         with progress_bar("normals", len(pairs)) as advance:
-            found = compare_normal_files(
+            found = evaluate.compare_normal_files(
                 pairs, (measured_convention, reference_convention), lambda _name: advance(1)
             )
         content = {"measured": measured, "reference": reference}
         write_json(out / "normals.json", {**content, "overall": found.overall, "frames": found.frames})
         title = f"{found.worst}: mean {found.frames[found.worst].mean_deg:.2f}°"
-        write_error_map(out / "normals_map.png", found.worst_deg, found.worst_mask, title, "degrees")
+        figures.write_error_map(out / "normals_map.png", found.worst_deg, found.worst_mask, title, "degrees")
         title = f"{measured.name} against {reference.name}"
-        write_cumulative_errors(out / "normals_curve.png", {"all frames": found.curve_deg}, title, "degrees")
+        figures.write_cumulative_errors(
+            out / "normals_curve.png", {"all frames": found.curve_deg}, title, "degrees"
+        )
         step = max(1, -(-len(found.frames) // _LINES))
         rows = [error_row(name, error) for name, error in list(found.frames.items())[::step]]
         if len(found.frames) > 1:
@@ -122,9 +98,9 @@ def mesh(
     mesh: Path,
     reference: Path | None = None,
     *,
-    measured_by: MeasuredBy = MeasuredBy.EMBREE,
+    measured_by: mesh_comparison.MeasuredBy = mesh_comparison.MeasuredBy.EMBREE,
     out: Path = Path("evaluation"),
-    options: Annotated[AlignmentOptions | None, Flags(renamed={"free": "align"})] = None,
+    options: Annotated[mesh_comparison.AlignmentOptions | None, Flags(renamed={"free": "align"})] = None,
 ) -> None:
     """Print the distances between a mesh and a reference, in both directions, and the quality of both.
 
@@ -145,7 +121,7 @@ def mesh(
     """
     require_output(out / "mesh.json")
     with sole_writer(out):
-        options = options or AlignmentOptions()
+        options = options or mesh_comparison.AlignmentOptions()
         measured = _read(mesh)
         if reference is None and not isinstance(measured, Mesh):
             raise BadMesh(f"{mesh}: expected a surface, got {len(measured.points)} vertices and no face")
@@ -155,35 +131,39 @@ def mesh(
         content: dict[str, object] = {"mesh": mesh, "reference": reference}
         if reference is not None:
             surfaces[name(reference)] = target = _read(reference)
-            if why := mismatch(measured, target):
+            if why := mesh_comparison.mismatch(measured, target):
                 _LOGGER.warning("%s", why)
-            with progress_bar("vertices", len(positions(measured)) + len(positions(target))) as advance:
+            with progress_bar(
+                "vertices", len(mesh_comparison.positions(measured)) + len(mesh_comparison.positions(target))
+            ) as advance:
                 generator = np.random.default_rng(_SEED)
-                aligned, motion = align_mesh(measured, target, generator, options)  # type: ignore[type-var]
-                to_reference = vertex_distances(aligned, target, measured_by, advance)
-                back = vertex_distances(target, aligned, measured_by, advance)
-            distance = MeshDistance.from_vertices(to_reference, back, target.diagonal)
+                aligned, motion = mesh_comparison.align_mesh(measured, target, generator, options)  # type: ignore[type-var]
+                to_reference = mesh_comparison.vertex_distances(aligned, target, measured_by, advance)
+                back = mesh_comparison.vertex_distances(target, aligned, measured_by, advance)
+            distance = mesh_comparison.MeshDistance.from_vertices(to_reference, back, target.diagonal)
             content |= {"distance": distance_summary(distance), "scale": motion.scale}
             percent = 100.0 / distance.diagonal * to_reference
-            write_cumulative_errors(
+            figures.write_cumulative_errors(
                 out / "mesh_curve.png", {name(mesh): percent}, f"to {name(reference)}", "% of the diagonal"
             )
             _print_distance(distance)
-            if options.free is Alignment.SIMILARITY:
+            if options.free is mesh_comparison.Alignment.SIMILARITY:
                 print(f"aligned with a scale of {motion.scale:.4f}")
         qualities = {
-            each: mesh_quality(surface) for each, surface in surfaces.items() if isinstance(surface, Mesh)
+            each: mesh_comparison.mesh_quality(surface)
+            for each, surface in surfaces.items()
+            if isinstance(surface, Mesh)
         }
         write_json(out / "mesh.json", {**content, "quality": qualities})
         _print_quality(qualities)
         print(f"{out}: mesh.json" + (", mesh_curve.png" if reference else ""))
-    if reference is not None and options.free is Alignment.NONE:
+    if reference is not None and options.free is mesh_comparison.Alignment.NONE:
         print_next("evaluate", "mesh", mesh, reference, "--align", "rigid", "--out", out)
     else:
         _print_what_is_next(mesh)
 
 
-def distance_summary(distance: MeshDistance) -> dict[str, object]:
+def distance_summary(distance: mesh_comparison.MeshDistance) -> dict[str, object]:
     """Return measured and derived values for JSON."""
     derived = {
         name: getattr(distance, name) for name in ("mean", "hausdorff", "mean_percent", "hausdorff_percent")
@@ -191,14 +171,14 @@ def distance_summary(distance: MeshDistance) -> dict[str, object]:
     return {**dataclasses.asdict(distance), **derived}
 
 
-def _read(path: Path) -> Compared:
+def _read(path: Path) -> mesh_comparison.Compared:
     read = read_mesh(path)
     if len(read.faces):
         return read
     return PointCloud(points=read.vertices, normals=read.normals, colours=read.colours)
 
 
-def _print_distance(distance: MeshDistance) -> None:
+def _print_distance(distance: mesh_comparison.MeshDistance) -> None:
     rows = []
     for name, way in (
         ("mesh to reference", distance.to_reference),
@@ -212,9 +192,9 @@ def _print_distance(distance: MeshDistance) -> None:
     print(f"mean {distance.mean_percent:.3f} %, Hausdorff {distance.hausdorff_percent:.3f} % of the diagonal")
 
 
-def _print_quality(qualities: dict[str, MeshQuality]) -> None:
+def _print_quality(qualities: dict[str, mesh_comparison.MeshQuality]) -> None:
     rows = []
-    for field in dataclasses.fields(MeshQuality):
+    for field in dataclasses.fields(mesh_comparison.MeshQuality):
         values = [getattr(quality, field.name) for quality in qualities.values()]
         rows.append(
             [
@@ -233,7 +213,7 @@ def cylinder(
     frames: Frames = "::",
     footage: Footage = "",
     out: Path = Path("evaluation"),
-) -> CylinderEvaluation:
+) -> evaluate.CylinderEvaluation:
     """Fit one cylinder to a reconstruction of a moving cylinder; compare the normals with it (Figure 7).
 
     Writes cylinder.json and cylinder.png.
@@ -256,14 +236,14 @@ def cylinder(
         times = np.array([error.frame for error in found.frames]) / found.frame_rate_hz
         mean, std = (np.array([getattr(e, name) for e in found.frames]) for name in ("mean_deg", "std_deg"))
         title = f"{found.mean_deg:.2f} ± {found.std_deg:.2f} degrees over all frames"
-        write_error_over_time(out / "cylinder.png", times, mean, std, title)
+        figures.write_error_over_time(out / "cylinder.png", times, mean, std, title)
         _print(found)
         print(f"{out}: cylinder.json, cylinder.png")
         _print_what_is_next(folder)
         return found
 
 
-def _print(found: CylinderEvaluation) -> None:
+def _print(found: evaluate.CylinderEvaluation) -> None:
     columns = ["frame", "pixels", "mean", "std"]
     with_truth = found.frames[0].truth is not None
     if with_truth:
@@ -333,12 +313,12 @@ def tracks(
     results = {}
     for name, each in folders.items():
         target = each / "track" if (each / "track").is_dir() else each
-        results[name] = evaluate_tracks(target, truth, every, lost_px)
+        results[name] = evaluate.evaluate_tracks(target, truth, every, lost_px)
     with sole_writer(out):
         for name, errors in results.items():
-            write_track_errors(tables[name], errors)
+            evaluate.write_track_errors(tables[name], errors)
             _print_table(name, errors)
-        write_error_plot(out / "tracks.png", results)
+        figures.write_error_plot(out / "tracks.png", results)
         print(f"{out}: {', '.join(table.name for table in tables.values())}, tracks.png")
     _print_what_is_next(folder)
 
@@ -378,8 +358,8 @@ def integration(*, data: Path | None = None, size: int = 256, out: Path = Path("
     """
     require_output(out / "integration.json")
     with sole_writer(out):
-        objects = [] if data is None else objects_in(data)
-        cases = surface_cases(size)
+        objects = [] if data is None else evaluate.objects_in(data)
+        cases = evaluate.surface_cases(size)
         rows, curves, last = [], {}, None
         with progress_bar("integration", len(cases) + len(objects)) as advance:
             for case in cases:
@@ -391,7 +371,7 @@ def integration(*, data: Path | None = None, size: int = 256, out: Path = Path("
                 advance(1)
             real = []
             for folder in objects:
-                real += real_object_errors(folder)
+                real += evaluate.real_object_errors(folder)
                 advance(1)
         plain = [{"surface": r.surface, "integrator": r.integrator, **r.numbers} for r in rows]
         write_json(out / "integration.json", {"surfaces": plain, "objects": real})
@@ -406,12 +386,12 @@ def integration(*, data: Path | None = None, size: int = 256, out: Path = Path("
             print_table(
                 "depth error on real objects, mm", ["object", "integrator", "mean", "median"], table, names=2
             )
-        write_cumulative_errors(
+        figures.write_cumulative_errors(
             out / "integration_curve.png", curves, "torn surface", "error, % of the range"
         )
         if last is not None:
             title = f"{last.surface}, {last.integrator}"
-            write_error_map(
+            figures.write_error_map(
                 out / "integration_map.png", last.distances_percent, last.mask, title, "% of the range"
             )
         print(f"{out}: integration.json, integration_curve.png, integration_map.png")

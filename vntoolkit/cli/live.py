@@ -14,15 +14,7 @@ from typing import Annotated, TypeAlias
 import numpy as np
 from cyclopts import Parameter
 
-from vntoolkit.cli.flags import (
-    Allow,
-    Corners,
-    Flags,
-    SizeMm,
-    rectification_from_flags,
-    rig_with_corners,
-    verb,
-)
+from vntoolkit.cli import flags
 from vntoolkit.cli.output import print_next
 from vntoolkit.diagnosis.checks import CHECK_NAMES, findings_from_rig
 from vntoolkit.diagnosis.finding import judge, require_known_checks
@@ -33,15 +25,7 @@ from vntoolkit.io.footage.decoding import EncodedFrame
 from vntoolkit.io.footage.mattes import MatteOptions
 from vntoolkit.io.maps_and_meshes.label_images import read_mask
 from vntoolkit.io.rigs import read_rig
-from vntoolkit.live.capture import (
-    CameraOptions,
-    CameraSource,
-    FileSource,
-    LiveRecorder,
-    LiveRun,
-    LiveSource,
-    TimedFrame,
-)
+from vntoolkit.live import capture
 from vntoolkit.live.frames import FrameView, LiveProcessor, LiveResult
 from vntoolkit.live.page import LiveViewer
 from vntoolkit.photometry.rig import Rig
@@ -55,7 +39,7 @@ _LATE_FRAMES = 1.5  # intervals between frames; a result that took longer is lat
 Crop: TypeAlias = Annotated[tuple[int, int, int, int] | None, Parameter(consume_multiple=True, negative=())]
 
 
-@verb("max_megapixels")
+@flags.verb("max_megapixels")
 def live(
     *,
     rig: Path,
@@ -66,15 +50,15 @@ def live(
     background: Path | None = None,
     key: float | None = None,
     crop: Crop = None,
-    corners: Corners = None,
-    size_mm: SizeMm = None,
+    corners: flags.Corners = None,
+    size_mm: flags.SizeMm = None,
     pixel_mm: float | None = None,
     shadows: ShadowMethod = ShadowMethod.NONE,
     record_to: Path = Path(),
     seconds: float | None = None,
-    allow: Allow = (),
-    asked: Annotated[CameraOptions | None, Flags()] = None,
-    viewer: Annotated[ViewerOptions | None, Flags()] = None,
+    allow: flags.Allow = (),
+    asked: Annotated[capture.CameraOptions | None, flags.Flags()] = None,
+    viewer: Annotated[ViewerOptions | None, flags.Flags()] = None,
 ) -> None:
     """Watch normals and a turning, relit surface in a browser while filming.
 
@@ -122,7 +106,7 @@ def live(
     view = FrameView(crop=crop)
     view.require_inside(source.width, source.height)
     if read.gel is not None:
-        read = rig_with_corners(read, corners, size_mm, view.size(source.width, source.height))
+        read = flags.rig_with_corners(read, corners, size_mm, view.size(source.width, source.height))
     else:
         view = replace(view, rectification=_rectification(corners, size_mm, pixel_mm))
     read.require_size(*view.size(source.width, source.height), source.name)
@@ -136,7 +120,7 @@ def live(
         shadows=shadows,
     )
     processor.warm_up(_first_frame(source, video))
-    recorder = LiveRecorder(record_to, source.frame_rate_hz)
+    recorder = capture.LiveRecorder(record_to, source.frame_rate_hz)
     _watch(source, processor, recorder, seconds, viewer, realtime)
     if recorder.files:
         plate: list[str | Path] = [] if background is None else ["--background", background]
@@ -145,17 +129,17 @@ def live(
 
 
 def _watch(
-    source: LiveSource,
+    source: capture.LiveSource,
     processor: LiveProcessor,
-    recorder: LiveRecorder,
+    recorder: capture.LiveRecorder,
     seconds: float | None,
     options: ViewerOptions | None,
     realtime: bool,
 ) -> None:
-    def on_result(result: LiveResult, timed: TimedFrame) -> None:
+    def on_result(result: LiveResult, timed: capture.TimedFrame) -> None:
         shown.show(result, timed)
 
-    def on_failure(problem: VntError, timed: TimedFrame) -> None:
+    def on_failure(problem: VntError, timed: capture.TimedFrame) -> None:
         shown.show_failure(problem, timed)
 
     def on_r() -> None:
@@ -164,8 +148,8 @@ def _watch(
         except VntError as error:  # nothing can be written there: go on showing
             print(f"not recording: {error}", flush=True)
 
-    wait_for_all = isinstance(source, FileSource) and not realtime
-    run = LiveRun(
+    wait_for_all = isinstance(source, capture.FileSource) and not realtime
+    run = capture.LiveRun(
         source, processor, on_result, recorder.take, on_failure=on_failure, wait_for_all=wait_for_all
     )
     shown = LiveViewer(
@@ -201,21 +185,23 @@ def _watch(
 
 
 def _source(
-    camera: int | None, video: Path | None, realtime: bool, asked: CameraOptions | None, rig: Rig
-) -> LiveSource:
+    camera: int | None, video: Path | None, realtime: bool, asked: capture.CameraOptions | None, rig: Rig
+) -> capture.LiveSource:
     if (camera is None) == (video is None):
         raise BadInput("live: expected either --camera NUMBER or --video FILE")
     if video is not None and asked is not None:
         raise BadInput("live: --width, --height and --rate are asked of a camera; a video has its own")
     if video is not None:
-        return FileSource(open_capture(video, CaptureOptions(transfer=rig.transfer)), realtime=realtime)
+        return capture.FileSource(
+            open_capture(video, CaptureOptions(transfer=rig.transfer)), realtime=realtime
+        )
     if realtime:
         raise BadInput("live: --realtime is for --video; a camera always is")
     assert camera is not None
-    return CameraSource(camera, asked)
+    return capture.CameraSource(camera, asked)
 
 
-def _first_frame(source: LiveSource, video: Path | None) -> EncodedFrame:
+def _first_frame(source: capture.LiveSource, video: Path | None) -> EncodedFrame:
     """A frame such as will come: the video's first, or a grey one for a camera."""
     if video is not None:
         return next(open_capture(video).encoded_frames())
@@ -230,7 +216,7 @@ def _rectification(
         return None
     if pixel_mm is None:
         raise BadInput("live: --corners and --size-mm need --pixel-mm")
-    return rectification_from_flags(corners, size_mm, pixel_mm)
+    return flags.rectification_from_flags(corners, size_mm, pixel_mm)
 
 
 @contextlib.contextmanager

@@ -7,21 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, TypeAlias
 
-from vntoolkit.cli.flags import (
-    Allow,
-    AmbientImage,
-    Corners,
-    Flags,
-    Frames,
-    Jobs,
-    Missing,
-    Overwrite,
-    Scheduler,
-    Sensor,
-    SizeMm,
-    rig_with_corners,
-    verb,
-)
+from vntoolkit.cli import flags
 from vntoolkit.cli.output import ProgressBars, print_next
 from vntoolkit.diagnosis.checks import CHECK_NAMES
 from vntoolkit.diagnosis.finding import require_known_checks
@@ -40,29 +26,29 @@ from vntoolkit.pipeline.reconstruct import ReconstructionSummary
 from vntoolkit.pipeline.reconstruct import reconstruct as run
 
 ReconstructFlags: TypeAlias = Annotated[
-    ReconstructOptions | None, Flags(without=("relative_albedo",), renamed={"distance_m": "distance"})
+    ReconstructOptions | None, flags.Flags(without=("relative_albedo",), renamed={"distance_m": "distance"})
 ]
 
 
-@verb("max_megapixels")
+@flags.verb("max_megapixels")
 def reconstruct(
     source: str,
     *,
     rig: Path,
     out: Path,
     mask: Path | None = None,
-    matting: Annotated[MatteOptions | None, Flags()] = None,
-    background: AmbientImage = None,
-    corners: Corners = None,
-    size_mm: SizeMm = None,
+    matting: Annotated[MatteOptions | None, flags.Flags()] = None,
+    background: flags.AmbientImage = None,
+    corners: flags.Corners = None,
+    size_mm: flags.SizeMm = None,
     transfer: str | None = None,
-    frames: Frames = "::",
-    jobs: Jobs = 1,
-    scheduler: Scheduler = None,
-    overwrite: Overwrite = False,
-    gaps: Missing = Gaps.REFUSE,
-    allow: Allow = (),
-    sensor: Sensor = None,
+    frames: flags.Frames = "::",
+    jobs: flags.Jobs = 1,
+    scheduler: flags.Scheduler = None,
+    overwrite: flags.Overwrite = False,
+    gaps: flags.Missing = Gaps.REFUSE,
+    allow: flags.Allow = (),
+    sensor: flags.Sensor = None,
     options: ReconstructFlags = None,
 ) -> None:
     """Compute normals, depth and meshes from footage and a rig, frame by frame.
@@ -95,7 +81,7 @@ def reconstruct(
     calibrated = read_rig(rig)
     if corners is not None or size_mm is not None:
         info = open_capture(source, CaptureOptions(transfer=calibrated.transfer, gaps=gaps)).info
-        calibrated = rig_with_corners(calibrated, corners, size_mm, (info.width, info.height))
+        calibrated = flags.rig_with_corners(calibrated, corners, size_mm, (info.width, info.height))
     job = ReconstructionJob(
         source=source,
         rig=_with_transfer(calibrated, transfer),

@@ -7,18 +7,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from vntoolkit.cli.flags import (
-    Allow,
-    AmbientImage,
-    Flags,
-    Frames,
-    Jobs,
-    Missing,
-    Overwrite,
-    Scheduler,
-    Sensor,
-    verb,
-)
+from vntoolkit.cli import flags
 from vntoolkit.cli.output import ProgressBars, print_next
 from vntoolkit.cli.reconstruct import ReconstructFlags
 from vntoolkit.diagnosis.checks import CHECK_NAMES
@@ -35,7 +24,7 @@ from vntoolkit.pipeline.session import CaptureOutcome, names_from_sources, run_s
 from vntoolkit.tracking.options import Tracker, TrackingOptions
 
 
-@verb("max_megapixels")
+@flags.verb("max_megapixels")
 def session(
     *sources: str,
     rig: Path,
@@ -43,15 +32,15 @@ def session(
     track: Annotated[bool, Parameter(negative=())] = False,
     method: Tracker = Tracker.DEFAULT,
     mask: Path | None = None,
-    matting: Annotated[MatteOptions | None, Flags()] = None,
-    background: AmbientImage = None,
-    frames: Frames = "::",
-    jobs: Jobs = 1,
-    scheduler: Scheduler = None,
-    overwrite: Overwrite = False,
-    gaps: Missing = Gaps.REFUSE,
-    allow: Allow = (),
-    sensor: Sensor = None,
+    matting: Annotated[MatteOptions | None, flags.Flags()] = None,
+    background: flags.AmbientImage = None,
+    frames: flags.Frames = "::",
+    jobs: flags.Jobs = 1,
+    scheduler: flags.Scheduler = None,
+    overwrite: flags.Overwrite = False,
+    gaps: flags.Missing = Gaps.REFUSE,
+    allow: flags.Allow = (),
+    sensor: flags.Sensor = None,
     options: ReconstructFlags = None,
 ) -> None:
     """Reconstruct all captures of one rig, and track them on request, each into its own folder.

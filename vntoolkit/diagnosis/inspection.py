@@ -11,6 +11,7 @@ import numpy as np
 
 from vntoolkit.arrays import Mask
 from vntoolkit.checks import require_positive
+from vntoolkit.diagnosis import over_time
 from vntoolkit.diagnosis.checks import findings_from_evidence, findings_from_rig
 from vntoolkit.diagnosis.evidence import (
     FEW_PIXELS,
@@ -21,13 +22,6 @@ from vntoolkit.diagnosis.evidence import (
 )
 from vntoolkit.diagnosis.finding import Finding, Level
 from vntoolkit.diagnosis.lamp_nearness import Nearness, finding_from_nearness, fit_nearness
-from vntoolkit.diagnosis.over_time import (
-    FRAMES_IN_A_ROW,
-    check_bands,
-    check_flicker,
-    findings_from_drift,
-    findings_from_motion,
-)
 from vntoolkit.diagnosis.rig_checks import check_stated_focal
 from vntoolkit.diagnosis.sharpness import (
     OF_INTERPOLATION_PX,
@@ -379,7 +373,7 @@ def examine_capture(
     in_one_material: makes a frame of several materials look as if it were of the rig's alone. Raises
     `BadCapture` for a frame that cannot be read.
     """
-    frames, in_a_row = _frames_to_judge(capture, numbers, FRAMES_IN_A_ROW)
+    frames, in_a_row = _frames_to_judge(capture, numbers, over_time.FRAMES_IN_A_ROW)
     findings = _findings_from_channels(capture.info) + findings_from_clipping(frames, mask)
     if capture.info.chroma == "grey" or not frames:
         return Examination(findings=findings)
@@ -409,7 +403,7 @@ def examine_capture(
             return Examination(findings=findings)
         if all(finding.level is Level.NOTE for finding in with_rig) and _is_wide(evidence):
             near = fit_nearness(evidence)
-    if drift := findings_from_drift(small):  # what stands still tells more than the subject did
+    if drift := over_time.findings_from_drift(small):  # what stands still tells more than the subject did
         findings = [*(finding for finding in findings if finding.check != "drift"), *drift]
     if any(finding.level is Level.FATAL for finding in findings):
         return Examination(findings=findings)
@@ -469,11 +463,13 @@ def _findings_over_time(
     """Compare consecutive frames, averaged down, with each other."""
     if len(in_a_row) < 2:
         return []
-    findings = findings_from_motion(in_a_row, mask)
+    findings = over_time.findings_from_motion(in_a_row, mask)
     if rig is None or findings:
         return findings
     evidence = evidence_from_frames(in_a_row, rig, transfer, mask)
-    return (check_flicker(evidence) or check_bands(evidence)) if _is_wide(evidence) else []
+    return (
+        (over_time.check_flicker(evidence) or over_time.check_bands(evidence)) if _is_wide(evidence) else []
+    )
 
 
 def findings_from_calibration_footage(

@@ -22,16 +22,8 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.live.capture import LatencyMeter, LiveFigures, LiveRecorder, TimedFrame
 from vntoolkit.live.frames import LiveResult, exposure_warnings
 from vntoolkit.pipeline.contact import Contact
+from vntoolkit.report import scene
 from vntoolkit.report.local_server import LocalServer, ViewerOptions
-from vntoolkit.report.scene import (
-    Packet,
-    depth_block,
-    depth_box,
-    normals_block,
-    place_of,
-    scene_page,
-    stride_to,
-)
 
 _CAPTION_S = 0.4  # numbers that change faster cannot be read
 _WARNED_S = 1.5  # a warning stays for so long, so that it can be read
@@ -92,7 +84,7 @@ class LiveViewer:
         self._problem = ""
         self._server = LocalServer(
             options or ViewerOptions(),
-            scene_page("vntoolkit live", "live", {"records": recorder is not None}),
+            scene.scene_page("vntoolkit live", "live", {"records": recorder is not None}),
             {"/packet": self._asked},
             {} if recorder is None else {"/record": self._toggle},
         )
@@ -163,18 +155,20 @@ class LiveViewer:
     def _packet(
         self, page: _Page, serial: int, result: LiveResult | None, timed: TimedFrame, sizes: PacketSizes
     ) -> bytes:
-        packet, pictures = Packet(), {"camera": camera_block(timed, sizes.camera)}
+        packet, pictures = scene.Packet(), {"camera": camera_block(timed, sizes.camera)}
         contact = None if result is None else result.contact
         header: dict[str, Any] = {"serial": serial, "status": self._status(page, contact)}
         if self._recorder is not None:
             header["record"] = "stop recording" if self._recorder.is_recording else "record"
         if result is not None:
             depth_map, normal_map = result.depth_map, result.normal_map
-            pictures["normals"] = normals_block(normal_map, stride_to(normal_map.shape, sizes.normals))
+            pictures["normals"] = scene.normals_block(
+                normal_map, scene.stride_to(normal_map.shape, sizes.normals)
+            )
             if depth_map is not None and depth_map.mask.any():
-                self._place = self._place or place_of([depth_box(depth_map, self._camera)])
-                stride = stride_to(depth_map.shape, sizes.grid)
-                facts, steps = depth_block(depth_map, self._camera, stride)
+                self._place = self._place or scene.place_of([scene.depth_box(depth_map, self._camera)])
+                stride = scene.stride_to(depth_map.shape, sizes.grid)
+                facts, steps = scene.depth_block(depth_map, self._camera, stride)
                 header |= {"place": self._place, "own": {"at": packet.add(steps), **facts}}
         header["pictures"] = {name: packet.raw_picture(picture) for name, picture in pictures.items()}
         return packet.content(header)
@@ -240,7 +234,7 @@ def contact_cards(contact: Contact) -> tuple[tuple[str, str, str], ...]:
 def camera_block(timed: TimedFrame, longest_px: int) -> npt.NDArray[np.uint8]:
     """Return the camera's picture (h, w, 4), what is clipped painted over."""
     values = timed.frame.values
-    stride = stride_to(values.shape, longest_px)
+    stride = scene.stride_to(values.shape, longest_px)
     small = values[::stride, ::stride]
     if small.dtype == np.uint16:
         small = small >> (timed.frame.bits - 8)

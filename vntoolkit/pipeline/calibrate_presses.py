@@ -9,26 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from vntoolkit.arrays import FloatArray, LinearImage, Mask, Vector3
+from vntoolkit.calibration import presses
 from vntoolkit.calibration.contact_circles import find_contact_circle
-from vntoolkit.calibration.presses import (
-    GelFit,
-    LabelOffset,
-    Press,
-    PressOptions,
-    PressSamples,
-    angle_of_one_matrix,
-    fit_gel_to_presses,
-    largest_label_offset,
-    samples_from_press,
-)
+from vntoolkit.diagnosis import press_checks
 from vntoolkit.diagnosis.finding import Finding, judge
 from vntoolkit.diagnosis.inspection import findings_from_calibration_footage
-from vntoolkit.diagnosis.press_checks import (
-    check_contacts,
-    check_labels,
-    check_offset,
-    check_press_transfer,
-)
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.rectification import Rectification
@@ -94,7 +79,7 @@ class PressCalibration:
     """
 
     rig: Rig
-    fit: GelFit
+    fit: presses.GelFit
     used: int
     passed_over: tuple[str, ...]
     findings: tuple[Finding, ...]
@@ -105,12 +90,12 @@ class _ReadPress:
     """One image: its samples, None where it has no press; the circle found, None where there is none."""
 
     name: str
-    samples: PressSamples | None
-    found: Press | None
+    samples: presses.PressSamples | None
+    found: presses.Press | None
 
 
 def calibrate_presses(
-    job: PressJob, options: PressOptions, on_frame: Progress = lambda done, total: None
+    job: PressJob, options: presses.PressOptions, on_frame: Progress = lambda done, total: None
 ) -> PressCalibration:
     """Fit a rig to presses; images without a label, or without a dent where it is sought, are passed over."""
     rng = np.random.default_rng(_SEED)
@@ -131,15 +116,15 @@ def calibrate_presses(
     level = np.median(background.rgb[~background.clipped].astype(np.float64), axis=0)
     height, width = background.shape
     if job.labels is None:  # what was found has no common offset
-        options = replace(options, label_offset=LabelOffset.OWN)
+        options = replace(options, label_offset=presses.LabelOffset.OWN)
     radii_mm = options.pixel_mm * np.array([part.press.radius_px for part in samples])
     findings = [
         *_findings_from_labels(job, read, (width, height)),
-        *check_contacts(radii_mm / options.ball_radius_mm),
+        *press_checks.check_contacts(radii_mm / options.ball_radius_mm),
     ]
-    fit = fit_gel_to_presses(samples, level, (width, height), options)
-    if options.label_offset is LabelOffset.COMMON:
-        findings += check_offset(fit.label_offset_px, largest_label_offset(samples))
+    fit = presses.fit_gel_to_presses(samples, level, (width, height), options)
+    if options.label_offset is presses.LabelOffset.COMMON:
+        findings += press_checks.check_offset(fit.label_offset_px, presses.largest_label_offset(samples))
     findings += _findings_from_transfer(samples, level, fit, options, capture.transfer)
     gel = fit.gel
     if job.rectification is not None:
@@ -177,11 +162,15 @@ def _findings_from_labels(job: PressJob, read: list[_ReadPress], size: tuple[int
     if job.labels is None or not both:
         return []
     labels, found = np.moveaxis(np.array(both), 1, 0)
-    return check_labels(labels, found, size)
+    return press_checks.check_labels(labels, found, size)
 
 
 def _findings_from_transfer(
-    samples: list[PressSamples], level: Vector3, fit: GelFit, options: PressOptions, used: Transfer
+    samples: list[presses.PressSamples],
+    level: Vector3,
+    fit: presses.GelFit,
+    options: presses.PressOptions,
+    used: Transfer,
 ) -> list[Finding]:
     """Fit one M with other transfer curves too, from the same samples."""
 
@@ -192,12 +181,12 @@ def _findings_from_transfer(
         others = [
             replace(part, rgb=moved(part.rgb + part.untouched) - moved(part.untouched)) for part in samples
         ]
-        return angle_of_one_matrix(others, moved(level), fit.label_offset_px, options)
+        return presses.angle_of_one_matrix(others, moved(level), fit.label_offset_px, options)
 
-    angle = angle_of_one_matrix(samples, level, fit.label_offset_px, options)
+    angle = presses.angle_of_one_matrix(samples, level, fit.label_offset_px, options)
     curves = (TransferCurve.LINEAR, TransferCurve.SRGB)
     others = {curve.value: angle_under(Transfer(curve=curve)) for curve in curves if curve is not used.curve}
-    return check_press_transfer(used.curve.value, angle, others)
+    return press_checks.check_press_transfer(used.curve.value, angle, others)
 
 
 def rectify_capture(
@@ -257,12 +246,12 @@ class PressReader:
         change, filled = self._dots.filled(prepared.rgb - background.rgb, unknown)
         return change_without_drift(change, ~filled), filled
 
-    def press(self, label: Path) -> Press:
+    def press(self, label: Path) -> presses.Press:
         """Read a label and scale it to the frames; the radius counts along the width."""
         u, v, radius = read_press_label(label)
         height, width = self.background.shape
         label_width, label_height = self.job.label_size or (width, height)
-        return Press(
+        return presses.Press(
             u_px=u * width / label_width,
             v_px=v * height / label_height,
             radius_px=radius * width / label_width,
@@ -270,7 +259,7 @@ class PressReader:
 
 
 def _read(
-    reader: PressReader, options: PressOptions, rng: np.random.Generator, on_frame: Progress
+    reader: PressReader, options: presses.PressOptions, rng: np.random.Generator, on_frame: Progress
 ) -> Iterator[_ReadPress]:
     job, capture = reader.job, reader.capture
     for done, frame in enumerate(capture.frames(), start=1):
@@ -285,7 +274,9 @@ def _read(
             press = found if label is None else reader.press(label)
             samples = None
             if press is not None:
-                samples = samples_from_press(change, reader.background.rgb, ~filled, press, options, rng)
+                samples = presses.samples_from_press(
+                    change, reader.background.rgb, ~filled, press, options, rng
+                )
             yield _ReadPress(name=file.name, samples=samples, found=found)
         on_frame(done, len(capture.present))
 

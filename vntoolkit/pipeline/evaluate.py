@@ -14,13 +14,7 @@ from vntoolkit.arrays import Faces, FloatArray, Mask, Points, Vector3
 from vntoolkit.checks import require_same_size, require_shape, require_some
 from vntoolkit.diagnosis.consistency import warn_of_flipped_axes
 from vntoolkit.errors import BadInput
-from vntoolkit.evaluation.angular_error import (
-    AngleHistogram,
-    AngularError,
-    angular_error_map,
-    compare_normals,
-    summarise_angles,
-)
+from vntoolkit.evaluation import angular_error, track_error
 from vntoolkit.evaluation.cylinder import (
     Cylinder,
     axis_error_deg,
@@ -30,13 +24,6 @@ from vntoolkit.evaluation.cylinder import (
 )
 from vntoolkit.evaluation.cylinder_fit import fit_cylinder
 from vntoolkit.evaluation.depth_error import disc_with_hole, peaks, tear
-from vntoolkit.evaluation.track_error import (
-    LOST_PX,
-    TrackedPixels,
-    TrackError,
-    anchors_on_mesh,
-    track_errors,
-)
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.geometry.mesh import MeshSequence
@@ -77,8 +64,8 @@ class NormalsComparison:
     the frame with the largest mean, its map of angles (h, w) in degrees and where they are valid.
     """
 
-    overall: AngularError
-    frames: dict[str, AngularError]
+    overall: angular_error.AngularError
+    frames: dict[str, angular_error.AngularError]
     curve_deg: FloatArray
     worst: str
     worst_deg: FloatArray
@@ -114,10 +101,10 @@ def compare_normal_files(
 
     Raises `BadInput`, with the files, for maps of different size or without a common valid pixel.
     """
-    histogram, frames = AngleHistogram(), {}
+    histogram, frames = angular_error.AngleHistogram(), {}
     worst, worst_mean = None, -1.0
     for name, angles, both in _angle_maps(pairs, conventions):
-        frames[name] = summarise_angles(angles[both])
+        frames[name] = angular_error.summarise_angles(angles[both])
         histogram.add(angles[both])
         if frames[name].mean_deg > worst_mean:
             worst, worst_mean = (name, angles, both), frames[name].mean_deg
@@ -144,7 +131,7 @@ def _angle_maps(
         warn_of_flipped_axes(pair.measured, measured)
         warn_of_flipped_axes(pair.reference, reference)
         try:
-            angles, both = angular_error_map(measured, reference)
+            angles, both = angular_error.angular_error_map(measured, reference)
         except BadInput as problem:
             raise BadInput(f"{pair.measured}, {pair.reference}: {problem}") from problem
         yield pair.name, angles, both
@@ -308,7 +295,7 @@ def _deviation(
 ) -> TrueDeviation:
     direction, point = truth.axis(number)
     true_map = read_normal_map(require_file(truth.folder.map_file("normals", number, ".exr")))
-    error = compare_normals(normal_map, true_map)
+    error = angular_error.compare_normals(normal_map, true_map)
     radius = radius_from_distance(cylinder, result.camera, point)
     return TrueDeviation(
         axis_deg=axis_error_deg(cylinder, direction),
@@ -344,7 +331,7 @@ def read_track_truth(folder: Path) -> TrackTruth:
 
 def evaluate_tracks(
     track_folder: Path, truth_folder: Path, every: int = 1, lost_px: float | None = None
-) -> list[TrackError]:
+) -> list[track_error.TrackError]:
     """Evaluate every `every`-th tracked frame and the last. Raises `BadInput` where tracks and truth differ.
 
     lost_px: expected error above which a vertex counts as lost; None for the one that `track` used.
@@ -358,15 +345,15 @@ def evaluate_tracks(
         )
     if record["template"] not in numbers:
         raise BadInput(f"{track_folder}: the template frame {record['template']} is not tracked yet")
-    lost_px = record.get("lost_px", LOST_PX) if lost_px is None else lost_px
+    lost_px = record.get("lost_px", track_error.LOST_PX) if lost_px is None else lost_px
     believed = recorded_camera(record)
     template = believed.project(sequence.vertices[numbers.index(record["template"])])
-    anchors = anchors_on_mesh(
+    anchors = track_error.anchors_on_mesh(
         template, np.array(truth.vertices[record["template"]]), truth.faces, truth.camera
     )
     rows = sorted({*range(0, len(numbers), every), len(numbers) - 1})
     return list(
-        track_errors(
+        track_error.track_errors(
             (_pixels(sequence, row, numbers[row], believed) for row in rows),
             ((numbers[row], np.array(truth.vertices[numbers[row]])) for row in rows),
             anchors, truth.faces, truth.camera, lost_px,
@@ -374,15 +361,15 @@ def evaluate_tracks(
     )  # fmt: skip
 
 
-def _pixels(sequence: MeshSequence, row: int, number: int, camera: Camera) -> TrackedPixels:
+def _pixels(sequence: MeshSequence, row: int, number: int, camera: Camera) -> track_error.TrackedPixels:
     uncertainty = None if sequence.uncertainty_px is None else np.array(sequence.uncertainty_px[row])
     positions = camera.project(sequence.vertices[row])
-    return TrackedPixels(frame=number, positions_px=positions, uncertainty_px=uncertainty)
+    return track_error.TrackedPixels(frame=number, positions_px=positions, uncertainty_px=uncertainty)
 
 
-def write_track_errors(path: Path, errors: list[TrackError]) -> None:
+def write_track_errors(path: Path, errors: list[track_error.TrackError]) -> None:
     """Write a table of tab-separated values, one frame a line; its columns are `TrackError`'s."""
-    lines = ["\t".join(field.name for field in fields(TrackError))]
+    lines = ["\t".join(field.name for field in fields(track_error.TrackError))]
     for error in errors:
         cells = (f"{v:.4f}" if isinstance(v, float) else str(v) for v in vars(error).values())
         lines.append("\t".join(cells))

@@ -20,14 +20,7 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import LengthUnit
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
 from vntoolkit.geometry.skinned_clip import ViewedFrom
-from vntoolkit.io.atomic import (
-    remove_numbered,
-    require_apart,
-    require_writable_folder,
-    sole_writer,
-    undisturbed,
-    write_text,
-)
+from vntoolkit.io import atomic
 from vntoolkit.io.conventions import MeshUpAxis, NormalConvention, graphics_from_camera
 from vntoolkit.io.files import parse_json, read_text
 from vntoolkit.io.footage.frame_range import FrameRange
@@ -97,7 +90,7 @@ def export(
     A single file appears when it is whole. In a folder every file does; the same command again goes on where
     it stopped, and writes again what has changed since. Raises `BadInput`.
     """
-    with undisturbed(job.folder):
+    with atomic.undisturbed(job.folder):
         return _export(job, overwrite, on_start, on_frame)
 
 
@@ -135,7 +128,7 @@ def _export_animation(
         raise BadInput(f"{out}: expected the name of a file that ends in {suffix}")
     lengths = file_lengths(options, result.length_unit)
     numbers = numbers_with_mesh(result, track)
-    require_writable_folder(out.parent)  # and remove what a killed run left there
+    atomic.require_writable_folder(out.parent)  # and remove what a killed run left there
     on_start(len(numbers), 0)
 
     def passing(thing: Any) -> Any:
@@ -221,19 +214,19 @@ def _export_folder(
     if out.suffix and out.suffix.lower() == writer.suffix:
         raise BadInput(f"{out}: expected the name of a folder, for one {writer.suffix} a frame")
     root = result.folder.root
-    require_apart([out], (root / name for name in ("normals", "depth", "shadows", "mesh", "track")))
+    atomic.require_apart([out], (root / name for name in ("normals", "depth", "shadows", "mesh", "track")))
     if out.resolve() == root.resolve():
         raise BadInput(f"{out}: is the result itself; choose another --out")
     numbers = writer.numbers()
     untouched = ("cleaning",) if job.options.cleaning is None else ()
     values = option_values(job.options, without=untouched)
     record = {"version": 1, "options": values, "result_sha256": result.digest, **writer.facts}
-    with sole_writer(out):
+    with atomic.sole_writer(out):
         if not overwrite:
             _require_same(out, record)
         else:
             _clear(out)
-        write_text(out / _RECORD, json.dumps(record, indent=2) + "\n")
+        atomic.write_text(out / _RECORD, json.dumps(record, indent=2) + "\n")
         kept = {number for number in numbers if writer.is_current(out, number)}
         on_start(len(numbers), len(kept))
         for number in numbers:
@@ -261,7 +254,7 @@ def _clear(out: Path) -> None:
     if not (out / _RECORD).exists():
         return
     for suffix in _SUFFIXES:
-        remove_numbered(out, suffix, range(_MOST_FRAMES))
+        atomic.remove_numbered(out, suffix, range(_MOST_FRAMES))
     for folder in out.glob("[0-9][0-9][0-9][0-9][0-9][0-9]"):
         remove_diligent(folder)
     for name in ("track.npz", _MATERIAL, "surface_albedo.png", "surface_normal.png"):

@@ -22,19 +22,9 @@ from vntoolkit.io.results.sequences import MeshSequenceWriter, read_mesh_sequenc
 from vntoolkit.materials.pixels import MaterialLabels, relit
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
+from vntoolkit.pipeline import tracked_folder
 from vntoolkit.pipeline.opened_result import open_result
 from vntoolkit.pipeline.options import option_values
-from vntoolkit.pipeline.tracked_folder import (
-    TrackSource,
-    camera_record,
-    clear_track,
-    open_track_source,
-    read_remembered,
-    remove_backwards,
-    require_free,
-    write_remembered,
-    write_track_record,
-)
 from vntoolkit.tracking.fixed_pattern import FRAMES_COMPARED, fixed_pattern
 from vntoolkit.tracking.options import Tracker, TrackingOptions
 from vntoolkit.tracking.paint import Paint, paint_image, paint_of_frame
@@ -108,7 +98,7 @@ def track(
     while another run is at work in one of the folders.
     """
     started = time.perf_counter()
-    source = open_track_source(job.folder)
+    source = tracked_folder.open_track_source(job.folder)
     template = next(n for n in source.numbers if source.has(n)) if job.template is None else job.template
     if template not in source.numbers or not source.has(template):
         raise BadInput(
@@ -118,7 +108,7 @@ def track(
     paint_of = _paint_reader(job, source)
     record = _record(job, source, template) | {"paint": paint_of is not None}
     with undisturbed(job.folder), sole_writer(job.target) as target:
-        require_free(target, record, overwrite=overwrite)
+        tracked_folder.require_free(target, record, overwrite=overwrite)
         pattern, paint, paint_pattern = _registered_by(job, source, template, paint_of)
         tracker = SurfaceTracker(
             *source.maps(template),
@@ -131,8 +121,8 @@ def track(
             paint_pattern,
         )
         if overwrite:
-            clear_track(target)
-        write_track_record(target, record)
+            tracked_folder.clear_track(target)
+        tracked_folder.write_track_record(target, record)
         resumed = _run(tracker, source, template, target, on_start, on_frame, paint_of)
     missing = tuple(n for n in source.numbers if not source.has(n))
     tracked = [n for n in source.numbers if source.has(n)]
@@ -153,7 +143,7 @@ def track(
     )
 
 
-def _paint_reader(job: TrackJob, source: TrackSource) -> PaintReader | None:
+def _paint_reader(job: TrackJob, source: tracked_folder.TrackSource) -> PaintReader | None:
     """Return what reads the paint of a frame from the footage; None where that is not at hand."""
     if job.options.method is not Tracker.DEFAULT:
         return None
@@ -201,7 +191,7 @@ def paint_of_materials(
 
 
 def _registered_by(
-    job: TrackJob, source: TrackSource, template: int, paint_of: PaintReader | None
+    job: TrackJob, source: tracked_folder.TrackSource, template: int, paint_of: PaintReader | None
 ) -> tuple[Sequence[FloatArray], Paint | None, Sequence[FloatArray]]:
     """Return the sensor's fixed pattern, the template's paint, and the pattern of paint.
 
@@ -233,7 +223,7 @@ def _visible_shares(job: TrackJob, rows: Sequence[int]) -> tuple[tuple[float, ..
 
 def _run(
     tracker: SurfaceTracker,
-    source: TrackSource,
+    source: tracked_folder.TrackSource,
     template: int,
     target: Path,
     on_start: Callable[[int, int], None],
@@ -260,13 +250,13 @@ def _run(
             on_start(len(source.numbers), resumed)
         tracker.resume(first, first, source.normals(template))
         _follow(tracker, source, (template, *ahead), writer, on_frame, paint_of, lead=at + 1)
-    remove_backwards(target)
+    tracked_folder.remove_backwards(target)
     return resumed
 
 
 def _follow(
     tracker: SurfaceTracker,
-    source: TrackSource,
+    source: tracked_folder.TrackSource,
     numbers: tuple[int, ...],
     writer: MeshSequenceWriter,
     on_frame: Callable[[], None],
@@ -292,22 +282,22 @@ def _follow(
             if tracker.remembered is not None:
                 kept = writer.frame_count, tracker.remembered
                 if writer.frame_count % _MEMORY_EVERY == 0:
-                    write_remembered(writer.folder, *kept)
+                    tracked_folder.write_remembered(writer.folder, *kept)
             on_frame()
     finally:
         if kept is not None:
-            write_remembered(writer.folder, *kept)
+            tracked_folder.write_remembered(writer.folder, *kept)
 
 
 def _truncate_to_memory(writer: MeshSequenceWriter, tracker: SurfaceTracker, lead: int) -> None:
     """Drop the frames after the one whose memory is on disk; lead: how many stay in any case."""
     if tracker.remembered is not None and writer.frame_count > lead:
-        count, _ = read_remembered(writer.folder, tracker.remembered)
+        count, _ = tracked_folder.read_remembered(writer.folder, tracker.remembered)
         writer.truncate(max(count if count <= writer.frame_count else 0, lead))
 
 
 def _go_on(
-    tracker: SurfaceTracker, source: TrackSource, done: tuple[int, ...], folder: Path, row: int
+    tracker: SurfaceTracker, source: tracked_folder.TrackSource, done: tuple[int, ...], folder: Path, row: int
 ) -> None:
     """Restore the tracker's state after the last tracked frame on disk.
 
@@ -322,7 +312,7 @@ def _go_on(
         uncertainty = None if sequence.uncertainty_px is None else np.array(sequence.uncertainty_px[row + i])
         states.append(tracked_frame(np.array(sequence.vertices[row + i]), uncertainty, source.camera))
     kept = tracker.remembered
-    remembered = None if kept is None else read_remembered(folder, kept)[1]
+    remembered = None if kept is None else tracked_folder.read_remembered(folder, kept)[1]
     tracker.resume(states[-2], states[-1], source.normals(done[present[-1]]), remembered)
 
 
@@ -343,7 +333,7 @@ def _tracked_before(folder: Path, tracker: SurfaceTracker) -> MeshSequence:
     return sequence
 
 
-def _record(job: TrackJob, source: TrackSource, template: int) -> dict[str, Any]:
+def _record(job: TrackJob, source: tracked_folder.TrackSource, template: int) -> dict[str, Any]:
     return {
         "result_sha256": source.digest,
         "template": template,
@@ -351,6 +341,6 @@ def _record(job: TrackJob, source: TrackSource, template: int) -> dict[str, Any]
         "lost_px": job.lost_px,
         "seams": [np.asarray(seam).tolist() for seam in job.seams],
         "frame_rate_hz": source.frame_rate_hz,
-        "camera": camera_record(source.filmed_by),
+        "camera": tracked_folder.camera_record(source.filmed_by),
         "frames": list(source.numbers),
     }

@@ -17,25 +17,8 @@ from vntoolkit.io.maps_and_meshes.label_images import label_colours
 from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
+from vntoolkit.report import pictures
 from vntoolkit.report.mesh_views import View, picture_of
-from vntoolkit.report.pictures import (
-    BLUE,
-    ERROR_COLOURS,
-    INK,
-    SERIES,
-    ErrorScale,
-    Picture,
-    cropped,
-    displayed,
-    new_figure,
-    picture_of_errors,
-    picture_of_normals,
-    report_style,
-    short_label,
-    web_colour,
-    write_figure,
-    write_tiles,
-)
 
 _CURVE_END_PERCENTILE = 99.0
 _MEDIAN_PERCENT = 50
@@ -47,45 +30,47 @@ def write_error_over_time(
     path: Path | str, times_s: FloatArray, mean_deg: FloatArray, std_deg: FloatArray, title: str
 ) -> None:
     """Plot mean and standard deviation (frames,) in degrees over time in seconds."""
-    with report_style():
-        figure = new_figure(7.0, 3.0)
+    with pictures.report_style():
+        figure = pictures.new_figure(7.0, 3.0)
         axes = figure.subplots()
         few: dict[str, Any] = {"marker": "o", "markersize": 3.5} if len(times_s) < 60 else {}
-        axes.plot(times_s, mean_deg, color=BLUE, label="mean", **few)
+        axes.plot(times_s, mean_deg, color=pictures.BLUE, label="mean", **few)
         low = np.maximum(mean_deg - std_deg, 0)
-        axes.fill_between(times_s, low, mean_deg + std_deg, color=BLUE, alpha=0.15, lw=0, label="± one std")
+        axes.fill_between(
+            times_s, low, mean_deg + std_deg, color=pictures.BLUE, alpha=0.15, lw=0, label="± one std"
+        )
         axes.set_xlabel("time, s")
         axes.set_ylabel("angle to the cylinder, °")
         axes.set_ylim(bottom=0)
         axes.margins(x=0.01)
         axes.set_title(title)
         figure.legend(ncols=2, loc="outside lower center")
-    write_figure(figure, path)
+    pictures.write_figure(figure, path)
 
 
 def write_error_map(path: Path | str, errors: FloatArray, mask: Mask, title: str, unit: str) -> None:
     """Draw errors (h, w) as an image, grey outside the mask, up to the 99th percentile."""
-    with report_style(**{"axes.grid": False}):
-        figure = new_figure(6.0, 5.4 * errors.shape[0] / errors.shape[1] + 0.5)
+    with pictures.report_style(**{"axes.grid": False}):
+        figure = pictures.new_figure(6.0, 5.4 * errors.shape[0] / errors.shape[1] + 0.5)
         axes = figure.subplots()
         top = float(np.percentile(errors[mask], _CURVE_END_PERCENTILE)) if mask.any() else 1.0
         axes.set_facecolor("0.85")
         masked = np.ma.masked_array(errors, ~mask)
-        shown = axes.imshow(masked, cmap=ERROR_COLOURS, vmin=0, vmax=max(top, 1e-12))
+        shown = axes.imshow(masked, cmap=pictures.ERROR_COLOURS, vmin=0, vmax=max(top, 1e-12))
         figure.colorbar(shown, ax=axes, label=unit, fraction=0.04, extend="max").outline.set_visible(False)
         axes.set_xticks([])
         axes.set_yticks([])
         axes.spines[:].set_visible(False)
         axes.set_title(title)
-    write_figure(figure, path)
+    pictures.write_figure(figure, path)
 
 
 def write_cumulative_errors(
     path: Path | str, errors: Mapping[str, FloatArray], title: str, unit: str
 ) -> None:
     """Plot, for each name, the share of values (n,) that are at most as large as x; a dot at the median."""
-    with report_style():
-        figure = new_figure(6.0, 3.2)
+    with pictures.report_style():
+        figure = pictures.new_figure(6.0, 3.2)
         axes = figure.subplots()
         end = 0.0
         for name, values in errors.items():
@@ -102,7 +87,7 @@ def write_cumulative_errors(
         axes.set_ylabel("share at most as large, %")
         axes.set_title(title)
         axes.legend(loc="lower right")
-    write_figure(figure, path)
+    pictures.write_figure(figure, path)
 
 
 def write_bars(
@@ -112,15 +97,17 @@ def write_bars(
 
     Each bar carries its value.
     """
-    with report_style():
-        figure = new_figure(7.0, 0.9 + 0.17 * len(names) * (len(groups) + 0.8))
+    with pictures.report_style():
+        figure = pictures.new_figure(7.0, 0.9 + 0.17 * len(names) * (len(groups) + 0.8))
         axes = figure.subplots()
         at, height = np.arange(len(names)), 0.82 / len(groups)
         for i, (group, values) in enumerate(groups.items()):
             places = at + (i - (len(groups) - 1) / 2) * height
-            bars = axes.barh(places, values, 0.9 * height, label=group, color=SERIES[i % len(SERIES)])
+            bars = axes.barh(
+                places, values, 0.9 * height, label=group, color=pictures.SERIES[i % len(pictures.SERIES)]
+            )
             written = ["" if np.isnan(value) else f"{value:.1f}" for value in values]
-            axes.bar_label(bars, written, fontsize=7, padding=2, color=INK)
+            axes.bar_label(bars, written, fontsize=7, padding=2, color=pictures.INK)
         axes.set_yticks(at, names)
         axes.invert_yaxis()
         axes.tick_params(axis="y", length=0)
@@ -129,7 +116,7 @@ def write_bars(
         axes.set_xlabel(unit)
         axes.set_title(title)
         figure.legend(ncols=min(4, len(groups)), loc="outside lower center")  # bars reach everywhere
-    write_figure(figure, path)
+    pictures.write_figure(figure, path)
 
 
 # Comparison of trackers: errors over the frames, and pictures of their checkerboards.
@@ -137,8 +124,8 @@ def write_bars(
 
 def write_error_plot(path: Path, errors: Mapping[str, Sequence[TrackError]], title: str = "") -> None:
     """Write a PNG or SVG (by the suffix) of median and 95 % error in pixels by frame, on log scales."""
-    with report_style():
-        figure = new_figure(9.6, 3.6)
+    with pictures.report_style():
+        figure = pictures.new_figure(9.6, 3.6)
         axes = figure.subplots(1, 2, sharex=True, sharey=True)
         for name, series in errors.items():
             frames = [error.frame for error in series]
@@ -154,21 +141,22 @@ def write_error_plot(path: Path, errors: Mapping[str, Sequence[TrackError]], tit
         figure.legend(handles, names, ncols=len(names), loc="outside lower center", handlelength=3)
         if title:
             figure.suptitle(title)
-    write_figure(figure, path)
+    pictures.write_figure(figure, path)
 
 
-def write_moments(path: Path, moments: Mapping[str, Mapping[int, Picture]]) -> None:
+def write_moments(path: Path, moments: Mapping[str, Mapping[int, pictures.Picture]]) -> None:
     """Write a PNG of each method's last pictures (h, w, 3), by frame: methods are columns, frames rows."""
-    every = [picture for pictures in moments.values() for picture in pictures.values()]
+    every = [picture for by_frame in moments.values() for picture in by_frame.values()]
     drawn = np.any([picture.any(axis=2) for picture in every], axis=0)
     frames = list(next(iter(moments.values())))[-_MOMENTS:]
     rows = [
-        {name: cropped([pictures[frame]], drawn)[0] for name, pictures in moments.items()} for frame in frames
+        {name: pictures.cropped([by_frame[frame]], drawn)[0] for name, by_frame in moments.items()}
+        for frame in frames
     ]
-    write_tiles(path, rows, [f"frame {frame}" for frame in frames], height_px=_MOMENT_PX)
+    pictures.write_tiles(path, rows, [f"frame {frame}" for frame in frames], height_px=_MOMENT_PX)
 
 
-_SCALE = ErrorScale(most=40.0)
+_SCALE = pictures.ErrorScale(most=40.0)
 _GROUND = 205  # beside the subject: white means lit by all
 _LIGHT_TILES = 4  # film and three lights
 
@@ -191,16 +179,16 @@ def write_detection_figure(
     """Write film, the share of each light, and below the labels of every method by name, with a legend."""
     contributions = np.clip(frame.rgb - response.ambient, 0, None) @ response.contributions_from_rgb.T
     top = np.maximum(np.percentile(contributions[mask], 99, axis=0), 1e-6) if mask.any() else np.ones(3)
-    tiles = {"film": displayed(frame.rgb)}
+    tiles = {"film": pictures.displayed(frame.rgb)}
     for k in range(3):
         share = np.clip(contributions[..., k : k + 1] / top[k], 0, 1)
-        tiles[f"light {k}"] = displayed(np.repeat(share, 3, axis=-1))
+        tiles[f"light {k}"] = pictures.displayed(np.repeat(share, 3, axis=-1))
     for name, found in labels.items():
         tiles[name] = np.where(mask[..., None], label_colours(found), _GROUND).astype(np.uint8)
-    cut = dict(zip(tiles, cropped(list(tiles.values()), mask, 0), strict=True))
+    cut = dict(zip(tiles, pictures.cropped(list(tiles.values()), mask, 0), strict=True))
     first = dict(list(cut.items())[:_LIGHT_TILES])
-    legend = {short_label(label): web_colour(label) for label in _used(labels, mask)}
-    write_tiles(path, [first, {name: cut[name] for name in cut if name not in first}], legend=legend)
+    legend = {pictures.short_label(label): pictures.web_colour(label) for label in _used(labels, mask)}
+    pictures.write_tiles(path, [first, {name: cut[name] for name in cut if name not in first}], legend=legend)
 
 
 def write_recovery_figure(
@@ -210,11 +198,11 @@ def write_recovery_figure(
     truth: NormalMap | None = None,
 ) -> None:
     """Write normals, a view of the surface from the side, and the error of each way of `recoveries`."""
-    rows: list[dict[str, Picture]] = []
+    rows: list[dict[str, pictures.Picture]] = []
     names = []
     for name, recovery in recoveries.items():
         mask = recovery.normals.mask
-        normals = cropped([picture_of_normals(recovery.normals)], mask, 0)[0]
+        normals = pictures.cropped([pictures.picture_of_normals(recovery.normals)], mask, 0)[0]
         height, width = normals.shape[:2]
         row = {
             "normals": normals,
@@ -225,18 +213,20 @@ def write_recovery_figure(
             both = mask & truth.mask
             cosine = (recovery.normals.normals_in_camera * truth.normals_in_camera).sum(-1)
             error = np.where(both, np.rad2deg(np.arccos(np.clip(cosine, -1, 1))), 0.0)
-            row["error of the normals"] = cropped([picture_of_errors(error, both, _SCALE)], mask, 0)[0]
+            row["error of the normals"] = pictures.cropped(
+                [pictures.picture_of_errors(error, both, _SCALE)], mask, 0
+            )[0]
             mean = f": mean error {error[both].mean():.1f}°"
         rows.append(row)
         names.append(f"{name}{mean}")
-    write_tiles(path, rows, names, scale=None if truth is None else _SCALE)
+    pictures.write_tiles(path, rows, names, scale=None if truth is None else _SCALE)
 
 
 def _used(labels: Mapping[str, VisibilityLabels], mask: Mask) -> list[int]:
     return sorted({int(label) for found in labels.values() for label in np.unique(found[mask])})
 
 
-def _seen_from_the_side(depth: DepthMap, camera: Camera, width: int, height: int) -> Picture:
+def _seen_from_the_side(depth: DepthMap, camera: Camera, width: int, height: int) -> pictures.Picture:
     mesh = mesh_from_depth(depth, camera)
     low, high = np.percentile(mesh.vertices, [1, 99], axis=0)
     view = View(

@@ -20,29 +20,8 @@ from vntoolkit.geometry.rigid import RigidTransform
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.calibrate import CalibrationJob
 from vntoolkit.pipeline.calibrate_head import HeadCalibration
+from vntoolkit.report import page, pictures
 from vntoolkit.report.mesh_views import View, picture_of
-from vntoolkit.report.page import (
-    PageFigure,
-    PageNotice,
-    PageNumber,
-    PageSection,
-    PageTable,
-    data_uri,
-    figure_from_pixels,
-    figure_from_plot,
-    graded,
-    write_page,
-)
-from vntoolkit.report.pictures import (
-    BLUE,
-    ERROR_COLOURS,
-    RED,
-    SKY,
-    displayed,
-    new_figure,
-    report_style,
-    write_figure,
-)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -72,10 +51,10 @@ def write_head_page(path: Path, job: CalibrationJob, rig: Rig, result: HeadCalib
     frames = []
     for place in places_shown(result):
         number = result.light_numbers[place]
-        image = displayed(capture.frame(number).rgb)
+        image = pictures.displayed(capture.frame(number).rgb)
         frames.append(_ShownFrame(place, number, result.footage.numbers.index(number), image))
     sections = [
-        PageSection(
+        page.PageSection(
             title="What the footage carries",
             numbers=numbers_of_head(rig, result),
             notices=notices_of_head(result),
@@ -85,7 +64,7 @@ def write_head_page(path: Path, job: CalibrationJob, rig: Rig, result: HeadCalib
         _light_section(frames, rig, result),
         _times_section(rig, result),
     ]
-    write_page(
+    page.write_page(
         path,
         "Calibration on a turning head",
         sections,
@@ -93,12 +72,12 @@ def write_head_page(path: Path, job: CalibrationJob, rig: Rig, result: HeadCalib
     )
 
 
-def _poses_section(frames: list[_ShownFrame], result: HeadCalibration) -> PageSection:
+def _poses_section(frames: list[_ShownFrame], result: HeadCalibration) -> page.PageSection:
     def tracks(axis: Any, shown: _ShownFrame) -> None:
         draw_tracks(axis, shown.image, result, shown.used)
         axis.set_title(f"frame {shown.number}")
 
-    return PageSection(
+    return page.PageSection(
         title="Tracks and poses",
         paragraphs=(
             "Each track shows the eight frames before and after: blue ones were kept, orange ones follow "
@@ -111,7 +90,7 @@ def _poses_section(frames: list[_ShownFrame], result: HeadCalibration) -> PageSe
     )
 
 
-def _shape_section(frames: list[_ShownFrame], result: HeadCalibration) -> PageSection:
+def _shape_section(frames: list[_ShownFrame], result: HeadCalibration) -> page.PageSection:
     def shape(axis: Any, shown: _ShownFrame) -> None:
         draw_shape(axis, shown.image, result, shown.used)
 
@@ -122,9 +101,9 @@ def _shape_section(frames: list[_ShownFrame], result: HeadCalibration) -> PageSe
         _picture(lambda axis: draw_meshes(axis, result), (240 * len(shapes), 720), counts, wide=True),
     ]
     if result.refined is None:
-        return PageSection(title="Shape", figures=tuple(figures))
-    figures.append(PageFigure(caption="The shape used, from all sides.", image=_turntable(result.mesh)))
-    return PageSection(
+        return page.PageSection(title="Shape", figures=tuple(figures))
+    figures.append(page.PageFigure(caption="The shape used, from all sides.", image=_turntable(result.mesh)))
+    return page.PageSection(
         title="Shape",
         paragraphs=(
             "Stereo places the skin, but blurs and ripples it. The last shape agrees with stereo over long "
@@ -140,18 +119,16 @@ def _turntable(mesh: Mesh) -> str:
     from PIL import Image
 
     plain = Mesh(vertices=mesh.vertices, faces=mesh.faces)
-    pictures = []
+    drawn = []
     for azimuth in np.arange(0.0, 360.0, 360.0 / _TURNTABLE_FRAMES):
         view = View.around(mesh, _TURNTABLE_PX, _TURNTABLE_PX, azimuth_deg=float(azimuth))
-        pictures.append(Image.fromarray(np.hstack([picture_of([each], view) for each in (mesh, plain)])))
+        drawn.append(Image.fromarray(np.hstack([picture_of([each], view) for each in (mesh, plain)])))
     content = io.BytesIO()
-    pictures[0].save(
-        content, "WEBP", save_all=True, append_images=pictures[1:], duration=_TURNTABLE_MS, loop=0
-    )
-    return data_uri(content.getvalue(), ".webp")
+    drawn[0].save(content, "WEBP", save_all=True, append_images=drawn[1:], duration=_TURNTABLE_MS, loop=0)
+    return page.data_uri(content.getvalue(), ".webp")
 
 
-def _light_section(frames: list[_ShownFrame], rig: Rig, result: HeadCalibration) -> PageSection:
+def _light_section(frames: list[_ShownFrame], rig: Rig, result: HeadCalibration) -> page.PageSection:
     def samples(axis: Any, shown: _ShownFrame) -> None:
         draw_samples(axis, shown.image, result, shown.place)
 
@@ -169,7 +146,7 @@ def _light_section(frames: list[_ShownFrame], rig: Rig, result: HeadCalibration)
         (name, *(f"{value:+.4f}" for value in row))
         for name, row in zip(("red", "green", "blue"), rig.response.matrix, strict=True)
     )
-    return PageSection(
+    return page.PageSection(
         title="Light",
         paragraphs=(
             "Every sample is a normal of the shape, in the camera frame, and a colour. The sphere shows "
@@ -182,44 +159,46 @@ def _light_section(frames: list[_ShownFrame], rig: Rig, result: HeadCalibration)
             _picture(lambda axis: draw_sphere(axis, result), (620, 600), "Normals seen, and the rows of M."),
         ),
         tables=(
-            PageTable(
+            page.PageTable(
                 headings=("", "towards x, y, z", "off the axis", "about it, 0 right, 90 up"), rows=rows
             ),
-            PageTable(headings=("M", "n_x", "n_y", "n_z"), rows=matrix, numeric=True),
+            page.PageTable(headings=("M", "n_x", "n_y", "n_z"), rows=matrix, numeric=True),
         ),
     )
 
 
-def _times_section(rig: Rig, result: HeadCalibration) -> PageSection:
+def _times_section(rig: Rig, result: HeadCalibration) -> page.PageSection:
     times = tuple((stage, f"{seconds:.1f} s") for stage, seconds in result.stage_seconds.items())
     sources = tuple((source.file, source.sha256[:16] + "…") for source in rig.sources)
-    return PageSection(
+    return page.PageSection(
         title="Time and sources",
         tables=(
-            PageTable(headings=("stage", "time"), rows=times, numeric=True),
-            PageTable(headings=("file", "SHA-256"), rows=sources),
+            page.PageTable(headings=("stage", "time"), rows=times, numeric=True),
+            page.PageTable(headings=("file", "SHA-256"), rows=sources),
         ),
     )
 
 
-def _strip(draw: Callable[[Any, _ShownFrame], None], frames: list[_ShownFrame], caption: str) -> PageFigure:
+def _strip(
+    draw: Callable[[Any, _ShownFrame], None], frames: list[_ShownFrame], caption: str
+) -> page.PageFigure:
     """Paint the same drawing over several frames side by side."""
     rows, columns = frames[0].image.shape[:2]
-    with report_style():
-        figure = new_figure(12.0, 12.0 / len(frames) * rows / columns + 0.5)
+    with pictures.report_style():
+        figure = pictures.new_figure(12.0, 12.0 / len(frames) * rows / columns + 0.5)
         axes = figure.subplots(1, len(frames), squeeze=False)[0]
         for axis, shown in zip(axes, frames, strict=True):
             draw(axis, shown)
-        return figure_from_pixels(_pixels_of(figure), caption, wide=True)
+        return page.figure_from_pixels(_pixels_of(figure), caption, wide=True)
 
 
-def _picture(draw: Draw, size: tuple[int, int], caption: str, *, wide: bool = False) -> PageFigure:
+def _picture(draw: Draw, size: tuple[int, int], caption: str, *, wide: bool = False) -> page.PageFigure:
     """Paint one drawing of so many rows and columns: too much for a vector graphic."""
     width = 9.0 if wide else 6.0
-    with report_style():
-        figure = new_figure(width, width * size[0] / size[1] + 0.4)
+    with pictures.report_style():
+        figure = pictures.new_figure(width, width * size[0] / size[1] + 0.4)
         draw(figure.subplots())
-        return figure_from_pixels(_pixels_of(figure), caption, wide=wide)
+        return page.figure_from_pixels(_pixels_of(figure), caption, wide=wide)
 
 
 def _pixels_of(figure: Figure) -> npt.NDArray[np.uint8]:
@@ -229,78 +208,78 @@ def _pixels_of(figure: Figure) -> npt.NDArray[np.uint8]:
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
-def _plot(draw: Draw, size_in: tuple[float, float], caption: str) -> PageFigure:
-    with report_style():
-        figure = new_figure(*size_in)
+def _plot(draw: Draw, size_in: tuple[float, float], caption: str) -> page.PageFigure:
+    with pictures.report_style():
+        figure = pictures.new_figure(*size_in)
         draw(figure.subplots())
-    return figure_from_plot(figure, caption, wide=True)
+    return page.figure_from_plot(figure, caption, wide=True)
 
 
 # Quality of the calibration: graded numbers, and notices where it is weak.
 
 
-def numbers_of_head(rig: Rig, result: HeadCalibration) -> tuple[PageNumber, ...]:
+def numbers_of_head(rig: Rig, result: HeadCalibration) -> tuple[page.PageNumber, ...]:
     """Return turn, errors, agreement and condition, graded."""
     motion, quality = result.motion, result.light.quality
     agreeing = float(result.light.inliers.mean())
     return (
-        PageNumber(
+        page.PageNumber(
             value=f"{motion.turn_deg:.0f}°",
             label="turn of the head",
-            grade=graded(-motion.turn_deg, (-_TURN_DEG[0], -_TURN_DEG[1])),
+            grade=page.graded(-motion.turn_deg, (-_TURN_DEG[0], -_TURN_DEG[1])),
             remark="between the two ends",
         ),
-        PageNumber(
+        page.PageNumber(
             value=f"{motion.error_px:.2f} px",
             label="reprojection error",
-            grade=graded(motion.error_px, _ERROR_PX),
+            grade=page.graded(motion.error_px, _ERROR_PX),
             remark=f"{len(motion.point):,} tracks, {motion.observations:,} observations",
         ),
-        PageNumber(
+        page.PageNumber(
             value=f"{agreeing:.0%}",
             label="samples that agree",
-            grade=graded(-agreeing, (-_AGREEING[0], -_AGREEING[1])),
+            grade=page.graded(-agreeing, (-_AGREEING[0], -_AGREEING[1])),
             remark=f"of {len(result.samples.point):,} on one M",
         ),
-        PageNumber(
+        page.PageNumber(
             value=f"{quality.residual_deg:.1f}°",
             label="median residual",
-            grade=graded(quality.residual_deg, _RESIDUAL_DEG),
+            grade=page.graded(quality.residual_deg, _RESIDUAL_DEG),
             remark="normal by colour against normal by shape",
         ),
-        PageNumber(
+        page.PageNumber(
             value=f"{rig.response.condition_number:.1f}",
             label="condition number of M",
-            grade=graded(rig.response.condition_number, _CONDITION),
+            grade=page.graded(rig.response.condition_number, _CONDITION),
             remark="set by the lights' directions and colours",
         ),
         *_numbers_of_refinement(result),
     )
 
 
-def _numbers_of_refinement(result: HeadCalibration) -> tuple[PageNumber, ...]:
+def _numbers_of_refinement(result: HeadCalibration) -> tuple[page.PageNumber, ...]:
     refined = result.refined
     if refined is None:
         return ()
     assert refined.mesh.error_deg is not None
     return (
-        PageNumber(
+        page.PageNumber(
             value=f"{100 * refined.changes[-1]:.1f} %",
             label="last change of M",
-            grade=graded(refined.changes[-1], _CHANGE),
+            grade=page.graded(refined.changes[-1], _CHANGE),
             remark="by rounds: " + ", ".join(f"{100 * change:.1f} %" for change in refined.changes),
         ),
-        PageNumber(
+        page.PageNumber(
             value=f"{np.median(refined.error_percent):.2f} %",
             label="expected error of the shape",
-            grade=graded(float(np.median(refined.error_percent)), _SHAPE_PERCENT),
+            grade=page.graded(float(np.median(refined.error_percent)), _SHAPE_PERCENT),
             remark="of its diagonal, median; nine of ten normals to "
             f"{np.median(refined.mesh.error_deg):.1f}°",
         ),
     )
 
 
-def notices_of_head(result: HeadCalibration) -> tuple[PageNotice, ...]:
+def notices_of_head(result: HeadCalibration) -> tuple[page.PageNotice, ...]:
     """Say plainly what is weak; what carries no calibration at all was refused before."""
     motion = result.motion
     found = []
@@ -325,8 +304,8 @@ def notices_of_head(result: HeadCalibration) -> tuple[PageNotice, ...]:
             f"Tracks miss the rigid head by {motion.error_px:.2f} px. Look for a moving expression or blur."
         )
     if not found:
-        return (PageNotice(severity="note", text="Turn, tracks and samples carry the calibration."),)
-    return tuple(PageNotice(severity="warning", text=text) for text in found)
+        return (page.PageNotice(severity="note", text="Turn, tracks and samples carry the calibration."),)
+    return tuple(page.PageNotice(severity="warning", text=text) for text in found)
 
 
 _TRAIL_FRAMES = 8
@@ -340,14 +319,14 @@ _TURNTABLE_FRAMES, _TURNTABLE_PX, _TURNTABLE_MS = 20, 260, 140
 
 def write_head_figure(path: Path | str, job: CalibrationJob, result: HeadCalibration) -> None:
     """Write a .png: frames towards the ends and in the middle of the turn, and a row of summaries."""
-    with report_style():
-        figure = new_figure(12.0, 12.4)
+    with pictures.report_style():
+        figure = pictures.new_figure(12.0, 12.4)
         axes = figure.subplots(4, 3, height_ratios=(3, 3, 3, 4))
         capture = job.open()
         for column, place in enumerate(places_shown(result)):
             number = result.light_numbers[place]
             used = result.footage.numbers.index(number)
-            image = displayed(capture.frame(number).rgb)
+            image = pictures.displayed(capture.frame(number).rgb)
             draw_tracks(axes[0, column], image, result, used)
             draw_shape(axes[1, column], image, result, used)
             draw_samples(axes[2, column], image, result, place)
@@ -355,7 +334,7 @@ def write_head_figure(path: Path | str, job: CalibrationJob, result: HeadCalibra
         draw_turn(axes[3, 0], result)
         draw_sphere(axes[3, 1], result)
         draw_meshes(axes[3, 2], result)
-    write_figure(figure, path, dpi=_FIGURE_DPI)
+    pictures.write_figure(figure, path, dpi=_FIGURE_DPI)
 
 
 def places_shown(result: HeadCalibration) -> list[int]:
@@ -379,7 +358,7 @@ def draw_tracks(axis: Any, image: npt.NDArray[np.uint8], result: HeadCalibration
             continue
         recent = np.abs(tracks.frame[start:end] - used) <= _TRAIL_FRAMES
         trail = tracks.positions_px[start:end][recent]
-        axis.plot(trail[:, 0], trail[:, 1], color=SKY if good else RED, linewidth=0.8)
+        axis.plot(trail[:, 0], trail[:, 1], color=pictures.SKY if good else pictures.RED, linewidth=0.8)
 
 
 def draw_shape(axis: Any, image: npt.NDArray[np.uint8], result: HeadCalibration, used: int) -> None:
@@ -391,7 +370,7 @@ def draw_shape(axis: Any, image: npt.NDArray[np.uint8], result: HeadCalibration,
     _show(axis, blend.astype(np.uint8))
     axis.contour(result.footage.silhouettes[used].mask, levels=[0.5], colors=_YELLOW, linewidths=0.8)
     hull = _shading(result.hull, motion.camera, pose) >= 0
-    axis.contour(hull, levels=[0.5], colors=SKY, linewidths=0.6)
+    axis.contour(hull, levels=[0.5], colors=pictures.SKY, linewidths=0.6)
     overlap = _overlap(shading >= 0, result.footage.silhouettes[used].mask)
     axis.set_title(f"shape, silhouette (yellow), hull (blue);\noverlap {overlap:.3f}")
 
@@ -402,8 +381,8 @@ def draw_samples(axis: Any, image: npt.NDArray[np.uint8], result: HeadCalibratio
     _show(axis, image // 2)
     own = samples.frame == place
     for chosen, colour in (
-        (own & light.inliers, SKY),
-        (own & ~light.inliers & ~light.shadowed, RED),
+        (own & light.inliers, pictures.SKY),
+        (own & ~light.inliers & ~light.shadowed, pictures.RED),
         (own & light.shadowed, _YELLOW),
     ):
         axis.scatter(*samples.position_px[chosen].T, s=3, color=colour, linewidths=0)
@@ -414,9 +393,9 @@ def draw_turn(axis: Any, result: HeadCalibration) -> None:
     """Plot the turn of the head over the frames."""
     angles = turn_angles_deg(result.motion.camera_from_head)
     numbers = np.array(result.footage.numbers)
-    axis.plot(numbers, angles, ".-", color=BLUE, markersize=4, label="found")
+    axis.plot(numbers, angles, ".-", color=pictures.BLUE, markersize=4, label="found")
     gaps = result.motion.interpolated
-    axis.plot(numbers[gaps], angles[gaps], "x", color=RED, label="interpolated")
+    axis.plot(numbers[gaps], angles[gaps], "x", color=pictures.RED, label="interpolated")
     axis.set(
         xlabel="frame", ylabel="angle, °", title=f"turn of the head, {result.motion.turn_deg:.0f}° in all"
     )
@@ -429,7 +408,9 @@ def draw_sphere(axis: Any, result: HeadCalibration) -> None:
     normals = samples.normals_in_camera[light.inliers]
     colours = samples.rgb[light.inliers] / light.albedo[light.inliers] - light.response.ambient
     residual = angles_deg(colours @ light.response.inverse.T, normals)
-    points = axis.scatter(normals[:, 0], normals[:, 1], c=residual, s=3, vmin=0, vmax=15, cmap=ERROR_COLOURS)
+    points = axis.scatter(
+        normals[:, 0], normals[:, 1], c=residual, s=3, vmin=0, vmax=15, cmap=pictures.ERROR_COLOURS
+    )
     scale = axis.figure.colorbar(
         points, ax=axis, label="residual, °", location="bottom", shrink=0.6, extend="max"
     )
@@ -458,10 +439,8 @@ def draw_meshes(axis: Any, result: HeadCalibration) -> None:
     """Draw the shapes of all stages from three sides."""
     shapes = shapes_of(result)
     low, high = result.mesh.vertices.min(axis=0), result.mesh.vertices.max(axis=0)
-    pictures = [
-        _from_three_sides(mesh, 0.5 * (low + high), float(high[1] - low[1])) for mesh in shapes.values()
-    ]
-    _show(axis, np.vstack(pictures))
+    drawn = [_from_three_sides(mesh, 0.5 * (low + high), float(high[1] - low[1])) for mesh in shapes.values()]
+    _show(axis, np.vstack(drawn))
     axis.set_title("from above: " + ", ".join(shapes))
 
 

@@ -21,15 +21,7 @@ from vntoolkit.errors import BadInput
 from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import parse_json, read_text
 from vntoolkit.io.footage.images import read_image, resized_image
-from vntoolkit.report.page import (
-    PageFigure,
-    PageNotice,
-    PageSection,
-    PageTable,
-    figure_from_file,
-    figure_from_pixels,
-    write_page,
-)
+from vntoolkit.report import page
 
 NUMBERS_NAME = "numbers.json"
 _KEYS = {"what", "paper", "ours", "unit"}
@@ -93,7 +85,7 @@ def write_recipes_page(out: Path, runs: Sequence[RecipeRun]) -> Path:
     compared = tuple(
         (run.name, *_row(number)) for run in runs for number in numbers[run.name] if number.paper is not None
     )
-    table = PageSection(
+    table = page.PageSection(
         title="The paper beside ours",
         paragraphs=(
             "Published values are those of brostow2011, measured on its own footage; ours are measured on "
@@ -101,21 +93,23 @@ def write_recipes_page(out: Path, runs: Sequence[RecipeRun]) -> Path:
             "with its recipe.",
         ),
         notices=tuple(_notice(run) for run in runs if run.failure),
-        tables=(PageTable(headings=("recipe", *_HEADINGS), rows=compared, right=(2, 3)),) if compared else (),
+        tables=(page.PageTable(headings=("recipe", *_HEADINGS), rows=compared, right=(2, 3)),)
+        if compared
+        else (),
     )
     sections = [table, *(_section(run, numbers[run.name]) for run in runs)]
     minutes = sum(run.seconds for run in runs) / 60
     count = sum(map(len, numbers.values()))
     subtitle = f"{len(runs)} recipes, {count} numbers, run in {minutes:.1f} minutes"
-    write_page(out, "Every figure and table", sections, subtitle=subtitle)
+    page.write_page(out, "Every figure and table", sections, subtitle=subtitle)
     return out
 
 
-def _section(run: RecipeRun, numbers: Sequence[RecipeNumber]) -> PageSection:
+def _section(run: RecipeRun, numbers: Sequence[RecipeNumber]) -> page.PageSection:
     took = f" Took {_duration(run.seconds)}." if run.seconds else ""
     command = f"vntoolkit recipe run {run.name}"
     title = run.text.title
-    return PageSection(
+    return page.PageSection(
         title=title if title.startswith("Figure") else run.name.replace("_", " ").capitalize(),
         paragraphs=(run.text.summary, *run.text.paragraphs, f"Made by: {command}.{took}"),
         notices=(_notice(run),) if run.failure else (),
@@ -124,18 +118,18 @@ def _section(run: RecipeRun, numbers: Sequence[RecipeNumber]) -> PageSection:
     )
 
 
-def _table(numbers: Sequence[RecipeNumber]) -> PageTable:
+def _table(numbers: Sequence[RecipeNumber]) -> page.PageTable:
     """All numbers of a recipe; without the paper's column where it gives none of them."""
     folded = f"all {len(numbers)} numbers" if len(numbers) > _MOST_ROWS else ""
     rows = tuple(_row(number) for number in numbers)
     if any(number.paper is not None for number in numbers):
-        return PageTable(headings=_HEADINGS, rows=rows, folded=folded, right=(1, 2))
+        return page.PageTable(headings=_HEADINGS, rows=rows, folded=folded, right=(1, 2))
     without = tuple((what, ours, unit) for what, _, ours, unit in rows)
-    return PageTable(headings=("what", "ours", "unit"), rows=without, folded=folded, right=(1,))
+    return page.PageTable(headings=("what", "ours", "unit"), rows=without, folded=folded, right=(1,))
 
 
-def _notice(run: RecipeRun) -> PageNotice:
-    return PageNotice(severity="warning", text=f"{run.name}: {run.failure}")
+def _notice(run: RecipeRun) -> page.PageNotice:
+    return page.PageNotice(severity="warning", text=f"{run.name}: {run.failure}")
 
 
 def _duration(seconds: float) -> str:
@@ -154,15 +148,15 @@ def figures_of(folder: Path) -> list[Path]:
     )
 
 
-def _figure(path: Path, text: RecipeText) -> PageFigure:
+def _figure(path: Path, text: RecipeText) -> page.PageFigure:
     caption = text.captions.get(path.name, path.stem.replace("_", " "))
     caption = caption[:1].upper() + caption[1:]
     if path.suffix.lower() in _DRAWN or path.stat().st_size < _LARGEST_PNG:
-        return figure_from_file(path, caption, wide=True)
+        return page.figure_from_file(path, caption, wide=True)
     pixels: Any = read_image(path)
     if pixels.dtype == np.uint16:
         pixels = (pixels >> 8).astype(np.uint8)
-    return figure_from_pixels(resized_image(pixels, _WIDEST_PX), caption, wide=True)
+    return page.figure_from_pixels(resized_image(pixels, _WIDEST_PX), caption, wide=True)
 
 
 def _shown(value: float | str | None) -> str:

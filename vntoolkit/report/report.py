@@ -19,39 +19,7 @@ from vntoolkit.io.maps_and_meshes.ply import read_ply_counts
 from vntoolkit.io.results.frame_log import FrameEntry
 from vntoolkit.io.results.manifest import InputEntry
 from vntoolkit.pipeline.opened_result import OpenedResult, TrackedSurface, open_result
-from vntoolkit.report.page import (
-    PageFigure,
-    PageNotice,
-    PageNumber,
-    PageSection,
-    PageTable,
-    figure_from_pixels,
-    figure_from_plot,
-    graded,
-    write_page,
-)
-from vntoolkit.report.pictures import (
-    BLUE,
-    FAINT,
-    GREEN,
-    GROUND,
-    INK,
-    ORANGE,
-    PURPLE,
-    RED,
-    ErrorScale,
-    Picture,
-    cropped,
-    new_figure,
-    picture_of_errors,
-    picture_of_normals,
-    pictures_of_frame,
-    report_style,
-    sampled,
-    short_label,
-    tiled,
-    web_colour,
-)
+from vntoolkit.report import page, pictures
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -81,7 +49,7 @@ def write_report(
     out: Path | None = None,
     options: ReportOptions | None = None,
     *,
-    extra: Sequence[PageSection] = (),
+    extra: Sequence[page.PageSection] = (),
 ) -> Path:
     """Write the page about a folder that `reconstruct` wrote; return its path.
 
@@ -104,7 +72,7 @@ def write_report(
         sections.append(track_section(result, result.track))
     sections.append(settings_section(result))
     source = result.manifest.input
-    write_page(
+    page.write_page(
         out,
         f"Reconstruction of {Path(source.source).name}",
         sections,
@@ -114,59 +82,62 @@ def write_report(
     return out
 
 
-def warnings_section(result: OpenedResult) -> PageSection:
+def warnings_section(result: OpenedResult) -> page.PageSection:
     """Return what the run found wrong, what the footage's header says, and which frames failed."""
     notices = list(_findings(result))
     failed = [entry for entry in result.entries.values() if entry.failure]
     if failed:
         text = f"frames skipped: {len(failed)}; the first is {failed[0].number}: {failed[0].failure}"
-        notices.append(PageNotice(severity="warning", text=text))
+        notices.append(page.PageNotice(severity="warning", text=text))
     if not result.manifest.finished:
         text = "the run was not finished: the same command goes on where it stopped"
-        notices.append(PageNotice(severity="warning", text=text))
+        notices.append(page.PageNotice(severity="warning", text=text))
     paragraphs = () if notices else ("Nothing was found that would ruin normals.",)
-    return PageSection(title="Warnings", paragraphs=paragraphs, notices=tuple(notices))
+    return page.PageSection(title="Warnings", paragraphs=paragraphs, notices=tuple(notices))
 
 
-def _findings(result: OpenedResult) -> list[PageNotice]:
+def _findings(result: OpenedResult) -> list[page.PageNotice]:
     found = result.manifest.findings
     if found is None:
         text = "an earlier version made this result and kept no findings; `vntoolkit doctor` looks anew"
-        notices = [PageNotice(severity="note", text=text)]
+        notices = [page.PageNotice(severity="note", text=text)]
     else:
-        notices = [PageNotice(severity=entry.level, text=entry.text) for entry in found]
+        notices = [page.PageNotice(severity=entry.level, text=entry.text) for entry in found]
     try:
         stated = findings_from_header(result.capture)
     except VntError as error:
-        return [*notices, PageNotice(severity="note", text=f"the footage could not be looked at: {error}")]
-    return [*notices, *(PageNotice(severity=each.level.value, text=each.text) for each in stated)]
+        return [
+            *notices,
+            page.PageNotice(severity="note", text=f"the footage could not be looked at: {error}"),
+        ]
+    return [*notices, *(page.PageNotice(severity=each.level.value, text=each.text) for each in stated)]
 
 
-def _headline(result: OpenedResult) -> tuple[PageNumber, ...]:
+def _headline(result: OpenedResult) -> tuple[page.PageNumber, ...]:
     done = [entry for entry in result.entries.values() if not entry.failure]
-    numbers = [PageNumber(value=f"{len(result.numbers):,}", label="frames")]
+    numbers = [page.PageNumber(value=f"{len(result.numbers):,}", label="frames")]
     if done:
         shares = np.array([[e.valid_share, e.shadowed_share, e.clipped_share] for e in done]).mean(axis=0)
         for share, label in zip(shares, ("with a normal", "shadowed", "clipped"), strict=True):
-            numbers.append(PageNumber(value=f"{100 * share:.1f} %", label=label))
+            numbers.append(page.PageNumber(value=f"{100 * share:.1f} %", label=label))
     if result.manifest.error_deg is not None:
         error = f"{result.manifest.error_deg:.1f}°"
-        numbers.append(PageNumber(value=error, label="expected error of the normals, median"))
+        numbers.append(page.PageNumber(value=error, label="expected error of the normals, median"))
     quality = result.rig.quality
     if quality is not None and quality.samples:
-        numbers.append(PageNumber(value=f"{quality.residual_deg:.2f}°", label="calibration residual"))
+        numbers.append(page.PageNumber(value=f"{quality.residual_deg:.2f}°", label="calibration residual"))
     return tuple(numbers)
 
 
 # Sections on all frames: usable pixels over time, time spent, sizes of the meshes.
 
 
-def shares_section(result: OpenedResult) -> PageSection:
+def shares_section(result: OpenedResult) -> page.PageSection:
     """Return how much of each frame was usable, clipped and in shadow, with the skipped frames named."""
     entries = [entry for entry in result.entries.values() if not entry.failure]
     skipped = [entry for entry in result.entries.values() if entry.failure]
     rows = tuple((_named(result, entry.number), entry.failure) for entry in skipped)
-    return PageSection(
+    return page.PageSection(
         title="Frames",
         paragraphs=(
             "Clipped pixels carry no normal. Shadowed ones, which not all three lights reach, were recovered "
@@ -174,55 +145,59 @@ def shares_section(result: OpenedResult) -> PageSection:
         ),
         numbers=_shares(entries[0]) if len(entries) == 1 else (),
         figures=(_shares_figure(entries, skipped),) if len(entries) > 1 else (),
-        tables=(PageTable(headings=("skipped frame", "why"), rows=rows),) if rows else (),
+        tables=(page.PageTable(headings=("skipped frame", "why"), rows=rows),) if rows else (),
     )
 
 
-def _shares(entry: FrameEntry) -> tuple[PageNumber, ...]:
+def _shares(entry: FrameEntry) -> tuple[page.PageNumber, ...]:
     """What the figure shows of many frames, of a single one."""
     shares = (entry.valid_share, entry.shadowed_share, entry.clipped_share)
     labels = ("with a normal, of all pixels", "shadowed, of those", "clipped, of all pixels")
     return tuple(
-        PageNumber(value=f"{100 * share:.1f} %", label=label)
+        page.PageNumber(value=f"{100 * share:.1f} %", label=label)
         for share, label in zip(shares, labels, strict=True)
     )
 
 
-def _shares_figure(entries: list[FrameEntry], skipped: list[FrameEntry]) -> PageFigure:
+def _shares_figure(entries: list[FrameEntry], skipped: list[FrameEntry]) -> page.PageFigure:
     numbers = [entry.number for entry in entries]
     curves = (
-        ("with a normal, of all pixels", [entry.valid_share for entry in entries], GREEN),
-        ("shadowed, of those", [entry.shadowed_share for entry in entries], PURPLE),
-        ("clipped, of all pixels", [entry.clipped_share for entry in entries], RED),
+        ("with a normal, of all pixels", [entry.valid_share for entry in entries], pictures.GREEN),
+        ("shadowed, of those", [entry.shadowed_share for entry in entries], pictures.PURPLE),
+        ("clipped, of all pixels", [entry.clipped_share for entry in entries], pictures.RED),
     )
-    with report_style():
-        figure = new_figure(9.6, 3.0)
+    with pictures.report_style():
+        figure = pictures.new_figure(9.6, 3.0)
         axes = figure.subplots()
         for label, values, colour in curves:
             axes.plot(numbers, 100 * np.array(values), color=colour, label=label, **_marker(len(numbers)))
         for entry in skipped:
-            axes.axvline(entry.number, color=ORANGE, lw=1, ls=":")
+            axes.axvline(entry.number, color=pictures.ORANGE, lw=1, ls=":")
         axes.set_xlabel("frame")
         axes.locator_params(axis="x", integer=True)
         axes.set_ylabel("share of pixels, %")
         axes.set_ylim(bottom=0)
         axes.legend(loc="upper left", bbox_to_anchor=(0, 1.16), ncols=3, fontsize=8)
     dotted = " Dotted: skipped frames." if skipped else ""
-    return figure_from_plot(figure, f"Usable, shadowed and clipped shares over time.{dotted}", wide=True)
+    return page.figure_from_plot(figure, f"Usable, shadowed and clipped shares over time.{dotted}", wide=True)
 
 
-def results_section(result: OpenedResult) -> PageSection:
+def results_section(result: OpenedResult) -> page.PageSection:
     """Return the time spent on each frame and how large the meshes are."""
     figures = []
     seconds = {number: entry.seconds for number, entry in result.entries.items() if not entry.failure}
     if len(seconds) > 1:
-        figures.append(_curve(seconds, "seconds per frame", "Time spent on each frame, reading aside.", BLUE))
+        figures.append(
+            _curve(seconds, "seconds per frame", "Time spent on each frame, reading aside.", pictures.BLUE)
+        )
     counts = mesh_counts(result)
     numbers = _result_numbers(result, seconds, counts)
     if len(counts) > 1:
         thousands = {number: faces / 1000 for number, (_, faces) in counts.items()}
-        figures.append(_curve(thousands, "thousand triangles", "Triangles of each frame's mesh.", GREEN))
-    return PageSection(title="Time and meshes", numbers=numbers, figures=tuple(figures))
+        figures.append(
+            _curve(thousands, "thousand triangles", "Triangles of each frame's mesh.", pictures.GREEN)
+        )
+    return page.PageSection(title="Time and meshes", numbers=numbers, figures=tuple(figures))
 
 
 def mesh_counts(result: OpenedResult) -> dict[int, tuple[int, int]]:
@@ -238,32 +213,34 @@ def mesh_counts(result: OpenedResult) -> dict[int, tuple[int, int]]:
 
 def _result_numbers(
     result: OpenedResult, seconds: Mapping[int, float], counts: Mapping[int, tuple[int, int]]
-) -> tuple[PageNumber, ...]:
-    numbers = [PageNumber(value=f"{len(result.numbers):,}", label="frames with normals")]
+) -> tuple[page.PageNumber, ...]:
+    numbers = [page.PageNumber(value=f"{len(result.numbers):,}", label="frames with normals")]
     if seconds:
         median = float(np.median(list(seconds.values())))
-        numbers.append(PageNumber(value=f"{1000 * median:,.0f} ms", label="median time per frame"))
+        numbers.append(page.PageNumber(value=f"{1000 * median:,.0f} ms", label="median time per frame"))
     wall = result.manifest.timings.get("wall_s")
     if wall:
-        numbers.append(PageNumber(value=f"{wall:,.1f} s", label="the last run, whole"))
+        numbers.append(page.PageNumber(value=f"{wall:,.1f} s", label="the last run, whole"))
     if counts:
         vertices, faces = np.median(np.array(list(counts.values())), axis=0)
         numbers.append(
-            PageNumber(value=f"{vertices:,.0f}", label="vertices, median", remark=f"{faces:,.0f} triangles")
+            page.PageNumber(
+                value=f"{vertices:,.0f}", label="vertices, median", remark=f"{faces:,.0f} triangles"
+            )
         )
     return tuple(numbers)
 
 
-def _curve(values: Mapping[int, float], label: str, caption: str, colour: str) -> PageFigure:
-    with report_style():
-        figure = new_figure(5.2, 2.6)
+def _curve(values: Mapping[int, float], label: str, caption: str, colour: str) -> page.PageFigure:
+    with pictures.report_style():
+        figure = pictures.new_figure(5.2, 2.6)
         axes = figure.subplots()
         axes.plot(list(values), list(values.values()), color=colour, **_marker(len(values)))
         axes.set_xlabel("frame")
         axes.locator_params(axis="x", integer=True)
         axes.set_ylabel(label)
         axes.set_ylim(0, 1.15 * max(values.values()) or 1.0)
-    return figure_from_plot(figure, caption)
+    return page.figure_from_plot(figure, caption)
 
 
 def _marker(count: int) -> dict[str, Any]:
@@ -273,16 +250,16 @@ def _marker(count: int) -> dict[str, Any]:
 
 _SHEET_PX = 1600
 _TITLES = {"depth": "relief", "shadows": "lights that arrive"}
-_ERRORS = ErrorScale(most=30.0)
+_ERRORS = pictures.ErrorScale(most=30.0)
 _BESIDE = 205  # grey beside the subject, since white means that all lights arrive
 
 
-def samples_section(result: OpenedResult, count: int, height_px: int) -> PageSection:
+def samples_section(result: OpenedResult, count: int, height_px: int) -> page.PageSection:
     """Return a row for each sampled frame: capture, normals, relief, shadows, as far as they are there."""
-    shown = sampled(result.numbers, count)
+    shown = pictures.sampled(result.numbers, count)
     rows = [_parts(result, number) for number in shown]
     labelled = any("lights that arrive" in row for row in rows)
-    pixels = tiled(
+    pixels = pictures.tiled(
         rows,
         [_named(result, number) for number in shown],
         legend=_legend() if labelled else None,
@@ -291,14 +268,14 @@ def samples_section(result: OpenedResult, count: int, height_px: int) -> PageSec
     )
     words = list(dict.fromkeys(name for row in rows for name in row))
     caption = f"{', '.join(words).capitalize()} of {', '.join(_named(result, n) for n in shown)}."
-    return PageSection(
+    return page.PageSection(
         title="Sample frames",
         paragraphs=(
             "Normals in their usual colours (red to the right, green up, blue to the viewer). The relief is "
             "the integrated depth, lit from the upper left, its slopes taken from the depth itself. Nine of "
             "ten normals are within their expected error.",
         ),
-        figures=(figure_from_pixels(pixels, caption, suffix=".webp", wide=True),),
+        figures=(page.figure_from_pixels(pixels, caption, suffix=".webp", wide=True),),
     )
 
 
@@ -309,22 +286,26 @@ def _named(result: OpenedResult, number: int) -> str:
     return f"frame {number} ({stems[number]})" if number in stems else f"frame {number}"
 
 
-def _parts(result: OpenedResult, number: int) -> dict[str, Picture]:
+def _parts(result: OpenedResult, number: int) -> dict[str, pictures.Picture]:
     normal_map = result.normals(number)
     assert normal_map is not None  # the frame is in result.numbers
-    parts = pictures_of_frame(result, number, ground=GROUND, beside_normals=GROUND, beside_labels=_BESIDE)
+    parts = pictures.pictures_of_frame(
+        result, number, ground=pictures.GROUND, beside_normals=pictures.GROUND, beside_labels=_BESIDE
+    )
     if normal_map.error_deg is not None:
-        parts["expected error"] = picture_of_errors(normal_map.error_deg, normal_map.mask, _ERRORS, GROUND)
+        parts["expected error"] = pictures.picture_of_errors(
+            normal_map.error_deg, normal_map.mask, _ERRORS, pictures.GROUND
+        )
     titles = [_TITLES.get(name, name) for name in parts]
-    return dict(zip(titles, cropped(list(parts.values()), normal_map.mask), strict=True))
+    return dict(zip(titles, pictures.cropped(list(parts.values()), normal_map.mask), strict=True))
 
 
 def _legend() -> dict[str, str]:
     """The colours of the shadow labels, by short names of what arrives."""
-    return {short_label(int(label)): web_colour(int(label)) for label in LABEL_LEGEND}
+    return {pictures.short_label(int(label)): pictures.web_colour(int(label)) for label in LABEL_LEGEND}
 
 
-def track_section(result: OpenedResult, track: TrackedSurface) -> PageSection:
+def track_section(result: OpenedResult, track: TrackedSurface) -> page.PageSection:
     """Return the registered surface: its size, its expected error over time, the checkerboard on it."""
     figures = []
     uncertainty = track.sequence.uncertainty_px
@@ -332,49 +313,55 @@ def track_section(result: OpenedResult, track: TrackedSurface) -> PageSection:
         rows = [np.asarray(uncertainty[row]) for row in range(len(track.sequence))]
         levels = np.array([np.percentile(row, [50, 95], method="lower") for row in rows])
         levels[~np.isfinite(levels)] = np.nan  # of frames that are missing
-        with report_style():
-            figure = new_figure(9.6, 2.4)
+        with pictures.report_style():
+            figure = pictures.new_figure(9.6, 2.4)
             axes = figure.subplots()
-            axes.plot(track.numbers, levels[:, 1], color=FAINT, label="95th percentile")
-            axes.plot(track.numbers, levels[:, 0], color=BLUE, label="median")
-            axes.axvline(track.template, color=FAINT, ls=":", lw=1)
+            axes.plot(track.numbers, levels[:, 1], color=pictures.FAINT, label="95th percentile")
+            axes.plot(track.numbers, levels[:, 0], color=pictures.BLUE, label="median")
+            axes.axvline(track.template, color=pictures.FAINT, ls=":", lw=1)
             axes.set_xlabel("frame")
             axes.locator_params(axis="x", integer=True)
             axes.set_ylabel("expected error, px")
             axes.set_ylim(0, None)
             axes.legend(frameon=False)
         caption = "Expected error of the tracked vertices in each frame. Dotted: the template's frame."
-        figures.append(figure_from_plot(figure, caption, wide=True))
+        figures.append(page.figure_from_plot(figure, caption, wide=True))
     sheet = result.folder.root / "track" / "checkerboard.png"
     if sheet.exists():
         pixels = resized_image(np.asarray(read_image(sheet), dtype=np.uint8), _SHEET_PX)
         caption = "A checkerboard painted on the template and carried along: it should look printed on."
-        figures.append(figure_from_pixels(pixels, caption, wide=True))
+        figures.append(page.figure_from_pixels(pixels, caption, wide=True))
     figures += _before_and_after(result, track.template)
-    return PageSection(
+    return page.PageSection(
         title="Registered surface",
         numbers=(
-            PageNumber(value=f"{len(track.sequence.template.vertices):,}", label="vertices, in every frame"),
-            PageNumber(value=f"{len(track.sequence):,}", label="frames"),
-            PageNumber(value=str(track.template), label="template frame"),
+            page.PageNumber(
+                value=f"{len(track.sequence.template.vertices):,}", label="vertices, in every frame"
+            ),
+            page.PageNumber(value=f"{len(track.sequence):,}", label="frames"),
+            page.PageNumber(value=str(track.template), label="template frame"),
         ),
         figures=tuple(figures),
     )
 
 
-def _before_and_after(result: OpenedResult, number: int) -> list[PageFigure]:
+def _before_and_after(result: OpenedResult, number: int) -> list[page.PageFigure]:
     """Return a frame's normals without and with the reflectance of the tracked surface, where these are."""
     again = result.refined
     before, after = (None if each is None else each.normals(number) for each in (result, again))
     if again is None or before is None or after is None:
         return []
     parts = {"normals before": before, "with the surface's reflectance": after}
-    pictures = cropped([picture_of_normals(each, GROUND) for each in parts.values()], before.mask)
+    both = pictures.cropped(
+        [pictures.picture_of_normals(each, pictures.GROUND) for each in parts.values()], before.mask
+    )
     caption = (
         "Normals of the template's frame: paint that is told over all frames, such as freckles and lips, is "
         "no relief with it."
     )
-    return [figure_from_pixels(tiled([dict(zip(parts, pictures, strict=True))]), caption, wide=True)]
+    return [
+        page.figure_from_pixels(pictures.tiled([dict(zip(parts, both, strict=True))]), caption, wide=True)
+    ]
 
 
 def size_and_rate(source: InputEntry) -> str:
@@ -393,7 +380,7 @@ def _camera_in_words(camera: Camera) -> str:
     return f"{lens}, focal length {camera.matrix[0, 0]:.1f} px"
 
 
-def settings_section(result: OpenedResult) -> PageSection:
+def settings_section(result: OpenedResult) -> page.PageSection:
     """Return what the result was made from and with."""
     manifest = result.manifest
     files = manifest.input.files
@@ -412,12 +399,12 @@ def settings_section(result: OpenedResult) -> PageSection:
     }
     options = tuple((name, str(value)) for name, value in sorted(manifest.options.items()))
     names = tuple((str(k), file.file) for k, file in zip(manifest.input.numbers, files, strict=False))
-    named = PageTable(headings=("frame", "file"), rows=names, folded=f"{len(names)} files")
-    return PageSection(
+    named = page.PageTable(headings=("frame", "file"), rows=names, folded=f"{len(names)} files")
+    return page.PageSection(
         title="Made from",
         tables=(
-            PageTable(headings=("what", ""), rows=tuple(facts.items())),
-            PageTable(headings=("option", "value"), rows=options, folded=f"{len(options)} options"),
+            page.PageTable(headings=("what", ""), rows=tuple(facts.items())),
+            page.PageTable(headings=("option", "value"), rows=options, folded=f"{len(options)} options"),
             *((named,) if names else ()),
         ),
     )
@@ -431,9 +418,9 @@ _HISTOGRAM_CELLS = 60
 _LARGEST_SAMPLE = 200_000
 
 
-def calibration_section(result: OpenedResult, sample: int) -> PageSection:
+def calibration_section(result: OpenedResult, sample: int) -> page.PageSection:
     """Return the section; `sample`: the frame whose normals are set against the calibrated cone."""
-    return PageSection(
+    return page.PageSection(
         title="Calibration",
         paragraphs=(
             "Colour is M times the normal plus ambient light. A small residual says that one M explains the "
@@ -446,42 +433,42 @@ def calibration_section(result: OpenedResult, sample: int) -> PageSection:
     )
 
 
-def _numbers(result: OpenedResult) -> tuple[PageNumber, ...]:
+def _numbers(result: OpenedResult) -> tuple[page.PageNumber, ...]:
     quality, response = result.rig.quality, result.rig.response
-    condition = PageNumber(
+    condition = page.PageNumber(
         value=f"{response.condition_number:.1f}",
         label="condition number of M",
-        grade=graded(response.condition_number, _CONDITION),
+        grade=page.graded(response.condition_number, _CONDITION),
         remark="set by the lights' directions and colours",
     )
     if quality is None or quality.samples == 0:
         method = "stated" if quality is None else quality.method
-        known = PageNumber(
+        known = page.PageNumber(
             value="not fitted", label=f"method: {method}", remark="lights known, no residual or cone"
         )
         return (condition, known)
     return (
-        PageNumber(
+        page.PageNumber(
             value=f"{quality.residual_deg:.2f}°",
             label="median residual",
-            grade=graded(quality.residual_deg, _RESIDUAL_DEG),
+            grade=page.graded(quality.residual_deg, _RESIDUAL_DEG),
             remark=f"over {quality.samples:,} pairs of colour and normal, by {quality.method}",
         ),
         condition,
-        PageNumber(
+        page.PageNumber(
             value=f"{quality.cone_deg:.0f}°",
             label="cone of normals",
-            grade=graded(-quality.cone_deg, (-_CONE_DEG[0], -_CONE_DEG[1])),
+            grade=page.graded(-quality.cone_deg, (-_CONE_DEG[0], -_CONE_DEG[1])),
             remark="half-angle that holds 95 % of the calibration normals",
         ),
     )
 
 
-def _cone_figure(result: OpenedResult, sample: int) -> PageFigure:
+def _cone_figure(result: OpenedResult, sample: int) -> page.PageFigure:
     """The hemisphere of normals seen from the camera: capture's normals, calibrated cone, lights."""
     quality = result.rig.quality
-    with report_style():
-        figure = new_figure(4.6, 4.3)
+    with pictures.report_style():
+        figure = pictures.new_figure(4.6, 4.3)
         axes = figure.subplots()
         axes.set_aspect("equal")
         axes.set_axis_off()
@@ -491,11 +478,13 @@ def _cone_figure(result: OpenedResult, sample: int) -> PageFigure:
         turn = np.linspace(0, 2 * np.pi, 181)
         for angle in (30, 60, 90):
             radius = np.sin(np.deg2rad(angle))
-            axes.plot(radius * np.cos(turn), radius * np.sin(turn), color=FAINT, lw=0.8, ls="-")
-            axes.annotate(f"{angle}°", (0, -radius), fontsize=7, color=FAINT, ha="center", va="bottom")
+            axes.plot(radius * np.cos(turn), radius * np.sin(turn), color=pictures.FAINT, lw=0.8, ls="-")
+            axes.annotate(
+                f"{angle}°", (0, -radius), fontsize=7, color=pictures.FAINT, ha="center", va="bottom"
+            )
         if quality is not None and quality.samples:
             radius = np.sin(np.deg2rad(min(quality.cone_deg, 90.0)))
-            line: dict[str, Any] = {"color": BLUE, "lw": 1.8, "ls": (0, (4, 2))}
+            line: dict[str, Any] = {"color": pictures.BLUE, "lw": 1.8, "ls": (0, (4, 2))}
             axes.plot(
                 radius * np.cos(turn),
                 radius * np.sin(turn),
@@ -512,7 +501,7 @@ def _cone_figure(result: OpenedResult, sample: int) -> PageFigure:
             "channel sees one light alone, else they lie closer together than the lights do."
         )
     cone = " Dashed: the size of the cone of calibration normals." if fitted else ""
-    return figure_from_plot(
+    return page.figure_from_plot(
         figure,
         "Directions as the camera sees them, up is up; the rim is 90° from the optical axis. Grey: the "
         f"normals of frame {sample}. {points}{cone}",
@@ -546,12 +535,12 @@ def _draw_lights(axes: Axes, result: OpenedResult) -> None:
                   label=name)  # fmt: skip
 
 
-def _response_figure(result: OpenedResult) -> PageFigure:
+def _response_figure(result: OpenedResult) -> page.PageFigure:
     """M itself: what a unit of each axis adds to red, green and blue."""
     matrix = np.array(result.rig.response.matrix)
     top = np.abs(matrix).max()
-    with report_style():
-        figure = new_figure(4.6, 4.3)
+    with pictures.report_style():
+        figure = pictures.new_figure(4.6, 4.3)
         axes = figure.subplots()
         axes.imshow(matrix, cmap="RdBu_r", vmin=-1.3 * top, vmax=1.3 * top)
         axes.set_xticks(range(3), ["x, right", "y, down", "z, away"])
@@ -560,15 +549,15 @@ def _response_figure(result: OpenedResult) -> PageFigure:
         axes.spines[:].set_visible(False)
         axes.tick_params(length=0)
         for row, column in np.ndindex(3, 3):
-            ink = "white" if abs(matrix[row, column]) > 0.75 * top else INK
+            ink = "white" if abs(matrix[row, column]) > 0.75 * top else pictures.INK
             axes.text(column, row, f"{matrix[row, column]:+.3f}", ha="center", va="center", color=ink)
     ambient = ", ".join(f"{value:.3f}" for value in result.rig.response.ambient)
-    return figure_from_plot(
+    return page.figure_from_plot(
         figure,
         f"M: what a unit of a normal's x, y, z adds to each channel, full scale 1. Ambient: {ambient}.",
     )
 
 
-def _source_table(result: OpenedResult) -> PageTable:
+def _source_table(result: OpenedResult) -> page.PageTable:
     rows = tuple((source.file, source.sha256[:16] + "…") for source in result.rig.sources)
-    return PageTable(headings=("calibrated from", "SHA-256"), rows=rows)
+    return page.PageTable(headings=("calibrated from", "SHA-256"), rows=rows)

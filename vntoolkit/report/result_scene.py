@@ -22,21 +22,9 @@ from vntoolkit.io.footage.images import encoded_image, resized_image
 from vntoolkit.meshing.surface import MeshOptions
 from vntoolkit.native import import_open3d
 from vntoolkit.pipeline.opened_result import OpenedResult, TrackedSurface
+from vntoolkit.report import scene
 from vntoolkit.report.local_server import LocalServer, ViewerOptions
 from vntoolkit.report.pictures import pictures_of_frame, sampled
-from vntoolkit.report.scene import (
-    Packet,
-    depth_block,
-    depth_box,
-    errors_block,
-    mesh_packet,
-    normals_block,
-    place_of,
-    scene_page,
-    stride_to,
-    vertex_box,
-    vertices_block,
-)
 
 _WEBP_QUALITY = 88
 _SERVED_QUALITY = 92  # of a JPEG
@@ -72,18 +60,18 @@ def write_scene(
 ) -> None:
     """Write the page of the opened frames, atomically. Raises `BadInput` where they have no depth."""
     options = options or ScenePageOptions()
-    scene = _ResultScene(result, sampled(result.numbers, options.most_frames), options)
+    packed = _ResultScene(result, sampled(result.numbers, options.most_frames), options)
     frames = []
-    for index, number in enumerate(scene.numbers):
-        if not scene.has_surface(number):
+    for index, number in enumerate(packed.numbers):
+        if not packed.has_surface(number):
             raise BadInput(f"{result.folder.root}: frame {number} has no depth; reconstruct with --to depth")
-        frames.append(_folded(scene.frame(index)))
+        frames.append(_folded(packed.frame(index)))
         on_frame()
-    setup = scene.setup(scene.numbers) | {"frames": frames}
+    setup = packed.setup(packed.numbers) | {"frames": frames}
     if "registered" in setup["surfaces"]:
-        setup["topology"] = _folded(scene.topology())
+        setup["topology"] = _folded(packed.topology())
     title = f"{Path(result.manifest.input.source).name}, {counted(len(frames))}"
-    write_text(path, scene_page(title, "file", setup))
+    write_text(path, scene.scene_page(title, "file", setup))
 
 
 def counted(frames: int) -> str:
@@ -112,7 +100,7 @@ class ResultViewer:
         self._reading = threading.Lock()  # one frame at a time, so that memory does not grow with pages
         self._server = LocalServer(
             options or ViewerOptions(),
-            scene_page(f"{name}, {counted(len(result.numbers))}", "view", setup),
+            scene.scene_page(f"{name}, {counted(len(result.numbers))}", "view", setup),
             {"/frame": self._frame, "/topology": self._topology},
         )
         self.address = self._server.address
@@ -169,7 +157,7 @@ class _ResultScene:
             "numbers": self.numbers,
             "surfaces": self.surfaces,
             "template": at,
-            "place": place_of(box for number in boxed for box in self._boxes(number)),
+            "place": scene.place_of(box for number in boxed for box in self._boxes(number)),
             "captured": result.picture(self.numbers[0]) is not None,
         } | ({} if track is None or track.sequence.uncertainty_px is None else {"lost_px": track.lost_px})
 
@@ -180,19 +168,19 @@ class _ResultScene:
 
     def frame(self, index: int, *, surface: str = "", grid_px: int | None = None) -> bytes:
         """Return a frame as a packet. surface: only this one; grid_px: longest side of its grid."""
-        number, packet = self.numbers[index], Packet()
+        number, packet = self.numbers[index], scene.Packet()
         header: dict[str, Any] = {"pictures": self._pictures(packet, number)}
         track = self._track
         if track is not None and surface != "own" and number in track.numbers:
             row, uncertainty = track.numbers.index(number), track.sequence.uncertainty_px
-            facts, steps = vertices_block(np.asarray(track.sequence.vertices[row])[self._thinned.kept])
+            facts, steps = scene.vertices_block(np.asarray(track.sequence.vertices[row])[self._thinned.kept])
             header["registered"] = {"at": packet.add(steps), **facts}
             if uncertainty is not None:
-                errors = errors_block(np.asarray(uncertainty[row])[self._thinned.kept], track.lost_px)
+                errors = scene.errors_block(np.asarray(uncertainty[row])[self._thinned.kept], track.lost_px)
                 header["registered"]["errors"] = packet.add(errors)
         depth_map = None if surface == "registered" and "registered" in header else self._depth(number)
         if depth_map is not None:
-            facts, steps = depth_block(
+            facts, steps = scene.depth_block(
                 depth_map, self._result.camera, self._stride(depth_map, grid_px), self._largest_step
             )
             header["own"] = {"at": packet.add(steps), **facts}
@@ -201,7 +189,7 @@ class _ResultScene:
     def topology(self) -> bytes:
         """Return the packet of what all frames of the registered surface share."""
         wires = thinned_template(self._thinned.mesh, _WIRE_VERTICES)
-        return mesh_packet(self._thinned.mesh, wires.mesh, wires.kept)
+        return scene.mesh_packet(self._thinned.mesh, wires.mesh, wires.kept)
 
     @cached_property
     def _track(self) -> TrackedSurface | None:
@@ -224,22 +212,22 @@ class _ResultScene:
 
     def _stride(self, depth_map: DepthMap, grid_px: int | None) -> int:
         if self._options is None:
-            return stride_to(depth_map.shape, grid_px or max(depth_map.shape))
+            return scene.stride_to(depth_map.shape, grid_px or max(depth_map.shape))
         return max(1, int(np.ceil(np.sqrt(depth_map.mask.sum() / self._options.vertices))))
 
     def _boxes(self, number: int) -> list[FloatArray]:
         depth_map, track = self._depth(number), self._track
-        boxes = [] if depth_map is None else [depth_box(depth_map, self._result.camera)]
+        boxes = [] if depth_map is None else [scene.depth_box(depth_map, self._result.camera)]
         if track is not None and number in track.numbers:
-            boxes.append(vertex_box(np.asarray(track.sequence.vertices[track.numbers.index(number)])))
+            boxes.append(scene.vertex_box(np.asarray(track.sequence.vertices[track.numbers.index(number)])))
         return boxes
 
-    def _pictures(self, packet: Packet, number: int) -> dict[str, Any]:
+    def _pictures(self, packet: scene.Packet, number: int) -> dict[str, Any]:
         """Add the frame's pictures; labels stay sharp, since mixed colours would mean other lights."""
         pictures = pictures_of_frame(self._result, number, ground=_GROUND, beside_normals=_GROUND)
         normal_map = self._result.normals(number)
         if normal_map is not None:
-            pictures["normals"] = normals_block(normal_map)
+            pictures["normals"] = scene.normals_block(normal_map)
         options, entries = self._options, {}
         for name, whole in pictures.items():
             if name == "normals" and options is None:

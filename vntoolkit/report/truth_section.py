@@ -11,49 +11,23 @@ import numpy as np
 from vntoolkit.arrays import FloatArray
 from vntoolkit.evaluation.angular_error import angular_error_map
 from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.pipeline import truth_comparison
 from vntoolkit.pipeline.opened_result import OpenedResult
-from vntoolkit.pipeline.truth_comparison import (
-    FrameComparison,
-    compare_with_truth,
-    light_errors_deg,
-    true_depth,
-    true_normals,
-)
+from vntoolkit.report import page, pictures
 from vntoolkit.report.mesh_views import View, picture_of
-from vntoolkit.report.page import (
-    PageFigure,
-    PageNumber,
-    PageSection,
-    PageTable,
-    figure_from_pixels,
-    figure_from_plot,
-)
-from vntoolkit.report.pictures import (
-    BLUE,
-    FAINT,
-    ErrorScale,
-    Picture,
-    cropped,
-    new_figure,
-    picture_of_depth,
-    picture_of_errors,
-    picture_of_normals,
-    report_style,
-    tiled,
-)
 
 _STRIP_PX = 340
-_SCALE = ErrorScale(most=30.0)
+_SCALE = pictures.ErrorScale(most=30.0)
 _VIEWS_DEG = (-50.0, -20.0, 20.0, 50.0)
 _VIEW_PX = 320
 
 
-def truth_section(result: OpenedResult, simulated: Path) -> PageSection:
+def truth_section(result: OpenedResult, simulated: Path) -> page.PageSection:
     """Return numbers and pictures of a result against the folder that `simulate` wrote."""
-    frames = list(compare_with_truth(result, simulated))
+    frames = list(truth_comparison.compare_with_truth(result, simulated))
     middle = result.numbers[len(result.numbers) // 2]
-    lights = light_errors_deg(result.rig.response, simulated)
-    return PageSection(
+    lights = truth_comparison.light_errors_deg(result.rig.response, simulated)
+    return page.PageSection(
         title="Against the truth",
         paragraphs=(
             "The footage was simulated, so the true normals and depth of every frame are known; the "
@@ -71,85 +45,91 @@ def truth_section(result: OpenedResult, simulated: Path) -> PageSection:
     )
 
 
-def _numbers(frames: Sequence[FrameComparison]) -> tuple[PageNumber, ...]:
+def _numbers(frames: Sequence[truth_comparison.FrameComparison]) -> tuple[page.PageNumber, ...]:
     median = float(np.median([frame.normals.median_deg for frame in frames]))
     mean = float(np.mean([frame.normals.mean_deg for frame in frames]))
     numbers = [
-        PageNumber(value=f"{median:.2f}°", label="median normal error"),
-        PageNumber(value=f"{mean:.2f}°", label="mean normal error"),
+        page.PageNumber(value=f"{median:.2f}°", label="median normal error"),
+        page.PageNumber(value=f"{mean:.2f}°", label="mean normal error"),
     ]
     depths = [frame.depth for frame in frames if frame.depth is not None]
     if depths:
         error_mm = 1000 * float(np.mean([depth.mean for depth in depths]))
         percent = float(np.mean([depth.mean_percent for depth in depths]))
         remark = f"{percent:.2f} % of the diagonal"
-        numbers.append(PageNumber(value=f"{error_mm:.1f} mm", label="mean depth error", remark=remark))
+        numbers.append(page.PageNumber(value=f"{error_mm:.1f} mm", label="mean depth error", remark=remark))
     return tuple(numbers)
 
 
-def _light_number(errors_deg: FloatArray) -> PageNumber:
-    return PageNumber(
+def _light_number(errors_deg: FloatArray) -> page.PageNumber:
+    return page.PageNumber(
         value=f"{errors_deg.max():.2f}°", label="worst row of M", remark="its angle to the true M's"
     )
 
 
-def _strip(result: OpenedResult, simulated: Path, number: int) -> PageFigure:
-    measured, truth = result.normals(number), true_normals(simulated, number)
+def _strip(result: OpenedResult, simulated: Path, number: int) -> page.PageFigure:
+    measured, truth = result.normals(number), truth_comparison.true_normals(simulated, number)
     assert measured is not None  # the frame is in result.numbers
     errors, both = angular_error_map(measured, truth)
-    pictures = [
-        picture_of_normals(measured),
-        picture_of_normals(truth),
-        picture_of_errors(errors, both, _SCALE),
+    shown = [
+        pictures.picture_of_normals(measured),
+        pictures.picture_of_normals(truth),
+        pictures.picture_of_errors(errors, both, _SCALE),
     ]
-    cut = cropped(pictures, measured.mask | truth.mask)
+    cut = pictures.cropped(shown, measured.mask | truth.mask)
     row = dict(zip(("normals found", "true normals", "angle between them"), cut, strict=True))
     caption = f"Frame {number}: the normals against the true ones; brighter is worse, white was not compared."
-    pixels = tiled([row], scale=_SCALE, height_px=_STRIP_PX)
-    return figure_from_pixels(pixels, caption, suffix=".webp", wide=True)
+    pixels = pictures.tiled([row], scale=_SCALE, height_px=_STRIP_PX)
+    return page.figure_from_pixels(pixels, caption, suffix=".webp", wide=True)
 
 
-def _relief_figure(result: OpenedResult, simulated: Path, number: int) -> tuple[PageFigure, ...]:
+def _relief_figure(result: OpenedResult, simulated: Path, number: int) -> tuple[page.PageFigure, ...]:
     depth = result.depth(number)
     if depth is None:
         return ()
-    truth = true_depth(simulated, number)
-    pictures = [picture_of_depth(depth, result.camera), picture_of_depth(truth, result.camera)]
-    row = dict(zip(("relief found", "true relief"), cropped(pictures, depth.mask | truth.mask), strict=True))
+    truth = truth_comparison.true_depth(simulated, number)
+    shown = [pictures.picture_of_depth(depth, result.camera), pictures.picture_of_depth(truth, result.camera)]
+    row = dict(
+        zip(("relief found", "true relief"), pictures.cropped(shown, depth.mask | truth.mask), strict=True)
+    )
     caption = f"Frame {number}: the surfaces through the depths, lit from the upper left."
-    return (figure_from_pixels(tiled([row], height_px=_STRIP_PX), caption, suffix=".webp", wide=True),)
+    return (
+        page.figure_from_pixels(
+            pictures.tiled([row], height_px=_STRIP_PX), caption, suffix=".webp", wide=True
+        ),
+    )
 
 
-def _mesh_figure(result: OpenedResult, number: int) -> tuple[PageFigure, ...]:
+def _mesh_figure(result: OpenedResult, number: int) -> tuple[page.PageFigure, ...]:
     mesh = result.mesh(number)
     if mesh is None:
         return ()
     row = {f"from {angle:+.0f}°": _seen_from(mesh, angle) for angle in _VIEWS_DEG}
     caption = f"Frame {number}: the mesh as the camera never saw it; angles around the upright axis."
-    return (figure_from_pixels(tiled([row]), caption, suffix=".webp", wide=True),)
+    return (page.figure_from_pixels(pictures.tiled([row]), caption, suffix=".webp", wide=True),)
 
 
-def _cumulative_figure(result: OpenedResult, simulated: Path, number: int) -> PageFigure:
+def _cumulative_figure(result: OpenedResult, simulated: Path, number: int) -> page.PageFigure:
     measured = result.normals(number)
     assert measured is not None  # the frame is in result.numbers
-    errors, both = angular_error_map(measured, true_normals(simulated, number))
+    errors, both = angular_error_map(measured, truth_comparison.true_normals(simulated, number))
     angles = np.sort(errors[both])
     shares = np.linspace(0, 100, len(angles))
     thinned = np.unique(np.linspace(0, len(angles) - 1, 400).astype(int))
-    with report_style():
-        figure = new_figure(5.2, 2.6)
+    with pictures.report_style():
+        figure = pictures.new_figure(5.2, 2.6)
         axes = figure.subplots()
-        axes.plot(angles[thinned], shares[thinned], color=BLUE)
+        axes.plot(angles[thinned], shares[thinned], color=pictures.BLUE)
         for limit in (5, 10, 20):
-            axes.axvline(limit, color=FAINT, lw=0.8, ls=":")
+            axes.axvline(limit, color=pictures.FAINT, lw=0.8, ls=":")
         axes.set_xlim(0, _SCALE.most)
         axes.set_ylim(0, 101)
         axes.set_xlabel("angle to the true normal, degrees")
         axes.set_ylabel("pixels below it, %")
-    return figure_from_plot(figure, f"Frame {number}: share of pixels below each error.")
+    return page.figure_from_plot(figure, f"Frame {number}: share of pixels below each error.")
 
 
-def _table(frames: Sequence[FrameComparison]) -> PageTable:
+def _table(frames: Sequence[truth_comparison.FrameComparison]) -> page.PageTable:
     rows = []
     for frame in frames:
         angles, depth = frame.normals, frame.depth
@@ -164,7 +144,7 @@ def _table(frames: Sequence[FrameComparison]) -> PageTable:
                 "" if depth is None else f"{depth.mean_percent:.2f}",
             )
         )
-    return PageTable(
+    return page.PageTable(
         headings=(
             "frame",
             "median °",
@@ -181,7 +161,7 @@ def _table(frames: Sequence[FrameComparison]) -> PageTable:
     )
 
 
-def _seen_from(mesh: Mesh, azimuth_deg: float) -> Picture:
+def _seen_from(mesh: Mesh, azimuth_deg: float) -> pictures.Picture:
     """Plain plaster: the captured colours would hide the shape."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     view = View(

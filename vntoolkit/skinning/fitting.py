@@ -15,12 +15,7 @@ from vntoolkit.geometry.garment_fit import GarmentFit, fit_similarity
 from vntoolkit.geometry.mesh import Mesh, face_normals
 from vntoolkit.geometry.motion import Motion, Skeleton, forward_kinematics
 from vntoolkit.geometry.rigid import RigidTransform, Similarity
-from vntoolkit.skinning.alignment import (
-    SleevedArm,
-    arms_in_sleeves,
-    rotation_between,
-    turned_into_sleeve,
-)
+from vntoolkit.skinning import alignment
 from vntoolkit.skinning.anatomy import (
     Anatomy,
     Arm,
@@ -118,7 +113,7 @@ class Fitting:
     rest_from_model: FloatArray
     regions: GarmentRegions
     arms: tuple[Arm, ...]
-    sleeved: tuple[SleevedArm, ...]
+    sleeved: tuple[alignment.SleevedArm, ...]
     rest_from_first: FloatArray
 
 
@@ -152,12 +147,12 @@ def fit_garment_to_figure(
             f"the figure has no arm for the garment's {side} sleeve: name its joints, as --map "
             f"{side}-upper-arm=JOINT --map {side}-forearm=JOINT; there are {', '.join(skeleton.names)}"
         )
-    sleeved = arms_in_sleeves(arms, regions.sleeves, skeleton, pose)
+    sleeved = alignment.arms_in_sleeves(arms, regions.sleeves, skeleton, pose)
     rest_from_first = np.tile(np.eye(4), (len(skeleton.names), 1, 1))
     is_given = bool(fit.pose) or fit.bind_frame is not None or bool(fit.landmarks)
     if options.arms is ArmPose.SLEEVES and not is_given:
         for one in sleeved:
-            rotations = turned_into_sleeve(one, skeleton, rotations, pose)
+            rotations = alignment.turned_into_sleeve(one, skeleton, rotations, pose)
             for joint, matrix in one.transforms(skeleton).items():
                 rest_from_first[joint] = matrix
         turns: dict[int, FloatArray] = {}
@@ -346,7 +341,7 @@ def arms_aimed_at_sleeves(
         threshold = np.quantile(outward[outward > 0], 1 - _CUFF_SHARE)
         cuff = vertices[outward >= threshold].mean(axis=0)
         if side * (cuff - start)[0] > 0 and np.linalg.norm(cuff - start) > _LEAST_REACH * reach:
-            turns[shoulder] = rotation_between(end - start, cuff - start)
+            turns[shoulder] = alignment.rotation_between(end - start, cuff - start)
     return turns
 
 
@@ -371,5 +366,5 @@ def legs_aimed_at_hems(
         side = int(start[0] > pose[0, 0, 3])
         target = np.array([*(hems[side][:2] - start[:2]), (end - start)[2]])
         if target[1] > 0:
-            turns[hip] = rotation_between(end - start, target)
+            turns[hip] = alignment.rotation_between(end - start, target)
     return turns

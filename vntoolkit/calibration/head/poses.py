@@ -16,12 +16,7 @@ from scipy import sparse
 from scipy.spatial.transform import Rotation, Slerp
 
 from vntoolkit.arrays import FloatArray, IntArray, Points, read_only
-from vntoolkit.calibration.head.colmap import (
-    SparseModel,
-    adjust_sparse_model,
-    camera_for_colmap,
-    colmap_from_pixels,
-)
+from vntoolkit.calibration.head import colmap
 from vntoolkit.calibration.head.tracks import Tracks
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
@@ -122,7 +117,7 @@ def solve_head_motion(
         poses, points, known = map_tracks(kept, camera, refine_focal=refine_focal)
     else:
         poses, points, known = _factorised(kept, camera)
-    model = adjust_sparse_model(kept, camera, poses, points, known, refine_focal=refine_focal)
+    model = colmap.adjust_sparse_model(kept, camera, poses, points, known, refine_focal=refine_focal)
     _require_rigid(model, kept)
     motion = _head_motion(model, np.flatnonzero(drawn))
     if motion.turn_deg < options.least_turn_deg:
@@ -149,7 +144,7 @@ def settle_head_motion(
     length is a guess. Returns the motion, and what takes the old head frame to its own; the old motion where
     too little agrees.
     """
-    model = adjust_sparse_model(
+    model = colmap.adjust_sparse_model(
         tracks,
         motion.camera,
         motion.camera_from_head,
@@ -187,7 +182,7 @@ def _seen_in_front(
     return nearer
 
 
-def _require_rigid(model: SparseModel, tracks: Tracks) -> None:
+def _require_rigid(model: colmap.SparseModel, tracks: Tracks) -> None:
     placed = np.array([pose is not None for pose in model.camera_from_head])
     if len(model.point) < max(_LEAST_POINTS, _LEAST_KEPT * tracks.point_count):
         raise BadCalibration(
@@ -207,7 +202,7 @@ def _require_rigid(model: SparseModel, tracks: Tracks) -> None:
         )
 
 
-def _head_motion(model: SparseModel, offered: npt.NDArray[np.int64]) -> HeadMotion:
+def _head_motion(model: colmap.SparseModel, offered: npt.NDArray[np.int64]) -> HeadMotion:
     """Interpolate what is missing and move the head frame to the reference frame's axes."""
     placed = [k for k, pose in enumerate(model.camera_from_head) if pose is not None]
     known = [pose for pose in model.camera_from_head if pose is not None]
@@ -527,7 +522,7 @@ def _write_database(path: Path, tracks: Tracks, rows: list[npt.NDArray[np.int64]
     import pycolmap
 
     with pycolmap.Database.open(path) as database:
-        camera_id = database.write_camera(camera_for_colmap(camera))
+        camera_id = database.write_camera(colmap.camera_for_colmap(camera))
         sensor = pycolmap.sensor_t(type=pycolmap.SensorType.CAMERA, id=camera_id)
         rig = pycolmap.Rig()
         rig.add_ref_sensor(sensor)
@@ -539,7 +534,9 @@ def _write_database(path: Path, tracks: Tracks, rows: list[npt.NDArray[np.int64]
             frame.rig_id = rig_id
             frame.add_data_id(pycolmap.data_t(sensor_id=sensor, id=images[-1]))
             database.write_frame(frame)
-            database.write_keypoints(images[-1], colmap_from_pixels(tracks.positions_px[own]).astype("f4"))
+            database.write_keypoints(
+                images[-1], colmap.colmap_from_pixels(tracks.positions_px[own]).astype("f4")
+            )
         for i, j in _pairs_of(tracks):
             _, a, b = np.intersect1d(tracks.point[rows[i]], tracks.point[rows[j]], return_indices=True)
             geometry = pycolmap.TwoViewGeometry()

@@ -23,20 +23,13 @@ from vntoolkit.arrays import Mask
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.atomic import write_bytes
 from vntoolkit.io.files import opened, require_pixels
-from vntoolkit.io.footage.mosaics import (
-    RAW_SUFFIXES,
-    Bayer,
-    SensorOptions,
-    is_raw,
-    read_raw,
-    rgb_from_mosaic,
-)
+from vntoolkit.io.footage import mosaics
 from vntoolkit.io.footage.orientation import UPRIGHT, Orientation
 from vntoolkit.io.maps_and_meshes import exr
 from vntoolkit.io.maps_and_meshes.exr import read_exr
 from vntoolkit.native import silenced_native_output
 
-SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".exr", *RAW_SUFFIXES)
+SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".exr", *mosaics.RAW_SUFFIXES)
 _LONGEST_HEADER = 32 << 20  # bytes; colour profiles and previews stand before the size in some files
 _PIECE_BYTES = 1 << 20
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -48,7 +41,7 @@ _MOST_PAGES = 64  # that are looked at; those of a damaged file may lead round i
 _PHOTOMETRIC, _BLACK_IS_ZERO, _MOSAIC = 262, 1, 32803
 _PHOTOMETRIC_READ = (_BLACK_IS_ZERO, 2, 3, _MOSAIC)  # 2: RGB, 3: palette
 _CFA_PATTERN = 33422
-_BAYER_BY_CODES = {bytes("rgb".index(colour) for colour in bayer.value): bayer for bayer in Bayer}
+_BAYER_BY_CODES = {bytes("rgb".index(colour) for colour in bayer.value): bayer for bayer in mosaics.Bayer}
 _PHOTOMETRIC_NAMES = {
     0: "grey with white as zero", 4: "a transparency mask", 5: "CMYK", 6: "YCbCr", 8: "CIELAB", 9: "ICCLAB",
     10: "ITULAB", 32844: "LogL", 32845: "LogLuv",
@@ -63,7 +56,7 @@ def read_image(
     path: Path | str,
     *,
     max_megapixels: float | None = None,
-    sensor: SensorOptions | None = None,
+    sensor: mosaics.SensorOptions | None = None,
     error: type[BadInput] = BadCapture,
 ) -> npt.NDArray[Any]:
     """Read an image as (h, w, 3) RGB, encoded values as stored: uint8, uint16 or float32 (EXR, float TIFF).
@@ -73,9 +66,9 @@ def read_image(
     `reading_limits`. sensor: how camera raw files and Bayer mosaics are read. Raises `error` with one line
     for a file that is missing, empty, damaged, too large, or holds NaN.
     """
-    sensor = sensor or SensorOptions()
-    if is_raw(path):
-        return read_raw(path, sensor.demosaic, max_megapixels=max_megapixels, error=error)[0]
+    sensor = sensor or mosaics.SensorOptions()
+    if mosaics.is_raw(path):
+        return mosaics.read_raw(path, sensor.demosaic, max_megapixels=max_megapixels, error=error)[0]
     colours, alpha = _decode(path, max_megapixels, error, sensor)
     if alpha is not None:
         _require_opaque(alpha, path, error)
@@ -167,7 +160,7 @@ def _decode(
     path: Path | str,
     max_megapixels: float | None,
     error: type[BadInput],
-    sensor: SensorOptions | None = None,
+    sensor: mosaics.SensorOptions | None = None,
 ) -> tuple[npt.NDArray[Any], npt.NDArray[Any] | None]:
     """Return the colours (h, w, 1) or (h, w, 3) in RGB order, and alpha (h, w) or None.
 
@@ -202,7 +195,7 @@ def _decode(
             raise error(f"{path}: --bayer needs one sample a pixel, got {pixels.shape[2]}; leave it out")
         if header.format == "TIFF" and header.orientation != UPRIGHT:  # the pattern would be turned with it
             raise error(f"{path}: is a Bayer mosaic that is to be shown turned; save it upright")
-        rgb = rgb_from_mosaic(pixels, bayer, sensor.demosaic, str(path))
+        rgb = mosaics.rgb_from_mosaic(pixels, bayer, sensor.demosaic, str(path))
         return header.orientation.upright(rgb), None
     if header.format != "TIFF":  # which OpenCV itself turns upright, and no other
         pixels = header.orientation.upright(pixels)
@@ -295,7 +288,7 @@ class ImageHeader:
     orientation: Orientation = UPRIGHT
     stated_transfer: str = ""
     mosaic_at: int = 0
-    bayer: Bayer | None = None
+    bayer: mosaics.Bayer | None = None
     stated_focal_px: float | None = None
 
 

@@ -24,16 +24,10 @@ from vntoolkit.checks import require_in_range
 from vntoolkit.errors import BadCapture, CannotWrite
 from vntoolkit.io.atomic import atomic_path
 from vntoolkit.io.files import require_file, require_pixels
+from vntoolkit.io.footage import pixel_formats
 from vntoolkit.io.footage.luma_detail import LumaDetail
 from vntoolkit.io.footage.mosaics import Bayer, Demosaic, SensorOptions, rgb_from_mosaic
 from vntoolkit.io.footage.orientation import UPRIGHT, Orientation
-from vntoolkit.io.footage.pixel_formats import (
-    PixelFormat,
-    mosaic_from_video_frame,
-    rgb_from_video_frame,
-    rgb_with_luma_detail,
-    yuv_conversion,
-)
 from vntoolkit.native import njit
 
 _HD_HEIGHT = 720
@@ -104,10 +98,10 @@ class VideoReader:
             self._stored_size = (int(context.width), int(context.height))
             self.codec = str(context.codec.name)
             self.stated_transfer = _TRANSFER_NAMES.get(int(context.color_trc or 0), "")
-            self.pixel_format = PixelFormat.from_av(context.format)
+            self.pixel_format = pixel_formats.PixelFormat.from_av(context.format)
             try:
                 hd = int(context.height) >= _HD_HEIGHT
-                self.conversion = yuv_conversion(context, self.pixel_format, hd=hd)
+                self.conversion = pixel_formats.yuv_conversion(context, self.pixel_format, hd=hd)
             except BadCapture as problem:
                 raise BadCapture(f"{self.path}: {problem}") from problem
             self._demosaic = (sensor or SensorOptions()).demosaic
@@ -286,13 +280,13 @@ class VideoReader:
         self._require_progressive(frame.interlaced_frame)
         try:
             if self._bayer is not None:
-                mosaic = mosaic_from_video_frame(frame, self.pixel_format)
+                mosaic = pixel_formats.mosaic_from_video_frame(frame, self.pixel_format)
                 return self.orientation.upright(rgb_from_mosaic(mosaic, self._bayer, self._demosaic))
             how: dict[str, bool] = {"hd": height >= _HD_HEIGHT, "takes_codes": self.takes_codes}
             if self._detail is not None:
-                rgb = rgb_with_luma_detail(frame, self.pixel_format, self._detail, **how)
+                rgb = pixel_formats.rgb_with_luma_detail(frame, self.pixel_format, self._detail, **how)
             else:
-                rgb = rgb_from_video_frame(frame, self.pixel_format, **how)
+                rgb = pixel_formats.rgb_from_video_frame(frame, self.pixel_format, **how)
             return self.orientation.upright(rgb)
         except av_errors() as error:
             raise self._damaged(number, f"its colours cannot be converted ({reason_of(error)})") from error

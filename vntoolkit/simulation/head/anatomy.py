@@ -12,14 +12,6 @@ from vntoolkit.arrays import Faces, FloatArray, IntArray, Points, read_only
 from vntoolkit.geometry.mesh import vertex_normals
 from vntoolkit.simulation.body.surface_nets import mesh_from_implicit
 from vntoolkit.simulation.head import sculpture
-from vntoolkit.simulation.head.sculpture import (
-    EYE_CENTRE,
-    EYE_RADIUS,
-    MOUTH_HALF_WIDTH,
-    MOUTH_HEIGHT,
-    hair_share,
-    hair_thickness,
-)
 
 SKIN, CAVITY, LID_RIM, EYES, UPPER_TEETH, LOWER_TEETH, TONGUE = range(7)
 _Piece = tuple[Points, Faces, IntArray, int]  # vertices, faces, owners, part
@@ -68,8 +60,8 @@ def build_head() -> Head:
     side = np.sign(vertices[:, 1] - lip_line(vertices[:, 0])).astype(np.int8)
     vertices, faces, slits = _cut_all(vertices, faces)
     side = np.concatenate([side, np.zeros(len(vertices) - len(side), dtype=np.int8)])
-    hair = hair_share(vertices)
-    shape = vertices + (hair_thickness(vertices) * hair)[:, None] * vertex_normals(vertices, faces)
+    hair = sculpture.hair_share(vertices)
+    shape = vertices + (sculpture.hair_thickness(vertices) * hair)[:, None] * vertex_normals(vertices, faces)
     for eye in slits[1:]:
         side[eye.upper], side[eye.lower] = 1, 1
     side[slits[0].upper[1:-1]], side[slits[0].lower[1:-1]] = 1, -1
@@ -251,13 +243,13 @@ def extrude_slit(
     rim, size, half = shape[loop], len(loop), len(slit.upper)
     rings = []
     if eye is None:
-        almond = np.sqrt(np.clip(1.0 - (rim[:, 0] / MOUTH_HALF_WIDTH) ** 2, 0.0, 1.0))
+        almond = np.sqrt(np.clip(1.0 - (rim[:, 0] / sculpture.MOUTH_HALF_WIDTH) ** 2, 0.0, 1.0))
         up = np.where(np.arange(size) < half, 1.0, -1.0) * almond
         for opening, depth in _POCKET_RINGS:
             rings.append(rim + np.stack([0 * up, opening * up, depth * (0.25 + 0.75 * almond)], axis=1))
     else:
         outward = (rim - eye) / np.linalg.norm(rim - eye, axis=1, keepdims=True)
-        rings = [eye + radius * EYE_RADIUS * outward for radius in _LID_RINGS]
+        rings = [eye + radius * sculpture.EYE_RADIUS * outward for radius in _LID_RINGS]
     here = np.arange(size)
     following = (here + 1) % size
     faces = []
@@ -288,10 +280,12 @@ def eyeball(side: float) -> tuple[Points, Faces]:
     angle, about = np.meshgrid(tilt, turn, indexing="ij")
     bulge = 1.0 + 0.045 * np.clip(1.0 - (angle / 0.50) ** 2, 0.0, 1.0)
     ball = np.stack([np.sin(angle) * np.cos(about), np.sin(angle) * np.sin(about), np.cos(angle)], axis=-1)
-    points = np.concatenate([[[0.0, 0.0, 1.045]], (bulge[..., None] * ball).reshape(-1, 3)]) * EYE_RADIUS
+    points = (
+        np.concatenate([[[0.0, 0.0, 1.045]], (bulge[..., None] * ball).reshape(-1, 3)]) * sculpture.EYE_RADIUS
+    )
     faces = 1 + _sheet_faces(len(tilt), len(turn), around=True)
     tip = np.stack([np.zeros(64, dtype=int), 1 + np.arange(64), 1 + (np.arange(64) + 1) % 64], axis=1)
-    return points + np.array(EYE_CENTRE) * [side, 1.0, 1.0], np.concatenate([tip, faces])
+    return points + np.array(sculpture.EYE_CENTRE) * [side, 1.0, 1.0], np.concatenate([tip, faces])
 
 
 def teeth(upper: float) -> tuple[Points, Faces]:
@@ -302,8 +296,8 @@ def teeth(upper: float) -> tuple[Points, Faces]:
     edge = np.clip((height - 0.8) / 0.2, 0.0, 1.0)
     radius = (0.93 + 0.07 * gap)[None, :] * (1.0 - 0.08 * edge**2)[:, None]
     size = (2.55, 3.25) if upper > 0 else (2.40, 2.95)
-    root = MOUTH_HEIGHT + (1.1 if upper > 0 else -1.35)
-    tip = MOUTH_HEIGHT + (-0.38 if upper > 0 else -0.42)
+    root = sculpture.MOUTH_HEIGHT + (1.1 if upper > 0 else -1.35)
+    tip = sculpture.MOUTH_HEIGHT + (-0.38 if upper > 0 else -0.42)
     y = root + (tip - root) * height[:, None] * (0.88 + 0.12 * gap)[None, :]
     x, z = size[0] * radius * np.sin(arc), 4.95 + size[1] * radius * np.cos(arc)
     faces = _sheet_faces(len(height), len(arc), around=False)
@@ -315,7 +309,7 @@ def tongue() -> tuple[Points, Faces]:
     tilt, turn = np.linspace(0.02, np.pi - 0.02, 24), np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
     angle, about = np.meshgrid(tilt, turn, indexing="ij")
     ball = np.stack([np.sin(angle) * np.cos(about), np.sin(angle) * np.sin(about), np.cos(angle)], axis=-1)
-    points = ball.reshape(-1, 3) * [1.7, 0.55, 2.1] + [0.0, MOUTH_HEIGHT - 0.85, 5.5]
+    points = ball.reshape(-1, 3) * [1.7, 0.55, 2.1] + [0.0, sculpture.MOUTH_HEIGHT - 0.85, 5.5]
     return points, _sheet_faces(len(tilt), len(turn), around=True)
 
 
