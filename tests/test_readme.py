@@ -52,7 +52,7 @@ def test_every_verb_that_the_readme_names_is_there() -> None:
     for verb, second in re.findall(r"(?m)^vntoolkit ([a-z]+)(?: ([a-z]+))?", "\n".join(printed)):
         assert verb in VERBS or verb in GROUPS, f"README.md names `vntoolkit {verb}`"
         if verb in GROUPS and second:
-            assert second in GROUPS[verb][1], f"README.md names `vntoolkit {verb} {second}`"
+            assert f"{verb} {second}" in VERBS, f"README.md names `vntoolkit {verb} {second}`"
 
 
 SAMPLE = """# Title

@@ -69,7 +69,7 @@ def test_every_verb_that_a_page_names_is_there(page: Path) -> None:
     for verb, second in re.findall(r"(?m)^vntoolkit ([a-z]+)(?: ([a-z]+))?", printed):
         assert verb in VERBS or verb in GROUPS, f"{page.name} names `vntoolkit {verb}`"
         if verb in GROUPS and second:
-            assert second in GROUPS[verb][1], f"{page.name} names `vntoolkit {verb} {second}`"
+            assert f"{verb} {second}" in VERBS, f"{page.name} names `vntoolkit {verb} {second}`"
 
 
 def test_the_licences_are_those_of_the_lock() -> None:

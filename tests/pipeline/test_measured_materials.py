@@ -83,15 +83,15 @@ def test_moving_stripes_leave_no_seam(striped: ReconstructionJob) -> None:
     assert nearest.min(axis=1).max() < 0.04
     normals, mask = dome()
     for number in (0, FRAMES - 1):
-        found = read_normal_map(striped.folder.normals(number))
-        labels = nearest.argmin(axis=1)[read_materials(striped.folder.materials(number))]
+        found = read_normal_map(striped.folder.file("normals", number))
+        labels = nearest.argmin(axis=1)[read_materials(striped.folder.file("materials", number))]
         assert np.mean(labels[mask] == stripes(number)[mask]) > 0.98
         assert angles_between_deg(found.normals_in_camera[mask], normals[mask]).mean() < 2.5
 
 
 def test_a_run_goes_on_with_the_materials_that_it_found(striped: ReconstructionJob) -> None:
     before = digest(striped.folder.root)
-    striped.folder.materials(3).unlink()
+    striped.folder.file("materials", 3).unlink()
     assert reconstruct(striped).done == 1
     assert digest(striped.folder.root) == before
 
@@ -155,7 +155,7 @@ def test_the_rigs_own_material_gives_the_bytes_of_calibrated(tmp_path: Path) -> 
 def test_meshes_have_the_colour_of_their_material(striped: ReconstructionJob) -> None:
     job = into(filmed(striped.folder.root.parent, PAINTS, 1), "mesh", to=Product.MESH)
     reconstruct(replace(job, source=str(job.folder.root.parent / "frame_00.png")))
-    colours = read_mesh(job.folder.mesh(0)).colours
+    colours = read_mesh(job.folder.file("mesh", 0)).colours
     assert colours is not None
     assert len(np.unique(np.round(colours, 2), axis=0)) == 2
 

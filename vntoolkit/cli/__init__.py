@@ -15,107 +15,51 @@ from cyclopts import App, Parameter
 from vntoolkit import __version__
 from vntoolkit.cli.flags import require_finite, require_new_outputs
 
-# verb -> (where it lives, the line that `vntoolkit --help` shows)
-VERBS: dict[str, tuple[str, str]] = {
-    "demo": ("vntoolkit.cli.demo:demo", "Run the whole chain on a simulated capture and write a report."),
-    "rectify": (
-        "vntoolkit.cli.calibrate:rectify",
-        "Resample footage of a tilted plane to square pixels.",
-    ),
-    "circles": (
-        "vntoolkit.cli.circles:circles",
-        "Find the contact circles of presses of a tactile gel, and correct them.",
-    ),
-    "board": ("vntoolkit.cli.board:board", "Write the calibration board as a PDF, to scale."),
-    "simulate": (
-        "vntoolkit.cli.simulate:simulate",
-        "Simulate a capture with ground truth.",
-    ),
-    "doctor": (
-        "vntoolkit.cli.doctor:doctor",
-        "Check the libraries, or check footage for faults that spoil normals.",
-    ),
-    "schema": ("vntoolkit.cli.schema:schema", "Print the JSON schema of rig.json or reconstruction.json."),
-    "data": ("vntoolkit.cli.schema:data", "Copy a file that the package ships, such as walk.bvh."),
-    "reconstruct": (
-        "vntoolkit.cli.reconstruct:reconstruct",
-        "Compute normals, depth and meshes from footage and a rig.",
-    ),
-    "track": ("vntoolkit.cli.track:track", "Register all frames of a reconstruction to one mesh."),
-    "session": (
-        "vntoolkit.cli.session:session",
-        "Reconstruct and track many captures, on one machine or several.",
-    ),
-    "view": (
-        "vntoolkit.cli.view:view",
-        "Show results in a browser, or write them as one HTML page.",
-    ),
-    "export": (
-        "vntoolkit.cli.export:export",
-        "Convert results to PLY, OBJ, USD, GLB, NPZ or DiLiGenT's format.",
-    ),
-    "report": (
-        "vntoolkit.cli.report:report",
-        "Write an HTML report on the quality of a reconstruction.",
-    ),
-    "live": ("vntoolkit.cli.live:live", "Show normals and the surface of a camera live."),
-    "dress": ("vntoolkit.cli.dress:run", "Put a tracked garment on a skeleton animated by motion capture."),
+# verb -> the line that `vntoolkit --help` shows
+VERBS: dict[str, str] = {
+    "demo": "Run the whole chain on a simulated capture and write a report.",
+    "rectify": "Resample footage of a tilted plane to square pixels.",
+    "circles": "Find the contact circles of presses of a tactile gel, and correct them.",
+    "board": "Write the calibration board as a PDF, to scale.",
+    "simulate": "Simulate a capture with ground truth.",
+    "doctor": "Check the libraries, or check footage for faults that spoil normals.",
+    "schema": "Print the JSON schema of rig.json or reconstruction.json.",
+    "data": "Copy a file that the package ships, such as walk.bvh.",
+    "reconstruct": "Compute normals, depth and meshes from footage and a rig.",
+    "track": "Register all frames of a reconstruction to one mesh.",
+    "session": "Reconstruct and track many captures, on one machine or several.",
+    "view": "Show results in a browser, or write them as one HTML page.",
+    "export": "Convert results to PLY, OBJ, USD, GLB, NPZ or DiLiGenT's format.",
+    "report": "Write an HTML report on the quality of a reconstruction.",
+    "live": "Show normals and the surface of a camera live.",
+    "dress": "Put a tracked garment on a skeleton animated by motion capture.",
+    "calibrate sphere": "Calibrate on a matte ball of the material.",
+    "calibrate board": "Calibrate on the printed board with the material in its hole.",
+    "calibrate head": "Calibrate on a bare head that turns left and right.",
+    "calibrate lights": "Compute a rig from known light directions.",
+    "calibrate presses": "Calibrate a tactile sensor on a ball pressed into its gel.",
+    "recipe list": "List the recipes.",
+    "recipe run": "Run one recipe or all; list each number beside the paper's.",
+    "evaluate normals": "Measure the angles between normal maps.",
+    "evaluate mesh": "Measure the distances between two meshes, and their quality.",
+    "evaluate cylinder": "Compare the normals of a cylinder with one fitted cylinder.",
+    "evaluate tracks": "Compare tracked vertices with the simulator's.",
+    "evaluate integration": "Measure every integrator on surfaces of known depth.",
 }
 
-GROUPS: dict[str, tuple[str, dict[str, tuple[str, str]]]] = {
-    "calibrate": (
-        "Fit a rig (camera and light response) to footage of a calibration object.",
-        {
-            "sphere": ("vntoolkit.cli.calibrate:sphere", "Calibrate on a matte ball of the material."),
-            "board": (
-                "vntoolkit.cli.calibrate:board",
-                "Calibrate on the printed board with the material in its hole.",
-            ),
-            "head": (
-                "vntoolkit.cli.calibrate:head",
-                "Calibrate on a bare head that turns left and right.",
-            ),
-            "lights": ("vntoolkit.cli.calibrate:lights", "Compute a rig from known light directions."),
-            "presses": (
-                "vntoolkit.cli.calibrate:presses",
-                "Calibrate a tactile sensor on a ball pressed into its gel.",
-            ),
-        },
-    ),
-    "recipe": (
-        "Reproduce the paper's figures and tables.",
-        {
-            "list": ("vntoolkit.cli.recipe:list_", "List the recipes."),
-            "run": (
-                "vntoolkit.cli.recipe:run",
-                "Run one recipe or all; list each number beside the paper's.",
-            ),
-        },
-    ),
-    "evaluate": (
-        "Compare results with ground truth.",
-        {
-            "normals": (
-                "vntoolkit.cli.evaluate:normals",
-                "Measure the angles between normal maps.",
-            ),
-            "mesh": (
-                "vntoolkit.cli.evaluate:mesh",
-                "Measure the distances between two meshes, and their quality.",
-            ),
-            "cylinder": (
-                "vntoolkit.cli.evaluate:cylinder",
-                "Compare the normals of a cylinder with one fitted cylinder.",
-            ),
-            "tracks": ("vntoolkit.cli.evaluate:tracks", "Compare tracked vertices with the simulator's."),
-            "integration": (
-                "vntoolkit.cli.evaluate:integration",
-                "Measure every integrator on surfaces of known depth.",
-            ),
-        },
-    ),
+GROUPS: dict[str, str] = {
+    "calibrate": "Fit a rig (camera and light response) to footage of a calibration object.",
+    "recipe": "Reproduce the paper's figures and tables.",
+    "evaluate": "Compare results with ground truth.",
 }
 
+# verb -> module and function, where these are not the first and the last word of its name
+_ELSEWHERE = {
+    "rectify": "calibrate:rectify",
+    "data": "schema:data",
+    "dress": "dress:run",
+    "recipe list": "recipe:list_",
+}
 
 # What `--help` ends with: a call that works on one's own files.
 EXAMPLES: dict[str, str] = {
@@ -169,13 +113,17 @@ def build_app(arguments: Sequence[str] = ()) -> App:
         print_error=False,
         suppress_keyboard_interrupt=False,  # `main` prints how to continue
     )
-    for verb, (target, line) in VERBS.items():
-        app.command(target, name=verb, help=None if arguments[:1] == [verb] else line, **_epilogue(verb))
-    for group, (line, verbs) in GROUPS.items():
-        sub = App(name=group, help=line, help_format="markdown", version_flags=())
-        for verb, (target, verb_line) in verbs.items():
-            help_line = None if arguments[:2] == [group, verb] else verb_line
-            sub.command(target, name=verb, help=help_line, **_epilogue(f"{group} {verb}"))
+    groups = {
+        group: App(name=group, help=line, help_format="markdown", version_flags=())
+        for group, line in GROUPS.items()
+    }
+    for verb, line in VERBS.items():
+        *group, name = verb.split()
+        target = f"vntoolkit.cli.{_ELSEWHERE.get(verb, f'{verb.split()[0]}:{name}')}"
+        shown = None if list(arguments[: len(group) + 1]) == verb.split() else line
+        parent = groups[group[0]] if group else app
+        parent.command(target, name=name, help=shown, help_epilogue=f"Example: `{EXAMPLES[verb]}`")
+    for sub in groups.values():
         app.command(sub)
     return app
 
@@ -186,10 +134,6 @@ def run_verb(arguments: Sequence[str]) -> Any:
     verb, bound, _ = app.parse_args(arguments, exit_on_error=False, print_error=False)
     require_new_outputs(bound)
     return verb(*bound.args, **bound.kwargs)
-
-
-def _epilogue(verb: str) -> dict[str, str]:
-    return {"help_epilogue": f"Example: `{EXAMPLES[verb]}`"}
 
 
 def _shown_default(value: Any) -> str | None:

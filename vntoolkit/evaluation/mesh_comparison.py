@@ -228,7 +228,11 @@ def align_mesh(
         distances, nearest = tree.query(moved)
         kept = distances <= np.quantile(distances, _KEPT_SHARE)
         step = _step(moved[kept], targets[nearest[kept]], normals[nearest[kept]], options.free)
-        motion = _after(step, motion)
+        rigid = RigidTransform(
+            rotation=step.rigid.rotation @ motion.rigid.rotation,
+            translation=step.apply(motion.rigid.translation),
+        )
+        motion = Similarity(scale=step.scale * motion.scale, rigid=rigid)
         cost = float(distances[kept].mean())
         if abs(last - cost) <= 1e-7 * cost:
             break
@@ -258,15 +262,6 @@ def _step(points: Points, targets: Points, normals: Points, free: Alignment) -> 
     scale = 1.0 + (float(solution[6]) / size if free is Alignment.SIMILARITY else 0.0)
     translation = centre + solution[3:6] - scale * rotation @ centre
     return Similarity(scale=scale, rigid=RigidTransform(rotation=rotation, translation=translation))
-
-
-def _after(step: Similarity, before: Similarity) -> Similarity:
-    """Return the motion that applies `before`, then `step`."""
-    rigid = RigidTransform(
-        rotation=step.rigid.rotation @ before.rigid.rotation,
-        translation=step.apply(before.rigid.translation),
-    )
-    return Similarity(scale=step.scale * before.scale, rigid=rigid)
 
 
 @dataclass(frozen=True, kw_only=True)

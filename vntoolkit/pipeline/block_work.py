@@ -82,19 +82,18 @@ class ReconstructionJob:
     limits: ReadingLimits = field(default_factory=reading_limits)
 
     @property
-    def has_labels(self) -> bool:
-        """True where visibility labels are written beside the normals."""
-        return self.options.shadows is not ShadowMethod.NONE
-
-    @property
-    def has_materials(self) -> bool:
-        """True where labels of materials are written beside the normals."""
-        return bool(self.reflectances)
-
-    @property
-    def has_contact(self) -> bool:
-        """True where contact masks are written: of a tactile gel whose depth is computed."""
-        return self.rig.gel is not None and self.options.to is not Product.NORMALS
+    def folders(self) -> list[str]:
+        """The folders that hold a file of every finished frame."""
+        has_depth = self.options.to is not Product.NORMALS
+        written = {
+            "normals": True,
+            "depth": has_depth,
+            "mesh": self.options.to is Product.MESH,
+            "shadows": self.options.shadows is not ShadowMethod.NONE,
+            "contact": has_depth and self.rig.gel is not None,
+            "materials": bool(self.reflectances),
+        }
+        return [kind for kind, is_written in written.items() if is_written]
 
     @property
     def ties_depth(self) -> bool:

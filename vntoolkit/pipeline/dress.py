@@ -291,12 +291,13 @@ def dress(
     clock = clock_from_recordings(cloth, motion, options.clock)
     played = resampled_motion(motion, clock.motion_s, clock.frame_rate_hz)
     skeleton = motion.skeleton
+    frames = np.unique(np.linspace(0, len(played) - 1, _WEB_SAMPLES).round().astype(int))
     weights, faces = weights_without_web(
         attached,
         skeleton,
         fitting.rest_from_model,
         options.weights,
-        poses=_sampled_poses(played),
+        poses=np.stack([pose_of_frame(played, int(frame)) for frame in frames]),
         max_stretch=options.max_stretch,
         cover=_cover(fitting, skeleton),
     )
@@ -386,11 +387,6 @@ def floor_height(motion: Motion) -> float:
     moments = np.unique(np.linspace(0, len(motion) - 1, _FLOOR_SAMPLES).round().astype(int))
     poses = (pose_of_frame(motion, int(moment)) for moment in moments)
     return max(float(bone_segments(motion.skeleton, pose)[2][:, 1].max()) for pose in poses)
-
-
-def _sampled_poses(motion: Motion) -> FloatArray:
-    frames = np.unique(np.linspace(0, len(motion) - 1, _WEB_SAMPLES).round().astype(int))
-    return np.stack([pose_of_frame(motion, int(frame)) for frame in frames])
 
 
 def _upright(motion: Motion, up_axis: MotionUpAxis) -> Motion:
@@ -592,7 +588,7 @@ def _as_captured(cloth: MeshSequence, track: Path) -> MeshSequence:
         template = replace(template, uv=uv_in_picture(recorded_camera(record).without_distortion(), vertices))
     texture = read_texture(track)
     albedo = None if texture is None else texture.colours(template)
-    own = ReconstructionFolder(root=track.parent).mesh(record["template"])
+    own = ReconstructionFolder(root=track.parent).file("mesh", record["template"])
     if albedo is not None:
         template = replace(template, colours=albedo)
     elif template.colours is None and own.exists():

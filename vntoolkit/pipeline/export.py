@@ -375,7 +375,7 @@ def numbers_with_mesh(result: OpenedResult, track: TrackedSurface | None) -> tup
         opened = set(result.numbers)
         found = tuple(number for number in track.numbers if number in opened)
     else:
-        found = tuple(number for number in result.numbers if result.folder.mesh(number).exists())
+        found = tuple(number for number in result.numbers if result.folder.has(number, "mesh"))
     if not found:
         root = result.folder.root
         raise BadInput(f"{root}: holds no mesh of those frames; run `vntoolkit reconstruct --to mesh`")
@@ -423,7 +423,7 @@ class FrameExport(ABC):
 
     def sources(self, number: int) -> list[Path]:
         """Return the files of the result that the frame is made from."""
-        return [self.result.folder.normals(number)]
+        return [self.result.folder.file("normals", number)]
 
     def is_current(self, out: Path, number: int) -> bool:
         """Whether the frame was exported, and is not older than what it is made from."""
@@ -469,7 +469,7 @@ class _Meshes(FrameExport):
     def sources(self, number: int) -> list[Path]:
         if self.track is not None:
             return [self.result.folder.root / "track" / "vertices.npy"]
-        return [self.result.folder.mesh(number)]
+        return [self.result.folder.file("mesh", number)]
 
     def write(self, out: Path, number: int) -> None:
         if self.track is None:
@@ -508,14 +508,14 @@ class _PointClouds(FrameExport):
         self._factor = file_lengths(options, result.length_unit).factor
 
     def numbers(self) -> tuple[int, ...]:
-        found = tuple(n for n in self.result.numbers if self.result.folder.depth(n).exists())
+        found = tuple(n for n in self.result.numbers if self.result.folder.has(n, "depth"))
         if not found:
             root = self.result.folder.root
             raise BadInput(f"{root}: holds no depth of those frames; run `vntoolkit reconstruct --to depth`")
         return found
 
     def sources(self, number: int) -> list[Path]:
-        return [self.result.folder.normals(number), self.result.folder.depth(number)]
+        return [self.result.folder.file(kind, number) for kind in ("normals", "depth")]
 
     def write(self, out: Path, number: int) -> None:
         depth_map = self.result.depth(number)
@@ -552,8 +552,7 @@ class _Arrays(FrameExport):
         self.factor = file_lengths(options, result.length_unit).factor
 
     def sources(self, number: int) -> list[Path]:
-        folder = self.result.folder
-        return [folder.normals(number), folder.depth(number), folder.shadows(number), folder.mesh(number)]
+        return [self.result.folder.file(kind, number) for kind in ("normals", "depth", "shadows", "mesh")]
 
     def write(self, out: Path, number: int) -> None:
         write_npz(self.place(out, number), arrays_of_frame(self.result, number, self.options, self.factor))
@@ -642,19 +641,15 @@ def arrays_of_frame(
         arrays["depth_error_percent"] = depth_map.error_percent
     mesh = result.mesh(number)
     if mesh is not None:
-        arrays |= _mesh_arrays(mesh, factor, options)
+        normals = None if mesh.normals is None else graphics_from_camera(mesh.normals, options.up)
+        arrays |= {
+            "vertices": (graphics_from_camera(mesh.vertices, options.up) * factor).astype(np.float32),
+            "faces": mesh.faces,
+            "vertex_normals": None if normals is None else normals.astype(np.float32),
+            "vertex_colours": mesh.colours,
+            "uv": mesh.uv,
+        }
     return {name: np.asarray(values) for name, values in arrays.items() if values is not None}
-
-
-def _mesh_arrays(mesh: Mesh, factor: float, options: ExportOptions) -> dict[str, Any]:
-    normals = None if mesh.normals is None else graphics_from_camera(mesh.normals, options.up)
-    return {
-        "vertices": (graphics_from_camera(mesh.vertices, options.up) * factor).astype(np.float32),
-        "faces": mesh.faces,
-        "vertex_normals": None if normals is None else normals.astype(np.float32),
-        "vertex_colours": mesh.colours,
-        "uv": mesh.uv,
-    }
 
 
 def write_tracked_npz(

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -39,6 +41,7 @@ from vntoolkit.pipeline.tracked_folder import (
 )
 
 logger = logging.getLogger(__name__)
+Content = TypeVar("Content")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,33 +99,31 @@ class OpenedResult:
 
     def normals(self, number: int) -> NormalMap | None:
         """Read a frame's normals."""
-        path = self.folder.normals(number)
-        return read_normal_map(path) if path.exists() else None
+        return self._read("normals", number, read_normal_map)
 
     def depth(self, number: int) -> DepthMap | None:
         """Read a frame's depth."""
-        path = self.folder.depth(number)
-        return read_depth_map(path) if path.exists() else None
+        return self._read("depth", number, read_depth_map)
 
     def labels(self, number: int) -> VisibilityLabels | None:
         """Read a frame's visibility labels."""
-        path = self.folder.shadows(number)
-        return read_labels(path) if path.exists() else None
+        return self._read("shadows", number, read_labels)
 
     def materials(self, number: int) -> npt.NDArray[np.uint8] | None:
         """Read the number of the material of each pixel; None where the subject is of the rig's alone."""
-        path = self.folder.materials(number)
-        return read_materials(path) if path.exists() else None
+        return self._read("materials", number, read_materials)
 
     def mesh(self, number: int) -> Mesh | None:
         """Read a frame's own mesh, before registration."""
-        path = self.folder.mesh(number)
-        return read_mesh(path) if path.exists() else None
+        return self._read("mesh", number, read_mesh)
+
+    def _read(self, kind: str, number: int, reader: Callable[[Path], Content]) -> Content | None:
+        return reader(self.folder.file(kind, number)) if self.folder.has(number, kind) else None
 
     @cached_property
     def length_unit(self) -> LengthUnit | None:
         """What a length of 1 in depth and meshes means; None where there is no depth."""
-        depths = (self.depth(number) for number in self.numbers if self.folder.depth(number).exists())
+        depths = (self.depth(number) for number in self.numbers if self.folder.has(number, "depth"))
         first = next(depths, None)
         return None if first is None else first.unit
 

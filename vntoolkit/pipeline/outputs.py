@@ -13,7 +13,12 @@ from vntoolkit.io.maps_and_meshes.maps import write_depth_map, write_normal_map
 from vntoolkit.io.maps_and_meshes.meshes import write_mesh
 from vntoolkit.materials.pixels import MaterialLabels
 from vntoolkit.pipeline.contact import Contact
-from vntoolkit.pipeline.options import Product
+
+# folder -> suffix of a frame's file in it
+FRAME_FILES = {
+    "normals": ".exr", "depth": ".exr", "mesh": ".ply",
+    "shadows": ".png", "contact": ".png", "materials": ".png",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,62 +45,25 @@ class ReconstructionFolder:
 
     root: Path
 
-    def normals(self, number: int) -> Path:
-        """Return the file of a frame's normals."""
-        return self.root / "normals" / f"{number:06d}.exr"
+    def file(self, kind: str, number: int) -> Path:
+        """Return the file of a frame in one of the folders of `FRAME_FILES`."""
+        return self.root / kind / f"{number:06d}{FRAME_FILES[kind]}"
 
-    def depth(self, number: int) -> Path:
-        """Return the file of a frame's depth."""
-        return self.root / "depth" / f"{number:06d}.exr"
-
-    def shadows(self, number: int) -> Path:
-        """Return the file of a frame's visibility labels."""
-        return self.root / "shadows" / f"{number:06d}.png"
-
-    def contact(self, number: int) -> Path:
-        """Return the file of a frame's contact mask, of a tactile gel."""
-        return self.root / "contact" / f"{number:06d}.png"
-
-    def materials(self, number: int) -> Path:
-        """Return the file of a frame's material labels."""
-        return self.root / "materials" / f"{number:06d}.png"
-
-    def mesh(self, number: int) -> Path:
-        """Return the file of a frame's mesh."""
-        return self.root / "mesh" / f"{number:06d}.ply"
-
-    def files(
-        self,
-        number: int,
-        product: Product,
-        has_labels: bool,
-        has_contact: bool = False,
-        has_materials: bool = False,
-    ) -> list[Path]:
-        """Return the files that a finished frame has."""
-        files = [self.normals(number)]
-        if product is not Product.NORMALS:
-            files.append(self.depth(number))
-        if product is Product.MESH:
-            files.append(self.mesh(number))
-        if has_labels:
-            files.append(self.shadows(number))
-        if has_contact:
-            files.append(self.contact(number))
-        if has_materials:
-            files.append(self.materials(number))
-        return files
+    def has(self, number: int, *kinds: str) -> bool:
+        """Whether a frame has a file in each of these folders."""
+        return all(self.file(kind, number).exists() for kind in kinds)
 
     def write(self, result: FrameResult) -> None:
         """Write a frame's results, each file atomically."""
-        write_normal_map(self.normals(result.number), result.normal_map)
+        number = result.number
+        write_normal_map(self.file("normals", number), result.normal_map)
         if result.depth_map is not None:
-            write_depth_map(self.depth(result.number), result.depth_map)
+            write_depth_map(self.file("depth", number), result.depth_map)
         if result.labels is not None:
-            write_labels(self.shadows(result.number), result.labels)
+            write_labels(self.file("shadows", number), result.labels)
         if result.contact is not None:
-            write_mask(self.contact(result.number), result.contact.mask)
+            write_mask(self.file("contact", number), result.contact.mask)
         if result.materials is not None:
-            write_materials(self.materials(result.number), result.materials)
+            write_materials(self.file("materials", number), result.materials)
         if result.mesh is not None:
-            write_mesh(self.mesh(result.number), result.mesh)
+            write_mesh(self.file("mesh", number), result.mesh)

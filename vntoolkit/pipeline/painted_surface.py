@@ -82,7 +82,7 @@ class PaintedSurface:
 
     def mask(self, number: int) -> Mask:
         """Return (h, w), the pixels that have normals in the reconstruction. Raises `BadCapture`."""
-        if not self._source.folder.normals(number).exists():
+        if not self._source.folder.has(number, "normals"):
             raise BadCapture(f"frame {number}: has no normals in {self._source.folder.root}")
         return self._source.normals(number).mask
 

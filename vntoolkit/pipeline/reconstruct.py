@@ -50,6 +50,7 @@ from vntoolkit.pipeline.block_work import Block, BlockWorker, ReconstructionJob
 from vntoolkit.pipeline.cluster import require_scheduler, run_blocks_on_cluster
 from vntoolkit.pipeline.measured_materials import measured_materials, seeks_materials
 from vntoolkit.pipeline.options import SENSOR_PREFIX, MaterialSearch, option_values
+from vntoolkit.pipeline.outputs import FRAME_FILES
 from vntoolkit.pipeline.painted_surface import TrackedReflectance
 from vntoolkit.pipeline.processes import shared_out
 from vntoolkit.shadows.detector import ShadowMethod
@@ -63,14 +64,6 @@ _LARGE_ERROR_DEG = 20.0  # in the median, as of pixels that one light hardly rea
 _DIGITS_OF_NEARNESS = 4
 _DIGITS_OF_BLUR = 2
 _SEAM_PX = 5  # to either side, within which a seam rules out judging a pixel
-_FOLDERS = {
-    "normals": ".exr",
-    "depth": ".exr",
-    "shadows": ".png",
-    "mesh": ".ply",
-    "contact": ".png",
-    "materials": ".png",
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,7 +128,7 @@ def reconstruct(
     if job.gaps is Gaps.REFUSE:
         require_mattes(mattes, (n for n in capture.present if n in numbers), job.mask)
     inputs = (*capture.info.files, *mattes.files, job.background)
-    require_apart(inputs, (root / name for name in _FOLDERS))
+    require_apart(inputs, (root / name for name in FRAME_FILES))
     if scheduler is not None:
         require_scheduler(scheduler)
     if capture.info.left_out:
@@ -147,7 +140,7 @@ def reconstruct(
         examined = _require_plausible(job, capture, mattes, numbers)
     with sole_writer(root):
         job, manifest, log = _prepared(job, capture, mattes, frames, overwrite, examined)
-        on_disk = _frames_on_disk(job, log)
+        on_disk = {number for number in log.done() if job.folder.has(number, *job.folders)}
         on_start(len(numbers), len(on_disk & set(numbers)))
         for record in missing:
             log.append(record)
@@ -215,7 +208,7 @@ def clear(root: Path) -> None:
     numbers = set(FrameLog(root).entries())
     with contextlib.suppress(VntError):  # a manifest that is no longer readable
         numbers.update(range(read_manifest(root).input.frame_count))
-    for name, suffix in _FOLDERS.items():
+    for name, suffix in FRAME_FILES.items():
         remove_numbered(root / name, suffix, numbers)
     (root / FRAMES_NAME).unlink(missing_ok=True)
     (root / "contact.csv").unlink(missing_ok=True)
@@ -256,20 +249,6 @@ def _run(
         running.close()
         log.close()
     return records
-
-
-def _frames_on_disk(job: ReconstructionJob, log: FrameLog) -> set[int]:
-    """Frames that the log calls finished and whose files are all there."""
-    return {
-        number
-        for number in log.done()
-        if all(
-            path.exists()
-            for path in job.folder.files(
-                number, job.options.to, job.has_labels, job.has_contact, job.has_materials
-            )
-        )
-    }
 
 
 def _require_plausible(
@@ -436,7 +415,6 @@ def manifest_of_run(
         extra["mask"] = entry_of_files(job.mask, mattes.files)
     if job.background is not None:
         extra["background"] = entry_of_files(job.background, (job.background,))
-    outputs = {"normals": ["normals"], "depth": ["normals", "depth"], "mesh": ["normals", "depth", "mesh"]}
     return Manifest(
         input=InputEntry(
             source=job.source,
@@ -456,10 +434,7 @@ def manifest_of_run(
         surface=_entry_of_surface(job.surface),
         findings=[FindingEntry(check=f.check, level=f.level.value, text=f.text) for f in findings],
         frames=frames.to_text(),
-        outputs=outputs[job.options.to.value]
-        + (["shadows"] if job.has_labels else [])
-        + (["contact"] if job.has_contact else [])
-        + (["materials"] if job.has_materials else []),
+        outputs=job.folders,
         versions=library_versions(),
         started=now_utc(),
     )

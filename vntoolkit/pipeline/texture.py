@@ -154,7 +154,7 @@ def texture_of_tracks(track_folder: Path) -> SurfaceTexture | None:
 
 def has_maps(result: OpenedResult, number: int) -> bool:
     """Tell whether a frame has normals and depth."""
-    return result.folder.normals(number).exists() and result.folder.depth(number).exists()
+    return result.folder.has(number, "normals", "depth")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

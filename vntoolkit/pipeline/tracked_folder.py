@@ -54,20 +54,20 @@ class TrackSource:
 
     def has(self, number: int) -> bool:
         """Whether the frame's normals and depth are both there."""
-        return self.folder.normals(number).exists() and self.folder.depth(number).exists()
+        return self.folder.has(number, "normals", "depth")
 
     def maps(self, number: int) -> tuple[NormalMap, DepthMap]:
         """Read one frame."""
-        return self.normals(number), read_depth_map(self.folder.depth(number))
+        return self.normals(number), read_depth_map(self.folder.file("depth", number))
 
     def labels(self, number: int) -> VisibilityLabels | None:
         """Read which lights reach the pixels of one frame; None where `reconstruct` looked for no shadows."""
-        path = self.folder.shadows(number)
+        path = self.folder.file("shadows", number)
         return read_labels(path) if path.exists() else None
 
     def normals(self, number: int) -> NormalMap:
         """Read one frame's normals."""
-        return read_normal_map(self.folder.normals(number))
+        return read_normal_map(self.folder.file("normals", number))
 
 
 def open_track_source(root: Path) -> TrackSource:
@@ -75,7 +75,7 @@ def open_track_source(root: Path) -> TrackSource:
     manifest = read_manifest(root)
     folder = ReconstructionFolder(root=root)
     numbers = tuple(FrameRange.from_text(manifest.frames).numbers(manifest.input.frame_count))
-    present = [n for n in numbers if folder.normals(n).exists() and folder.depth(n).exists()]
+    present = [n for n in numbers if folder.has(n, "normals", "depth")]
     if not present:
         raise BadInput(f"{root}: no frame has both normals and depth; run `vntoolkit reconstruct --to depth`")
     camera = rig_from_entry(manifest.rig).camera

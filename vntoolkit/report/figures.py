@@ -30,48 +30,40 @@ def write_error_over_time(
     path: Path | str, times_s: FloatArray, mean_deg: FloatArray, std_deg: FloatArray, title: str
 ) -> None:
     """Plot mean and standard deviation (frames,) in degrees over time in seconds."""
-    with pictures.report_style():
-        figure = pictures.new_figure(7.0, 3.0)
-        axes = figure.subplots()
+    with pictures.new_axes(7.0, 3.0) as axes:
         few: dict[str, Any] = {"marker": "o", "markersize": 3.5} if len(times_s) < 60 else {}
         axes.plot(times_s, mean_deg, color=pictures.BLUE, label="mean", **few)
         low = np.maximum(mean_deg - std_deg, 0)
         axes.fill_between(
             times_s, low, mean_deg + std_deg, color=pictures.BLUE, alpha=0.15, lw=0, label="± one std"
         )
-        axes.set_xlabel("time, s")
-        axes.set_ylabel("angle to the cylinder, °")
-        axes.set_ylim(bottom=0)
+        axes.set(xlabel="time, s", ylabel="angle to the cylinder, °", ylim=(0, None), title=title)
         axes.margins(x=0.01)
-        axes.set_title(title)
-        figure.legend(ncols=2, loc="outside lower center")
-    pictures.write_figure(figure, path)
+        axes.figure.legend(ncols=2, loc="outside lower center")
+    pictures.write_figure(axes.figure, path)
 
 
 def write_error_map(path: Path | str, errors: FloatArray, mask: Mask, title: str, unit: str) -> None:
     """Draw errors (h, w) as an image, grey outside the mask, up to the 99th percentile."""
-    with pictures.report_style(**{"axes.grid": False}):
-        figure = pictures.new_figure(6.0, 5.4 * errors.shape[0] / errors.shape[1] + 0.5)
-        axes = figure.subplots()
+    with pictures.new_axes(
+        6.0, 5.4 * errors.shape[0] / errors.shape[1] + 0.5, **{"axes.grid": False}
+    ) as axes:
         top = float(np.percentile(errors[mask], _CURVE_END_PERCENTILE)) if mask.any() else 1.0
         axes.set_facecolor("0.85")
         masked = np.ma.masked_array(errors, ~mask)
         shown = axes.imshow(masked, cmap=pictures.ERROR_COLOURS, vmin=0, vmax=max(top, 1e-12))
-        figure.colorbar(shown, ax=axes, label=unit, fraction=0.04, extend="max").outline.set_visible(False)
-        axes.set_xticks([])
-        axes.set_yticks([])
+        bar = axes.figure.colorbar(shown, ax=axes, label=unit, fraction=0.04, extend="max")
+        bar.outline.set_visible(False)
+        axes.set(xticks=[], yticks=[], title=title)
         axes.spines[:].set_visible(False)
-        axes.set_title(title)
-    pictures.write_figure(figure, path)
+    pictures.write_figure(axes.figure, path)
 
 
 def write_cumulative_errors(
     path: Path | str, errors: Mapping[str, FloatArray], title: str, unit: str
 ) -> None:
     """Plot, for each name, the share of values (n,) that are at most as large as x; a dot at the median."""
-    with pictures.report_style():
-        figure = pictures.new_figure(6.0, 3.2)
-        axes = figure.subplots()
+    with pictures.new_axes(6.0, 3.2) as axes:
         end = 0.0
         for name, values in errors.items():
             ordered = np.sort(np.asarray(values).ravel())
@@ -81,13 +73,11 @@ def write_cumulative_errors(
             (line,) = axes.plot(ordered[::step], shares[::step], label=f"{name}, median {median:.3g}")
             axes.plot(median, _MEDIAN_PERCENT, "o", ms=4.5, color=line.get_color())
             end = max(end, float(np.percentile(ordered, _CURVE_END_PERCENTILE)))
-        axes.set_xlim(0, end or 1.0)
-        axes.set_ylim(0, 101)
-        axes.set_xlabel(unit)
-        axes.set_ylabel("share at most as large, %")
-        axes.set_title(title)
+        axes.set(
+            xlim=(0, end or 1.0), ylim=(0, 101), xlabel=unit, ylabel="share at most as large, %", title=title
+        )
         axes.legend(loc="lower right")
-    pictures.write_figure(figure, path)
+    pictures.write_figure(axes.figure, path)
 
 
 def write_bars(
@@ -97,9 +87,7 @@ def write_bars(
 
     Each bar carries its value.
     """
-    with pictures.report_style():
-        figure = pictures.new_figure(7.0, 0.9 + 0.17 * len(names) * (len(groups) + 0.8))
-        axes = figure.subplots()
+    with pictures.new_axes(7.0, 0.9 + 0.17 * len(names) * (len(groups) + 0.8)) as axes:
         at, height = np.arange(len(names)), 0.82 / len(groups)
         for i, (group, values) in enumerate(groups.items()):
             places = at + (i - (len(groups) - 1) / 2) * height
@@ -113,10 +101,9 @@ def write_bars(
         axes.tick_params(axis="y", length=0)
         axes.spines["left"].set_visible(False)
         axes.grid(visible=False, axis="y")
-        axes.set_xlabel(unit)
-        axes.set_title(title)
-        figure.legend(ncols=min(4, len(groups)), loc="outside lower center")  # bars reach everywhere
-    pictures.write_figure(figure, path)
+        axes.set(xlabel=unit, title=title)
+        axes.figure.legend(ncols=min(4, len(groups)), loc="outside lower center")  # bars reach everywhere
+    pictures.write_figure(axes.figure, path)
 
 
 # Comparison of trackers: errors over the frames, and pictures of their checkerboards.

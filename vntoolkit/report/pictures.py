@@ -4,8 +4,8 @@ Curves and areas have colours that colour-blind eyes tell apart."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -68,6 +68,13 @@ def new_figure(width_in: float = 6.2, height_in: float = 2.9) -> Figure:
     figure = Figure(figsize=(width_in, height_in), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
+
+
+@contextmanager
+def new_axes(width_in: float = 6.2, height_in: float = 2.9, **style: Any) -> Iterator[Any]:
+    """Yield the axes of a new figure, to be drawn on in the shared style."""
+    with report_style(**style):
+        yield new_figure(width_in, height_in).subplots()
 
 
 def report_style(**more: Any) -> AbstractContextManager[None]:

@@ -166,20 +166,18 @@ def _shares_figure(entries: list[FrameEntry], skipped: list[FrameEntry]) -> page
         ("shadowed, of those", [entry.shadowed_share for entry in entries], pictures.PURPLE),
         ("clipped, of all pixels", [entry.clipped_share for entry in entries], pictures.RED),
     )
-    with pictures.report_style():
-        figure = pictures.new_figure(9.6, 3.0)
-        axes = figure.subplots()
+    with pictures.new_axes(9.6, 3.0) as axes:
         for label, values, colour in curves:
             axes.plot(numbers, 100 * np.array(values), color=colour, label=label, **_marker(len(numbers)))
         for entry in skipped:
             axes.axvline(entry.number, color=pictures.ORANGE, lw=1, ls=":")
-        axes.set_xlabel("frame")
+        axes.set(xlabel="frame", ylabel="share of pixels, %", ylim=(0, None))
         axes.locator_params(axis="x", integer=True)
-        axes.set_ylabel("share of pixels, %")
-        axes.set_ylim(bottom=0)
         axes.legend(loc="upper left", bbox_to_anchor=(0, 1.16), ncols=3, fontsize=8)
     dotted = " Dotted: skipped frames." if skipped else ""
-    return page.figure_from_plot(figure, f"Usable, shadowed and clipped shares over time.{dotted}", wide=True)
+    return page.figure_from_plot(
+        axes.figure, f"Usable, shadowed and clipped shares over time.{dotted}", wide=True
+    )
 
 
 def results_section(result: OpenedResult) -> page.PageSection:
@@ -204,7 +202,7 @@ def mesh_counts(result: OpenedResult) -> dict[int, tuple[int, int]]:
     """Return {frame: (vertices, triangles)} from the headers of the meshes on disk."""
     counts = {}
     for number in result.numbers:
-        path = result.folder.mesh(number)
+        path = result.folder.file("mesh", number)
         if path.exists():
             sizes = read_ply_counts(path)
             counts[number] = (sizes.get("vertex", 0), sizes.get("face", 0))
@@ -232,15 +230,11 @@ def _result_numbers(
 
 
 def _curve(values: Mapping[int, float], label: str, caption: str, colour: str) -> page.PageFigure:
-    with pictures.report_style():
-        figure = pictures.new_figure(5.2, 2.6)
-        axes = figure.subplots()
+    with pictures.new_axes(5.2, 2.6) as axes:
         axes.plot(list(values), list(values.values()), color=colour, **_marker(len(values)))
-        axes.set_xlabel("frame")
+        axes.set(xlabel="frame", ylabel=label, ylim=(0, 1.15 * max(values.values()) or 1.0))
         axes.locator_params(axis="x", integer=True)
-        axes.set_ylabel(label)
-        axes.set_ylim(0, 1.15 * max(values.values()) or 1.0)
-    return page.figure_from_plot(figure, caption)
+    return page.figure_from_plot(axes.figure, caption)
 
 
 def _marker(count: int) -> dict[str, Any]:
@@ -262,7 +256,9 @@ def samples_section(result: OpenedResult, count: int, height_px: int) -> page.Pa
     pixels = pictures.tiled(
         rows,
         [_named(result, number) for number in shown],
-        legend=_legend() if labelled else None,
+        legend=({pictures.short_label(int(label)): pictures.web_colour(int(label)) for label in LABEL_LEGEND})
+        if labelled
+        else None,
         scale=_ERRORS if any("expected error" in row for row in rows) else None,
         height_px=height_px,
     )
@@ -300,11 +296,6 @@ def _parts(result: OpenedResult, number: int) -> dict[str, pictures.Picture]:
     return dict(zip(titles, pictures.cropped(list(parts.values()), normal_map.mask), strict=True))
 
 
-def _legend() -> dict[str, str]:
-    """The colours of the shadow labels, by short names of what arrives."""
-    return {pictures.short_label(int(label)): pictures.web_colour(int(label)) for label in LABEL_LEGEND}
-
-
 def track_section(result: OpenedResult, track: TrackedSurface) -> page.PageSection:
     """Return the registered surface: its size, its expected error over time, the checkerboard on it."""
     figures = []
@@ -313,19 +304,15 @@ def track_section(result: OpenedResult, track: TrackedSurface) -> page.PageSecti
         rows = [np.asarray(uncertainty[row]) for row in range(len(track.sequence))]
         levels = np.array([np.percentile(row, [50, 95], method="lower") for row in rows])
         levels[~np.isfinite(levels)] = np.nan  # of frames that are missing
-        with pictures.report_style():
-            figure = pictures.new_figure(9.6, 2.4)
-            axes = figure.subplots()
+        with pictures.new_axes(9.6, 2.4) as axes:
             axes.plot(track.numbers, levels[:, 1], color=pictures.FAINT, label="95th percentile")
             axes.plot(track.numbers, levels[:, 0], color=pictures.BLUE, label="median")
             axes.axvline(track.template, color=pictures.FAINT, ls=":", lw=1)
-            axes.set_xlabel("frame")
+            axes.set(xlabel="frame", ylabel="expected error, px", ylim=(0, None))
             axes.locator_params(axis="x", integer=True)
-            axes.set_ylabel("expected error, px")
-            axes.set_ylim(0, None)
             axes.legend(frameon=False)
         caption = "Expected error of the tracked vertices in each frame. Dotted: the template's frame."
-        figures.append(page.figure_from_plot(figure, caption, wide=True))
+        figures.append(page.figure_from_plot(axes.figure, caption, wide=True))
     sheet = result.folder.root / "track" / "checkerboard.png"
     if sheet.exists():
         pixels = resized_image(np.asarray(read_image(sheet), dtype=np.uint8), _SHEET_PX)
@@ -467,13 +454,9 @@ def _numbers(result: OpenedResult) -> tuple[page.PageNumber, ...]:
 def _cone_figure(result: OpenedResult, sample: int) -> page.PageFigure:
     """The hemisphere of normals seen from the camera: capture's normals, calibrated cone, lights."""
     quality = result.rig.quality
-    with pictures.report_style():
-        figure = pictures.new_figure(4.6, 4.3)
-        axes = figure.subplots()
-        axes.set_aspect("equal")
+    with pictures.new_axes(4.6, 4.3) as axes:
+        axes.set(aspect="equal", xlim=(-1.25, 1.25), ylim=(-1.18, 1.12))
         axes.set_axis_off()
-        axes.set_xlim(-1.25, 1.25)
-        axes.set_ylim(-1.18, 1.12)
         _draw_capture(axes, result, sample)
         turn = np.linspace(0, 2 * np.pi, 181)
         for angle in (30, 60, 90):
@@ -502,7 +485,7 @@ def _cone_figure(result: OpenedResult, sample: int) -> page.PageFigure:
         )
     cone = " Dashed: the size of the cone of calibration normals." if fitted else ""
     return page.figure_from_plot(
-        figure,
+        axes.figure,
         "Directions as the camera sees them, up is up; the rim is 90° from the optical axis. Grey: the "
         f"normals of frame {sample}. {points}{cone}",
     )
@@ -539,9 +522,7 @@ def _response_figure(result: OpenedResult) -> page.PageFigure:
     """M itself: what a unit of each axis adds to red, green and blue."""
     matrix = np.array(result.rig.response.matrix)
     top = np.abs(matrix).max()
-    with pictures.report_style():
-        figure = pictures.new_figure(4.6, 4.3)
-        axes = figure.subplots()
+    with pictures.new_axes(4.6, 4.3) as axes:
         axes.imshow(matrix, cmap="RdBu_r", vmin=-1.3 * top, vmax=1.3 * top)
         axes.set_xticks(range(3), ["x, right", "y, down", "z, away"])
         axes.set_yticks(range(3), ["red", "green", "blue"])
@@ -553,7 +534,7 @@ def _response_figure(result: OpenedResult) -> page.PageFigure:
             axes.text(column, row, f"{matrix[row, column]:+.3f}", ha="center", va="center", color=ink)
     ambient = ", ".join(f"{value:.3f}" for value in result.rig.response.ambient)
     return page.figure_from_plot(
-        figure,
+        axes.figure,
         f"M: what a unit of a normal's x, y, z adds to each channel, full scale 1. Ambient: {ambient}.",
     )
 

@@ -164,7 +164,7 @@ class _ResultScene:
     def has_surface(self, number: int) -> bool:
         """Whether there is anything to show of a frame."""
         tracked = self._track is not None and number in self._track.numbers
-        return tracked or self._result.folder.depth(number).exists()
+        return tracked or self._result.folder.has(number, "depth")
 
     def frame(self, index: int, *, surface: str = "", grid_px: int | None = None) -> bytes:
         """Return a frame as a packet. surface: only this one; grid_px: longest side of its grid."""

@@ -116,17 +116,17 @@ def _cumulative_figure(result: OpenedResult, simulated: Path, number: int) -> pa
     angles = np.sort(errors[both])
     shares = np.linspace(0, 100, len(angles))
     thinned = np.unique(np.linspace(0, len(angles) - 1, 400).astype(int))
-    with pictures.report_style():
-        figure = pictures.new_figure(5.2, 2.6)
-        axes = figure.subplots()
+    with pictures.new_axes(5.2, 2.6) as axes:
         axes.plot(angles[thinned], shares[thinned], color=pictures.BLUE)
         for limit in (5, 10, 20):
             axes.axvline(limit, color=pictures.FAINT, lw=0.8, ls=":")
-        axes.set_xlim(0, _SCALE.most)
-        axes.set_ylim(0, 101)
-        axes.set_xlabel("angle to the true normal, degrees")
-        axes.set_ylabel("pixels below it, %")
-    return page.figure_from_plot(figure, f"Frame {number}: share of pixels below each error.")
+        axes.set(
+            xlim=(0, _SCALE.most),
+            ylim=(0, 101),
+            xlabel="angle to the true normal, degrees",
+            ylabel="pixels below it, %",
+        )
+    return page.figure_from_plot(axes.figure, f"Frame {number}: share of pixels below each error.")
 
 
 def _table(frames: Sequence[truth_comparison.FrameComparison]) -> page.PageTable:

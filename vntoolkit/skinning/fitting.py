@@ -9,7 +9,7 @@ from enum import Enum
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from vntoolkit.arrays import FloatArray, Points, Vector3
+from vntoolkit.arrays import FloatArray, Points
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.garment_fit import GarmentFit, fit_similarity
 from vntoolkit.geometry.mesh import Mesh, face_normals
@@ -332,7 +332,9 @@ def arms_aimed_at_sleeves(
     middle = float(pose[list(anatomy.trunk), 0, 3].mean())
     for arm, shoulder in zip(anatomy.arms, shoulders_of(skeleton, anatomy), strict=True):
         start = pose[shoulder, :3, 3]
-        end = _hand(skeleton, pose, arm)
+        tips = np.flatnonzero(skeleton.tip_joints == arm[-1])
+        offset = skeleton.tip_offsets[tips[0]] if len(tips) else np.zeros(3)
+        end = pose[arm[-1], :3, :3] @ offset + pose[arm[-1], :3, 3]
         reach = np.linalg.norm(end - start)
         side = np.sign(end[0] - middle)
         outward = side * (vertices[:, 0] - middle)
@@ -343,12 +345,6 @@ def arms_aimed_at_sleeves(
         if side * (cuff - start)[0] > 0 and np.linalg.norm(cuff - start) > _LEAST_REACH * reach:
             turns[shoulder] = alignment.rotation_between(end - start, cuff - start)
     return turns
-
-
-def _hand(skeleton: Skeleton, pose: FloatArray, arm: tuple[int, ...]) -> Vector3:
-    tips = np.flatnonzero(skeleton.tip_joints == arm[-1])
-    offset = skeleton.tip_offsets[tips[0]] if len(tips) else np.zeros(3)
-    return pose[arm[-1], :3, :3] @ offset + pose[arm[-1], :3, 3]
 
 
 def legs_aimed_at_hems(

@@ -111,7 +111,8 @@ def refine_head(
     shape: of stereo. again: repeats stereo about a better mesh. frames: reads the frames that normals are
     taken from, in passes. light: M and what the first fit made of the samples.
     """
-    pixel = _pixel_size(shape.mesh, camera, frames())
+    depth = float(np.median(next(iter(frames())).camera_from_head.apply(shape.mesh.vertices)[:, 2]))
+    pixel = depth / float(camera.matrix[0, 0])
     coarse = _COARSE * _EDGE_PX * pixel
     stereo = thinned(divided(shape.mesh, coarse), coarse)
     crossover = min(_CROSSOVER_PX * pixel, _LARGEST_CROSSOVER * stereo.diagonal)
@@ -221,12 +222,6 @@ def _relative_change(first: LightResponse, second: LightResponse) -> float:
     """Change of M as a share, but for its scale, which is the skin's albedo."""
     a, b = first.matrix / np.linalg.norm(first.matrix), second.matrix / np.linalg.norm(second.matrix)
     return float(np.linalg.norm(a - b))
-
-
-def _pixel_size(mesh: Mesh, camera: Camera, frames: Iterable[LightFrame]) -> float:
-    """Return the width that a pixel covers at the head's median depth."""
-    depth = float(np.median(next(iter(frames)).camera_from_head.apply(mesh.vertices)[:, 2]))
-    return depth / float(camera.matrix[0, 0])
 
 
 def divided(mesh: Mesh, edge: float) -> Mesh:

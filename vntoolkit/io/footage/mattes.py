@@ -130,7 +130,7 @@ def _from_files(capture: Capture, source: Path | str, level: float) -> Mattes:
     # a matte's curve shifts its soft edge less than the level does
     how = CaptureOptions(transfer=Transfer(), gaps=Gaps.SKIP, max_megapixels=limit)
     path = Path(source)
-    if path.is_file() and _is_image(path):
+    if path.is_file() and (find_capture_files(path).kind is CaptureKind.IMAGE):
         return Mattes(still=read_mask(path, size=size, max_megapixels=limit, level=level), files=(path,))
     mattes = open_capture(source, how)
     found = (mattes.info.width, mattes.info.height)
@@ -149,10 +149,6 @@ def _from_files(capture: Capture, source: Path | str, level: float) -> Mattes:
 
     numbers = frozenset(number for number, k in place.items() if k in there)
     return Mattes(files=mattes.info.files, numbers=numbers, _of_frame=matte)
-
-
-def _is_image(path: Path) -> bool:
-    return find_capture_files(path).kind is CaptureKind.IMAGE
 
 
 def _places(footage: CaptureInfo, mattes: CaptureInfo, name: str) -> dict[int, int]:

@@ -22,7 +22,7 @@ from vntoolkit.arrays import FloatArray, Points
 from vntoolkit.checks import require_finite, require_shape
 from vntoolkit.errors import BadInput, BadMesh, CannotWrite
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
-from vntoolkit.geometry.motion import Motion, Skeleton, joint_paths, rest_pose
+from vntoolkit.geometry.motion import Motion, joint_paths, rest_pose
 from vntoolkit.geometry.skinned_clip import SkinnedClip, ViewedFrom
 from vntoolkit.io.atomic import atomic_path
 from vntoolkit.io.conventions import MeshUpAxis, graphics_from_camera, motion_with_axes_turned
@@ -397,7 +397,9 @@ def add_skeleton(
     skeleton.CreateJointsAttr(paths)
     bound = rest_pose(turned.skeleton) if bind is None else _turned_poses(bind)
     skeleton.CreateBindTransformsAttr(_matrices(bound))
-    skeleton.CreateRestTransformsAttr(_matrices(_local_rest(turned.skeleton)))
+    matrices = np.tile(np.eye(4), (len(turned.skeleton.names), 1, 1))
+    matrices[:, :3, 3] = turned.skeleton.offsets
+    skeleton.CreateRestTransformsAttr(_matrices(matrices))
     _author_extents(root, skeleton, turned)
     animation = UsdSkel.Animation.Define(stage, f"{path}/Skeleton/Motion")
     animation.CreateJointsAttr(paths)
@@ -439,12 +441,6 @@ def _usd_name(name: str) -> str:
     """Turn a joint's name into one that USD accepts: a slash in it would make a joint of each half."""
     plain = re.sub(r"[^A-Za-z0-9_]", lambda m: f"_{ord(m.group()):x}_", name)
     return plain if not plain[0].isdigit() else f"_{plain}"
-
-
-def _local_rest(skeleton: Skeleton) -> FloatArray:
-    matrices = np.tile(np.eye(4), (len(skeleton.names), 1, 1))
-    matrices[:, :3, 3] = skeleton.offsets
-    return matrices
 
 
 def _matrices(target_from_source: FloatArray) -> Any:

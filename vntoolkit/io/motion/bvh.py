@@ -59,11 +59,12 @@ def read_bvh(path: Path) -> Motion:
     for index, joint in enumerate(joints):
         order = "".join(joint.rot_channels)  # listed outermost first: intrinsic, capital letters in scipy
         rotations[:, index] = Rotation.from_euler(order, bvh.joint_angles[:, index]).as_quat()
+    listed = list(bvh.nodes[0].pos_channels)
     return motion_with_axes_turned(
         Motion(
             skeleton=skeleton,
             rotations=rotations,
-            root_positions=bvh.root_pos[:, _axis_order(bvh)],
+            root_positions=bvh.root_pos[:, ([listed.index(axis) for axis in "XYZ"])],
             frame_rate_hz=1.0 / bvh.frame_time,
         )
     )
@@ -109,12 +110,6 @@ def _require_sound_hierarchy(path: Path) -> list[str]:
         if not names:
             raise BadMotion(f"{path.name}: no ROOT in the hierarchy")
     return names
-
-
-def _axis_order(bvh: pybvh.Bvh) -> list[int]:
-    """Return the columns that hold the root's x, y and z."""
-    listed = list(bvh.nodes[0].pos_channels)
-    return [listed.index(axis) for axis in "XYZ"]
 
 
 def _skeleton_of(bvh: pybvh.Bvh, names: list[str]) -> Skeleton:

@@ -41,31 +41,63 @@ def build_board(options: SceneOptions) -> Scene:
     field_width_m = options.field_width_m or _FIELD_WIDTH_M
     scale = field_width_m / _FIELD_WIDTH_M
     layout = BoardLayout(square_mm=BoardLayout().square_mm * scale)
-    generator = np.random.default_rng(options.seed)
-    width_m, height_m = layout.width_mm / 1000, layout.height_mm / 1000
     sway = Sway(
         turns_deg=(36.0, 38.0, 22.0),
         shifts_m=(0.012, 0.006, 0.04),  # held in one place, whatever its size
         periods_s=(1.3, 2.1, 3.7, 1.9, 2.3, 2.9),
-        phases=generator.uniform(0, 2 * np.pi, 6),
-        rest=RigidTransform(translation=np.array([-width_m / 2, -height_m / 2, 0.0])),
+        phases=_phases(options),
+        rest=_about_its_middle(layout),
     )
-    rest, surface = board_mesh(layout, scale, sample_weights(options, _CLOTH))
+    level = 0.7  # the paper is brighter than the sample and must not clip
+    return _board_scene("board", options, field_width_m, scale, layout, sway, _CLOTH, level)
+
+
+def build_board_sweep(options: SceneOptions) -> Scene:
+    """The board, 25 cm wide, moved ±26 cm across and ±17 cm up and down while it tilts."""
+    field_width_m = options.field_width_m or CYLINDER_FIELD_WIDTH_M
+    scale = field_width_m / CYLINDER_FIELD_WIDTH_M
+    layout = replace(SWEPT_LAYOUT, square_mm=SWEPT_LAYOUT.square_mm * scale)
+    sway = Sway(
+        turns_deg=(34.0, 36.0, 16.0),
+        shifts_m=(0.26 * scale, 0.17 * scale, 0.08),
+        periods_s=(0.53, 0.71, 1.9, 2.3, 1.37, 3.1),  # tilts quicker than it travels: all tilts everywhere
+        phases=_phases(options),
+        rest=_about_its_middle(layout),
+    )
+    return _board_scene("board_sweep", options, field_width_m, scale, layout, sway, _WRAPPING_PAPER, 0.8)
+
+
+def _phases(options: SceneOptions) -> Vector3:
+    return np.random.default_rng(options.seed).uniform(0, 2 * np.pi, 6)
+
+
+def _about_its_middle(layout: BoardLayout) -> RigidTransform:
+    width_m, height_m = layout.width_mm / 1000, layout.height_mm / 1000
+    return RigidTransform(translation=np.array([-width_m / 2, -height_m / 2, 0.0]))
+
+
+def _board_scene(
+    name: str,
+    options: SceneOptions,
+    field_width_m: float,
+    scale: float,
+    layout: BoardLayout,
+    sway: Sway,
+    sample: FloatArray,
+    exposure_level: float,
+) -> Scene:
+    """Return a board that sways. scale, sample: as of `board_mesh`, the sample where none is asked for."""
+    rest, surface = board_mesh(layout, scale, sample_weights(options, sample))
     return Scene(
-        name="board",
+        name=name,
         camera=studio_camera(options.width, options.height, field_width_m=field_width_m),
         lights=studio_lights(),
         surface=surface,
         vertices=lambda frame: sway.camera_from_object(frame).apply(rest),
         frame_count=FRAME_COUNT,
-        exposure_level=0.7,  # the paper is brighter than the sample and must not clip
+        exposure_level=exposure_level,
         camera_from_object=sway.camera_from_object,
-        facts={
-            "square_mm": layout.square_mm,
-            "columns": layout.columns,
-            "rows": layout.rows,
-            "hole_squares": layout.hole_squares,
-        },
+        facts={name: getattr(layout, name) for name in ("square_mm", "columns", "rows", "hole_squares")},
     )
 
 
@@ -152,39 +184,6 @@ def _flat_grid(x: FloatArray, y: FloatArray) -> tuple[Points, FloatArray]:
     at = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     share = (at - at[0]) / (at[-1] - at[0])
     return np.column_stack([at, np.zeros(len(at))]), share
-
-
-def build_board_sweep(options: SceneOptions) -> Scene:
-    """The board, 25 cm wide, moved ±26 cm across and ±17 cm up and down while it tilts."""
-    field_width_m = options.field_width_m or CYLINDER_FIELD_WIDTH_M
-    scale = field_width_m / CYLINDER_FIELD_WIDTH_M
-    layout = replace(SWEPT_LAYOUT, square_mm=SWEPT_LAYOUT.square_mm * scale)
-    generator = np.random.default_rng(options.seed)
-    middle_m = np.array([layout.width_mm, layout.height_mm]) / 2000
-    sway = Sway(
-        turns_deg=(34.0, 36.0, 16.0),
-        shifts_m=(0.26 * scale, 0.17 * scale, 0.08),
-        periods_s=(0.53, 0.71, 1.9, 2.3, 1.37, 3.1),  # tilts quicker than it travels: all tilts everywhere
-        phases=generator.uniform(0, 2 * np.pi, 6),
-        rest=RigidTransform(translation=np.array([-middle_m[0], -middle_m[1], 0.0])),
-    )
-    rest, surface = board_mesh(layout, scale, sample_weights(options, _WRAPPING_PAPER))
-    return Scene(
-        name="board_sweep",
-        camera=studio_camera(options.width, options.height, field_width_m=field_width_m),
-        lights=studio_lights(),
-        surface=surface,
-        vertices=lambda frame: sway.camera_from_object(frame).apply(rest),
-        frame_count=FRAME_COUNT,
-        exposure_level=0.8,
-        camera_from_object=sway.camera_from_object,
-        facts={
-            "square_mm": layout.square_mm,
-            "columns": layout.columns,
-            "rows": layout.rows,
-            "hole_squares": layout.hole_squares,
-        },
-    )
 
 
 # A cylinder wrapped in paper, moved through all six degrees of freedom.

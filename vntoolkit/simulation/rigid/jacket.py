@@ -51,7 +51,7 @@ def _joined(parts: list[Part]) -> tuple[Points, SceneSurface]:
     starts = np.cumsum([0] + [len(part.vertices) for part in parts])
     faces = [part.faces + start for part, start in zip(parts, starts, strict=False)]
     tile_m = _THREADS * _THREAD_M
-    uv = [_whole_tiles(part, tile_m) for part in parts]
+    uv = [(part.uv * np.array([round(part.girth / tile_m), part.length / tile_m])) for part in parts]
     weights = np.concatenate([part.shade for part in parts])[:, None] * _COTTON
     surface = SceneSurface(
         faces=np.concatenate(faces),
@@ -64,11 +64,6 @@ def _joined(parts: list[Part]) -> tuple[Points, SceneSurface]:
         ),
     )
     return np.concatenate([part.vertices for part in parts]), surface
-
-
-def _whole_tiles(part: Part, tile_m: float) -> FloatArray:
-    """Scale uv so that 1 is a tile of the weave and a whole number of them goes round."""
-    return part.uv * np.array([round(part.girth / tile_m), part.length / tile_m])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
