@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Annotated, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 from cyclopts import Parameter
@@ -35,8 +35,40 @@ from vntoolkit.pipeline import calibrate_presses as pipeline
 from vntoolkit.pipeline.calibrate import CalibrationJob
 from vntoolkit.pipeline.calibrate_head import HeadOptions, calibrate_head
 
+_OF_LIGHTS = flags.Flags(without=("background", "single_light", "frames"))
 _FIT = flags.Flags(renamed={"method": "fit-method"})
 SizePx: TypeAlias = Annotated[tuple[int, int] | None, Parameter(consume_multiple=True, negative=())]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FootageFlags:
+    """What the calibrations ask of their footage.
+
+    camera: a rig.json whose camera is taken. Default: orthographic (sphere, lights), fitted to the same
+    footage (board), or of a focal length that is estimated from the turn, which is rough (head).
+    """
+
+    background: flags.AmbientImage = None
+    transfer: flags.Curve = None
+    sensor: SensorOptions = field(default_factory=SensorOptions)
+    camera: Path | None = None
+    focal_px: flags.FocalPx = None
+    single_light: flags.SingleLight = None
+    frames: flags.Frames = "::"
+    allow: flags.Allow = ()
+
+    def job(self, source: str, **more: Any) -> CalibrationJob:
+        """Return the calibration of this footage; more: further fields of it."""
+        require_known_checks(self.allow, CHECK_NAMES)
+        as_given = ("background", "sensor", "camera", "focal_px", "allow")
+        return CalibrationJob(
+            source=source,
+            transfer=flags.curve_from_text(self.transfer),
+            single_light=self.single_light or (),
+            frames=FrameRange.from_text(self.frames),
+            **{name: getattr(self, name) for name in as_given},
+            **more,
+        )
 
 
 @flags.verb("max_megapixels")
@@ -47,14 +79,7 @@ def sphere(
     out: Path,
     mask: Path | None = None,
     matting: Annotated[MatteOptions | None, flags.Flags()] = None,
-    background: flags.AmbientImage = None,
-    transfer: flags.Curve = None,
-    sensor: flags.Sensor = None,
-    camera: Path | None = None,
-    focal_px: flags.FocalPx = None,
-    single_light: flags.SingleLight = None,
-    frames: flags.Frames = "::",
-    allow: flags.Allow = (),
+    footage: Annotated[FootageFlags | None, flags.Flags()] = None,
     options: Annotated[SphereOptions | None, _FIT] = None,
 ) -> None:
     """Calibrate on a matte ball of the subject's material, at rest under all three lights.
@@ -68,18 +93,12 @@ def sphere(
     mask
         White where the ball is: an image, or a video, a folder or a pattern with a matte for each frame.
         Default: the outline is detected.
-    camera
-        A rig.json whose camera is taken; default: orthographic.
     """
-    require_known_checks(allow, CHECK_NAMES)
+    job = (footage or FootageFlags()).job(source, mask=mask, matting=matting or MatteOptions())
     require_output(out, JSON)
-    job = _job(source, mask, background, transfer, camera, focal_px, single_light, frames, allow, sensor)
-    job = replace(job, matting=matting or MatteOptions())
     rig, result = calibrate.calibrate_sphere(job, options or SphereOptions())
-    _accept(rig, allow, result.fit)
-    write_rig(out, rig)
     (u, v), radius = result.outline.centre_px, result.outline.radius_px
-    report_rig(out, rig, f"ball at ({u:.1f}, {v:.1f}), radius {radius:.1f} px")
+    _finish(out, rig, job, f"ball at ({u:.1f}, {v:.1f}), radius {radius:.1f} px", result.fit)
     _print_what_is_next(out)
 
 
@@ -89,14 +108,7 @@ def board(
     /,
     *,
     out: Path,
-    background: flags.AmbientImage = None,
-    transfer: flags.Curve = None,
-    sensor: flags.Sensor = None,
-    camera: Path | None = None,
-    focal_px: flags.FocalPx = None,
-    single_light: flags.SingleLight = None,
-    frames: flags.Frames = "::",
-    allow: flags.Allow = (),
+    footage: Annotated[FootageFlags | None, flags.Flags()] = None,
     layout: Annotated[BoardLayout | None, flags.Flags()] = None,
     options: Annotated[BoardOptions | None, _FIT] = None,
 ) -> None:
@@ -108,21 +120,17 @@ def board(
         A video, a folder of images, or a pattern.
     out
         The rig.json to write.
-    camera
-        A rig.json with the camera to use. Default: the camera is fitted to the same footage.
     """
-    require_known_checks(allow, CHECK_NAMES)
+    job = (footage or FootageFlags()).job(source)
     require_output(out, JSON)
-    job = _job(source, None, background, transfer, camera, focal_px, single_light, frames, allow, sensor)
     with ProgressBars() as bars:
         rig, result = calibrate.calibrate_board(
             job, layout or BoardLayout(), options or BoardOptions(), partial(bars.reach, "find the board")
         )
-    _accept(rig, allow, result.fit)
-    write_rig(out, rig)
     error = np.median([pose.error_px for pose in result.poses])
     focal = result.camera.matrix[0, 0]
-    report_rig(out, rig, f"{len(result.poses)} poses to {error:.2f} px, focal length {focal:.0f} px")
+    seen = f"{len(result.poses)} poses to {error:.2f} px, focal length {focal:.0f} px"
+    _finish(out, rig, job, seen, result.fit)
     _print_what_is_next(out)
 
 
@@ -135,11 +143,7 @@ def lights(
     like: str | None = None,
     lights: Annotated[tuple[int, int, int], Parameter(consume_multiple=True, negative=())] = (0, 1, 2),
     light_colours: LightColours = LightColours.CHANNELS,
-    transfer: flags.Curve = None,
-    sensor: flags.Sensor = None,
-    camera: Path | None = None,
-    focal_px: flags.FocalPx = None,
-    allow: flags.Allow = (),
+    footage: Annotated[FootageFlags | None, _OF_LIGHTS] = None,
 ) -> None:
     """Compute a rig from known light directions and strengths.
 
@@ -156,55 +160,26 @@ def lights(
         Numbers of the red, the green and the blue light, counted from 0.
     light_colours
         Use the intensities as the lights' colours, or assume that channel k sees only light k.
-    camera
-        A rig.json whose camera is taken; default: orthographic.
     """
-    require_known_checks(allow, CHECK_NAMES)
+    job = (footage or FootageFlags()).job(str(source))
     require_output(out, JSON)
-    job = _job(str(source), None, None, transfer, camera, focal_px, None, "::", allow, sensor)
     rig = calibrate.calibrate_lights(source, like, lights, light_colours, job)
-    _accept(rig, allow)
-    write_rig(out, rig)
-    report_rig(out, rig, f"lights {lights[0]}, {lights[1]}, {lights[2]} of {source}")
+    _finish(out, rig, job, f"lights {lights[0]}, {lights[1]}, {lights[2]} of {source}")
     _print_what_is_next(out)
-
-
-def _job(
-    source: str,
-    mask: Path | None,
-    background: Path | None,
-    transfer: str | None,
-    camera: Path | None,
-    focal_px: float | None,
-    single_light: tuple[str, ...] | None,
-    frames: str,
-    allow: tuple[str, ...],
-    sensor: SensorOptions | None,
-) -> CalibrationJob:
-    return CalibrationJob(
-        source=source,
-        mask=mask,
-        background=background,
-        transfer=flags.curve_from_text(transfer),
-        camera=camera,
-        focal_px=focal_px,
-        single_light=single_light or (),
-        frames=FrameRange.from_text(frames),
-        allow=allow,
-        sensor=sensor or SensorOptions(),
-    )
 
 
 def _print_what_is_next(out: Path) -> None:
     print_next("reconstruct", "capture.mkv", "--rig", out, "--out", "result")
 
 
-def _accept(rig: Rig, allow: tuple[str, ...], fit: ResponseFit | None = None) -> None:
-    """Raise `FatalFinding` for a rig that its own lamps or samples contradict."""
+def _finish(out: Path, rig: Rig, job: CalibrationJob, seen: str, fit: ResponseFit | None = None) -> None:
+    """Write and report a rig; raise `FatalFinding` for one that its own lamps or samples contradict."""
     findings = [*check_lamps(rig), *check_residual(rig)]
     if fit is not None:
         findings += check_transfer_of_samples(fit.normals, fit.rgb, rig.transfer)
-    judge(findings, allow)
+    judge(findings, job.allow)
+    write_rig(out, rig)
+    report_rig(out, rig, seen)
 
 
 def report_rig(out: Path, rig: Rig, seen: str) -> None:
@@ -241,13 +216,7 @@ def head(
     /,
     *,
     out: Path,
-    background: flags.AmbientImage = None,
-    transfer: flags.Curve = None,
-    sensor: flags.Sensor = None,
-    camera: Path | None = None,
-    focal_px: flags.FocalPx = None,
-    frames: flags.Frames = "::",
-    allow: flags.Allow = (),
+    footage: Annotated[FootageFlags | None, flags.Flags(without=("single_light",))] = None,
     mesh: Path | None = None,
     figure: Path | None = None,
     report: Path | None = None,
@@ -263,9 +232,6 @@ def head(
         A video, a folder of images, or a pattern.
     out
         The rig.json to write.
-    camera
-        A rig.json with the camera to use (most accurate). Without it and without --focal-px, the focal length
-        is estimated from the turn; that estimate is rough.
     mesh
         Also write the head's mesh, .ply or .obj, with normals and the skin's colour. Its length unit
         is the distance to the camera. In .ply, `quality` is the angle in degrees that nine of ten normals
@@ -275,14 +241,17 @@ def head(
     report
         Also write a page about tracks, poses, shape, samples and lights, .html.
     """
-    require_known_checks(allow, CHECK_NAMES)
+    job = (footage or FootageFlags()).job(source)
     for path, suffixes in ((out, JSON), (mesh, MESH), (figure, PICTURE), (report, PAGE)):
         require_output(path, suffixes)
-    job = _job(source, None, background, transfer, camera, focal_px, None, frames, allow, sensor)
     with ProgressBars() as bars:
         rig, result = calibrate_head(job, options, bars.reach)
-    _accept(rig, allow)
-    write_rig(out, rig)
+    motion = result.motion
+    seen = (
+        f"{len(motion.camera_from_head)} poses over {motion.turn_deg:.0f} degrees, "
+        f"{len(motion.point)} tracks to {motion.error_px:.2f} px"
+    )
+    _finish(out, rig, job, seen)
     if mesh is not None:
         write_mesh(mesh, result.mesh)
     if figure is not None:
@@ -293,14 +262,7 @@ def head(
         from vntoolkit.report.head import write_head_page
 
         write_head_page(report, job, rig, result)
-    motion = result.motion
-    report_rig(
-        out,
-        rig,
-        f"{len(motion.camera_from_head)} poses over {motion.turn_deg:.0f} degrees, "
-        f"{len(motion.point)} tracks to {motion.error_px:.2f} px",
-    )
-    if camera is None and focal_px is None:
+    if job.camera is None and job.focal_px is None:
         print(f"  focal length      {motion.camera.matrix[0, 0]:.0f} px, estimated from the turn: rough")
     print(f"  samples agreeing  {result.light.inliers.mean():.0%}")
     if result.refined is not None:

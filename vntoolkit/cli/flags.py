@@ -119,15 +119,17 @@ class Flags:
 
     def spread(self, options: type[Any]) -> type[Any]:
         """Return a dataclass like `options` whose fields tell cyclopts their flag, default and help."""
-        hints = get_type_hints(options)
+        hints = get_type_hints(options, include_extras=True)
         meanings = meanings_of_fields(options)
         fields: list[tuple[str, Any, Any]] = []
         for field in dataclasses.fields(options):
             kind, hidden = hints[field.name], field.name in self.without
             within = dataclasses.is_dataclass(kind) and not hidden
+            meaning = None if hidden else meanings.get(field.name)
+            own_help: dict[str, Any] = {"help": _capitalised(meaning)} if meaning else {}  # or the type's
             flag = Parameter(
                 name="*" if within else f"--{self.renamed.get(field.name, field.name).replace('_', '-')}",
-                help=None if hidden or within else _capitalised(meanings[field.name]),
+                **own_help,
                 parse=not hidden,
                 negative_iterable=(),  # --exclude A B, and no --empty-exclude
                 validator=None if within else require_finite,
@@ -181,9 +183,12 @@ def require_new_outputs(bound: inspect.BoundArguments) -> None:
         for name, path in bound.arguments.items()
         if name in _OUTPUTS and kinds[name].kind is inspect.Parameter.KEYWORD_ONLY and isinstance(path, Path)
     }
+    given = dict(bound.arguments)
+    for value in bound.arguments.values():
+        given |= vars(value) if dataclasses.is_dataclass(value) else {}
     read = [
         (name, str(path))
-        for name, value in bound.arguments.items()
+        for name, value in given.items()
         for path in (value if isinstance(value, tuple | list) else (value,))
         if name not in written and isinstance(path, str | Path) and str(path)
     ]
@@ -221,8 +226,9 @@ def meanings_of_fields(options: type[Any]) -> dict[str, str]:
                 meanings.setdefault(name, sentence.rstrip("."))
     missing = [
         name
-        for name, hint in get_type_hints(options).items()
-        if name in names and name not in meanings and not dataclasses.is_dataclass(hint)
+        for name, hint in get_type_hints(options, include_extras=True).items()
+        if name in names and name not in meanings
+        if not (dataclasses.is_dataclass(hint) or hasattr(hint, "__metadata__"))  # with a help of its own
     ]
     if missing:
         raise KeyError(f"{options.__name__}: the docstring does not document {', '.join(missing)}")
