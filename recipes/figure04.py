@@ -8,12 +8,16 @@ figure04.png: the frame, the share of each light in it, and below which lights a
 """
 
 import argparse
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
-from vntoolkit.photometry.frame import lit_from_labels
-from vntoolkit.report.figures import write_detection_figure
+from vntoolkit.arrays import Mask, VisibilityLabels
+from vntoolkit.io.maps_and_meshes.label_images import label_colours
+from vntoolkit.photometry.frame import LinearFrame, lit_from_labels
+from vntoolkit.photometry.response import LightResponse
+from vntoolkit.report import pictures
 from vntoolkit.report.recipes_page import number, write_numbers
 from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
 from vntoolkit.simulation.image_formation import true_response
@@ -21,11 +25,41 @@ from vntoolkit.simulation.nuisances import Nuisances
 from vntoolkit.simulation.render import render_frame
 from vntoolkit.simulation.scene import SceneOptions, build_scene
 
+GROUND = 205  # beside the subject: white means lit by all
+LIGHT_TILES = 4  # film and three lights
+
 
 def overlap(found: np.ndarray, true: np.ndarray, mask: np.ndarray) -> list[float]:
     """Return the intersection over union of the shadows of light 0, 1, 2."""
     dark, dark_true = ~lit_from_labels(found)[mask], ~lit_from_labels(true)[mask]
     return [round(float(x), 3) for x in (dark & dark_true).sum(0) / (dark | dark_true).sum(0)]
+
+
+def write_figure(
+    path: Path | str,
+    frame: LinearFrame,
+    response: LightResponse,
+    labels: Mapping[str, VisibilityLabels],
+    mask: Mask,
+) -> None:
+    """Write film, the share of each light, and below the labels of every method by name, with a legend."""
+    contributions = np.clip(frame.rgb - response.ambient, 0, None) @ response.contributions_from_rgb.T
+    top = np.maximum(np.percentile(contributions[mask], 99, axis=0), 1e-6) if mask.any() else np.ones(3)
+    tiles = {"film": pictures.displayed(frame.rgb)}
+    for k in range(3):
+        share = np.clip(contributions[..., k : k + 1] / top[k], 0, 1)
+        tiles[f"light {k}"] = pictures.displayed(np.repeat(share, 3, axis=-1))
+    for name, found in labels.items():
+        tiles[name] = np.where(mask[..., None], label_colours(found), GROUND).astype(np.uint8)
+    cut = dict(zip(tiles, pictures.cropped(list(tiles.values()), mask, 0), strict=True))
+    first = dict(list(cut.items())[:LIGHT_TILES])
+    legend = {pictures.short_label(label): pictures.web_colour(label) for label in used(labels, mask)}
+    pictures.write_tiles(path, [first, {name: cut[name] for name in cut if name not in first}], legend=legend)
+
+
+def used(labels: Mapping[str, VisibilityLabels], mask: Mask) -> list[int]:
+    """Return the labels that occur within the mask."""
+    return sorted({int(label) for found in labels.values() for label in np.unique(found[mask])})
 
 
 def main(out: Path, scene_name: str = "face") -> None:
@@ -39,7 +73,7 @@ def main(out: Path, scene_name: str = "face") -> None:
         for method in (ShadowMethod.PUBLISHED, ShadowMethod.ROBUST)
     }
     out.mkdir(parents=True, exist_ok=True)
-    write_detection_figure(out / "figure04.png", rendered.linear, response, {**labels, "truth": truth}, mask)
+    write_figure(out / "figure04.png", rendered.linear, response, {**labels, "truth": truth}, mask)
     overlaps = {name: overlap(found, truth, mask) for name, found in labels.items()}
     numbers = [
         number(f"{scene_name}, light {k}, {name}: overlap with the true shadow", values[k], "of 1")

@@ -307,11 +307,6 @@ def presses(
     labels
         Folder of text files, NAME.txt for NAME.jpg: u v contact_radius in pixels of the rectified image.
         Default: the contact circles are found.
-    corners
-        u v of the gel's top left, top right, bottom left and bottom right corner in the image. The image is
-        rectified to them.
-    size_mm
-        Width and height of the rectangle between these corners in millimetres.
     label_size
         Width and height of the image that the labels refer to; default: the rectified one.
     """
@@ -389,10 +384,6 @@ def rectify(
     rig
         The rig.json of a tactile gel. Its corners, size, pixels and transfer curve are taken where none are
         given.
-    corners
-        u v of the rectangle's top left, top right, bottom left and bottom right corner in the image.
-    size_mm
-        Width and height of the rectangle in millimetres.
     pixel_mm
         Side of a pixel of the result in millimetres.
     overwrite

@@ -49,11 +49,6 @@ def circles(
         Image of the untouched gel.
     out
         The folder of labels: NAME.txt for NAME.jpg, u v contact_radius in pixels of the rectified image.
-    corners
-        u v of the gel's top left, top right, bottom left and bottom right corner in the image. The page moves
-        them.
-    size_mm
-        Width and height of the rectangle between these corners in millimetres.
     pixel_mm
         Side of a pixel of the rectified picture in millimetres; needed with --corners.
     page

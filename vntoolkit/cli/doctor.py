@@ -11,16 +11,17 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from vntoolkit import __version__
-from vntoolkit.cli.flags import AmbientImage, Sensor, curve_from_text, verb
+from vntoolkit.cli.flags import AmbientImage, Flags, Sensor, curve_from_text, verb
 from vntoolkit.cli.output import print_next
 from vntoolkit.errors import BadCapture
+from vntoolkit.io.footage.mattes import MatteOptions
 from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.native import (
     NUMBA_LIBRARIES,
@@ -70,8 +71,7 @@ def doctor(
     *,
     rig: Path | None = None,
     mask: Path | None = None,
-    mask_level: float = 0.5,
-    key: float | None = None,
+    matting: Annotated[MatteOptions | None, Flags()] = None,
     background: AmbientImage = None,
     transfer: str | None = None,
     sensor: Sensor = None,
@@ -87,11 +87,6 @@ def doctor(
     mask
         White where the subject is: an image, or a video, a folder or a pattern with a matte for each frame.
         Used together with --rig.
-    mask_level
-        Brightness of the matte, as a share of its full scale, above which a pixel is the subject.
-    key
-        Difference from the background, as a share of full scale, above which a pixel is the subject. With it,
-        the background is a clean plate, and is not subtracted.
     transfer
         Curve of the footage: linear, srgb, bt709, gamma:G, pq, hlg, slog3, vlog, clog3 or logc3. Default: the
         rig's, else the one that the file states, else linear.
@@ -102,7 +97,6 @@ def doctor(
     from vntoolkit.diagnosis.inspection import inspect_capture
     from vntoolkit.io.footage.captures import CaptureOptions
     from vntoolkit.io.footage.frame_range import Gaps
-    from vntoolkit.io.footage.mattes import MatteOptions
     from vntoolkit.io.rigs import read_rig
 
     the_rig = None if rig is None else read_rig(rig)
@@ -110,14 +104,14 @@ def doctor(
         gaps=Gaps.SKIP,
         transfer=curve_from_text(transfer),
         sensor=sensor or SensorOptions(),
-        background=None if key is not None else background,
+        background=None if matting is not None and matting.key is not None else background,
     )
     report = inspect_capture(
         source,
         options,
         rig=the_rig,
         mask=mask,
-        matting=MatteOptions(mask_level=mask_level, key=key),
+        matting=matting,
         plate=background,
     )
     _print_report(Console(emoji=False), source, report)

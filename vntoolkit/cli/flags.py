@@ -76,9 +76,24 @@ Allow: TypeAlias = Annotated[
         help="Checks whose fatal findings do not stop the run, by the name that ends the finding's line.",
     ),
 ]
-_List = Parameter(consume_multiple=True, negative=())
-Corners: TypeAlias = Annotated[tuple[float, float, float, float, float, float, float, float] | None, _List]
-SizeMm: TypeAlias = Annotated[tuple[float, float] | None, _List]
+Corners: TypeAlias = Annotated[
+    tuple[float, float, float, float, float, float, float, float] | None,
+    Parameter(
+        consume_multiple=True,
+        negative=(),
+        help="u v of the top left, top right, bottom left and bottom right corner of the gel (or of another "
+        "rectangle) in the picture, of `live` in the crop. The picture is rectified to them. Default: those "
+        "of the rig, if there is one.",
+    ),
+]
+SizeMm: TypeAlias = Annotated[
+    tuple[float, float] | None,
+    Parameter(
+        consume_multiple=True,
+        negative=(),
+        help="Width and height of the rectangle between these corners in millimetres. Default: as --corners.",
+    ),
+]
 FocalPx: TypeAlias = Annotated[
     float | None,
     Parameter(help="Focal length in pixels. Gives a pinhole camera; use it instead of --camera."),

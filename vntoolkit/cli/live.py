@@ -84,11 +84,6 @@ def live(
         Difference from the background, as a share of full scale, above which a pixel is the subject.
     crop
         Left, top, width and height in pixels of the part to work on.
-    corners
-        u v of the gel's top left, top right, bottom left and bottom right corner in the crop, to rectify it.
-        Default: those of the rig.
-    size_mm
-        Width and height of the rectangle between these corners in millimetres. Default: those of the rig.
     pixel_mm
         Side of a pixel of the rectified picture in millimetres; a gel's rig knows it.
     shadows

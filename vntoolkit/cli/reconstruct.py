@@ -66,11 +66,6 @@ def reconstruct(
     mask
         White where the subject is, of the footage's size: an image, or a video, a folder or a pattern with a
         matte for each frame.
-    corners
-        u v of a tactile gel's top left, top right, bottom left and bottom right corner in the footage, where
-        the sensor or its camera has moved. Default: those of the rig.
-    size_mm
-        Width and height of the rectangle between these corners in millimetres. Default: those of the rig.
     transfer
         Transfer curve of the footage, linear, srgb, bt709, gamma:G, pq, hlg, slog3, vlog, clog3 or logc3,
         even where the file states another. Default: the rig's.

@@ -246,11 +246,13 @@ def _indented(value: Any, indent: str = "") -> str:
     return json.dumps(value, ensure_ascii=False)
 
 
-class _Entry(BaseModel):
+class Entry(BaseModel):
+    """A JSON object of known keys."""
+
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
 
 
-class CameraEntry(_Entry):
+class CameraEntry(Entry):
     """The camera that filmed."""
 
     model: Literal["PINHOLE", "OPENCV", "ORTHOGRAPHIC"] = Field(
@@ -267,7 +269,7 @@ class CameraEntry(_Entry):
     )
 
 
-class VariationTermEntry(_Entry):
+class VariationTermEntry(Entry):
     """One monomial x^i y^j of the pixel position and what it adds to the response."""
 
     powers: tuple[Annotated[int, Field(ge=0, le=3)], Annotated[int, Field(ge=0, le=3)]] = Field(
@@ -277,7 +279,7 @@ class VariationTermEntry(_Entry):
     ambient: _Row = Field(default=(0.0, 0.0, 0.0), description="What it adds to the ambient, full scale.")
 
 
-class VariationEntry(_Entry):
+class VariationEntry(Entry):
     """How near lights change the response over the image; matrix and ambient hold at the centre.
 
     x = (u - centre_px[0]) / scale_px, y = (v - centre_px[1]) / scale_px, at pixel (u, v) of the image without
@@ -289,7 +291,7 @@ class VariationEntry(_Entry):
     terms: list[VariationTermEntry] = Field(min_length=1, description="The monomials.")
 
 
-class ResponseEntry(_Entry):
+class ResponseEntry(Entry):
     """The light response: linear colour = matrix · normal + ambient, 1 = full scale."""
 
     matrix: _Matrix = Field(
@@ -317,7 +319,7 @@ class ResponseEntry(_Entry):
     )
 
 
-class ColourEntry(_Entry):
+class ColourEntry(Entry):
     """How stored values are converted to linear light."""
 
     order: Literal["rgb"] = Field(default="rgb", description="Order of the channels in the matrix.")
@@ -333,7 +335,7 @@ class ColourEntry(_Entry):
     )
 
 
-class QualityEntry(_Entry):
+class QualityEntry(Entry):
     """How the response was fitted, and how well."""
 
     method: str = Field(description="The verb that fitted it: sphere, board, head, lights or simulation.")
@@ -348,7 +350,7 @@ class QualityEntry(_Entry):
     )
 
 
-class RectificationEntry(_Entry):
+class RectificationEntry(Entry):
     """Where the gel lies in the picture as filmed."""
 
     corners_px: Annotated[tuple[FiniteFloat, ...], Field(min_length=8, max_length=8)] = Field(
@@ -364,7 +366,7 @@ class RectificationEntry(_Entry):
     )
 
 
-class GelEntry(_Entry):
+class GelEntry(Entry):
     """How a tactile gel answers beyond M, which then is its response to a change against the untouched gel.
 
     m = inverse(matrix) · (colour - colour of the untouched gel). x = (u - centre_px[0]) / scale_px and y
@@ -392,14 +394,14 @@ class GelEntry(_Entry):
     )
 
 
-class SourceEntry(_Entry):
+class SourceEntry(Entry):
     """A file that the rig was fitted from."""
 
     file: str = Field(description="Name of the file.")
     sha256: str = Field(pattern="^[0-9a-f]{64}$", description="SHA-256 of its bytes, hexadecimal.")
 
 
-class RigFile(_Entry):
+class RigFile(Entry):
     """A vntoolkit rig: camera, light response, colour encoding, and quality of the calibration."""
 
     version: Literal[1, 2, 3, 4, 5] = Field(default=1, description="Version of this schema.")

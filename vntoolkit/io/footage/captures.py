@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -282,55 +283,44 @@ def _stated_transfer(info: CaptureInfo, name: str) -> Transfer:
 
 def _info_of_images(found: CaptureFiles, options: CaptureOptions) -> CaptureInfo:
     files = found.files
-    if is_raw(files[0]):
-        return _info_of_raw(found, options)
-    first = read_image(files[0], max_megapixels=options.max_megapixels, sensor=options.sensor)
-    with opened(files[0], BadCapture) as stream:
-        header = header_of_stream(stream, str(files[0]))
-    grey = "Bayer" if options.sensor.bayer or header.bayer else "grey"
-    return CaptureInfo(
+    info = partial(
+        CaptureInfo,
         kind=found.kind,
-        width=first.shape[1],
-        height=first.shape[0],
         frame_count=found.numbers[-1] + 1,
         frame_rate_hz=options.frame_rate_hz,
-        pixel_format=f"{header.format} {header.bits}-bit{' float' if header.floating else ''}",
-        bits=_bits(first, options, files[0]),
-        codec=header.format,
-        chroma=grey if header.channels < 3 else header.chroma,
         files=files,
         promised_frame_count=found.numbers[-1] + 1,
-        stated_transfer=header.stated_transfer,
-        stated_focal_px=header.stated_focal_px,
-        orientation=header.orientation.text,
         numbers=found.numbers,
         missing=found.missing,
         left_out=found.left_out,
         stated=found.stated,
     )
-
-
-def _info_of_raw(found: CaptureFiles, options: CaptureOptions) -> CaptureInfo:
-    limit = options.max_megapixels
-    _, header = read_raw(found.files[0], options.sensor.demosaic, max_megapixels=limit)
-    return CaptureInfo(
-        kind=found.kind,
-        width=header.width,
-        height=header.height,
-        frame_count=found.numbers[-1] + 1,
-        frame_rate_hz=options.frame_rate_hz,
-        pixel_format=f"{header.kind}, saturation {header.saturation}",
-        bits=16,
-        codec="raw",
-        chroma="Bayer",
-        files=found.files,
-        promised_frame_count=found.numbers[-1] + 1,
-        stated_transfer="linear",
-        orientation=header.orientation,
-        numbers=found.numbers,
-        missing=found.missing,
-        left_out=found.left_out,
-        stated=found.stated,
+    if is_raw(files[0]):
+        _, raw = read_raw(files[0], options.sensor.demosaic, max_megapixels=options.max_megapixels)
+        return info(
+            width=raw.width,
+            height=raw.height,
+            pixel_format=f"{raw.kind}, saturation {raw.saturation}",
+            bits=16,
+            codec="raw",
+            chroma="Bayer",
+            stated_transfer="linear",
+            orientation=raw.orientation,
+        )
+    first = read_image(files[0], max_megapixels=options.max_megapixels, sensor=options.sensor)
+    with opened(files[0], BadCapture) as stream:
+        header = header_of_stream(stream, str(files[0]))
+    grey = "Bayer" if options.sensor.bayer or header.bayer else "grey"
+    return info(
+        width=first.shape[1],
+        height=first.shape[0],
+        pixel_format=f"{header.format} {header.bits}-bit{' float' if header.floating else ''}",
+        bits=_bits(first, options, files[0]),
+        codec=header.format,
+        chroma=grey if header.channels < 3 else header.chroma,
+        stated_transfer=header.stated_transfer,
+        stated_focal_px=header.stated_focal_px,
+        orientation=header.orientation.text,
     )
 
 

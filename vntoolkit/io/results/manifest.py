@@ -15,14 +15,14 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 import vntoolkit
 from vntoolkit.errors import BadInput
 from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import parse_json, read_text, require_file, sha256_of_file
 from vntoolkit.io.maps_and_meshes.label_images import LABEL_LEGEND
-from vntoolkit.io.rigs import RigFile, SourceEntry, one_line_from_validation, text_from_model
+from vntoolkit.io.rigs import Entry, RigFile, SourceEntry, one_line_from_validation, text_from_model
 from vntoolkit.native import open3d_distribution
 
 MANIFEST_NAME = "reconstruction.json"
@@ -31,10 +31,8 @@ _STILLS_RATE_HZ = 30.0
 _LIBRARIES = ("numpy", "scipy", "numba", "opencv-contrib-python-headless", "av", "OpenEXR")
 
 
-class InputEntry(BaseModel):
+class InputEntry(Entry):
     """The capture that was read."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     source: str = Field(description="What was given on the command line.")
     files: list[SourceEntry] = Field(description="Every file read, in order, with the SHA-256 of its bytes.")
@@ -62,10 +60,8 @@ class InputEntry(BaseModel):
         return self.frame_rate_hz or _STILLS_RATE_HZ
 
 
-class MaterialEntry(BaseModel):
+class MaterialEntry(Entry):
     """A material of the subject; its place in the list is its value in materials/*.png."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     reflectance: tuple[float, float, float] = Field(
         description="What it returns of lamps 0, 1, 2, relative to the calibration material."
@@ -83,10 +79,8 @@ class MaterialEntry(BaseModel):
     )
 
 
-class SurfaceEntry(BaseModel):
+class SurfaceEntry(Entry):
     """Reflectances of a tracked surface that the frames were reconstructed again with."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     frames: int = Field(ge=0, description="Frames that told the reflectances.")
     seen: float = Field(description="Share of the surface's vertices that these show.")
@@ -96,20 +90,16 @@ class SurfaceEntry(BaseModel):
     spreads: tuple[float, ...] = Field(description="Of each material, standard deviation along that line.")
 
 
-class FindingEntry(BaseModel):
+class FindingEntry(Entry):
     """What the run found wrong with footage or rig before its first frame."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     check: str = Field(description="Name of the check, which --allow takes.")
     level: Literal["note", "warning", "fatal"] = Field(description="Fatal: the run was allowed to go on.")
     text: str = Field(description="The finding on one line, with its number and remedy.")
 
 
-class Manifest(BaseModel):
+class Manifest(Entry):
     """What a result folder holds."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     version: int = Field(default=MANIFEST_VERSION, description="Version of this schema.")
     input: InputEntry
