@@ -28,25 +28,10 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, LinearImage, Mask, Points, Points2, Vector3
-from vntoolkit.calibration.fit import (
-    Design,
-    angles_deg,
-    cone_of_normals_deg,
-    fit_by_trimming,
-    response_from_unknowns,
-    warn_of_weak_fit,
-)
+from vntoolkit.calibration import fit as fits
 from vntoolkit.checks import require_positive, require_shape
 from vntoolkit.errors import BadCalibration, BadInput
-from vntoolkit.photometry.gel import (
-    TERM_DEGREES,
-    TERMS,
-    GelResponse,
-    correction_terms,
-    first_estimate,
-    normals_from_stereographic,
-    stereographic_from_normals,
-)
+from vntoolkit.photometry import gel as gels
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.rig import FitQuality
 
@@ -254,7 +239,7 @@ class GelFit:
     """
 
     response: LightResponse
-    gel: GelResponse
+    gel: gels.GelResponse
     quality: FitQuality
     held_back_deg: float
     label_offset_px: FloatArray
@@ -287,7 +272,7 @@ def fit_gel_to_presses(
     if options.label_offset is LabelOffset.COMMON and len(samples) > 1:
         common = _middle(own)
     scatter = float(np.median(np.linalg.norm(own - common, axis=1))) if samples else 0.0
-    warn_of_weak_fit(fit.quality)
+    fits.warn_of_weak_fit(fit.quality)
     return replace(fit, label_offset_px=common, label_scatter_px=scatter)
 
 
@@ -326,18 +311,18 @@ def _fit_response(
     reach = float(np.percentile(np.linalg.norm(scaled[pairs.touched], axis=1), _REACH_PERCENTILE))
     centre, scale = (np.array(size) - 1.0) / 2, max(size) / 2.0
     # In units of the reach no factor exceeds 1: the higher a term, the more firmly the ridge holds it.
-    unit = reach ** -TERM_DEGREES[:, 0].astype(np.float64)
-    terms = unit * correction_terms(scaled, (pairs.positions_px - centre) / scale, reach)
-    first = first_estimate(scaled)
-    wanted = stereographic_from_normals(pairs.normals) - first
+    unit = reach ** -gels.TERM_DEGREES[:, 0].astype(np.float64)
+    terms = unit * gels.correction_terms(scaled, (pairs.positions_px - centre) / scale, reach)
+    first = gels.first_estimate(scaled)
+    wanted = gels.stereographic_from_normals(pairs.normals) - first
     coefficients, predicted = _Ridge(terms, wanted, pairs).choose()
     touched = pairs.touched
     errors, held_back = None, float("nan")
     if predicted is not None:
-        found = normals_from_stereographic(first + predicted)
-        angles = angles_deg(found, pairs.normals)
+        found = gels.normals_from_stereographic(first + predicted)
+        angles = fits.angles_deg(found, pairs.normals)
         errors, held_back = _errors_by_tilt(found, angles), float(np.median(angles[touched]))
-    gel = GelResponse(
+    gel = gels.GelResponse(
         coefficients=coefficients * unit[:, None],
         centre_px=centre,
         scale_px=scale,
@@ -348,10 +333,10 @@ def _fit_response(
     found = gel.normals_from_change(rgb, pairs.positions_px[touched], response)
     quality = FitQuality(
         method="presses",
-        residual_deg=float(np.median(angles_deg(found, normals))),
+        residual_deg=float(np.median(fits.angles_deg(found, normals))),
         condition_number=response.condition_number,
         samples=len(normals),
-        cone_deg=cone_of_normals_deg(normals),
+        cone_deg=fits.cone_of_normals_deg(normals),
     )
     return GelFit(
         response=response, gel=gel, quality=quality, held_back_deg=held_back,
@@ -380,7 +365,7 @@ class _Ridge:
         A single press predicts none: no correction, and None.
         """
         if self._folds < 2:
-            return np.zeros((TERMS, 2)), None
+            return np.zeros((gels.TERMS, 2)), None
         fold = self._presses % self._folds
         parts = [self._equations(fold == k) for k in range(self._folds)]
         normal, right = (np.sum(group, axis=0) for group in zip(*parts, strict=True))
@@ -399,7 +384,7 @@ class _Ridge:
         return weighted.T @ self._terms[chosen], weighted.T @ self._wanted[chosen]
 
     def _solve(self, normal: FloatArray, right: FloatArray, strength: float) -> FloatArray:
-        return np.asarray(np.linalg.solve(normal + strength * self._unit * np.eye(TERMS), right))
+        return np.asarray(np.linalg.solve(normal + strength * self._unit * np.eye(gels.TERMS), right))
 
 
 def _errors_by_tilt(found: Points, angles: FloatArray) -> FloatArray:
@@ -416,10 +401,10 @@ def _errors_by_tilt(found: Points, angles: FloatArray) -> FloatArray:
 def _fit_matrix(pairs: PressPairs, level: Vector3, options: PressOptions) -> LightResponse:
     """One M for the whole gel, from the contacts; its column of n_z is known from the untouched gel."""
     normals, rgb = pairs.normals[pairs.touched], pairs.rgb[pairs.touched]
-    design = Design(rows=normals[:, :2], colours=rgb + (1.0 + normals[:, 2:]) * level)
+    design = fits.Design(rows=normals[:, :2], colours=rgb + (1.0 + normals[:, 2:]) * level)
     everything = np.ones(len(rgb), np.bool_)
-    unknowns, _ = fit_by_trimming(design, everything, 0.0, options.outlier_sigmas, _ROUNDS)
-    return response_from_unknowns(np.vstack([unknowns, -level, -level]))
+    unknowns, _ = fits.fit_by_trimming(design, everything, 0.0, options.outlier_sigmas, _ROUNDS)
+    return fits.response_from_unknowns(np.vstack([unknowns, -level, -level]))
 
 
 def angle_of_one_matrix(
@@ -429,8 +414,8 @@ def angle_of_one_matrix(
     pairs = pairs_from_samples(samples, offset_px, options).thinned(_PAIRS_OF_OFFSET)
     response = _fit_matrix(pairs, level, options)
     normals, rgb = pairs.normals[pairs.touched], pairs.rgb[pairs.touched]
-    found = normals_from_stereographic(first_estimate(rgb @ response.inverse.T))
-    return float(np.median(angles_deg(found, normals)))
+    found = gels.normals_from_stereographic(gels.first_estimate(rgb @ response.inverse.T))
+    return float(np.median(fits.angles_deg(found, normals)))
 
 
 def largest_label_offset(samples: Iterable[PressSamples]) -> float:
@@ -459,7 +444,7 @@ def fit_label_offset(samples: list[PressSamples], level: Vector3, options: Press
         pairs = pairs_from_samples(thin, offset, options)
         response = _fit_matrix(pairs, level, options)
         normals, rgb = pairs.normals[pairs.touched], pairs.rgb[pairs.touched]
-        found = normals_from_stereographic(first_estimate(rgb @ response.inverse.T))
+        found = gels.normals_from_stereographic(gels.first_estimate(rgb @ response.inverse.T))
         tilt = np.median(found[:, :2] - normals[:, :2], axis=0)
         step = -tilt * options.ball_radius_mm / options.pixel_mm
         offset = offset + step

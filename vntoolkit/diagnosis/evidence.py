@@ -14,14 +14,9 @@ import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, Mask, Matrix3
 from vntoolkit.materials.paint_levels import in_one_paint
+from vntoolkit.photometry import transfer as transfers
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
-from vntoolkit.photometry.transfer import (
-    Transfer,
-    TransferCurve,
-    encoded_from_linear,
-    linear_from_encoded,
-)
 
 Single = npt.NDArray[np.float32]
 FEW_PIXELS = 50_000  # of an averaged frame: enough for every statistic here, and a run starts within a second
@@ -47,7 +42,7 @@ class Evidence:
     """
 
     rig: Rig
-    transfer: Transfer
+    transfer: transfers.Transfer
     light: Single
     clipped: npt.NDArray[np.bool_]
     inside: npt.NDArray[np.bool_]
@@ -125,8 +120,10 @@ class Evidence:
     def read_otherwise(self) -> Evidence:
         """The same footage read with a curve of the other kind."""
         other = of_the_other_kind(self.transfer)
-        encoded = encoded_from_linear(np.maximum(self.light, 0.0), self.transfer)
-        return replace(self, light=linear_from_encoded(encoded, other).astype(np.float32), transfer=other)
+        encoded = transfers.encoded_from_linear(np.maximum(self.light, 0.0), self.transfer)
+        return replace(
+            self, light=transfers.linear_from_encoded(encoded, other).astype(np.float32), transfer=other
+        )
 
     @property
     def clipped_share(self) -> float:
@@ -159,9 +156,9 @@ class Evidence:
         return (np.arange(self.light.shape[1]) + 0.5) / self.scale - 0.5
 
 
-def of_the_other_kind(read: Transfer) -> Transfer:
+def of_the_other_kind(read: transfers.Transfer) -> transfers.Transfer:
     """Return an encoding curve for linear, else linear; the encoding ones differ too little to be told."""
-    return Transfer.from_text("srgb" if read.curve is TransferCurve.LINEAR else "linear")
+    return transfers.Transfer.from_text("srgb" if read.curve is transfers.TransferCurve.LINEAR else "linear")
 
 
 def _equal_parts(counts: npt.NDArray[np.int64], parts: int) -> npt.NDArray[np.int64]:
@@ -174,7 +171,7 @@ def _equal_parts(counts: npt.NDArray[np.int64], parts: int) -> npt.NDArray[np.in
 def evidence_from_frames(
     frames: Sequence[LinearFrame],
     rig: Rig,
-    transfer: Transfer,
+    transfer: transfers.Transfer,
     mask: Mask | None = None,
     most_pixels: int = FEW_PIXELS,
 ) -> Evidence:

@@ -11,25 +11,13 @@ import numpy as np
 
 from vntoolkit.arrays import Mask
 from vntoolkit.checks import require_positive
+from vntoolkit.diagnosis import evidence as evidences
 from vntoolkit.diagnosis import over_time
+from vntoolkit.diagnosis import sharpness as sharp
 from vntoolkit.diagnosis.checks import findings_from_evidence, findings_from_rig
-from vntoolkit.diagnosis.evidence import (
-    FEW_PIXELS,
-    PIXELS_BETWEEN_SEAMS,
-    Evidence,
-    averaged_down,
-    evidence_from_frames,
-)
 from vntoolkit.diagnosis.finding import Finding, Level
 from vntoolkit.diagnosis.lamp_nearness import Nearness, finding_from_nearness, fit_nearness
 from vntoolkit.diagnosis.rig_checks import check_stated_focal
-from vntoolkit.diagnosis.sharpness import (
-    OF_INTERPOLATION_PX,
-    Sharpness,
-    colour_is_interpolated,
-    findings_from_sharpness,
-    fit_sharpness,
-)
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.footage.captures import Capture, CaptureInfo, CaptureOptions, open_capture
 from vntoolkit.io.footage.mattes import MatteOptions, Mattes, open_mattes
@@ -377,7 +365,7 @@ def examine_capture(
     findings = _findings_from_channels(capture.info) + findings_from_clipping(frames, mask)
     if capture.info.chroma == "grey" or not frames:
         return Examination(findings=findings)
-    small = [averaged_down(frame) for frame in frames]
+    small = [evidences.averaged_down(frame) for frame in frames]
     near: Nearness | None = None
     places = sorted({0, len(frames) // 2, len(frames) - 1})
     if rig is not None:
@@ -387,15 +375,15 @@ def examine_capture(
         if (width, height) != rig.footage_size:
             findings += [*findings_from_rig(rig), _other_size(width, height, rig)]
             return Examination(findings=findings)
-        few, most = [small[k] for k in places], FEW_PIXELS
+        few, most = [small[k] for k in places], evidences.FEW_PIXELS
         if in_one_material is not None and rig.gel is None:
             apart = sorted({places[0], places[-1]})  # labels take a quarter of a second a frame
-            few, most = [in_one_material(frames[k]) for k in apart], PIXELS_BETWEEN_SEAMS
-        evidence = evidence_from_frames(few, rig, capture.transfer, mask, most)
+            few, most = [in_one_material(frames[k]) for k in apart], evidences.PIXELS_BETWEEN_SEAMS
+        evidence = evidences.evidence_from_frames(few, rig, capture.transfer, mask, most)
         with_rig = _findings_with_rig(
             evidence,
-            lambda: evidence_from_frames(
-                [frames[k] for k in places], rig, capture.transfer, mask, PIXELS_BETWEEN_SEAMS
+            lambda: evidences.evidence_from_frames(
+                [frames[k] for k in places], rig, capture.transfer, mask, evidences.PIXELS_BETWEEN_SEAMS
             ),
         )
         findings += with_rig
@@ -408,9 +396,9 @@ def examine_capture(
     if any(finding.level is Level.FATAL for finding in findings):
         return Examination(findings=findings)
     findings += _findings_over_time(in_a_row, rig, capture.transfer, mask)
-    sharpness = fit_sharpness([frames[k] for k in places], mask)
+    sharpness = sharp.fit_sharpness([frames[k] for k in places], mask)
     if sharpness is not None:
-        findings += findings_from_sharpness(sharpness)
+        findings += sharp.findings_from_sharpness(sharpness)
     if near is not None and near.established:
         findings.append(finding_from_nearness(near))
     return Examination(
@@ -420,11 +408,11 @@ def examine_capture(
     )
 
 
-def blur_of_colours(sharpness: Sharpness | None, chroma: str, frame: LinearFrame) -> float:
+def blur_of_colours(sharpness: sharp.Sharpness | None, chroma: str, frame: LinearFrame) -> float:
     """Return the blur of a frame's colours in pixels: the lens's, and that of what was interpolated."""
     blur_px = 0.0 if sharpness is None else sharpness.over_all_px
-    if chroma in _CHROMA_COST_DEG or colour_is_interpolated(frame):
-        return math.hypot(blur_px, OF_INTERPOLATION_PX)
+    if chroma in _CHROMA_COST_DEG or sharp.colour_is_interpolated(frame):
+        return math.hypot(blur_px, sharp.OF_INTERPOLATION_PX)
     return blur_px
 
 
@@ -433,19 +421,21 @@ def findings_from_frames(
     rig: Rig,
     transfer: Transfer,
     mask: Mask | None = None,
-    most_pixels: int = FEW_PIXELS,
+    most_pixels: int = evidences.FEW_PIXELS,
 ) -> list[Finding]:
     """Check a rig and a few frames of its size, read with `transfer`, by all that `checks` lists.
 
     most_pixels: that frames are averaged down to.
     """
     return _findings_with_rig(
-        evidence_from_frames(frames, rig, transfer, mask, most_pixels),
-        lambda: evidence_from_frames(frames, rig, transfer, mask, PIXELS_BETWEEN_SEAMS),
+        evidences.evidence_from_frames(frames, rig, transfer, mask, most_pixels),
+        lambda: evidences.evidence_from_frames(frames, rig, transfer, mask, evidences.PIXELS_BETWEEN_SEAMS),
     )
 
 
-def _findings_with_rig(evidence: Evidence, closer: Callable[[], Evidence]) -> list[Finding]:
+def _findings_with_rig(
+    evidence: evidences.Evidence, closer: Callable[[], evidences.Evidence]
+) -> list[Finding]:
     findings = findings_from_rig(evidence.rig)
     # the response of a gel is to changes, which the checks do not look at
     if evidence.rig.gel is None and _is_wide(evidence):
@@ -453,7 +443,7 @@ def _findings_with_rig(evidence: Evidence, closer: Callable[[], Evidence]) -> li
     return findings
 
 
-def _is_wide(evidence: Evidence) -> bool:
+def _is_wide(evidence: evidences.Evidence) -> bool:
     return min(evidence.light.shape[1:3]) >= _NARROWEST_PX
 
 
@@ -466,7 +456,7 @@ def _findings_over_time(
     findings = over_time.findings_from_motion(in_a_row, mask)
     if rig is None or findings:
         return findings
-    evidence = evidence_from_frames(in_a_row, rig, transfer, mask)
+    evidence = evidences.evidence_from_frames(in_a_row, rig, transfer, mask)
     return (
         (over_time.check_flicker(evidence) or over_time.check_bands(evidence)) if _is_wide(evidence) else []
     )
@@ -496,7 +486,7 @@ def _frames_to_judge(
         if number in spread:
             over_all.append(frame)
         if number in first:
-            consecutive.append(averaged_down(frame))
+            consecutive.append(evidences.averaged_down(frame))
     return over_all, consecutive
 
 

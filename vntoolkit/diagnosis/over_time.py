@@ -24,14 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, Mask
-from vntoolkit.diagnosis.evidence import (
-    Evidence,
-    Single,
-    brightest_channel,
-    darkest_channel,
-    lengths_of,
-    scaled_normals,
-)
+from vntoolkit.diagnosis import evidence as evidences
 from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
 from vntoolkit.photometry.frame import LinearFrame
 
@@ -78,10 +71,10 @@ def findings_from_drift(frames: Sequence[LinearFrame]) -> list[Finding]:
     reference, static = small[0]
     gains: list[FloatArray] = []
     for light, usable in small[1:]:
-        both = static & usable & (brightest_channel(np.abs(light - reference)) < _SEARCH)
+        both = static & usable & (evidences.brightest_channel(np.abs(light - reference)) < _SEARCH)
         change = light - reference
         factor = _common_factor(change[both])
-        static = both & (brightest_channel(np.abs(change - factor)) < _WINDOW)
+        static = both & (evidences.brightest_channel(np.abs(change - factor)) < _WINDOW)
         gains.append(change)
     if not gains or not _surrounds(static):
         return []
@@ -111,7 +104,7 @@ def _reduced(frame: LinearFrame) -> tuple[FloatArray, Mask]:
     rgb = cv2.blur(cv2.resize(np.array(frame.rgb), size, interpolation=cv2.INTER_AREA), (_BLUR_PX, _BLUR_PX))
     clipped = cv2.resize(frame.clipped.astype(np.float32), size, interpolation=cv2.INTER_AREA)
     clipped = cv2.blur(clipped, (_BLUR_PX, _BLUR_PX))
-    usable: Mask = np.asarray((darkest_channel(rgb) > _DARKEST) & (clipped == 0))
+    usable: Mask = np.asarray((evidences.darkest_channel(rgb) > _DARKEST) & (clipped == 0))
     return np.log(np.maximum(rgb, 1e-6)).astype(np.float64), usable
 
 
@@ -124,7 +117,7 @@ def _common_factor(change: FloatArray) -> FloatArray:
     near = np.abs(change[:, 1] - (edges[int(counts.argmax())] + _BIN / 2)) < _WINDOW
     centre = np.median(change[near], axis=0) if near.any() else np.zeros(3)
     for _ in range(_ROUNDS):
-        near = brightest_channel(np.abs(change - centre)) < _WINDOW
+        near = evidences.brightest_channel(np.abs(change - centre)) < _WINDOW
         if not near.any():
             break
         centre = np.median(change[near], axis=0)
@@ -136,7 +129,7 @@ def _surrounds(static: Mask) -> bool:
     return bool(static.mean() > _LEAST_SHARE and border.mean() > _LEAST_OF_BORDER)
 
 
-def check_flicker(evidence: Evidence) -> list[Finding]:
+def check_flicker(evidence: evidences.Evidence) -> list[Finding]:
     """Find light that goes up and down from frame to frame. evidence: of consecutive frames."""
     if len(evidence.light) < 3:
         return []
@@ -164,7 +157,7 @@ def check_flicker(evidence: Evidence) -> list[Finding]:
     ]
 
 
-def check_bands(evidence: Evidence) -> list[Finding]:
+def check_bands(evidence: evidences.Evidence) -> list[Finding]:
     """Find bands, which a rolling shutter makes of flicker. evidence: of consecutive frames.
 
     Gains of the channels are fitted to what lengths do in every stripe of rows, and then of columns. What a
@@ -173,8 +166,8 @@ def check_bands(evidence: Evidence) -> list[Finding]:
     seen = evidence.surface.all(axis=0)
     if len(evidence.light) < 3 or int(seen.sum()) < _FEWEST_PIXELS:
         return []
-    scaled = np.stack([scaled_normals(evidence, light)[seen] for light in evidence.light])
-    lengths = np.maximum(lengths_of(scaled), 1e-9)
+    scaled = np.stack([evidences.scaled_normals(evidence, light)[seen] for light in evidence.light])
+    lengths = np.maximum(evidences.lengths_of(scaled), 1e-9)
     logs = np.log(lengths)
     beats = logs[1:-1] - 0.5 * (logs[:-2] + logs[2:])
     inverse = evidence.inverse if evidence.inverse.ndim == 2 else evidence.inverse[seen]
@@ -205,8 +198,8 @@ def check_bands(evidence: Evidence) -> list[Finding]:
     ]
 
 
-def _follow(inverse: Single, scaled: Single) -> FloatArray:
-    n = scaled / np.maximum(lengths_of(scaled), 1e-9)[:, None]
+def _follow(inverse: evidences.Single, scaled: evidences.Single) -> FloatArray:
+    n = scaled / np.maximum(evidences.lengths_of(scaled), 1e-9)[:, None]
     colour = np.einsum("...ij,...j->...i", np.linalg.inv(inverse), n)
     return np.asarray(np.einsum("...i,...ij->...j", n, inverse) * colour, np.float64)
 
@@ -226,8 +219,8 @@ def _gains_of_stripe(follow: FloatArray, beats: FloatArray) -> FloatArray:
     return gains
 
 
-def _lengths(evidence: Evidence, light: Single) -> Single:
-    return np.asarray(lengths_of(scaled_normals(evidence, light)))
+def _lengths(evidence: evidences.Evidence, light: evidences.Single) -> evidences.Single:
+    return np.asarray(evidences.lengths_of(evidences.scaled_normals(evidence, light)))
 
 
 def _largest_error(beats: FloatArray, medians: FloatArray, blocks: npt.NDArray[np.int64]) -> float:
@@ -308,7 +301,9 @@ def findings_from_tracks(
     ]
 
 
-def _lost_share(flow: cv2.DISOpticalFlow, now: Single, then: Single, subject: Mask) -> float:
+def _lost_share(
+    flow: cv2.DISOpticalFlow, now: evidences.Single, then: evidences.Single, subject: Mask
+) -> float:
     top = 255.0 / max(float(np.percentile(now, 99.5)), float(np.percentile(then, 99.5)), 1e-6)
     first, second = (np.clip(top * picture, 0, 255).astype(np.uint8) for picture in (now, then))
     onwards = np.asarray(flow.calc(first, second, None))  # type: ignore[call-overload]
@@ -317,12 +312,12 @@ def _lost_share(flow: cv2.DISOpticalFlow, now: Single, then: Single, subject: Ma
     u, v = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
     to_u, to_v = u + onwards[..., 0], v + onwards[..., 1]
     returned = cv2.remap(back, to_u, to_v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    missed = lengths_of(onwards + returned)
-    allowed = _RETURN_PX + _RETURN_SHARE * lengths_of(onwards)
+    missed = evidences.lengths_of(onwards + returned)
+    allowed = _RETURN_PX + _RETURN_SHARE * evidences.lengths_of(onwards)
     return float((missed > allowed)[subject].mean())
 
 
-def _picture(frame: LinearFrame) -> Single:
+def _picture(frame: LinearFrame) -> evidences.Single:
     """Return one brightness, (h, w), averaged down; roots even out what is lit well and what is not."""
     factor = min(1.0, _SIDE_PX / max(frame.shape))
     size = (max(8, round(frame.shape[1] * factor)), max(8, round(frame.shape[0] * factor)))

@@ -21,14 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, Mask
-from vntoolkit.diagnosis.evidence import (
-    Evidence,
-    Single,
-    brightest_channel,
-    darkest_channel,
-    lengths_of,
-    of_the_other_kind,
-)
+from vntoolkit.diagnosis import evidence as evidences
 from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
 from vntoolkit.diagnosis.length_regression import regress_lengths, spread_of_lengths
 from vntoolkit.diagnosis.surface_pixels import SurfacePixels, surface_pixels
@@ -64,7 +57,7 @@ _UNEXPLAINED = 4.0
 _TURNED_ROUND = 0.5
 
 
-def check_transfer(evidence: Evidence) -> list[Finding]:
+def check_transfer(evidence: evidences.Evidence) -> list[Finding]:
     """Find footage that was written with another transfer curve than it was read with."""
     written = _against_the_other_kind(evidence)
     if written is None or not 0.0 < written.score <= _UNEXPLAINED:
@@ -101,7 +94,7 @@ def check_transfer(evidence: Evidence) -> list[Finding]:
     ]
 
 
-def check_calibrated_transfer(evidence: Evidence) -> list[Finding]:
+def check_calibrated_transfer(evidence: evidences.Evidence) -> list[Finding]:
     """Find footage that is read with another curve than the rig was calibrated with."""
     calibrated, given = evidence.rig.transfer, evidence.transfer
     if (calibrated.curve, calibrated.gamma) == (given.curve, given.gamma):
@@ -156,12 +149,14 @@ class _Comparison:
         return self.score / self.error
 
 
-def _against_the_other_kind(evidence: Evidence, *, unevenly: bool = False) -> _Comparison | None:
+def _against_the_other_kind(evidence: evidences.Evidence, *, unevenly: bool = False) -> _Comparison | None:
     """Compare linear with encoded."""
-    return _comparison(evidence, of_the_other_kind(evidence.transfer), unevenly=unevenly)
+    return _comparison(evidence, evidences.of_the_other_kind(evidence.transfer), unevenly=unevenly)
 
 
-def _comparison(evidence: Evidence, other: Transfer, *, unevenly: bool = False) -> _Comparison | None:
+def _comparison(
+    evidence: evidences.Evidence, other: Transfer, *, unevenly: bool = False
+) -> _Comparison | None:
     """Compare the reading with another; None where too little is lit or M makes no difference."""
     pixels = _lit_pixels(evidence, other)
     if len(pixels) < _FEWEST_PIXELS:
@@ -196,7 +191,7 @@ class _Spreads:
         return self.by_curve < _LESS * self.as_read and (self.by_gains is None or self.by_gains > bar)
 
     @classmethod
-    def of(cls, evidence: Evidence, curve: str) -> _Spreads:
+    def of(cls, evidence: evidences.Evidence, curve: str) -> _Spreads:
         """Measure the same pixels three times."""
         other = Transfer.from_text(curve)
         pixels = _lit_pixels(evidence, other)
@@ -204,7 +199,7 @@ class _Spreads:
         def reread(factor: float) -> FloatArray:
             return pixels.scaled_normals(_reread(pixels.rgb * factor, evidence.transfer, other))
 
-        brighter, darker = (lengths_of(reread(factor)) for factor in (1.05, 1 / 1.05))
+        brighter, darker = (evidences.lengths_of(reread(factor)) for factor in (1.05, 1 / 1.05))
         growth = float(np.median(np.log(brighter / darker))) / (2 * math.log(1.05))
         by_gains = None
         if (gains := fit_gains(evidence)) is not None:
@@ -222,14 +217,14 @@ def _reread(light: FloatArray, read: Transfer, other: Transfer) -> FloatArray:
     return linear_from_encoded(encoded_from_linear(np.maximum(light, 0.0), read), other)
 
 
-def _lit_pixels(evidence: Evidence, other: Transfer) -> SurfacePixels:
+def _lit_pixels(evidence: evidences.Evidence, other: Transfer) -> SurfacePixels:
     """Return pixels that face the camera and are bright under both readings.
 
     The darker of the two readings has a lower bar: a bar on its lengths would pick bright directions.
     """
     darker = other.curve is not TransferCurve.LINEAR
 
-    def lit(k: int, length: Single) -> Mask:
+    def lit(k: int, length: evidences.Single) -> Mask:
         good = evidence.inside[k] & ~evidence.clipped[k] & (length > 0.0)
         if good.any():
             good &= length > (_LIT_DARKER if darker else _LIT) * np.percentile(length[good], 95)
@@ -238,7 +233,7 @@ def _lit_pixels(evidence: Evidence, other: Transfer) -> SurfacePixels:
     pixels = surface_pixels(evidence, lit)
     if not len(pixels):
         return pixels
-    length = lengths_of(pixels.scaled_normals(_reread(pixels.rgb, evidence.transfer, other)))
+    length = evidences.lengths_of(pixels.scaled_normals(_reread(pixels.rgb, evidence.transfer, other)))
     return pixels.of(length > (_LIT if darker else _LIT_DARKER) * np.percentile(length, 95))
 
 
@@ -250,12 +245,12 @@ def _slope(
     unevenly: whether lengths may also follow a constant in each channel, and the place in the picture.
     """
     scaled = pixels.scaled_normals(rgb)
-    length = lengths_of(scaled)
+    length = evidences.lengths_of(scaled)
     typical = float(np.median(length))
     normals = scaled / np.maximum(length, 1e-12)[:, None]
     colours = pixels.colours(normals * typical)
-    lit: npt.NDArray[np.bool_] = darkest_channel(colours) > np.maximum(
-        _LEAST_CHANNEL * brightest_channel(colours), _DARKEST
+    lit: npt.NDArray[np.bool_] = evidences.darkest_channel(colours) > np.maximum(
+        _LEAST_CHANNEL * evidences.brightest_channel(colours), _DARKEST
     )
     lit &= normals[:, 2] < -_STEEPEST
     if int(lit.sum()) < _FEWEST_PIXELS:
@@ -264,7 +259,7 @@ def _slope(
 
     def log_length(factor: float) -> FloatArray:
         reread = chosen.scaled_normals(_reread(chosen.colours(normals * factor), read, other))
-        return np.log(np.maximum(lengths_of(reread), 1e-9))
+        return np.log(np.maximum(evidences.lengths_of(reread), 1e-9))
 
     foretold = log_length(1.0)
     growth = (log_length(1.05) - log_length(1 / 1.05)) / (2 * math.log(1.05))  # of log length with log albedo
@@ -296,7 +291,7 @@ def check_transfer_of_samples(normals: FloatArray, rgb: FloatArray, transfer: Tr
     normals, rgb = normals[::step], rgb[::step]
     if len(normals) < _FEWEST_SAMPLES:
         return []
-    other = of_the_other_kind(transfer)
+    other = evidences.of_the_other_kind(transfer)
     as_read = _residuals_deg(normals, rgb)
     under_other = _residuals_deg(normals, _reread(rgb, transfer, other))
     if not np.median(under_other) < _LEFT * np.median(as_read):

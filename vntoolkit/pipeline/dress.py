@@ -32,17 +32,11 @@ from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.texture import SurfaceTexture, read_texture, texture_of_tracks
 from vntoolkit.pipeline.tracked_folder import colours_at, read_track_record, recorded_camera, uv_in_picture
+from vntoolkit.skinning import clock as clocks
 from vntoolkit.skinning.alignment import Anchor, CapturedMotion, parts_of
 from vntoolkit.skinning.anatomy import anatomy_of, legs_of
 from vntoolkit.skinning.attachment import GarmentCover, SleeveCover, weights_without_web
 from vntoolkit.skinning.blending import Blend, skinned_vertices
-from vntoolkit.skinning.clock import (
-    Clock,
-    ClockOptions,
-    clock_from_recordings,
-    resampled_motion,
-    resampled_vertices,
-)
 from vntoolkit.skinning.findings import DressingFindings, DressingMeter
 from vntoolkit.skinning.fitting import Fitting, Garment, GarmentFitOptions, fit_garment_to_figure
 from vntoolkit.skinning.sleeves import regions_of_garment
@@ -105,7 +99,7 @@ class DressOptions:
     map: tuple[str, ...] = ()
     fitting: GarmentFitOptions = field(default_factory=GarmentFitOptions)
     weights: WeightOptions = field(default_factory=WeightOptions)
-    clock: ClockOptions = field(default_factory=ClockOptions)
+    clock: clocks.ClockOptions = field(default_factory=clocks.ClockOptions)
 
     def __post_init__(self) -> None:
         if not 0 < self.figure_height < np.inf:
@@ -126,7 +120,7 @@ class DressedFigure:
 
     cloth: MeshSequence
     motion: Motion
-    clock: Clock
+    clock: clocks.Clock
     fitting: Fitting
     weights: SkinWeights
     blend: Blend
@@ -184,7 +178,7 @@ class DressedFigure:
     def _rest_frame(self, index: int) -> Points:
         if index in self._kept:
             return self._kept[index]
-        captured = next(resampled_vertices(self.cloth, self.clock.cloth_s[index : index + 1]))
+        captured = next(clocks.resampled_vertices(self.cloth, self.clock.cloth_s[index : index + 1]))
         rest = self.captured.at_rest(self.rest_from_cloth.apply(captured)).astype(np.float32)
         if (len(self._kept) + 1) * rest.nbytes <= _KEPT_BYTES:
             self._kept[index] = rest
@@ -288,8 +282,8 @@ def dress(
             "--garment skirt"
         )
     attached = garment.with_vertices(fitting.rest_from_cloth.apply(garment.vertices))
-    clock = clock_from_recordings(cloth, motion, options.clock)
-    played = resampled_motion(motion, clock.motion_s, clock.frame_rate_hz)
+    clock = clocks.clock_from_recordings(cloth, motion, options.clock)
+    played = clocks.resampled_motion(motion, clock.motion_s, clock.frame_rate_hz)
     skeleton = motion.skeleton
     frames = np.unique(np.linspace(0, len(played) - 1, _WEB_SAMPLES).round().astype(int))
     weights, faces = weights_without_web(

@@ -23,23 +23,8 @@ from vntoolkit.io.footage.frame_range import FrameRange, Gaps
 from vntoolkit.io.footage.mattes import MatteOptions, Mattes, require_mattes
 from vntoolkit.io.footage.mosaics import SensorOptions
 from vntoolkit.io.footage.sequence import text_of_names
+from vntoolkit.io.results import manifest as manifests
 from vntoolkit.io.results.frame_log import FRAMES_NAME, FrameEntry, FrameLog
-from vntoolkit.io.results.manifest import (
-    MANIFEST_NAME,
-    FindingEntry,
-    InputEntry,
-    Manifest,
-    MaterialEntry,
-    SurfaceEntry,
-    entry_of_files,
-    has_manifest,
-    hashed,
-    library_versions,
-    now_utc,
-    read_manifest,
-    require_resumable,
-    write_manifest,
-)
 from vntoolkit.io.rigs import entry_from_rig
 from vntoolkit.materials.labelling import MaterialLabeller
 from vntoolkit.materials.pixels import near_seams, relit
@@ -171,27 +156,27 @@ def _prepared(
     frames: FrameRange,
     overwrite: bool,
     examined: Examination,
-) -> tuple[ReconstructionJob, Manifest, FrameLog]:
+) -> tuple[ReconstructionJob, manifests.Manifest, FrameLog]:
     """Settle what a run does, and write its manifest into a folder that is free for it.
 
     examined: what the footage told so far.
     """
     root = job.folder.root
     numbers = frames.numbers(capture.info.frame_count)
-    resumes = has_manifest(root) and not overwrite
-    earlier = read_manifest(root) if resumes else None
+    resumes = manifests.has_manifest(root) and not overwrite
+    earlier = manifests.read_manifest(root) if resumes else None
     if earlier is None and job.surface is not None:  # the materials are those of the reconstruction refined
-        earlier = read_manifest(job.surface.result)
+        earlier = manifests.read_manifest(job.surface.result)
     job, materials = resolve_options(job, capture, mattes, numbers, earlier)
     if seeks_materials(job) and job.surface is None:
         examined = _require_plausible(job, capture, mattes, numbers)
     job = _with_blur(_with_near_lamps(job, examined, earlier), examined, earlier)
     manifest = manifest_of_run(job, capture, mattes, frames, materials, examined.findings)
     if resumes:
-        require_resumable(root, manifest)
+        manifests.require_resumable(root, manifest)
     if overwrite:
         clear(root)
-    write_manifest(root, manifest)
+    manifests.write_manifest(root, manifest)
     return job, manifest, FrameLog(root)
 
 
@@ -203,16 +188,16 @@ def _missing_frames(capture: Capture, mattes: Mattes, numbers: range) -> list[Fr
 
 def clear(root: Path) -> None:
     """Remove what the manifest and the log of a folder tell that `reconstruct` wrote, and nothing else."""
-    if not has_manifest(root):
+    if not manifests.has_manifest(root):
         return
     numbers = set(FrameLog(root).entries())
     with contextlib.suppress(VntError):  # a manifest that is no longer readable
-        numbers.update(range(read_manifest(root).input.frame_count))
+        numbers.update(range(manifests.read_manifest(root).input.frame_count))
     for name, suffix in FRAME_FILES.items():
         remove_numbered(root / name, suffix, numbers)
     (root / FRAMES_NAME).unlink(missing_ok=True)
     (root / "contact.csv").unlink(missing_ok=True)
-    (root / MANIFEST_NAME).unlink()
+    (root / manifests.MANIFEST_NAME).unlink()
 
 
 def _workers(jobs: int, scheduler: str | None) -> Workers:
@@ -267,7 +252,7 @@ def _require_plausible(
 
 
 def _with_near_lamps(
-    job: ReconstructionJob, examined: Examination, earlier: Manifest | None
+    job: ReconstructionJob, examined: Examination, earlier: manifests.Manifest | None
 ) -> ReconstructionJob:
     """Return the job with M changing over the picture as the lamps are near; as an earlier run found it."""
     nearness = round(examined.nearness, _DIGITS_OF_NEARNESS)
@@ -281,7 +266,9 @@ def _with_near_lamps(
     return replace(job, rig=replace(job.rig, response=response), nearness=nearness)
 
 
-def _with_blur(job: ReconstructionJob, examined: Examination, earlier: Manifest | None) -> ReconstructionJob:
+def _with_blur(
+    job: ReconstructionJob, examined: Examination, earlier: manifests.Manifest | None
+) -> ReconstructionJob:
     """Return the job with the blur that expected errors count; as an earlier run found it."""
     blur_px = round(examined.blur_px, _DIGITS_OF_BLUR)
     if earlier is not None:
@@ -315,7 +302,9 @@ def _in_one_material(
     return judged
 
 
-def _finish(root: Path, manifest: Manifest, log: FrameLog, numbers: range, seconds: float) -> float | None:
+def _finish(
+    root: Path, manifest: manifests.Manifest, log: FrameLog, numbers: range, seconds: float
+) -> float | None:
     """Write what the frames took and how good they are; return the expected error in degrees."""
     entries = log.entries()
     done = [entries[n] for n in numbers if n in entries and not entries[n].failure]
@@ -332,8 +321,8 @@ def _finish(root: Path, manifest: Manifest, log: FrameLog, numbers: range, secon
             "what it finds, `vntoolkit report` shows where",
             error_deg, _LARGE_ERROR_DEG,
         )  # fmt: skip
-    ended = {"finished": now_utc(), "timings": timings, "error_deg": error_deg}
-    write_manifest(root, manifest.model_copy(update=ended))
+    ended = {"finished": manifests.now_utc(), "timings": timings, "error_deg": error_deg}
+    manifests.write_manifest(root, manifest.model_copy(update=ended))
     return error_deg
 
 
@@ -355,8 +344,8 @@ def resolve_options(
     capture: Capture,
     mattes: Mattes,
     numbers: range,
-    earlier: Manifest | None,
-) -> tuple[ReconstructionJob, list[MaterialEntry]]:
+    earlier: manifests.Manifest | None,
+) -> tuple[ReconstructionJob, list[manifests.MaterialEntry]]:
     """Return the job with the options that depend on rig and footage resolved, and the materials.
 
     earlier: manifest of the run that this one goes on with, None for none; what that run measured and chose
@@ -405,20 +394,20 @@ def manifest_of_run(
     capture: Capture,
     mattes: Mattes,
     frames: FrameRange,
-    materials: list[MaterialEntry],
+    materials: list[manifests.MaterialEntry],
     findings: list[Finding],
-) -> Manifest:
+) -> manifests.Manifest:
     """Return the manifest of a run that begins now; reads and hashes all input files."""
     info = capture.info
     extra = {}
     if job.mask is not None:
-        extra["mask"] = entry_of_files(job.mask, mattes.files)
+        extra["mask"] = manifests.entry_of_files(job.mask, mattes.files)
     if job.background is not None:
-        extra["background"] = entry_of_files(job.background, (job.background,))
-    return Manifest(
-        input=InputEntry(
+        extra["background"] = manifests.entry_of_files(job.background, (job.background,))
+    return manifests.Manifest(
+        input=manifests.InputEntry(
             source=job.source,
-            files=hashed(info.files),
+            files=manifests.hashed(info.files),
             width=info.width,
             height=info.height,
             frame_count=info.frame_count,
@@ -432,18 +421,20 @@ def manifest_of_run(
         options=_options_that_shape(job),
         materials=materials,
         surface=_entry_of_surface(job.surface),
-        findings=[FindingEntry(check=f.check, level=f.level.value, text=f.text) for f in findings],
+        findings=[manifests.FindingEntry(check=f.check, level=f.level.value, text=f.text) for f in findings],
         frames=frames.to_text(),
         outputs=job.folders,
-        versions=library_versions(),
-        started=now_utc(),
+        versions=manifests.library_versions(),
+        started=manifests.now_utc(),
     )
 
 
-def _entry_of_surface(known: TrackedReflectance | None) -> SurfaceEntry | None:
+def _entry_of_surface(known: TrackedReflectance | None) -> manifests.SurfaceEntry | None:
     if known is None:
         return None
-    return SurfaceEntry(frames=known.frames, seen=known.seen, lines=known.lines, spreads=known.spreads)
+    return manifests.SurfaceEntry(
+        frames=known.frames, seen=known.seen, lines=known.lines, spreads=known.spreads
+    )
 
 
 def _options_that_shape(job: ReconstructionJob) -> dict[str, Any]:

@@ -37,14 +37,7 @@ from vntoolkit.checks import require_finite, require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.rigid import RigidTransform
-from vntoolkit.simulation.lights import (
-    WAVELENGTHS_NM,
-    Lighting,
-    Lights,
-    camera_sensitivities,
-    rgb_pigments,
-    studio_centre,
-)
+from vntoolkit.simulation import lights as studio
 
 # name -> "module:function" of type SceneFactory; imported only when the scene is asked for
 SCENES: dict[str, str] = {
@@ -79,7 +72,7 @@ class SceneOptions:
     width: int = 640
     height: int = 480
     seed: int = 0
-    lighting: Lighting = Lighting.COLOURED
+    lighting: studio.Lighting = studio.Lighting.COLOURED
     field_width_m: float | None = None
     sample: str | None = None
 
@@ -122,7 +115,7 @@ class SceneSurface:
 
     faces: Faces
     reference_weights: FloatArray
-    pigments: FloatArray = field(default_factory=rgb_pigments)
+    pigments: FloatArray = field(default_factory=studio.rgb_pigments)
     vertex_weights: FloatArray | None = None
     texture: FloatArray | None = None
     uv: FloatArray | None = None
@@ -134,7 +127,7 @@ class SceneSurface:
         object.__setattr__(self, "faces", read_only(np.asarray(self.faces, dtype=np.int32)))
         require_shape(self.faces, (None, 3), "surface: faces")
         count = len(self.pigments)
-        require_shape(self.pigments, (None, len(WAVELENGTHS_NM)), "surface: pigments")
+        require_shape(self.pigments, (None, len(studio.WAVELENGTHS_NM)), "surface: pigments")
         require_shape(np.asarray(self.reference_weights), (count,), "surface: reference_weights")
         if self.vertex_weights is not None:
             require_shape(self.vertex_weights, (None, count), "surface: vertex_weights")
@@ -161,16 +154,16 @@ class Scene:
 
     name: str
     camera: Camera
-    lights: Lights
+    lights: studio.Lights
     surface: SceneSurface
     vertices: Callable[[int], Points]
     frame_count: int
     frame_rate_hz: float = 60.0
-    centre: Points = field(default_factory=studio_centre)
-    sensitivities: FloatArray = field(default_factory=camera_sensitivities)
+    centre: Points = field(default_factory=studio.studio_centre)
+    sensitivities: FloatArray = field(default_factory=studio.camera_sensitivities)
     background_rgb: float = 0.003
     exposure_level: float = 0.8
-    exposed_for: Lights | None = None
+    exposed_for: studio.Lights | None = None
     camera_from_object: Callable[[int], RigidTransform] | None = None
     facts: Mapping[str, float] = field(default_factory=dict)
 
@@ -179,7 +172,7 @@ class Scene:
             raise BadInput(f"scene {self.name}: expected a perspective camera, at the origin")
         if self.frame_count < 1 or not self.frame_rate_hz > 0:
             raise BadInput(f"scene {self.name}: expected at least one frame and a positive frame rate")
-        require_shape(self.sensitivities, (3, len(WAVELENGTHS_NM)), "scene: sensitivities")
+        require_shape(self.sensitivities, (3, len(studio.WAVELENGTHS_NM)), "scene: sensitivities")
         require_finite(self.sensitivities, "scene: sensitivities")
 
     @property

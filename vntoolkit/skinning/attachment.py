@@ -14,17 +14,9 @@ from vntoolkit.arrays import Faces, FloatArray, IntArray, Mask, Points, Vector3
 from vntoolkit.geometry.mesh import Mesh, edge_cotangents, face_normals, graph_laplacian, vertex_normals
 from vntoolkit.geometry.motion import Skeleton
 from vntoolkit.native import njit
+from vntoolkit.skinning import weights as skin_weights
 from vntoolkit.skinning.blending import skinned_vertices
 from vntoolkit.skinning.stretch import edge_lengths, greatest_growth
-from vntoolkit.skinning.weights import (
-    Falloff,
-    SkinWeights,
-    WeightOptions,
-    attracting_bones,
-    attracting_joints,
-    nearest_joints,
-    weights_from_distances,
-)
 
 _EASY = 2.0  # cloth that stretches no more needs no other weights
 _HOLD = 2.0  # heat that a vertex takes from its bone: 1 blends wider, 4 stretches arms raised high
@@ -70,18 +62,18 @@ def weights_of_garment(
     garment: Mesh,
     skeleton: Skeleton,
     pose: FloatArray,
-    options: WeightOptions,
+    options: skin_weights.WeightOptions,
     cover: GarmentCover | None = None,
     stiffness: FloatArray | None = None,
     known: KnownParts | None = None,
-) -> SkinWeights:
+) -> skin_weights.SkinWeights:
     """Weigh a garment, on the skeleton in the pose (j, 4, 4), by the rule that the options name.
 
     stiffness: (n,) where it is greater, the share of an arm changes more slowly along the cloth. known: parts
     solved before, of which those that have not changed are taken.
     """
-    if options.falloff is not Falloff.HEAT:
-        return weights_from_distances(garment.vertices, skeleton, pose, options)
+    if options.falloff is not skin_weights.Falloff.HEAT:
+        return skin_weights.weights_from_distances(garment.vertices, skeleton, pose, options)
     if cover is None or not cover.sleeves:
         bare = () if cover is None else cover.bare
         return weights_from_heat(garment, skeleton, pose, options, bare)
@@ -92,12 +84,12 @@ def weights_without_web(
     garment: Mesh,
     skeleton: Skeleton,
     pose: FloatArray,
-    options: WeightOptions,
+    options: skin_weights.WeightOptions,
     *,
     poses: FloatArray,
     max_stretch: float,
     cover: GarmentCover | None = None,
-) -> tuple[SkinWeights, Faces]:
+) -> tuple[skin_weights.SkinWeights, Faces]:
     """Weigh a garment, see where the poses (f, j, 4, 4) overstretch it, and weigh again; return what is left.
 
     Where cloth is stretched, it is made stiffer by the square of its stretch, so that the shares of the arms
@@ -109,7 +101,7 @@ def weights_without_web(
     known: KnownParts = {}
     weights = weights_of_garment(garment, skeleton, pose, options, cover, known=known)
     faces = garment.faces
-    if options.falloff is not Falloff.HEAT or not max_stretch:
+    if options.falloff is not skin_weights.Falloff.HEAT or not max_stretch:
         return weights, faces
     growth, longest = np.ones(len(faces)), edge_lengths(garment.vertices, faces)
     for now in poses:
@@ -130,9 +122,9 @@ def weights_from_heat(
     garment: Mesh,
     skeleton: Skeleton,
     pose: FloatArray,
-    options: WeightOptions,
+    options: skin_weights.WeightOptions,
     bare: Collection[int] = (),
-) -> SkinWeights:
+) -> skin_weights.SkinWeights:
     """Weigh the garment's vertices by bone heat: −Δw + H w = H p, baran2007.
 
     garment: on the skeleton in the pose (j, 4, 4). p is 1 where a vertex covers the bone, H is 2 / d² of
@@ -150,11 +142,11 @@ def weights_with_sleeves(
     garment: Mesh,
     skeleton: Skeleton,
     pose: FloatArray,
-    options: WeightOptions,
+    options: skin_weights.WeightOptions,
     cover: GarmentCover,
     stiffness: FloatArray | None = None,
     known: KnownParts | None = None,
-) -> SkinWeights:
+) -> skin_weights.SkinWeights:
     """Weigh a garment whose sleeves are known, so that no arm moves the trunk below the armpits.
 
     First each vertex's share s of an arm: 0 on the trunk, 1 on the arm's own cloth. Between them it is
@@ -163,7 +155,7 @@ def weights_with_sleeves(
     the shoulders the trunk takes hold by heat. Within its share each arm, and the rest of the body, weighs
     its bones by heat.
     """
-    allowed = set(attracting_joints(skeleton, options.exclude))
+    allowed = set(skin_weights.attracting_joints(skeleton, options.exclude))
     sleeves = [one for one in cover.sleeves if allowed & set(one.joints)]
     taken = {joint for one in sleeves for joint in one.joints} | set(cover.bare)
     body = [joint for joint in range(len(skeleton.names)) if joint not in taken]
@@ -174,13 +166,13 @@ def weights_with_sleeves(
     left = 1.0 - shares.sum(axis=1)
     parts = [(left, *_spread_within(left > 0, cloth, joints, distances, hold, known))]
     for one, share in zip(sleeves, shares.T, strict=True):
-        turning, *ends = attracting_bones(skeleton, pose, options.exclude, one.joints)
+        turning, *ends = skin_weights.attracting_bones(skeleton, pose, options.exclude, one.joints)
         placed = cover.bones_from_pose[turning]
         bones = (
             turning,
             *(np.einsum("bij,bj->bi", placed[:, :3, :3], end) + placed[:, :3, 3] for end in ends),
         )
-        nearest, gaps = nearest_joints(garment.vertices, *bones, count=1)
+        nearest, gaps = skin_weights.nearest_joints(garment.vertices, *bones, count=1)
         gaps = np.maximum(gaps[:, 0], _least_distance(skeleton, bones[1]))
         sure = np.ones(len(gaps))
         parts.append((share, *_spread_within(share > 0, cloth, nearest[:, 0], gaps, sure, known)))
@@ -310,16 +302,16 @@ def _own_bones(
     garment: Mesh,
     skeleton: Skeleton,
     pose: FloatArray,
-    options: WeightOptions,
+    options: skin_weights.WeightOptions,
     among: Collection[int] | None = None,
 ) -> tuple[IntArray, FloatArray, FloatArray]:
     """Return for every vertex its joint, the distance to it, and how sure that is, (n,) each."""
-    bones = attracting_bones(skeleton, pose, options.exclude, among)
+    bones = skin_weights.attracting_bones(skeleton, pose, options.exclude, among)
     normals = vertex_normals(garment.vertices, garment.faces)
     joints, distances = covered_bones(garment.vertices, normals, *bones)
     lost = joints < 0
     if lost.any():
-        guessed, gaps = nearest_joints(garment.vertices[lost], *bones, count=1)
+        guessed, gaps = skin_weights.nearest_joints(garment.vertices[lost], *bones, count=1)
         joints[lost], distances[lost] = guessed[:, 0], gaps[:, 0]
     floor = _least_distance(skeleton, bones[1])
     return joints, np.maximum(distances, floor), np.where(lost, _GUESSED, 1.0)
@@ -329,14 +321,16 @@ def _least_distance(skeleton: Skeleton, starts: Points) -> float:
     return _NEAREST * max(skeleton.height, float(np.linalg.norm(np.ptp(starts, axis=0))))
 
 
-def _heaviest(joints: IntArray, weights: FloatArray, count: int) -> SkinWeights:
+def _heaviest(joints: IntArray, weights: FloatArray, count: int) -> skin_weights.SkinWeights:
     """Keep the `count` heaviest bones, less the weight of the next, so that none drops out with a jump."""
     order = np.argsort(-weights, axis=1, kind="stable")[:, : count + 1]
     kept: Points = np.take_along_axis(weights, order, axis=1)
     if order.shape[1] > count:
         order, kept = order[:, :-1], kept[:, :-1] - kept[:, -1:]
         kept[kept.sum(axis=1) <= 0] = 1.0
-    return SkinWeights(joints=joints[order].astype(np.int32), weights=kept / kept.sum(axis=1, keepdims=True))
+    return skin_weights.SkinWeights(
+        joints=joints[order].astype(np.int32), weights=kept / kept.sum(axis=1, keepdims=True)
+    )
 
 
 # The bone under a vertex: the first one met by a ball that grows on the inner side of the cloth.

@@ -16,16 +16,7 @@ from vntoolkit.geometry.mesh import Mesh, face_normals
 from vntoolkit.geometry.motion import Motion, Skeleton, forward_kinematics
 from vntoolkit.geometry.rigid import RigidTransform, Similarity
 from vntoolkit.skinning import alignment
-from vntoolkit.skinning.anatomy import (
-    Anatomy,
-    Arm,
-    anatomy_of,
-    arms_of,
-    facing_of,
-    legs_of,
-    shoulders_of,
-    thigh_of,
-)
+from vntoolkit.skinning import anatomy as anatomies
 from vntoolkit.skinning.sleeves import GarmentRegions, regions_of_garment
 
 _WAIST_RISE = 0.1  # of the way from feet to hips: trousers reach above the joints of the hips
@@ -112,7 +103,7 @@ class Fitting:
     rest_from_cloth: Similarity
     rest_from_model: FloatArray
     regions: GarmentRegions
-    arms: tuple[Arm, ...]
+    arms: tuple[anatomies.Arm, ...]
     sleeved: tuple[alignment.SleevedArm, ...]
     rest_from_first: FloatArray
 
@@ -135,8 +126,8 @@ def fit_garment_to_figure(
     options = replace(options, garment=_kind_of(regions, options.garment))
     kind = options.garment
     rest_from_cloth = fit_garment(garment, skeleton, pose, fit, options)
-    anatomy = anatomy_of(skeleton)
-    arms = () if kind.is_lower else arms_of(skeleton, anatomy, named)
+    anatomy = anatomies.anatomy_of(skeleton)
+    arms = () if kind.is_lower else anatomies.arms_of(skeleton, anatomy, named)
     regions = regions.moved(rest_from_cloth)
     if kind.is_lower or kind is Garment.SLEEVELESS:
         regions = replace(regions, sleeves=())
@@ -248,12 +239,12 @@ def _by_bounding_box(
     height = float(high[1] - low[1])
     if not height > 0:
         raise BadInput("fit: the garment has no height (its vertices share one y)")
-    anatomy = anatomy_of(skeleton)
-    facing = facing_of(skeleton, anatomy.legs)
+    anatomy = anatomies.anatomy_of(skeleton)
+    facing = anatomies.facing_of(skeleton, anatomy.legs)
     yaw = np.arctan2(-facing[0], -facing[2])  # turns −z, towards the camera, into the facing
     rotation = Rotation.from_euler("y", yaw).as_matrix()
     trunk = pose[list(anatomy.trunk), :3, 3]
-    bottom, top = _vertical_span(pose, anatomy, shoulders_of(skeleton, anatomy), options.garment)
+    bottom, top = _vertical_span(pose, anatomy, anatomies.shoulders_of(skeleton, anatomy), options.garment)
     fullness = options.fullness or _FULLNESS.get(options.garment, _UPPER_FULLNESS)
     scale = fullness * (bottom - top) / height
     anchor = np.array([(low[0] + high[0]) / 2, low[1], _anchor_depth(garment, options)])
@@ -263,7 +254,7 @@ def _by_bounding_box(
 
 
 def _vertical_span(
-    pose: FloatArray, anatomy: Anatomy, shoulders: tuple[int, ...], garment: Garment
+    pose: FloatArray, anatomy: anatomies.Anatomy, shoulders: tuple[int, ...], garment: Garment
 ) -> tuple[float, float]:
     """Return y of the bottom and top of what is covered (y is down); shoulders may lie above the neck's base,
     and a waist lies above the hips.
@@ -321,7 +312,7 @@ _LEAST_REACH = 0.4  # of the arm: a garment that ends nearer to the shoulder has
 
 
 def arms_aimed_at_sleeves(
-    vertices: Points, skeleton: Skeleton, pose: FloatArray, anatomy: Anatomy
+    vertices: Points, skeleton: Skeleton, pose: FloatArray, anatomy: anatomies.Anatomy
 ) -> dict[int, FloatArray]:
     """Return joint → (3, 3): the turn, in the axes of the figure, that aims an arm at its cuff.
 
@@ -330,7 +321,7 @@ def arms_aimed_at_sleeves(
     """
     turns = {}
     middle = float(pose[list(anatomy.trunk), 0, 3].mean())
-    for arm, shoulder in zip(anatomy.arms, shoulders_of(skeleton, anatomy), strict=True):
+    for arm, shoulder in zip(anatomy.arms, anatomies.shoulders_of(skeleton, anatomy), strict=True):
         start = pose[shoulder, :3, 3]
         tips = np.flatnonzero(skeleton.tip_joints == arm[-1])
         offset = skeleton.tip_offsets[tips[0]] if len(tips) else np.zeros(3)
@@ -348,15 +339,15 @@ def arms_aimed_at_sleeves(
 
 
 def legs_aimed_at_hems(
-    hems: Points, skeleton: Skeleton, pose: FloatArray, anatomy: Anatomy
+    hems: Points, skeleton: Skeleton, pose: FloatArray, anatomy: anatomies.Anatomy
 ) -> dict[int, FloatArray]:
     """Return joint → (3, 3): the turn that aims each leg at the hem on its side, seen from the front.
 
     hems: (2, 3), at smaller and at greater x, already on the figure in `pose` (j, 4, 4).
     """
     turns = {}
-    for leg in legs_of(skeleton, anatomy):
-        hip = thigh_of(skeleton, leg)
+    for leg in anatomies.legs_of(skeleton, anatomy):
+        hip = anatomies.thigh_of(skeleton, leg)
         end = pose[leg[min(leg.index(hip) + 2, len(leg) - 1)], :3, 3]
         start = pose[hip, :3, 3]
         side = int(start[0] > pose[0, 0, 3])

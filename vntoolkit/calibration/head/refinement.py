@@ -24,19 +24,11 @@ from scipy.sparse.linalg import cg, splu
 from scipy.spatial import cKDTree
 
 from vntoolkit.arrays import Faces, FloatArray, IntArray, Points
+from vntoolkit.calibration.head import skin as skins
 from vntoolkit.calibration.head.light import HeadLight, LightOptions, light_of_response
 from vntoolkit.calibration.head.rims import RimTargets, rim_targets
 from vntoolkit.calibration.head.samples import HeadSamples, LightFrame
 from vntoolkit.calibration.head.shape import FusedShape
-from vntoolkit.calibration.head.skin import (
-    SkinColours,
-    SkinLight,
-    SkinNormals,
-    light_errors,
-    skin_colours,
-    skin_normals,
-    without_shadow,
-)
 from vntoolkit.errors import SolverFailed
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh, edge_cotangents, face_normals, vertex_normals
@@ -116,13 +108,13 @@ def refine_head(
     coarse = _COARSE * _EDGE_PX * pixel
     stereo = thinned(divided(shape.mesh, coarse), coarse)
     crossover = min(_CROSSOVER_PX * pixel, _LARGEST_CROSSOVER * stereo.diagonal)
-    lit, surface, seen = SkinLight(response=light.response), stereo, None
+    lit, surface, seen = skins.SkinLight(response=light.response), stereo, None
     changes: list[float] = []
     for number in range(_ROUNDS):
         if number < _PASSES or seen is None:
-            seen = skin_colours(surface, camera, frames())
-        colours = without_shadow(seen, surface, lit.response)
-        skin = skin_normals(colours, lit, tint_is_free=False)  # a free tint hides errors of M
+            seen = skins.skin_colours(surface, camera, frames())
+        colours = skins.without_shadow(seen, surface, lit.response)
+        skin = skins.skin_normals(colours, lit, tint_is_free=False)  # a free tint hides errors of M
         before = lit.response
         lit = _corrected(lit, light.response, colours, skin, stereo, _PATCH_PX * pixel)
         solver = PositionSolver(stereo.vertices, stereo.faces, skin, crossover)
@@ -143,8 +135,8 @@ def refine_head(
         stereo = divided(shape.mesh, _EDGE_PX * pixel)
         nearest = RayScene((surface.vertices, surface.faces)).closest(stereo.vertices)
         placed = stereo.with_vertices(nearest)  # stereo's ripples would mix the colours of what lies around
-        colours = without_shadow(skin_colours(placed, camera, frames()), placed, lit.response)
-        skin = skin_normals(colours, lit)
+        colours = skins.without_shadow(skins.skin_colours(placed, camera, frames()), placed, lit.response)
+        skin = skins.skin_normals(colours, lit)
         follow = followed_normals(stereo, skin, pixel)
         shared = shared_errors(stereo, skin, pixel)
         support = stereo_support(stereo.vertices, shape.points, levels, pixel)
@@ -163,13 +155,13 @@ def refine_head(
 
 
 def _corrected(
-    light: SkinLight,
+    light: skins.SkinLight,
     first: LightResponse,
-    colours: SkinColours,
-    skin: SkinNormals,
+    colours: skins.SkinColours,
+    skin: skins.SkinNormals,
     stereo: Mesh,
     side: float,
-) -> SkinLight:
+) -> skins.SkinLight:
     """Return the light whose normals agree best between the frames, and with the positions of stereo.
 
     An error of M that all frames follow shows only in the shape: wrong normals move positions off stereo's by
@@ -186,7 +178,7 @@ def _corrected(
     share = np.where(skin.known, np.minimum(area / side**2, 1.0), 0.0)
     cubes = np.floor(surface.vertices / (_REGION * surface.diagonal)).astype(np.int64)
     region = np.unique(cubes, axis=0, return_inverse=True)[1].ravel()
-    errors = light_errors(colours, skin, light, share, region)
+    errors = skins.light_errors(colours, skin, light, share, region)
     patterns = solver.moved_by(-errors.turned, surface) @ _FREE
     moved = ((surface.vertices - solver.stereo) * surface.normals).sum(axis=1)
     systems, rights = _FREE.T @ errors.system @ _FREE, errors.right @ _FREE
@@ -212,7 +204,7 @@ def _corrected(
     entries = _FREE @ step
     matrix = response.matrix @ (np.eye(3) + entries[:9].reshape(3, 3))
     scale = np.linalg.norm(response.matrix) / np.linalg.norm(matrix)
-    return SkinLight(
+    return skins.SkinLight(
         response=replace(response, matrix=scale * matrix),
         nearness=np.maximum(light.nearness + entries[9:], 0.0),
     )
@@ -263,7 +255,7 @@ class PositionSolver:
         self,
         stereo: Points,
         faces: Faces,
-        skin: SkinNormals,
+        skin: skins.SkinNormals,
         crossover: float,
         shared: FloatArray | None = None,
         support: FloatArray | None = None,
@@ -380,7 +372,7 @@ class NoiseLevels:
     shared: float
 
 
-def measured_noise(mesh: Mesh, stereo: Points, skin: SkinNormals, pixel: float) -> NoiseLevels:
+def measured_noise(mesh: Mesh, stereo: Points, skin: skins.SkinNormals, pixel: float) -> NoiseLevels:
     """Measure both on the refined mesh.
 
     What patches of skin were moved by is stereo's noise. What the mean of their normals still turns from the
@@ -415,7 +407,7 @@ def stereo_support(vertices: Points, points: Points, levels: NoiseLevels, pixel:
     return np.asarray(variance / np.maximum(variance + stray**2, _TINY))
 
 
-def followed_normals(stereo: Mesh, skin: SkinNormals, pixel: float) -> SkinNormals:
+def followed_normals(stereo: Mesh, skin: skins.SkinNormals, pixel: float) -> skins.SkinNormals:
     """Return the normals to follow: the measured ones, drawn to stereo's of the skin around.
 
     Each counts as its variance tells. That of stereo's smoothed normals is how far they scatter around:
@@ -449,7 +441,7 @@ def _smoothed(values: FloatArray, faces: Faces, rounds: float) -> FloatArray:
     return smooth
 
 
-def shared_errors(stereo: Mesh, skin: SkinNormals, pixel: float) -> FloatArray:
+def shared_errors(stereo: Mesh, skin: skins.SkinNormals, pixel: float) -> FloatArray:
     """Return the standard deviation (3,) of slopes along each axis, of errors alike over whole patches.
 
     Stereo tells it. Along the turn's axis it may be several times larger: tint, ambient light and M are told
@@ -475,7 +467,7 @@ def shared_errors(stereo: Mesh, skin: SkinNormals, pixel: float) -> FloatArray:
     return np.array([1.4826 * np.median(each) if each.size else _SHARED_NOISE for each in facing])
 
 
-def _normals_and_noise(own: Points, skin: SkinNormals) -> tuple[Points, FloatArray]:
+def _normals_and_noise(own: Points, skin: skins.SkinNormals) -> tuple[Points, FloatArray]:
     """Return the normals to follow and their noise: measured where they are sure, else the mesh's own."""
     known = np.isfinite(skin.noise) & ((skin.normals * own).sum(axis=1) > _LEAST_AGREEMENT)
     noise = np.where(known, np.maximum(skin.noise, _LEAST_NOISE), _UNKNOWN_NOISE)
@@ -490,7 +482,7 @@ def areas(vertices: Points, faces: Faces) -> FloatArray:
 
 
 def patch_samples(
-    mesh: Mesh, camera: Camera, colours: SkinColours, skin: SkinNormals, side: float
+    mesh: Mesh, camera: Camera, colours: skins.SkinColours, skin: skins.SkinNormals, side: float
 ) -> HeadSamples:
     """Average normals and colours, less albedo, over patches of skin, as samples for the fit of M.
 
@@ -533,13 +525,13 @@ def _patches(mesh: Mesh, side: float) -> tuple[IntArray, IntArray]:
     return patch.ravel(), first
 
 
-def _skin_colour(skin: SkinNormals, response: LightResponse) -> FloatArray:
+def _skin_colour(skin: skins.SkinNormals, response: LightResponse) -> FloatArray:
     """Return the skin's colour (n, 3), 0 to 1, under these lamps: albedo times each channel's light."""
     brightness = np.linalg.norm(response.matrix, axis=1)
     colour = skin.albedo * (brightness / brightness.max())
     return np.clip(colour / np.percentile(colour.max(axis=1), 99), 0.0, 1.0).astype(np.float32)
 
 
-def _expected_error_deg(skin: SkinNormals) -> FloatArray:
+def _expected_error_deg(skin: skins.SkinNormals) -> FloatArray:
     noise = np.where(np.isfinite(skin.noise), np.hypot(skin.noise, _SHARED_NOISE), _UNKNOWN_NOISE)
     return np.rad2deg(_NINE_OF_TEN * noise).astype(np.float32)
