@@ -15,7 +15,7 @@ from tests.motion_texts import AMC, ASF, BVH
 from vntoolkit.errors import BadInput, BadMotion
 from vntoolkit.geometry.motion import Skeleton
 from vntoolkit.io.motion import bvh
-from vntoolkit.io.motion.asf import AmcOptions, read_asf_amc
+from vntoolkit.io.motion.asf import CMU_FRAME_RATE_HZ, read_asf_amc
 from vntoolkit.io.motion.bvh import read_bvh
 from vntoolkit.io.motion.garment_fits import read_garment_fit
 
@@ -122,9 +122,9 @@ def test_bvh_is_written_depth_first_or_not_at_all(tmp_path: Path) -> None:
 
 def test_small_acclaim_reads_as_written(tmp_path: Path) -> None:
     asf, amc = write(tmp_path / "s.asf", ASF), write(tmp_path / "m.amc", AMC)
-    motion = read_asf_amc(asf, amc, AmcOptions(frame_rate_hz=60))
+    motion = read_asf_amc(asf, amc)
     assert motion.skeleton.names == ("root", "spine", "head")
-    assert motion.frame_rate_hz == 60
+    assert motion.frame_rate_hz == CMU_FRAME_RATE_HZ
     np.testing.assert_allclose(motion.skeleton.offsets[2], [0, -2, 0])
     np.testing.assert_allclose(motion.root_positions[0], [1, -2, -3])
     radians = ASF.replace("angle deg", "angle rad").replace("0 0 30 XYZ", f"0 0 {np.pi / 6} XYZ")

@@ -18,13 +18,7 @@ from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.photometry.frame import LinearFrame
 
 logger = logging.getLogger(__name__)
-_LEVELS = (
-    0.03,
-    0.06,
-    0.12,
-    0.25,
-    0.5,
-)  # of the brightest: a dark side needs a low one, a grey wall a high one
+_LEVELS = (0.03, 0.06, 0.12, 0.25, 0.5)  # of the brightest: low for a dark side, high for a grey wall
 _SMALLEST_ARC = 0.4  # of the full circle that must be seen
 
 

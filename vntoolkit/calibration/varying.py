@@ -140,9 +140,8 @@ class _Problem:
         weight = 1.0 / np.sqrt(1.0 + squared / np.deg2rad(self._options.softness_deg) ** 2)
         share = self._options.length_share
         across = (np.eye(3) - unit[:, :, None] * unit[:, None, :]) / length[:, :, None]
-        jacobian = (
-            -np.concatenate([across, share * unit[:, None, :]], axis=1) @ inverse
-        )  # by colour, (n, 4, 3)
+        # by colour, (n, 4, 3)
+        jacobian = -np.concatenate([across, share * unit[:, None, :]], axis=1) @ inverse
         residual = np.concatenate([unit - self._normals, share * (length - 1.0)], axis=1)
         rows = np.concatenate([scaled, np.ones((len(scaled), 1))], axis=1)[:, : self.rows]
         factors = (self._monomials[:, :, None] * rows[:, None, :]).reshape(len(rows), -1)

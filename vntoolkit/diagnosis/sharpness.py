@@ -56,9 +56,8 @@ _FLAT = 0.015  # a pixel, of the step: beside a surface that turns away nothing 
 # Own scenes, another renderer's and photographs have 0.5 to 1.0 pixels, and up to 1.3 along a limb.
 _BLURRED_PX = 1.5
 OF_INTERPOLATION_PX = math.sqrt(0.5)
-_EVERY_SECOND = (
-    1.2  # the rougher pixels over the smoother; mosaics make 1.28 to 1.8, other footage up to 1.17
-)
+# The rougher pixels over the smoother; mosaics make 1.28 to 1.8, other footage up to 1.17.
+_EVERY_SECOND = 1.2
 _LEAST_BACKGROUND = 0.001  # of the step: what is blacker shows no halo
 _HALO = 0.55  # clean footage has 0.6 behind a mosaic and 0.8 to 1.2, sharpened by a half 0.1 to 0.6
 _STEEP_PX, _OVERSHOOT = 0.4, 0.03  # a picture made smaller has 0.3 and 0.01, the noisiest 0.5 and 0.03

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, get_origin
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat, ValidationError
 
 from vntoolkit.checks import checks_kinds
 from vntoolkit.errors import BadInput, BadRig
@@ -23,8 +23,11 @@ from vntoolkit.photometry.transfer import Transfer
 _EXPECTED = "a rig.json of `vntoolkit calibrate`"
 # 2 added response.variation, 3 gel, 4 response.material, 5 the gel's fourth degree; one without is as before
 RIG_VERSION = 5
-_Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
-_Matrix = tuple[_Row, _Row, _Row]
+_listed = BeforeValidator(lambda value: value.tolist() if isinstance(value, np.ndarray) else value)
+_Pair = Annotated[tuple[FiniteFloat, FiniteFloat], _listed]
+_Row = Annotated[tuple[FiniteFloat, FiniteFloat, FiniteFloat], _listed]
+_Matrix = Annotated[tuple[_Row, _Row, _Row], _listed]
+_Power = Annotated[int, Field(ge=0, le=3)]
 _Fraction = Annotated[FiniteFloat, Field(ge=0, le=1)]
 
 
@@ -127,26 +130,24 @@ def rig_from_entry(entry: RigFile) -> Rig:
 
 def entry_from_rig(rig: Rig) -> RigFile:
     """Return the rig as rig.json and the manifest store it."""
-    colours = rig.response.light_colours
-    quality = None if rig.quality is None else QualityEntry(**vars(rig.quality))
-    variation = rig.response.variation
+    response, variation = rig.response, rig.response.variation
     return RigFile(
         version=5 if rig.gel is not None else 4 if rig.material else 1 if variation is None else 2,
         camera=entry_from_camera(rig.camera),
-        response=ResponseEntry(
-            matrix=rig.response.matrix.tolist(),
-            ambient=tuple(rig.response.ambient.tolist()),
-            light_colours=None if colours is None else colours.tolist(),
-            material=rig.material or None,
-            variation=None if variation is None else _entry_from_variation(variation),
+        response=ResponseEntry.model_validate(
+            {
+                **{name: getattr(response, name) for name in ("matrix", "ambient", "light_colours")},
+                "material": rig.material or None,
+                "variation": None if variation is None else _entry_from_variation(variation),
+            }
         ),
         colour=ColourEntry(
             transfer=rig.transfer.to_text(),
             black_level=rig.transfer.black_level,
             white_level=rig.transfer.white_level,
         ),
-        quality=quality,
-        sources=[SourceEntry(file=source.file, sha256=source.sha256) for source in rig.sources],
+        quality=None if rig.quality is None else QualityEntry(**vars(rig.quality)),
+        sources=[SourceEntry(**vars(source)) for source in rig.sources],
         gel=None if rig.gel is None else _entry_from_gel(rig.gel),
     )
 
@@ -193,15 +194,9 @@ def _variation_from_entry(entry: VariationEntry) -> ResponseVariation:
 
 def _entry_from_variation(variation: ResponseVariation) -> VariationEntry:
     terms = zip(variation.powers, variation.matrices, variation.ambients, strict=True)
-    u, v = variation.centre_px.tolist()
-    return VariationEntry(
-        centre_px=(u, v),
-        scale_px=variation.scale_px,
-        terms=[
-            VariationTermEntry(powers=tuple(p.tolist()), matrix=m.tolist(), ambient=tuple(a.tolist()))
-            for p, m, a in terms
-        ],
-    )
+    listed = [dict(zip(("powers", "matrix", "ambient"), term, strict=True)) for term in terms]
+    place = {"centre_px": variation.centre_px, "scale_px": variation.scale_px}
+    return VariationEntry.model_validate({**place, "terms": listed})
 
 
 def _gel_from_entry(entry: GelEntry) -> GelResponse:
@@ -221,18 +216,10 @@ def _gel_from_entry(entry: GelEntry) -> GelResponse:
 
 
 def _entry_from_gel(gel: GelResponse) -> GelEntry:
-    view = None
-    if gel.rectification is not None and gel.filmed_px is not None:
-        view = RectificationEntry(**vars(gel.rectification), filmed_px=gel.filmed_px)
-    u, v = gel.centre_px.tolist()
-    return GelEntry(
-        centre_px=(u, v),
-        scale_px=gel.scale_px,
-        reach=gel.reach,
-        coefficients=[tuple(pair) for pair in gel.coefficients.tolist()],
-        errors_deg=None if gel.errors_deg is None else [tuple(pair) for pair in gel.errors_deg.tolist()],
-        rectification=view,
-    )
+    content = {name: getattr(gel, name) for name in GelEntry.model_fields}
+    if gel.rectification is not None:
+        content["rectification"] = {**vars(gel.rectification), "filmed_px": gel.filmed_px}
+    return GelEntry.model_validate(content)
 
 
 def _indented(value: Any, indent: str = "") -> str:
@@ -272,9 +259,7 @@ class CameraEntry(Entry):
 class VariationTermEntry(Entry):
     """One monomial x^i y^j of the pixel position and what it adds to the response."""
 
-    powers: tuple[Annotated[int, Field(ge=0, le=3)], Annotated[int, Field(ge=0, le=3)]] = Field(
-        description="i and j, together 1 to 3."
-    )
+    powers: Annotated[tuple[_Power, _Power], _listed] = Field(description="i and j, together 1 to 3.")
     matrix: _Matrix = Field(description="What it adds to M, full scale.")
     ambient: _Row = Field(default=(0.0, 0.0, 0.0), description="What it adds to the ambient, full scale.")
 
@@ -286,7 +271,7 @@ class VariationEntry(Entry):
     lens distortion.
     """
 
-    centre_px: tuple[FiniteFloat, FiniteFloat] = Field(description="Pixel (u, v) where x = y = 0.")
+    centre_px: _Pair = Field(description="Pixel (u, v) where x = y = 0.")
     scale_px: FiniteFloat = Field(gt=0, description="Pixels that x = 1 means.")
     terms: list[VariationTermEntry] = Field(min_length=1, description="The monomials.")
 
@@ -374,17 +359,15 @@ class GelEntry(Entry):
     sum of the coefficients times the products of m's components, x and y.
     """
 
-    centre_px: tuple[FiniteFloat, FiniteFloat] = Field(description="Pixel (u, v) where x = y = 0.")
+    centre_px: _Pair = Field(description="Pixel (u, v) where x = y = 0.")
     scale_px: FiniteFloat = Field(gt=0, description="Pixels that x = 1 means.")
     reach: FiniteFloat = Field(gt=0, description="Length to which a longer m is shortened in the products.")
-    coefficients: Annotated[
-        list[tuple[FiniteFloat, FiniteFloat]], Field(min_length=EARLIER_TERMS, max_length=TERMS)
-    ] = Field(
+    coefficients: Annotated[list[_Pair], _listed, Field(min_length=EARLIER_TERMS, max_length=TERMS)] = Field(
         description="Two for every product of one to four factors, at least one of them of m (before version "
         "5 one to three). Order: the products of m (m1, m2, m3, m1 m1, m1 m2, …), and for each 1, x, y, x x, "
         "x y, y y, … up to the degree."
     )
-    errors_deg: list[tuple[FiniteFloat, FiniteFloat]] | None = Field(
+    errors_deg: Annotated[list[_Pair] | None, _listed] = Field(
         default=None,
         description="Tilts of the gel, growing, and the angle that nine of ten normals so tilted stay "
         "within, on presses held back from the fit, degrees; left out where it is not known.",

@@ -26,7 +26,7 @@ from vntoolkit.io.atomic import require_writable_folder
 from vntoolkit.io.maps_and_meshes.glb import write_glb, write_glb_skin
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh, write_material, write_mesh
 from vntoolkit.io.maps_and_meshes.usd import write_usd_sequence, write_usd_skin
-from vntoolkit.io.motion.asf import AmcOptions, read_asf_amc
+from vntoolkit.io.motion.asf import read_asf_amc
 from vntoolkit.io.motion.bvh import read_bvh
 from vntoolkit.io.results.sequences import read_mesh_sequence
 from vntoolkit.pipeline.outputs import ReconstructionFolder
@@ -509,7 +509,7 @@ def read_motion(path: Path | str, skeleton: Path | str | None = None) -> Motion:
         case ".bvh":
             return read_bvh(path)
         case ".amc":
-            return read_asf_amc(Path(skeleton) if skeleton else _skeleton_beside(path), path, AmcOptions())
+            return read_asf_amc(Path(skeleton) if skeleton else _skeleton_beside(path), path)
         case suffix:
             raise BadInput(f"{path}: expected a motion in .bvh or .amc, got {suffix or 'no suffix'}")
 

@@ -140,10 +140,8 @@ _CLOTH_COLOUR = (0.80, 0.45, 0.32)
 _FLOOR_COLOUR = (0.80, 0.82, 0.84)
 _BONE_RADIUS = 0.013  # of the figure's height
 _DRAWN_AT_ONCE = 2  # pictures: most of the work is one thread's
-_MARGIN, _MIDDLE = (
-    1.35,
-    0.55,
-)  # height of the picture and of its middle, over the figure's: room for raised arms
+# Height of the picture and of its middle, over the figure's: room for raised arms.
+_MARGIN, _MIDDLE = 1.35, 0.55
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -271,11 +269,8 @@ def _write_sheet(
     path: Path, dressed: DressedFigure, options: PreviewOptions, on_picture: Callable[[], None]
 ) -> None:
     """Write the contact sheet with its times above and its directions beside."""
-    sheet, width, height = (
-        contact_sheet(dressed, options, on_picture),
-        options.picture_width,
-        options.picture_height,
-    )
+    sheet = contact_sheet(dressed, options, on_picture)
+    width, height = options.picture_width, options.picture_height
     seconds = _moments(dressed, options) / dressed.clock.frame_rate_hz
     rows = [
         {

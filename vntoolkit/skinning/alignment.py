@@ -195,9 +195,8 @@ class Anchor(Enum):
 
 _MAX_POINTS = 5000  # a rigid motion needs no more, and the fit then takes no time
 _MOSTLY = 0.5  # of a part's greatest weight: vertices above it are the part's own
-_MOST_STRAIN = (
-    1.5  # of the captured cloth: where a track slips, it pulls cloth farther apart than cloth bears
-)
+# Of the captured cloth: where a track slips, it pulls cloth farther apart than cloth bears.
+_MOST_STRAIN = 1.5
 _LEAST_POINTS = 12  # a part with fewer moves with the one it hangs from
 
 

@@ -179,9 +179,8 @@ def _decode(
             raise error(f"{path}: is stored as a Bayer mosaic; give --bayer with its pattern, such as rggb")
         grey = struct.pack("<H" if data[:2] == b"II" else ">H", _BLACK_IS_ZERO)  # which OpenCV reads
         data = data[: header.mosaic_at] + grey + data[header.mosaic_at + 2 :]
-    cv2.utils.logging.setLogLevel(
-        cv2.utils.logging.LOG_LEVEL_SILENT
-    )  # a damaged file is reported by the one line below, not by OpenCV on stderr
+    # a damaged file is reported by the one line below, not by OpenCV on stderr
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         with silenced_native_output():
             pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)

@@ -30,16 +30,8 @@ _FRAME = re.compile(r"[0-9]{1,9}")
 MAX_ASF_BYTES = 4 * 2**20  # the CMU skeletons have 7 kB
 
 
-@dataclass(frozen=True, kw_only=True)
-class AmcOptions:
-    """What an AMC file does not say. frame_rate_hz: its frames per second."""
-
-    frame_rate_hz: float = CMU_FRAME_RATE_HZ
-
-
-def read_asf_amc(asf_path: Path, amc_path: Path, options: AmcOptions | None = None) -> Motion:
+def read_asf_amc(asf_path: Path, amc_path: Path) -> Motion:
     """Read an ASF skeleton with its AMC motion; lengths stay in the file's unit. Raises `BadMotion`."""
-    options = options or AmcOptions()
     asf = read_asf(asf_path)
     require_motion_size(amc_path)
     values, degrees = _read_amc(amc_path, asf)
@@ -59,7 +51,7 @@ def read_asf_amc(asf_path: Path, amc_path: Path, options: AmcOptions | None = No
             skeleton=_skeleton_of(asf),
             rotations=rotations,
             root_positions=root_positions,
-            frame_rate_hz=options.frame_rate_hz,
+            frame_rate_hz=CMU_FRAME_RATE_HZ,
             metres_per_unit=_INCH_M / asf.length,
         )
     )
