@@ -83,7 +83,7 @@ Corners: TypeAlias = Annotated[
         negative=(),
         help="u v of the top left, top right, bottom left and bottom right corner of the gel (or of another "
         "rectangle) in the picture, of `live` in the crop. The picture is rectified to them. Default: those "
-        "of the rig, if there is one.",
+        "of the rig, if there is one; give them where the sensor or its camera has moved since.",
     ),
 ]
 SizeMm: TypeAlias = Annotated[

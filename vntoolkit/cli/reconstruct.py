@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 from vntoolkit.cli import flags
 from vntoolkit.cli.output import ProgressBars, print_next
@@ -30,6 +30,26 @@ ReconstructFlags: TypeAlias = Annotated[
 ]
 
 
+@dataclass(frozen=True, kw_only=True)
+class RunFlags:
+    """How footage is read, and who does the work."""
+
+    matting: MatteOptions = field(default_factory=MatteOptions)
+    background: flags.AmbientImage = None
+    frames: flags.Frames = "::"
+    jobs: flags.Jobs = 1
+    scheduler: flags.Scheduler = None
+    gaps: flags.Missing = Gaps.REFUSE
+    allow: flags.Allow = ()
+    sensor: SensorOptions = field(default_factory=SensorOptions)
+
+    def job(self, **fields: Any) -> ReconstructionJob:
+        """Return the reconstruction of a capture; fields: its further ones."""
+        require_known_checks(self.allow, CHECK_NAMES)
+        own = {name: getattr(self, name) for name in ("matting", "background", "gaps", "allow", "sensor")}
+        return ReconstructionJob(**(own | fields))
+
+
 @flags.verb("max_megapixels")
 def reconstruct(
     source: str,
@@ -37,18 +57,11 @@ def reconstruct(
     rig: Path,
     out: Path,
     mask: Path | None = None,
-    matting: Annotated[MatteOptions | None, flags.Flags()] = None,
-    background: flags.AmbientImage = None,
     corners: flags.Corners = None,
     size_mm: flags.SizeMm = None,
     transfer: str | None = None,
-    frames: flags.Frames = "::",
-    jobs: flags.Jobs = 1,
-    scheduler: flags.Scheduler = None,
     overwrite: flags.Overwrite = False,
-    gaps: flags.Missing = Gaps.REFUSE,
-    allow: flags.Allow = (),
-    sensor: flags.Sensor = None,
+    running: Annotated[RunFlags | None, flags.Flags()] = None,
     options: ReconstructFlags = None,
 ) -> None:
     """Compute normals, depth and meshes from footage and a rig, frame by frame.
@@ -72,30 +85,25 @@ def reconstruct(
     overwrite
         Replace the results that the folder holds.
     """
-    require_known_checks(allow, CHECK_NAMES)
-    calibrated = read_rig(rig)
+    calibrated, running = read_rig(rig), running or RunFlags()
     if corners is not None or size_mm is not None:
-        info = open_capture(source, CaptureOptions(transfer=calibrated.transfer, gaps=gaps)).info
+        info = open_capture(source, CaptureOptions(transfer=calibrated.transfer, gaps=running.gaps)).info
         calibrated = flags.rig_with_corners(calibrated, corners, size_mm, (info.width, info.height))
-    job = ReconstructionJob(
+    job = running.job(
         source=source,
         rig=_with_transfer(calibrated, transfer),
         calibrated=calibrated.transfer,
-        allow=allow if transfer is None else (*allow, "tag"),
+        allow=running.allow if transfer is None else (*running.allow, "tag"),
         options=options or ReconstructOptions(),
         folder=ReconstructionFolder(root=out),
         mask=mask,
-        matting=matting or MatteOptions(),
-        background=background,
-        gaps=gaps,
-        sensor=sensor or SensorOptions(),
     )
     with ProgressBars() as bars:
         summary = run(
             job,
-            frames=FrameRange.from_text(frames),
-            jobs=jobs,
-            scheduler=scheduler,
+            frames=FrameRange.from_text(running.frames),
+            jobs=running.jobs,
+            scheduler=running.scheduler,
             overwrite=overwrite,
             on_start=partial(bars.begin, "reconstruct"),
             on_frame=bars.step,

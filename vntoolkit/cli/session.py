@@ -9,15 +9,10 @@ from cyclopts import Parameter
 
 from vntoolkit.cli import flags
 from vntoolkit.cli.output import ProgressBars, print_next
-from vntoolkit.cli.reconstruct import ReconstructFlags
-from vntoolkit.diagnosis.checks import CHECK_NAMES
-from vntoolkit.diagnosis.finding import require_known_checks
+from vntoolkit.cli.reconstruct import ReconstructFlags, RunFlags
 from vntoolkit.errors import BadInput, VntError
-from vntoolkit.io.footage.frame_range import FrameRange, Gaps
-from vntoolkit.io.footage.mattes import MatteOptions
-from vntoolkit.io.footage.mosaics import SensorOptions
+from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.rigs import read_rig
-from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.options import Product, ReconstructOptions
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.session import CaptureOutcome, names_from_sources, run_session
@@ -32,15 +27,8 @@ def session(
     track: Annotated[bool, Parameter(negative=())] = False,
     method: Tracker = Tracker.DEFAULT,
     mask: Path | None = None,
-    matting: Annotated[MatteOptions | None, flags.Flags()] = None,
-    background: flags.AmbientImage = None,
-    frames: flags.Frames = "::",
-    jobs: flags.Jobs = 1,
-    scheduler: flags.Scheduler = None,
     overwrite: flags.Overwrite = False,
-    gaps: flags.Missing = Gaps.REFUSE,
-    allow: flags.Allow = (),
-    sensor: flags.Sensor = None,
+    running: Annotated[RunFlags | None, flags.Flags()] = None,
     options: ReconstructFlags = None,
 ) -> None:
     """Reconstruct all captures of one rig, and track them on request, each into its own folder.
@@ -69,25 +57,19 @@ def session(
     """
     if not sources:
         raise BadInput("session: expected at least one video or folder of images, got none")
-    require_known_checks(allow, CHECK_NAMES)
-    options = options or ReconstructOptions()
+    options, running = options or ReconstructOptions(), running or RunFlags()
     if track and options.to is Product.NORMALS:
         raise BadInput("--track needs depth: give --to depth or mesh, not normals")
     if method is not Tracker.DEFAULT and not track:
         raise BadInput("--method needs --track")
     lit_by = read_rig(rig)
     captures = {
-        name: ReconstructionJob(
+        name: running.job(
             source=source,
             rig=lit_by,
             options=options,
             folder=ReconstructionFolder(root=out / name),
             mask=_mask_of(name, mask),
-            matting=matting or MatteOptions(),
-            background=background,
-            gaps=gaps,
-            allow=allow,
-            sensor=sensor or SensorOptions(),
         )
         for name, source in names_from_sources(sources).items()
     }
@@ -95,9 +77,9 @@ def session(
         outcomes = run_session(
             captures,
             tracking=TrackingOptions(method=method) if track else None,
-            frames=FrameRange.from_text(frames),
-            workers=jobs,
-            scheduler=scheduler,
+            frames=FrameRange.from_text(running.frames),
+            workers=running.jobs,
+            scheduler=running.scheduler,
             overwrite=overwrite,
             on_capture=bars.begin,
             on_frame=bars.step,
