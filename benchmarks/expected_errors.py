@@ -23,7 +23,7 @@ from vntoolkit.diagnosis.inspection import blur_of_colours
 from vntoolkit.diagnosis.lamp_nearness import fit_nearness
 from vntoolkit.diagnosis.sharpness import fit_sharpness
 from vntoolkit.io.footage.decoding import EncodedFrame
-from vntoolkit.photometry.near_lamps import with_near_lamps
+from vntoolkit.photometry.response import with_near_lamps
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer
 from vntoolkit.pipeline.frame_processor import FrameProcessor

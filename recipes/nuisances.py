@@ -14,7 +14,7 @@ import json
 from pathlib import Path
 
 from vntoolkit.io.atomic import write_text
-from vntoolkit.pipeline.nuisance_errors import nuisance_errors
+from vntoolkit.pipeline.truth_comparison import nuisance_errors
 from vntoolkit.report.figures import write_bars
 from vntoolkit.report.recipes_page import number, write_numbers
 from vntoolkit.simulation.nuisances import Nuisances

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vntoolkit.calibration.contact_circles import find_contact_circle
 from vntoolkit.calibration.fit import angles_deg
 from vntoolkit.calibration.presses import (
     LabelOffset,
     Press,
     PressOptions,
     PressSamples,
+    find_contact_circle,
     fit_gel_to_presses,
     fit_label_offset,
     normals_of_press,

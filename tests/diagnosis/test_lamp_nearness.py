@@ -12,8 +12,7 @@ from vntoolkit.diagnosis.lamp_nearness import Nearness, fit_nearness
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.photometry.near_lamps import with_near_lamps
-from vntoolkit.photometry.response import LightResponse, rgb_from_normals
+from vntoolkit.photometry.response import LightResponse, rgb_from_normals, with_near_lamps
 from vntoolkit.photometry.rig import Rig
 from vntoolkit.photometry.transfer import Transfer
 

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from vntoolkit.diagnosis.length_regression import regress_lengths
-from vntoolkit.diagnosis.surface_pixels import SurfacePixels
+from vntoolkit.diagnosis.surface_pixels import SurfacePixels, regress_lengths
 
 SIZE, SIDE = 60, 6
 

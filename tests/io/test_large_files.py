@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from vntoolkit.errors import CannotWrite
-from vntoolkit.io.large_files import aligned_memory, write_large
+from vntoolkit.io.atomic import aligned_memory, write_large
 
 SIZES = [0, 5, 1 << 20, (1 << 20) + 4097, (3 << 20) - 1]
 

@@ -16,8 +16,7 @@ from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame
 from vntoolkit.normals.lost_detail import _OF_MANY_WAVES, detail_kernel, lost_over_left, side_of_squares
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.levelling import Leveller
-from vntoolkit.photometry.near_lamps import with_near_lamps
-from vntoolkit.photometry.response import LightResponse, rgb_from_normals
+from vntoolkit.photometry.response import LightResponse, rgb_from_normals, with_near_lamps
 from vntoolkit.photometry.transfer import Transfer
 
 MATRIX = np.array([[0.5, 0.06, -0.45], [-0.22, 0.4, -0.5], [-0.2, -0.35, -0.42]])

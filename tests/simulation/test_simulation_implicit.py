@@ -4,9 +4,14 @@ import numpy as np
 import pytest
 
 from vntoolkit.geometry.mesh import face_normals
-from vntoolkit.simulation.body.implicit import ImplicitBody, both_sides, capsule, ellipsoid
+from vntoolkit.simulation.body.implicit import (
+    ImplicitBody,
+    both_sides,
+    capsule,
+    ellipsoid,
+    mesh_from_implicit,
+)
 from vntoolkit.simulation.body.spandex import LegPose, Legs, step_at
-from vntoolkit.simulation.body.surface_nets import mesh_from_implicit
 
 
 def test_a_ball_is_meshed_as_a_closed_outward_ball() -> None:

@@ -21,8 +21,7 @@ import numpy as np
 from vntoolkit.arrays import FloatArray
 from vntoolkit.diagnosis.evidence import Evidence, brightest_channel, lengths_of
 from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
-from vntoolkit.diagnosis.length_regression import regress_lengths
-from vntoolkit.diagnosis.surface_pixels import SurfacePixels, surface_pixels
+from vntoolkit.diagnosis.surface_pixels import SurfacePixels, regress_lengths, surface_pixels
 from vntoolkit.photometry.transfer import encoded_from_linear, linear_from_encoded
 
 _DARKEST_PERCENT = 1.0  # of the picture: single pixels are noise's

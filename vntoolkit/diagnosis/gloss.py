@@ -13,8 +13,12 @@ import numpy as np
 from vntoolkit.arrays import FloatArray
 from vntoolkit.diagnosis.evidence import Evidence, lengths_of
 from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
-from vntoolkit.diagnosis.length_regression import regress_lengths, spread_of_lengths
-from vntoolkit.diagnosis.surface_pixels import SurfacePixels, surface_pixels
+from vntoolkit.diagnosis.surface_pixels import (
+    SurfacePixels,
+    regress_lengths,
+    spread_of_lengths,
+    surface_pixels,
+)
 
 _FEWEST_PIXELS = 400
 _ROUNDS = 4

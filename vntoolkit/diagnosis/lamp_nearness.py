@@ -16,9 +16,8 @@ import numpy as np
 from vntoolkit.arrays import FloatArray
 from vntoolkit.diagnosis.evidence import Evidence, lengths_of
 from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
-from vntoolkit.diagnosis.length_regression import regress_lengths, without_levels
-from vntoolkit.diagnosis.surface_pixels import SurfacePixels, surface_pixels
-from vntoolkit.photometry.near_lamps import changes_of_near_lamps
+from vntoolkit.diagnosis.surface_pixels import SurfacePixels, regress_lengths, surface_pixels, without_levels
+from vntoolkit.photometry.response import changes_of_near_lamps
 
 _FEWEST_PIXELS = 400
 _FEWEST_IN_PART = 40  # pixels of two by two blocks

@@ -23,8 +23,12 @@ import numpy.typing as npt
 from vntoolkit.arrays import FloatArray, Mask
 from vntoolkit.diagnosis import evidence as evidences
 from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
-from vntoolkit.diagnosis.length_regression import regress_lengths, spread_of_lengths
-from vntoolkit.diagnosis.surface_pixels import SurfacePixels, surface_pixels
+from vntoolkit.diagnosis.surface_pixels import (
+    SurfacePixels,
+    regress_lengths,
+    spread_of_lengths,
+    surface_pixels,
+)
 from vntoolkit.diagnosis.white_balance import fit_gains
 from vntoolkit.photometry.transfer import (
     Transfer,

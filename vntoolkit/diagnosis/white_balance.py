@@ -18,9 +18,13 @@ import numpy.typing as npt
 from vntoolkit.arrays import FloatArray
 from vntoolkit.diagnosis.evidence import Evidence, lengths_of
 from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
-from vntoolkit.diagnosis.length_regression import regress_lengths, spread_of_lengths
 from vntoolkit.diagnosis.surface_match import agreement_of
-from vntoolkit.diagnosis.surface_pixels import SurfacePixels, surface_pixels
+from vntoolkit.diagnosis.surface_pixels import (
+    SurfacePixels,
+    regress_lengths,
+    spread_of_lengths,
+    surface_pixels,
+)
 
 _FEWEST_PIXELS = 400
 _STARTS = np.array([(red, blue) for red in np.linspace(-0.6, 0.6, 7) for blue in np.linspace(-0.6, 0.6, 7)])

@@ -34,8 +34,7 @@ from vntoolkit.normals.inversion import read_row, rows_of
 from vntoolkit.normals.lost_detail import LEAST_BLUR_PX, detail_kernel, lost_over_left, side_of_squares
 from vntoolkit.photometry.frame import ALL_LIT
 from vntoolkit.photometry.levelling import FLAGS, map_row, span_of
-from vntoolkit.photometry.near_lamps import changes_of_near_lamps
-from vntoolkit.photometry.response import LightResponse
+from vntoolkit.photometry.response import LightResponse, changes_of_near_lamps
 
 SHORTEST, LONGEST = np.float32(1e-6), np.float32(1e18)  # lengths whose squares float32 holds
 LEAST_FACING = np.float32(0.1)

@@ -10,7 +10,7 @@ import numpy as np
 
 from vntoolkit.arrays import FloatArray, LinearImage, Mask, Vector3
 from vntoolkit.calibration import presses
-from vntoolkit.calibration.contact_circles import find_contact_circle
+from vntoolkit.calibration.presses import find_contact_circle
 from vntoolkit.diagnosis import press_checks
 from vntoolkit.diagnosis.finding import Finding, judge
 from vntoolkit.diagnosis.inspection import findings_from_calibration_footage

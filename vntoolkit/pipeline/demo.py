@@ -15,7 +15,6 @@ from vntoolkit.geometry.board_layout import BoardLayout
 from vntoolkit.io.atomic import sole_writer
 from vntoolkit.io.footage.frame_range import FrameRange
 from vntoolkit.io.rigs import read_rig, write_rig
-from vntoolkit.photometry.rig import Rig
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.calibrate import CalibrationJob, calibrate_board
 from vntoolkit.pipeline.options import ReconstructOptions
@@ -95,41 +94,32 @@ def run_demo(
     on_progress is told the stage's name, how many of its frames are done, and of how many.
     """
     options = options or DemoOptions()
+    films = {
+        "film the board": _film(_BOARD, folder.board, f"::{_BOARD_STEP}", options, sample="sweater"),
+        "film the sweater": _film("sweater", folder.garment, f":{options.frames}", options),
+    }
     with sole_writer(folder.root), processes_kept():
-        return _run(folder, options, jobs, overwrite, on_progress)
-
-
-def _run(
-    folder: DemoFolder, options: DemoOptions, jobs: int, overwrite: bool, on_progress: Stage
-) -> ReconstructionSummary:
-    _film(_BOARD, "board", folder.board, f"::{_BOARD_STEP}", "sweater", options, jobs, overwrite, on_progress)
-    _calibrate(folder, on_progress)
-    _film(
-        "sweater",
-        "sweater",
-        folder.garment,
-        f":{options.frames}",
-        None,
-        options,
-        jobs,
-        overwrite,
-        on_progress,
-    )
-    return _reconstruct(folder, jobs, overwrite, on_progress)
+        for stage, job in films.items():
+            count = _Counter(stage, on_progress)
+            simulate(job, jobs=jobs, overwrite=overwrite, on_start=count.start, on_frame=count.advance)
+            if job.scene == _BOARD:
+                _calibrate(folder, on_progress)
+        reconstruction = ReconstructionJob(
+            source=str(SimulationFolder(root=folder.garment).video),
+            rig=read_rig(folder.rig),
+            options=ReconstructOptions(distance_m=CAMERA_DISTANCE_M),
+            folder=ReconstructionFolder(root=folder.reconstruction),
+        )
+        count = _Counter("reconstruct", on_progress)
+        return reconstruct(
+            reconstruction, jobs=jobs, overwrite=overwrite, on_start=count.start, on_frame=count.advance
+        )
 
 
 def _film(
-    scene: str,
-    name: str,
-    folder: Path,
-    frames: str,
-    sample: str | None,
-    options: DemoOptions,
-    jobs: int,
-    overwrite: bool,
-    on_progress: Stage,
-) -> None:
-    job = SimulationJob(
+    scene: str, folder: Path, frames: str, options: DemoOptions, sample: str | None = None
+) -> SimulationJob:
+    return SimulationJob(
         scene=scene,
         folder=SimulationFolder(root=folder),
         options=SceneOptions(
@@ -137,11 +127,9 @@ def _film(
         ),
         frames=FrameRange.from_text(frames),
     )
-    count = _Counter(f"film the {name}", on_progress)
-    simulate(job, jobs=jobs, overwrite=overwrite, on_start=count.start, on_frame=count.advance)
 
 
-def _calibrate(folder: DemoFolder, on_progress: Stage) -> Rig:
+def _calibrate(folder: DemoFolder, on_progress: Stage) -> None:
     facts = build_scene(_BOARD, SceneOptions(field_width_m=_FIELD_WIDTH_M)).facts  # a user measures the print
     layout = BoardLayout(
         columns=int(facts["columns"]),
@@ -157,18 +145,6 @@ def _calibrate(folder: DemoFolder, on_progress: Stage) -> Rig:
         lambda done, total: on_progress("calibrate", done, total),
     )
     write_rig(folder.rig, rig)
-    return rig
-
-
-def _reconstruct(folder: DemoFolder, jobs: int, overwrite: bool, on_progress: Stage) -> ReconstructionSummary:
-    job = ReconstructionJob(
-        source=str(SimulationFolder(root=folder.garment).video),
-        rig=read_rig(folder.rig),
-        options=ReconstructOptions(distance_m=CAMERA_DISTANCE_M),
-        folder=ReconstructionFolder(root=folder.reconstruction),
-    )
-    count = _Counter("reconstruct", on_progress)
-    return reconstruct(job, jobs=jobs, overwrite=overwrite, on_start=count.start, on_frame=count.advance)
 
 
 class _Counter:

@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vntoolkit.arrays import LinearImage
-from vntoolkit.calibration.contact_circles import find_contact_circle
-from vntoolkit.calibration.presses import Press
+from vntoolkit.calibration.presses import Press, find_contact_circle
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.io.atomic import write_text

@@ -30,7 +30,7 @@ from vntoolkit.materials.labelling import MaterialLabeller
 from vntoolkit.materials.pixels import near_seams, relit
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.levelling import leveller_of
-from vntoolkit.photometry.near_lamps import with_near_lamps
+from vntoolkit.photometry.response import with_near_lamps
 from vntoolkit.pipeline.block_work import Block, BlockWorker, ReconstructionJob
 from vntoolkit.pipeline.cluster import require_scheduler, run_blocks_on_cluster
 from vntoolkit.pipeline.measured_materials import measured_materials, seeks_materials

@@ -47,12 +47,7 @@ class _ShownFrame(NamedTuple):
 
 def write_head_page(path: Path, job: CalibrationJob, rig: Rig, result: HeadCalibration) -> None:
     """Write one self-contained HTML page about a calibration on a head."""
-    capture = job.open()
-    frames = []
-    for place in places_shown(result):
-        number = result.light_numbers[place]
-        image = pictures.displayed(capture.frame(number).rgb)
-        frames.append(_ShownFrame(place, number, result.footage.numbers.index(number), image))
+    frames = _shown_frames(job, result)
     sections = [
         page.PageSection(
             title="What the footage carries",
@@ -70,6 +65,15 @@ def write_head_page(path: Path, job: CalibrationJob, rig: Rig, result: HeadCalib
         sections,
         subtitle=f"{Path(job.source).name}: {len(result.footage.numbers)} frames",
     )
+
+
+def _shown_frames(job: CalibrationJob, result: HeadCalibration) -> list[_ShownFrame]:
+    capture, frames = job.open(), []
+    for place in places_shown(result):
+        number = result.light_numbers[place]
+        image = pictures.displayed(capture.frame(number).rgb)
+        frames.append(_ShownFrame(place, number, result.footage.numbers.index(number), image))
+    return frames
 
 
 def _poses_section(frames: list[_ShownFrame], result: HeadCalibration) -> page.PageSection:
@@ -322,15 +326,11 @@ def write_head_figure(path: Path | str, job: CalibrationJob, result: HeadCalibra
     with pictures.report_style():
         figure = pictures.new_figure(12.0, 12.4)
         axes = figure.subplots(4, 3, height_ratios=(3, 3, 3, 4))
-        capture = job.open()
-        for column, place in enumerate(places_shown(result)):
-            number = result.light_numbers[place]
-            used = result.footage.numbers.index(number)
-            image = pictures.displayed(capture.frame(number).rgb)
-            draw_tracks(axes[0, column], image, result, used)
-            draw_shape(axes[1, column], image, result, used)
-            draw_samples(axes[2, column], image, result, place)
-            axes[0, column].set_title(f"frame {number}:\ntracks kept (blue), rejected (orange)")
+        for column, shown in enumerate(_shown_frames(job, result)):
+            draw_tracks(axes[0, column], shown.image, result, shown.used)
+            draw_shape(axes[1, column], shown.image, result, shown.used)
+            draw_samples(axes[2, column], shown.image, result, shown.place)
+            axes[0, column].set_title(f"frame {shown.number}:\ntracks kept (blue), rejected (orange)")
         draw_turn(axes[3, 0], result)
         draw_sphere(axes[3, 1], result)
         draw_meshes(axes[3, 2], result)

@@ -17,9 +17,8 @@ import numpy.typing as npt
 
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadCapture, BadInput
-from vntoolkit.io.atomic import write_bytes
+from vntoolkit.io.atomic import aligned_memory, write_bytes, write_large
 from vntoolkit.io.files import opened, require_pixels
-from vntoolkit.io.large_files import aligned_memory, write_large
 from vntoolkit.native import silenced_native_output
 
 MAGIC = b"\x76\x2f\x31\x01"

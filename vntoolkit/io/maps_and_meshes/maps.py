@@ -12,9 +12,9 @@ from vntoolkit.arrays import FloatArray, Flow, Mask
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
+from vntoolkit.io.atomic import write_large
 from vntoolkit.io.conventions import NormalConvention
 from vntoolkit.io.footage.images import read_image_with_alpha, write_png
-from vntoolkit.io.large_files import write_large
 from vntoolkit.io.maps_and_meshes.exr import ExrCompression, read_exr, uncompressed_exr, write_exr
 from vntoolkit.native import njit
 

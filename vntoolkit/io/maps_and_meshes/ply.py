@@ -14,8 +14,8 @@ import numpy.typing as npt
 from vntoolkit.arrays import Faces, FloatArray
 from vntoolkit.errors import BadMesh
 from vntoolkit.geometry.mesh import triangles_from_polygons
+from vntoolkit.io.atomic import aligned_memory, write_large
 from vntoolkit.io.files import opened, require_file, require_vertices
-from vntoolkit.io.large_files import aligned_memory, write_large
 from vntoolkit.native import njit
 
 _KINDS = {

@@ -9,8 +9,13 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from vntoolkit.arrays import FloatArray, Points
-from vntoolkit.simulation.body.implicit import ImplicitBody, both_sides, capsule, ellipsoid
-from vntoolkit.simulation.body.surface_nets import mesh_from_implicit
+from vntoolkit.simulation.body.implicit import (
+    ImplicitBody,
+    both_sides,
+    capsule,
+    ellipsoid,
+    mesh_from_implicit,
+)
 from vntoolkit.simulation.lights import studio_camera, studio_centre, studio_lights
 from vntoolkit.simulation.scene import Scene, SceneOptions, SceneSurface
 

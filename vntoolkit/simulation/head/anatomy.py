@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from vntoolkit.arrays import Faces, FloatArray, IntArray, Points, read_only
 from vntoolkit.geometry.mesh import vertex_normals
-from vntoolkit.simulation.body.surface_nets import mesh_from_implicit
+from vntoolkit.simulation.body.implicit import mesh_from_implicit
 from vntoolkit.simulation.head import sculpture
 
 SKIN, CAVITY, LID_RIM, EYES, UPPER_TEETH, LOWER_TEETH, TONGUE = range(7)
