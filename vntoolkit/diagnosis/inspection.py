@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -117,24 +117,21 @@ def findings_from_header(capture: Capture) -> list[Finding]:
     return [*_findings_from_info(capture.info), *_findings_from_transfer(capture.info, capture.transfer)]
 
 
-def _findings_from_frame(frame: LinearFrame, name: str, white: float) -> list[Finding]:
+def _findings_from_frame(frame: LinearFrame, name: str, white: float) -> Iterator[Finding]:
     """Find a frame that shows nothing. white: the light of a diffuse white, a share of full scale."""
     try:
         require_exposed(frame, name, white)
     except BadCapture as problem:
         brightest = float(frame.rgb.max(initial=0.0)) / white
         what, _, remedy = str(problem).partition(": ")
-        return [
-            Finding(
-                check="black" if brightest < _BLACK else "clipping",
-                level=Level.FATAL,
-                problem=what,
-                measured=f"a brightest value of {brightest:.1%}",
-                expected=f"{_BLACK:.0%} to 100 %",
-                remedy=remedy,
-            )
-        ]
-    return []
+        yield Finding(
+            check="black" if brightest < _BLACK else "clipping",
+            level=Level.FATAL,
+            problem=what,
+            measured=f"a brightest value of {brightest:.1%}",
+            expected=f"{_BLACK:.0%} to 100 %",
+            remedy=remedy,
+        )
 
 
 def require_exposed(frame: LinearFrame, name: str, white: float = 1.0) -> None:
@@ -153,138 +150,116 @@ def require_exposed(frame: LinearFrame, name: str, white: float = 1.0) -> None:
         raise BadCapture(f"{name} is clipped at {share:.0%} of its pixels: lower the exposure and film again")
 
 
-def _findings_from_info(info: CaptureInfo) -> list[Finding]:
-    findings = []
+def _findings_from_info(info: CaptureInfo) -> Iterator[Finding]:
     if info.promised_frame_count > info.frame_count:
-        findings.append(
-            Finding(
-                check="cut-off",
-                level=Level.FATAL,
-                problem=f"the video is cut off: it declares {info.promised_frame_count} frames, "
-                f"{info.frame_count} came",
-                measured=f"{info.frame_count} frames",
-                expected=f"{info.promised_frame_count}",
-                remedy=f"copy the file again, or use what came with --frames 0:{info.frame_count}",
-            )
+        yield Finding(
+            check="cut-off",
+            level=Level.FATAL,
+            problem=f"the video is cut off: it declares {info.promised_frame_count} frames, "
+            f"{info.frame_count} came",
+            measured=f"{info.frame_count} frames",
+            expected=f"{info.promised_frame_count}",
+            remedy=f"copy the file again, or use what came with --frames 0:{info.frame_count}",
         )
     if info.missing:
         names = text_of_names(list(info.missing.values()))
-        findings.append(
-            Finding(
-                check="gaps",
-                level=Level.FATAL,
-                problem=f"{len(info.missing)} of {info.frame_count} files of the sequence are missing: "
-                f"{names}",
-                measured=f"{info.frame_count - len(info.missing)} files",
-                expected=f"{info.frame_count}",
-                remedy="copy them too, or leave these frames out with --gaps skip",
-            )
+        yield Finding(
+            check="gaps",
+            level=Level.FATAL,
+            problem=f"{len(info.missing)} of {info.frame_count} files of the sequence are missing: {names}",
+            measured=f"{info.frame_count - len(info.missing)} files",
+            expected=f"{info.frame_count}",
+            remedy="copy them too, or leave these frames out with --gaps skip",
         )
     if info.left_out:
         names = text_of_names([path.name for path in info.left_out])
-        findings.append(
-            Finding(
-                check="stray",
-                level=Level.WARNING,
-                problem=f"left out, since the frames are named otherwise: {names}",
-                measured=f"{len(info.left_out)} files",
-                expected="none",
-                remedy="keep masks and thumbnails in another folder",
-            )
+        yield Finding(
+            check="stray",
+            level=Level.WARNING,
+            problem=f"left out, since the frames are named otherwise: {names}",
+            measured=f"{len(info.left_out)} files",
+            expected="none",
+            remedy="keep masks and thumbnails in another folder",
         )
     if info.chroma in _CHROMA_COST_DEG:
         cost = _CHROMA_COST_DEG[info.chroma]
-        findings.append(
-            Finding(
-                check="chroma",
-                level=Level.WARNING,
-                problem=f"chroma subsampling {info.chroma} costs nothing on smooth surfaces, and up to "
-                f"{cost} degrees on relief as fine as two pixels, such as a knit; `reconstruct` takes part "
-                "of it back, `live` does not",
-                measured=f"chroma {info.chroma}",
-                expected="RGB or 4:4:4",
-                remedy="for such relief record RGB, raw or 4:4:4, or halve the picture size",
-            )
+        yield Finding(
+            check="chroma",
+            level=Level.WARNING,
+            problem=f"chroma subsampling {info.chroma} costs nothing on smooth surfaces, and up to "
+            f"{cost} degrees on relief as fine as two pixels, such as a knit; `reconstruct` takes part "
+            "of it back, `live` does not",
+            measured=f"chroma {info.chroma}",
+            expected="RGB or 4:4:4",
+            remedy="for such relief record RGB, raw or 4:4:4, or halve the picture size",
         )
     if info.codec not in LOSSLESS_CODECS and info.codec not in _LOSSLESS_IMAGES:
-        findings.append(
-            Finding(
-                check="codec",
-                level=Level.WARNING,
-                problem=f"{info.codec} is a lossy codec at most settings: its blocks show up as relief",
-                measured=f"codec {info.codec}",
-                expected="a lossless one",
-                remedy="record losslessly, or with the highest bit rate",
-            )
+        yield Finding(
+            check="codec",
+            level=Level.WARNING,
+            problem=f"{info.codec} is a lossy codec at most settings: its blocks show up as relief",
+            measured=f"codec {info.codec}",
+            expected="a lossless one",
+            remedy="record losslessly, or with the highest bit rate",
         )
     if info.bits == 8:
-        findings.append(
-            Finding(
-                check="bits",
-                level=Level.NOTE,
-                problem="8 bits per channel cost about 0.3 degrees",
-                measured="8 bits",
-                expected="10 or more",
-                remedy="record 10 or more bits where you can",
-            )
+        yield Finding(
+            check="bits",
+            level=Level.NOTE,
+            problem="8 bits per channel cost about 0.3 degrees",
+            measured="8 bits",
+            expected="10 or more",
+            remedy="record 10 or more bits where you can",
         )
-    return findings
 
 
-def _findings_from_channels(info: CaptureInfo) -> list[Finding]:
+def _findings_from_channels(info: CaptureInfo) -> Iterator[Finding]:
     if info.chroma != "grey":
-        return []
-    return [
-        Finding(
-            check="grey",
-            level=Level.FATAL,
-            problem="the footage is grey",
-            measured="one channel",
-            expected="three",
-            remedy="three coloured lights need a colour camera",
-        )
-    ]
+        return
+    yield Finding(
+        check="grey",
+        level=Level.FATAL,
+        problem="the footage is grey",
+        measured="one channel",
+        expected="three",
+        remedy="three coloured lights need a colour camera",
+    )
 
 
-def _findings_from_tag(info: CaptureInfo, transfer: Transfer, level: Level) -> list[Finding]:
+def _findings_from_tag(info: CaptureInfo, transfer: Transfer, level: Level) -> Iterator[Finding]:
     """Find a transfer curve that the file states and that it is not read with.
 
     No tag can state a camera's own logarithm: such files say bt709, or nothing.
     """
     stated, used = info.stated_transfer, transfer.to_text()
     if not stated or stated == used or transfer.is_camera_log:
-        return []
-    return [
-        Finding(
-            check="tag",
-            level=level,
-            problem=f"the file states the transfer curve {stated}, the rig's is {used}"
-            if level is Level.FATAL
-            else f"the file states the transfer curve {stated} but is read as {used}",
-            measured=stated,
-            expected=used,
-            remedy="film as the rig was calibrated, or calibrate as it was filmed"
-            if level is Level.FATAL
-            else "leave --transfer out, unless the tag is known to be wrong",
-        )
-    ]
+        return
+    yield Finding(
+        check="tag",
+        level=level,
+        problem=f"the file states the transfer curve {stated}, the rig's is {used}"
+        if level is Level.FATAL
+        else f"the file states the transfer curve {stated} but is read as {used}",
+        measured=stated,
+        expected=used,
+        remedy="film as the rig was calibrated, or calibrate as it was filmed"
+        if level is Level.FATAL
+        else "leave --transfer out, unless the tag is known to be wrong",
+    )
 
 
-def _findings_from_transfer(info: CaptureInfo, transfer: Transfer) -> list[Finding]:
+def _findings_from_transfer(info: CaptureInfo, transfer: Transfer) -> Iterator[Finding]:
     if transfer.curve is not TransferCurve.LINEAR or info.stated_transfer:
-        return []
+        return
     if info.codec in _CAMERA_CODECS:
-        return [
-            Finding(
-                check="transfer",
-                level=Level.NOTE,
-                problem=f"{info.codec} files of cameras and telephones are rarely linear",
-                measured="linear",
-                expected="bt709 (video) or srgb (JPEG)",
-                remedy="if this one is not linear, give --transfer bt709 or srgb",
-            )
-        ]
-    return []
+        yield Finding(
+            check="transfer",
+            level=Level.NOTE,
+            problem=f"{info.codec} files of cameras and telephones are rarely linear",
+            measured="linear",
+            expected="bt709 (video) or srgb (JPEG)",
+            remedy="if this one is not linear, give --transfer bt709 or srgb",
+        )
 
 
 def findings_from_clipping(frames: Sequence[LinearFrame], mask: Mask | None) -> list[Finding]:
@@ -306,19 +281,17 @@ def findings_from_clipping(frames: Sequence[LinearFrame], mask: Mask | None) -> 
     ]
 
 
-def _findings_from_range(brightest: float) -> list[Finding]:
+def _findings_from_range(brightest: float) -> Iterator[Finding]:
     if not _BLACK <= brightest < _DIM:
-        return []
-    return [
-        Finding(
-            check="dim",
-            level=Level.NOTE,
-            problem=f"the picture uses {brightest:.0%} of the range",
-            measured=f"{brightest:.0%}",
-            expected=f"more than {_DIM:.0%}",
-            remedy="open the lens: more light means less noise",
-        )
-    ]
+        return
+    yield Finding(
+        check="dim",
+        level=Level.NOTE,
+        problem=f"the picture uses {brightest:.0%} of the range",
+        measured=f"{brightest:.0%}",
+        expected=f"more than {_DIM:.0%}",
+        remedy="open the lens: more light means less noise",
+    )
 
 
 # What a user may have got wrong, told by the footage itself.
@@ -362,7 +335,7 @@ def examine_capture(
     `BadCapture` for a frame that cannot be read.
     """
     frames, in_a_row = _frames_to_judge(capture, numbers, over_time.FRAMES_IN_A_ROW)
-    findings = _findings_from_channels(capture.info) + findings_from_clipping(frames, mask)
+    findings = [*_findings_from_channels(capture.info), *findings_from_clipping(frames, mask)]
     if capture.info.chroma == "grey" or not frames:
         return Examination(findings=findings)
     small = [evidences.averaged_down(frame) for frame in frames]
