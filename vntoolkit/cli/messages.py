@@ -1,4 +1,4 @@
-"""The error lines of the command line: a command typed wrongly, and an exception nobody foresaw."""
+"""The error lines of the command line: a command typed wrongly, and an unexpected exception."""
 
 from __future__ import annotations
 

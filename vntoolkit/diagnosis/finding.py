@@ -1,4 +1,4 @@
-"""A finding, and the one judge of findings that every verb asks."""
+"""What a check found, and the decision, the same for every verb, whether a run goes on."""
 
 from __future__ import annotations
 
