@@ -38,7 +38,7 @@ def views(mesh: Mesh, width: int, height: int) -> dict[str, Picture]:
 def moment(result: OpenedResult, frame: int) -> dict[str, Picture]:
     """Return one row: captured, normals, views, cut to the same height."""
     captured, normal_map, mesh = result.picture(frame), result.normals(frame), result.mesh(frame)
-    assert captured is not None and normal_map is not None and mesh is not None  # noqa: PT018
+    assert captured is not None and mesh is not None  # noqa: PT018
     flat = cropped([captured, picture_of_normals(normal_map)], normal_map.mask)
     height, width = flat[0].shape[:2]
     return {"captured": flat[0], "normals": flat[1], **views(mesh, width, height)}

@@ -270,7 +270,7 @@ def _observations(
     """Number, normals and silhouette of every frame; without footage the normals' mask is the silhouette."""
     from_image = True
     for number in result.numbers:
-        normal_map = _normals(result, number)
+        normal_map = result.normals(number)
         silhouette: FloatArray = normal_map.mask.astype(np.float64)
         if from_image:
             try:
@@ -282,12 +282,6 @@ def _observations(
                 silhouette = silhouette_from_image(linear.rgb)
         yield number, (normal_map, silhouette)
         on_frame(number)
-
-
-def _normals(result: OpenedResult, number: int) -> NormalMap:
-    normal_map = result.normals(number)
-    assert normal_map is not None, "a result lists the frames that have normals"
-    return normal_map
 
 
 def _deviation(

@@ -536,9 +536,7 @@ class _NormalMaps(FrameExport):
     suffix = ".png"
 
     def write(self, out: Path, number: int) -> None:
-        normal_map = self.result.normals(number)
-        assert normal_map is not None
-        path = self.place(out, number)
+        normal_map, path = self.result.normals(number), self.place(out, number)
         write_normal_map(path, normal_map, convention=self.options.normal_convention)
 
 
@@ -582,8 +580,6 @@ class _Diligent(FrameExport):
         return self.place(out, number) / "filenames.txt"
 
     def write(self, out: Path, number: int) -> None:
-        normal_map = self.result.normals(number)
-        assert normal_map is not None
         response = self.result.rig.response
         rgb = self.result.linear(number).rgb - response.ambient
         contributions = rgb @ response.contributions_from_rgb.T / self._scale
@@ -594,7 +590,7 @@ class _Diligent(FrameExport):
             images,
             self._directions,
             self._intensities,
-            normal_map,
+            self.result.normals(number),
             self.options.normal_convention,
         )
 
@@ -624,7 +620,6 @@ def arrays_of_frame(
     lacks are left out.
     """
     normal_map, depth_map = result.normals(number), result.depth(number)
-    assert normal_map is not None
     signs = np.array(options.normal_convention.signs, np.float32)
     arrays: dict[str, Any] = {
         "normals": normal_map.normals_in_camera * signs,

@@ -67,7 +67,7 @@ class OpenedResult:
     """A folder that `reconstruct` wrote, with or without tracks.
 
     numbers: frames with normals on disk, in order. footage: where the capture is now; empty for where it was
-    when it was reconstructed. background: as for `open_capture`. Parts that a frame lacks are None.
+    when it was reconstructed. background: as for `open_capture`. Other parts that a frame lacks are None.
     """
 
     folder: ReconstructionFolder
@@ -97,9 +97,9 @@ class OpenedResult:
         """Whether a background was subtracted that is not at hand now, so that `linear` holds it."""
         return "background" in self.manifest.extra_files and self.background is None
 
-    def normals(self, number: int) -> NormalMap | None:
+    def normals(self, number: int) -> NormalMap:
         """Read a frame's normals."""
-        return self._read("normals", number, read_normal_map)
+        return read_normal_map(self.folder.file("normals", number))
 
     def depth(self, number: int) -> DepthMap | None:
         """Read a frame's depth."""

@@ -33,13 +33,7 @@ from vntoolkit.pipeline.options import OnError, Product, options_from_values, se
 from vntoolkit.pipeline.outputs import ReconstructionFolder
 from vntoolkit.pipeline.painted_surface import TrackedReflectance
 from vntoolkit.pipeline.reconstruct import ReconstructionSummary, reconstruct
-from vntoolkit.pipeline.texture import (
-    Texels,
-    all_inside,
-    has_maps,
-    texels_in_frame,
-    unit_vectors,
-)
+from vntoolkit.pipeline.texture import Texels, all_inside, rows_with_maps, texels_in_frame, unit_vectors
 from vntoolkit.pipeline.tracked_folder import REFINED_NAME, REFLECTANCE_NAME, read_track_record
 from vntoolkit.tracking.slopes import sample_image
 
@@ -128,13 +122,9 @@ def _looks(result: OpenedResult, target: Path, logs: Points) -> tuple[SurfaceLoo
     shape = (camera.height, camera.width)
     places = camera.project(np.array(sequence.vertices[at]))
     vertices = _vertices_as_texels(places, faces, shape)
-    there = [row for row, number in enumerate(numbers) if has_maps(result, number)]
-    evenly = np.unique(np.linspace(0, len(there) - 1, min(_FRAMES, len(there))).round().astype(int))
     contributions, seen, normals, errors = [], [], [], []
-    for row in (there[place] for place in evenly):
+    for row in rows_with_maps(result, numbers, _FRAMES):
         looked = texels_in_frame(result, sequence, row, numbers[row], vertices, places)
-        if looked is None:
-            continue
         lamps, is_lit = _lamps(result, numbers[row], looked.pixels)
         contributions.append(lamps)
         seen.append(is_lit & (looked.weight > 0))
@@ -185,7 +175,6 @@ def _lamps(result: OpenedResult, number: int, pixels: Points2) -> tuple[Points, 
 def _normals(result: OpenedResult, number: int, pixels: Points2) -> tuple[Points, FloatArray]:
     """Return the normals of a frame at places (n, 2), and their expected errors in degrees."""
     normal_map = result.normals(number)
-    assert normal_map is not None, "frames without maps are left out"
     found = unit_vectors(sample_image(normal_map.normals_in_camera, pixels))
     if normal_map.error_deg is None:
         return found, np.ones(len(pixels))

@@ -115,15 +115,13 @@ def write_texture(
     places = camera.project(np.array(sequence.vertices[at]))
     texels = texels_of(places, faces, shape)
     colours = _Colours(result)
-    kept = [row for row, number in enumerate(numbers) if has_maps(result, number)]
-    evenly = np.unique(np.linspace(0, len(kept) - 1, min(_FRAMES, len(kept))).round().astype(int))
-    rows = sorted({kept[place] for place in evenly} | ({at} & set(kept)))
+    rows = rows_with_maps(result, numbers, _FRAMES)
+    if result.folder.has(numbers[at], "normals", "depth"):
+        rows = sorted({*rows, at})
     colour, relief = _Mean(len(texels.faces), 3), _Mean(len(texels.faces), 3)
     for row in rows:
         number = numbers[row]
         seen = texels_in_frame(result, sequence, row, number, texels, places)
-        if seen is None:
-            continue
         relief.add(seen.in_tangents, seen.weight)
         albedo = colours.at(number, seen.pixels)
         if albedo is not None:
@@ -152,9 +150,11 @@ def texture_of_tracks(track_folder: Path) -> SurfaceTexture | None:
     return texture
 
 
-def has_maps(result: OpenedResult, number: int) -> bool:
-    """Tell whether a frame has normals and depth."""
-    return result.folder.has(number, "normals", "depth")
+def rows_with_maps(result: OpenedResult, numbers: list[int], most: int) -> list[int]:
+    """Return at most so many rows, evenly spread over those of the frames that have normals and depth."""
+    kept = [row for row, number in enumerate(numbers) if result.folder.has(number, "normals", "depth")]
+    evenly = np.unique(np.linspace(0, len(kept) - 1, min(most, len(kept))).round().astype(int))
+    return [kept[place] for place in evenly]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -226,11 +226,10 @@ class SeenTexels:
 
 def texels_in_frame(
     result: OpenedResult, sequence: MeshSequence, row: int, number: int, texels: Texels, places: Points2
-) -> SeenTexels | None:
-    """Find the texels in a frame; None where it has no maps. places: (n, 2), of vertices in the texture."""
+) -> SeenTexels:
+    """Find the texels in a frame with maps. places: (n, 2), of vertices in the texture."""
     normal_map, depth_map = result.normals(number), result.depth(number)
-    if normal_map is None or depth_map is None:
-        return None
+    assert depth_map is not None
     camera, faces = result.camera, sequence.template.faces
     vertices = np.array(sequence.vertices[row], dtype=np.float64)
     points = texels.of_vertices(vertices, faces)

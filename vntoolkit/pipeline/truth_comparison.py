@@ -45,12 +45,10 @@ def compare_with_truth(result: OpenedResult, simulated: Path) -> Iterator[FrameC
 
 def compare_frame_with_truth(result: OpenedResult, simulated: Path, number: int) -> FrameComparison:
     """Compare one frame of a result with the truth, as `compare_with_truth` does all of them."""
-    measured = result.normals(number)
-    assert measured is not None, "a result lists the frames that have normals"
     depth = result.depth(number)
     return FrameComparison(
         number=number,
-        normals=compare_normals(measured, true_normals(simulated, number)),
+        normals=compare_normals(result.normals(number), true_normals(simulated, number)),
         depth=None if depth is None else compare_depths(depth, true_depth(simulated, number), result.camera),
     )
 

@@ -125,16 +125,14 @@ def pictures_of_frame(
     normal_map, depth_map = result.normals(number), result.depth(number)
     labels, captured = result.labels(number), result.picture(number)
     pictures: dict[str, Picture] = {} if captured is None else {"captured": captured}
-    if normal_map is not None:
-        pictures["normals"] = picture_of_normals(normal_map, ground=beside_normals)
+    pictures["normals"] = picture_of_normals(normal_map, ground=beside_normals)
     if depth_map is not None:
         pictures["depth"] = picture_of_depth(depth_map, result.camera, ground=ground)
     if labels is not None:
-        mask = None if normal_map is None else normal_map.mask
         beside = ground if beside_labels is None else beside_labels
-        pictures["shadows"] = picture_of_labels(labels, mask, ground=beside)
+        pictures["shadows"] = picture_of_labels(labels, normal_map.mask, ground=beside)
     materials = result.materials(number)
-    if materials is not None and normal_map is not None:
+    if materials is not None:
         coloured = MATERIAL_PALETTE[materials]
         pictures["materials"] = np.where(normal_map.mask[..., None], coloured, np.uint8(ground))
     return pictures

@@ -284,7 +284,6 @@ def _named(result: OpenedResult, number: int) -> str:
 
 def _parts(result: OpenedResult, number: int) -> dict[str, pictures.Picture]:
     normal_map = result.normals(number)
-    assert normal_map is not None  # the frame is in result.numbers
     parts = pictures.pictures_of_frame(
         result, number, ground=pictures.GROUND, beside_normals=pictures.GROUND, beside_labels=_BESIDE
     )
@@ -335,10 +334,10 @@ def track_section(result: OpenedResult, track: TrackedSurface) -> page.PageSecti
 def _before_and_after(result: OpenedResult, number: int) -> list[page.PageFigure]:
     """Return a frame's normals without and with the reflectance of the tracked surface, where these are."""
     again = result.refined
-    before, after = (None if each is None else each.normals(number) for each in (result, again))
-    if again is None or before is None or after is None:
+    if again is None or number not in again.numbers or number not in result.numbers:
         return []
-    parts = {"normals before": before, "with the surface's reflectance": after}
+    before = result.normals(number)
+    parts = {"normals before": before, "with the surface's reflectance": again.normals(number)}
     both = pictures.cropped(
         [pictures.picture_of_normals(each, pictures.GROUND) for each in parts.values()], before.mask
     )
@@ -493,8 +492,6 @@ def _cone_figure(result: OpenedResult, sample: int) -> page.PageFigure:
 
 def _draw_capture(axes: Axes, result: OpenedResult, sample: int) -> None:
     normal_map = result.normals(sample)
-    if normal_map is None:
-        return
     normals = normal_map.normals_in_camera[normal_map.mask]
     normals = normals[:: max(1, len(normals) // _LARGEST_SAMPLE)]
     counts, x, y = np.histogram2d(

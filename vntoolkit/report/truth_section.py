@@ -69,7 +69,6 @@ def _light_number(errors_deg: FloatArray) -> page.PageNumber:
 
 def _strip(result: OpenedResult, simulated: Path, number: int) -> page.PageFigure:
     measured, truth = result.normals(number), truth_comparison.true_normals(simulated, number)
-    assert measured is not None  # the frame is in result.numbers
     errors, both = angular_error_map(measured, truth)
     shown = [
         pictures.picture_of_normals(measured),
@@ -111,7 +110,6 @@ def _mesh_figure(result: OpenedResult, number: int) -> tuple[page.PageFigure, ..
 
 def _cumulative_figure(result: OpenedResult, simulated: Path, number: int) -> page.PageFigure:
     measured = result.normals(number)
-    assert measured is not None  # the frame is in result.numbers
     errors, both = angular_error_map(measured, truth_comparison.true_normals(simulated, number))
     angles = np.sort(errors[both])
     shares = np.linspace(0, 100, len(angles))
