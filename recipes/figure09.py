@@ -17,10 +17,11 @@ import numpy as np
 from vntoolkit.cli.reconstruct import reconstruct
 from vntoolkit.cli.simulate import simulate
 from vntoolkit.geometry.mesh import Mesh
+from vntoolkit.io.footage.frame_range import sampled
 from vntoolkit.pipeline.opened_result import OpenedResult, open_result
 from vntoolkit.pipeline.truth_comparison import compare_with_truth
 from vntoolkit.report.mesh_views import View, picture_of
-from vntoolkit.report.pictures import Picture, cropped, picture_of_normals, sampled, write_tiles
+from vntoolkit.report.pictures import Picture, cropped, picture_of_normals, write_tiles
 from vntoolkit.report.recipes_page import number, write_numbers
 
 AZIMUTHS_DEG = (-60.0, -30.0, 0.0, 30.0, 60.0)

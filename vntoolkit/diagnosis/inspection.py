@@ -20,6 +20,7 @@ from vntoolkit.diagnosis.lamp_nearness import Nearness, finding_from_nearness, f
 from vntoolkit.diagnosis.rig_checks import check_stated_focal
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.footage.captures import Capture, CaptureInfo, CaptureOptions, open_capture
+from vntoolkit.io.footage.frame_range import sampled
 from vntoolkit.io.footage.mattes import MatteOptions, Mattes, open_mattes
 from vntoolkit.io.footage.pixel_formats import LOSSLESS_CODECS
 from vntoolkit.io.footage.sequence import text_of_names
@@ -85,8 +86,7 @@ def inspect_capture(
         mattes = Mattes(still=mask)
     else:
         mattes = open_mattes(capture, mask, matting, plate)
-    there = capture.present
-    numbers = sorted({there[round(k)] for k in np.linspace(0, len(there) - 1, samples)})
+    numbers = sampled(capture.present, samples)
     findings = findings_from_header(capture)
     if rig is None:
         findings += _findings_from_tag(info, capture.transfer, Level.WARNING)
@@ -480,7 +480,7 @@ def frames_to_compare(capture: Capture, numbers: range) -> list[int]:
     first, last = numbers[0], numbers[-1]
     within = (last - first) // (2 * (_FRAMES_COMPARED - 1))
     chosen = set()
-    for place in np.linspace(0, len(numbers) - 1, _FRAMES_COMPARED).round().astype(int):
-        quick = capture.readable_alone(numbers[place], within)
-        chosen.add(quick if first <= quick <= last else numbers[place])
+    for number in sampled(numbers, _FRAMES_COMPARED):
+        quick = capture.readable_alone(number, within)
+        chosen.add(quick if first <= quick <= last else number)
     return sorted(chosen)

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.geometry.camera import Camera
+from vntoolkit.io.footage.frame_range import sampled
 from vntoolkit.io.footage.images import write_png
 from vntoolkit.io.footage.video import write_video
 from vntoolkit.io.results.sequences import read_mesh_sequence
@@ -64,8 +65,7 @@ class _Sheet:
     """Keeps a few frames, evenly spread, of those that pass."""
 
     def __init__(self, frame_count: int) -> None:
-        cells = min(_SHEET_COLUMNS * _SHEET_ROWS, frame_count)
-        self._wanted = set(np.linspace(0, frame_count - 1, cells).round().astype(int).tolist())
+        self._wanted = set(sampled(range(frame_count), _SHEET_COLUMNS * _SHEET_ROWS))
         self.kept: dict[int, npt.NDArray[np.uint8]] = {}
 
     def passing(self, frames: Iterator[npt.NDArray[np.uint8]]) -> Iterator[npt.NDArray[np.uint8]]:

@@ -23,6 +23,7 @@ from vntoolkit.geometry.motion import Motion, Skeleton, bone_segments, pose_of_f
 from vntoolkit.geometry.rigid import Similarity
 from vntoolkit.geometry.skinned_clip import SkinnedClip, ViewedFrom, blend_shapes
 from vntoolkit.io.atomic import require_writable_folder
+from vntoolkit.io.footage.frame_range import sampled
 from vntoolkit.io.maps_and_meshes.glb import write_glb, write_glb_skin
 from vntoolkit.io.maps_and_meshes.meshes import read_mesh, write_material, write_mesh
 from vntoolkit.io.maps_and_meshes.usd import write_usd_sequence, write_usd_skin
@@ -285,13 +286,13 @@ def dress(
     clock = clocks.clock_from_recordings(cloth, motion, options.clock)
     played = clocks.resampled_motion(motion, clock.motion_s, clock.frame_rate_hz)
     skeleton = motion.skeleton
-    frames = np.unique(np.linspace(0, len(played) - 1, _WEB_SAMPLES).round().astype(int))
+    frames = sampled(range(len(played)), _WEB_SAMPLES)
     weights, faces = weights_without_web(
         attached,
         skeleton,
         fitting.rest_from_model,
         options.weights,
-        poses=np.stack([pose_of_frame(played, int(frame)) for frame in frames]),
+        poses=np.stack([pose_of_frame(played, frame) for frame in frames]),
         max_stretch=options.max_stretch,
         cover=_cover(fitting, skeleton),
     )
@@ -322,7 +323,7 @@ def _telling_frame(cloth: MeshSequence, kind: Garment) -> int:
     if kind is not Garment.AUTO and kind is not Garment.TROUSERS and not kind.has_sleeves:
         return 0
     most, best = -1, 0
-    for frame in np.unique(np.linspace(0, len(cloth) - 1, _FRAMES_LOOKED_AT).round().astype(int)).tolist():
+    for frame in sampled(range(len(cloth)), _FRAMES_LOOKED_AT):
         regions = regions_of_garment(cloth[frame])
         shown = len(regions.sleeves) if regions.hems is None else 2
         if shown > most:
@@ -378,8 +379,7 @@ def one_in_each_cube(mesh: Mesh, cell: float) -> tuple[IntArray, Faces]:
 
 def floor_height(motion: Motion) -> float:
     """Return y of the lowest bone over the whole motion, sampled: that is where the figure stands."""
-    moments = np.unique(np.linspace(0, len(motion) - 1, _FLOOR_SAMPLES).round().astype(int))
-    poses = (pose_of_frame(motion, int(moment)) for moment in moments)
+    poses = (pose_of_frame(motion, moment) for moment in sampled(range(len(motion)), _FLOOR_SAMPLES))
     return max(float(bone_segments(motion.skeleton, pose)[2][:, 1].max()) for pose in poses)
 
 

@@ -23,7 +23,7 @@ from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.atomic import remove_numbered, require_apart, sole_writer, write_text
 from vntoolkit.io.files import read_text, source_file
-from vntoolkit.io.footage.frame_range import FrameRange
+from vntoolkit.io.footage.frame_range import FrameRange, sampled
 from vntoolkit.io.footage.images import read_image, resized_image, write_png
 from vntoolkit.io.footage.video import write_video
 from vntoolkit.io.maps_and_meshes.arrays import map_npy
@@ -146,10 +146,9 @@ def _staged_frames(folder: SimulationFolder, count: int) -> Iterator[npt.NDArray
 
 
 def _write_contact_sheet(job: SimulationJob) -> None:
-    count = len(job.numbers)
     linear = job.nuisances.file_transfer.curve is TransferCurve.LINEAR
     rows = []
-    for place in np.unique(np.linspace(0, count - 1, min(count, _SHEET_FRAMES)).round().astype(int)):
+    for place in sampled(range(len(job.numbers)), _SHEET_FRAMES):
         normals = read_normal_map(job.folder.map_file("normals", place, ".exr"))
         labels = read_labels(job.folder.map_file("visibility", place, ".png"))
         film = read_image(job.folder.staged(place))

@@ -20,6 +20,7 @@ from vntoolkit.errors import VntError
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh, MeshSequence, face_normals, vertex_normals
 from vntoolkit.io.atomic import require_writable_folder, write_bytes, write_text
+from vntoolkit.io.footage.frame_range import sampled
 from vntoolkit.io.footage.images import read_image, write_png
 from vntoolkit.io.maps_and_meshes.glb import Texture
 from vntoolkit.io.maps_and_meshes.usd import TextureFiles
@@ -115,11 +116,11 @@ def write_texture(
     places = camera.project(np.array(sequence.vertices[at]))
     texels = texels_of(places, faces, shape)
     colours = _Colours(result)
-    rows = rows_with_maps(result, numbers, _FRAMES)
+    rows = set(rows_with_maps(result, numbers, _FRAMES))
     if result.folder.has(numbers[at], "normals", "depth"):
-        rows = sorted({*rows, at})
+        rows.add(at)
     colour, relief = _Mean(len(texels.faces), 3), _Mean(len(texels.faces), 3)
-    for row in rows:
+    for row in sorted(rows):
         number = numbers[row]
         seen = texels_in_frame(result, sequence, row, number, texels, places)
         relief.add(seen.in_tangents, seen.weight)
@@ -150,11 +151,10 @@ def texture_of_tracks(track_folder: Path) -> SurfaceTexture | None:
     return texture
 
 
-def rows_with_maps(result: OpenedResult, numbers: list[int], most: int) -> list[int]:
+def rows_with_maps(result: OpenedResult, numbers: list[int], most: int) -> tuple[int, ...]:
     """Return at most so many rows, evenly spread over those of the frames that have normals and depth."""
     kept = [row for row, number in enumerate(numbers) if result.folder.has(number, "normals", "depth")]
-    evenly = np.unique(np.linspace(0, len(kept) - 1, min(most, len(kept))).round().astype(int))
-    return [kept[place] for place in evenly]
+    return sampled(kept, most)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

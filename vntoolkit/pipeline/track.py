@@ -18,6 +18,7 @@ from vntoolkit.diagnosis.over_time import findings_from_tracks
 from vntoolkit.errors import BadInput, BadMesh, VntError
 from vntoolkit.geometry.mesh import MeshSequence
 from vntoolkit.io.atomic import sole_writer, undisturbed
+from vntoolkit.io.footage.frame_range import sampled
 from vntoolkit.io.results.sequences import MeshSequenceWriter, read_mesh_sequence
 from vntoolkit.materials.pixels import MaterialLabels, relit
 from vntoolkit.photometry.frame import LinearFrame
@@ -199,10 +200,8 @@ def _registered_by(
     """
     if job.options.method is not Tracker.DEFAULT:
         return (), None, ()
-    there = [n for n in source.numbers if source.has(n)]
-    chosen = np.unique(np.linspace(0, len(there) - 1, FRAMES_COMPARED).round().astype(int))
     reliefs = {}
-    for number in (there[k] for k in chosen):
+    for number in sampled([n for n in source.numbers if source.has(n)], FRAMES_COMPARED):
         seen = source.normals(number)
         reliefs[number] = relief_slopes(slopes_from_normals(seen, source.camera), seen, source.labels(number))
     of_relief = fixed_pattern(relief[..., :3] for relief in reliefs.values())

@@ -109,12 +109,6 @@ def displayed(linear: FloatArray | LinearImage) -> Picture:
     return (255 * np.clip(linear, 0, 1) ** _DISPLAY_GAMMA).astype(np.uint8)
 
 
-def sampled(numbers: tuple[int, ...], count: int) -> tuple[int, ...]:
-    """Return at most `count` of the frame numbers, evenly spread, the first and the last among them."""
-    places = np.linspace(0, len(numbers) - 1, min(count, len(numbers))).round().astype(int)
-    return tuple(numbers[place] for place in dict.fromkeys(places.tolist()))
-
-
 def pictures_of_frame(
     result: OpenedResult, number: int, *, ground: int, beside_normals: int, beside_labels: int | None = None
 ) -> dict[str, Picture]:

@@ -13,6 +13,7 @@ from vntoolkit.arrays import FloatArray
 from vntoolkit.diagnosis.inspection import findings_from_header
 from vntoolkit.errors import BadInput, VntError
 from vntoolkit.geometry.camera import Camera, CameraModel
+from vntoolkit.io.footage.frame_range import sampled
 from vntoolkit.io.footage.images import read_image, resized_image
 from vntoolkit.io.maps_and_meshes.label_images import LABEL_LEGEND
 from vntoolkit.io.maps_and_meshes.ply import read_ply_counts
@@ -250,7 +251,7 @@ _BESIDE = 205  # grey beside the subject, since white means that all lights arri
 
 def samples_section(result: OpenedResult, count: int, height_px: int) -> page.PageSection:
     """Return a row for each sampled frame: capture, normals, relief, shadows, as far as they are there."""
-    shown = pictures.sampled(result.numbers, count)
+    shown = sampled(result.numbers, count)
     rows = [_parts(result, number) for number in shown]
     labelled = any("lights that arrive" in row for row in rows)
     pixels = pictures.tiled(

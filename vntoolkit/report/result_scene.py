@@ -18,13 +18,14 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import DepthMap
 from vntoolkit.geometry.mesh import Mesh
 from vntoolkit.io.atomic import write_text
+from vntoolkit.io.footage.frame_range import sampled
 from vntoolkit.io.footage.images import encoded_image, resized_image
 from vntoolkit.meshing.surface import MeshOptions
 from vntoolkit.native import import_open3d
 from vntoolkit.pipeline.opened_result import OpenedResult, TrackedSurface
 from vntoolkit.report import scene
 from vntoolkit.report.local_server import LocalServer, ViewerOptions
-from vntoolkit.report.pictures import pictures_of_frame, sampled
+from vntoolkit.report.pictures import pictures_of_frame
 
 _WEBP_QUALITY = 88
 _SERVED_QUALITY = 92  # of a JPEG

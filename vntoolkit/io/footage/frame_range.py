@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
+
+import numpy as np
 
 from vntoolkit.errors import BadInput
 
@@ -48,6 +51,12 @@ class FrameRange:
                 f"frames {self.to_text()}: the capture has only {frame_count} frames (0 to {frame_count - 1})"
             )
         return numbers
+
+
+def sampled(numbers: Sequence[int], most: int) -> tuple[int, ...]:
+    """Return at most so many of the numbers, evenly spread, the first and the last among them."""
+    places = np.linspace(0, len(numbers) - 1, min(most, len(numbers))).round().astype(int)
+    return tuple(numbers[place] for place in places.tolist())
 
 
 class Gaps(Enum):
