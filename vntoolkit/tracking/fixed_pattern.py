@@ -57,7 +57,7 @@ def fixed_pattern(frames: Iterable[Slopes | PaintImage]) -> tuple[Power, ...]:
 def _common_power(total: Power, squares: Power) -> Power:
     """Return (h, w) the mean product of two frames' values around every pixel, at least 0.
 
-    total, squares: (h, w, k + 1), sums over frames of weighted values and, last, of weights; of their squares.
+    total, squares: (h, w, k + 1), sums over frames of weighted values, weights last; and of their squares.
     """
     products = cv2.blur(total * total - squares, (_AROUND_PX, _AROUND_PX))
     power = np.maximum(products[..., :-1].sum(axis=-1), 0.0) / np.maximum(products[..., -1], 1e-3)

@@ -97,7 +97,7 @@ class WindowSteps:
 class Measurement:
     """information: (nodes, 3) I_uu, I_uv, I_vv in 1/px² of the template. pull: (nodes, 2) I d.
 
-    match: (nodes,) the share of the finest band's gradients that template and frame have in common, 0 to 1, of
+    match: (nodes,) the share of the finest gradients that template and frame have in common, 0 to 1, of
     relief or, where a node's own tells, of paint: if one matches, the other differs for some other reason.
     expected: (nodes,) the share of relief if only noise told them apart. found: (nodes,) the greatest share
     of any windows. windows: what those of each kind measured, and last what is remembered
