@@ -98,7 +98,7 @@ class Measurement:
     """information: (nodes, 3) I_uu, I_uv, I_vv in 1/px² of the template. pull: (nodes, 2) I d.
 
     match: (nodes,) the share of the finest gradients that template and frame have in common, 0 to 1, of
-    relief or, where a node's own tells, of paint: if one matches, the other differs for some other reason.
+    relief or of paint, the larger: where one matches, the other looks otherwise for some other reason.
     expected: (nodes,) the share of relief if only noise told them apart. found: (nodes,) the greatest share
     of any windows. windows: what those of each kind measured, and last what is remembered
     adds. finest: what the finest bands tell. correlated_px: for each kind of windows on relief, (nodes,) how
@@ -221,17 +221,13 @@ class TemplateRegistration:
             beside = self._beside_contours(windows.halvings, frame)
             slide_px = RIM_PX * 2.0**windows.halvings * unknown * beside
             steps[k] = replace(steps[k], slide_px=slide_px)
-        match = ratios[0]
-        if painted:
-            own_paint = painted[0].information.any(axis=1)
-            match = np.maximum(match, own_paint * ratios[len(self._relief_windows)])
         coarser = steps[1:] + painted[1:]
         pull = finest.pull - alone.pull
         steps += [*painted, WindowSteps(information=finest.more, pull=pull, slide_px=np.zeros(count))]
         return Measurement(
             information=finest.information + sum(each.information for each in coarser),
             pull=finest.pull + sum(each.pull for each in coarser),
-            match=match,
+            match=np.max(ratios[:: len(self._relief_windows)], axis=0),  # the finest of relief, and of paint
             expected=self._expected_match(correlated_px[0]),
             found=np.max(ratios, axis=0),
             windows=tuple(steps),
