@@ -69,6 +69,21 @@ def test_paint_at_rest_is_none(rng: np.random.Generator) -> None:
     assert np.square(np.diff(curl, axis=0)).mean() > 2 * power(0 * paint, fixed)  # strong as it is
 
 
+def test_what_hardly_counts_does_not_hide_it(rng: np.random.Generator) -> None:
+    """Beside a rim, where paint is wrong and weighs next to nothing, gains of pixels are no paint either."""
+    inside = np.s_[20:76, 40:90]
+    gain = rng.normal(0, NOISE, (HEIGHT, WIDTH))
+    wrong = 3.0 * cv2.GaussianBlur(rng.normal(0, 1, gain.shape), (0, 0), 2.0) * (GRID[..., 0] > 100)
+    weight = np.where(GRID[..., 0] > 100, 0.02, 1.0)
+
+    def power(wrong: np.ndarray) -> float:
+        paint = [1.0 + gain + wrong + noise for noise in rng.normal(0, NOISE, (8, *gain.shape))]
+        seen = (np.float32(np.dstack([weight * each, weight])) for each in paint)
+        return float(fixed_pattern(seen)[0][inside].mean())
+
+    np.testing.assert_allclose(power(wrong), power(0.0 * wrong), rtol=0.2)
+
+
 def test_too_few_frames_tell_nothing(rng: np.random.Generator) -> None:
     assert pattern_of(0.0, NOISE, range(3), rng) == []
 

@@ -114,6 +114,41 @@ def test_noise_of_paint_tells_nothing() -> None:
     assert np.median(tracked.uncertainty_px) > 4.0
 
 
+def test_a_place_that_suddenly_looks_otherwise_is_lost_though_all_around_it_is_not() -> None:
+    def relief(seed: int) -> np.ndarray:
+        drawn = cv2.GaussianBlur(np.random.default_rng(seed).normal(0, 1, (HEIGHT, WIDTH)), (0, 0), 1.5)
+        return 3.0 * drawn
+
+    place = (GRID[..., 0] >= 48) & (GRID[..., 0] < 80)
+    told = []
+    for heights in (relief(1), np.where(place, relief(2), relief(1))):
+        tracker = SurfaceTracker(normals(*np.gradient(relief(1))[::-1]), flat_depth(WHOLE), CAMERA)
+        tracked = tracker.step(normals(*np.gradient(heights)[::-1]), flat_depth(WHOLE))
+        told.append(tracked.uncertainty_px.reshape(HEIGHT, WIDTH)[20:-20])
+    assert told[0].max() < 1.0
+    assert np.median(told[1][:, 56:72]) > 4.0
+    assert np.median(told[1][:, :24]) < 1.0
+
+
+@pytest.mark.parametrize("freckled", [True, False])
+def test_relief_that_changes_is_no_doubt_where_paint_is_in_its_place(freckled: bool) -> None:
+    """A camera's mosaic makes other slopes of the same strands of hair in every frame."""
+    still = np.zeros(2)
+
+    def moire(frame: int) -> NormalMap:
+        height = cv2.GaussianBlur(np.random.default_rng(frame).normal(0, 1, (HEIGHT, WIDTH)), (0, 0), 1.5)
+        v, u = np.gradient(height)
+        return normals(u, v)
+
+    def paint(frame: int) -> Paint | None:
+        return painted(frame, still) if freckled else None
+
+    tracker = SurfaceTracker(moire(0), flat_depth(WHOLE), CAMERA, paint=paint(0))
+    for frame in range(1, 4):
+        tracked = tracker.step(moire(frame), flat_depth(WHOLE), paint=paint(frame))
+    assert (np.median(tracked.uncertainty_px) < 1.0) == freckled
+
+
 def test_a_frame_whose_paint_is_not_known_is_carried(rng: np.random.Generator) -> None:
     still = np.zeros(2)
     tracker = SurfaceTracker(smooth(0), flat_depth(WHOLE), CAMERA, paint=painted(0, still))

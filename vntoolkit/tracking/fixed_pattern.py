@@ -40,12 +40,11 @@ def fixed_pattern(frames: Iterable[Slopes | PaintImage]) -> tuple[Power, ...]:
     for image in frames:
         bands = gradient_bands(image[..., :-1], image[..., -1])
         for k, (_, gradients, weight) in enumerate(itertools.islice(bands, 2)):
-            seen = (weight > 0)[..., None]
             common = gradients if gradients.shape[2] == 2 else gradients[..., 2:3] - gradients[..., 1:2]
-            common = np.where(seen, common, np.float32(0.0))
+            weighted = np.dstack([weight[..., None] * common, weight])
             if k == len(sums):
-                sums.append(np.zeros((3, *common.shape), np.float32))
-            sums[k] += np.stack([common, common * common, np.broadcast_to(seen, common.shape)])
+                sums.append(np.zeros((2, *weighted.shape), np.float32))
+            sums[k] += np.stack([weighted, weighted * weighted])
         count += 1
     if count < _FEWEST_FRAMES or len(sums) < 2:
         return ()
@@ -55,9 +54,11 @@ def fixed_pattern(frames: Iterable[Slopes | PaintImage]) -> tuple[Power, ...]:
     return tuple(np.float32(share) * white[:: 2**k, :: 2**k] for k, share in enumerate(_WHITE))
 
 
-def _common_power(total: Power, squares: Power, count: Power) -> Power:
-    """Return (h, w) the mean product of two frames' values (h, w, k) around every pixel, at least 0."""
-    window = (_AROUND_PX, _AROUND_PX)
-    products = cv2.blur((total * total - squares).sum(axis=-1), window)
-    pairs = cv2.blur((count * (count - 1.0)).sum(axis=-1), window)
-    return np.asarray(np.maximum(products, 0.0) / np.maximum(pairs, 1e-3), np.float32)
+def _common_power(total: Power, squares: Power) -> Power:
+    """Return (h, w) the mean product of two frames' values around every pixel, at least 0.
+
+    total, squares: (h, w, k + 1), sums over frames of weighted values, weights last; and of their squares.
+    """
+    products = cv2.blur(total * total - squares, (_AROUND_PX, _AROUND_PX))
+    power = np.maximum(products[..., :-1].sum(axis=-1), 0.0) / np.maximum(products[..., -1], 1e-3)
+    return np.asarray(power, np.float32)

@@ -97,9 +97,10 @@ class WindowSteps:
 class Measurement:
     """information: (nodes, 3) I_uu, I_uv, I_vv in 1/px² of the template. pull: (nodes, 2) I d.
 
-    match: (nodes,) the share of the finest band's gradients that template and frame have in common, 0 to 1;
-    expected: (nodes,) the share they would have if only noise told them apart. found: (nodes,) the
-    greatest share of any windows. windows: what those of each kind measured, and last what is remembered
+    match: (nodes,) the share of the finest gradients that template and frame have in common, 0 to 1, of
+    relief or of paint, the larger: where one matches, the other looks otherwise for some other reason.
+    expected: (nodes,) the share of relief if only noise told them apart. found: (nodes,) the greatest share
+    of any windows. windows: what those of each kind measured, and last what is remembered
     adds. finest: what the finest bands tell. correlated_px: for each kind of windows on relief, (nodes,) how
     many pixels agree by chance.
     """
@@ -226,7 +227,7 @@ class TemplateRegistration:
         return Measurement(
             information=finest.information + sum(each.information for each in coarser),
             pull=finest.pull + sum(each.pull for each in coarser),
-            match=ratios[0],
+            match=np.max(ratios[:: len(self._relief_windows)], axis=0),  # the finest of relief, and of paint
             expected=self._expected_match(correlated_px[0]),
             found=np.max(ratios, axis=0),
             windows=tuple(steps),

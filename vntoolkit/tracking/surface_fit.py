@@ -198,6 +198,7 @@ class SurfaceFit:
         windows = [*measured_by, by_memory]
         square = self._errors.square(solution, windows, outline, np.sqrt(variance), guess.doubt)
         square += self._of_the_whole(information + outline)
+        square += (1.0 - measured) * by_memory.slide_px**2  # only guessed, and it looks otherwise there
         return FittedFrame(
             positions_px=positions,
             depth=self._depth(positions, depth_map, hidden),
