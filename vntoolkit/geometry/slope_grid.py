@@ -23,6 +23,7 @@ from vntoolkit.native import njit
 Grid = npt.NDArray[np.float32]
 Labels = npt.NDArray[np.uint8]
 NO_STEP = 1e30  # so soft that nothing is a step
+FLATTEST_Z = 0.12  # |n_z| below which a first slope is held, so that no pixel starts edge-on
 STEEPEST = 8.0  # largest slope: the tangent of the angle from the viewing ray
 
 

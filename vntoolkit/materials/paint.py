@@ -21,6 +21,7 @@ from scipy.ndimage import find_objects, uniform_filter
 from vntoolkit.arrays import FloatArray, Mask, Points
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.slope_grid import (
+    FLATTEST_Z,
     NO_STEP,
     STEEPEST,
     RayGrid,
@@ -54,7 +55,6 @@ _AROUND = 5  # blocks that share the doubt of a turn
 _LEAST_SHARE = np.float32(0.06)  # of the strongest lamp's light: less may be shadow, which tells nothing
 _LEAST_LIGHT, _TINY = np.float32(0.02), np.float32(1e-9)
 _NONE, _HALF, _ONE, _TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
-_FLATTEST = np.float32(0.12)  # |n_z| below which a first slope is held
 _DEGREES = np.float32(np.degrees(1.0))
 _NO_LABEL = 255
 _DOWN, _RIGHT = (-1, 1, 0, 0), (0, 0, -1, 1)  # to those beside a block
@@ -271,7 +271,7 @@ def _begin(
             x = x0 + rays.per_pixel_u * np.float32(u)
             n0, n1, n2 = _times(inverse, light[v, u, 0], light[v, u, 1], light[v, u, 2])
             length = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2) + _TINY
-            along = _ONE / max(-(n2 + x * n0 + y * n1), _FLATTEST * length)
+            along = _ONE / max(-(n2 + x * n0 + y * n1), np.float32(FLATTEST_Z) * length)
             grey = np.log(length)
             left = _ONE / (_ONE + grey * grey * prices[of[v, u]].sum())
             left = left * left if light[v, u, 0] > _NONE else _NONE

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vntoolkit.arrays import FloatArray, Mask, Normals, VisibilityLabels
+from vntoolkit.geometry.slope_grid import FLATTEST_Z
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame, count_lit
 from vntoolkit.photometry.response import LightResponse
@@ -21,7 +22,6 @@ from vntoolkit.shadows.contributions import contributions_from_frame, lengths_of
 from vntoolkit.shadows.surface import LabelledImage, Surface, SurfaceOptions
 
 _LARGEST_MISFIT = 25.0  # χ² of one pixel beyond which it says no more about its region
-_FLATTEST_FACING = 0.12  # |n_z| below which a slope is held
 _MEDIAN_TO_DEVIATION = 1.4826
 _FEWEST_LOOPS = 100
 _FEWEST_PAIRS = 60  # of rows, whose noise stands for the frame's
@@ -140,7 +140,7 @@ def _noise_between(upper: FloatArray, known: Mask, lower: FloatArray, also: Mask
     """upper, lower: (n, w, 3), normals of rows and of the rows below them."""
 
     def slopes(normals: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        facing = np.maximum(-normals[..., 2], _FLATTEST_FACING)
+        facing = np.maximum(-normals[..., 2], FLATTEST_Z)
         return normals[..., 0] / facing, normals[..., 1] / facing, facing
 
     (p, q, facing), (p_below, q_below, _) = slopes(upper), slopes(lower)

@@ -15,7 +15,7 @@ from vntoolkit.checks import checks_kinds, require_mask, require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
-from vntoolkit.geometry.slope_grid import STEEPEST, RayGrid, ray_at, ray_grid
+from vntoolkit.geometry.slope_grid import FLATTEST_Z, STEEPEST, RayGrid, ray_at, ray_grid
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
 from vntoolkit.photometry.levelling import FLAGS, span_of
@@ -51,7 +51,6 @@ from vntoolkit.shadows.initialisation import (
 )
 from vntoolkit.shadows.shadow_edges import labels_without_penumbra
 from vntoolkit.shadows.surface import (
-    FLATTEST_Z,
     LabelledImage,
     Model,
     Surface,

@@ -25,6 +25,7 @@ from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels, Weight
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, LengthUnit
 from vntoolkit.geometry.slope_grid import (
+    FLATTEST_Z,
     NO_STEP,
     STEEPEST,
     RayGrid,
@@ -46,7 +47,6 @@ from vntoolkit.shadows.contributions import (
 )
 from vntoolkit.solvers import grid_hierarchy, solve_grid
 
-FLATTEST_Z = 0.12  # |n_z| below which a first slope is held, so that no pixel starts edge-on
 Grid = npt.NDArray[np.float32]
 Labels = npt.NDArray[np.uint8]
 # The energy; cosines are 1 where a surface of the local albedo faces the light.
