@@ -332,8 +332,8 @@ def coarse_edges_kernel(edges: Grid, out: Grid) -> None:
 def _shares_kernel(edges: Grid, inverse: Grid, spans: Places, out: Grid) -> None:
     """Fill out (2, h, w): a quarter where all edges are alike, as between the centres of two blocks.
 
-    And less where an edge is weak among all edges of its pixel: what hangs by a thread is no guide, and a
-    correction that is taken from it grows from grid to grid.
+    Less where the edge to the other block is weak among all edges of its pixel. That block may be almost
+    free. Then its correction is large, and pixels that take it over make it larger on every finer grid.
     """
     _, h, w = edges.shape
     zero, one, three, tiny = np.float32(0.0), np.float32(1.0), np.float32(3.0), np.float32(1e-30)

@@ -202,10 +202,8 @@ def test_five_cycles_inside_a_mask_leave_less_than_a_thousandth(rng: np.random.G
     assert not found[~mask].any()
 
 
-@pytest.mark.parametrize("thread", [1e-4, 1e-3])
-def test_pixels_that_hang_by_a_thread_do_not_spoil_the_correction(
-    rng: np.random.Generator, thread: float
-) -> None:
+@pytest.mark.parametrize("weak", [1e-4, 1e-3])
+def test_blocks_on_a_weak_edge_do_not_spoil_the_correction(rng: np.random.Generator, weak: float) -> None:
     """Blocks of four lone pixels, one of them tied to a pixel that is cut off from its own block."""
     edges = random_edges(rng, 2, 40, 40)
     edges += 0.5 * (edges > 0)
@@ -214,7 +212,7 @@ def test_pixels_that_hang_by_a_thread_do_not_spoil_the_correction(
     for dv, du in ((0, 0), (1, 0), (0, -1), (1, -1)):
         lone |= np.roll(tied, (dv, du), (0, 1))
     edges[0][lone | np.roll(lone, -1, 1) | np.roll(tied, 1, 1)] = edges[1][lone | np.roll(lone, -1, 0)] = 0
-    edges[0][tied] = thread
+    edges[0][tied] = weak
     right = dense_matrix(edges) @ np.where(lone, 0, rng.normal(size=lone.shape)).ravel()
     asked = right.reshape(lone.shape).astype(np.float32)
     found = solve_grid(grid_hierarchy(edges), asked, np.zeros_like(asked), 0.0, 4)

@@ -225,13 +225,14 @@ class MaterialLabeller:
         )
         blocks = labels[np.ix_(*places)]
         plain = split.lit & ~near_seams(blocks, _BESIDE)
-        of = [plain & (blocks == m) for m in range(len(self._logs))]
-        found: list[tuple[Vector3, Vector3] | None] = [None] * len(of)
-        largest: Vector3 | None = None
-        for m in sorted(range(len(of)), key=lambda m: -np.count_nonzero(of[m])):
-            told = pigment_of(split.contributions, of[m], self._logs[m], split.lamps, largest)
-            largest = told[0] if largest is None and told is not None else largest
-            found[m] = told
+        chosen = [plain & (blocks == m) for m in range(len(self._logs))]
+        found: list[tuple[Vector3, Vector3] | None] = [None] * len(chosen)
+        line: Vector3 | None = None  # of the largest material that has one
+        for m in sorted(range(len(chosen)), key=lambda m: -np.count_nonzero(chosen[m])):
+            pigment = pigment_of(split.contributions, chosen[m], self._logs[m], split.lamps, line)
+            if line is None and pigment is not None:
+                line = pigment[0]
+            found[m] = pigment
         return found
 
     def _boxed(self, mask: Mask) -> tuple[slice, slice]:

@@ -76,6 +76,7 @@ def pigment_of(
 
 
 def _pairs(chosen: Mask) -> int:
+    """Number of pixels (h, w) that are chosen together with the one to their left."""
     return int((chosen[:, 1:] & chosen[:, :-1]).sum())
 
 

@@ -21,7 +21,7 @@ from vntoolkit.materials.regions import SAMPLES, SHADING_STEP, Regions
 from vntoolkit.native import njit
 
 _NONE, _ONE, _TINY, _OF_CAP = np.float32(0.0), np.float32(1.0), np.float32(1e-12), np.float32(CAP**-2)
-_WEAK_PRIOR = 0.5  # of log ρ of a patch
+WEAK_PRIOR = 0.5  # of log ρ, in a joint fit
 _TURNS = 3
 
 
@@ -83,20 +83,20 @@ def one_as_two(
     And those log ρ (m + 1, 3) and labels (n,). logs: (m, 3). labels: (n,). tolerance: spread of lengths.
     """
     patches = patches_of(regions, labels[regions.sources] == labels[regions.neighbours])
-    matrices, rights = _told(logs, labels, patches, regions, lamps, tolerance)
+    matrices, rights = _equations_of_patches(logs, labels, patches, regions, lamps, tolerance)
     found = 0.0, logs, labels
     of_patch = labels[np.unique(patches, return_index=True)[1]]
     for m in range(len(logs)):
         inside = np.flatnonzero(of_patch == m)
         gain, ends, is_second = _in_two(matrices[inside], rights[inside])
         if gain > found[0]:
-            others = np.where(np.isin(patches, inside[is_second]), len(logs), labels)
-            found = gain, np.vstack([logs, logs[m] + ends[1]]), others
-            found[1][m] += ends[0]
+            both = np.vstack([logs, logs[m] + ends[1]])
+            both[m] += ends[0]
+            found = gain, both, np.where(np.isin(patches, inside[is_second]), len(logs), labels)
     return found
 
 
-def _told(
+def _equations_of_patches(
     logs: Points, labels: IntArray, patches: IntArray, regions: Regions, lamps: Lamps, tolerance: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return the normal equations (p, 3, 3), (p, 3) of the log ρ of patches, from that of their material."""
@@ -119,7 +119,7 @@ def _in_two(matrices: FloatArray, rights: FloatArray) -> tuple[float, FloatArray
 
     The first guess halves patches along the line on which they differ most; then each goes to the nearer.
     """
-    bounded = matrices + _WEAK_PRIOR * np.eye(3)
+    bounded = matrices + WEAK_PRIOR * np.eye(3)
     own = np.linalg.solve(bounded, rights[..., None])[..., 0]
     weights = np.trace(matrices, axis1=1, axis2=2)[:, None]
     apart = own - (weights * own).sum(axis=0) / max(weights.sum(), 1e-9)

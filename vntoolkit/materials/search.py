@@ -38,6 +38,7 @@ from vntoolkit.materials.reflectance import (
     reflectance_from_fit,
 )
 from vntoolkit.materials.region_lengths import (
+    WEAK_PRIOR,
     gather_lengths,
     lengths_of,
     normal_equations,
@@ -79,10 +80,9 @@ _ALIKE = 0.1  # spread of log ρ of the regions of one material
 _TWINS = 2.0
 _MOST_PROPOSALS = 24
 _FEWEST_VOTES = 1.0  # regions of full size
-_WEAK_PRIOR = 0.5  # of log ρ, in a joint fit
 _DOUBTFUL = 1.5  # price from which a region's seams tell nothing of its label
 _LARGEST_STEP = 0.3
-_FEW = 5.0
+_FEW = 5.0  # nats of a material beside those of its numbers: subjects are of few
 _SPLITS, _LEAST_GAIN = 3, 1.0
 _DARKEST = 0.02  # reflectance of a yarn
 _MOST_PATCHES, _PATCH_PIXELS = 8, 240
@@ -320,7 +320,7 @@ def _merged(found: _Found) -> tuple[Points, IntArray]:
     """Return log ρ (m − 1, 3) and labels where the two most nearly equal materials are one (wald1943)."""
     count = len(found.logs)
     blocks = [found.normal_matrix[3 * m : 3 * m + 3, 3 * m : 3 * m + 3] for m in range(count)]
-    ridge = _WEAK_PRIOR * np.eye(3)
+    ridge = WEAK_PRIOR * np.eye(3)
     covariances = np.linalg.inv(np.array(blocks) + ridge)
     first, second = np.triu_indices(count, 1)
     apart = found.logs[first] - found.logs[second]
@@ -408,7 +408,7 @@ def _woven(found: _Found, regions: Regions, lamps: Lamps) -> _Found:
     slopes = np.zeros((3, 3 * count))  # of its log ρ by those of the others
     for part, number in ((parts[0], first), (parts[1], second)):
         slopes[:, 3 * number[best] : 3 * number[best] + 3] += np.diag(part[best] / np.exp(thought[best]))
-    covariance = slopes @ np.linalg.inv(found.normal_matrix + _WEAK_PRIOR * np.eye(3 * count)) @ slopes.T
+    covariance = slopes @ np.linalg.inv(found.normal_matrix + WEAK_PRIOR * np.eye(3 * count)) @ slopes.T
     matrix = np.zeros((3 * count + 3, 3 * count + 3))
     matrix[:-3, :-3], matrix[-3:, -3:] = found.normal_matrix, np.linalg.inv(covariance)
     more = replace(found, logs=logs, labels=labels, costs=costs, length=length, normal_matrix=matrix)
@@ -483,7 +483,7 @@ def _settled(
         free = block_diag(free, np.eye(CHANGES))
         numbers += CHANGES / 3.0 * (_numbers(regions) - _FEW)
     uneven, change = np.zeros(changes.shape[1]), np.zeros((regions.count, 3))
-    damping = np.diag(np.repeat([_WEAK_PRIOR, UNEVEN**-2], [size, len(uneven)]))
+    damping = np.diag(np.repeat([WEAK_PRIOR, UNEVEN**-2], [size, len(uneven)]))
     matrix = np.zeros_like(damping)
     is_given = spread is not None
     spread = spread or Spread(_FIRST_TOLERANCE, _FIRST_TOLERANCE)
