@@ -362,7 +362,9 @@ def examine_capture(
         findings += with_rig
         if rig.gel is not None:
             return Examination(findings=findings)
-        if all(finding.level is Level.NOTE for finding in with_rig) and _is_wide(evidence):
+        # what drifts is the same all over a picture, and each has a level of its own
+        trusted = all(finding.level is Level.NOTE or finding.check == "drift" for finding in with_rig)
+        if trusted and _is_wide(evidence):
             near = fit_nearness(evidence)
     if drift := over_time.findings_from_drift(small):  # what stands still tells more than the subject did
         findings = [*(finding for finding in findings if finding.check != "drift"), *drift]

@@ -14,9 +14,9 @@ from vntoolkit.arrays import FloatArray, Mask
 from vntoolkit.diagnosis.evidence import Evidence, Single, lengths_of, scaled_normals
 
 _BLUR_PX = 1.0
-_RIM_PX = 2
 _STEEPEST = 0.15
 _PIXELS_A_FRAME = 4000
+_TINY = np.float32(1e-6)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -64,20 +64,20 @@ class SurfacePixels:
 
 
 def surface_pixels(evidence: Evidence, chosen: Callable[[int, Single], Mask]) -> SurfacePixels:
-    """Return pixels that face the camera, well inside what is chosen.
+    """Return pixels that face the camera, of what is chosen, blurred among each other.
 
     chosen: gives, for a frame's number and the lengths (h, w) of its M⁻¹(r − a), the pixels to take, (h, w);
     the length of one that faces away is 0.
     """
     rgb, index = [], []
-    size = 2 * _RIM_PX + 1
     for k, frame in enumerate(evidence.light):
-        light = cv2.GaussianBlur(frame, (0, 0), _BLUR_PX)
+        usable = (evidence.inside[k] & ~evidence.clipped[k]).astype(np.float32)
+        light = cv2.GaussianBlur(frame * usable[..., None], (0, 0), _BLUR_PX)
+        light /= np.maximum(cv2.GaussianBlur(usable, (0, 0), _BLUR_PX), _TINY)[..., None]
         scaled = scaled_normals(evidence, light)
         length = lengths_of(scaled)
         facing = scaled[..., 2] < -_STEEPEST * length
-        good = (facing & chosen(k, np.where(facing, length, np.float32(0.0)))).astype(np.uint8)
-        places = np.flatnonzero(cv2.erode(good, np.ones((size, size), np.uint8), borderValue=0))
+        places = np.flatnonzero(facing & chosen(k, np.where(facing, length, np.float32(0.0))))
         places = places[:: max(1, len(places) // _PIXELS_A_FRAME)]
         rgb.append(light.reshape(-1, 3)[places])
         index.append(places)

@@ -135,23 +135,6 @@ class MaterialLabeller:
         _take_blocks(found, mask, split.factor, coarse)
         return np.where(mask, found, 0).astype(np.uint8)
 
-    def rough_labels(self, frame: LinearFrame, mask: Mask) -> MaterialLabels:
-        """Return (h, w), `labels` to a block, of a frame alone; also outside the mask, of what is nearest."""
-        self.forget()
-        if len(self._logs) == 1 or not mask.any():
-            return np.zeros(mask.shape, np.uint8)
-        box = self._boxed(mask)
-        part, inside = _inside(frame, mask, box)
-        split = split_frame(part, self._response, inside)
-        coarse = self._decided_anew(split)
-        if coarse is None:
-            return np.zeros(mask.shape, np.uint8)
-        rows, columns = (
-            np.clip((np.arange(size) - side.start) // split.factor, 0, count - 1)
-            for size, side, count in zip(mask.shape, box, coarse.shape, strict=True)
-        )
-        return coarse[rows[:, None], columns]
-
     def relit(
         self,
         frame: LinearFrame,

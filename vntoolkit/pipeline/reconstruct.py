@@ -29,10 +29,10 @@ from vntoolkit.io.rigs import entry_from_rig
 from vntoolkit.materials.labelling import MaterialLabeller
 from vntoolkit.materials.pixels import near_seams, relit
 from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.photometry.levelling import leveller_of
 from vntoolkit.photometry.response import with_near_lamps
 from vntoolkit.pipeline.block_work import Block, BlockWorker, ReconstructionJob
 from vntoolkit.pipeline.cluster import require_scheduler, run_blocks_on_cluster
+from vntoolkit.pipeline.frame_processor import FrameProcessor
 from vntoolkit.pipeline.measured_materials import measured_materials, seeks_materials
 from vntoolkit.pipeline.options import SENSOR_PREFIX, MaterialSearch, option_values
 from vntoolkit.pipeline.outputs import FRAME_FILES
@@ -48,7 +48,7 @@ BLOCK_FRAMES = 16
 _LARGE_ERROR_DEG = 20.0  # in the median, as of pixels that one light hardly reaches
 _DIGITS_OF_NEARNESS = 4
 _DIGITS_OF_BLUR = 2
-_SEAM_PX = 5  # to either side, within which a seam rules out judging a pixel
+_SEAM_PX = 2  # to either side, within which a seam rules out judging a pixel, which blur makes of no material
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -283,21 +283,17 @@ def _in_one_material(
     """Return what makes a frame look as if its subject were of the rig's material; None where it is."""
     if not job.reflectances:
         return None
-    response = job.rig.response
-    labeller = MaterialLabeller(response.central, np.array(job.reflectances))
-    known = np.array(job.reflectances), np.array(job.pigments)
+    central, known = job.rig.response.central, (np.array(job.reflectances), np.array(job.pigments))
+    labeller, processor = MaterialLabeller(central, known[0]), FrameProcessor(job.rig, job.options, mask)
 
     def judged(frame: LinearFrame) -> LinearFrame:
-        level = frame
-        if response.variation is not None:
-            level = leveller_of(response, frame.shape).frame_by_strength(frame)
-        inside = np.ones(frame.shape, np.bool_) if mask is None else mask
-        labels = labeller.rough_labels(level, inside)
+        # The noise of a backdrop is like dark paint, and would be a neighbour of the subject's rim.
+        subject = processor.lit_subject(frame)
+        labeller.forget()
+        labels = labeller.labels(processor.by_strength(frame), subject)
         # lengths alone tell paint here: a surface without paint would fit any M
-        seen = relit(frame, response.central, labels, *known, labeller.seams, inside)
-        # Beside seams a blurred pixel is of no material: it would pass for a wrong curve.
-        seams = near_seams(labels, _SEAM_PX)
-        return replace(seen, clipped=seen.clipped | seams)
+        seen = relit(frame, central, labels, *known, labeller.seams, subject)
+        return replace(seen, clipped=seen.clipped | near_seams(labels, _SEAM_PX))
 
     return judged
 
