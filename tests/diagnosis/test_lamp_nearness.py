@@ -8,8 +8,11 @@ import pytest
 
 from tests.faults.simulated_captures import random_response
 from vntoolkit.diagnosis.evidence import evidence_from_frames
+from vntoolkit.diagnosis.inspection import examine_capture
 from vntoolkit.diagnosis.lamp_nearness import Nearness, fit_nearness
 from vntoolkit.geometry.camera import Camera
+from vntoolkit.io.footage.captures import open_capture
+from vntoolkit.io.footage.images import write_png
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse, rgb_from_normals, with_near_lamps
@@ -88,6 +91,32 @@ def test_what_lies_within_two_errors_is_not_established():
     assert Nearness(value=0.04, error=0.02).established == 0
     assert Nearness(value=-0.2, error=0.02).established == 0
     assert 0.95 < Nearness(value=0.2, error=0.02).established / 0.2 < 1
+
+
+def test_paint_beside_seams_is_left_out():
+    """What is unusable beside a pixel does not reach it by the blur."""
+    light, response, _ = seen_under_lamps(2, 0.12)
+    rig, unusable = Rig(camera=CAMERA, response=response), np.zeros((H, W), bool)
+    unusable[:, ::9] = unusable[::9] = True
+    found = []
+    for wrong in (light, 0.3 * light):
+        seen = np.where(unusable[..., None], wrong, light).astype(np.float32)
+        frame = LinearFrame(rgb=seen, clipped=unusable)
+        found.append(fit_nearness(evidence_from_frames([frame], rig, Transfer())))
+    assert found[0] == found[1]
+    assert found[0].established > 0.06
+
+
+def test_colours_that_drift_do_not_hide_near_lamps(tmp_path):
+    _, response, _ = seen_under_lamps(1, 0.12)
+    for number, red in enumerate((1.0, 1.1)):  # the surface moves: what stands still tells drift otherwise
+        rng = np.random.default_rng(number)
+        light = _seen(_relief(rng), response, 0.12, rng)
+        stored = np.rint(65535 * 0.9 * light * [red, 1, 1]).clip(0, 65535).astype(np.uint16)
+        write_png(tmp_path / f"{number}.png", stored)
+    examined = examine_capture(open_capture(tmp_path), Rig(camera=CAMERA, response=response))
+    assert "drift" in [finding.check for finding in examined.findings]
+    assert examined.nearness > 0.06
 
 
 def test_a_rig_whose_m_varies_already_is_not_asked():
