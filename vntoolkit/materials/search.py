@@ -88,7 +88,7 @@ _DARKEST = 0.02  # reflectance of a yarn
 _MOST_PATCHES, _PATCH_PIXELS = 8, 240
 _SEAM_PRICE = 3.0  # of neighbours of two materials, that a print is of few colours and large patches
 # Standard deviation of log ρ from seams: shading steps too, on one side more than on the other.
-_OF_SEAMS = 0.03
+_OF_SEAMS = 0.015
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
