@@ -100,12 +100,17 @@ class Material:
 
 
 def find_materials(
-    frames: Sequence[LinearFrame], masks: Sequence[Mask], response: LightResponse, count: int | None = None
+    frames: Sequence[LinearFrame],
+    masks: Sequence[Mask],
+    response: LightResponse,
+    count: int | None = None,
+    known: Points | None = None,
 ) -> list[Material]:
     """Find the materials of a few frames, that of most pixels first; `count` or as many as there are.
 
-    frames, masks: of one size (h, w), every lamp as strong as at the centre. Raises `BadInput` where the
-    lamps' colours are not known, or no pixel is reached by all three lamps.
+    frames, masks: of one size (h, w), every lamp as strong as at the centre. known: (count, 3), reflectances
+    that were found before, which are fitted again. Raises `BadInput` where the lamps' colours are not known,
+    or no pixel is reached by all three lamps.
     """
     split, regions = _seen(frames, masks, response)
     if split.lit.sum() < _FEWEST_PIXELS or regions.count < _FEWEST_REGIONS:
@@ -115,7 +120,8 @@ def find_materials(
         )
     own, tolerance = _reflectances_of_regions(regions, split.lamps)
     changes = changes_of_light(regions, split, len(split.lit) // -(-len(masks[0]) // split.factor))
-    found = _fewest(_proposals(own, regions, count), regions, changes, split.lamps, tolerance, count)
+    first = _proposals(own, regions, count) if known is None else np.log(known)
+    found = _fewest(first, regions, changes, split.lamps, tolerance, count)
     change, even = found.change, levelled(regions, found.change)
     known = even, split.lamps, tolerance, 1, found.spread
     found, of_rig = _settled(found.logs, found.labels, *known), np.ones(1, np.bool_)

@@ -18,6 +18,7 @@ from vntoolkit.materials.pixels import MaterialLabels, relit
 from vntoolkit.materials.search import WORST_ERROR_DEG, Material, find_materials
 from vntoolkit.normals.inversion import relative_albedo_from_frame
 from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.levelling import leveller_of
 from vntoolkit.photometry.response import LightResponse, scaled_normals_from_rgb
 from vntoolkit.pipeline.block_work import ReconstructionJob
 from vntoolkit.pipeline.frame_processor import FrameProcessor
@@ -54,20 +55,13 @@ def measured_materials(
     such. Raises `BadInput` where a number of materials is asked for that cannot be told, `BadCapture` where
     the first frame shows nothing.
     """
-    there = [n for n in capture.present if n in numbers and not mattes.missing([n])]
-    looked_at = _LOOKED_AT if seeks_materials(job) else 1
-    frames, masks, subjects = [], [], []
-    for number in there[: _APART * looked_at : _APART]:
-        encoded = capture.encoded(number)
-        processor = FrameProcessor(job.rig, job.options, mattes.of(encoded), capture.background)
-        frames.append(processor.linear(encoded))
-        masks.append(processor.mask)
-        subjects.append(processor.lit_subject(frames[-1]))
+    seen_first = _first_frames(job, capture, mattes, numbers)
     response, choice = job.rig.response, job.options.materials
     if not seeks_materials(job):
         found: list[Material] = []
     else:
-        levelled, central = [processor.by_strength(frame) for frame in frames], response.central
+        levelled, subjects = zip(*((each.by_strength, each.subject) for each in seen_first), strict=True)
+        central = response.central
         first = levelled[0], subjects[0], central
         count = None if isinstance(choice, MaterialSearch) else choice
         found = find_materials(levelled, subjects, central, count)
@@ -84,11 +78,63 @@ def measured_materials(
     if found:
         return [_entry(material, pigment) for material, pigment in zip(found, pigments, strict=True)], None
     try:
-        albedo = relative_albedo_from_frame(frames[0], response, masks[0])
+        albedo = relative_albedo_from_frame(seen_first[0].frame, response, seen_first[0].mask)
     except BadInput as error:
-        raise BadCapture(f"{capture.encoded(there[0]).name}: {error}") from error
-    _warn_of_other_material(job, frames[0], masks[0], albedo)
+        raise BadCapture(f"{seen_first[0].name}: {error}") from error
+    _warn_of_other_material(job, seen_first[0].frame, seen_first[0].mask, albedo)
     return [], float(np.format_float_positional(albedo, precision=4, fractional=False))
+
+
+def refitted_materials(
+    job: ReconstructionJob, capture: Capture, mattes: Mattes, numbers: range
+) -> list[MaterialEntry]:
+    """Return the job's materials, fitted again to what the first frames show under lamps that are near.
+
+    The search takes every lamp's direction for that at the centre. With labels known, its direction is, too.
+    """
+    response, known = job.rig.response, np.array(job.reflectances)
+    labeller, far, subjects = MaterialLabeller(response.central, known), [], []
+    for each in _first_frames(job, capture, mattes, numbers):
+        labeller.forget()
+        labels = labeller.labels(each.by_strength, each.subject)
+        plain = leveller_of(response, labels.shape).frame(relit(each.frame, response.central, labels, known))
+        far.append(relit(plain, response.central, labels, 1.0 / known))
+        subjects.append(each.subject)
+    found = find_materials(far, subjects, response.central, len(known), known)
+    found, pigments = _with_pigments(found, _Labelled.by(found, far[0], subjects[0], response.central))
+    return [_entry(material, pigment) for material, pigment in zip(found, pigments, strict=True)]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _FirstFrame:
+    """One of the frames looked at, and with every lamp as strong as at the centre. mask, subject: (h, w)."""
+
+    name: str
+    frame: LinearFrame
+    by_strength: LinearFrame
+    mask: Mask
+    subject: Mask
+
+
+def _first_frames(
+    job: ReconstructionJob, capture: Capture, mattes: Mattes, numbers: range
+) -> list[_FirstFrame]:
+    there = [n for n in capture.present if n in numbers and not mattes.missing([n])]
+    seen = []
+    for number in there[: _APART * (_LOOKED_AT if seeks_materials(job) else 1) : _APART]:
+        encoded = capture.encoded(number)
+        processor = FrameProcessor(job.rig, job.options, mattes.of(encoded), capture.background)
+        frame = processor.linear(encoded)
+        seen.append(
+            _FirstFrame(
+                name=encoded.name,
+                frame=frame,
+                by_strength=processor.by_strength(frame),
+                mask=processor.mask,
+                subject=processor.lit_subject(frame),
+            )
+        )
+    return seen
 
 
 def seeks_materials(job: ReconstructionJob) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -33,7 +33,7 @@ from vntoolkit.photometry.response import with_near_lamps
 from vntoolkit.pipeline.block_work import Block, BlockWorker, ReconstructionJob
 from vntoolkit.pipeline.cluster import require_scheduler, run_blocks_on_cluster
 from vntoolkit.pipeline.frame_processor import FrameProcessor
-from vntoolkit.pipeline.measured_materials import measured_materials, seeks_materials
+from vntoolkit.pipeline.measured_materials import measured_materials, refitted_materials, seeks_materials
 from vntoolkit.pipeline.options import SENSOR_PREFIX, MaterialSearch, option_values
 from vntoolkit.pipeline.outputs import FRAME_FILES
 from vntoolkit.pipeline.painted_surface import TrackedReflectance
@@ -171,6 +171,9 @@ def _prepared(
     if seeks_materials(job) and job.surface is None:
         examined = _require_plausible(job, capture, mattes, numbers)
     job = _with_blur(_with_near_lamps(job, examined, earlier), examined, earlier)
+    if earlier is None and materials and job.rig.response.variation is not None:
+        materials = refitted_materials(job, capture, mattes, numbers)
+        job = _of_materials(job, materials)
     manifest = manifest_of_run(job, capture, mattes, frames, materials, examined.findings)
     if resumes:
         manifests.require_resumable(root, manifest)
@@ -375,9 +378,13 @@ def resolve_options(
     if isinstance(albedo, float):
         options = replace(job.options, inversion=replace(options.inversion, relative_albedo=albedo))
         job = replace(job, options=options)
+    return _of_materials(job, materials), list(materials)
+
+
+def _of_materials(job: ReconstructionJob, materials: Sequence[manifests.MaterialEntry]) -> ReconstructionJob:
     reflectances = tuple(entry.reflectance for entry in materials)
     pigments = tuple(entry.pigment or (0.0, 0.0, 0.0) for entry in materials)
-    return replace(job, reflectances=reflectances, pigments=pigments), list(materials)
+    return replace(job, reflectances=reflectances, pigments=pigments)
 
 
 def _was_pressed(job: ReconstructionJob) -> bool:
