@@ -36,10 +36,10 @@ class Nearness:
 
     @property
     def established(self) -> float:
-        """What of it is established: 0 within two standard errors, and nearly all of it far beyond."""
+        """What of it is established: 0 within two standard errors, shrunk by its error beyond (james1961)."""
         if self.value <= _Z * self.error:
             return 0.0
-        return self.value * (1.0 - (_Z * self.error / self.value) ** 2)
+        return self.value * (1.0 - (self.error / self.value) ** 2)
 
 
 def fit_nearness(evidence: Evidence) -> Nearness | None:
