@@ -1,5 +1,6 @@
 """Reflectances from the unit length of normals: exact without noise, bounded with it, or refused."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from vntoolkit.materials.reflectance import (
     reflectance_from_fit,
 )
 from vntoolkit.materials.search import WORST_ERROR_DEG, find_materials
-from vntoolkit.materials.split_frame import split_frame
+from vntoolkit.materials.split_frame import blocks_moved, split_frame
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse, rgb_from_normals
@@ -284,6 +285,28 @@ def test_labels_that_no_longer_fit_are_decided_anew_and_forgotten_ones_do_not_co
     assert np.array_equal(
         labeller.labels(other, mask), MaterialLabeller(RESPONSE, PAINTS).labels(other, mask)
     )
+
+
+def test_a_frame_in_which_the_picture_jumped_is_decided_as_if_it_were_alone() -> None:
+    first, _, mask = painted(sectors(), noise=3 * LEVEL)
+    later, _, _ = painted(rotated(sectors(), 40.0), seed=3)
+    labeller = MaterialLabeller(RESPONSE, PAINTS)
+    labeller.labels(first, mask)
+    alone = MaterialLabeller(RESPONSE, PAINTS)
+    assert np.array_equal(labeller.labels(later, mask), alone.labels(later, mask))
+    assert labeller.seams == alone.seams
+
+
+@pytest.mark.parametrize("moved", [(0, 0), (0, 2), (4, 0), (3, 3)])
+def test_how_far_a_picture_moved_is_told_to_a_third(moved: tuple[int, int]) -> None:
+    still, _, mask = painted(sectors())
+    frames = [still.rgb, painted(sectors(), seed=1)[0].rgb]
+    first, later = (
+        split_frame(LinearFrame(np.pad(rgb, ((8, 8), (8, 8), (0, 0)))), RESPONSE, np.pad(mask, 8))
+        for rgb in frames
+    )
+    later = replace(later, colours=np.roll(later.colours, moved, (0, 1)))
+    assert blocks_moved(first, later) == pytest.approx(np.hypot(*moved), rel=0.33, abs=0.2)
 
 
 def test_stripes_that_jump_in_half_of_a_blurred_picture_are_decided_anew() -> None:

@@ -32,7 +32,7 @@ from vntoolkit.materials.pixels import (
 from vntoolkit.materials.reflectance import CAP
 from vntoolkit.materials.region_lengths import Lengths, lengths_of
 from vntoolkit.materials.regions import SHADING_STEP, Regions, regions_of
-from vntoolkit.materials.split_frame import SplitFrame, block_size, split_frame
+from vntoolkit.materials.split_frame import SplitFrame, block_size, blocks_moved, split_frame
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
@@ -66,7 +66,7 @@ class MaterialLabeller:
     The first frame is decided as a whole, region by region. It also tells noise, blur, and how exact lengths
     are. After it pixels are decided again beside seams, which may have moved, and where the label no longer
     fits. A frame that the labels so found explain worse than those of the last whole decision is decided as
-    a whole, too.
+    a whole, too. One in which the picture moved farther than beside seams is decided as a first one.
 
     response: with light colours. reflectances: (m, 3), relative to the calibration material. pigments:
     (m, 3), the lines of log ρ along which they change, 0 for none. camera: None for orthographic.
@@ -107,12 +107,16 @@ class MaterialLabeller:
             return np.zeros(mask.shape, np.uint8)
         labels = np.zeros(mask.shape, np.uint8)
         box = self._boxed(mask)
-        labels[box] = self._labels(*_inside(frame, mask, box))
+        part, inside = _inside(frame, mask, box)
+        split = split_frame(part, self._response, inside, like=self._split)
+        if self._split is not None and blocks_moved(self._split, split) > _BESIDE:
+            self.forget()
+            return self.labels(frame, mask)
+        labels[box] = self._labels(part, inside, split)
         return labels
 
-    def _labels(self, frame: LinearFrame, mask: Mask) -> MaterialLabels:
+    def _labels(self, frame: LinearFrame, mask: Mask, split: SplitFrame) -> MaterialLabels:
         """`labels` of the part of a frame that holds the subject."""
-        split = split_frame(frame, self._response, mask, like=self._split)
         coarse = self._carried(split)
         if coarse is None:
             coarse = self._decided_anew(split)
@@ -238,7 +242,8 @@ class MaterialLabeller:
         down, right = (first - [part.start for part in before]) // factor
         shape = tuple(-((a - b) // factor) for a, b in zip(first, ends, strict=True))
         self._before = _shifted(self._before, shape, down, right)
-        self._split = replace(self._split, lit=_shifted(self._split.lit, shape, down, right))
+        lit, colours = (_shifted(each, shape, down, right) for each in (self._split.lit, self._split.colours))
+        self._split = replace(self._split, lit=lit, colours=colours)
         return self._box
 
     def _carried(self, split: SplitFrame) -> MaterialLabels | None:
@@ -303,7 +308,7 @@ def _inside(frame: LinearFrame, mask: Mask, box: tuple[slice, slice]) -> tuple[L
 
 def _shifted(image: npt.NDArray[Any], shape: tuple[int, ...], down: int, right: int) -> npt.NDArray[Any]:
     """Return the part of an image that begins at a row and a column, 0 where it has none."""
-    out = np.zeros(shape, image.dtype)
+    out = np.zeros((*shape, *image.shape[2:]), image.dtype)
     top, left = max(-down, 0), max(-right, 0)
     part = image[max(down, 0) :, max(right, 0) :][: shape[0] - top, : shape[1] - left]
     out[top : top + part.shape[0], left : left + part.shape[1]] = part

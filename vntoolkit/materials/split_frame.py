@@ -21,6 +21,7 @@ _LEAST_SIGNAL = 4.0  # standard deviations of noise that a lamp's contribution m
 _LEAST_SHARE = 0.06  # … and share of the strongest: the rest may be shadow
 _OF_INNER_HALF = 0.3777  # root mean square of the inner half of a normal distribution, in standard deviations
 _LEAST_NOISE = 1e-4
+_CELL = 8  # blocks to the side of what movement is measured on: it holds for movements up to that size
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,6 +86,20 @@ def stacked(splits: Sequence[SplitFrame]) -> SplitFrame:
 def block_size(mask: Mask, most_pixels: int = WORKING_PIXELS) -> int:
     """Return the side of the blocks, in pixels, that a mask has about `most_pixels` of."""
     return max(1, round(float(np.sqrt(mask.sum() / most_pixels))))
+
+
+def blocks_moved(before: SplitFrame, now: SplitFrame) -> float:
+    """Return by about how many blocks the picture moved, at most about the size of the subject.
+
+    What moves by less than a cell changes it by the movement times its slope. before, now: of one shape.
+    """
+    one, other = (
+        _blocks(split.colours, np.ones(split.lit.shape, np.bool_), np.zeros(split.lit.shape, np.bool_), _CELL)[0]
+        for split in (before, now)
+    )
+    mean = 0.5 * (one + other)
+    slopes = float((np.diff(mean, axis=0) ** 2).sum() + (np.diff(mean, axis=1) ** 2).sum())
+    return _CELL * float(np.sqrt(((other - one) ** 2).sum() / max(slopes, _LEAST_NOISE**2)))
 
 
 def noise_of(rgb: FloatArray, inside: Mask) -> Vector3:
