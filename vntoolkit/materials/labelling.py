@@ -418,22 +418,29 @@ def step_cost(step: Any, one: Any, other: Any, seam: float) -> float:
     return 0.5 * CAP * CAP * t / (_MOST_STEP + t) + seam
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always", error_model="numpy")
+def _add_steps(edge: int, steps: Any, contacts: Any, logs: Any, of: int, seam: float, out: Any) -> None:
+    """Add to out (m,) the price of an edge to a neighbour of one label, for each label here. logs: (3, m)."""
+    d0, d1, d2 = steps[edge, 0] - logs[0, of], steps[edge, 1] - logs[1, of], steps[edge, 2] - logs[2, of]
+    for m in range(len(out)):
+        r0, r1, r2 = d0 + logs[0, m], d1 + logs[1, m], d2 + logs[2, m]
+        t = r0 * r0 + r1 * r1 + r2 * r2
+        out[m] += contacts[edge] * (0.5 * CAP * CAP * t / (_MOST_STEP + t) + (0.0 if m == of else seam))
+
+
+@njit(cache=True, error_model="numpy")
 def _by_messages(
     unary: Any, logs: Any, starts: Any, neighbours: Any, steps: Any, contacts: Any, twins: Any, seam: float,
     rounds: int,
 ) -> Any:  # fmt: skip
     """Labels (n,) of little cost: sequential tree-reweighted messages. twins: (e,), the same step back."""
     n, count = unary.shape
+    across = np.ascontiguousarray(logs.T)
     messages = np.zeros((neighbours.size, count))  # of edge e: from its neighbour to its source
-    pair = np.empty((neighbours.size, count, count))
-    for i in range(n):
-        for e in range(starts[i], starts[i + 1]):
-            for a in range(count):
-                for b in range(count):
-                    pair[e, a, b] = contacts[e] * step_cost(
-                        steps[e], logs[a], logs[b], 0.0 if a == b else seam
-                    )
+    pair = np.zeros((neighbours.size, count, count))  # of edge e: of each label at its end, for each here
+    for e in range(neighbours.size):
+        for b in range(count):
+            _add_steps(e, steps, contacts, across, b, seam, pair[e, b])
     labels = np.zeros(n, np.int64)
     belief, source = np.empty(count), np.empty(count)
     for r in range(2 * rounds):
@@ -453,52 +460,53 @@ def _by_messages(
                     continue
                 for m in range(count):
                     source[m] = share * belief[m] - messages[e, m]
-                back, least = twins[e], np.inf
-                for b in range(count):
-                    cost = np.inf
-                    for a in range(count):
-                        cost = min(cost, source[a] + pair[back, b, a])
-                    messages[back, b] = cost
-                    least = min(least, cost)
-                for b in range(count):
-                    messages[back, b] -= least
+                back = twins[e]
+                sent, prices = messages[back], pair[back]
+                sent[:] = np.inf
+                for a in range(count):
+                    for b in range(count):
+                        cost = source[a] + prices[a, b]
+                        sent[b] = cost if cost < sent[b] else sent[b]
+                sent -= sent.min()
     for i in range(n):
         for m in range(count):
             belief[m] = unary[i, m]
         for e in range(starts[i], starts[i + 1]):
             for m in range(count):
-                belief[m] += pair[e, m, labels[neighbours[e]]] if neighbours[e] < i else messages[e, m]
+                belief[m] += pair[e, labels[neighbours[e]], m] if neighbours[e] < i else messages[e, m]
         labels[i] = belief.argmin()
     return labels
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _agree(
     costs: Any, weights: Any, labels: Any, logs: Any, starts: Any, neighbours: Any, steps: Any, contacts: Any,
     seam: float, sweeps: int,
 ) -> None:  # fmt: skip
-    count = costs.shape[1]
+    """Give each region its label of least cost, again as long as one beside it changed."""
+    n, count = costs.shape
+    across, total, waits = np.ascontiguousarray(logs.T), np.empty(count), np.ones(n, np.bool_)
     for _ in range(sweeps):
         changed = False
-        for i in range(costs.shape[0]):
-            best, least, own = labels[i], np.inf, np.inf
+        for i in range(n):
+            if not waits[i]:
+                continue
+            waits[i] = False
             for m in range(count):
-                cost = weights[i] * costs[i, m]
-                for e in range(starts[i], starts[i + 1]):
-                    b = labels[neighbours[e]]
-                    cost += contacts[e] * step_cost(steps[e], logs[m], logs[b], 0.0 if m == b else seam)
-                if m == labels[i]:
-                    own = cost
-                if cost < least:
-                    best, least = m, cost
-            if best != labels[i] and least < own - 1e-9:
+                total[m] = weights[i] * costs[i, m]
+            for e in range(starts[i], starts[i + 1]):
+                _add_steps(e, steps, contacts, across, labels[neighbours[e]], seam, total)
+            best = total.argmin()
+            if total[best] < total[labels[i]] - 1e-9:
                 labels[i] = best
                 changed = True
+                for e in range(starts[i], starts[i + 1]):
+                    waits[neighbours[e]] = True
         if not changed:
             break
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _turn_patches(
     costs: Any,
     weights: Any,
@@ -514,7 +522,7 @@ def _turn_patches(
     n, count = costs.shape
     patch = np.full(n, -1, np.int64)
     queue = np.empty(n, np.int64)
-    total = np.empty(count)
+    across, total = np.ascontiguousarray(logs.T), np.empty(count)
     changed = False
     for first in range(n):
         if patch[first] >= 0:
@@ -537,10 +545,7 @@ def _turn_patches(
                     queue[size] = j
                     size += 1
                 if patch[j] != first:
-                    for m in range(count):
-                        total[m] += contacts[e] * step_cost(
-                            steps[e], logs[m], logs[b], 0.0 if m == b else seam
-                        )
+                    _add_steps(e, steps, contacts, across, b, seam, total)
         best = total.argmin()
         if best != own and total[best] < total[own] - 1e-9:
             changed = True
@@ -549,7 +554,7 @@ def _turn_patches(
     return changed
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _total(
     costs: Any,
     weights: Any,
