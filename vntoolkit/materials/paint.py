@@ -231,10 +231,10 @@ def _times(matrix: Any, x: Any, y: Any, z: Any) -> Any:
     )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, parallel=True, error_model="numpy")
 def _halve(light: Any, of: Any, out: Any, labels: Any) -> None:
     h, w = of.shape
-    for i in range(out.shape[0]):
+    for i in prange(out.shape[0]):
         for j in range(out.shape[1]):
             most = 1
             for v in range(2 * i, min(2 * i + 2, h)):

@@ -78,7 +78,7 @@ _FIT_ROUNDS = 5
 _ALIKE = 0.1  # spread of log ρ of the regions of one material
 # Log ρ that two materials differ by at least, in spreads of lengths from region to region.
 _TWINS = 2.0
-_MOST_PROPOSALS = 24
+_MOST_PROPOSALS = 16  # a third more than there may be in the end
 _FEWEST_VOTES = 1.0  # regions of full size
 _DOUBTFUL = 1.5  # price from which a region's seams tell nothing of its label
 _LARGEST_STEP = 0.3

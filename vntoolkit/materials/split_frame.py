@@ -93,10 +93,8 @@ def blocks_moved(before: SplitFrame, now: SplitFrame) -> float:
 
     What moves by less than a cell changes it by the movement times its slope. before, now: of one shape.
     """
-    one, other = (
-        _blocks(split.colours, np.ones(split.lit.shape, np.bool_), np.zeros(split.lit.shape, np.bool_), _CELL)[0]
-        for split in (before, now)
-    )
+    every = np.ones(now.lit.shape, np.bool_)
+    one, other = (_blocks(split.colours, every, ~every, _CELL)[0] for split in (before, now))
     mean = 0.5 * (one + other)
     slopes = float((np.diff(mean, axis=0) ** 2).sum() + (np.diff(mean, axis=1) ** 2).sum())
     return _CELL * float(np.sqrt(((other - one) ** 2).sum() / max(slopes, _LEAST_NOISE**2)))
