@@ -123,11 +123,11 @@ def find_materials(
     first = _proposals(own, regions, count) if known is None else np.log(known)
     found = _fewest(first, regions, changes, split.lamps, tolerance, count)
     change, even = found.change, levelled(regions, found.change)
-    known = even, split.lamps, tolerance, 1, found.spread
-    found, of_rig = _settled(found.logs, found.labels, *known), np.ones(1, np.bool_)
+    fixed = even, split.lamps, tolerance, 1, found.spread
+    found, of_rig = _settled(found.logs, found.labels, *fixed), np.ones(1, np.bool_)
     if count is None:
         found = _woven(found, even, split.lamps)
-    plain = _settled(np.zeros((1, 3)), np.zeros(regions.count, np.int64), *known, of_rig)
+    plain = _settled(np.zeros((1, 3)), np.zeros(regions.count, np.int64), *fixed, of_rig)
     if count is None and plain.length <= found.length:
         found = plain
     else:
