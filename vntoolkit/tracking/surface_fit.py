@@ -110,7 +110,7 @@ class SurfaceFit:
         self._registration = TemplateRegistration(
             template, lattice, seen.relief, pattern, seen.paint, paint_pattern
         )
-        self._lengths = LinkLengths(lattice, template, camera, slopes)
+        self._lengths = LinkLengths(lattice, within, camera, slopes)
         self._jacobians = LocalJacobians(lattice, template.positions_px)
         self._system = LatticeSystem(self._lengths.links, lattice.count)
         self.remembered = self._registration.remembered()
