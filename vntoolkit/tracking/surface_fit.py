@@ -198,7 +198,8 @@ class SurfaceFit:
         windows = [*measured_by, by_memory]
         square = self._errors.square(solution, windows, outline, np.sqrt(variance), guess.doubt)
         square += self._of_the_whole(information + outline)
-        square += (1.0 - measured) * by_memory.slide_px**2  # only guessed, and it looks otherwise there
+        # What is only guessed, and looks otherwise there, is within half a wave: nine in ten, no spread.
+        square += (1.0 - measured) * (by_memory.slide_px / _COVERAGE) ** 2
         return FittedFrame(
             positions_px=positions,
             depth=self._depth(positions, depth_map, hidden),
