@@ -42,7 +42,7 @@ TURN = 0.1  # standard deviation of a slow turn in one step of the fit, radians
 _TURN_PASSES = 2  # of lattice smoothing: the turn in the image is that of the surroundings
 _WHOLE = 0.5  # mean weight of the slopes in a cell from which they are fully trusted
 # Nine in ten errors in the plane are within √(ln 10) = 1.5 of a root mean square that is known, and within 3
-# of one that a single difference tells (F with 2 and 2 degrees of freedom).
+# of one that a single departure tells (F with 2 and 2 degrees of freedom).
 _SINGLE = 2.0
 _LEAST_RELIABLE = 1e-4  # of a node that is not measured, in the fit of one body
 
@@ -131,9 +131,9 @@ class LinkLengths:
         mean = share[:, None] * by_lengths + (1.0 - share)[:, None] * by_body
         departs = np.sum(own**2, axis=1)
         unlikely = departs / (departs + 2.0 * field.variance * square)
-        single = [
+        other = [
             np.sqrt(share * (1.0 - share))[:, None] * (by_lengths - by_body),
-            ((1.0 - share) * np.sqrt(unlikely))[:, None] * own,
+            (_SINGLE * (1.0 - share) * np.sqrt(unlikely))[:, None] * own,
         ]
         drawn = ((1.0 - share) * np.sqrt(square))[:, None, None] * field.errors
         variance = square * np.minimum(*variances)
@@ -142,7 +142,7 @@ class LinkLengths:
             steps=mean,
             variance=variance + slip,
             torn=slip / (variance + slip),
-            doubt=np.concatenate([_SINGLE * np.stack(single, axis=2), drawn], axis=2),
+            doubt=np.concatenate([np.stack(other, axis=2), drawn], axis=2),
             field=field,
         )
 
