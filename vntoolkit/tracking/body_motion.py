@@ -143,9 +143,8 @@ class _AffineField:
         a, b = self._beside = np.stack(np.divmod(pairs, count))
         i, (upper, lower) = np.arange(count), np.triu_indices(3)
         order = (3 * least_fill(self._beside.T, count)[:, None] + np.arange(3)).ravel()
-        entries = [*zip(upper, lower, strict=True), (1, 0), (2, 0), (2, 1)]
-        rows: list[IntArray] = [3 * i + p for p, _ in entries]
-        columns: list[IntArray] = [3 * i + q for _, q in entries]
+        rows: list[IntArray] = [3 * i + p for p in np.r_[upper, 1, 2, 2]]
+        columns: list[IntArray] = [3 * i + q for q in np.r_[lower, 0, 0, 1]]
         for p in range(3):
             rows += [3 * a + p, 3 * b + p]
             columns += [3 * b + p, 3 * a + p]
