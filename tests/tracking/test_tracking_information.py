@@ -270,6 +270,33 @@ def test_a_surface_may_slip_behind_an_occluding_contour_and_hangs_together_elsew
             assert strain.max() < 0.05, name
 
 
+def test_a_place_that_departs_farther_than_the_whole_sheet_does_is_doubted() -> None:
+    """A part stretches by a fifth: of a sheet that is still, and of one that does so all over."""
+    mask = np.zeros((HEIGHT, WIDTH), dtype=bool)
+    mask[8:88, 8:120] = True
+    flat = normals(np.zeros(mask.shape), np.zeros(mask.shape), mask)
+    slopes = slopes_from_normals(flat, CAMERA)
+    template = template_from_maps(flat, flat_depth(mask), CAMERA)
+    lattice = lattice_on_template(template, 8)
+    lengths = LinkLengths(lattice, template, CAMERA, slopes)
+    pixels, known = template.positions_px, np.ones(lattice.count)
+    u, v = (pixels - [56.0, 48.0]).T
+    part = 0.2 * np.stack([np.clip(u, -8.0, 8.0), 0 * u], axis=1) * (np.abs(v) < 12)[:, None]
+    waves = sum(0.2 * (np.abs((x + 12.0) % 48.0 - 24.0) - 12.0) for x in (u, v))
+    all_over = np.stack([waves, waves], axis=1)
+    links, shares = lengths.links, []
+    for moved in (part, all_over):
+        around = LocalJacobians(lattice, pixels).of(pixels + moved)
+        unseen = np.zeros_like(slopes)  # lengths tell nothing, and the body is guessed from
+        guess = lengths.guessed(pixels + moved, around, unseen, flat_depth(mask), 0 * known, known)
+        nodes = lengths.nodes(pixels + moved) - lengths.centres
+        _, own, _ = lengths._motion.guessed(nodes, known, np.ones(len(links)), np.zeros(len(links)))
+        middle = np.all(np.abs(lengths.middles - [56.0, 48.0]) < 6.0, axis=1)
+        doubt, departs = (np.linalg.norm(x[middle], axis=1).sum() for x in (guess.doubt[:, :, 1], own))
+        shares.append(doubt / departs)
+    assert shares[0] > 1.5 * shares[1] > 0.0
+
+
 def test_the_distance_to_an_outline_has_its_sign_and_size() -> None:
     mask = np.zeros((20, 30), dtype=bool)
     mask[5:15, 10:20] = True

@@ -21,7 +21,7 @@ from scipy.sparse.csgraph import connected_components
 
 from vntoolkit.arrays import FloatArray, IntArray
 from vntoolkit.geometry.camera import Camera
-from vntoolkit.tracking.lattice import NODES_BY_PASS, TemplateLattice
+from vntoolkit.tracking.lattice import NODES_BY_PASS, TemplateLattice, lattice_on_template
 from vntoolkit.tracking.lattice_system import LatticePattern, least_fill
 from vntoolkit.tracking.template import TrackingTemplate
 
@@ -32,8 +32,9 @@ _PIECE_RIDGE = np.array([0.3, 0.3, 3.0, 0.03])  # of a piece's own motion beside
 _PIECE_LEAST = 4.0  # measured nodes that show a motion of their own
 _LEAST_SCALE_PX = 1.0  # of the fit's residuals; closer fits are not worth more
 _SIGMAS = 1.5  # of a normal distribution in the median of its size
-_REACH_CELLS = 6.0  # over which the field falls back
-_PER_SQUARE = np.log(1.0 + 32.0 * _REACH_CELLS**2) / (4.0 * np.pi)  # variance on a grid, of unit precision
+_BLOCK_CELLS = 2  # side of the blocks of the field, whose reach is so long that they tell what nodes would
+_REACH = 3.0  # blocks, over which the field falls back
+_PER_SQUARE = np.log(1.0 + 32.0 * _REACH**2) / (4.0 * np.pi)  # variance on a grid, of unit precision
 _USUAL, _FEW = 0.05, 20.0  # standard deviation of field and links before any are measured; counts as so many
 _LEAST = 0.005  # the same, at least
 _LOOSE = 3.0  # the field beside the usual one while its variance is learnt: it is hardly shrunk
@@ -45,12 +46,13 @@ _SAMPLES = 8
 class FittedField(NamedTuple):
     """weight: (e,) of links in the fit. factor: of its matrix. errors: (e, 2, k) parts of the strains'.
 
-    The squares of the parts add up.
+    The squares of the parts add up. variance: of the field, by entry of its maps.
     """
 
     weight: npt.NDArray[np.float64]
     factor: Any
     errors: npt.NDArray[np.float64]
+    variance: float
 
 
 class BodyMotion:
@@ -80,7 +82,10 @@ class BodyMotion:
         self._pieces, self._piece = connected_components(adjacent, directed=False)
         self._links, self._square = links, np.sum(along**2, axis=1)
         self._towards = scale * (nodes[links[:, 1]] - nodes[links[:, 0]])
-        self._field = _AffineField(links, lattice.count)
+        blocks = lattice_on_template(template, _BLOCK_CELLS * lattice.cell_px)
+        block = np.empty(lattice.count, dtype=np.int64)
+        block[lattice.node_of_vertex] = blocks.node_of_vertex
+        self._field = _AffineField(block[links], blocks.count)
 
     def guessed(
         self,
@@ -124,35 +129,34 @@ class BodyMotion:
 
 
 class _AffineField:
-    """Fits affine maps C (m, 3, 2) of the nodes to strains of links: y = x ½ (C_a + C_b) and noise.
+    """Fits affine maps C (m, 3, 2) of blocks to strains of links: y = x ½ (C_a + C_b) and noise.
 
-    The precision of C is that of a Markov field on the lattice, (κ² + L) of the reach 1 / κ and the lattice's
+    The precision of C is that of a Markov field on the blocks, (κ² + L) of the reach 1 / κ and their
     Laplacian L: neighbours are alike, and all are drawn to zero.
     """
 
-    def __init__(self, links: IntArray, count: int) -> None:
-        a, b = links.T
-        self._links, self._count = links, count
+    def __init__(self, ends: IntArray, count: int) -> None:
+        """Lay out the unknowns. ends: (e, 2) blocks that a link starts and ends in, of so many."""
+        self._ends, self._count, (first, second) = ends, count, np.sort(ends, axis=1).T
+        self._crosses = first != second
+        pairs, self._pair = np.unique((count * first + second)[self._crosses], return_inverse=True)
+        a, b = self._beside = np.stack(np.divmod(pairs, count))
         i, (upper, lower) = np.arange(count), np.triu_indices(3)
-        order = (3 * least_fill(links, count)[:, None] + np.arange(3)).ravel()
-        rows: list[IntArray] = [3 * i + p for p in upper] + [
-            3 * i + q for p, q in zip(upper, lower, strict=True) if p != q
-        ]
-        columns: list[IntArray] = [3 * i + q for q in lower] + [
-            3 * i + p for p, q in zip(upper, lower, strict=True) if p != q
-        ]
+        order = (3 * least_fill(self._beside.T, count)[:, None] + np.arange(3)).ravel()
+        rows: list[IntArray] = [3 * i + p for p in np.r_[upper, 1, 2, 2]]
+        columns: list[IntArray] = [3 * i + q for q in np.r_[lower, 0, 0, 1]]
         for p in range(3):
             rows += [3 * a + p, 3 * b + p]
             columns += [3 * b + p, 3 * a + p]
         self._pattern = LatticePattern(order, rows, columns)
         self._upper, self._lower = upper, lower
-        each, ones = np.arange(len(links)), np.ones(len(links))
+        each, ones = np.arange(len(pairs)), np.ones(len(pairs))
         self._differences = sp.csr_array(
-            (np.r_[-ones, ones], (np.r_[a, b], np.r_[each, each])), shape=(count, len(links))
+            (np.r_[-ones, ones], (np.r_[a, b], np.r_[each, each])), shape=(count, len(pairs))
         )
         rng = np.random.default_rng(0)
         self._noise = rng.standard_normal((count, 3, _SAMPLES))
-        self._between = rng.standard_normal((len(links), 3 * _SAMPLES))
+        self._between = rng.standard_normal((len(pairs), 3 * _SAMPLES))
         self._own = rng.standard_normal((count, 3, _SAMPLES))
 
     def learnt(self, x: FloatArray, y: FloatArray, tested: FloatArray, held: FloatArray) -> FittedField:
@@ -161,6 +165,7 @@ class _AffineField:
         x: (e, 3), y: (e, 2) strains. tested: (e,) how far each link is measured. held: (e,) how far it holds
         the maps of its ends together.
         """
+        held = np.bincount(self._pair, held[self._crosses]) / np.bincount(self._pair)
         noise, field = _USUAL**2, (_LOOSE * _USUAL) ** 2
         weight = tested / (LINKS_ALIKE * noise)
         factor, _ = self._factored(x, weight, field, held)
@@ -169,30 +174,29 @@ class _AffineField:
         departs = np.sum((y - self._along(x, maps))[well] ** 2, axis=1)
         usual = _MEAN_BY_MEDIAN * float(np.median(departs)) if well.any() else 0.0
         noise = max(_LEAST**2, _with_usual(usual, count))
-        known = np.minimum(self._at_nodes(0.5 * tested[:, None])[:, 0], 1.0)
+        known = self._at_blocks(0.5 * tested[:, None])[:, 0]
         square = 0.25 * np.square(maps[:, :2]).sum(axis=(1, 2))
-        usual = float(known @ square) / max(float(known.sum()), 1e-9)
-        field = max(_LEAST**2, _with_usual(usual, float(known.sum())))
+        field = max(_LEAST**2, _with_usual(float(known @ square) / max(count, 1e-9), count))
         weight = tested / (LINKS_ALIKE * noise)
         factor, information = self._factored(x, weight, field, held)
         errors = np.sqrt(2.0 / _SAMPLES) * self._along(x, self._drawn(factor, information, field, held))
-        return FittedField(
-            weight=np.asarray(weight), factor=factor, errors=errors.reshape(len(x), 2, _SAMPLES // 2)
-        )
+        errors = errors.reshape(len(x), 2, _SAMPLES // 2)
+        return FittedField(weight=np.asarray(weight), factor=factor, errors=errors, variance=field)
 
     def strains(self, x: FloatArray, y: FloatArray, fitted: FittedField) -> npt.NDArray[np.float64]:
         """Return (e, 2) those of the field that fits y."""
         return self._along(x, self._maps(x, y, fitted.weight, fitted.factor))
 
     def _maps(self, x, y, weight, factor):  # type: ignore[no-untyped-def]
-        right = self._at_nodes(0.5 * weight[:, None] * (x[:, :, None] * y[:, None, :]).reshape(len(x), 6))
+        right = self._at_blocks(0.5 * weight[:, None] * (x[:, :, None] * y[:, None, :]).reshape(len(x), 6))
         return self._pattern.solved(factor, right.reshape(-1, 2)).reshape(-1, 3, 2)
 
     def _factored(self, x, weight, field, held):  # type: ignore[no-untyped-def]
         """The factor, and (m, 6) what links tell of the maps, upper triangles."""
-        information = self._at_nodes(0.5 * weight[:, None] * (x[:, self._upper] * x[:, self._lower]))
+        information = self._at_blocks(0.5 * weight[:, None] * (x[:, self._upper] * x[:, self._lower]))
         precision = _PER_SQUARE / field
-        degree = precision * (_REACH_CELLS**-2 + self._at_nodes(held[:, None])[:, 0])
+        stiffness = sum(np.bincount(end, held, self._count) for end in self._beside)
+        degree = precision * (_REACH**-2 + stiffness)
         diagonal = [
             information[:, k] + (degree if p == q else 0.0)
             for k, (p, q) in enumerate(zip(self._upper, self._lower, strict=True))
@@ -206,19 +210,19 @@ class _AffineField:
         full = np.zeros((self._count, 3, 3))
         full[:, self._upper, self._lower] = full[:, self._lower, self._upper] = information
         right = np.linalg.cholesky(full + 1e-9 * np.eye(3)) @ self._noise
-        right += np.sqrt(precision) / _REACH_CELLS * self._own
+        right += np.sqrt(precision) / _REACH * self._own
         pulls = np.sqrt(precision * held)[:, None] * self._between
         right += (self._differences @ pulls).reshape(right.shape)
         return self._pattern.solved(factor, right.reshape(-1, _SAMPLES)).reshape(right.shape)
 
     def _along(self, x: FloatArray, maps: FloatArray) -> npt.NDArray[np.float64]:
         """(e, k) of maps (m, 3, k)."""
-        a, b = self._links.T
+        a, b = self._ends.T
         return np.asarray(np.einsum("ei,eik->ek", x, 0.5 * (maps[a] + maps[b])))
 
-    def _at_nodes(self, values: FloatArray) -> npt.NDArray[np.float64]:
-        """(m, k) sums over the links (e, k) of each node."""
-        a, b = self._links.T
+    def _at_blocks(self, values: FloatArray) -> npt.NDArray[np.float64]:
+        """(m, k) sums over the ends of links (e, k) in each block."""
+        a, b = self._ends.T
         sums = [np.bincount(a, v, self._count) + np.bincount(b, v, self._count) for v in values.T]
         return np.stack(sums, axis=1)
 

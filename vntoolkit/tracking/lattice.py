@@ -27,7 +27,7 @@ class TemplateLattice:
 
     node_of_vertex: (n,). taps, shares: (n, 4) nodes whose values make a vertex's, and their weights, which
     sum to 1. starts, neighbours: adjacency of the nodes, by rows. cells: (nodes, 2) column and row of each
-    node's cell. count: number of nodes.
+    node's cell, cell_px its side. count: number of nodes.
     """
 
     node_of_vertex: npt.NDArray[np.int32]
@@ -36,6 +36,7 @@ class TemplateLattice:
     starts: npt.NDArray[np.int64]
     neighbours: npt.NDArray[np.int32]
     cells: npt.NDArray[np.int64]
+    cell_px: int
     count: int
 
     def sums(self, values: FloatArray) -> npt.NDArray[np.float64]:
@@ -79,6 +80,7 @@ def lattice_on_template(template: TrackingTemplate, cell_px: int) -> TemplateLat
         starts=links.indptr.astype(np.int64),
         neighbours=links.indices.astype(np.int32),
         cells=np.stack([cell_of_node % columns, cell_of_node // columns], axis=1),
+        cell_px=cell_px,
         count=int(nodes),
     )
 
