@@ -42,11 +42,11 @@ def require_shape(
         raise error(f"{name}: expected shape {want}, got {have}")
 
 
-def require_mask(mask: npt.NDArray[Any], shape: tuple[int, ...], name: str = "mask") -> None:
+def require_mask(mask: npt.NDArray[Any], shape: tuple[int, ...]) -> None:
     """Raise unless `mask` has `shape` and holds booleans: integers 0 and 255 would index differently."""
     if mask.dtype != np.bool_:
-        raise BadInput(f"{name}: expected booleans, got {mask.dtype}")
-    require_shape(mask, shape, name)
+        raise BadInput(f"mask: expected booleans, got {mask.dtype}")
+    require_shape(mask, shape, "mask")
 
 
 def checks_kinds(function: Callable[P, R]) -> Callable[P, R]:
@@ -134,10 +134,10 @@ def sum_is_finite(array: npt.NDArray[Any]) -> bool:
         return bool(np.isfinite(array.sum()))
 
 
-def require_some(mask: npt.NDArray[np.bool_], name: str, error: type[BadInput] = BadInput) -> None:
+def require_some(mask: npt.NDArray[np.bool_], name: str) -> None:
     """Raise if no pixel of `mask` is True."""
     if not mask.any():
-        raise error(f"{name}: no valid pixel (the mask is empty)")
+        raise BadInput(f"{name}: no valid pixel (the mask is empty)")
 
 
 def require_positive(value: float, name: str) -> None:

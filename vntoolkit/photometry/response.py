@@ -163,18 +163,16 @@ def powers_to_degree(degree: int) -> npt.NDArray[np.int64]:
     ).reshape(-1, 2)
 
 
-def rgb_from_normals(
-    normals_in_camera: FloatArray, response: LightResponse, positions_px: FloatArray | None = None
-) -> FloatArray:
+def rgb_from_normals(normals_in_camera: FloatArray, response: LightResponse) -> FloatArray:
     """Equation 1: r = M n (+ ambient), where all three lights reach the surface.
 
-    normals_in_camera: (..., 3). positions_px: (..., 2), which only a response that varies over the image
-    needs; default: the pixels of an image (h, w, 3). Returns (..., 3) linear RGB.
+    normals_in_camera: (..., 3); of an image (h, w, 3) where the response varies over it. Returns (..., 3)
+    linear RGB.
     """
     normals = np.asarray(normals_in_camera)
     if response.variation is None:
         return normals @ response.matrix.T + response.ambient
-    matrices, ambients = response.at(_positions(positions_px, normals))
+    matrices, ambients = response.at(_positions(None, normals))
     return np.asarray((matrices @ normals[..., None])[..., 0] + ambients)
 
 
@@ -183,7 +181,8 @@ def scaled_normals_from_rgb(
 ) -> FloatArray:
     """Equation 1 solved for the normal times the relative albedo: M⁻¹(r − a), (..., 3).
 
-    rgb: (..., 3). positions_px: as for `rgb_from_normals`.
+    rgb: (..., 3). positions_px: (..., 2), which only a response that varies over the image needs; default:
+    the pixels of an image (h, w, 3).
     """
     if response.variation is None:
         return np.asarray((rgb - response.ambient) @ response.inverse.T)

@@ -468,6 +468,7 @@ def _begin(job: ReconstructionJob, threads: int | None) -> Callable[[Block], Ite
     return lambda block: worker.run(*block)
 
 
-def blocks_of(numbers: range, size: int = BLOCK_FRAMES) -> list[range]:
+def blocks_of(numbers: range) -> list[range]:
     """Cut the frame numbers of a run into blocks, in order."""
-    return [numbers[start : start + size] for start in range(0, len(numbers), size)]
+    starts = range(0, len(numbers), BLOCK_FRAMES)
+    return [numbers[start : start + BLOCK_FRAMES] for start in starts]

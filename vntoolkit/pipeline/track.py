@@ -26,9 +26,8 @@ from vntoolkit.photometry.response import LightResponse
 from vntoolkit.pipeline import tracked_folder
 from vntoolkit.pipeline.opened_result import open_result
 from vntoolkit.pipeline.options import option_values
-from vntoolkit.tracking.fixed_pattern import FRAMES_COMPARED, fixed_pattern
 from vntoolkit.tracking.options import Tracker, TrackingOptions
-from vntoolkit.tracking.paint import Paint, paint_image, paint_of_frame
+from vntoolkit.tracking.paint import FRAMES_COMPARED, Paint, fixed_pattern, paint_image, paint_of_frame
 from vntoolkit.tracking.slopes import relief_slopes, slopes_from_normals
 from vntoolkit.tracking.tracker import SurfaceTracker, tracked_frame
 

@@ -101,7 +101,6 @@ def nuisance_errors(
     nuisances: Nuisances,
     frame: int = 0,
     rendering: RenderOptions | None = None,
-    seed: int = 0,
     degree: int = 0,
 ) -> Iterator[NuisanceError]:
     """Yield the normal error of equation 1's inversion: "none", every nuisance in turn, "all".
@@ -111,7 +110,7 @@ def nuisance_errors(
     """
 
     def error(world: Nuisances) -> AngularError:
-        shot = render_frame(scene, frame, nuisances=world, options=rendering, seed=seed)
+        shot = render_frame(scene, frame, nuisances=world, options=rendering)
         truth = shot.truth.normals
         return compare_normals(
             normals_from_frame(shot.linear, true_varying_response(scene, world, degree), truth.mask), truth

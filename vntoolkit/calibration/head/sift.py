@@ -23,7 +23,6 @@ _ALL_PAIRS = 40  # frames: of so many, every one is compared with every other
 _APART = (1, 2, 3, 4, 6, 8, 12, 16)  # of more: those so many frames apart
 _LEAST_TYPICAL, _LEAST_SHARED = 60, 20  # features of neighbouring frames: usually, and at the least
 _LEAST_FRAMES = 3  # a track over two says nothing that could be wrong
-_BORDER_PX = 12  # about the silhouette's box, for the windows of features
 _ESTIMATE_PX, _GUIDE_PX = 2.0, 1.5  # from the epipolar line: while it is sought, and once it is known
 _PEAK = 0.003  # weakest contrast of a feature, 0 to 1: skin has little
 _MOST_FEATURES = 3000  # of a frame
@@ -55,7 +54,7 @@ class SiftBuilder:
             self._positions.append(np.zeros((0, 2)))
             self._descriptors.append(np.zeros((0, 128), np.float32))
             return 0
-        rows, columns = box_of_mask(mask, _BORDER_PX)
+        rows, columns = box_of_mask(mask)
         own = np.ascontiguousarray(image[rows, columns])
         keypoints, found = self._extractor.extract_from_uint8_array(own)
         positions = np.array([[each.x, each.y] for each in keypoints]).reshape(-1, 2)

@@ -24,7 +24,6 @@ _CLOSER_ANGLES_DEG = (6.0, 12.0, 18.0)  # of the second pass: from well correlat
 # What wide windows and smooth depths flatten is alike in all views. Noise is not, and averages out over them.
 _CLOSER_WINDOW_PX, _LESS_SMOOTH, _MORE_VIEWS = 5, 0.5, 2
 _CLOSE = 0.012  # of the diagonal: how far the second and third pass search to both sides
-_BORDER_PX = 12  # beyond the silhouette's box, for windows
 _STEP_PX = 0.6  # that a point moves in the furthest neighbour from shell to shell
 _LEAST_SLANT = 0.25  # cosine between ray and hull below which a window mixes too many depths
 
@@ -91,7 +90,7 @@ def stereo_points(
     """
     view = views[reference]
     neighbours = neighbours_of(views, reference, options.neighbour_angles_deg)
-    rows, columns = box_of_mask(view.mask, _BORDER_PX)
+    rows, columns = box_of_mask(view.mask)
     depth, facing = hull_depth(view, hull, rows, columns)
     typical = float(np.median(depth[depth > 0]))
     shells = _shells(view, hull, options, typical)

@@ -76,24 +76,19 @@ def read_image(
 
 
 def read_image_with_alpha(
-    path: Path | str,
-    *,
-    max_megapixels: float | None = None,
-    error: type[BadInput] = BadInput,
+    path: Path | str, *, max_megapixels: float | None = None
 ) -> tuple[npt.NDArray[Any], Mask | None]:
     """Read (h, w, 3) RGB and, where there is an alpha channel, the (h, w) mask of alpha >= half."""
-    colours, alpha = _decode(path, max_megapixels, error)
+    colours, alpha = _decode(path, max_megapixels, BadInput)
     if alpha is None:
         return _in_three_channels(colours), None
     full = 1.0 if alpha.dtype == np.float32 else np.iinfo(alpha.dtype).max
     return _in_three_channels(colours), alpha >= full / 2
 
 
-def read_grey(
-    path: Path | str, *, max_megapixels: float | None = None, error: type[BadInput] = BadInput
-) -> npt.NDArray[Any]:
+def read_grey(path: Path | str, *, max_megapixels: float | None = None) -> npt.NDArray[Any]:
     """Read an image as (h, w): grey as stored, colour by its largest channel (so any paint counts)."""
-    colours, _ = _decode(path, max_megapixels, error)
+    colours, _ = _decode(path, max_megapixels, BadInput)
     return np.asarray(colours.max(axis=2))
 
 

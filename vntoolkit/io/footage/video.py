@@ -305,9 +305,7 @@ class VideoReader:
         )
 
 
-def write_video(
-    path: Path | str, frames: Iterable[npt.NDArray[Any]], frame_rate_hz: float, *, threads: int = 2
-) -> int:
+def write_video(path: Path | str, frames: Iterable[npt.NDArray[Any]], frame_rate_hz: float) -> int:
     """Write (h, w, 3) RGB frames, all uint8 or all uint16, losslessly as FFV1 in Matroska; atomically.
 
     frame_rate_hz: 0.001 to a million. Returns the number of frames. Frames are taken one at a time, so memory
@@ -332,7 +330,7 @@ def write_video(
                 kind = f"{frame.shape} {frame.dtype}"
                 if kind != (first := first or kind):  # the encoder would scale and round it without a word
                     raise BadCapture(f"{path}: frame {count - 1} is {kind}, the first one {first}")
-                stream = stream or _ffv1_stream(container, frame, frame_rate_hz, threads)
+                stream = stream or _ffv1_stream(container, frame, frame_rate_hz)
                 picture = av.VideoFrame.from_ndarray(
                     np.ascontiguousarray(frame), format="rgb24" if frame.dtype == np.uint8 else "rgb48le"
                 )
@@ -347,7 +345,7 @@ def write_video(
     return count
 
 
-def _ffv1_stream(container: Any, frame: npt.NDArray[Any], frame_rate_hz: float, threads: int) -> Any:
+def _ffv1_stream(container: Any, frame: npt.NDArray[Any], frame_rate_hz: float) -> Any:
     if frame.ndim != 3 or frame.shape[2] != 3 or frame.dtype not in (np.uint8, np.uint16):
         raise BadCapture(f"video: expected (h, w, 3) uint8 or uint16 frames, got {frame.shape} {frame.dtype}")
     # 16 slices let two threads work on a frame; Rice coding decodes twice as fast as range coding.
@@ -359,7 +357,7 @@ def _ffv1_stream(container: Any, frame: npt.NDArray[Any], frame_rate_hz: float, 
     stream = container.add_stream("ffv1", rate=_rational(frame_rate_hz), options=options)
     stream.height, stream.width = frame.shape[:2]
     stream.pix_fmt = "bgr0" if frame.dtype == np.uint8 else "gbrp16le"
-    stream.codec_context.thread_count = threads
+    stream.codec_context.thread_count = 2
     stream.codec_context.gop_size = 1  # for 1 % more bytes any frame is read alone and damage stays in it
     return stream
 

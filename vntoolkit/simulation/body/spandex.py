@@ -75,9 +75,9 @@ def step_at(time_s: float, phase: float) -> LegPose:
     )
 
 
-def _weave(rng: np.random.Generator, size: int = 256) -> FloatArray:
-    """Return (size, size, 3) factors near 1: a fine mottle, no change of hue, tiling."""
-    noise = gaussian_filter(rng.standard_normal((size, size)), 1.5, mode="wrap")
+def _weave(rng: np.random.Generator) -> FloatArray:
+    """Return (256, 256, 3) factors near 1: a fine mottle, no change of hue, tiling."""
+    noise = gaussian_filter(rng.standard_normal((256, 256)), 1.5, mode="wrap")
     factor = 0.98 + 0.02 * np.tanh(noise / noise.std())
     return np.repeat(factor[..., None], 3, axis=2).astype(np.float32)
 

@@ -230,8 +230,9 @@ def _strands(rng: np.random.Generator) -> FloatArray:
     return np.asarray(noise / noise.std())
 
 
-def _freckles(rng: np.random.Generator, count: int = 1500) -> FloatArray:
+def _freckles(rng: np.random.Generator) -> FloatArray:
     """Return the optical density of freckles, thickest over nose and cheeks, none on eyes and lips."""
+    count = 1500
     azimuth = rng.normal(0.0, 26.0, count)
     height = rng.normal(-1.9, 1.9, count)
     radius = np.clip(rng.lognormal(np.log(0.075), 0.35, count), 0.04, 0.19)
