@@ -4,8 +4,6 @@ Every frame gives one normal (the pattern's pose) and one colour (the sample in 
 intrinsics come from the same footage unless given.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -22,14 +22,22 @@ import logging
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from scipy import fft
 
-from vntoolkit.arrays import FloatArray, LinearImage, Mask, Points, Points2, Vector3
+from vntoolkit.arrays import (
+    Array,
+    BoolArray,
+    FloatArray,
+    Int64Array,
+    LinearImage,
+    Mask,
+    Points,
+    Points2,
+    Vector3,
+)
 from vntoolkit.calibration import fit as fits
 from vntoolkit.checks import require_positive, require_shape
 from vntoolkit.errors import BadCalibration, BadInput
@@ -136,8 +144,8 @@ class PressPairs:
     normals: Points
     rgb: Points
     positions_px: Points2
-    touched: npt.NDArray[np.bool_]
-    presses: npt.NDArray[np.int64]
+    touched: BoolArray
+    presses: Int64Array
 
     def thinned(self, count: int) -> PressPairs:
         """Every k-th pair, so that about `count` are left."""
@@ -193,7 +201,7 @@ def samples_from_press(
     )
 
 
-def _draw(mask: Mask, count: int, rng: np.random.Generator) -> npt.NDArray[np.int64]:
+def _draw(mask: Mask, count: int, rng: np.random.Generator) -> Int64Array:
     chosen = np.flatnonzero(mask)
     return rng.choice(chosen, count, replace=False) if len(chosen) > count else chosen
 
@@ -207,7 +215,7 @@ def pairs_from_samples(
     """
     samples = list(samples)
     own = np.broadcast_to(label_offset_px, (len(samples), 2))
-    parts: list[tuple[npt.NDArray[Any], ...]] = []
+    parts: list[tuple[Array, ...]] = []
     for number, part in enumerate(samples):
         offsets = part.offsets_px(own[number])
         distance = np.linalg.norm(offsets, axis=1)

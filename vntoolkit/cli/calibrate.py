@@ -1,7 +1,5 @@
 """`vntoolkit calibrate …`: fit a rig to footage of a calibration object and write rig.json."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`vntoolkit evaluate …`: compare normals, meshes, cylinders, tracks and depth with a reference."""
 
-from __future__ import annotations
-
 import dataclasses
 import logging
 from operator import attrgetter

@@ -1,7 +1,5 @@
 """All checks, one function each, and what they find in a capture read with a rig."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Faults of footage that spoil normals: the findings of `vntoolkit doctor`."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace

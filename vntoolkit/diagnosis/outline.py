@@ -13,8 +13,6 @@ leads towards the lamp, over the rims of all shadows and weighted by the jump, i
 statues; both axes of M reversed make it negative.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 from dataclasses import dataclass

@@ -18,9 +18,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Mask
+from vntoolkit.arrays import BoolArray, Float32Array, FloatArray, Mask
 from vntoolkit.diagnosis import evidence as evidences
 from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
 from vntoolkit.diagnosis.surface_pixels import (
@@ -228,7 +227,7 @@ def _lit_pixels(evidence: evidences.Evidence, other: Transfer) -> SurfacePixels:
     """
     darker = other.curve is not TransferCurve.LINEAR
 
-    def lit(k: int, length: evidences.Single) -> Mask:
+    def lit(k: int, length: Float32Array) -> Mask:
         good = evidence.inside[k] & ~evidence.clipped[k] & (length > 0.0)
         if good.any():
             good &= length > (_LIT_DARKER if darker else _LIT) * np.percentile(length[good], 95)
@@ -253,7 +252,7 @@ def _slope(
     typical = float(np.median(length))
     normals = scaled / np.maximum(length, 1e-12)[:, None]
     colours = pixels.colours(normals * typical)
-    lit: npt.NDArray[np.bool_] = evidences.darkest_channel(colours) > np.maximum(
+    lit: BoolArray = evidences.darkest_channel(colours) > np.maximum(
         _LEAST_CHANNEL * evidences.brightest_channel(colours), _DARKEST
     )
     lit &= normals[:, 2] < -_STEEPEST

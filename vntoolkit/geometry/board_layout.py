@@ -7,8 +7,6 @@ Board frame: origin in the top left corner, x right, y down along the print, z i
 The side that is seen therefore has the normal (0, 0, −1).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

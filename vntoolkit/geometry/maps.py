@@ -1,7 +1,5 @@
 """Normal maps and depth maps: one normal or one depth per pixel."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import Enum
 

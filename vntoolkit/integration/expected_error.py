@@ -7,8 +7,6 @@ least squares turns white noise of variance σ² on the slopes of n×n pixels in
 σ² (ln n) / 2π.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

@@ -6,8 +6,6 @@ Chellappa's projection (`frankot1988`) needs to be right on a surface that is no
 transform is that mirrored Fourier transform without the copies.
 """
 
-from __future__ import annotations
-
 from functools import cached_property
 from typing import Any, Protocol
 

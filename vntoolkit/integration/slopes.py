@@ -12,13 +12,10 @@ from dataclasses import dataclass, replace
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Normals
+from vntoolkit.arrays import Float32Array, FloatArray, Normals
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.native import njit
-
-Float32Image = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -30,9 +27,9 @@ class RayField:
     affine form wrong, else None.
     """
 
-    affine: npt.NDArray[np.float32]
+    affine: Float32Array
     depth_scales_ray: float
-    table: npt.NDArray[np.float32] | None = None
+    table: Float32Array | None = None
 
     @property
     def pixels_per_unit(self) -> float:
@@ -64,7 +61,7 @@ def rays_from_camera(camera: Camera) -> RayField:
     return RayField(affine=affine, depth_scales_ray=float(camera.is_perspective), table=table)
 
 
-def _ray_table(camera: Camera) -> npt.NDArray[np.float32]:
+def _ray_table(camera: Camera) -> Float32Array:
     """Undistorted ray and its central differences for every pixel, (h, w, 6)."""
     grid = camera.pixel_grid()
     one = np.ones(grid.shape[:2])
@@ -79,7 +76,7 @@ def _ray_table(camera: Camera) -> npt.NDArray[np.float32]:
 
 def slopes_from_normals(
     normals_in_camera: Normals, rays: RayField, steepest_slope_deg: float
-) -> tuple[Float32Image, Float32Image]:
+) -> tuple[Float32Array, Float32Array]:
     """Return (s_u, s_v), each (h, w) float32, per pixel, from normals (h, w, 3) in the camera frame.
 
     Where the surface leans more than `steepest_slope_deg` from facing its ray, or away from the camera,

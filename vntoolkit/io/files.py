@@ -4,8 +4,6 @@ The limits guard against headers that declare more than there is memory for. The
 this process; the command line sets them by `--max-megapixels` and `--max-vertices`.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import json

@@ -1,15 +1,12 @@
 """A triangle mesh or a point cloud from depth, with one vertex per valid pixel."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from numba import prange
 
-from vntoolkit.arrays import Colours, Depth, Faces, FloatArray, IntArray, LinearImage, Mask, Points
+from vntoolkit.arrays import Array, Colours, Depth, Faces, FloatArray, IntArray, LinearImage, Mask, Points
 from vntoolkit.checks import checks_kinds, require_same_size, require_some
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.geometry.camera import Camera
@@ -161,7 +158,7 @@ def _colours_at(rgb: LinearImage | None, pixels: IntArray) -> Colours | None:
     return None if colours is None else np.clip(colours, 0.0, 1.0).astype(np.float32, copy=False)
 
 
-def _values_at(image: npt.NDArray[Any] | None, pixels: IntArray) -> Any:
+def _values_at(image: Array | None, pixels: IntArray) -> Any:
     """Return the values (n, …) of an image (h, w, …) at pixels by number, row after row; None for None."""
     if image is None:
         return None

@@ -17,8 +17,6 @@
 `expected_error` makes angles of these.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

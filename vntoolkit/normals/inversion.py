@@ -12,10 +12,9 @@ from enum import Enum
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from numba import prange
 
-from vntoolkit.arrays import Mask
+from vntoolkit.arrays import Array, Mask
 from vntoolkit.checks import checks_kinds, require_mask, require_positive, require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
@@ -26,11 +25,9 @@ from vntoolkit.photometry.levelling import FLAGS, leveller_of, map_row
 from vntoolkit.photometry.response import LightResponse, scaled_normals_from_rgb
 from vntoolkit.photometry.transfer import Transfer, decoding_table
 
-Single = npt.NDArray[np.float32]
 _LONGEST = np.float32(1e18)  # squares beyond it overflow float32: treated as not finite
 _ZERO = np.float32(0)
 _ONE = np.float32(1)
-Array = npt.NDArray[Any]
 
 
 class ClippedPixels(Enum):
@@ -105,7 +102,7 @@ def _towards(normal_map: NormalMap, camera: Camera) -> NormalMap:
 
 @checks_kinds
 def normals_from_encoded(
-    encoded: npt.NDArray[Any],
+    encoded: Array,
     response: LightResponse,
     transfer: Transfer,
     mask: Mask | None = None,
@@ -157,7 +154,7 @@ def coefficients_from_response(response: LightResponse, options: InversionOption
     )
 
 
-def decoding_of(encoded: npt.NDArray[Any], transfer: Transfer, bits: int | None) -> Decoding:
+def decoding_of(encoded: Array, transfer: Transfer, bits: int | None) -> Decoding:
     """Lay out the decoding of stored samples for the loops."""
     storage_bits = encoded.dtype.itemsize * 8
     table = decoding_table(transfer, bits or storage_bits, storage_bits)
@@ -165,7 +162,7 @@ def decoding_of(encoded: npt.NDArray[Any], transfer: Transfer, bits: int | None)
     return Decoding(table=table, white=np.float32(white * (1.0 - 1e-6)))
 
 
-def require_encoded(encoded: npt.NDArray[Any]) -> tuple[int, int]:
+def require_encoded(encoded: Array) -> tuple[int, int]:
     """Return the (h, w) of stored samples; raise `BadInput` for others than (h, w, 3) uint8 or uint16."""
     if encoded.dtype not in (np.uint8, np.uint16):
         raise BadInput(f"image: expected 8- or 16-bit samples, got {encoded.dtype}")

@@ -14,8 +14,6 @@ Relief of one wavelength is foretold exactly. Of many, the short ones are lost f
 the ratio says: up to 4.8 times the variance where every octave holds as much. The mean of the two is taken.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Matrix3, Vector3, read_only
+from vntoolkit.arrays import FloatArray, Int64Array, Matrix3, Vector3, read_only
 from vntoolkit.checks import require_finite, require_shape
 from vntoolkit.errors import BadRig
 
@@ -120,7 +119,7 @@ class ResponseVariation:
     scale_px: half the longer side of the image, so that x and y stay within ±1.
     """
 
-    powers: npt.NDArray[np.int64]
+    powers: Int64Array
     matrices: FloatArray
     ambients: FloatArray
     centre_px: FloatArray
@@ -156,7 +155,7 @@ class ResponseVariation:
         return np.stack([powers[i][..., 0] * powers[j][..., 1] for i, j in self.powers.tolist()], axis=-1)
 
 
-def powers_to_degree(degree: int) -> npt.NDArray[np.int64]:
+def powers_to_degree(degree: int) -> Int64Array:
     """All (i, j) with 1 ≤ i + j ≤ degree, (k, 2), by rising degree."""
     return np.array(
         [(total - j, j) for total in range(1, degree + 1) for j in range(total + 1)], dtype=np.int64

@@ -10,9 +10,8 @@ from enum import Enum
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import IntArray
+from vntoolkit.arrays import ByteArray, IntArray
 from vntoolkit.calibration.head.hull import (
     DistanceGrid,
     HullOptions,
@@ -365,8 +364,8 @@ class HeadFootage:
 
     numbers: tuple[int, ...]
     silhouettes: tuple[Silhouette, ...]
-    contrasts: tuple[npt.NDArray[np.uint8], ...]
-    details: tuple[npt.NDArray[np.uint8], ...]
+    contrasts: tuple[ByteArray, ...]
+    details: tuple[ByteArray, ...]
 
 
 def follow_frames(

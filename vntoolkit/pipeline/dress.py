@@ -10,11 +10,10 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 import vntoolkit
-from vntoolkit.arrays import Faces, FloatArray, IntArray, Points, Vector3
+from vntoolkit.arrays import Faces, Float32Array, FloatArray, IntArray, Points, Vector3
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.garment_fit import GarmentFit
@@ -172,7 +171,7 @@ class DressedFigure:
         return self._posed(self._rest_frame(index), index)
 
     @cached_property
-    def _kept(self) -> dict[int, npt.NDArray[np.float32]]:
+    def _kept(self) -> dict[int, Float32Array]:
         """Frames in the pose of attachment: findings, blend shapes and pictures all need them."""
         return {}
 

@@ -1,7 +1,5 @@
 """Normals, cylinders, tracks and depth against references, frame by frame in constant memory."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace

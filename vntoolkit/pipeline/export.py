@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Vector3
+from vntoolkit.arrays import Array, FloatArray, Vector3
 from vntoolkit.errors import BadInput, VntError
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import LengthUnit
@@ -611,7 +610,7 @@ def frame_export(result: OpenedResult, track: TrackedSurface | None, options: Ex
 
 def arrays_of_frame(
     result: OpenedResult, number: int, options: ExportOptions, factor: float
-) -> Mapping[str, npt.NDArray[Any]]:
+) -> Mapping[str, Array]:
     """Return what `--to npz` holds of a frame.
 
     normals (h, w, 3) in the asked convention, mask, confidence, error_deg; depth along the optical axis,

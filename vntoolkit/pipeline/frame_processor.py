@@ -1,16 +1,13 @@
 """One frame: from stored samples to normals, depth and a mesh (brostow2011, Section III-B)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from numba import prange
 
-from vntoolkit.arrays import Colours, LinearImage, Mask, VisibilityLabels
+from vntoolkit.arrays import BoolArray, Colours, LinearImage, Mask, VisibilityLabels
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadCapture
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
@@ -321,7 +318,7 @@ class FrameProcessor:
             shown = shown / np.float32(2**frame.bits - 1)
         if not self._resampler.changes_frames:
             return shown
-        nothing: npt.NDArray[np.bool_] = np.zeros(shown.shape[:2], dtype=np.bool_)
+        nothing: BoolArray = np.zeros(shown.shape[:2], dtype=np.bool_)
         return self._resampler.frame(LinearFrame(rgb=shown, clipped=nothing)).rgb
 
 

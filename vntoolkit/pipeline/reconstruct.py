@@ -1,7 +1,5 @@
 """Reconstruction of a capture: normals, depth, meshes; resumable, in one process or many."""
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import time

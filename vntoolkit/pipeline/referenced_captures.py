@@ -4,8 +4,6 @@ The folder holds `coloured_light/` (three photographs stacked as red, green, blu
 (twelve lights of the same statues, a chrome and a grey ball) and `faces/` (sixty-four flashes of the faces).
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from pathlib import Path

@@ -15,9 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, IntArray, Mask, Matrix3, Points, Points2, Vectors
+from vntoolkit.arrays import Float32Array, FloatArray, IntArray, Mask, Matrix3, Points, Points2, Vectors
 from vntoolkit.errors import BadInput
 from vntoolkit.io.atomic import write_bytes
 from vntoolkit.io.footage.frame_range import FrameRange, Gaps
@@ -41,7 +40,6 @@ _LEAST_SHARE = 0.06  # of the strongest lamp's light: the rest may be shadow
 _LEAST_FACING = 0.1  # cosine to a lamp: less is nearly in shadow
 _SURE_DEG = 2.0  # no normal is better than that
 _OF_MEDIAN = 1.4826  # standard deviation over the median of absolute values
-Single = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -214,10 +212,10 @@ class SurfaceLooks:
     errors. materials: (n,) number of each vertex's. logs: (n, 3), log ρ of its material.
     """
 
-    contributions: Single
+    contributions: Float32Array
     seen: Mask
-    normals: Single
-    error_deg: Single
+    normals: Float32Array
+    error_deg: Float32Array
     materials: IntArray
     logs: Points
 

@@ -1,7 +1,5 @@
 """Registration of all frames of a reconstruction to one moving mesh."""
 
-from __future__ import annotations
-
 import logging
 import time
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Errors on simulated footage: of a reconstruction, and of each nuisance of the camera alone."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Figures of errors over time, over the image, cumulative, as bars (brostow2011, 7); of shadows (4, 5)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

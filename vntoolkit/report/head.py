@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Mask, Vector3
+from vntoolkit.arrays import ByteArray, FloatArray, Mask, Vector3
 from vntoolkit.calibration.fit import angles_deg
 from vntoolkit.calibration.head.hull import turn_angles_deg
 from vntoolkit.geometry.camera import Camera
@@ -42,7 +41,7 @@ class _ShownFrame(NamedTuple):
     place: int  # among the light frames
     number: int  # in the capture
     used: int  # among the frames used
-    image: npt.NDArray[np.uint8]
+    image: ByteArray
 
 
 def write_head_page(path: Path, job: CalibrationJob, rig: Rig, result: HeadCalibration) -> None:
@@ -205,7 +204,7 @@ def _picture(draw: Draw, size: tuple[int, int], caption: str, *, wide: bool = Fa
         return page.figure_from_pixels(_pixels_of(figure), caption, wide=wide)
 
 
-def _pixels_of(figure: Figure) -> npt.NDArray[np.uint8]:
+def _pixels_of(figure: Figure) -> ByteArray:
     figure.set_dpi(_DPI)
     canvas: Any = figure.canvas
     canvas.draw()
@@ -343,7 +342,7 @@ def places_shown(result: HeadCalibration) -> list[int]:
     return sorted({count // 6, count // 2, count - 1 - count // 6})
 
 
-def draw_tracks(axis: Any, image: npt.NDArray[np.uint8], result: HeadCalibration, used: int) -> None:
+def draw_tracks(axis: Any, image: ByteArray, result: HeadCalibration, used: int) -> None:
     """Draw where the skin came from and goes to about a frame: used (counted over those used)."""
     tracks, motion = result.tracks, result.motion
     _show(axis, image)
@@ -361,7 +360,7 @@ def draw_tracks(axis: Any, image: npt.NDArray[np.uint8], result: HeadCalibration
         axis.plot(trail[:, 0], trail[:, 1], color=pictures.SKY if good else pictures.RED, linewidth=0.8)
 
 
-def draw_shape(axis: Any, image: npt.NDArray[np.uint8], result: HeadCalibration, used: int) -> None:
+def draw_shape(axis: Any, image: ByteArray, result: HeadCalibration, used: int) -> None:
     """Draw the shape over a frame, with the outlines of silhouette and hull."""
     motion = result.motion
     pose = motion.camera_from_head[used]
@@ -375,7 +374,7 @@ def draw_shape(axis: Any, image: npt.NDArray[np.uint8], result: HeadCalibration,
     axis.set_title(f"shape, silhouette (yellow), hull (blue);\noverlap {overlap:.3f}")
 
 
-def draw_samples(axis: Any, image: npt.NDArray[np.uint8], result: HeadCalibration, place: int) -> None:
+def draw_samples(axis: Any, image: ByteArray, result: HeadCalibration, place: int) -> None:
     """Draw the samples of a light frame, by what became of them."""
     samples, light = result.samples, result.light
     _show(axis, image // 2)
@@ -444,7 +443,7 @@ def draw_meshes(axis: Any, result: HeadCalibration) -> None:
     axis.set_title("from above: " + ", ".join(shapes))
 
 
-def _from_three_sides(mesh: Mesh, centre: Vector3, height: float) -> npt.NDArray[np.uint8]:
+def _from_three_sides(mesh: Mesh, centre: Vector3, height: float) -> ByteArray:
     plain = Mesh(vertices=mesh.vertices, faces=mesh.faces)
     views = (
         View(centre=centre, height=_VIEW_HEIGHT * height, azimuth_deg=azimuth, width_px=240, height_px=240)
@@ -464,7 +463,7 @@ def _overlap(first: Mask, second: Mask) -> float:
     return float((first & second).sum() / max(1, (first | second).sum()))
 
 
-def _show(axis: Any, image: npt.NDArray[np.uint8]) -> None:
+def _show(axis: Any, image: ByteArray) -> None:
     axis.imshow(image)
     axis.set_axis_off()
 

@@ -11,10 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-import numpy.typing as npt
-
 import vntoolkit
+from vntoolkit.arrays import ByteArray
 from vntoolkit.errors import BadInput
 from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import read_bytes
@@ -99,7 +97,7 @@ def figure_from_plot(figure: Figure, caption: str, *, wide: bool = False) -> Pag
 
 
 def figure_from_pixels(
-    pixels: npt.NDArray[np.uint8], caption: str, *, suffix: str = ".jpg", wide: bool = False
+    pixels: ByteArray, caption: str, *, suffix: str = ".jpg", wide: bool = False
 ) -> PageFigure:
     """Put (h, w, 3) uint8 RGB pixels on a page."""
     return PageFigure(caption=caption, image=data_uri(encoded_image(pixels, suffix), suffix), wide=wide)

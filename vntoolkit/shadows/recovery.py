@@ -1,7 +1,5 @@
 """Normals for every pixel of a frame with self-shadows (brostow2011, Section VI-B, and past it)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any

@@ -9,8 +9,6 @@ changes within eight pixels is told from shadow by that. Every frame stands alon
 before lies beside a moving shadow, and leads into the wrong one of two valleys.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

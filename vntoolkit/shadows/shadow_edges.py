@@ -5,8 +5,6 @@ shadow is. The edge lies where half of what arrives outside is left. That holds 
 the light; where the surface itself turns from it, light fades on both sides and the half means nothing.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import cv2

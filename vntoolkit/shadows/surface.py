@@ -18,10 +18,9 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from numba import prange
 
-from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels, Weight
+from vntoolkit.arrays import ByteArray, Float32Array, FloatArray, Mask, VisibilityLabels, Weight
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, LengthUnit
 from vntoolkit.geometry.slope_grid import (
@@ -47,8 +46,8 @@ from vntoolkit.shadows.contributions import (
 )
 from vntoolkit.solvers import grid_hierarchy, solve_grid
 
-Grid = npt.NDArray[np.float32]
-Labels = npt.NDArray[np.uint8]
+Grid = Float32Array
+Labels = ByteArray
 # The energy; cosines are 1 where a surface of the local albedo faces the light.
 _ALBEDO_SPREAD = 0.15  # relative standard deviation of the albedo continued into a shadow
 _OWN_ALBEDO_SPREAD = 3.0  # the same where all three lights arrive: there the colour's length is the albedo

@@ -4,12 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Flow, LinearImage, Mask, Points, VisibilityLabels
+from vntoolkit.arrays import (
+    Array,
+    ByteArray,
+    Float32Array,
+    FloatArray,
+    Flow,
+    Int64Array,
+    LinearImage,
+    Mask,
+    Points,
+    VisibilityLabels,
+)
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.geometry.mesh import vertex_normals
@@ -49,8 +58,8 @@ class _Sums:
 
     colours: FloatArray
     normals: FloatArray
-    lit: npt.NDArray[np.uint8]
-    met: npt.NDArray[np.uint8]
+    lit: ByteArray
+    met: ByteArray
 
     @classmethod
     def of(cls, pixels: int) -> _Sums:
@@ -124,7 +133,7 @@ class Renderer:
         assert centre_hits is not None
         return sums, centre_hits
 
-    def _window(self, vertices: Points) -> npt.NDArray[np.int64]:
+    def _window(self, vertices: Points) -> Int64Array:
         """Return the indices of the pixels whose rays can meet the mesh: those in its bounding rectangle."""
         camera = self.scene.camera
         pixels = np.arange(camera.width * camera.height).reshape(camera.height, camera.width)
@@ -136,7 +145,7 @@ class Renderer:
         return pixels[low[1] : high[1], low[0] : high[0]].ravel()
 
     @cached_property
-    def _rays(self) -> list[npt.NDArray[np.float32]]:
+    def _rays(self) -> list[Float32Array]:
         """Per sample position, the rays of all pixels, (h·w, 6) = (origin, direction)."""
         camera = self.scene.camera
         all_rays = []
@@ -243,6 +252,6 @@ class SimulatedFrame:
 
     number: int
     radiance: LinearImage
-    stored: npt.NDArray[Any]
+    stored: Array
     linear: LinearFrame
     truth: FrameTruth

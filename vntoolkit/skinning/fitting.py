@@ -1,7 +1,5 @@
 """Fit of a garment to a skeleton: where it hangs, how large it is, and how the arms are held."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import Enum

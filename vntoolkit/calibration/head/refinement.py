@@ -14,16 +14,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse as sp
 from scipy.linalg import null_space
 from scipy.sparse.linalg import cg, splu
 from scipy.spatial import cKDTree
 
-from vntoolkit.arrays import Faces, FloatArray, IntArray, Points
+from vntoolkit.arrays import Array, Faces, FloatArray, IntArray, Points
 from vntoolkit.calibration.head import skin as skins
 from vntoolkit.calibration.head.light import HeadLight, LightOptions, light_of_response
 from vntoolkit.calibration.head.rims import RimTargets, rim_targets
@@ -493,7 +491,7 @@ def patch_samples(
     patch, first = _patches(mesh, side)
     area = areas(mesh.vertices, mesh.faces)
     whole = np.bincount(patch, area)
-    columns: list[tuple[npt.NDArray[Any], ...]] = []
+    columns: list[tuple[Array, ...]] = []
     for number, pose in enumerate(colours.camera_from_head):
         weight = np.where(skin.agrees[number], area, 0.0)
         seen = np.bincount(patch, weight)

@@ -3,16 +3,13 @@
 Far slower than following, but at home with ten and twenty degrees between photographs of a turntable.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, IntArray, Mask, Points2
+from vntoolkit.arrays import ByteArray, Float64Array, FloatArray, IntArray, Mask, Points2
 from vntoolkit.calibration.head.colmap import camera_for_colmap, colmap_from_pixels, pixels_from_colmap
 from vntoolkit.calibration.head.silhouettes import box_of_mask
 from vntoolkit.calibration.head.tracks import Tracks, contrast_in_8_bits, pairs_shared
@@ -40,7 +37,7 @@ class SiftBuilder:
     _positions: list[Points2] = field(default_factory=list)
     _descriptors: list[FloatArray] = field(default_factory=list)
     _extractor: Any = None
-    _image: npt.NDArray[np.uint8] = field(default_factory=lambda: np.zeros((1, 1), np.uint8))
+    _image: ByteArray = field(default_factory=lambda: np.zeros((1, 1), np.uint8))
 
     def add(self, contrast: FloatArray, mask: Mask) -> int:
         """Find a frame's features; returns how many.
@@ -70,7 +67,7 @@ class SiftBuilder:
         return len(kept)
 
     @property
-    def image(self) -> npt.NDArray[np.uint8]:
+    def image(self) -> ByteArray:
         """The last frame's local contrast (h, w) in 8 bits, 0 before the first frame."""
         return self._image
 
@@ -198,7 +195,7 @@ def _mutual(angles: FloatArray) -> IntArray:
     return np.column_stack([rows[kept], best[kept]])
 
 
-def _distance_to_lines(fundamental: npt.NDArray[np.float64], a: Points2, b: Points2) -> FloatArray:
+def _distance_to_lines(fundamental: Float64Array, a: Points2, b: Points2) -> FloatArray:
     """Return (n, m) the distance in pixels of points b (m, 2) from the epipolar lines of points a (n, 2)."""
     lines = np.column_stack([a, np.ones(len(a))]) @ fundamental.T
     lines /= np.maximum(np.linalg.norm(lines[:, :2], axis=1, keepdims=True), 1e-12)

@@ -1,16 +1,13 @@
 """The head's silhouette before a dark background, and checks of the footage."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, LinearImage, Mask
+from vntoolkit.arrays import ByteArray, FloatArray, LinearImage, Mask
 from vntoolkit.errors import BadCalibration, BadInput
 
 logger = logging.getLogger(__name__)
@@ -175,7 +172,7 @@ def _moved_to_edge(mask: Mask, grey: FloatArray, level: float, threshold: float)
     return _without_holes(labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])))
 
 
-def _disc(radius_px: int) -> npt.NDArray[np.uint8]:
+def _disc(radius_px: int) -> ByteArray:
     size = 2 * radius_px + 1
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), np.uint8)
 

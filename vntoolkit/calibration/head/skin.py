@@ -6,16 +6,13 @@ point, near 1, and M_f is M where the point is in that frame, as lamps are near.
 1, two or three frames give both. Robust least squares over all frames leaves out shadow and gloss.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, IntArray, Mask, Points, read_only
+from vntoolkit.arrays import BoolArray, Float32Array, FloatArray, IntArray, Mask, Points, read_only
 from vntoolkit.calibration.head.samples import LEAST_FACING, RIM_PX, HeadRays, LightFrame
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh
@@ -39,7 +36,6 @@ _BLACK = 1e-6
 _DAMPING, _LONGEST_STEP = 1e-4, 0.5  # rad, and logarithm of the albedo
 _AGREEING = 0.25  # of its first weight: with less left, a colour is an outlier
 _LEAST_NOISE = 0.004  # of the colour's length: below it registration decides, not the sensor
-Array = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,8 +46,8 @@ class SkinColours:
     frame. camera_from_head: of every frame.
     """
 
-    rgb: Array
-    weight: Array
+    rgb: Float32Array
+    weight: Float32Array
     vertices: Points
     camera_from_head: tuple[RigidTransform, ...]
 
@@ -107,7 +103,7 @@ def _trusted(each: LightFrame) -> Mask:
 _ROW = 1024  # OpenCV resamples images, no lists: points are laid out in rows
 
 
-def sampled(image: Array, pixel: Array) -> Array:
+def sampled(image: Float32Array, pixel: Float32Array) -> Float32Array:
     """Return the image (h, w) or (h, w, 3) at pixels (n, 2), bilinear, 0 outside."""
     count = len(pixel)
     padded = np.full((max(1, -(-count // _ROW)) * _ROW, 2), -9.0, np.float32)
@@ -177,11 +173,11 @@ class SkinNormals:
     noise: FloatArray
     scaled: Points
     tint: FloatArray
-    weight: Array
-    agrees: npt.NDArray[np.bool_]
+    weight: Float32Array
+    agrees: BoolArray
 
     @property
-    def known(self) -> npt.NDArray[np.bool_]:
+    def known(self) -> BoolArray:
         """(n,) where there is a normal."""
         return np.asarray(np.isfinite(self.noise))
 
@@ -316,8 +312,8 @@ def light_errors(
 
 @njit(cache=True)
 def _derivatives_kernel(
-    rgb: Array,
-    weight: Array,
+    rgb: Float32Array,
+    weight: Float32Array,
     vertices: Points,
     matrix: FloatArray,
     nearness: FloatArray,
@@ -414,10 +410,10 @@ def _invert(a: FloatArray, out: FloatArray) -> None:
 
 @njit(cache=True)
 def _solve_kernel(
-    rgb: Array,
-    given: Array,
+    rgb: Float32Array,
+    given: Float32Array,
     vertices: Points,
-    weight: Array,
+    weight: Float32Array,
     matrix: FloatArray,
     nearness: FloatArray,
     rotations: FloatArray,

@@ -11,9 +11,8 @@ from typing import Self
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Mask, Points
+from vntoolkit.arrays import BoolArray, ByteArray, FloatArray, Mask, Points
 from vntoolkit.calibration.head.hull import SilhouetteView, neighbours_of
 from vntoolkit.calibration.head.silhouettes import box_of_mask
 from vntoolkit.errors import BadInput
@@ -79,7 +78,7 @@ class StereoOptions:
 
 def stereo_points(
     views: Sequence[SilhouetteView],
-    contrasts: Sequence[npt.NDArray[np.uint8]],
+    contrasts: Sequence[ByteArray],
     hull: Mesh,
     reference: int,
     options: StereoOptions,
@@ -135,7 +134,7 @@ def _shells(view: SilhouetteView, hull: Mesh, options: StereoOptions, depth: flo
 
 def _scores(
     views: Sequence[SilhouetteView],
-    contrasts: Sequence[npt.NDArray[np.uint8]],
+    contrasts: Sequence[ByteArray],
     reference: int,
     neighbours: Sequence[int],
     window: tuple[slice, slice],
@@ -214,7 +213,7 @@ class OrientedPoints:
     on_hull: Points
     correlation: FloatArray
 
-    def chosen(self, kept: npt.NDArray[np.bool_]) -> OrientedPoints:
+    def chosen(self, kept: BoolArray) -> OrientedPoints:
         """Keep some of the points, (n,)."""
         return OrientedPoints(
             points=self.points[kept],

@@ -9,16 +9,13 @@ smooth: along the row and along the column, between the nearest known pixels on 
 counting more.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from numba import prange
 
-from vntoolkit.arrays import LinearImage, Mask
+from vntoolkit.arrays import ByteArray, LinearImage, Mask
 from vntoolkit.native import njit
 
 _WINDOW_SHARE = 1 / 16  # of the shorter side: sensors print ten dots across and more, each half a gap wide
@@ -39,7 +36,7 @@ def _shrunk(image: LinearImage) -> LinearImage:
     return small
 
 
-def _enlarged(small: npt.NDArray[np.uint8], shape: tuple[int, int]) -> Mask:
+def _enlarged(small: ByteArray, shape: tuple[int, int]) -> Mask:
     height, width = shape
     step = max(1, min(height, width) // _SEARCHED_PX)
     mask: Mask = np.zeros(shape, np.bool_)
@@ -72,7 +69,7 @@ def _ink_at_rest(small: LinearImage, closed: LinearImage) -> _Ink | None:
     return _Ink(area_px=float(np.median(areas)), share=np.float32(np.median(shares)))
 
 
-def _dots(small: LinearImage, closed: LinearImage, ink: _Ink) -> npt.NDArray[np.uint8]:
+def _dots(small: LinearImage, closed: LinearImage, ink: _Ink) -> ByteArray:
     """1 at the dots and their rims in a shrunk picture.
 
     A dot on the dark flank of an object is one with it. It is told from the flank as what is as dark as ink.

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+
+from vntoolkit.arrays import Array
 
 _UNIT = 1 << 16  # display matrices are 16.16 fixed point, their last column 2.30
 
@@ -38,7 +38,7 @@ class Orientation:
             return cls(transposed=True, left_right=c < 0, up_down=b < 0)
         return None
 
-    def upright(self, picture: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    def upright(self, picture: Array) -> Array:
         """Return an (h, w) or (h, w, c) picture as it was seen; the same array where it is upright."""
         if self.transposed:
             picture = np.swapaxes(picture, 0, 1)

@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from vntoolkit.arrays import Array, ByteArray
 from vntoolkit.checks import require_in_range
 from vntoolkit.errors import BadCapture, CannotWrite
 from vntoolkit.io.atomic import atomic_path
@@ -191,9 +191,7 @@ class VideoReader:
             _INDICES[known] = index
         return index
 
-    def frames(
-        self, start: int = 0, stop: int | None = None, step: int = 1
-    ) -> Iterator[tuple[int, npt.NDArray[Any]]]:
+    def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Iterator[tuple[int, Array]]:
         """Yield (number, RGB array) for the frames start, start + step, … below stop.
 
         Decoding goes on where the call before it ended, if that is no farther than the key frame before
@@ -268,7 +266,7 @@ class VideoReader:
             except errors as error:
                 raise BadCapture(f"{self.path}: a frame cannot be decoded ({reason_of(error)})") from error
 
-    def _rgb(self, frame: Any, number: int) -> npt.NDArray[Any]:
+    def _rgb(self, frame: Any, number: int) -> Array:
         if frame.is_corrupt:
             raise self._damaged(number, "the decoder calls it corrupt")
         width, height = self._stored_size
@@ -305,7 +303,7 @@ class VideoReader:
         )
 
 
-def write_video(path: Path | str, frames: Iterable[npt.NDArray[Any]], frame_rate_hz: float) -> int:
+def write_video(path: Path | str, frames: Iterable[Array], frame_rate_hz: float) -> int:
     """Write (h, w, 3) RGB frames, all uint8 or all uint16, losslessly as FFV1 in Matroska; atomically.
 
     frame_rate_hz: 0.001 to a million. Returns the number of frames. Frames are taken one at a time, so memory
@@ -345,7 +343,7 @@ def write_video(path: Path | str, frames: Iterable[npt.NDArray[Any]], frame_rate
     return count
 
 
-def _ffv1_stream(container: Any, frame: npt.NDArray[Any], frame_rate_hz: float) -> Any:
+def _ffv1_stream(container: Any, frame: Array, frame_rate_hz: float) -> Any:
     if frame.ndim != 3 or frame.shape[2] != 3 or frame.dtype not in (np.uint8, np.uint16):
         raise BadCapture(f"video: expected (h, w, 3) uint8 or uint16 frames, got {frame.shape} {frame.dtype}")
     # 16 slices let two threads work on a frame; Rice coding decodes twice as fast as range coding.
@@ -510,7 +508,7 @@ class SliceCheck:
 # niedermayer2021).
 
 
-def check_slices(packet: bytes | npt.NDArray[np.uint8]) -> SliceCheck:
+def check_slices(packet: bytes | ByteArray) -> SliceCheck:
     """Walk the slices of one frame's packet, last to first, as if each carried a checksum.
 
     A frame without checksums has no sound slice (but by one chance in 2**32).

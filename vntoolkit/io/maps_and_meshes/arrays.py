@@ -1,7 +1,5 @@
 """.npy and .npz files, mapped, read or streamed, without pickles; every failure is one line."""
 
-from __future__ import annotations
-
 import math
 import tokenize
 import zipfile

@@ -1,7 +1,5 @@
 """OpenEXR images: float channels by name, size checked from the header, uncompressed ones written fast."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import os

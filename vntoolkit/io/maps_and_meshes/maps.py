@@ -1,7 +1,5 @@
 """Normal maps, depth maps and optical flow on disk. Masks and labels: `label_images`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import Faces, FloatArray
+from vntoolkit.arrays import Array, ByteArray, Faces, FloatArray
 from vntoolkit.errors import BadMesh
 from vntoolkit.geometry.mesh import triangles_from_polygons
 from vntoolkit.io.atomic import aligned_memory, write_large
@@ -46,7 +45,7 @@ class PlyContent:
     vertices: FloatArray
     faces: Faces | None = None
     normals: FloatArray | None = None
-    colours: npt.NDArray[np.uint8] | None = None
+    colours: ByteArray | None = None
     uv: FloatArray | None = None
     quality: FloatArray | None = None
 
@@ -55,7 +54,7 @@ def write_ply(
     path: Path | str, content: PlyContent, comment: str = "x right, y up, z towards the viewer"
 ) -> None:
     """Write little-endian binary: float32 `x y z nx ny nz s t quality`, uchar `red green blue`, triangles."""
-    columns: list[tuple[tuple[str, ...], str, npt.NDArray[Any]]] = [(("x", "y", "z"), "f4", content.vertices)]
+    columns: list[tuple[tuple[str, ...], str, Array]] = [(("x", "y", "z"), "f4", content.vertices)]
     if content.normals is not None:
         columns.append((("nx", "ny", "nz"), "f4", content.normals))
     if content.uv is not None:
@@ -140,7 +139,7 @@ def read_ply(path: Path | str) -> PlyContent:
 
 
 def _content(name: str, vertex: dict[str, Any], face: dict[str, Any] | None) -> PlyContent:
-    def gather(*names: str) -> npt.NDArray[Any] | None:
+    def gather(*names: str) -> Array | None:
         return np.stack([vertex[n] for n in names], axis=1) if set(names) <= set(vertex) else None
 
     def gather_floats(*names: str) -> FloatArray | None:
@@ -173,7 +172,7 @@ def _content(name: str, vertex: dict[str, Any], face: dict[str, Any] | None) -> 
     )
 
 
-def bytes_from_colours(colours: npt.NDArray[Any] | None) -> npt.NDArray[np.uint8] | None:
+def bytes_from_colours(colours: Array | None) -> ByteArray | None:
     """Return colours (n, 3) as bytes: floats count from 0 to 1, 16 bits to 65535, other integers to 255."""
     if colours is None or colours.dtype == np.uint8:
         return colours
@@ -260,7 +259,7 @@ def _ascii_table(element: PlyElement, lines: Any) -> dict[str, Any]:
     return {p.name: _joined(table[p.name], p.count_kind) for p in element.properties}
 
 
-def _of_kind(values: Any, kind: str) -> npt.NDArray[Any]:
+def _of_kind(values: Any, kind: str) -> Array:
     """Numbers of a text as a PLY kind; NaN and what exceeds an integer raise instead of wrapping round."""
     numbers = np.asarray(values, dtype=np.float64)
     is_integer = np.dtype(kind).kind in "iu"

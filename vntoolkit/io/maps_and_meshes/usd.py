@@ -16,9 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Points
+from vntoolkit.arrays import Array, FloatArray, Points
 from vntoolkit.checks import require_finite, require_shape
 from vntoolkit.errors import BadInput, BadMesh, CannotWrite
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
@@ -281,7 +280,7 @@ def new_stage(
             raise CannotWrite(f"cannot write {path}: {' '.join(str(error).split())[:300]}") from error
 
 
-def vec3f_from_camera(vectors: npt.NDArray[Any], up: MeshUpAxis = MeshUpAxis.Y) -> Any:
+def vec3f_from_camera(vectors: Array, up: MeshUpAxis = MeshUpAxis.Y) -> Any:
     """Return a USD array of (n, 3) vectors turned from the camera frame to y or z up."""
     from pxr import Vt
 

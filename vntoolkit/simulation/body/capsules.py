@@ -1,7 +1,5 @@
 """A body of tapered capsules, and how deep a point lies inside it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A position-based cloth solver with compliant constraints and small steps (macklin2016, macklin2019)."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import Faces, FloatArray, IntArray, Points, read_only
+from vntoolkit.arrays import BoolArray, Faces, FloatArray, IntArray, Points, read_only
 from vntoolkit.geometry.mesh import vertex_normals
 from vntoolkit.simulation.body.implicit import mesh_from_implicit
 from vntoolkit.simulation.head import sculpture
@@ -17,7 +16,6 @@ SKIN, CAVITY, LID_RIM, EYES, UPPER_TEETH, LOWER_TEETH, TONGUE = range(7)
 _Piece = tuple[Points, Faces, IntArray, int]  # vertices, faces, owners, part
 _CELL_CM = 0.16
 _LEAST_LEVEL = 0.3  # of a cell: no vertex lies nearer to a slit, so no sliver arises
-BoolArray = npt.NDArray[np.bool_]
 IRIS_RADIUS, PUPIL_RADIUS = 0.54, 0.20
 
 
