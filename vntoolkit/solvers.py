@@ -508,10 +508,7 @@ def _first_row(
 def _restrict_row(
     edges: Grid, shares: Grid, spans: Places, x: Grid, v: int, coarse: Grid, room: Grid
 ) -> None:
-    """Add what `_first_row` leaves in one row to the blocks that its corrections come from.
-
-    Every pixel was right when it was solved; what is left is what the colours after its own pull.
-    """
+    """Add what `_first_row` leaves in one row to the blocks that its corrections come from."""
     a, b = spans[v]
     left, own, beside, first = room[1, : b - a], room[2], room[3], a // 2
     side, along = shares[0, v, a:b], shares[1, v, a:b]

@@ -83,11 +83,7 @@ def _refine(
     homography: Array,
     layout: BoardLayout,
 ) -> tuple[Points2, Mask]:
-    """Refine the corners (n, 2) in a window that no marker reaches into, and tell which agree.
-
-    OpenCV's own window may hold a marker's edge, and one corner in a hundred then lands up to 3 px beside
-    (measured on drawn views; 0.3 px after this).
-    """
+    """Refine the corners (n, 2) in a window that no marker reaches into (OpenCV's may); tell which agree."""
     predicted: Any = cv2.perspectiveTransform(corners_mm[None], homography)[0]
     departure = np.linalg.norm(predicted - corners, axis=1)
     tolerance = max(_SMALLEST_TOLERANCE_PX, _TOLERANCE_MEDIANS * float(np.median(departure)))

@@ -398,10 +398,7 @@ class _Ridge:
 
 
 def _errors_by_tilt(found: Points, angles: FloatArray) -> FloatArray:
-    """`GelResponse.errors_deg` of normals (n, 3) that are off by angles (n,), degrees.
-
-    Groups of as many normals each, by their tilt as found, which is what a frame has.
-    """
+    """`GelResponse.errors_deg` of normals (n, 3), off by (n,) degrees, in equal groups by their tilt."""
     tilts = np.degrees(np.arccos(np.clip(-found[:, 2], -1.0, 1.0)))
     groups = np.array_split(np.argsort(tilts, kind="stable"), _ERROR_GROUPS)
     errors = np.array([(np.median(tilts[g]), np.percentile(angles[g], 90)) for g in groups if len(g)])

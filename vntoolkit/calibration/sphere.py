@@ -231,10 +231,7 @@ _SMALLEST_RADIUS_PX = 8.0
 
 
 def _fit_circle(points: Points2) -> Circle | None:
-    """Robust circle through outline pixels (n, 2): random triples, then least squares on the inliers.
-
-    The outline pixels belong to the ball, so the edge lies half a pixel further out.
-    """
+    """Fit a circle robustly to pixels (n, 2) of the ball; the edge lies half a pixel further out."""
     if len(points) < 16:
         return None
     rng = np.random.default_rng(0)  # the triples only start a least-squares fit; the outline decides

@@ -71,10 +71,7 @@ _Undo = Callable[[FloatArray], FloatArray]
 def _readings(
     evidence: Evidence, darkest: FloatArray
 ) -> Iterator[tuple[str, str, _Undo, tuple[float, float], float]]:
-    """Yield what the darkest places, (3,), may come of.
-
-    The problem, its remedy, what undoes it, between which slopes, and by how many errors from 0, it is told.
-    """
+    """Yield problem, remedy, what undoes it, range of slopes and errors from 0, of darkest places (3,)."""
     transfer = evidence.transfer
     black = encoded_from_linear(darkest, transfer)
     white = encoded_from_linear(np.array([brightest_channel(evidence.light).max()]), transfer)[0]

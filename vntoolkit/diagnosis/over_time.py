@@ -202,10 +202,7 @@ def _follow(inverse: Float32Array, scaled: Float32Array) -> FloatArray:
 
 
 def _gains_of_stripe(follow: FloatArray, beats: FloatArray) -> FloatArray:
-    """Return the log gains (3,) of a stripe whose log lengths (n,) beat; outliers weighed down.
-
-    What the lengths do not tell is 0.
-    """
+    """Return log gains (3,) of a stripe whose log lengths (n,) beat, robustly; 0 where none tells."""
     gains: FloatArray = np.zeros(3)
     for _ in range(_ROUNDS_A_STRIPE):
         left = np.abs(beats - follow @ gains)

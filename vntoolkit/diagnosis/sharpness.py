@@ -180,11 +180,7 @@ def _span(wanted: Mask, size: int) -> slice:
 
 
 def _width(squares: FloatArray, others: FloatArray, percentile: float) -> float | None:
-    """Return the blur at places whose two measurements agree, or None for too few, or one of limbs alone.
-
-    The blur of long motion, or of a lens far out of focus, has a flat top: the second measurement is then the
-    smaller, and nearer.
-    """
+    """Return the blur where two measurements agree (the smaller); None for few, or one of limbs alone."""
     tolerance = _ALIKE * (1.0 + np.maximum(squares, 0.0))
     steps = others - squares < tolerance
     wide = squares > _BLURRED_PX**2

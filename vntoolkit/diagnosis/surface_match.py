@@ -244,9 +244,7 @@ def agreement_of(evidence: Evidence, mix: Matrix3) -> float:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Sums:
-    """Sums over blocks (b, 10): α² (2), |α|², β² (2), |β|², facing, all, departure of log length of those
-    that face the camera, pixels with an α.
-    """
+    """Sums over blocks (b, 10): α² (2), |α|², β² (2), |β|², facing, all, log length, pixels with an α."""
 
     blocks: FloatArray
 

@@ -221,10 +221,7 @@ def _reread(light: FloatArray, read: Transfer, other: Transfer) -> FloatArray:
 
 
 def _lit_pixels(evidence: evidences.Evidence, other: Transfer) -> SurfacePixels:
-    """Return pixels that face the camera and are bright under both readings.
-
-    The darker of the two readings has a lower bar: a bar on its lengths would pick bright directions.
-    """
+    """Return pixels that face the camera and are bright by both readings; the darker one has a lower bar."""
     darker = other.curve is not TransferCurve.LINEAR
 
     def lit(k: int, length: Float32Array) -> Mask:
@@ -243,10 +240,7 @@ def _lit_pixels(evidence: evidences.Evidence, other: Transfer) -> SurfacePixels:
 def _slope(
     pixels: SurfacePixels, rgb: FloatArray, read: Transfer, other: Transfer, unevenly: bool
 ) -> tuple[float, float] | None:
-    """Return the slope of log length on what `other` foretells, and its standard error over blocks.
-
-    unevenly: whether lengths may also follow a constant in each channel, and the place in the picture.
-    """
+    """Return slope of log length on what `other` foretells, ± error; unevenly: beside channel and place."""
     scaled = pixels.scaled_normals(rgb)
     length = evidences.lengths_of(scaled)
     typical = float(np.median(length))

@@ -121,10 +121,7 @@ def _observe(
 
 
 def _refine(seen: _Observation, start: Cylinder, camera: Camera, radius: float | None) -> Cylinder:
-    """Silhouette and normals together; the radius is free where None is given.
-
-    Which contour points are sides, and which normals are good, follows from the cylinder: so in rounds.
-    """
+    """Fit silhouette and normals together, in rounds of what counts as side; radius None: free."""
     for round_ in range(_ROUNDS):
         tolerance_deg = _PARALLEL_DEG * (2.5 if round_ == 0 else 1.0)
         origins, rays = pixel_rays(camera, _side_points(seen, start, camera, tolerance_deg))

@@ -279,11 +279,7 @@ def _row_sums(row_start, weight):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _merge_pairs(row_start, neighbour, weight):  # type: ignore[no-untyped-def]
-    """Merge nodes along their strongest edges; return the map (n,) and the coarse graph.
-
-    A node takes its strongest free neighbour; one whose strong neighbours are all taken joins the group of
-    the strongest, up to a group of `_LARGEST_GROUP`, lest such leftovers stop the coarsening.
-    """
+    """Merge nodes along their strongest edges, leftovers in small groups; return map (n,), coarse graph."""
     count = len(row_start) - 1
     parent = np.full(count, -1, np.int32)
     following = np.full(count, -1, np.int32)  # chains the members of a group

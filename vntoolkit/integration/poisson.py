@@ -179,10 +179,7 @@ class MaskedSolver:
         depth: Float64Image,
         load: Float64Image,
     ) -> None:
-        """Preconditioned conjugate gradients, in place on depth.
-
-        Directions and the preconditioner's arithmetic are rounded to single precision, the rest may not be.
-        """
+        """Preconditioned conjugate gradients, in place; only directions may be of single precision."""
         direction, product = np.zeros(depth.shape, np.float32), np.zeros(depth.shape)
         scaled, sums = np.empty(self._inside.shape, np.float32), np.zeros(len(depth))
         _apply(right, down, depth, product, sums)

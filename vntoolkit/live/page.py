@@ -125,10 +125,7 @@ class LiveViewer:
         return self._answer(query["id"], int(query["serial"]), int(query["ago_ms"]) / 1000, sizes)
 
     def _answer(self, name: str, serial: int, ago_s: float, sizes: PacketSizes) -> bytes | None:
-        """Wait for the next result that comes in time, and return it as a packet; empty where none comes.
-
-        None once all is over.
-        """
+        """Return the next result in time as a packet, empty where none comes; None once all is over."""
         now = time.perf_counter()
         with self._changed:
             page = self._page(name, now)

@@ -174,10 +174,7 @@ _CORNERS = ((0, 2, 1), (1, 2, 3), (0, 2, 3), (0, 3, 1))
 
 @njit(cache=True, parallel=True)
 def _triangles_kernel(mask: Mask, depth: Depth, largest: float, times_depth: bool, kept: Mask) -> None:
-    """Fill kept (h, w) uint8: bit i is set where triangle i of `_CORNERS` is there and spans no jump.
-
-    largest: step in depth; times_depth: multiplied by the mean depth of the triangle.
-    """
+    """Set bit i of kept (h, w) where triangle i of `_CORNERS` spans no jump: largest + times_depth × z."""
     h, w = mask.shape
     for v in prange(h - 1):
         for u in range(w - 1):
@@ -233,10 +230,7 @@ def _vertices_kernel(
     rows: IntArray,
     columns: IntArray,
 ) -> None:
-    """Number the vertices row by row: index (h, w); rows, columns (n,) in the image before the stride.
-
-    corner: row and column of kept's first pixel, after the stride.
-    """
+    """Number vertices by rows: index (h, w), rows, columns (n,). corner: of kept, after the stride."""
     h, w = kept.shape
     for v in prange(h):
         number = first[v]

@@ -243,10 +243,7 @@ def _normals_kernel(
     image: Array, table: Any, white: Any, clipped: Any, inside: Array, maps: Any, c: Coefficients,
     out: Outputs,
 ) -> None:  # fmt: skip
-    """Fill `out` from colours (h, 3 w): linear float32, or stored integers through a decoding table.
-
-    clipped: (h, w) of linear colours; stored ones are clipped from `white` on.
-    """
+    """Fill `out` from linear colours (h, 3 w), or from stored integers by a table, clipped at `white`."""
     height, width = inside.shape
     normals, weight, valid = out  # numba drops stores through a tuple's field inside prange
     for v in prange(height):

@@ -315,10 +315,7 @@ def dress(
 
 
 def _telling_frame(cloth: MeshSequence, kind: Garment) -> int:
-    """Return the first frame that shows both sleeves or both legs apart, else the one that shows most.
-
-    Some frames of a long capture are looked at.
-    """
+    """Return the first of some frames that shows both sleeves or both legs apart, else the best of them."""
     if kind is not Garment.AUTO and kind is not Garment.TROUSERS and not kind.has_sleeves:
         return 0
     most, best = -1, 0
@@ -567,9 +564,7 @@ def _track_folder(folder: Path) -> Path:
 
 
 def _as_captured(cloth: MeshSequence, track: Path) -> MeshSequence:
-    """Give the template the texture coordinates of its frame's picture, and the colours of its texture, else
-    those of its frame's own mesh.
-    """
+    """Give the template its picture's texture coordinates and colours, else its frame's own mesh's."""
     if not (track / "track.json").exists():
         return cloth
     record = read_track_record(track)

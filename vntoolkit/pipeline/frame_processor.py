@@ -243,11 +243,7 @@ class FrameProcessor:
     def _normals_under_shadow(
         self, linear: LinearFrame, frame: LinearFrame
     ) -> tuple[NormalMap, VisibilityLabels, bool]:
-        """Find the shadows, then normals from whichever lights arrive; black pixels are the backdrop.
-
-        Also whether they were solved together with a surface. frame: `linear` as the central M would have
-        formed it.
-        """
+        """Find shadows, then normals; whether by a surface. frame: `linear` as the central M forms it."""
         response, inversion = self._central, self._options.inversion
         seen = self.by_strength(linear)
         mask = brighter_than(frame, response, inversion.darkest * inversion.relative_albedo, self._mask)

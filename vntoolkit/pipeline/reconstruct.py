@@ -155,10 +155,7 @@ def _prepared(
     overwrite: bool,
     examined: Examination,
 ) -> tuple[ReconstructionJob, manifests.Manifest, FrameLog]:
-    """Settle what a run does, and write its manifest into a folder that is free for it.
-
-    examined: what the footage told so far.
-    """
+    """Settle what a run does and write its manifest into a folder that is free. examined: told so far."""
     root = job.folder.root
     numbers = frames.numbers(capture.info.frame_count)
     resumes = manifests.has_manifest(root) and not overwrite

@@ -164,10 +164,7 @@ class PreviewOptions:
 
 
 class _Stage:
-    """Makes what the pictures show of a frame: cloth, bones and a patch of floor.
-
-    Red is what cannot be followed: cloth stretched above 2×, arms outside their sleeves.
-    """
+    """Makes a frame's cloth, bones and floor; red is stretched above 2×, or an arm outside its sleeve."""
 
     def __init__(self, dressed: DressedFigure, *, coarse: bool = False) -> None:
         """coarse: with fewer triangles, for pictures that are seen for a moment."""

@@ -435,10 +435,7 @@ def _with_rim(row: FloatArray, first: int, last: int, rim: int, out: FloatArray)
 def _sharpen_kernel(
     cosines: FloatArray, near: Mask, inner: Mask, weights: FloatArray, out: FloatArray
 ) -> None:
-    """Fill out (h, 3 w) in and around all pixels that are near: sharp where near and inner, else as given.
-
-    The blur goes down the columns first, then along the row.
-    """
+    """Fill out (h, 3 w) about pixels that are near: sharp where near and inner, else as given."""
     h, w = near.shape
     reach = len(weights) // 2
     part, whole = np.float32(_SHARPENING), np.float32(1.0 + _SHARPENING)

@@ -277,10 +277,7 @@ def _refine_row(
     lights: Numbers, x: Any, y: Any, step: Any, model: Model, held: Any, normal_x: FloatArray,
     normal_y: FloatArray, normal_z: FloatArray, albedo: FloatArray, length: FloatArray,
 ) -> None:  # fmt: skip
-    """Turn normals to what their pixels' light asks, held where they are by the weight `held`.
-
-    x, y: the first pixel's ray; step: what x gains from pixel to pixel.
-    """
+    """Turn normals to what light asks, held by `held`. x, y: the first pixel's ray; step: of x by a pixel."""
     one, least = np.float32(1.0), np.float32(_SMALLEST_ALBEDO)
     for u in range(len(labels)):
         label = labels[u]

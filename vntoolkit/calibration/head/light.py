@@ -173,10 +173,7 @@ def _with_albedo(
     floor: float,
     largest: float,
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Alternate between every point's albedo per channel and M; the albedo's median stays 1.
-
-    Returns the unknowns (3, 3), the albedo of every sample (n, 3) and the samples used (n,).
-    """
+    """Alternate between albedo per channel, median 1, and M: M (3, 3), albedo (n, 3), samples used (n,)."""
     normals, rgb = samples.normals_in_camera, samples.rgb
     _, point = np.unique(samples.point, return_inverse=True)
     majority = _support(normals, rgb, unknowns, floor, largest) & ~shadowed

@@ -67,8 +67,7 @@ def _edges(faces: Faces) -> IntArray:
 def _rims(
     mesh: Mesh, edges: IntArray, camera: Camera, frame: LightFrame, lamps: Vectors
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return vertices (r,) on the rim, their shares of it, how far outside of it the contour lies in pixels,
-    how steeply the brightness rises there, and the width of a pixel."""
+    """Return vertices (r,) on the rim, shares, pixels to the contour, rise of brightness, a pixel's width."""
     assert mesh.normals is not None
     pose = frame.camera_from_head
     position, normal = pose.apply(mesh.vertices), pose.rotate(mesh.normals)

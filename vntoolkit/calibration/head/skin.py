@@ -244,10 +244,7 @@ def _flat(scatter: float) -> FloatArray:
 
 
 def _tint_curve(scaled: Points, tint: Points) -> tuple[FloatArray, float]:
-    """Return how the tint follows the darkness, log |b|, in steps (k, 4), and the darkness of the first.
-
-    The columns are the logarithm of the typical tint and its scatter. scaled, tint: (n, 3), b and g.
-    """
+    """Return tint by darkness, log |b|, in steps (k, 4): log of typical, scatter; and the first's darkness."""
     darkness = np.log(np.linalg.norm(scaled, axis=1))
     lowest, highest = np.percentile(darkness, [_CURVE_END, 100.0 - _CURVE_END])
     steps = np.arange(int((highest - lowest) / _CURVE_STEP) + 2)
@@ -572,10 +569,7 @@ def _sides(normal: FloatArray, side: FloatArray) -> None:
 
 @njit(cache=True)
 def _solve_five(a: FloatArray, b: FloatArray) -> float:
-    """Solve a x = b for x in b, a (5, 5) symmetric; return the first two diagonal entries of 1 / a, added.
-
-    Unknowns go from the last to the first, which leaves the 2×2 system of the first two.
-    """
+    """Solve a x = b for x in b, a (5, 5) symmetric; return the first two diagonal entries of 1 / a, added."""
     for p in range(4, 1, -1):
         for k in range(p):
             share = a[k, p] / a[p, p]

@@ -70,10 +70,7 @@ def _ink_at_rest(small: LinearImage, closed: LinearImage) -> _Ink | None:
 
 
 def _dots(small: LinearImage, closed: LinearImage, ink: _Ink) -> ByteArray:
-    """1 at the dots and their rims in a shrunk picture.
-
-    A dot on the dark flank of an object is one with it. It is told from the flank as what is as dark as ink.
-    """
+    """1 at the dots and their rims in a shrunk picture: as dark as ink, also on an object's dark flank."""
     found = np.zeros(small.shape[:2], np.bool_)
     for share in (np.float32(1 - _DARKER), ink.share):
         dark = _darker(small, closed, share)
@@ -201,10 +198,7 @@ def _darker(small, closed, share):  # type: ignore[no-untyped-def]  # pragma: no
 
 @njit(cache=True)
 def _find_known_rows(holes, above, below):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Of every pixel the nearest row in its column that is known, itself or above, itself or below.
-
-    Beyond the picture where there is none: −1 and the height.
-    """
+    """Of every pixel the nearest known row in its column, above and below; −1 and the height for none."""
     height, width = holes.shape
     for u in range(width):
         above[0, u] = -1 if holes[0, u] else 0

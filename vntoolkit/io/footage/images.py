@@ -154,10 +154,7 @@ def _decode(
     error: type[BadInput],
     sensor: mosaics.SensorOptions | None = None,
 ) -> tuple[Array, Array | None]:
-    """Return the colours (h, w, 1) or (h, w, 3) in RGB order, and alpha (h, w) or None.
-
-    sensor: how a Bayer mosaic is read; None where none is expected.
-    """
+    """Return colours (h, w, 1 or 3), RGB, and alpha (h, w) or None. sensor: for Bayer mosaics, or None."""
     with opened(path, error) as stream:
         header = header_of_stream(stream, str(path), error)
         require_pixels(header.width, header.height, max_megapixels, str(path), error)
@@ -357,10 +354,7 @@ def _by_pillow(data: bytes, format_name: str) -> ImageHeader:
 
 
 def _stated_by(image: Any) -> tuple[Orientation, str, float]:
-    """Return what EXIF data and PNG chunks state: orientation, transfer curve, focal length as of 35 mm film.
-
-    0 for no focal length.
-    """
+    """Return orientation, transfer curve, focal length (of 35 mm film, 0 for none) of EXIF and PNG chunks."""
     value, is_srgb, focal_mm = 1, "srgb" in image.info, 0.0
     # without this test, Pillow decodes the whole PNG to look for EXIF data behind the picture
     if "exif" in image.info:

@@ -83,10 +83,7 @@ class LumaDetail:
 
 
 def _cubic_weights(step: int) -> Float32Array:
-    """Return (step, 5): the weights of five coarse samples, 2 before to 2 after, for each fine one.
-
-    Cubic convolution with a = -0.75 (`keys1981`), as OpenCV's.
-    """
+    """Return (step, 5) weights of five coarse samples for each fine one: `keys1981`, a = -0.75, as OpenCV."""
     distance = np.abs(((np.arange(step) + 0.5) / step - 0.5)[:, None] - np.arange(-2, 3))
     near = (1.25 * distance - 2.25) * distance**2 + 1
     far = -0.75 * (((distance - 5) * distance + 8) * distance - 4)
@@ -226,10 +223,7 @@ def _edges(luma, dark, turns):  # type: ignore[no-untyped-def]  # pragma: no cov
 
 @njit(cache=True, fastmath=True)
 def _turns_of_row(turns, v, across, row, to):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Fill one row of the picture with the turns of row v of the chroma, by linear interpolation.
-
-    row: a buffer.
-    """
+    """Fill one row of the picture with the turns of row v of the chroma, linearly. row: a buffer."""
     height, width = turns.shape
     near = v // 2
     far = min(max(near + (1 if v % 2 else -1), 0), height - 1)

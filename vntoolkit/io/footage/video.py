@@ -219,10 +219,7 @@ class VideoReader:
             self._waiting.append((numbers[-1] + 1, decoded))
 
     def _decoded_to(self, start: int, *, alone: bool) -> Iterator[tuple[int | None, Any]]:
-        """Return a decoder that will come to frame `start`: the one that waits, if it need not go back.
-
-        alone: no frame is asked for after it, so the threads share its slices instead of working ahead.
-        """
+        """Return a decoder that will come to frame `start`. alone: none is asked for after it."""
         with contextlib.suppress(IndexError):
             next_number, decoded = self._waiting.pop()
             if self.index.key_frame_before(start) <= next_number <= start:
@@ -244,10 +241,7 @@ class VideoReader:
     def _decoded(
         self, from_time: int | None, left_out: AbstractSet[int] = frozenset(), threads_work_on: str = "AUTO"
     ) -> Iterator[tuple[int | None, Any]]:
-        """Yield (time, frame) from a key frame's time on or before it, but for the times left out.
-
-        threads_work_on: FFmpeg's word: "SLICE" of one frame, or "AUTO" for frames ahead where the codec can.
-        """
+        """Yield (time, frame) from a key frame's time on. threads_work_on: FFmpeg's "SLICE" or "AUTO"."""
         damaged_times = {self.index.times[number] for number in self.index.damaged}
         errors = av_errors()  # here, since a decoder may be closed when nothing can be imported any more
         container, stream = open_video(self.path)
@@ -476,11 +470,7 @@ def _seconds_from_tag(text: str) -> float | None:
 
 
 def _frames_before_gap(times: list[int]) -> int:
-    """Return how many frames come before a gap in the tail of a cut-off file.
-
-    A frame is stored before those that are shown earlier and build on it: where these are cut off, it came
-    but is not the next one.
-    """
+    """Return how many frames come before a gap in a cut-off tail: some are stored before earlier ones."""
     steps = np.diff(times)
     wide = np.flatnonzero(steps > 1.5 * np.median(steps)) if len(steps) else steps
     tail = wide[wide >= len(times) - _MOST_REORDERED]
@@ -521,17 +511,9 @@ def check_slices(packet: bytes | ByteArray) -> SliceCheck:
         if start < 0:
             break
         slices += 1
-        sound += _is_sound(data[start:end])
+        sound += zlib.crc32(data[start:end].translate(_BITS_REVERSED), 0xFFFFFFFF) == 0xFFFFFFFF
         end = start
     return SliceCheck(slices=slices, sound=sound, is_whole=end == 0)
-
-
-def _is_sound(part: bytes) -> bool:
-    """Whether the remainder of a slice and its checksum is 0, with the most significant bit first.
-
-    zlib divides by the same polynomial, the least significant bit first, and starts from all ones.
-    """
-    return zlib.crc32(part.translate(_BITS_REVERSED), 0xFFFFFFFF) == 0xFFFFFFFF
 
 
 def _display_matrix(frame: Any) -> bytes | None:

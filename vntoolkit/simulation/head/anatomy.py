@@ -183,10 +183,7 @@ def cut_slit(
 def _split_faces(
     alone: IntArray, number: IntArray, positive: BoolArray, upper: IntArray, lower: IntArray
 ) -> IntArray:
-    """Return three faces for each cut one: the lone corner's, and two of the other side.
-
-    alone: (k, 3) faces turned to their lone corner. number: (2, k) new points on the edges that leave it.
-    """
+    """Return three faces for each cut one. alone: (k, 3), lone corner first; number: (2, k) new points."""
     a, b, c = alone.T
     above = positive[a][:, None]
     on_upper, on_lower = upper[number].T, lower[number].T

@@ -35,7 +35,7 @@ class HeadRig:
         self._muscles = muscle_fields(head, on_rim)
         self._lids = [_lid_angles(head, on_rim, sign) for sign in (-1.0, 1.0)]
         self._eyes = [(head.part == anatomy.EYES) & (np.sign(self._rest[:, 0]) == s) for s in (-1.0, 1.0)]
-        self._neck = _neck_share(self._rest)
+        self._neck = np.where(self._rest[:, 1] > -9.0, 1.0, _smooth((self._rest[:, 1] + 16.5) / 7.5))
 
     def vertices(self, expression: Expression, pose: HeadPose) -> Points:
         """Return all vertices; the shoulders' end of the neck stays where it is."""
@@ -134,11 +134,6 @@ def _lid_angles(head: Head, points: Points, sign: float) -> tuple[IntArray, Floa
     lower = 1.0 - _smooth((seam - elevation) / 50.0)
     angle = np.where(above, -_UPPER_LID_DEG * np.clip(upper, 0, 1), _LOWER_LID_DEG * np.clip(lower, 0, 1))
     return rows, np.radians(angle) * almond * fade
-
-
-def _neck_share(points: Points) -> FloatArray:
-    """Return (n,) how far each vertex follows the head's rotation: 1 above the neck, 0 at its cut."""
-    return np.where(points[:, 1] > -9.0, 1.0, _smooth((points[:, 1] + 16.5) / 7.5))
 
 
 class Muscle(Enum):
