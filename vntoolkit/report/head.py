@@ -224,62 +224,29 @@ def _plot(draw: Draw, size_in: tuple[float, float], caption: str) -> page.PageFi
 def numbers_of_head(rig: Rig, result: HeadCalibration) -> tuple[page.PageNumber, ...]:
     """Return turn, errors, agreement and condition, graded."""
     motion, quality = result.motion, result.light.quality
-    agreeing = float(result.light.inliers.mean())
-    return (
-        page.PageNumber(
-            value=f"{motion.turn_deg:.0f}°",
-            label="turn of the head",
-            grade=page.graded(-motion.turn_deg, (-_TURN_DEG[0], -_TURN_DEG[1])),
-            remark="between the two ends",
-        ),
-        page.PageNumber(
-            value=f"{motion.error_px:.2f} px",
-            label="reprojection error",
-            grade=page.graded(motion.error_px, _ERROR_PX),
-            remark=f"{len(motion.point):,} tracks, {motion.observations:,} observations",
-        ),
-        page.PageNumber(
-            value=f"{agreeing:.0%}",
-            label="samples that agree",
-            grade=page.graded(-agreeing, (-_AGREEING[0], -_AGREEING[1])),
-            remark=f"of {len(result.samples.point):,} on one M",
-        ),
-        page.PageNumber(
-            value=f"{quality.residual_deg:.1f}°",
-            label="median residual",
-            grade=page.graded(quality.residual_deg, _RESIDUAL_DEG),
-            remark="normal by colour against normal by shape",
-        ),
-        page.PageNumber(
-            value=f"{rig.response.condition_number:.1f}",
-            label="condition number of M",
-            grade=page.graded(rig.response.condition_number, _CONDITION),
-            remark="set by the lights' directions and colours",
-        ),
-        *_numbers_of_refinement(result),
-    )
-
-
-def _numbers_of_refinement(result: HeadCalibration) -> tuple[page.PageNumber, ...]:
-    refined = result.refined
-    if refined is None:
-        return ()
-    assert refined.mesh.error_deg is not None
-    return (
-        page.PageNumber(
-            value=f"{100 * refined.changes[-1]:.1f} %",
-            label="last change of M",
-            grade=page.graded(refined.changes[-1], _CHANGE),
-            remark="by rounds: " + ", ".join(f"{100 * change:.1f} %" for change in refined.changes),
-        ),
-        page.PageNumber(
-            value=f"{np.median(refined.error_percent):.2f} %",
-            label="expected error of the shape",
-            grade=page.graded(float(np.median(refined.error_percent)), _SHAPE_PERCENT),
-            remark="of its diagonal, median; nine of ten normals to "
-            f"{np.median(refined.mesh.error_deg):.1f}°",
-        ),
-    )
+    agreeing, condition = float(result.light.inliers.mean()), rig.response.condition_number
+    tracks = f"{len(motion.point):,} tracks, {motion.observations:,} observations"
+    samples = f"of {len(result.samples.point):,} on one M"
+    by_shape = "normal by colour against normal by shape"
+    of_lights = "set by the lights' directions and colours"
+    turn, residual = motion.turn_deg, quality.residual_deg
+    numbers = [
+        page.graded("turn of the head", f"{turn:.0f}°", turn, _TURN_DEG, "between the two ends"),
+        page.graded("reprojection error", f"{motion.error_px:.2f} px", motion.error_px, _ERROR_PX, tracks),
+        page.graded("samples that agree", f"{agreeing:.0%}", agreeing, _AGREEING, samples),
+        page.graded("median residual", f"{residual:.1f}°", residual, _RESIDUAL_DEG, by_shape),
+        page.graded("condition number of M", f"{condition:.1f}", condition, _CONDITION, of_lights),
+    ]
+    if (refined := result.refined) is not None:
+        assert refined.mesh.error_deg is not None
+        last, error = refined.changes[-1], float(np.median(refined.error_percent))
+        rounds = "by rounds: " + ", ".join(f"{100 * change:.1f} %" for change in refined.changes)
+        normals = f"of its diagonal, median; nine of ten normals to {np.median(refined.mesh.error_deg):.1f}°"
+        numbers += [
+            page.graded("last change of M", f"{100 * last:.1f} %", last, _CHANGE, rounds),
+            page.graded("expected error of the shape", f"{error:.2f} %", error, _SHAPE_PERCENT, normals),
+        ]
+    return tuple(numbers)
 
 
 def notices_of_head(result: HeadCalibration) -> tuple[page.PageNotice, ...]:

@@ -66,9 +66,15 @@ class PageNumber:
     grade: str = ""
 
 
-def graded(value: float, bounds: tuple[float, float]) -> str:
-    """Return good up to the first bound, fair up to the second, else poor."""
-    return "good" if value <= bounds[0] else "fair" if value <= bounds[1] else "poor"
+def graded(label: str, shown: str, value: float, bounds: tuple[float, float], remark: str) -> PageNumber:
+    """Return a number that is good up to the first bound, fair up to the second, else poor.
+
+    Where the first bound is the larger one, good is what lies above it.
+    """
+    sign = 1.0 if bounds[0] <= bounds[1] else -1.0
+    good, fair = (sign * value <= sign * bound for bound in bounds)
+    grade = "good" if good else "fair" if fair else "poor"
+    return PageNumber(value=shown, label=label, remark=remark, grade=grade)
 
 
 @dataclass(frozen=True, kw_only=True)

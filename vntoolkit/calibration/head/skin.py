@@ -244,7 +244,7 @@ def _flat(scatter: float) -> FloatArray:
 
 
 def _tint_curve(scaled: Points, tint: Points) -> tuple[FloatArray, float]:
-    """Return tint by darkness, log |b|, in steps (k, 4): log of typical, scatter; and the first's darkness."""
+    """Return tint by darkness, log |b|, in steps (k, 4): log of typical, scatter; and of the first."""
     darkness = np.log(np.linalg.norm(scaled, axis=1))
     lowest, highest = np.percentile(darkness, [_CURVE_END, 100.0 - _CURVE_END])
     steps = np.arange(int((highest - lowest) / _CURVE_STEP) + 2)

@@ -15,9 +15,8 @@ from scipy.ndimage import gaussian_filter
 
 from vntoolkit.arrays import Faces, FloatArray, IntArray, Points, Points2
 from vntoolkit.native import njit
-from vntoolkit.simulation.body.capsules import Capsules
 from vntoolkit.simulation.garment.pattern import EDGE_LENGTH_M, Garment, knit_coordinates, sew_sweater
-from vntoolkit.simulation.garment.solver import THICKNESS_M, ClothSolver
+from vntoolkit.simulation.garment.solver import THICKNESS_M, Capsules, ClothSolver
 from vntoolkit.simulation.lights import studio_camera, studio_centre, studio_lights
 from vntoolkit.simulation.scene import Detail, Scene, SceneOptions, SceneSurface
 
