@@ -16,8 +16,6 @@ M is, so that an offset shows as a tilt. `LabelOffset.COMMON` fits the common on
 where the response sees its ball, and the response is fitted again.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -147,7 +145,7 @@ class PressPairs:
     touched: BoolArray
     presses: Int64Array
 
-    def thinned(self, count: int) -> PressPairs:
+    def thinned(self, count: int) -> "PressPairs":
         """Every k-th pair, so that about `count` are left."""
         step = max(1, -(-len(self.rgb) // count))
         return PressPairs(**{name: values[::step] for name, values in vars(self).items()})

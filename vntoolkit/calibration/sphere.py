@@ -1,7 +1,5 @@
 """Calibration on a matte ball: its outline in the image gives the normal at every pixel."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import dataclass, field
 
@@ -46,7 +44,7 @@ class SphereCalibration:
     """
 
     fit: ResponseFit
-    outline: Circle
+    outline: "Circle"
     normal_map: NormalMap
     residual_deg: Float32Array
 
@@ -83,7 +81,7 @@ def fit_response_to_sphere(
     return SphereCalibration(fit=fit, outline=outline, normal_map=normal_map, residual_deg=residual_deg)
 
 
-def sphere_normals(outline: Circle, camera: Camera, rim_share: float = 0.0) -> NormalMap:
+def sphere_normals(outline: "Circle", camera: Camera, rim_share: float = 0.0) -> NormalMap:
     """Normals of the ball behind an outline, at every pixel inside it but the rim.
 
     Orthographic: the outline is the ball's equator. Perspective: the outline's rays form a cone that touches

@@ -16,8 +16,6 @@ or the place slowly: faults of M, light from elsewhere, vignetting. The slope is
 share of the matte light.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -111,7 +109,7 @@ def _readings(
         )
 
 
-def _finding(problem: str, remedy: str, darkest: FloatArray, found: _Undone) -> Finding:
+def _finding(problem: str, remedy: str, darkest: FloatArray, found: "_Undone") -> Finding:
     red, green, blue = (f"{value:.1%}" for value in darkest)
     return Finding(
         check="black-level",

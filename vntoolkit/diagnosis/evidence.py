@@ -1,7 +1,5 @@
 """What the checks look at: a few frames of a capture, averaged down, and the rig they are read with."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -46,7 +44,7 @@ class Evidence:
     masked: bool
     scale: float
     numbers: tuple[int, ...]
-    painted: Evidence | None = None
+    painted: "Evidence | None" = None
 
     @cached_property
     def directions(self) -> Float32Array:
@@ -98,7 +96,7 @@ class Evidence:
         return np.asarray(chosen)
 
     @cached_property
-    def levelled(self) -> Evidence:
+    def levelled(self) -> "Evidence":
         """The same footage as if its subject were of one paint; the steps of paint are told without M."""
         brightest = brightest_channel(self.light)
         subject = self.inside & ~self.clipped & (brightest > _SUBJECT * np.percentile(brightest, 99))
@@ -114,7 +112,7 @@ class Evidence:
         )
 
     @cached_property
-    def read_otherwise(self) -> Evidence:
+    def read_otherwise(self) -> "Evidence":
         """The same footage read with a curve of the other kind."""
         other = of_the_other_kind(self.transfer)
         encoded = transfers.encoded_from_linear(np.maximum(self.light, 0.0), self.transfer)

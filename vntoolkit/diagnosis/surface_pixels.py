@@ -1,7 +1,5 @@
 """Some pixels of the surface, with M⁻¹ and ambient light at each, for checks of the lengths M⁻¹(r − a)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -37,7 +35,7 @@ class SurfacePixels:
     def __len__(self) -> int:
         return len(self.rgb)
 
-    def of(self, chosen: Mask | slice) -> SurfacePixels:
+    def of(self, chosen: Mask | slice) -> "SurfacePixels":
         """Return some of them."""
         return SurfacePixels(
             rgb=self.rgb[chosen],

@@ -12,8 +12,6 @@ of the subject looks like, must not leave less. The spread of the lengths alone 
 compresses light compresses paint too.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -194,7 +192,7 @@ class _Spreads:
         return self.by_curve < _LESS * self.as_read and (self.by_gains is None or self.by_gains > bar)
 
     @classmethod
-    def of(cls, evidence: evidences.Evidence, curve: str) -> _Spreads:
+    def of(cls, evidence: evidences.Evidence, curve: str) -> "_Spreads":
         """Measure the same pixels three times."""
         other = Transfer.from_text(curve)
         pixels = _lit_pixels(evidence, other)

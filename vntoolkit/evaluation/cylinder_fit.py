@@ -5,8 +5,6 @@ sharp, their sides tell the axis in the image and their ends its tilt in depth; 
 both directly, but have errors in common, which no number of pixels averages out.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
@@ -162,7 +160,7 @@ def _solve(
     start: Cylinder,
     origins: Points,
     rays: Points,
-    ends: tuple[EndPoints, ...],
+    ends: "tuple[EndPoints, ...]",
     scatter: Matrix3,
     camera: Camera,
     radius: float | None,

@@ -21,8 +21,6 @@ converge at a rate that does not depend on the size. All levels live in one inde
 nodes first[l] … first[l+1].
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,7 +62,7 @@ _GOOD_ENOUGH = 0.0625  # squared residual share after one coarse step that spare
 def solve_discontinuous(
     graph: PixelGraph,
     difference: Float64Array,
-    evidence: Evidence,
+    evidence: "Evidence",
     confidence: Float64Array,
     *,
     start: Float64Array | None,

@@ -7,8 +7,6 @@ reaches the second. The differences are then what a depth map has exactly, so th
 equation built on them has no consistency error of its own.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -131,7 +129,7 @@ class ChordField:
 def chords_from_normals(
     normals: FloatArray,
     points: FloatArray,
-    graph: PixelGraph,
+    graph: "PixelGraph",
     *,
     perspective: bool,
     pixels_per_unit: float,

@@ -6,8 +6,6 @@ where s is depth for an orthographic camera and log depth for a perspective one.
 perspective case as linear as the other (Durou, Aujol and Courteille 2009, `durou2009`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numba
@@ -36,7 +34,7 @@ class RayField:
         """Focal length, or scale of an orthographic camera: turns slopes into pixels per pixel."""
         return 1.0 / float(self.affine[0])
 
-    def cropped(self, rows: slice, columns: slice) -> RayField:
+    def cropped(self, rows: slice, columns: slice) -> "RayField":
         """Return the rays of a window of the image."""
         affine = self.affine.copy()
         affine[2::3] += affine[0::3] * np.float32(columns.start) + affine[1::3] * np.float32(rows.start)

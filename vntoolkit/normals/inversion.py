@@ -5,8 +5,6 @@ the normal; the length, set against the albedo that is expected, tells how far t
 shadow, gloss and another paint all change it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any, NamedTuple
@@ -141,7 +139,7 @@ def relative_albedo_from_frame(
     return float(np.median(lengths))
 
 
-def coefficients_from_response(response: LightResponse, options: InversionOptions | None) -> Coefficients:
+def coefficients_from_response(response: LightResponse, options: InversionOptions | None) -> "Coefficients":
     """What the loops need to know."""
     options = options or InversionOptions()
     inverse = response.inverse / options.relative_albedo
@@ -154,7 +152,7 @@ def coefficients_from_response(response: LightResponse, options: InversionOption
     )
 
 
-def decoding_of(encoded: Array, transfer: Transfer, bits: int | None) -> Decoding:
+def decoding_of(encoded: Array, transfer: Transfer, bits: int | None) -> "Decoding":
     """Lay out the decoding of stored samples for the loops."""
     storage_bits = encoded.dtype.itemsize * 8
     table = decoding_table(transfer, bits or storage_bits, storage_bits)
@@ -179,7 +177,7 @@ def require_mask_or_all(mask: Mask | None, shape: tuple[int, int]) -> Mask:
 
 
 def _inverted(
-    image: Array, decoding: Decoding | None, clipped: Mask | None, inside: Mask, response: LightResponse,
+    image: Array, decoding: "Decoding | None", clipped: Mask | None, inside: Mask, response: LightResponse,
     options: InversionOptions | None,
 ) -> NormalMap:  # fmt: skip
     """Return the normals of linear colours (h, w, 3) with their clipped pixels, or of stored ones."""

@@ -1,7 +1,5 @@
 """The light response, r = M n + a: constant or varying over the image, as the forward model and inverted."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -28,7 +26,7 @@ class LightResponse:
     matrix: Matrix3
     ambient: Vector3 = field(default_factory=lambda: np.zeros(3))
     light_colours: Matrix3 | None = None
-    variation: ResponseVariation | None = None
+    variation: "ResponseVariation | None" = None
 
     def __post_init__(self) -> None:
         for name, shape in (("matrix", (3, 3)), ("ambient", (3,)), ("light_colours", (3, 3))):
@@ -61,7 +59,7 @@ class LightResponse:
         return matrices, self.ambient + monomials @ self.variation.ambients
 
     @property
-    def central(self) -> LightResponse:
+    def central(self) -> "LightResponse":
         """The response at the centre of the variation, the same for all pixels."""
         return self if self.variation is None else replace(self, variation=None)
 

@@ -3,8 +3,6 @@
 Decoding 8- and 16-bit integers goes through a table of all values, so the cost of the curve vanishes.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import Enum
 from functools import lru_cache
@@ -112,7 +110,7 @@ class Transfer:
             )
 
     @classmethod
-    def from_text(cls, text: str) -> Transfer:
+    def from_text(cls, text: str) -> "Transfer":
         """Parse `linear`, `srgb`, `bt709`, `gamma:G`, `pq`, `hlg`, `slog3`, `vlog`, `clog3` or `logc3`.
 
         Hyphens may stand in a name, as in S-Log3.

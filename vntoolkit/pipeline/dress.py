@@ -1,7 +1,5 @@
 """A captured garment on an animated skeleton: fit, weights, skinning, output, one frame at a time."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
@@ -184,7 +182,7 @@ class DressedFigure:
             self._kept[index] = rest
         return rest
 
-    def thinned(self, cell: float) -> DressedFigure:
+    def thinned(self, cell: float) -> "DressedFigure":
         """Return the figure with one vertex in each cube of that side (metres), for small pictures."""
         kept, faces = one_in_each_cube(self.template, cell)
         template, weights = self.cloth.template, self.weights

@@ -1,7 +1,5 @@
 """A result folder opened for reading: its frames, and the maps and meshes of each frame."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -150,7 +148,7 @@ class OpenedResult:
         return TrackedSurface(sequence=textured, numbers=numbers, template=template, lost_px=lost_px)
 
     @cached_property
-    def refined(self) -> OpenedResult | None:
+    def refined(self) -> "OpenedResult | None":
         """The same frames, made again with the reflectance of the tracked surface; None without them."""
         root = self.folder.root / "track"
         if not (root / REFLECTANCE_NAME).exists() or not has_manifest(root / REFINED_NAME):

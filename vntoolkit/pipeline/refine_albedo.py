@@ -6,8 +6,6 @@ those that were sure of the normal count most. Then the footage is reconstructed
 TRACK/refined, a folder as any that `reconstruct` writes.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 from collections.abc import Callable
@@ -114,7 +112,7 @@ def require_refinable(folder: Path, *, footage: str = "", background: Path | Non
     return result
 
 
-def _looks(result: OpenedResult, target: Path, logs: Points) -> tuple[SurfaceLooks, int]:
+def _looks(result: OpenedResult, target: Path, logs: Points) -> "tuple[SurfaceLooks, int]":
     """Return how the vertices looked, and in how many frames. logs: (m, 3), of the materials."""
     record, sequence = read_track_record(target), read_mesh_sequence(target)
     numbers = record["frames"][: len(sequence)]
@@ -182,7 +180,7 @@ def _normals(result: OpenedResult, number: int, pixels: Points2) -> tuple[Points
 
 
 def _written(
-    found: SurfaceReflectance, looks: SurfaceLooks, folder: Path, target: Path, unit: float, frames: int
+    found: "SurfaceReflectance", looks: "SurfaceLooks", folder: Path, target: Path, unit: float, frames: int
 ) -> TrackedReflectance:
     content = io.BytesIO()
     np.save(content, found.logs.astype(np.float32), allow_pickle=False)

@@ -1,7 +1,5 @@
 """Pictures of meshes without a graphics card: OpenCV's rasteriser, one light at the camera's side."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -48,7 +46,7 @@ class View:
     height_px: int = 480
 
     @classmethod
-    def around(cls, mesh: Mesh, width_px: int, height_px: int, **angles: float) -> View:
+    def around(cls, mesh: Mesh, width_px: int, height_px: int, **angles: float) -> "View":
         """Return the view of these angles in which the mesh, unturned, fills the picture."""
         low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
         width, height = (high - low)[:2]

@@ -1,7 +1,5 @@
 """What a frame says of each light: contributions, albedo and normal under full light, trust in the colour."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -64,7 +62,7 @@ class LightContributions:
         )  # fmt: skip
         return out
 
-    def shrunk(self, mask: Mask, factor: int) -> tuple[LightContributions, Mask]:
+    def shrunk(self, mask: Mask, factor: int) -> "tuple[LightContributions, Mask]":
         """Return the same frame, and its mask, at 1/factor of the size, averaged over the mask."""
         mean, cover = mean_inside(mask, factor)
         scaled = mean(self.normals * self.length[..., None])
@@ -94,7 +92,7 @@ class WorkingImage:
     camera: Camera | None
 
     @cached_property
-    def halved(self) -> WorkingImage:
+    def halved(self) -> "WorkingImage":
         """The image at half the size; made once, for all who ask."""
         light, mask = self.light.shrunk(self.mask, 2)
         return WorkingImage(

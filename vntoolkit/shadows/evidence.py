@@ -5,8 +5,6 @@ of the lamp in the folds of a white statue. The frame itself says how much, wher
 all but missing. Camera noise adds to it, the more the darker the paint.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -233,7 +231,7 @@ class FrameEvidence:
 
 
 def evidence_of_frame(
-    rgb: FloatArray, mask: Mask, inset: FloatArray | None, lamps: Lamps, expected: FloatArray,
+    rgb: FloatArray, mask: Mask, inset: FloatArray | None, lamps: "Lamps", expected: FloatArray,
     dark: tuple[float, float],
 ) -> FrameEvidence:  # fmt: skip
     """Compare a frame (h, w, 3) with what a surface would return.

@@ -1,7 +1,5 @@
 """Effects of a real camera that violate r = M n; each can be turned off alone."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields, replace
 
 import cv2
@@ -80,20 +78,20 @@ class Nuisances:
         return self.bits if self.quantisation else 16
 
     @classmethod
-    def none(cls) -> Nuisances:
+    def none(cls) -> "Nuisances":
         """Return the model of equation 1: every nuisance off (attached shadow remains)."""
         nuisances = cls()
         for name in _SWITCHES:
             nuisances = nuisances.without(name)
         return nuisances
 
-    def without(self, name: str) -> Nuisances:
+    def without(self, name: str) -> "Nuisances":
         """Return these with one turned off. name: a boolean field's, or `blur_px`, or `transfer`."""
         if name not in _SWITCHES:
             raise BadInput(f"nuisance '{name}': expected one of {', '.join(_SWITCHES)}")
         return replace(self, **{name: _SWITCHES[name]})  # type: ignore[arg-type]
 
-    def only(self, name: str) -> Nuisances:
+    def only(self, name: str) -> "Nuisances":
         """Return the model of equation 1 with only this nuisance on (noise with its levels)."""
         alone = replace(
             Nuisances.none(),

@@ -1,7 +1,5 @@
 """Rendering of a frame: rays through every pixel, shading by equations 1 to 3, then the sensor."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -62,7 +60,7 @@ class _Sums:
     met: ByteArray
 
     @classmethod
-    def of(cls, pixels: int) -> _Sums:
+    def of(cls, pixels: int) -> "_Sums":
         return cls(
             np.zeros((pixels, 3), np.float32),
             np.zeros((pixels, 3), np.float64),
@@ -84,7 +82,7 @@ class Renderer:
 
     def render(
         self, vertices: Points, next_vertices: Points | None, generator: np.random.Generator, number: int = 0
-    ) -> SimulatedFrame:
+    ) -> "SimulatedFrame":
         """Render the scene's mesh at `vertices` (n, 3); `next_vertices` give the flow, None for none.
 
         Raises `BadMesh` where the vertices are not those of the scene's faces.
@@ -154,7 +152,7 @@ class Renderer:
             all_rays.append(np.concatenate(pixel_rays(camera, pixels), axis=1, dtype=np.float32))
         return all_rays
 
-    def _truth(self, vertices: Points, next_vertices: Points | None, sums: _Sums, hits: Hits) -> FrameTruth:
+    def _truth(self, vertices: Points, next_vertices: Points | None, sums: _Sums, hits: Hits) -> "FrameTruth":
         camera = self.scene.camera
         shape = (camera.height, camera.width)
         mask = np.zeros(camera.height * camera.width, dtype=np.bool_)
@@ -207,7 +205,7 @@ def render_frame(
     nuisances: Nuisances | None = None,
     options: RenderOptions | None = None,
     seed: int = 0,
-) -> SimulatedFrame:
+) -> "SimulatedFrame":
     """Render frame `index` of a scene, with the flow to the one after it where there is one.
 
     The noise depends on `seed` and `index` only. For many frames build one `Renderer`.

@@ -10,8 +10,6 @@ An error of M, the same in all frames, bends the shape in patterns that are know
 frames agree on every normal and the normals, integrated, agree with the positions of stereo.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
@@ -308,7 +306,7 @@ class PositionSolver:
         self._slopes = first, second
         self._system = sp.csr_array((values, (rows, columns)), shape=(len(every), len(every)))
 
-    def spread(self, surface: Mesh, levels: NoiseLevels, rng: np.random.Generator) -> FloatArray:
+    def spread(self, surface: Mesh, levels: "NoiseLevels", rng: np.random.Generator) -> FloatArray:
         """Return the standard deviation (n,) of positions, by stereo's noise and shared errors of normals.
 
         Noise is drawn. Shared errors of unknown pattern turn all normals n by E n, for every entry of E.

@@ -1,7 +1,5 @@
 """The head's shape from silhouettes and stereo."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
@@ -34,7 +32,7 @@ def fit_shape(
     contrasts: Sequence[ByteArray],
     hull: DistanceGrid,
     stereo: StereoOptions,
-    fusion: FusionOptions,
+    fusion: "FusionOptions",
     on_progress: Callable[[int, int], None] = lambda done, total: None,
     about: Mesh | None = None,
 ) -> FusedShape:

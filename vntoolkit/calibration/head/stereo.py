@@ -3,8 +3,6 @@
 The images are of local contrast, so that the shading, which moves over the turning skin, does not correlate.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
@@ -82,7 +80,7 @@ def stereo_points(
     hull: Mesh,
     reference: int,
     options: StereoOptions,
-) -> OrientedPoints:
+) -> "OrientedPoints":
     """Search the depth of one view along its rays about the hull; returns the points that correlate.
 
     contrasts: (h, w) local contrast of every view, 8 bits. reference: number of the view.
@@ -213,7 +211,7 @@ class OrientedPoints:
     on_hull: Points
     correlation: FloatArray
 
-    def chosen(self, kept: BoolArray) -> OrientedPoints:
+    def chosen(self, kept: BoolArray) -> "OrientedPoints":
         """Keep some of the points, (n,)."""
         return OrientedPoints(
             points=self.points[kept],

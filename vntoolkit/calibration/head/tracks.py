@@ -1,7 +1,5 @@
 """Tracks of skin points: corners followed by pyramidal Lucas–Kanade with a forward-backward check."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -57,7 +55,7 @@ class Tracks:
         """How many points."""
         return int(self.point[-1]) + 1 if len(self.point) else 0
 
-    def of_points(self, chosen: BoolArray) -> Tracks:
+    def of_points(self, chosen: BoolArray) -> "Tracks":
         """Keep the points chosen (point_count,), renumbered."""
         kept = chosen[self.point]
         number = np.cumsum(chosen) - 1

@@ -1,7 +1,5 @@
 """Single images: PNG, TIFF, JPEG, BMP by OpenCV, EXR by OpenEXR, raw by LibRaw; sizes checked first."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import itertools
@@ -194,7 +192,7 @@ def _decode(
     return (pixels[..., :-1], pixels[..., -1]) if pixels.shape[2] in (2, 4) else (pixels, None)
 
 
-def _sound_samples(pixels: Array, header: ImageHeader, path: Path | str, error: type[BadInput]) -> Array:
+def _sound_samples(pixels: Array, header: "ImageHeader", path: Path | str, error: type[BadInput]) -> Array:
     """Return samples of 8 or 16 bits, whose full scale is all ones, or finite floats; raise for any other."""
     if pixels.dtype == np.float64:
         pixels = pixels.astype(np.float32)

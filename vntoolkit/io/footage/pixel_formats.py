@@ -1,7 +1,5 @@
 """Pixel formats of video, and their conversion to RGB at full bit depth."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -53,7 +51,7 @@ class PixelFormat:
     bayer: Bayer | None = None
 
     @classmethod
-    def from_av(cls, video_format: Any) -> PixelFormat:
+    def from_av(cls, video_format: Any) -> "PixelFormat":
         """Read it off an `av.VideoFormat`."""
         name = str(video_format.name)
         if name.startswith("bayer_"):

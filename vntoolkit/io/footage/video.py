@@ -1,7 +1,5 @@
 """Video by PyAV: 8 to 16 bit in, RGB with its bit depth kept; lossless FFV1 out."""
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import re
@@ -31,7 +29,7 @@ from vntoolkit.io.footage.mosaics import Bayer, Demosaic, SensorOptions, rgb_fro
 from vntoolkit.io.footage.orientation import UPRIGHT, Orientation
 
 _HD_HEIGHT = 720
-_INDICES: dict[tuple[str, int, int], VideoIndex] = {}  # of files by path, size and time of change, in ns
+_INDICES: "dict[tuple[str, int, int], VideoIndex]" = {}  # of files by path, size and time of change, in ns
 _MOST_INDICES = 8
 _WITHOUT_INDEX = ("mpegts", "mpeg")  # of camcorders: FFmpeg finds a time in them, but no key frame
 _EARLY_S = 1  # more than a key frame is decoded ahead of its time
@@ -174,7 +172,7 @@ class VideoReader:
         return UPRIGHT
 
     @cached_property
-    def index(self) -> VideoIndex:
+    def index(self) -> "VideoIndex":
         """Read all packets once, without decoding; a file that did not change since is not read again."""
         state = self.path.stat()
         known = (str(self.path.absolute()), state.st_size, state.st_mtime_ns)
@@ -385,7 +383,7 @@ class VideoIndex:
 class _Packets:
     """What was met on the way: (time, key frame, check or None) of each, and how many were unreadable."""
 
-    frames: list[tuple[int, bool, SliceCheck | None]] = field(default_factory=list)
+    frames: "list[tuple[int, bool, SliceCheck | None]]" = field(default_factory=list)
     broken: int = 0
 
 

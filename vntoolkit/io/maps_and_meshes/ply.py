@@ -1,7 +1,5 @@
 """Stanford PLY: vertices with normals, colour and texture coordinates, and faces; ASCII and binary."""
 
-from __future__ import annotations
-
 import io
 import os
 from dataclasses import dataclass, field
@@ -181,7 +179,7 @@ def bytes_from_colours(colours: Array | None) -> ByteArray | None:
     return np.rint(np.clip(colours * (255.0 / full), 0, 255)).astype(np.uint8)
 
 
-def _binary_table(element: PlyElement, data: bytes, at: int, order: str) -> tuple[dict[str, Any], int]:
+def _binary_table(element: "PlyElement", data: bytes, at: int, order: str) -> tuple[dict[str, Any], int]:
     """Read one element; a list property of constant length takes the fast way."""
     if not element.has_list:
         row = np.dtype([(p.name, order + p.kind) for p in element.properties])
@@ -207,7 +205,7 @@ def _binary_table(element: PlyElement, data: bytes, at: int, order: str) -> tupl
     return _mixed_table(element, data, at, order)
 
 
-def _first_counts(element: PlyElement, data: bytes, at: int, order: str) -> dict[str, int]:
+def _first_counts(element: "PlyElement", data: bytes, at: int, order: str) -> dict[str, int]:
     counts: dict[str, int] = {}
     for p in element.properties if element.count else ():
         if p.count_kind:
@@ -223,7 +221,7 @@ def _first_counts(element: PlyElement, data: bytes, at: int, order: str) -> dict
     return counts or {p.name: 0 for p in element.properties if p.count_kind}
 
 
-def _mixed_table(element: PlyElement, data: bytes, at: int, order: str) -> tuple[dict[str, Any], int]:
+def _mixed_table(element: "PlyElement", data: bytes, at: int, order: str) -> tuple[dict[str, Any], int]:
     """Read rows one by one: lists of differing lengths."""
     table: dict[str, list[Any]] = {p.name: [] for p in element.properties}
     for _ in range(element.count):
@@ -243,7 +241,7 @@ def _mixed_table(element: PlyElement, data: bytes, at: int, order: str) -> tuple
     return {p.name: _joined(table[p.name], p.count_kind) for p in element.properties}, at
 
 
-def _ascii_table(element: PlyElement, lines: Any) -> dict[str, Any]:
+def _ascii_table(element: "PlyElement", lines: Any) -> dict[str, Any]:
     text = b"\n".join([next(lines) for _ in range(element.count)])
     if not element.has_list:
         values = (

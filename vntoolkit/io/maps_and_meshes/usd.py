@@ -6,8 +6,6 @@ frames but keeps the frame rate of its own scene, 24: set it there, or write the
 motion plays too slowly. `scripts/check_in_blender.py` shows what arrives there.
 """
 
-from __future__ import annotations
-
 import contextlib
 import re
 from collections.abc import Iterable, Iterator, Sequence
@@ -47,7 +45,7 @@ def write_usd_sequence(
     motion: Motion | None = None,
     up: MeshUpAxis = MeshUpAxis.Y,
     camera: ViewedFrom | None = None,
-    texture: TextureFiles | None = None,
+    texture: "TextureFiles | None" = None,
 ) -> int:
     """Write one surface of fixed topology, its vertices (n, 3) a time sample a frame; return the frames.
 
@@ -108,7 +106,7 @@ def write_usd_skin(
     clip: SkinnedClip,
     *,
     camera: ViewedFrom | None = None,
-    texture: TextureFiles | None = None,
+    texture: "TextureFiles | None" = None,
 ) -> int:
     """Write a surface bound to its moving skeleton as UsdSkel, lengths in metres; return the frames.
 

@@ -1,7 +1,5 @@
 """The scene `spandex`: two legs that step in front of each other and cast shadows (Figures 4, 5)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,7 +53,7 @@ def build_spandex(options: SceneOptions) -> Scene:
     )
 
 
-def step_at(time_s: float, phase: float) -> LegPose:
+def step_at(time_s: float, phase: float) -> "LegPose":
     """Return the pose of a slow dance step: each knee in turn is raised across the other leg."""
     beat = 2.0 * np.pi * _STEP_HZ * time_s + phase
     left, right = (0.5 + 0.5 * np.sin(beat), 0.5 - 0.5 * np.sin(beat))

@@ -3,8 +3,6 @@
 `sweater_stripes`, `sweater_logo` and `sweater_tartan` are the same sweater in several colours.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
@@ -142,7 +140,7 @@ def _tartan(x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def _refined(
-    garment: DancingGarment, refine: object, faces: Faces, relief: FloatArray
+    garment: "DancingGarment", refine: object, faces: Faces, relief: FloatArray
 ) -> Callable[[int], Points]:
     """Return the function from frame to dense vertices in the camera frame."""
 

@@ -1,7 +1,5 @@
 """The head's mesh: skin slit at lips and lids, mouth cavity, lid rims, eyeballs, teeth and tongue."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 
@@ -34,8 +32,8 @@ class Head:
     side: IntArray
     owner: IntArray
     hair: FloatArray
-    mouth: Slit
-    eyes: tuple[Slit, Slit]
+    mouth: "Slit"
+    eyes: "tuple[Slit, Slit]"
 
 
 def lip_line(x: FloatArray) -> FloatArray:
@@ -66,7 +64,7 @@ def build_head() -> Head:
     return _with_interior(shape, faces, side, hair, slits)
 
 
-def _cut_all(vertices: Points, faces: Faces) -> tuple[Points, Faces, list[Slit]]:
+def _cut_all(vertices: Points, faces: Faces) -> "tuple[Points, Faces, list[Slit]]":
     """Cut mouth, left eye, right eye."""
     slits = []
     half = sculpture.MOUTH_HALF_WIDTH
@@ -87,7 +85,9 @@ def _cut_all(vertices: Points, faces: Faces) -> tuple[Points, Faces, list[Slit]]
     return vertices, faces, slits
 
 
-def _with_interior(shape: Points, faces: Faces, side: IntArray, hair: FloatArray, slits: list[Slit]) -> Head:
+def _with_interior(
+    shape: Points, faces: Faces, side: IntArray, hair: FloatArray, slits: "list[Slit]"
+) -> Head:
     """Append cavity, lid rims and the parts that move on their own."""
     pieces: list[_Piece] = [(shape, faces, np.arange(len(shape)), SKIN)]
     count = len(shape)

@@ -1,7 +1,5 @@
 """A cotton jacket that stands still (Figure 6): folds, pockets, buttons, seams, ribbed hem and cuffs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,7 +44,7 @@ def build_jacket(options: SceneOptions) -> Scene:
     )
 
 
-def _joined(parts: list[Part]) -> tuple[Points, SceneSurface]:
+def _joined(parts: "list[Part]") -> tuple[Points, SceneSurface]:
     """Return all vertices and one surface; the parts' texture coordinates become tiles of the weave."""
     starts = np.cumsum([0] + [len(part.vertices) for part in parts])
     faces = [part.faces + start for part, start in zip(parts, starts, strict=False)]
@@ -182,14 +180,14 @@ def collar(generator: np.random.Generator) -> Part:
     return _part(shaped, waves - 0.0008 * stitches, 1.0 + 0.06 * stitches, weave=np.ones_like(leaf))
 
 
-def _part(tube: Tube, height: FloatArray, shade: FloatArray, weave: FloatArray) -> Part:
+def _part(tube: "Tube", height: FloatArray, shade: FloatArray, weave: FloatArray) -> Part:
     return Part(
         vertices=tube.raised(height), faces=tube.faces, uv=tube.uv, girth=tube.girth, length=tube.length,
         shade=shade, weave=weave,
     )  # fmt: skip
 
 
-def _mirrored_folds(generator: np.random.Generator, *, s_at: float, t_at: float, count: int) -> list[Fold]:
+def _mirrored_folds(generator: np.random.Generator, *, s_at: float, t_at: float, count: int) -> "list[Fold]":
     """Drag lines that spring from both armpits and run towards the middle and down."""
     folds: list[Fold] = []
     for side, angles in ((-1, (5, 80)), (1, (100, 175))):
