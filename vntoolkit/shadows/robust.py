@@ -15,10 +15,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from numba import prange
 
-from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels
+from vntoolkit.arrays import BoolArray, Float64Array, FloatArray, Int32Array, IntArray, Mask, VisibilityLabels
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame, labels_from_lit
@@ -58,7 +57,7 @@ _START_PIXELS = 15_000  # images are halved until they are not larger; there the
 # Of a surface whose labels may still be wrong.
 _SURFACE = SurfaceOptions(noise=0.08, smoothness=1.5, cycles=3)
 _ITERATIONS = (3, 2, 1)  # on the smallest image, the next, and all larger ones, which start nearer
-Nodes = npt.NDArray[np.int32]
+Nodes = Int32Array
 _WEAKEST_BOND = 0.05  # part of the full price that a change of label across a sharp edge still costs
 _DARK_COSINE = 0.03  # added to a cosine before its logarithm: noise is no edge
 _SHADOW, _LIT, _NOWHERE = -1, -2, -3  # what is no node: its label is known, or there is nothing
@@ -126,7 +125,7 @@ def _surface_by_rounds(image: WorkingImage) -> tuple[Surface, FloatArray]:
 
 
 def _solved(
-    image: WorkingImage, lit: npt.NDArray[np.bool_], options: SurfaceOptions, start: Surface | None
+    image: WorkingImage, lit: BoolArray, options: SurfaceOptions, start: Surface | None
 ) -> tuple[Surface, FloatArray]:
     """Return the surface (h, w) under these labels, and the albedo."""
     albedo = albedo_from_lit(image.light.length, all_of_three(lit) & image.mask)
@@ -140,7 +139,7 @@ def _predicted(surface: Surface, measured: LightContributions) -> FloatArray:
     return normals @ measured.directions.T.astype(np.float32)
 
 
-def _lit_on(surface: Surface, image: WorkingImage, albedo: FloatArray) -> npt.NDArray[np.bool_]:
+def _lit_on(surface: Surface, image: WorkingImage, albedo: FloatArray) -> BoolArray:
     """Label by what the surface would return."""
     predicted = _predicted(surface, image.light)
     cosines = _without_paint(image.light.cosines(albedo), predicted)
@@ -148,7 +147,7 @@ def _lit_on(surface: Surface, image: WorkingImage, albedo: FloatArray) -> npt.ND
     return np.stack([_cut_light(evidence[k], cosines, k, image.mask) for k in range(3)], axis=-1)
 
 
-def _cut_light(evidence: FloatArray, cosines: FloatArray, k: int, mask: Mask) -> npt.NDArray[np.bool_]:
+def _cut_light(evidence: FloatArray, cosines: FloatArray, k: int, mask: Mask) -> BoolArray:
     def bonds(number: Nodes) -> tuple[FloatArray, FloatArray]:
         return bonds_of_light(cosines, k, number, _SMOOTHNESS, _CONTRAST)
 
@@ -161,7 +160,7 @@ def _enlarged(image: Any, shape: tuple[int, ...]) -> FloatArray:
     return np.asarray(cv2.resize(image, shape[::-1], interpolation=cv2.INTER_LINEAR), dtype=np.float32)
 
 
-def _first_doubts(image: WorkingImage) -> npt.NDArray[np.bool_]:
+def _first_doubts(image: WorkingImage) -> BoolArray:
     measured, mask = image.light, image.mask
     inside = measured.length[mask]
     typical = float(np.median(inside)) if inside.size else 1.0
@@ -222,7 +221,7 @@ def lit_by_cut(
     bonds: Callable[[Nodes], tuple[FloatArray, FloatArray]],
     mask: Mask,
     strongest: float,
-) -> npt.NDArray[np.bool_]:
+) -> BoolArray:
     """Minimise Σ |evidence| over pixels labelled against it plus the bonds cut (boykov2001).
 
     evidence: (h, w), positive speaks for light, negative for shadow. bonds: returns those to the east and to
@@ -236,7 +235,7 @@ def lit_by_cut(
     """
     given = np.asarray(evidence)
     number: Nodes = np.empty(mask.shape, np.int32)
-    lit: npt.NDArray[np.bool_] = np.empty(mask.shape, np.bool_)
+    lit: BoolArray = np.empty(mask.shape, np.bool_)
     count = _number_kernel(given, mask, 4.0 * strongest, number, lit)
     if count:
         _cut_kernel(given, *bonds(number), number, count, lit)
@@ -300,9 +299,7 @@ def _cut_kernel(
 
 
 @njit(cache=True)
-def _cut(
-    pull: npt.NDArray[np.float64], room: npt.NDArray[np.float64], neighbour: npt.NDArray[np.int32]
-) -> npt.NDArray[np.bool_]:
+def _cut(pull: Float64Array, room: Float64Array, neighbour: Int32Array) -> BoolArray:
     """Push as much flow as the graph takes; return the nodes that could still pass some on to a sink.
 
     Dinic's algorithm (dinic1970): all shortest paths are filled, then all that are longer by one, and so on.
@@ -346,12 +343,12 @@ def _cut(
 @njit(cache=True)
 def _drain(
     source: int,
-    pull: npt.NDArray[np.float64],
-    room: npt.NDArray[np.float64],
-    neighbour: npt.NDArray[np.int32],
-    distance: npt.NDArray[np.int32],
-    turn: npt.NDArray[np.int8],
-    path: npt.NDArray[np.int32],
+    pull: Float64Array,
+    room: Float64Array,
+    neighbour: Int32Array,
+    distance: Int32Array,
+    turn: IntArray,
+    path: Int32Array,
 ) -> None:
     """Send what a source has down every way on which each step comes closer to a sink."""
     length, i = 0, source
