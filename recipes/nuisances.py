@@ -11,16 +11,61 @@ nuisances.svg: mean error of the normals with each nuisance alone, and with all 
 import argparse
 import dataclasses
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
+from vntoolkit.evaluation.angular_error import AngularError, compare_normals
 from vntoolkit.io.atomic import write_text
-from vntoolkit.pipeline.truth_comparison import nuisance_errors
+from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.report.figures import write_bars
 from vntoolkit.report.recipes_page import number, write_numbers
-from vntoolkit.simulation.nuisances import Nuisances
-from vntoolkit.simulation.scene import SceneOptions, build_scene
+from vntoolkit.simulation.image_formation import true_varying_response
+from vntoolkit.simulation.nuisances import Nuisances, nuisance_names
+from vntoolkit.simulation.render import RenderOptions, render_frame
+from vntoolkit.simulation.scene import Scene, SceneOptions, build_scene
 
 DEGREES = {"one M": 0, "M follows the lights": 2}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class NuisanceError:
+    """One row of the table.
+
+    name: of the nuisance; "all" and "none" frame the table. alone: error with this nuisance only. without:
+    error with all others, or None where that is meaningless.
+    """
+
+    name: str
+    alone: AngularError
+    without: AngularError | None
+
+
+def nuisance_errors(
+    scene: Scene,
+    nuisances: Nuisances,
+    frame: int = 0,
+    rendering: RenderOptions | None = None,
+    degree: int = 0,
+) -> Iterator[NuisanceError]:
+    """Yield the normal error of equation 1's inversion: "none", every nuisance in turn, "all".
+
+    The true M of each world is used, so that what is left is the nuisance's own doing and no calibration's.
+    degree: of the polynomials by which M follows near lights over the image; 0 for M at the scene's centre.
+    """
+
+    def error(world: Nuisances) -> AngularError:
+        shot = render_frame(scene, frame, nuisances=world, options=rendering)
+        truth = shot.truth.normals
+        return compare_normals(
+            normals_from_frame(shot.linear, true_varying_response(scene, world, degree), truth.mask), truth
+        )
+
+    yield NuisanceError(name="none", alone=error(Nuisances.none()), without=None)
+    for name in nuisance_names():
+        yield NuisanceError(
+            name=name, alone=error(nuisances.only(name)), without=error(nuisances.without(name))
+        )
+    yield NuisanceError(name="all", alone=error(nuisances), without=None)
 
 
 def main(out: Path, scene_name: str = "cylinder", frame: int = 60) -> None:

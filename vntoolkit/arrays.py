@@ -1,9 +1,7 @@
-"""Named array types for signatures: each states shape and meaning.
+"""Named array types for signatures: the first state their numbers, the others shape and meaning.
 
 For a type checker they are plain numpy arrays. Frames, axes and units are those of CONVENTIONS.md.
 """
-
-from __future__ import annotations
 
 from typing import Annotated, Any, TypeAlias
 
@@ -12,6 +10,16 @@ import numpy.typing as npt
 
 FloatArray: TypeAlias = npt.NDArray[np.floating[Any]]
 IntArray: TypeAlias = npt.NDArray[np.integer[Any]]
+ArrayLike: TypeAlias = npt.ArrayLike
+DTypeLike: TypeAlias = npt.DTypeLike
+Array: TypeAlias = npt.NDArray[Any]
+BoolArray: TypeAlias = npt.NDArray[np.bool_]
+ByteArray: TypeAlias = npt.NDArray[np.uint8]
+UInt16Array: TypeAlias = npt.NDArray[np.uint16]
+Int32Array: TypeAlias = npt.NDArray[np.int32]
+Int64Array: TypeAlias = npt.NDArray[np.int64]
+Float32Array: TypeAlias = npt.NDArray[np.float32]
+Float64Array: TypeAlias = npt.NDArray[np.float64]
 
 LinearImage: TypeAlias = Annotated[npt.NDArray[np.float32], "h w 3: RGB, linear, 1.0 = full scale"]
 Mask: TypeAlias = Annotated[npt.NDArray[np.bool_], "h w: True where valid"]

@@ -1,7 +1,5 @@
 """Checks on arrays and numbers that callers pass in; each raises `BadInput` with one line."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import inspect
@@ -12,8 +10,8 @@ from collections.abc import Callable
 from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
+from vntoolkit.arrays import Array, BoolArray
 from vntoolkit.errors import BadInput
 
 _PACKAGE = "vntoolkit."
@@ -30,7 +28,7 @@ R = TypeVar("R")
 
 
 def require_shape(
-    array: npt.NDArray[Any], shape: tuple[int | None, ...], name: str, error: type[BadInput] = BadInput
+    array: Array, shape: tuple[int | None, ...], name: str, error: type[BadInput] = BadInput
 ) -> None:
     """Raise unless `array` has `shape`; None stands for any length."""
     matches = array.ndim == len(shape) and all(
@@ -42,11 +40,11 @@ def require_shape(
         raise error(f"{name}: expected shape {want}, got {have}")
 
 
-def require_mask(mask: npt.NDArray[Any], shape: tuple[int, ...], name: str = "mask") -> None:
+def require_mask(mask: Array, shape: tuple[int, ...]) -> None:
     """Raise unless `mask` has `shape` and holds booleans: integers 0 and 255 would index differently."""
     if mask.dtype != np.bool_:
-        raise BadInput(f"{name}: expected booleans, got {mask.dtype}")
-    require_shape(mask, shape, name)
+        raise BadInput(f"mask: expected booleans, got {mask.dtype}")
+    require_shape(mask, shape, "mask")
 
 
 def checks_kinds(function: Callable[P, R]) -> Callable[P, R]:
@@ -110,16 +108,14 @@ def _wrong_kind(name: str, kind: type, value: object) -> str:
     return f"{name}: expected a {kind.__name__}, got {'None' if value is None else got}; {remedy}"
 
 
-def require_same_size(
-    first: npt.NDArray[Any], first_name: str, second: npt.NDArray[Any], second_name: str
-) -> None:
+def require_same_size(first: Array, first_name: str, second: Array, second_name: str) -> None:
     """Raise unless the two images have the same height and width."""
     if first.shape[:2] != second.shape[:2]:
         (h1, w1), (h2, w2) = first.shape[:2], second.shape[:2]
         raise BadInput(f"{first_name} is {w1}×{h1} but {second_name} is {w2}×{h2}: they must have one size")
 
 
-def require_finite(array: npt.NDArray[Any], name: str, error: type[BadInput] = BadInput) -> None:
+def require_finite(array: Array, name: str, error: type[BadInput] = BadInput) -> None:
     """Raise if `array` holds NaN or infinity."""
     if sum_is_finite(array):  # a quarter of the time
         return
@@ -128,16 +124,16 @@ def require_finite(array: npt.NDArray[Any], name: str, error: type[BadInput] = B
         raise error(f"{name}: {bad} of {array.size} values are NaN or infinite")
 
 
-def sum_is_finite(array: npt.NDArray[Any]) -> bool:
+def sum_is_finite(array: Array) -> bool:
     """Return whether the sum is finite: a quick look, True wherever all values are finite and not vast."""
     with np.errstate(invalid="ignore", over="ignore"):  # infinity less infinity is what is looked for
         return bool(np.isfinite(array.sum()))
 
 
-def require_some(mask: npt.NDArray[np.bool_], name: str, error: type[BadInput] = BadInput) -> None:
+def require_some(mask: BoolArray, name: str) -> None:
     """Raise if no pixel of `mask` is True."""
     if not mask.any():
-        raise error(f"{name}: no valid pixel (the mask is empty)")
+        raise BadInput(f"{name}: no valid pixel (the mask is empty)")
 
 
 def require_positive(value: float, name: str) -> None:

@@ -1,20 +1,19 @@
 """How objects show themselves: one line in a terminal, a picture with a few figures in a notebook."""
 
-from __future__ import annotations
-
 import base64
 import html
 import io
 from collections.abc import Mapping
 
 import numpy as np
-import numpy.typing as npt
+
+from vntoolkit.arrays import BoolArray, ByteArray, FloatArray
 
 _LARGEST_PX = 360
 _LIT_FROM = np.array([-0.4, -0.5, -0.77])  # of the picture of a surface: from the upper left
 _EXPONENT = 1 / 2.2  # roughly the curve of a screen
 
-Picture = npt.NDArray[np.uint8]
+Picture = ByteArray
 Facts = Mapping[str, str]
 
 
@@ -53,22 +52,22 @@ def size_of(shape: tuple[int, ...]) -> str:
     return f"{shape[1]}×{shape[0]}"
 
 
-def share_of(mask: npt.NDArray[np.bool_]) -> str:
+def share_of(mask: BoolArray) -> str:
     """Return how much of a mask is set."""
     return f"{mask.mean():.1%}" if mask.size else "none"
 
 
-def picture_of_light(rgb: npt.NDArray[np.floating]) -> Picture:
+def picture_of_light(rgb: FloatArray) -> Picture:
     """Show linear colours (h, w, 3), full scale = 1."""
     return _bytes(np.clip(rgb, 0.0, 1.0) ** _EXPONENT)
 
 
-def picture_of_normals(normals: npt.NDArray[np.floating], mask: npt.NDArray[np.bool_]) -> Picture:
+def picture_of_normals(normals: FloatArray, mask: BoolArray) -> Picture:
     """Show normals in the camera frame (h, w, 3) in Blender's colours, white where `mask` is not set."""
     return _bytes(np.where(mask[..., None], 0.5 + 0.5 * normals * (1.0, -1.0, -1.0), 1.0))
 
 
-def picture_of_depth(depth: npt.NDArray[np.floating], mask: npt.NDArray[np.bool_]) -> Picture:
+def picture_of_depth(depth: FloatArray, mask: BoolArray) -> Picture:
     """Show depth (h, w), near bright and far dark, white where `mask` is not set."""
     if not mask.any():
         return np.full((*mask.shape, 3), 255, np.uint8)
@@ -77,7 +76,7 @@ def picture_of_depth(depth: npt.NDArray[np.floating], mask: npt.NDArray[np.bool_
     return _bytes(np.repeat(np.where(mask, grey, 1.0)[..., None], 3, axis=2))
 
 
-def picture_of_points(points: npt.NDArray[np.floating], normals: npt.NDArray[np.floating] | None) -> Picture:
+def picture_of_points(points: FloatArray, normals: FloatArray | None) -> Picture:
     """Show points (n, 3) in the camera frame as seen from the camera, lit from the upper left."""
     canvas = np.full((_LARGEST_PX * 2 // 3, _LARGEST_PX * 2 // 3, 3), 255, np.uint8)
     if not len(points):
@@ -97,7 +96,7 @@ def picture_of_points(points: npt.NDArray[np.floating], normals: npt.NDArray[np.
     return small.repeat(zoom, axis=0).repeat(zoom, axis=1)
 
 
-def _bytes(values: npt.NDArray[np.floating]) -> Picture:
+def _bytes(values: FloatArray) -> Picture:
     step = max(1, -(-max(values.shape[:2]) // _LARGEST_PX))
     return (255 * np.clip(values[::step, ::step], 0, 1)).round().astype(np.uint8)
 

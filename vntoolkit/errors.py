@@ -3,8 +3,6 @@
 A message states what was expected, what came, and what to do.
 """
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 LONGEST_MESSAGE = 900

@@ -4,8 +4,6 @@ Without libGL open3d ends in a traceback, and without libOpenGL pymeshlab import
 .ply file. Each is turned into one line that names the library and the package that holds it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import importlib

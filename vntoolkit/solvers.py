@@ -16,22 +16,20 @@ an edge that is weaker than the one inside the block, not at all across a cut on
 from its block alone needs half as many cycles more, or two thirds.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from numba import prange
 
+from vntoolkit.arrays import Float32Array, Int64Array
 from vntoolkit.native import njit
 
 _SMALLEST_SIDE = 4
 _LAST_SWEEPS = 4  # on the coarsest grid, each way
 _LARGE = 40_000  # pixels from which on a grid is swept in two halves
-Grid = npt.NDArray[np.float32]
-Row = npt.NDArray[np.float32]
-Places = npt.NDArray[np.int64]
+Grid = Float32Array
+Row = Float32Array
+Places = Int64Array
 _GROUND = 1e-6  # pins the free constant of every connected piece; far below any data weight
 _WEAK = 0.05  # share of an edge in all edges of its pixel; .03 to .1 need as many cycles
 _IMAGES = 5  # of a grid beside its edges: inverse, shares, right-hand side, solution
@@ -510,10 +508,7 @@ def _first_row(
 def _restrict_row(
     edges: Grid, shares: Grid, spans: Places, x: Grid, v: int, coarse: Grid, room: Grid
 ) -> None:
-    """Add what `_first_row` leaves in one row to the blocks that its corrections come from.
-
-    Every pixel was right when it was solved; what is left is what the colours after its own pull.
-    """
+    """Add what `_first_row` leaves in one row to the blocks that its corrections come from."""
     a, b = spans[v]
     left, own, beside, first = room[1, : b - a], room[2], room[3], a // 2
     side, along = shares[0, v, a:b], shares[1, v, a:b]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from vntoolkit.pipeline.truth_comparison import nuisance_errors
+from recipes.nuisances import nuisance_errors
 from vntoolkit.simulation.nuisances import Nuisances, nuisance_names
 from vntoolkit.simulation.render import RenderOptions
 from vntoolkit.simulation.scene import SceneOptions, build_scene

@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import maximum_flow
 from vntoolkit.errors import BadInput
 from vntoolkit.photometry.frame import LinearFrame, lit_from_labels
 from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod, lit_by_edges
-from vntoolkit.shadows.graph_cut import bonds_of_light, lit_by_cut
+from vntoolkit.shadows.robust import bonds_of_light, lit_by_cut
 
 
 def overlap(found: np.ndarray, true: np.ndarray) -> np.ndarray:

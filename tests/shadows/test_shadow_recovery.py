@@ -260,7 +260,7 @@ def test_weights_fall_with_shadow_saturation_gloss_and_paint() -> None:
     labels = np.array([[7, 6, 2, 0, 7, 7]], np.uint8)
     length = np.array([[1.0, 1.0, 1.0, 1.0, 1.0, 2.5]])
     clipped = np.array([[False, False, False, False, True, False]])
-    weight = confidence_weight(labels, clipped, length, np.ones((1, 6)), None)[0]
+    weight = confidence_weight(labels, clipped, length, np.ones((1, 6)))[0]
     assert weight[0] == 1.0
     assert (np.diff(weight[:4]) < 0).all()
     assert weight[4] == pytest.approx(0.1)

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from vntoolkit.geometry.mesh import edges_from_faces
-from vntoolkit.simulation.body.capsules import Capsules
 from vntoolkit.simulation.garment.pattern import sew_sweater
-from vntoolkit.simulation.garment.solver import AIR_DRAG, ClothSolver
+from vntoolkit.simulation.garment.solver import AIR_DRAG, Capsules, ClothSolver
 from vntoolkit.simulation.garment.sweater import (
     DancingGarment,
     Pose,

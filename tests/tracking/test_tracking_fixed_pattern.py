@@ -7,7 +7,7 @@ import numpy as np
 
 from tests.tracking.test_tracking_information import CAMERA, GRID, HEIGHT, WIDTH, flat_depth, normals
 from vntoolkit.geometry.maps import DepthMap, NormalMap
-from vntoolkit.tracking.fixed_pattern import fixed_pattern
+from vntoolkit.tracking.paint import fixed_pattern
 from vntoolkit.tracking.slopes import slopes_from_normals
 from vntoolkit.tracking.tracker import SurfaceTracker
 

@@ -11,8 +11,7 @@ from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.pipeline.track import paint_of_materials
-from vntoolkit.tracking.fixed_pattern import fixed_pattern
-from vntoolkit.tracking.paint import Paint, paint_image, paint_of_frame
+from vntoolkit.tracking.paint import Paint, fixed_pattern, paint_image, paint_of_frame
 from vntoolkit.tracking.slopes import relief_slopes, slopes_from_normals
 from vntoolkit.tracking.tracker import SurfaceTracker
 

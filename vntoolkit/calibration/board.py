@@ -4,8 +4,6 @@ Every frame gives one normal (the pattern's pose) and one colour (the sample in 
 intrinsics come from the same footage unless given.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -166,10 +164,7 @@ def fit_response_to_board(
 
 
 def _lamps_alone(normals: Points, rgb: Points, options: BoardOptions) -> IntArray | None:
-    """(n,) the lamp that lights a pose alone, −1 where all do; None where no pose is lit so.
-
-    The colours of a board that only tilts reach far too. But then its extreme poses obey the M of the others.
-    """
+    """(n,) the lamp that lights a pose alone, −1 where all do; None where no pose is lit so."""
     lengths = np.linalg.norm(rgb, axis=1)
     seen = lengths > _DARK_SAMPLE * float(np.median(lengths))
     found = three_lamps(rgb[seen] / lengths[seen, None])
@@ -199,10 +194,7 @@ def _varying(
     camera: Camera,
     options: BoardOptions,
 ) -> ResponseFit:
-    """Fit M as polynomials of the undistorted pixel at which the sample's centre was seen.
-
-    All poses that the three lights reach count, since one M for all places made outliers of good ones.
-    """
+    """Fit M as polynomials of the undistorted pixel at which each sample's centre was seen, by all poses."""
     middle_mm = np.append(layout.hole_mm.mean(axis=0), 0.0)
     middles = np.array([pose.camera_from_board.apply(middle_mm) for pose in poses])
     shares = normals @ fit.response.matrix.T

@@ -1,15 +1,12 @@
 """Detection of the board in one frame: its corners, and the colour of the sample in the hole."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, IntArray, Mask, Points2, Vector3
+from vntoolkit.arrays import Array, ByteArray, FloatArray, IntArray, Mask, Points2, Vector3
 from vntoolkit.geometry.board_layout import MARKER_DICTIONARY, BoardLayout
 from vntoolkit.photometry.frame import LinearFrame
 
@@ -80,17 +77,13 @@ class BoardDetector:
 
 
 def _refine(
-    grey: npt.NDArray[np.uint8],
+    grey: ByteArray,
     corners: Points2,
     corners_mm: Points2,
-    homography: npt.NDArray[Any],
+    homography: Array,
     layout: BoardLayout,
 ) -> tuple[Points2, Mask]:
-    """Refine the corners (n, 2) in a window that no marker reaches into, and tell which agree.
-
-    OpenCV's own window may hold a marker's edge, and one corner in a hundred then lands up to 3 px beside
-    (measured on drawn views; 0.3 px after this).
-    """
+    """Refine the corners (n, 2) in a window that no marker reaches into (OpenCV's may); tell which agree."""
     predicted: Any = cv2.perspectiveTransform(corners_mm[None], homography)[0]
     departure = np.linalg.norm(predicted - corners, axis=1)
     tolerance = max(_SMALLEST_TOLERANCE_PX, _TOLERANCE_MEDIANS * float(np.median(departure)))
@@ -103,7 +96,7 @@ def _refine(
     return refined.astype(np.float64), np.linalg.norm(refined - predicted, axis=1) <= tolerance
 
 
-def _pixels_per_mm(homography: npt.NDArray[Any], layout: BoardLayout) -> float:
+def _pixels_per_mm(homography: Array, layout: BoardLayout) -> float:
     """Scale of the image in the middle of the board, from the area of a square there."""
     corner, side = np.array([layout.width_mm, layout.height_mm]) / 2, layout.square_mm
     square = corner + side * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
@@ -111,7 +104,7 @@ def _pixels_per_mm(homography: npt.NDArray[Any], layout: BoardLayout) -> float:
     return float(np.sqrt(cv2.contourArea(image.astype(np.float32)))) / side
 
 
-def _grey(rgb: FloatArray) -> npt.NDArray[np.uint8]:
+def _grey(rgb: FloatArray) -> ByteArray:
     """All three lights together, stretched and with a gamma, as the detector knows photographs."""
     red, green, blue = np.moveaxis(np.maximum(rgb, 0.0), 2, 0)
     total = red + green + blue  # a sum over so short an axis takes six times as long
@@ -119,7 +112,7 @@ def _grey(rgb: FloatArray) -> npt.NDArray[np.uint8]:
     return (255.0 * np.sqrt(np.minimum(total / white, 1.0))).astype(np.uint8)
 
 
-def _sample_colour(frame: LinearFrame, homography: npt.NDArray[Any], layout: BoardLayout) -> Vector3 | None:
+def _sample_colour(frame: LinearFrame, homography: Array, layout: BoardLayout) -> Vector3 | None:
     hole = layout.hole_mm
     polygon = hole.mean(axis=0) + _SAMPLE_SHARE * (hole - hole.mean(axis=0))
     outline: Any = cv2.perspectiveTransform(polygon[None], homography)[0]

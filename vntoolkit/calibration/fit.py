@@ -4,17 +4,14 @@ Every calibration object (ball, board, head) gives such pairs. Two methods leave
 pairs: trimmed least squares, and MSAC.
 """
 
-from __future__ import annotations
-
 import logging
 from dataclasses import dataclass
 from enum import Enum
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, IntArray, Mask, Points, Points2
+from vntoolkit.arrays import BoolArray, FloatArray, IntArray, Mask, Points, Points2
 from vntoolkit.checks import checks_kinds, require_finite, require_shape
 from vntoolkit.errors import BadCalibration, BadInput, BadRig
 from vntoolkit.photometry.response import LightResponse, scaled_normals_from_rgb
@@ -77,7 +74,7 @@ class ResponseFit:
 
     response: LightResponse
     quality: FitQuality
-    inliers: npt.NDArray[np.bool_]
+    inliers: BoolArray
     normals: Points
     rgb: Points
 

@@ -1,7 +1,5 @@
 """The light response from known lights, and M split into its lights by frames that one lamp lights alone."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum

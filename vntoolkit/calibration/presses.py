@@ -16,20 +16,26 @@ M is, so that an offset shows as a tilt. `LabelOffset.COMMON` fits the common on
 where the response sees its ball, and the response is fitted again.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from scipy import fft
 
-from vntoolkit.arrays import FloatArray, LinearImage, Mask, Points, Points2, Vector3
+from vntoolkit.arrays import (
+    Array,
+    BoolArray,
+    FloatArray,
+    Int64Array,
+    LinearImage,
+    Mask,
+    Points,
+    Points2,
+    Vector3,
+)
 from vntoolkit.calibration import fit as fits
 from vntoolkit.checks import require_positive, require_shape
 from vntoolkit.errors import BadCalibration, BadInput
@@ -136,10 +142,10 @@ class PressPairs:
     normals: Points
     rgb: Points
     positions_px: Points2
-    touched: npt.NDArray[np.bool_]
-    presses: npt.NDArray[np.int64]
+    touched: BoolArray
+    presses: Int64Array
 
-    def thinned(self, count: int) -> PressPairs:
+    def thinned(self, count: int) -> "PressPairs":
         """Every k-th pair, so that about `count` are left."""
         step = max(1, -(-len(self.rgb) // count))
         return PressPairs(**{name: values[::step] for name, values in vars(self).items()})
@@ -193,7 +199,7 @@ def samples_from_press(
     )
 
 
-def _draw(mask: Mask, count: int, rng: np.random.Generator) -> npt.NDArray[np.int64]:
+def _draw(mask: Mask, count: int, rng: np.random.Generator) -> Int64Array:
     chosen = np.flatnonzero(mask)
     return rng.choice(chosen, count, replace=False) if len(chosen) > count else chosen
 
@@ -207,7 +213,7 @@ def pairs_from_samples(
     """
     samples = list(samples)
     own = np.broadcast_to(label_offset_px, (len(samples), 2))
-    parts: list[tuple[npt.NDArray[Any], ...]] = []
+    parts: list[tuple[Array, ...]] = []
     for number, part in enumerate(samples):
         offsets = part.offsets_px(own[number])
         distance = np.linalg.norm(offsets, axis=1)
@@ -390,10 +396,7 @@ class _Ridge:
 
 
 def _errors_by_tilt(found: Points, angles: FloatArray) -> FloatArray:
-    """`GelResponse.errors_deg` of normals (n, 3) that are off by angles (n,), degrees.
-
-    Groups of as many normals each, by their tilt as found, which is what a frame has.
-    """
+    """`GelResponse.errors_deg` of normals (n, 3), off by (n,) degrees, in equal groups by their tilt."""
     tilts = np.degrees(np.arccos(np.clip(-found[:, 2], -1.0, 1.0)))
     groups = np.array_split(np.argsort(tilts, kind="stable"), _ERROR_GROUPS)
     errors = np.array([(np.median(tilts[g]), np.percentile(angles[g], 90)) for g in groups if len(g)])

@@ -1,15 +1,12 @@
 """Calibration on a matte ball: its outline in the image gives the normal at every pixel."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Mask, Points2, Vector3
+from vntoolkit.arrays import BoolArray, Float32Array, Float64Array, FloatArray, Mask, Points2, Vector3
 from vntoolkit.calibration.fit import ResponseFit, ResponseFitOptions, angles_deg, fit_response
 from vntoolkit.checks import require_mask, require_shape, require_some
 from vntoolkit.errors import BadCalibration, BadInput
@@ -47,9 +44,9 @@ class SphereCalibration:
     """
 
     fit: ResponseFit
-    outline: Circle
+    outline: "Circle"
     normal_map: NormalMap
-    residual_deg: npt.NDArray[np.float32]
+    residual_deg: Float32Array
 
 
 def fit_response_to_sphere(
@@ -84,7 +81,7 @@ def fit_response_to_sphere(
     return SphereCalibration(fit=fit, outline=outline, normal_map=normal_map, residual_deg=residual_deg)
 
 
-def sphere_normals(outline: Circle, camera: Camera, rim_share: float = 0.0) -> NormalMap:
+def sphere_normals(outline: "Circle", camera: Camera, rim_share: float = 0.0) -> NormalMap:
     """Normals of the ball behind an outline, at every pixel inside it but the rim.
 
     Orthographic: the outline is the ball's equator. Perspective: the outline's rays form a cone that touches
@@ -105,7 +102,7 @@ def sphere_normals(outline: Circle, camera: Camera, rim_share: float = 0.0) -> N
 
 def _perspective_normals(
     outline_px: Points2, camera: Camera, rim_share: float
-) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+) -> tuple[FloatArray, BoolArray]:
     axis, sine = _tangent_cone(_rays(outline_px, camera))
     rays = _rays(camera.pixel_grid(), camera)
     along = rays @ axis  # ball's centre at distance 1, so its radius is the cone's sine
@@ -182,7 +179,7 @@ _RADII = 360
 _REACH_PX = 4.0  # beyond the blur and the threshold's error, within the rim
 
 
-def _refine_on_edges(grey: npt.NDArray[np.float32], rough: Circle) -> Circle:
+def _refine_on_edges(grey: Float32Array, rough: Circle) -> Circle:
     """Move the outline to where the brightness along each radius is halfway between ball and background.
 
     A low threshold on a blurred image finds the outline a pixel too far out. Radii without an edge (a dark
@@ -232,10 +229,7 @@ _SMALLEST_RADIUS_PX = 8.0
 
 
 def _fit_circle(points: Points2) -> Circle | None:
-    """Robust circle through outline pixels (n, 2): random triples, then least squares on the inliers.
-
-    The outline pixels belong to the ball, so the edge lies half a pixel further out.
-    """
+    """Fit a circle robustly to pixels (n, 2) of the ball; the edge lies half a pixel further out."""
     if len(points) < 16:
         return None
     rng = np.random.default_rng(0)  # the triples only start a least-squares fit; the outline decides
@@ -286,7 +280,7 @@ def _least_squares_circle(points: Points2) -> tuple[Points2, float]:
 _SECTORS = 90
 
 
-def _arc(offsets: npt.NDArray[np.float64]) -> float:
+def _arc(offsets: Float64Array) -> float:
     """Share of the turn, in sectors, that the points about the centre cover."""
     sectors = np.floor((np.arctan2(offsets[:, 1], offsets[:, 0]) / (2 * np.pi) + 0.5) * _SECTORS)
     return len(np.unique(np.clip(sectors, 0, _SECTORS - 1))) / _SECTORS

@@ -7,15 +7,12 @@ normals would rule), softly limited so that wrong pairs count little, by Levenbe
 which should be 1, holds it.
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Points, Points2
+from vntoolkit.arrays import FloatArray, Int64Array, Points, Points2
 from vntoolkit.checks import require_finite, require_shape
 from vntoolkit.errors import BadCalibration, BadInput, BadRig
 from vntoolkit.photometry.response import HIGHEST_DEGREE, LightResponse, ResponseVariation, powers_to_degree
@@ -180,7 +177,7 @@ def _minimise(problem: _Problem, terms: FloatArray) -> FloatArray:
 
 
 def _response(
-    terms: FloatArray, powers: npt.NDArray[np.int64], centre: FloatArray, scale: float, ambient: FloatArray
+    terms: FloatArray, powers: Int64Array, centre: FloatArray, scale: float, ambient: FloatArray
 ) -> LightResponse:
     fitted = terms.shape[1] == 4
     variation = None

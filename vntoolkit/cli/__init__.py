@@ -4,8 +4,6 @@ A verb reads its options (the frozen dataclasses of the stages), calls `pipeline
 stage, and prints what it wrote. It contains no algorithm.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from enum import Enum
 from typing import Any

@@ -1,7 +1,5 @@
 """`vntoolkit board`: write the calibration board as a PDF."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

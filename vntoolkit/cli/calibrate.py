@@ -1,7 +1,5 @@
 """`vntoolkit calibrate …`: fit a rig to footage of a calibration object and write rig.json."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -37,6 +35,7 @@ from vntoolkit.pipeline.calibrate_head import HeadOptions, calibrate_head
 
 _OF_LIGHTS = flags.Flags(without=("background", "single_light", "frames"))
 _FIT = flags.Flags(renamed={"method": "fit-method"})
+RigOut: TypeAlias = Annotated[Path, Parameter(help="The rig.json to write.")]
 SizePx: TypeAlias = Annotated[tuple[int, int] | None, Parameter(consume_multiple=True, negative=())]
 
 
@@ -76,7 +75,7 @@ def sphere(
     source: str,
     /,
     *,
-    out: Path,
+    out: RigOut,
     mask: Path | None = None,
     matting: Annotated[MatteOptions | None, flags.Flags()] = None,
     footage: Annotated[FootageFlags | None, flags.Flags()] = None,
@@ -88,8 +87,6 @@ def sphere(
     ----------
     source
         A video, an image, a folder of images, or a pattern. Several frames are averaged.
-    out
-        The rig.json to write.
     mask
         White where the ball is: an image, or a video, a folder or a pattern with a matte for each frame.
         Default: the outline is detected.
@@ -107,7 +104,7 @@ def board(
     source: str,
     /,
     *,
-    out: Path,
+    out: RigOut,
     footage: Annotated[FootageFlags | None, flags.Flags()] = None,
     layout: Annotated[BoardLayout | None, flags.Flags()] = None,
     options: Annotated[BoardOptions | None, _FIT] = None,
@@ -118,8 +115,6 @@ def board(
     ----------
     source
         A video, a folder of images, or a pattern.
-    out
-        The rig.json to write.
     """
     job = (footage or FootageFlags()).job(source)
     require_output(out, JSON)
@@ -139,7 +134,7 @@ def lights(
     source: Path,
     /,
     *,
-    out: Path,
+    out: RigOut,
     like: str | None = None,
     lights: Annotated[tuple[int, int, int], Parameter(consume_multiple=True, negative=())] = (0, 1, 2),
     light_colours: LightColours = LightColours.CHANNELS,
@@ -152,8 +147,6 @@ def lights(
     source
         A DiLiGenT folder (light_directions.txt, light_intensities.txt, filenames.txt), or a text file with a
         line per light: x y z, or x y z red green blue. x right, y up, z towards the viewer.
-    out
-        The rig.json to write.
     like
         Footage of the rig, which gives the image size. Default: the first image that the folder names.
     lights
@@ -215,7 +208,7 @@ def head(
     source: str,
     /,
     *,
-    out: Path,
+    out: RigOut,
     footage: Annotated[FootageFlags | None, flags.Flags(without=("single_light",))] = None,
     mesh: Path | None = None,
     figure: Path | None = None,
@@ -230,8 +223,6 @@ def head(
     ----------
     source
         A video, a folder of images, or a pattern.
-    out
-        The rig.json to write.
     mesh
         Also write the head's mesh, .ply or .obj, with normals and the skin's colour. Its length unit
         is the distance to the camera. In .ply, `quality` is the angle in degrees that nine of ten normals
@@ -279,7 +270,7 @@ def presses(
     source: str,
     /,
     *,
-    out: Path,
+    out: RigOut,
     background: Path,
     options: Annotated[PressOptions, flags.Flags()],
     labels: Path | None = None,
@@ -300,8 +291,6 @@ def presses(
     ----------
     source
         A folder or pattern of images, one for each press.
-    out
-        The rig.json to write.
     background
         Image of the untouched gel.
     labels

@@ -1,7 +1,5 @@
 """`vntoolkit circles`: look at the contact circles of presses, and correct them by hand."""
 
-from __future__ import annotations
-
 import contextlib
 import threading
 from functools import partial

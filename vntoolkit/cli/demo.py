@@ -1,7 +1,5 @@
 """`vntoolkit demo`: run the whole chain on a simulated capture and write a report."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

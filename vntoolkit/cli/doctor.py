@@ -17,21 +17,12 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from vntoolkit import __version__
+from vntoolkit import __version__, native
 from vntoolkit.cli.flags import AmbientImage, Flags, Sensor, curve_from_text, verb
 from vntoolkit.cli.output import print_next
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.footage.mattes import MatteOptions
 from vntoolkit.io.footage.mosaics import SensorOptions
-from vntoolkit.native import (
-    NUMBA_LIBRARIES,
-    OPEN3D_LIBRARIES,
-    PYMESHLAB_LIBRARIES,
-    libraries_named_in,
-    missing_libraries,
-    open3d_distribution,
-    remedy,
-)
 
 if TYPE_CHECKING:
     from vntoolkit.diagnosis.inspection import CaptureReport
@@ -139,7 +130,9 @@ def _check_libraries(console: Console) -> int:
     with console.status("importing every library"), ThreadPoolExecutor(max_workers=2) as pool:
         trials = list(pool.map(_try, programs))
     lines = []
-    missing = missing_libraries({**OPEN3D_LIBRARIES, **PYMESHLAB_LIBRARIES, **NUMBA_LIBRARIES})
+    missing = native.missing_libraries(
+        {**native.OPEN3D_LIBRARIES, **native.PYMESHLAB_LIBRARIES, **native.NUMBA_LIBRARIES}
+    )
     for (name, _, purpose), trial in zip(_LIBRARIES, trials, strict=False):
         shown, its_version = _installed(name)
         table.add_row(shown, its_version, purpose, "[red]no" if trial.fault else "yes")
@@ -153,7 +146,7 @@ def _check_libraries(console: Console) -> int:
     if trials[-1].fault:
         lines.append(f"a video cannot be written and read back: {trials[-1].fault}")
     if missing:
-        lines.append(f"this system lacks {', '.join(missing)}: {remedy(missing)}")
+        lines.append(f"this system lacks {', '.join(missing)}: {native.remedy(missing)}")
     console.print(table)
     for line in lines:
         console.print(f"[red]broken[/] {escape(line)}", highlight=False, soft_wrap=True)
@@ -166,7 +159,7 @@ def _check_libraries(console: Console) -> int:
 def _installed(name: str) -> tuple[str, str]:
     """Return a distribution's name and version."""
     if name == "open3d":
-        return open3d_distribution()
+        return native.open3d_distribution()
     try:
         return name, version(name)
     except PackageNotFoundError:
@@ -181,7 +174,7 @@ def _try(program: str) -> _Trial:
     except subprocess.TimeoutExpired:
         return _Trial(fault=f"did not end within {_LONGEST_S:g} s")
     text = (done.stdout + done.stderr).decode(errors="replace").strip()
-    missing = libraries_named_in(text)
+    missing = native.libraries_named_in(text)
     if missing:
         return _Trial(fault=f"needs {', '.join(missing)}", missing=missing)
     if done.returncode < 0:

@@ -1,7 +1,5 @@
 """`vntoolkit dress`: put a captured garment on an animated skeleton."""
 
-from __future__ import annotations
-
 import contextlib
 from functools import partial
 from pathlib import Path

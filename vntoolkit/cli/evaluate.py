@@ -1,14 +1,13 @@
 """`vntoolkit evaluate …`: compare normals, meshes, cylinders, tracks and depth with a reference."""
 
-from __future__ import annotations
-
 import dataclasses
 import logging
 from operator import attrgetter
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeAlias
 
 import numpy as np
+from cyclopts import Parameter
 
 from vntoolkit.cli.flags import Flags, Footage, Frames, verb
 from vntoolkit.cli.output import print_next, print_table, progress_bar, require_output, write_json
@@ -31,6 +30,8 @@ _LOGGER = logging.getLogger(__name__)
 
 COLUMNS = ["", "pixels", "mean", "median", "std", "95 %", "< 5°", "< 10°", "< 20°"]
 
+_OUT = Path("evaluation")
+Out: TypeAlias = Annotated[Path, Parameter(help="Folder to write.")]
 _SEED = 0  # of the vertices sampled for the alignment
 _LINES, _TRACK_LINES = 10, 12  # of a table on the screen; the file has all frames
 
@@ -40,7 +41,7 @@ def normals(
     measured: Path,
     reference: Path,
     *,
-    out: Path = Path("evaluation"),
+    out: Out = _OUT,
     measured_convention: NormalConvention | None = None,
     reference_convention: NormalConvention | None = None,
 ) -> None:
@@ -55,8 +56,6 @@ def normals(
         A normal map, EXR or PNG, or a folder of them, such as `vntoolkit reconstruct` writes.
     reference
         The reference: a map or a folder, such as `vntoolkit simulate` writes. Files are paired by name.
-    out
-        Folder to write.
     measured_convention
         Axes of the measured map. Default: those that the file states, else x right, y up, z to the viewer.
     reference_convention
@@ -99,7 +98,7 @@ def mesh(
     reference: Path | None = None,
     *,
     measured_by: mesh_comparison.MeasuredBy = mesh_comparison.MeasuredBy.EMBREE,
-    out: Path = Path("evaluation"),
+    out: Out = _OUT,
     options: Annotated[mesh_comparison.AlignmentOptions | None, Flags(renamed={"free": "align"})] = None,
 ) -> None:
     """Print the distances between a mesh and a reference, in both directions, and the quality of both.
@@ -116,8 +115,6 @@ def mesh(
         The mesh to compare with. Without it, only the quality is measured.
     measured_by
         embree: nearest points by Open3D, at any distance. pymeshlab: nearest points by MeshLab.
-    out
-        Folder to write.
     """
     require_output(out / "mesh.json")
     with sole_writer(out):
@@ -212,7 +209,7 @@ def cylinder(
     truth: Path | None = None,
     frames: Frames = "::",
     footage: Footage = "",
-    out: Path = Path("evaluation"),
+    out: Out = _OUT,
 ) -> evaluate.CylinderEvaluation:
     """Fit one cylinder to a reconstruction of a moving cylinder; compare the normals with it (Figure 7).
 
@@ -224,8 +221,6 @@ def cylinder(
         The folder that `vntoolkit reconstruct` wrote.
     truth
         The folder that `vntoolkit simulate` wrote. With it, the fit itself is compared with the truth.
-    out
-        Folder to write.
     """
     require_output(out / "cylinder.json")
     with sole_writer(out):
@@ -277,7 +272,7 @@ def tracks(
     *others: Path,
     truth: Path,
     every: int = 10,
-    out: Path = Path("evaluation"),
+    out: Out = _OUT,
     lost_px: float | None = None,
 ) -> None:
     """Print the end-point error of each frame in pixels, for all visible vertices and without the lost ones.
@@ -297,8 +292,6 @@ def tracks(
         The folder that `vntoolkit simulate` wrote.
     every
         Evaluate every n-th frame, and the last one.
-    out
-        Folder to write.
     lost_px
         A vertex counts as lost where its expected error is above this, in pixels. Default: what `track` used.
     """
@@ -341,7 +334,7 @@ def _print_table(name: str, errors: list[TrackError]) -> None:
 
 
 @verb("max_megapixels")
-def integration(*, data: Path | None = None, size: int = 256, out: Path = Path("evaluation")) -> None:
+def integration(*, data: Path | None = None, size: int = 256, out: Out = _OUT) -> None:
     """Print the depth error of every integrator on analytic surfaces, and on real objects if given.
 
     Writes integration.json, the cumulative errors on the surface with a depth step (integration_curve.png)
@@ -353,8 +346,6 @@ def integration(*, data: Path | None = None, size: int = 256, out: Path = Path("
         Folder with one folder per real object: normal_map.png, mask.png, K.txt, depth_gt.npz (millimetres).
     size
         Side of the analytic surfaces in pixels.
-    out
-        Folder to write.
     """
     require_output(out / "integration.json")
     with sole_writer(out):

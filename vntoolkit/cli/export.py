@@ -1,7 +1,5 @@
 """`vntoolkit export`: convert results to the formats of other programs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from pathlib import Path

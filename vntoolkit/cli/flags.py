@@ -4,8 +4,6 @@ A dataclass is the only source of a flag's name, default and help. Its docstring
 `name: meaning.`; the help is that text up to the next field or the end of the paragraph.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import functools

@@ -3,8 +3,6 @@
 A call is bound by the same parser as a typed command, so that both take the same values and refuse the same.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable, Mapping
 from enum import Enum

@@ -1,7 +1,5 @@
 """`vntoolkit live`: normals and the surface while filming."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import sys

@@ -1,7 +1,5 @@
 """The error lines of the command line: a command typed wrongly, and an unexpected exception."""
 
-from __future__ import annotations
-
 import contextlib
 import difflib
 import inspect

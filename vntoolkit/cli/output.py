@@ -1,7 +1,5 @@
 """Output of the verbs: tables, JSON, checks of output names, progress bars."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import errno
@@ -151,7 +149,7 @@ class ProgressBars:
         self._advance: Advance = lambda n: None
         self._title, self._done = "", 0
 
-    def __enter__(self) -> ProgressBars:
+    def __enter__(self) -> "ProgressBars":
         return self
 
     def __exit__(self, *_: object) -> None:

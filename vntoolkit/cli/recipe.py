@@ -1,7 +1,5 @@
 """`vntoolkit recipe list|run`: the experiments of the paper, one script each."""
 
-from __future__ import annotations
-
 import logging
 import runpy
 import sys

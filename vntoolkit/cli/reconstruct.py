@@ -1,7 +1,5 @@
 """`vntoolkit reconstruct`: compute normals, depth and meshes from footage and a rig."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path

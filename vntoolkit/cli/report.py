@@ -1,7 +1,5 @@
 """`vntoolkit report`: write an HTML page on the quality of a reconstruction."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`vntoolkit schema` and `vntoolkit data`: what the package holds for other programs, and for a first try."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`vntoolkit session`: reconstruct and track many captures, on one machine or several."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`vntoolkit simulate`: render a synthetic capture with ground truth."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """`vntoolkit track`: register all frames of a reconstruction to one mesh."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 from statistics import median

@@ -1,7 +1,5 @@
 """`vntoolkit view`: look at a reconstruction in a browser."""
 
-from __future__ import annotations
-
 import contextlib
 from pathlib import Path
 from typing import Annotated

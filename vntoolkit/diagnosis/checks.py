@@ -1,15 +1,12 @@
 """All checks, one function each, and what they find in a capture read with a rig."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
 
-from vntoolkit.diagnosis.black_level import check_black_level
+from vntoolkit.diagnosis.added_light import check_black_level, check_gloss
 from vntoolkit.diagnosis.evidence import Evidence, brightest_channel
 from vntoolkit.diagnosis.finding import Finding, Level
-from vntoolkit.diagnosis.gloss import check_gloss
 from vntoolkit.diagnosis.outline import check_cast_shadows, check_outline
 from vntoolkit.diagnosis.rig_checks import check_coverage, check_lamps, check_residual, check_zoom
 from vntoolkit.diagnosis.surface_match import (

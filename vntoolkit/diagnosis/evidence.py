@@ -1,24 +1,19 @@
 """What the checks look at: a few frames of a capture, averaged down, and the rig they are read with."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Mask, Matrix3
+from vntoolkit.arrays import Array, BoolArray, Float32Array, FloatArray, Int64Array, Mask, Matrix3
 from vntoolkit.materials.paint_levels import in_one_paint
 from vntoolkit.photometry import transfer as transfers
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.rig import Rig
 
-Single = npt.NDArray[np.float32]
 FEW_PIXELS = 50_000  # of an averaged frame: enough for every statistic here, and a run starts within a second
 # … but not where found materials meet. What lies near seams is left out, and of narrow patches nothing
 # remained but some 60 pixels, in two places, which looked like turned lamps.
@@ -43,16 +38,16 @@ class Evidence:
 
     rig: Rig
     transfer: transfers.Transfer
-    light: Single
-    clipped: npt.NDArray[np.bool_]
-    inside: npt.NDArray[np.bool_]
+    light: Float32Array
+    clipped: BoolArray
+    inside: BoolArray
     masked: bool
     scale: float
     numbers: tuple[int, ...]
-    painted: Evidence | None = None
+    painted: "Evidence | None" = None
 
     @cached_property
-    def directions(self) -> Single:
+    def directions(self) -> Float32Array:
         """(h, w, 3) viewing rays with z = 1; (0, 0, 1) everywhere for an orthographic camera."""
         height, width = self.light.shape[1:3]
         rays = np.zeros((height, width, 3), np.float32)
@@ -64,11 +59,11 @@ class Evidence:
         return rays
 
     @cached_property
-    def inverse(self) -> Single:
+    def inverse(self) -> Float32Array:
         """M⁻¹, (3, 3), or (h, w, 3, 3) where it varies over the image."""
         return self.inverse_of(self.rig.response.matrix)
 
-    def inverse_of(self, matrix: Matrix3) -> Single:
+    def inverse_of(self, matrix: Matrix3) -> Float32Array:
         """Return the inverse of another central matrix, with the rig's variation on top."""
         response = self.rig.response
         if response.variation is None:
@@ -83,7 +78,7 @@ class Evidence:
         return np.stack([u, v], axis=-1)
 
     @cached_property
-    def ambient(self) -> Single:
+    def ambient(self) -> Float32Array:
         """(3,) or (h, w, 3) ambient light."""
         response = self.rig.response
         if response.variation is None:
@@ -91,7 +86,7 @@ class Evidence:
         return response.at(self.positions_px)[1].astype(np.float32)
 
     @cached_property
-    def surface(self) -> npt.NDArray[np.bool_]:
+    def surface(self) -> BoolArray:
         """(k, h, w): lit, unclipped and inside the mask; the rig's normals play no part in it."""
         brightest = brightest_channel(self.light)
         chosen = self.inside & ~self.clipped & (darkest_channel(self.light) > _LEAST_CHANNEL)
@@ -101,7 +96,7 @@ class Evidence:
         return np.asarray(chosen)
 
     @cached_property
-    def levelled(self) -> Evidence:
+    def levelled(self) -> "Evidence":
         """The same footage as if its subject were of one paint; the steps of paint are told without M."""
         brightest = brightest_channel(self.light)
         subject = self.inside & ~self.clipped & (brightest > _SUBJECT * np.percentile(brightest, 99))
@@ -117,7 +112,7 @@ class Evidence:
         )
 
     @cached_property
-    def read_otherwise(self) -> Evidence:
+    def read_otherwise(self) -> "Evidence":
         """The same footage read with a curve of the other kind."""
         other = of_the_other_kind(self.transfer)
         encoded = transfers.encoded_from_linear(np.maximum(self.light, 0.0), self.transfer)
@@ -132,7 +127,7 @@ class Evidence:
         return clipped / max(1, clipped + int(self.surface.sum()))
 
     @cached_property
-    def blocks(self) -> npt.NDArray[np.int64]:
+    def blocks(self) -> Int64Array:
         """(h, w) number of the block that a pixel lies in; a block is the same place in every frame.
 
         Blocks hold as much surface as each other, so that a small subject has as many as a large one.
@@ -161,7 +156,7 @@ def of_the_other_kind(read: transfers.Transfer) -> transfers.Transfer:
     return transfers.Transfer.from_text("srgb" if read.curve is transfers.TransferCurve.LINEAR else "linear")
 
 
-def _equal_parts(counts: npt.NDArray[np.int64], parts: int) -> npt.NDArray[np.int64]:
+def _equal_parts(counts: Int64Array, parts: int) -> Int64Array:
     """Return (n,) the number of the part that each of n rows or columns is in; parts hold equal counts."""
     before = np.cumsum(counts) - counts / 2
     total = max(1, int(counts.sum()))
@@ -210,23 +205,23 @@ def averaged_down(frame: LinearFrame, most_pixels: int = FEW_PIXELS) -> LinearFr
 # Over three channels numpy's own reductions take ten times as long.
 
 
-def brightest_channel(light: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def brightest_channel(light: Array) -> Array:
     """Return the largest of three channels, the last axis."""
     return np.maximum(np.maximum(light[..., 0], light[..., 1]), light[..., 2])
 
 
-def darkest_channel(light: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def darkest_channel(light: Array) -> Array:
     """Return the least of three channels, the last axis."""
     return np.minimum(np.minimum(light[..., 0], light[..., 1]), light[..., 2])
 
 
-def lengths_of(vectors: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def lengths_of(vectors: Array) -> Array:
     """Return the lengths of vectors of two or three components, the last axis."""
     total = vectors[..., 0] ** 2 + vectors[..., 1] ** 2
     return np.asarray(np.sqrt(total + vectors[..., 2] ** 2 if vectors.shape[-1] == 3 else total))
 
 
-def _resized(image: npt.NDArray[np.float32], size: tuple[int, int]) -> Single:
+def _resized(image: Float32Array, size: tuple[int, int]) -> Float32Array:
     if size == image.shape[1::-1]:
         return image
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32)
@@ -234,10 +229,10 @@ def _resized(image: npt.NDArray[np.float32], size: tuple[int, int]) -> Single:
 
 def scaled_normals(
     evidence: Evidence,
-    light: Single,
+    light: Float32Array,
     mix: Matrix3 | None = None,
-    inverse: Single | None = None,
-) -> Single:
+    inverse: Float32Array | None = None,
+) -> Float32Array:
     """M⁻¹ (K r − a), (h, w, 3): the normals times albedo. mix: K, or None for r as it is."""
     inverse = evidence.inverse if inverse is None else inverse
     if mix is not None:

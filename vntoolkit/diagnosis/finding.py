@@ -1,7 +1,5 @@
 """What a check found, and the decision, the same for every verb, whether a run goes on."""
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Iterable

@@ -1,7 +1,5 @@
 """Faults of footage that spoil normals: the findings of `vntoolkit doctor`."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -227,10 +225,7 @@ def _findings_from_channels(info: CaptureInfo) -> Iterator[Finding]:
 
 
 def _findings_from_tag(info: CaptureInfo, transfer: Transfer, level: Level) -> Iterator[Finding]:
-    """Find a transfer curve that the file states and that it is not read with.
-
-    No tag can state a camera's own logarithm: such files say bt709, or nothing.
-    """
+    """Find a stated transfer curve other than the one read with; no tag states a camera's own logarithm."""
     stated, used = info.stated_transfer, transfer.to_text()
     if not stated or stated == used or transfer.is_camera_log:
         return

@@ -6,8 +6,6 @@ picture: an M that is wrong (what depends on the normal), vignetting and paint (
 Lamps of a rig stand about equally far: what the three tell is averaged.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

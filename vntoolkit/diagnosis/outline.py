@@ -1,4 +1,6 @@
-"""Is the surface convex where the rig says so? Slopes cannot tell; the outline and cast shadows can.
+"""Are axes reversed? The outline and cast shadows tell of both, the curl of slopes of one.
+
+Slopes cannot tell convex from concave.
 
 Where a closed surface ends before a darker backdrop it turns away from the camera, so that its normals lean
 outwards. The mean of their outward part along the outline is 0.3 to 0.95 on bodies, heads and statues, and
@@ -11,19 +13,21 @@ leads towards the lamp, over the rims of all shadows and weighted by the jump, i
 statues; both axes of M reversed make it negative.
 """
 
-from __future__ import annotations
-
+import logging
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 
 import cv2
 import numpy as np
 
-from vntoolkit.arrays import FloatArray
+from vntoolkit.arrays import FloatArray, Mask
 from vntoolkit.diagnosis.evidence import Evidence, brightest_channel, lengths_of, scaled_normals
 from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
+from vntoolkit.geometry.maps import NormalMap
 
+logger = logging.getLogger(__name__)
 _LIT = 0.1  # of the brightest hundredth: the subject and what is lit like it
 _CLOSING_PX = 5
 _RIM_PX = (1.5, 4.0)  # of averaged pixels inside the outline
@@ -39,6 +43,12 @@ _BEYOND_PX = 2.5  # from the rim of a shadow to where its lit side is read
 _LEAST_JUMP = 0.3  # of the brightest channel
 _FEWEST_RIM_PIXELS = 30  # a frame; lips and irises lack a colour too, but their rims are short …
 _FEWEST_BLOCKS = 6  # … and in one place
+# The green axis of an imported normal map: a surface that exists has slopes without curl.
+_SMOOTHING_PX = 5
+_STEEPEST = 0.2  # least |n_z| of a slope that counts
+_MARGIN = 0.6  # the other reading must leave this share of the curl
+_WORST_AS_FLIPPED = 0.5  # and be nearly free of curl itself: noise has 0.6 either way
+_FEWEST_MAP_PIXELS = 400
 
 
 def check_outline(evidence: Evidence) -> list[Finding]:
@@ -174,3 +184,44 @@ def cast_shadows(evidence: Evidence) -> Outline | None:
     if rims < _FEWEST_RIM_PIXELS * len(evidence.light) or int((counts > 0).sum()) < _FEWEST_BLOCKS:
         return None
     return Outline(products=products[counts > 0], counts=counts[counts > 0])
+
+
+def curl_share(scaled_normals: FloatArray, used: Mask) -> float:
+    """Return |∂p/∂v − ∂q/∂u| over |∂p/∂v| + |∂q/∂u|, each summed over the inside of `used`; 0 to 1.
+
+    p and q are the slopes of the smoothed (h, w, 3) normals; a surface that exists has the share 0. NaN
+    where nothing is inside, or all of it is flat.
+    """
+    normals = cv2.blur(scaled_normals, (_SMOOTHING_PX, _SMOOTHING_PX))
+    normals = normals / np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-12)
+    side = 2 * _SMOOTHING_PX - 1
+    eroded = cv2.erode(used.astype(np.uint8), np.ones((side, side), np.uint8), borderValue=0) > 0
+    inside: Mask = np.asarray(eroded & (normals[..., 2] < -_STEEPEST))
+    if not inside.any():
+        return float("nan")
+    slopes = normals[..., :2] / np.minimum(normals[..., 2:], -_STEEPEST)
+    p_along_v = np.gradient(slopes[..., 0], axis=0)[inside]
+    q_along_u = np.gradient(slopes[..., 1], axis=1)[inside]
+    total = float((np.abs(p_along_v) + np.abs(q_along_u)).sum())
+    return float(np.abs(p_along_v - q_along_u).sum()) / total if total > 0 else float("nan")
+
+
+def warn_of_flipped_axes(path: Path | str, normal_map: NormalMap) -> None:
+    """Log a warning where the map read from `path` makes a surface only with its y axis flipped."""
+    if finding := finding_from_axes(normal_map):
+        logger.warning("%s: %s", path, finding)
+
+
+def finding_from_axes(normal_map: NormalMap) -> str | None:
+    """Return a line where the map makes a surface only with its y axis flipped, else None."""
+    if int(normal_map.mask.sum()) < _FEWEST_MAP_PIXELS:
+        return None
+    normals = np.asarray(normal_map.normals_in_camera, dtype=np.float64)
+    as_read = curl_share(normals, normal_map.mask)
+    flipped = curl_share(normals * np.array([1.0, -1.0, 1.0]), normal_map.mask)
+    if not flipped < min(_MARGIN * as_read, _WORST_AS_FLIPPED):
+        return None
+    return (
+        f"the green axis looks flipped: as read the slopes contradict each other (curl share {as_read:.2f}), "
+        f"flipped they fit ({flipped:.2f}); read it with the other convention, opengl or directx"
+    )

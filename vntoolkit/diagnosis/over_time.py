@@ -14,16 +14,13 @@ A subject that moves farther than flow can follow is one whose pixels do not com
 flow and backwards along the reverse flow ends elsewhere.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Mask
+from vntoolkit.arrays import Float32Array, FloatArray, Int64Array, Mask
 from vntoolkit.diagnosis import evidence as evidences
 from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
 from vntoolkit.photometry.frame import LinearFrame
@@ -198,17 +195,14 @@ def check_bands(evidence: evidences.Evidence) -> list[Finding]:
     ]
 
 
-def _follow(inverse: evidences.Single, scaled: evidences.Single) -> FloatArray:
+def _follow(inverse: Float32Array, scaled: Float32Array) -> FloatArray:
     n = scaled / np.maximum(evidences.lengths_of(scaled), 1e-9)[:, None]
     colour = np.einsum("...ij,...j->...i", np.linalg.inv(inverse), n)
     return np.asarray(np.einsum("...i,...ij->...j", n, inverse) * colour, np.float64)
 
 
 def _gains_of_stripe(follow: FloatArray, beats: FloatArray) -> FloatArray:
-    """Return the log gains (3,) of a stripe whose log lengths (n,) beat; outliers weighed down.
-
-    What the lengths do not tell is 0.
-    """
+    """Return log gains (3,) of a stripe whose log lengths (n,) beat, robustly; 0 where none tells."""
     gains: FloatArray = np.zeros(3)
     for _ in range(_ROUNDS_A_STRIPE):
         left = np.abs(beats - follow @ gains)
@@ -219,11 +213,11 @@ def _gains_of_stripe(follow: FloatArray, beats: FloatArray) -> FloatArray:
     return gains
 
 
-def _lengths(evidence: evidences.Evidence, light: evidences.Single) -> evidences.Single:
+def _lengths(evidence: evidences.Evidence, light: Float32Array) -> Float32Array:
     return np.asarray(evidences.lengths_of(evidences.scaled_normals(evidence, light)))
 
 
-def _largest_error(beats: FloatArray, medians: FloatArray, blocks: npt.NDArray[np.int64]) -> float:
+def _largest_error(beats: FloatArray, medians: FloatArray, blocks: Int64Array) -> float:
     """Return the standard error of the medians: how those of the blocks scatter about them."""
     names = np.unique(blocks)
     if len(names) < 2:
@@ -301,9 +295,7 @@ def findings_from_tracks(
     ]
 
 
-def _lost_share(
-    flow: cv2.DISOpticalFlow, now: evidences.Single, then: evidences.Single, subject: Mask
-) -> float:
+def _lost_share(flow: cv2.DISOpticalFlow, now: Float32Array, then: Float32Array, subject: Mask) -> float:
     top = 255.0 / max(float(np.percentile(now, 99.5)), float(np.percentile(then, 99.5)), 1e-6)
     first, second = (np.clip(top * picture, 0, 255).astype(np.uint8) for picture in (now, then))
     onwards = np.asarray(flow.calc(first, second, None))  # type: ignore[call-overload]
@@ -317,7 +309,7 @@ def _lost_share(
     return float((missed > allowed)[subject].mean())
 
 
-def _picture(frame: LinearFrame) -> evidences.Single:
+def _picture(frame: LinearFrame) -> Float32Array:
     """Return one brightness, (h, w), averaged down; roots even out what is lit well and what is not."""
     factor = min(1.0, _SIDE_PX / max(frame.shape))
     size = (max(8, round(frame.shape[1] * factor)), max(8, round(frame.shape[0] * factor)))

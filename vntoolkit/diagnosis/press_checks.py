@@ -1,7 +1,5 @@
 """Are presses of a tactile sensor what they are said to be? Labels against dents, and the transfer curve."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from vntoolkit.arrays import FloatArray

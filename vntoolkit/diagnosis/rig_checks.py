@@ -5,8 +5,6 @@ another zoom the change is stretched: then the lengths |M⁻¹(r − a)|, equal 
 with M read from places scaled by the ratio of the two focal lengths.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -17,19 +17,15 @@ them tell, with a rim inside them that is too bright. A picture made smaller is 
 rim.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Mask
-from vntoolkit.diagnosis.evidence import Single, brightest_channel
+from vntoolkit.arrays import Array, Float32Array, FloatArray, Mask
+from vntoolkit.diagnosis.evidence import brightest_channel
 from vntoolkit.diagnosis.finding import Finding, Level
 from vntoolkit.photometry.frame import LinearFrame
 
@@ -184,11 +180,7 @@ def _span(wanted: Mask, size: int) -> slice:
 
 
 def _width(squares: FloatArray, others: FloatArray, percentile: float) -> float | None:
-    """Return the blur at places whose two measurements agree, or None for too few, or one of limbs alone.
-
-    The blur of long motion, or of a lens far out of focus, has a flat top: the second measurement is then the
-    smaller, and nearer.
-    """
+    """Return the blur where two measurements agree (the smaller); None for few, or one of limbs alone."""
     tolerance = _ALIKE * (1.0 + np.maximum(squares, 0.0))
     steps = others - squares < tolerance
     wide = squares > _BLURRED_PX**2
@@ -220,7 +212,7 @@ def _near_outline(frame: LinearFrame, mask: Mask | None) -> Mask:
     return near
 
 
-def _edges(channel: Single, near: Mask) -> FloatArray:
+def _edges(channel: Float32Array, near: Mask) -> FloatArray:
     """Measure one channel, (h, w), at the n places where its slope is steepest across a step.
 
     Returns (7, n): b² in pixels² by the first two scales, and by the last two; the direction in radians; the
@@ -234,7 +226,7 @@ def _edges(channel: Single, near: Mask) -> FloatArray:
     v, u = (places[:: 1 + len(v) // _MOST] for places in (v, u))
     towards = np.stack([slope[v, u] / steep[v, u] for slope in slopes])
 
-    def along(image: Single, steps: float) -> Single:
+    def along(image: Float32Array, steps: float) -> Float32Array:
         at_u, at_v = (
             (place + steps * part).astype(np.float32) for place, part in zip((u, v), towards, strict=True)
         )
@@ -253,7 +245,7 @@ def _edges(channel: Single, near: Mask) -> FloatArray:
     foretold = profile[-4] - (2 * _PROFILE_PX - 3 - beside[:, None]) * slope
     overshoots = (profile[beside] - foretold).max(axis=0) / step
     overshoots[np.abs(slope) > _FLAT * step] = np.nan
-    squared: list[npt.NDArray[Any]] = [steep[v, u] ** 2]
+    squared: list[Array] = [steep[v, u] ** 2]
     for scale in _SCALES_PX[1:]:
         smooth = _blurred(channel, scale)
         squared.append(
@@ -270,7 +262,7 @@ def _edges(channel: Single, near: Mask) -> FloatArray:
     return np.stack([*widths, directions, overshoots, *before])[:, good]
 
 
-def _slopes(channel: Single) -> tuple[Single, Single]:
+def _slopes(channel: Float32Array) -> tuple[Float32Array, Float32Array]:
     """Return the slopes to the right and down after the least blur, (h, w) each."""
     smooth = _blurred(channel, _SCALES_PX[0])
     across = np.array([[-0.5, 0.0, 0.5]], np.float32)
@@ -278,5 +270,5 @@ def _slopes(channel: Single) -> tuple[Single, Single]:
     return np.asarray(right, np.float32), np.asarray(down, np.float32)
 
 
-def _blurred(channel: Single, scale: float) -> Single:
+def _blurred(channel: Float32Array, scale: float) -> Float32Array:
     return np.asarray(cv2.GaussianBlur(channel, (0, 0), scale, borderType=cv2.BORDER_REPLICATE), np.float32)

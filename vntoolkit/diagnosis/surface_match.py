@@ -17,10 +17,9 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Matrix3
-from vntoolkit.diagnosis.evidence import Evidence, Single, lengths_of, scaled_normals
+from vntoolkit.arrays import BoolArray, Float32Array, FloatArray, Matrix3
+from vntoolkit.diagnosis.evidence import Evidence, lengths_of, scaled_normals
 from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
 from vntoolkit.diagnosis.outline import outline
 
@@ -245,9 +244,7 @@ def agreement_of(evidence: Evidence, mix: Matrix3) -> float:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Sums:
-    """Sums over blocks (b, 10): α² (2), |α|², β² (2), |β|², facing, all, departure of log length of those
-    that face the camera, pixels with an α.
-    """
+    """Sums over blocks (b, 10): α² (2), |α|², β² (2), |β|², facing, all, log length, pixels with an α."""
 
     blocks: FloatArray
 
@@ -256,7 +253,7 @@ class _Sums:
         cls,
         evidence: Evidence,
         mix: Matrix3 | None = None,
-        inverse: Single | None = None,
+        inverse: Float32Array | None = None,
         frames: slice = slice(None),
     ) -> _Sums:
         total = np.zeros((int(evidence.blocks.max()) + 1, 10))
@@ -288,7 +285,7 @@ class _Sums:
 
 
 @lru_cache(maxsize=2)  # every relative of M asks
-def _seams_of_paint(evidence: Evidence) -> npt.NDArray[np.bool_]:
+def _seams_of_paint(evidence: Evidence) -> BoolArray:
     """(k, h, w): beside a step of colour, whatever M is. What is printed on a surface is no slope."""
     seams = np.zeros(evidence.surface.shape, np.bool_)
     for light, used, seam in zip(evidence.light, evidence.surface, seams, strict=True):
@@ -304,9 +301,7 @@ def _seams_of_paint(evidence: Evidence) -> npt.NDArray[np.bool_]:
     return seams
 
 
-def _block_sums(
-    evidence: Evidence, scaled: Single, used: npt.NDArray[np.bool_], seams: npt.NDArray[np.bool_]
-) -> FloatArray:
+def _block_sums(evidence: Evidence, scaled: Float32Array, used: BoolArray, seams: BoolArray) -> FloatArray:
     whole = used.astype(np.float32)
     smooth = cv2.GaussianBlur(scaled * whole[..., None], (0, 0), _BLUR_PX)
     covered = cv2.GaussianBlur(whole, (0, 0), _BLUR_PX) > 0.98
@@ -347,7 +342,7 @@ def _block_sums(
     return sums
 
 
-def _gradient(values: Single) -> tuple[Single, Single]:
+def _gradient(values: Float32Array) -> tuple[Float32Array, Float32Array]:
     along_u, along_v = np.zeros_like(values), np.zeros_like(values)
     along_u[:, 1:-1] = (values[:, 2:] - values[:, :-2]) / 2
     along_v[1:-1] = (values[2:] - values[:-2]) / 2
@@ -475,7 +470,9 @@ def _relatives(evidence: Evidence, own: _Sums) -> Iterator[_Reading]:
     one = slice(len(evidence.light) // 2, len(evidence.light) // 2 + 1)
     bar = _Reading.of("", "", _Sums.of(evidence, frames=one)).misfit
 
-    def looked_at(name: str, remedy: str, mix: Matrix3 | None, inverse: Single | None) -> Iterator[_Reading]:
+    def looked_at(
+        name: str, remedy: str, mix: Matrix3 | None, inverse: Float32Array | None
+    ) -> Iterator[_Reading]:
         """Yield the reading of all frames where one frame's is not worse than as calibrated."""
         glimpse = _Reading.of("", "", _Sums.of(evidence, mix, inverse, one))
         if glimpse.misfit < bar:

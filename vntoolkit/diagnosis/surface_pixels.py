@@ -1,17 +1,14 @@
 """Some pixels of the surface, with M⁻¹ and ambient light at each, for checks of the lengths M⁻¹(r − a)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Mask
-from vntoolkit.diagnosis.evidence import Evidence, Single, lengths_of, scaled_normals
+from vntoolkit.arrays import Float32Array, FloatArray, Int64Array, Mask
+from vntoolkit.diagnosis.evidence import Evidence, lengths_of, scaled_normals
 
 _BLUR_PX = 1.0
 _STEEPEST = 0.15
@@ -30,15 +27,15 @@ class SurfacePixels:
     rgb: FloatArray
     inverse: FloatArray
     ambient: FloatArray
-    blocks: npt.NDArray[np.int64]
-    frames: npt.NDArray[np.int64]
+    blocks: Int64Array
+    frames: Int64Array
     blocks_a_side: int
     positions: FloatArray
 
     def __len__(self) -> int:
         return len(self.rgb)
 
-    def of(self, chosen: Mask | slice) -> SurfacePixels:
+    def of(self, chosen: Mask | slice) -> "SurfacePixels":
         """Return some of them."""
         return SurfacePixels(
             rgb=self.rgb[chosen],
@@ -63,7 +60,7 @@ class SurfacePixels:
         return np.asarray(np.einsum("...ij,...j->...i", matrix, scaled) + self.ambient)
 
 
-def surface_pixels(evidence: Evidence, chosen: Callable[[int, Single], Mask]) -> SurfacePixels:
+def surface_pixels(evidence: Evidence, chosen: Callable[[int, Float32Array], Mask]) -> SurfacePixels:
     """Return pixels that face the camera, of what is chosen, blurred among each other.
 
     chosen: gives, for a frame's number and the lengths (h, w) of its M⁻¹(r − a), the pixels to take, (h, w);
@@ -152,7 +149,7 @@ def regress_lengths(
     return Regression(slopes=found[:width], errors=np.max(errors, axis=0))
 
 
-def spread_of_lengths(scaled: FloatArray, frames: npt.NDArray[np.int64]) -> float:
+def spread_of_lengths(scaled: FloatArray, frames: Int64Array) -> float:
     """Return the median departure of log lengths from their frame's median; of those facing away the largest.
 
     scaled: (n, 3). frames: (n,) numbers.
@@ -162,7 +159,7 @@ def spread_of_lengths(scaled: FloatArray, frames: npt.NDArray[np.int64]) -> floa
     return float(np.median(departure))
 
 
-def without_levels(logs: FloatArray, frames: npt.NDArray[np.int64]) -> FloatArray:
+def without_levels(logs: FloatArray, frames: Int64Array) -> FloatArray:
     """Return log lengths, (n,), less the median of their frame."""
     left = logs.copy()
     for frame in np.unique(frames):

@@ -12,15 +12,12 @@ of the subject looks like, must not leave less. The spread of the lengths alone 
 compresses light compresses paint too.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Mask
+from vntoolkit.arrays import BoolArray, Float32Array, FloatArray, Mask
 from vntoolkit.diagnosis import evidence as evidences
 from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
 from vntoolkit.diagnosis.surface_pixels import (
@@ -195,7 +192,7 @@ class _Spreads:
         return self.by_curve < _LESS * self.as_read and (self.by_gains is None or self.by_gains > bar)
 
     @classmethod
-    def of(cls, evidence: evidences.Evidence, curve: str) -> _Spreads:
+    def of(cls, evidence: evidences.Evidence, curve: str) -> "_Spreads":
         """Measure the same pixels three times."""
         other = Transfer.from_text(curve)
         pixels = _lit_pixels(evidence, other)
@@ -222,13 +219,10 @@ def _reread(light: FloatArray, read: Transfer, other: Transfer) -> FloatArray:
 
 
 def _lit_pixels(evidence: evidences.Evidence, other: Transfer) -> SurfacePixels:
-    """Return pixels that face the camera and are bright under both readings.
-
-    The darker of the two readings has a lower bar: a bar on its lengths would pick bright directions.
-    """
+    """Return pixels that face the camera and are bright by both readings; the darker one has a lower bar."""
     darker = other.curve is not TransferCurve.LINEAR
 
-    def lit(k: int, length: evidences.Single) -> Mask:
+    def lit(k: int, length: Float32Array) -> Mask:
         good = evidence.inside[k] & ~evidence.clipped[k] & (length > 0.0)
         if good.any():
             good &= length > (_LIT_DARKER if darker else _LIT) * np.percentile(length[good], 95)
@@ -244,16 +238,13 @@ def _lit_pixels(evidence: evidences.Evidence, other: Transfer) -> SurfacePixels:
 def _slope(
     pixels: SurfacePixels, rgb: FloatArray, read: Transfer, other: Transfer, unevenly: bool
 ) -> tuple[float, float] | None:
-    """Return the slope of log length on what `other` foretells, and its standard error over blocks.
-
-    unevenly: whether lengths may also follow a constant in each channel, and the place in the picture.
-    """
+    """Return slope of log length on what `other` foretells, ± error; unevenly: beside channel and place."""
     scaled = pixels.scaled_normals(rgb)
     length = evidences.lengths_of(scaled)
     typical = float(np.median(length))
     normals = scaled / np.maximum(length, 1e-12)[:, None]
     colours = pixels.colours(normals * typical)
-    lit: npt.NDArray[np.bool_] = evidences.darkest_channel(colours) > np.maximum(
+    lit: BoolArray = evidences.darkest_channel(colours) > np.maximum(
         _LEAST_CHANNEL * evidences.brightest_channel(colours), _DARKEST
     )
     lit &= normals[:, 2] < -_STEEPEST

@@ -6,16 +6,13 @@ step, from the best of a coarse grid: skin under a rig of grey cloth turns norma
 gains of 1 end elsewhere. They are named where they differ from 1 clearly and even out the lengths.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray
+from vntoolkit.arrays import FloatArray, Int64Array
 from vntoolkit.diagnosis.evidence import Evidence, lengths_of
 from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
 from vntoolkit.diagnosis.surface_match import agreement_of
@@ -96,7 +93,7 @@ def check_changing_gains(evidence: Evidence) -> list[Finding]:
     ]
 
 
-def _changes(pixels: SurfacePixels, seen: npt.NDArray[np.int64]) -> tuple[FloatArray, FloatArray] | None:
+def _changes(pixels: SurfacePixels, seen: Int64Array) -> tuple[FloatArray, FloatArray] | None:
     """Return log gains of red and blue in later frames against the first, and their errors, (frames - 1, 2).
 
     What else makes lengths depend on direction and place is shared by all frames: faults of M, near lamps,

@@ -1,7 +1,5 @@
 """Angular error between normal maps: maps, summaries, histograms."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

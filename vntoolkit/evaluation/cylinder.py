@@ -1,7 +1,5 @@
 """A cylinder seen by a camera: rays, the errors of normals on it, and its outline with subpixel accuracy."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ sharp, their sides tell the axis in the image and their ends its tilt in depth; 
 both directly, but have errors in common, which no number of pixels averages out.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
@@ -121,10 +119,7 @@ def _observe(
 
 
 def _refine(seen: _Observation, start: Cylinder, camera: Camera, radius: float | None) -> Cylinder:
-    """Silhouette and normals together; the radius is free where None is given.
-
-    Which contour points are sides, and which normals are good, follows from the cylinder: so in rounds.
-    """
+    """Fit silhouette and normals together, in rounds of what counts as side; radius None: free."""
     for round_ in range(_ROUNDS):
         tolerance_deg = _PARALLEL_DEG * (2.5 if round_ == 0 else 1.0)
         origins, rays = pixel_rays(camera, _side_points(seen, start, camera, tolerance_deg))
@@ -165,7 +160,7 @@ def _solve(
     start: Cylinder,
     origins: Points,
     rays: Points,
-    ends: tuple[EndPoints, ...],
+    ends: "tuple[EndPoints, ...]",
     scatter: Matrix3,
     camera: Camera,
     radius: float | None,

@@ -1,7 +1,5 @@
 """Depth errors after the free scale or offset is removed, and analytic surfaces to measure them on."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

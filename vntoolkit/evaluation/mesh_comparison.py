@@ -1,7 +1,5 @@
 """Distances between meshes or point clouds, their alignment, and the quality of a mesh."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -52,7 +50,7 @@ class MeshDistance:
     diagonal: float
 
     @classmethod
-    def from_vertices(cls, to: FloatArray, back: FloatArray, diagonal: float) -> MeshDistance:
+    def from_vertices(cls, to: FloatArray, back: FloatArray, diagonal: float) -> "MeshDistance":
         """Summarise the distances of all vertices to the reference, (n,), and of all its own back, (m,)."""
         ways = (
             OneWayDistance(

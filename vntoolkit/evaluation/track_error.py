@@ -5,15 +5,12 @@ the triangle is in any later frame, it is known; the distance in the image is th
 vertex whose true point can be seen in that frame is judged, whether the tracker believes to see it or not.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import Faces, FloatArray, Points, Points2, read_only
+from vntoolkit.arrays import BoolArray, Faces, FloatArray, Int32Array, Points, Points2, read_only
 from vntoolkit.checks import require_positive, require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
@@ -31,9 +28,9 @@ class SurfaceAnchors:
     found: (n,) False where no triangle lay under the pixel; its corners and weights mean nothing.
     """
 
-    corners: npt.NDArray[np.int32]
+    corners: Int32Array
     weights: FloatArray
-    found: npt.NDArray[np.bool_]
+    found: BoolArray
 
     def points(self, vertices: Points) -> FloatArray:
         """Return the (n, 3) points on the mesh at `vertices`."""
@@ -94,7 +91,7 @@ def anchors_on_mesh(positions_px: Points2, vertices: Points, faces: Faces, camer
     )
 
 
-def visible(points: FloatArray, vertices: Points, faces: Faces, camera: Camera) -> npt.NDArray[np.bool_]:
+def visible(points: FloatArray, vertices: Points, faces: Faces, camera: Camera) -> BoolArray:
     """Return (n,) True where a point (n, 3) on the mesh is in the image and no triangle is before it."""
     pixels = camera.project(points)
     front = anchors_on_mesh(pixels, vertices, faces, camera)
@@ -129,7 +126,7 @@ def track_errors(
         yield error_of_frame(number, distance, uncertainty[judged] <= lost_px)
 
 
-def error_of_frame(number: int, distance_px: FloatArray, found: npt.NDArray[np.bool_]) -> TrackError:
+def error_of_frame(number: int, distance_px: FloatArray, found: BoolArray) -> TrackError:
     """Summarise end-point errors (n,) in pixels; found: (n,) False where the tracker declares them lost."""
     if not len(distance_px):
         nan = np.nan

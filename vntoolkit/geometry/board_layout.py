@@ -7,15 +7,12 @@ Board frame: origin in the top left corner, x right, y down along the print, z i
 The side that is seen therefore has the normal (0, 0, −1).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, IntArray, Mask
+from vntoolkit.arrays import ArrayLike, FloatArray, IntArray, Mask
 from vntoolkit.errors import BadInput
 
 MARKER_DICTIONARY = "DICT_4X4_250"  # OpenCV's name
@@ -104,7 +101,7 @@ class BoardLayout:
         """Ids of the markers outside the hole."""
         return np.flatnonzero(~self.in_hole(self.marker_squares))
 
-    def in_hole(self, squares: npt.ArrayLike) -> Mask:
+    def in_hole(self, squares: ArrayLike) -> Mask:
         """Whether squares (..., 2), given as (column, row), are cut away: (...) bool."""
         middle = np.array([self.columns - 1, self.rows - 1]) // 2
         reach = np.abs(np.asarray(squares) - middle).max(axis=-1)

@@ -1,7 +1,5 @@
 """Corrections by hand to the automatic fit of a garment to a skeleton."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 

@@ -1,23 +1,13 @@
 """Normal maps and depth maps: one normal or one depth per pixel."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
 
+from vntoolkit import display
 from vntoolkit.arrays import Depth, FloatArray, Mask, Normals, Weight, read_only
 from vntoolkit.checks import require_mask, require_shape
-from vntoolkit.display import (
-    Displayed,
-    Facts,
-    Picture,
-    picture_of_depth,
-    picture_of_normals,
-    share_of,
-    size_of,
-)
 from vntoolkit.errors import BadInput
 
 NOISE_CELL_PX = 16  # side of the squares that noise is told by
@@ -32,7 +22,7 @@ class LengthUnit(Enum):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class NormalMap(Displayed):
+class NormalMap(display.Displayed):
     """Surface normals seen by a camera.
 
     normals_in_camera: (h, w, 3) float32, unit length, n_z < 0 towards the viewer, 0 where invalid.
@@ -71,8 +61,8 @@ class NormalMap(Displayed):
         """(h, w)."""
         return self.normals_in_camera.shape[0], self.normals_in_camera.shape[1]
 
-    def _facts(self) -> Facts:
-        facts = {"size": size_of(self.shape), "valid": share_of(self.mask)}
+    def _facts(self) -> display.Facts:
+        facts = {"size": display.size_of(self.shape), "valid": display.share_of(self.mask)}
         if self.mask.any():
             cosines = np.clip(-self.normals_in_camera[..., 2][self.mask], 0, 1)
             facts["median slant"] = f"{np.degrees(np.arccos(np.median(cosines))):.0f}°"
@@ -82,12 +72,12 @@ class NormalMap(Displayed):
                 facts["expected error"] = f"{np.median(self.error_deg[self.mask]):.1f}°"
         return facts
 
-    def _picture(self) -> Picture:
-        return picture_of_normals(self.normals_in_camera, self.mask)
+    def _picture(self) -> display.Picture:
+        return display.picture_of_normals(self.normals_in_camera, self.mask)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class DepthMap(Displayed):
+class DepthMap(display.Displayed):
     """Depth along the optical axis, growing away from the camera.
 
     depth: (h, w) float32 or float64, 0 where invalid. mask: (h, w) bool. unit: what a length of 1 means.
@@ -118,12 +108,16 @@ class DepthMap(Displayed):
         """(h, w)."""
         return self.depth.shape[0], self.depth.shape[1]
 
-    def _facts(self) -> Facts:
-        facts = {"size": size_of(self.shape), "valid": share_of(self.mask), "unit": self.unit.value}
+    def _facts(self) -> display.Facts:
+        facts = {
+            "size": display.size_of(self.shape),
+            "valid": display.share_of(self.mask),
+            "unit": self.unit.value,
+        }
         if self.mask.any():
             near, far = self.depth[self.mask].min(), self.depth[self.mask].max()
             facts["from"], facts["to"] = f"{near:.4g}", f"{far:.4g}"
         return facts
 
-    def _picture(self) -> Picture:
-        return picture_of_depth(self.depth, self.mask)
+    def _picture(self) -> display.Picture:
+        return display.picture_of_depth(self.depth, self.mask)

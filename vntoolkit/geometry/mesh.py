@@ -7,10 +7,19 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse as sp
 
-from vntoolkit.arrays import Colours, Faces, FloatArray, Points, read_only
+from vntoolkit.arrays import (
+    Array,
+    Colours,
+    Faces,
+    FloatArray,
+    Int32Array,
+    Int64Array,
+    IntArray,
+    Points,
+    read_only,
+)
 from vntoolkit.checks import require_finite, require_shape, sum_is_finite
 from vntoolkit.display import Displayed, Facts, Picture, picture_of_points
 from vntoolkit.errors import BadMesh
@@ -165,16 +174,14 @@ def isosurface(values: FloatArray) -> tuple[Points, Faces]:
     return np.asarray(surface.vertices), np.asarray(surface.triangles, dtype=np.int32)
 
 
-def triangles_from_polygons(
-    polygons: npt.NDArray[Any] | Sequence[npt.NDArray[Any]], vertex_count: int, name: str
-) -> Faces:
+def triangles_from_polygons(polygons: Array | Sequence[Array], vertex_count: int, name: str) -> Faces:
     """Cut polygons into fans: an (m, k) array or a list of index arrays to (n, 3) int32.
 
     Raises `BadMesh` for fewer than three corners or an index outside the vertices.
     """
     if len(polygons) == 0:
         return np.empty((0, 3), dtype=np.int32)
-    by_length: dict[int, list[npt.NDArray[Any]]] = {}
+    by_length: dict[int, list[Array]] = {}
     if isinstance(polygons, np.ndarray):
         groups = {polygons.shape[1]: polygons}
     else:
@@ -252,7 +259,7 @@ class MeshSequence(Displayed):
 _SMALLEST_SINE = 1e-9  # of a triangle's angle: below it the triangle has no area and its cotangent no value
 
 
-def edges_from_faces(faces: Faces) -> npt.NDArray[np.int32]:
+def edges_from_faces(faces: Faces) -> Int32Array:
     """Return the (e, 2) undirected edges of the triangles, each once, lower index first, sorted."""
     corners = np.asarray(faces, dtype=np.int64)
     pairs = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
@@ -262,9 +269,7 @@ def edges_from_faces(faces: Faces) -> npt.NDArray[np.int32]:
     return np.stack([codes // width, codes % width], axis=1).astype(np.int32)
 
 
-def graph_laplacian(
-    edges: npt.NDArray[np.integer], vertex_count: int, weights: FloatArray | None = None
-) -> sp.csr_array:
+def graph_laplacian(edges: IntArray, vertex_count: int, weights: FloatArray | None = None) -> sp.csr_array:
     """Return the (n, n) symmetric Laplacian of weighted edges: (L x)_i = Σ_j w_ij (x_i − x_j).
 
     edges: (e, 2), each once. weights: (e,) or None for 1. Rows sum to 0. float64.
@@ -296,7 +301,7 @@ def cotangent_laplacian(vertices: Points, faces: Faces) -> sp.csr_array:
     return graph_laplacian(pairs, len(np.asarray(vertices)), 0.5 * cosines / sines)
 
 
-def edge_cotangents(vertices: Points, faces: Faces) -> tuple[npt.NDArray[np.int64], FloatArray, FloatArray]:
+def edge_cotangents(vertices: Points, faces: Faces) -> tuple[Int64Array, FloatArray, FloatArray]:
     """Return every triangle's edges (3 m, 2), lower index first, and cosine and sine of the angles opposite.
 
     Cosines and sines, (3 m,), are those of the first, of the second, then of the third corners; both are 0

@@ -1,7 +1,5 @@
 """Motion capture in memory: a skeleton, the rotations of its joints in every frame, and their poses."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -24,7 +22,7 @@ class Motion:
     length of 1 in metres, or None where the file does not say (BVH never does).
     """
 
-    skeleton: Skeleton
+    skeleton: "Skeleton"
     rotations: FloatArray
     root_positions: Points
     frame_rate_hz: float
@@ -56,7 +54,7 @@ class Motion:
         """Seconds from the first to the last frame."""
         return (len(self) - 1) / self.frame_rate_hz
 
-    def turned(self, rotation: Matrix3) -> Motion:
+    def turned(self, rotation: Matrix3) -> "Motion":
         """Return the motion in axes turned by `rotation` (3, 3): rest pose, positions and joint turns."""
         rotation = np.asarray(rotation, dtype=np.float64)
         skeleton = replace(
@@ -72,7 +70,7 @@ class Motion:
             root_positions=self.root_positions @ rotation.T,
         )
 
-    def in_metres(self, figure_height_m: float) -> Motion:
+    def in_metres(self, figure_height_m: float) -> "Motion":
         """Return the motion in metres; a file without unit is scaled to the figure's height in metres."""
         height = self.skeleton.height
         if self.metres_per_unit is None and not height > 0:
@@ -148,7 +146,7 @@ class Skeleton:
             raise BadMotion(f"the skeleton has no joint {name!r}; it has {', '.join(self.names)}")
         return self.names.index(name)
 
-    def scaled(self, factor: float) -> Skeleton:
+    def scaled(self, factor: float) -> "Skeleton":
         """Return the skeleton with every length multiplied by `factor`."""
         return replace(self, offsets=self.offsets * factor, tip_offsets=self.tip_offsets * factor)
 

@@ -3,14 +3,11 @@
 Embree (wald2014) does the work, through Open3D; it is told float32. Answers do not depend on the threads.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import Faces, FloatArray, Points, Vectors
+from vntoolkit.arrays import BoolArray, Faces, FloatArray, Int64Array, Points, Vectors
 from vntoolkit.checks import require_finite
 from vntoolkit.errors import BadMesh
 from vntoolkit.geometry.camera import Camera
@@ -26,9 +23,9 @@ class Hits:
     lengths of the ray's direction. normals: (p, 3) float32 unit normals of the faces, as their corners turn.
     """
 
-    rays: npt.NDArray[np.int64]
-    surfaces: npt.NDArray[np.int64]
-    faces: npt.NDArray[np.int64]
+    rays: Int64Array
+    surfaces: Int64Array
+    faces: Int64Array
     barycentric: FloatArray
     distances: FloatArray
     normals: FloatArray
@@ -54,7 +51,7 @@ class RayScene:
                 np.ascontiguousarray(vertices, dtype=np.float32), np.ascontiguousarray(faces, dtype=np.uint32)
             )
 
-    def first_hits(self, rays: FloatArray, which: npt.NDArray[np.int64] | None = None) -> Hits:
+    def first_hits(self, rays: FloatArray, which: Int64Array | None = None) -> Hits:
         """Return what rays (r, 6) = (origin, direction) meet first. which: indices of those to cast."""
         chosen = rays if which is None else rays[which]
         answer = self._scene.cast_rays(self._rays(chosen), nthreads=self._threads)
@@ -71,7 +68,7 @@ class RayScene:
 
     def blocked(
         self, origins: Points, *, directions: Vectors | None = None, targets: Points | None = None
-    ) -> npt.NDArray[np.bool_]:
+    ) -> BoolArray:
         """Return (p,) True where a surface lies in the direction of origins (p, 3), or before their targets.
 
         Origins must lie off the surface (a little before it), or it blocks itself.
@@ -80,7 +77,7 @@ class RayScene:
         rays[:, :3] = origins
         rays[:, 3:] = directions if targets is None else targets - rays[:, :3]
         farthest = np.inf if targets is None else 1.0
-        answer: npt.NDArray[np.bool_] = self._scene.test_occlusions(
+        answer: BoolArray = self._scene.test_occlusions(
             self._rays(rays), tnear=0.0, tfar=farthest, nthreads=self._threads
         ).numpy()
         return answer

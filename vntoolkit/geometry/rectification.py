@@ -1,7 +1,5 @@
 """Rectification: four corners define how a tilted plane is mapped to square pixels of known size."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from vntoolkit.arrays import FloatArray, Matrix3, Matrix4, Vector3, read_only
+from vntoolkit.arrays import ArrayLike, FloatArray, Matrix3, Matrix4, Vector3, read_only
 from vntoolkit.checks import require_finite, require_shape
 from vntoolkit.errors import BadInput
 
@@ -39,7 +38,7 @@ class RigidTransform:
 
     @classmethod
     def from_rotation_vector(
-        cls, rotation_vector: npt.ArrayLike, translation: npt.ArrayLike = (0.0, 0.0, 0.0)
+        cls, rotation_vector: ArrayLike, translation: ArrayLike = (0.0, 0.0, 0.0)
     ) -> RigidTransform:
         """Build from an axis times angle (radians) and a translation, both (3,)."""
         rotation = Rotation.from_rotvec(np.asarray(rotation_vector, dtype=np.float64)).as_matrix()

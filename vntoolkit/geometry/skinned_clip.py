@@ -1,7 +1,5 @@
 """A skinned surface with its animation: bind pose, joints, weights and blend shapes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 
@@ -46,7 +44,7 @@ class SkinnedClip:
         for name in ("joints", "weights", "shapes", "shape_weights"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
-    def with_influences(self, count: int) -> SkinnedClip:
+    def with_influences(self, count: int) -> "SkinnedClip":
         """Return the clip with at most `count` joints a vertex: the heaviest, less the weight of the next."""
         if self.weights.shape[1] <= count:
             return self
@@ -55,7 +53,7 @@ class SkinnedClip:
         kept = kept / kept.sum(axis=1, keepdims=True)
         return replace(self, joints=self.joints[:, :count], weights=kept)
 
-    def with_shapes(self, count: int) -> SkinnedClip:
+    def with_shapes(self, count: int) -> "SkinnedClip":
         """Return the clip with the first `count` shapes; of the others their mean stays."""
         if len(self.shapes) <= count:
             return self
@@ -65,7 +63,7 @@ class SkinnedClip:
             self, mesh=mesh, shapes=self.shapes[:count], shape_weights=self.shape_weights[:, :count]
         )
 
-    def moved(self, offset: Vector3) -> SkinnedClip:
+    def moved(self, offset: Vector3) -> "SkinnedClip":
         """Return the clip, the whole scene moved by an offset (3,): the animation, not the bind pose."""
         motion = replace(self.motion, root_positions=self.motion.root_positions + offset)
         return replace(self, motion=motion)

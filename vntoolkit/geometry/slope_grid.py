@@ -8,20 +8,17 @@ A quadrant is the pixel, its neighbour along u and its neighbour along v: 0 righ
 slope s, sᵀ A s − 2 sᵀ t, and a weight says how far a quadrant belongs to its surface.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from numba import prange
 
-from vntoolkit.arrays import Mask
+from vntoolkit.arrays import ByteArray, Float32Array, Mask
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.native import njit
 
-Grid = npt.NDArray[np.float32]
-Labels = npt.NDArray[np.uint8]
+Grid = Float32Array
+Labels = ByteArray
 NO_STEP = 1e30  # so soft that nothing is a step
 FLATTEST_Z = 0.12  # |n_z| below which a first slope is held, so that no pixel starts edge-on
 STEEPEST = 8.0  # largest slope: the tangent of the angle from the viewing ray

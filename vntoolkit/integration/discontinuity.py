@@ -21,21 +21,15 @@ converge at a rate that does not depend on the size. All levels live in one inde
 nodes first[l] … first[l+1].
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse.csgraph import connected_components
 
-from vntoolkit.arrays import FloatArray, Mask, Weight
+from vntoolkit.arrays import Float64Array, FloatArray, Int32Array, Mask, Weight
 from vntoolkit.errors import SolverFailed
 from vntoolkit.integration.edges import ChordField, PixelGraph, divergence_on_graph
 from vntoolkit.native import njit
-
-Float64 = npt.NDArray[np.float64]
-Int32 = npt.NDArray[np.int32]
 
 _LEAST_WEIGHT = 1e-9  # of a fully cut edge: keeps parts that only cuts connect from floating freely
 _LEAST_NOISE = 1e-4  # pixels: rounding of float32 normals; a noiseless map has no other scale
@@ -67,13 +61,13 @@ _GOOD_ENOUGH = 0.0625  # squared residual share after one coarse step that spare
 
 def solve_discontinuous(
     graph: PixelGraph,
-    difference: Float64,
-    evidence: Evidence,
-    confidence: Float64,
+    difference: Float64Array,
+    evidence: "Evidence",
+    confidence: Float64Array,
     *,
-    start: Float64 | None,
+    start: Float64Array | None,
     most_iterations: int,
-) -> Float64:
+) -> Float64Array:
     """Return depth in pixels per node (n,), arbitrary offset per component.
 
     difference: (m,) wanted, pixels. confidence: (m,) weight per edge from 0 to 1. start: a first guess (n,).
@@ -124,7 +118,7 @@ class Evidence:
     """
 
     noise: float
-    variance: Float64
+    variance: Float64Array
 
 
 def evidence_from_chords(graph: PixelGraph, chords: ChordField, domain: Mask) -> Evidence:
@@ -158,7 +152,7 @@ def evidence_from_chords(graph: PixelGraph, chords: ChordField, domain: Mask) ->
     return Evidence(noise=noise, variance=chords.variance + excess)
 
 
-def confidence_of_edges(graph: PixelGraph, weight: Weight | None) -> Float64:
+def confidence_of_edges(graph: PixelGraph, weight: Weight | None) -> Float64Array:
     """Weight per edge (m,): that of its worse end; 1 without a weight."""
     if weight is None:
         return np.ones(len(graph.tail))
@@ -173,16 +167,16 @@ def confidence_of_edges(graph: PixelGraph, weight: Weight | None) -> Float64:
 class Hierarchy:
     """Laplacians of all levels. diagonal (n,), parent (n,) global index on the next level or -1."""
 
-    first: Int32
-    row_start: Int32
-    neighbour: Int32
-    weight: Float64
-    diagonal: Float64
-    parent: Int32
-    coarsest_inverse: Float64
+    first: Int32Array
+    row_start: Int32Array
+    neighbour: Int32Array
+    weight: Float64Array
+    diagonal: Float64Array
+    parent: Int32Array
+    coarsest_inverse: Float64Array
 
 
-def hierarchy_from_graph(row_start: Int32, neighbour: Int32, weight: Float64) -> Hierarchy:
+def hierarchy_from_graph(row_start: Int32Array, neighbour: Int32Array, weight: Float64Array) -> Hierarchy:
     """Coarsen the graph Laplacian with adjacency (row_start, neighbour) and slot weights > 0."""
     graphs, parents = [(row_start, neighbour, weight)], []
     while len(graphs[-1][0]) - 1 > _COARSEST and len(graphs) < _MOST_LEVELS:
@@ -195,7 +189,7 @@ def hierarchy_from_graph(row_start: Int32, neighbour: Int32, weight: Float64) ->
     return _join(graphs, parents)
 
 
-def _join(graphs: list[tuple[Int32, Int32, Float64]], parents: list[Int32]) -> Hierarchy:
+def _join(graphs: list[tuple[Int32Array, Int32Array, Float64Array]], parents: list[Int32Array]) -> Hierarchy:
     """Put all levels into one index space."""
     first = np.cumsum([0] + [len(g[0]) - 1 for g in graphs]).astype(np.int32)
     slots = np.cumsum([0] + [len(g[1]) for g in graphs])
@@ -219,8 +213,13 @@ def _join(graphs: list[tuple[Int32, Int32, Float64]], parents: list[Int32]) -> H
 
 
 def _dense_inverse(
-    begin: int, end: int, row_start: Int32, neighbour: Int32, weight: Float64, diagonal: Float64
-) -> Float64:
+    begin: int,
+    end: int,
+    row_start: Int32Array,
+    neighbour: Int32Array,
+    weight: Float64Array,
+    diagonal: Float64Array,
+) -> Float64Array:
     """Inverse of the coarsest Laplacian with one node of each component held at 0; empty if it is large."""
     count = end - begin
     if count > 4 * _COARSEST:
@@ -240,8 +239,8 @@ def _dense_inverse(
 
 
 def solve_laplacian(
-    hierarchy: Hierarchy, load: Float64, start: Float64, *, tolerance: float, most_iterations: int
-) -> tuple[Float64, int]:
+    hierarchy: Hierarchy, load: Float64Array, start: Float64Array, *, tolerance: float, most_iterations: int
+) -> tuple[Float64Array, int]:
     """Solve L x = load from `start`; return x (n,), free per component, and the number of iterations.
 
     tolerance: of the residual's energy norm relative to the load's. Raises `SolverFailed` if the iterations
@@ -278,11 +277,7 @@ def _row_sums(row_start, weight):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _merge_pairs(row_start, neighbour, weight):  # type: ignore[no-untyped-def]
-    """Merge nodes along their strongest edges; return the map (n,) and the coarse graph.
-
-    A node takes its strongest free neighbour; one whose strong neighbours are all taken joins the group of
-    the strongest, up to a group of `_LARGEST_GROUP`, lest such leftovers stop the coarsening.
-    """
+    """Merge nodes along their strongest edges, leftovers in small groups; return map (n,), coarse graph."""
     count = len(row_start) - 1
     parent = np.full(count, -1, np.int32)
     following = np.full(count, -1, np.int32)  # chains the members of a group

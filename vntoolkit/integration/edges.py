@@ -7,24 +7,17 @@ reaches the second. The differences are then what a depth map has exactly, so th
 equation built on them has no consistency error of its own.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy import ndimage
 
-from vntoolkit.arrays import FloatArray, Mask
+from vntoolkit.arrays import Array, Float32Array, Float64Array, FloatArray, Int32Array, Int64Array, Mask
 from vntoolkit.native import njit
 
-Float32Image = npt.NDArray[np.float32]
 _C = np.float32(1.0 / 24.0)
-Float64 = npt.NDArray[np.float64]
 _BEND = 10.0  # standard deviations of a facing edge's difference per pixel of disagreement
 _STEEPEST_HALF = 0.9  # half of the difference of log depth, by the chord: 1 would be infinitely steep
-Int32 = npt.NDArray[np.int32]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -35,14 +28,14 @@ class EdgeField:
     where an end of the edge is outside the domain (so in the last column and row).
     """
 
-    right: Float32Image
-    down: Float32Image
-    right_weight: Float32Image
-    down_weight: Float32Image
+    right: Float32Array
+    down: Float32Array
+    right_weight: Float32Array
+    down_weight: Float32Array
 
 
 def edges_from_slopes(
-    p: Float32Image, q: Float32Image, domain: Mask, weight: Float32Image | None = None
+    p: Float32Array, q: Float32Array, domain: Mask, weight: Float32Array | None = None
 ) -> EdgeField:
     """Wanted differences of all edges inside `domain` from slopes per pixel along u (p) and v (q).
 
@@ -126,8 +119,8 @@ class ChordField:
     its variance, relative to that of an edge between two normals that face the camera.
     """
 
-    difference: Float64
-    variance: Float64
+    difference: Float64Array
+    variance: Float64Array
 
 
 # Differences by chords: from the normals at the two ends of an edge.
@@ -136,7 +129,7 @@ class ChordField:
 def chords_from_normals(
     normals: FloatArray,
     points: FloatArray,
-    graph: PixelGraph,
+    graph: "PixelGraph",
     *,
     perspective: bool,
     pixels_per_unit: float,
@@ -201,13 +194,13 @@ class PixelGraph:
     for node i, slots row_start[i] … row_start[i+1] give its neighbours and the edges that lead to them.
     """
 
-    pixels: npt.NDArray[np.int64]
-    tail: Int32
-    head: Int32
+    pixels: Int64Array
+    tail: Int32Array
+    head: Int32Array
     across: int
-    row_start: Int32
-    neighbour: Int32
-    edge: Int32
+    row_start: Int32Array
+    neighbour: Int32Array
+    edge: Int32Array
 
 
 # The domain as a graph: one node per pixel, one edge per pair of pixels that share a side.
@@ -253,9 +246,7 @@ def _adjacency(tail, head, count):  # type: ignore[no-untyped-def]
     return row_start, neighbour, edge
 
 
-def divergence_on_graph(
-    graph: PixelGraph, weight: npt.NDArray[np.floating[Any]], difference: npt.NDArray[np.floating[Any]]
-) -> npt.NDArray[np.float64]:
+def divergence_on_graph(graph: PixelGraph, weight: FloatArray, difference: FloatArray) -> Float64Array:
     """Right-hand side of the weighted least squares over edges, (n,): sums to 0 over every component."""
     load = np.zeros(len(graph.pixels))
     _accumulate(graph.tail, graph.head, weight * difference, load)
@@ -281,25 +272,25 @@ class Components:
         self._shape = domain.shape
 
     @property
-    def labels(self) -> Int32:
+    def labels(self) -> Int32Array:
         """(h, w), the component of each pixel, from 1 on; 0 outside the domain."""
         return self._whole(self._labels)
 
-    def remove_means(self, values: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.float64]:
+    def remove_means(self, values: FloatArray) -> Float64Array:
         """Shift `values`, of the box, to mean 0 over each component; (h, w), 0 outside the domain."""
         return self._whole(np.where(self._inside, values - self._means(values), 0.0))
 
-    def scale_means(self, values: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.float64]:
+    def scale_means(self, values: FloatArray) -> Float64Array:
         """Scale `values` (h, w) to mean 1 over each component; 0 outside the domain."""
         here = values[self.box]
         return self._whole(np.where(self._inside, here / self._means(here), 0.0))
 
-    def _whole(self, part: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    def _whole(self, part: Array) -> Array:
         whole = np.zeros(self._shape, part.dtype)
         whole[self.box] = part
         return whole
 
-    def _means(self, values: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.float64]:
+    def _means(self, values: FloatArray) -> Float64Array:
         """Mean over the component of each pixel of the box, or a scalar."""
         if self.count == 1:
             return np.asarray(values.mean(dtype=np.float64, where=self._inside))

@@ -7,8 +7,6 @@ least squares turns white noise of variance σ² on the slopes of n×n pixels in
 σ² (ln n) / 2π.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any
@@ -115,10 +113,7 @@ def _range(depth: Any, mask: Mask, step: int) -> float:
 def _depth_of_turns(
     sums: Any, inside: Mask, places: int, block: int, ray: Any, random: float, depth: Any, variance: Any
 ) -> None:  # fmt: skip
-    """Fill the depth (h, w, 9) that the nine turns make, and the variance (h, w) that noise makes.
-
-    Blocks are numbered along the shorter side, so that the matrix is a narrow band.
-    """
+    """Fill the depth (h, w, 9) of the nine turns, and noise's variance; blocks go along the shorter side."""
     _, height, width = sums.shape
     right, down = np.zeros((height, width, _TURNS)), np.zeros((height, width, _TURNS))
     trust = np.zeros((height, width))
@@ -246,10 +241,7 @@ def _sum_blocks(
 
 @njit(cache=True, parallel=True, fastmath={"contract", "arcp", "nsz"}, error_model="numpy")
 def _enlarge(coarse: Any, block: int, mask: Mask, scale: Any, out: Any) -> None:
-    """Fill (h, w) between the centres of the blocks by linear interpolation; 0 outside the mask.
-
-    scale: (h, w), a factor on every pixel, or None.
-    """
+    """Fill (h, w) between centres of blocks linearly; 0 outside the mask. scale: (h, w) factors, or None."""
     height, width = mask.shape
     rows, columns = coarse.shape
     half, one, zero = np.float32(0.5), np.float32(1.0), np.float32(0.0)

@@ -1,17 +1,13 @@
 """Integration of the normal maps of one camera to depth maps, frame after frame."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
 
 import numba
 import numpy as np
-import numpy.typing as npt
 from scipy import ndimage
 
-from vntoolkit.arrays import FloatArray, Mask, Normals, Weight
+from vntoolkit.arrays import Array, Float32Array, Float64Array, FloatArray, Mask, Normals, Weight
 from vntoolkit.checks import checks_kinds, require_finite, require_same_size, require_some, sum_is_finite
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
@@ -30,12 +26,11 @@ from vntoolkit.integration.edges import (
 )
 from vntoolkit.integration.options import IntegrationOptions, Integrator, Precision
 from vntoolkit.integration.poisson import CosineSolver, FourierSolver, MaskedSolver, RectangleSolver
-from vntoolkit.integration.slopes import Float32Image, RayField, rays_from_camera, slopes_from_normals
+from vntoolkit.integration.slopes import RayField, rays_from_camera, slopes_from_normals
 from vntoolkit.native import njit
 
 _RECTANGLE = (Integrator.COSINE, Integrator.FOURIER)
 _LEAST_TRUST = np.float32(1e-4)  # of a pixel in the domain: with none, what lies beyond it would float
-Float64 = npt.NDArray[np.float64]
 _LEAST_SIZE = 5  # pixels that the one-sided stencils need
 _FEWEST_PIXELS = 64
 _VOTES = 20_000  # pixels that the median is taken over, evenly spread
@@ -116,7 +111,7 @@ class DepthIntegrator:
             )
         return self._options.integrator
 
-    def _solve_rectangle(self, p: Float32Image, q: Float32Image, choice: Integrator) -> npt.NDArray[Any]:
+    def _solve_rectangle(self, p: Float32Array, q: Float32Array, choice: Integrator) -> Array:
         if choice not in self._rectangle:
             solver = CosineSolver if choice is Integrator.COSINE else FourierSolver
             dtype = np.float32 if self._options.precision is Precision.SINGLE else np.float64
@@ -126,9 +121,7 @@ class DepthIntegrator:
             raise BadInput("normals to integrate: some are NaN or infinite; leave them out of the mask")
         return solution
 
-    def _finish(
-        self, solution: npt.NDArray[Any], domain: Mask, components: Components | None = None
-    ) -> DepthMap:
+    def _finish(self, solution: Array, domain: Mask, components: Components | None = None) -> DepthMap:
         """Fix the free constants: solution is depth or log depth of mean 0 over each component."""
         if not self._camera.is_perspective:
             unit = LengthUnit.PIXEL if self._camera.matrix[0, 0] == 1.0 else LengthUnit.METRE
@@ -154,7 +147,7 @@ class DomainSolver:
         self.iterations = 0
         self._rays = rays
         self._options = options
-        self._last: Float64 | None = None
+        self._last: Float64Array | None = None
 
     @cached_property
     def _masked(self) -> MaskedSolver:
@@ -173,7 +166,7 @@ class DomainSolver:
     def _points(self) -> FloatArray:
         return self._rays.image_plane_points(*self.domain.shape)[self.domain]
 
-    def poisson(self, normals: Normals, weight: Weight | None) -> Float64:
+    def poisson(self, normals: Normals, weight: Weight | None) -> Float64Array:
         """Least squares over all edges of the domain.
 
         Conjugate gradients: the cosine transform is the preconditioner without weights, multigrid with them.
@@ -186,7 +179,7 @@ class DomainSolver:
         self.iterations = self._masked.iterations
         return self._keep(solution)
 
-    def discontinuity(self, normals: Normals, weight: Weight | None) -> Float64:
+    def discontinuity(self, normals: Normals, weight: Weight | None) -> Float64Array:
         """Robust least squares that cuts edges across depth discontinuities."""
         graph, scale = self._graph, self._rays.pixels_per_unit
         chords = chords_from_normals(
@@ -207,20 +200,20 @@ class DomainSolver:
         )
         return self._keep(self._image(nodes)[self.components.box] / scale)
 
-    def _start(self) -> Float64:
+    def _start(self) -> Float64Array:
         return np.zeros(len(self._graph.pixels)) if self._last is None else self._last[self.domain]
 
-    def _image(self, nodes: Float64) -> Float64:
+    def _image(self, nodes: Float64Array) -> Float64Array:
         image = np.zeros(self.domain.shape)
         image[self.domain] = nodes
         return image
 
-    def _keep(self, solution: Float64) -> Float64:
+    def _keep(self, solution: Float64Array) -> Float64Array:
         self._last = self.components.remove_means(solution)
         return self._last
 
 
-def divergence_from_slopes(p: npt.NDArray[np.float32], q: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+def divergence_from_slopes(p: Float32Array, q: Float32Array) -> Float32Array:
     """Divergence (h, w) float32 of the wanted differences, from slopes per pixel along u (p) and v (q).
 
     Sums to zero: the border is the natural one of least squares, not a slope of zero.
@@ -295,9 +288,7 @@ class DepthAnchor:
         self._align_part(depth, mask, np.s_[:, :], depth_map.unit)
         return replace(depth_map, depth=depth)
 
-    def _align_part(
-        self, depth: npt.NDArray[Any], part: Mask, box: tuple[slice, slice], unit: LengthUnit
-    ) -> None:
+    def _align_part(self, depth: Array, part: Mask, box: tuple[slice, slice], unit: LengthUnit) -> None:
         """Shift or scale `depth`, the view of one part's bounding box, in place where `part` is."""
         common = np.flatnonzero(part & self._reference.mask[box])
         if len(common) < max(_FEWEST_PIXELS, _SMALLEST_SHARE * np.count_nonzero(part)):

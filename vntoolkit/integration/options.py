@@ -1,7 +1,5 @@
 """Options of integration."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import Enum
 

@@ -6,17 +6,14 @@ Chellappa's projection (`frankot1988`) needs to be right on a surface that is no
 transform is that mirrored Fourier transform without the copies.
 """
 
-from __future__ import annotations
-
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Protocol
 
 import numba
 import numpy as np
-import numpy.typing as npt
 import scipy.fft
 
-from vntoolkit.arrays import Mask
+from vntoolkit.arrays import Array, DTypeLike, Float32Array, Float64Array, FloatArray, Mask
 from vntoolkit.errors import SolverFailed
 from vntoolkit.integration.edges import EdgeField
 from vntoolkit.native import njit
@@ -24,14 +21,12 @@ from vntoolkit.solvers import GridHierarchy, grid_hierarchy, multigrid_cycle
 
 _MOST_WORKERS = 2  # more wait for each other at this size
 _LEAST_SHARED_PX = 200_000  # a smaller transform is done before a second thread has woken
-Image = npt.NDArray[np.floating[Any]]
-Float64Image = npt.NDArray[np.float64]
 
 
 class RectangleSolver(Protocol):
     """Solves Laplacian z = divergence on one rectangle; mean z = 0."""
 
-    def solve(self, divergence: Image) -> Image:
+    def solve(self, divergence: FloatArray) -> FloatArray:
         """Return z, (h, w), in the dtype of the solver; `divergence` may be overwritten."""
 
 
@@ -42,7 +37,7 @@ class CosineSolver:
     and back, takes twice as long.
     """
 
-    def __init__(self, height: int, width: int, dtype: npt.DTypeLike = np.float32) -> None:
+    def __init__(self, height: int, width: int, dtype: DTypeLike = np.float32) -> None:
         self._dtype = dtype
         self._pivots = np.empty((height, width))  # their inverses
         eigenvalues, before = laplacian_eigenvalues(width), np.zeros(width)
@@ -51,7 +46,7 @@ class CosineSolver:
             before = np.divide(1.0, pivot, out=np.zeros(width), where=pivot != 0)  # 0: the mean is free
             self._pivots[v] = before
 
-    def solve(self, divergence: Image) -> Image:
+    def solve(self, divergence: FloatArray) -> FloatArray:
         """Return z, (h, w), of mean 0; a `divergence` of the solver's dtype is overwritten."""
         field = divergence.astype(self._dtype, copy=False)
         spectrum = scipy.fft.dct(field, type=2, norm="ortho", workers=_workers(field.size), overwrite_x=True)
@@ -95,7 +90,7 @@ class FourierSolver:
     discrete least squares rather than one of a derivative that the sampled, mirrored surface does not have.
     """
 
-    def __init__(self, height: int, width: int, dtype: npt.DTypeLike = np.float32) -> None:
+    def __init__(self, height: int, width: int, dtype: DTypeLike = np.float32) -> None:
         self._shape = (height, width)
         rows = laplacian_eigenvalues(height, 2 * height)
         columns = laplacian_eigenvalues(width, width + 1)
@@ -103,7 +98,7 @@ class FourierSolver:
         eigenvalues[0, 0] = np.inf
         self._inverse = np.asarray(1.0 / eigenvalues, dtype=dtype)
 
-    def solve(self, divergence: Image) -> Image:
+    def solve(self, divergence: FloatArray) -> FloatArray:
         """Return z, (h, w), of mean 0."""
         height, width = self._shape
         field = divergence.astype(self._inverse.dtype)
@@ -120,7 +115,7 @@ def _workers(pixels: int) -> int:
     return min(_MOST_WORKERS, numba.get_num_threads()) if pixels >= _LEAST_SHARED_PX else 1
 
 
-def laplacian_eigenvalues(length: int, count: int | None = None) -> npt.NDArray[np.float64]:
+def laplacian_eigenvalues(length: int, count: int | None = None) -> Float64Array:
     """Eigenvalues 2 cos(pi k / n) - 2, k = 0 … count-1 (n-1), of the second difference with a free border.
 
     Written as -4 sin², which keeps its digits at small k where the cosine would lose them.
@@ -150,13 +145,13 @@ class MaskedSolver:
         return CosineSolver(*self._inside.shape)
 
     @cached_property
-    def _outside_negative(self) -> npt.NDArray[np.float32]:
+    def _outside_negative(self) -> Float32Array:
         """0 outside; -1 inside, since the cosine transform solves with the other sign."""
         return -self._inside.astype(np.float32)
 
     def solve(
-        self, edges: EdgeField, start: npt.NDArray[np.floating[Any]] | None = None, *, weighted: bool = False
-    ) -> Float64Image:
+        self, edges: EdgeField, start: FloatArray | None = None, *, weighted: bool = False
+    ) -> Float64Array:
         """Return the depth (h, w) whose differences fit `edges` best; offsets per component are arbitrary.
 
         weighted: whether the weights differ between edges of the domain. start: a first guess (h, w), for
@@ -176,15 +171,12 @@ class MaskedSolver:
 
     def _iterate(
         self,
-        right: npt.NDArray[np.float32],
-        down: npt.NDArray[np.float32],
-        depth: Float64Image,
-        load: Float64Image,
+        right: Float32Array,
+        down: Float32Array,
+        depth: Float64Array,
+        load: Float64Array,
     ) -> None:
-        """Preconditioned conjugate gradients, in place on depth.
-
-        Directions and the preconditioner's arithmetic are rounded to single precision, the rest may not be.
-        """
+        """Preconditioned conjugate gradients, in place; only directions may be of single precision."""
         direction, product = np.zeros(depth.shape, np.float32), np.zeros(depth.shape)
         scaled, sums = np.empty(self._inside.shape, np.float32), np.zeros(len(depth))
         _apply(right, down, depth, product, sums)
@@ -215,7 +207,7 @@ class MaskedSolver:
             "raise most_iterations or tolerance"
         )
 
-    def _precondition(self, residual: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    def _precondition(self, residual: Float32Array) -> Float32Array:
         """Solve on the rectangle, or by one multigrid cycle: this may be rounded, the operator may not."""
         if self._levels is not None:
             return multigrid_cycle(self._levels, residual)
@@ -223,7 +215,7 @@ class MaskedSolver:
         solution *= self._outside_negative
         return solution
 
-    def _padded(self, image: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.floating[Any]]:
+    def _padded(self, image: FloatArray) -> FloatArray:
         """Crop to the box and put a rim of zeros around, so that no kernel asks for a border."""
         height, width = self._inside.shape
         out = np.zeros((height + 2, width + 2), dtype=image.dtype)
@@ -232,7 +224,7 @@ class MaskedSolver:
         return out
 
 
-def _levels_of(right: npt.NDArray[Any], down: npt.NDArray[Any]) -> GridHierarchy:
+def _levels_of(right: Array, down: Array) -> GridHierarchy:
     """The grids of the weights (h + 2, w + 2) inside their rim."""
     edges = np.empty((2, right.shape[0] - 2, right.shape[1] - 2), np.float32)
     edges[0], edges[1] = right[1:-1, 1:-1], down[1:-1, 1:-1]

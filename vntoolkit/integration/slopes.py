@@ -6,19 +6,14 @@ where s is depth for an orthographic camera and log depth for a perspective one.
 perspective case as linear as the other (Durou, Aujol and Courteille 2009, `durou2009`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Normals
+from vntoolkit.arrays import Float32Array, FloatArray, Normals
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.native import njit
-
-Float32Image = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -30,16 +25,16 @@ class RayField:
     affine form wrong, else None.
     """
 
-    affine: npt.NDArray[np.float32]
+    affine: Float32Array
     depth_scales_ray: float
-    table: npt.NDArray[np.float32] | None = None
+    table: Float32Array | None = None
 
     @property
     def pixels_per_unit(self) -> float:
         """Focal length, or scale of an orthographic camera: turns slopes into pixels per pixel."""
         return 1.0 / float(self.affine[0])
 
-    def cropped(self, rows: slice, columns: slice) -> RayField:
+    def cropped(self, rows: slice, columns: slice) -> "RayField":
         """Return the rays of a window of the image."""
         affine = self.affine.copy()
         affine[2::3] += affine[0::3] * np.float32(columns.start) + affine[1::3] * np.float32(rows.start)
@@ -64,7 +59,7 @@ def rays_from_camera(camera: Camera) -> RayField:
     return RayField(affine=affine, depth_scales_ray=float(camera.is_perspective), table=table)
 
 
-def _ray_table(camera: Camera) -> npt.NDArray[np.float32]:
+def _ray_table(camera: Camera) -> Float32Array:
     """Undistorted ray and its central differences for every pixel, (h, w, 6)."""
     grid = camera.pixel_grid()
     one = np.ones(grid.shape[:2])
@@ -79,7 +74,7 @@ def _ray_table(camera: Camera) -> npt.NDArray[np.float32]:
 
 def slopes_from_normals(
     normals_in_camera: Normals, rays: RayField, steepest_slope_deg: float
-) -> tuple[Float32Image, Float32Image]:
+) -> tuple[Float32Array, Float32Array]:
     """Return (s_u, s_v), each (h, w) float32, per pixel, from normals (h, w, 3) in the camera frame.
 
     Where the surface leans more than `steepest_slope_deg` from facing its ray, or away from the camera,

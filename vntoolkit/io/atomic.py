@@ -1,7 +1,5 @@
 """Atomic writing: a temporary name, then a rename; and a lock, so that one run at a time writes a folder."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import hashlib
@@ -15,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from vntoolkit.arrays import ByteArray
 from vntoolkit.errors import BadInput, CannotWrite
 
 LOCK_NAME = ".vntoolkit.lock"
@@ -247,7 +245,7 @@ _BLOCK = 4096  # bytes; what disks write at once, and where in memory they want 
 _LARGE = 1 << 20  # bytes; below it the wait for the disk costs more than the cache
 
 
-def aligned_memory(size: int) -> npt.NDArray[np.uint8]:
+def aligned_memory(size: int) -> ByteArray:
     """Return (size,) bytes, not set, that begin where a disk can take them from."""
     memory = np.empty(size + _BLOCK, np.uint8)
     return memory[-memory.ctypes.data % _BLOCK :][:size]

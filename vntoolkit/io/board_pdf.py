@@ -1,7 +1,5 @@
 """The calibration board as a PDF page, drawn to scale."""
 
-from __future__ import annotations
-
 from enum import Enum
 from pathlib import Path
 from typing import Any

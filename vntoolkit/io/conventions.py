@@ -1,7 +1,5 @@
 """Axes on disk: conventions of normal maps, and the flip between camera frame and graphics frame."""
 
-from __future__ import annotations
-
 from enum import Enum
 
 import numpy as np

@@ -4,8 +4,6 @@ The limits guard against headers that declare more than there is memory for. The
 this process; the command line sets them by `--max-megapixels` and `--max-vertices`.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import json
@@ -15,13 +13,13 @@ import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from io import BufferedReader
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.photometry.rig import SourceFile
 
-_CHUNK_BYTES = 1 << 20
 _MOST_BYTES = 16 << 20  # of a text or JSON; the longest, a manifest of 100,000 images, has 12 MB
 _LONGEST_LINE = 1 << 20  # bytes
 _LONGEST_NAME = 255
@@ -48,7 +46,7 @@ def require_file(path: Path | str, error: type[BadInput] = BadInput) -> Path:
 
 
 @contextlib.contextmanager
-def opened(path: Path | str, error: type[BadInput] = BadInput) -> Iterator[BinaryIO]:
+def opened(path: Path | str, error: type[BadInput] = BadInput) -> Iterator[BufferedReader]:
     """Open a file to read its bytes; raise `error` with one line, also for what fails while it is read."""
     path = require_file(path, error)
     try:
@@ -58,14 +56,13 @@ def opened(path: Path | str, error: type[BadInput] = BadInput) -> Iterator[Binar
         raise error(f"{path}: cannot be read ({problem.strerror or problem})") from problem
 
 
-def read_bytes(path: Path | str, error: type[BadInput] = BadInput, most: int = _MOST_BYTES) -> bytes:
-    """Read a whole file of at most so many bytes, or raise `error` with one line before it is read."""
+def read_bytes(path: Path | str, error: type[BadInput] = BadInput) -> bytes:
+    """Read a whole file of 16 MB at most, or raise `error` with one line before it is read."""
     with opened(path, error) as stream:
         size = os.fstat(stream.fileno()).st_size
-        if size > most:
-            raise error(
-                f"{path}: has {size / 1e6:.0f} MB, expected {most / 1e6:.0f} at most; is it the right file?"
-            )
+        if size > _MOST_BYTES:
+            most = f"{_MOST_BYTES / 1e6:.0f} at most"
+            raise error(f"{path}: has {size / 1e6:.0f} MB, expected {most}; is it the right file?")
         return stream.read()
 
 
@@ -88,36 +85,33 @@ def text_lines(path: Path | str, error: type[BadInput] = BadInput) -> Iterator[s
             yield line.decode("utf-8-sig" if number == 1 else "utf-8", "replace").rstrip("\r\n")
 
 
-def require_name(name: str, source: Path | str, error: type[BadInput] = BadInput) -> str:
+def require_name(name: str, source: Path | str) -> str:
     """Return a name that is to be a file's or a folder's, or raise where it would be none or lead elsewhere.
 
     source: what the name was taken from, for the message.
     """
     if name.strip(". ") == "" or set(name) & {"/", "\\", "\0"} or len(os.fsencode(name)) > _LONGEST_NAME:
-        raise error(f"{source}: gives the name {name[:80]!r}, which no file can bear; rename it")
+        raise BadInput(f"{source}: gives the name {name[:80]!r}, which no file can bear; rename it")
     return name
 
 
-def require_inside(folder: Path, name: str, source: Path | str, error: type[BadInput] = BadInput) -> Path:
+def require_inside(folder: Path, name: str, source: Path | str) -> Path:
     """Return the path of a file that another file names; raise if it lies outside `folder`."""
     if len(name) > _LONGEST_NAME:
-        raise error(f"{source}: names a file by {len(name)} characters")
+        raise BadInput(f"{source}: names a file by {len(name)} characters")
     try:
         path = folder / name
         if path.resolve().is_relative_to(folder.resolve()):
             return path
     except (OSError, ValueError, RuntimeError) as problem:  # a NUL in the name, a symlink loop
-        raise error(f"{source}: names a file that cannot be: {name[:80]!r}") from problem
-    raise error(f"{source}: names '{name[:80]}', outside its folder; put that file beside it")
+        raise BadInput(f"{source}: names a file that cannot be: {name[:80]!r}") from problem
+    raise BadInput(f"{source}: names '{name[:80]}', outside its folder; put that file beside it")
 
 
-def sha256_of_file(path: Path | str, error: type[BadInput] = BadInput) -> str:
+def sha256_of_file(path: Path | str) -> str:
     """Return the SHA-256 of a file's bytes in hexadecimal."""
-    digest = hashlib.sha256()
-    with opened(path, error) as stream:
-        while chunk := stream.read(_CHUNK_BYTES):
-            digest.update(chunk)
-    return digest.hexdigest()
+    with opened(path) as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def source_file(path: Path | str) -> SourceFile:

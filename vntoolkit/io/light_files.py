@@ -4,16 +4,13 @@ DiLiGenT: Shi et al., A benchmark dataset and evaluation for non-Lambertian and 
 stereo, 2019 (shi2019).
 """
 
-from __future__ import annotations
-
 import contextlib
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Points
+from vntoolkit.arrays import FloatArray, Points, UInt16Array
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import NormalMap
@@ -127,7 +124,7 @@ def _read_rows(path: Path) -> Points:
 
 def write_diligent(
     folder: Path,
-    images: list[npt.NDArray[np.uint16]],
+    images: list[UInt16Array],
     light_directions: FloatArray,
     light_intensities: FloatArray,
     normal_map: NormalMap,

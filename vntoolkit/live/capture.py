@@ -5,8 +5,6 @@ them stands a slot for the newest frames. A frame that finds it full pushes the 
 so the picture on the screen is never more than a few frames old.
 """
 
-from __future__ import annotations
-
 import math
 import queue
 import threading
@@ -17,11 +15,11 @@ from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from vntoolkit.arrays import Array
 from vntoolkit.errors import BadCapture, BadInput, VntError
 from vntoolkit.io.atomic import require_writable_folder
 from vntoolkit.io.footage.captures import Capture
@@ -354,7 +352,7 @@ class LiveRecorder:
 
     def __init__(self, folder: Path, frame_rate_hz: float) -> None:
         self._folder, self._frame_rate_hz = folder, frame_rate_hz
-        self._queue: queue.Queue[npt.NDArray[Any] | None] | None = None
+        self._queue: queue.Queue[Array | None] | None = None
         self._thread: threading.Thread | None = None
         self._lock = threading.Lock()
         self.files: list[Path] = []
@@ -385,7 +383,7 @@ class LiveRecorder:
                 path = folder / f"{stem}-{count}.mkv"
             self.files.append(path)
             self.problem = ""
-            frames: queue.Queue[npt.NDArray[Any] | None] = queue.Queue(_BUFFERED)
+            frames: queue.Queue[Array | None] = queue.Queue(_BUFFERED)
             self._queue = frames
             self._thread = threading.Thread(target=self._write, args=(path, frames), name="recorder")
             self._thread.start()
@@ -413,8 +411,8 @@ class LiveRecorder:
                     continue
             thread.join()
 
-    def _write(self, path: Path, frames: queue.Queue[npt.NDArray[Any] | None]) -> None:
-        def taken() -> Iterator[npt.NDArray[Any]]:
+    def _write(self, path: Path, frames: queue.Queue[Array | None]) -> None:
+        def taken() -> Iterator[Array]:
             values = first
             while values is not None:
                 yield values

@@ -1,15 +1,12 @@
 """Processing of a live frame: crop, rectification, background, normals, depth."""
 
-from __future__ import annotations
-
 import contextlib
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import LinearImage, Mask
+from vntoolkit.arrays import Float32Array, LinearImage, Mask
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput, VntError
 from vntoolkit.geometry.camera import Camera
@@ -181,7 +178,7 @@ class LiveProcessor:
             contact=contact,
         )
 
-    def _linear_values(self, frame: EncodedFrame) -> npt.NDArray[np.float32]:
+    def _linear_values(self, frame: EncodedFrame) -> Float32Array:
         linear = linear_frame_from_encoded(self.view.cut(frame), self.rig.transfer)
         if self.view.rectification is not None:
             linear = rectify_frame(linear, self.view.rectification)

@@ -6,8 +6,6 @@ capture is late. A capture without a page open spends nothing on it. Nothing is 
 runs on the machine that films, where compressing costs both sides more than copying.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -15,8 +13,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from vntoolkit.arrays import ByteArray
 from vntoolkit.errors import BadInput, VntError
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.live.capture import LatencyMeter, LiveFigures, LiveRecorder, TimedFrame
@@ -127,10 +125,7 @@ class LiveViewer:
         return self._answer(query["id"], int(query["serial"]), int(query["ago_ms"]) / 1000, sizes)
 
     def _answer(self, name: str, serial: int, ago_s: float, sizes: PacketSizes) -> bytes | None:
-        """Wait for the next result that comes in time, and return it as a packet; empty where none comes.
-
-        None once all is over.
-        """
+        """Return the next result in time as a packet, empty where none comes; None once all is over."""
         now = time.perf_counter()
         with self._changed:
             page = self._page(name, now)
@@ -231,7 +226,7 @@ def contact_cards(contact: Contact) -> tuple[tuple[str, str, str], ...]:
     )
 
 
-def camera_block(timed: TimedFrame, longest_px: int) -> npt.NDArray[np.uint8]:
+def camera_block(timed: TimedFrame, longest_px: int) -> ByteArray:
     """Return the camera's picture (h, w, 4), what is clipped painted over."""
     values = timed.frame.values
     stride = scene.stride_to(values.shape, longest_px)

@@ -1,7 +1,5 @@
 """Mesh cleaning by pymeshlab: removes small pieces, closes small holes, reduces triangles on request."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from vntoolkit.errors import BadInput, BadMesh

@@ -1,15 +1,12 @@
 """A triangle mesh or a point cloud from depth, with one vertex per valid pixel."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from numba import prange
 
-from vntoolkit.arrays import Colours, Depth, Faces, FloatArray, IntArray, LinearImage, Mask, Points
+from vntoolkit.arrays import Array, Colours, Depth, Faces, FloatArray, IntArray, LinearImage, Mask, Points
 from vntoolkit.checks import checks_kinds, require_same_size, require_some
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.geometry.camera import Camera
@@ -161,7 +158,7 @@ def _colours_at(rgb: LinearImage | None, pixels: IntArray) -> Colours | None:
     return None if colours is None else np.clip(colours, 0.0, 1.0).astype(np.float32, copy=False)
 
 
-def _values_at(image: npt.NDArray[Any] | None, pixels: IntArray) -> Any:
+def _values_at(image: Array | None, pixels: IntArray) -> Any:
     """Return the values (n, …) of an image (h, w, …) at pixels by number, row after row; None for None."""
     if image is None:
         return None
@@ -177,10 +174,7 @@ _CORNERS = ((0, 2, 1), (1, 2, 3), (0, 2, 3), (0, 3, 1))
 
 @njit(cache=True, parallel=True)
 def _triangles_kernel(mask: Mask, depth: Depth, largest: float, times_depth: bool, kept: Mask) -> None:
-    """Fill kept (h, w) uint8: bit i is set where triangle i of `_CORNERS` is there and spans no jump.
-
-    largest: step in depth; times_depth: multiplied by the mean depth of the triangle.
-    """
+    """Set bit i of kept (h, w) where triangle i of `_CORNERS` spans no jump: largest + times_depth × z."""
     h, w = mask.shape
     for v in prange(h - 1):
         for u in range(w - 1):
@@ -236,10 +230,7 @@ def _vertices_kernel(
     rows: IntArray,
     columns: IntArray,
 ) -> None:
-    """Number the vertices row by row: index (h, w); rows, columns (n,) in the image before the stride.
-
-    corner: row and column of kept's first pixel, after the stride.
-    """
+    """Number vertices by rows: index (h, w), rows, columns (n,). corner: of kept, after the stride."""
     h, w = kept.shape
     for v in prange(h):
         number = first[v]

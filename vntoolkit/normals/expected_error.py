@@ -16,17 +16,14 @@ error of M, near lamps. Beside them
   missing light: that explains the shadow. One light leaves a cone of normals, which tells next to nothing.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from numba import prange
 
-from vntoolkit.arrays import Mask, VisibilityLabels
+from vntoolkit.arrays import Array, Float32Array, Mask, VisibilityLabels
 from vntoolkit.checks import require_shape
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
@@ -122,7 +119,7 @@ def with_expected_error(
     return replace(normal_map, error_deg=error, noise_deg=noise_deg, weight=weight)
 
 
-def with_doubt(normal_map: NormalMap, doubt_deg: npt.NDArray[np.float32]) -> NormalMap:
+def with_doubt(normal_map: NormalMap, doubt_deg: Float32Array) -> NormalMap:
     """Return the map with a further, independent error (h, w) in degrees, and the weight from both."""
     assert normal_map.error_deg is not None
     error = np.minimum(np.hypot(normal_map.error_deg, doubt_deg), _LARGEST_DEG)
@@ -131,7 +128,7 @@ def with_doubt(normal_map: NormalMap, doubt_deg: npt.NDArray[np.float32]) -> Nor
     return replace(normal_map, error_deg=np.where(mask, error, 0.0), weight=np.where(mask, weight, 0.0))
 
 
-def _pairs_of_lights(response: LightResponse) -> npt.NDArray[np.float32]:
+def _pairs_of_lights(response: LightResponse) -> Float32Array:
     """Return (8, 6): for labels of two lights the normal of the plane of both and the third's direction."""
     pairs = np.zeros((8, 6))
     for missing in range(3):
@@ -143,7 +140,7 @@ def _pairs_of_lights(response: LightResponse) -> npt.NDArray[np.float32]:
 
 
 def normals_and_errors_from_encoded(
-    encoded: npt.NDArray[Any],
+    encoded: Array,
     response: LightResponse,
     transfer: Transfer,
     mask: Mask | None = None,

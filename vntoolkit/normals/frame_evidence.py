@@ -17,8 +17,6 @@
 `expected_error` makes angles of these.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 
@@ -412,10 +410,7 @@ def _median_of(values: Any, count: int) -> np.float32:
 
 @njit(cache=True)
 def _squares_of_cells(sizes: Any, places: Any, sums: Any, counts: Any) -> None:
-    """Fill every cell's variance of normally distributed circulations times their number, and the number.
-
-    By the median size, which few pixels at an edge do not change.
-    """
+    """Fill every cell's sum of squared circulations, by their median size, and their number."""
     of_cell = np.empty(_CELL, np.float32)
     for cell in range(len(sums)):
         count = 0

@@ -5,16 +5,13 @@ one frame to the next. That drift is smooth over the gel, whereas a touch is loc
 fitted robustly to the change of colour, follows the drift and not the touch. It is removed.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from numba import prange
 
-from vntoolkit.arrays import FloatArray, LinearImage, Mask, read_only
+from vntoolkit.arrays import Array, Float32Array, FloatArray, LinearImage, Mask, read_only
 from vntoolkit.checks import require_mask, require_shape
 from vntoolkit.geometry.maps import NOISE_CELL_PX, NormalMap
 from vntoolkit.native import njit
@@ -23,7 +20,6 @@ from vntoolkit.photometry.gel import STEEPEST, GelResponse
 from vntoolkit.photometry.levelling import FLAGS
 from vntoolkit.photometry.response import LightResponse
 
-Array = npt.NDArray[Any]
 _VOTES = 1200  # pixels that the drift is fitted to, evenly spread
 _ROUNDS = 6
 _LEAST_NOISE = 0.004  # of full scale: one grey level of 8 bits; smaller residuals are no evidence
@@ -61,7 +57,7 @@ class GelInverter:
 
     def __init__(self, response: LightResponse, gel: GelResponse) -> None:
         centre_u, centre_v = gel.centre_px.tolist()
-        self._errors_deg: npt.NDArray[np.float32] | None = None
+        self._errors_deg: Float32Array | None = None
         if gel.errors_deg is not None:
             tilts = np.degrees(np.arccos(np.arange(_TILTS + 1) / _TILTS))
             self._errors_deg = np.interp(tilts, *gel.errors_deg.T).astype(np.float32)

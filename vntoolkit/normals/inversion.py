@@ -5,17 +5,14 @@ the normal; the length, set against the albedo that is expected, tells how far t
 shadow, gloss and another paint all change it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from numba import prange
 
-from vntoolkit.arrays import Mask
+from vntoolkit.arrays import Array, Mask
 from vntoolkit.checks import checks_kinds, require_mask, require_positive, require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
@@ -26,11 +23,9 @@ from vntoolkit.photometry.levelling import FLAGS, leveller_of, map_row
 from vntoolkit.photometry.response import LightResponse, scaled_normals_from_rgb
 from vntoolkit.photometry.transfer import Transfer, decoding_table
 
-Single = npt.NDArray[np.float32]
 _LONGEST = np.float32(1e18)  # squares beyond it overflow float32: treated as not finite
 _ZERO = np.float32(0)
 _ONE = np.float32(1)
-Array = npt.NDArray[Any]
 
 
 class ClippedPixels(Enum):
@@ -105,7 +100,7 @@ def _towards(normal_map: NormalMap, camera: Camera) -> NormalMap:
 
 @checks_kinds
 def normals_from_encoded(
-    encoded: npt.NDArray[Any],
+    encoded: Array,
     response: LightResponse,
     transfer: Transfer,
     mask: Mask | None = None,
@@ -144,7 +139,7 @@ def relative_albedo_from_frame(
     return float(np.median(lengths))
 
 
-def coefficients_from_response(response: LightResponse, options: InversionOptions | None) -> Coefficients:
+def coefficients_from_response(response: LightResponse, options: InversionOptions | None) -> "Coefficients":
     """What the loops need to know."""
     options = options or InversionOptions()
     inverse = response.inverse / options.relative_albedo
@@ -157,7 +152,7 @@ def coefficients_from_response(response: LightResponse, options: InversionOption
     )
 
 
-def decoding_of(encoded: npt.NDArray[Any], transfer: Transfer, bits: int | None) -> Decoding:
+def decoding_of(encoded: Array, transfer: Transfer, bits: int | None) -> "Decoding":
     """Lay out the decoding of stored samples for the loops."""
     storage_bits = encoded.dtype.itemsize * 8
     table = decoding_table(transfer, bits or storage_bits, storage_bits)
@@ -165,7 +160,7 @@ def decoding_of(encoded: npt.NDArray[Any], transfer: Transfer, bits: int | None)
     return Decoding(table=table, white=np.float32(white * (1.0 - 1e-6)))
 
 
-def require_encoded(encoded: npt.NDArray[Any]) -> tuple[int, int]:
+def require_encoded(encoded: Array) -> tuple[int, int]:
     """Return the (h, w) of stored samples; raise `BadInput` for others than (h, w, 3) uint8 or uint16."""
     if encoded.dtype not in (np.uint8, np.uint16):
         raise BadInput(f"image: expected 8- or 16-bit samples, got {encoded.dtype}")
@@ -182,7 +177,7 @@ def require_mask_or_all(mask: Mask | None, shape: tuple[int, int]) -> Mask:
 
 
 def _inverted(
-    image: Array, decoding: Decoding | None, clipped: Mask | None, inside: Mask, response: LightResponse,
+    image: Array, decoding: "Decoding | None", clipped: Mask | None, inside: Mask, response: LightResponse,
     options: InversionOptions | None,
 ) -> NormalMap:  # fmt: skip
     """Return the normals of linear colours (h, w, 3) with their clipped pixels, or of stored ones."""
@@ -246,10 +241,7 @@ def _normals_kernel(
     image: Array, table: Any, white: Any, clipped: Any, inside: Array, maps: Any, c: Coefficients,
     out: Outputs,
 ) -> None:  # fmt: skip
-    """Fill `out` from colours (h, 3 w): linear float32, or stored integers through a decoding table.
-
-    clipped: (h, w) of linear colours; stored ones are clipped from `white` on.
-    """
+    """Fill `out` from linear colours (h, 3 w), or from stored integers by a table, clipped at `white`."""
     height, width = inside.shape
     normals, weight, valid = out  # numba drops stores through a tuple's field inside prange
     for v in prange(height):

@@ -14,8 +14,6 @@ Relief of one wavelength is foretold exactly. Of many, the short ones are lost f
 the ratio says: up to 4.8 times the variance where every octave holds as much. The mean of the two is taken.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -144,10 +142,7 @@ def _detail_row(
 
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")
 def _taken(before: Any, after: Any, p: Any, q: Any, square: Any) -> None:
-    """Fill what a blur takes from normals, across them: along u, along v, and all of it squared.
-
-    before, after: (3, n).
-    """
+    """Fill what a blur takes from normals (3, n), across them: along u, along v, and all of it squared."""
     x, y, z = before[0], before[1], before[2]
     x_after, y_after, z_after = after[0], after[1], after[2]
     least = np.float32(1e-9)

@@ -5,16 +5,12 @@ It is what brostow2011 compares coloured light with. Shadowed, clipped and gloss
 by pixel; the rest is plain least squares.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from numba import prange
 
-from vntoolkit.arrays import FloatArray, Mask, Points, read_only
+from vntoolkit.arrays import Array, Float32Array, FloatArray, Mask, Points, read_only
 from vntoolkit.checks import checks_kinds, require_finite, require_mask, require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import NormalMap
@@ -29,7 +25,6 @@ _OUTLIER_SHARE = (
 )
 _DARKEST = 0.01  # brightest sample, linear, below which a pixel has no normal
 _SMALLEST_DETERMINANT = 1e-6  # of the normal equations over the cube of their trace
-Array = npt.NDArray[Any]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -37,7 +32,7 @@ class StereoResult:
     """normal_map: with weight = share of the lights used. albedo: (h, w) float32, 0 where invalid."""
 
     normal_map: NormalMap
-    albedo: npt.NDArray[np.float32]
+    albedo: Float32Array
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "albedo", read_only(self.albedo))
@@ -74,7 +69,7 @@ def solve_photometric_stereo(images: FloatArray, lights: Points, mask: Mask | No
     )
 
 
-def _require_images(images: FloatArray, lights: Points) -> npt.NDArray[Any]:
+def _require_images(images: FloatArray, lights: Points) -> Array:
     require_shape(lights, (None, 3), "lights")
     require_finite(lights, "lights")
     stack = np.ascontiguousarray(images, dtype=np.float32)

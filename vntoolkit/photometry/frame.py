@@ -1,13 +1,10 @@
 """A linear colour frame of a capture, and the labels of the lights that reach its pixels."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import LinearImage, Mask, VisibilityLabels, read_only
+from vntoolkit.arrays import BoolArray, ByteArray, LinearImage, Mask, VisibilityLabels, read_only
 from vntoolkit.checks import require_shape
 from vntoolkit.display import Displayed, Facts, Picture, picture_of_light, share_of, size_of
 from vntoolkit.errors import BadInput
@@ -63,18 +60,18 @@ class LinearFrame(Displayed):
         return picture_of_light(self.rgb)
 
 
-def labels_from_lit(lit: npt.NDArray[np.bool_]) -> VisibilityLabels:
+def labels_from_lit(lit: BoolArray) -> VisibilityLabels:
     """Pack (..., 3) booleans, one per light, into (...) labels."""
     return (lit[..., 0] + 2 * lit[..., 1].astype(np.uint8) + 4 * lit[..., 2].astype(np.uint8)).astype(
         np.uint8
     )
 
 
-def lit_from_labels(labels: VisibilityLabels) -> npt.NDArray[np.bool_]:
+def lit_from_labels(labels: VisibilityLabels) -> BoolArray:
     """Unpack (...) labels into (..., 3) booleans, one per light."""
     return (labels[..., None] >> np.arange(3, dtype=np.uint8)) & 1 == 1
 
 
-def count_lit(labels: VisibilityLabels) -> npt.NDArray[np.uint8]:
+def count_lit(labels: VisibilityLabels) -> ByteArray:
     """Number of lights, 0 to 3, that reach each pixel."""
     return np.array([0, 1, 1, 2, 1, 2, 2, 3], dtype=np.uint8)[labels]

@@ -10,15 +10,12 @@ The correction is added in the normal's stereographic coordinates s = n_xy / (1 
 same step of s is nearly the same angle wherever the normal points.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Points, Points2, read_only
+from vntoolkit.arrays import Float64Array, FloatArray, Points, Points2, read_only
 from vntoolkit.checks import require_finite, require_shape
 from vntoolkit.errors import BadRig
 from vntoolkit.geometry.rectification import Rectification
@@ -92,7 +89,7 @@ class GelResponse:
             )
 
     @property
-    def terms(self) -> npt.NDArray[np.float64]:
+    def terms(self) -> Float64Array:
         """(2, 34, 4, 4): for coordinate of s and monomial of m, the coefficient of x^i y^j."""
         laid_out = np.zeros((2, len(COLOUR_FACTORS), TOTAL_DEGREE, TOTAL_DEGREE))
         for (k, i, j), pair in zip(_POWERS, self.coefficients, strict=True):

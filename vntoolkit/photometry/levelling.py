@@ -4,17 +4,14 @@ At every pixel that is an affine map of colours. It changes slowly: parabolas be
 grid give it, in one pass with what else is done to a row of pixels.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from numba import prange
 
-from vntoolkit.arrays import FloatArray
+from vntoolkit.arrays import Array, FloatArray
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
@@ -31,9 +28,9 @@ class ColourMaps(NamedTuple):
     odd number of rows and of columns. ramp: (2 step,), 0, 1, 2, …: a loop counter's conversion is slow.
     """
 
-    grid: npt.NDArray[Any]
+    grid: Array
     step: int
-    ramp: npt.NDArray[Any]
+    ramp: Array
 
 
 class Leveller:

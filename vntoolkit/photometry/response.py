@@ -1,13 +1,10 @@
 """The light response, r = M n + a: constant or varying over the image, as the forward model and inverted."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Matrix3, Vector3, read_only
+from vntoolkit.arrays import FloatArray, Int64Array, Matrix3, Vector3, read_only
 from vntoolkit.checks import require_finite, require_shape
 from vntoolkit.errors import BadRig
 
@@ -29,7 +26,7 @@ class LightResponse:
     matrix: Matrix3
     ambient: Vector3 = field(default_factory=lambda: np.zeros(3))
     light_colours: Matrix3 | None = None
-    variation: ResponseVariation | None = None
+    variation: "ResponseVariation | None" = None
 
     def __post_init__(self) -> None:
         for name, shape in (("matrix", (3, 3)), ("ambient", (3,)), ("light_colours", (3, 3))):
@@ -62,7 +59,7 @@ class LightResponse:
         return matrices, self.ambient + monomials @ self.variation.ambients
 
     @property
-    def central(self) -> LightResponse:
+    def central(self) -> "LightResponse":
         """The response at the centre of the variation, the same for all pixels."""
         return self if self.variation is None else replace(self, variation=None)
 
@@ -120,7 +117,7 @@ class ResponseVariation:
     scale_px: half the longer side of the image, so that x and y stay within ±1.
     """
 
-    powers: npt.NDArray[np.int64]
+    powers: Int64Array
     matrices: FloatArray
     ambients: FloatArray
     centre_px: FloatArray
@@ -156,25 +153,23 @@ class ResponseVariation:
         return np.stack([powers[i][..., 0] * powers[j][..., 1] for i, j in self.powers.tolist()], axis=-1)
 
 
-def powers_to_degree(degree: int) -> npt.NDArray[np.int64]:
+def powers_to_degree(degree: int) -> Int64Array:
     """All (i, j) with 1 ≤ i + j ≤ degree, (k, 2), by rising degree."""
     return np.array(
         [(total - j, j) for total in range(1, degree + 1) for j in range(total + 1)], dtype=np.int64
     ).reshape(-1, 2)
 
 
-def rgb_from_normals(
-    normals_in_camera: FloatArray, response: LightResponse, positions_px: FloatArray | None = None
-) -> FloatArray:
+def rgb_from_normals(normals_in_camera: FloatArray, response: LightResponse) -> FloatArray:
     """Equation 1: r = M n (+ ambient), where all three lights reach the surface.
 
-    normals_in_camera: (..., 3). positions_px: (..., 2), which only a response that varies over the image
-    needs; default: the pixels of an image (h, w, 3). Returns (..., 3) linear RGB.
+    normals_in_camera: (..., 3); of an image (h, w, 3) where the response varies over it. Returns (..., 3)
+    linear RGB.
     """
     normals = np.asarray(normals_in_camera)
     if response.variation is None:
         return normals @ response.matrix.T + response.ambient
-    matrices, ambients = response.at(_positions(positions_px, normals))
+    matrices, ambients = response.at(_positions(None, normals))
     return np.asarray((matrices @ normals[..., None])[..., 0] + ambients)
 
 
@@ -183,7 +178,8 @@ def scaled_normals_from_rgb(
 ) -> FloatArray:
     """Equation 1 solved for the normal times the relative albedo: M⁻¹(r − a), (..., 3).
 
-    rgb: (..., 3). positions_px: as for `rgb_from_normals`.
+    rgb: (..., 3). positions_px: (..., 2), which only a response that varies over the image needs; default:
+    the pixels of an image (h, w, 3).
     """
     if response.variation is None:
         return np.asarray((rgb - response.ambient) @ response.inverse.T)

@@ -1,7 +1,5 @@
 """A rig: camera, light response, transfer curve, and the quality of its calibration."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 from vntoolkit.display import Displayed, Facts

@@ -3,17 +3,13 @@
 Decoding 8- and 16-bit integers goes through a table of all values, so the cost of the curve vanishes.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import Enum
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray
+from vntoolkit.arrays import Array, Float32Array, FloatArray
 from vntoolkit.errors import BadInput
 
 
@@ -114,7 +110,7 @@ class Transfer:
             )
 
     @classmethod
-    def from_text(cls, text: str) -> Transfer:
+    def from_text(cls, text: str) -> "Transfer":
         """Parse `linear`, `srgb`, `bt709`, `gamma:G`, `pq`, `hlg`, `slog3`, `vlog`, `clog3` or `logc3`.
 
         Hyphens may stand in a name, as in S-Log3.
@@ -185,9 +181,7 @@ def encoded_from_linear(linear: FloatArray, transfer: Transfer) -> FloatArray:
             return np.clip(log.code(light * log.light(np.float64(1.0))), 0.0, 1.0)
 
 
-def linear_from_integers(
-    values: npt.NDArray[Any], transfer: Transfer, bits: int | None = None
-) -> npt.NDArray[np.float32]:
+def linear_from_integers(values: Array, transfer: Transfer, bits: int | None = None) -> Float32Array:
     """Decode uint8 or uint16 samples of `bits` significant bits (default: all) to linear float32."""
     if values.dtype not in (np.uint8, np.uint16):
         raise BadInput(f"image: expected 8- or 16-bit samples, got {values.dtype}")
@@ -196,7 +190,7 @@ def linear_from_integers(
 
 
 @lru_cache(maxsize=16)
-def decoding_table(transfer: Transfer, bits: int, storage_bits: int) -> npt.NDArray[np.float32]:
+def decoding_table(transfer: Transfer, bits: int, storage_bits: int) -> Float32Array:
     """Linear float32 value of every stored integer; (2**storage_bits,)."""
     encoded = np.arange(2**storage_bits, dtype=np.float64) / (2**bits - 1)
     table = linear_from_encoded(encoded, transfer).astype(np.float32)

@@ -13,11 +13,11 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
+from vntoolkit.arrays import Array, UInt16Array
 from vntoolkit.checks import require_positive
 from vntoolkit.errors import VntError
 from vntoolkit.geometry.maps import NormalMap
@@ -408,9 +408,7 @@ def _blended(before: EncodedFrame, now: EncodedFrame, after: EncodedFrame, samen
     return replace(now, values=values, bits=16)
 
 
-def smoothed_over_time(
-    before: npt.NDArray[Any], now: npt.NDArray[Any], after: npt.NDArray[Any], bits: int, sameness: float
-) -> npt.NDArray[np.uint16]:
+def smoothed_over_time(before: Array, now: Array, after: Array, bits: int, sameness: float) -> UInt16Array:
     """Blend stored integers (h, w, 3) of three frames; the result has 16 significant bits.
 
     sameness: s, as a share of full scale (stored values). A value at full scale stays there, so that clipped

@@ -1,7 +1,5 @@
 """Calibration on a ball, a board or known lights: from footage to rig."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field

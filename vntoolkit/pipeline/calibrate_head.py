@@ -10,9 +10,8 @@ from enum import Enum
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import IntArray
+from vntoolkit.arrays import ByteArray, IntArray
 from vntoolkit.calibration.head.hull import (
     DistanceGrid,
     HullOptions,
@@ -187,7 +186,14 @@ def calibrate_head(
         with clock.stage("refinement"):
             refined = refine_head(
                 shape,
-                lambda mesh: _finely_fused(footage, carved, options, about=mesh),
+                lambda mesh: fit_shape(
+                    carved.views,
+                    hull=carved.grid,
+                    about=mesh,
+                    contrasts=footage.contrasts,
+                    stereo=options.stereo.finely(),
+                    fusion=options.fusion.finely(),
+                ),
                 carved.motion.camera,
                 partial(turn.frames, chosen),
                 light,
@@ -258,18 +264,6 @@ def _with_stereo(
         closely = options.stereo.closely()
         shape = fuse(carved.views, hull=carved.grid, stereo=closely, on_progress=progress, about=rough)
     return carved, shape
-
-
-def _finely_fused(footage: HeadFootage, carved: _Carved, options: HeadOptions, about: Mesh) -> FusedShape:
-    """Fuse stereo once more about a refined mesh, which tells where to look."""
-    return fit_shape(
-        carved.views,
-        hull=carved.grid,
-        about=about,
-        contrasts=footage.contrasts,
-        stereo=options.stereo.finely(),
-        fusion=options.fusion.finely(),
-    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -365,8 +359,8 @@ class HeadFootage:
 
     numbers: tuple[int, ...]
     silhouettes: tuple[Silhouette, ...]
-    contrasts: tuple[npt.NDArray[np.uint8], ...]
-    details: tuple[npt.NDArray[np.uint8], ...]
+    contrasts: tuple[ByteArray, ...]
+    details: tuple[ByteArray, ...]
 
 
 def follow_frames(

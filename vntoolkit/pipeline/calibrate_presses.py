@@ -1,7 +1,5 @@
 """Calibration of a tactile sensor from ball presses, and rectified copies of its footage."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path

@@ -1,14 +1,12 @@
 """The checkerboard video of a tracked folder, and a sheet of frames from it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from vntoolkit.arrays import ByteArray
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.footage.frame_range import sampled
 from vntoolkit.io.footage.images import write_png
@@ -26,7 +24,7 @@ class CheckerboardFiles:
 
     video: Path
     sheet: Path
-    moments: Mapping[int, npt.NDArray[np.uint8]]
+    moments: Mapping[int, ByteArray]
 
 
 def write_checkerboard(
@@ -44,9 +42,7 @@ def write_checkerboard(
     )
 
 
-def _frames(
-    source: TrackSource, target: Path, options: CheckerboardOptions
-) -> Iterator[npt.NDArray[np.uint8]]:
+def _frames(source: TrackSource, target: Path, options: CheckerboardOptions) -> Iterator[ByteArray]:
     record, sequence = read_track_record(target), read_mesh_sequence(target)
     camera: Camera = source.camera
     at = record["frames"].index(record["template"])
@@ -66,15 +62,15 @@ class _Sheet:
 
     def __init__(self, frame_count: int) -> None:
         self._wanted = set(sampled(range(frame_count), _SHEET_COLUMNS * _SHEET_ROWS))
-        self.kept: dict[int, npt.NDArray[np.uint8]] = {}
+        self.kept: dict[int, ByteArray] = {}
 
-    def passing(self, frames: Iterator[npt.NDArray[np.uint8]]) -> Iterator[npt.NDArray[np.uint8]]:
+    def passing(self, frames: Iterator[ByteArray]) -> Iterator[ByteArray]:
         for row, frame in enumerate(frames):
             if row in self._wanted:
                 self.kept[row] = frame
             yield frame
 
-    def image(self) -> npt.NDArray[np.uint8]:
+    def image(self) -> ByteArray:
         kept = list(self.kept.values())
         columns = min(_SHEET_COLUMNS, len(kept))
         cells = kept + [np.zeros_like(kept[0])] * (-len(kept) % columns)

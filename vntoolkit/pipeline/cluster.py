@@ -5,8 +5,6 @@ returns only the records; so nothing large travels. A worker that dies costs the
 scheduler gives that to another, which computes the same bytes. What is finished is in the folder and its log.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import os

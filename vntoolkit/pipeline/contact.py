@@ -7,21 +7,16 @@ against the contact at none. A third lies between, and under the ball of 2.42 mm
 it meets the circles that people draw.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy import ndimage
 
-from vntoolkit.arrays import Mask
+from vntoolkit.arrays import Array, Mask
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap
 from vntoolkit.native import njit
 
-Array = npt.NDArray[Any]
 _RIM_SHARE = 1 / 3  # of a dent's depth, at which its contact ends
 _SHALLOWEST_M = 1e-4  # what the drift of lamps leaves of depth on an untouched gel
 _REST_ROUNDS = 4

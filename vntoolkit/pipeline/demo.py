@@ -3,8 +3,6 @@
 What a user does with lamps and a camera of their own, in the same order and by the same functions.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

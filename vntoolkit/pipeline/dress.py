@@ -1,7 +1,5 @@
 """A captured garment on an animated skeleton: fit, weights, skinning, output, one frame at a time."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
@@ -10,11 +8,10 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 import vntoolkit
-from vntoolkit.arrays import Faces, FloatArray, IntArray, Points, Vector3
+from vntoolkit.arrays import Faces, Float32Array, FloatArray, IntArray, Points, Vector3
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.garment_fit import GarmentFit
@@ -172,7 +169,7 @@ class DressedFigure:
         return self._posed(self._rest_frame(index), index)
 
     @cached_property
-    def _kept(self) -> dict[int, npt.NDArray[np.float32]]:
+    def _kept(self) -> dict[int, Float32Array]:
         """Frames in the pose of attachment: findings, blend shapes and pictures all need them."""
         return {}
 
@@ -185,7 +182,7 @@ class DressedFigure:
             self._kept[index] = rest
         return rest
 
-    def thinned(self, cell: float) -> DressedFigure:
+    def thinned(self, cell: float) -> "DressedFigure":
         """Return the figure with one vertex in each cube of that side (metres), for small pictures."""
         kept, faces = one_in_each_cube(self.template, cell)
         template, weights = self.cloth.template, self.weights
@@ -316,10 +313,7 @@ def dress(
 
 
 def _telling_frame(cloth: MeshSequence, kind: Garment) -> int:
-    """Return the first frame that shows both sleeves or both legs apart, else the one that shows most.
-
-    Some frames of a long capture are looked at.
-    """
+    """Return the first of some frames that shows both sleeves or both legs apart, else the best of them."""
     if kind is not Garment.AUTO and kind is not Garment.TROUSERS and not kind.has_sleeves:
         return 0
     most, best = -1, 0
@@ -568,9 +562,7 @@ def _track_folder(folder: Path) -> Path:
 
 
 def _as_captured(cloth: MeshSequence, track: Path) -> MeshSequence:
-    """Give the template the texture coordinates of its frame's picture, and the colours of its texture, else
-    those of its frame's own mesh.
-    """
+    """Give the template its picture's texture coordinates and colours, else its frame's own mesh's."""
     if not (track / "track.json").exists():
         return cloth
     record = read_track_record(track)

@@ -1,7 +1,5 @@
 """Normals, cylinders, tracks and depth against references, frame by frame in constant memory."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
@@ -12,7 +10,7 @@ import numpy as np
 
 from vntoolkit.arrays import Faces, FloatArray, Mask, Points, Vector3
 from vntoolkit.checks import require_same_size, require_shape, require_some
-from vntoolkit.diagnosis.consistency import warn_of_flipped_axes
+from vntoolkit.diagnosis.outline import warn_of_flipped_axes
 from vntoolkit.errors import BadInput
 from vntoolkit.evaluation import angular_error, track_error
 from vntoolkit.evaluation.cylinder import (
@@ -505,15 +503,13 @@ def _read_matrix(path: Path) -> FloatArray:
         ) from error
 
 
-def real_object_errors(
-    folder: Path, integrators: tuple[Integrator, ...] = (Integrator.POISSON, Integrator.DISCONTINUITY)
-) -> list[ObjectError]:
-    """Integrate one real object by each integrator and compare with the scanned depth."""
+def real_object_errors(folder: Path) -> list[ObjectError]:
+    """Integrate one real object without and with steps, and compare with the scanned depth."""
     camera, normal_map, truth = read_object(folder)
     seen = normal_map.mask & np.isfinite(truth)
     require_some(seen, f"{folder}: pixels with normal and depth")
     errors = []
-    for integrator in integrators:
+    for integrator in (Integrator.POISSON, Integrator.DISCONTINUITY):
         options = IntegrationOptions(integrator=integrator)
         found = DepthIntegrator(camera, options).integrate(normal_map).depth[seen]
         distances = np.abs(found * np.median(truth[seen] / found) - truth[seen])

@@ -1,7 +1,5 @@
 """Export of results to other programs: one animated file, or one file per frame, written atomically."""
 
-from __future__ import annotations
-
 import json
 import logging
 from abc import ABC, abstractmethod
@@ -12,9 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Vector3
+from vntoolkit.arrays import Array, FloatArray, Vector3
 from vntoolkit.errors import BadInput, VntError
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import LengthUnit
@@ -55,7 +52,7 @@ class ExportJob:
     """
 
     folder: Path
-    options: ExportOptions
+    options: "ExportOptions"
     out: Path | None = None
     frames: FrameRange | None = None
     footage: str = ""
@@ -104,7 +101,7 @@ def _export(
     return _export_folder(job, result, track, overwrite, on_start, on_frame)
 
 
-def _track_of(result: OpenedResult, options: ExportOptions) -> TrackedSurface | None:
+def _track_of(result: OpenedResult, options: "ExportOptions") -> TrackedSurface | None:
     if options.mesh is ExportedSurface.FRAMES:
         return None
     if options.cleaning is not None and result.track is not None:
@@ -164,7 +161,7 @@ def _export_animation(
     return ExportSummary(out=out, frames=count, kept=0, is_tracked=True, offset=offset)
 
 
-def offset_of(track: TrackedSurface, options: ExportOptions, factor: float) -> Vector3:
+def offset_of(track: TrackedSurface, options: "ExportOptions", factor: float) -> Vector3:
     """Return (3,): what puts the template's middle above the origin and its lowest point on the floor."""
     if not options.centre:
         return np.zeros(3)
@@ -611,7 +608,7 @@ def frame_export(result: OpenedResult, track: TrackedSurface | None, options: Ex
 
 def arrays_of_frame(
     result: OpenedResult, number: int, options: ExportOptions, factor: float
-) -> Mapping[str, npt.NDArray[Any]]:
+) -> Mapping[str, Array]:
     """Return what `--to npz` holds of a frame.
 
     normals (h, w, 3) in the asked convention, mask, confidence, error_deg; depth along the optical axis,

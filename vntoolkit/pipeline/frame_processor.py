@@ -1,16 +1,13 @@
 """One frame: from stored samples to normals, depth and a mesh (brostow2011, Section III-B)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from numba import prange
 
-from vntoolkit.arrays import Colours, LinearImage, Mask, VisibilityLabels
+from vntoolkit.arrays import BoolArray, Colours, LinearImage, Mask, VisibilityLabels
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadCapture
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
@@ -22,11 +19,7 @@ from vntoolkit.materials.labelling import MaterialLabeller
 from vntoolkit.materials.pixels import MaterialLabels, box_of, colours_of
 from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.native import keep_freed_memory, njit
-from vntoolkit.normals.expected_error import (
-    normals_and_errors_from_encoded,
-    with_doubt,
-    with_expected_error,
-)
+from vntoolkit.normals import expected_error
 from vntoolkit.normals.gel import GelInverter, drift_of_change
 from vntoolkit.normals.inversion import normals_from_encoded, normals_from_frame
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
@@ -196,7 +189,7 @@ class FrameProcessor:
         if self._is_plain(frame):
             values, transfer, response = frame.values, self._rig.transfer, self._rig.response
             if self._with_errors:
-                normal_map, clipped_share = normals_and_errors_from_encoded(
+                normal_map, clipped_share = expected_error.normals_and_errors_from_encoded(
                     values, response, transfer, self._mask, camera=self.camera,
                     options=self._options.inversion, bits=frame.bits, residual_deg=residual_deg,
                     blur_px=self._blur_px, residual_of_pixels=self._residual_of_pixels,
@@ -239,22 +232,18 @@ class FrameProcessor:
         clipped_share = float(np.count_nonzero(linear.clipped)) / linear.clipped.size
         if not self._with_errors:
             return normal_map, labels, clipped_share
-        normal_map = with_expected_error(
+        normal_map = expected_error.with_expected_error(
             normal_map, level, self._central, labels if solved else None, self.camera, residual_deg,
             self._blur_px, self._residual_of_pixels,
         )  # fmt: skip
         if turned_deg is not None:
-            normal_map = with_doubt(normal_map, turned_deg)
+            normal_map = expected_error.with_doubt(normal_map, turned_deg)
         return normal_map, labels, clipped_share
 
     def _normals_under_shadow(
         self, linear: LinearFrame, frame: LinearFrame
     ) -> tuple[NormalMap, VisibilityLabels, bool]:
-        """Find the shadows, then normals from whichever lights arrive; black pixels are the backdrop.
-
-        Also whether they were solved together with a surface. frame: `linear` as the central M would have
-        formed it.
-        """
+        """Find shadows, then normals; whether by a surface. frame: `linear` as the central M forms it."""
         response, inversion = self._central, self._options.inversion
         seen = self.by_strength(linear)
         mask = brighter_than(frame, response, inversion.darkest * inversion.relative_albedo, self._mask)
@@ -321,7 +310,7 @@ class FrameProcessor:
             shown = shown / np.float32(2**frame.bits - 1)
         if not self._resampler.changes_frames:
             return shown
-        nothing: npt.NDArray[np.bool_] = np.zeros(shown.shape[:2], dtype=np.bool_)
+        nothing: BoolArray = np.zeros(shown.shape[:2], dtype=np.bool_)
         return self._resampler.frame(LinearFrame(rgb=shown, clipped=nothing)).rgb
 
 

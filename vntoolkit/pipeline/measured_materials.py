@@ -1,7 +1,5 @@
 """The subject's materials, measured once on the first frames of a run."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import dataclass, replace
 
@@ -181,7 +179,9 @@ class _Labelled:
     labels: MaterialLabels
 
     @classmethod
-    def by(cls, found: list[Material], frame: LinearFrame, mask: Mask, response: LightResponse) -> _Labelled:
+    def by(
+        cls, found: list[Material], frame: LinearFrame, mask: Mask, response: LightResponse
+    ) -> "_Labelled":
         """Label a frame."""
         labeller = MaterialLabeller(response, np.array([each.reflectance.values for each in found]))
         labels = labeller.labels(frame, mask)

@@ -1,7 +1,5 @@
 """A result folder opened for reading: its frames, and the maps and meshes of each frame."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -10,9 +8,8 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import VisibilityLabels
+from vntoolkit.arrays import ByteArray, VisibilityLabels
 from vntoolkit.errors import BadCapture, BadInput, VntError
 from vntoolkit.evaluation.track_error import LOST_PX
 from vntoolkit.geometry.camera import Camera
@@ -109,7 +106,7 @@ class OpenedResult:
         """Read a frame's visibility labels."""
         return self._read("shadows", number, read_labels)
 
-    def materials(self, number: int) -> npt.NDArray[np.uint8] | None:
+    def materials(self, number: int) -> ByteArray | None:
         """Read the number of the material of each pixel; None where the subject is of the rig's alone."""
         return self._read("materials", number, read_materials)
 
@@ -151,7 +148,7 @@ class OpenedResult:
         return TrackedSurface(sequence=textured, numbers=numbers, template=template, lost_px=lost_px)
 
     @cached_property
-    def refined(self) -> OpenedResult | None:
+    def refined(self) -> "OpenedResult | None":
         """The same frames, made again with the reflectance of the tracked surface; None without them."""
         root = self.folder.root / "track"
         if not (root / REFLECTANCE_NAME).exists() or not has_manifest(root / REFINED_NAME):
@@ -165,7 +162,7 @@ class OpenedResult:
         frame = linear_frame_from_encoded(encoded, self.rig.transfer, capture.background)
         return resampler_of(self.rig).frame(frame)
 
-    def picture(self, number: int) -> npt.NDArray[np.uint8] | None:
+    def picture(self, number: int) -> ByteArray | None:
         """Return the captured frame as a person would see it, (h, w, 3) sRGB; None without the footage."""
         try:
             linear = np.clip(self.linear(number).rgb, 0, 1)

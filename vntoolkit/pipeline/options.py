@@ -1,7 +1,5 @@
 """Options of `reconstruct`, and their values for the manifest."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field

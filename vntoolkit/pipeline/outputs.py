@@ -1,7 +1,5 @@
 """What one frame became, and the files of a reconstruction: their paths, and the writing of a frame."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

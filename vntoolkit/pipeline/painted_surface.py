@@ -1,7 +1,5 @@
 """The subject in the reflectance that its tracked surface carries, frame by frame."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Contact circles of presses, to be looked at and corrected: found once, kept as label files."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Work shared out to processes of this machine: the results do not depend on how many there are."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import multiprocessing

@@ -1,7 +1,5 @@
 """Reconstruction of a capture: normals, depth, meshes; resumable, in one process or many."""
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import time
@@ -157,10 +155,7 @@ def _prepared(
     overwrite: bool,
     examined: Examination,
 ) -> tuple[ReconstructionJob, manifests.Manifest, FrameLog]:
-    """Settle what a run does, and write its manifest into a folder that is free for it.
-
-    examined: what the footage told so far.
-    """
+    """Settle what a run does and write its manifest into a folder that is free. examined: told so far."""
     root = job.folder.root
     numbers = frames.numbers(capture.info.frame_count)
     resumes = manifests.has_manifest(root) and not overwrite
@@ -468,6 +463,7 @@ def _begin(job: ReconstructionJob, threads: int | None) -> Callable[[Block], Ite
     return lambda block: worker.run(*block)
 
 
-def blocks_of(numbers: range, size: int = BLOCK_FRAMES) -> list[range]:
+def blocks_of(numbers: range) -> list[range]:
     """Cut the frame numbers of a run into blocks, in order."""
-    return [numbers[start : start + size] for start in range(0, len(numbers), size)]
+    starts = range(0, len(numbers), BLOCK_FRAMES)
+    return [numbers[start : start + BLOCK_FRAMES] for start in starts]

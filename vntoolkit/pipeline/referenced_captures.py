@@ -4,8 +4,6 @@ The folder holds `coloured_light/` (three photographs stacked as red, green, blu
 (twelve lights of the same statues, a chrome and a grey ball) and `faces/` (sixty-four flashes of the faces).
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +24,8 @@ CAPTURES = ("buddha", "cat", "yaleB01", "yaleB02")
 STATUE_LIGHTS = (0, 4, 10)
 STEEPEST_FLASH_DEG = 60.0
 LIT_GROUPS = {"three lights": 3, "two lights": 2, "one light": 1}
+
+_ROUNDS = 8  # of leaving out shadow and gloss
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,12 +62,12 @@ def read_capture(folder: Path, name: str) -> ReferencedCapture:
 
 
 def normals_from_many_lights(
-    images: FloatArray, lights: FloatArray, darkest: float, rounds: int = 8
+    images: FloatArray, lights: FloatArray, darkest: float
 ) -> tuple[FloatArray, FloatArray]:
     """Least squares without shadow (< 0.6 of the prediction) and gloss (> 1.3): normals and albedo."""
     use = (images > darkest) & (images < 0.995)
     scaled = np.zeros((*images.shape[1:], 3))
-    for i in range(rounds + 1):
+    for i in range(_ROUNDS + 1):
         if i:
             predicted = np.einsum("kc,hwc->khw", lights, scaled)
             albedo = np.linalg.norm(scaled, axis=-1)

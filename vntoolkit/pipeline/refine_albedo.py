@@ -1,10 +1,10 @@
 """Normals, depth and meshes again, with the reflectance that a tracked surface has over all its frames.
 
-A vertex keeps its paint while it moves. What the frames tell of it is averaged, and the footage is
-reconstructed once more with the mean, into TRACK/refined, a folder as any that `reconstruct` writes.
+A vertex keeps its paint while it moves. Every frame tells paint from relief: its normals say how much of each
+lamp's light arrives at a vertex, and what is returned beyond that is the reflectance. Frames are averaged;
+those that were sure of the normal count most. Then the footage is reconstructed once more with the mean, into
+TRACK/refined, a folder as any that `reconstruct` writes.
 """
-
-from __future__ import annotations
 
 import hashlib
 import io
@@ -14,17 +14,12 @@ from pathlib import Path
 
 import numpy as np
 
-from vntoolkit.arrays import FloatArray, IntArray, Mask, Points, Points2
+from vntoolkit.arrays import Float32Array, FloatArray, IntArray, Mask, Matrix3, Points, Points2, Vectors
 from vntoolkit.errors import BadInput
 from vntoolkit.io.atomic import write_bytes
 from vntoolkit.io.footage.frame_range import FrameRange, Gaps
 from vntoolkit.io.results.frame_log import FrameEntry
 from vntoolkit.io.results.sequences import read_mesh_sequence
-from vntoolkit.materials.surface_reflectance import (
-    SurfaceLooks,
-    SurfaceReflectance,
-    mean_surface_reflectance,
-)
 from vntoolkit.photometry.frame import count_lit
 from vntoolkit.photometry.levelling import leveller_of
 from vntoolkit.pipeline.block_work import ReconstructionJob
@@ -40,6 +35,9 @@ from vntoolkit.tracking.slopes import sample_image
 _FRAMES = 24  # evenly spread: twice as many turn normals by less than a tenth of a degree
 _FEWEST_SEEN = 0.1  # of the vertices: with less the surface was not followed
 _LEAST_SHARE = 0.06  # of the strongest lamp's light: the rest may be shadow
+_LEAST_FACING = 0.1  # cosine to a lamp: less is nearly in shadow
+_SURE_DEG = 2.0  # no normal is better than that
+_OF_MEDIAN = 1.4826  # standard deviation over the median of absolute values
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,7 +112,7 @@ def require_refinable(folder: Path, *, footage: str = "", background: Path | Non
     return result
 
 
-def _looks(result: OpenedResult, target: Path, logs: Points) -> tuple[SurfaceLooks, int]:
+def _looks(result: OpenedResult, target: Path, logs: Points) -> "tuple[SurfaceLooks, int]":
     """Return how the vertices looked, and in how many frames. logs: (m, 3), of the materials."""
     record, sequence = read_track_record(target), read_mesh_sequence(target)
     numbers = record["frames"][: len(sequence)]
@@ -182,7 +180,7 @@ def _normals(result: OpenedResult, number: int, pixels: Points2) -> tuple[Points
 
 
 def _written(
-    found: SurfaceReflectance, looks: SurfaceLooks, folder: Path, target: Path, unit: float, frames: int
+    found: "SurfaceReflectance", looks: "SurfaceLooks", folder: Path, target: Path, unit: float, frames: int
 ) -> TrackedReflectance:
     content = io.BytesIO()
     np.save(content, found.logs.astype(np.float32), allow_pickle=False)
@@ -201,3 +199,63 @@ def _written(
 
 def _short(value: float) -> float:
     return round(float(value), 4)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SurfaceLooks:
+    """How a surface of n vertices looked in f frames.
+
+    contributions: (f, n, 3) of the lamps, without ambient light. seen: (f, n), where these are sound and all
+    lamps arrive. normals: (f, n, 3) that the frames were found to have, error_deg: (f, n), their expected
+    errors. materials: (n,) number of each vertex's. logs: (n, 3), log ρ of its material.
+    """
+
+    contributions: Float32Array
+    seen: Mask
+    normals: Float32Array
+    error_deg: Float32Array
+    materials: IntArray
+    logs: Points
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SurfaceReflectance:
+    """logs: (n, 3), log ρ of each vertex. lines: of each material, (m, 3), the line of log ρ along which
+    paint varies, of length 1. spreads: (m,), robust standard deviation along it.
+    """
+
+    logs: Points
+    lines: Points
+    spreads: FloatArray
+
+
+def mean_surface_reflectance(looks: SurfaceLooks, lights: Matrix3) -> SurfaceReflectance:
+    """Return the reflectance of each vertex. lights: (3, 3), row k so that contribution k is row k · n.
+
+    A vertex that no frame shows has that of its material.
+    """
+    paint, total = np.zeros(looks.logs.shape), np.zeros(len(looks.logs))
+    frames = zip(looks.contributions, looks.seen, looks.normals, looks.error_deg, strict=True)
+    for light, seen, normals, error_deg in frames:
+        arrives = normals @ lights.T
+        weight = (seen & (arrives.min(axis=1) > _LEAST_FACING)) / np.maximum(error_deg, _SURE_DEG) ** 2
+        returned = np.log(np.maximum(light, 1e-6) / np.maximum(arrives, _LEAST_FACING)) - looks.logs
+        paint += weight[:, None] * returned
+        total += weight
+    is_told = total > 0
+    paint[is_told] /= total[is_told, None]
+    count = int(looks.materials.max()) + 1
+    lines, spreads = np.full((count, 3), 3.0**-0.5), np.zeros(count)
+    for m in range(count):
+        own = paint[is_told & (looks.materials == m)]
+        if len(own):
+            lines[m], spreads[m] = _line_of_paint(own)
+    return SurfaceReflectance(logs=looks.logs + paint, lines=lines, spreads=spreads)
+
+
+def _line_of_paint(paint: Points) -> tuple[Vectors, float]:
+    """Return the main line (3,) of paint (n, 3), and its robust spread along it."""
+    apart = paint - np.median(paint, axis=0)
+    line = np.linalg.eigh(apart.T @ apart)[1][:, 2]
+    line = line * np.sign(line.sum() or 1.0)
+    return line, _OF_MEDIAN * float(np.median(np.abs(apart @ line)))

@@ -5,8 +5,6 @@ sequence is one worker's. While one capture is tracked the next is reconstructed
 not stop the others.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass

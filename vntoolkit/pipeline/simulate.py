@@ -15,9 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, VisibilityLabels
+from vntoolkit.arrays import Array, ByteArray, FloatArray, VisibilityLabels
 from vntoolkit.errors import BadInput, BadMesh, BadMotion, BadRig
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.geometry.mesh import Mesh
@@ -58,7 +57,7 @@ _TRUE_MAPS = {"normals": ".exr", "depth": ".exr", "mask": ".png", "visibility": 
 _MOST_FRAMES = 10**6  # their names have six digits
 logger = logging.getLogger(__name__)
 _COMPRESSION = ExrCompression.RLE  # maps are mostly empty; ZIP saves a fifth or more, in 1.6 times the time
-Picture = npt.NDArray[np.uint8]
+Picture = ByteArray
 _DISPLAY_GAMMA = 2.2
 
 
@@ -141,7 +140,7 @@ def _begin(job: SimulationJob, threads: int | None) -> Callable[[Moment], Iterat
     return FrameWorker(job).render
 
 
-def _staged_frames(folder: SimulationFolder, count: int) -> Iterator[npt.NDArray[Any]]:
+def _staged_frames(folder: SimulationFolder, count: int) -> Iterator[Array]:
     return (read_image(folder.staged(place)) for place in range(count))
 
 
@@ -375,7 +374,7 @@ def _lights(job: SimulationJob) -> dict[str, object]:
 
 
 def contact_row(
-    stored: npt.NDArray[Any], normals: NormalMap, labels: VisibilityLabels, linear: bool, width: int
+    stored: Array, normals: NormalMap, labels: VisibilityLabels, linear: bool, width: int
 ) -> Picture:
     """Return one frame's film, normals (colours as in a normal map file) and lit channels, side by side.
 

@@ -5,8 +5,6 @@ mean over the frames that see it, each weighed by how well it does. Noise grows 
 looked up beside its place by the expected error of the track and by what moves while the shutter is open.
 """
 
-from __future__ import annotations
-
 import json
 import logging
 from dataclasses import dataclass
@@ -53,7 +51,7 @@ class SurfaceTexture:
     albedo: Path | None
     normal: Path
 
-    def beside(self, path: Path) -> SurfaceTexture:
+    def beside(self, path: Path) -> "SurfaceTexture":
         """Copy the files beside another, as STEM_albedo.png and STEM_normal.png, and return the copies."""
         copies = [
             None if source is None else path.with_name(f"{path.stem}_{source.name}")

@@ -1,7 +1,5 @@
 """Registration of all frames of a reconstruction to one moving mesh."""
 
-from __future__ import annotations
-
 import logging
 import time
 from collections.abc import Callable, Sequence
@@ -26,9 +24,8 @@ from vntoolkit.photometry.response import LightResponse
 from vntoolkit.pipeline import tracked_folder
 from vntoolkit.pipeline.opened_result import open_result
 from vntoolkit.pipeline.options import option_values
-from vntoolkit.tracking.fixed_pattern import FRAMES_COMPARED, fixed_pattern
 from vntoolkit.tracking.options import Tracker, TrackingOptions
-from vntoolkit.tracking.paint import Paint, paint_image, paint_of_frame
+from vntoolkit.tracking.paint import FRAMES_COMPARED, Paint, fixed_pattern, paint_image, paint_of_frame
 from vntoolkit.tracking.slopes import relief_slopes, slopes_from_normals
 from vntoolkit.tracking.tracker import SurfaceTracker, tracked_frame
 
@@ -194,10 +191,7 @@ def paint_of_materials(
 def _registered_by(
     job: TrackJob, source: tracked_folder.TrackSource, template: int, paint_of: PaintReader | None
 ) -> tuple[Sequence[FloatArray], Paint | None, Sequence[FloatArray]]:
-    """Return the sensor's fixed pattern, the template's paint, and the pattern of paint.
-
-    By frames from all over the video.
-    """
+    """Return the sensor's fixed pattern, the template's paint, and paint's, by frames from all over."""
     if job.options.method is not Tracker.DEFAULT:
         return (), None, ()
     reliefs = {}
@@ -298,10 +292,7 @@ def _truncate_to_memory(writer: MeshSequenceWriter, tracker: SurfaceTracker, lea
 def _go_on(
     tracker: SurfaceTracker, source: tracked_folder.TrackSource, done: tuple[int, ...], folder: Path, row: int
 ) -> None:
-    """Restore the tracker's state after the last tracked frame on disk.
-
-    row: of done[0], the template, in the folder's arrays; −1 where it is not among them.
-    """
+    """Restore the tracker after the last frame on disk. row: of the template among them, or −1."""
     present = [i for i, number in enumerate(done) if i == 0 or source.has(number)]
     if len(present) < 2:
         return

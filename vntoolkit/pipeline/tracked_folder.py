@@ -1,7 +1,5 @@
 """The files that `track` reads and writes: the reconstruction's frames and the folder DIR/track."""
 
-from __future__ import annotations
-
 import json
 from contextlib import suppress
 from dataclasses import dataclass, replace

@@ -1,6 +1,4 @@
-"""Errors on simulated footage: of a reconstruction, and of each nuisance of the camera alone."""
-
-from __future__ import annotations
+"""Errors of a reconstruction of simulated footage."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,14 +13,9 @@ from vntoolkit.evaluation.depth_error import DepthError, compare_depths
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.io.maps_and_meshes.maps import read_depth_map, read_normal_map
 from vntoolkit.io.rigs import read_rig
-from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.pipeline.opened_result import OpenedResult
 from vntoolkit.pipeline.simulate import SimulationFolder
-from vntoolkit.simulation.image_formation import true_varying_response
-from vntoolkit.simulation.nuisances import Nuisances, nuisance_names
-from vntoolkit.simulation.render import RenderOptions, render_frame
-from vntoolkit.simulation.scene import Scene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,48 +71,3 @@ def _truth_file(simulated: Path, kind: str, number: int) -> Path:
     if not path.exists():
         raise BadInput(f"{path}: the simulated capture holds no truth for frame {number}")
     return path
-
-
-# Normal error caused by each nuisance of a real camera: with it alone, and with all others.
-
-
-@dataclass(frozen=True, kw_only=True)
-class NuisanceError:
-    """One row of the table.
-
-    name: of the nuisance; "all" and "none" frame the table. alone: error with this nuisance only. without:
-    error with all others, or None where that is meaningless.
-    """
-
-    name: str
-    alone: AngularError
-    without: AngularError | None
-
-
-def nuisance_errors(
-    scene: Scene,
-    nuisances: Nuisances,
-    frame: int = 0,
-    rendering: RenderOptions | None = None,
-    seed: int = 0,
-    degree: int = 0,
-) -> Iterator[NuisanceError]:
-    """Yield the normal error of equation 1's inversion: "none", every nuisance in turn, "all".
-
-    The true M of each world is used, so that what is left is the nuisance's own doing and no calibration's.
-    degree: of the polynomials by which M follows near lights over the image; 0 for M at the scene's centre.
-    """
-
-    def error(world: Nuisances) -> AngularError:
-        shot = render_frame(scene, frame, nuisances=world, options=rendering, seed=seed)
-        truth = shot.truth.normals
-        return compare_normals(
-            normals_from_frame(shot.linear, true_varying_response(scene, world, degree), truth.mask), truth
-        )
-
-    yield NuisanceError(name="none", alone=error(Nuisances.none()), without=None)
-    for name in nuisance_names():
-        yield NuisanceError(
-            name=name, alone=error(nuisances.only(name)), without=error(nuisances.without(name))
-        )
-    yield NuisanceError(name="all", alone=error(nuisances), without=None)

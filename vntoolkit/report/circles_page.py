@@ -1,14 +1,11 @@
 """The page on which contact circles of presses, and the corners of a gel, are corrected by hand."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import LinearImage
+from vntoolkit.arrays import ByteArray, LinearImage
 from vntoolkit.calibration.presses import Press
 from vntoolkit.photometry.transfer import Transfer, TransferCurve, encoded_from_linear
 from vntoolkit.pipeline.press_circles import PressCircles
@@ -79,13 +76,13 @@ def _numbers(circle: Press | None) -> list[float] | None:
     return None if circle is None else [circle.u_px, circle.v_px, circle.radius_px]
 
 
-def _displayed(rgb: LinearImage) -> npt.NDArray[np.uint8]:
+def _displayed(rgb: LinearImage) -> ByteArray:
     brightest = max(float(np.percentile(rgb, _BRIGHTEST)), 1e-6)
     encoded = encoded_from_linear(np.clip(rgb / brightest, 0, 1), Transfer(curve=TransferCurve.SRGB))
     return np.asarray(255 * encoded + 0.5).astype(np.uint8)
 
 
-def _difference(change: LinearImage) -> npt.NDArray[np.uint8]:
+def _difference(change: LinearImage) -> ByteArray:
     """Grey where nothing changed."""
     most = max(float(np.percentile(np.abs(change), _BRIGHTEST)), 1e-6)
     return np.asarray(127.5 + 127.5 * np.clip(change / most, -1, 1) + 0.5).clip(0, 255).astype(np.uint8)

@@ -1,7 +1,5 @@
 """Figures of errors over time, over the image, cumulative, as bars (brostow2011, 7); of shadows (4, 5)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -101,7 +99,7 @@ def write_bars(
 # Comparison of trackers: errors over the frames, and pictures of their checkerboards.
 
 
-def write_error_plot(path: Path, errors: Mapping[str, Sequence[TrackError]], title: str = "") -> None:
+def write_error_plot(path: Path, errors: Mapping[str, Sequence[TrackError]]) -> None:
     """Write a PNG or SVG (by the suffix) of median and 95 % error in pixels by frame, on log scales."""
     with pictures.report_style():
         figure = pictures.new_figure(9.6, 3.6)
@@ -118,8 +116,6 @@ def write_error_plot(path: Path, errors: Mapping[str, Sequence[TrackError]], tit
         axes[0].set_ylabel("end-point error, px")
         handles, names = axes[0].get_legend_handles_labels()
         figure.legend(handles, names, ncols=len(names), loc="outside lower center", handlelength=3)
-        if title:
-            figure.suptitle(title)
     pictures.write_figure(figure, path)
 
 

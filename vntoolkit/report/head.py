@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Mask, Vector3
+from vntoolkit.arrays import ByteArray, FloatArray, Mask, Vector3
 from vntoolkit.calibration.fit import angles_deg
 from vntoolkit.calibration.head.hull import turn_angles_deg
 from vntoolkit.geometry.camera import Camera
@@ -42,7 +41,7 @@ class _ShownFrame(NamedTuple):
     place: int  # among the light frames
     number: int  # in the capture
     used: int  # among the frames used
-    image: npt.NDArray[np.uint8]
+    image: ByteArray
 
 
 def write_head_page(path: Path, job: CalibrationJob, rig: Rig, result: HeadCalibration) -> None:
@@ -205,7 +204,7 @@ def _picture(draw: Draw, size: tuple[int, int], caption: str, *, wide: bool = Fa
         return page.figure_from_pixels(_pixels_of(figure), caption, wide=wide)
 
 
-def _pixels_of(figure: Figure) -> npt.NDArray[np.uint8]:
+def _pixels_of(figure: Figure) -> ByteArray:
     figure.set_dpi(_DPI)
     canvas: Any = figure.canvas
     canvas.draw()
@@ -225,62 +224,29 @@ def _plot(draw: Draw, size_in: tuple[float, float], caption: str) -> page.PageFi
 def numbers_of_head(rig: Rig, result: HeadCalibration) -> tuple[page.PageNumber, ...]:
     """Return turn, errors, agreement and condition, graded."""
     motion, quality = result.motion, result.light.quality
-    agreeing = float(result.light.inliers.mean())
-    return (
-        page.PageNumber(
-            value=f"{motion.turn_deg:.0f}°",
-            label="turn of the head",
-            grade=page.graded(-motion.turn_deg, (-_TURN_DEG[0], -_TURN_DEG[1])),
-            remark="between the two ends",
-        ),
-        page.PageNumber(
-            value=f"{motion.error_px:.2f} px",
-            label="reprojection error",
-            grade=page.graded(motion.error_px, _ERROR_PX),
-            remark=f"{len(motion.point):,} tracks, {motion.observations:,} observations",
-        ),
-        page.PageNumber(
-            value=f"{agreeing:.0%}",
-            label="samples that agree",
-            grade=page.graded(-agreeing, (-_AGREEING[0], -_AGREEING[1])),
-            remark=f"of {len(result.samples.point):,} on one M",
-        ),
-        page.PageNumber(
-            value=f"{quality.residual_deg:.1f}°",
-            label="median residual",
-            grade=page.graded(quality.residual_deg, _RESIDUAL_DEG),
-            remark="normal by colour against normal by shape",
-        ),
-        page.PageNumber(
-            value=f"{rig.response.condition_number:.1f}",
-            label="condition number of M",
-            grade=page.graded(rig.response.condition_number, _CONDITION),
-            remark="set by the lights' directions and colours",
-        ),
-        *_numbers_of_refinement(result),
-    )
-
-
-def _numbers_of_refinement(result: HeadCalibration) -> tuple[page.PageNumber, ...]:
-    refined = result.refined
-    if refined is None:
-        return ()
-    assert refined.mesh.error_deg is not None
-    return (
-        page.PageNumber(
-            value=f"{100 * refined.changes[-1]:.1f} %",
-            label="last change of M",
-            grade=page.graded(refined.changes[-1], _CHANGE),
-            remark="by rounds: " + ", ".join(f"{100 * change:.1f} %" for change in refined.changes),
-        ),
-        page.PageNumber(
-            value=f"{np.median(refined.error_percent):.2f} %",
-            label="expected error of the shape",
-            grade=page.graded(float(np.median(refined.error_percent)), _SHAPE_PERCENT),
-            remark="of its diagonal, median; nine of ten normals to "
-            f"{np.median(refined.mesh.error_deg):.1f}°",
-        ),
-    )
+    agreeing, condition = float(result.light.inliers.mean()), rig.response.condition_number
+    tracks = f"{len(motion.point):,} tracks, {motion.observations:,} observations"
+    samples = f"of {len(result.samples.point):,} on one M"
+    by_shape = "normal by colour against normal by shape"
+    of_lights = "set by the lights' directions and colours"
+    turn, residual = motion.turn_deg, quality.residual_deg
+    numbers = [
+        page.graded("turn of the head", f"{turn:.0f}°", turn, _TURN_DEG, "between the two ends"),
+        page.graded("reprojection error", f"{motion.error_px:.2f} px", motion.error_px, _ERROR_PX, tracks),
+        page.graded("samples that agree", f"{agreeing:.0%}", agreeing, _AGREEING, samples),
+        page.graded("median residual", f"{residual:.1f}°", residual, _RESIDUAL_DEG, by_shape),
+        page.graded("condition number of M", f"{condition:.1f}", condition, _CONDITION, of_lights),
+    ]
+    if (refined := result.refined) is not None:
+        assert refined.mesh.error_deg is not None
+        last, error = refined.changes[-1], float(np.median(refined.error_percent))
+        rounds = "by rounds: " + ", ".join(f"{100 * change:.1f} %" for change in refined.changes)
+        normals = f"of its diagonal, median; nine of ten normals to {np.median(refined.mesh.error_deg):.1f}°"
+        numbers += [
+            page.graded("last change of M", f"{100 * last:.1f} %", last, _CHANGE, rounds),
+            page.graded("expected error of the shape", f"{error:.2f} %", error, _SHAPE_PERCENT, normals),
+        ]
+    return tuple(numbers)
 
 
 def notices_of_head(result: HeadCalibration) -> tuple[page.PageNotice, ...]:
@@ -343,7 +309,7 @@ def places_shown(result: HeadCalibration) -> list[int]:
     return sorted({count // 6, count // 2, count - 1 - count // 6})
 
 
-def draw_tracks(axis: Any, image: npt.NDArray[np.uint8], result: HeadCalibration, used: int) -> None:
+def draw_tracks(axis: Any, image: ByteArray, result: HeadCalibration, used: int) -> None:
     """Draw where the skin came from and goes to about a frame: used (counted over those used)."""
     tracks, motion = result.tracks, result.motion
     _show(axis, image)
@@ -361,7 +327,7 @@ def draw_tracks(axis: Any, image: npt.NDArray[np.uint8], result: HeadCalibration
         axis.plot(trail[:, 0], trail[:, 1], color=pictures.SKY if good else pictures.RED, linewidth=0.8)
 
 
-def draw_shape(axis: Any, image: npt.NDArray[np.uint8], result: HeadCalibration, used: int) -> None:
+def draw_shape(axis: Any, image: ByteArray, result: HeadCalibration, used: int) -> None:
     """Draw the shape over a frame, with the outlines of silhouette and hull."""
     motion = result.motion
     pose = motion.camera_from_head[used]
@@ -375,7 +341,7 @@ def draw_shape(axis: Any, image: npt.NDArray[np.uint8], result: HeadCalibration,
     axis.set_title(f"shape, silhouette (yellow), hull (blue);\noverlap {overlap:.3f}")
 
 
-def draw_samples(axis: Any, image: npt.NDArray[np.uint8], result: HeadCalibration, place: int) -> None:
+def draw_samples(axis: Any, image: ByteArray, result: HeadCalibration, place: int) -> None:
     """Draw the samples of a light frame, by what became of them."""
     samples, light = result.samples, result.light
     _show(axis, image // 2)
@@ -444,7 +410,7 @@ def draw_meshes(axis: Any, result: HeadCalibration) -> None:
     axis.set_title("from above: " + ", ".join(shapes))
 
 
-def _from_three_sides(mesh: Mesh, centre: Vector3, height: float) -> npt.NDArray[np.uint8]:
+def _from_three_sides(mesh: Mesh, centre: Vector3, height: float) -> ByteArray:
     plain = Mesh(vertices=mesh.vertices, faces=mesh.faces)
     views = (
         View(centre=centre, height=_VIEW_HEIGHT * height, azimuth_deg=azimuth, width_px=240, height_px=240)
@@ -464,7 +430,7 @@ def _overlap(first: Mask, second: Mask) -> float:
     return float((first & second).sum() / max(1, (first | second).sum()))
 
 
-def _show(axis: Any, image: npt.NDArray[np.uint8]) -> None:
+def _show(axis: Any, image: ByteArray) -> None:
     axis.imshow(image)
     axis.set_axis_off()
 

@@ -5,8 +5,6 @@ them: every request must carry the token of the printed address, must name this 
 name that was pointed here afterwards does not, and must not come from another origin.
 """
 
-from __future__ import annotations
-
 import base64
 import contextlib
 import errno

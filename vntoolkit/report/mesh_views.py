@@ -1,7 +1,5 @@
 """Pictures of meshes without a graphics card: OpenCV's rasteriser, one light at the camera's side."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -10,9 +8,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import Colours, FloatArray, IntArray, Points, Vector3
+from vntoolkit.arrays import ByteArray, Colours, FloatArray, IntArray, Points, Vector3
 from vntoolkit.checks import require_finite
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.geometry.mesh import Mesh
@@ -49,7 +46,7 @@ class View:
     height_px: int = 480
 
     @classmethod
-    def around(cls, mesh: Mesh, width_px: int, height_px: int, **angles: float) -> View:
+    def around(cls, mesh: Mesh, width_px: int, height_px: int, **angles: float) -> "View":
         """Return the view of these angles in which the mesh, unturned, fills the picture."""
         low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
         width, height = (high - low)[:2]
@@ -65,7 +62,7 @@ class View:
         return tilt @ around
 
 
-def picture_of(meshes: Sequence[Mesh], view: View) -> npt.NDArray[np.uint8]:
+def picture_of(meshes: Sequence[Mesh], view: View) -> ByteArray:
     """Render meshes in the camera frame; returns (h, w, 3) uint8 RGB. Both sides of a face are lit.
 
     OpenCV's rasteriser knows perspective alone. Corners are moved so that its projection of each is the
@@ -165,10 +162,7 @@ class PreviewOptions:
 
 
 class _Stage:
-    """Makes what the pictures show of a frame: cloth, bones and a patch of floor.
-
-    Red is what cannot be followed: cloth stretched above 2×, arms outside their sleeves.
-    """
+    """Makes a frame's cloth, bones and floor; red is stretched above 2×, or an arm outside its sleeve."""
 
     def __init__(self, dressed: DressedFigure, *, coarse: bool = False) -> None:
         """coarse: with fewer triangles, for pictures that are seen for a moment."""
@@ -233,7 +227,7 @@ def contact_sheet(
     dressed: DressedFigure,
     options: PreviewOptions | None = None,
     on_picture: Callable[[], None] = lambda: None,
-) -> npt.NDArray[np.uint8]:
+) -> ByteArray:
     """Return one picture (h, w, 3) uint8: time runs to the right, one direction a row."""
     options = options or PreviewOptions()
     stage = _Stage(dressed)
@@ -253,10 +247,10 @@ def contact_sheet(
     return np.concatenate([np.concatenate(pictures[row::rows], axis=1) for row in range(rows)], axis=0)
 
 
-def _drawn(jobs: Iterable[tuple[Sequence[Mesh], View]]) -> Iterator[npt.NDArray[np.uint8]]:
+def _drawn(jobs: Iterable[tuple[Sequence[Mesh], View]]) -> Iterator[ByteArray]:
     """Yield the picture of each job; one is drawn beside the next."""
     with ThreadPoolExecutor(_DRAWN_AT_ONCE) as pool:
-        pending: deque[Future[npt.NDArray[np.uint8]]] = deque()
+        pending: deque[Future[ByteArray]] = deque()
         for meshes, view in jobs:
             pending.append(pool.submit(picture_of, meshes, view))
             if len(pending) > _DRAWN_AT_ONCE:
@@ -287,9 +281,7 @@ def _moments(dressed: DressedFigure, options: PreviewOptions) -> IntArray:
     return np.linspace(0, len(dressed) - 1, options.frames).round().astype(np.int64)
 
 
-def turntable(
-    dressed: DressedFigure, options: PreviewOptions | None = None
-) -> Iterator[npt.NDArray[np.uint8]]:
+def turntable(dressed: DressedFigure, options: PreviewOptions | None = None) -> Iterator[ByteArray]:
     """Yield pictures (h, w, 3) uint8 of the motion, seen by a viewer who goes once around the figure."""
     options = options or PreviewOptions()
     stage = _Stage(dressed, coarse=True)
@@ -317,7 +309,7 @@ def write_preview(
     seconds = max(len(dressed) / dressed.clock.frame_rate_hz, 1e-3)
     rate = float(np.clip(round(options.turn_frames / seconds), 1, 60))
 
-    def passing(picture: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    def passing(picture: ByteArray) -> ByteArray:
         on_picture()
         return picture
 

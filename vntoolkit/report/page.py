@@ -11,10 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-import numpy.typing as npt
-
 import vntoolkit
+from vntoolkit.arrays import ByteArray
 from vntoolkit.errors import BadInput
 from vntoolkit.io.atomic import write_text
 from vntoolkit.io.files import read_bytes
@@ -68,9 +66,15 @@ class PageNumber:
     grade: str = ""
 
 
-def graded(value: float, bounds: tuple[float, float]) -> str:
-    """Return good up to the first bound, fair up to the second, else poor."""
-    return "good" if value <= bounds[0] else "fair" if value <= bounds[1] else "poor"
+def graded(label: str, shown: str, value: float, bounds: tuple[float, float], remark: str) -> PageNumber:
+    """Return a number that is good up to the first bound, fair up to the second, else poor.
+
+    Where the first bound is the larger one, good is what lies above it.
+    """
+    sign = 1.0 if bounds[0] <= bounds[1] else -1.0
+    good, fair = (sign * value <= sign * bound for bound in bounds)
+    grade = "good" if good else "fair" if fair else "poor"
+    return PageNumber(value=shown, label=label, remark=remark, grade=grade)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,7 +103,7 @@ def figure_from_plot(figure: Figure, caption: str, *, wide: bool = False) -> Pag
 
 
 def figure_from_pixels(
-    pixels: npt.NDArray[np.uint8], caption: str, *, suffix: str = ".jpg", wide: bool = False
+    pixels: ByteArray, caption: str, *, suffix: str = ".jpg", wide: bool = False
 ) -> PageFigure:
     """Put (h, w, 3) uint8 RGB pixels on a page."""
     return PageFigure(caption=caption, image=data_uri(encoded_image(pixels, suffix), suffix), wide=wide)

@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
-from vntoolkit.arrays import FloatArray, LinearImage, Mask, VisibilityLabels
+from vntoolkit.arrays import ByteArray, FloatArray, LinearImage, Mask, VisibilityLabels
 from vntoolkit.errors import BadInput
 from vntoolkit.evaluation.angular_error import angular_error_map
 from vntoolkit.geometry.camera import Camera
@@ -96,7 +95,7 @@ def write_figure(figure: Figure, path: Path | str, *, dpi: int = PNG_DPI) -> Non
             figure.savefig(draft, format="png", dpi=dpi, metadata={"Software": None})
 
 
-Picture = npt.NDArray[np.uint8]
+Picture = ByteArray
 GROUND = 255  # grey value where a map is invalid
 _LIGHT = np.array([-0.45, -0.55, -0.70])  # from the surface: left, above, before it
 _AMBIENT = 0.10

@@ -4,8 +4,6 @@ A recipe leaves in its folder numbers.json, a list of {"what", "paper", "ours", 
 numbers, texts or null, and figures as PNG, JPEG, WebP or SVG.
 """
 
-from __future__ import annotations
-
 import ast
 import dataclasses
 import json
@@ -44,7 +42,7 @@ class RecipeRun:
     """
 
     name: str
-    text: RecipeText
+    text: "RecipeText"
     folder: Path
     seconds: float = 0.0
     failure: str = ""
@@ -148,7 +146,7 @@ def figures_of(folder: Path) -> list[Path]:
     )
 
 
-def _figure(path: Path, text: RecipeText) -> page.PageFigure:
+def _figure(path: Path, text: "RecipeText") -> page.PageFigure:
     caption = text.captions.get(path.name, path.stem.replace("_", " "))
     caption = caption[:1].upper() + caption[1:]
     if path.suffix.lower() in _DRAWN or path.stat().st_size < _LARGEST_PNG:

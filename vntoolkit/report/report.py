@@ -422,32 +422,21 @@ def calibration_section(result: OpenedResult, sample: int) -> page.PageSection:
 
 def _numbers(result: OpenedResult) -> tuple[page.PageNumber, ...]:
     quality, response = result.rig.quality, result.rig.response
-    condition = page.PageNumber(
-        value=f"{response.condition_number:.1f}",
-        label="condition number of M",
-        grade=page.graded(response.condition_number, _CONDITION),
-        remark="set by the lights' directions and colours",
-    )
+    number, of_lights = response.condition_number, "set by the lights' directions and colours"
+    condition = page.graded("condition number of M", f"{number:.1f}", number, _CONDITION, of_lights)
     if quality is None or quality.samples == 0:
         method = "stated" if quality is None else quality.method
         known = page.PageNumber(
             value="not fitted", label=f"method: {method}", remark="lights known, no residual or cone"
         )
         return (condition, known)
+    pairs = f"over {quality.samples:,} pairs of colour and normal, by {quality.method}"
+    residual, cone = quality.residual_deg, quality.cone_deg
+    half = "half-angle that holds 95 % of the calibration normals"
     return (
-        page.PageNumber(
-            value=f"{quality.residual_deg:.2f}°",
-            label="median residual",
-            grade=page.graded(quality.residual_deg, _RESIDUAL_DEG),
-            remark=f"over {quality.samples:,} pairs of colour and normal, by {quality.method}",
-        ),
+        page.graded("median residual", f"{residual:.2f}°", residual, _RESIDUAL_DEG, pairs),
         condition,
-        page.PageNumber(
-            value=f"{quality.cone_deg:.0f}°",
-            label="cone of normals",
-            grade=page.graded(-quality.cone_deg, (-_CONE_DEG[0], -_CONE_DEG[1])),
-            remark="half-angle that holds 95 % of the calibration normals",
-        ),
+        page.graded("cone of normals", f"{cone:.0f}°", cone, _CONE_DEG, half),
     )
 
 

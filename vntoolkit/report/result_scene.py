@@ -1,7 +1,5 @@
 """A reconstruction on the 3-D page: whole frames served on demand, or thinned ones in a page to keep."""
 
-from __future__ import annotations
-
 import base64
 import threading
 import zlib
@@ -201,7 +199,7 @@ class _ResultScene:
         return track if self._options is None or set(self.numbers) <= set(track.numbers) else None
 
     @cached_property
-    def _thinned(self) -> ThinnedTemplate:
+    def _thinned(self) -> "ThinnedTemplate":
         assert self._track is not None
         template = self._track.sequence.template
         count = len(template.vertices) if self._options is None else self._options.vertices

@@ -6,8 +6,6 @@ raw RGBA or an image file, `own`, a grid of depths, and `registered`, the vertic
 the frame has them; for the faces of that mesh, the same in all frames, there is a packet with `mesh`.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 from collections.abc import Iterable, Mapping
@@ -16,9 +14,8 @@ from importlib.resources import files
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, IntArray, Points
+from vntoolkit.arrays import Array, ByteArray, FloatArray, IntArray, Points, UInt16Array
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, NormalMap
 from vntoolkit.geometry.mesh import Mesh
@@ -38,7 +35,7 @@ class Packet:
         self._blocks: list[bytes] = []
         self._size = 0
 
-    def add(self, block: npt.NDArray[Any] | bytes) -> int:
+    def add(self, block: Array | bytes) -> int:
         """Add a block; return its place."""
         content = block if isinstance(block, bytes) else np.ascontiguousarray(block).tobytes()
         place, room = self._size, -len(content) % 4
@@ -46,7 +43,7 @@ class Packet:
         self._size += len(content) + room
         return place
 
-    def raw_picture(self, rgba: npt.NDArray[np.uint8]) -> dict[str, Any]:
+    def raw_picture(self, rgba: ByteArray) -> dict[str, Any]:
         """Add a picture (h, w, 4) as it is; return what the header says of it."""
         return {"at": self.add(rgba), "shape": rgba.shape[:2]}
 
@@ -63,7 +60,7 @@ class Packet:
 
 def depth_block(
     depth_map: DepthMap, camera: Camera, stride: int, largest_step: float = MeshOptions().largest_step
-) -> tuple[dict[str, Any], npt.NDArray[np.uint16]]:
+) -> tuple[dict[str, Any], UInt16Array]:
     """Return what the page must know of every stride-th depth, and these as steps from nearest to furthest.
 
     largest_step: pixel widths that neighbours may lie apart in depth, as for `mesh_from_depth`.
@@ -90,7 +87,7 @@ def depth_block(
     return facts, steps
 
 
-def normals_block(normal_map: NormalMap, stride: int = 1) -> npt.NDArray[np.uint8]:
+def normals_block(normal_map: NormalMap, stride: int = 1) -> ByteArray:
     """Return the usual colours (h, w, 4): red is right, green up, blue to the viewer; clear where none."""
     normals, mask = normal_map.normals_in_camera[::stride, ::stride], normal_map.mask[::stride, ::stride]
     block = np.full((*mask.shape, 4), _ZERO, np.uint8)
@@ -100,7 +97,7 @@ def normals_block(normal_map: NormalMap, stride: int = 1) -> npt.NDArray[np.uint
     return block
 
 
-def vertices_block(vertices: Points) -> tuple[dict[str, Any], npt.NDArray[np.uint16]]:
+def vertices_block(vertices: Points) -> tuple[dict[str, Any], UInt16Array]:
     """Return the vertices (n, 3), in the camera frame, as steps of their box in the graphics frame."""
     points = graphics_from_camera(np.asarray(vertices, dtype=np.float64))
     low, high = points.min(axis=0), points.max(axis=0)
@@ -108,7 +105,7 @@ def vertices_block(vertices: Points) -> tuple[dict[str, Any], npt.NDArray[np.uin
     return {"low": low.tolist(), "step": step.tolist()}, np.rint((points - low) / step).astype(np.uint16)
 
 
-def errors_block(uncertainty_px: npt.NDArray[np.floating], lost_px: float) -> npt.NDArray[np.uint8]:
+def errors_block(uncertainty_px: FloatArray, lost_px: float) -> ByteArray:
     """Return expected errors (n,) as bytes, of which 255 is lost_px and more."""
     return np.rint(255 * np.clip(uncertainty_px / lost_px, 0.0, 1.0)).astype(np.uint8)
 

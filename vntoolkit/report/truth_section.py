@@ -1,7 +1,5 @@
 """The report's part on simulated footage: how far the result is from what was true."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

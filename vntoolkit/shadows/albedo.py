@@ -1,7 +1,5 @@
 """Albedo under shadows: slowly varying, read where all three lights arrive, continued where they do not."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

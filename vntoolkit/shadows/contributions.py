@@ -1,7 +1,5 @@
 """What a frame says of each light: contributions, albedo and normal under full light, trust in the colour."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -9,10 +7,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from numba import prange
 
-from vntoolkit.arrays import FloatArray, Mask, Matrix3, Vector3, Weight
+from vntoolkit.arrays import Array, ArrayLike, BoolArray, FloatArray, IntArray, Mask, Matrix3, Vector3, Weight
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
@@ -64,7 +61,7 @@ class LightContributions:
         )  # fmt: skip
         return out
 
-    def shrunk(self, mask: Mask, factor: int) -> tuple[LightContributions, Mask]:
+    def shrunk(self, mask: Mask, factor: int) -> "tuple[LightContributions, Mask]":
         """Return the same frame, and its mask, at 1/factor of the size, averaged over the mask."""
         mean, cover = mean_inside(mask, factor)
         scaled = mean(self.normals * self.length[..., None])
@@ -94,7 +91,7 @@ class WorkingImage:
     camera: Camera | None
 
     @cached_property
-    def halved(self) -> WorkingImage:
+    def halved(self) -> "WorkingImage":
         """The image at half the size; made once, for all who ask."""
         light, mask = self.light.shrunk(self.mask, 2)
         return WorkingImage(
@@ -278,7 +275,7 @@ def flat(image: FloatArray) -> FloatArray:
     return single.reshape(len(single), -1)
 
 
-def numbers_of(values: npt.ArrayLike) -> Numbers:
+def numbers_of(values: ArrayLike) -> Numbers:
     """Return an array's values as a flat tuple of float32."""
     return tuple(np.float32(value) for value in np.ravel(np.asarray(values)))
 
@@ -335,7 +332,7 @@ def place_between(index: int, length: int, small: int) -> tuple[int, int, Any]:
 
 
 @njit(cache=True, error_model="numpy")
-def columns_between(length: int, small: int) -> tuple[npt.NDArray[np.uint32], FloatArray]:
+def columns_between(length: int, small: int) -> tuple[IntArray, FloatArray]:
     """Return `place_between` of a row of `length` pixels: the first of the two, and the nearness."""
     first, part = np.empty(length, np.uint32), np.empty(length, np.float32)
     for u in range(length):
@@ -346,7 +343,7 @@ def columns_between(length: int, small: int) -> tuple[npt.NDArray[np.uint32], Fl
 
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")
 def row_between(
-    images: FloatArray, v: int, h: int, first: npt.NDArray[np.uint32], part: FloatArray, out: FloatArray
+    images: FloatArray, v: int, h: int, first: IntArray, part: FloatArray, out: FloatArray
 ) -> None:
     """Fill out (k, n), a piece of row v of h, from the first k smaller images (k', h', w'), bilinearly.
 
@@ -389,9 +386,7 @@ def frame_in_window(frame: LinearFrame, window: Window) -> LinearFrame:
     return LinearFrame(rgb=rgb, clipped=np.ascontiguousarray(frame.clipped[window]), number=frame.number)
 
 
-def in_whole_image(
-    part: npt.NDArray[Any], window: Window, shape: tuple[int, ...], outside: Any = 0
-) -> npt.NDArray[Any]:
+def in_whole_image(part: Array, window: Window, shape: tuple[int, ...], outside: Any = 0) -> Array:
     """Return an image of (h, w) = `shape` with `part` in the window and `outside` around it."""
     if part.shape[:2] == shape[:2]:
         return part
@@ -400,7 +395,7 @@ def in_whole_image(
     return whole
 
 
-def _span(used: npt.NDArray[np.bool_]) -> slice:
+def _span(used: BoolArray) -> slice:
     first, last = int(used.argmax()), len(used) - int(used[::-1].argmax())
     return slice(max(first - _MARGIN_PX, 0), min(last + _MARGIN_PX, len(used)))
 

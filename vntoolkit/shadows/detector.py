@@ -8,15 +8,12 @@ flood fill that spreads to neighbours of equal or lower intensity.
 The robust one is `labels_by_surface`.
 """
 
-from __future__ import annotations
-
 from enum import Enum
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels
+from vntoolkit.arrays import BoolArray, Float32Array, FloatArray, Int64Array, Mask, VisibilityLabels
 from vntoolkit.checks import checks_kinds, require_mask
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.native import njit
@@ -89,7 +86,7 @@ class ShadowDetector:
         return in_whole_image(labels, window, frame.shape, ALL_LIT)
 
 
-def lit_by_edges(contributions: FloatArray, mask: Mask) -> npt.NDArray[np.bool_]:
+def lit_by_edges(contributions: FloatArray, mask: Mask) -> BoolArray:
     """Return (h, w, 3): which lights arrive, from the (h, w, 3) contributions of the lights.
 
     The published detection (brostow2011, Section VI-A).
@@ -111,7 +108,7 @@ def _shadow_of_light(contribution: FloatArray, mask: Mask) -> Mask:
     return _flood(image, mask, kept, _REACH_PX)
 
 
-def _edge_directions(image: FloatArray, mask: Mask) -> npt.NDArray[np.int64]:
+def _edge_directions(image: FloatArray, mask: Mask) -> Int64Array:
     """(h, w): direction of the brighter side in eighths of a turn at edge pixels, −1 elsewhere."""
     laplacian = cv2.Laplacian(image, cv2.CV_32F, ksize=3)
     sign = laplacian > 0
@@ -134,9 +131,7 @@ def _edge_directions(image: FloatArray, mask: Mask) -> npt.NDArray[np.int64]:
 
 
 @njit(cache=True)
-def _large_components(
-    direction: npt.NDArray[np.int64], tolerance: int, smallest: int
-) -> npt.NDArray[np.int64]:
+def _large_components(direction: Int64Array, tolerance: int, smallest: int) -> Int64Array:
     """Keep edge pixels in eight-connected components of agreeing direction that are large enough."""
     h, w = direction.shape
     kept = np.full((h, w), -1, np.int64)
@@ -170,11 +165,11 @@ def _large_components(
 
 @njit(cache=True)
 def _flood(
-    image: npt.NDArray[np.float32],
-    mask: npt.NDArray[np.bool_],
-    direction: npt.NDArray[np.int64],
+    image: Float32Array,
+    mask: BoolArray,
+    direction: Int64Array,
     reach: int,
-) -> npt.NDArray[np.bool_]:
+) -> BoolArray:
     """Spread from the dark side of the edges to four-neighbours of equal or lower intensity."""
     h, w = image.shape
     flooded = np.zeros((h, w), np.bool_)

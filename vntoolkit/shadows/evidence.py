@@ -5,17 +5,14 @@ of the lamp in the folds of a white statue. The frame itself says how much, wher
 all but missing. Camera noise adds to it, the more the darker the paint.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from numba import prange
 
-from vntoolkit.arrays import FloatArray, Mask, Matrix3
+from vntoolkit.arrays import ByteArray, FloatArray, Mask, Matrix3
 from vntoolkit.native import njit
 from vntoolkit.photometry.levelling import FLAGS, span_of
 from vntoolkit.photometry.response import LightResponse
@@ -230,11 +227,11 @@ class FrameEvidence:
     near: Mask
     evidence: FloatArray
     cosines: FloatArray
-    facing: npt.NDArray[np.uint8]
+    facing: ByteArray
 
 
 def evidence_of_frame(
-    rgb: FloatArray, mask: Mask, inset: FloatArray | None, lamps: Lamps, expected: FloatArray,
+    rgb: FloatArray, mask: Mask, inset: FloatArray | None, lamps: "Lamps", expected: FloatArray,
     dark: tuple[float, float],
 ) -> FrameEvidence:  # fmt: skip
     """Compare a frame (h, w, 3) with what a surface would return.
@@ -299,7 +296,7 @@ def _is_doubted(cosine: Any, predicted: Any, noise: Any, least: Any, most: Any) 
 @njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
 def _doubt_kernel(
     rgb: FloatArray, mask: Mask, lamps: Lamps, expected: FloatArray, typical: Any, spread: Any,
-    cosines: FloatArray, doubt: npt.NDArray[np.uint8],
+    cosines: FloatArray, doubt: ByteArray,
 ) -> None:  # fmt: skip
     """Fill cosines everywhere, and doubt where one is not far above the level of a shadow."""
     h, w = mask.shape
@@ -328,7 +325,7 @@ def _doubt_kernel(
 @njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
 def _frame_kernel(
     rgb: FloatArray, near: Mask, lamps: Lamps, expected: FloatArray, typical: Any, spread: Any,
-    sharp: FloatArray, cosines: FloatArray, evidence: FloatArray, facing: npt.NDArray[np.uint8],
+    sharp: FloatArray, cosines: FloatArray, evidence: FloatArray, facing: ByteArray,
 ) -> None:  # fmt: skip
     h, w = near.shape
     inverse, haze, rest, duals = lamps.inverse, lamps.haze, lamps.rest, lamps.duals
@@ -355,7 +352,7 @@ def _frame_kernel(
 def _evidence_row(
     inside: Mask, rows: FloatArray, sharp: FloatArray, typical: Any, spread: Any, cosines: FloatArray,
     seen: FloatArray, first: FloatArray, second: FloatArray, third: FloatArray,
-    facing: npt.NDArray[np.uint8],
+    facing: ByteArray,
 ) -> None:  # fmt: skip
     """Fill the evidence of a row from the sharpened cosines; put these, without paint, into seen."""
     p, q, s, albedo = rows[0], rows[1], rows[2], rows[3]
@@ -436,10 +433,7 @@ def _with_rim(row: FloatArray, first: int, last: int, rim: int, out: FloatArray)
 def _sharpen_kernel(
     cosines: FloatArray, near: Mask, inner: Mask, weights: FloatArray, out: FloatArray
 ) -> None:
-    """Fill out (h, 3 w) in and around all pixels that are near: sharp where near and inner, else as given.
-
-    The blur goes down the columns first, then along the row.
-    """
+    """Fill out (h, 3 w) about pixels that are near: sharp where near and inner, else as given."""
     h, w = near.shape
     reach = len(weights) // 2
     part, whole = np.float32(_SHARPENING), np.float32(1.0 + _SHARPENING)

@@ -5,15 +5,12 @@ roots. A smooth continuation of the lit surroundings leads to one of them, and t
 lead to the other. Every shadow keeps the one whose surface returns the light that is seen.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Mask, Normals, VisibilityLabels
+from vntoolkit.arrays import BoolArray, Float64Array, FloatArray, Mask, Normals, VisibilityLabels
 from vntoolkit.geometry.slope_grid import FLATTEST_Z
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame, count_lit
@@ -204,10 +201,10 @@ def continue_with_two_lights(
 
 @njit(cache=True)
 def _propagate(
-    normals: npt.NDArray[np.float64],
-    roots: npt.NDArray[np.float64],
-    two: npt.NDArray[np.bool_],
-    decided: npt.NDArray[np.bool_],
+    normals: Float64Array,
+    roots: Float64Array,
+    two: BoolArray,
+    decided: BoolArray,
 ) -> None:
     """Breadth first from the decided pixels: each takes the root nearer to its decided neighbours' mean."""
     h, w = two.shape
@@ -240,7 +237,7 @@ def _propagate(
 
 
 @njit(cache=True)
-def _beside(decided: npt.NDArray[np.bool_], v: int, u: int) -> bool:
+def _beside(decided: BoolArray, v: int, u: int) -> bool:
     h, w = decided.shape
     for i in range(max(v - 1, 0), min(v + 2, h)):
         for j in range(max(u - 1, 0), min(u + 2, w)):

@@ -1,7 +1,5 @@
 """Normals for every pixel of a frame with self-shadows (brostow2011, Section VI-B, and past it)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any
@@ -279,10 +277,7 @@ def _refine_row(
     lights: Numbers, x: Any, y: Any, step: Any, model: Model, held: Any, normal_x: FloatArray,
     normal_y: FloatArray, normal_z: FloatArray, albedo: FloatArray, length: FloatArray,
 ) -> None:  # fmt: skip
-    """Turn normals to what their pixels' light asks, held where they are by the weight `held`.
-
-    x, y: the first pixel's ray; step: what x gains from pixel to pixel.
-    """
+    """Turn normals to what light asks, held by `held`. x, y: the first pixel's ray; step: of x by a pixel."""
     one, least = np.float32(1.0), np.float32(_SMALLEST_ALBEDO)
     for u in range(len(labels)):
         label = labels[u]
@@ -347,7 +342,7 @@ def _by_pixel(
     normals = measured.normals
     if method is RecoveryMethod.TWO_LIGHTS:
         normals = _pixel_by_pixel(measured, labels, albedo, inside)
-    weight = confidence_weight(labels, frame.clipped, measured.length, albedo, None)
+    weight = confidence_weight(labels, frame.clipped, measured.length, albedo)
     return _towards_viewer(normals, inside), np.where(inside, weight, 0.0).astype(np.float32)
 
 
@@ -371,31 +366,25 @@ def _towards_viewer(normals: FloatArray, mask: Mask) -> FloatArray:
 
 
 def confidence_weight(
-    labels: VisibilityLabels,
-    clipped: Mask,
-    length: FloatArray,
-    albedo: FloatArray,
-    agreement: FloatArray | None,
+    labels: VisibilityLabels, clipped: Mask, length: FloatArray, albedo: FloatArray
 ) -> Weight:
-    """Return (h, w) weights from 0 to 1.
+    """Return (h, w) weights from 0 to 1, where no depth is known.
 
-    length: (h, w), the albedo if all lights arrive; albedo: (h, w), the surroundings'. agreement: (h, w), of
-    colour and depth, 0 where unknown, or None.
+    length: (h, w), the albedo if all lights arrive; albedo: (h, w), the surroundings'.
     """
     out = np.empty(labels.shape, np.float32)
-    agreed = np.zeros(labels.shape, np.float32) if agreement is None else agreement
-    _confidence_kernel(labels, clipped, length, albedo, agreed, out)
+    _confidence_kernel(labels, clipped, length, albedo, out)
     return out
 
 
 @njit(cache=True)
 def _confidence_kernel(
-    labels: VisibilityLabels, clipped: Mask, length: FloatArray, albedo: FloatArray, agreement: FloatArray,
-    out: Weight,
-) -> None:  # fmt: skip
+    labels: VisibilityLabels, clipped: Mask, length: FloatArray, albedo: FloatArray, out: Weight
+) -> None:
+    unknown = np.float32(0.0)
     for v in range(labels.shape[0]):
         for u in range(labels.shape[1]):
-            out[v, u] = _confidence(labels[v, u], clipped[v, u], length[v, u], albedo[v, u], agreement[v, u])
+            out[v, u] = _confidence(labels[v, u], clipped[v, u], length[v, u], albedo[v, u], unknown)
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")

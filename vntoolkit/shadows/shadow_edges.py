@@ -5,16 +5,11 @@ shadow is. The edge lies where half of what arrives outside is left. That holds 
 the light; where the surface itself turns from it, light fades on both sides and the half means nothing.
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 import cv2
 import numpy as np
-import numpy.typing as npt
 from numba import prange
 
-from vntoolkit.arrays import FloatArray, Mask, Matrix3, VisibilityLabels
+from vntoolkit.arrays import Array, ByteArray, FloatArray, IntArray, Mask, Matrix3, VisibilityLabels
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import ALL_LIT, labels_from_lit
 
@@ -43,7 +38,7 @@ _BRIGHTEST = 0.1  # a larger cosine is never called shadow
 def labels_beyond_half(
     labels: VisibilityLabels,
     cosines: FloatArray,
-    facing: npt.NDArray[np.uint8],
+    facing: ByteArray,
     mask: Mask,
     near: Mask | None = None,
 ) -> VisibilityLabels:
@@ -78,7 +73,7 @@ def labels_without_penumbra(
 
 
 def _without_part(
-    labels: VisibilityLabels, shadow: npt.NDArray[Any], cosines: FloatArray, mask: Mask, near: Mask,
+    labels: VisibilityLabels, shadow: Array, cosines: FloatArray, mask: Mask, near: Mask,
     part: float, reach_px: int, faintest: float,
 ) -> VisibilityLabels:  # fmt: skip
     """Take a light from the pixels beside its shadow with less than `part` of the largest cosine nearby."""
@@ -93,7 +88,7 @@ def _without_part(
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def _part_kernel(
-    labels: VisibilityLabels, shadow: npt.NDArray[np.uint8], cosines: FloatArray, mask: Mask, near: Mask,
+    labels: VisibilityLabels, shadow: ByteArray, cosines: FloatArray, mask: Mask, near: Mask,
     part: float, reach: int, faintest: float, out: VisibilityLabels,
 ) -> None:  # fmt: skip
     """shadow: (h, w), bit k set where a shadow of light k counts, 0 outside the mask; reach: in pixels."""
@@ -148,7 +143,7 @@ def turned_from_lights(
     return turned
 
 
-def _inwards(inset: FloatArray, v: npt.NDArray[np.intp], u: npt.NDArray[np.intp]) -> FloatArray:
+def _inwards(inset: FloatArray, v: IntArray, u: IntArray) -> FloatArray:
     """(n, 2) unit steps (u, v) away from the outline."""
     smooth = cv2.GaussianBlur(inset, (0, 0), _OUTWARDS_PX)
     along = [cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)]
@@ -156,7 +151,7 @@ def _inwards(inset: FloatArray, v: npt.NDArray[np.intp], u: npt.NDArray[np.intp]
 
 
 def _sampled(
-    image: FloatArray, v: npt.NDArray[np.intp], u: npt.NDArray[np.intp], inwards: FloatArray,
+    image: FloatArray, v: IntArray, u: IntArray, inwards: FloatArray,
     distance: FloatArray, shape: tuple[int, ...],
 ) -> FloatArray:  # fmt: skip
     """(n, c) values at `distance` (n,) from the pixels (v, u) of (h, w) = shape along `inwards` (n, 2)."""

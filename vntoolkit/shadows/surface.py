@@ -10,18 +10,15 @@ prior asks for a smooth slope. Gauss–Newton steps solve one weighted Poisson e
 Under a perspective camera the unknown is f · log z, whose gradient takes the place of the slope.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from numba import prange
 
-from vntoolkit.arrays import FloatArray, Mask, VisibilityLabels, Weight
+from vntoolkit.arrays import ByteArray, Float32Array, FloatArray, Mask, VisibilityLabels, Weight
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import DepthMap, LengthUnit
 from vntoolkit.geometry.slope_grid import (
@@ -47,8 +44,8 @@ from vntoolkit.shadows.contributions import (
 )
 from vntoolkit.solvers import grid_hierarchy, solve_grid
 
-Grid = npt.NDArray[np.float32]
-Labels = npt.NDArray[np.uint8]
+Grid = Float32Array
+Labels = ByteArray
 # The energy; cosines are 1 where a surface of the local albedo faces the light.
 _ALBEDO_SPREAD = 0.15  # relative standard deviation of the albedo continued into a shadow
 _OWN_ALBEDO_SPREAD = 3.0  # the same where all three lights arrive: there the colour's length is the albedo
@@ -93,7 +90,7 @@ class Surface:
     misfit: Grid
     image: WorkingImage | None = None
 
-    def enlarged(self, shape: tuple[int, ...], factor: int) -> Surface:
+    def enlarged(self, shape: tuple[int, ...], factor: int) -> "Surface":
         """Return a start on a grid `factor` times finer; depth counts pixels, so it grows too."""
         size, nothing = shape[1::-1], np.zeros(shape[:2], np.float32)
 
@@ -107,7 +104,7 @@ class Surface:
             misfit=nothing,
         )
 
-    def shrunk(self, mask: Mask, factor: int) -> Surface:
+    def shrunk(self, mask: Mask, factor: int) -> "Surface":
         """Return a start on a grid `factor` times coarser, averaged over the mask."""
         mean, cover = mean_inside(mask, factor)
         nothing = np.zeros_like(cover)
@@ -148,7 +145,7 @@ class LabelledImage:
         lit = self.image.mask & (self.labels == ALL_LIT)
         return self.image.light.relative_to(np.where(lit, self.image.light.length, self.albedo))
 
-    def halved(self) -> LabelledImage:
+    def halved(self) -> "LabelledImage":
         """Return the image at half the size."""
         image = self.image.halved
         size = image.mask.shape[::-1]
@@ -229,7 +226,7 @@ def solve_surface(
     return Surface(normals=normals, depth=depth, agreement=agreement, misfit=quadratics[5])
 
 
-def model_of(options: SurfaceOptions) -> Model:
+def model_of(options: SurfaceOptions) -> "Model":
     """Lay the energy out for the loops."""
     values = (
         options.noise, _ALBEDO_SPREAD, _OWN_ALBEDO_SPREAD, options.smoothness, _DAMPING,

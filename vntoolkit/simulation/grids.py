@@ -1,7 +1,5 @@
 """Triangulated grids: faces and per-corner texture coordinates of surfaces with rows and columns."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from vntoolkit.arrays import Faces, FloatArray, IntArray

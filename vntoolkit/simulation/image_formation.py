@@ -1,7 +1,5 @@
 """Equations 2 and 3 over wavelength: colours and M from the spectra of lamps, pigments and sensor."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -5,8 +5,6 @@ tungsten lamp behind dichroic filters whose skirts overlap; a single-chip camera
 its long tails (jiang2013); pigments that change slowly with wavelength. None is a copy of a measurement.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -146,7 +144,7 @@ class Lights:
     def __len__(self) -> int:
         return len(self.positions)
 
-    def under(self, lighting: Lighting) -> Lights:
+    def under(self, lighting: Lighting) -> "Lights":
         """Return these lights, one of them alone, or one of their places with a white lamp (Figure 6)."""
         if lighting is Lighting.COLOURED:
             return self

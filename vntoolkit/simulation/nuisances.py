@@ -1,15 +1,11 @@
 """Effects of a real camera that violate r = M n; each can be turned off alone."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields, replace
-from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, LinearImage, Mask
+from vntoolkit.arrays import Array, Float32Array, FloatArray, LinearImage, Mask
 from vntoolkit.checks import require_in_range
 from vntoolkit.errors import BadInput
 from vntoolkit.photometry.transfer import Transfer, encoded_from_linear, linear_from_integers
@@ -82,20 +78,20 @@ class Nuisances:
         return self.bits if self.quantisation else 16
 
     @classmethod
-    def none(cls) -> Nuisances:
+    def none(cls) -> "Nuisances":
         """Return the model of equation 1: every nuisance off (attached shadow remains)."""
         nuisances = cls()
         for name in _SWITCHES:
             nuisances = nuisances.without(name)
         return nuisances
 
-    def without(self, name: str) -> Nuisances:
+    def without(self, name: str) -> "Nuisances":
         """Return these with one turned off. name: a boolean field's, or `blur_px`, or `transfer`."""
         if name not in _SWITCHES:
             raise BadInput(f"nuisance '{name}': expected one of {', '.join(_SWITCHES)}")
         return replace(self, **{name: _SWITCHES[name]})  # type: ignore[arg-type]
 
-    def only(self, name: str) -> Nuisances:
+    def only(self, name: str) -> "Nuisances":
         """Return the model of equation 1 with only this nuisance on (noise with its levels)."""
         alone = replace(
             Nuisances.none(),
@@ -130,7 +126,7 @@ class Exposed:
     clipped: (h, w) True where a channel reached full scale.
     """
 
-    stored: npt.NDArray[Any]
+    stored: Array
     linear: LinearImage
     clipped: Mask
 
@@ -156,31 +152,29 @@ def expose(radiance: LinearImage, nuisances: Nuisances, generator: np.random.Gen
     return Exposed(stored=stored, linear=rgb.astype(np.float32), clipped=clipped)
 
 
-def _largest(rgb: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def _largest(rgb: Array) -> Array:
     """Return the largest channel (h, w); numpy reduces a short axis many times slower."""
     return np.maximum(np.maximum(rgb[..., 0], rgb[..., 1]), rgb[..., 2])
 
 
-def blurred(image: FloatArray, sigma_px: float) -> npt.NDArray[np.float32]:
+def blurred(image: FloatArray, sigma_px: float) -> Float32Array:
     """Blur by a Gaussian of that standard deviation."""
     image = np.asarray(image, dtype=np.float32)
-    result: npt.NDArray[np.float32] = np.empty_like(image)
+    result: Float32Array = np.empty_like(image)
     cv2.GaussianBlur(image, (0, 0), sigma_px, dst=result, borderType=cv2.BORDER_REFLECT_101)
     return result
 
 
-def with_noise(
-    light: FloatArray, nuisances: Nuisances, generator: np.random.Generator
-) -> npt.NDArray[np.float32]:
+def with_noise(light: FloatArray, nuisances: Nuisances, generator: np.random.Generator) -> Float32Array:
     """Add shot and read noise: variance light / full_well + (read_noise / full_well)², full scale = 1."""
     well = nuisances.full_well_electrons
     electrons = generator.poisson(np.maximum(light, 0.0) * well).astype(np.float32)
     read = generator.standard_normal(light.shape, dtype=np.float32)
-    noisy: npt.NDArray[np.float32] = electrons + read * np.float32(nuisances.read_noise_electrons)
+    noisy: Float32Array = electrons + read * np.float32(nuisances.read_noise_electrons)
     return noisy / np.float32(well)
 
 
-def mosaic_from_rgb(rgb: LinearImage) -> npt.NDArray[np.float32]:
+def mosaic_from_rgb(rgb: LinearImage) -> Float32Array:
     """Keep one colour per pixel, (h, w): red at even rows and columns, blue at odd ones, green elsewhere."""
     mosaic = rgb[..., 1].copy()
     mosaic[0::2, 0::2] = rgb[0::2, 0::2, 0]
@@ -188,7 +182,7 @@ def mosaic_from_rgb(rgb: LinearImage) -> npt.NDArray[np.float32]:
     return mosaic
 
 
-def rgb_from_mosaic(mosaic: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+def rgb_from_mosaic(mosaic: Float32Array) -> Float32Array:
     """Interpolate the missing two colours of every pixel linearly (malvar2004): (h, w) to (h, w, 3)."""
     green, along, down, across = (
         cv2.filter2D(mosaic, cv2.CV_32F, kernel.astype(np.float32), borderType=cv2.BORDER_REFLECT_101)
@@ -204,7 +198,7 @@ def rgb_from_mosaic(mosaic: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     return rgb
 
 
-def stored_from_linear(linear: FloatArray, nuisances: Nuisances) -> npt.NDArray[Any]:
+def stored_from_linear(linear: FloatArray, nuisances: Nuisances) -> Array:
     """Apply the file's curve and round to its bits; more than 8 fill 16 bits, so that 65535 is white."""
     levels = 2**nuisances.file_bits - 1
     encoded = encoded_from_linear(np.asarray(linear, dtype=np.float64), nuisances.file_transfer)

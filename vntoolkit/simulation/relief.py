@@ -1,7 +1,5 @@
 """Tiling textures and height maps: grain, paper fibres, woven cloth. All are (size, size) and seamless."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

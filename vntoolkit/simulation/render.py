@@ -1,15 +1,22 @@
 """Rendering of a frame: rays through every pixel, shading by equations 1 to 3, then the sensor."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Flow, LinearImage, Mask, Points, VisibilityLabels
+from vntoolkit.arrays import (
+    Array,
+    ByteArray,
+    Float32Array,
+    FloatArray,
+    Flow,
+    Int64Array,
+    LinearImage,
+    Mask,
+    Points,
+    VisibilityLabels,
+)
 from vntoolkit.errors import BadInput, BadMesh
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
 from vntoolkit.geometry.mesh import vertex_normals
@@ -49,11 +56,11 @@ class _Sums:
 
     colours: FloatArray
     normals: FloatArray
-    lit: npt.NDArray[np.uint8]
-    met: npt.NDArray[np.uint8]
+    lit: ByteArray
+    met: ByteArray
 
     @classmethod
-    def of(cls, pixels: int) -> _Sums:
+    def of(cls, pixels: int) -> "_Sums":
         return cls(
             np.zeros((pixels, 3), np.float32),
             np.zeros((pixels, 3), np.float64),
@@ -75,7 +82,7 @@ class Renderer:
 
     def render(
         self, vertices: Points, next_vertices: Points | None, generator: np.random.Generator, number: int = 0
-    ) -> SimulatedFrame:
+    ) -> "SimulatedFrame":
         """Render the scene's mesh at `vertices` (n, 3); `next_vertices` give the flow, None for none.
 
         Raises `BadMesh` where the vertices are not those of the scene's faces.
@@ -124,7 +131,7 @@ class Renderer:
         assert centre_hits is not None
         return sums, centre_hits
 
-    def _window(self, vertices: Points) -> npt.NDArray[np.int64]:
+    def _window(self, vertices: Points) -> Int64Array:
         """Return the indices of the pixels whose rays can meet the mesh: those in its bounding rectangle."""
         camera = self.scene.camera
         pixels = np.arange(camera.width * camera.height).reshape(camera.height, camera.width)
@@ -136,7 +143,7 @@ class Renderer:
         return pixels[low[1] : high[1], low[0] : high[0]].ravel()
 
     @cached_property
-    def _rays(self) -> list[npt.NDArray[np.float32]]:
+    def _rays(self) -> list[Float32Array]:
         """Per sample position, the rays of all pixels, (h·w, 6) = (origin, direction)."""
         camera = self.scene.camera
         all_rays = []
@@ -145,7 +152,7 @@ class Renderer:
             all_rays.append(np.concatenate(pixel_rays(camera, pixels), axis=1, dtype=np.float32))
         return all_rays
 
-    def _truth(self, vertices: Points, next_vertices: Points | None, sums: _Sums, hits: Hits) -> FrameTruth:
+    def _truth(self, vertices: Points, next_vertices: Points | None, sums: _Sums, hits: Hits) -> "FrameTruth":
         camera = self.scene.camera
         shape = (camera.height, camera.width)
         mask = np.zeros(camera.height * camera.width, dtype=np.bool_)
@@ -198,7 +205,7 @@ def render_frame(
     nuisances: Nuisances | None = None,
     options: RenderOptions | None = None,
     seed: int = 0,
-) -> SimulatedFrame:
+) -> "SimulatedFrame":
     """Render frame `index` of a scene, with the flow to the one after it where there is one.
 
     The noise depends on `seed` and `index` only. For many frames build one `Renderer`.
@@ -243,6 +250,6 @@ class SimulatedFrame:
 
     number: int
     radiance: LinearImage
-    stored: npt.NDArray[Any]
+    stored: Array
     linear: LinearFrame
     truth: FrameTruth

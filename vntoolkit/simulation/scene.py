@@ -24,8 +24,6 @@ Shading normals are interpolated from area-weighted vertex normals: split vertic
 Both sides of a face stop light; only the outside is coloured (the inside is shaded with the flipped normal).
 """
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace

@@ -1,14 +1,10 @@
 """Colour, normal and visibility of the surface points that rays meet."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Points
+from vntoolkit.arrays import Array, BoolArray, FloatArray, Points
 from vntoolkit.geometry.rays import Hits, RayScene
 from vntoolkit.native import njit
 from vntoolkit.simulation.image_formation import exposure_of_scene
@@ -18,7 +14,6 @@ from vntoolkit.simulation.scene import Detail, Scene
 
 _FAR_M = 100.0  # a parallel light's shadow rays end here
 _SHADOW_OFFSET_M = 2e-4  # lifts a shadow ray off its own triangle; float32 at 5 m is exact to 5e-7
-Array = npt.NDArray[Any]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -30,7 +25,7 @@ class Shaded:
 
     colours: FloatArray
     normals: FloatArray
-    lit: npt.NDArray[np.bool_]
+    lit: BoolArray
 
 
 class Shader:
@@ -81,7 +76,7 @@ class Shader:
             slopes *= self._at_hits(np.asarray(detail.strength, np.float64)[:, None], hits)
         tilt_normals(shading, points, slopes, vertices, self._faces, self._uv, hits.faces)
 
-    def _unblocked(self, origins: Points, rays: RayScene) -> npt.NDArray[np.bool_]:
+    def _unblocked(self, origins: Points, rays: RayScene) -> BoolArray:
         lit = np.ones((len(origins), len(self._scene.lights)), dtype=np.bool_)
         if not self._nuisances.shadows:
             return lit

@@ -6,8 +6,6 @@ each bone moved in the capture as well; its rigid motion is taken out, so that t
 moves the sleeve.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -236,7 +234,7 @@ class CapturedMotion:
         placed = self._apply(vertices, self._first_from_now(vertices))
         return drawn_together(placed, self._edges, self._longest)
 
-    def thinned(self, kept: IntArray, faces: Faces, weights: SkinWeights) -> CapturedMotion:
+    def thinned(self, kept: IntArray, faces: Faces, weights: SkinWeights) -> "CapturedMotion":
         """Return the same of the vertices kept, (k,), with their faces and weights."""
         return CapturedMotion(self._first[kept], weights, self._parts, self._rest_from_first, faces)
 

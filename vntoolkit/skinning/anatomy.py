@@ -1,7 +1,5 @@
 """Trunk, arms and legs of a skeleton: by names that programs give joints, else by its branching."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -249,11 +249,7 @@ def _spread(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Cloth:
-    """What heat needs to know of n vertices and their faces (m, 3).
-
-    area: (m,). pairs: (3 m, 2) the edges of the faces as `edge_cotangents` orders them. weights: (3 m,) half
-    their cotangents.
-    """
+    """Areas (m,) of faces (m, 3), pairs (3 m, 2) as `edge_cotangents` has, weights: half cotangents."""
 
     count: int
     faces: Faces

@@ -3,8 +3,6 @@
 Dual quaternion skinning does not collapse at twisted joints.
 """
 
-from __future__ import annotations
-
 from enum import Enum
 
 import numba

@@ -1,7 +1,5 @@
 """A common clock for the capture and the motion, which have different frame rates."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import Enum

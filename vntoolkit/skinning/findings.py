@@ -1,7 +1,5 @@
 """What a dressed garment cannot follow, in every frame: stretched triangles, arms off their sleeves."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Fit of a garment to a skeleton: where it hangs, how large it is, and how the arms are held."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -256,9 +254,7 @@ def _by_bounding_box(
 def _vertical_span(
     pose: FloatArray, anatomy: anatomies.Anatomy, shoulders: tuple[int, ...], garment: Garment
 ) -> tuple[float, float]:
-    """Return y of the bottom and top of what is covered (y is down); shoulders may lie above the neck's base,
-    and a waist lies above the hips.
-    """
+    """Return y of bottom and top of what is covered (y down); a waist lies above the hips."""
     heights = pose[:, 1, 3]
     hips = float(heights[anatomy.trunk[0]])
     feet = float(heights[list(anatomy.legs)].max()) if anatomy.legs else hips
@@ -293,10 +289,7 @@ _LEVELS = 64  # heights at which the garment's depth is looked at
 
 
 def _rear(vertices: Points) -> float:
-    """Return how far back the garment reaches at most heights: there a body seen from the front turns away.
-
-    The median over heights passes over a collar, whose far side is seen from within.
-    """
+    """Return how far back the garment reaches at most heights, by the median: it passes over a collar."""
     y = vertices[:, 1]
     level = np.minimum((y - y.min()) / max(np.ptp(y), 1e-300) * _LEVELS, _LEVELS - 1).astype(np.int64)
     rearmost = np.full(_LEVELS, -np.inf)

@@ -4,8 +4,6 @@ Sines, not captured data: the joints turn with the first two harmonics of the st
 stands on the floor, and the figure advances by what that foot is swept back.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ under an arm, and its deepest point is the armpit. The armhole runs from there s
 What lies beyond it is the sleeve; its axis is the middle of the cloth that is equally far from the armhole.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -84,7 +82,7 @@ class GarmentRegions:
     trunk: Mask
     hems: Points | None = None
 
-    def moved(self, similarity: Similarity) -> GarmentRegions:
+    def moved(self, similarity: Similarity) -> "GarmentRegions":
         """Return the regions of the garment after a similarity; sides stay those of the garment."""
         return replace(
             self,

@@ -1,7 +1,5 @@
 """How far cloth is stretched, triangle by triangle, and the drawing together of what stretches too far."""
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 

@@ -1,7 +1,5 @@
 """Skinning weights: options, and the published weights by inverse distance to the nearest bones."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 from dataclasses import dataclass
 from enum import Enum

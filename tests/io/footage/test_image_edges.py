@@ -9,7 +9,7 @@ import pytest
 import tifffile
 
 from vntoolkit import native
-from vntoolkit.diagnosis.consistency import curl_share
+from vntoolkit.diagnosis.outline import curl_share
 from vntoolkit.errors import BadCapture, BadInput, CannotWrite
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.io.atomic import write_bytes

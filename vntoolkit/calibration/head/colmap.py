@@ -4,16 +4,13 @@ COLMAP puts the centre of the top left pixel at (0.5, 0.5), this toolkit at (0, 
 those of `mapping` and `sift` too, go through this file's functions.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, IntArray, Points, Points2, read_only
+from vntoolkit.arrays import BoolArray, FloatArray, IntArray, Points, Points2, read_only
 from vntoolkit.calibration.head.tracks import Tracks
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.rigid import RigidTransform
@@ -52,7 +49,7 @@ def adjust_sparse_model(
     camera: Camera,
     camera_from_head: Sequence[RigidTransform | None],
     points_in_head: Points,
-    known: npt.NDArray[np.bool_],
+    known: BoolArray,
     *,
     refine_focal: bool = False,
 ) -> SparseModel:
@@ -72,7 +69,7 @@ def _reconstruction(
     camera: Camera,
     poses: Sequence[RigidTransform | None],
     points: Points,
-    known: npt.NDArray[np.bool_],
+    known: BoolArray,
 ) -> Any:
     import pycolmap
 

@@ -1,7 +1,5 @@
 """The visual hull of all silhouettes (laurentini1994), as signed distances and as a mesh."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -5,14 +5,11 @@ refined by least squares on its inliers. Then samples in the shadow of the light
 point of the skin gets its own albedo, because lips, brows and freckles are no noise.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, IntArray, Points, read_only
+from vntoolkit.arrays import BoolArray, FloatArray, IntArray, Points, read_only
 from vntoolkit.calibration.fit import ResponseModel, fit_quality, response_from_unknowns, warn_of_weak_fit
 from vntoolkit.calibration.head.samples import HeadRays, HeadSamples
 from vntoolkit.errors import BadCalibration, BadInput
@@ -54,8 +51,8 @@ class HeadLight:
 
     response: LightResponse
     quality: FitQuality
-    inliers: npt.NDArray[np.bool_]
-    shadowed: npt.NDArray[np.bool_]
+    inliers: BoolArray
+    shadowed: BoolArray
     albedo: FloatArray
 
     def __post_init__(self) -> None:
@@ -145,13 +142,11 @@ def _errors(rows: Points, rgb: Points, unknowns: FloatArray, floor: float) -> Fl
     return np.linalg.norm(rows @ unknowns - rgb, axis=1) / (np.linalg.norm(rgb, axis=1) + floor)
 
 
-def _support(
-    rows: Points, rgb: Points, unknowns: FloatArray, floor: float, largest: float
-) -> npt.NDArray[np.bool_]:
+def _support(rows: Points, rgb: Points, unknowns: FloatArray, floor: float, largest: float) -> BoolArray:
     return _errors(rows, rgb, unknowns, floor) < largest
 
 
-def _least_squares(rows: Points, rgb: Points, chosen: npt.NDArray[np.bool_], floor: float) -> FloatArray:
+def _least_squares(rows: Points, rgb: Points, chosen: BoolArray, floor: float) -> FloatArray:
     if np.count_nonzero(chosen) < 50:
         raise BadCalibration(
             f"light: only {np.count_nonzero(chosen)} samples of skin are lit by all three lights and agree; "
@@ -161,7 +156,7 @@ def _least_squares(rows: Points, rgb: Points, chosen: npt.NDArray[np.bool_], flo
     return np.linalg.lstsq(rows[chosen] * weight, rgb[chosen] * weight, rcond=None)[0]
 
 
-def _shadowed(samples: HeadSamples, rays: HeadRays, response: LightResponse) -> npt.NDArray[np.bool_]:
+def _shadowed(samples: HeadSamples, rays: HeadRays, response: LightResponse) -> BoolArray:
     """Return the samples (n,) that a light does not reach, by the head's own shape."""
     dark = np.zeros(len(samples.point), np.bool_)
     for direction in response.light_directions:
@@ -174,14 +169,11 @@ def _shadowed(samples: HeadSamples, rays: HeadRays, response: LightResponse) -> 
 def _with_albedo(
     samples: HeadSamples,
     unknowns: FloatArray,
-    shadowed: npt.NDArray[np.bool_],
+    shadowed: BoolArray,
     floor: float,
     largest: float,
-) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
-    """Alternate between every point's albedo per channel and M; the albedo's median stays 1.
-
-    Returns the unknowns (3, 3), the albedo of every sample (n, 3) and the samples used (n,).
-    """
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Alternate between albedo per channel, median 1, and M: M (3, 3), albedo (n, 3), samples used (n,)."""
     normals, rgb = samples.normals_in_camera, samples.rgb
     _, point = np.unique(samples.point, return_inverse=True)
     majority = _support(normals, rgb, unknowns, floor, largest) & ~shadowed

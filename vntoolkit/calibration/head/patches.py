@@ -5,16 +5,13 @@ A shape tells what a patch of skin looks like from any side, so each is compared
 best, however far the head has turned. Images are logarithms: light that is smooth over a patch only adds.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from vntoolkit.arrays import FloatArray, IntArray, LinearImage, Points, read_only
+from vntoolkit.arrays import ByteArray, FloatArray, IntArray, LinearImage, Points, read_only
 from vntoolkit.calibration.head.hull import SilhouetteView
 from vntoolkit.calibration.head.samples import HeadRays
 from vntoolkit.calibration.head.tracks import Tracks
@@ -38,7 +35,7 @@ _LEAST_CORNER = 1e-4  # determinant over the squared trace: less is an edge, whi
 _TINY = 1e-9
 
 
-def detail_in_8_bits(rgb: LinearImage) -> npt.NDArray[np.uint8]:
+def detail_in_8_bits(rgb: LinearImage) -> ByteArray:
     """Return the logarithm of the brightness of rgb (h, w, 3) less its mean around, (h, w)."""
     level = np.log(np.asarray(rgb, dtype=np.float32).mean(axis=2) + np.float32(_FLOOR))
     detail = level - cv2.GaussianBlur(level, (0, 0), _SMOOTH_PX)
@@ -47,7 +44,7 @@ def detail_in_8_bits(rgb: LinearImage) -> npt.NDArray[np.uint8]:
 
 def find_again(
     views: Sequence[SilhouetteView],
-    details: Sequence[npt.NDArray[np.uint8]],
+    details: Sequence[ByteArray],
     mesh: Mesh,
     points: Points,
 ) -> tuple[Tracks, Points, IntArray]:
@@ -134,7 +131,7 @@ def _facing(views: Sequence[SilhouetteView], mesh: Mesh, vertex: IntArray, middl
 
 
 @njit(cache=True)
-def _value(image: npt.NDArray[np.uint8], u: float, v: float) -> float:
+def _value(image: ByteArray, u: float, v: float) -> float:
     column, row = int(u), int(v)
     a, b = u - column, v - row
     above = (1.0 - a) * image[row, column] + a * image[row, column + 1]
@@ -168,7 +165,7 @@ def _inside(pixels: FloatArray, shape: tuple[int, int]) -> bool:
 
 @njit(cache=True)
 def _search_kernel(
-    details: npt.NDArray[np.uint8],
+    details: ByteArray,
     camera: FloatArray,
     rotations: FloatArray,
     translations: FloatArray,
@@ -206,7 +203,7 @@ def _search_kernel(
 
 @njit(cache=True)
 def _shifted(
-    detail: npt.NDArray[np.uint8],
+    detail: ByteArray,
     pixels: FloatArray,
     pattern: FloatArray,
     own: float,

@@ -1,7 +1,5 @@
 """The head's pose in every frame from tracks of its skin: a static camera and a turning head."""
 
-from __future__ import annotations
-
 import logging
 import tempfile
 from collections.abc import Sequence
@@ -11,11 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy import sparse
 from scipy.spatial.transform import Rotation, Slerp
 
-from vntoolkit.arrays import FloatArray, IntArray, Points, read_only
+from vntoolkit.arrays import BoolArray, FloatArray, Int64Array, IntArray, Points, read_only
 from vntoolkit.calibration.head import colmap
 from vntoolkit.calibration.head.tracks import Tracks
 from vntoolkit.errors import BadCalibration, BadInput
@@ -37,7 +34,7 @@ _SWEEPS = 30
 _ALL_PAIRS, _APART = 40, 20  # of so many frames all pairs count, of more those at most so far apart
 _START_ANGLE_DEG, _START_INLIERS = 8.0, 40  # of the first pair
 _ERROR_PX, _PLACING_ERROR_PX = 2.0, 4.0
-Guess = tuple[list[RigidTransform | None], Points, npt.NDArray[np.bool_]]
+Guess = tuple[list[RigidTransform | None], Points, BoolArray]
 _LEAST_SHARED_TRACKS = 15  # tracks of a pair of frames
 _LEAST_INLIERS = 8  # points that place a frame
 
@@ -80,11 +77,11 @@ class HeadMotion:
 
     camera: Camera
     camera_from_head: tuple[RigidTransform, ...]
-    interpolated: npt.NDArray[np.bool_]
+    interpolated: BoolArray
     reference: int
     points_in_head: Points
-    point: npt.NDArray[np.int64]
-    offered: npt.NDArray[np.int64]
+    point: Int64Array
+    offered: Int64Array
     turn_deg: float
     error_px: float
     observations: int
@@ -169,7 +166,7 @@ def _factorised(tracks: Tracks, camera: Camera) -> Guess:
 
 
 def _seen_in_front(
-    tracks: Tracks, known: npt.NDArray[np.bool_], poses: Sequence[RigidTransform | None], points: Points
+    tracks: Tracks, known: BoolArray, poses: Sequence[RigidTransform | None], points: Points
 ) -> float:
     """Return how much nearer the visible points are than all points; negative for the mirrored solution."""
     nearer = 0.0
@@ -202,7 +199,7 @@ def _require_rigid(model: colmap.SparseModel, tracks: Tracks) -> None:
         )
 
 
-def _head_motion(model: colmap.SparseModel, offered: npt.NDArray[np.int64]) -> HeadMotion:
+def _head_motion(model: colmap.SparseModel, offered: Int64Array) -> HeadMotion:
     """Interpolate what is missing and move the head frame to the reference frame's axes."""
     placed = [k for k, pose in enumerate(model.camera_from_head) if pose is not None]
     known = [pose for pose in model.camera_from_head if pose is not None]
@@ -253,8 +250,8 @@ class AffineModel:
     rows: FloatArray
     offsets: FloatArray
     points: Points
-    placed: npt.NDArray[np.bool_]
-    known: npt.NDArray[np.bool_]
+    placed: BoolArray
+    known: BoolArray
 
 
 # Initialisation of shape and motion: factorisation under scaled orthography, or COLMAP's mapping.
@@ -518,7 +515,7 @@ def _pipeline(refine_focal: bool) -> Any:
     return pipeline
 
 
-def _write_database(path: Path, tracks: Tracks, rows: list[npt.NDArray[np.int64]], camera: Camera) -> None:
+def _write_database(path: Path, tracks: Tracks, rows: list[Int64Array], camera: Camera) -> None:
     import pycolmap
 
     with pycolmap.Database.open(path) as database:

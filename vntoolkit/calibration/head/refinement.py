@@ -10,20 +10,16 @@ An error of M, the same in all frames, bends the shape in patterns that are know
 frames agree on every normal and the normals, integrated, agree with the positions of stereo.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse as sp
 from scipy.linalg import null_space
 from scipy.sparse.linalg import cg, splu
 from scipy.spatial import cKDTree
 
-from vntoolkit.arrays import Faces, FloatArray, IntArray, Points
+from vntoolkit.arrays import Array, Faces, FloatArray, IntArray, Points
 from vntoolkit.calibration.head import skin as skins
 from vntoolkit.calibration.head.light import HeadLight, LightOptions, light_of_response
 from vntoolkit.calibration.head.rims import RimTargets, rim_targets
@@ -310,7 +306,7 @@ class PositionSolver:
         self._slopes = first, second
         self._system = sp.csr_array((values, (rows, columns)), shape=(len(every), len(every)))
 
-    def spread(self, surface: Mesh, levels: NoiseLevels, rng: np.random.Generator) -> FloatArray:
+    def spread(self, surface: Mesh, levels: "NoiseLevels", rng: np.random.Generator) -> FloatArray:
         """Return the standard deviation (n,) of positions, by stereo's noise and shared errors of normals.
 
         Noise is drawn. Shared errors of unknown pattern turn all normals n by E n, for every entry of E.
@@ -493,7 +489,7 @@ def patch_samples(
     patch, first = _patches(mesh, side)
     area = areas(mesh.vertices, mesh.faces)
     whole = np.bincount(patch, area)
-    columns: list[tuple[npt.NDArray[Any], ...]] = []
+    columns: list[tuple[Array, ...]] = []
     for number, pose in enumerate(colours.camera_from_head):
         weight = np.where(skin.agrees[number], area, 0.0)
         seen = np.bincount(patch, weight)

@@ -5,16 +5,13 @@ place of a contour is known to a fraction of a pixel, better than stereo knows a
 head sweeps the rim over most of its sides.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import Faces, FloatArray, IntArray, Mask, Points, Vectors
+from vntoolkit.arrays import BoolArray, Faces, Float32Array, FloatArray, IntArray, Mask, Points, Vectors
 from vntoolkit.calibration.head.samples import LightFrame
 from vntoolkit.calibration.head.skin import LEAST_COSINE, sampled
 from vntoolkit.geometry.camera import Camera
@@ -70,8 +67,7 @@ def _edges(faces: Faces) -> IntArray:
 def _rims(
     mesh: Mesh, edges: IntArray, camera: Camera, frame: LightFrame, lamps: Vectors
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return vertices (r,) on the rim, their shares of it, how far outside of it the contour lies in pixels,
-    how steeply the brightness rises there, and the width of a pixel."""
+    """Return vertices (r,) on the rim, shares, pixels to the contour, rise of brightness, a pixel's width."""
     assert mesh.normals is not None
     pose = frame.camera_from_head
     position, normal = pose.apply(mesh.vertices), pose.rotate(mesh.normals)
@@ -105,9 +101,7 @@ def _rims(
     return vertex, shares, np.tile(off, 2), np.tile(slope, 2), np.tile(unit, 2)
 
 
-def _contour_beside(
-    mask: Mask, pixel: FloatArray, outward: FloatArray
-) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+def _contour_beside(mask: Mask, pixel: FloatArray, outward: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Return how far outwards the contour lies from pixels (r, 2), and where there is just one to be met."""
     soft = np.asarray(cv2.GaussianBlur(mask.astype(np.float32), (0, 0), _SOFT_PX), np.float32)
     steps = np.arange(-_REACH_PX, _REACH_PX + 0.5 * _STEP_PX, _STEP_PX)
@@ -123,5 +117,5 @@ def _contour_beside(
     return off, within & (leaves.sum(axis=1) == 1) & ~enters.any(axis=1)
 
 
-def _at(image: npt.NDArray[np.float32], pixel: FloatArray) -> FloatArray:
+def _at(image: Float32Array, pixel: FloatArray) -> FloatArray:
     return np.asarray(sampled(image, np.asarray(pixel, np.float32).reshape(-1, 2)), np.float64)

@@ -1,15 +1,12 @@
 """Pairs of normal and colour from a head whose shape and motion are known."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, IntArray, Mask, Points, Vectors, read_only
+from vntoolkit.arrays import BoolArray, FloatArray, IntArray, Mask, Points, Vectors, read_only
 from vntoolkit.errors import BadCalibration, BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
@@ -74,7 +71,7 @@ class HeadRays:
         normals = vertex_normals(mesh.vertices, mesh.faces)
         self._starts = mesh.vertices + _OFF_SURFACE * mesh.diagonal * normals
 
-    def free(self, vertex: IntArray, directions_in_head: Vectors) -> npt.NDArray[np.bool_]:
+    def free(self, vertex: IntArray, directions_in_head: Vectors) -> BoolArray:
         """Return for vertices (n,) whether nothing lies in their directions (n, 3)."""
         return ~self._scene.blocked(self._starts[vertex], directions=directions_in_head)
 
@@ -132,7 +129,7 @@ def spread_over_orientations(normals: Points, count: int, rng: np.random.Generat
     return np.sort(order[np.argsort(rank, kind="stable")[:count]])
 
 
-def _within(each: LightFrame, pixel: FloatArray) -> npt.NDArray[np.bool_]:
+def _within(each: LightFrame, pixel: FloatArray) -> BoolArray:
     """True where a pixel lies well inside the silhouette and is not clipped."""
     usable = (each.mask & ~each.frame.clipped).astype(np.uint8)
     kernel = np.ones((2 * RIM_PX + 1, 2 * RIM_PX + 1), np.uint8)

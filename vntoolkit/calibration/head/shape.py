@@ -1,16 +1,13 @@
 """The head's shape from silhouettes and stereo."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from vntoolkit.arrays import Points
+from vntoolkit.arrays import ByteArray, Points
 from vntoolkit.calibration.head.hull import DistanceGrid, SilhouetteView, mesh_of_grid, spread_over_turn
 from vntoolkit.calibration.head.stereo import OrientedPoints, StereoOptions, stereo_points
 from vntoolkit.errors import BadCalibration, BadInput
@@ -32,10 +29,10 @@ class FusedShape:
 
 def fit_shape(
     views: Sequence[SilhouetteView],
-    contrasts: Sequence[npt.NDArray[np.uint8]],
+    contrasts: Sequence[ByteArray],
     hull: DistanceGrid,
     stereo: StereoOptions,
-    fusion: FusionOptions,
+    fusion: "FusionOptions",
     on_progress: Callable[[int, int], None] = lambda done, total: None,
     about: Mesh | None = None,
 ) -> FusedShape:

@@ -3,16 +3,13 @@
 Far slower than following, but at home with ten and twenty degrees between photographs of a turntable.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, IntArray, Mask, Points2
+from vntoolkit.arrays import ByteArray, Float64Array, FloatArray, IntArray, Mask, Points2
 from vntoolkit.calibration.head.colmap import camera_for_colmap, colmap_from_pixels, pixels_from_colmap
 from vntoolkit.calibration.head.silhouettes import box_of_mask
 from vntoolkit.calibration.head.tracks import Tracks, contrast_in_8_bits, pairs_shared
@@ -23,7 +20,6 @@ _ALL_PAIRS = 40  # frames: of so many, every one is compared with every other
 _APART = (1, 2, 3, 4, 6, 8, 12, 16)  # of more: those so many frames apart
 _LEAST_TYPICAL, _LEAST_SHARED = 60, 20  # features of neighbouring frames: usually, and at the least
 _LEAST_FRAMES = 3  # a track over two says nothing that could be wrong
-_BORDER_PX = 12  # about the silhouette's box, for the windows of features
 _ESTIMATE_PX, _GUIDE_PX = 2.0, 1.5  # from the epipolar line: while it is sought, and once it is known
 _PEAK = 0.003  # weakest contrast of a feature, 0 to 1: skin has little
 _MOST_FEATURES = 3000  # of a frame
@@ -41,7 +37,7 @@ class SiftBuilder:
     _positions: list[Points2] = field(default_factory=list)
     _descriptors: list[FloatArray] = field(default_factory=list)
     _extractor: Any = None
-    _image: npt.NDArray[np.uint8] = field(default_factory=lambda: np.zeros((1, 1), np.uint8))
+    _image: ByteArray = field(default_factory=lambda: np.zeros((1, 1), np.uint8))
 
     def add(self, contrast: FloatArray, mask: Mask) -> int:
         """Find a frame's features; returns how many.
@@ -55,7 +51,7 @@ class SiftBuilder:
             self._positions.append(np.zeros((0, 2)))
             self._descriptors.append(np.zeros((0, 128), np.float32))
             return 0
-        rows, columns = box_of_mask(mask, _BORDER_PX)
+        rows, columns = box_of_mask(mask)
         own = np.ascontiguousarray(image[rows, columns])
         keypoints, found = self._extractor.extract_from_uint8_array(own)
         positions = np.array([[each.x, each.y] for each in keypoints]).reshape(-1, 2)
@@ -71,7 +67,7 @@ class SiftBuilder:
         return len(kept)
 
     @property
-    def image(self) -> npt.NDArray[np.uint8]:
+    def image(self) -> ByteArray:
         """The last frame's local contrast (h, w) in 8 bits, 0 before the first frame."""
         return self._image
 
@@ -199,7 +195,7 @@ def _mutual(angles: FloatArray) -> IntArray:
     return np.column_stack([rows[kept], best[kept]])
 
 
-def _distance_to_lines(fundamental: npt.NDArray[np.float64], a: Points2, b: Points2) -> FloatArray:
+def _distance_to_lines(fundamental: Float64Array, a: Points2, b: Points2) -> FloatArray:
     """Return (n, m) the distance in pixels of points b (m, 2) from the epipolar lines of points a (n, 2)."""
     lines = np.column_stack([a, np.ones(len(a))]) @ fundamental.T
     lines /= np.maximum(np.linalg.norm(lines[:, :2], axis=1, keepdims=True), 1e-12)

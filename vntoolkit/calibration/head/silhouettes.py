@@ -1,16 +1,13 @@
 """The head's silhouette before a dark background, and checks of the footage."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, LinearImage, Mask
+from vntoolkit.arrays import ByteArray, FloatArray, LinearImage, Mask
 from vntoolkit.errors import BadCalibration, BadInput
 
 logger = logging.getLogger(__name__)
@@ -23,6 +20,7 @@ _SMALLEST_SHARE = 0.01  # of the image: anything smaller is no head
 _LARGEST_SHARE = 0.75  # of the image: beyond, the background itself counts as subject
 _RIVAL_SHARE = 0.35  # area of the second region over the first's from which on there are two people
 _CUT_SHARE = 0.12  # of the silhouette's width or height that may lie on the image's edge
+_BORDER_PX = 12  # about its box: windows of features and of stereo reach so far
 _BRIGHTEST_BACKDROP = 0.3  # of the subject's brightness
 _UNEVEN_BACKDROP = 0.02  # of it: so much cuts off an eighth of its brightness; sensors have 0.001
 _LIT_EDGE = 0.2  # of the image's top and upper sides that may be bright
@@ -174,7 +172,7 @@ def _moved_to_edge(mask: Mask, grey: FloatArray, level: float, threshold: float)
     return _without_holes(labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])))
 
 
-def _disc(radius_px: int) -> npt.NDArray[np.uint8]:
+def _disc(radius_px: int) -> ByteArray:
     size = 2 * radius_px + 1
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), np.uint8)
 
@@ -195,9 +193,9 @@ def _cut_share(mask: Mask) -> float:
     return float(max(mask[0].sum() / width, sides))
 
 
-def box_of_mask(mask: Mask, border_px: int) -> tuple[slice, slice]:
-    """Return the rows and columns that hold the mask (h, w), not empty, and a border about it."""
+def box_of_mask(mask: Mask) -> tuple[slice, slice]:
+    """Return the rows and columns that hold the mask (h, w), not empty, with a border about it."""
     places = np.argwhere(mask)
-    low = np.maximum(places.min(axis=0) - border_px, 0)
-    high = np.minimum(places.max(axis=0) + 1 + border_px, mask.shape)
+    low = np.maximum(places.min(axis=0) - _BORDER_PX, 0)
+    high = np.minimum(places.max(axis=0) + 1 + _BORDER_PX, mask.shape)
     return slice(int(low[0]), int(high[0])), slice(int(low[1]), int(high[1]))

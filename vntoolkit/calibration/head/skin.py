@@ -6,16 +6,13 @@ point, near 1, and M_f is M where the point is in that frame, as lamps are near.
 1, two or three frames give both. Robust least squares over all frames leaves out shadow and gloss.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, IntArray, Mask, Points, read_only
+from vntoolkit.arrays import BoolArray, Float32Array, FloatArray, IntArray, Mask, Points, read_only
 from vntoolkit.calibration.head.samples import LEAST_FACING, RIM_PX, HeadRays, LightFrame
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.mesh import Mesh
@@ -39,7 +36,6 @@ _BLACK = 1e-6
 _DAMPING, _LONGEST_STEP = 1e-4, 0.5  # rad, and logarithm of the albedo
 _AGREEING = 0.25  # of its first weight: with less left, a colour is an outlier
 _LEAST_NOISE = 0.004  # of the colour's length: below it registration decides, not the sensor
-Array = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,8 +46,8 @@ class SkinColours:
     frame. camera_from_head: of every frame.
     """
 
-    rgb: Array
-    weight: Array
+    rgb: Float32Array
+    weight: Float32Array
     vertices: Points
     camera_from_head: tuple[RigidTransform, ...]
 
@@ -107,7 +103,7 @@ def _trusted(each: LightFrame) -> Mask:
 _ROW = 1024  # OpenCV resamples images, no lists: points are laid out in rows
 
 
-def sampled(image: Array, pixel: Array) -> Array:
+def sampled(image: Float32Array, pixel: Float32Array) -> Float32Array:
     """Return the image (h, w) or (h, w, 3) at pixels (n, 2), bilinear, 0 outside."""
     count = len(pixel)
     padded = np.full((max(1, -(-count // _ROW)) * _ROW, 2), -9.0, np.float32)
@@ -177,11 +173,11 @@ class SkinNormals:
     noise: FloatArray
     scaled: Points
     tint: FloatArray
-    weight: Array
-    agrees: npt.NDArray[np.bool_]
+    weight: Float32Array
+    agrees: BoolArray
 
     @property
-    def known(self) -> npt.NDArray[np.bool_]:
+    def known(self) -> BoolArray:
         """(n,) where there is a normal."""
         return np.asarray(np.isfinite(self.noise))
 
@@ -248,10 +244,7 @@ def _flat(scatter: float) -> FloatArray:
 
 
 def _tint_curve(scaled: Points, tint: Points) -> tuple[FloatArray, float]:
-    """Return how the tint follows the darkness, log |b|, in steps (k, 4), and the darkness of the first.
-
-    The columns are the logarithm of the typical tint and its scatter. scaled, tint: (n, 3), b and g.
-    """
+    """Return tint by darkness, log |b|, in steps (k, 4): log of typical, scatter; and of the first."""
     darkness = np.log(np.linalg.norm(scaled, axis=1))
     lowest, highest = np.percentile(darkness, [_CURVE_END, 100.0 - _CURVE_END])
     steps = np.arange(int((highest - lowest) / _CURVE_STEP) + 2)
@@ -316,8 +309,8 @@ def light_errors(
 
 @njit(cache=True)
 def _derivatives_kernel(
-    rgb: Array,
-    weight: Array,
+    rgb: Float32Array,
+    weight: Float32Array,
     vertices: Points,
     matrix: FloatArray,
     nearness: FloatArray,
@@ -414,10 +407,10 @@ def _invert(a: FloatArray, out: FloatArray) -> None:
 
 @njit(cache=True)
 def _solve_kernel(
-    rgb: Array,
-    given: Array,
+    rgb: Float32Array,
+    given: Float32Array,
     vertices: Points,
-    weight: Array,
+    weight: Float32Array,
     matrix: FloatArray,
     nearness: FloatArray,
     rotations: FloatArray,
@@ -576,10 +569,7 @@ def _sides(normal: FloatArray, side: FloatArray) -> None:
 
 @njit(cache=True)
 def _solve_five(a: FloatArray, b: FloatArray) -> float:
-    """Solve a x = b for x in b, a (5, 5) symmetric; return the first two diagonal entries of 1 / a, added.
-
-    Unknowns go from the last to the first, which leaves the 2×2 system of the first two.
-    """
+    """Solve a x = b for x in b, a (5, 5) symmetric; return the first two diagonal entries of 1 / a, added."""
     for p in range(4, 1, -1):
         for k in range(p):
             share = a[k, p] / a[p, p]

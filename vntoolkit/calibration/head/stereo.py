@@ -3,17 +3,14 @@
 The images are of local contrast, so that the shading, which moves over the turning skin, does not correlate.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Mask, Points
+from vntoolkit.arrays import BoolArray, ByteArray, FloatArray, Mask, Points
 from vntoolkit.calibration.head.hull import SilhouetteView, neighbours_of
 from vntoolkit.calibration.head.silhouettes import box_of_mask
 from vntoolkit.errors import BadInput
@@ -24,7 +21,6 @@ _CLOSER_ANGLES_DEG = (6.0, 12.0, 18.0)  # of the second pass: from well correlat
 # What wide windows and smooth depths flatten is alike in all views. Noise is not, and averages out over them.
 _CLOSER_WINDOW_PX, _LESS_SMOOTH, _MORE_VIEWS = 5, 0.5, 2
 _CLOSE = 0.012  # of the diagonal: how far the second and third pass search to both sides
-_BORDER_PX = 12  # beyond the silhouette's box, for windows
 _STEP_PX = 0.6  # that a point moves in the furthest neighbour from shell to shell
 _LEAST_SLANT = 0.25  # cosine between ray and hull below which a window mixes too many depths
 
@@ -80,18 +76,18 @@ class StereoOptions:
 
 def stereo_points(
     views: Sequence[SilhouetteView],
-    contrasts: Sequence[npt.NDArray[np.uint8]],
+    contrasts: Sequence[ByteArray],
     hull: Mesh,
     reference: int,
     options: StereoOptions,
-) -> OrientedPoints:
+) -> "OrientedPoints":
     """Search the depth of one view along its rays about the hull; returns the points that correlate.
 
     contrasts: (h, w) local contrast of every view, 8 bits. reference: number of the view.
     """
     view = views[reference]
     neighbours = neighbours_of(views, reference, options.neighbour_angles_deg)
-    rows, columns = box_of_mask(view.mask, _BORDER_PX)
+    rows, columns = box_of_mask(view.mask)
     depth, facing = hull_depth(view, hull, rows, columns)
     typical = float(np.median(depth[depth > 0]))
     shells = _shells(view, hull, options, typical)
@@ -136,7 +132,7 @@ def _shells(view: SilhouetteView, hull: Mesh, options: StereoOptions, depth: flo
 
 def _scores(
     views: Sequence[SilhouetteView],
-    contrasts: Sequence[npt.NDArray[np.uint8]],
+    contrasts: Sequence[ByteArray],
     reference: int,
     neighbours: Sequence[int],
     window: tuple[slice, slice],
@@ -215,7 +211,7 @@ class OrientedPoints:
     on_hull: Points
     correlation: FloatArray
 
-    def chosen(self, kept: npt.NDArray[np.bool_]) -> OrientedPoints:
+    def chosen(self, kept: BoolArray) -> "OrientedPoints":
         """Keep some of the points, (n,)."""
         return OrientedPoints(
             points=self.points[kept],

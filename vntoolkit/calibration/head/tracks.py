@@ -1,15 +1,12 @@
 """Tracks of skin points: corners followed by pyramidal Lucas–Kanade with a forward-backward check."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, IntArray, LinearImage, Mask, Points2, read_only
+from vntoolkit.arrays import BoolArray, ByteArray, FloatArray, IntArray, LinearImage, Mask, Points2, read_only
 from vntoolkit.errors import BadCalibration, BadInput
 
 _CORNER_QUALITY = 0.003  # the weakest corner as a share of the strongest
@@ -58,7 +55,7 @@ class Tracks:
         """How many points."""
         return int(self.point[-1]) + 1 if len(self.point) else 0
 
-    def of_points(self, chosen: npt.NDArray[np.bool_]) -> Tracks:
+    def of_points(self, chosen: BoolArray) -> "Tracks":
         """Keep the points chosen (point_count,), renumbered."""
         kept = chosen[self.point]
         number = np.cumsum(chosen) - 1
@@ -75,7 +72,7 @@ class TrackBuilder:
     """Follows points frame by frame; holds one frame's image and every observation."""
 
     options: TrackOptions
-    _previous: npt.NDArray[np.uint8] | None = None
+    _previous: ByteArray | None = None
     _positions: Points2 = field(default_factory=lambda: np.zeros((0, 2), np.float32))
     _points: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
     _next_point: int = 0
@@ -99,7 +96,7 @@ class TrackBuilder:
         return followed
 
     @property
-    def image(self) -> npt.NDArray[np.uint8]:
+    def image(self) -> ByteArray:
         """The last frame's local contrast (h, w) in 8 bits, 0 before the first frame."""
         return np.zeros((1, 1), np.uint8) if self._previous is None else self._previous
 
@@ -120,16 +117,14 @@ class TrackBuilder:
         lengths = np.bincount(tracks.point, minlength=self._next_point)
         return tracks.of_points(lengths >= _LEAST_FRAMES)
 
-    def _allowed(self, mask: Mask) -> npt.NDArray[np.uint8]:
+    def _allowed(self, mask: Mask) -> ByteArray:
         """Erode the silhouette, where texture is seen at a slant and its border moves; edges count too."""
         side = 2 * self.options.margin_px + 1
         inner = cv2.copyMakeBorder(mask.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
         kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
         return np.asarray(cv2.erode(inner, kernel)[1:-1, 1:-1], dtype=np.uint8)
 
-    def _follow(
-        self, previous: npt.NDArray[np.uint8], image: npt.NDArray[np.uint8], allowed: npt.NDArray[np.uint8]
-    ) -> None:
+    def _follow(self, previous: ByteArray, image: ByteArray, allowed: ByteArray) -> None:
         start = self._positions.astype(np.float32).reshape(-1, 1, 2)
         there, found = _flow(previous, image, start, self.options.window_px)
         back, returned = _flow(image, previous, there, self.options.window_px)
@@ -142,7 +137,7 @@ class TrackBuilder:
         kept = inside & (found.ravel() > 0) & (returned.ravel() > 0) & (gap < _THERE_AND_BACK_PX)
         self._positions, self._points = there[kept], self._points[kept]
 
-    def _seed(self, image: npt.NDArray[np.uint8], allowed: npt.NDArray[np.uint8]) -> None:
+    def _seed(self, image: ByteArray, allowed: ByteArray) -> None:
         room = self.options.corners - len(self._positions)
         if room <= 0:
             return
@@ -237,6 +232,6 @@ def local_contrast(rgb: LinearImage) -> FloatArray:
 _WIDEST_VALUE = 4.0  # that becomes black or white in 8 bits
 
 
-def contrast_in_8_bits(contrast: FloatArray) -> npt.NDArray[np.uint8]:
+def contrast_in_8_bits(contrast: FloatArray) -> ByteArray:
     """Return local contrast (h, w) as the 8-bit image in which skin is followed and compared."""
     return np.clip(127.5 + 127.5 / _WIDEST_VALUE * contrast, 0, 255).astype(np.uint8)

@@ -1,17 +1,13 @@
 """Captures: a video, an image, a folder of images or a pattern, read as linear colour frames."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import LinearImage
+from vntoolkit.arrays import Array, LinearImage
 from vntoolkit.checks import require_positive, require_shape
 from vntoolkit.display import Displayed, Facts, Picture
 from vntoolkit.errors import BadCapture, BadInput
@@ -200,7 +196,7 @@ class Capture(Displayed):
             bits = _bits(values, self.options, path)
             yield EncodedFrame(values=values, bits=bits, number=number, name=str(path))
 
-    def _read(self, path: Path | str) -> npt.NDArray[Any]:
+    def _read(self, path: Path | str) -> Array:
         return read_image(path, max_megapixels=self.options.max_megapixels, sensor=self.options.sensor)
 
     def _read_background(self) -> LinearImage | None:
@@ -324,7 +320,7 @@ def _info_of_images(found: CaptureFiles, options: CaptureOptions) -> CaptureInfo
     )
 
 
-def _bits(values: npt.NDArray[Any], options: CaptureOptions, path: Path | str) -> int:
+def _bits(values: Array, options: CaptureOptions, path: Path | str) -> int:
     if values.dtype == np.float32:
         return 32
     stored = values.dtype.itemsize * 8

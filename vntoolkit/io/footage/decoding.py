@@ -1,15 +1,11 @@
 """Encoded samples to a linear frame in one pass over the pixels; undistorted or rectified as the rig asks."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import LinearImage, Mask
+from vntoolkit.arrays import Array, Float32Array, LinearImage, Mask
 from vntoolkit.geometry.camera import Camera, CameraModel
 from vntoolkit.geometry.rectification import Rectification
 from vntoolkit.native import njit
@@ -27,7 +23,7 @@ class EncodedFrame:
     or file and frame number, for messages.
     """
 
-    values: npt.NDArray[Any]
+    values: Array
     bits: int
     number: int
     name: str
@@ -57,7 +53,7 @@ def linear_frame_from_encoded(
     return LinearFrame(rgb=rgb, clipped=clipped, number=frame.number)
 
 
-def clipping_code(transfer: Transfer, table: npt.NDArray[np.float32], bits: int) -> int:
+def clipping_code(transfer: Transfer, table: Float32Array, bits: int) -> int:
     """Return the smallest stored integer that counts as clipped under `table`."""
     saturation = (transfer.white_level - transfer.black_level) / (1.0 - transfer.black_level)
     code = int(np.searchsorted(table, np.float32(saturation * (1.0 - 1e-6))))
@@ -75,15 +71,12 @@ def _look_up(values, table, clip_code, rgb, clipped):  # type: ignore[no-untyped
             clipped[v, u] = r >= clip_code or g >= clip_code or b >= clip_code
 
 
-Single = npt.NDArray[np.float32]
-
-
 class Undistorter:
     """Resamples the frames of one distorted camera onto `camera.without_distortion()`."""
 
     def __init__(self, camera: Camera) -> None:
         self._camera = camera
-        self._maps: tuple[Single, Single] | None = None
+        self._maps: tuple[Float32Array, Float32Array] | None = None
         if camera.model is CameraModel.OPENCV:
             pinhole = camera.without_distortion()
             grid = camera.pixel_grid()

@@ -1,7 +1,5 @@
 """Which frames of a capture: `a:b:c`, as in Python, and what is done about missing ones."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -24,7 +22,7 @@ class FrameRange:
             raise BadInput(f"frames: expected 0 <= start < stop and step >= 1, got {self.to_text()}")
 
     @classmethod
-    def from_text(cls, text: str) -> FrameRange:
+    def from_text(cls, text: str) -> "FrameRange":
         """Parse `a:b:c` (frames a, a + c, … below b), any part left out, or a single frame number."""
         parts = text.strip().split(":")
         try:

@@ -9,16 +9,13 @@ smooth: along the row and along the column, between the nearest known pixels on 
 counting more.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from numba import prange
 
-from vntoolkit.arrays import LinearImage, Mask
+from vntoolkit.arrays import ByteArray, LinearImage, Mask
 from vntoolkit.native import njit
 
 _WINDOW_SHARE = 1 / 16  # of the shorter side: sensors print ten dots across and more, each half a gap wide
@@ -39,7 +36,7 @@ def _shrunk(image: LinearImage) -> LinearImage:
     return small
 
 
-def _enlarged(small: npt.NDArray[np.uint8], shape: tuple[int, int]) -> Mask:
+def _enlarged(small: ByteArray, shape: tuple[int, int]) -> Mask:
     height, width = shape
     step = max(1, min(height, width) // _SEARCHED_PX)
     mask: Mask = np.zeros(shape, np.bool_)
@@ -72,11 +69,8 @@ def _ink_at_rest(small: LinearImage, closed: LinearImage) -> _Ink | None:
     return _Ink(area_px=float(np.median(areas)), share=np.float32(np.median(shares)))
 
 
-def _dots(small: LinearImage, closed: LinearImage, ink: _Ink) -> npt.NDArray[np.uint8]:
-    """1 at the dots and their rims in a shrunk picture.
-
-    A dot on the dark flank of an object is one with it. It is told from the flank as what is as dark as ink.
-    """
+def _dots(small: LinearImage, closed: LinearImage, ink: _Ink) -> ByteArray:
+    """1 at the dots and their rims in a shrunk picture: as dark as ink, also on an object's dark flank."""
     found = np.zeros(small.shape[:2], np.bool_)
     for share in (np.float32(1 - _DARKER), ink.share):
         dark = _darker(small, closed, share)
@@ -204,10 +198,7 @@ def _darker(small, closed, share):  # type: ignore[no-untyped-def]  # pragma: no
 
 @njit(cache=True)
 def _find_known_rows(holes, above, below):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Of every pixel the nearest row in its column that is known, itself or above, itself or below.
-
-    Beyond the picture where there is none: −1 and the height.
-    """
+    """Of every pixel the nearest known row in its column, above and below; −1 and the height for none."""
     height, width = holes.shape
     for u in range(width):
         above[0, u] = -1 if holes[0, u] else 0

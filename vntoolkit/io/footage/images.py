@@ -1,7 +1,5 @@
 """Single images: PNG, TIFF, JPEG, BMP by OpenCV, EXR by OpenEXR, raw by LibRaw; sizes checked first."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import itertools
@@ -17,9 +15,8 @@ from typing import Any, BinaryIO
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import Mask
+from vntoolkit.arrays import Array, ByteArray, Float32Array, Mask
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.atomic import write_bytes
 from vntoolkit.io.files import opened, require_pixels
@@ -58,7 +55,7 @@ def read_image(
     max_megapixels: float | None = None,
     sensor: mosaics.SensorOptions | None = None,
     error: type[BadInput] = BadCapture,
-) -> npt.NDArray[Any]:
+) -> Array:
     """Read an image as (h, w, 3) RGB, encoded values as stored: uint8, uint16 or float32 (EXR, float TIFF).
 
     Grey is repeated in the three channels. An alpha channel is dropped where it is opaque everywhere and
@@ -76,28 +73,23 @@ def read_image(
 
 
 def read_image_with_alpha(
-    path: Path | str,
-    *,
-    max_megapixels: float | None = None,
-    error: type[BadInput] = BadInput,
-) -> tuple[npt.NDArray[Any], Mask | None]:
+    path: Path | str, *, max_megapixels: float | None = None
+) -> tuple[Array, Mask | None]:
     """Read (h, w, 3) RGB and, where there is an alpha channel, the (h, w) mask of alpha >= half."""
-    colours, alpha = _decode(path, max_megapixels, error)
+    colours, alpha = _decode(path, max_megapixels, BadInput)
     if alpha is None:
         return _in_three_channels(colours), None
     full = 1.0 if alpha.dtype == np.float32 else np.iinfo(alpha.dtype).max
     return _in_three_channels(colours), alpha >= full / 2
 
 
-def read_grey(
-    path: Path | str, *, max_megapixels: float | None = None, error: type[BadInput] = BadInput
-) -> npt.NDArray[Any]:
+def read_grey(path: Path | str, *, max_megapixels: float | None = None) -> Array:
     """Read an image as (h, w): grey as stored, colour by its largest channel (so any paint counts)."""
-    colours, _ = _decode(path, max_megapixels, error)
+    colours, _ = _decode(path, max_megapixels, BadInput)
     return np.asarray(colours.max(axis=2))
 
 
-def write_png(path: Path | str, pixels: npt.NDArray[Any], *, compression_level: int = 1) -> None:
+def write_png(path: Path | str, pixels: Array, *, compression_level: int = 1) -> None:
     """Write (h, w), (h, w, 3) RGB or (h, w, 4) RGBA, uint8 or uint16, atomically.
 
     compression_level: 0 (fast, large) to 9.
@@ -112,7 +104,7 @@ def write_png(path: Path | str, pixels: npt.NDArray[Any], *, compression_level: 
     write_bytes(path, _encoded(pixels, ".png", [cv2.IMWRITE_PNG_COMPRESSION, compression_level], str(path)))
 
 
-def encoded_image(pixels: npt.NDArray[np.uint8], suffix: str = ".png", *, quality: int = 88) -> bytes:
+def encoded_image(pixels: ByteArray, suffix: str = ".png", *, quality: int = 88) -> bytes:
     """Return the bytes of an image file, `.png`, `.jpg` or `.webp`, of uint8 pixels.
 
     pixels: (h, w), (h, w, 3) RGB or (h, w, 4) RGBA. quality: 0 to 100, of a JPEG or WebP.
@@ -126,14 +118,14 @@ def encoded_image(pixels: npt.NDArray[np.uint8], suffix: str = ".png", *, qualit
         raise BadInput(
             f"image: expected 8 bits and one of {', '.join(flags)}, got {pixels.dtype}, '{suffix}'"
         )
-    ordered: npt.NDArray[Any] = pixels
+    ordered: Array = pixels
     if pixels.ndim == 3:
         order = cv2.COLOR_RGBA2BGRA if pixels.shape[2] == 4 else cv2.COLOR_RGB2BGR
         ordered = cv2.cvtColor(np.ascontiguousarray(pixels), order)
     return _encoded(ordered, suffix, flags[suffix], "image")
 
 
-def _encoded(pixels: npt.NDArray[Any], suffix: str, flags: list[int], name: str) -> bytes:
+def _encoded(pixels: Array, suffix: str, flags: list[int], name: str) -> bytes:
     """Return the bytes of an image file of pixels in OpenCV's order; raise `BadInput`."""
     try:
         ok, content = cv2.imencode(suffix, pixels, flags)
@@ -144,9 +136,7 @@ def _encoded(pixels: npt.NDArray[Any], suffix: str, flags: list[int], name: str)
     return bytes(content.tobytes())
 
 
-def resized_image(
-    pixels: npt.NDArray[np.uint8], largest_px: int, *, smooth: bool = True
-) -> npt.NDArray[np.uint8]:
+def resized_image(pixels: ByteArray, largest_px: int, *, smooth: bool = True) -> ByteArray:
     """Return the picture shrunk so that no side exceeds `largest_px`; labels want smooth=False."""
     factor = largest_px / max(pixels.shape[:2])
     if factor >= 1:
@@ -161,11 +151,8 @@ def _decode(
     max_megapixels: float | None,
     error: type[BadInput],
     sensor: mosaics.SensorOptions | None = None,
-) -> tuple[npt.NDArray[Any], npt.NDArray[Any] | None]:
-    """Return the colours (h, w, 1) or (h, w, 3) in RGB order, and alpha (h, w) or None.
-
-    sensor: how a Bayer mosaic is read; None where none is expected.
-    """
+) -> tuple[Array, Array | None]:
+    """Return colours (h, w, 1 or 3), RGB, and alpha (h, w) or None. sensor: for Bayer mosaics, or None."""
     with opened(path, error) as stream:
         header = header_of_stream(stream, str(path), error)
         require_pixels(header.width, header.height, max_megapixels, str(path), error)
@@ -205,9 +192,7 @@ def _decode(
     return (pixels[..., :-1], pixels[..., -1]) if pixels.shape[2] in (2, 4) else (pixels, None)
 
 
-def _sound_samples(
-    pixels: npt.NDArray[Any], header: ImageHeader, path: Path | str, error: type[BadInput]
-) -> npt.NDArray[Any]:
+def _sound_samples(pixels: Array, header: "ImageHeader", path: Path | str, error: type[BadInput]) -> Array:
     """Return samples of 8 or 16 bits, whose full scale is all ones, or finite floats; raise for any other."""
     if pixels.dtype == np.float64:
         pixels = pixels.astype(np.float32)
@@ -223,13 +208,13 @@ def _sound_samples(
     return pixels
 
 
-def _in_three_channels(colours: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def _in_three_channels(colours: Array) -> Array:
     return np.repeat(colours, 3, axis=2) if colours.shape[2] == 1 else np.ascontiguousarray(colours)
 
 
 def _pixels_from_exr(
     path: Path | str, max_megapixels: float | None, error: type[BadInput]
-) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32] | None]:
+) -> tuple[Float32Array, Float32Array | None]:
     channels, _ = read_exr(path, max_megapixels=max_megapixels, error=error)
     names = next((kept for group in ("RGB", "YZ", "A") if (kept := [n for n in group if n in channels])), [])
     if names != ["R", "G", "B"] and len(names) != 1:
@@ -243,7 +228,7 @@ def _pixels_from_exr(
     return pixels, alpha
 
 
-def _require_numbers(pixels: npt.NDArray[Any], path: Path | str, error: type[BadInput]) -> None:
+def _require_numbers(pixels: Array, path: Path | str, error: type[BadInput]) -> None:
     with np.errstate(invalid="ignore"):  # of infinity minus infinity
         if math.isfinite(float(pixels.sum(dtype=np.float64))):
             return
@@ -256,7 +241,7 @@ def _require_numbers(pixels: npt.NDArray[Any], path: Path | str, error: type[Bad
         )
 
 
-def _require_opaque(alpha: npt.NDArray[Any], path: Path | str, error: type[BadInput]) -> None:
+def _require_opaque(alpha: Array, path: Path | str, error: type[BadInput]) -> None:
     full = 1.0 if alpha.dtype == np.float32 else np.iinfo(alpha.dtype).max
     see_through = int(np.count_nonzero(alpha < full))
     if see_through:
@@ -367,10 +352,7 @@ def _by_pillow(data: bytes, format_name: str) -> ImageHeader:
 
 
 def _stated_by(image: Any) -> tuple[Orientation, str, float]:
-    """Return what EXIF data and PNG chunks state: orientation, transfer curve, focal length as of 35 mm film.
-
-    0 for no focal length.
-    """
+    """Return orientation, transfer curve, focal length (of 35 mm film, 0 for none) of EXIF and PNG chunks."""
     value, is_srgb, focal_mm = 1, "srgb" in image.info, 0.0
     # without this test, Pillow decodes the whole PNG to look for EXIF data behind the picture
     if "exif" in image.info:

@@ -16,14 +16,9 @@ Samples of chroma that lie across the edge hold both sides in the same shares as
 over luma is the subject's.
 """
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import Matrix3, Vector3
+from vntoolkit.arrays import Array, Float32Array, Matrix3, UInt16Array, Vector3
 from vntoolkit.native import njit
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.photometry.transfer import Transfer, linear_from_encoded
@@ -57,7 +52,7 @@ class LumaDetail:
         self._inverse = response.inverse.astype(np.float32)
         self._ambient = response.ambient.astype(np.float32)
 
-    def rgb(self, planes: list[npt.NDArray[Any]], matrix: Matrix3, offset: Vector3) -> npt.NDArray[np.uint16]:
+    def rgb(self, planes: list[Array], matrix: Matrix3, offset: Vector3) -> UInt16Array:
         """Return (h, w, 3) uint16 RGB, 65535 = full scale.
 
         planes: Y (h, w), and Cb and Cr of fewer pixels, integers as stored. matrix, offset: from these to RGB
@@ -87,11 +82,8 @@ class LumaDetail:
         return rgb
 
 
-def _cubic_weights(step: int) -> npt.NDArray[np.float32]:
-    """Return (step, 5): the weights of five coarse samples, 2 before to 2 after, for each fine one.
-
-    Cubic convolution with a = -0.75 (`keys1981`), as OpenCV's.
-    """
+def _cubic_weights(step: int) -> Float32Array:
+    """Return (step, 5) weights of five coarse samples for each fine one: `keys1981`, a = -0.75, as OpenCV."""
     distance = np.abs(((np.arange(step) + 0.5) / step - 0.5)[:, None] - np.arange(-2, 3))
     near = (1.25 * distance - 2.25) * distance**2 + 1
     far = -0.75 * (((distance - 5) * distance + 8) * distance - 4)
@@ -231,10 +223,7 @@ def _edges(luma, dark, turns):  # type: ignore[no-untyped-def]  # pragma: no cov
 
 @njit(cache=True, fastmath=True)
 def _turns_of_row(turns, v, across, row, to):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Fill one row of the picture with the turns of row v of the chroma, by linear interpolation.
-
-    row: a buffer.
-    """
+    """Fill one row of the picture with the turns of row v of the chroma, linearly. row: a buffer."""
     height, width = turns.shape
     near = v // 2
     far = min(max(near + (1 if v % 2 else -1), 0), height - 1)

@@ -1,7 +1,5 @@
 """Mattes: where the subject is, for the whole capture or frame by frame, from files or from a clean plate."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass

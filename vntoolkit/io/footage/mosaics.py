@@ -1,15 +1,13 @@
 """Frames as the sensor recorded them: camera raw files, and Bayer mosaics that are stored as grey."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from vntoolkit.arrays import Array, UInt16Array
 from vntoolkit.checks import require_in_range
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.files import opened, require_pixels
@@ -86,7 +84,7 @@ def read_raw(
     *,
     max_megapixels: float | None = None,
     error: type[BadInput] = BadCapture,
-) -> tuple[npt.NDArray[np.uint16], RawHeader]:
+) -> tuple[UInt16Array, RawHeader]:
     """Read a camera raw file as linear, upright (h, w, 3) RGB of the sensor, 65535 = its saturation.
 
     Black level and saturation are the file's; there is no white balance, no camera matrix and no curve.
@@ -130,8 +128,8 @@ def read_raw(
 
 
 def rgb_from_mosaic(
-    mosaic: npt.NDArray[Any], bayer: Bayer, demosaic: Demosaic = Demosaic.BILINEAR, name: str = "mosaic"
-) -> npt.NDArray[Any]:
+    mosaic: Array, bayer: Bayer, demosaic: Demosaic = Demosaic.BILINEAR, name: str = "mosaic"
+) -> Array:
     """Return (h, w, 3) RGB of an (h, w) mosaic, uint8 or uint16; by `HALF` (h // 2, w // 2, 3)."""
     if mosaic.ndim != 2 or mosaic.dtype not in (np.uint8, np.uint16) or min(mosaic.shape) < 2:
         kind = f"{mosaic.shape} {mosaic.dtype}"

@@ -1,13 +1,11 @@
 """How a camera was held: what video and image files state about it, and the picture turned upright."""
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+
+from vntoolkit.arrays import Array
 
 _UNIT = 1 << 16  # display matrices are 16.16 fixed point, their last column 2.30
 
@@ -21,12 +19,12 @@ class Orientation:
     up_down: bool = False
 
     @classmethod
-    def from_exif(cls, value: int) -> Orientation:
+    def from_exif(cls, value: int) -> "Orientation":
         """Return it for the value 1 to 8 of the EXIF and TIFF tag 274; any other value means upright."""
         return _BY_EXIF.get(value, UPRIGHT)
 
     @classmethod
-    def from_display_matrix(cls, matrix: bytes) -> Orientation | None:
+    def from_display_matrix(cls, matrix: bytes) -> "Orientation | None":
         """Return it for the 36 bytes of a video's display matrix; None for a turn by no right angle.
 
         The matrix takes a stored (x, y, 1), a row, to the shown one (ISO/IEC 14496-12, 6.2.2).
@@ -38,7 +36,7 @@ class Orientation:
             return cls(transposed=True, left_right=c < 0, up_down=b < 0)
         return None
 
-    def upright(self, picture: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    def upright(self, picture: Array) -> Array:
         """Return an (h, w) or (h, w, c) picture as it was seen; the same array where it is upright."""
         if self.transposed:
             picture = np.swapaxes(picture, 0, 1)

@@ -1,14 +1,11 @@
 """Pixel formats of video, and their conversion to RGB at full bit depth."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import Matrix3, Vector3
+from vntoolkit.arrays import Array, Matrix3, UInt16Array, Vector3
 from vntoolkit.errors import BadCapture
 from vntoolkit.io.footage.luma_detail import LumaDetail
 from vntoolkit.io.footage.mosaics import Bayer
@@ -54,7 +51,7 @@ class PixelFormat:
     bayer: Bayer | None = None
 
     @classmethod
-    def from_av(cls, video_format: Any) -> PixelFormat:
+    def from_av(cls, video_format: Any) -> "PixelFormat":
         """Read it off an `av.VideoFormat`."""
         name = str(video_format.name)
         if name.startswith("bayer_"):
@@ -124,7 +121,7 @@ def yuv_conversion(context: Any, pixel_format: PixelFormat, *, hd: bool) -> YuvC
 
 def rgb_from_video_frame(
     frame: Any, pixel_format: PixelFormat, *, hd: bool, takes_codes: bool = False
-) -> npt.NDArray[Any]:
+) -> Array:
     """Return (h, w, 3) RGB, uint8 or uint16, of a decoded frame.
 
     The YUV matrix and range are those that the stream states; where it states no matrix, BT.709 for a picture
@@ -152,7 +149,7 @@ def rgb_from_video_frame(
     return np.ascontiguousarray(frame.reformat(format=target, **arguments).to_ndarray())
 
 
-def mosaic_from_video_frame(frame: Any, pixel_format: PixelFormat) -> npt.NDArray[Any]:
+def mosaic_from_video_frame(frame: Any, pixel_format: PixelFormat) -> Array:
     """Return the (h, w) samples of a grey frame or a Bayer mosaic, uint8 or uint16, as stored."""
     order = ">" if pixel_format.name.endswith("be") else "<"
     samples = _plane(frame, 0, np.dtype(np.uint8 if pixel_format.bits == 8 else f"{order}u2"))
@@ -161,7 +158,7 @@ def mosaic_from_video_frame(frame: Any, pixel_format: PixelFormat) -> npt.NDArra
 
 def rgb_from_planar_yuv(
     frame: Any, source: Any, bits: int, *, hd: bool, takes_codes: bool = False
-) -> npt.NDArray[np.uint16]:
+) -> UInt16Array:
     """Return (h, w, 3) uint16 RGB, 65535 = full scale, of a planar 4:4:4 frame of `bits` bits.
 
     Matrix and range are taken from `source`, the frame as decoded; where it states no matrix, BT.709 for a
@@ -178,7 +175,7 @@ def rgb_from_planar_yuv(
 
 def rgb_with_luma_detail(
     frame: Any, pixel_format: PixelFormat, detail: LumaDetail, *, hd: bool, takes_codes: bool
-) -> npt.NDArray[np.uint16]:
+) -> UInt16Array:
     """Return (h, w, 3) uint16 RGB of planar YUV whose chroma has fewer pixels, sharpened by its luma."""
     bits = pixel_format.bits
     matrix, offset = _rgb_from_stored(frame, bits, hd=hd, takes_codes=takes_codes)
@@ -215,7 +212,7 @@ def _rgb_from_yuv(k_red: float, k_blue: float, *, bits: int, full_range: bool) -
     return matrix, -matrix @ np.array([black, 128 * step, 128 * step], dtype=np.float64)
 
 
-def _plane(frame: Any, index: int, kind: np.dtype[Any]) -> npt.NDArray[Any]:
+def _plane(frame: Any, index: int, kind: np.dtype[Any]) -> Array:
     plane = frame.planes[index]
     rows = np.frombuffer(plane, kind).reshape(-1, plane.line_size // kind.itemsize)
     return rows[: plane.height, : plane.width]

@@ -1,7 +1,5 @@
 """Which files are the frames of a capture, and which number each has."""
 
-from __future__ import annotations
-
 import glob
 import re
 from collections import defaultdict

@@ -1,7 +1,5 @@
 """Video by PyAV: 8 to 16 bit in, RGB with its bit depth kept; lossless FFV1 out."""
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import re
@@ -19,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from vntoolkit.arrays import Array, ByteArray
 from vntoolkit.checks import require_in_range
 from vntoolkit.errors import BadCapture, CannotWrite
 from vntoolkit.io.atomic import atomic_path
@@ -31,7 +29,7 @@ from vntoolkit.io.footage.mosaics import Bayer, Demosaic, SensorOptions, rgb_fro
 from vntoolkit.io.footage.orientation import UPRIGHT, Orientation
 
 _HD_HEIGHT = 720
-_INDICES: dict[tuple[str, int, int], VideoIndex] = {}  # of files by path, size and time of change, in ns
+_INDICES: "dict[tuple[str, int, int], VideoIndex]" = {}  # of files by path, size and time of change, in ns
 _MOST_INDICES = 8
 _WITHOUT_INDEX = ("mpegts", "mpeg")  # of camcorders: FFmpeg finds a time in them, but no key frame
 _EARLY_S = 1  # more than a key frame is decoded ahead of its time
@@ -174,7 +172,7 @@ class VideoReader:
         return UPRIGHT
 
     @cached_property
-    def index(self) -> VideoIndex:
+    def index(self) -> "VideoIndex":
         """Read all packets once, without decoding; a file that did not change since is not read again."""
         state = self.path.stat()
         known = (str(self.path.absolute()), state.st_size, state.st_mtime_ns)
@@ -191,9 +189,7 @@ class VideoReader:
             _INDICES[known] = index
         return index
 
-    def frames(
-        self, start: int = 0, stop: int | None = None, step: int = 1
-    ) -> Iterator[tuple[int, npt.NDArray[Any]]]:
+    def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Iterator[tuple[int, Array]]:
         """Yield (number, RGB array) for the frames start, start + step, … below stop.
 
         Decoding goes on where the call before it ended, if that is no farther than the key frame before
@@ -221,10 +217,7 @@ class VideoReader:
             self._waiting.append((numbers[-1] + 1, decoded))
 
     def _decoded_to(self, start: int, *, alone: bool) -> Iterator[tuple[int | None, Any]]:
-        """Return a decoder that will come to frame `start`: the one that waits, if it need not go back.
-
-        alone: no frame is asked for after it, so the threads share its slices instead of working ahead.
-        """
+        """Return a decoder that will come to frame `start`. alone: none is asked for after it."""
         with contextlib.suppress(IndexError):
             next_number, decoded = self._waiting.pop()
             if self.index.key_frame_before(start) <= next_number <= start:
@@ -246,10 +239,7 @@ class VideoReader:
     def _decoded(
         self, from_time: int | None, left_out: AbstractSet[int] = frozenset(), threads_work_on: str = "AUTO"
     ) -> Iterator[tuple[int | None, Any]]:
-        """Yield (time, frame) from a key frame's time on or before it, but for the times left out.
-
-        threads_work_on: FFmpeg's word: "SLICE" of one frame, or "AUTO" for frames ahead where the codec can.
-        """
+        """Yield (time, frame) from a key frame's time on. threads_work_on: FFmpeg's "SLICE" or "AUTO"."""
         damaged_times = {self.index.times[number] for number in self.index.damaged}
         errors = av_errors()  # here, since a decoder may be closed when nothing can be imported any more
         container, stream = open_video(self.path)
@@ -268,7 +258,7 @@ class VideoReader:
             except errors as error:
                 raise BadCapture(f"{self.path}: a frame cannot be decoded ({reason_of(error)})") from error
 
-    def _rgb(self, frame: Any, number: int) -> npt.NDArray[Any]:
+    def _rgb(self, frame: Any, number: int) -> Array:
         if frame.is_corrupt:
             raise self._damaged(number, "the decoder calls it corrupt")
         width, height = self._stored_size
@@ -305,9 +295,7 @@ class VideoReader:
         )
 
 
-def write_video(
-    path: Path | str, frames: Iterable[npt.NDArray[Any]], frame_rate_hz: float, *, threads: int = 2
-) -> int:
+def write_video(path: Path | str, frames: Iterable[Array], frame_rate_hz: float) -> int:
     """Write (h, w, 3) RGB frames, all uint8 or all uint16, losslessly as FFV1 in Matroska; atomically.
 
     frame_rate_hz: 0.001 to a million. Returns the number of frames. Frames are taken one at a time, so memory
@@ -332,7 +320,7 @@ def write_video(
                 kind = f"{frame.shape} {frame.dtype}"
                 if kind != (first := first or kind):  # the encoder would scale and round it without a word
                     raise BadCapture(f"{path}: frame {count - 1} is {kind}, the first one {first}")
-                stream = stream or _ffv1_stream(container, frame, frame_rate_hz, threads)
+                stream = stream or _ffv1_stream(container, frame, frame_rate_hz)
                 picture = av.VideoFrame.from_ndarray(
                     np.ascontiguousarray(frame), format="rgb24" if frame.dtype == np.uint8 else "rgb48le"
                 )
@@ -347,7 +335,7 @@ def write_video(
     return count
 
 
-def _ffv1_stream(container: Any, frame: npt.NDArray[Any], frame_rate_hz: float, threads: int) -> Any:
+def _ffv1_stream(container: Any, frame: Array, frame_rate_hz: float) -> Any:
     if frame.ndim != 3 or frame.shape[2] != 3 or frame.dtype not in (np.uint8, np.uint16):
         raise BadCapture(f"video: expected (h, w, 3) uint8 or uint16 frames, got {frame.shape} {frame.dtype}")
     # 16 slices let two threads work on a frame; Rice coding decodes twice as fast as range coding.
@@ -359,7 +347,7 @@ def _ffv1_stream(container: Any, frame: npt.NDArray[Any], frame_rate_hz: float, 
     stream = container.add_stream("ffv1", rate=_rational(frame_rate_hz), options=options)
     stream.height, stream.width = frame.shape[:2]
     stream.pix_fmt = "bgr0" if frame.dtype == np.uint8 else "gbrp16le"
-    stream.codec_context.thread_count = threads
+    stream.codec_context.thread_count = 2
     stream.codec_context.gop_size = 1  # for 1 % more bytes any frame is read alone and damage stays in it
     return stream
 
@@ -395,7 +383,7 @@ class VideoIndex:
 class _Packets:
     """What was met on the way: (time, key frame, check or None) of each, and how many were unreadable."""
 
-    frames: list[tuple[int, bool, SliceCheck | None]] = field(default_factory=list)
+    frames: "list[tuple[int, bool, SliceCheck | None]]" = field(default_factory=list)
     broken: int = 0
 
 
@@ -480,11 +468,7 @@ def _seconds_from_tag(text: str) -> float | None:
 
 
 def _frames_before_gap(times: list[int]) -> int:
-    """Return how many frames come before a gap in the tail of a cut-off file.
-
-    A frame is stored before those that are shown earlier and build on it: where these are cut off, it came
-    but is not the next one.
-    """
+    """Return how many frames come before a gap in a cut-off tail: some are stored before earlier ones."""
     steps = np.diff(times)
     wide = np.flatnonzero(steps > 1.5 * np.median(steps)) if len(steps) else steps
     tail = wide[wide >= len(times) - _MOST_REORDERED]
@@ -512,7 +496,7 @@ class SliceCheck:
 # niedermayer2021).
 
 
-def check_slices(packet: bytes | npt.NDArray[np.uint8]) -> SliceCheck:
+def check_slices(packet: bytes | ByteArray) -> SliceCheck:
     """Walk the slices of one frame's packet, last to first, as if each carried a checksum.
 
     A frame without checksums has no sound slice (but by one chance in 2**32).
@@ -525,17 +509,9 @@ def check_slices(packet: bytes | npt.NDArray[np.uint8]) -> SliceCheck:
         if start < 0:
             break
         slices += 1
-        sound += _is_sound(data[start:end])
+        sound += zlib.crc32(data[start:end].translate(_BITS_REVERSED), 0xFFFFFFFF) == 0xFFFFFFFF
         end = start
     return SliceCheck(slices=slices, sound=sound, is_whole=end == 0)
-
-
-def _is_sound(part: bytes) -> bool:
-    """Whether the remainder of a slice and its checksum is 0, with the most significant bit first.
-
-    zlib divides by the same polynomial, the least significant bit first, and starts from all ones.
-    """
-    return zlib.crc32(part.translate(_BITS_REVERSED), 0xFFFFFFFF) == 0xFFFFFFFF
 
 
 def _display_matrix(frame: Any) -> bytes | None:

@@ -1,7 +1,5 @@
 """.npy and .npz files, mapped, read or streamed, without pickles; every failure is one line."""
 
-from __future__ import annotations
-
 import math
 import tokenize
 import zipfile
@@ -36,20 +34,20 @@ def map_npy(path: Path | str, error: type[BadInput] = BadInput) -> Any:
         raise error(f"{path}: is not a whole .npy array ({_reason(problem)})") from problem
 
 
-def read_npz(path: Path | str, key: str, error: type[BadInput] = BadInput) -> npt.NDArray[Any]:
-    """Return the array of this name from a .npz file; raise `error`."""
-    path = require_file(path, error)
+def read_npz(path: Path | str, key: str) -> npt.NDArray[Any]:
+    """Return the array of this name from a .npz file; raise `BadInput`."""
+    path = require_file(path)
     try:
         with np.load(path, allow_pickle=False) as archive:
-            _require_size(archive, key, path, error)
+            _require_size(archive, key, path)
             return np.asarray(archive[key])
     except KeyError as problem:
-        raise error(f"{path}: holds no array '{key}'") from problem
+        raise BadInput(f"{path}: holds no array '{key}'") from problem
     except (*_DAMAGES, AttributeError, TypeError) as problem:  # of a .npy file that bears this name
-        raise error(f"{path}: is not a whole .npz archive ({_reason(problem)})") from problem
+        raise BadInput(f"{path}: is not a whole .npz archive ({_reason(problem)})") from problem
 
 
-def _require_size(archive: Any, key: str, path: Path, error: type[BadInput]) -> None:
+def _require_size(archive: Any, key: str, path: Path) -> None:
     """Refuse an array that unpacks to more than an image of four floats a pixel, before it is unpacked."""
     name = next(member for member in (f"{key}.npy", key) if member in archive.zip.namelist() or member == key)
     size, most = archive.zip.getinfo(name).file_size, reading_limits().max_megapixels * 1e6 * _BYTES_PER_PIXEL
@@ -61,7 +59,7 @@ def _require_size(archive: Any, key: str, path: Path, error: type[BadInput]) -> 
         shape, _, dtype = read(member)
     promised = math.prod(shape) * dtype.itemsize
     if max(size, promised) > most:
-        raise error(
+        raise BadInput(
             f"{path}: the array '{key}' unpacks to {max(size, promised) / 1e6:.0f} MB, more than the limit "
             f"of {most / 1e6:.0f}; raise --max-megapixels if that is meant"
         )

@@ -1,7 +1,5 @@
 """OpenEXR images: float channels by name, size checked from the header, uncompressed ones written fast."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import os
@@ -13,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from vntoolkit.arrays import Array, DTypeLike, UInt16Array
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadCapture, BadInput
 from vntoolkit.io.atomic import aligned_memory, write_bytes, write_large
@@ -91,7 +89,7 @@ def read_exr_header(data: bytes, name: str, error: type[BadInput] = BadInput) ->
 
 def read_exr(
     path: Path | str, *, max_megapixels: float | None = None, error: type[BadInput] = BadCapture
-) -> tuple[dict[str, npt.NDArray[Any]], Mapping[str, str]]:
+) -> tuple[dict[str, Array], Mapping[str, str]]:
     """Read all channels as (h, w) arrays of their own type, and the text attributes of the header.
 
     (h, w) is the display window, the whole picture; it is 0 where no pixel is stored. Values are returned as
@@ -150,7 +148,7 @@ def read_exr(
     return {name: _in_display_window(values, header) for name, values in channels.items()}, header.texts
 
 
-def _in_display_window(values: npt.NDArray[Any], header: ExrHeader) -> npt.NDArray[Any]:
+def _in_display_window(values: Array, header: ExrHeader) -> Array:
     """Return the stored pixels where they belong in the whole picture, 0 around them."""
     if (header.left, header.top, *values.shape) == (0, 0, header.height, header.width):
         return values
@@ -166,7 +164,7 @@ def _in_display_window(values: npt.NDArray[Any], header: ExrHeader) -> npt.NDArr
 
 def write_exr(
     path: Path | str,
-    channels: Mapping[str, npt.NDArray[Any]],
+    channels: Mapping[str, Array],
     *,
     attributes: Mapping[str, str] | None = None,
     compression: ExrCompression = ExrCompression.NONE,
@@ -195,12 +193,12 @@ class UncompressedExr:
     """
 
     content: memoryview
-    scanlines: npt.NDArray[np.uint16]
+    scanlines: UInt16Array
     starts: Mapping[str, int]
 
 
 def uncompressed_exr(
-    shape: tuple[int, int], kinds: Mapping[str, npt.DTypeLike], attributes: Mapping[str, str] | None = None
+    shape: tuple[int, int], kinds: Mapping[str, DTypeLike], attributes: Mapping[str, str] | None = None
 ) -> UncompressedExr:
     """Return an EXR whose channels, float16 or float32 by name, are to be filled in.
 
@@ -238,7 +236,7 @@ def _head(
 
 
 def _encode(
-    channels: Mapping[str, npt.NDArray[Any]], texts: tuple[tuple[str, str], ...], compression: ExrCompression
+    channels: Mapping[str, Array], texts: tuple[tuple[str, str], ...], compression: ExrCompression
 ) -> bytes:
     import OpenEXR
 

@@ -4,8 +4,6 @@ Written by hand: the file is one JSON chunk and one binary chunk. A clip without
 target, so a long one belongs into USD.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 from collections.abc import Iterable
@@ -14,10 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from vntoolkit import __version__
-from vntoolkit.arrays import Points
+from vntoolkit.arrays import Array, Float32Array, Points, UInt16Array
 from vntoolkit.checks import require_finite, require_positive, require_shape
 from vntoolkit.errors import BadMesh, CannotWrite
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
@@ -56,9 +53,7 @@ class _Binary:
         self.views: list[dict[str, Any]] = []
         self.accessors: list[dict[str, Any]] = []
 
-    def add(
-        self, values: npt.NDArray[Any], kind: str, *, target: int | None = None, normalised: bool = False
-    ) -> int:
+    def add(self, values: Array, kind: str, *, target: int | None = None, normalised: bool = False) -> int:
         """Append an array; return the number of its accessor. Rows here are multiples of 4 bytes."""
         content = np.ascontiguousarray(values).tobytes()
         view: dict[str, Any] = {"buffer": 0, "byteOffset": self.size, "byteLength": len(content)}
@@ -245,7 +240,7 @@ def _skin_animation(binary: _Binary, clip: SkinnedClip, motion: Motion) -> dict[
     }
 
 
-def _whole_weights(weights: npt.NDArray[Any]) -> npt.NDArray[np.uint16]:
+def _whole_weights(weights: Array) -> UInt16Array:
     """Return (n, 8) weights of 65535 in all: the heaviest takes what rounding leaves."""
     whole = np.zeros((len(weights), _INFLUENCES), np.int64)
     whole[:, : weights.shape[1]] = np.floor(weights * 65535)
@@ -333,8 +328,8 @@ def _content(
         raise nothing
     binary = _Binary()
     primitive: dict[str, Any] = {"attributes": {}, "mode": 4, "material": 0}
-    first: npt.NDArray[np.float32] | None = None
-    base: npt.NDArray[np.float32] | None = None
+    first: Float32Array | None = None
+    base: Float32Array | None = None
     targets: list[dict[str, int]] = []
     for index, vertices in enumerate(frames):
         require_shape(vertices, (len(template.vertices), 3), f"frame {index}", BadMesh)
@@ -361,16 +356,14 @@ def _content(
     return len(targets) + 1, _pieces(document, binary)
 
 
-def _normals(positions: npt.NDArray[np.float32], template: Mesh) -> npt.NDArray[np.float32]:
+def _normals(positions: Float32Array, template: Mesh) -> Float32Array:
     """Return (n, 3) unit vertex normals; where a vertex has no triangle, towards the viewer."""
     normals = vertex_normals(positions, template.faces)
     normals[np.linalg.norm(normals, axis=1) < 0.5] = [0.0, 0.0, 1.0]
     return normals.astype(np.float32)
 
 
-def _add_surface(
-    binary: _Binary, primitive: dict[str, Any], template: Mesh, positions: npt.NDArray[np.float32]
-) -> None:
+def _add_surface(binary: _Binary, primitive: dict[str, Any], template: Mesh, positions: Float32Array) -> None:
     attributes = primitive["attributes"]
     attributes["POSITION"] = binary.add(positions, "VEC3", target=_ARRAY_BUFFER)
     normals = _normals(positions, template)

@@ -1,15 +1,12 @@
 """Masks as grey PNG; visibility labels as indexed PNG whose palette shows which lights arrive."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import Mask, VisibilityLabels
+from vntoolkit.arrays import ByteArray, Mask, VisibilityLabels
 from vntoolkit.checks import require_shape, require_some
 from vntoolkit.errors import BadInput
 from vntoolkit.io.atomic import write_bytes
@@ -41,7 +38,7 @@ LABEL_LEGEND: dict[str, str] = {
 }  # fmt: skip
 
 
-def label_colours(labels: VisibilityLabels | np.uint8) -> npt.NDArray[np.uint8]:
+def label_colours(labels: VisibilityLabels | np.uint8) -> ByteArray:
     """Return the legend's colour (..., 3) of each label, as `write_labels` shows it."""
     return _PALETTE[labels]
 
@@ -73,7 +70,7 @@ def read_mask(
     return mask
 
 
-def write_materials(path: Path | str, labels: npt.NDArray[np.uint8]) -> None:
+def write_materials(path: Path | str, labels: ByteArray) -> None:
     """Write (h, w) numbers of materials as indexed PNG, each in a colour of its own."""
     require_shape(labels, (None, None), "material labels")
     write_bytes(
@@ -81,7 +78,7 @@ def write_materials(path: Path | str, labels: npt.NDArray[np.uint8]) -> None:
     )
 
 
-def read_materials(path: Path | str, *, max_megapixels: float | None = None) -> npt.NDArray[np.uint8]:
+def read_materials(path: Path | str, *, max_megapixels: float | None = None) -> ByteArray:
     """Read (h, w) numbers of materials from an indexed PNG of `write_materials`."""
     return _numbers(path, MATERIAL_PALETTE, "material labels", max_megapixels)
 
@@ -100,7 +97,7 @@ def read_labels(path: Path | str, *, max_megapixels: float | None = None) -> Vis
     return _numbers(path, _PALETTE, "visibility labels", max_megapixels)
 
 
-def _indexed(labels: npt.NDArray[np.uint8], palette: npt.NDArray[np.uint8], text: str) -> bytes:
+def _indexed(labels: ByteArray, palette: ByteArray, text: str) -> bytes:
     height, width = labels.shape
     rows = np.zeros((height, width + 1), dtype=np.uint8)  # column 0: PNG's filter 0, none
     rows[:, 1:] = labels
@@ -109,9 +106,7 @@ def _indexed(labels: npt.NDArray[np.uint8], palette: npt.NDArray[np.uint8], text
     return content + _chunk(b"IDAT", zlib.compress(rows.tobytes(), 1)) + _chunk(b"IEND", b"")
 
 
-def _numbers(
-    path: Path | str, palette: npt.NDArray[np.uint8], what: str, max_megapixels: float | None
-) -> npt.NDArray[np.uint8]:
+def _numbers(path: Path | str, palette: ByteArray, what: str, max_megapixels: float | None) -> ByteArray:
     rgb = read_image(path, max_megapixels=max_megapixels, error=BadInput)
     if rgb.dtype != np.uint8:
         raise BadInput(f"{path}: {what} are 8-bit, got {rgb.dtype}")

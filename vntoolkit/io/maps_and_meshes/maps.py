@@ -1,14 +1,10 @@
 """Normal maps, depth maps and optical flow on disk. Masks and labels: `label_images`."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Flow, Mask
+from vntoolkit.arrays import Array, DTypeLike, Float32Array, FloatArray, Flow, Int64Array, Mask, UInt16Array
 from vntoolkit.checks import require_shape
 from vntoolkit.errors import BadInput
 from vntoolkit.geometry.maps import DepthMap, LengthUnit, NormalMap
@@ -18,7 +14,7 @@ from vntoolkit.io.footage.images import read_image_with_alpha, write_png
 from vntoolkit.io.maps_and_meshes.exr import ExrCompression, read_exr, uncompressed_exr, write_exr
 from vntoolkit.native import njit
 
-Plane = npt.NDArray[np.float32]
+Plane = Float32Array
 _ERROR_CHANNEL, _DEPTH_ERROR_CHANNEL = "error_deg", "error_percent"
 _MOST_PERCENT = np.float32(1000.0)  # more means the same, and a half holds no more than 65504
 _UNIT_ATTRIBUTE = "vntoolkit.lengthUnit"
@@ -114,7 +110,7 @@ def write_depth_map(
     if Path(path).suffix.lower() != ".exr":
         raise BadInput(f"{path}: a depth map is written as .exr")
     attributes = {_UNIT_ATTRIBUTE: depth_map.unit.value}
-    kinds: dict[str, npt.DTypeLike] = {"Z": np.float32}
+    kinds: dict[str, DTypeLike] = {"Z": np.float32}
     error = depth_map.error_percent
     if error is not None:
         kinds[_DEPTH_ERROR_CHANNEL] = np.float16
@@ -126,7 +122,7 @@ def write_depth_map(
     if compression is ExrCompression.NONE:
         write_large(path, exr.content)
         return
-    channels: dict[str, npt.NDArray[Any]] = {}
+    channels: dict[str, Array] = {}
     for name, kind in kinds.items():
         width = depth_map.shape[1] * np.dtype(kind).itemsize // 2
         stored = exr.scanlines[:, exr.starts[name] : exr.starts[name] + width]
@@ -163,7 +159,7 @@ def write_flow(path: Path | str, flow_px: Flow, *, compression: ExrCompression =
     write_exr(path, {"du": flow_px[..., 0], "dv": flow_px[..., 1]}, compression=compression)
 
 
-def _png_from_normals(stored: FloatArray, mask: Mask, bits: int) -> npt.NDArray[Any]:
+def _png_from_normals(stored: FloatArray, mask: Mask, bits: int) -> Array:
     if bits not in (8, 16):
         raise BadInput(f"normal map: a PNG has 8 or 16 bits, not {bits}")
     full = 2**bits - 1
@@ -197,9 +193,7 @@ def _normals_from_exr(
         raise BadInput(f"{path}: unknown normal convention '{convention}'") from problem
 
 
-def half_planes_from_normals(
-    normal_map: NormalMap, signs: tuple[float, float, float]
-) -> npt.NDArray[np.float16]:
+def half_planes_from_normals(normal_map: NormalMap, signs: tuple[float, float, float]) -> FloatArray:
     """Return (4, h, w) float16: n_x, n_y, n_z, each times its sign (1 or -1); the weight, 0 where invalid.
 
     Of a map with expected errors, (5, h, w): then these, in degrees.
@@ -214,14 +208,10 @@ def half_planes_from_normals(
 def _fill_halves(
     normal_map: NormalMap,
     signs: tuple[float, float, float],
-    rows: npt.NDArray[np.uint16],
-    starts: npt.NDArray[np.int64],
+    rows: UInt16Array,
+    starts: Int64Array,
 ) -> None:
-    """Put the planes of a map into rows of halves; starts: where each of them begins in a row.
-
-    Writing a 1280×720 map to disk takes 139 ms so, and 242 ms with numpy's conversion (the best of 25 each,
-    interleaved, on a busy machine).
-    """
+    """Put planes into rows of halves, in half of numpy's time; starts: where each begins in a row."""
     normals = np.ascontiguousarray(normal_map.normals_in_camera, dtype=np.float32)
     mask = np.ascontiguousarray(normal_map.mask)
     weight, error = normal_map.weight, normal_map.error_deg

@@ -1,14 +1,11 @@
 """Meshes and point clouds on disk, by suffix: PLY and OBJ. Camera frame in memory, graphics frame on disk."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from vntoolkit.arrays import Array, ByteArray, Float32Array, Int64Array
 from vntoolkit.checks import checks_kinds
 from vntoolkit.errors import BadMesh, CannotWrite
 from vntoolkit.geometry.mesh import Mesh, triangles_from_polygons
@@ -25,7 +22,7 @@ def write_mesh(
     path: Path | str,
     mesh: Mesh,
     *,
-    texture: npt.NDArray[np.uint8] | None = None,
+    texture: ByteArray | None = None,
     up: MeshUpAxis = MeshUpAxis.Y,
     material: str | None = None,
 ) -> None:
@@ -110,14 +107,14 @@ def _content(mesh: Mesh, up: MeshUpAxis) -> PlyContent:
     )
 
 
-def _colours(content: PlyContent) -> npt.NDArray[np.float32] | None:
+def _colours(content: PlyContent) -> Float32Array | None:
     return None if content.colours is None else content.colours.astype(np.float32) / np.float32(255)
 
 
 def write_obj(
     path: Path | str,
     mesh: Mesh,
-    texture: npt.NDArray[np.uint8] | None = None,
+    texture: ByteArray | None = None,
     comment: str = "x right, y up, z towards the viewer",
     material: str | None = None,
 ) -> None:
@@ -211,8 +208,8 @@ def _mesh(
 
 
 def _vertices_of_corners(
-    corners: npt.NDArray[np.int64], v_count: int, vt_count: int
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    corners: Int64Array, v_count: int, vt_count: int
+) -> tuple[Int64Array, Int64Array, Int64Array]:
     """Return (position, texture coordinate) of each vertex, a corner of each used one, a vertex per corner.
 
     Where texture coordinates follow the positions one to one, as in our own files, every vertex keeps its
@@ -242,5 +239,5 @@ def _corner(word: str, counts: tuple[int, int, int]) -> tuple[int, int, int]:
     return indices[0], indices[1], indices[2]
 
 
-def _rows(key: str, values: npt.NDArray[Any]) -> list[str]:
+def _rows(key: str, values: Array) -> list[str]:
     return [f"{key} " + " ".join(f"{x:.7g}" for x in row) for row in np.asarray(values).tolist()]

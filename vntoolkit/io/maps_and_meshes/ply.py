@@ -1,7 +1,5 @@
 """Stanford PLY: vertices with normals, colour and texture coordinates, and faces; ASCII and binary."""
 
-from __future__ import annotations
-
 import io
 import os
 from dataclasses import dataclass, field
@@ -9,9 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import Faces, FloatArray
+from vntoolkit.arrays import Array, ByteArray, Faces, FloatArray
 from vntoolkit.errors import BadMesh
 from vntoolkit.geometry.mesh import triangles_from_polygons
 from vntoolkit.io.atomic import aligned_memory, write_large
@@ -46,7 +43,7 @@ class PlyContent:
     vertices: FloatArray
     faces: Faces | None = None
     normals: FloatArray | None = None
-    colours: npt.NDArray[np.uint8] | None = None
+    colours: ByteArray | None = None
     uv: FloatArray | None = None
     quality: FloatArray | None = None
 
@@ -55,7 +52,7 @@ def write_ply(
     path: Path | str, content: PlyContent, comment: str = "x right, y up, z towards the viewer"
 ) -> None:
     """Write little-endian binary: float32 `x y z nx ny nz s t quality`, uchar `red green blue`, triangles."""
-    columns: list[tuple[tuple[str, ...], str, npt.NDArray[Any]]] = [(("x", "y", "z"), "f4", content.vertices)]
+    columns: list[tuple[tuple[str, ...], str, Array]] = [(("x", "y", "z"), "f4", content.vertices)]
     if content.normals is not None:
         columns.append((("nx", "ny", "nz"), "f4", content.normals))
     if content.uv is not None:
@@ -140,7 +137,7 @@ def read_ply(path: Path | str) -> PlyContent:
 
 
 def _content(name: str, vertex: dict[str, Any], face: dict[str, Any] | None) -> PlyContent:
-    def gather(*names: str) -> npt.NDArray[Any] | None:
+    def gather(*names: str) -> Array | None:
         return np.stack([vertex[n] for n in names], axis=1) if set(names) <= set(vertex) else None
 
     def gather_floats(*names: str) -> FloatArray | None:
@@ -173,7 +170,7 @@ def _content(name: str, vertex: dict[str, Any], face: dict[str, Any] | None) -> 
     )
 
 
-def bytes_from_colours(colours: npt.NDArray[Any] | None) -> npt.NDArray[np.uint8] | None:
+def bytes_from_colours(colours: Array | None) -> ByteArray | None:
     """Return colours (n, 3) as bytes: floats count from 0 to 1, 16 bits to 65535, other integers to 255."""
     if colours is None or colours.dtype == np.uint8:
         return colours
@@ -182,7 +179,7 @@ def bytes_from_colours(colours: npt.NDArray[Any] | None) -> npt.NDArray[np.uint8
     return np.rint(np.clip(colours * (255.0 / full), 0, 255)).astype(np.uint8)
 
 
-def _binary_table(element: PlyElement, data: bytes, at: int, order: str) -> tuple[dict[str, Any], int]:
+def _binary_table(element: "PlyElement", data: bytes, at: int, order: str) -> tuple[dict[str, Any], int]:
     """Read one element; a list property of constant length takes the fast way."""
     if not element.has_list:
         row = np.dtype([(p.name, order + p.kind) for p in element.properties])
@@ -208,7 +205,7 @@ def _binary_table(element: PlyElement, data: bytes, at: int, order: str) -> tupl
     return _mixed_table(element, data, at, order)
 
 
-def _first_counts(element: PlyElement, data: bytes, at: int, order: str) -> dict[str, int]:
+def _first_counts(element: "PlyElement", data: bytes, at: int, order: str) -> dict[str, int]:
     counts: dict[str, int] = {}
     for p in element.properties if element.count else ():
         if p.count_kind:
@@ -224,7 +221,7 @@ def _first_counts(element: PlyElement, data: bytes, at: int, order: str) -> dict
     return counts or {p.name: 0 for p in element.properties if p.count_kind}
 
 
-def _mixed_table(element: PlyElement, data: bytes, at: int, order: str) -> tuple[dict[str, Any], int]:
+def _mixed_table(element: "PlyElement", data: bytes, at: int, order: str) -> tuple[dict[str, Any], int]:
     """Read rows one by one: lists of differing lengths."""
     table: dict[str, list[Any]] = {p.name: [] for p in element.properties}
     for _ in range(element.count):
@@ -244,7 +241,7 @@ def _mixed_table(element: PlyElement, data: bytes, at: int, order: str) -> tuple
     return {p.name: _joined(table[p.name], p.count_kind) for p in element.properties}, at
 
 
-def _ascii_table(element: PlyElement, lines: Any) -> dict[str, Any]:
+def _ascii_table(element: "PlyElement", lines: Any) -> dict[str, Any]:
     text = b"\n".join([next(lines) for _ in range(element.count)])
     if not element.has_list:
         values = (
@@ -260,7 +257,7 @@ def _ascii_table(element: PlyElement, lines: Any) -> dict[str, Any]:
     return {p.name: _joined(table[p.name], p.count_kind) for p in element.properties}
 
 
-def _of_kind(values: Any, kind: str) -> npt.NDArray[Any]:
+def _of_kind(values: Any, kind: str) -> Array:
     """Numbers of a text as a PLY kind; NaN and what exceeds an integer raise instead of wrapping round."""
     numbers = np.asarray(values, dtype=np.float64)
     is_integer = np.dtype(kind).kind in "iu"

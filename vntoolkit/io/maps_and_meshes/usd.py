@@ -6,8 +6,6 @@ frames but keeps the frame rate of its own scene, 24: set it there, or write the
 motion plays too slowly. `scripts/check_in_blender.py` shows what arrives there.
 """
 
-from __future__ import annotations
-
 import contextlib
 import re
 from collections.abc import Iterable, Iterator, Sequence
@@ -16,9 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import FloatArray, Points
+from vntoolkit.arrays import Array, FloatArray, Points
 from vntoolkit.checks import require_finite, require_shape
 from vntoolkit.errors import BadInput, BadMesh, CannotWrite
 from vntoolkit.geometry.mesh import Mesh, vertex_normals
@@ -48,7 +45,7 @@ def write_usd_sequence(
     motion: Motion | None = None,
     up: MeshUpAxis = MeshUpAxis.Y,
     camera: ViewedFrom | None = None,
-    texture: TextureFiles | None = None,
+    texture: "TextureFiles | None" = None,
 ) -> int:
     """Write one surface of fixed topology, its vertices (n, 3) a time sample a frame; return the frames.
 
@@ -63,9 +60,9 @@ def write_usd_sequence(
         mesh = _define_mesh(stage.stage)
         _set_topology(mesh, template, None)
         _set_attributes(mesh, template, None, up)
-        add_material(stage.stage, CLOTH, mesh, template, texture)
+        add_material(stage.stage, mesh, template, texture)
         if motion is not None:
-            add_skeleton(stage.stage, FIGURE, motion)
+            add_skeleton(stage.stage, motion)
         if camera is not None:
             add_camera(stage.stage, camera, metres_per_unit, up)
         for count, vertices in enumerate(frames, start=1):
@@ -99,7 +96,7 @@ def write_usd_meshes(
             size += _set_topology(surface, mesh, time)
             size += _set_attributes(surface, mesh, time, up)
             if not stage.stage.GetPrimAtPath(CLOTH):
-                add_material(stage.stage, CLOTH, surface, mesh, None)
+                add_material(stage.stage, surface, mesh, None)
             stage.wrote(size)
     return count
 
@@ -109,7 +106,7 @@ def write_usd_skin(
     clip: SkinnedClip,
     *,
     camera: ViewedFrom | None = None,
-    texture: TextureFiles | None = None,
+    texture: "TextureFiles | None" = None,
 ) -> int:
     """Write a surface bound to its moving skeleton as UsdSkel, lengths in metres; return the frames.
 
@@ -121,12 +118,12 @@ def write_usd_skin(
     rate = clip.motion.frame_rate_hz
     with new_stage(path, frame_rate_hz=rate, metres_per_unit=1.0) as stage:
         names = [f"Fold_{number:02d}" for number in range(len(clip.shapes))]
-        add_skeleton(stage.stage, FIGURE, clip.motion, clip.rest_from_model, names, clip.shape_weights)
+        add_skeleton(stage.stage, clip.motion, clip.rest_from_model, names, clip.shape_weights)
         mesh = _define_mesh(stage.stage, f"{FIGURE}/Cloth")
         _set_points(mesh, clip.mesh.vertices, None, MeshUpAxis.Y)
         _set_topology(mesh, clip.mesh, None)
         _set_attributes(mesh, clip.mesh, None, MeshUpAxis.Y)
-        add_material(stage.stage, CLOTH, mesh, clip.mesh, texture)
+        add_material(stage.stage, mesh, clip.mesh, texture)
         binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
         binding.CreateSkeletonRel().SetTargets([f"{FIGURE}/Skeleton"])
         count = clip.joints.shape[1]
@@ -281,7 +278,7 @@ def new_stage(
             raise CannotWrite(f"cannot write {path}: {' '.join(str(error).split())[:300]}") from error
 
 
-def vec3f_from_camera(vectors: npt.NDArray[Any], up: MeshUpAxis = MeshUpAxis.Y) -> Any:
+def vec3f_from_camera(vectors: Array, up: MeshUpAxis = MeshUpAxis.Y) -> Any:
     """Return a USD array of (n, 3) vectors turned from the camera frame to y or z up."""
     from pxr import Vt
 
@@ -296,8 +293,8 @@ class TextureFiles:
     normal: str | None = None
 
 
-def add_material(stage: Any, path: str, surface: Any, mesh: Mesh, texture: TextureFiles | None) -> None:
-    """Define at `path` a matte UsdPreviewSurface and bind the surface to it.
+def add_material(stage: Any, surface: Any, mesh: Mesh, texture: TextureFiles | None) -> None:
+    """Define a matte UsdPreviewSurface and bind the surface to it.
 
     Its colour is the texture's, else that of the primvar `displayColor`; without either there is none.
     """
@@ -306,10 +303,10 @@ def add_material(stage: Any, path: str, surface: Any, mesh: Mesh, texture: Textu
     if mesh.colours is None and texture is None:
         return
     kinds = Sdf.ValueTypeNames
-    material = UsdShade.Material.Define(stage, path)
+    material = UsdShade.Material.Define(stage, CLOTH)
 
     def node(name: str, kind: str) -> Any:
-        shader = UsdShade.Shader.Define(stage, f"{path}/{name}")
+        shader = UsdShade.Shader.Define(stage, f"{CLOTH}/{name}")
         shader.CreateIdAttr(kind)
         return shader
 
@@ -376,13 +373,12 @@ def add_camera(
 
 def add_skeleton(
     stage: Any,
-    path: str,
     motion: Motion,
     bind: FloatArray | None = None,
     shapes: Sequence[str] = (),
     shape_weights: FloatArray | None = None,
 ) -> None:
-    """Define a SkelRoot at `path` with the skeleton, its rest pose and one time sample a frame.
+    """Define a SkelRoot with the skeleton, its rest pose and one time sample a frame.
 
     bind: (j, 4, 4) the pose of attachment in camera axes, else the rest pose. shapes: names of blend shapes.
     shape_weights: (frames, shapes).
@@ -392,8 +388,8 @@ def add_skeleton(
     turned = motion_with_axes_turned(motion)
     named = replace(turned.skeleton, names=tuple(map(_usd_name, turned.skeleton.names)))
     paths = Vt.TokenArray(joint_paths(named))
-    root = UsdSkel.Root.Define(stage, path)
-    skeleton = UsdSkel.Skeleton.Define(stage, f"{path}/Skeleton")
+    root = UsdSkel.Root.Define(stage, FIGURE)
+    skeleton = UsdSkel.Skeleton.Define(stage, f"{FIGURE}/Skeleton")
     skeleton.CreateJointsAttr(paths)
     bound = rest_pose(turned.skeleton) if bind is None else _turned_poses(bind)
     skeleton.CreateBindTransformsAttr(_matrices(bound))
@@ -401,7 +397,7 @@ def add_skeleton(
     matrices[:, :3, 3] = turned.skeleton.offsets
     skeleton.CreateRestTransformsAttr(_matrices(matrices))
     _author_extents(root, skeleton, turned)
-    animation = UsdSkel.Animation.Define(stage, f"{path}/Skeleton/Motion")
+    animation = UsdSkel.Animation.Define(stage, f"{FIGURE}/Skeleton/Motion")
     animation.CreateJointsAttr(paths)
     animation.CreateScalesAttr(Vt.Vec3hArray.FromNumpy(np.ones((len(paths), 3), dtype=np.float16)))
     UsdSkel.BindingAPI.Apply(skeleton.GetPrim()).CreateAnimationSourceRel().SetTargets([animation.GetPath()])

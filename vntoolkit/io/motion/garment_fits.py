@@ -1,7 +1,5 @@
 """The JSON file that corrects the fit of a garment: metres, degrees, y up."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Literal
 

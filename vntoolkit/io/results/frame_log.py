@@ -1,7 +1,5 @@
 """frames.log: the frames of a result folder that are complete on disk, with statistics of each."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re
@@ -52,7 +50,7 @@ class FrameEntry:
         return f"{line} {self.contact_mm2:.3f} {self.contact_depth_mm:.4f}"
 
     @classmethod
-    def from_line(cls, line: str) -> FrameEntry | None:
+    def from_line(cls, line: str) -> "FrameEntry | None":
         """Parse a line, or return None for one that a crash cut short."""
         number, _, rest = line.partition(" ")
         if not _NUMBER.fullmatch(number):

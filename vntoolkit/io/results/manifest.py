@@ -4,8 +4,6 @@ The manifest is written when a run starts and when it ends; finished frames are 
 beside it (`frame_log`), one short line each, so that 10,000 frames cost no more each than the first.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

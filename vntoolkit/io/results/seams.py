@@ -5,8 +5,6 @@
 Each seam is a list of points (u, v) in pixels of the template frame, integers at pixel centres.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from pathlib import Path

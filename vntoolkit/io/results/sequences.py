@@ -5,8 +5,6 @@ vertices.npy (float32, (frames, n, 3), **camera frame**, so that it can be mappe
 uncertainty_px.npy (float32, (frames, n)) where there is any, and sequence.json.
 """
 
-from __future__ import annotations
-
 import json
 import logging
 from collections.abc import Iterator
@@ -95,7 +93,7 @@ class MeshSequenceWriter:
         if self._uncertainty_px is not None:
             self._uncertainty_px.close()
 
-    def __enter__(self) -> MeshSequenceWriter:
+    def __enter__(self) -> "MeshSequenceWriter":
         return self
 
     def __exit__(

@@ -1,1 +1,1 @@
-"""Bodies of tapered capsules and implicit surfaces, used by the sweater, spandex and head scenes."""
+"""Bodies of implicit surfaces, used by the spandex and head scenes."""

@@ -4,8 +4,6 @@ Each part is added to, or carved from, what came before with a polynomial smooth
 width is the part's blend. Distances are approximate away from the surface and exact in sign.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,7 +29,7 @@ class Part:
     numbers: tuple[float, ...]
     blend: float
 
-    def mirrored(self) -> Part:
+    def mirrored(self) -> "Part":
         """Return the part on the other side of the plane x = 0."""
         n = self.numbers
         if self.kind == _CAPSULE:
@@ -77,7 +75,7 @@ class ImplicitBody:
     bounds: FloatArray
 
     @classmethod
-    def from_parts(cls, parts: list[Part]) -> ImplicitBody:
+    def from_parts(cls, parts: list[Part]) -> "ImplicitBody":
         """Collect the parts, in the order in which they are blended."""
         numbers = np.array([part.numbers for part in parts], dtype=np.float64)
         return cls(

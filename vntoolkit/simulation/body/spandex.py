@@ -1,7 +1,5 @@
 """The scene `spandex`: two legs that step in front of each other and cast shadows (Figures 4, 5)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,13 +7,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from vntoolkit.arrays import FloatArray, Points
-from vntoolkit.simulation.body.implicit import (
-    ImplicitBody,
-    both_sides,
-    capsule,
-    ellipsoid,
-    mesh_from_implicit,
-)
+from vntoolkit.simulation.body import implicit
 from vntoolkit.simulation.lights import studio_camera, studio_centre, studio_lights
 from vntoolkit.simulation.scene import Scene, SceneOptions, SceneSurface
 
@@ -61,7 +53,7 @@ def build_spandex(options: SceneOptions) -> Scene:
     )
 
 
-def step_at(time_s: float, phase: float) -> LegPose:
+def step_at(time_s: float, phase: float) -> "LegPose":
     """Return the pose of a slow dance step: each knee in turn is raised across the other leg."""
     beat = 2.0 * np.pi * _STEP_HZ * time_s + phase
     left, right = (0.5 + 0.5 * np.sin(beat), 0.5 - 0.5 * np.sin(beat))
@@ -75,9 +67,9 @@ def step_at(time_s: float, phase: float) -> LegPose:
     )
 
 
-def _weave(rng: np.random.Generator, size: int = 256) -> FloatArray:
-    """Return (size, size, 3) factors near 1: a fine mottle, no change of hue, tiling."""
-    noise = gaussian_filter(rng.standard_normal((size, size)), 1.5, mode="wrap")
+def _weave(rng: np.random.Generator) -> FloatArray:
+    """Return (256, 256, 3) factors near 1: a fine mottle, no change of hue, tiling."""
+    noise = gaussian_filter(rng.standard_normal((256, 256)), 1.5, mode="wrap")
     factor = 0.98 + 0.02 * np.tanh(noise / noise.std())
     return np.repeat(factor[..., None], 3, axis=2).astype(np.float32)
 
@@ -102,7 +94,7 @@ class Legs:
 
     def __init__(self) -> None:
         low, high = np.array([-21.0, _ANKLE_CUT, -19.0]), np.array([21.0, _WAIST_CUT, 17.0])
-        rest, self.faces = mesh_from_implicit(_sculpt(), low, high, _CELL_CM)
+        rest, self.faces = implicit.mesh_from_implicit(_sculpt(), low, high, _CELL_CM)
         self.rest: Points = rest
         self._on_side = [_smooth(0.5 + sign * rest[:, 0] / 4.0) for sign in (-1.0, 1.0)]
         self._thigh = _smooth((6.0 + 0.55 * (np.abs(rest[:, 0]) - 8.0) - rest[:, 1]) / 17.0)
@@ -138,18 +130,18 @@ def _smooth(x: FloatArray) -> FloatArray:
     return np.asarray(x * x * (3.0 - 2.0 * x))
 
 
-def _sculpt() -> ImplicitBody:
+def _sculpt() -> implicit.ImplicitBody:
     parts = [
-        ellipsoid((0.0, 12.0, -0.5), (14.0, 17.0, 9.5), 0.0),
-        ellipsoid((0.0, 26.0, 0.0), (12.5, 16.0, 8.5), 6.0),
-        *both_sides(
-            capsule((8.8, 0.0, -0.2), (9.2, -42.0, 1.0), (8.2, 5.2), 5.0),
-            ellipsoid((7.2, 1.0, -6.0), (7.2, 8.5, 6.5), 5.0),
-            ellipsoid((8.6, -18.0, 2.2), (6.4, 19.0, 5.8), 5.0),
-            ellipsoid((9.2, -43.0, 1.9), (2.6, 6.0, 2.6), 5.0),
-            capsule((9.2, -42.0, 0.8), (9.2, -84.0, -1.6), (4.2, 3.4), 3.0),
-            ellipsoid((9.6, -56.0, -2.4), (4.7, 12.5, 4.9), 4.0),
+        implicit.ellipsoid((0.0, 12.0, -0.5), (14.0, 17.0, 9.5), 0.0),
+        implicit.ellipsoid((0.0, 26.0, 0.0), (12.5, 16.0, 8.5), 6.0),
+        *implicit.both_sides(
+            implicit.capsule((8.8, 0.0, -0.2), (9.2, -42.0, 1.0), (8.2, 5.2), 5.0),
+            implicit.ellipsoid((7.2, 1.0, -6.0), (7.2, 8.5, 6.5), 5.0),
+            implicit.ellipsoid((8.6, -18.0, 2.2), (6.4, 19.0, 5.8), 5.0),
+            implicit.ellipsoid((9.2, -43.0, 1.9), (2.6, 6.0, 2.6), 5.0),
+            implicit.capsule((9.2, -42.0, 0.8), (9.2, -84.0, -1.6), (4.2, 3.4), 3.0),
+            implicit.ellipsoid((9.6, -56.0, -2.4), (4.7, 12.5, 4.9), 4.0),
         ),
-        *(capsule((0.0, -8.5, z), (0.0, -95.0, z), (1.5, 1.5), -3.0) for z in _GAP_DEPTHS),
+        *(implicit.capsule((0.0, -8.5, z), (0.0, -95.0, z), (1.5, 1.5), -3.0) for z in _GAP_DEPTHS),
     ]
-    return ImplicitBody.from_parts(parts)
+    return implicit.ImplicitBody.from_parts(parts)

@@ -4,17 +4,12 @@ Pattern frame: metres, x to the wearer's left as seen from the front (right in t
 origin between the two neck points.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import Delaunay, cKDTree
 
-from vntoolkit.arrays import Faces, FloatArray, IntArray, Points2
-
-BoolArray = npt.NDArray[np.bool_]
+from vntoolkit.arrays import BoolArray, Faces, FloatArray, IntArray, Points2
 
 FRONT, BACK = 0, 1
 EDGE_LENGTH_M = 0.0125  # of the cage; two subdivisions make 3 mm of it

@@ -3,8 +3,6 @@
 `sweater_stripes`, `sweater_logo` and `sweater_tartan` are the same sweater in several colours.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
@@ -15,9 +13,8 @@ from scipy.ndimage import gaussian_filter
 
 from vntoolkit.arrays import Faces, FloatArray, IntArray, Points, Points2
 from vntoolkit.native import njit
-from vntoolkit.simulation.body.capsules import Capsules
 from vntoolkit.simulation.garment.pattern import EDGE_LENGTH_M, Garment, knit_coordinates, sew_sweater
-from vntoolkit.simulation.garment.solver import THICKNESS_M, ClothSolver
+from vntoolkit.simulation.garment.solver import THICKNESS_M, Capsules, ClothSolver
 from vntoolkit.simulation.lights import studio_camera, studio_centre, studio_lights
 from vntoolkit.simulation.scene import Detail, Scene, SceneOptions, SceneSurface
 
@@ -143,7 +140,7 @@ def _tartan(x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def _refined(
-    garment: DancingGarment, refine: object, faces: Faces, relief: FloatArray
+    garment: "DancingGarment", refine: object, faces: Faces, relief: FloatArray
 ) -> Callable[[int], Points]:
     """Return the function from frame to dense vertices in the camera frame."""
 
@@ -217,10 +214,10 @@ def knit_relief(along_knit: Points2, gather: FloatArray) -> FloatArray:
     return np.asarray((1.0 - band) * cables + band * ribs)
 
 
-def stitch_tile(size: int = 48) -> FloatArray:
-    """Return (size, size) the height of one stitch, metres: two yarns that lean into a V, tiling."""
-    v, u = np.meshgrid(*(2 * [(np.arange(size) + 0.5) / size]), indexing="ij")
-    height = np.zeros((size, size))
+def stitch_tile() -> FloatArray:
+    """Return (48, 48) the height of one stitch, metres: two yarns that lean into a V, tiling."""
+    v, u = np.meshgrid(*(2 * [(np.arange(48) + 0.5) / 48]), indexing="ij")
+    height = np.zeros(u.shape)
     for sign in (-1.0, 1.0):
         for row in (-1.0, 0.0, 1.0):
             along = v - row - 0.5
@@ -230,11 +227,11 @@ def stitch_tile(size: int = 48) -> FloatArray:
     return np.asarray(_STITCH_HEIGHT_M * height)
 
 
-def heather_texture(rng: np.random.Generator, size: int = 256) -> FloatArray:
-    """Return (size, size, 3) factors near 1: the yarn's uneven dye, without a change of hue, tiling."""
-    noise = np.zeros((size, size))
+def heather_texture(rng: np.random.Generator) -> FloatArray:
+    """Return (256, 256, 3) factors near 1: the yarn's uneven dye, without a change of hue, tiling."""
+    noise = np.zeros((256, 256))
     for blur in (0.8, 2.5, 7.0):
-        layer = gaussian_filter(rng.standard_normal((size, size)), (blur, 1.6 * blur), mode="wrap")
+        layer = gaussian_filter(rng.standard_normal(noise.shape), (blur, 1.6 * blur), mode="wrap")
         noise += layer / layer.std()
     factor = 1.0 - _YARN_SPREAD + _YARN_SPREAD * np.tanh(noise / noise.std())
     return np.repeat(factor[..., None], 3, axis=2).astype(np.float32)

@@ -1,14 +1,11 @@
 """The head's mesh: skin slit at lips and lids, mouth cavity, lid rims, eyeballs, teeth and tongue."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-import numpy.typing as npt
 
-from vntoolkit.arrays import Faces, FloatArray, IntArray, Points, read_only
+from vntoolkit.arrays import BoolArray, Faces, FloatArray, IntArray, Points, read_only
 from vntoolkit.geometry.mesh import vertex_normals
 from vntoolkit.simulation.body.implicit import mesh_from_implicit
 from vntoolkit.simulation.head import sculpture
@@ -17,7 +14,6 @@ SKIN, CAVITY, LID_RIM, EYES, UPPER_TEETH, LOWER_TEETH, TONGUE = range(7)
 _Piece = tuple[Points, Faces, IntArray, int]  # vertices, faces, owners, part
 _CELL_CM = 0.16
 _LEAST_LEVEL = 0.3  # of a cell: no vertex lies nearer to a slit, so no sliver arises
-BoolArray = npt.NDArray[np.bool_]
 IRIS_RADIUS, PUPIL_RADIUS = 0.54, 0.20
 
 
@@ -36,8 +32,8 @@ class Head:
     side: IntArray
     owner: IntArray
     hair: FloatArray
-    mouth: Slit
-    eyes: tuple[Slit, Slit]
+    mouth: "Slit"
+    eyes: "tuple[Slit, Slit]"
 
 
 def lip_line(x: FloatArray) -> FloatArray:
@@ -68,7 +64,7 @@ def build_head() -> Head:
     return _with_interior(shape, faces, side, hair, slits)
 
 
-def _cut_all(vertices: Points, faces: Faces) -> tuple[Points, Faces, list[Slit]]:
+def _cut_all(vertices: Points, faces: Faces) -> "tuple[Points, Faces, list[Slit]]":
     """Cut mouth, left eye, right eye."""
     slits = []
     half = sculpture.MOUTH_HALF_WIDTH
@@ -89,7 +85,9 @@ def _cut_all(vertices: Points, faces: Faces) -> tuple[Points, Faces, list[Slit]]
     return vertices, faces, slits
 
 
-def _with_interior(shape: Points, faces: Faces, side: IntArray, hair: FloatArray, slits: list[Slit]) -> Head:
+def _with_interior(
+    shape: Points, faces: Faces, side: IntArray, hair: FloatArray, slits: "list[Slit]"
+) -> Head:
     """Append cavity, lid rims and the parts that move on their own."""
     pieces: list[_Piece] = [(shape, faces, np.arange(len(shape)), SKIN)]
     count = len(shape)
@@ -185,10 +183,7 @@ def cut_slit(
 def _split_faces(
     alone: IntArray, number: IntArray, positive: BoolArray, upper: IntArray, lower: IntArray
 ) -> IntArray:
-    """Return three faces for each cut one: the lone corner's, and two of the other side.
-
-    alone: (k, 3) faces turned to their lone corner. number: (2, k) new points on the edges that leave it.
-    """
+    """Return three faces for each cut one. alone: (k, 3), lone corner first; number: (2, k) new points."""
     a, b, c = alone.T
     above = positive[a][:, None]
     on_upper, on_lower = upper[number].T, lower[number].T

@@ -1,7 +1,5 @@
 """The head in motion: jaw and lids that rotate, muscles that shift the skin, a neck that turns."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import Enum
 
@@ -35,9 +33,9 @@ class HeadRig:
         self._muscles = muscle_fields(head, on_rim)
         self._lids = [_lid_angles(head, on_rim, sign) for sign in (-1.0, 1.0)]
         self._eyes = [(head.part == anatomy.EYES) & (np.sign(self._rest[:, 0]) == s) for s in (-1.0, 1.0)]
-        self._neck = _neck_share(self._rest)
+        self._neck = np.where(self._rest[:, 1] > -9.0, 1.0, _smooth((self._rest[:, 1] + 16.5) / 7.5))
 
-    def vertices(self, expression: Expression, pose: HeadPose) -> Points:
+    def vertices(self, expression: "Expression", pose: "HeadPose") -> Points:
         """Return all vertices; the shoulders' end of the neck stays where it is."""
         points = self._rest.copy()
         self._move_muscles(points, expression)
@@ -47,7 +45,7 @@ class HeadRig:
             self._turn_eye(points, eye, sign, expression.gaze_deg)
         return self._turn_head(points, pose)
 
-    def _move_muscles(self, points: Points, expression: Expression) -> None:
+    def _move_muscles(self, points: Points, expression: "Expression") -> None:
         e = expression
         strengths = {
             Muscle.SMILE: e.smile, Muscle.GRIMACE: e.grimace, Muscle.PUCKER: e.pucker,
@@ -74,7 +72,7 @@ class HeadRig:
         turn = Rotation.from_euler("yx", [gaze_deg[0], -gaze_deg[1]], degrees=True)
         points[self._eyes[eye]] = turn.apply(self._rest[self._eyes[eye]] - centre) + centre
 
-    def _turn_head(self, points: Points, pose: HeadPose) -> Points:
+    def _turn_head(self, points: Points, pose: "HeadPose") -> Points:
         """Rotate about the neck's pivot; below it the rotation fades, the neck twists (slerp of one axis)."""
         whole = Rotation.from_euler("yxz", [pose.turn_deg, pose.nod_deg, -pose.tilt_deg], degrees=True)
         moved = whole.apply(points - _NECK_PIVOT) + _NECK_PIVOT
@@ -134,11 +132,6 @@ def _lid_angles(head: Head, points: Points, sign: float) -> tuple[IntArray, Floa
     lower = 1.0 - _smooth((seam - elevation) / 50.0)
     angle = np.where(above, -_UPPER_LID_DEG * np.clip(upper, 0, 1), _LOWER_LID_DEG * np.clip(lower, 0, 1))
     return rows, np.radians(angle) * almond * fade
-
-
-def _neck_share(points: Points) -> FloatArray:
-    """Return (n,) how far each vertex follows the head's rotation: 1 above the neck, 0 at its cut."""
-    return np.where(points[:, 1] > -9.0, 1.0, _smooth((points[:, 1] + 16.5) / 7.5))
 
 
 class Muscle(Enum):

@@ -1,7 +1,5 @@
 """The scenes `head_turn`, `face` and `face_makeup` (Figures 2, 3, 8)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from enum import Enum
 
@@ -65,7 +63,7 @@ def build_face_makeup(options: SceneOptions) -> Scene:
     return _performing("face_makeup", options, Makeup.UNIFORM)
 
 
-def _performing(name: str, options: SceneOptions, makeup: Makeup) -> Scene:
+def _performing(name: str, options: SceneOptions, makeup: "Makeup") -> Scene:
     rig = HeadRig(build_head())
     phases = np.random.default_rng(options.seed).uniform(0.0, 2.0 * np.pi, 8)
 
@@ -79,7 +77,7 @@ def _performing(name: str, options: SceneOptions, makeup: Makeup) -> Scene:
 def _scene(
     name: str,
     options: SceneOptions,
-    makeup: Makeup,
+    makeup: "Makeup",
     vertices_cm: Callable[[int], Points],
     frame_count: int,
     field_width_m: float,
@@ -108,7 +106,7 @@ def _scene(
     )
 
 
-def _gloss(head: Head, makeup: Makeup) -> Points:
+def _gloss(head: Head, makeup: "Makeup") -> Points:
     """Return (n,) the strength of the specular lobe: a trace on bare skin, none on matte makeup."""
     gloss = np.full(len(head.vertices), _SKIN_GLOSS if makeup is Makeup.NONE else 0.0)
     gloss[np.isin(head.part, (anatomy.EYES, anatomy.UPPER_TEETH, anatomy.LOWER_TEETH))] = _EYE_GLOSS
@@ -230,8 +228,9 @@ def _strands(rng: np.random.Generator) -> FloatArray:
     return np.asarray(noise / noise.std())
 
 
-def _freckles(rng: np.random.Generator, count: int = 1500) -> FloatArray:
+def _freckles(rng: np.random.Generator) -> FloatArray:
     """Return the optical density of freckles, thickest over nose and cheeks, none on eyes and lips."""
+    count = 1500
     azimuth = rng.normal(0.0, 26.0, count)
     height = rng.normal(-1.9, 1.9, count)
     radius = np.clip(rng.lognormal(np.log(0.075), 0.35, count), 0.04, 0.19)

@@ -4,8 +4,6 @@ Head frame: centimetres, x to the right in the image (the person's left), y up, 
 origin between the ears at the height of the pupils.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What is carried before the camera: the board (Section III-A) and a cylinder (Figure 7)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import cv2
@@ -82,7 +80,7 @@ def _board_scene(
     field_width_m: float,
     scale: float,
     layout: BoardLayout,
-    sway: Sway,
+    sway: "Sway",
     sample: FloatArray,
     exposure_level: float,
 ) -> Scene:

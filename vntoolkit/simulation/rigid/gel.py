@@ -5,8 +5,6 @@ the gel is the ball's surface. Around it, it comes to rest as the half-space of 
 (hertz1882), sooner, since a gel is a layer.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from vntoolkit.arrays import FloatArray, Points

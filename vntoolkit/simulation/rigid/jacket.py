@@ -1,7 +1,5 @@
 """A cotton jacket that stands still (Figure 6): folds, pockets, buttons, seams, ribbed hem and cuffs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,7 +44,7 @@ def build_jacket(options: SceneOptions) -> Scene:
     )
 
 
-def _joined(parts: list[Part]) -> tuple[Points, SceneSurface]:
+def _joined(parts: "list[Part]") -> tuple[Points, SceneSurface]:
     """Return all vertices and one surface; the parts' texture coordinates become tiles of the weave."""
     starts = np.cumsum([0] + [len(part.vertices) for part in parts])
     faces = [part.faces + start for part, start in zip(parts, starts, strict=False)]
@@ -95,7 +93,7 @@ def torso(generator: np.random.Generator) -> Part:
         ]
     )  # fmt: skip
     centres = np.column_stack([np.zeros(len(rows)), rows[:, 0], np.zeros(len(rows))])
-    tube = tube_along(centres, _RIGHT, _TOWARDS_VIEWER, rows[:, 1:], _SPACING_M)
+    tube = tube_along(centres, rows[:, 1:])
     s, y = tube.s, tube.vertices[:, 1]
     folds = [
         *_mirrored_folds(generator, s_at=0.27, t_at=-0.11, count=9),
@@ -113,7 +111,7 @@ def torso(generator: np.random.Generator) -> Part:
     height = sum_of_folds(s, y, folds) * free
     height += ribbed * 0.0011 * np.cos(2 * np.pi * s / (tube.girth / 150))
     height += 0.0020 * step(0.019 - np.abs(s), 0.0008) * (1 - ribbed)
-    seams = groove(np.abs(s) - 0.0155, _STITCH_M) * (1 - ribbed) + groove(y + 0.165, _STITCH_M)
+    seams = groove(np.abs(s) - 0.0155) * (1 - ribbed) + groove(y + 0.165)
     pockets, pocket_seams = _pockets(s, y)
     buttons = _buttons(s, y)
     height += pockets - 0.0011 * np.maximum(seams, pocket_seams) + 0.003 * buttons
@@ -132,7 +130,7 @@ def sleeve(side: int, generator: np.random.Generator) -> Part:
         ]
     )  # fmt: skip
     centres = rows[:, :3] * np.array([side, 1.0, 1.0])
-    tube = tube_along(centres, _RIGHT, _TOWARDS_VIEWER, rows[:, 3:], _SPACING_M)
+    tube = tube_along(centres, rows[:, 3:])
     s, t = tube.s, tube.t
     elbow = 0.30
     folds = [
@@ -164,7 +162,7 @@ def collar(generator: np.random.Generator) -> Part:
         ]
     )  # fmt: skip
     centres = np.column_stack([np.zeros(len(rows)), rows[:, 0], np.zeros(len(rows))])
-    tube = tube_along(centres, _RIGHT, _TOWARDS_VIEWER, rows[:, 1:], _SPACING_M)
+    tube = tube_along(centres, rows[:, 1:])
     angle = tube.s / tube.girth * 2 * np.pi
     leaf = np.clip((tube.t - 0.06) / (tube.length - 0.06), 0.0, 1.0)
     tip = np.exp(-np.square((np.abs(angle) - 0.42) / 0.30))
@@ -174,7 +172,7 @@ def collar(generator: np.random.Generator) -> Part:
     bare = np.abs(angle) < edge
     faces = tube.faces[~bare[tube.faces].any(axis=1)]
     uv = tube.uv[~bare[tube.faces].any(axis=1)]
-    stitches = leaf * groove(tube.length - tube.t - 0.006, _STITCH_M)
+    stitches = leaf * groove(tube.length - tube.t - 0.006)
     waves = 0.0012 * np.sin(3.0 * angle + generator.uniform(0, 2 * np.pi)) * leaf
     shaped = Tube(
         vertices=vertices, faces=faces, uv=uv, s=tube.s, t=tube.t, girth=tube.girth, length=tube.length
@@ -182,14 +180,14 @@ def collar(generator: np.random.Generator) -> Part:
     return _part(shaped, waves - 0.0008 * stitches, 1.0 + 0.06 * stitches, weave=np.ones_like(leaf))
 
 
-def _part(tube: Tube, height: FloatArray, shade: FloatArray, weave: FloatArray) -> Part:
+def _part(tube: "Tube", height: FloatArray, shade: FloatArray, weave: FloatArray) -> Part:
     return Part(
         vertices=tube.raised(height), faces=tube.faces, uv=tube.uv, girth=tube.girth, length=tube.length,
         shade=shade, weave=weave,
     )  # fmt: skip
 
 
-def _mirrored_folds(generator: np.random.Generator, *, s_at: float, t_at: float, count: int) -> list[Fold]:
+def _mirrored_folds(generator: np.random.Generator, *, s_at: float, t_at: float, count: int) -> "list[Fold]":
     """Drag lines that spring from both armpits and run towards the middle and down."""
     folds: list[Fold] = []
     for side, angles in ((-1, (5, 80)), (1, (100, 175))):
@@ -207,7 +205,7 @@ def _pockets(s: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         bag = patch(s, y, (centre, -0.070), (0.115, 0.120))
         flap = patch(s, y, (centre, -0.112), (0.122, 0.048))
         height += 0.0018 * step(bag, 0.0008) + 0.0024 * step(flap, 0.0008)
-        inner = np.maximum(groove(bag - 0.004, _STITCH_M) * (flap < -0.002), groove(flap - 0.004, _STITCH_M))
+        inner = np.maximum(groove(bag - 0.004) * (flap < -0.002), groove(flap - 0.004))
         seams = np.maximum(seams, inner)
     return height, seams
 
@@ -290,9 +288,9 @@ def sum_of_folds(s: FloatArray, t: FloatArray, folds: list[Fold]) -> FloatArray:
     return total
 
 
-def groove(distance: FloatArray, width: float) -> FloatArray:
+def groove(distance: FloatArray) -> FloatArray:
     """Return 1 on a line and 0 away from it: the dent of a seam."""
-    return np.exp(-np.square(distance / width))
+    return np.exp(-np.square(distance / _STITCH_M))
 
 
 def patch(s: FloatArray, t: FloatArray, centre: tuple[float, float], size: tuple[float, float]) -> FloatArray:
@@ -332,28 +330,25 @@ class Tube:
 # Tubes of cloth about a centre line; cloth coordinates in metres, relief along the normal.
 
 
-def tube_along(
-    centres: FloatArray, across: FloatArray, forward: FloatArray, radii: FloatArray, spacing_m: float
-) -> Tube:
-    """Sweep ellipses along a curve given by control rows.
+def tube_along(centres: FloatArray, radii: FloatArray) -> Tube:
+    """Sweep ellipses along a curve that goes roughly down, by control rows; the front faces the viewer.
 
-    centres: (k, 3). across, forward: (3,) unit vectors roughly square to the curve; the front line lies at
-    `forward`. radii: (k, 2) half widths along across and forward. spacing_m: between vertices.
+    centres: (k, 3). radii: (k, 2) half widths to the right and towards the viewer.
     """
     control = np.column_stack([centres, radii])
     knots = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(control[:, :4], axis=0), axis=1))])
-    rows = round(knots[-1] / spacing_m) + 1
+    rows = round(knots[-1] / _SPACING_M) + 1
     at = np.linspace(0.0, knots[-1], rows)
     swept = PchipInterpolator(knots, control)(at)
     girth = float(2 * np.pi * np.sqrt(np.mean(np.square(radii))))
-    columns = 2 * round(girth / spacing_m / 2)
+    columns = 2 * round(girth / _SPACING_M / 2)
     angle = (np.arange(columns) / columns - 0.5) * 2 * np.pi  # 0 in front, the cut at the back
     down = np.gradient(swept[:, :3], axis=0)
     down /= np.linalg.norm(down, axis=1, keepdims=True)
-    side = across - (down @ across)[:, None] * down
+    side = _RIGHT - (down @ _RIGHT)[:, None] * down
     side /= np.linalg.norm(side, axis=1, keepdims=True)
     front = np.cross(side, down)
-    front *= np.sign(front @ forward)[:, None]
+    front *= np.sign(front @ _TOWARDS_VIEWER)[:, None]
     wide, deep = swept[:, 3, None, None], swept[:, 4, None, None]
     ring = (
         wide * np.sin(angle)[None, :, None] * side[:, None]

@@ -1,7 +1,5 @@
 """The scene `sphere`: a matte ball that drifts and turns a little."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from vntoolkit.arrays import Faces, Points

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.materials.test_materials import DIRECTIONS
-from vntoolkit.materials.surface_reflectance import SurfaceLooks, mean_surface_reflectance
+from vntoolkit.pipeline.refine_albedo import SurfaceLooks, mean_surface_reflectance
 
 MELANIN = np.array([0.30, 0.62, 1.15])
 FRAMES, VERTICES = 6, 400
