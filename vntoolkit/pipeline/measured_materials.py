@@ -13,6 +13,7 @@ from vntoolkit.io.footage.mattes import Mattes
 from vntoolkit.io.results.manifest import MaterialEntry
 from vntoolkit.materials.labelling import MaterialLabeller
 from vntoolkit.materials.pixels import MaterialLabels, relit
+from vntoolkit.materials.regions import UNEVEN
 from vntoolkit.materials.search import WORST_ERROR_DEG, Material, find_materials
 from vntoolkit.normals.inversion import relative_albedo_from_frame
 from vntoolkit.photometry.frame import LinearFrame
@@ -66,7 +67,7 @@ def measured_materials(
         seen = _Labelled.by(found, *first)
         if count is None and seen.left_at_seams() > _MOST_LEFT:
             one = find_materials(levelled, subjects, central, 1)
-            if _is_of_rig(one[0], *first):
+            if _is_of_rig(one[0], *first) or _are_alike(found, one[0], *first):
                 found, seen = one, _Labelled.by(one, *first)
         found = _told(found, choice)
         found, pigments = _with_pigments(found, seen)
@@ -248,20 +249,39 @@ def _explaining(
 
 
 def _is_of_rig(material: Material, frame: LinearFrame, mask: Mask, response: LightResponse) -> bool:
-    """True where the material's hue turns normals no more than its fit may be wrong.
+    """True where the material's hue turns normals no more than its fit may be wrong."""
+    turn_deg, bent_deg = _turn_deg(np.ones(3), material, frame, mask, response)
+    return turn_deg < max(_SAME_DEG, 2.0 * material.reflectance.error_deg, bent_deg)
+
+
+def _are_alike(
+    found: list[Material], one: Material, frame: LinearFrame, mask: Mask, response: LightResponse
+) -> bool:
+    """True where materials differ from one for all of them as gloss and uneven light make one differ."""
+    values, turned = one.reflectance.values, 0.0
+    for each in found:
+        if abs(np.log(each.reflectance.values / values).mean()) > UNEVEN:
+            return False
+        turn_deg, bent_deg = _turn_deg(each.reflectance.values, one, frame, mask, response)
+        turned += each.share * turn_deg
+    return bool(turned < bent_deg)
+
+
+def _turn_deg(
+    values: Vector3, material: Material, frame: LinearFrame, mask: Mask, response: LightResponse
+) -> tuple[float, float]:
+    """Return by how much a material turns normals from those of reflectances (3,), and may by its fit.
 
     Gloss and ambient light bend lengths over whole regions alike, which no covariance shows: a fit to lengths
     that scatter by x may turn normals by about x radians.
     """
     lit = mask & ~frame.clipped & (frame.rgb.max(axis=2) > 0.1 * np.percentile(frame.rgb[mask], 99))
-    plain = scaled_normals_from_rgb(frame.rgb[lit], response) + response.inverse @ response.ambient
-    split, values = response.contributions_from_rgb, material.reflectance.values
-    own = frame.rgb[lit] @ (np.linalg.inv(response.lights) @ np.diag(1.0 / values) @ split).T
+    inverse, shares = np.linalg.inv(response.lights), frame.rgb[lit] @ response.contributions_from_rgb.T
+    own, others = ((shares / each) @ inverse.T for each in (material.reflectance.values, values))
     lengths = np.linalg.norm(own, axis=1)
-    cosines = (plain * own).sum(axis=1) / np.linalg.norm(plain, axis=1) / lengths
+    cosines = (others * own).sum(axis=1) / np.linalg.norm(others, axis=1) / lengths
     turn_deg = float(np.degrees(np.median(np.arccos(np.clip(cosines, -1.0, 1.0)))))
-    bent_deg = _BENT * float(np.degrees(_scatter_of_regions(lengths, lit)))
-    return turn_deg < max(_SAME_DEG, 2.0 * material.reflectance.error_deg, bent_deg)
+    return turn_deg, _BENT * float(np.degrees(_scatter_of_regions(lengths, lit)))
 
 
 def _scatter_of_regions(lengths: FloatArray, lit: Mask) -> float:

@@ -106,7 +106,7 @@ class Nuisances:
 
 # nuisance -> the value that turns it off
 _SWITCHES: dict[str, object] = {
-    **{f.name: False for f in fields(Nuisances) if f.type == "bool"},
+    **{f.name: False for f in fields(Nuisances) if f.type is bool},
     "blur_px": 0.0,
     "transfer": "linear",
 }
