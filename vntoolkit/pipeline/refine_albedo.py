@@ -120,21 +120,25 @@ def _looks(result: OpenedResult, target: Path, logs: Points) -> "tuple[SurfaceLo
     shape = (camera.height, camera.width)
     places = camera.project(np.array(sequence.vertices[at]))
     vertices = _vertices_as_texels(places, faces, shape)
-    contributions, seen, normals, errors = [], [], [], []
+    contributions, seen, weights, normals, errors = [], [], [], [], []
     for row in rows_with_maps(result, numbers, _FRAMES):
         looked = texels_in_frame(result, sequence, row, numbers[row], vertices, places)
         lamps, is_lit = _lamps(result, numbers[row], looked.pixels)
         contributions.append(lamps)
         seen.append(is_lit & (looked.weight > 0))
+        weights.append(looked.weight)
         found, error_deg = _normals(result, numbers[row], looked.pixels)
         normals.append(found)
         errors.append(error_deg)
+    # What is seen steeply, or may be misplaced, tells of other paint: the better half of the looks count.
+    weight, told = np.array(weights), np.array(seen)
+    told &= weight >= (np.median(weight[told]) if told.any() else 0.0)
     labels = result.materials(numbers[at])
     materials = np.zeros(len(places), np.int64)
     if labels is not None and len(logs) > 1:
         materials = labels.ravel()[vertices.places].astype(np.int64)
     looks = SurfaceLooks(
-        contributions=np.array(contributions, np.float32), seen=np.array(seen),
+        contributions=np.array(contributions, np.float32), seen=told,
         normals=np.array(normals, np.float32), error_deg=np.array(errors, np.float32), materials=materials,
         logs=logs[materials],
     )  # fmt: skip
