@@ -357,7 +357,7 @@ def examine_capture(
         findings += with_rig
         if rig.gel is not None:
             return Examination(findings=findings)
-        # what drifts is the same all over a picture, and each has a level of its own
+        # drift is the same all over a picture, and the fit has a level for each picture
         trusted = all(finding.level is Level.NOTE or finding.check == "drift" for finding in with_rig)
         if trusted and _is_wide(evidence):
             near = fit_nearness(evidence)

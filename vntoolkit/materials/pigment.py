@@ -23,9 +23,8 @@ Single = npt.NDArray[np.float32]
 _PAIRS = 10_000  # of neighbouring blocks that tell how rough normals are
 _FEWEST_PAIRS = 1000  # fewer show lines where there are none
 _STEEP = np.float32(0.08)  # difference of two neighbours' normals from which a larger one hardly counts more
-_CLEAR = (
-    4.0  # share of the roughness that a line takes, in 1 / √pairs: of yarns it takes up to 2.4, of skin 6
-)
+# Share of the roughness that a line takes, times the root of the pairs: up to 2.4 of yarns, 6 of skin.
+_CLEAR = 4.0
 _LEAST_TAKEN = 0.1  # of what it takes from the darkest band: a line along one band alone is its noise
 _EVALUATIONS = 35
 _SPREAD, _PIGMENT_SPREAD = 0.04, 0.3  # of lengths, and of t

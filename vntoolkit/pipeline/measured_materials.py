@@ -54,12 +54,12 @@ def measured_materials(
     such. Raises `BadInput` where a number of materials is asked for that cannot be told, `BadCapture` where
     the first frame shows nothing.
     """
-    seen_first = _first_frames(job, capture, mattes, numbers)
+    firsts = _first_frames(job, capture, mattes, numbers)
     response, choice = job.rig.response, job.options.materials
     if not seeks_materials(job):
         found: list[Material] = []
     else:
-        levelled, subjects = zip(*((each.by_strength, each.subject) for each in seen_first), strict=True)
+        levelled, subjects = zip(*((each.by_strength, each.subject) for each in firsts), strict=True)
         central = response.central
         first = levelled[0], subjects[0], central
         count = None if isinstance(choice, MaterialSearch) else choice
@@ -77,10 +77,10 @@ def measured_materials(
     if found:
         return [_entry(material, pigment) for material, pigment in zip(found, pigments, strict=True)], None
     try:
-        albedo = relative_albedo_from_frame(seen_first[0].frame, response, seen_first[0].mask)
+        albedo = relative_albedo_from_frame(firsts[0].frame, response, firsts[0].mask)
     except BadInput as error:
-        raise BadCapture(f"{seen_first[0].name}: {error}") from error
-    _warn_of_other_material(job, seen_first[0].frame, seen_first[0].mask, albedo)
+        raise BadCapture(f"{firsts[0].name}: {error}") from error
+    _warn_of_other_material(job, firsts[0].frame, firsts[0].mask, albedo)
     return [], float(np.format_float_positional(albedo, precision=4, fractional=False))
 
 
@@ -89,7 +89,7 @@ def refitted_materials(
 ) -> list[MaterialEntry]:
     """Return the job's materials, fitted again to what the first frames show under lamps that are near.
 
-    The search takes every lamp's direction for that at the centre. With labels known, its direction is, too.
+    The search takes the lamps' directions at the centre. With labels known, each pixel's own are taken.
     """
     response, known = job.rig.response, np.array(job.reflectances)
     labeller, far, subjects = MaterialLabeller(response.central, known), [], []
@@ -257,7 +257,7 @@ def _is_of_rig(material: Material, frame: LinearFrame, mask: Mask, response: Lig
 def _are_alike(
     found: list[Material], one: Material, frame: LinearFrame, mask: Mask, response: LightResponse
 ) -> bool:
-    """True where materials differ from one for all of them as gloss and uneven light make one differ."""
+    """True where the materials may be one: gloss and uneven light alone make it look as different."""
     values, turned = one.reflectance.values, 0.0
     for each in found:
         if abs(np.log(each.reflectance.values / values).mean()) > UNEVEN:
@@ -270,7 +270,7 @@ def _are_alike(
 def _turn_deg(
     values: Vector3, material: Material, frame: LinearFrame, mask: Mask, response: LightResponse
 ) -> tuple[float, float]:
-    """Return by how much a material turns normals from those of reflectances (3,), and may by its fit.
+    """Return the angle between normals of reflectances (3,) and of a material, and its possible error.
 
     Gloss and ambient light bend lengths over whole regions alike, which no covariance shows: a fit to lengths
     that scatter by x may turn normals by about x radians.

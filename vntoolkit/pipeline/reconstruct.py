@@ -46,7 +46,7 @@ BLOCK_FRAMES = 16
 _LARGE_ERROR_DEG = 20.0  # in the median, as of pixels that one light hardly reaches
 _DIGITS_OF_NEARNESS = 4
 _DIGITS_OF_BLUR = 2
-_SEAM_PX = 2  # to either side, within which a seam rules out judging a pixel, which blur makes of no material
+_SEAM_PX = 2  # to either side of a seam, where pixels are not judged: blur mixes two materials in them
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -285,7 +285,7 @@ def _in_one_material(
     labeller, processor = MaterialLabeller(central, known[0]), FrameProcessor(job.rig, job.options, mask)
 
     def judged(frame: LinearFrame) -> LinearFrame:
-        # The noise of a backdrop is like dark paint, and would be a neighbour of the subject's rim.
+        # A backdrop's noise looks like dark paint. It would give the subject's rim a wrong label.
         subject = processor.lit_subject(frame)
         labeller.forget()
         labels = labeller.labels(processor.by_strength(frame), subject)
