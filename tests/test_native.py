@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -38,3 +39,37 @@ def test_loops_overlap_only_where_the_threads_can_take_it(layer: str, may: bool)
     subprocess.run(
         [sys.executable, "-c", script], check=True, env={**os.environ, "NUMBA_THREADING_LAYER": layer}
     )
+
+
+QUADRATICS = """
+import hashlib
+import numpy as np
+from vntoolkit.geometry.slope_grid import RayGrid
+from vntoolkit.shadows.contributions import flat, numbers_of
+from vntoolkit.shadows.surface import SurfaceOptions, model_of, quadratics_kernel
+h, w = 40, 67
+rng = np.random.default_rng(7)
+cosines = rng.uniform(0.1, 1.0, (h, w, 3)).astype(np.float32)
+labels = rng.integers(0, 8, (h, w)).astype(np.uint8)
+slopes, prior = rng.normal(size=(2, 2, h, w)).astype(np.float32)
+rays = RayGrid(*np.array([30.0, 20.0, 0.01, 0.01], np.float32))
+out = np.zeros((8, h, w), np.float32)
+lights = numbers_of(rng.normal(size=(3, 3)))
+quadratics_kernel(
+    flat(cosines), labels, cosines[..., 0].copy(), slopes, prior, lights, rays, model_of(SurfaceOptions()),
+    out[:6], out[6:],
+)
+print(hashlib.sha256(out.tobytes()).hexdigest())
+"""
+
+
+def test_the_first_process_rounds_as_those_do_that_find_its_kernels(tmp_path: Path) -> None:
+    """A parallel loop with `fastmath`: run as it was compiled, it would differ in a few last bits."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    first, second = (
+        subprocess.run(
+            [sys.executable, "-c", QUADRATICS], check=True, env=environment, capture_output=True, text=True
+        ).stdout
+        for _ in range(2)
+    )
+    assert first == second

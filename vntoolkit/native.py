@@ -4,12 +4,14 @@ Without libGL open3d ends in a traceback, and without libOpenGL pymeshlab import
 .ply file. Each is turned into one line that names the library and the package that holds it.
 """
 
+import atexit
 import contextlib
 import ctypes
 import importlib
 import os
 import re
 import stat
+import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -231,7 +233,7 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         kernel = numba.njit(nogil=True, **options)(function)
         if is_kept:
             with contextlib.suppress(Exception):
-                kernel._cache = _ForgivingCache(_cache_of(function))  # as `cache=True` sets it
+                kernel._cache = _ForgivingCache(_cache_of(function), function)  # as `cache=True` sets it
         return kernel
 
     return compiled
@@ -263,12 +265,24 @@ def _private_folder() -> str:
 
 
 class _ForgivingCache:
-    """numba's cache of one kernel, every failure of which means that there is nothing in it."""
+    """numba's cache of one kernel, every failure of which means that there is nothing in it.
 
-    def __init__(self, cache: Any) -> None:
-        self._cache = cache
+    A kernel of this package that is not in it is compiled by another process, and read: the process that
+    compiles a parallel loop runs its first machine code, all others a copy that was optimised once more and
+    rounds otherwise. The first run of an installation would differ from the second in the last bit.
+    """
 
-    def load_overload(self, *asked: Any) -> Any:
+    def __init__(self, cache: Any, function: Callable[..., Any]) -> None:
+        self._cache, self._function = cache, function
+
+    def load_overload(self, signature: Any, context: Any) -> Any:
+        found = self._read(signature, context)
+        if found is None and _compiler.compiles(self._function, signature):
+            found = self._read(signature, context)
+            _compiler.is_off = found is None  # the cache keeps nothing
+        return found
+
+    def _read(self, *asked: Any) -> Any:
         try:
             return self._cache.load_overload(*asked)
         except Exception:  # truncated, or not to be read
@@ -282,6 +296,72 @@ class _ForgivingCache:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._cache, name)
+
+
+class _Compiler:
+    """A process that compiles kernels of this package into the cache; it ends with the one that asks."""
+
+    def __init__(self) -> None:
+        self._process: subprocess.Popen[bytes] | None = None
+        self._pipe: Any = None
+        self._asked_by = 0  # process id: a fork has the pipe, but not the right to use it
+        self.is_off = False  # in the process that compiles, and where asking is of no use
+
+    def compiles(self, function: Callable[..., Any], signature: Any) -> bool:
+        """True where the other process has compiled a kernel; numba lets one thread ask at a time."""
+        name = function.__qualname__
+        if self.is_off or not function.__module__.startswith("vntoolkit.") or not name.isidentifier():
+            return False
+        try:
+            if self._asked_by != os.getpid():
+                self._start()
+            self._pipe.send((function.__module__, name, signature))
+            return bool(self._pipe.recv())
+        except Exception:  # it could not be started or asked
+            self.is_off = True
+            return False
+
+    def _start(self) -> None:
+        from multiprocessing import Pipe
+
+        self._pipe, theirs = Pipe()
+        ask = f"from vntoolkit.native import serve_compiler; serve_compiler({theirs.fileno()})"
+        path = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "PYTHONSAFEPATH": "1"}
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", ask],
+            env=os.environ | path,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            pass_fds=(theirs.fileno(),),
+        )
+        theirs.close()
+        self._asked_by = os.getpid()
+        atexit.register(self._end)
+
+    def _end(self) -> None:
+        if self._process is not None and self._asked_by == os.getpid():
+            self._pipe.close()
+            self._process.wait()
+
+
+_compiler = _Compiler()
+
+
+def serve_compiler(pipe: int) -> None:
+    """Compile the kernels that another process names, and tell it of each, until that has ended."""
+    from multiprocessing.connection import Connection
+
+    _compiler.is_off = True
+    asked = Connection(pipe)
+    with contextlib.suppress(EOFError):
+        while True:
+            module, name, signature = asked.recv()
+            try:
+                getattr(importlib.import_module(module), name).compile(signature)
+                asked.send(True)
+            except Exception:
+                asked.send(False)
 
 
 def _import(module: str, libraries: dict[str, str]) -> Any:
