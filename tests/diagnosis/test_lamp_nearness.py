@@ -10,6 +10,7 @@ from tests.faults.simulated_captures import random_response
 from vntoolkit.diagnosis.evidence import evidence_from_frames
 from vntoolkit.diagnosis.inspection import examine_capture
 from vntoolkit.diagnosis.lamp_nearness import Nearness, fit_nearness
+from vntoolkit.diagnosis.white_balance import check_changing_gains
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.io.footage.captures import open_capture
 from vntoolkit.io.footage.images import write_png
@@ -117,6 +118,17 @@ def test_colours_that_drift_do_not_hide_near_lamps(tmp_path):
     examined = examine_capture(open_capture(tmp_path), Rig(camera=CAMERA, response=response))
     assert "drift" in [finding.check for finding in examined.findings]
     assert examined.nearness > 0.06
+
+
+@pytest.mark.parametrize("seed", [3, 6, 10])
+def test_a_surface_that_comes_nearer_to_its_lamps_has_no_drifting_colours(seed):
+    rng, response = np.random.default_rng(seed), random_response(np.random.default_rng(seed + 50))
+    frames = [
+        LinearFrame(rgb=_seen(_relief(rng), response, nearness, rng).astype(np.float32), number=number)
+        for number, nearness in enumerate((0.0, 0.3, 0.0))
+    ]
+    rig = Rig(camera=CAMERA, response=response)
+    assert check_changing_gains(evidence_from_frames(frames, rig, Transfer())) == []
 
 
 def test_a_rig_whose_m_varies_already_is_not_asked():

@@ -15,7 +15,7 @@ from vntoolkit.arrays import FloatArray
 from vntoolkit.diagnosis.evidence import Evidence, lengths_of
 from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
 from vntoolkit.diagnosis.surface_pixels import SurfacePixels, regress_lengths, surface_pixels, without_levels
-from vntoolkit.photometry.response import changes_of_near_lamps
+from vntoolkit.photometry.response import LightResponse, changes_of_near_lamps
 
 _FEWEST_PIXELS = 400
 _FEWEST_IN_PART = 40  # pixels of two by two blocks
@@ -57,8 +57,7 @@ def fit_nearness(evidence: Evidence) -> Nearness | None:
     lengths = np.maximum(lengths_of(scaled), 1e-12)
     normals = scaled / lengths[:, None]
     (x, y, z), (u, v) = normals.T, pixels.positions.T
-    changes = np.einsum("ij,akjl->akil", response.inverse, changes_of_near_lamps(response))
-    near = list(np.einsum("na,akij,ni,nj->kn", pixels.positions, changes, normals, normals, optimize=True))
+    near = changes_with_nearness(pixels, normals, response)
     wrong_m = [x * x - z * z, y * y - z * z, x * y, x * z, y * z]
     vignetting = [u * u + v * v]
     uneven = [u, v, u * u, v * v, u * v]
@@ -78,6 +77,14 @@ def fit_nearness(evidence: Evidence) -> Nearness | None:
     by_patterns = _error_of_patterns(columns, logs, fits[-1].slopes, pixels)  # the last fit allows most
     error = max(1.0 / math.sqrt(worth.sum()), by_patterns)
     return Nearness(value=value, error=math.hypot(_LEAST_ERROR, error))
+
+
+def changes_with_nearness(
+    pixels: SurfacePixels, normals: FloatArray, response: LightResponse
+) -> list[FloatArray]:
+    """Return how log lengths follow each lamp's nearness, three of (n,). normals: (n, 3)."""
+    changes = np.einsum("ij,akjl->akil", response.inverse, changes_of_near_lamps(response))
+    return list(np.einsum("na,akij,ni,nj->kn", pixels.positions, changes, normals, normals, optimize=True))
 
 
 def _error_of_patterns(

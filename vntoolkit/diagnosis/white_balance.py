@@ -15,6 +15,7 @@ import numpy as np
 from vntoolkit.arrays import FloatArray, Int64Array
 from vntoolkit.diagnosis.evidence import Evidence, lengths_of
 from vntoolkit.diagnosis.finding import Finding, Level, certainty_from_z
+from vntoolkit.diagnosis.lamp_nearness import changes_with_nearness
 from vntoolkit.diagnosis.surface_match import agreement_of
 from vntoolkit.diagnosis.surface_pixels import (
     SurfacePixels,
@@ -22,6 +23,7 @@ from vntoolkit.diagnosis.surface_pixels import (
     spread_of_lengths,
     surface_pixels,
 )
+from vntoolkit.photometry.response import LightResponse
 
 _FEWEST_PIXELS = 400
 _STARTS = np.array([(red, blue) for red in np.linspace(-0.6, 0.6, 7) for blue in np.linspace(-0.6, 0.6, 7)])
@@ -66,7 +68,7 @@ def check_changing_gains(evidence: Evidence) -> list[Finding]:
     seen = np.unique(pixels.frames)
     if len(seen) < 2 or len(pixels) < _FEWEST_PIXELS * len(seen):
         return []
-    changes = _changes(pixels, seen)
+    changes = _changes(pixels, seen, evidence.rig.response)
     if changes is None:
         return []
     logs, errors = changes
@@ -93,32 +95,35 @@ def check_changing_gains(evidence: Evidence) -> list[Finding]:
     ]
 
 
-def _changes(pixels: SurfacePixels, seen: Int64Array) -> tuple[FloatArray, FloatArray] | None:
+def _changes(
+    pixels: SurfacePixels, seen: Int64Array, response: LightResponse
+) -> tuple[FloatArray, FloatArray] | None:
     """Return log gains of red and blue in later frames against the first, and their errors, (frames - 1, 2).
 
     What else makes lengths depend on direction and place is shared by all frames: faults of M, near lamps,
     vignetting. A subject that moves under near lamps changes its lengths too, and some of it looks like
-    gains. So the change is estimated four times, with ever more that is shared; by how much the four differ
-    counts as an error.
+    gains. So the change is estimated with ever more that is shared, and last with lamps that are as near as
+    each frame says; by how much the five differ counts as an error.
     """
     scaled = pixels.scaled_normals(pixels.rgb)
     lengths = np.maximum(lengths_of(scaled), 1e-12)
-    (x, y, z), (u, v) = (scaled / lengths[:, None]).T, pixels.positions.T
-    own = changes_with_gains(pixels, scaled)[:, [0, 2]]
-    columns = [own * (pixels.frames == frame)[:, None] for frame in seen[1:]]
-    count = 2 * len(columns)
+    normals = scaled / lengths[:, None]
+    (x, y, z), (u, v) = normals.T, pixels.positions.T
+    gains = changes_with_gains(pixels, scaled)[:, [0, 2]].T
+    near = changes_with_nearness(pixels, normals, response)
+    in_frame = [pixels.frames == frame for frame in seen]
+    changed = [gain * there for there in in_frame[1:] for gain in gains]
+    wrong_m = [x, y, x * x - z * z, y * y - z * z, x * y, x * z, y * z]
+    uneven = [u, v, u * u, v * v, u * v]
+    both = [u * x, u * y, v * x, v * y]
+    moving = [value * there for there in in_frame[1:] for value in (u, v, *near)]
     found = []
-    for shared in (
-        [],
-        [x, y, x * x - z * z, y * y - z * z, x * y, x * z, y * z],
-        [u, v, u * u, v * v, u * v],
-        [u * x, u * y, v * x, v * y],
-    ):
-        columns += shared
-        fit = regress_lengths(np.column_stack(columns), np.log(lengths), pixels, _ROUNDS_OF_CHANGE)
+    for shared in ([], wrong_m, wrong_m + uneven, wrong_m + uneven + both, wrong_m + uneven + near + moving):
+        columns = np.column_stack(changed + shared)
+        fit = regress_lengths(columns, np.log(lengths), pixels, _ROUNDS_OF_CHANGE)
         if fit is None:
             return None
-        found.append((fit.slopes[:count], fit.errors[:count]))
+        found.append((fit.slopes[: len(changed)], fit.errors[: len(changed)]))
     slopes, errors = (np.stack(parts) for parts in zip(*found, strict=True))
     error = np.hypot(np.maximum(errors.max(axis=0), _LEAST_ERROR_OF_CHANGE), np.ptp(slopes, axis=0) / 2)
     return slopes.mean(axis=0).reshape(-1, 2), error.reshape(-1, 2)
