@@ -18,7 +18,7 @@ from numba import prange
 from vntoolkit.arrays import FloatArray, IntArray, Mask, Points, Vector3
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.materials.blurred_labels import MARGIN_PX, BlurredLabels
-from vntoolkit.materials.paint import without_paint
+from vntoolkit.materials.paint import Surface, without_paint
 from vntoolkit.materials.pigment import pigment_of
 from vntoolkit.materials.pixels import (
     INDEPENDENT_PX,
@@ -32,7 +32,14 @@ from vntoolkit.materials.pixels import (
 from vntoolkit.materials.reflectance import CAP
 from vntoolkit.materials.region_lengths import Lengths, lengths_of
 from vntoolkit.materials.regions import SHADING_STEP, Regions, regions_of
-from vntoolkit.materials.split_frame import SplitFrame, block_size, blocks_moved, split_frame
+from vntoolkit.materials.split_frame import (
+    CELL,
+    SplitFrame,
+    block_size,
+    blocks_moved,
+    cells_of,
+    split_frame,
+)
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse
@@ -92,11 +99,14 @@ class MaterialLabeller:
         self._fine: BlurredLabels | None = None
         self.turned_deg: npt.NDArray[np.float32] | None = None  # by paint that was taken out last
         self._plain: npt.NDArray[np.float32] | None = None
+        self._surface: Surface | None = None
+        self._cells: npt.NDArray[np.float32] | None = None
         self._doubtful = self._mean_price = np.inf
 
     def forget(self) -> None:
         """Drop the labels of the frame before, so that a sequence may start anywhere."""
         self._before = self._split = self._coarse = self._beside_seams = self._fine = self._box = None
+        self._surface = self._cells = None
 
     def labels(self, frame: LinearFrame, mask: Mask) -> MaterialLabels:
         """Return (h, w), numbers of the materials; 0 outside the mask. mask: (h, w).
@@ -109,9 +119,11 @@ class MaterialLabeller:
         box = self._boxed(mask)
         part, inside = _inside(frame, mask, box)
         split = split_frame(part, self._response, inside, like=self._split)
-        if self._split is not None and blocks_moved(self._split, split) > _BESIDE:
+        cells = cells_of(split.colours)
+        if self._cells is not None and blocks_moved(self._cells, cells) > _BESIDE:
             self.forget()
             return self.labels(frame, mask)
+        self._cells = cells
         labels[box] = self._labels(part, inside, split)
         return labels
 
@@ -150,15 +162,17 @@ class MaterialLabeller:
 
         mask: (h, w), where paint is told; None for everywhere. box: see `relit`.
         """
-        known = self._response, labels, self._reflectances
         self.turned_deg = None
         mask = np.ones(labels.shape, np.bool_) if mask is None else mask
         if self._pigments is not None and self._pigments.any() and mask.any():
             if self._plain is None or self._plain.shape != frame.rgb.shape:
                 self._plain = np.empty(frame.rgb.shape, np.float32)  # new ones would cost a frame 2 ms
             seen = frame, labels, mask, self._response, self._reflectances
-            frame, self.turned_deg = without_paint(*seen, self._pigments, self._camera, self._plain)
-        return relit(frame, *known, seams=self.seams, box=box)
+            known = self._pigments, self._camera, self._plain, self._surface
+            frame, self.turned_deg, self._surface = without_paint(*seen, *known)
+        return relit(
+            frame, self._response, labels, self._reflectances, seams=self.seams, box=box
+        )
 
     @property
     def seams(self) -> Seams | None:
@@ -242,8 +256,10 @@ class MaterialLabeller:
         down, right = (first - [part.start for part in before]) // factor
         shape = tuple(-((a - b) // factor) for a, b in zip(first, ends, strict=True))
         self._before = _shifted(self._before, shape, down, right)
-        lit, colours = (_shifted(each, shape, down, right) for each in (self._split.lit, self._split.colours))
-        self._split = replace(self._split, lit=lit, colours=colours)
+        self._split = replace(self._split, lit=_shifted(self._split.lit, shape, down, right))
+        if self._cells is not None:  # a box begins where a cell does
+            of_cells = tuple(-(-n // CELL) for n in shape)
+            self._cells = _shifted(self._cells, of_cells, down // CELL, right // CELL)
         return self._box
 
     def _carried(self, split: SplitFrame) -> MaterialLabels | None:

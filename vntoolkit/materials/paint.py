@@ -32,7 +32,7 @@ from vntoolkit.geometry.slope_grid import (
     weights_kernel,
 )
 from vntoolkit.materials.reflectance import Lamps, lamps_from_response
-from vntoolkit.materials.split_frame import block_size
+from vntoolkit.materials.split_frame import block_size, blocks_moved, cells_of
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
 from vntoolkit.photometry.response import LightResponse
@@ -43,7 +43,10 @@ MaterialLabels = npt.NDArray[np.uint8]
 _BLOCKS = 60_000  # of the subject; noise is finer than these, and freckles are not
 _LEVELS = 2  # coarser ones, each of half the size: a lip is wide for steps that only reach its neighbours
 _STEPS, _CYCLES = 2, 3  # of Gauss–Newton on each level, and of multigrid in each
+# Blocks that a subject moves in a frame: up to where one step from the surface before follows it, and two.
+_NEAR, _FAR = 0.5, 4.0
 _TOLERANCE = 3e-3
+_REACH = 4  # blocks, from what was known of the frame before
 # Standard deviations of log ρ from which paint counts as such: across the pigment's line, and along it.
 _ACROSS, _ALONG = 0.15, 0.3
 # Weight of a block's normal being the mean of those beside it, over that of light. Where paint hides the
@@ -69,29 +72,65 @@ def without_paint(
     lines: Points,
     camera: Camera | None,
     out: Single,
-) -> tuple[LinearFrame, Single]:
+    before: Surface | None = None,
+) -> tuple[LinearFrame, Single, Surface]:
     """Return the frame as it would be without the paint of its subject, a mask (h, w).
 
     And (h, w), by how many degrees that turns normals: the paint may be relief, so far are they in doubt.
+    And the subject's surface.
 
     labels: (h, w), numbers of the materials. rho: (m, 3), their reflectances. lines: (m, 3), of length 1,
     their pigments; one of 0 has no paint. camera: None for orthographic. out: (h, w, 3), which the frame's
-    colours are written to.
+    colours are written to. before: the surface in the frame before, if the subject moved little: the search
+    goes on from it.
     """
     lamps = lamps_from_response(response, np.zeros(3))
     rgb, merge = np.ascontiguousarray(frame.rgb), np.linalg.inv(lamps.split)
-    blocks = _blocks_of(rgb, labels, mask, lamps, rho, lines)
+    blocks = _blocks_of(rgb, labels, mask, lamps, rho, lines, None if before is None else before.factor)
     gains, turns = np.ones_like(blocks.light), np.zeros(blocks.labels.shape, np.float32)
-    for around in find_objects(np.int8(blocks.labels != _NO_LABEL)):  # one, the rectangle of them all
-        inside = blocks.within(around)
-        gains[around], turns[around] = _gains_of(inside, lamps, lines, ray_grid(camera))
+    found = Surface.of(blocks)
+    for around in find_objects(found.known.view(np.int8)):  # one, the rectangle of them all
+        start, steps = None, _STEPS
+        if before is not None:
+            moved = blocks_moved(before.cells, found.cells)
+            start = before.within(around) if moved <= _FAR else None
+            steps = 1 if moved <= _NEAR else _STEPS
+        rays, inside = ray_grid(camera), blocks.within(around)
+        gains[around], turns[around], surface = _gains_of(inside, lamps, lines, rays, start, steps)
+        found.depth[around], found.slopes[(slice(None), *around)] = surface
     split = lamps.split.astype(np.float32)
     turned = np.zeros(mask.shape, np.float32)
     _take_out(
         rgb, labels, mask, split, merge.astype(np.float32), gains, turns, blocks.labels, blocks.factor, out,
         turned,
     )  # fmt: skip
-    return LinearFrame(rgb=out, clipped=frame.clipped, number=frame.number), turned
+    return LinearFrame(rgb=out, clipped=frame.clipped, number=frame.number), turned, found
+
+
+class Surface(NamedTuple):
+    """Of blocks of factor × factor pixels.
+
+    depth: (h, w). slopes: (2, h, w). known: (h, w), where they are. cells: the light that it was told from,
+    by which movement is measured.
+    """
+
+    depth: Single
+    slopes: Single
+    known: Mask
+    factor: int
+    cells: Single | None = None
+
+    @classmethod
+    def of(cls, blocks: _Blocks) -> Surface:
+        """Return a flat one."""
+        shape = blocks.labels.shape
+        flat = np.zeros((3, *shape), np.float32)
+        return cls(flat[0], flat[1:], blocks.labels != _NO_LABEL, blocks.factor, cells_of(blocks.light))
+
+    def within(self, around: tuple[slice, ...]) -> Surface:
+        """Return that of a rectangle, (rows, columns)."""
+        parts = self.depth[around], self.slopes[(slice(None), *around)], self.known[around]
+        return Surface(*(np.ascontiguousarray(part) for part in parts), self.factor)
 
 
 class _Blocks(NamedTuple):
@@ -136,9 +175,10 @@ class _Blocks(NamedTuple):
 
 
 def _blocks_of(
-    rgb: Single, labels: MaterialLabels, mask: Mask, lamps: Lamps, rho: Points, lines: Points
-) -> _Blocks:
-    factor = block_size(mask, _BLOCKS)
+    rgb: Single, labels: MaterialLabels, mask: Mask, lamps: Lamps, rho: Points, lines: Points,
+    factor: int | None,
+) -> _Blocks:  # fmt: skip
+    factor = factor or block_size(mask, _BLOCKS)
     h, w = (-(-n // factor) for n in mask.shape)
     light, of = np.zeros((h, w, 3), np.float32), np.full((h, w), _NO_LABEL, np.uint8)
     split, haze = lamps.split.astype(np.float32), lamps.haze.astype(np.float32)
@@ -147,40 +187,44 @@ def _blocks_of(
     return _Blocks(light, of, factor)
 
 
-def _gains_of(blocks: _Blocks, lamps: Lamps, lines: Points, of_pixels: RayGrid) -> tuple[Single, Single]:
-    """(h, w, 3), 1 / ρ of the paint of each block, and (h, w), by how many degrees it turned the normal."""
+def _gains_of(
+    blocks: _Blocks, lamps: Lamps, lines: Points, of_pixels: RayGrid, start: Surface | None, steps: int
+) -> tuple[Single, Single, tuple[Single, Single]]:
+    """(h, w, 3), 1 / ρ of the paint of each block, (h, w), by how many degrees it turned the normal, and the
+    surface, depth (h, w) and slopes (2, h, w).
+    """
     lights, inverse = np.linalg.inv(lamps.inverse).astype(np.float32), lamps.inverse.astype(np.float32)
     prices = np.array([_price(line) for line in np.asarray(lines)], np.float32)
-    pyramid = [blocks]
-    for _ in range(_LEVELS):
-        pyramid.append(pyramid[-1].halved())
-    half = tuple(-(-n // 2) for n in pyramid[-1].labels.shape)
-    slopes, depth = np.zeros((2, *half), np.float32), np.zeros(half, np.float32)
-    known = np.zeros(half, np.bool_)
-    softness = np.float32(NO_STEP)  # the first depth must hold together before it may show steps
+    pyramid, softness = [blocks], np.float32(_STEP_SOFTNESS)
+    if start is None:
+        for _ in range(_LEVELS):
+            pyramid.append(pyramid[-1].halved())
+        start = Surface.of(pyramid[-1].halved())
+        start.known[...] = False
+        softness = np.float32(NO_STEP)  # the first depth must hold together before it may show steps
     for level in reversed(pyramid):
         shape, inside = level.labels.shape, level.labels != _NO_LABEL
-        rays = level.rays(of_pixels)
-        before, slopes = (depth, slopes), np.empty((2, *shape), np.float32)
-        depth = np.zeros(shape, np.float32)
-        _begin(level.light, level.labels, inverse, rays, prices, before, known, depth, slopes)
-        quadratics, targets = np.zeros((6, *shape), np.float32), np.zeros((2, *shape), np.float32)
+        rays, times = level.rays(of_pixels), start.factor // level.factor
+        depth, slopes = np.zeros(shape, np.float32), np.empty((2, *shape), np.float32)
+        known = start.depth, start.slopes, start.known
+        _begin(level.light, level.labels, inverse, rays, prices, known, times, depth, slopes)
+        quadratics, targets = np.empty((6, *shape), np.float32), np.empty((2, *shape), np.float32)
         edges, right, agreement = np.empty((4, *shape), np.float32), *np.empty((2, *shape), np.float32)
         weights, lit = np.empty((4, *shape), np.float32), level.lit
         smooth = _SMOOTH / np.float32((level.factor // blocks.factor) ** 2)
-        for _ in range(_STEPS):
+        for _ in range(steps):
             _ask(level.light, level.labels, slopes, rays, lights, prices, smooth, quadratics, targets)
             weights_kernel(quadratics, lit, inside, slopes, depth, softness, softness, weights)
             edges_kernel(quadratics, targets, weights, edges, right)
             depth = solve_grid(grid_hierarchy(edges), right, depth, _TOLERANCE, _CYCLES)
             slopes_kernel(depth, weights, np.float32(STEEPEST), slopes, agreement)
             softness = np.float32(_STEP_SOFTNESS)
-        known = inside
+        start = Surface(depth, slopes, inside, level.factor)
     gains, turns = np.empty(blocks.light.shape, np.float32), np.empty(blocks.labels.shape, np.float32)
     _fill_gains(blocks.light, blocks.labels, slopes, rays, lights, inverse, gains, turns)
     _spread(blocks.light, blocks.labels, gains)
     turns = np.maximum(turns, np.sqrt(uniform_filter(turns * turns, _AROUND)))
-    return gains, np.where(blocks.labels == _NO_LABEL, _NONE, turns)
+    return gains, np.where(blocks.labels == _NO_LABEL, _NONE, turns), (depth, slopes)
 
 
 def _price(line: FloatArray) -> FloatArray:
@@ -255,12 +299,15 @@ def _halve(light: Any, of: Any, out: Any, labels: Any) -> None:
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
 def _begin(
-    light: Any, of: Any, inverse: Any, rays: Any, prices: Any, before: Any, known: Any, depth: Any, out: Any
+    light: Any, of: Any, inverse: Any, rays: Any, prices: Any, before: Any, times: int, depth: Any, out: Any
 ) -> None:
-    """Fill slopes (2, h, w) with those of the light itself as far as its length is 1, as without paint, and
-    else with those of the level before. And depth (h, w) with that level's, sloping inside its blocks.
+    """Fill depth (h, w) and slopes (2, h, w) with those of a surface before, sloping inside its blocks.
+
+    before: depth, slopes, and where they are known, of blocks so many times as large. From larger ones,
+    slopes are those of the light itself as far as its length is 1, as without paint.
     """
-    coarse, slope = before
+    coarse, slope, known = before
+    size, middle = np.float32(times), np.float32(0.5 * (times - 1))
     h, w = of.shape
     for v in prange(h):
         x0, y = ray_at(rays, v, 0)
@@ -275,14 +322,27 @@ def _begin(
             grey = np.log(length)
             left = _ONE / (_ONE + grey * grey * prices[of[v, u]].sum())
             left = left * left if light[v, u, 0] > _NONE else _NONE
-            i, j = v // 2, u // 2
+            i, j = _known_near(known, v // times, u // times)
             if known[i, j]:
-                aside, below = np.float32(u % 2) - _HALF, np.float32(v % 2) - _HALF
-                depth[v, u] = _TWO * coarse[i, j] + aside * slope[0, i, j] + below * slope[1, i, j]
+                left = left if times > 1 else _NONE
+                aside, below = np.float32(u - j * times) - middle, np.float32(v - i * times) - middle
+                depth[v, u] = size * coarse[i, j] + aside * slope[0, i, j] + below * slope[1, i, j]
             else:
                 left = _ONE
             out[0, v, u] = left * n0 * along + (_ONE - left) * slope[0, i, j]
             out[1, v, u] = left * n1 * along + (_ONE - left) * slope[1, i, j]
+
+
+@njit(cache=True)
+def _known_near(known: Any, i: int, j: int) -> Any:
+    """Return the place of a block that is known, (i, j) or one beside it; (i, j) where none is."""
+    if not known[i, j]:
+        for far in range(1, _REACH):
+            for k in range(4):
+                a, b = i + far * _DOWN[k], j + far * _RIGHT[k]
+                if 0 <= a < known.shape[0] and 0 <= b < known.shape[1] and known[a, b]:
+                    return a, b
+    return i, j
 
 
 @njit(cache=True, inline="always", error_model="numpy")

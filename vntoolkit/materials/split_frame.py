@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import prange
 
-from vntoolkit.arrays import FloatArray, Mask, Vector3
+from vntoolkit.arrays import Float32Array, FloatArray, Mask, Vector3
 from vntoolkit.materials.reflectance import Lamps, lamps_from_response
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
@@ -21,7 +21,7 @@ _LEAST_SIGNAL = 4.0  # standard deviations of noise that a lamp's contribution m
 _LEAST_SHARE = 0.06  # … and share of the strongest: the rest may be shadow
 _OF_INNER_HALF = 0.3777  # root mean square of the inner half of a normal distribution, in standard deviations
 _LEAST_NOISE = 1e-4
-_CELL = 8  # blocks to the side of what movement is measured on: it holds for movements up to that size
+CELL = 8  # blocks to the side of what movement is measured on: it holds for movements up to that size
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -88,16 +88,19 @@ def block_size(mask: Mask, most_pixels: int = WORKING_PIXELS) -> int:
     return max(1, round(float(np.sqrt(mask.sum() / most_pixels))))
 
 
-def blocks_moved(before: SplitFrame, now: SplitFrame) -> float:
+def cells_of(image: FloatArray | Float32Array) -> Float32Array:
+    """Return means of (h, w, 3) over the cells by which `blocks_moved` measures movement."""
+    return np.asarray(_cells(image))
+
+
+def blocks_moved(before: Float32Array, now: Float32Array) -> float:
     """Return by about how many blocks the picture moved, at most about the size of the subject.
 
-    What moves by less than a cell changes it by the movement times its slope. before, now: of one shape.
+    What moves by less than a cell changes it by the movement times its slope. before, now: of `cells_of`.
     """
-    every = np.ones(now.lit.shape, np.bool_)
-    one, other = (_blocks(split.colours, every, ~every, _CELL)[0] for split in (before, now))
-    mean = 0.5 * (one + other)
+    mean = 0.5 * (before + now)
     slopes = float((np.diff(mean, axis=0) ** 2).sum() + (np.diff(mean, axis=1) ** 2).sum())
-    return _CELL * float(np.sqrt(((other - one) ** 2).sum() / max(slopes, _LEAST_NOISE**2)))
+    return CELL * float(np.sqrt(((now - before) ** 2).sum() / max(slopes, _LEAST_NOISE**2)))
 
 
 def noise_of(rgb: FloatArray, inside: Mask) -> Vector3:
@@ -115,6 +118,23 @@ def noise_of(rgb: FloatArray, inside: Mask) -> Vector3:
     half = max(1, int(whole.sum()) // 2)
     found = np.partition(both[whole], half - 1, axis=0)[:half]
     return np.maximum(np.sqrt(np.mean(found**2, axis=0)) / _OF_INNER_HALF / 6.0, _LEAST_NOISE)
+
+
+@njit(cache=True, parallel=True)
+def _cells(image: Any) -> Any:
+    h, w, _ = image.shape
+    out = np.zeros(((h + CELL - 1) // CELL, (w + CELL - 1) // CELL, 3), np.float32)
+    for i in prange(len(out)):
+        rows = min((i + 1) * CELL, h) - i * CELL
+        for v in range(i * CELL, i * CELL + rows):
+            for u in range(w):
+                for k in range(3):
+                    out[i, u // CELL, k] += image[v, u, k]
+        for j in range(out.shape[1]):
+            share = np.float32(1.0 / (rows * (min((j + 1) * CELL, w) - j * CELL)))
+            for k in range(3):
+                out[i, j, k] *= share
+    return out
 
 
 @njit(cache=True, parallel=True)

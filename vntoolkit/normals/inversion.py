@@ -19,7 +19,7 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.geometry.maps import NormalMap
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
-from vntoolkit.photometry.levelling import FLAGS, leveller_of, map_row
+from vntoolkit.photometry.levelling import FLAGS, leveller_of, map_row, span_of
 from vntoolkit.photometry.response import LightResponse, scaled_normals_from_rgb
 from vntoolkit.photometry.transfer import Transfer, decoding_table
 
@@ -245,16 +245,23 @@ def _normals_kernel(
     height, width = inside.shape
     normals, weight, valid = out  # numba drops stores through a tuple's field inside prange
     for v in prange(height):
-        x, y, z = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
-        read_row(image[v], table, x, y, z)
-        top = np.empty(width, np.bool_)
-        _clipped_row(clipped, v, white, x, y, z, top)
+        first, last = span_of(inside[v])
+        count = last - first
+        x, y, z = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
+        read_row(image[v, 3 * first : 3 * last], table, x, y, z)
+        top = np.empty(count, np.bool_)
+        _clipped_row(clipped, v, first, white, x, y, z, top)
         if maps is not None:
-            map_row(maps, np.int64(v), 0, x, y, z)
+            map_row(maps, np.int64(v), first, x, y, z)
         _mix_row(c, x, y, z)
-        _normalise_row(x, y, z, top, inside[v], c, weight[v], valid[v])
-        to = normals[v]
-        for u in range(width):
+        for side in (slice(0, first), slice(last, width)):
+            weight[v, side], valid[v, side] = _ZERO, False
+        normals[v, : 3 * first], normals[v, 3 * last :] = _ZERO, _ZERO
+        _normalise_row(
+            x, y, z, top, inside[v, first:last], c, weight[v, first:last], valid[v, first:last]
+        )
+        to = normals[v, 3 * first : 3 * last]
+        for u in range(count):
             to[3 * u] = x[u]
             to[3 * u + 1] = y[u]
             to[3 * u + 2] = z[u]
@@ -271,14 +278,16 @@ def read_row(line: Any, table: Any, r: Any, g: Any, b: Any) -> None:
 
 
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")
-def _clipped_row(clipped: Any, v: int, white: Any, r: Array, g: Array, b: Array, top: Array) -> None:
-    """Fill a row with which colours are clipped: told by `clipped` (h, w), or from `white` on."""
+def _clipped_row(
+    clipped: Any, v: int, first: int, white: Any, r: Array, g: Array, b: Array, top: Array
+) -> None:
+    """Fill a row, from pixel `first` on, with which colours are clipped: told by `clipped` (h, w), or from `white` on."""
     for u in range(len(top)):
         if clipped is None:
             largest = max(r[u], g[u])  # of two at a time: numba makes SIMD of that
             top[u] = max(largest, b[u]) >= white
         else:
-            top[u] = clipped[v, u]
+            top[u] = clipped[v, first + u]
 
 
 @njit(cache=True, fastmath=FLAGS, error_model="numpy")

@@ -265,12 +265,11 @@ class FrameProcessor:
     def lit_subject(self, linear: LinearFrame) -> Mask:
         """Return (h, w), the pixels of interest without the backdrop, whose noise is like dark paint."""
         ambient = self._central.ambient.astype(np.float32)
-        sampled = np.s_[::_SAMPLED, ::_SAMPLED]
-        red, green, blue = np.moveaxis(linear.rgb[sampled] - ambient, 2, 0)
-        brightness = np.maximum(np.maximum(red, green), blue)[self._mask[sampled]]
+        brightness = _sampled(linear.rgb, ambient, self._mask, _SAMPLED)
         if not brightness.size:
             return self._mask
-        darkest = self._options.inversion.darkest * np.percentile(brightness, 99)
+        brightest = int(0.99 * brightness.size)
+        darkest = self._options.inversion.darkest * np.partition(brightness, brightest)[brightest]
         return np.asarray(_brighter(linear.rgb, ambient, np.float32(darkest), self._mask))
 
     @property
@@ -312,6 +311,20 @@ class FrameProcessor:
             return shown
         nothing: BoolArray = np.zeros(shown.shape[:2], dtype=np.bool_)
         return self._resampler.frame(LinearFrame(rgb=shown, clipped=nothing)).rgb
+
+
+@njit(cache=True)
+def _sampled(rgb: Any, ambient: Any, mask: Any, step: int) -> Any:
+    """(n,), the brightest channel of every step-th pixel of every step-th row, without ambient light."""
+    h, w = mask.shape
+    out, count = np.empty((-(-h // step)) * (-(-w // step)), np.float32), 0
+    for v in range(0, h, step):
+        for u in range(0, w, step):
+            if mask[v, u]:
+                r, g, b = rgb[v, u, 0] - ambient[0], rgb[v, u, 1] - ambient[1], rgb[v, u, 2] - ambient[2]
+                out[count] = max(max(r, g), b)
+                count += 1
+    return out[:count]
 
 
 @njit(cache=True, parallel=True)
