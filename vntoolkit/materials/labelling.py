@@ -42,6 +42,7 @@ from vntoolkit.materials.split_frame import (
 )
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
+from vntoolkit.photometry.levelling import Leveller
 from vntoolkit.photometry.response import LightResponse
 
 _STRANGERS = 0.1  # share of regions that are of no material: folds that light each other, eyes, buttons
@@ -76,7 +77,8 @@ class MaterialLabeller:
     a whole, too. One in which the picture moved farther than beside seams is decided as a first one.
 
     response: with light colours. reflectances: (m, 3), relative to the calibration material. pigments:
-    (m, 3), the lines of log ρ along which they change, 0 for none. camera: None for orthographic.
+    (m, 3), the lines of log ρ along which they change, 0 for none. camera: None for orthographic. leveller:
+    makes every lamp as strong as at the centre; None where frames are so.
     """
 
     def __init__(
@@ -85,10 +87,11 @@ class MaterialLabeller:
         reflectances: Points,
         pigments: Points | None = None,
         camera: Camera | None = None,
+        leveller: Leveller | None = None,
     ) -> None:
         self._response = response
         self._pigments = pigments
-        self._camera = camera
+        self._camera, self._leveller = camera, leveller
         self._reflectances = np.asarray(reflectances, dtype=np.float64)
         self._logs = np.log(self._reflectances)
         self._before: MaterialLabels | None = None
@@ -109,15 +112,16 @@ class MaterialLabeller:
         self._surface = self._cells = None
 
     def labels(self, frame: LinearFrame, mask: Mask) -> MaterialLabels:
-        """Return (h, w), numbers of the materials; 0 outside the mask. mask: (h, w).
-
-        frame: every lamp as strong as at the centre.
-        """
+        """Return (h, w), numbers of the materials; 0 outside the mask. mask: (h, w)."""
         if len(self._logs) == 1 or not mask.any():
             return np.zeros(mask.shape, np.uint8)
         labels = np.zeros(mask.shape, np.uint8)
         box = self._boxed(mask)
-        part, inside = _inside(frame, mask, box)
+        inside = np.ascontiguousarray(mask[box])
+        if self._leveller is None:
+            part = LinearFrame(rgb=frame.rgb[box], clipped=frame.clipped[box])
+        else:
+            part = self._leveller.frame_by_strength(frame, box)
         split = split_frame(part, self._response, inside, like=self._split)
         cells = cells_of(split.colours)
         if self._cells is not None and blocks_moved(self._cells, cells) > _BESIDE:
@@ -249,7 +253,7 @@ class MaterialLabeller:
         step = _BOX_BLOCKS * (block_size(mask) if self._split is None else self._split.factor)
         ends = np.minimum(-(-stop // step) * step, mask.shape)
         first = first // step * step
-        self._box = slice(first[0], ends[0]), slice(first[1], ends[1])
+        self._box = slice(int(first[0]), int(ends[0])), slice(int(first[1]), int(ends[1]))
         if before is None or self._split is None or self._before is None:
             return self._box
         factor = self._split.factor
@@ -314,12 +318,6 @@ class MaterialLabeller:
         self._doubtful = float(np.quantile(paid, 1.0 - _DOUBTFUL_SHARE)) if paid.size else np.inf
         self._mean_price = float(paid.mean()) if paid.size else np.inf
         return found
-
-
-def _inside(frame: LinearFrame, mask: Mask, box: tuple[slice, slice]) -> tuple[LinearFrame, Mask]:
-    """Return the rows and columns of a box alone, of a frame and of its mask."""
-    rgb, clipped = np.ascontiguousarray(frame.rgb[box]), np.ascontiguousarray(frame.clipped[box])
-    return LinearFrame(rgb=rgb, clipped=clipped), np.ascontiguousarray(mask[box])
 
 
 def _shifted(image: npt.NDArray[Any], shape: tuple[int, ...], down: int, right: int) -> npt.NDArray[Any]:

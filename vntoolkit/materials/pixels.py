@@ -547,50 +547,41 @@ def likeliest_blur_px(
 def near_seams(labels: Any, reach: int) -> Any:
     """True where another label is within a window, `reach` to either side."""
     h, w = labels.shape
-    near = np.empty((h, w), np.bool_)
-    beside, below = np.empty((h, w), np.bool_), np.empty((h, w), np.bool_)
-    kinds = np.zeros((h, 2), np.bool_)
+    near, beside, below = np.empty((h, w), np.bool_), np.empty((h, w), np.bool_), np.empty((h, w), np.bool_)
     for v in prange(h):
-        _find_seams(labels, v, reach, beside, below, kinds)
+        seams = np.zeros(w + 2 * reach, np.bool_)
+        if w > 1:
+            _differ(labels[v, :-1], labels[v, 1:], seams[reach : reach + w - 1])
+        _any_of(seams, 2 * reach, beside[v])
+        _differ(labels[v], labels[min(v + 1, h - 1)], seams[reach : reach + w])
+        _any_of(seams, 2 * reach + 1, below[v])
     for v in prange(h):
-        _gather_seams(v, reach, beside, below, kinds, near)
+        near[v] = False
+        for a in range(max(v - reach, 0), min(v + reach + 1, h)):
+            _add_any(beside[a], near[v])
+            if a < v + reach:
+                _add_any(below[a], near[v])
     return near
 
 
 @njit(cache=True)
-def _find_seams(labels: Any, v: int, reach: int, beside: Any, below: Any, kinds: Any) -> None:
-    """Fill where along row v a seam is near, of labels beside each other and below each other, and which
-    kinds there are.
-    """
-    h, w = labels.shape
-    for u in range(w - 1):
-        if labels[v, u + 1] != labels[v, u]:
-            if not kinds[v, 0]:
-                kinds[v, 0] = True
-                beside[v] = False
-            for b in range(max(u - reach + 1, 0), min(u + reach + 1, w)):
-                beside[v, b] = True
-    if v + 1 < h:
-        for u in range(w):
-            if labels[v + 1, u] != labels[v, u]:
-                if not kinds[v, 1]:
-                    kinds[v, 1] = True
-                    below[v] = False
-                for b in range(max(u - reach, 0), min(u + reach + 1, w)):
-                    below[v, b] = True
+def _differ(one: Any, other: Any, out: Any) -> None:
+    for u in range(len(one)):
+        out[u] = one[u] != other[u]
 
 
 @njit(cache=True)
-def _gather_seams(v: int, reach: int, beside: Any, below: Any, kinds: Any, near: Any) -> None:
-    h, w = near.shape
-    near[v] = False
-    for a in range(max(v - reach, 0), min(v + reach + 1, h)):
-        if kinds[a, 0]:
-            for u in range(w):
-                near[v, u] |= beside[a, u]
-        if kinds[a, 1] and a < v + reach:
-            for u in range(w):
-                near[v, u] |= below[a, u]
+def _any_of(flags: Any, count: int, out: Any) -> None:
+    """Fill out (n,) with whether any of flags u … u + count − 1 is true."""
+    out[:] = False
+    for shift in range(count):
+        _add_any(flags[shift : shift + len(out)], out)
+
+
+@njit(cache=True)
+def _add_any(flags: Any, out: Any) -> None:
+    for u in range(len(out)):
+        out[u] |= flags[u]
 
 
 @njit(cache=True, parallel=True)

@@ -53,7 +53,7 @@ def split_frame(
     `BadInput` where the lamps' colours are not known.
     """
     factor = block_size(mask, most_pixels) if like is None else like.factor
-    rgb, inside = _blocks(np.ascontiguousarray(frame.rgb), mask, frame.clipped, factor)
+    rgb, inside = _blocks(frame.rgb, mask, frame.clipped, factor)
     lamps = lamps_from_response(response, noise_of(rgb, inside)) if like is None else like.lamps
     contributions, lit = _lit(rgb, inside, lamps.split, _LEAST_SIGNAL * lamps.noise)
     return SplitFrame(

@@ -20,6 +20,8 @@ FLAGS = {"contract", "arcp", "nsz"}  # of compiled loops: reordering that keeps 
 _ERROR = 1e-5  # of a map's numbers: what parabolas may be off by, as float32 colours are after M⁻¹
 _WIDEST = 64  # steps of the grid in pixels: the widest of these powers of two is taken that keeps to it
 
+Box = tuple[slice, slice]
+
 
 class ColourMaps(NamedTuple):
     """Affine maps of colours, r' = K r + o, over an image.
@@ -61,12 +63,13 @@ class Leveller:
         """Return the frame as the response of the centre would have formed it."""
         return _mapped(frame, self.maps)
 
-    def frame_by_strength(self, frame: LinearFrame) -> LinearFrame:
+    def frame_by_strength(self, frame: LinearFrame, box: Box | None = None) -> LinearFrame:
         """Return the frame with every light as strong as at the centre; a missing light stays missing.
 
         The lights' directions remain those of the pixel, so normals computed from it have a small error.
+        box: the rows and the columns that are returned; None for all.
         """
-        return _mapped(frame, self._by_strength)
+        return _mapped(frame, self._by_strength, box)
 
 
 @lru_cache(maxsize=1)
@@ -108,21 +111,23 @@ def _maps(
     return ColourMaps(np.ascontiguousarray(grid, np.float32), step, ramp)
 
 
-def _mapped(frame: LinearFrame, maps: ColourMaps) -> LinearFrame:
-    rgb = np.empty(frame.rgb.shape, np.float32)
-    _map_kernel(np.ascontiguousarray(frame.rgb, np.float32), maps, rgb)
-    return LinearFrame(rgb=rgb, clipped=frame.clipped, number=frame.number)
+def _mapped(frame: LinearFrame, maps: ColourMaps, box: Box | None = None) -> LinearFrame:
+    rows, columns = box or (slice(0, frame.shape[0]), slice(0, frame.shape[1]))
+    clipped = frame.clipped[rows, columns]
+    rgb = np.empty((*clipped.shape, 3), np.float32)
+    _map_kernel(np.ascontiguousarray(frame.rgb, np.float32), maps, int(rows.start), int(columns.start), rgb)
+    return LinearFrame(rgb=rgb, clipped=clipped, number=frame.number)
 
 
 @njit(cache=True, parallel=True, fastmath=FLAGS, error_model="numpy")
-def _map_kernel(rgb: Any, maps: ColourMaps, out: Any) -> None:
-    height, width = rgb.shape[:2]
+def _map_kernel(rgb: Any, maps: ColourMaps, top: int, left: int, out: Any) -> None:
+    height, width = out.shape[:2]
     for v in prange(height):
         r, g, b = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
-        line, to = rgb[v], out[v]
+        line, to = rgb[top + v, left : left + width], out[v]
         for u in range(width):
             r[u], g[u], b[u] = line[u, 0], line[u, 1], line[u, 2]
-        map_row(maps, np.int64(v), 0, r, g, b)
+        map_row(maps, np.int64(v) + top, left, r, g, b)
         for u in range(width):
             to[u, 0], to[u, 1], to[u, 2] = r[u], g[u], b[u]
 

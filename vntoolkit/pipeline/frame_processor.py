@@ -34,7 +34,7 @@ from vntoolkit.shadows.contributions import brighter_than
 from vntoolkit.shadows.detector import ShadowDetector, ShadowMethod
 from vntoolkit.shadows.recovery import recover_surface
 
-_SAMPLED = 4  # every fourth pixel of every fourth row tells how bright a subject is
+_SAMPLED, _BINS = 4, 4096  # every fourth pixel of every fourth row tells how bright a subject is
 
 
 class FrameProcessor:
@@ -102,7 +102,7 @@ class FrameProcessor:
         if len(self._reflectances):
             self._labeller = MaterialLabeller(
                 self._central, self._reflectances, np.array(pigments, dtype=np.float64).reshape(-1, 3),
-                self.camera,
+                self.camera, self._leveller,
             )  # fmt: skip
             self._paints = encoded_from_linear(
                 colours_of(self._reflectances, self._central), Transfer(curve=TransferCurve.SRGB)
@@ -213,7 +213,7 @@ class FrameProcessor:
             self._mask = self._mask & self._painted.mask(frame.number)
         if self._labeller is not None:
             self._mask = self.lit_subject(linear)
-            self._materials = self._labeller.labels(self.by_strength(linear), self._mask)
+            self._materials = self._labeller.labels(linear, self._mask)
             linear = self._labeller.relit(linear, self._materials, self._mask, box_of(self._mask))
             turned_deg = self._labeller.turned_deg
         if self._painted is not None:
@@ -221,14 +221,16 @@ class FrameProcessor:
             # the mean over frames is in doubt as what one frame tells: frames err alike
             told = self._painted.turned_deg
             turned_deg = told if turned_deg is None or told is None else np.maximum(told, turned_deg)
-        level = linear if self._leveller is None else self._leveller.frame(linear)
-        labels, solved = None, False
-        if self._options.shadows is ShadowMethod.NONE:
+        labels, solved, has_shadows = None, False, self._options.shadows is not ShadowMethod.NONE
+        level = linear
+        if self._leveller is not None and (has_shadows or self._with_errors):
+            level = self._leveller.frame(linear)
+        if has_shadows:
+            normal_map, labels, solved = self._normals_under_shadow(linear, level)
+        else:
             normal_map = normals_from_frame(
                 linear, self._rig.response, self._mask, options=self._options.inversion
             )
-        else:
-            normal_map, labels, solved = self._normals_under_shadow(linear, level)
         clipped_share = float(np.count_nonzero(linear.clipped)) / linear.clipped.size
         if not self._with_errors:
             return normal_map, labels, clipped_share
@@ -265,11 +267,7 @@ class FrameProcessor:
     def lit_subject(self, linear: LinearFrame) -> Mask:
         """Return (h, w), the pixels of interest without the backdrop, whose noise is like dark paint."""
         ambient = self._central.ambient.astype(np.float32)
-        brightness = _sampled(linear.rgb, ambient, self._mask, _SAMPLED)
-        if not brightness.size:
-            return self._mask
-        brightest = int(0.99 * brightness.size)
-        darkest = self._options.inversion.darkest * np.partition(brightness, brightest)[brightest]
+        darkest = self._options.inversion.darkest * _bright(linear.rgb, ambient, self._mask, _SAMPLED, 0.99)
         return np.asarray(_brighter(linear.rgb, ambient, np.float32(darkest), self._mask))
 
     @property
@@ -314,17 +312,27 @@ class FrameProcessor:
 
 
 @njit(cache=True)
-def _sampled(rgb: Any, ambient: Any, mask: Any, step: int) -> Any:
-    """(n,), the brightest channel of every step-th pixel of every step-th row, without ambient light."""
+def _bright(rgb: Any, ambient: Any, mask: Any, step: int, share: float) -> float:
+    """Return the quantile of the brightest channel, without ambient light, of every step-th pixel of every
+    step-th row, to a bin of its histogram.
+    """
     h, w = mask.shape
-    out, count = np.empty((-(-h // step)) * (-(-w // step)), np.float32), 0
+    values, count, most = np.empty((h // step + 1) * (w // step + 1), np.float32), 0, np.float32(1e-9)
     for v in range(0, h, step):
         for u in range(0, w, step):
             if mask[v, u]:
                 r, g, b = rgb[v, u, 0] - ambient[0], rgb[v, u, 1] - ambient[1], rgb[v, u, 2] - ambient[2]
-                out[count] = max(max(r, g), b)
+                values[count] = max(max(r, g), b)
+                most = max(most, values[count])
                 count += 1
-    return out[:count]
+    bins, per_bin = np.zeros(_BINS + 1, np.int64), np.float32(_BINS) / most
+    for i in range(count):
+        bins[int(max(values[i] * per_bin, np.float32(0.0)))] += 1
+    found, below = 0, bins[0]
+    while below <= share * count and found < _BINS:
+        found += 1
+        below += bins[found]
+    return found / per_bin
 
 
 @njit(cache=True, parallel=True)
