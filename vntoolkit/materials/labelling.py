@@ -56,7 +56,7 @@ _DOUBTFUL = 1.5  # price of a region from which its pixels are decided one by on
 _BESIDE = 4  # … and those that near to a seam
 # Share of the pixels of a frame that is decided as a whole: in later frames what costs more is doubtful.
 _DOUBTFUL_SHARE = 0.05
-_CARRIED_SWEEPS = 2
+_CARRIED_SWEEPS = 1
 _BOX_BLOCKS = 32  # that a subject moves before another part of the frame is looked at
 # Two pixels with a seam between them, farther apart than its blur and its labels' errors reach.
 _APART_PX = 6
@@ -124,16 +124,17 @@ class MaterialLabeller:
             part = self._leveller.frame_by_strength(frame, box)
         split = split_frame(part, self._response, inside, like=self._split)
         cells = cells_of(split.colours)
-        if self._cells is not None and blocks_moved(self._cells, cells) > _BESIDE:
+        moved = 0.0 if self._cells is None else blocks_moved(self._cells, cells)
+        if moved > _BESIDE:
             self.forget()
             return self.labels(frame, mask)
         self._cells = cells
-        labels[box] = self._labels(part, inside, split)
+        labels[box] = self._labels(part, inside, split, moved)
         return labels
 
-    def _labels(self, frame: LinearFrame, mask: Mask, split: SplitFrame) -> MaterialLabels:
+    def _labels(self, frame: LinearFrame, mask: Mask, split: SplitFrame, moved: float) -> MaterialLabels:
         """`labels` of the part of a frame that holds the subject."""
-        coarse = self._carried(split)
+        coarse = self._carried(split, moved)
         if coarse is None:
             coarse = self._decided_anew(split)
         if coarse is None:
@@ -266,8 +267,11 @@ class MaterialLabeller:
             self._cells = _shifted(self._cells, of_cells, down // CELL, right // CELL)
         return self._box
 
-    def _carried(self, split: SplitFrame) -> MaterialLabels | None:
-        """Return labels of blocks from those of the frame before; None where these do not explain it."""
+    def _carried(self, split: SplitFrame, moved: float) -> MaterialLabels | None:
+        """Return labels of blocks from those of the frame before; None where these do not explain it.
+
+        moved: blocks that the picture moved, on average. Parts may have moved twice as far.
+        """
         if (
             self._before is None
             or self._coarse is None
@@ -280,7 +284,7 @@ class MaterialLabeller:
         doubtful |= ~self._split.lit
         found = self._coarse.decided(
             self._before,
-            doubtful | near_seams(self._before, _BESIDE),
+            doubtful | near_seams(self._before, min(int(np.ceil(2.0 * moved)), _BESIDE)),
             any_label=doubtful,
             sweeps=_CARRIED_SWEEPS,
         )

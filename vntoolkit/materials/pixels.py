@@ -85,7 +85,8 @@ class LineLabeller:
     def __init__(self, lamps: Lamps, logs: Points, spread: Spread) -> None:
         self._lamps, self._logs, self.spread = lamps, logs, spread
         self._reach = 1
-        self._room: tuple[Single, Single, Single] | None = None
+        self._room: tuple[Single, Single] | None = None
+        self._steps_of: tuple[int, float] | None = None  # reach and variance of those that the room has
         self._variance: float | None = None
         self._tolerance = spread.of_pixels**2 + INDEPENDENT_PX * spread.of_regions**2
         self.blur_px = 0.0
@@ -97,9 +98,7 @@ class LineLabeller:
         """Take the frame that is decided next. values: (h, w, 3), colours. lit: (h, w), where they count."""
         self._values, self._lit = values, lit
         self._of_lengths = np.zeros(lit.shape, np.float32), np.full(lit.shape, _NO_LABEL, np.uint8)
-        light, noise, _ = self._room_for(values)
-        split, deviation = self._lamps.split.astype(np.float32), self._lamps.noise.astype(np.float32)
-        _take_logs(values, lit, split, deviation, light, noise)
+        self._steps_of = None
 
     def decided(
         self, labels: MaterialLabels, active: Mask, *, any_label: Mask | None = None, sweeps: int = _SWEEPS
@@ -131,10 +130,9 @@ class LineLabeller:
         """
         assert self._variance is not None
         lamps, (out, before) = self._lamps, self._of_lengths
-        light, noise, _ = self._room_for(self._values)
         _price(
             self._values, self._lit, labels, before, lamps.split, self._logs, lamps.haze, lamps.inverse,
-            lamps.mixing, lamps.noise, self._tolerance, self._variance, self._reach, light, noise, out,
+            lamps.mixing, lamps.noise, self._tolerance, self._reach, self._steps(), out,
         )  # fmt: skip
         before[...] = labels
         return out
@@ -144,33 +142,46 @@ class LineLabeller:
     ) -> MaterialLabels:
         """Decide rows and columns in turn, each whole line at once (viterbi1967), until hardly any change."""
         lamps, logs, reach = self._lamps, self._logs, self._reach
-        light, noise, unary = self._room_for(self._values)
+        unary = self._room_for(self._values)[1]
         _price_lengths(
             self._values, lamps.split, np.exp(-logs), lamps.haze, lamps.inverse, lamps.mixing, lamps.noise,
             self._tolerance, active, allowed, unary,
         )  # fmt: skip
         if self._variance is None:
             self._variance = _shading_variance(self._values, self._lit, lamps, reach)
+        steps, z = self._steps(), logs.astype(np.float32)
         found, extents, when = labels.copy(), _extents(active), np.zeros(labels.shape, np.uint8)
         for sweep in range(sweeps):
             changed = 0
             for k in range(4):
                 upright, first = k < 2, k % 2
                 changed += _decide_lines(
-                    found, light, noise, self._lit, unary, active, allowed, logs.astype(np.float32),
-                    np.float32(self._variance), reach, upright, first, extents[0 if upright else 1],
-                    4 * sweep + k + 1, when,
+                    found, steps, unary, active, allowed, z, reach, upright, first,
+                    extents[0 if upright else 1], 4 * sweep + k + 1, when,
                 )  # fmt: skip
             if changed <= _SETTLED * active.sum():
                 break
         return found
 
-    def _room_for(self, values: FloatArray) -> tuple[Single, Single, Single]:
-        """Return arrays for log s, its variance by noise, and prices; new ones would cost a frame 20 ms."""
-        if self._room is None or self._room[0].shape != values.shape:
-            lights = np.empty((2, *values.shape), np.float32)
-            prices = np.empty((*values.shape[:2], len(self._logs)), np.float32)
-            self._room = lights[0], lights[1], prices
+    def _steps(self) -> Single:
+        """(h, w, 2, 6), of `_take_steps`, of the frame that is looked at."""
+        assert self._variance is not None
+        steps, lamps = self._room_for(self._values)[0], self._lamps
+        if self._steps_of != (self._reach, self._variance):
+            self._steps_of = self._reach, self._variance
+            split, deviation = lamps.split.astype(np.float32), lamps.noise.astype(np.float32)
+            _take_steps(
+                self._values, self._lit, split, deviation, np.float32(self._variance), self._reach, steps
+            )
+        return steps
+
+    def _room_for(self, values: FloatArray) -> tuple[Single, Single]:
+        """Return arrays for steps and for prices; new ones would cost a frame 20 ms."""
+        shape = values.shape[:2]
+        if self._room is None or self._room[0].shape[:2] != shape:
+            self._room = (
+                np.zeros((*shape, 2, 6), np.float32), np.empty((*shape, len(self._logs)), np.float32)
+            )  # fmt: skip
         return self._room
 
 
@@ -262,9 +273,14 @@ def _shading_variance(values: FloatArray, lit: Mask, lamps: Lamps, reach: int) -
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def _take_logs(values: Any, lit: Any, split: Any, deviation: Any, light: Any, noise: Any) -> None:
-    """Fill log s (h, w, 3) and its variance by noise, where lit; all but values in single precision."""
+def _take_steps(
+    values: Any, lit: Any, split: Any, deviation: Any, variance: Any, reach: int, out: Any
+) -> None:
+    """Fill out (h, w, 2, 6): the step of log s to the pixel `reach` to the right and below, and 1 over its
+    variance by shading and noise; 0 where either is not lit. All but values in single precision.
+    """
     h, w = lit.shape
+    light, noise = np.empty((h, w, 3), np.float32), np.empty((h, w, 3), np.float32)
     for v in prange(h):
         for u in range(w):
             if lit[v, u]:
@@ -273,6 +289,15 @@ def _take_logs(values: Any, lit: Any, split: Any, deviation: Any, light: Any, no
                     s = max(np.float32(split[k, 0] * r + split[k, 1] * g + split[k, 2] * b), deviation[k])
                     light[v, u, k] = np.log(s)
                     noise[v, u, k] = (deviation[k] / s) * (deviation[k] / s)
+    for v in prange(h):
+        for u in range(w):
+            for way in range(2):
+                a, b = v + way * reach, u + (1 - way) * reach
+                both = a < h and b < w and lit[v, u] and lit[min(a, h - 1), min(b, w - 1)]
+                for k in range(3):
+                    out[v, u, way, k] = light[a, b, k] - light[v, u, k] if both else _NONE
+                    noises = noise[v, u, k] + noise[a, b, k] if both else _NONE
+                    out[v, u, way, 3 + k] = _ONE / (variance + noises) if both else _NONE
 
 
 @njit(cache=True, inline="always", error_model="numpy")
@@ -307,37 +332,35 @@ def _price_lengths(
 @njit(cache=True, parallel=True, error_model="numpy")
 def _price(
     values: Any, lit: Any, labels: Any, before: Any, split: Any, z: Any, haze: Any, inverse: Any,
-    mixing: Any, deviation: Any, tolerance: float, variance: float, reach: int, light: Any, noise: Any,
-    out: Any,
+    mixing: Any, deviation: Any, tolerance: float, reach: int, steps: Any, out: Any,
 ) -> None:  # fmt: skip
     """Fill `out` with each pixel's price of its length and of its steps to right and below.
 
-    before: labels under which `out` is filled already.
+    before: labels under which `out` is filled already. steps: of `_take_steps`.
     """
     h, w = lit.shape
     q = np.exp(-z)
     bias = np.array([bias_of_noise(q[m], inverse, mixing) for m in range(z.shape[0])])
     for v in prange(h):
-        j, s, weight = np.empty(3), np.empty(3), np.empty(3)
+        j, s = np.empty(3), np.empty(3)
         for u in range(w):
+            if not lit[v, u]:
+                continue
             m, is_new = labels[v, u], labels[v, u] != before[v, u]
             if u + reach < w:
                 is_new |= labels[v, u + reach] != before[v, u + reach]
             if v + reach < h:
                 is_new |= labels[v + reach, u] != before[v + reach, u]
-            if not is_new or not lit[v, u]:
+            if not is_new:
                 continue
             _take_light(values[v, u], split, deviation, s)
             e, spread = length_and_variance(s, q[m], haze, inverse, mixing, bias[m], j)
             t = e * e / (spread + tolerance)
             total = 0.5 * t / (1.0 + t / (CAP * CAP))
             for way in range(2):
-                a, b = v + way * reach, u + (1 - way) * reach
-                if a >= h or b >= w or not lit[a, b]:
-                    continue
-                for k in range(3):
-                    weight[k] = 1.0 / (variance + noise[v, u, k] + noise[a, b, k])
-                total += _change(light[v, u], light[a, b], weight, z[m], z[labels[a, b]])
+                if steps[v, u, way, 3] > _NONE:
+                    n = labels[v + way * reach, u + (1 - way) * reach]
+                    total += _change(steps[v, u, way], z[m], z[n])
             out[v, u] = total
 
 
@@ -348,15 +371,25 @@ def _labels_around(labels: Any, any_label: Any, active: Any, allowed: Any) -> No
     any_label: (h, w), pixels that are left all.
     """
     h, w = labels.shape
+    beside = np.empty((h, w), np.uint16)
     for v in prange(h):
+        there = np.zeros(w + 2 * MOST_REACH_PX, np.uint16)
+        _take_bits(labels[v], there[MOST_REACH_PX : MOST_REACH_PX + w])
+        _any_of(there, 2 * MOST_REACH_PX + 1, beside[v])
+    for v in prange(h):
+        there = np.zeros(w, np.uint16)
+        for a in range(max(v - MOST_REACH_PX, 0), min(v + MOST_REACH_PX + 1, h)):
+            _add_any(beside[a], there)
         for u in range(w):
             if active[v, u] and not any_label[v, u]:
-                found = 0
-                for a in range(max(v - MOST_REACH_PX, 0), min(v + MOST_REACH_PX + 1, h)):
-                    for b in range(max(u - MOST_REACH_PX, 0), min(u + MOST_REACH_PX + 1, w)):
-                        found |= 1 << labels[a, b]
-                allowed[v, u] = found
-                active[v, u] = found & (found - 1) != 0
+                allowed[v, u] = there[u]
+                active[v, u] = there[u] & (there[u] - 1) != 0
+
+
+@njit(cache=True)
+def _take_bits(labels: Any, out: Any) -> None:
+    for u in range(len(labels)):
+        out[u] = 1 << labels[u]
 
 
 @njit(cache=True)
@@ -375,14 +408,14 @@ def _extents(active: Any) -> Any:
     return rows, columns
 
 
-@njit(cache=True, error_model="numpy")
-def _change(here: Any, there: Any, weight: Any, one: Any, other: Any) -> float:
-    """Price of log s here in one material and there in another: how little shading goes on."""
-    t = 0.0
+@njit(cache=True, inline="always", error_model="numpy")
+def _change(step: Any, one: Any, other: Any) -> Any:
+    """Price of a step, of `_take_steps`, from one material to another: how little shading goes on."""
+    t = _NONE
     for k in range(3):
-        rest = there[k] - other[k] - here[k] + one[k]
-        t += rest * rest * weight[k]
-    return 0.5 * t / (1.0 + t / (CAP * CAP))
+        rest = step[k] - other[k] + one[k]
+        t += rest * rest * step[3 + k]
+    return _HALF * t / (_ONE + t * _OF_CAP)
 
 
 @njit(cache=True)
@@ -403,93 +436,114 @@ def scattering(count: int) -> int:
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def _decide_lines(
-    labels: Any, light: Any, noise: Any, lit: Any, unary: Any, active: Any, allowed: Any, z: Any,
-    variance: Any, reach: int, upright: bool, first: int, extents: Any, now: int, changed: Any,
+    labels: Any, steps: Any, unary: Any, active: Any, allowed: Any, z: Any, reach: int, upright: bool,
+    first: int, extents: Any, now: int, changed: Any,
 ) -> int:  # fmt: skip
     """Give every second row or column its labels of least cost, those beside it being as they are.
 
     Return how many changed. upright: rows. A chain goes over every pixel, or leaps over blurred ones: then
-    chains alternate. extents: (lines, 2), where the active pixels of each line begin and end. z, variance,
-    light, noise, unary: in single precision. changed: (h, w), number of the call, counted from 1, in which a
+    chains alternate. extents: (lines, 2), where the active pixels of each line begin and end. z, steps,
+    unary: in single precision. changed: (h, w), number of the call, counted from 1, in which a
     label changed last. now: number of this call. The fourth before it was of the same lines; chains beside
     which nothing changed since are left as they are, which is what deciding them again would do.
     """
     h, w, count = unary.shape
     lines, length = (h, w) if upright else (w, h)
-    changes = np.zeros(lines, np.int64)
-    half = (lines - first + 1) // 2
-    jump, seam = scattering(half), _SEAM_PRICE / np.float32(reach)  # so many pairs have a seam between them
-    for i in prange(half):
-        line = 2 * (i * jump % half) + first
-        begin, end = extents[line]
-        if begin >= end:
-            continue
+    changes = np.zeros(_SHARES, np.int64)
+    for part in prange(_SHARES):
         # Of every pixel: the labels that it may get, what each costs, and which of the pixel before it needs.
         number, kinds = np.zeros(length, np.int64), np.empty((length, count), np.int64)
         total, source = np.empty((length, count), np.float32), np.zeros((length, count), np.int64)
-        for offset in range(reach):
-            t = begin + offset
-            while t < end:
-                start = t
-                while t < end and (active[line, t] if upright else active[t, line]):
-                    t += reach
-                if t == start:
-                    t += reach
-                    continue
-                if now > 4 and not _is_touched(changed, line, start, t, reach, upright, now - 4):
-                    continue
-                for at in range(start, t, reach):
-                    v, u = (line, at) if upright else (at, line)
-                    found = 0
-                    for m in range(count):
-                        if (allowed[v, u] >> m) & 1:
-                            kinds[at, found], total[at, found] = m, unary[v, u, m]
-                            found += 1
-                    number[at] = found
-                    for way in range(4):  # back and on along the line, then to either side
-                        along = (way == 1) * reach - (way == 0) * reach
-                        aside = (way == 3) * reach - (way == 2) * reach
-                        a, b = (v + aside, u + along) if upright else (v + along, u + aside)
-                        if a < 0 or b < 0 or a >= h or b >= w or not lit[a, b]:
-                            continue
-                        if way == 1 and at + reach < t:  # the pixel there asks back
-                            continue
-                        w0 = _ONE / (variance + noise[v, u, 0] + noise[a, b, 0])
-                        w1 = _ONE / (variance + noise[v, u, 1] + noise[a, b, 1])
-                        w2 = _ONE / (variance + noise[v, u, 2] + noise[a, b, 2])
-                        d0, d1 = light[v, u, 0] - light[a, b, 0], light[v, u, 1] - light[a, b, 1]
-                        d2 = light[v, u, 2] - light[a, b, 2]
-                        if way == 0 and at > start:
-                            for p in range(found):
-                                m, least, best = kinds[at, p], _INFINITE, 0
-                                x0, x1, x2 = d0 - z[m, 0], d1 - z[m, 1], d2 - z[m, 2]
-                                for q in range(number[at - reach]):
-                                    n = kinds[at - reach, q]
-                                    y0, y1, y2 = x0 + z[n, 0], x1 + z[n, 1], x2 + z[n, 2]
-                                    rest = y0 * y0 * w0 + y1 * y1 * w1 + y2 * y2 * w2
-                                    cost = total[at - reach, q] + _HALF * rest / (_ONE + rest * _OF_CAP)
-                                    cost += seam if n != m else _NONE
-                                    best = q if cost < least else best
-                                    least = min(cost, least)
-                                total[at, p] += least
-                                source[at, p] = best
-                        else:
-                            n = labels[a, b]
-                            for p in range(found):
-                                m = kinds[at, p]
-                                y0, y1 = d0 - z[m, 0] + z[n, 0], d1 - z[m, 1] + z[n, 1]
-                                y2 = d2 - z[m, 2] + z[n, 2]
-                                rest = y0 * y0 * w0 + y1 * y1 * w1 + y2 * y2 * w2
-                                total[at, p] += _HALF * rest / (_ONE + rest * _OF_CAP)
-                                total[at, p] += seam if n != m else _NONE
-                taken = total[t - reach, : number[t - reach]].argmin()
-                for back in range(t - reach, start - 1, -reach):
-                    v, u = (line, back) if upright else (back, line)
-                    if labels[v, u] != kinds[back, taken]:
-                        labels[v, u], changed[v, u] = kinds[back, taken], now
-                        changes[line] += 1
-                    taken = source[back, taken]
+        for line in range(first + 2 * part, lines, 2 * _SHARES):
+            begin, end = extents[line]
+            for offset in range(reach):
+                t = begin + offset
+                while t < end:
+                    start = t
+                    while t < end and (active[line, t] if upright else active[t, line]):
+                        t += reach
+                    if t == start:
+                        t += reach
+                        continue
+                    if now > 4 and not _is_touched(changed, line, start, t, reach, upright, now - 4):
+                        continue
+                    _decide_chain(
+                        labels, steps, unary, allowed, z, reach, upright, line, start, t, number, kinds,
+                        total, source,
+                    )  # fmt: skip
+                    taken = total[t - reach, : number[t - reach]].argmin()
+                    for back in range(t - reach, start - 1, -reach):
+                        v, u = (line, back) if upright else (back, line)
+                        if labels[v, u] != kinds[back, taken]:
+                            labels[v, u], changed[v, u] = kinds[back, taken], now
+                            changes[part] += 1
+                        taken = source[back, taken]
     return changes.sum()
+
+
+@njit(cache=True, error_model="numpy")
+def _decide_chain(
+    labels: Any, steps: Any, unary: Any, allowed: Any, z: Any, reach: int, upright: bool, line: int,
+    start: int, stop: int, number: Any, kinds: Any, total: Any, source: Any,
+) -> None:  # fmt: skip
+    """Fill what the labels of a chain cost, from its start to each of its pixels."""
+    h, w, count = unary.shape
+    seam = _SEAM_PRICE / np.float32(reach)  # so many pairs have a seam between them
+    down, right = (0, reach) if upright else (reach, 0)  # along the chain
+    along, aside = (0, 1) if upright else (1, 0)
+    for at in range(start, stop, reach):
+        v, u = (line, at) if upright else (at, line)
+        found, before = 0, at - reach
+        for m in range(count):
+            if (allowed[v, u] >> m) & 1:
+                kinds[at, found], total[at, found] = m, unary[v, u, m]
+                found += 1
+        number[at] = found
+        if v >= right and u >= down:
+            a, b = v - right, u - down
+            if steps[a, b, aside, 3] > _NONE:
+                _add_change(steps[a, b, aside], _ONE, labels[a, b], kinds[at], z, seam, found, total[at])
+        if steps[v, u, aside, 3] > _NONE:
+            n = labels[v + right, u + down]
+            _add_change(steps[v, u, aside], -_ONE, n, kinds[at], z, seam, found, total[at])
+        if at + reach >= stop and steps[v, u, along, 3] > _NONE:  # else the pixel there asks back
+            n = labels[v + down, u + right]
+            _add_change(steps[v, u, along], -_ONE, n, kinds[at], z, seam, found, total[at])
+        if before < 0 or not steps[v - down, u - right, along, 3] > _NONE:
+            continue
+        step = steps[v - down, u - right, along]
+        if before < start:
+            n = labels[v - down, u - right]
+            _add_change(step, _ONE, n, kinds[at], z, seam, found, total[at])
+            continue
+        d0, d1, d2, w0, w1, w2 = step[0], step[1], step[2], step[3], step[4], step[5]
+        for p in range(found):
+            m, least, best = kinds[at, p], _INFINITE, 0
+            x0, x1, x2 = d0 - z[m, 0], d1 - z[m, 1], d2 - z[m, 2]
+            for q in range(number[before]):
+                n = kinds[before, q]
+                y0, y1, y2 = x0 + z[n, 0], x1 + z[n, 1], x2 + z[n, 2]
+                rest = y0 * y0 * w0 + y1 * y1 * w1 + y2 * y2 * w2
+                cost = total[before, q] + _HALF * rest / (_ONE + rest * _OF_CAP)
+                cost += seam if n != m else _NONE
+                best = q if cost < least else best
+                least = min(cost, least)
+            total[at, p] += least
+            source[at, p] = best
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _add_change(
+    step: Any, sign: Any, n: int, kinds: Any, z: Any, seam: Any, found: int, total: Any
+) -> None:
+    """Add the price of a step from label n, or, where the sign is −1, to it, for each kind here."""
+    d0, d1, d2 = sign * step[0] + z[n, 0], sign * step[1] + z[n, 1], sign * step[2] + z[n, 2]
+    w0, w1, w2 = step[3], step[4], step[5]
+    for p in range(found):
+        m = kinds[p]
+        y0, y1, y2 = d0 - z[m, 0], d1 - z[m, 1], d2 - z[m, 2]
+        rest = y0 * y0 * w0 + y1 * y1 * w1 + y2 * y2 * w2
+        total[p] += _HALF * rest / (_ONE + rest * _OF_CAP) + (seam if n != m else _NONE)
 
 
 @njit(cache=True)
@@ -573,7 +627,7 @@ def _differ(one: Any, other: Any, out: Any) -> None:
 @njit(cache=True)
 def _any_of(flags: Any, count: int, out: Any) -> None:
     """Fill out (n,) with whether any of flags u … u + count − 1 is true."""
-    out[:] = False
+    out[:] = 0
     for shift in range(count):
         _add_any(flags[shift : shift + len(out)], out)
 
