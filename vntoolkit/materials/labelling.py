@@ -173,7 +173,8 @@ class MaterialLabeller:
             if self._plain is None or self._plain.shape != frame.rgb.shape:
                 self._plain = np.empty(frame.rgb.shape, np.float32)  # new ones would cost a frame 2 ms
             seen = frame, labels, mask, self._response, self._reflectances
-            known = self._pigments, self._camera, self._plain, self._surface
+            around = (slice(0, len(mask)), slice(0, mask.shape[1])) if box is None else self._boxed(mask)
+            known = self._pigments, self._camera, self._plain, around, self._surface
             frame, self.turned_deg, self._surface = without_paint(*seen, *known)
         return relit(
             frame, self._response, labels, self._reflectances, seams=self.seams, box=box

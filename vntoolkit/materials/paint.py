@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 from numba import prange
-from scipy.ndimage import find_objects, uniform_filter
+from scipy.ndimage import uniform_filter
 
 from vntoolkit.arrays import FloatArray, Mask, Points
 from vntoolkit.geometry.camera import Camera
@@ -35,6 +35,7 @@ from vntoolkit.materials.reflectance import Lamps, lamps_from_response
 from vntoolkit.materials.split_frame import block_size, blocks_moved, cells_of
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import ALL_LIT, LinearFrame
+from vntoolkit.photometry.levelling import Box
 from vntoolkit.photometry.response import LightResponse
 from vntoolkit.solvers import grid_hierarchy, solve_grid
 
@@ -72,6 +73,7 @@ def without_paint(
     lines: Points,
     camera: Camera | None,
     out: Single,
+    box: Box,
     before: Surface | None = None,
 ) -> tuple[LinearFrame, Single, Surface]:
     """Return the frame as it would be without the paint of its subject, a mask (h, w).
@@ -81,56 +83,46 @@ def without_paint(
 
     labels: (h, w), numbers of the materials. rho: (m, 3), their reflectances. lines: (m, 3), of length 1,
     their pigments; one of 0 has no paint. camera: None for orthographic. out: (h, w, 3), which the frame's
-    colours are written to. before: the surface in the frame before, if the subject moved little: the search
-    goes on from it.
+    colours are written to. box: rows and columns that hold the subject; none are written beyond. before: the
+    surface in the frame before: where the subject moved little, the search goes on from it.
     """
     lamps = lamps_from_response(response, np.zeros(3))
-    rgb, merge = np.ascontiguousarray(frame.rgb), np.linalg.inv(lamps.split)
-    blocks = _blocks_of(rgb, labels, mask, lamps, rho, lines, None if before is None else before.factor)
-    gains, turns = np.ones_like(blocks.light), np.zeros(blocks.labels.shape, np.float32)
-    found = Surface.of(blocks)
-    for around in find_objects(found.known.view(np.int8)):  # one, the rectangle of them all
-        start, steps = None, _STEPS
-        if before is not None:
-            moved = blocks_moved(before.cells, found.cells)
-            start = before.within(around) if moved <= _FAR else None
-            steps = 1 if moved <= _NEAR else _STEPS
-        rays, inside = ray_grid(camera), blocks.within(around)
-        gains[around], turns[around], surface = _gains_of(inside, lamps, lines, rays, start, steps)
-        found.depth[around], found.slopes[(slice(None), *around)] = surface
-    split = lamps.split.astype(np.float32)
+    rgb, merge = frame.rgb[box], np.linalg.inv(lamps.split)
+    goes_on = before is not None and before.box == box
+    factor = before.factor if goes_on else block_size(mask, _BLOCKS)
+    blocks = _blocks_of(rgb, labels[box], mask[box], lamps, rho, lines, factor, box)
+    cells = cells_of(rgb[factor // 2 :: factor, factor // 2 :: factor])
+    moved = blocks_moved(before.cells, cells) if goes_on else np.inf
+    lights = np.linalg.inv(lamps.inverse).astype(np.float32)
+    start, steps = (before, 1 if moved <= _NEAR else _STEPS) if moved <= _FAR else (None, _STEPS)
+    surface = _surface_of(blocks, lamps, lines, ray_grid(camera), start, steps)
+    rays, inverse = blocks.rays(ray_grid(camera)), lamps.inverse.astype(np.float32)
+    gains, turns = np.empty(blocks.light.shape, np.float32), np.empty(blocks.labels.shape, np.float32)
+    _fill_gains(blocks.light, blocks.labels, surface.slopes, rays, lights, inverse, gains, turns)
+    _spread(blocks.light, blocks.labels, gains)
+    turns = np.maximum(turns, np.sqrt(uniform_filter(turns * turns, _AROUND)))
     turned = np.zeros(mask.shape, np.float32)
     _take_out(
-        rgb, labels, mask, split, merge.astype(np.float32), gains, turns, blocks.labels, blocks.factor, out,
-        turned,
+        rgb, labels[box], mask[box], lamps.split.astype(np.float32), merge.astype(np.float32), gains, turns,
+        blocks.labels, blocks.factor, out[box], turned[box],
     )  # fmt: skip
-    return LinearFrame(rgb=out, clipped=frame.clipped, number=frame.number), turned, found
+    found = LinearFrame(rgb=out, clipped=frame.clipped, number=frame.number)
+    return found, turned, surface._replace(box=box, cells=cells)
 
 
 class Surface(NamedTuple):
     """Of blocks of factor × factor pixels.
 
-    depth: (h, w). slopes: (2, h, w). known: (h, w), where they are. cells: the light that it was told from,
-    by which movement is measured.
+    depth: (h, w). slopes: (2, h, w). known: (h, w), where they are. box: rows and columns of the frame, and
+    cells: what they showed, by which movement is measured.
     """
 
     depth: Single
     slopes: Single
     known: Mask
     factor: int
+    box: Box | None = None
     cells: Single | None = None
-
-    @classmethod
-    def of(cls, blocks: _Blocks) -> Surface:
-        """Return a flat one."""
-        shape = blocks.labels.shape
-        flat = np.zeros((3, *shape), np.float32)
-        return cls(flat[0], flat[1:], blocks.labels != _NO_LABEL, blocks.factor, cells_of(blocks.light))
-
-    def within(self, around: tuple[slice, ...]) -> Surface:
-        """Return that of a rectangle, (rows, columns)."""
-        parts = self.depth[around], self.slopes[(slice(None), *around)], self.known[around]
-        return Surface(*(np.ascontiguousarray(part) for part in parts), self.factor)
 
 
 class _Blocks(NamedTuple):
@@ -150,11 +142,6 @@ class _Blocks(NamedTuple):
     def lit(self) -> MaterialLabels:
         """(h, w), 7 where all three lamps arrive, else 0."""
         return np.where(self.light[..., 0] > 0, ALL_LIT, 0).astype(np.uint8)
-
-    def within(self, around: tuple[slice, ...]) -> _Blocks:
-        """Return those of a rectangle, (rows, columns)."""
-        light, labels = np.ascontiguousarray(self.light[around]), np.ascontiguousarray(self.labels[around])
-        return _Blocks(light, labels, self.factor, *(self.factor * side.start for side in around[::-1]))
 
     def rays(self, rays: RayGrid) -> RayGrid:
         """Return the rays through the middles of blocks, of those through pixels."""
@@ -176,31 +163,29 @@ class _Blocks(NamedTuple):
 
 def _blocks_of(
     rgb: Single, labels: MaterialLabels, mask: Mask, lamps: Lamps, rho: Points, lines: Points,
-    factor: int | None,
+    factor: int, box: Box,
 ) -> _Blocks:  # fmt: skip
-    factor = factor or block_size(mask, _BLOCKS)
     h, w = (-(-n // factor) for n in mask.shape)
     light, of = np.zeros((h, w, 3), np.float32), np.full((h, w), _NO_LABEL, np.uint8)
     split, haze = lamps.split.astype(np.float32), lamps.haze.astype(np.float32)
     over, has_paint = (1.0 / np.asarray(rho)).astype(np.float32), np.asarray(lines).any(axis=1)
     _take_blocks(rgb, labels, mask, factor, split, over, haze, has_paint, light, of)
-    return _Blocks(light, of, factor)
+    return _Blocks(light, of, factor, box[1].start, box[0].start)
 
 
-def _gains_of(
+def _surface_of(
     blocks: _Blocks, lamps: Lamps, lines: Points, of_pixels: RayGrid, start: Surface | None, steps: int
-) -> tuple[Single, Single, tuple[Single, Single]]:
-    """(h, w, 3), 1 / ρ of the paint of each block, (h, w), by how many degrees it turned the normal, and the
-    surface, depth (h, w) and slopes (2, h, w).
-    """
+) -> Surface:
+    """The surface whose paint is least. start: from where the search goes on; None for coarse to fine."""
     lights, inverse = np.linalg.inv(lamps.inverse).astype(np.float32), lamps.inverse.astype(np.float32)
     prices = np.array([_price(line) for line in np.asarray(lines)], np.float32)
     pyramid, softness = [blocks], np.float32(_STEP_SOFTNESS)
     if start is None:
         for _ in range(_LEVELS):
             pyramid.append(pyramid[-1].halved())
-        start = Surface.of(pyramid[-1].halved())
-        start.known[...] = False
+        half = tuple(-(-n // 2) for n in pyramid[-1].labels.shape)
+        flat = np.zeros((3, *half), np.float32)
+        start = Surface(flat[0], flat[1:], np.zeros(half, np.bool_), 2 * pyramid[-1].factor)
         softness = np.float32(NO_STEP)  # the first depth must hold together before it may show steps
     for level in reversed(pyramid):
         shape, inside = level.labels.shape, level.labels != _NO_LABEL
@@ -220,11 +205,7 @@ def _gains_of(
             slopes_kernel(depth, weights, np.float32(STEEPEST), slopes, agreement)
             softness = np.float32(_STEP_SOFTNESS)
         start = Surface(depth, slopes, inside, level.factor)
-    gains, turns = np.empty(blocks.light.shape, np.float32), np.empty(blocks.labels.shape, np.float32)
-    _fill_gains(blocks.light, blocks.labels, slopes, rays, lights, inverse, gains, turns)
-    _spread(blocks.light, blocks.labels, gains)
-    turns = np.maximum(turns, np.sqrt(uniform_filter(turns * turns, _AROUND)))
-    return gains, np.where(blocks.labels == _NO_LABEL, _NONE, turns), (depth, slopes)
+    return start
 
 
 def _price(line: FloatArray) -> FloatArray:
@@ -494,7 +475,8 @@ def _take_out(
             if not mask[v, u]:
                 out[v, u, 0], out[v, u, 1], out[v, u, 2] = red, green, blue
                 continue
-            turned[v, u] = turns[v // factor, u // factor]
+            if of[v // factor, u // factor] != _NO_LABEL:
+                turned[v, u] = turns[v // factor, u // factor]
             x, left, right, m = across[u], before[u], after[u], labels[v, u]
             w00 = (_ONE - y) * (_ONE - x) * np.float32(of[top, left] == m)
             w01 = (_ONE - y) * x * np.float32(of[top, right] == m)

@@ -105,7 +105,8 @@ class PaintedSurface:
     def _corrected(self, frame: LinearFrame, labels: MaterialLabels, mask: Mask) -> LinearFrame:
         """Return a frame without the paint that the surface's reflectances leave, as one frame tells it."""
         seen = frame, labels, mask, self._response, np.ones_like(self._lines), self._lines
-        frame, self.turned_deg, _ = without_paint(*seen, self._source.camera, np.empty_like(frame.rgb))
+        every = slice(0, len(mask)), slice(0, mask.shape[1])
+        frame, self.turned_deg, _ = without_paint(*seen, self._source.camera, np.empty_like(frame.rgb), every)
         return frame
 
     def reflectance(self, number: int) -> tuple[FloatArray, FloatArray]:
