@@ -144,7 +144,7 @@ class MaterialLabeller:
             self._fine = self._beside_seams
             return np.where(mask, coarse, 0).astype(np.uint8)
         assert self._coarse is not None
-        labels, near = np.zeros(mask.shape, np.uint8), np.zeros(mask.shape, np.bool_)
+        labels, near = np.empty(mask.shape, np.uint8), np.empty(mask.shape, np.bool_)
         reach = (MARGIN_PX + split.factor - 1) // split.factor
         _enlarge(coarse, near_seams(coarse, reach), mask, split.factor, labels, near)
         if self._fine is None:
@@ -353,13 +353,15 @@ def _steps(
 @njit(cache=True, parallel=True)
 def _enlarge(coarse: Any, near: Any, mask: Any, factor: int, labels: Any, active: Any) -> None:
     h, w = mask.shape
-    for v in prange(h):
-        row = v // factor
-        for column in range(coarse.shape[1]):
-            label, is_near = coarse[row, column], near[row, column]
-            for u in range(column * factor, min((column + 1) * factor, w)):
-                labels[v, u] = label if mask[v, u] else 0
-                active[v, u] = mask[v, u] & is_near
+    for row in prange(len(coarse)):
+        label, is_near = np.empty(w, np.uint8), np.empty(w, np.bool_)
+        for u in range(w):
+            label[u], is_near[u] = coarse[row, u // factor], near[row, u // factor]
+        for v in range(row * factor, min((row + 1) * factor, h)):
+            for u in range(w):
+                labels[v, u] = label[u] * mask[v, u]
+            for u in range(w):
+                active[v, u] = mask[v, u] & is_near[u]
 
 
 def _take_blocks(labels: MaterialLabels, mask: Mask, factor: int, coarse: MaterialLabels) -> None:

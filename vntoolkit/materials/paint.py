@@ -472,39 +472,26 @@ def _take_out(
         y, top, below = down[v], above[v], under[v]
         for u in range(w):
             red, green, blue = rgb[v, u, 0], rgb[v, u, 1], rgb[v, u, 2]
+            out[v, u, 0], out[v, u, 1], out[v, u, 2] = red, green, blue
             if not mask[v, u]:
-                out[v, u, 0], out[v, u, 1], out[v, u, 2] = red, green, blue
                 continue
             if of[v // factor, u // factor] != _NO_LABEL:
                 turned[v, u] = turns[v // factor, u // factor]
             x, left, right, m = across[u], before[u], after[u], labels[v, u]
-            w00 = (_ONE - y) * (_ONE - x) * np.float32(of[top, left] == m)
-            w01 = (_ONE - y) * x * np.float32(of[top, right] == m)
-            w10 = y * (_ONE - x) * np.float32(of[below, left] == m)
-            w11 = y * x * np.float32(of[below, right] == m)
-            total = w00 + w01 + w10 + w11
-            if not total > _TINY:
-                out[v, u, 0], out[v, u, 1], out[v, u, 2] = red, green, blue
-                continue
-            total = _ONE / total
-            w00, w01, w10, w11 = w00 * total, w01 * total, w10 * total, w11 * total
+            w0, w1 = (_ONE - y) * (_ONE - x), (_ONE - y) * x
+            w2, w3 = y * (_ONE - x), y * x
+            one, two, three, four = of[top, left], of[top, right], of[below, left], of[below, right]
+            if not (one == m and two == m and three == m and four == m):
+                w0, w1 = w0 * np.float32(one == m), w1 * np.float32(two == m)
+                w2, w3 = w2 * np.float32(three == m), w3 * np.float32(four == m)
+                total = w0 + w1 + w2 + w3
+                if not total > _TINY:
+                    continue
+                total = _ONE / total
+                w0, w1, w2, w3 = w0 * total, w1 * total, w2 * total, w3 * total
+            a, b, c, d = gains[top, left], gains[top, right], gains[below, left], gains[below, right]
             s0, s1, s2 = _times(split, red, green, blue)
-            s0 *= (
-                w00 * gains[top, left, 0]
-                + w01 * gains[top, right, 0]
-                + w10 * gains[below, left, 0]
-                + w11 * gains[below, right, 0]
-            )
-            s1 *= (
-                w00 * gains[top, left, 1]
-                + w01 * gains[top, right, 1]
-                + w10 * gains[below, left, 1]
-                + w11 * gains[below, right, 1]
-            )
-            s2 *= (
-                w00 * gains[top, left, 2]
-                + w01 * gains[top, right, 2]
-                + w10 * gains[below, left, 2]
-                + w11 * gains[below, right, 2]
-            )
+            s0 *= w0 * a[0] + w1 * b[0] + w2 * c[0] + w3 * d[0]
+            s1 *= w0 * a[1] + w1 * b[1] + w2 * c[1] + w3 * d[1]
+            s2 *= w0 * a[2] + w1 * b[2] + w2 * c[2] + w3 * d[2]
             out[v, u, 0], out[v, u, 1], out[v, u, 2] = _times(merge, s0, s1, s2)

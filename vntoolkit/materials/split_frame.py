@@ -26,18 +26,22 @@ CELL = 8  # blocks to the side of what movement is measured on: it holds for mov
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SplitFrame:
-    """Contributions of the lamps to blocks of factor × factor pixels.
+    """Blocks of factor × factor pixels, and what the lamps contribute to them.
 
-    contributions, colours: (h, w, 3) float64, means over the mask. inside: (h, w), at least half of the block
-    is subject. lit: (h, w), all three lamps reach it. lamps: with the noise of these means. factor: pixels.
+    colours: (h, w, 3) float64, means over the mask. inside: (h, w), at least half of the block is subject.
+    lit: (h, w), all three lamps reach it. lamps: with the noise of these means. factor: pixels.
     """
 
-    contributions: FloatArray
     colours: FloatArray
     inside: Mask
     lit: Mask
     lamps: Lamps
     factor: int
+
+    @property
+    def contributions(self) -> FloatArray:
+        """(h, w, 3), of the lamps; 0 where not inside."""
+        return np.asarray(np.where(self.inside[..., None], self.colours @ self.lamps.split.T, 0.0))
 
 
 def split_frame(
@@ -55,10 +59,8 @@ def split_frame(
     factor = block_size(mask, most_pixels) if like is None else like.factor
     rgb, inside = _blocks(frame.rgb, mask, frame.clipped, factor)
     lamps = lamps_from_response(response, noise_of(rgb, inside)) if like is None else like.lamps
-    contributions, lit = _lit(rgb, inside, lamps.split, _LEAST_SIGNAL * lamps.noise)
-    return SplitFrame(
-        contributions=contributions, colours=rgb, inside=inside, lit=lit, lamps=lamps, factor=factor
-    )
+    lit = _lit(rgb, inside, lamps.split, _LEAST_SIGNAL * lamps.noise)
+    return SplitFrame(colours=rgb, inside=inside, lit=lit, lamps=lamps, factor=factor)
 
 
 def stacked(splits: Sequence[SplitFrame]) -> SplitFrame:
@@ -75,7 +77,6 @@ def stacked(splits: Sequence[SplitFrame]) -> SplitFrame:
     mixing = np.sqrt(np.mean([split.lamps.mixing**2 for split in splits], axis=0)) * np.sign(lamps.mixing)
     return replace(
         splits[0],
-        contributions=joined([split.contributions for split in splits]),
         colours=joined([split.colours for split in splits]),
         inside=joined([split.inside for split in splits]),
         lit=joined([split.lit for split in splits]),
@@ -145,37 +146,38 @@ def _blocks(rgb: Any, mask: Any, clipped: Any, factor: int) -> Any:
     mean = np.zeros((height, width, 3))
     inside = np.zeros((height, width), np.bool_)
     for i in prange(height):
+        counts = np.zeros(width, np.int64)
+        for v in range(i * factor, min((i + 1) * factor, h)):
+            for u in range(w):
+                if mask[v, u] and not clipped[v, u]:
+                    j = u // factor
+                    counts[j] += 1
+                    mean[i, j, 0] += rgb[v, u, 0]
+                    mean[i, j, 1] += rgb[v, u, 1]
+                    mean[i, j, 2] += rgb[v, u, 2]
         for j in range(width):
-            count, r, g, b = 0, 0.0, 0.0, 0.0
-            for v in range(i * factor, min((i + 1) * factor, h)):
-                for u in range(j * factor, min((j + 1) * factor, w)):
-                    if mask[v, u] and not clipped[v, u]:
-                        count += 1
-                        r += rgb[v, u, 0]
-                        g += rgb[v, u, 1]
-                        b += rgb[v, u, 2]
-            if count > 0:
-                mean[i, j, 0], mean[i, j, 1], mean[i, j, 2] = r / count, g / count, b / count
-            inside[i, j] = 2 * count >= factor * factor and count > 0
+            if counts[j] > 0:
+                share = 1.0 / counts[j]
+                for k in range(3):
+                    mean[i, j, k] *= share
+                inside[i, j] = 2 * counts[j] >= factor * factor
     return mean, inside
 
 
 @njit(cache=True, parallel=True)
 def _lit(rgb: Any, inside: Any, split: Any, least: Any) -> Any:
-    """Return the lamps' contributions (h, w, 3), and whether all three reach a pixel."""
+    """Return whether all three lamps reach a pixel."""
     h, w = inside.shape
-    contributions = np.zeros((h, w, 3))
     lit = np.zeros((h, w), np.bool_)
     for v in prange(h):
         for u in range(w):
-            if not inside[v, u]:
-                continue
-            most = 0.0
-            for k in range(3):
-                for c in range(3):
-                    contributions[v, u, k] += split[k, c] * rgb[v, u, c]
-                most = max(most, contributions[v, u, k])
-            lit[v, u] = True
-            for k in range(3):
-                lit[v, u] &= contributions[v, u, k] > max(least[k], _LEAST_SHARE * most)
-    return contributions, lit
+            if inside[v, u]:
+                r, g, b = rgb[v, u, 0], rgb[v, u, 1], rgb[v, u, 2]
+                s0 = split[0, 0] * r + split[0, 1] * g + split[0, 2] * b
+                s1 = split[1, 0] * r + split[1, 1] * g + split[1, 2] * b
+                s2 = split[2, 0] * r + split[2, 1] * g + split[2, 2] * b
+                share = _LEAST_SHARE * max(max(s0, s1), max(s2, 0.0))
+                lit[v, u] = (
+                    (s0 > max(least[0], share)) & (s1 > max(least[1], share)) & (s2 > max(least[2], share))
+                )
+    return lit
