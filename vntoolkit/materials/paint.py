@@ -470,6 +470,11 @@ def _take_out(
     across, before, after = _between(w, columns, factor)
     for v in prange(h):
         y, top, below = down[v], above[v], under[v]
+        middles, of_both = np.empty((columns, 3), np.float32), np.empty(columns, np.uint8)
+        for j in range(columns):  # between two rows of blocks
+            of_both[j] = of[top, j] if of[top, j] == of[below, j] else _NO_LABEL
+            for k in range(3):
+                middles[j, k] = gains[top, j, k] + y * (gains[below, j, k] - gains[top, j, k])
         for u in range(w):
             red, green, blue = rgb[v, u, 0], rgb[v, u, 1], rgb[v, u, 2]
             out[v, u, 0], out[v, u, 1], out[v, u, 2] = red, green, blue
@@ -478,20 +483,22 @@ def _take_out(
             if of[v // factor, u // factor] != _NO_LABEL:
                 turned[v, u] = turns[v // factor, u // factor]
             x, left, right, m = across[u], before[u], after[u], labels[v, u]
-            w0, w1 = (_ONE - y) * (_ONE - x), (_ONE - y) * x
-            w2, w3 = y * (_ONE - x), y * x
-            one, two, three, four = of[top, left], of[top, right], of[below, left], of[below, right]
-            if not (one == m and two == m and three == m and four == m):
-                w0, w1 = w0 * np.float32(one == m), w1 * np.float32(two == m)
-                w2, w3 = w2 * np.float32(three == m), w3 * np.float32(four == m)
-                total = w0 + w1 + w2 + w3
-                if not total > _TINY:
+            if of_both[left] == m and of_both[right] == m:
+                g0 = middles[left, 0] + x * (middles[right, 0] - middles[left, 0])
+                g1 = middles[left, 1] + x * (middles[right, 1] - middles[left, 1])
+                g2 = middles[left, 2] + x * (middles[right, 2] - middles[left, 2])
+            else:
+                total, g0, g1, g2 = _TINY, _NONE, _NONE, _NONE
+                for i, share in ((top, _ONE - y), (below, y)):
+                    for j, part in ((left, _ONE - x), (right, x)):
+                        if of[i, j] == m:
+                            weight = share * part
+                            total += weight
+                            g0 += weight * gains[i, j, 0]
+                            g1 += weight * gains[i, j, 1]
+                            g2 += weight * gains[i, j, 2]
+                if not total > _TWO * _TINY:
                     continue
-                total = _ONE / total
-                w0, w1, w2, w3 = w0 * total, w1 * total, w2 * total, w3 * total
-            a, b, c, d = gains[top, left], gains[top, right], gains[below, left], gains[below, right]
+                g0, g1, g2 = g0 / total, g1 / total, g2 / total
             s0, s1, s2 = _times(split, red, green, blue)
-            s0 *= w0 * a[0] + w1 * b[0] + w2 * c[0] + w3 * d[0]
-            s1 *= w0 * a[1] + w1 * b[1] + w2 * c[1] + w3 * d[1]
-            s2 *= w0 * a[2] + w1 * b[2] + w2 * c[2] + w3 * d[2]
-            out[v, u, 0], out[v, u, 1], out[v, u, 2] = _times(merge, s0, s1, s2)
+            out[v, u, 0], out[v, u, 1], out[v, u, 2] = _times(merge, g0 * s0, g1 * s1, g2 * s2)
