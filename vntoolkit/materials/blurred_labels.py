@@ -16,6 +16,7 @@ from numba import prange
 from vntoolkit.arrays import FloatArray, Mask, Points
 from vntoolkit.materials.mixtures import CHUNK_PX, blur_weights, fill_means, room_for, wide_weights
 from vntoolkit.materials.pixels import (
+    SERIES,
     MaterialLabels,
     Seams,
     Single,
@@ -23,6 +24,7 @@ from vntoolkit.materials.pixels import (
     likeliest_blur_px,
     near_seams,
     scattering,
+    take_logs,
     variance_of_lengths,
 )
 from vntoolkit.materials.reflectance import CAP, Lamps
@@ -43,10 +45,8 @@ _MARGIN_PX = _REACH_PX + 1  # of a window around a block
 _STRIP = 8  # rows, of pixels or of blocks: strips with one between them do not touch what the other sees
 LANES = 8  # rows of windows take a multiple of it, and are done so many pixels at a time
 MARGIN_PX = _REACH_PX + 3  # around a pixel that may change, where its change is felt
-# Of the kernels, which count in single precision. The series of 2 artanh(z) / z in z².
+# Of the kernels, which count in single precision.
 _NONE, _HALF, _ONE, _MOST = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(CAP * CAP)
-_ROOT, _LOG_2 = np.float32(np.sqrt(2.0)), np.float32(np.log(2.0))
-_SERIES = np.array([2.0, 2.0 / 3.0, 2.0 / 5.0, 2.0 / 7.0, 2.0 / 9.0], np.float32)
 
 
 class BlurredLabels:
@@ -154,7 +154,8 @@ def _mix_all(values: Any, labels: Any, wanted: Any, split: Any, rho: Any, weight
     """
     h, w = labels.shape
     for v in prange(h):
-        light, logs = np.ones(3 * CHUNK_PX, np.float32), np.empty((3, 3 * CHUNK_PX), np.float32)
+        light, logs = np.ones(3 * CHUNK_PX, np.float32), np.empty(3 * CHUNK_PX, np.float32)
+        exponent = np.empty(3 * CHUNK_PX, np.float32)
         room, u = room_for(len(rho)), 0
         _take_wanted(wanted[v], state[9, v])
         while u < w:
@@ -168,12 +169,14 @@ def _mix_all(values: Any, labels: Any, wanted: Any, split: Any, rho: Any, weight
                 for k in range(3):
                     s = split[k, 0] * r + split[k, 1] * g + split[k, 2] * b
                     light[CHUNK_PX * k + j] = s if s > _LEAST_LIGHT else _LEAST_LIGHT
-            _take_log_ratios(light, room[1], logs[0], logs[0].view(np.int32), logs[1], logs[2])
+            for j in range(3 * CHUNK_PX):
+                logs[j] = light[j] / room[1][j]
+            take_logs(logs, logs.view(np.int32), exponent)
             for k in range(3):
                 part = slice(CHUNK_PX * k, CHUNK_PX * k + stop)
                 state[k, v, u : u + stop] = light[part]
                 state[3 + k, v, u : u + stop] = room[1][part]
-                state[6 + k, v, u : u + stop] = logs[2, part]
+                state[6 + k, v, u : u + stop] = logs[part]
             u += CHUNK_PX
 
 
@@ -181,21 +184,6 @@ def _mix_all(values: Any, labels: Any, wanted: Any, split: Any, rho: Any, weight
 def _take_wanted(wanted: Any, out: Any) -> None:
     for u in range(len(wanted)):
         out[u] = _ONE if wanted[u] else _NONE
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
-def _take_log_ratios(one: Any, other: Any, ratio: Any, bits: Any, exponent: Any, out: Any) -> None:
-    """Fill log(one / other), (3 · CHUNK_PX,), from the exponent and a series of the rest; bits: of ratio."""
-    for j in range(3 * CHUNK_PX):
-        ratio[j] = one[j] / other[j]
-    for j in range(3 * CHUNK_PX):
-        exponent[j] = np.float32((bits[j] >> 23) - 127)
-        bits[j] = (bits[j] & 0x7FFFFF) | 0x3F800000
-    for j in range(3 * CHUNK_PX):
-        z = (ratio[j] - _ROOT) / (ratio[j] + _ROOT)
-        y = z * z
-        series = _SERIES[0] + y * (_SERIES[1] + y * (_SERIES[2] + y * (_SERIES[3] + y * _SERIES[4])))
-        out[j] = (exponent[j] + _HALF) * _LOG_2 + z * series
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
@@ -434,7 +422,7 @@ def _mix_again(
             was, become = window[(_MIXED + k) * n + i], window[(_NEW + k) * n + i]
             z = (become - was) / (become + was)
             y = z * z
-            series = _SERIES[0] + y * (_SERIES[1] + y * (_SERIES[2] + y * (_SERIES[3] + y * _SERIES[4])))
+            series = SERIES[0] + y * (SERIES[1] + y * (SERIES[2] + y * (SERIES[3] + y * SERIES[4])))
             window[(_NEW_SHADE + k) * n + i] = window[(_SHADE + k) * n + i] - z * series
 
 

@@ -44,6 +44,9 @@ _GOLDEN = 0.618  # section: its multiples lie evenly
 _SHARES = 16  # that threads add up alone
 _NONE, _HALF, _ONE, _OF_CAP = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(CAP**-2)
 _INFINITE = np.float32(np.inf)
+# The series of 2 artanh(z) / z in z².
+SERIES = tuple(np.float32(2.0 / k) for k in (1, 3, 5, 7, 9))
+_ROOT, _LOG_2 = np.float32(np.sqrt(2.0)), np.float32(np.log(2.0))
 _LEAST_STEP = 0.01  # of log s from pixel to pixel
 _MOST, _MOST_SIGMAS = 0.8, 1.2816  # quantile of the steps that is of shading, not of paint, and its distance
 _SWEEPS, _SETTLED = 4, 0.002  # at most, and share of the pixels that change when all is settled
@@ -272,6 +275,22 @@ def _shading_variance(values: FloatArray, lit: Mask, lamps: Lamps, reach: int) -
     return float(max((np.quantile(steps, _MOST) / _MOST_SIGMAS) ** 2 - noise, _LEAST_STEP**2))
 
 
+@njit(cache=True, fastmath=True, error_model="numpy")
+def take_logs(values: Any, bits: Any, exponent: Any) -> None:
+    """Replace values (n,), positive, by their logarithms: the exponent's and a series of the rest.
+
+    bits: the same numbers as integers. exponent: room for n.
+    """
+    for j in range(len(values)):
+        exponent[j] = np.float32((bits[j] >> 23) - 127)
+        bits[j] = (bits[j] & 0x7FFFFF) | 0x3F800000
+    for j in range(len(values)):
+        z = (values[j] - _ROOT) / (values[j] + _ROOT)
+        y = z * z
+        series = SERIES[0] + y * (SERIES[1] + y * (SERIES[2] + y * (SERIES[3] + y * SERIES[4])))
+        values[j] = (exponent[j] + _HALF) * _LOG_2 + z * series
+
+
 @njit(cache=True, parallel=True, error_model="numpy")
 def _take_steps(
     values: Any, lit: Any, split: Any, deviation: Any, variance: Any, reach: int, out: Any
@@ -280,23 +299,24 @@ def _take_steps(
     variance by shading and noise; 0 where either is not lit. All but values in single precision.
     """
     h, w = lit.shape
-    light, noise = np.empty((h, w, 3), np.float32), np.empty((h, w, 3), np.float32)
+    light, noise = np.empty((h, 3, w), np.float32), np.empty((h, 3, w), np.float32)
     for v in prange(h):
-        for u in range(w):
-            if lit[v, u]:
-                r, g, b = values[v, u]
-                for k in range(3):
-                    s = max(np.float32(split[k, 0] * r + split[k, 1] * g + split[k, 2] * b), deviation[k])
-                    light[v, u, k] = np.log(s)
-                    noise[v, u, k] = (deviation[k] / s) * (deviation[k] / s)
+        bits, exponent = light[v].view(np.int32), np.empty(w, np.float32)
+        for k in range(3):
+            for u in range(w):
+                s = split[k, 0] * np.float32(values[v, u, 0]) + split[k, 1] * np.float32(values[v, u, 1])
+                s = max(s + split[k, 2] * np.float32(values[v, u, 2]), deviation[k])
+                light[v, k, u] = s
+                noise[v, k, u] = (deviation[k] / s) * (deviation[k] / s)
+            take_logs(light[v, k], bits[k], exponent)
     for v in prange(h):
         for u in range(w):
             for way in range(2):
                 a, b = v + way * reach, u + (1 - way) * reach
                 both = a < h and b < w and lit[v, u] and lit[min(a, h - 1), min(b, w - 1)]
                 for k in range(3):
-                    out[v, u, way, k] = light[a, b, k] - light[v, u, k] if both else _NONE
-                    noises = noise[v, u, k] + noise[a, b, k] if both else _NONE
+                    out[v, u, way, k] = light[a, k, b] - light[v, k, u] if both else _NONE
+                    noises = noise[v, k, u] + noise[a, k, b] if both else _NONE
                     out[v, u, way, 3 + k] = _ONE / (variance + noises) if both else _NONE
 
 

@@ -217,9 +217,10 @@ def length_and_variance(s: Any, q: Any, haze: Any, inverse: Any, mixing: Any, bi
     n1 = inverse[1, 0] * x0 + inverse[1, 1] * x1 + inverse[1, 2] * x2
     n2 = inverse[2, 0] * x0 + inverse[2, 1] * x1 + inverse[2, 2] * x2
     length = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2) + 1e-12
-    h0 = (n0 * inverse[0, 0] + n1 * inverse[1, 0] + n2 * inverse[2, 0]) / length * q[0]
-    h1 = (n0 * inverse[0, 1] + n1 * inverse[1, 1] + n2 * inverse[2, 1]) / length * q[1]
-    h2 = (n0 * inverse[0, 2] + n1 * inverse[1, 2] + n2 * inverse[2, 2]) / length * q[2]
+    over = 1.0 / length
+    h0 = (n0 * inverse[0, 0] + n1 * inverse[1, 0] + n2 * inverse[2, 0]) * over * q[0]
+    h1 = (n0 * inverse[0, 1] + n1 * inverse[1, 1] + n2 * inverse[2, 1]) * over * q[1]
+    h2 = (n0 * inverse[0, 2] + n1 * inverse[1, 2] + n2 * inverse[2, 2]) * over * q[2]
     j[0], j[1], j[2] = -h0 * s[0], -h1 * s[1], -h2 * s[2]
     variance = 0.0
     for c in range(3):
