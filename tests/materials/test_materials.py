@@ -20,7 +20,7 @@ from vntoolkit.materials.reflectance import (
     reflectance_from_fit,
 )
 from vntoolkit.materials.search import WORST_ERROR_DEG, find_materials
-from vntoolkit.materials.split_frame import blocks_moved, split_frame
+from vntoolkit.materials.split_frame import blocks_moved, cells_of, split_frame
 from vntoolkit.normals.inversion import normals_from_frame
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import LightResponse, rgb_from_normals
@@ -306,7 +306,8 @@ def test_how_far_a_picture_moved_is_told_to_a_third(moved: tuple[int, int]) -> N
         for rgb in frames
     )
     later = replace(later, colours=np.roll(later.colours, moved, (0, 1)))
-    assert blocks_moved(first, later) == pytest.approx(np.hypot(*moved), rel=0.33, abs=0.2)
+    told = blocks_moved(*(cells_of(split.colours) for split in (first, later)))
+    assert told == pytest.approx(np.hypot(*moved), rel=0.33, abs=0.2)
 
 
 def test_stripes_that_jump_in_half_of_a_blurred_picture_are_decided_anew() -> None:
@@ -366,7 +367,7 @@ def test_lines_beside_which_nothing_changed_are_left_as_deciding_them_again_woul
     decide, reaches, found = pixels._decide_lines, set(), []
 
     def decide_all(*given: Any) -> int:
-        reaches.add(given[9])
+        reaches.add(given[6])
         return decide(*given[:-1], np.full_like(given[-1], 255))
 
     for of_lines in (decide, decide_all):
