@@ -505,6 +505,25 @@ def test_how_far_paint_turned_normals_is_how_far_they_are_in_doubt() -> None:
     assert np.mean(doubt[wrong]) > 1.4 * np.mean(doubt[mask & (off < 1.0)])
 
 
+def test_a_surface_that_moves_is_sought_from_the_frame_before_and_anew_where_it_jumps() -> None:
+    frame, normals, mask = freckled()
+    line, skin = (MELANIN / np.linalg.norm(MELANIN))[None], np.array([[0.9, 0.65, 0.5]])
+    following, labels = MaterialLabeller(RESPONSE, skin, line), np.zeros(mask.shape, np.uint8)
+    for shift in (0, 1, 2, 3, 40):
+        rgb, there, inside = (np.roll(each, shift, axis=1) for each in (frame.rgb, normals, mask))
+        moved, off = LinearFrame(rgb), []
+        followed, alone = (
+            labeller.relit(moved, labels, inside)
+            for labeller in (following, MaterialLabeller(RESPONSE, skin, line))
+        )
+        for each in (followed, alone):
+            found = normals_from_frame(each, RESPONSE, inside).normals_in_camera
+            off.append(angles_deg(found, there)[inside].mean())
+        is_first = shift in (0, 40)
+        assert np.array_equal(followed.rgb, alone.rgb) == is_first
+        assert off[0] < 1.05 * off[1]
+
+
 def test_a_surface_without_paint_stays_as_it_is_through_a_wide_lens_too() -> None:
     size, focal_px = 180, 108.0
     camera = Camera.pinhole(width=size, height=size, focal_px=focal_px)

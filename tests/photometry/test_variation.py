@@ -131,6 +131,8 @@ def test_levelling_by_strength_leaves_a_missing_light_missing(rng) -> None:
         return (levelled.rgb - response.ambient) @ response.contributions_from_rgb.T
 
     by_strength = contributions(leveller.frame_by_strength(frame))
+    part = np.s_[3:9, 5:11]
+    assert np.allclose(contributions(leveller.frame_by_strength(frame, part)), by_strength[part], atol=1e-6)
     central = np.linalg.norm(response.lights, axis=1)
     expected = shares * central / np.linalg.norm(lights, axis=-1)
     np.testing.assert_allclose(by_strength, expected, atol=1e-5)

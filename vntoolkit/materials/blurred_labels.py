@@ -298,8 +298,9 @@ def _move_row(
 def _find_beside(above: Any, row: Any, below: Any, out: Any) -> None:
     """Fill where around a row's pixels labels differ; nothing at the ends."""
     for u in range(1, len(out) - 1):
-        here = row[u]
-        out[u] = (row[u - 1] != here) | (row[u + 1] != here) | (above[u] != here) | (below[u] != here)
+        left = (above[u - 1] != row[u - 1]) | (below[u - 1] != row[u - 1]) | (row[u - 1] != row[u])
+        right = (above[u + 1] != row[u + 1]) | (below[u + 1] != row[u + 1]) | (row[u + 1] != row[u])
+        out[u] = left | right | (above[u] != row[u]) | (below[u] != row[u])
 
 
 @njit(cache=True, inline="always")

@@ -56,7 +56,7 @@ _DOUBTFUL = 1.5  # price of a region from which its pixels are decided one by on
 _BESIDE = 4  # … and those that near to a seam
 # Share of the pixels of a frame that is decided as a whole: in later frames what costs more is doubtful.
 _DOUBTFUL_SHARE = 0.05
-_CARRIED_SWEEPS = 1
+_CARRIED_SWEEPS = 2
 _BOX_BLOCKS = 32  # that a subject moves before another part of the frame is looked at
 # Two pixels with a seam between them, farther apart than its blur and its labels' errors reach.
 _APART_PX = 6
@@ -176,9 +176,7 @@ class MaterialLabeller:
             around = (slice(0, len(mask)), slice(0, mask.shape[1])) if box is None else self._boxed(mask)
             known = self._pigments, self._camera, self._plain, around, self._surface
             frame, self.turned_deg, self._surface = without_paint(*seen, *known)
-        return relit(
-            frame, self._response, labels, self._reflectances, seams=self.seams, box=box
-        )
+        return relit(frame, self._response, labels, self._reflectances, seams=self.seams, box=box)
 
     @property
     def seams(self) -> Seams | None:

@@ -89,13 +89,16 @@ def without_paint(
     """
     lamps = lamps_from_response(response, np.zeros(3))
     rgb, merge = frame.rgb[box], np.linalg.inv(lamps.split)
-    goes_on = before is not None and before.box == box
-    factor = before.factor if goes_on else block_size(mask, _BLOCKS)
+    if before is not None and before.box != box:
+        before = None
+    factor = block_size(mask, _BLOCKS) if before is None else before.factor
     blocks = _blocks_of(rgb, labels[box], mask[box], lamps, rho, lines, factor, box)
     cells = cells_of(rgb[factor // 2 :: factor, factor // 2 :: factor])
-    moved = blocks_moved(before.cells, cells) if goes_on else np.inf
+    start, steps = before, _STEPS
+    if before is not None:
+        moved = blocks_moved(before.cells, cells)
+        start, steps = before if moved <= _FAR else None, 1 if moved <= _NEAR else _STEPS
     lights = np.linalg.inv(lamps.inverse).astype(np.float32)
-    start, steps = (before, 1 if moved <= _NEAR else _STEPS) if moved <= _FAR else (None, _STEPS)
     surface = _surface_of(blocks, lamps, lines, ray_grid(camera), start, steps)
     rays, inverse = blocks.rays(ray_grid(camera)), lamps.inverse.astype(np.float32)
     gains, turns = np.empty(blocks.light.shape, np.float32), np.empty(blocks.labels.shape, np.float32)
@@ -122,8 +125,8 @@ class Surface(NamedTuple):
     slopes: Single
     known: Mask
     factor: int
-    box: Box | None = None
-    cells: Single | None = None
+    box: Box = (slice(0), slice(0))
+    cells: Single = np.empty((0, 0, 3), np.float32)
 
 
 class _Blocks(NamedTuple):
@@ -433,7 +436,9 @@ def _fill_gains(
             cosine = (n0 * m0 + n1 * m1 + n2 * m2) / np.sqrt(m0 * m0 + m1 * m1 + m2 * m2)
             # twice the arcsine of half the chord, by its series: to .1 degrees up to 60
             half = _HALF * np.sqrt(max(_TWO - _TWO * cosine, _NONE))
-            turns[v, u] = _DEGREES * _TWO * half * (_ONE + half * half * (_ARCSINE[0] + half * half * _ARCSINE[1]))
+            turns[v, u] = (
+                _DEGREES * _TWO * half * (_ONE + half * half * (_ARCSINE[0] + half * half * _ARCSINE[1]))
+            )
             e = _times(lights, n0, n1, n2)
             for k in range(3):
                 gains[v, u, k] = max(e[k], _LEAST_LIGHT) / light[v, u, k]

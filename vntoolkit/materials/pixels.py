@@ -507,7 +507,7 @@ def _decide_chain(
     start: int, stop: int, number: Any, kinds: Any, total: Any, source: Any,
 ) -> None:  # fmt: skip
     """Fill what the labels of a chain cost, from its start to each of its pixels."""
-    h, w, count = unary.shape
+    count = unary.shape[2]
     seam = _SEAM_PRICE / np.float32(reach)  # so many pairs have a seam between them
     down, right = (0, reach) if upright else (reach, 0)  # along the chain
     along, aside = (0, 1) if upright else (1, 0)
@@ -553,9 +553,7 @@ def _decide_chain(
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def _add_change(
-    step: Any, sign: Any, n: int, kinds: Any, z: Any, seam: Any, found: int, total: Any
-) -> None:
+def _add_change(step: Any, sign: Any, n: int, kinds: Any, z: Any, seam: Any, found: int, total: Any) -> None:
     """Add the price of a step from label n, or, where the sign is −1, to it, for each kind here."""
     d0, d1, d2 = sign * step[0] + z[n, 0], sign * step[1] + z[n, 1], sign * step[2] + z[n, 2]
     w0, w1, w2 = step[3], step[4], step[5]

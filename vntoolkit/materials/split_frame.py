@@ -176,7 +176,7 @@ def _lit(rgb: Any, inside: Any, split: Any, least: Any) -> Any:
                 s0 = split[0, 0] * r + split[0, 1] * g + split[0, 2] * b
                 s1 = split[1, 0] * r + split[1, 1] * g + split[1, 2] * b
                 s2 = split[2, 0] * r + split[2, 1] * g + split[2, 2] * b
-                share = _LEAST_SHARE * max(max(s0, s1), max(s2, 0.0))
+                share = _LEAST_SHARE * max(s0, s1, s2, 0.0)
                 lit[v, u] = (
                     (s0 > max(least[0], share)) & (s1 > max(least[1], share)) & (s2 > max(least[2], share))
                 )

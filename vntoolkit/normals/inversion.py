@@ -257,9 +257,7 @@ def _normals_kernel(
         for side in (slice(0, first), slice(last, width)):
             weight[v, side], valid[v, side] = _ZERO, False
         normals[v, : 3 * first], normals[v, 3 * last :] = _ZERO, _ZERO
-        _normalise_row(
-            x, y, z, top, inside[v, first:last], c, weight[v, first:last], valid[v, first:last]
-        )
+        _normalise_row(x, y, z, top, inside[v, first:last], c, weight[v, first:last], valid[v, first:last])
         to = normals[v, 3 * first : 3 * last]
         for u in range(count):
             to[3 * u] = x[u]
@@ -281,7 +279,9 @@ def read_row(line: Any, table: Any, r: Any, g: Any, b: Any) -> None:
 def _clipped_row(
     clipped: Any, v: int, first: int, white: Any, r: Array, g: Array, b: Array, top: Array
 ) -> None:
-    """Fill a row, from pixel `first` on, with which colours are clipped: told by `clipped` (h, w), or from `white` on."""
+    """Fill a row, from pixel `first` on, with which colours are clipped: told by `clipped` (h, w), or from
+    `white` on.
+    """
     for u in range(len(top)):
         if clipped is None:
             largest = max(r[u], g[u])  # of two at a time: numba makes SIMD of that

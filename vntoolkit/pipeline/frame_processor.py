@@ -322,7 +322,7 @@ def _bright(rgb: Any, ambient: Any, mask: Any, step: int, share: float) -> float
         for u in range(0, w, step):
             if mask[v, u]:
                 r, g, b = rgb[v, u, 0] - ambient[0], rgb[v, u, 1] - ambient[1], rgb[v, u, 2] - ambient[2]
-                values[count] = max(max(r, g), b)
+                values[count] = max(r, g, b)
                 most = max(most, values[count])
                 count += 1
     bins, per_bin = np.zeros(_BINS + 1, np.int64), np.float32(_BINS) / most
@@ -332,7 +332,7 @@ def _bright(rgb: Any, ambient: Any, mask: Any, step: int, share: float) -> float
     while below <= share * count and found < _BINS:
         found += 1
         below += bins[found]
-    return found / per_bin
+    return float(found / per_bin)
 
 
 @njit(cache=True, parallel=True)
