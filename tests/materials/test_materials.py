@@ -506,12 +506,14 @@ def test_how_far_paint_turned_normals_is_how_far_they_are_in_doubt() -> None:
 
 
 def test_a_surface_that_moves_is_sought_from_the_frame_before_and_anew_where_it_jumps() -> None:
-    frame, normals, mask = freckled()
+    rgb, normals, mask = (
+        np.pad(each, ((0, 0), (0, 50), (0, 0))[: each.ndim]) for each in (freckled()[0].rgb, *freckled()[1:])
+    )
     line, skin = (MELANIN / np.linalg.norm(MELANIN))[None], np.array([[0.9, 0.65, 0.5]])
     following, labels = MaterialLabeller(RESPONSE, skin, line), np.zeros(mask.shape, np.uint8)
     for shift in (0, 1, 2, 3, 40):
-        rgb, there, inside = (np.roll(each, shift, axis=1) for each in (frame.rgb, normals, mask))
-        moved, off = LinearFrame(rgb), []
+        seen, there, inside = (np.roll(each, shift, axis=1) for each in (rgb, normals, mask))
+        moved, off = LinearFrame(seen), []
         followed, alone = (
             labeller.relit(moved, labels, inside)
             for labeller in (following, MaterialLabeller(RESPONSE, skin, line))

@@ -62,6 +62,8 @@ _DEGREES = np.float32(np.degrees(1.0))
 _ARCSINE = np.float32(1.0 / 6.0), np.float32(3.0 / 40.0)
 _ARTANH = tuple(np.float32(2.0 / k) for k in (1, 3, 5, 7, 9))
 _NO_LABEL = 255
+_LEAST_COSINE = np.float32(np.cos(np.radians(45.0)))  # no paint of skin turns a normal farther
+_GUESSED = 3  # for `weights_kernel` a block of two lights, whose softness is another
 _DOWN, _RIGHT = (-1, 1, 0, 0), (0, 0, -1, 1)  # to those beside a block
 
 
@@ -200,14 +202,16 @@ def _surface_of(
         quadratics, targets = np.empty((6, *shape), np.float32), np.empty((2, *shape), np.float32)
         edges, right, agreement = np.empty((4, *shape), np.float32), *np.empty((2, *shape), np.float32)
         weights, lit = np.empty((4, *shape), np.float32), level.lit
+        if times == 1:  # the first depth of a block that is new is a guess, too
+            lit[~start.known & (lit > 0)] = _GUESSED
         smooth = _SMOOTH / np.float32((level.factor // blocks.factor) ** 2)
         for _ in range(steps):
             _ask(level.light, level.labels, slopes, rays, lights, prices, smooth, quadratics, targets)
-            weights_kernel(quadratics, lit, inside, slopes, depth, softness, softness, weights)
+            weights_kernel(quadratics, lit, inside, slopes, depth, softness, np.float32(NO_STEP), weights)
             edges_kernel(quadratics, targets, weights, edges, right)
             depth = solve_grid(grid_hierarchy(edges), right, depth, _TOLERANCE, _CYCLES)
             slopes_kernel(depth, weights, np.float32(STEEPEST), slopes, agreement)
-            softness = np.float32(_STEP_SOFTNESS)
+            softness, lit = np.float32(_STEP_SOFTNESS), level.lit
         start = Surface(depth, slopes, inside, level.factor)
     return start
 
@@ -288,8 +292,9 @@ def _begin(
 ) -> None:
     """Fill depth (h, w) and slopes (2, h, w) with those of a surface before, sloping inside its blocks.
 
-    before: depth, slopes, and where they are known, of blocks so many times as large. From larger ones,
-    slopes are those of the light itself as far as its length is 1, as without paint.
+    before: depth, slopes, and where they are known, of blocks so many times as large. From larger ones, and
+    where the surface cannot be that of before, slopes are those of the light itself as far as its length is
+    1, as without paint.
     """
     coarse, slope, known = before
     size, middle = np.float32(times), np.float32(0.5 * (times - 1))
@@ -305,11 +310,13 @@ def _begin(
                 aside, below = np.float32(u - j * times) - middle, np.float32(v - i * times) - middle
                 depth[v, u] = size * coarse[i, j] + aside * slope[0, i, j] + below * slope[1, i, j]
                 out[0, v, u], out[1, v, u] = slope[0, i, j], slope[1, i, j]
-                if times == 1:
-                    continue
             x = x0 + rays.per_pixel_u * np.float32(u)
             n0, n1, n2 = _times(inverse, light[v, u, 0], light[v, u, 1], light[v, u, 2])
             length = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2) + _TINY
+            if times == 1 and known[i, j]:
+                m0, m1, m2, _ = _normal(slope[0, i, j], slope[1, i, j], x, y)
+                if n0 * m0 + n1 * m1 + n2 * m2 > _LEAST_COSINE * length:
+                    continue
             along = _ONE / max(-(n2 + x * n0 + y * n1), np.float32(FLATTEST_Z) * length)
             grey = np.log(length)
             left = _ONE / (_ONE + grey * grey * prices[of[v, u]].sum())
