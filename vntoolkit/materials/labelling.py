@@ -158,7 +158,7 @@ class MaterialLabeller:
                 self._plain = np.empty(frame.rgb.shape, np.float32)  # new ones would cost a frame 2 ms
             seen = frame, labels, mask, self._response, self._reflectances
             frame, self.turned_deg = without_paint(*seen, self._pigments, self._camera, self._plain)
-        return relit(frame, *known, seams=self.seams, box=box)
+        return relit(frame, *known, seams=self.seams, mask=mask, box=box)
 
     @property
     def seams(self) -> Seams | None:
