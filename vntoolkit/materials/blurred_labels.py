@@ -28,6 +28,7 @@ from vntoolkit.materials.pixels import (
     variance_of_lengths,
 )
 from vntoolkit.materials.reflectance import CAP, Lamps
+from vntoolkit.materials.split_frame import noise_of
 from vntoolkit.native import njit
 
 _FIRST_BLUR_PX = 1.0  # of a lens and a Bayer pattern; sharper pictures show it, and are decided again
@@ -89,12 +90,14 @@ class BlurredLabels:
             return self._moved(values, lit, labels, near, self._seams.blur_px, of_blocks, sweeps)
         known = lit, self._lamps, self._logs
         tolerance = variance_of_lengths(values, *known, labels)
-        self._precision = 1.0 / (_SHARED * _variance_of_steps(values, *known, labels))
+        steps = _variance_of_steps(values, *known, labels)
+        self._precision = 1.0 / (_SHARED * steps)
         found = self._moved(values, lit, labels, near, _FIRST_BLUR_PX, of_blocks, sweeps)
         blur_px = likeliest_blur_px(values, *known, self._spread, found)
         if blur_px != _FIRST_BLUR_PX:
             found = self._moved(values, lit, labels, near, blur_px, of_blocks, sweeps)
-        self._seams = Seams(blur_px, tolerance)
+        first, second, third = np.linalg.norm(self._lamps.split * noise_of(values, lit), axis=1)
+        self._seams = Seams(blur_px, tolerance, steps, (float(first), float(second), float(third)))
         return found
 
     def _moved(

@@ -174,9 +174,9 @@ class MaterialLabeller:
                 self._plain = np.empty(frame.rgb.shape, np.float32)  # new ones would cost a frame 2 ms
             seen = frame, labels, mask, self._response, self._reflectances
             around = (slice(0, len(mask)), slice(0, mask.shape[1])) if box is None else self._boxed(mask)
-            known = self._pigments, self._camera, self._plain, around, self._surface
-            frame, self.turned_deg, self._surface = without_paint(*seen, *known)
-        return relit(frame, self._response, labels, self._reflectances, seams=self.seams, box=box)
+            paint = self._pigments, self._camera, self._plain, around, self._surface
+            frame, self.turned_deg, self._surface = without_paint(*seen, *paint)
+        return relit(frame, self._response, labels, self._reflectances, seams=self.seams, mask=mask, box=box)
 
     @property
     def seams(self) -> Seams | None:

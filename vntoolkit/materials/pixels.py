@@ -14,12 +14,11 @@ import numpy.typing as npt
 from numba import prange
 
 from vntoolkit.arrays import FloatArray, Mask, Points
+from vntoolkit.materials.likeliest_light import REACH_PX, take_likeliest
 from vntoolkit.materials.mixtures import (
-    CHUNK_PX,
     MOST_REACH_PX,
     blur_weights,
     reach_of_blur,
-    relight_mixtures,
     room_for,
     wide_weights,
 )
@@ -68,13 +67,17 @@ class Spread(NamedTuple):
 
 
 class Seams(NamedTuple):
-    """What tells the mixture of two materials that a pixel beside a seam shows.
+    """What tells the light on a pixel in one of several materials, or in a mixture of two beside a seam.
 
     blur_px: standard deviation of the picture's blur. tolerance: variance of normals' lengths, with noise.
+    steps: variance of the step of log light from pixel to pixel. noise: standard deviation of a pixel's
+    contribution of each lamp.
     """
 
     blur_px: float
     tolerance: float
+    steps: float
+    noise: tuple[float, float, float]
 
 
 class LineLabeller:
@@ -215,19 +218,30 @@ def relit(
     inside = np.ones(labels.shape, np.bool_) if mask is None else mask
     h, w = labels.shape
     box = box or (slice(0, h), slice(0, w))
-    near = np.zeros(labels.shape, np.bool_)
-    if seams is None or seams.blur_px == 0.0 or len(values) == 1:
-        seams, weights = Seams(0.0, 1.0), blur_weights(0.0, 0)
-    else:
-        weights = blur_weights(seams.blur_px, reach_of_blur(seams.blur_px))
-        near[box] = near_seams(np.ascontiguousarray(labels[box]), reach_of_blur(seams.blur_px))
-    of_lamps = (lamps.haze, lamps.inverse, lamps.split, merge, lamps.inverse @ lamps.haze)
-    of_materials = (values, along, lamps.inverse / values[:, None], merge / values[:, None])
+    near, done = np.zeros(labels.shape, np.bool_), np.zeros(labels.shape, np.bool_)
+    if seams is not None and seams.blur_px > 0.0 and len(values) > 1:
+        reach = reach_of_blur(seams.blur_px)
+        near[box] = near_seams(np.ascontiguousarray(labels[box]), reach)
+        done[box] = True
+        if along.any():  # beside seams alone there is no pigment
+            done[box] = near[box]
+        blur, around = (wide_weights(blur_weights(seams.blur_px, each)) for each in (reach, REACH_PX))
+        take_likeliest(
+            np.ascontiguousarray(frame.rgb), labels, near, inside,
+            tuple(each.astype(np.float32) for each in (lamps.haze, lamps.inverse, lamps.split, merge)),
+            values.astype(np.float32), blur, around,
+            (np.float32(seams.steps), np.float32(seams.tolerance)), np.asarray(seams.noise, np.float32) ** 2,
+            (box[0].start, box[0].stop, box[1].start, box[1].stop), out,
+        )  # fmt: skip
+        if done[box].all():
+            return LinearFrame(rgb=out, clipped=frame.clipped, number=frame.number)
+    of_lamps = (lamps.split, lamps.inverse @ lamps.haze)
+    of_materials = (along, lamps.inverse / values[:, None], merge / values[:, None])
     _relight(
         np.ascontiguousarray(frame.rgb), labels, matrices.astype(np.float32),
         tuple(each.astype(np.float32) for each in of_lamps),
-        tuple(each.astype(np.float32) for each in of_materials), inside, wide_weights(weights), near,
-        np.float32(seams.tolerance), (box[0].start, box[0].stop, box[1].start, box[1].stop), out,
+        tuple(each.astype(np.float32) for each in of_materials), inside, done,
+        (box[0].start, box[0].stop, box[1].start, box[1].stop), out,
     )  # fmt: skip
     return LinearFrame(rgb=out, clipped=frame.clipped, number=frame.number)
 
@@ -709,15 +723,15 @@ def _cost_of_blur(
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def _relight(
-    rgb: Any, labels: Any, matrices: Any, of_lamps: Any, of_materials: Any, inside: Any, weights: Any,
-    near: Any, tolerance: Any, box: Any, out: Any,
+    rgb: Any, labels: Any, matrices: Any, of_lamps: Any, of_materials: Any, inside: Any, done: Any, box: Any,
+    out: Any,
 ) -> None:  # fmt: skip
     """Fill out (h, w, 3) from colours rgb (h, w, 3), all in single precision.
 
-    matrices: (m, 3, 3), from colour to colour. of_lamps: w, L⁻¹, split and its inverse, and L⁻¹ w.
-    of_materials: ρ, the lines of pigments, L⁻¹ / ρ, and that inverse over ρ. inside: (h, w), where pigments
-    count. near: (h, w), where pixels are mixtures. box: first and last row, first and last column, the last
-    ones not included; 0 beyond.
+    matrices: (m, 3, 3), from colour to colour. of_lamps: split, and L⁻¹ w. of_materials: the lines of
+    pigments, L⁻¹ / ρ, and split's inverse over ρ. inside: (h, w), where pigments count. done: (h, w), pixels
+    that stay as they are. box: first and last row, first and last column, the last ones not included; 0
+    beyond.
     """
     top, bottom, left, right = box
     for v in prange(len(labels)):
@@ -725,38 +739,27 @@ def _relight(
             out[v, :left] = _NONE
             out[v, right:] = _NONE
             _relight_row(
-                rgb[v], labels, matrices, of_lamps, of_materials, inside[v], weights, near[v], tolerance, v,
-                left, right, out[v],
-            )  # fmt: skip
+                rgb[v], labels[v], matrices, of_lamps, of_materials, inside[v], done[v], left, right, out[v]
+            )
         else:
             out[v] = _NONE
 
 
 @njit(cache=True, error_model="numpy")
 def _relight_row(
-    rgb: Any, labels: Any, matrices: Any, of_lamps: Any, of_materials: Any, inside: Any, weights: Any,
-    near: Any, tolerance: Any, v: int, begin: int, end: int, out: Any,
+    rgb: Any, labels: Any, matrices: Any, of_lamps: Any, of_materials: Any, inside: Any, done: Any,
+    begin: int, end: int, out: Any,
 ) -> None:  # fmt: skip
-    """Fill row v from one column to another. rgb, out: (w, 3). inside, near: (w,). labels: of the frame."""
-    haze, inverse, split, merge, origin = of_lamps
-    rho, along, to_normal, merges = of_materials
-    room, mixed = room_for(len(rho)), begin  # up to where mixtures are done
-    u, w = begin, end
-    while u < w:
-        is_near, m, counts, stop = near[u], labels[v, u], inside[u], u + 1
-        if is_near:
-            while stop < w and near[stop]:
-                stop += 1
-            mixed = max(mixed, u)
-            while mixed < stop:  # a chunk may reach over the next seams, too
-                relight_mixtures(
-                    rgb, labels, v, mixed, near, rho, haze, inverse, split, merge, weights, tolerance, room,
-                    out,
-                )  # fmt: skip
-                mixed += CHUNK_PX
-            u = stop
+    """Fill a row from one column to another. rgb, out: (w, 3). labels, inside, done: (w,)."""
+    split, origin = of_lamps
+    along, to_normal, merges = of_materials
+    room, u = room_for(len(along)), begin
+    while u < end:
+        m, counts, stop = labels[u], inside[u], u + 1
+        if done[u]:
+            u += 1
             continue
-        while stop < w and labels[v, stop] == m and inside[stop] == counts and not near[stop]:
+        while stop < end and labels[stop] == m and inside[stop] == counts and not done[stop]:
             stop += 1  # as far as it is so: one matrix, or one line, for all
         if counts and along[m].any():
             take_without_pigment(
