@@ -11,7 +11,6 @@ from vntoolkit.errors import BadInput
 from vntoolkit.geometry.camera import Camera
 from vntoolkit.materials import pixels
 from vntoolkit.materials.labelling import MaterialLabeller
-from vntoolkit.materials.pixels import colours_of, relit
 from vntoolkit.materials.reflectance import (
     Lamps,
     Reflectance,
@@ -19,6 +18,7 @@ from vntoolkit.materials.reflectance import (
     lamps_from_response,
     reflectance_from_fit,
 )
+from vntoolkit.materials.relighting import colours_of, relit
 from vntoolkit.materials.search import WORST_ERROR_DEG, find_materials
 from vntoolkit.materials.split_frame import blocks_moved, cells_of, split_frame
 from vntoolkit.normals.inversion import normals_from_frame

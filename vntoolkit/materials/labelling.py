@@ -20,26 +20,12 @@ from vntoolkit.geometry.camera import Camera
 from vntoolkit.materials.blurred_labels import MARGIN_PX, BlurredLabels
 from vntoolkit.materials.paint import Surface, without_paint
 from vntoolkit.materials.pigment import pigment_of
-from vntoolkit.materials.pixels import (
-    INDEPENDENT_PX,
-    LineLabeller,
-    MaterialLabels,
-    Seams,
-    Spread,
-    near_seams,
-    relit,
-)
+from vntoolkit.materials.pixels import INDEPENDENT_PX, LineLabeller, MaterialLabels, Seams, Spread, near_seams
 from vntoolkit.materials.reflectance import CAP
 from vntoolkit.materials.region_lengths import Lengths, lengths_of
 from vntoolkit.materials.regions import SHADING_STEP, Regions, regions_of
-from vntoolkit.materials.split_frame import (
-    CELL,
-    SplitFrame,
-    block_size,
-    blocks_moved,
-    cells_of,
-    split_frame,
-)
+from vntoolkit.materials.relighting import relit
+from vntoolkit.materials.split_frame import CELL, SplitFrame, block_size, blocks_moved, cells_of, split_frame
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.levelling import Leveller

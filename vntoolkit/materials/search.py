@@ -21,22 +21,10 @@ from scipy.linalg import block_diag
 
 from vntoolkit.arrays import FloatArray, IntArray, Mask, Points
 from vntoolkit.errors import BadInput
-from vntoolkit.materials.labelling import (
-    agreed,
-    prices_of_regions,
-    spread_of,
-    step_cost,
-    total_cost,
-)
+from vntoolkit.materials.labelling import agreed, prices_of_regions, spread_of, step_cost, total_cost
 from vntoolkit.materials.paint_levels import FALL, PAINT_STEP, Seams
 from vntoolkit.materials.pixels import INDEPENDENT_PX, Spread
-from vntoolkit.materials.reflectance import (
-    CAP,
-    Lamps,
-    Reflectance,
-    best_fit,
-    reflectance_from_fit,
-)
+from vntoolkit.materials.reflectance import CAP, Lamps, Reflectance, best_fit, reflectance_from_fit
 from vntoolkit.materials.region_lengths import (
     WEAK_PRIOR,
     gather_lengths,

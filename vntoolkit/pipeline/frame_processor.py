@@ -16,7 +16,8 @@ from vntoolkit.integration.integrate import DepthAnchor, DepthIntegrator
 from vntoolkit.io.footage.decoding import EncodedFrame, linear_frame_from_encoded, resampler_of
 from vntoolkit.io.footage.gel_dots import DotFilter
 from vntoolkit.materials.labelling import MaterialLabeller
-from vntoolkit.materials.pixels import MaterialLabels, box_of, colours_of
+from vntoolkit.materials.pixels import MaterialLabels
+from vntoolkit.materials.relighting import box_of, colours_of
 from vntoolkit.meshing.surface import mesh_from_depth
 from vntoolkit.native import keep_freed_memory, njit
 from vntoolkit.normals import expected_error

@@ -12,8 +12,9 @@ from vntoolkit.io.footage.captures import Capture
 from vntoolkit.io.footage.mattes import Mattes
 from vntoolkit.io.results.manifest import MaterialEntry
 from vntoolkit.materials.labelling import MaterialLabeller
-from vntoolkit.materials.pixels import MaterialLabels, relit
+from vntoolkit.materials.pixels import MaterialLabels
 from vntoolkit.materials.regions import UNEVEN
+from vntoolkit.materials.relighting import relit
 from vntoolkit.materials.search import WORST_ERROR_DEG, Material, find_materials
 from vntoolkit.normals.inversion import relative_albedo_from_frame
 from vntoolkit.photometry.frame import LinearFrame

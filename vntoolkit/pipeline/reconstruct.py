@@ -25,7 +25,8 @@ from vntoolkit.io.results import manifest as manifests
 from vntoolkit.io.results.frame_log import FRAMES_NAME, FrameEntry, FrameLog
 from vntoolkit.io.rigs import entry_from_rig
 from vntoolkit.materials.labelling import MaterialLabeller
-from vntoolkit.materials.pixels import near_seams, relit
+from vntoolkit.materials.pixels import near_seams
+from vntoolkit.materials.relighting import relit
 from vntoolkit.photometry.frame import LinearFrame
 from vntoolkit.photometry.response import with_near_lamps
 from vntoolkit.pipeline.block_work import Block, BlockWorker, ReconstructionJob

@@ -23,7 +23,7 @@ from vntoolkit.io.footage.images import read_image, write_png
 from vntoolkit.io.maps_and_meshes.glb import Texture
 from vntoolkit.io.maps_and_meshes.usd import TextureFiles
 from vntoolkit.io.results.sequences import read_mesh_sequence
-from vntoolkit.materials.pixels import relit
+from vntoolkit.materials.relighting import relit
 from vntoolkit.native import njit
 from vntoolkit.photometry.frame import count_lit
 from vntoolkit.photometry.response import scaled_normals_from_rgb
