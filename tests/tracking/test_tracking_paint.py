@@ -53,29 +53,12 @@ def test_it_is_the_reflectance_however_the_surface_is_turned(rng: np.random.Gene
     reflectance = rng.uniform(0.5, 1.2, (HEIGHT, WIDTH, 1))
     rgb = (reflectance * turned) @ RESPONSE.matrix.T + RESPONSE.ambient
     labels = np.full((HEIGHT, WIDTH), 7, dtype=np.uint8)
-    labels[:, :20] = 5
+    labels[:, :10] = 5
     clipped = GRID[..., 0] > WIDTH - 10
     paint = paint_of_frame(LinearFrame(rgb=rgb, clipped=clipped), RESPONSE, labels)
     known = (labels == 7) & ~clipped
     np.testing.assert_allclose(paint[known], reflectance[known, 0], rtol=0.05)
-    assert not paint[clipped].any()
-    assert not paint[:, 13:20].any()  # the edge of the shade is within reach
-    assert paint[:, :13].all()
-
-
-def test_it_keeps_to_the_surface_in_a_shade_too(rng: np.random.Generator) -> None:
-    """Where one light of three is missing, as under a chin, only two tell how bright the surface is."""
-    colours = np.array([[0.7, 0.1, 0.02], [0.08, 0.6, 0.1], [0.02, 0.12, 0.65]])
-    lights = np.array([[0.5, 0.0, -0.866], [-0.25, 0.433, -0.866], [-0.25, -0.433, -0.866]])
-    response = LightResponse(matrix=colours.T @ lights, light_colours=colours)
-    still = np.zeros(2)
-    read = []
-    for lit in ([1, 1, 1], [1, 0, 1]):
-        rgb = freckles(still)[..., None] * ((rolling(rng, 0.2) @ lights.T * lit) @ colours)
-        labels = np.full((HEIGHT, WIDTH), np.dot(lit, [1, 2, 4]), dtype=np.uint8)
-        fine = paint_of_frame(LinearFrame(rgb=rgb.astype(np.float32)), response, labels)
-        read.append((fine - cv2.GaussianBlur(fine, (0, 0), 5.0))[20:-20, 20:-20].ravel())
-    assert np.corrcoef(*read)[0, 1] > 0.9
+    assert not paint[~known].any()
 
 
 def test_it_is_as_noisy_as_the_brightness_where_the_surface_turns_away(rng: np.random.Generator) -> None:

@@ -51,21 +51,16 @@ _OF_PAINT = 3.0  # power of paint over that in the next band, at most
 def paint_of_frame(
     linear: LinearFrame, response: LightResponse, labels: VisibilityLabels | None = None
 ) -> Paint:
-    """Return (h, w) the reflectance ρ, beside that of the material that M holds for; 0 where clipped.
+    """Return (h, w) the reflectance ρ, beside that of the material that M holds for.
 
-    Where labels (h, w) say that a light is missing, the length is not ρ, but varies as ρ does. There it is 0
-    within a filter's reach of where labels change: that edge moves with what casts the shade.
+    0 where a channel is clipped, and where labels (h, w) say that a light is missing.
     """
     level = linear if response.variation is None else leveller_of(response, linear.shape).frame(linear)
     central = response.central
     rgb = level.rgb - central.ambient.astype(np.float32)
     around = np.asarray(cv2.GaussianBlur(rgb, (_TAPS, _TAPS), _AROUND_PX), np.float32)
     paint = _reflectances(rgb, around, central.inverse.astype(np.float32))
-    known = ~linear.clipped
-    if labels is not None:
-        window = np.ones((_TAPS, _TAPS), np.uint8)
-        lit = np.asarray(labels & ALL_LIT, np.uint8)
-        known &= (lit == ALL_LIT) | (cv2.erode(lit, window) == cv2.dilate(lit, window))
+    known = ~linear.clipped if labels is None else ~linear.clipped & (labels & ALL_LIT == ALL_LIT)
     return np.asarray(paint * known, np.float32)
 
 
